@@ -549,6 +549,9 @@ MOTION = Schema(
         "x_hat_px": Variable(_EVENT_SHEET, "px", "mean position over the stick phase"),
         "flag": Variable(_EVENT_SHEET, "", "ok, or what is unusual about the measurement"),
         "stick_length_um": Variable(_EVENT, "um", "stick length"),
+        "length_err": Variable(
+            _EVENT, "1", "relative error of the ratios, common to all sheets, from the ends of the stick"
+        ),
         "frames_left_out": Variable(
             _EVENT, "1", "frames left out because a slip may lie within their exposure"
         ),

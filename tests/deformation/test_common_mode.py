@@ -1,5 +1,7 @@
 """Camera movement against sheets that creep: both sides, one side, unlike sides."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -20,6 +22,19 @@ def test_camera_movement_is_taken_off(movement):
     assert careless.std() > 1.5 * wrong.std()
 
 
+def at_some_slips(made, share):
+    """The made tracks if each sheet slips in only this share of the slips, and creeps on in the others."""
+    begin = made.sticks["t_v_s"].to_numpy() - 5
+    stick = np.clip(np.searchsorted(begin, made.tracks["time_s"], side="right") - 1, 0, None)
+    slips = np.random.default_rng(4).uniform(size=made.sweep_px.shape) < share
+    creep, ahead = np.zeros(slips.shape), made.sweep_px
+    for event in range(1, len(creep)):
+        on = creep[event - 1] + (ahead[event - 1] + ahead[event]) / 2
+        creep[event] = np.where(slips[event], 0.0, on)
+    inwards = -made.tracks["side"].to_numpy() * creep
+    return replace(made, tracks=made.tracks.assign(x_px=made.tracks["x_px"] + inwards[stick]))
+
+
 def one_side(made, **options):
     """(measured - true ratio, stated error, Dataset) with the right side alone in view."""
     half = made.tracks.sizes["sheet"] // 2
@@ -38,6 +53,14 @@ def test_one_side_in_view_tells_drift_from_creep():
     assert measure(made).attrs["camera_movement"] == "vibration and drift subtracted"
     careless, _, _ = one_side(made, common_mode=False)
     assert abs(careless.mean()) > 0.01
+
+
+def test_one_side_with_sheets_that_skip_slips():
+    """A failure means that their wandering passes for movement of the camera, or widens all errors."""
+    made = at_some_slips(make(profile(np.full(40, 8.0)), noise_px=0.02), 0.5)
+    wrong, stated, motion = one_side(made)
+    assert np.abs(motion["drift_um"]).max() < 0.06 * np.median(made.sweep_px.max(axis=1)) * PIXEL_UM
+    assert 0.60 < np.mean(np.abs(wrong) < stated) < 0.85
 
 
 @pytest.mark.parametrize("within", [0.0, 0.4])
@@ -137,10 +160,13 @@ def test_sides_that_differ_before_a_still_camera_are_not_biased(noise_px):
     assert 0.60 < np.mean(np.abs(wrong) < motion["ratio_err"].to_numpy()) < 0.75
 
 
-def test_shells_that_differ_between_the_sides():
+@pytest.mark.parametrize("share", [1.0, 0.5])
+def test_shells_that_differ_between_the_sides(share):
     """8 stiff sheets left and 16 right.  A failure means that what the inner sheets differ by passes for
     movement of the camera, with errors that do not know."""
-    left, right = (make(profile(np.full(30, m)), noise_px=0.02, seed=3) for m in (8.0, 16.0))
+    left, right = (
+        at_some_slips(make(profile(np.full(30, m)), noise_px=0.02, seed=3), share) for m in (8.0, 16.0)
+    )
     of_right = (left.tracks["side"] > 0).to_numpy()
     tracks = left.tracks.assign(x_px=left.tracks["x_px"].where(~of_right, right.tracks["x_px"]))
     motion = horizontal_deformation(tracks, left.sticks, Clock(), pixel_size_um=PIXEL_UM)

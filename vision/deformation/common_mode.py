@@ -93,8 +93,11 @@ def drift_model(
     vibration_px: result of `common_mode_motion`, (F,).
     """
     middle_px, slope_px = line.coefficient[..., 0], line.coefficient[..., 1]
-    rate = np.diff(middle_px, axis=0) / np.diff(frames.middle_s)[:, None]
-    slow_px = nan_median(rate) * frames.length_s[:, None] / 2
+    unpushed_px = middle_px - _pushed_between(middle_px, frames.middle_s, settings)[:, None]
+    half = frames.sticks // 2  # sheets that do not slip with every slip move by chance from stick to stick
+    elapsed_s = (frames.middle_s[half:] - frames.middle_s[: frames.sticks - half])[:, None]
+    rate = nan_median((unpushed_px[half:] - unpushed_px[: frames.sticks - half]) / elapsed_s)
+    slow_px = rate * frames.length_s[:, None] / 2
     both = BothSides.of(side, n, middle_px, slope_px, slow_px, settings)
     return both if both.enough else OneSide.of(line, n, frames, vibration_px, settings)
 
@@ -385,8 +388,14 @@ def _rate(near: Floats, time_s: Floats, value: Floats) -> tuple[Floats, Floats]:
 
 
 def _at_axis(rate: Floats, weight: Floats, n: Ints, profile: Floats) -> Floats:
-    """Rate (stick, sheet) extrapolated to a sheet on the axis that does not creep, (stick,)."""
-    weight = np.where(np.isfinite(rate) & np.isfinite(profile), weight, 0.0)
+    """Rate (stick, sheet) extrapolated to a sheet on the axis that does not creep, (stick,).
+
+    Sheets that creep more count less: where they do not slip with every slip, they wander as far as they
+    creep.
+    """
+    known = np.isfinite(rate) & np.isfinite(profile)
+    wander = np.abs(profile) / np.maximum(nan_median(np.abs(profile), axis=1)[:, None], 1e-300)
+    weight = np.where(known, weight / (0.1 + wander**2), 0.0)
     design = np.stack(
         [np.ones(rate.shape), np.broadcast_to(n - 0.5, rate.shape), np.nan_to_num(profile)], axis=-1
     )

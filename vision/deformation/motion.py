@@ -111,8 +111,8 @@ def horizontal_deformation(
     Errors follow from the residuals of each sheet and their autocorrelation.  For positions measured in a
     picture they include unequal pixels and unequal magnification, and positions of the publication's fit are
     first corrected for pixel locking, except in ``sigma_x_um``.  The errors exclude that of the pixel size.
-    They exclude that of the stick length where `sticks` does not state it or the pull is steady, because an
-    error of the ends of a stick changes σ_x and Λ_st alike.
+    An error of the ends of a stick, where `sticks` states it, changes σ_x and Λ_st alike; the error of their
+    ratio contains it only as far as the pull or the creep is not steady.
 
     Source: paper, horizontal deformation by image processing.
     """
@@ -279,6 +279,7 @@ class _Deformation:
     effective_frames: Floats  # number of frames with independent noise, (stick,)
     drift_px: Floats  # (stick,)
     drift_err_px: Floats  # (stick,)
+    end_slope: Floats  # relative difference of the speed at the ends of a stick from the mean, (stick,)
     noise: Noise
     camera_movement: str  # which parts of it were subtracted
 
@@ -322,6 +323,7 @@ def _measure(
         effective_frames=np.where(np.isfinite(independent), frames.counts * independent, frames.counts),
         drift_px=2 * curve.drift,
         drift_err_px=2 * curve.drift_err,
+        end_slope=curve.end_slope,
         noise=noise,
         camera_movement=camera.movement if camera else "not subtracted",
     )
@@ -393,6 +395,12 @@ class _Curve:
         return self.slope**2 / 3 + np.where(self.bend == 0, 0.0, self.bend**2 - self.bend_err**2) / 5
 
     @property
+    def end_slope(self) -> Floats:
+        """Relative difference of the speed at the ends of a stick from its mean, of all sheets, (stick,)."""
+        square = np.nansum(self.slope**2, axis=1)
+        return 3 * np.abs(np.nansum(self.slope * self.bend, axis=1)) / np.where(square > 0, square, 1.0)
+
+    @property
     def rms_err(self) -> Floats:
         """Standard error of the root of the mean square, to first order, px."""
         spread = np.hypot(self.slope / 3 * self.slope_err, self.bend / 5 * self.bend_err)
@@ -415,21 +423,23 @@ def _without_drift(
 # --- output -------------------------------------------------------------------------------------------------
 
 
-def _length_err_um(events: pd.DataFrame) -> Floats:
-    """Error of the stick lengths between the given ends, µm, (stick,).
+def _length_errors(events: pd.DataFrame, end_slope: Floats) -> tuple[Floats, Floats]:
+    """Relative errors from the ends of each stick, (stick,): of σ_x, and of σ_x/Λ_st.
 
-    An error of the ends of a stick changes σ_x and Λ_st alike, so that σ_x/Λ_st remains. Therefore the error
-    of a length is limited to the differences from a steady pull between the same ends.
+    A stick whose ends are wrong is wrong in σ_x and Λ_st alike, if the pull is steady and the sheets creep
+    steadily. So the ratio has only the part of the error by which the pull is unsteady, and the part by which
+    the sheets creep faster or slower near the ends (`end_slope`).
     """
     length = events["stick_length_um"].to_numpy(float)
     if "stick_length_err_um" not in events:
-        return np.zeros(length.shape)
-    stated: Floats = np.nan_to_num(events["stick_length_err_um"].to_numpy(float))
+        return np.zeros(length.shape), np.zeros(length.shape)
+    stated: Floats = np.nan_to_num(events["stick_length_err_um"].to_numpy(float) / length)
+    sigma = stated * (1 + end_slope)
     if len(length) < LEAST_STEADY:
-        return stated
+        return sigma, sigma
     speed = length / (events["t_p_s"] - events["t_v_s"]).to_numpy(float)
     uneven = nan_median(np.abs(speed / nan_median(speed) - 1)) / NORMAL_MEDIAN
-    return np.asarray(np.fmin(stated, uneven * length), float)
+    return sigma, np.hypot(np.fmin(stated, uneven), stated * end_slope)
 
 
 def _dataset(
@@ -439,7 +449,7 @@ def _dataset(
     become 0."""
     length = events["stick_length_um"].to_numpy(float)[:, None]
     length = np.where(length > 0, length, np.nan)
-    length_err = _length_err_um(events)[:, None]
+    sigma_length_err, length_err = _length_errors(events, found.end_slope)
     signed, error = found.signed_px * pixel_size_um, found.error_px * pixel_size_um
     outward = signed < -settings.outward_errors * error
     size = np.where(outward, -signed, np.maximum(signed, 0))
@@ -454,15 +464,16 @@ def _dataset(
     values = {
         "sigma_x_um": found.rms_px * pixel_size_um,
         "sigma_x_corrected_um": size,
-        "sigma_x_err_um": error,
+        "sigma_x_err_um": np.hypot(error, size * sigma_length_err[:, None]),
         "sweep_um": found.sweep_px * pixel_size_um,
         "ratio": ratio,
-        "ratio_err": np.hypot(error / length, ratio * length_err / length),
+        "ratio_err": np.hypot(error / length, ratio * length_err[:, None]),
         "ratio_signed": signed / length,
         "frames": found.count,
         "x_hat_px": found.middle_px,
         "flag": np.select(list(flags.values()), list(flags), default="ok"),
         "stick_length_um": length[:, 0],
+        "length_err": length_err,
         "effective_frames": found.effective_frames,
         "drift_um": found.drift_px * pixel_size_um,
         "drift_err_um": found.drift_err_px * pixel_size_um,

@@ -220,7 +220,7 @@ class Side:
     n: Floats  # (N,)
     value: Floats  # ratio; negative where outward movement is not significant, (event, N)
     error: Floats  # (event, N)
-    length_err: Floats  # relative error of the stick length, common to all sheets, (event,)
+    length_err: Floats  # relative error from the ends of the stick, common to all sheets, (event,)
     shared_err: Floats  # error of the ratio from camera movement, common to all sheets, (event,)
 
     @classmethod
@@ -233,11 +233,11 @@ class Side:
             motion[name].to_numpy()[:, index] for name in ("ratio_signed", "ratio", "ratio_err")
         )
         value = np.where(motion["flag"].to_numpy()[:, index] == "outward", ratio, signed)
-        shared = np.zeros(len(value))
+        length_err, shared = np.zeros((2, len(value)))
         if "drift_err_um" in motion:
             drift_err = motion["drift_err_um"] / motion["stick_length_um"] / np.sqrt(12)
-            shared = np.nan_to_num(drift_err.to_numpy())
-        error, length_err = np.maximum(error, LEAST_ERROR), _length_err(motion)
+            length_err, shared = np.nan_to_num((motion["length_err"].to_numpy(), drift_err.to_numpy()))
+        error = np.maximum(error, LEAST_ERROR)
         return cls(int(side), number[index].astype(float), value, error, length_err, shared)
 
     @property
@@ -293,20 +293,6 @@ def breakpoint_n(side: Side, significance: float) -> Floats:
     significant = gain.max(axis=1) > scipy.special.chdtri(2, significance)
     enough = side.known.sum(axis=1) >= 5
     return np.asarray(np.where(significant & enough, knee[gain.argmax(axis=1)], np.nan))
-
-
-def _length_err(motion: xr.Dataset) -> Floats:
-    """Relative error of the stick length, (event,): the part of ratio_err beyond the error of σ_x.
-
-    It is taken from the sheet with the largest ratio, where it is largest.
-    """
-    ratio = np.nan_to_num(motion["ratio"].to_numpy())
-    sigma_err = motion["sigma_x_err_um"].to_numpy() / motion["stick_length_um"].to_numpy()[:, None]
-    length_part = np.sqrt(np.maximum(motion["ratio_err"].to_numpy() ** 2 - sigma_err**2, 0))
-    sheet = ratio.argmax(axis=1, keepdims=True)
-    ratio, length_part = (np.take_along_axis(part, sheet, axis=1)[:, 0] for part in (ratio, length_part))
-    relative = np.divide(length_part, ratio, out=np.zeros_like(ratio), where=ratio > 0)
-    return np.asarray(np.nan_to_num(relative))
 
 
 # --- sizes --------------------------------------------------------------------------------------------------
