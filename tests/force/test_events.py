@@ -490,6 +490,26 @@ def test_a_load_cell_that_rings_is_an_oscillation() -> None:
     assert any("an oscillation, no stick-slip" in line for line in events.attrs["warnings"])
 
 
+def test_a_small_slip_before_the_large_one_is_no_curvature() -> None:
+    """A failure means F_p below all that was recorded near it: the curvature of the sticks is extended."""
+    test = plain(sticks=60, samples=80, snr=40, jitter=0.0)
+    load = test.force["load_N"].to_numpy().copy()
+    for at in np.rint(100 * test.truth["t_p_s"]).astype(int):
+        load[at - 9 : at] -= 6
+    events = find_stick_slip(test.force.assign(load_N=("time_s", load)), threshold_N=12)
+    assert (events["F_p_N"] > events["F_p_raw_N"] - 5).all()
+    assert np.mean(events["F_p_N"] > events["F_p_raw_N"] - 4.5) > 0.9
+
+
+def test_slips_that_the_noise_hides_are_told() -> None:
+    """A failure means that half of the slips are missed without a word."""
+    test = plain(sticks=60, samples=80, snr=40, jitter=0.1)
+    hum = 6 * np.sin(2 * np.pi * 0.493 * np.arange(test.force.sizes["time_s"]))
+    hidden = find_stick_slip(test.force.assign(load_N=test.force["load_N"] + hum))
+    assert any("slips may be missed" in line for line in hidden.attrs["warnings"])
+    assert find_stick_slip(test.force).attrs["warnings"] == []
+
+
 def test_ringing_after_a_slip_is_no_valley() -> None:
     """A failure means that the load cell's own swing below the stick line is taken for the valley, with an
     error that does not tell."""

@@ -488,22 +488,7 @@ def _warnings(events: pd.DataFrame, regime: Regime, signal: Signal, slips: Slips
         step, stick = _resolution(values), float(nan_median(events[column].to_numpy(float)))
         if step > 0.3 * stick:  # about three steps in a stick, or fewer
             lines.append(f"{what} has steps of {step:.3g} {unit}, sticks are {stick:.3g} {unit}")
-    if slips.left_out.size:
-        count, low, high = slips.left_out.size, slips.left_out.min(), slips.left_out.max()
-        why = {
-            "jumps": "are no larger than what the load jumps upward",
-            "gap": "lie below a gap in the sizes of drops",
-            "noise": "are no larger than four errors, since the noise is slow,",
-        }[slips.threshold_how]
-        lines.append(
-            f"{count} drops of {low:.3g} to {high:.3g} N {why} and are not counted: "
-            f"`threshold_N` {0.9 * low:.2g} counts them"
-        )
-    if slips.jumps > max(1, 0.01 * len(events)):
-        lines.append(
-            f"the load also jumps upward {slips.jumps} times by {slips.threshold:.3g} N or more: at least "
-            "as many of the events may be noise, knocks or ringing"
-        )
+    lines += slips.warnings()
     flags = events["flag"].str.split("+")
     for word, meaning in (
         ("unloading", "lie beside a fall while the crosshead went back"),

@@ -252,8 +252,8 @@ def _within_recorded(
     A stick ends between two samples, so either force may exceed the recorded one by `rises`, the rise from
     sample to sample at valley and peak. At valleys a small share of the drop is added, since the load cell
     is late. The range of the whole recording is never exceeded.
-    Lines cut the corner of sticks that begin steeply: unless the load rings, the recorded valley holds,
-    except for the noise of single samples.
+    Lines cut the corners of sticks that begin steeply, or end with a small slip before the large one: the
+    recorded peak and, unless the load rings, valley hold, except for the noise of single samples.
     """
     highest, lowest = extremes.highest[1:], extremes.lowest[:-1]
     rise_v, rise_p = rises
@@ -263,7 +263,7 @@ def _within_recorded(
     noise = settings.extreme_sigmas * signal.sigma
     if not _rings(signal, ends, sticks):
         f_v = np.fmin(f_v, lowest + noise)
-    return f_v, f_p
+    return f_v, np.fmax(f_p, np.fmin(highest - noise, highest + rise_p))
 
 
 def _rings(signal: Signal, ends: _Ends, sticks: _Sticks) -> bool:
