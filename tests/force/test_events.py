@@ -65,7 +65,9 @@ def test_drops_of_curved_sticks() -> None:
         assert events["dF_N"].median() == pytest.approx(20, rel=0.02)
 
 
-@pytest.mark.parametrize(("samples", "message"), [(3, "at least two slips"), (5, "record more samples")])
+@pytest.mark.parametrize(
+    ("samples", "message"), [(3, "30 samples or more in each stick"), (5, "record more samples")]
+)
 def test_a_recording_sampled_too_slowly_is_refused(samples: int, message: str) -> None:
     """A failure means that beats of the sampling with the slips are reported as events."""
     with pytest.raises(InputError, match=message):
@@ -416,17 +418,96 @@ def curved(*, power: float, snr: float, ringing: float = 0.0, sticks: int = 60) 
     return Test(recording(0.01 * index, load, 13 + index / 6000, 1.0), truth)
 
 
-@pytest.mark.parametrize(("power", "snr"), [(2.0, 10.0), (2.0, 40.0), (3.0, 20.0), (1.0, 10.0)])
-def test_forces_at_the_ends_of_curved_sticks(power: float, snr: float) -> None:
+@pytest.mark.parametrize(
+    ("power", "snr", "largest"),
+    [(2.0, 10.0, 1.5), (2.0, 40.0, 0.4), (2.0, 100.0, 0.2), (3.0, 20.0, 0.8), (1.0, 10.0, 0.7)],
+)
+def test_forces_at_the_ends_of_curved_sticks(power: float, snr: float, largest: float) -> None:
     """A failure means that F_v and F_p lie up to a fifth of the drop above what they were, with small errors:
-    a line cuts the corners of a curved stick."""
+    a line cuts the corners of a curved stick. Or that the errors are several times too large."""
     test = curved(power=power, snr=snr)
     right, truth = matched(find_stick_slip(test.force), test.truth)
     assert len(right) > 55
+    assert right["dF_err_N"].median() < largest  # of 10 N
     for name in ("F_v_N", "F_p_N", "dF_N"):
         off = right[name] - truth[name]
-        assert abs(off.median()) < 0.3, name  # of 10 N
-        assert np.mean(np.abs(off) < right[name.replace("_N", "_err_N")]) > 0.55, name
+        assert abs(off.median()) < 0.3, name
+        assert np.mean(np.abs(off) < right[name.replace("_N", "_err_N")]) > 0.65, name
+
+
+@pytest.mark.parametrize("averaged", [3, 5, 9])
+def test_a_machine_that_averages_its_samples(averaged: int) -> None:
+    """A failure means that slips which the machine's running mean has made longer are taken for as long, with
+    drops and lengths too small by many times their errors."""
+    test = plain(sticks=60, samples=100, snr=40, jitter=0.1)
+    padded = np.pad(test.force["load_N"].to_numpy(), averaged // 2, "edge")
+    load = np.convolve(padded, np.full(averaged, 1 / averaged), "valid")
+    events = find_stick_slip(test.force.assign(load_N=("time_s", load)))
+    right, truth = matched(events, test.truth)
+    assert len(events) == len(right) == len(test.truth)
+    for name, error in (("dF_N", "dF_err_N"), ("stick_length_um", "stick_length_err_um")):
+        assert np.mean(np.abs(right[name] - truth[name]) < 1.5 * right[error]) > 0.8, name
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_drift_that_wanders_makes_no_slips(seed: int) -> None:
+    """A failure means that the falls of a wandering load are counted beside slips three times as large."""
+    test = plain(sticks=60, samples=80, snr=1e3, jitter=0.1)
+    drop, size = float(test.truth["dF_N"].median()), test.force.sizes["time_s"]
+    drift = 0.03 * drop * np.cumsum(np.random.default_rng(seed).standard_normal(size))
+    events = find_stick_slip(test.force.assign(load_N=test.force["load_N"] + drift))
+    right, truth = matched(events, test.truth)
+    assert len(events) == len(right) == len(test.truth)
+    assert any("not counted" in line for line in events.attrs["warnings"])
+    off = np.abs(right["dF_N"] - truth["dF_N"])
+    assert np.mean(off < 2 * right["dF_err_N"]) > 0.7
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_samples_lost_at_random(seed: int) -> None:
+    """A failure means that the steps of a recording that runs unevenly are slips, or widen every error."""
+    test = plain(sticks=100, samples=80, snr=40, jitter=0.1)
+    kept = np.flatnonzero(np.random.default_rng(seed).random(test.force.sizes["time_s"]) > 0.3)
+    events = find_stick_slip(test.force.isel(time_s=kept))
+    right, truth = matched(events, test.truth)
+    assert len(events) == len(right) == len(test.truth)
+    assert events.attrs["warnings"] == []
+    assert right["dF_err_N"].median() < 0.9  # of 40 N
+    assert np.mean(np.abs(right["dF_N"] - truth["dF_N"]) < right["dF_err_N"]) > 0.5
+
+
+def test_a_load_cell_that_rings_is_an_oscillation() -> None:
+    """A failure means that each swing of a resonance is a slow event, without a word that it is none."""
+    test = plain(sticks=60, samples=200, snr=100, jitter=0.1)
+    swing = 2 * np.pi * 5 * 0.01
+    decay = np.exp(-0.1 * swing)
+    # A resonance at 5 Hz with a tenth of the critical damping, at 100 Hz.
+    poles = [1, -2 * decay * np.cos(swing), decay**2]
+    load = test.force["load_N"].to_numpy()
+    rung = load[0] + lfilter([sum(poles)], poles, load - load[0])
+    events = find_stick_slip(test.force.assign(load_N=("time_s", rung)))
+    assert events.attrs["regime"] == "oscillation"
+    assert any("an oscillation, no stick-slip" in line for line in events.attrs["warnings"])
+
+
+def test_a_small_slip_before_the_large_one_is_no_curvature() -> None:
+    """A failure means F_p below all that was recorded near it: the curvature of the sticks is extended."""
+    test = plain(sticks=60, samples=80, snr=40, jitter=0.0)
+    load = test.force["load_N"].to_numpy().copy()
+    for at in np.rint(100 * test.truth["t_p_s"]).astype(int):
+        load[at - 9 : at] -= 6
+    events = find_stick_slip(test.force.assign(load_N=("time_s", load)), threshold_N=12)
+    assert (events["F_p_N"] > events["F_p_raw_N"] - 5).all()
+    assert np.mean(events["F_p_N"] > events["F_p_raw_N"] - 4.5) > 0.9
+
+
+def test_slips_that_the_noise_hides_are_told() -> None:
+    """A failure means that half of the slips are missed without a word."""
+    test = plain(sticks=60, samples=80, snr=40, jitter=0.1)
+    hum = 6 * np.sin(2 * np.pi * 0.493 * np.arange(test.force.sizes["time_s"]))
+    hidden = find_stick_slip(test.force.assign(load_N=test.force["load_N"] + hum))
+    assert any("slips may be missed" in line for line in hidden.attrs["warnings"])
+    assert find_stick_slip(test.force).attrs["warnings"] == []
 
 
 def test_ringing_after_a_slip_is_no_valley() -> None:
@@ -457,8 +538,8 @@ def test_what_jumps_up_as_it_jumps_down_is_no_slip(seed: int) -> None:
     assert len(events) - len(right) <= 1
     assert any("upward" in line or "gap" in line for line in events.attrs["warnings"])
     off = np.abs(right["dF_N"] - truth["dF_N"])
-    assert np.mean(off < right["dF_err_N"]) > 0.4
-    assert np.mean(off < 2 * right["dF_err_N"]) > 0.7
+    assert np.mean(off < right["dF_err_N"]) > 0.65
+    assert np.mean(off < 2 * right["dF_err_N"]) > 0.85
 
 
 def test_knocks_as_large_as_slips_are_told() -> None:

@@ -140,7 +140,7 @@ class _Baselines:
         here = np.asarray(edge - 0.5, dtype=float)
         # Edges at begin and end of each stick; the first stick has no begin, the last no end.
         begin, end = np.insert(here, 0, np.nan), np.append(here, np.nan)
-        shape = shape or Shape(0.0, 0.0, 0.0)
+        shape = shape or Shape(0.0, 0.0, 0.0, 0.0, 0.0)
         rise = np.nan_to_num(lines.slope * (end - begin))
         at_begin, at_end = lines.at(begin) + shape.begin * rise, lines.at(end) + shape.end * rise
         early, late = lines.slope, lines.slope
@@ -213,13 +213,15 @@ class Shape:
 
     begin: float
     end: float
-    error: float  # of the two deviations
+    begin_error: float
+    end_error: float
+    spread: float  # root mean square of the deviations within `line_part`
 
     @classmethod
     def of(cls, y: Floats, edge: Ints, settings: ForceSettings) -> Shape:
         """Fit polynomials of degree 2 to 4 to the residuals of the lines of sticks between two slips."""
         start, stop = (at[1:-1] for at in stick_middles(edge, y.size, settings))
-        straight = cls(0.0, 0.0, 0.0)
+        straight = cls(0.0, 0.0, 0.0, 0.0, 0.0)
         length = np.diff(edge)
         rise = stick_lines(y, edge, settings).slope[1:-1] * length
         long = max(2 * settings.few_samples, 0.5 * np.quantile(length, 0.9)) if length.size else 0
@@ -230,13 +232,18 @@ class Shape:
         share = fit_polynomials(y, start[some], stop[some])[0][:, 2:] / rise[some, np.newaxis]
         middle = np.median(share, axis=0)
         standard = 1.25 * mad_sigma(share, axis=0) / np.sqrt(some.size)
-        middle[np.abs(middle) < settings.shape_sigmas * standard] = 0.0
+        clear = np.abs(middle) > settings.shape_sigmas * standard
         reach = float(np.median(length[some] / (stop - 1 - start)[some]))
-        terms = middle[:, np.newaxis] * legvander(np.array([-reach, reach]), 4)[:, 2:].T
-        begin, end = terms.sum(axis=0)
-        if not middle.any() or max(abs(begin), abs(end)) > 1.0:  # no stick deviates that far
+        ends = legvander(np.array([-reach, reach]), 4)[:, 2:]
+        kept = np.where(clear, middle, 0.0)
+        begin, end = (ends * kept).sum(axis=1)
+        if not clear.any() or max(abs(begin), abs(end)) > 1.0:  # no stick deviates that far
             return straight
-        return cls(float(begin), float(end), float(np.sqrt((terms[:, 0] ** 2).sum())) / 4)
+        # What the terms left out, and those beyond the last, may add: as much as the last one.
+        unknown = np.where(clear & (np.arange(2, 5) < 4), standard, np.abs(middle))
+        begin_error, end_error = np.sqrt(((ends * unknown) ** 2).sum(axis=1))
+        spread = np.sqrt(np.sum(kept**2 / (2 * np.arange(2, 5) + 1)))
+        return cls(float(begin), float(end), float(begin_error), float(end_error), float(spread))
 
 
 # --- recorded extremes --------------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ from vision.force.regime import Regime, find_regime, is_unloading
 from vision.force.settings import ForceSettings
 from vision.force.slips import Slips, find_slips, size_gap, stick_lines, stick_middles
 from vision.force.sticks import Signal, measure_sticks
-from vision.numeric import Bools, Floats, mad_sigma, nan_median
+from vision.numeric import Bools, Floats, Ints, mad_sigma, nan_median
 
 
 def find_stick_slip(
@@ -74,9 +74,9 @@ def find_stick_slip(
 
     Notes
     -----
-    Errors of forces and lengths contain the noise, the position error of the corners, a quarter of the
-    deviation of curved sticks from their lines, what was recorded beyond the lines, and the effect of a
-    low-pass that was found but not corrected. Source: paper, section on stick-slip features.
+    Errors of forces and lengths contain the noise, the position error of the corners, that of the curvature
+    of the sticks, what was recorded beyond the lines, the length of slips where the noise shows a filter, and
+    the effect of a low-pass that was found but not corrected. Source: paper, section on stick-slip features.
     """
     FORCE.check(force)
     metadata = ForceMetadata.of(force)
@@ -85,17 +85,20 @@ def find_stick_slip(
     _check_load(signal, metadata.source, settings)
     slips = find_slips(signal.clean, signal.sigma, threshold=threshold_N, settings=settings)
     if slips.edge.size < 2:
-        raise InputError(
-            metadata.source,
-            "at least two slips",
-            f"{slips.edge.size} drops above {slips.threshold:.3g} (noise {signal.sigma:.2g})",
-            "lower `threshold_N` if smaller drops are slips",
-        )
+        raise _too_few_slips(signal, slips, metadata.source)
     _check_lowpass(lowpass_s, slips.period * signal.interval_s, metadata.source)
     analysis = _analyse_slips(signal, slips, lowpass_s, two_slopes, settings)
     if threshold_N is None and (clear := _above_slow_drops(signal, slips, analysis.corners, settings)):
         signal, slips = clear
         analysis = _analyse_slips(signal, slips, lowpass_s, two_slopes, settings)
+    alike = _alike(signal, slips, settings)
+    if threshold_N is None and alike > 1:
+        clear_slips = _above_slow_noise(signal, slips, alike, settings)
+        if 2 <= clear_slips.edge.size < slips.edge.size:
+            slips = clear_slips
+            alike = _alike(signal, slips, settings)
+            analysis = _analyse_slips(signal, slips, lowpass_s, two_slopes, settings)
+    signal = replace(signal, alike=alike)
     tau, found, regime = analysis.samples, analysis.found, analysis.regime
     unloading = is_unloading(signal.travel, analysis.extremes)
     if unloading.all():
@@ -104,7 +107,6 @@ def find_stick_slip(
             "stick-slip: the force falls while the crosshead goes on",
             f"{unloading.size} falls, all while it goes back: push–pull cycles",
         )
-    signal = replace(signal, alike=_alike(signal, slips, settings))
     compliance = 1 / (machine_stiffness_N_per_mm or np.inf)
     events = measure_sticks(
         signal, analysis.corners, analysis.extremes, tau, analysis.bent, compliance, settings
@@ -177,6 +179,30 @@ def _check_load(signal: Signal, source: str, settings: ForceSettings) -> None:
             f"{100 * signal.is_spike.mean():.0f} %: the load jumps from sample to sample",
             "record more samples per second: 30 or more in each stick",
         )
+
+
+def _too_few_slips(signal: Signal, slips: Slips, source: str) -> InputError:
+    """Return the error for fewer than two slips: the sampling or the threshold is the cause.
+
+    Sticks of a few samples rise by most steps from sample to sample, and falls are frequent. The median step
+    of noise is near 0, and a break at the end of a test falls once.
+    """
+    step = np.diff(signal.load)
+    usual = float(np.mean(np.abs(step)))
+    falls = step < -usual
+    if np.median(step) > 0.3 * usual and np.mean(falls) > 0.1:
+        return InputError(
+            source,
+            "30 samples or more in each stick",
+            f"falls of {-np.median(step[falls]):.3g} every {1 / np.mean(falls):.2g} samples",
+            "record more samples per second",
+        )
+    return InputError(
+        source,
+        "at least two slips",
+        f"{slips.edge.size} drops above {slips.threshold:.3g} (noise {signal.sigma:.2g})",
+        "lower `threshold_N` if smaller drops are slips",
+    )
 
 
 def _check_times(force: xr.Dataset, source: str) -> None:
@@ -266,28 +292,53 @@ def _above_slow_drops(
     return noisier, replace(clear, threshold_how="gap", left_out=slips.drop[small])
 
 
+def _above_slow_noise(signal: Signal, slips: Slips, alike: float, settings: ForceSettings) -> Slips:
+    """Return the slips that exceed the error of a drop between two lines where the noise is not white."""
+    lines = stick_lines(signal.clean, slips.edge, settings)
+    at = np.asarray(slips.edge - 0.5, np.float64)
+    before, after = lines.take(slice(None, -1)), lines.take(slice(1, None))
+    error = np.hypot(before.spread * before.lever(at), after.spread * after.lever(at))
+    least = settings.threshold_sigmas * float(np.sqrt(alike) * nan_median(error))
+    if not least > slips.threshold:
+        return slips
+    clear = find_slips(signal.clean, signal.sigma, threshold=least, settings=settings)
+    return replace(clear, threshold_how="noise", left_out=slips.drop[slips.drop < least])
+
+
 def _alike(signal: Signal, slips: Slips, settings: ForceSettings) -> float:
     """Return the number of neighbouring samples whose noise is common: 1 unless it is proven not white.
 
     Noise that is not white separates the lines through the two halves of each stick, at their middle, by more
-    than white noise does. Only the scatter of this distance counts: its median is the sticks' curvature.
+    than white noise does. Only the scatter of this distance counts: its median is the sticks' curvature. Slow
+    noise separates the halves by more than the quarters; by as much more it changes the line through the
+    whole stick.
     """
     start, stop = (at[1:-1] for at in stick_middles(slips.edge, signal.clean.size, settings))
     some = np.flatnonzero(stop - start >= 2 * settings.few_samples)
     if some.size < 8:
         return 1.0
     some = some[:: some.size // 400 + 1]  # enough for a median
-    middle = (start + stop) // 2
+    start, stop = start[some], stop[some]
     index = np.arange(signal.clean.size, dtype=float)
-    centre = np.asarray(middle[some] - 0.5, np.float64)
-    whole, first, second = (
-        fit_lines(index, signal.clean, low[some], high[some])
-        for low, high in ((start, stop), (start, middle), (middle, stop))
-    )
-    expected = whole.spread * np.hypot(first.lever(centre), second.lever(centre))
-    distance = (first.at(centre) - second.at(centre)) / np.maximum(expected, np.finfo(float).tiny)
-    factor = float(mad_sigma(distance[np.isfinite(distance)])) ** 2
-    return factor if factor > 1 + settings.alike_sigmas / np.sqrt(some.size) else 1.0
+    spread = fit_lines(index, signal.spikeless, start, stop).spread
+
+    def common(start: Ints, stop: Ints, spread: Floats) -> float:
+        """Return the variance of the distance between the halves of each stretch over that of white noise."""
+        middle = (start + stop) // 2
+        centre = np.asarray(middle - 0.5, np.float64)
+        first, second = (
+            fit_lines(index, signal.spikeless, *part) for part in ((start, middle), (middle, stop))
+        )
+        expected = spread * np.hypot(first.lever(centre), second.lever(centre))
+        distance = (first.at(centre) - second.at(centre)) / np.maximum(expected, np.finfo(float).tiny)
+        return float(mad_sigma(distance[np.isfinite(distance)])) ** 2
+
+    half = common(start, stop, spread)
+    if half < 1 + settings.alike_sigmas / np.sqrt(some.size):
+        return 1.0
+    middle = (start + stop) // 2
+    quarter = common(np.r_[start, middle], np.r_[middle, stop], np.r_[spread, spread])
+    return half * max(half / quarter, 1.0)
 
 
 def _have_knees(signal: Signal, slips: Slips, lag: float, settings: ForceSettings) -> bool:
@@ -437,19 +488,7 @@ def _warnings(events: pd.DataFrame, regime: Regime, signal: Signal, slips: Slips
         step, stick = _resolution(values), float(nan_median(events[column].to_numpy(float)))
         if step > 0.3 * stick:  # about three steps in a stick, or fewer
             lines.append(f"{what} has steps of {step:.3g} {unit}, sticks are {stick:.3g} {unit}")
-    if slips.left_out.size:
-        count, low, high = slips.left_out.size, slips.left_out.min(), slips.left_out.max()
-        why = "are no larger than" if slips.threshold_how == "jumps" else "lie below a gap in the sizes of"
-        what = "what the load jumps upward" if slips.threshold_how == "jumps" else "drops"
-        lines.append(
-            f"{count} drops of {low:.3g} to {high:.3g} N {why} {what} and are not "
-            f"counted: `threshold_N` {0.9 * low:.2g} counts them"
-        )
-    if slips.jumps > max(1, 0.01 * len(events)):
-        lines.append(
-            f"the load also jumps upward {slips.jumps} times by {slips.threshold:.3g} N or more: at least "
-            "as many of the events may be noise, knocks or ringing"
-        )
+    lines += slips.warnings()
     flags = events["flag"].str.split("+")
     for word, meaning in (
         ("unloading", "lie beside a fall while the crosshead went back"),

@@ -41,10 +41,6 @@ class Lines:
         """Return the value of each line at x."""
         return self.mean_y + self.slope * (x - self.mean_x)
 
-    def error_at(self, x: Floats) -> Floats:
-        """Return the standard error of each line at x, from its residuals."""
-        return self.spread * self.lever(x)
-
     def lever(self, x: Floats) -> Floats:
         """Return the standard error of each line at x for residuals of standard deviation 1."""
         return np.asarray(np.sqrt(1 / self.count + (x - self.mean_x) ** 2 / self.sxx), np.float64)

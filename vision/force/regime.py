@@ -51,7 +51,7 @@ def find_regime(y: Floats, slips: Slips, extremes: Extremes, settings: ForceSett
 
 
 def _roundness(y: Floats, start: Floats, stop: Floats) -> float:
-    """Return the squared residuals of straight lines over those of half cosines, over all stretches."""
+    """Return the squared residuals of a line over those of half a cosine, at the median of all stretches."""
     row, index = flat_ranges(start.astype(np.int64), stop.astype(np.int64) + 1)
     u = (index - start[row]) / (stop - start)[row]
     residual = []
@@ -60,8 +60,8 @@ def _roundness(y: Floats, start: Floats, stop: Floats) -> float:
         dx = shape - (np.bincount(row, shape) / count)[row]
         dy = y[index] - (np.bincount(row, y[index]) / count)[row]
         slope = np.bincount(row, dx * dy) / np.maximum(np.bincount(row, dx * dx), 1e-300)
-        residual.append(float(np.sum((dy - slope[row] * dx) ** 2)))
-    return residual[0] / max(residual[1], 1e-300)
+        residual.append(np.bincount(row, (dy - slope[row] * dx) ** 2))
+    return float(np.median(residual[0] / np.maximum(residual[1], 1e-300)))
 
 
 def _line_share(y: Floats, extremes: Extremes) -> float:

@@ -84,7 +84,7 @@ class ForceSettings:
     """How many times smaller the squared residuals with a knee must be for a stick to have two slopes.
     Smaller sees knees in noise, larger misjudges the corners of bent sticks."""
 
-    corner_error: float = 0.3
+    corner_error: float = 0.4
     """Samples by which a corner may be off because it lies between two; shown by how often the stated error
     of Λ_st covers the truth."""
 

@@ -31,6 +31,33 @@ class Slips:
     left_out: Floats  # drops that exceed the white noise but not the threshold
     jumps: int = 0  # upward jumps above the threshold; about as many of the drops are not slips
 
+    def warnings(self) -> list[str]:
+        """Return which slips may have been left out, and how many of the drops may be none."""
+        lines = []
+        if self.left_out.size:
+            low, high = self.left_out.min(), self.left_out.max()
+            why = {
+                "jumps": "are no larger than what the load jumps upward",
+                "gap": "lie below a gap in the sizes of drops",
+                "noise": "are no larger than four errors, since the noise is slow,",
+            }[self.threshold_how]
+            lines.append(
+                f"{self.left_out.size} drops of {low:.3g} to {high:.3g} N {why} and are not counted: "
+                f"`threshold_N` {0.9 * low:.2g} counts them"
+            )
+        usual = float(np.median(self.drop))
+        if self.threshold_how == "noise" and self.threshold > 0.5 * usual:
+            lines.append(
+                f"drops below {self.threshold:.3g} N are not told from the noise: slips may be missed, since "
+                f"the median drop is {usual:.3g} N"
+            )
+        if self.jumps > max(1, 0.01 * self.edge.size):
+            lines.append(
+                f"the load also jumps upward {self.jumps} times by {self.threshold:.3g} N or more: at least "
+                "as many of the events may be noise, knocks or ringing"
+            )
+        return lines
+
 
 def find_slips(
     y: Floats, sigma: float, *, threshold: float | None = None, settings: ForceSettings = ForceSettings()

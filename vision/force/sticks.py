@@ -25,6 +25,7 @@ class Signal:
     load: Floats  # as recorded, N
     clean: Floats  # load with spikes replaced by their neighbours, N
     is_spike: Bools  # samples that are spikes
+    is_missing: Bools  # samples put in where the recording lost one
     sigma: float  # standard deviation of the load's white noise, N
     damage: dict[str, Ints]  # by kind, the number of bad samples before each good one
     alike: float = 1.0  # number of neighbouring samples whose noise is common: 1 for white noise
@@ -41,7 +42,36 @@ class Signal:
         is_spike, clean = find_spikes(load, sigma, settings=settings)
         kinds = ("gap", "nan", "saturated", "repeated", "backwards")
         damage = {kind: np.cumsum(flags == kind)[good] for kind in kinds if np.any(flags == kind)}
-        return cls(time, travel, load, clean, is_spike, sigma, damage)
+        none = np.zeros_like(is_spike)
+        return cls(time, travel, load, clean, is_spike, none, sigma, damage)._even(settings)
+
+    def _even(self, settings: ForceSettings) -> Signal:
+        """Return the signal with the samples that the recording lost put in by interpolation.
+
+        All that follows counts samples, which else ran unevenly. Unchanged unless all times are multiples of
+        one interval; gaps stay.
+        """
+        steps = np.diff(self.time)
+        steps = steps / np.median(steps[steps < 1.5 * np.quantile(steps, 0.1)])
+        count = np.rint(steps)
+        lost = (count > 1) & (count <= settings.gap_intervals)
+        if not lost.any() or np.mean(np.abs(steps - count) < 0.1) < 0.99:
+            return self
+        count = np.where(lost, count, 1)
+        place = np.r_[0.0, np.cumsum(count)]
+        every = np.arange(place[-1] + 1)
+        before = np.searchsorted(place, every, side="right") - 1
+        new = place[before] != every
+        return replace(
+            self,
+            time=np.interp(every, place, self.time),
+            travel=np.interp(every, place, self.travel),
+            load=np.interp(every, place, self.load),
+            clean=np.interp(every, place, self.clean),
+            is_spike=self.is_spike[before] & ~new,
+            is_missing=new,
+            damage={kind: counted[before] for kind, counted in self.damage.items()},
+        )
 
     @cached_property
     def interval_s(self) -> float:
@@ -55,8 +85,8 @@ class Signal:
 
     @cached_property
     def spikeless(self) -> Floats:
-        """Load with NaN in place of spikes, so that fits leave them out."""
-        return np.where(self.is_spike, np.nan, self.load)
+        """Load with NaN in place of spikes and lost samples, so that fits leave them out."""
+        return np.where(self.is_spike | self.is_missing, np.nan, self.load)
 
 
 def _filled_in(load: Floats) -> Bools:
@@ -146,6 +176,14 @@ def measure_sticks(
         f_v = np.where(recorded[:-1], extremes.low[:-1], f_v)
         f_p = np.where(recorded[1:], extremes.high[1:], f_p)
     position_error = np.where(recorded, _flat_top_error(signal, corners, extremes), corners.error)
+    # Corners lie between two samples; of lost ones the next known samples are further apart.
+    known = np.flatnonzero(~signal.is_missing)
+    after = np.clip(np.searchsorted(known, corners.middle), 1, known.size - 1)
+    position_error = position_error * (known[after] - known[after - 1])
+    if signal.alike > 1:
+        # The filter that makes the noise of neighbouring samples common may also have lengthened a sudden
+        # slip: then the two corners of a stick are together off by its length.
+        position_error = np.hypot(position_error, (corners.valley - corners.peak) / np.sqrt(2))
     # The machine's stretch is subtracted at the corners only: at every sample it would add the load's noise.
     d_v = np.interp(v, index, signal.travel) - compliance * f_v
     d_p = np.interp(p, index, signal.travel) - compliance * f_p
@@ -154,13 +192,13 @@ def measure_sticks(
     # Each end of a stick is read from single samples of d, with their noise and steps.
     travel_noise = np.nan_to_num(fit_lines(signal.time, signal.travel, *_between(v, p)).spread)
     # At the extreme of a slow slip the load is level, so the position of the corner does not matter.
-    f_v_err = np.hypot(ends.error_v, np.where(recorded[:-1], 0, rises[0] * position_error[:-1]))
-    f_p_err = np.hypot(ends.error_p, np.where(recorded[1:], 0, rises[1] * position_error[1:]))
+    corner_v = np.where(recorded[:-1], 0, rises[0] * position_error[:-1])
+    corner_p = np.where(recorded[1:], 0, rises[1] * position_error[1:])
     # Ringing oscillates about the stick line, and a stick may bend too sharply for it: what was recorded
     # beyond the line, noise aside, is part of the error.
     noise = settings.extreme_sigmas * signal.sigma
-    f_v_err = np.hypot(f_v_err, np.maximum(f_v - extremes.lowest[:-1] - noise, 0))
-    f_p_err = np.hypot(f_p_err, np.maximum(extremes.highest[1:] - f_p - noise, 0))
+    corner_v = np.hypot(corner_v, np.maximum(f_v - extremes.lowest[:-1] - noise, 0))
+    corner_p = np.hypot(corner_p, np.maximum(extremes.highest[1:] - f_p - noise, 0))
     table = pd.DataFrame(
         {
             "event": np.arange(v.size),
@@ -176,9 +214,9 @@ def measure_sticks(
             **_stiffness(signal, sticks, two_slopes, compliance),
             "F_v_raw_N": extremes.lowest[:-1],
             "F_p_raw_N": extremes.highest[1:],
-            "F_v_err_N": f_v_err,
-            "F_p_err_N": f_p_err,
-            "dF_err_N": np.hypot(f_v_err, f_p_err),
+            "F_v_err_N": np.hypot(ends.error_v, corner_v),
+            "F_p_err_N": np.hypot(ends.error_p, corner_p),
+            "dF_err_N": np.hypot(ends.error_rise, np.hypot(corner_v, corner_p)),
             "stick_length_err_um": 1e3 * np.hypot((d_p - d_v) * relative, np.sqrt(2) * travel_noise),
             "slip_time_s": t_next - t_p,
             "samples": (p - v).astype(int),
@@ -214,8 +252,8 @@ def _within_recorded(
     A stick ends between two samples, so either force may exceed the recorded one by `rises`, the rise from
     sample to sample at valley and peak. At valleys a small share of the drop is added, since the load cell
     is late. The range of the whole recording is never exceeded.
-    Lines cut the corner of sticks that begin steeply: unless the load rings, the recorded valley holds,
-    except for the noise of single samples.
+    Lines cut the corners of sticks that begin steeply, or end with a small slip before the large one: the
+    recorded peak and, unless the load rings, valley hold, except for the noise of single samples.
     """
     highest, lowest = extremes.highest[1:], extremes.lowest[:-1]
     rise_v, rise_p = rises
@@ -225,7 +263,7 @@ def _within_recorded(
     noise = settings.extreme_sigmas * signal.sigma
     if not _rings(signal, ends, sticks):
         f_v = np.fmin(f_v, lowest + noise)
-    return f_v, f_p
+    return f_v, np.fmax(f_p, np.fmin(highest - noise, highest + rise_p))
 
 
 def _rings(signal: Signal, ends: _Ends, sticks: _Sticks) -> bool:
@@ -267,6 +305,7 @@ class _Ends:
     f_p: Floats
     error_v: Floats  # of the line alone, without that of the corner's position
     error_p: Floats
+    error_rise: Floats  # of the difference of the two, whose errors are opposite
     slope: Floats  # N/s
 
 
@@ -281,9 +320,18 @@ def _ends(signal: Signal, sticks: _Sticks, t_v: Floats, t_p: Floats, shape: Shap
         broken = sticks.broken(signal.time, signal.spikeless)
         f_v = np.where(bent, broken.first_at(t_v), f_v)
         f_p = np.where(bent, broken.second_at(t_p), f_p)
-    wider = np.sqrt(signal.alike)
-    error_v, error_p = (np.hypot(wider * line.error_at(at), shape.error * rise) for at in (t_v, t_p))
-    return _Ends(f_v, f_p, error_v, error_p, line.slope)
+    # The common curvature is in the residuals of the lines, but is no noise.
+    straight = np.sqrt(np.maximum(line.spread**2 - (shape.spread * rise) ** 2, 0))
+    noise = np.sqrt(signal.alike) * np.fmax(straight, np.fmin(line.spread, signal.sigma))
+    shape_v, shape_p = shape.begin_error * rise, shape.end_error * rise
+    return _Ends(
+        f_v,
+        f_p,
+        error_v=np.hypot(noise * line.lever(t_v), shape_v),
+        error_p=np.hypot(noise * line.lever(t_p), shape_p),
+        error_rise=np.hypot(noise / np.sqrt(line.sxx) * (t_p - t_v), np.hypot(shape_v, shape_p)),
+        slope=line.slope,
+    )
 
 
 def _stiffness(signal: Signal, sticks: _Sticks, two_slopes: bool, compliance: float) -> dict[str, Floats]:
