@@ -109,6 +109,17 @@ def test_a_page_whose_description_is_damaged_counts(tmp_path, count, found):
     assert all(pixels.shape == (12, 60) for pixels in video.sample(4))
 
 
+def test_a_page_of_another_height_is_corrupt(tmp_path):
+    """A failure means that one damaged number makes a whole stack unreadable."""
+    colour = np.stack([comb(6, 12, 60)] * 3, axis=1)
+    tifffile.imwrite(tmp_path / "a.tif", colour, photometric="rgb", planarconfig="separate")
+    with tifffile.TiffFile(tmp_path / "a.tif", mode="r+b") as tif:
+        tif.pages[2].tags["ImageLength"].overwrite(30)
+    video = open_video(tmp_path / "a.tif")
+    assert states(video) == ["ok", "ok", "corrupt", "ok", "ok", "ok"]
+    assert all(pixels.shape == (12, 60) for pixels in video.sample(6))
+
+
 def test_frames_far_too_large_are_refused_before_memory_is_taken(tmp_path, monkeypatch):
     """A failure means that a picture of a few kilobytes takes gigabytes."""
     rows, columns = 30_000, 30_000

@@ -92,6 +92,17 @@ def test_h264_gives_the_luma_plane(tmp_path):
     assert np.abs(whole(video).astype(float) - (16 + frames.astype(float) * 219 / 255)).max() <= 2
 
 
+@pytest.mark.parametrize("flags", ["", "+ildct+ilme"])
+def test_interlaced_films_are_named(tmp_path, flags):
+    """Failure: rows that were recorded at two times are averaged without a word."""
+    options = {"flags": flags} if flags else {}
+    frames = comb(rows=32, columns=64)
+    path = write_encoded(
+        tmp_path / "a.mp4", frames, codec="libx264", pix_fmt="yuv420p", source="gray", options=options
+    )
+    assert [("interlaced" in line) for line in open_video(path).warnings] == [True] * bool(flags)
+
+
 def test_reordered_frames_in_an_avi_are_all_there(tmp_path):
     """Failure: AVI stores decoding times only; taken for display times they lose and invent frames."""
     frames = comb(count=30, rows=64, columns=96, top=200)

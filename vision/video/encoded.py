@@ -56,7 +56,10 @@ class EncodedReader:
             first = _first_frame(container, stream, path)
             self._dtype = grey_plane(first).dtype.newbyteorder("=")
             cut = (f"{path.name}: the file was cut short; its last frames are missing",) * _ends_early(path)
-            self.facts = replace(_facts(container, stream, first, path.stat().st_size), warnings=cut)
+            what = "odd and even rows are half a frame apart, which blurs moving ridges"
+            fields = (f"{path.name}: the film is interlaced: {what}",) * first.interlaced_frame
+            facts = _facts(container, stream, first, path.stat().st_size)
+            self.facts = replace(facts, warnings=cut + fields)
             self._size = path.stat().st_size
             self._fixed_rate = stream.average_rate if container.format.name == "avi" else None
 

@@ -115,20 +115,19 @@ def _decode_pages(path: Path, numbers: Sequence[int]) -> Iterator[Frame]:
     with tifffile.TiffFile(path) as tif:
         tif.filehandle.set_lock(True)  # the threads share one file
         pages = _pages(tif, path)
-        yield from in_threads(_decode_page, (pages[n] for n in numbers))
+        shape = (tif.pages.first.imagelength, tif.pages.first.imagewidth)
+        yield from in_threads(partial(_decode_page, shape=shape), (pages[n] for n in numbers))
 
 
-def _decode_page(page: Page) -> Frame:
-    """Return the page as a frame, "corrupt" if it cannot be decoded."""
+def _decode_page(page: Page, shape: tuple[int, int]) -> Frame:
+    """Return the page as a frame, "corrupt" if it cannot be decoded to this shape."""
     if page is None or page.keyframe is None:
         return Frame(None, "lost")
-    first = page.keyframe
     try:
-        grey = _grey_page(first, page.asarray(maxworkers=1))
+        grey = _grey_page(page.keyframe, page.asarray(maxworkers=1))
     except Exception:  # tifffile and its codecs raise any exception for damaged data
         return Frame(None, "corrupt")
-    whole = grey.shape == (first.imagelength, first.imagewidth)  # a page without data is decoded to nothing
-    return Frame(grey) if whole else Frame(None, "corrupt")
+    return Frame(grey) if grey.shape == shape else Frame(None, "corrupt")
 
 
 def _grey_page(first: tifffile.TiffPage, pixels: Pixels) -> Pixels:
