@@ -394,7 +394,7 @@ def compare(tracks: xr.Dataset, truth_px: Floats) -> Outcome:
         positions=truth_px.size,
         found=float(known.sum() / truth_px.size),
         wrong=wrong,
-        gross=float((np.abs(error) > np.maximum(0.2, 5 * err)).sum() / known.sum()),
+        gross=float((np.abs(error - middle) > np.maximum(0.2, 5 * err)).sum() / known.sum()),
         coverage=float((np.abs(error) <= err).sum() / known.sum()),
         coverage_moved=float((np.abs(error - middle) <= err).sum() / known.sum()),
         rms_px=float(np.sqrt(np.nanmean(error**2))),
