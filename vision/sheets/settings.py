@@ -242,6 +242,11 @@ class TrackingSettings:
     """Times by which it must fit another numbering better. Larger misses jumps, smaller takes moving light
     for one (test_identity_doubt.py)."""
 
+    alike_scatter: float = 2.0
+    """Times their change with time up to which brightnesses and widths of neighbours are alike, both as
+    medians. It is 0.3 to 0.6 for equal sheets and 10 or more for paper. Larger warns of combs that have a
+    pattern, smaller overlooks combs without one (test_identity_doubt.py)."""
+
     merged_widths: float = 0.8
     """Two sheets nearer to each other than this, in ridge widths, are one ridge: the resolution of two
     Gaussians."""
@@ -315,7 +320,7 @@ class TrackingSettings:
     (test_distortion.py)."""
 
     most_pulled: float = 0.26
-    """Usual distortion, in ridge widths, above which a sheet is no single ridge. A second sheet or a mark that
+    """Usual distortion, in ridge widths, above which a sheet is no single ridge. A second sheet or mark that
     shifts it by a fifth of its width distorts it by 0.1 to 0.4. Larger gives positions between two sheets
     (test_distortion.py), smaller withholds sheets at hot pixels or in a shadow (test_degraded.py)."""
 

@@ -15,7 +15,7 @@ from vision.numeric import Bools, Floats, Floats32, Strings, nan_median
 from vision.sheets.corrections import Correction, apply_corrections, last_of
 from vision.sheets.distortion import distortion, not_one_ridge
 from vision.sheets.identities import Identities, identify_sheets
-from vision.sheets.neighbours import predicted_by_neighbours
+from vision.sheets.neighbours import predicted_by_neighbours, sheets_alike
 from vision.sheets.numbering import Numbering, number_sheets
 from vision.sheets.quality import (
     BetweenSlips,
@@ -145,10 +145,17 @@ def track_sheets(
     )
     number = strip["frame"].values
     changes = scene_changes(detections.start_px, detections.contrast, comb, settings)
+    alike = sheets_alike(
+        assessed.x_px, detections.contrast, detections.fwhm_px, profile.shape[1], comb, settings
+    )
+    step = np.abs(nan_median(np.diff(assessed.x_px, axis=0), axis=1))
+    large = number[1:][step > settings.step_fraction * comb.pitch_px]
     metadata = replace(
         found.metadata(fitted.fit, window, settings, count_given=sheets is not None),
         fit_asked=fit,
         corrections_applied=len(corrections),
+        sheets_alike=alike,
+        large_steps=large.tolist() if alike else [],
         scene_changes=[change._asdict() | {"frame": int(number[change.frame])} for change in changes],
     )
     return record(
