@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vision.numeric import FWHM, NORMAL_MEDIAN, Bools, Floats, Floats32, nan_median, nan_quantile
+from vision.numeric import FWHM, NORMAL_MEDIAN, Bools, Floats, Floats32, nan_median
 from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.sheets.subpixel import Starts, gather, position_noise
@@ -210,35 +210,25 @@ def _around(bright: Floats32, x_px: Floats, half: int) -> Floats:
 def _shift_by_light(
     x_px: Floats, height: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT
 ) -> Floats:
-    r"""Return the shift of each ridge due to light L that falls off over it, px, (frame, N); 0 where usual.
+    r"""Return the shift of each ridge due to light L that falls off over it, px, (frame, N).
 
     A Gaussian in such light remains a Gaussian, shifted by :math:`\sigma_r^2 L'/L`, so that only heights
-    reveal the shift. Stationary changes of light (dirt) show as a slope of L along the path of a sheet that
-    is the same in both halves of the film. Moving ones (a lamp, the edge of a shadow) show as a slope between
-    a sheet and its neighbours on both sides, beyond the scatter of single sheets.
+    reveal the shift. A lamp that moves, or the edge of a shadow, shows as a slope between a sheet and its
+    neighbours on both sides, beyond the scatter of single sheets.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         light = np.log(np.where(height > 0, height, np.nan))
     light -= nan_median(light)
     light -= nan_median(light, axis=1)[:, None]  # exposure
-    early = np.arange(len(light))[:, None] < len(light) / 2
-    halves = [
-        _slope_along(x_px, np.where(half, light, np.nan), comb.fwhm_px / 5, settings)
-        for half in (early, ~early)
-    ]
-    along = np.minimum(*(np.abs(slope - nan_median(slope)) for slope in halves))
-    variance = (comb.fwhm_px / FWHM) ** 2
-    usual = settings.distortion_sigmas * nan_median(variance * along.ravel())
-    stationary = _if_above(variance * along, np.fmax(usual, settings.distortion_floor))
     across = [_slope_across(_mean_over(light, n), x_px, settings) for n in (1, settings.distortion_frames)]
-    return np.fmax(stationary, settings.distortion_light * variance * np.fmax(*across))
+    return settings.distortion_light * (comb.fwhm_px / FWHM) ** 2 * np.fmax(*across)
 
 
 def _slope_across(light: Floats, x_px: Floats, settings: TrackingSettings) -> Floats:
     """Return the slope of the light from sheet to sheet, per px, (frame, N); 0 where it is scatter.
 
     It is the smaller of the slopes to both neighbours if these have the same sign, and its scatter is that of
-    single sheets against the mean of their neighbours.
+    single sheets against the mean of their neighbours. The first and last sheet have that of their neighbour.
     """
     if light.shape[1] < 4:
         return np.zeros_like(light)
@@ -247,9 +237,10 @@ def _slope_across(light: Floats, x_px: Floats, settings: TrackingSettings) -> Fl
         slope = np.diff(light, axis=1) / np.where(apart > 0, apart, np.nan)
     bend = light[:, 1:-1] - (light[:, :-2] + light[:, 2:]) / 2
     scatter = float(nan_median(np.abs(bend).ravel())) / NORMAL_MEDIAN / np.sqrt(1.5)
-    left, right = slope[:, np.r_[0, : slope.shape[1]]], slope[:, np.r_[: slope.shape[1], -1]]
+    left, right = slope[:, :-1], slope[:, 1:]
     smaller = np.where(left * right > 0, np.fmin(np.abs(left), np.abs(right)), 0.0)
-    return _if_above(smaller, settings.distortion_sigmas * np.sqrt(2) * scatter / float(nan_median(apart)))
+    found = _if_above(smaller, settings.distortion_sigmas * np.sqrt(2) * scatter / float(nan_median(apart)))
+    return np.pad(found, ((0, 0), (1, 1)), "edge")
 
 
 def _mean_over(values: Floats, frames: int) -> Floats:
@@ -263,27 +254,3 @@ def _mean_over(values: Floats, frames: int) -> Floats:
     )
     total, count = total[last] - total[first], count[last] - count[first]
     return np.where(known, total / np.maximum(count, 1), np.nan)
-
-
-def _slope_along(x_px: Floats, values: Floats, step_px: float, settings: TrackingSettings) -> Floats:
-    """Return the slope of values against each sheet's position, at its position in every frame, (frame, N).
-
-    Values are averaged (median) over steps in position. The slope is the mean of the slopes to the next steps
-    on both sides, or that to one of them. A slope within its noise is 0; NaN where both steps are empty.
-    """
-    known = np.isfinite(x_px) & np.isfinite(values)
-    step = np.floor(np.nan_to_num(x_px - nan_quantile(x_px, 0.0)) / step_px).astype(np.int64)
-    columns = int(step.max(initial=0)) + 2
-    cell = 1 + step + columns * np.arange(x_px.shape[1])
-    count = np.bincount(cell[known], minlength=1 + columns * x_px.shape[1])
-    ordered = np.append(values[known][np.lexsort((values[known], cell[known]))], np.nan)
-    middle = np.where(count > 0, ordered[np.cumsum(count) - count + count // 2], np.nan)
-    within = nan_median(np.abs(values - middle[cell])) / NORMAL_MEDIAN  # of each sheet
-    slope = np.diff(middle)
-    known_in = np.maximum(count, 1)
-    noise = settings.distortion_sigmas * np.sqrt(1 / known_in[1:] + 1 / known_in[:-1])
-    sides = [
-        np.where(np.abs(slope[at]) > noise[at] * within, slope[at] / step_px, 0.0 * slope[at])
-        for at in (cell - 1, cell)
-    ]
-    return nan_median(np.stack(sides))

@@ -348,7 +348,8 @@ class TrackingSettings:
     (test_distortion.py)."""
 
     distortion_floor: float = 0.05
-    """Least effect of stationary light, px; smaller ones are not told from the texture of the paper."""
+    """Distortion, px, below which a position does not count as distorted, and a sheet not as pulled for good.
+    Larger hides slight distortions, smaller counts the texture of the paper."""
 
     distortion_least_px: float = 5.0
     """Ridge width above which shapes are compared. The shape of narrower ridges depends on their position
