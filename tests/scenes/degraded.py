@@ -346,7 +346,7 @@ class Outcome:
     wrong
         Positions called ok that are more than half a pitch from their sheet.
     gross
-        Share of those called ok that are off by more than 0.2 px and 5 of their stated errors.
+        Share of those called ok whose displacement is off by more than 0.2 px and 5 stated errors.
     coverage, coverage_moved
         Share within one stated error; the same for displacements (without each sheet's mean error).
     rms_px, stated_px
