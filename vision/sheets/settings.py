@@ -337,7 +337,7 @@ class TrackingSettings:
     it is 0.6 (haze, focus) to 3 (reflections, background out of focus). Larger overstates errors, smaller
     understates them (test_distortion.py)."""
 
-    distortion_slope: float = 0.7
+    distortion_slope: float = 0.9
     """Error of a distorted position over the difference of the fit with a slope of the background. It is 0.3
     (haze, focus) to 3 (reflections); larger overstates errors in haze, smaller misses objects of about the
     ridge's width beside it, such as graph paper (test_distortion.py)."""
