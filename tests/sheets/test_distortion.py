@@ -183,7 +183,7 @@ def overlaid(what):
     elif what == "background out of focus":
         picture.values[:] += 40 * ridges(190 - 0.8 * (x - 200), width=400, fwhm_px=18.0)
     else:
-        picture.values[:] += np.random.default_rng(2).normal(0, 4, 400)
+        picture.values[:] += np.random.default_rng(2).normal(0, 2.5, 400)
     return x, picture
 
 

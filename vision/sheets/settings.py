@@ -347,7 +347,7 @@ class TrackingSettings:
     slopes, too (up to 2), and an edge is steeper in its middle than from sheet to sheet
     (test_distortion.py)."""
 
-    distortion_floor: float = 0.05
+    distortion_floor: float = 0.08
     """Distortion, px, below which a position does not count as distorted, and a sheet not as pulled for good.
     Larger hides slight distortions, smaller counts the texture of the paper."""
 
