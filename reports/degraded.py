@@ -101,7 +101,7 @@ def main() -> None:
         "- *found*: positions called ok, of all that there are.",
         "- *wrong, ok*: positions called ok that are more than half a pitch off, and sheets reported twice.",
         "  Wanted: 0.",
-        "- *gross, ok*: called ok and off by more than 5 stated errors and 0.2 px. Wanted: 0.",
+        "- *gross, ok*: displacements called ok and off by more than 5 stated errors and 0.2 px. Wanted: 0.",
         "- *within 1 error*: |x − truth| ≤ x_err. Wanted: 62–74 %. *moved*: the same for displacements,",
         "  that is without the mean error of each sheet, which σ_x does not see: the texture of the paper",
         "  and unequal pixels move a ridge by a constant.",

@@ -283,6 +283,9 @@ class TrackMetadata(Metadata):
     scene_changes
         Permanent changes of the picture: first frame of the new scene (``frame``), common displacement of
         all sheets (``moved_px``), change of the logarithm of their relative brightness (``brightness``).
+    sheets_alike, large_steps
+        Whether nothing in a picture tells which sheets it shows; if so, frames before which the whole comb
+        moved so far that it may have moved by another number of spacings.
     ridges_beyond
         Number of ridges that resemble the sheets and continue the comb beyond the given number of sheets.
     corrections_applied
@@ -306,6 +309,8 @@ class TrackMetadata(Metadata):
     ridges_dropped: int = 0
     wide_spacings: Sequence[str] = field(default_factory=list)
     scene_changes: Sequence[Mapping[str, float]] = field(default_factory=list)
+    sheets_alike: bool = False
+    large_steps: Sequence[int] = field(default_factory=list)
     ridges_beyond: int = 0
     corrections_applied: int = 0
 

@@ -120,8 +120,21 @@ def tracking_warnings(tracks: xr.Dataset) -> list[str]:
             f" {100 * change['brightness']:.0f} %): a cut, or the camera or the light was moved; the sheets"
             f" may be others than before: give `frames` as 0:{frame} or {frame}:"
         )
+    lines += _alike_warning(TrackMetadata.of(tracks))
     lines += _spacing_warning(tracks)
     return lines
+
+
+def _alike_warning(facts: TrackMetadata) -> list[str]:
+    """Warn that a jump of the whole comb by its spacing is not seen, and name frames that may be one."""
+    if not facts.sheets_alike:
+        return []
+    line = "the sheets are alike, and neither end of the comb is in view: a displacement of the whole comb is"
+    line += f" known but for whole spacings ({facts.pitch_px:.1f} px)"
+    if facts.large_steps:
+        named = ", ".join(str(frame) for frame in facts.large_steps[:5])
+        line += f"; it moved far before frame(s) {named}" + (" …" if len(facts.large_steps) > 5 else "")
+    return [f"{line}: film an end of the comb, or mark a sheet"]
 
 
 def overexposure(frame: Pixels, rows: slice, settings: VideoSettings) -> list[str]:

@@ -346,7 +346,7 @@ class Outcome:
     wrong
         Positions called ok that are more than half a pitch from their sheet.
     gross
-        Share of those called ok that are off by more than 0.2 px and 5 of their stated errors.
+        Share of those called ok whose displacement is off by more than 0.2 px and 5 stated errors.
     coverage, coverage_moved
         Share within one stated error; the same for displacements (without each sheet's mean error).
     rms_px, stated_px
@@ -394,7 +394,7 @@ def compare(tracks: xr.Dataset, truth_px: Floats) -> Outcome:
         positions=truth_px.size,
         found=float(known.sum() / truth_px.size),
         wrong=wrong,
-        gross=float((np.abs(error) > np.maximum(0.2, 5 * err)).sum() / known.sum()),
+        gross=float((np.abs(error - middle) > np.maximum(0.2, 5 * err)).sum() / known.sum()),
         coverage=float((np.abs(error) <= err).sum() / known.sum()),
         coverage_moved=float((np.abs(error - middle) <= err).sum() / known.sum()),
         rms_px=float(np.sqrt(np.nanmean(error**2))),

@@ -35,7 +35,9 @@ def test_ridges_that_are_pulled_aside_have_the_error_of_it(what):
     off, stated = np.abs(tracks.x_px.values - x), tracks.x_err_px.values
     assert np.median(off[beside, 5]) > 0.2
     assert (off[beside, 5] < 3 * stated[beside, 5]).mean() > 0.9
-    assert float(tracks.distorted[5]) == pytest.approx(1 / 3, abs=0.07)
+    assert float(tracks.distorted[5]) == pytest.approx(
+        1 / 3, abs=0.11
+    )  # means over nine frames reach further
 
 
 def test_ridges_that_nothing_pulls_keep_their_errors():
@@ -66,22 +68,22 @@ def test_light_that_falls_off_over_a_ridge_is_in_its_error(moving):
     assert (tracks.flag.values == "ok").mean() > 0.99
 
 
-def test_a_lamp_that_moves_is_in_the_error(monkeypatch):
+def off_in_errors(picture, x, **settings):
+    """Displacements measured less true ones, rms, in stated errors."""
+    tracks = track_sheets(picture, settings=TrackingSettings(**settings))
+    off = tracks.x_px.values - x
+    return np.sqrt(np.mean(((off - np.median(off, axis=0)) / tracks.x_err_px.values) ** 2))
+
+
+def test_a_lamp_that_moves_is_in_the_error():
     """A failure means that light whose slope over the comb changes shifts all sheets by twice their stated
     errors, as it does without the term for it."""
     x = comb(200, per_side=8, axis_px=200)
     slope = 0.5 * np.sin(np.arange(200) / 40)[:, None] * np.linspace(-1, 1, 400)
     picture = strip(ridges(x, width=400))
     picture.values[:] = picture.values * (1 + slope)
-
-    def off_in_errors():
-        tracks = track_sheets(picture)
-        off = tracks.x_px.values - x
-        return np.sqrt(np.mean(((off - np.median(off, axis=0)) / tracks.x_err_px.values) ** 2))
-
-    assert off_in_errors() < 1.3
-    monkeypatch.setattr("vision.sheets.tracks.shift_by_moving_light", lambda *what: 0.0)
-    assert off_in_errors() > 2
+    assert off_in_errors(picture, x) < 1.3
+    assert off_in_errors(picture, x, distortion_light=0.0, distortion_error=0.0, distortion_slope=0.0) > 2
 
 
 @pytest.mark.parametrize("lopsided", [0.0, 0.4])
@@ -110,13 +112,9 @@ def test_a_reflection_that_moves_over_all_ridges_is_in_their_errors(seed):
     x = comb(200, per_side=13, axis_px=310, slip=0.5)
     image = 620 - x + 7 * np.sin(np.arange(200) / 20 + seed)[:, None]
     light = ridges(x, width=620) + 0.35 * ridges(image, width=620, fwhm_px=9)
-    tracks = track_sheets(strip(light, snr=80, seed=seed))
-    off, err = np.abs(tracks.x_px.values - x), tracks.x_err_px.values
-    assert (off > np.fmax(5 * err, 0.2)).mean() < 1e-3
-    assert 0.4 < (off <= err).mean() < 0.8
-    blind = TrackingSettings(distortion_everywhere=1e3)
-    err = track_sheets(strip(light, snr=80, seed=seed), settings=blind).x_err_px.values
-    assert (off > np.fmax(5 * err, 0.2)).mean() > 0.3
+    picture = strip(light, snr=80, seed=seed)
+    assert 0.7 < off_in_errors(picture, x) < 2
+    assert off_in_errors(picture, x, distortion_error=0.0, distortion_slope=0.0) > 5
 
 
 def thin_beside_thick(seed):
@@ -150,10 +148,10 @@ def wrong_and_thick(tracks, x, width):
 
 
 def test_the_middle_of_a_thick_and_a_thin_sheet_has_no_position():
-    """Sheets 7.5 px wide, beside one of which stands another, 2.5 px wide, 4 px away: one ridge. A failure
+    """Sheets 7.5 px wide, beside one of which stands another, 2.5 px wide, 5 px away: one ridge. A failure
     means that the place between both is given as the sheet's, with an error as large as the ridge."""
     x, _ = creeping()
-    thin = x[:, 5:6] + 4.0
+    thin = x[:, 5:6] + 5.0
     light = ridges(x, width=400, fwhm_px=7.5) + ridges(thin, width=400, fwhm_px=2.5, contrast=1.4)
     for most, given in ((TrackingSettings().most_pulled, False), (np.inf, True)):
         tracks = track_sheets(strip(light), settings=TrackingSettings(most_pulled=most, mark_pulled=np.inf))
@@ -171,3 +169,32 @@ def test_thin_sheets_taken_for_one_ridge_have_no_position():
     trusting = replace(TrackingSettings(), least_likeness=-1.0)
     found = [wrong_and_thick(track_sheets(p, settings=trusting), x, width) for x, width, p in films]
     assert sum(wrong for wrong, _ in found) > 20
+
+
+def overlaid(what):
+    """Sixteen creeping sheets, and what is drawn over or under them: positions and strip."""
+    x = comb(240, per_side=8, axis_px=200, slip=0.5, uneven=0.1, period=60)
+    column = np.arange(400)
+    picture = strip(ridges(x, width=400, contrast=brightness(16, 3)))
+    if what == "ruler":
+        picture.values[:] *= 1 - 0.15 * (column % 13.7 < 2)
+    elif what == "reflection":
+        picture.values[:] += 8 * ridges(x[:1] + 7.0, width=400)
+    elif what == "background out of focus":
+        picture.values[:] += 40 * ridges(190 - 0.8 * (x - 200), width=400, fwhm_px=18.0)
+    else:
+        picture.values[:] += np.random.default_rng(2).normal(0, 2.5, 400)
+    return x, picture
+
+
+@pytest.mark.parametrize("what", ["ruler", "reflection", "background out of focus", "unequal pixels"])
+def test_what_lies_over_or_under_the_whole_comb_is_in_the_errors(what):
+    """Sheets move against it slowly, and nothing tells it from the usual shape of the ridges. A failure means
+    that it shifts sheets by two to six times their stated errors."""
+    x, picture = overlaid(what)
+    assert off_in_errors(picture, x) < 1.8
+    assert off_in_errors(picture, x, distortion_error=0.0, distortion_slope=0.0) > 2
+    tracks = track_sheets(picture)
+    off = tracks.x_px.values - x
+    within = np.abs(off - np.median(off, axis=0)) <= tracks.x_err_px.values
+    assert 0.5 < within.mean() < 0.9

@@ -1,7 +1,7 @@
-"""Errors of ridges distorted by specks, highlights, the edge of a hand or uneven light.
+"""Errors of ridges distorted by specks, reflections, the edge of a hand or uneven light.
 
-`distortion` estimates the error from the shape and height of each ridge, and `shift_by_moving_light` the
-error due to light that moves over the whole comb. `not_one_ridge` finds sheets that are not a single ridge.
+`distortion` estimates the error from the shape and height of each ridge. `not_one_ridge` finds sheets that
+are not a single ridge.
 """
 
 from __future__ import annotations
@@ -10,12 +10,11 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from vision.numeric import FWHM, NORMAL_MEDIAN, Bools, Floats, Floats32, nan_median, nan_quantile
+from vision.numeric import FWHM, NORMAL_MEDIAN, Bools, Floats, Floats32, nan_median
 from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb
 from vision.sheets.settings import DEFAULT, TrackingSettings
-from vision.sheets.subpixel import Starts, gather
+from vision.sheets.subpixel import Starts, gather, position_noise
 
 
 def not_one_ridge(
@@ -59,6 +58,21 @@ def _sampled_profiles(bright: Floats32, x_px: Floats, half: int) -> tuple[Floats
     return around, level, nan_median(level.swapaxes(1, 2).reshape(-1, level.shape[1]))
 
 
+class Distortion(NamedTuple):
+    """What pulls ridges aside.
+
+    Parameters
+    ----------
+    err_px
+        Error of each displacement because of it, (frame, N); 0 without a sign.
+    lasting_px
+        How far each sheet is usually pulled, compared with the other sheets, (N,).
+    """
+
+    err_px: Floats
+    lasting_px: Floats
+
+
 def distortion(
     bright: Floats32,
     x_px: Floats,
@@ -66,8 +80,8 @@ def distortion(
     blurred: Bools,
     comb: RidgeComb,
     settings: TrackingSettings = DEFAULT,
-) -> Floats:
-    r"""Return how far dirt, a highlight or an edge may shift each position, px, (frame, N); 0 without a sign.
+) -> Distortion:
+    r"""Return how far dirt, reflections, neighbours or light may shift each position.
 
     Parameters
     ----------
@@ -80,96 +94,91 @@ def distortion(
     comb
         Width and pitch of the ridges.
     settings
-        The fields `distortion_…` and `lopsided`.
+        The fields `distortion_…`.
 
     Notes
     -----
     The comb's mean shape :math:`S` is fitted to the pixels around each position with level a, height b and
-    shift s; r is the residual:
+    shift s:
 
-    .. math:: I(x + u) = a + b\,(S(u) - s\,S'(u)) + r(u) .
+    .. math:: I(x + u) = a + b\,(S(u) - s\,S'(u)) .
 
-    Two quantities indicate an error. The first is the change of s if a slope of the background is fitted as
-    well; it shows light that varies over the window. The second is the residual over the shape's slope,
-    :math:`\langle r^2 \rangle^{1/2} / (b\,\langle S'^2 \rangle^{1/2})`; it shows narrower disturbances, which
-    shift the ridge by about as much. Only the odd part of the residual counts, since differences of width
-    move nothing. Each quantity has a part that lasts, the sheet's mean, which is compared with that of
-    the other sheets, and a part that varies from frame to frame, less what all sheets of a frame share (blur,
-    exposure).
+    It is fitted three times: over the whole ridge, over its top alone, and over the whole ridge with a slope
+    of the background. Whatever is not a shift of the ridge shifts these fits by different amounts. The
+    differences from the first fit, times `distortion_error` and `distortion_slope`, are the error where they
+    exceed their noise (`_significant`). The mean difference of a sheet shifts all its positions alike, and is
+    no error of displacements.
 
-    Four cases need care. Where ridges overlap, narrow ridges between broad ones have a sloping background: a
-    mean residual then counts only if the sheet's slope is far beyond the others', or if the residual remains
-    once the slope is fitted. Where all ridges are lopsided, mean residuals are not used. Where s usually
-    changes by far more than noise explains, something moves over the whole comb (such as its own reflection),
-    and the usual change is an error, too. Light that falls off over a ridge does not change its shape; it
-    shows in the heights (`_shift_by_light`).
+    Light that falls off over a ridge hardly changes its shape; it shows in the heights (`_shift_by_light`).
     """
+    none = Distortion(np.zeros_like(x_px), np.zeros(x_px.shape[1]))
     if comb.fwhm_px < settings.distortion_least_px:
-        return np.zeros_like(x_px)
+        return none
     half = max(3, round(min(0.9 * comb.fwhm_px, 0.5 * comb.pitch_px)))
-    around, _, shape = _sampled_profiles(bright, x_px, half)
+    shape = _sampled_profiles(bright, x_px, half)[2]
     if not np.isfinite(shape).all():
-        return np.zeros_like(x_px)
-    fit_matrix = _fit_matrix(shape)
-    mean_residual = nan_median(_fit_shape(around, fit_matrix).residual)  # of each sheet, (u // 2, N)
-    mean_with_slope = nan_median(_residual_with_slope(around, shape))
-    height, change, varying = np.empty((3, *x_px.shape))
+        return none
+    fits = _fit_matrix(shape, min(max(2, round(0.5 * comb.fwhm_px)), half - 1))
+    height, apart, sloping = np.empty((3, *x_px.shape))
 
     def fit(rows: slice) -> None:
-        height[rows], change[rows], residual = _fit_shape(_around(bright[rows], x_px[rows], half), fit_matrix)
-        residual -= mean_residual
-        residual -= nan_median(residual, axis=2)[..., None]
-        varying[rows] = _odd_rms(residual)
+        found = fits @ _around(bright[rows], x_px[rows], half)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            shift = found[:, 1::2] / found[:, ::2]
+        height[rows] = found[:, 0]
+        apart[rows], sloping[rows] = shift[:, 1] - shift[:, 0], shift[:, 2] - shift[:, 0]
 
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(fit, (slice(i, i + FRAMES_PER_BLOCK) for i in range(0, len(bright), FRAMES_PER_BLOCK))))
-    floor, times = settings.distortion_floor, settings.distortion_residual
-    shift, lasting_slope = _shift_by_slope(change, err_px, _change_noise(shape), settings)
-    height[blurred] = np.nan
-    shift = np.fmax(shift, _shift_by_light(x_px, height, comb, settings))
-    residual = _if_above(varying, np.fmax(times * nan_median(varying), floor))
-    residual += _lasting_residual(mean_residual, mean_with_slope, lasting_slope > 0, comb, settings)
-    size = np.hypot(shift, settings.distortion_error * residual)
-    return np.where(np.isfinite(change) & ~blurred, size, 0.0)  # unknown too near the picture's edge
-
-
-def _shift_by_slope(
-    change: Floats, err_px: Floats, noise: float, settings: TrackingSettings
-) -> tuple[Floats, Floats]:
-    """Return unusual shifts due to a sloping background, px, (frame, N), and their lasting part, (N,).
-
-    change: of the shift if a slope is fitted, px, (frame, N). noise: its noise over that of the position.
-    """
-    floor, sigmas = settings.distortion_floor, settings.distortion_sigmas
-    usual = nan_median(change)
-    off = np.abs(change - usual)
-    usual_off = float(nan_median((off / err_px).ravel())) / NORMAL_MEDIAN
-    everywhere = usual_off > settings.distortion_everywhere * noise
-    within = (0.0 if everywhere else usual_off) * err_px
-    apart = np.abs(usual - nan_median(usual))
-    between = nan_median(apart) / NORMAL_MEDIAN
-    lasting = _if_above(apart, np.fmax(sigmas * between, floor))
-    shift = _if_above(off, np.fmax(sigmas * within, floor)) + lasting
-    return (np.fmax(shift, usual_off * err_px) if everywhere else shift), lasting
-
-
-def _lasting_residual(
-    mean: Floats, mean_with_slope: Floats, sloping: Bools, comb: RidgeComb, settings: TrackingSettings
-) -> Floats:
-    """Return the mean residuals of sheets that differ from the others, px, (N,); 0 for the others.
-
-    mean, mean_with_slope: mean residuals without and with a slope fitted, (u // 2, N). sloping: sheets whose
-    slope is far beyond that of the others, (N,).
-    """
-    odd, odd_with_slope = (
-        np.sqrt(2) * _odd_rms(part - nan_median(part, axis=1)[:, None]) for part in (mean, mean_with_slope)
+    height[blurred], apart[blurred], sloping[blurred] = np.nan, np.nan, np.nan
+    lasting = nan_median(apart)
+    noise = [err_px * float(np.linalg.norm(fits[k] - fits[1]) / np.linalg.norm(fits[1])) for k in (3, 5)]
+    size = np.fmax.reduce(
+        [
+            settings.distortion_error * _significant(apart - lasting, noise[0], settings),
+            settings.distortion_slope * _significant(sloping - nan_median(sloping), noise[1], settings),
+            _shift_by_light(x_px, height, comb, settings),
+        ]
     )
-    if not nan_median(odd) < settings.lopsided:
-        return np.zeros_like(odd)
-    overlap = comb.fwhm_px > settings.overlapping * comb.pitch_px
-    size = odd_with_slope if overlap else odd
-    unusual = size > np.fmax(settings.distortion_residual * nan_median(size), settings.distortion_floor)
-    return np.asarray(odd * (unusual | (sloping & overlap)), np.float64)
+    size = np.minimum(size, comb.fwhm_px)  # what is fitted lies within the ridge
+    lasting = np.abs(lasting - nan_median(lasting))
+    usual = np.fmax(
+        settings.distortion_sigmas * nan_median(lasting) / NORMAL_MEDIAN, settings.distortion_floor
+    )
+    lasting = settings.distortion_error * _if_above(lasting, usual)
+    return Distortion(np.where(np.isfinite(apart), size, 0.0), lasting)
+
+
+def _fit_matrix(shape: Floats, top: int) -> Floats:
+    """Return the matrix from pixels to height and shift of the mean shape, (6, u).
+
+    It is fitted to all pixels, to those up to `top` from the middle, and to all with a sloping background.
+    """
+    basis = np.stack([np.ones_like(shape), shape, np.gradient(shape)], axis=1)
+    inner = slice(len(shape) // 2 - top, len(shape) // 2 + top + 1)
+    fits = np.zeros((6, len(shape)))
+    fits[:2] = np.linalg.pinv(basis)[1:]
+    fits[2:4, inner] = np.linalg.pinv(basis[inner])[1:]
+    fits[4:] = np.linalg.pinv(np.column_stack([basis, np.arange(len(shape)) - len(shape) // 2]))[1:3]
+    return fits
+
+
+def _significant(values: Floats, noise: Floats, settings: TrackingSettings) -> Floats:
+    """Return the size of values (frame, N) in a frame, over some frames, or usually; 0 where it is noise.
+
+    The largest of three significant sizes counts: the value itself, the mean over `distortion_frames` around
+    it, and the usual size of that mean in the whole film. noise: standard deviation of a single value,
+    (frame, N), independent from frame to frame.
+    """
+    frames = settings.distortion_frames
+    single, mean = np.abs(values), np.abs(_mean_over(values, frames))
+    noise = np.fmax(noise, position_noise(values))  # also where tops are clipped, or a codec adds its own
+    noise_of_mean = noise / np.sqrt(frames)
+    usual, usual_noise = nan_median(mean) / NORMAL_MEDIAN, nan_median(noise_of_mean)
+    chance = 1 + 2 * np.sqrt(2 * frames / len(values))  # of so many means of noise
+    excess = np.sqrt(np.where(usual**2 > chance * usual_noise**2, np.abs(usual**2 - usual_noise**2), 0.0))
+    above = _if_above(single, settings.distortion_sigmas * noise)
+    return np.fmax(excess, np.fmax(above, _if_above(mean, settings.distortion_sigmas * noise_of_mean)))
 
 
 def _if_above(size: Floats, least: Floats) -> Floats:
@@ -198,157 +207,50 @@ def _around(bright: Floats32, x_px: Floats, half: int) -> Floats:
     return np.asarray(around, np.float64)
 
 
-def _bases(shape: Floats) -> tuple[Floats, Floats]:
-    """Return the basis of the fit: level, shape and its slope, (u, 3); with a sloping background, (u, 4)."""
-    level_background = np.stack([np.ones_like(shape), shape, np.gradient(shape)], axis=1)
-    return level_background, np.column_stack([level_background, np.arange(len(shape)) - len(shape) // 2])
-
-
-def _change_noise(shape: Floats) -> float:
-    """Return the noise of `_ShapeFit.change` over the noise of the shift itself."""
-    shift, with_slope = (np.linalg.pinv(basis)[2] for basis in _bases(shape))
-    return float(np.linalg.norm(with_slope - shift) / np.linalg.norm(shift))
-
-
-class _ShapeFit(NamedTuple):
-    """Fit of the mean shape to pixels (frame, u, N).
-
-    Parameters
-    ----------
-    height
-        Height of the ridge, grey levels (frame, N).
-    change
-        Change of the shift if a slope is fitted as well, px, (frame, N).
-    residual
-        Odd part of the residual over the shape's slope, px: the left half, (frame, u // 2, N). The right half
-        is its negative.
-    """
-
-    height: Floats
-    change: Floats
-    residual: Floats
-
-
-def _fit_matrix(shape: Floats) -> Floats:
-    """Return the matrix that takes pixels to the fit, which is linear in them.
-
-    Its rows give height and shift without a slope, both with a slope, and the odd residual.
-    """
-    level_background, sloping = _bases(shape)
-    first, second = np.linalg.pinv(level_background), np.linalg.pinv(sloping)
-    return np.concatenate([first[1:3], second[1:3], _odd_residual(level_background, first)])
-
-
-def _fit_shape(pixels: Floats, fit_matrix: Floats) -> _ShapeFit:
-    """Apply the matrix from `_fit_matrix` to pixels."""
-    found = fit_matrix @ pixels
-    height, shift, height_with_slope, shift_with_slope = (found[:, k] for k in range(4))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        change = shift_with_slope / height_with_slope - shift / height
-        return _ShapeFit(height, change, found[:, 4:] / height[:, None])
-
-
-def _residual_with_slope(pixels: Floats, shape: Floats) -> Floats:
-    """Return the residual as in `_ShapeFit`, but with a slope fitted as well."""
-    basis = _bases(shape)[1]
-    fit = np.linalg.pinv(basis)
-    found = np.concatenate([fit[1:2], _odd_residual(basis, fit)]) @ pixels
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(found[:, 1:] / found[:, :1], np.float64)
-
-
-def _odd_residual(basis: Floats, fit: NDArray[np.floating]) -> Floats:
-    """Return the matrix from pixels to the left half of their residual's odd part, over the shape's slope."""
-    residual = np.eye(len(basis)) - basis @ fit
-    odd = (residual - residual[::-1])[: len(basis) // 2]
-    return np.asarray(odd / np.sqrt(2 * (basis[:, 2] ** 2).mean()), np.float64)
-
-
-def _odd_rms(left_half: Floats) -> Floats:
-    """Return the root mean square over u of an odd function of u, from its left half (…, u // 2, N)."""
-    return np.asarray(np.sqrt((left_half**2).sum(axis=-2) / (left_half.shape[-2] + 0.5)), np.float64)
-
-
 def _shift_by_light(
     x_px: Floats, height: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT
 ) -> Floats:
-    r"""Return the shift of each ridge due to light L that falls off over it, px, (frame, N); 0 where usual.
+    r"""Return the shift of each ridge due to light L that falls off over it, px, (frame, N).
 
     A Gaussian in such light remains a Gaussian, shifted by :math:`\sigma_r^2 L'/L`, so that only heights
-    reveal the shift. Stationary changes of light (dirt) show as a slope of L along the path of a sheet that
-    is the same in both halves of the film. Moving ones (the edge of a shadow) show as a slope that three
-    adjacent sheets share in a frame; it is doubled, as an edge is steeper in its middle than from sheet to
-    sheet.
+    reveal the shift. A lamp that moves, or the edge of a shadow, shows as a slope between a sheet and its
+    neighbours on both sides, beyond the scatter of single sheets.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         light = np.log(np.where(height > 0, height, np.nan))
     light -= nan_median(light)
     light -= nan_median(light, axis=1)[:, None]  # exposure
-    step = np.pad(
-        np.diff(light, axis=1) / np.diff(nan_median(x_px)), ((0, 0), (1, 1)), constant_values=np.nan
+    across = [_slope_across(_mean_over(light, n), x_px, settings) for n in (1, settings.distortion_frames)]
+    return settings.distortion_light * (comb.fwhm_px / FWHM) ** 2 * np.fmax(*across)
+
+
+def _slope_across(light: Floats, x_px: Floats, settings: TrackingSettings) -> Floats:
+    """Return the slope of the light from sheet to sheet, per px, (frame, N); 0 where it is scatter.
+
+    It is the smaller of the slopes to both neighbours if these have the same sign, and its scatter is that of
+    single sheets against the mean of their neighbours. The first and last sheet have that of their neighbour.
+    """
+    if light.shape[1] < 4:
+        return np.zeros_like(light)
+    apart = np.diff(nan_median(x_px))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slope = np.diff(light, axis=1) / np.where(apart > 0, apart, np.nan)
+    bend = light[:, 1:-1] - (light[:, :-2] + light[:, 2:]) / 2
+    scatter = float(nan_median(np.abs(bend).ravel())) / NORMAL_MEDIAN / np.sqrt(1.5)
+    left, right = slope[:, :-1], slope[:, 1:]
+    smaller = np.where(left * right > 0, np.fmin(np.abs(left), np.abs(right)), 0.0)
+    found = _if_above(smaller, settings.distortion_sigmas * np.sqrt(2) * scatter / float(nan_median(apart)))
+    return np.pad(found, ((0, 0), (1, 1)), "edge")
+
+
+def _mean_over(values: Floats, frames: int) -> Floats:
+    """Return the mean of values (frame, N) over the `frames` frames around each, NaN where the value is."""
+    known = np.isfinite(values)
+    at = np.arange(len(values))
+    first, last = np.maximum(at - frames // 2, 0), np.minimum(at + frames // 2 + 1, len(values))
+    total, count = (
+        np.cumsum(np.pad(part, ((1, 0), (0, 0))), axis=0)
+        for part in (np.where(known, values, 0.0), known.astype(np.float64))
     )
-    left, right = step[:, :-1], step[:, 1:]
-    across = 2 * np.fmin(np.abs(left), np.abs(right))
-    early = np.arange(len(light))[:, None] < len(light) / 2
-    halves = [
-        _slope_along(x_px, np.where(half, light, np.nan), comb.fwhm_px / 5, settings)
-        for half in (early, ~early)
-    ]
-    along = np.minimum(*(np.abs(slope - nan_median(slope)) for slope in halves))
-    limits = settings.distortion_sigmas, settings.distortion_floor
-    variance = (comb.fwhm_px / FWHM) ** 2
-    stationary = _unusual(variance * along, *limits)
-    moving = _unusual(variance * across, *limits)
-    return np.fmax(stationary, np.where(left * right > 0, moving, 0.0))
-
-
-def shift_by_moving_light(
-    x_px: Floats, contrast: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT
-) -> Floats:
-    r"""Return the shift of all ridges due to light whose slope over the comb changes, px, (frame, 1).
-
-    A slope of the light L shifts a Gaussian by :math:`\sigma_r^2 L'/L`. The slope is measured from the
-    heights of sheets half a comb apart, relative to their usual heights. The shift is doubled, as the light
-    between the ridges slopes, too. 0 for fewer than four sheets.
-    """
-    half = x_px.shape[1] // 2
-    if half < 2:
-        return np.zeros((len(x_px), 1))
-    light = np.log(np.where(contrast > 0, contrast, np.nan))
-    slope = (light[:, half:] - light[:, :-half]) / (x_px[:, half:] - x_px[:, :-half])
-    slope -= nan_median(slope)
-    common = nan_median(slope, axis=1)
-    scatter = nan_median(np.abs(slope - common[:, None]), axis=1) / NORMAL_MEDIAN
-    # objects that cover some sheets make no common slope
-    error = 1.25 * scatter / np.sqrt(slope.shape[1])
-    seen = np.abs(common) > settings.distortion_sigmas * error
-    return np.where(seen, 2 * (comb.fwhm_px / FWHM) ** 2 * np.abs(common), 0.0)[:, None]
-
-
-def _unusual(size: Floats, times: float, floor: float) -> Floats:
-    """Return sizes that exceed the floor and `times` their median, and 0 for the others."""
-    return _if_above(size, np.fmax(times * nan_median(size.ravel()), floor))
-
-
-def _slope_along(x_px: Floats, values: Floats, step_px: float, settings: TrackingSettings) -> Floats:
-    """Return the slope of values against each sheet's position, at its position in every frame, (frame, N).
-
-    Values are averaged (median) over steps in position. The slope is the mean of the slopes to the next steps
-    on both sides, or that to one of them. A slope within its noise is 0; NaN where both steps are empty.
-    """
-    known = np.isfinite(x_px) & np.isfinite(values)
-    step = np.floor(np.nan_to_num(x_px - nan_quantile(x_px, 0.0)) / step_px).astype(np.int64)
-    columns = int(step.max(initial=0)) + 2
-    cell = 1 + step + columns * np.arange(x_px.shape[1])
-    count = np.bincount(cell[known], minlength=1 + columns * x_px.shape[1])
-    ordered = np.append(values[known][np.lexsort((values[known], cell[known]))], np.nan)
-    middle = np.where(count > 0, ordered[np.cumsum(count) - count + count // 2], np.nan)
-    within = nan_median(np.abs(values - middle[cell])) / NORMAL_MEDIAN  # of each sheet
-    slope = np.diff(middle)
-    known_in = np.maximum(count, 1)
-    noise = settings.distortion_sigmas * np.sqrt(1 / known_in[1:] + 1 / known_in[:-1])
-    sides = [
-        np.where(np.abs(slope[at]) > noise[at] * within, slope[at] / step_px, 0.0 * slope[at])
-        for at in (cell - 1, cell)
-    ]
-    return nan_median(np.stack(sides))
+    total, count = total[last] - total[first], count[last] - count[first]
+    return np.where(known, total / np.maximum(count, 1), np.nan)

@@ -4,7 +4,8 @@ The alignment decides which ridge is which sheet. The functions here test its de
 it did not use. `neighbour_residual` measures how far each sheet is from the position that its neighbours
 predict. `hops` finds sheets that have moved to another ridge. `anchored` finds frames whose spacings,
 brightnesses and widths fit a single numbering, so that an earlier doubt is settled. `pattern_shift` finds
-frames from which on brightnesses and widths fit another numbering.
+frames from which on brightnesses and widths fit another numbering. `sheets_alike` tells where there is no
+pattern at all.
 """
 
 from __future__ import annotations
@@ -253,6 +254,53 @@ def pattern_shift(log_contrast: Floats, log_width: Floats, settings: TrackingSet
         shift[first:last] += np.array((0, *SHIFTS))[each.argmin(axis=0)]
         shift[last:] += SHIFTS[int(np.argmin(others[:, event]))]
     return shift
+
+
+def sheets_alike(
+    x_px: Floats,
+    contrast: Floats,
+    fwhm_px: Floats,
+    width_px: int,
+    comb: RidgeComb,
+    settings: TrackingSettings = DEFAULT,
+) -> bool:
+    """Return whether nothing in a picture tells which sheets it shows.
+
+    Parameters
+    ----------
+    x_px, contrast, fwhm_px
+        Positions, heights and widths of the sheets (frame, N), NaN where missing.
+    width_px
+        Width of the profile.
+    comb
+        Pitch of the ridges.
+    settings
+        `edge_pitches`, `alike_scatter`, `spacing_spread`.
+
+    Notes
+    -----
+    Neither end of the comb is in view, and brightness, width and spacing differ from the mean of both
+    neighbours by no more than they change with time, or than slips change spacings. Such a comb looks still
+    when it jumps by its pitch. Light that falls off along the comb is no pattern of the sheets. False for
+    fewer than five.
+    """
+    rest = rest_positions(x_px)
+    reach = settings.edge_pitches * comb.pitch_px
+    if len(rest) < 5 or rest[0] > reach or rest[-1] < width_px - 1 - reach:
+        return False
+    alike = nan_median(np.abs(_bend(rest))) < settings.spacing_spread * comb.pitch_px
+    with np.errstate(divide="ignore", invalid="ignore"):
+        patterns = [_without_common_change(np.log(values)) for values in (contrast, fwhm_px)]
+    for pattern in patterns:
+        mean = nan_median(pattern)
+        within = nan_median(nan_median(np.abs(pattern - mean)))
+        alike &= nan_median(np.abs(_bend(mean))) < settings.alike_scatter * within
+    return bool(alike)
+
+
+def _bend(values: Floats) -> Floats:
+    """Return values (N,) less the means of their neighbours, (N − 2,)."""
+    return np.asarray(values[1:-1] - (values[2:] + values[:-2]) / 2)
 
 
 def _feature_change(before: Floats, after: Floats, by: int, settings: TrackingSettings) -> Floats:

@@ -242,6 +242,11 @@ class TrackingSettings:
     """Times by which it must fit another numbering better. Larger misses jumps, smaller takes moving light
     for one (test_identity_doubt.py)."""
 
+    alike_scatter: float = 2.0
+    """Times their change with time up to which brightnesses and widths of neighbours are alike, both as
+    medians. It is 0.3 to 0.6 for equal sheets and 10 or more for paper. Larger warns of combs that have a
+    pattern, smaller overlooks combs without one (test_identity_doubt.py)."""
+
     merged_widths: float = 0.8
     """Two sheets nearer to each other than this, in ridge widths, are one ridge: the resolution of two
     Gaussians."""
@@ -314,45 +319,41 @@ class TrackingSettings:
     recordings tried. Larger drops markers of unusual shape, smaller takes two sheets for one
     (test_distortion.py)."""
 
-    most_pulled: float = 0.5
-    """Usual distortion, in ridge widths, above which a sheet is no single ridge: beyond a Gaussian's standard
-    deviation, a second sheet or a mark contributes as much. Larger gives positions between two sheets,
-    smaller withholds sheets in a shadow (test_degraded.py)."""
+    most_pulled: float = 0.26
+    """Usual distortion, in ridge widths, above which a sheet is no single ridge. A second sheet or mark that
+    shifts it by a fifth of its width distorts it by 0.1 to 0.4. Larger gives positions between two sheets
+    (test_distortion.py), smaller withholds sheets at hot pixels or in a shadow (test_degraded.py)."""
 
-    distortion_sigmas: float = 5.0
-    """Effect of a slope of the light on a position, over its usual scatter, above which the ridge is
-    distorted. Larger calls distorted ridges ok, smaller flags noise; test_distortion.py has a highlight and a
-    shadow beside a ridge."""
+    distortion_sigmas: float = 4.0
+    """Difference between two fits of a ridge, and slope of the light, over its noise, above which the ridge
+    is distorted. Larger calls distorted ridges ok, smaller enlarges errors by chance; test_distortion.py
+    has a highlight and a shadow beside a ridge."""
 
-    distortion_everywhere: float = 2.0
-    """Effect of a slope of the light on positions, over that predicted from noise, above which all ridges are
-    distorted. It is 0.7 to 1.1 in films that are clean, soft or dirty, and 14 under a moving reflection
-    (test_distortion.py). Larger overlooks a reflection, smaller takes the texture of the paper for one."""
+    distortion_frames: int = 9
+    """Frames over which these are averaged. More show smaller distortions, fewer follow faster ones."""
 
-    distortion_floor: float = 0.05
-    """Least such effect, px; smaller ones do not matter, even where noise is small."""
+    distortion_error: float = 2.0
+    """Error of a distorted position over the difference of the fit of its top. In films with known positions
+    it is 0.6 (haze, focus) to 3 (reflections, background out of focus). Larger overstates errors, smaller
+    understates them (test_distortion.py)."""
+
+    distortion_slope: float = 0.9
+    """Error of a distorted position over the difference of the fit with a slope of the background. It is 0.3
+    (haze, focus) to 3 (reflections); larger overstates errors in haze, smaller misses objects of about the
+    ridge's width beside it, such as graph paper (test_distortion.py)."""
+
+    distortion_light: float = 1.75
+    """Error over the shift that the slope of the light causes on a Gaussian: the light between the ridges
+    slopes, too (up to 2), and an edge is steeper in its middle than from sheet to sheet
+    (test_distortion.py)."""
+
+    distortion_floor: float = 0.08
+    """Distortion, px, below which a position does not count as distorted, and a sheet not as pulled for good.
+    Larger hides slight distortions, smaller counts the texture of the paper."""
 
     distortion_least_px: float = 5.0
     """Ridge width above which shapes are compared. The shape of narrower ridges depends on their position
     among the pixels, which smaller takes for dirt (test_accuracy.py's 3 px); larger checks fewer films."""
-
-    distortion_residual: float = 3.0
-    """Factor over the usual residual of a ridge from the mean shape. Larger lets specks pass, smaller flags
-    noise; test_distortion.py, and test_degraded.py's dirt."""
-
-    overlapping: float = 0.45
-    """Width over pitch above which a slope under a ridge is due to its neighbours, not to an object. Larger
-    calls narrow ridges between broad ones distorted (11 px wide, 20 px apart: x_err_px of 0.5 px for 0.02),
-    smaller misses a comb's own reflection (test_distortion.py)."""
-
-    lopsided: float = 0.1
-    """Usual odd part of a sheet's mean residual, px, above which the ridges themselves are lopsided. Larger
-    takes shoulders of the paper for dirt (0.6 in test_certify.py's shouldered ridges), smaller overlooks
-    stationary dirt where shapes differ slightly (0.02 to 0.04 on usual films)."""
-
-    distortion_error: float = 1.5
-    """Error of a distorted position over that residual: between 1 (specks anywhere) and 2 (all on the flank)
-    in test_degraded.py."""
 
     # --- stated errors (tracks.py) ---
 

@@ -13,9 +13,9 @@ from vision.data import STRIP, STRIP_PARTS, TRACKS, StripMetadata, TrackMetadata
 from vision.errors import InputError
 from vision.numeric import Bools, Floats, Floats32, Strings, nan_median
 from vision.sheets.corrections import Correction, apply_corrections, last_of
-from vision.sheets.distortion import distortion, not_one_ridge, shift_by_moving_light
+from vision.sheets.distortion import distortion, not_one_ridge
 from vision.sheets.identities import Identities, identify_sheets
-from vision.sheets.neighbours import predicted_by_neighbours
+from vision.sheets.neighbours import predicted_by_neighbours, sheets_alike
 from vision.sheets.numbering import Numbering, number_sheets
 from vision.sheets.quality import (
     BetweenSlips,
@@ -108,8 +108,8 @@ def track_sheets(
     -----
     x_err_px is the noise of the profile times the fit's error per grey level. It is larger where positions
     scatter by more both in time and between sheets, where the ridge moves during the exposure
-    (`vision.sheets.quality.motion_blur`), where it is distorted (`vision.sheets.distortion.distortion`), and
-    where light moves over the whole comb. With ``fit="paper"`` it includes the locking to whole pixels. For
+    (`vision.sheets.quality.motion_blur`), and where something pulls it aside
+    (`vision.sheets.distortion.distortion`). With ``fit="paper"`` it includes the locking to whole pixels. For
     lossy video it is the scatter between sheets, since compression hides the noise and adds its own
     artefacts. It does not include errors that are the same in all frames (uneven light, the choice of rows).
     """
@@ -145,10 +145,17 @@ def track_sheets(
     )
     number = strip["frame"].values
     changes = scene_changes(detections.start_px, detections.contrast, comb, settings)
+    alike = sheets_alike(
+        assessed.x_px, detections.contrast, detections.fwhm_px, profile.shape[1], comb, settings
+    )
+    step = np.abs(nan_median(np.diff(assessed.x_px, axis=0), axis=1))
+    large = number[1:][step > settings.step_fraction * comb.pitch_px]
     metadata = replace(
         found.metadata(fitted.fit, window, settings, count_given=sheets is not None),
         fit_asked=fit,
         corrections_applied=len(corrections),
+        sheets_alike=alike,
+        large_steps=large.tolist() if alike else [],
         scene_changes=[change._asdict() | {"frame": int(number[change.frame])} for change in changes],
     )
     return record(
@@ -216,14 +223,16 @@ def _assess_ridges(
     blur = motion_blur(changing, detections.contrast, detections.fwhm_px, comb, settings)
     smeared = (blur.err_px > 0) | blur.blurred
     x_px = np.where(smeared & beside_missing(detections.flag), np.nan, x_px)
-    distorted_px = distortion(bright, x_px, errors.err_px, smeared, comb, settings)
-    moving_light_px = shift_by_moving_light(x_px, detections.contrast, comb, settings)
+    pulled = distortion(bright, x_px, errors.err_px, smeared, comb, settings)
+    usual_px = np.hypot(pulled.lasting_px, nan_median(pulled.err_px))
     not_a_sheet = not_one_ridge(bright, x_px, comb, settings)
-    not_a_sheet |= nan_median(distorted_px) > settings.most_pulled * comb.fwhm_px
-    not_a_sheet |= marks(x_px, errors.err_px, distorted_px, comb, settings)
+    not_a_sheet |= pulled.lasting_px > settings.most_pulled * comb.fwhm_px
+    not_a_sheet |= marks(x_px, errors.err_px, usual_px, comb, settings)
     flag = np.where((detections.flag == "ok") & not_a_sheet, "merged", detections.flag)
-    err = np.sqrt(errors.err_px**2 + blur.err_px**2 + distorted_px**2 + moving_light_px**2)
-    return _Assessed(x_px, flag, err, blur.blurred, distorted_px > 0)
+    err = np.sqrt(errors.err_px**2 + blur.err_px**2 + pulled.err_px**2)
+    return _Assessed(
+        x_px, flag, err, blur.blurred, pulled.err_px > np.fmax(errors.err_px, settings.distortion_floor)
+    )
 
 
 class _Errors(NamedTuple):
