@@ -361,8 +361,9 @@ def _measure(like: Likeness, truth_px: Floats, found: xr.Dataset) -> _Measured:
 
 def _scatter(x_px: Floats, chained: bool) -> float:
     """Return how far positions (frame, sheet) scatter between sheets, or in time if there are few sheets."""
-    between = nan_median(spatial_scatter(BetweenSlips(x_px), between_frames=chained))
-    return float(between if np.isfinite(between) else nan_median(position_noise(x_px)))
+    between = spatial_scatter(BetweenSlips(x_px), between_frames=chained)
+    each = between if np.isfinite(between).any() else position_noise(x_px)
+    return float(np.sqrt(np.nanmean(each**2)))
 
 
 def _pitch(like: Likeness) -> float:
