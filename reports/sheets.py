@@ -15,8 +15,6 @@ import xarray as xr
 import vision
 from reports.writing import row, write_report
 from vision.experiment import preset, simulate, with_settings
-from vision.experiment.mechanics import sheet_pull
-from vision.experiment.sheet_model import SheetPull, pull_sheets
 from vision.figures.labels import plus_minus
 from vision.models import ModelFits, equations
 from vision.pipeline import Settings
@@ -26,13 +24,6 @@ WINDOWS = ((18.0, 15.0, 60.0), (60.0, 12.0, 60.0), (130.0, 6.0, 120.0), (210.0, 
 MU, A = 0.89, 0.34
 SHEET_N_PER_MM = 300.0
 PUBLISHED_SCALE_MM = 19.09
-COUPLINGS: tuple[tuple[str, dict[str, object]], ...] = (
-    ("each sheet alone, N of Eq. 2", {}),
-    ("the same, machine of 10⁵ N/mm", {"machine_N_per_mm": 1e5}),
-    ("the same, machine of 5·10³ N/mm", {"machine_N_per_mm": 5e3}),
-    ("each sheet alone, N of the actual loads", {"normal_force": "loads"}),
-    ("sheets creep at their thresholds until none sticks", {"slips": "together"}),
-)
 
 
 TEXT = """# The shell where sheets decide by themselves
@@ -42,16 +33,9 @@ differ by 2 % from sheet to sheet, A = 0.34. No M_eff, N̂, Λ̂ or shell stands
 
 ## How sheets must slip to give the published force
 
-Force over Eq. 1 between d = 13.1 and 13.3 mm, and the largest number of the 50 sheets in one slip.
-
-| coupling | mean | largest | sheets in a slip |
-|---|---|---|---|
-{couplings}
-
 Sheets that slip alone are never at their thresholds at once: 1 − A/2μ = {average:.2f} of Eq. 1 on
-average. The machine's spring makes larger slips of it but no larger force. With N from the actual loads
-e^α amplifies what is missing: Eq. 1 at μ − A/2 is {lower:.2f} of Eq. 1 at μ. So the low force is
-physics, not an error of the sums: with all sheets at their thresholds they are Eq. 1. Peaks at Eq. 1,
+average. That is physics, not an error of the sums: with all sheets at their thresholds they are Eq. 1.
+Peaks at Eq. 1,
 drops of A𝒩 and sticks of 2AN(1)/k come out where a sheet at its threshold creeps, held by its
 neighbours, until none sticks. The preset does that.
 
@@ -81,16 +65,6 @@ friction and Eq. 2.
 The ratio is low by up to 0.05 for sheets in between, which begin to creep within a stick: the parabola
 that is fitted cannot follow, and the stated errors grow accordingly.
 """
-
-
-def coupling(name: str, change: dict[str, object], unequal: tuple[float, ...]) -> str:
-    """Return the force over Eq. 1 and the sheets that slip in the largest events, as a line of a table."""
-    pull = SheetPull(d_end_mm=13.3, positions="middles", threshold_factor=unequal, **change)  # type: ignore[arg-type]
-    result = pull_sheets(pull)
-    late = result["d_mm"].values > 13.1
-    share = (result["force_N"].values / equations.traction(result["d_mm"].values, mu=MU))[late]
-    together = result["slipped"].values.sum(axis=1)[late]
-    return row([name, f"{share.mean():.2f}", f"{share.max():.2f}", together.max()])
 
 
 def window(start_s: float, length_s: float, fps: float, folder: Path) -> tuple[str, ModelFits]:
@@ -131,16 +105,11 @@ def window(start_s: float, length_s: float, fps: float, folder: Path) -> tuple[s
 
 def main() -> None:
     """Measure and write the tables."""
-    pull = sheet_pull(preset("sheets"))
-    assert pull.threshold_factor is not None
     with tempfile.TemporaryDirectory() as folder:
         rows, fits = zip(*(window(*one, Path(folder)) for one in WINDOWS), strict=True)
     fit = fits[0]
-    lower = float(equations.traction(13.2, mu=MU - A / 2) / equations.traction(13.2, mu=MU))
     text = TEXT.format(
-        couplings="\n".join(coupling(name, change, pull.threshold_factor) for name, change in COUPLINGS),
         average=1 - A / (2 * MU),
-        lower=lower,
         windows="\n".join(rows),
         mu=plus_minus(fit.mu),
         amplitude=plus_minus(fit.amplitude),

@@ -25,6 +25,7 @@ from vision.run.export import film_of
 from vision.run.reading import read_json, tracks_of
 from vision.sheets import TrackingSettings, track_sheets
 from vision.sheets.quality import BetweenSlips, spatial_scatter, suppressed_motion
+from vision.sheets.subpixel import FitChoice, position_noise
 from vision.sheets.tracks import BETWEEN_FRAMES
 
 Progress = Callable[[int, int | None], None]
@@ -122,11 +123,13 @@ class Certificate:
 
 @dataclass(frozen=True)
 class _Measured:
-    """Errors of one film and stated errors, (frame, true sheet), px, NaN if not ok; wrong positions."""
+    """Errors of one film and stated errors, (frame, true sheet), px, NaN if not ok; wrong positions; and how
+    far the errors scatter, px, without motion that was left as measured."""
 
     error_px: Floats
     stated_px: Floats
     wrong: int
+    scatter_px: float
 
 
 def certify_run(
@@ -231,7 +234,9 @@ def certify(
     like = learn(strip, tracks, settings)
     if encoder is not None:
         like = _with_encoder(like, encoder, np.asarray(tracks["x_px"].values, float))
-    again = _tracking(tracks)
+    imitated = tracks.isel(frame=like.frames)
+    recorded_px = _scatter(np.asarray(imitated["x_px"].values, float), like.chained)
+    again = _tracking(tracks, like, recorded_px)
     scales = [scale for scale in (1.5, 2.0, 3.0, 4.0) if scale <= settings.largest_jump]
     work = settings.films + 1 + len(scales) + (settings.films if sticks is not None else 0)
     finished = itertools.count(1)
@@ -258,7 +263,9 @@ def certify(
     metadata, facts = TrackMetadata.of(tracks), StripMetadata.of(strip)
     sheets = _sheet_table(like, tracks, error, stated, locking, sweeps * settings.errors_resolved, sweeps)
     known = np.isfinite(error)
-    doubts = _doubts(like, facts, tracks, _rms(error))
+    imitated = tracks.isel(frame=like.frames)
+    scatter_px = float(np.median([film.scatter_px for film in measured]))
+    doubts = _doubts(like, facts, imitated, _rms(error), scatter_px, recorded_px, settings)
     return Certificate(
         source=facts.source,
         codec=facts.codec,
@@ -301,10 +308,13 @@ def _with_encoder(like: Likeness, encoder: Encoder, x_px: Floats) -> Likeness:
     return replace(like, encoder=encoder.fitted(drawn, shown, like.strip.values))
 
 
-def _tracking(tracks: xr.Dataset) -> Callable[[xr.DataArray], xr.Dataset]:
-    """Return `track_sheets` with the run's parameters and its fit.
+def _tracking(tracks: xr.Dataset, like: Likeness, recorded_px: float) -> Callable[[xr.DataArray], xr.Dataset]:
+    """Return `track_sheets` with the run's parameters.
 
-    It does not search for false sheets and marks again, as the recording has shown which they are.
+    It does not search for false sheets and marks again, as the recording has shown which they are. If the run
+    chose its fit itself, this choice, which is one for each sheet, may come out differently on a film: either
+    the film's own choice or the same fit for all sheets is used, whichever gives a scatter more like the
+    recording's, `recorded_px`.
     """
     steps = [step for step in tracks.attrs.get("operations", ()) if step["operation"] == "track_sheets"]
     parameters = dict(steps[-1]["parameters"]) if steps else {}
@@ -315,9 +325,21 @@ def _tracking(tracks: xr.Dataset) -> Callable[[xr.DataArray], xr.Dataset]:
         for name, value in tuned.items()
         if name in known
     }
-    chosen = TrackingSettings(**values | {"mark_pulled": math.inf, "most_pulled": math.inf})
-    parameters["fit"] = TrackMetadata.of(tracks).fit
-    return lambda film: track_sheets(film, **parameters, settings=chosen)
+    settings = TrackingSettings(**values | {"mark_pulled": math.inf, "most_pulled": math.inf})
+    used: FitChoice = TrackMetadata.of(tracks).fit  # type: ignore[assignment]
+    asked = parameters.pop("fit", used)
+
+    def with_fit(fit: FitChoice) -> Callable[[xr.DataArray], xr.Dataset]:
+        return lambda film: track_sheets(film, **parameters, fit=fit, settings=settings)
+
+    if asked != "auto" or used == "sliding":
+        return with_fit(used)
+    film, choices = like.film(like.motion_px, number=0), (used, asked)
+
+    def unlike(again: Callable[[xr.DataArray], xr.Dataset]) -> float:
+        return abs(math.log(_measure(like, like.motion_px, again(film)).scatter_px / recorded_px))
+
+    return min((with_fit(fit) for fit in choices), key=unlike)
 
 
 def _measure(like: Likeness, truth_px: Floats, found: xr.Dataset) -> _Measured:
@@ -334,7 +356,14 @@ def _measure(like: Likeness, truth_px: Floats, found: xr.Dataset) -> _Measured:
         wrong += int(far.sum())
         error[:, n] = np.where(far, np.nan, off)
         stated[:, n] = found["x_err_px"].values[:, k]
-    return _Measured(error, stated, wrong)
+    return _Measured(error, stated, wrong, _scatter(error, like.chained))
+
+
+def _scatter(x_px: Floats, chained: bool) -> float:
+    """Return how far positions (frame, sheet) scatter between sheets, or in time if there are few sheets."""
+    between = spatial_scatter(BetweenSlips(x_px), between_frames=chained)
+    each = between if np.isfinite(between).any() else position_noise(x_px)
+    return float(np.sqrt(np.nanmean(each**2)))
 
 
 def _pitch(like: Likeness) -> float:
@@ -502,7 +531,15 @@ def _sheet_table(
     )
 
 
-def _doubts(like: Likeness, facts: StripMetadata, tracks: xr.Dataset, error_px: float) -> list[str]:
+def _doubts(
+    like: Likeness,
+    facts: StripMetadata,
+    tracks: xr.Dataset,
+    error_px: float,
+    scatter_px: float,
+    recorded_px: float,
+    settings: CertifySettings,
+) -> list[str]:
     """Return warnings about parts of the recording that the films do not reproduce well."""
     lines = []
     chained = facts.codec in BETWEEN_FRAMES
@@ -512,17 +549,22 @@ def _doubts(like: Likeness, facts: StripMetadata, tracks: xr.Dataset, error_px: 
             "(no encoder, or the film was moved): they have the recording's residuals, which lack errors "
             "that last as long as a stick phase; the true error is larger, up to twice in tests"
         )
+    if abs(math.log(scatter_px / recorded_px)) > math.log(settings.alike):
+        lines.append(
+            f"positions of the films scatter by {scatter_px:.4f} px, those of the recording by "
+            f"{recorded_px:.4f} px: "
+            "the films do not reproduce its noise, and their errors are not quite its own"
+        )
     noise_px = max(float(np.nan_to_num(nan_median(tracks["x_noise_px"].values))), 1e-6)
     # Errors exceed the noise also with the publication's fit, and with codecs that predict frames.
     if not chained and TrackMetadata.of(tracks).fit != "paper" and error_px > 1.3 * noise_px:
         lines.append(
             f"errors of the films, {error_px:.3f} px, are above the noise of the recording from frame to "
-            f"frame, {noise_px:.3f} px: if its motion is not smooth, the films contain some of it as "
-            "noise, and the true errors are smaller, 0.5 to 0.8 times these in tests"
+            f"frame, {noise_px:.3f} px: if its motion is not smooth, the films contain some of it as noise"
         )
     if not like.smooth.any():
         lines.append("slips follow each other so fast that motion and noise can hardly be separated")
-    disturbed = float(like.disturbed.mean())
+    disturbed = max(float(like.disturbed.mean()), float(tracks["distorted"].mean()))
     if disturbed > 0.02:
         lines.append(
             f"something distorts or hides ridges in {100 * disturbed:.0f} % of the film (dirt, a highlight, "

@@ -67,8 +67,8 @@ class Likeness:
         Whether the codec predicts frames from others, and so carries errors from frame to frame.
     slips
         Frames before which the sheets jump.
-    strip
-        The part of the recording that is imitated.
+    strip, frames
+        The part of the recording that is imitated, and its frames in the run.
     usable
         Frames with residuals.
     part
@@ -99,6 +99,7 @@ class Likeness:
     chained: bool
     slips: Ints
     strip: xr.DataArray
+    frames: slice
     usable: Ints
     part: Ints
     frozen: Bools
@@ -232,7 +233,7 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
     x_px, err, frozen = x_px[:, often], err[:, often], (flag == "frozen").all(axis=1)
     start = start[order][often] - float(strip["x"].values[0])
     slips = find_slips(x_px, settings)
-    pulled = _pulled(err, flag[:, often], _beside(slips, len(x_px)), settings)
+    pulled = _distorted(x_px, err, flag[:, often], _beside(slips, len(x_px)), settings)
     chained = StripMetadata.of(strip).codec in BETWEEN_FRAMES
     motion, common, left = smooth_motion(x_px, slips, settings, chained=chained, pulled=pulled)
     usable = whole & ~_beside(slips, len(x_px))
@@ -271,6 +272,7 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
         chained=chained,
         slips=slips,
         strip=strip,
+        frames=part,
         usable=np.flatnonzero(usable),
         part=_parts(gain, settings),
         frozen=frozen,
@@ -301,13 +303,27 @@ def _with_residuals(like: Likeness, values: Floats32, left: Floats, settings: Ce
     return replace(like, residual=residual / np.float32(np.sqrt(share)), slow=slow)
 
 
-def _pulled(err_px: Floats, flag: Strings, beside: Bools, settings: CertifySettings) -> Bools:
-    """Return which positions, (frame, sheet), are distorted: of large error, or blurred without a slip."""
-    typical = nan_median(err_px)
-    typical = np.fmin(typical, nan_median(typical))
+def _distorted(
+    x_px: Floats, err_px: Floats, flag: Strings, beside: Bools, settings: CertifySettings
+) -> Bools:
+    """Return which positions, (frame, sheet), are distorted: of large error, or blurred without a slip.
+
+    The error is large compared with the sheet's own in frames before and after, or it is larger than that of
+    most sheets and than the error with which neighbours predict a position: sheets that are known less well
+    than others, or slip by themselves, are not distorted.
+    """
+    own = nan_median(err_px)
     with np.errstate(invalid="ignore"):
-        large = (err_px > settings.pulled_errors * typical) & (flag == "ok")
-    return np.asarray(large | ((flag == "blurred") & ~beside[:, None]))
+        large = err_px > settings.pulled_errors * own
+        lasting = err_px > settings.pulled_errors * nan_median(own)
+        usual = np.where(large | lasting, np.nan, x_px)
+        off = usual - predicted_by_neighbours(usual)
+        known = off[np.isfinite(off)]
+        lasting &= err_px > settings.neighbour_errors * (mad_sigma(known) if known.size else 0.0)
+    clear = ~large & np.isfinite(x_px)
+    before, after = np.logical_or.accumulate(clear), np.logical_or.accumulate(clear[::-1])[::-1]
+    passing = large & before & after
+    return np.asarray(((passing | lasting) & (flag == "ok")) | ((flag == "blurred") & ~beside[:, None]))
 
 
 def _around(which: Bools, motion: Floats, width: int) -> Bools:
@@ -418,28 +434,40 @@ def smooth_motion(
     for start, stop in pairwise(edges):
         parts = max(1, round((stop - start) / settings.longest_piece))
         waiting += [(piece, np.arange(sheets)) for piece in np.array_split(np.arange(start, stop), parts)]
+    common = np.zeros(frames)
+    for piece, which in waiting if sheets >= LEAST_SHARING else ():
+        inner = piece[~blurred[piece]]
+        if piece.size >= settings.least_piece:
+            off = filled[inner] - _smoothed(time, piece, inner, filled, which, settings)[0][~blurred[piece]]
+            common[inner] = np.median(off, axis=1)
+    steady = filled - common[:, None]
     while waiting:
         piece, which = waiting.pop()
-        sharp = piece[~blurred[piece]]
+        inner = piece[~blurred[piece]]
         if piece.size < settings.least_piece or not which.size:
             continue
-        degree = 3 if piece.size >= 2 * settings.least_piece else 2
-        span = max(time[piece[-1]] - time[piece[0]], 1.0)
-        basis = np.polynomial.legendre.legvander(2 * (time[piece] - time[piece[0]]) / span - 1, degree)
-        inner = basis[~blurred[piece]]
-        measured = filled[np.ix_(piece, which)]
-        fitted = basis @ np.linalg.lstsq(inner, measured[~blurred[piece]], rcond=None)[0]
-        off = (measured - fitted)[~blurred[piece]]
-        if which.size >= LEAST_SHARING:
-            off = off - np.median(off, axis=1)[:, None]
+        fitted, leverage = _smoothed(time, piece, inner, steady, which, settings)
+        off = (steady[np.ix_(piece, which)] - fitted)[~blurred[piece]]
         fits = chained | (np.sqrt((off**2).mean(axis=0)) < settings.misfit * noise[which])
         motion[np.ix_(piece, which[fits])] = fitted[:, fits]
-        left[np.ix_(sharp, which[fits])] = 1 - (np.linalg.qr(inner)[0] ** 2).sum(axis=1)[:, None]
+        left[np.ix_(inner, which[fits])] = 1 - leverage[:, None]
         waiting += [(half, which[~fits]) for half in np.array_split(piece, 2)]
-    common = np.nan_to_num(nan_median(x_px - motion, axis=1)) if sheets >= LEAST_SHARING else np.zeros(frames)
     shared = 1 - 1.57 / sheets if sheets >= LEAST_SHARING else 1.0  # a median's variance is π/2 of a mean's
     motion += np.where(left > 0, common[:, None], 0.0)
     return motion, common, left * shared
+
+
+def _smoothed(
+    time: Floats, piece: Ints, inner: Ints, x_px: Floats, which: Ints, settings: CertifySettings
+) -> tuple[Floats, Floats]:
+    """Return polynomials through the frames `inner` of a piece at all its frames, (frame, which), and their
+    leverage at `inner`."""
+    degree = 3 if piece.size >= 2 * settings.least_piece else 2
+    span = max(time[piece[-1]] - time[piece[0]], 1.0)
+    basis = np.polynomial.legendre.legvander(2 * (time[piece] - time[piece[0]]) / span - 1, degree)
+    at_inner = basis[np.isin(piece, inner)]
+    coefficients = np.linalg.lstsq(at_inner, x_px[np.ix_(inner, which)], rcond=None)[0]
+    return basis @ coefficients, np.asarray((np.linalg.qr(at_inner)[0] ** 2).sum(axis=1))
 
 
 def own_time(x_px: Floats, slips: Ints, settings: CertifySettings) -> Floats:
@@ -464,8 +492,11 @@ def own_time(x_px: Floats, slips: Ints, settings: CertifySettings) -> Floats:
         typical = np.nan_to_num(nan_median(per_frame[around]))
         weight = float((typical**2).sum())
         error = np.sqrt(2) * noise / np.sqrt(max(weight, 1e-24))
-        ratio = float(np.nan_to_num(step[k]) @ typical) / max(weight, 1e-24)
-        if error < settings.own_time_error:
+        known = np.isfinite(step[k]) & (typical != 0)
+        if error < settings.own_time_error and known.any():
+            ratios, weights = step[k, known] / typical[known], typical[known] ** 2
+            # A median, so that a sheet that slips by itself does not count.
+            ratio = np.quantile(ratios, 0.5, weights=weights, method="inverted_cdf")
             taken[k] = np.clip(np.rint(ratio), 0, 2 * settings.least_piece)
     total = np.concatenate([[0.0], np.cumsum(taken)])
     return np.asarray(np.interp(np.arange(frames), new, total), float)
@@ -473,8 +504,13 @@ def own_time(x_px: Floats, slips: Ints, settings: CertifySettings) -> Floats:
 
 def _filled(x_px: Floats, raw_px: Floats) -> Floats:
     """Fill gaps by the displacement of neighbours, and frames without any sheet by linear interpolation."""
-    rest = nan_median(raw_px)
-    filled = np.where(np.isfinite(x_px), x_px, predicted_by_neighbours(x_px))
+    rest, frame = nan_median(raw_px), np.arange(len(x_px))
+    predicted = predicted_by_neighbours(x_px)
+    for n, off in enumerate((x_px - predicted).T):  # how far each sheet was from its neighbours' prediction
+        seen = np.isfinite(off)
+        if seen.any():
+            predicted[:, n] += np.interp(frame, frame[seen], off[seen])
+    filled = np.where(np.isfinite(x_px), x_px, predicted)
     moved, sheet = filled - rest, np.arange(x_px.shape[1])
     known = np.isfinite(moved)
     for t in np.flatnonzero(~known.all(axis=1) & known.any(axis=1)):
@@ -486,7 +522,7 @@ def _filled(x_px: Floats, raw_px: Floats) -> Floats:
             slope = (displacement[inner] - displacement[outer]) / (found[inner] - found[outer])
             beyond = (sheet < found[0]) if outer == 0 else (sheet > found[-1])
             moved[t, beyond] = displacement[outer] + slope * (sheet[beyond] - found[outer])
-    filled, frame = rest + moved, np.arange(len(x_px))
+    filled = rest + moved
     for column in filled.T:
         finite = np.isfinite(column)
         column[~finite] = np.interp(frame[~finite], frame[finite], column[finite])

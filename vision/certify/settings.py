@@ -55,6 +55,16 @@ class CertifySettings:
     highlight, a hand), and its true value is predicted from neighbours.  Smaller replaces motion by that of
     neighbours; larger treats distortion as motion."""
 
+    neighbour_errors: float = 3.0
+    """Multiple of the usual error of neighbours' predictions that the stated error of such a position must
+    also exceed.  Smaller replaces the true motion of sheets that slip by themselves; larger treats distortion
+    as motion."""
+
+    alike: float = 1.15
+    """Ratio of the scatter of the films' positions to that of the recording's, or its inverse, from which the
+    certificate says that its errors are approximate.  Smaller doubts good certificates; larger trusts films
+    that are unlike the recording."""
+
     gain_step: float = 0.03
     """Relative step of the brightness across which residuals are not exchanged.  Smaller leaves few frames
     for exchange in flickering light; larger moves clipped pixels into frames that have none."""

@@ -452,8 +452,6 @@ def sheet_pull(experiment: Experiment) -> SheetPull:
         speed_mm_min=m.speed_mm_min,
         d0_mm=m.d0_mm,
         d_end_mm=m.d_end_mm,
-        positions="middles",
-        slips="together",
         threshold_factor=tuple((1 + m.threshold_scatter * spread).tolist()),
     )
 
@@ -461,7 +459,7 @@ def sheet_pull(experiment: Experiment) -> SheetPull:
 def resolved_test(experiment: Experiment, comb: RestingComb) -> tuple[ResolvedPull, ResolvedMotion]:
     """Return pull and motion of a test with ``mechanics.model = "sheets"``."""
     m, result = experiment.mechanics, pull_sheets(sheet_pull(experiment))
-    after_slip = np.flatnonzero(result["slipped"].values.any(axis=1))
+    after_slip = np.flatnonzero(result["slipped"].values)
     valley = np.append(0, after_slip)
     peak = np.append(after_slip - 1, result.sizes["step"] - 1)
     at = result["time_s"].values.copy()
