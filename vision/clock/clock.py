@@ -162,7 +162,8 @@ def synchronise(
     Returns
     -------
     The clock. Slips are nearly periodic, so an alignment shifted by whole slips fits nearly as well as the
-    right one. The status is "ok" where `align` finds no ambiguity, and "ambiguous" otherwise.
+    right one. The status is "ok" where `align` finds no ambiguity, and "ambiguous" otherwise, or where frames
+    have no times of their own and the slips fit nearly as well at another frame rate.
 
     Raises
     ------
