@@ -94,7 +94,8 @@ def drift_model(
     """
     middle_px, slope_px = line.coefficient[..., 0], line.coefficient[..., 1]
     unpushed_px = middle_px - _pushed_between(middle_px, frames.middle_s, settings)[:, None]
-    half = frames.sticks // 2  # sheets that do not slip with every slip move by chance from stick to stick
+    # Not from stick to stick, where sheets that do not slip with every slip move by chance.
+    half = max(frames.sticks // 2, 1)
     elapsed_s = (frames.middle_s[half:] - frames.middle_s[: frames.sticks - half])[:, None]
     rate = nan_median((unpushed_px[half:] - unpushed_px[: frames.sticks - half]) / elapsed_s)
     slow_px = rate * frames.length_s[:, None] / 2
