@@ -102,6 +102,19 @@ def test_a_wrong_frame_rate_is_said(recorded, rate):
     assert float(found) == pytest.approx(20, rel=2e-4)
 
 
+@pytest.mark.parametrize("rate", [1.0092, 0.9926])
+def test_even_slips_at_a_wrong_frame_rate(rate):
+    """A failure means that an alignment wrong by one slip is believed, as another rate makes up for it."""
+    rng = np.random.default_rng(0)
+    slips = 3 + slip_times(rng, 38, period_s=1.1, jitter=0.0, trend=-0.008)
+    start_s, stop_s = slips[5] + 0.4, slips[31] + 0.3
+    shown = slips[(slips > start_s) & (slips < stop_s)] - start_s
+    film = tracks(rng, shown, stop_s=shown[-1] + 0.4, frame_s=0.025)
+    film = film.assign_coords(time_s=film["time_s"] * rate)
+    clock = synchronise(film, sawtooth(rng, slips, stop_s=slips[-1] + 1), sticks_of(slips))
+    assert clock.status == "ambiguous"
+
+
 def test_another_test_suggests_no_frame_rate(recorded):
     """A failure means that a film that does not belong to the force is said to do so at another rate."""
     _, force, sticks = recorded

@@ -18,6 +18,7 @@ from vision.clock.alignment import (
     SlipSizes,
     SlipTrains,
     align,
+    find_alignments,
     fit_clocks,
 )
 from vision.clock.settings import ClockSettings
@@ -161,7 +162,8 @@ def synchronise(
     Returns
     -------
     The clock. Slips are nearly periodic, so an alignment shifted by whole slips fits nearly as well as the
-    right one. The status is "ok" where `align` finds no ambiguity, and "ambiguous" otherwise.
+    right one. The status is "ok" where `align` finds no ambiguity, and "ambiguous" otherwise, or where frames
+    have no times of their own and the slips fit nearly as well at another frame rate.
 
     Raises
     ------
@@ -234,8 +236,17 @@ def _from_slips(
             raise InputError(about, need, f"{len(slips)}", "give `offset_s`")
     found = align(_slip_trains(seen, drops, settings), settings)
     strip = StripMetadata.of(tracks)
-    rate = _rate_beyond_search(found) if found.ambiguity and strip.clock_kind != "file" else math.nan
-    advice = "" if math.isnan(rate) else f"the slips agree at {_frame_rate(strip, rate)}: check `fps`"
+    advice = ""
+    if strip.clock_kind != "file":
+        rate, likelihood = _best_beyond_search(found)
+        lead = likelihood - float(found.fits.log_likelihood[0])
+        if not found.ambiguity and lead > -settings.least_margin:
+            found = replace(found, ambiguity="even slips fit nearly as well at other frame rates")
+        # Even slips fit at many rates, hardly better at one than at the others.
+        elif found.ambiguity and lead > settings.clear_likelihood:
+            scaled = replace(found.trains, video_s=rate * found.trains.video_s)
+            if not align(scaled, settings).ambiguity:
+                advice = f"the slips agree at {_frame_rate(strip, rate)}: check `fps`"
     if found.fits.log_likelihood[0] <= 0:
         raise InputError(
             video,
@@ -275,16 +286,20 @@ def _from_slips(
     )
 
 
-def _rate_beyond_search(found: Alignments) -> float:
-    """Rate of the force clock relative to the camera's at which the slips align without ambiguity, searched
-    beyond the largest drift; NaN where there is none."""
-    trains, step = found.trains, 1.8e-6 * found.settings.largest_drift_ppm
+def _best_beyond_search(found: Alignments) -> tuple[float, float]:
+    """Rate of the force clock relative to the camera's, beyond the largest drift and unlike the one found, at
+    which the slips align best, and the log-likelihood there."""
+    trains, most = found.trains, 1e-6 * found.settings.largest_drift_ppm
+    known = 1 + found.clocks.drift[0]  # the least squares may take it a little beyond the search
+    best = math.nan, -math.inf
     for steps in (1, -1, 2, -2, 3, -3):
-        rate = 1 + steps * step
-        other = align(replace(trains, video_s=rate * trains.video_s), found.settings)
-        if not other.ambiguity:
-            return float(rate * (1 + other.clocks.drift[0]))
-    return math.nan
+        rate = 1 + 1.8 * most * steps
+        clocks, fits = find_alignments(replace(trains, video_s=rate * trains.video_s), found.settings)
+        rate *= 1 + float(clocks.drift[0])
+        likelihood = float(fits.log_likelihood[0])
+        if abs(rate - 1) > most and abs(rate - known) > most / 4 and likelihood > best[1]:
+            best = rate, likelihood
+    return best
 
 
 def _frame_rate(strip: StripMetadata, rate: float) -> str:

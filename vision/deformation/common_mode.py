@@ -94,9 +94,10 @@ def drift_model(
     """
     middle_px, slope_px = line.coefficient[..., 0], line.coefficient[..., 1]
     unpushed_px = middle_px - _pushed_between(middle_px, frames.middle_s, settings)[:, None]
-    half = frames.sticks // 2  # sheets that do not slip with every slip move by chance from stick to stick
-    elapsed_s = (frames.middle_s[half:] - frames.middle_s[: frames.sticks - half])[:, None]
-    rate = nan_median((unpushed_px[half:] - unpushed_px[: frames.sticks - half]) / elapsed_s)
+    # Not from stick to stick, where sheets that do not slip with every slip move by chance.
+    apart = max(frames.sticks // 4, 1)  # a sheet that jumps once does not count
+    elapsed_s = (frames.middle_s[apart:] - frames.middle_s[:-apart])[:, None]
+    rate = nan_median((unpushed_px[apart:] - unpushed_px[:-apart]) / elapsed_s)
     slow_px = rate * frames.length_s[:, None] / 2
     both = BothSides.of(side, n, middle_px, slope_px, slow_px, settings)
     return both if both.enough else OneSide.of(line, n, frames, vibration_px, settings)

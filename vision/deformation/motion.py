@@ -398,7 +398,8 @@ class _Curve:
     def end_slope(self) -> Floats:
         """Relative difference of the speed at the ends of a stick from its mean, of all sheets, (stick,)."""
         square = np.nansum(self.slope**2, axis=1)
-        return 3 * np.abs(np.nansum(self.slope * self.bend, axis=1)) / np.where(square > 0, square, 1.0)
+        bent = np.abs(np.nansum(self.slope * self.bend, axis=1))
+        return np.asarray(3 * bent / np.where(square > 0, square, 1.0))
 
     @property
     def rms_err(self) -> Floats:
