@@ -153,8 +153,10 @@ def test_the_middle_of_a_thick_and_a_thin_sheet_has_no_position():
     x, _ = creeping()
     thin = x[:, 5:6] + 5.0
     light = ridges(x, width=400, fwhm_px=7.5) + ridges(thin, width=400, fwhm_px=2.5, contrast=1.4)
-    for most, given in ((TrackingSettings().most_pulled, False), (np.inf, True)):
-        tracks = track_sheets(strip(light), settings=TrackingSettings(most_pulled=most, mark_pulled=np.inf))
+    for most, given in ((TrackingSettings().most_distorted, False), (np.inf, True)):
+        tracks = track_sheets(
+            strip(light), settings=TrackingSettings(most_distorted=most, mark_distorted=np.inf)
+        )
         assert (tracks.flag.values[:, 5] == "ok").any() == given
         assert (np.delete(tracks.flag.values, 5, axis=1) == "ok").all()
     assert np.median(np.abs(tracks.x_px.values[:, 5] - x[:, 5])) > 2

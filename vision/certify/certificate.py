@@ -325,7 +325,7 @@ def _tracking(tracks: xr.Dataset, like: Likeness, recorded_px: float) -> Callabl
         for name, value in tuned.items()
         if name in known
     }
-    settings = TrackingSettings(**values | {"mark_pulled": math.inf, "most_pulled": math.inf})
+    settings = TrackingSettings(**values | {"mark_distorted": math.inf, "most_distorted": math.inf})
     used: FitChoice = TrackMetadata.of(tracks).fit  # type: ignore[assignment]
     asked = parameters.pop("fit", used)
 

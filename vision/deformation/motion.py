@@ -392,7 +392,8 @@ class _Curve:
     @property
     def mean_square(self) -> Floats:
         """Mean square displacement over the whole stick, px²."""
-        return self.slope**2 / 3 + np.where(self.bend == 0, 0.0, self.bend**2 - self.bend_err**2) / 5
+        bent = np.where(self.bend == 0, 0.0, self.bend**2 - self.bend_err**2)
+        return np.asarray(self.slope**2 / 3 + bent / 5, np.float64)
 
     @property
     def end_slope(self) -> Floats:

@@ -496,7 +496,7 @@ def marks(
         ruler = _ruler_beside_comb(x_px - rest, rest, replace(settings, moving_px=least))
         uneven = np.abs(np.log(np.diff(rest) / comb.pitch_px)) > settings.odd_spacing
     misplaced = np.append(uneven, False) | np.insert(uneven, 0, False)
-    distorted = pulled_px > settings.mark_pulled * comb.fwhm_px
+    distorted = pulled_px > settings.mark_distorted * comb.fwhm_px
     return np.asarray(ruler | distorted & (stationary | (misplaced & unmoved)), bool)
 
 

@@ -133,7 +133,7 @@ class TrackingSettings:
     """Spacing, in local pitches, in which a sheet may have been overlooked. Larger misses gaps, smaller
     raises false alarms on uneven combs; test_reference.py draws 40 combs with and without a gap."""
 
-    mark_pulled: float = 0.06
+    mark_distorted: float = 0.06
     """Usual distortion, in ridge widths, above which a sheet may be a mark. Larger lets marks that look like
     sheets pass, smaller relies on the other sign alone."""
 
@@ -319,7 +319,7 @@ class TrackingSettings:
     recordings tried. Larger drops markers of unusual shape, smaller takes two sheets for one
     (test_distortion.py)."""
 
-    most_pulled: float = 0.26
+    most_distorted: float = 0.26
     """Usual distortion, in ridge widths, above which a sheet is no single ridge. A second sheet or mark that
     shifts it by a fifth of its width distorts it by 0.1 to 0.4. Larger gives positions between two sheets
     (test_distortion.py), smaller withholds sheets at hot pixels or in a shadow (test_degraded.py)."""

@@ -226,7 +226,7 @@ def _assess_ridges(
     pulled = distortion(bright, x_px, errors.err_px, smeared, comb, settings)
     usual_px = np.hypot(pulled.lasting_px, nan_median(pulled.err_px))
     not_a_sheet = not_one_ridge(bright, x_px, comb, settings)
-    not_a_sheet |= pulled.lasting_px > settings.most_pulled * comb.fwhm_px
+    not_a_sheet |= pulled.lasting_px > settings.most_distorted * comb.fwhm_px
     not_a_sheet |= marks(x_px, errors.err_px, usual_px, comb, settings)
     flag = np.where((detections.flag == "ok") & not_a_sheet, "merged", detections.flag)
     err = np.sqrt(errors.err_px**2 + blur.err_px**2 + pulled.err_px**2)
