@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
-from typing import Any, Self, TypeVar
+from typing import Any, Literal, Self, TypeVar
 
 import pandas as pd
 import xarray as xr
@@ -284,8 +284,8 @@ class TrackMetadata(Metadata):
         Permanent changes of the picture: first frame of the new scene (``frame``), common displacement of
         all sheets (``moved_px``), change of the logarithm of their relative brightness (``brightness``).
     sheets_alike, large_steps
-        Whether nothing in a picture tells which sheets it shows; if so, frames before which the whole comb
-        moved so far that it may have moved by another number of spacings.
+        "yes" if nothing in a picture shows which sheets it contains, else "no"; if "yes", the frames before
+        which the whole comb moved so far that it may have moved by another number of spacings.
     ridges_beyond
         Number of ridges that resemble the sheets and continue the comb beyond the given number of sheets.
     corrections_applied
@@ -309,7 +309,7 @@ class TrackMetadata(Metadata):
     ridges_dropped: int = 0
     wide_spacings: Sequence[str] = field(default_factory=list)
     scene_changes: Sequence[Mapping[str, float]] = field(default_factory=list)
-    sheets_alike: bool = False
+    sheets_alike: Literal["yes", "no"] = "no"
     large_steps: Sequence[int] = field(default_factory=list)
     ridges_beyond: int = 0
     corrections_applied: int = 0

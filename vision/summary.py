@@ -126,15 +126,16 @@ def tracking_warnings(tracks: xr.Dataset) -> list[str]:
 
 
 def _alike_warning(facts: TrackMetadata) -> list[str]:
-    """Warn that a jump of the whole comb by its spacing is not seen, and name frames that may be one."""
-    if not facts.sheets_alike:
+    """Warn of large steps of a comb of equal sheets: it may have moved by another number of spacings."""
+    if not facts.large_steps:
         return []
-    line = "the sheets are alike, and neither end of the comb is in view: a displacement of the whole comb is"
-    line += f" known but for whole spacings ({facts.pitch_px:.1f} px)"
-    if facts.large_steps:
-        named = ", ".join(str(frame) for frame in facts.large_steps[:5])
-        line += f"; it moved far before frame(s) {named}" + (" …" if len(facts.large_steps) > 5 else "")
-    return [f"{line}: film an end of the comb, or mark a sheet"]
+    more = " …" if len(facts.large_steps) > 5 else ""
+    named = ", ".join(str(frame) for frame in facts.large_steps[:5]) + more
+    return [
+        f"the whole comb moved far before frame(s) {named}; its sheets are alike and neither end is in view, so"
+        f" that it may as well have moved by {facts.pitch_px:.1f} px (a spacing) more or less: film an end of the"
+        " comb, or mark a sheet"
+    ]
 
 
 def overexposure(frame: Pixels, rows: slice, settings: VideoSettings) -> list[str]:
@@ -397,6 +398,7 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> list[str
     tilt = f", tilt {strip.tilt_deg:+.2f}°" if math.isfinite(strip.tilt_deg) else ""
     corrupt = f" ({strip.frames_corrupt} of them corrupt)" if strip.frames_corrupt else ""
     scale = "px: give `pixel_size_um` for µm" if pixel_size_um is None else f"{pixel_size_um:g} µm per px"
+    unseen = "; alike: a jump by their spacing would not be seen" if found.sheets_alike == "yes" else ""
     # Compression hides the noise of pixels, so that the error predicted from them means nothing.
     predicted = (
         f"; {noise['stated_px']:.4f} px stated ({strip.codec} hides the noise of pixels)"
@@ -405,7 +407,7 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> list[str
     )
     return [
         f"sheets     {found.sheets} {found.ridges} ridges ({(side < 0).sum()} left, {(side > 0).sum()} right)"
-        f"; {found.ridges_dropped} other ridges left out",
+        f"; {found.ridges_dropped} other ridges left out{unseen}",
         f"frames     {strip.frames_read} of {strip.frames_expected} read; {strip.frames_lost} lost{corrupt}, "
         f"{strip.frames_blank} blank",
         f"positions  {flags.get('ok', 0)} measured; {other}",

@@ -154,7 +154,7 @@ def track_sheets(
         found.metadata(fitted.fit, window, settings, count_given=sheets is not None),
         fit_asked=fit,
         corrections_applied=len(corrections),
-        sheets_alike=alike,
+        sheets_alike="yes" if alike else "no",
         large_steps=large.tolist() if alike else [],
         scene_changes=[change._asdict() | {"frame": int(number[change.frame])} for change in changes],
     )
