@@ -132,8 +132,8 @@ def _alike_warning(facts: TrackMetadata) -> list[str]:
     more = " …" if len(facts.large_steps) > 5 else ""
     named = ", ".join(str(frame) for frame in facts.large_steps[:5]) + more
     return [
-        f"the whole comb moved far before frame(s) {named}; its sheets are alike and neither end is in view, so"
-        f" that it may as well have moved by {facts.pitch_px:.1f} px (a spacing) more or less: film an end of the"
+        f"the whole comb moved far before frame(s) {named}; its sheets are alike and neither end is in view:"
+        f" it may as well have moved by {facts.pitch_px:.1f} px (a spacing) more or less; film an end of the"
         " comb, or mark a sheet"
     ]
 

@@ -306,9 +306,15 @@ class OneSide:
         near = near * ~_is_jump(nan_median(slope_px - nan_median(slope_px), axis=1), settings)
         profile_px = _weighted_mean(near * (distance > 0), slope_px)
         unpushed_px = middle_px - _pushed_between(middle_px, frames.middle_s, settings)[:, None]
-        slow_px_s = _at_axis(*_rate(near, frames.middle_s, unpushed_px), n, profile_px)
-        axis_px = _at_axis(unpushed_px, np.isfinite(unpushed_px).astype(float), n, profile_px)
-        slow_err_px = _random_walk_step(axis_px) / 2 * np.sqrt(1.2 / np.maximum(near.sum(axis=1), 1))
+        rate, weight = _rate(near, frames.middle_s, unpushed_px)
+        steadiness = _steadiness(profile_px)
+        slow_px_s = _at_axis(rate, weight * steadiness, n, profile_px)
+        # The camera's walk is in both extrapolations; the smaller contains less of the sheets' own motion.
+        walk_px = min(
+            _random_walk_step(_at_axis(unpushed_px, weight, n, profile_px))
+            for weight in (np.ones_like(steadiness), steadiness)
+        )
+        slow_err_px = walk_px / 2 * np.sqrt(1.2 / np.maximum(near.sum(axis=1), 1))
         variance_px2 = float((vibration_px**2).sum()) / max(vibration_px.size, 1)
         white_px = np.sqrt(3 * variance_px2 / np.maximum(frames.counts, 1))
         return cls(profile_px, slow_px_s * frames.length_s / 2, slow_err_px, near, white_px, settings)
@@ -388,15 +394,18 @@ def _rate(near: Floats, time_s: Floats, value: Floats) -> tuple[Floats, Floats]:
         return product / square, np.where(weight > 1e-6, weight, 0.0)
 
 
-def _at_axis(rate: Floats, weight: Floats, n: Ints, profile: Floats) -> Floats:
-    """Rate (stick, sheet) extrapolated to a sheet on the axis that does not creep, (stick,).
+def _steadiness(profile: Floats) -> Floats:
+    """Weight of each sheet that falls with its creep, (stick, sheet), NaN where the creep is unknown.
 
-    Sheets that creep more count less: where they do not slip with every slip, they wander as far as they
-    creep.
+    Where sheets do not slip with every slip, they wander as far as they creep.
     """
-    known = np.isfinite(rate) & np.isfinite(profile)
     wander = np.abs(profile) / np.maximum(nan_median(np.abs(profile), axis=1)[:, None], 1e-300)
-    weight = np.where(known, weight / (0.1 + wander**2), 0.0)
+    return np.asarray(1 / (0.1 + wander**2), np.float64)
+
+
+def _at_axis(rate: Floats, weight: Floats, n: Ints, profile: Floats) -> Floats:
+    """Rate (stick, sheet) extrapolated to a sheet on the axis that does not creep, (stick,)."""
+    weight = np.where(np.isfinite(rate) & np.isfinite(profile), weight, 0.0)
     design = np.stack(
         [np.ones(rate.shape), np.broadcast_to(n - 0.5, rate.shape), np.nan_to_num(profile)], axis=-1
     )
