@@ -417,7 +417,8 @@ def _with_luma_plane(frame: av.VideoFrame) -> av.VideoFrame:
         return frame
     depth = "" if bits <= 8 else f"{bits}le" if bits in (10, 12) else "16le"
     family = "gray" if len(others) < 2 else "yuv444p"
-    return frame.reformat(format=family + depth, dst_color_range=frame.color_range)
+    # With several threads FFmpeg now and then gives eight wrong pixels of y210.
+    return frame.reformat(format=family + depth, dst_color_range=frame.color_range, threads=1)
 
 
 def _grey_scale(frame: av.VideoFrame) -> tuple[int, float, str]:
