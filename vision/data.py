@@ -335,6 +335,11 @@ TRACKS = Schema(
             _SHEET, "1", "fraction of the positions distorted by dirt, a highlight or an edge"
         ),
         "snr": Variable(_SHEET, "1", "contrast over noise"),
+        "x_lasting_px": Variable(
+            _SHEET,
+            "px",
+            "rough size of a lasting distortion, which shifts all positions of the sheet; 0 if none is seen",
+        ),
         "x_noise_px": Variable(_SHEET, "px", "measured scatter of the position from frame to frame"),
         "x_scatter_px": Variable(
             _SHEET, "px", "measured scatter of the position between neighbouring sheets"

@@ -40,6 +40,19 @@ def test_ridges_that_are_pulled_aside_have_the_error_of_it(what):
     )  # means over nine frames reach further
 
 
+def test_a_shadow_that_moves_with_its_sheet_shifts_all_positions_of_it():
+    """A failure means that a constant shift is not stated, or is taken for an error of displacements."""
+    x, picture = creeping(snr=100)
+    away = (np.arange(picture.shape[1]) - x[:, 5, None] - 5) / 3
+    picture.values[:] *= 1 - 0.4 * np.exp(-(away**2) / 2)
+    tracks = track_sheets(picture)
+    off = np.median(tracks.x_px.values - x, axis=0)
+    assert abs(off[5]) > 0.2
+    assert 0.25 < float(tracks.x_lasting_px[5]) / abs(off[5]) < 2
+    assert float(tracks.x_err_px[:, 5].median()) < 0.2 * abs(off[5])
+    assert (np.delete(tracks.x_lasting_px.values, 5) == 0).all()
+
+
 def test_ridges_that_nothing_pulls_keep_their_errors():
     """The same film without it, and the film's other sheets: nothing is distorted, noisy or not."""
     for snr in (10, 30, 100):

@@ -141,6 +141,7 @@ def track_sheets(
         frozen=frozen,
         blurred=assessed.blurred,
         distorted=assessed.distorted,
+        lasting_px=assessed.lasting_px,
         origin_px=origin_px,
     )
     number = strip["frame"].values
@@ -200,13 +201,15 @@ def _detect(
 
 
 class _Assessed(NamedTuple):
-    """Positions, flags and errors once blur, distortion and cut ridges are known, all (frame, N)."""
+    """Positions, flags and errors once blur, distortion and cut ridges are known, (frame, N), and the shift
+    of all positions of a sheet by a distortion that lasts, (N,)."""
 
     x_px: Floats
     flag: Strings
     err_px: Floats
     blurred: Bools
     distorted: Bools
+    lasting_px: Floats
 
 
 def _assess_ridges(
@@ -230,9 +233,8 @@ def _assess_ridges(
     not_a_sheet |= marks(x_px, errors.err_px, usual_px, comb, settings)
     flag = np.where((detections.flag == "ok") & not_a_sheet, "merged", detections.flag)
     err = np.sqrt(errors.err_px**2 + blur.err_px**2 + pulled.err_px**2)
-    return _Assessed(
-        x_px, flag, err, blur.blurred, pulled.err_px > np.fmax(errors.err_px, settings.distortion_floor)
-    )
+    distorted = pulled.err_px > np.fmax(errors.err_px, settings.distortion_floor)
+    return _Assessed(x_px, flag, err, blur.blurred, distorted, pulled.lasting_px)
 
 
 class _Errors(NamedTuple):
@@ -249,7 +251,8 @@ class _Errors(NamedTuple):
 class _Tracked:
     """Everything that the Dataset is made of, with positions relative to the strip's first column.
 
-    frozen is (frame,); noise is (N,), grey levels; x_px, err_px, blurred and distorted are (frame, N).
+    frozen is (frame,); noise, grey levels, and lasting_px are (N,); x_px, err_px, blurred and distorted are
+    (frame, N).
     """
 
     comb: RidgeComb
@@ -263,6 +266,7 @@ class _Tracked:
     frozen: Bools
     blurred: Bools
     distorted: Bools
+    lasting_px: Floats
     origin_px: float
 
     def metadata(
@@ -405,6 +409,7 @@ def _dataset(strip: xr.DataArray, found: _Tracked, metadata: TrackMetadata) -> x
         "fwhm_px": nan_median(np.where(ok, found.detections.fwhm_px, np.nan)),
         "snr": nan_median(contrast) / np.maximum(found.noise, 1e-12),
         "distorted": (found.distorted & ok).sum(axis=0) / np.maximum(ok.sum(axis=0), 1),
+        "x_lasting_px": found.lasting_px,
         "x_noise_px": found.errors.noise_px,
         "x_scatter_px": found.errors.scatter_px,
         "x_predicted_px": found.errors.predicted_px,
