@@ -241,8 +241,8 @@ def _from_slips(
         rate, likelihood = _best_beyond_search(found)
         lead = likelihood - float(found.fits.log_likelihood[0])
         if not found.ambiguity and lead > -settings.least_margin:
-            found = replace(found, ambiguity="even slips fit nearly as well at other frame rates")
-        # Even slips fit at many rates, hardly better at one than at the others.
+            found = replace(found, ambiguity="evenly spaced slips fit nearly as well at other frame rates")
+        # Evenly spaced slips fit nearly equally well at many rates.
         elif found.ambiguity and lead > settings.clear_likelihood:
             scaled = replace(found.trains, video_s=rate * found.trains.video_s)
             if not align(scaled, settings).ambiguity:
@@ -287,10 +287,12 @@ def _from_slips(
 
 
 def _best_beyond_search(found: Alignments) -> tuple[float, float]:
-    """Rate of the force clock relative to the camera's, beyond the largest drift and unlike the one found, at
-    which the slips align best, and the log-likelihood there."""
+    """Rate of the force clock relative to the camera's at which the slips align best, and its log-likelihood.
+
+    Only rates beyond the largest drift that differ from the rate found are compared.
+    """
     trains, most = found.trains, 1e-6 * found.settings.largest_drift_ppm
-    known = 1 + found.clocks.drift[0]  # the least squares may take it a little beyond the search
+    known = 1 + found.clocks.drift[0]  # the least squares may exceed the range of the search slightly
     best = math.nan, -math.inf
     for steps in (1, -1, 2, -2, 3, -3):
         rate = 1 + 1.8 * most * steps

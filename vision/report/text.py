@@ -270,7 +270,7 @@ def _withheld(tracks: xr.Dataset) -> str:
     other = int((~np.isin(flags, (*DOUBTFUL, "ok"))).sum())
     text = ""
     if doubtful:
-        text += f" {doubtful} of {total} positions were withheld because the sheet's identity was in doubt."
+        text += f" {doubtful} of {total} positions were left out because the sheet's identity was uncertain."
     if other:
         text += f" {other} of {total} positions are missing or carry another flag (tracks.csv)."
     return text

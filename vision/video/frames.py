@@ -234,7 +234,7 @@ def count_frames(
     measured = video.clock.kind == "file" or (video.clock.kind == "given" and _uneven(times_s))
     between, first = lost_between(times_s, settings=settings) if measured else (0, 0)
     if between:
-        where = f"where its times leap, the first after index {first}"
+        where = f"according to gaps in its times, the first after index {first}"
         warnings.append(f"{name}: {between} frame(s) lost {where}")
     if measured and (thinned := thinned_from(times_s, settings=settings)) is not None:
         what = "frames come at half or a third of the usual rate"

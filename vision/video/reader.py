@@ -324,7 +324,7 @@ def read_fully(file: BinaryIO, buffer: memoryview, path: Path) -> None:
         if not count:
             advice = "wait until it is copied, then run again"
             raise InputError(
-                path, "a file that stays whole while it is read", "one that became shorter", advice
+                path, "a file that does not change while it is read", "one that became shorter", advice
             )
         done += count
 
