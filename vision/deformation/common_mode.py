@@ -94,7 +94,7 @@ def drift_model(
     """
     middle_px, slope_px = line.coefficient[..., 0], line.coefficient[..., 1]
     unpushed_px = middle_px - _pushed_between(middle_px, frames.middle_s, settings)[:, None]
-    # Distant sticks are compared: sheets that do not slip with every slip move randomly between adjacent ones.
+    # Distant sticks are compared, since sheets that miss some slips move randomly between adjacent sticks.
     apart = max(frames.sticks // 4, 1)  # so few pairs of sticks contain the single jump of a sheet
     elapsed_s = (frames.middle_s[apart:] - frames.middle_s[:-apart])[:, None]
     rate = nan_median((unpushed_px[apart:] - unpushed_px[:-apart]) / elapsed_s)
