@@ -114,7 +114,7 @@ def test_common_motion_is_taken_off_unless_told_otherwise(truth, known):
 def test_a_recording_that_does_not_fit_keeps_the_tracks(capsys):
     """A failure means that an hour of tracking is thrown away for a wrong offset."""
     assert run([*VIDEO, *FORCE, "--offset", "100000"]) == 2
-    assert "what was measured before is kept in run" in capsys.readouterr().err
+    assert "earlier results are in run" in capsys.readouterr().err
     assert Path("run/tracks.csv").exists()
     assert Path("run/events.csv").exists()
     assert json.loads(Path("run/run.json").read_text())["not_measured"]["clock"]

@@ -262,8 +262,8 @@ def _from_slips(
     )
     if not found.ambiguity and abs(drift) - 2 * drift_error > 1e-6 * settings.usual_drift_ppm:
         warnings.append(
-            f"the clocks of film and machine differ by {100 * drift:+.2f} %, more than clocks do: they agree"
-            f" at {_frame_rate(strip, 1 + drift)}; check `fps`"
+            f"the clocks of film and machine differ by {100 * drift:+.2f} %, more than real clocks: they"
+            f" agree at {_frame_rate(strip, 1 + drift)}; check `fps`"
         )
     return replace(
         _clock_of(clocks, fits, "events"),
@@ -309,7 +309,7 @@ def _frame_rate(strip: StripMetadata, rate: float) -> str:
     camera's."""
     if not math.isfinite(strip.fps):
         return f"{1 / rate:.4f} times the frame rate"
-    return f"{strip.fps / rate:.5g} frames/s in place of {strip.fps:.5g}"
+    return f"{strip.fps / rate:.5g} frames/s instead of {strip.fps:.5g}"
 
 
 def _clock_of(clocks: CandidateClocks, fits: ClockFits, how: How) -> Clock:
@@ -358,8 +358,8 @@ def _contradiction(given: Clock, found: Alignments) -> tuple[str, ...]:
     error = float(np.hypot(found.errors()[0], found.trains.typical_error_s))
     if not found.ambiguity and abs(difference) > found.settings.contradiction_sigma * error:
         return (
-            f"by the slips the force clock is {found.clocks.offset_s[0]:.4f} s at video time 0, not "
-            f"{given.offset_s:.4f} s (margin {found.margin:.0f})",
+            f"according to the slips the force clock is {found.clocks.offset_s[0]:.4f} s at video time 0, "
+            f"not {given.offset_s:.4f} s (margin {found.margin:.0f})",
         )
     if given.matched < min(given.unmatched_video, given.unmatched_force):
         clock = "the given offset" if given.how == "given" else "the column of video times"

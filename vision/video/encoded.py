@@ -244,7 +244,7 @@ def open_container(path: Path) -> av.container.InputContainer:
             found = "an MP4/MOV without its index (moov), which is written when the recording is closed"
             advice = "close it, or repair it from an intact one"
         else:
-            found = f"a file that is none ({type(error).__name__})"
+            found = f"another kind of file ({type(error).__name__})"
             advice = "give a recording PyAV, tifffile or OpenCV can read"
         raise InputError(path, "a video", found, advice) from None
     if container.format.name in ("tty", "image2", "txt"):  # these accept any text or picture

@@ -420,7 +420,7 @@ def _frame_numbers(numbers: Ints, path: Path) -> tuple[Ints, tuple[str, ...]]:
     if usual > 1 and numbers.size >= 10 and not (steps % usual).any():  # few files do not prove a step
         return (numbers - numbers[0]) // usual, (f"{path.name}: file numbers count in steps of {usual}",)
     if numbers[-1] - numbers[0] > 10 * numbers.size:  # nine in ten frames lost is unlikely: clock times, say
-        text = f"{path.name}: file numbers are no frame count; only their order is used"
+        text = f"{path.name}: file numbers are not frame numbers; only their order is used"
         return np.arange(numbers.size), (text,)
     return numbers - numbers[0], ()
 
