@@ -221,8 +221,8 @@ def consistency_warnings(
     if len(weak) and found.sheets > 1:
         which = ", ".join(str(k) for k in weak[:6]) + (" …" if len(weak) > 6 else "")
         lines.append(
-            f"{len(weak)} of {found.sheets} sheets (index {which}) have little contrast or are found in few"
-            " frames, and may not be sheets: restrict `columns` or give `sheets`"
+            f"{len(weak)} of {found.sheets} sheets (index {which}) may be something else (little contrast, or"
+            " found in few frames): restrict `columns` or give `sheets`"
         )
     # The axis lies between two sheets, half a pitch from both; sheets may be unevenly spaced.
     slack = 0.75 * found.pitch_px
@@ -408,7 +408,7 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> list[str
     )
     return [
         f"sheets     {found.sheets} {found.ridges} ridges ({(side < 0).sum()} left, {(side > 0).sum()} right)"
-        f"; {found.ridges_dropped} other ridges ignored",
+        f"; other ridges ignored: {found.ridges_dropped}",
         f"frames     {strip.frames_read} of {strip.frames_expected} read; {strip.frames_lost} lost{corrupt}, "
         f"{strip.frames_blank} blank",
         f"positions  {flags.get('ok', 0)} measured; {other}",

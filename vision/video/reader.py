@@ -47,7 +47,7 @@ class Facts:
     times_in_blocks
         Whether these times come with the blocks instead.
     turned_deg
-        Degrees clockwise by which the file is to be turned for display, as phones state.
+        Clockwise rotation for display that the file states (films of phones), degrees.
     container, codec, pixel_format, decoder, grey
         How pixels are stored, which program decodes them, and what a grey value means.
     warnings

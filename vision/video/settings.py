@@ -131,8 +131,8 @@ class VideoSettings:
     rate and miscounts where both occur, smaller is misled by times in whole milliseconds
     (test_a_camera_that_changes_its_rate_loses_nothing)."""
     whole_ratio: float = 0.05
-    """Relative deviation up to which a changed rate is half or a third of the usual one, as if frames were
-    lost evenly. Larger warns of any slow part, smaller misses losses under jitter
+    """Relative deviation of a changed rate from half or a third of the usual one, below which frames may have
+    been lost evenly. Larger warns of any slow part, smaller misses losses under jitter
     (test_evenly_lost_frames_are_told)."""
     early_end_steps: float = 3.5
     """Steps between the last frame and the end that the file states above which frames are missing. Complete
@@ -140,8 +140,8 @@ class VideoSettings:
 
     # failing disks and networks
     answer_s: float = 60.0
-    """Seconds without any reading or computation after which a recording is given up. Shorter gives up disks
-    that have to start, longer waits for a lost connection (test_threads.py)."""
+    """Seconds without any reading or computation after which reading fails. A shorter time fails while a disk
+    starts, a longer one waits for a lost connection (test_threads.py)."""
 
     # interrupted runs
     resume_after_s: float = 10.0
