@@ -43,7 +43,7 @@ class CampaignSettings:
     their start (3 s), longer ones leave cores idle at the end."""
     answer_s: float = DEFAULTS.answer_s
     """Longest wait, s, for a disk that does not answer while films are planned, watched or copied. A shorter
-    time fails while a disk starts, a longer one waits for a lost connection (tests/campaign/test_disks.py)."""
+    time fails while a disk starts, a longer one waits for lost connections (tests/campaign/test_disks.py)."""
 
     # the page and the watched folder
     page_seconds: float = 3.0

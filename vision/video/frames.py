@@ -293,8 +293,8 @@ def lost_between(times_s: Floats, *, settings: VideoSettings = DEFAULTS) -> tupl
 def _local_step_s(known: Floats, places: Ints, settings: VideoSettings) -> Floats:
     """Return the usual time from one frame to the next, s, at each step between known times.
 
-    It is that of the whole recording, or a longer time on which eight of the nine steps before or after agree,
-    because a camera that changes its rate does so for many frames. NaN for fewer than three times.
+    It is that of the whole recording, or a longer time on which eight of the nine steps before or after
+    agree, because a camera that changes its rate does so for many frames. NaN for fewer than three times.
     """
     usual_s = usual_step_s(known)
     step_s = np.diff(known) / np.diff(places)

@@ -316,7 +316,7 @@ def read_fully(file: BinaryIO, buffer: memoryview, path: Path) -> None:
     Raises
     ------
     InputError
-        If the file ends before.
+        If the file ends before the buffer is full.
     """
     done = 0
     while done < len(buffer):
