@@ -423,9 +423,7 @@ def _with_luma_plane(frame: av.VideoFrame) -> av.VideoFrame:
 def _grey_scale(frame: av.VideoFrame) -> tuple[int, float, str]:
     """Return significant bits, value of white, and the meaning of a grey value in words."""
     if _is_colour(frame.format):
-        bits = (
-            16 if frame.format.components[0].bits > 8 else 8
-        )  # the decoder extends deeper colour to 16 bits
+        bits = 16 if frame.format.components[0].bits > 8 else 8  # deeper colour is decoded to 16 bits
         return bits, full_scale(bits), LUMA_RULE
     kind = _with_luma_plane(frame).format
     bits = kind.components[0].bits
