@@ -263,7 +263,7 @@ def _decisions(tracks: xr.Dataset) -> str:
 
 
 def _withheld(tracks: xr.Dataset) -> str:
-    """Return how many positions were withheld or carry a flag, "" if there are none."""
+    """Return how many positions were left out or carry a flag, "" if there are none."""
     flags = tracks["flag"].values
     total = max(1, flags.size)
     doubtful = int(np.isin(flags, DOUBTFUL).sum())
