@@ -207,7 +207,7 @@ class Analysis(Results):
         lines, sample = summary_lines(self), PUBLISHED
         if self.fits is not None and self.settings.sample is None:
             size = f"{sample.thickness_mm:g} x {sample.width_mm:g} x {sample.length_mm:g} mm"
-            line = f"sample     assumed: the publication's, M = {sample.sheets_per_block} of {size}"
+            line = f"sample     assumed: the publication's, M = {sample.sheets_per_block} sheets of {size}"
             if self.tracks is not None and (seen := ridges_per_side(self.tracks)) != sample.sheets_per_block:
                 line += f"; the video shows {seen} per side"
             lines.append(line)
@@ -536,7 +536,7 @@ def _motion(tracks: xr.Dataset, sticks: pd.DataFrame, clock: Clock, chosen: Sett
     if clock.status == "given" and clock.matched == 0 and unmatched >= 3:  # of fewer slips, all may be missed
         given = "the given offset" if clock.how == "given" else "the column of video times"
         found = f"none of {clock.unmatched_video} and {clock.unmatched_force} with {given}"
-        advice = "check it, or whether the two files belong together"
+        advice = "check it, and whether the two files belong together"
         raise InputError("the clocks", "slips that coincide in video and force", found, advice)
     return horizontal_deformation(
         tracks,

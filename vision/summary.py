@@ -32,13 +32,13 @@ if TYPE_CHECKING:
 PAIR_SPACINGS = 9
 """Smallest number of spacings in which pairs of ridges are looked for: fewer may alternate by chance."""
 PAIR_TAIL, PAIR_RATIO = 0.1, 1.5
-"""Ridges stand in pairs if this quantile of the wide spacings exceeds the same quantile from above of the
+"""Ridges form pairs if this quantile of the wide spacings exceeds the same quantile from above of the
 narrow ones by this ratio. A smaller ratio calls an uneven comb one of pairs, a larger one misses the edges of
 thick sheets (`test_two_edges_of_every_sheet_are_said_to_be_pairs`)."""
 UNLIKELY_SPACING = 10.0
 """Ratio of the sheets' spacing to two thicknesses, or its inverse, above which the pixel size is questioned.
-A unit taken for another is wrong by 1000; sheets that bulge, or of which every second one is seen, by 2 to
-4."""
+A wrong unit changes the ratio by 1000; sheets that bulge, or of which only every second one is seen, by 2
+to 4. A smaller ratio warns of the latter, a larger one overlooks factors of 10."""
 
 
 def summary_lines(results: Results) -> list[str]:
@@ -90,15 +90,16 @@ def tracking_warnings(tracks: xr.Dataset) -> list[str]:
     total = max(1, sum(flags.values()))
     if frozen := flags.get("frozen", 0):
         lines.append(
-            f"{frozen // tracks.sizes['sheet']} frame(s) repeat the one before: no positions (frozen)"
+            f"{frozen // tracks.sizes['sheet']} frame(s) are copies of the frame before and have no positions"
+            " (flag frozen)"
         )
     uncertain = flags.get("doubtful", 0) + flags.get("merged", 0)
     if uncertain:
-        line = f"{uncertain} of {total} positions not given because the sheet's identity is in doubt"
+        line = f"{uncertain} of {total} positions left out because the identity of the sheet is uncertain"
         # With 0.2 there is no advice if a hand always covers part of the comb and other positions are wrong.
         if uncertain > 0.1 * total:
-            line += "; with so many, others may be wrong, too: look at overview.png, and exclude what hides"
-            line += " the comb with `frames` or `columns`"
+            line += "; with so many, other positions may also be wrong: look at overview.png, and exclude"
+            line += " what hides the comb with `frames` or `columns`"
         lines.append(line)
     missing = flags.get("missing", 0) + flags.get("edge", 0) + flags.get("unfit", 0)
     if missing > 0.01 * total:  # fewer are the usual gaps at the edges of the picture
@@ -106,19 +107,19 @@ def tracking_warnings(tracks: xr.Dataset) -> list[str]:
     if line := _frames_with_few_sheets(tracks):
         lines.append(line)
     if tracks.sizes["frame"] >= 10 and not (tracks["x_noise_px"].values > 0).any():
-        lines.append("no frame differs from the one before: neither motion nor noise can be measured")
+        lines.append("all frames are equal: neither motion nor noise can be measured")
     elif tracks.sizes["frame"] >= 20 and comb_is_stationary(tracks):
         lines.append(
-            "the sheets do not move against each other by more than the noise: if they should, the comb may"
-            " be a pattern in the background (`rows`, `columns`), or the pull is in other `frames`"
+            "the sheets do not move relative to each other by more than the noise: if they should, the comb"
+            " may be a pattern in the background (`rows`, `columns`), or the pull is in other `frames`"
         )
     for change in TrackMetadata.of(tracks).scene_changes:
         frame = change["frame"]
         lines.append(
-            f"the picture changes for good at frame {frame} (all sheets displaced by"
-            f" {change['moved_px']:.0f} px, their brightness relative to each other changed by"
+            f"the picture changes permanently at frame {frame} (all sheets displaced by"
+            f" {change['moved_px']:.0f} px, their relative brightnesses changed by"
             f" {100 * change['brightness']:.0f} %): a cut, or the camera or the light was moved; the sheets"
-            f" may be others than before: give `frames` as 0:{frame} or {frame}:"
+            f" may not be the same as before: give `frames` as 0:{frame} or {frame}:"
         )
     lines += _alike_warning(TrackMetadata.of(tracks))
     lines += _spacing_warning(tracks)
@@ -132,9 +133,9 @@ def _alike_warning(facts: TrackMetadata) -> list[str]:
     more = " …" if len(facts.large_steps) > 5 else ""
     named = ", ".join(str(frame) for frame in facts.large_steps[:5]) + more
     return [
-        f"the whole comb moved far before frame(s) {named}; its sheets are alike and neither end is in view:"
-        f" it may as well have moved by {facts.pitch_px:.1f} px (a spacing) more or less; film an end of the"
-        " comb, or mark a sheet"
+        "the sheets look alike and neither end of the comb is in view: displacements of the whole comb may be"
+        f" wrong by multiples of the spacing ({facts.pitch_px:.1f} px) after its large steps before frame(s)"
+        f" {named}: film an end of the comb, or mark a sheet"
     ]
 
 
@@ -150,8 +151,8 @@ def overexposure(frame: Pixels, rows: slice, settings: VideoSettings) -> list[st
     if share < settings.overexposed or top < settings.few_levels:
         return []
     return [
-        f"{100 * share:.0f} % of the averaged pixels are as bright as the brightest ({top:.0f}): overexposed,"
-        " so that ridges have flat tops and x_err_px may be too small: film with less light"
+        f"{100 * share:.0f} % of the averaged pixels are as bright as the brightest ({top:.0f}): overexposed."
+        " Ridges have flat tops and x_err_px may be too small: film with less light"
     ]
 
 
@@ -164,14 +165,14 @@ def _spacing_warning(tracks: xr.Dataset) -> list[str]:
         narrow, wide = sorted((spacing[0::2], spacing[1::2]), key=np.median)
         if np.quantile(wide, PAIR_TAIL) > PAIR_RATIO * np.quantile(narrow, 1 - PAIR_TAIL):
             return [
-                f"the ridges stand in pairs, {np.median(narrow):.0f} and {np.median(wide):.0f} px apart: if"
-                f" these are the two edges of {(len(spacing) + 1) // 2} sheets, each counts twice: give"
-                " `sheets`"
+                f"the ridges form pairs: spacings of {np.median(narrow):.0f} and {np.median(wide):.0f} px"
+                " alternate; if each pair is the two edges of one sheet, give `sheets` as"
+                f" {(len(spacing) + 1) // 2}"
             ]
     if places := TrackMetadata.of(tracks).wide_spacings:
         return [
-            f"sheets may be missing at x = {', '.join(places)}, which makes n of sheets further out too"
-            " small: look there (dirt, too faint?), or give the number of sheets (`sheets`)"
+            f"sheets may be missing at x = {', '.join(places)}; n of all sheets further out would then be too"
+            " small: check these positions (dirt, faint sheets), or give the number of sheets (`sheets`)"
         ]
     return []
 
@@ -188,8 +189,8 @@ def _frames_with_few_sheets(tracks: xr.Dataset) -> str:
     number = tracks["frame"].values
     where = f"{number[first[longest]]}:{number[stop[longest] - 1] + 1}"
     return (
-        f"in {few.sum()} frames, the longest run {where}, fewer than half of the sheets are found: another"
-        " scene, or something in front of them? exclude these with `frames`"
+        f"fewer than half of the sheets are found in {few.sum()} frames (the longest run is {where}): another"
+        " scene, or something in front of the sheets? exclude these frames with `frames`"
     )
 
 
@@ -213,43 +214,45 @@ def consistency_warnings(
     found, lines = TrackMetadata.of(tracks), []
     if found.ridges_beyond:
         lines.append(
-            f"{found.ridges_beyond} more ridges like the {found.sheets} sheets continue their comb, which"
-            f" changes every n: give `sheets` as {found.sheets + found.ridges_beyond} or leave it out"
+            f"{found.ridges_beyond} more ridges continue the comb of the {found.sheets} sheets and would"
+            f" change every n: give `sheets` as {found.sheets + found.ridges_beyond} or leave it out"
         )
     snr, share = tracks["snr"].values, tracks["found"].values
     weak = np.flatnonzero((snr < 0.1 * nan_median(snr)) | (share < 0.25))
     if len(weak) and found.sheets > 1:
         which = ", ".join(str(k) for k in weak[:6]) + (" …" if len(weak) > 6 else "")
         lines.append(
-            f"{len(weak)} of {found.sheets} sheets (index {which}) hardly stand out from the background or"
-            " are found in few frames: they may be none; restrict `columns` or give `sheets`"
+            f"{len(weak)} of {found.sheets} sheets (index {which}) may be something else (little contrast, or"
+            " found in few frames): restrict `columns` or give `sheets`"
         )
     # The axis lies between two sheets, half a pitch from both; sheets may be unevenly spaced.
     slack = 0.75 * found.pitch_px
     known = math.isfinite(found.axis_low_px) and math.isfinite(found.axis_high_px)
     if known and not found.axis_low_px - slack <= found.axis_px <= found.axis_high_px + slack:
         lines.append(
-            f"the axis at {found.axis_px:.0f} px is not where motion allows it ({found.axis_low_px:.0f} to"
-            f" {found.axis_high_px:.0f} px): check `axis_px`, or whether both sides are in view"
+            f"the axis at {found.axis_px:.0f} px is outside the range that the motion allows"
+            f" ({found.axis_low_px:.0f} to {found.axis_high_px:.0f} px): check `axis_px`, and whether both"
+            " sides are in view"
         )
     most = ridges_per_side(tracks)
     used = sample or assumed
     one_side = len(np.unique(tracks["side"].values)) == 1
     if used is not None and one_side and most < used.sheets_per_block and found.axis_how != "given":
         lines.append(
-            f"{most} of {used.sheets_per_block} sheets of one side in view: n counts from the innermost;"
-            " give `axis_px` if others lie between it and the axis"
+            f"only {most} of {used.sheets_per_block} sheets of one side are in view, and n counts from the"
+            " innermost of them: give `axis_px` if others lie between it and the axis"
         )
     if used is not None and pixel_size_um is not None:
         spacing, thickness = found.pitch_px * pixel_size_um / 1000, used.thickness_mm
         if not 1 / UNLIKELY_SPACING < spacing / (2 * thickness) < UNLIKELY_SPACING:
             lines.append(
-                f"sheets {thickness:g} mm thick would be {spacing:.3g} mm apart: check `pixel_size_um`, in µm"
+                f"with this pixel size, sheets {thickness:g} mm thick are {spacing:.3g} mm apart: check"
+                " `pixel_size_um` (µm)"
             )
     if used is not None and most > used.sheets_per_block:
         how = "given" if sample is not None else "assumed"
         lines.append(
-            f"{used.sheets_per_block} sheets per block and side {how}, video shows {most}: check"
+            f"{used.sheets_per_block} sheets per block and side {how}, but the video shows {most}: check"
             " `sheets_per_block`, `axis_px` and `sheets`"
         )
     return lines
@@ -299,18 +302,18 @@ def doubt_line(tracks: xr.Dataset) -> str:
     alike = [rows for _, rows in table.groupby(["first_frame", "last_frame", "why"], sort=False)]
     worst = sorted(alike, key=lambda rows: -int(rows["frames"].sum()))
     longest = [
-        f"{_sheet_range(rows['sheet'])} in {rows['first_frame'].iloc[0]}:{rows['last_frame'].iloc[0] + 1}"
-        f" ({rows['why'].iloc[0]})"
+        f"{_sheet_range(rows['sheet'])} in frames"
+        f" {rows['first_frame'].iloc[0]}:{rows['last_frame'].iloc[0] + 1} ({rows['why'].iloc[0]})"
         for rows in worst[:3]
     ]
-    return f"{len(table)} doubtful stretches; longest: {'; '.join(longest)}"
+    return f"{len(table)} stretches; longest: {'; '.join(longest)}"
 
 
 def _sheet_range(sheets: pd.Series) -> str:
-    """Return "sheet 3", or "4 sheets from 3 to 9"."""
+    """Return "sheet 3", or "4 sheets between 3 and 9"."""
     if len(sheets) == 1:
         return f"sheet {sheets.iloc[0]}"
-    return f"{len(sheets)} sheets from {sheets.min()} to {sheets.max()}"
+    return f"{len(sheets)} sheets between {sheets.min()} and {sheets.max()}"
 
 
 def flag_counts(tracks: xr.Dataset) -> dict[str, int]:
@@ -370,7 +373,7 @@ def event_sizes(force: xr.Dataset, sticks: pd.DataFrame) -> str:
     drop, slope = (" of the weight", "/mm") if over_weight else (" N", " N/mm")
     sizes = f"median ΔF {middle['dF_N']:.3g}{drop}"
     if math.isnan(middle["stick_length_um"]):
-        return f"{sizes}; lengths and K not known without the separation"
+        return f"{sizes}; lengths and K are unknown without the separation"
     return f"{sizes}, Λ_st {middle['stick_length_um']:.3g} µm, K {middle['K_N_per_mm']:.4g}{slope}"
 
 
@@ -380,10 +383,10 @@ def lowpass_correction(sticks: pd.DataFrame) -> str:
     if not facts.lowpass_s:
         proposal = ""
         if math.isfinite(facts.lowpass_proposed_s):
-            proven = "show" if facts.lowpass_proven else "may show, though not all alike,"
+            proven = "show" if facts.lowpass_proven else "may show (they differ)"
             proposal = (
                 f"; the slips {proven} a low-pass of {1e3 * facts.lowpass_proposed_s:.2g} ms, which "
-                "`lowpass_s` would correct"
+                "`lowpass_s` can correct"
             )
         return f"forces as recorded{proposal}"
     return f"corrected for a low-pass of {1e3 * facts.lowpass_s:.2g} ms ({facts.lowpass_how})"
@@ -398,21 +401,21 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> list[str
     tilt = f", tilt {strip.tilt_deg:+.2f}°" if math.isfinite(strip.tilt_deg) else ""
     corrupt = f" ({strip.frames_corrupt} of them corrupt)" if strip.frames_corrupt else ""
     scale = "px: give `pixel_size_um` for µm" if pixel_size_um is None else f"{pixel_size_um:g} µm per px"
-    unseen = "; alike: a jump by their spacing would not be seen" if found.sheets_alike == "yes" else ""
+    unseen = "; they look alike: a jump by their spacing would be invisible" if found.sheets_alike == "yes" else ""
     # Compression hides the noise of pixels, so that the error predicted from them means nothing.
     predicted = (
-        f"; {noise['stated_px']:.4f} px stated ({strip.codec} hides the noise of pixels)"
+        f"; x_err_px {noise['stated_px']:.4f} px ({strip.codec} hides the noise of pixels)"
         if strip.codec in LOSSY
         else f", {noise['predicted_px']:.4f} px predicted from the pixels"
     )
     return [
         f"sheets     {found.sheets} {found.ridges} ridges ({(side < 0).sum()} left, {(side > 0).sum()} right)"
-        f"; {found.ridges_dropped} other ridges left out{unseen}",
+        f"; other ridges ignored: {found.ridges_dropped}{unseen}",
         f"frames     {strip.frames_read} of {strip.frames_expected} read; {strip.frames_lost} lost{corrupt}, "
         f"{strip.frames_blank} blank",
         f"positions  {flags.get('ok', 0)} measured; {other}",
         f"noise      {_noise(noise, length)}{predicted}",
-        *([f"doubt      {doubt}"] if (doubt := doubt_line(tracks)) else []),
+        *([f"doubtful   {doubt}"] if (doubt := doubt_line(tracks)) else []),
         f"strip      rows {strip.strip_z0}:{strip.strip_z1} ({strip.strip_how}){tilt}",
         *([heights_line(tracks)] if "x_z_px" in tracks else []),
         f"ridges     {found.ridge_fwhm_px:.1f} px wide, {found.pitch_px:.1f} px apart; {found.fit} fit over "
@@ -451,14 +454,14 @@ def _axis(found: TrackMetadata) -> str:
         return "given"
     how = {"motion": "found from motion", "geometry": "the middle of the ridges in view"}[found.axis_how]
     if not math.isfinite(found.axis_low_px):
-        return f"{how}; no motion of the sides against each other found"
-    return f"{how}; motion allows {found.axis_low_px:.0f} to {found.axis_high_px:.0f}"
+        return f"{how}; the motion does not show the axis"
+    return f"{how}; the motion allows {found.axis_low_px:.0f} to {found.axis_high_px:.0f} px"
 
 
 def frame_times(strip: StripMetadata) -> str:
     """Return the frame rate and its source as text."""
     if not math.isfinite(strip.fps) and strip.clock_kind == "playback":
-        return "the file holds no frame rate: give the camera's with `fps`"
+        return "the file states no frame rate: give the camera's with `fps`"
     kinds: Mapping[str, str] = {
         "playback": " is the file's playback rate: confirm it or give the camera's with `fps`",
         "file": ", from the recording's own time stamps",
@@ -470,7 +473,7 @@ def frame_times(strip: StripMetadata) -> str:
 def _clocks(clock: Clock) -> str:
     spread = f" to {clock.residual_ms:.1f} ms" if math.isfinite(clock.residual_ms) else ""
     if clock.status == "ambiguous" and clock.candidates:
-        return f"ambiguous: offset (log-likelihood) may be {candidates_text(clock)}; none is used"
+        return f"ambiguous: possible offsets (log-likelihood) {candidates_text(clock)}; none is used"
     return (
         f"{clock.status}: offset {offset_text(clock)}, drift {drift_text(clock)}, "
         f"{clock.matched} slips matched{spread}"

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from vision.figures import Results
 
 QUANTITIES: Mapping[str, tuple[str, str]] = {
-    "x_px": ("position of a sheet (not in x_err)", "px"),
+    "x_px": ("position of a sheet (not in x_err_px)", "px"),
     "mu": ("μ", ""),
     "T0_N": ("𝒯0", "N"),
     "A": ("A", ""),

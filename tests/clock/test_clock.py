@@ -65,7 +65,7 @@ def test_an_offset_that_is_given_decides_and_is_compared(recorded):
     assert right.matched > 100
     wrong = synchronise(*recorded, offset_s=OFFSET_S + 0.3)
     assert wrong.offset_s == OFFSET_S + 0.3
-    assert "by the slips the force clock is 31.2" in wrong.warnings[0]
+    assert "according to the slips the force clock is 31.2" in wrong.warnings[0]
 
 
 def test_a_given_offset_needs_no_slips(recorded):
@@ -97,7 +97,7 @@ def test_a_wrong_frame_rate_is_said(recorded, rate):
         assert (clock.status == "ok") == (rate == 1.003)
         (told,) = clock.warnings
     assert "`fps`" in told
-    found, given = re.search(r"agree at ([\d.]+) frames/s in place of ([\d.]+)", told).groups()
+    found, given = re.search(r"agree at ([\d.]+) frames/s instead of ([\d.]+)", told).groups()
     assert float(given) == pytest.approx(20 / rate, rel=1e-4)
     assert float(found) == pytest.approx(20, rel=2e-4)
 

@@ -114,7 +114,7 @@ def test_common_motion_is_taken_off_unless_told_otherwise(truth, known):
 def test_a_recording_that_does_not_fit_keeps_the_tracks(capsys):
     """A failure means that an hour of tracking is thrown away for a wrong offset."""
     assert run([*VIDEO, *FORCE, "--offset", "100000"]) == 2
-    assert "what was measured before is kept in run" in capsys.readouterr().err
+    assert "earlier results are in run" in capsys.readouterr().err
     assert Path("run/tracks.csv").exists()
     assert Path("run/events.csv").exists()
     assert json.loads(Path("run/run.json").read_text())["not_measured"]["clock"]
@@ -132,11 +132,11 @@ def test_a_video_with_more_ridges_than_sheets_says_so(truth, capsys):
     options = ("--offset", str(truth.attrs["offset_s"]), "--overwrite")
     assert run([*VIDEO, *FORCE, *options, "--sheets-per-block", "20"]) == 1
     assert (
-        "20 sheets per block and side given, video shows 25: check --sheets-per-block"
+        "20 sheets per block and side given, but the video shows 25: check --sheets-per-block"
         in capsys.readouterr().err
     )
     assert run([*VIDEO, *FORCE, *options, "--axis", "800"]) == 1
     said = capsys.readouterr()
-    assert "25 sheets per block and side assumed, video shows 33" in said.err
+    assert "25 sheets per block and side assumed, but the video shows 33" in said.err
     assert "assumed: the publication's, M = 25" in said.out
     assert "the video shows 33 per side" in said.out

@@ -89,7 +89,7 @@ def test_sarcomeres_are_followed_with_doubts_flagged(tracked):
     """A failure means that a comb that drifts and merges is given with false certainty, or not at all."""
     status, x, flags, facts = tracked("sarcomeres.avi", "--rotate", "90", "--strip", "190:211")
     assert status == 1
-    assert "in doubt" in " ".join(facts["warnings"])
+    assert "is uncertain" in " ".join(facts["warnings"])
     known = np.isfinite(x)
     assert np.array_equal(known, np.isin(flags, ("ok", "blurred")))
     assert (flags == "frozen").all(axis=1).sum() == 20  # the film repeats these

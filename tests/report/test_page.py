@@ -189,13 +189,13 @@ def test_arguments_are_shown_as_the_command_s_options(video_only, tmp_path):
 def test_methods_tell_what_this_run_lacks(pulled):
     """A failure means that a paper claims what the run did not have."""
     plain = " ".join(methods(pulled))
-    assert "withheld" not in plain
+    assert "were left out" not in plain
     assert "compression" not in plain
     flags = pulled.tracks["flag"].copy()
     flags[:3, 0] = "doubtful"
     strip = pulled.strip.assign_attrs(codec="h264", tilt_deg=0.7, frames_lost=4, fps=float("nan"))
     text = " ".join(methods(replace(pulled, tracks=pulled.tracks.assign(flag=flags), strip=strip)))
-    assert f"3 of {flags.size} positions were withheld" in text
+    assert f"3 of {flags.size} positions were left out" in text
     assert "lossy compression (h264)" in text
     assert "tilted by 0.70°" in text
     assert "(4 lost)" in text

@@ -189,7 +189,7 @@ def test_by_the_keyboard_alone(browser, run):
         visit.shot("accept")
         visit.press("Enter")
         visit.kept(3)
-        assert "No stretch is in doubt" in visit.text("doubts")
+        assert "No stretch is doubtful" in visit.text("doubts")
 
         visit.press(*["ArrowDown"] * 4, *["Shift+ArrowLeft"] * 4, "s")  # sheet 2, frame 40
         assert "moved by 100" in visit.effect()

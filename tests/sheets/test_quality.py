@@ -306,7 +306,7 @@ def test_a_cut_film_is_said_to_be_cut(kind):
     changes = TrackMetadata.of(tracks).scene_changes
     assert len(changes) == 1
     assert changes[0]["frame"] == 60
-    assert "for good at frame 60" in " ".join(tracking_warnings(tracks))
+    assert "permanently at frame 60" in " ".join(tracking_warnings(tracks))
     assert abs(tracks.attrs["axis_px"] - (622 if kind == "camera moved" else 600)) < 20  # not a knock's place
 
 
@@ -323,4 +323,4 @@ def test_a_pattern_that_stands_still_is_not_taken_for_a_comb_in_silence(slip, sa
     shaking = np.random.default_rng(0).normal(0, 1.0, (60, 1))
     x = comb(60, per_side=8, axis_px=200, slip=slip) + shaking
     lines = tracking_warnings(track_sheets(strip(ridges(x, width=400))))
-    assert sum("do not move against each other" in line for line in lines) == said
+    assert sum("do not move relative to each other" in line for line in lines) == said

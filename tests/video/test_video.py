@@ -98,7 +98,7 @@ def test_backward_times_are_reported(tmp_path):
     """Failure: a clock that was reset in the middle goes unnoticed."""
     (tmp_path / "t.txt").write_text("0\n1\n2\n1.5\n3\n4\n")
     video = open_video(write_avi(tmp_path / "a.avi", comb()), timestamps=tmp_path / "t.txt")
-    assert "do not grow" in video.warnings[0]
+    assert "do not increase" in video.warnings[0]
 
 
 @pytest.mark.parametrize(

@@ -127,8 +127,8 @@ def read_campaign(
         given = {name: cell.strip() for name, cell in pairs if name and cell.strip()}
         extra = any(cell.strip() for cell in cells[len(columns) :])
         base = path.absolute().parent
-        look = partial(_row, number, given, base, check, name_of, awaited)
-        row, found = answered(look, base / given.get("film", ""), settings.answer_s)
+        read_row = partial(_row, number, given, base, check, name_of, awaited)
+        row, found = answered(read_row, base / given.get("film", ""), settings.answer_s)
         found += [("", f"expected {len(columns)} cells; found {len(cells)}")] * extra
         problems += [Problem(row=number, column=column, text=text) for column, text in found]
         rows.append(row)
@@ -286,7 +286,7 @@ class FolderWatch:
     Raises
     ------
     InputError
-        If it is no folder, and from `rows` if its disk does not answer.
+        If it is not a folder, and from `rows` if its disk does not answer.
     """
 
     def __init__(

@@ -42,8 +42,8 @@ class CampaignSettings:
     """Smallest duration of jobs that are split so that all cores finish together. Shorter jobs lose more to
     their start (3 s), longer ones leave cores idle at the end."""
     answer_s: float = DEFAULTS.answer_s
-    """Longest wait, s, for a disk that does not answer while films are planned, watched or copied. Shorter
-    gives up disks that have to start, longer waits for a lost connection (tests/campaign/test_disks.py)."""
+    """Longest wait, s, for a disk that does not answer while films are planned, watched or copied. A shorter
+    time fails while a disk starts, a longer one waits for lost connections (tests/campaign/test_disks.py)."""
 
     # the page and the watched folder
     page_seconds: float = 3.0

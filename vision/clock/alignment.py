@@ -442,7 +442,7 @@ def _ambiguity(trains: SlipTrains, fits: ClockFits, margin: float, settings: Clo
         return f"the next alignment fits nearly as well (margin {margin:.1f}, {needed:.3g} needed)"
     chance = _lead_by_missed_slips(trains, fits, settings)
     if _lead_over_shifts(fits, fits.log_likelihood) <= chance:
-        return "slips missed on both sides could explain the lead over shifts by whole slips"
+        return "missed slips could explain why shifts by whole slips fit less well"
     by_sizes = min(_lead_over_shifts(fits, fits.size_evidence), float(fits.size_evidence[0]))
     evidence = _interval_evidence(trains, fits, settings) + max(by_sizes, 0.0)
     # Longer unrelated trains are compared at more offsets and agree more often.

@@ -241,8 +241,8 @@ def _from_slips(
         rate, likelihood = _best_beyond_search(found)
         lead = likelihood - float(found.fits.log_likelihood[0])
         if not found.ambiguity and lead > -settings.least_margin:
-            found = replace(found, ambiguity="even slips fit nearly as well at other frame rates")
-        # Even slips fit at many rates, hardly better at one than at the others.
+            found = replace(found, ambiguity="evenly spaced slips fit nearly as well at other frame rates")
+        # Evenly spaced slips fit nearly equally well at many rates.
         elif found.ambiguity and lead > settings.clear_likelihood:
             scaled = replace(found.trains, video_s=rate * found.trains.video_s)
             if not align(scaled, settings).ambiguity:
@@ -262,8 +262,8 @@ def _from_slips(
     )
     if not found.ambiguity and abs(drift) - 2 * drift_error > 1e-6 * settings.usual_drift_ppm:
         warnings.append(
-            f"the clocks of film and machine differ by {100 * drift:+.2f} %, more than clocks do: they agree"
-            f" at {_frame_rate(strip, 1 + drift)}; check `fps`"
+            f"the clocks of film and machine differ by {100 * drift:+.2f} %, more than real clocks: they"
+            f" agree at {_frame_rate(strip, 1 + drift)}; check `fps`"
         )
     return replace(
         _clock_of(clocks, fits, "events"),
@@ -287,10 +287,12 @@ def _from_slips(
 
 
 def _best_beyond_search(found: Alignments) -> tuple[float, float]:
-    """Rate of the force clock relative to the camera's, beyond the largest drift and unlike the one found, at
-    which the slips align best, and the log-likelihood there."""
+    """Rate of the force clock relative to the camera's at which the slips align best, and its log-likelihood.
+
+    Only rates beyond the largest drift that differ from the rate found are compared.
+    """
     trains, most = found.trains, 1e-6 * found.settings.largest_drift_ppm
-    known = 1 + found.clocks.drift[0]  # the least squares may take it a little beyond the search
+    known = 1 + found.clocks.drift[0]  # the least squares may exceed the range of the search slightly
     best = math.nan, -math.inf
     for steps in (1, -1, 2, -2, 3, -3):
         rate = 1 + 1.8 * most * steps
@@ -307,7 +309,7 @@ def _frame_rate(strip: StripMetadata, rate: float) -> str:
     camera's."""
     if not math.isfinite(strip.fps):
         return f"{1 / rate:.4f} times the frame rate"
-    return f"{strip.fps / rate:.5g} frames/s in place of {strip.fps:.5g}"
+    return f"{strip.fps / rate:.5g} frames/s instead of {strip.fps:.5g}"
 
 
 def _clock_of(clocks: CandidateClocks, fits: ClockFits, how: How) -> Clock:
@@ -356,8 +358,8 @@ def _contradiction(given: Clock, found: Alignments) -> tuple[str, ...]:
     error = float(np.hypot(found.errors()[0], found.trains.typical_error_s))
     if not found.ambiguity and abs(difference) > found.settings.contradiction_sigma * error:
         return (
-            f"by the slips the force clock is {found.clocks.offset_s[0]:.4f} s at video time 0, not "
-            f"{given.offset_s:.4f} s (margin {found.margin:.0f})",
+            f"according to the slips the force clock is {found.clocks.offset_s[0]:.4f} s at video time 0, "
+            f"not {given.offset_s:.4f} s (margin {found.margin:.0f})",
         )
     if given.matched < min(given.unmatched_video, given.unmatched_force):
         clock = "the given offset" if given.how == "given" else "the column of video times"

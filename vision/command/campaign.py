@@ -275,7 +275,7 @@ def _watch(
     except KeyboardInterrupt:
         if not taken:
             raise
-        complain(f"watching {watcher.folder} ended; run the same command to go on")
+        complain(f"watching {watcher.folder} ended; run the same command to continue")
         return status
 
 

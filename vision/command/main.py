@@ -32,7 +32,7 @@ then at tracks.csv, tracks.nc, sheets.csv, kymograph.tif and run.json. Examples:
     track *.avi --out series
 
 Exit status: 0 done, 1 finished with a warning that matters, 2 input that cannot be used, 3 an unexpected \
-error (what was measured before it is kept).
+error (earlier results are written).
 """
 
 

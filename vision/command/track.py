@@ -89,7 +89,7 @@ def _check_force(parameters: Mapping[str, Parameter]) -> None:
     names = (*(field.name for field in fields(ForceOptions)), "offset", "threshold", "common_mode")
     typed = [flag_of(name) for name in names if parameters[name].how == "given"]
     if typed and parameters["force"].value is None:
-        raise InputError(", ".join(typed), "the recording of the force, too", "none", "give --force FILE")
+        raise InputError(", ".join(typed), "also the force recording", "none", "give --force FILE")
 
 
 def track_one(
@@ -181,7 +181,7 @@ def _resumable(checkpoint: Checkpoint) -> Iterator[None]:
         yield
     except KeyboardInterrupt:
         kept = checkpoint.kept
-        raise KeyboardInterrupt(f"{kept} frames are kept for --resume" if kept else "") from None
+        raise KeyboardInterrupt(f"{kept} frames are stored for --resume" if kept else "") from None
 
 
 def run_name(video: Path) -> str:
@@ -204,8 +204,8 @@ def finish(
 ) -> int:
     """Print the summary and the warnings (to standard error), and return the exit status.
 
-    0: done.  1: a warning that matters.  2: a stage after the tracking could not use its input (what was
-    measured is kept).  3: an unexpected error ended a stage (likewise).  `about` precedes each warning.
+    0: done.  1: a warning that matters.  2: a stage after the tracking could not use its input (other
+    results are written).  3: an unexpected error ended a stage (likewise).  `about` precedes each warning.
     """
     for line in analysis.warnings:
         complain(f"warning: {about}{line.removeprefix(about)}")
@@ -218,10 +218,10 @@ def finish(
     refused = [] if ambiguous else [name for name in REFUSED if name in analysis.reasons]
     for name in refused:
         if name not in analysis.failures:
-            complain(f"{about}{analysis.reasons[name]} (what was measured before is kept in {target})")
+            complain(f"{about}{analysis.reasons[name]} (earlier results are in {target})")
     details = target / FAILURES
     if details.exists():
-        complain(f"{about}unexpected error; the rest is kept; please report it with {details}")
+        complain(f"{about}unexpected error; the other results are written; please report it with {details}")
         return 3
     return 2 if refused else 1 if analysis.warnings else 0
 

@@ -138,14 +138,14 @@ def preview_summary(found: Preview, pixel_size_um: float | None) -> list[str]:
         f"film       {about}{count} frames of {columns} x {rows} px, {film.depth_bits} bit, {strip.codec}",
         f"clock      {frame_times(strip)}",
         f"strip      rows {strip.strip_z0}:{strip.strip_z1}, clarity {strip.strip_clarity:.2f}, {tilt}, "
-        f"{strip.strip_err_px:.3f} px uncertain by the choice of rows",
+        f"{strip.strip_err_px:.3f} px error from the choice of rows",
         f"sheets     {comb.sheets} {comb.ridges} ridges{sides}; {counted} ridges, sheets or not, in "
         f"{found.ridge_counts.size} frames over the film",
         f"ridges     {comb.ridge_fwhm_px:.1f} px wide, {comb.pitch_px:.1f} px apart; {comb.fit} fit over "
         f"{comb.window_px} px",
         f"light      ridges {comb.contrast:.3g} grey levels high, profile noise {comb.profile_noise:.2g}",
         f"positions  {flags.get('ok', 0)} in the first {frames} frames; {other}",
-        f"noise      {noise['stated_px']:.4f} px{length} stated; {noise['measured_px']:.4f} px scatter "
+        f"noise      x_err_px {noise['stated_px']:.4f} px{length}; {noise['measured_px']:.4f} px scatter "
         f"between {frames} frames{hidden}",
         f"scale      {scale}",
     ]

@@ -284,9 +284,9 @@ def summary_lines(found: Comparison) -> list[str]:
     changed = [one for one in found.irregular if np.isfinite(one.change_mm)]
     for one in changed[:6]:
         position = plus_minus(Estimate(one.change_mm, one.change_err_mm))
-        lines.append(f"{one.run}: stick-slip turns irregular at d_v = {position} mm")
+        lines.append(f"{one.run}: stick-slip becomes irregular at d_v = {position} mm")
     if not changed:
-        lines.append("stick-slip turns irregular in no test")
+        lines.append("stick-slip becomes irregular in no test")
     claimed = [t for t in found.trends if t.claimed]
     for t in claimed:
         partial = np.isfinite(t.partial_slope)
@@ -295,7 +295,7 @@ def summary_lines(found: Comparison) -> list[str]:
         lines.append(f"{t.quantity} with {t.predictor}: {plus_minus(slope)}{how} (p {t.p_adjusted:.2g})")
     examined = [t for t in found.trends if not t.reason]
     if doubtful := [f"{t.quantity} with {t.predictor}" for t in examined if not t.beyond_systematic]:
-        lines.append(f"within what errors of the geometry may cause: {', '.join(doubtful)}")
+        lines.append(f"within the systematic errors of the geometry: {', '.join(doubtful)}")
     if examined and not claimed:
         lines.append(f"no trend among the {len(examined)} examined")
     return lines

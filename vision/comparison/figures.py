@@ -60,7 +60,7 @@ _HEADINGS = {
     "stiffnesses": "All tests",
     "sticks": "Single stick-slip events",
     "collapse": "The collapse",
-    "irregular": "Where stick-slip turns irregular",
+    "irregular": "Where stick-slip becomes irregular",
     "trend": "Trends",
 }
 
@@ -192,7 +192,7 @@ def _sticks(tests: Sequence[TractionTest]) -> tuple[tuple[float, Figure], ...]:
         try:
             named = {figure.name: figure for figure in load_figures(path)}
         except (InputError, OSError):
-            continue  # only this figure is lost, no result
+            continue  # only this figure is missing, no result
         if "sticks" in named:
             chosen[speed] = named["sticks"]
     return tuple(sorted(chosen.items(), key=lambda item: item[0]))
@@ -246,7 +246,7 @@ def collapse_figure(found: Comparison, events: pd.DataFrame) -> Figure | None:
 
 
 def _by_test(events: pd.DataFrame, x: str, y: str, *, label: bool = True) -> tuple[Series, ...]:
-    """Return one series per run, or of more than eight runs one per sample or velocity."""
+    """Return one series per run, or one per sample or velocity for more than eight runs."""
     key = events["run"]
     if key.nunique() > 8:  # more colours cannot be distinguished
         samples = len(set(events["sample"])) > 1
@@ -282,7 +282,7 @@ def irregular_figure(found: Comparison) -> Figure | None:
             lines.append(one.change_mm)
             change = plus_minus(Estimate(one.change_mm, one.change_err_mm))
             changes.append(f"{one.run}: {change} mm")
-    rises = f"Vertical: where it rises for good ({'; '.join(changes[:6])})."
+    rises = f"Vertical: where it rises permanently ({'; '.join(changes[:6])})."
     where = rises if changes else "No test has a change."
     return Figure.of(
         "irregular",
@@ -359,7 +359,7 @@ def _trend_text(trend: Trend) -> str:
     if np.isfinite(trend.partial_slope):
         partial = plus_minus(Estimate(trend.partial_slope, trend.partial_slope_err))
         text += f", with the other predictor fixed {partial} (p = {trend.partial_p:.2g})"
-    claim = "a trend (solid line)" if trend.claimed else "no trend claimed (dashed line)"
+    claim = "a trend (solid line)" if trend.claimed else "no trend (dashed line)"
     return f"{text}; {claim}.".replace("-", "−")
 
 

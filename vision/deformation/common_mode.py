@@ -94,8 +94,8 @@ def drift_model(
     """
     middle_px, slope_px = line.coefficient[..., 0], line.coefficient[..., 1]
     unpushed_px = middle_px - _pushed_between(middle_px, frames.middle_s, settings)[:, None]
-    # Not from stick to stick, where sheets that do not slip with every slip move by chance.
-    apart = max(frames.sticks // 4, 1)  # a sheet that jumps once does not count
+    # Distant sticks are compared, since sheets that miss some slips move randomly between adjacent sticks.
+    apart = max(frames.sticks // 4, 1)  # so few pairs of sticks contain the single jump of a sheet
     elapsed_s = (frames.middle_s[apart:] - frames.middle_s[:-apart])[:, None]
     rate = nan_median((unpushed_px[apart:] - unpushed_px[:-apart]) / elapsed_s)
     slow_px = rate * frames.length_s[:, None] / 2
@@ -288,7 +288,7 @@ class OneSide:
     near: Floats  # weights of the neighbouring sticks, (stick, stick)
     unknown_px: Floats  # error of the drift where it cannot be measured, (stick,)
     settings: DeformationSettings
-    movement = "vibration subtracted, and drift as far as one side shows it"
+    movement = "vibration subtracted, and the part of drift that one side shows"
 
     @classmethod
     def of(

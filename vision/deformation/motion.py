@@ -111,8 +111,8 @@ def horizontal_deformation(
     Errors follow from the residuals of each sheet and their autocorrelation.  For positions measured in a
     picture they include unequal pixels and unequal magnification, and positions of the publication's fit are
     first corrected for pixel locking, except in ``sigma_x_um``.  The errors exclude that of the pixel size.
-    An error of the ends of a stick, where `sticks` states it, changes σ_x and Λ_st alike; the error of their
-    ratio contains it only as far as the pull or the creep is not steady.
+    An error of the ends of a stick, if `sticks` states it, changes σ_x and Λ_st by the same factor. The error
+    of their ratio contains only the part that results from an unsteady pull or creep.
 
     Source: paper, horizontal deformation by image processing.
     """
@@ -428,9 +428,9 @@ def _without_drift(
 def _length_errors(events: pd.DataFrame, end_slope: Floats) -> tuple[Floats, Floats]:
     """Relative errors from the ends of each stick, (stick,): of σ_x, and of σ_x/Λ_st.
 
-    A stick whose ends are wrong is wrong in σ_x and Λ_st alike, if the pull is steady and the sheets creep
-    steadily. So the ratio has only the part of the error by which the pull is unsteady, and the part by which
-    the sheets creep faster or slower near the ends (`end_slope`).
+    Wrong ends of a stick change σ_x and Λ_st by the same factor if the pull and the creep are steady. The
+    error of the ratio is therefore only the part by which the pull is unsteady and the part by which the
+    sheets creep faster or slower near the ends (`end_slope`).
     """
     length = events["stick_length_um"].to_numpy(float)
     if "stick_length_err_um" not in events:

@@ -236,9 +236,9 @@ def _speed(time: Floats, travel: Floats) -> float:
 
 def _notes(found: dict[Role, Column], source: str, d0_mm: float | None) -> list[str]:
     """Return what was assumed."""
-    notes = [f'"{c.name}" has no unit: {role} taken in {c.unit}' for role, c in found.items() if c.assumed]
+    notes = [f'"{c.name}" has no unit: {role} assumed in {c.unit}' for role, c in found.items() if c.assumed]
     if found["load"].unit == "1":
-        notes.append("load is a force over a weight (unit 1): every _N below is in units of that weight")
+        notes.append("load is a force over a weight (unit 1): values named _N are in units of that weight")
     if source == "speed":
         notes.append("no displacement recorded: d = d0 + V t with the speed given")
     elif source == "displacement" and d0_mm is None:
@@ -252,7 +252,7 @@ def _warnings(
     """Return what may spoil the results."""
     warnings = []
     if source == "none":
-        warnings.append("no displacement recorded and no `speed_mm_min`: d, lengths and stiffness are empty")
+        warnings.append("no displacement column and no `speed_mm_min`: d, lengths and stiffness are empty")
     # A machine holds its speed to a per cent; five leave room for the start and stop.
     if source == "displacement" and speed_mm_min and not np.isclose(measured, speed_mm_min, rtol=0.05):
         warnings.append(

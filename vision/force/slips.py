@@ -37,7 +37,7 @@ class Slips:
         if self.left_out.size:
             low, high = self.left_out.min(), self.left_out.max()
             why = {
-                "jumps": "are no larger than what the load jumps upward",
+                "jumps": "are no larger than the load's own jumps upward",
                 "gap": "lie below a gap in the sizes of drops",
                 "noise": "are no larger than four errors, since the noise is slow,",
             }[self.threshold_how]

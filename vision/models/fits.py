@@ -204,7 +204,7 @@ def _misread_lengths(
         if peaks.goodness.chi2_dof < _CONTRADICTS and abs(peaks.value[1]) < _LARGEST_OFFSET_N:
             found = f"𝒯0 = {fits.t0_N.value:.3g} N and χ²/dof {chi2:.3g} with displacement in mm; in {unit} "
             found += f"it agrees (μ = {peaks.value[0]:.3g}, 𝒯0 = {peaks.value[1]:.2g} N)"
-            if any("displacement taken in" in note for note in facts.notes):
+            if any("displacement assumed in" in note for note in facts.notes):
                 advice = f"the file states no unit: give `force_columns` displacement=NAME:{unit}"
                 raise InputError("model fits", "peaks that agree with Eq. 1", found, advice)
             return f"the unit of the displacement contradicts Eq. 1: {found}"
@@ -528,7 +528,7 @@ def _notes(peaks: Fit, stiffness: Fit, span: tuple[float, float], free_t_star: b
     notes = []
     if free_t_star:
         notes.append(
-            f"T* and mu are degenerate (correlation {peaks.correlation(0, 2):.3f}): read them together only"
+            f"T* and mu are degenerate (correlation {peaks.correlation(0, 2):.3f}): use them only together"
         )
     if abs(stiffness.correlation(0, 1)) > 0.98:
         notes.append("Lambda_hat and Y_eff are nearly degenerate over this range of d")
@@ -547,11 +547,11 @@ def _remarks(
     build_up, misfit = left_out.get("build_up", 0), left_out.get("misfit", 0)
     if build_up or misfit:
         notes.append(
-            f"{build_up} events of the build-up and {misfit} after it that Eq. 1 does not fit are left out; "
-            f"{used} events from d = {fits.d_mm[0]:.2f} to {fits.d_mm[1]:.2f} mm used (`fit_range_mm`)"
+            f"fitted to {used} events from d = {fits.d_mm[0]:.2f} to {fits.d_mm[1]:.2f} mm, without "
+            f"{build_up} of the build-up and {misfit} later ones that Eq. 1 does not fit (`fit_range_mm`)"
         )
     elif given_range:
-        notes.append(f"{used} events within the given range used, {left_out.get('outside', 0)} left out")
+        notes.append(f"fitted to {used} events in the given range, {left_out.get('outside', 0)} are outside")
     for name, good in fits.goodness.items():
         if good.chi2_dof > largest_chi2(good.points):
             line = f"the model does not follow the {name} (χ²/dof {good.chi2_dof:.3g}): "
@@ -565,15 +565,15 @@ def _remarks(
     elif abs(fits.t0_N.value) > _CLEAR_OFFSET * fits.t0_N.error > 0:
         notes.append(
             f"𝒯0 = {fits.t0_N.value:.3g} N is {abs(fits.t0_N.value) / fits.t0_N.error:.2g} errors from 0: "
-            "the load cell's zero was off by so much, or `d0_mm` or the sample's geometry is"
+            "the load cell's zero, `d0_mm` or the sample's geometry is wrong"
         )
     if fits.scale_mm.value > 0.999 * LARGEST_SCALE * fits.d_mm[1]:
         warnings.append("K does not fall with d as M_eff does: Λ̂, N̂ and Y_eff are not determined")
     facts = ForceMetadata.of(force)
     if facts.speed_mm_min > 1.05:
         notes.append(
-            f"A, N_hat and Y_eff belong to models for V ≤ 1 mm/min; here V = {facts.speed_mm_min:.3g} mm/min"
+            f"models of A, N_hat and Y_eff hold for V ≤ 1 mm/min; here V = {facts.speed_mm_min:.3g} mm/min"
         )
     if not np.isfinite(facts.d0_err_mm):
-        notes.append("systematic errors do not include that of d0, which is not known (give `d0_err_mm`)")
+        notes.append("systematic errors do not include that of d0, which is unknown (give `d0_err_mm`)")
     return notes, tuple(warnings)

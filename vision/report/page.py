@@ -299,7 +299,7 @@ def _total(budget: Budget, quantity: str) -> str:
 
 
 def doubt_table(results: Results) -> FactsTable:
-    """Return the stretches in which the identity of a sheet is in doubt."""
+    """Return the stretches in which the identity of a sheet is uncertain."""
     heads = ("sheet", "side", "n", "frames", "why", "ridge withheld (px)", "predicted by neighbours (px)")
     if results.tracks is None:
         return FactsTable("Doubtful stretches", heads, ())

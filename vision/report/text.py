@@ -263,14 +263,14 @@ def _decisions(tracks: xr.Dataset) -> str:
 
 
 def _withheld(tracks: xr.Dataset) -> str:
-    """Return how many positions were withheld or carry a flag, "" if there are none."""
+    """Return how many positions were left out or carry a flag, "" if there are none."""
     flags = tracks["flag"].values
     total = max(1, flags.size)
     doubtful = int(np.isin(flags, DOUBTFUL).sum())
     other = int((~np.isin(flags, (*DOUBTFUL, "ok"))).sum())
     text = ""
     if doubtful:
-        text += f" {doubtful} of {total} positions were withheld because the sheet's identity was in doubt."
+        text += f" {doubtful} of {total} positions were left out because the sheet's identity was uncertain."
     if other:
         text += f" {other} of {total} positions are missing or carry another flag (tracks.csv)."
     return text

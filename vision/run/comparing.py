@@ -126,7 +126,7 @@ def _methods(found: Comparison) -> list[str]:
         f"GPa ({source}) fixed and only Λ̂ free; N̂ follows from Λ̂ and μ. One μ for all tests of a sample "
         "was fitted with an individual offset of each test within ±10 N. Standard errors are White's, scaled "
         "if χ²/dof exceeds 1.",
-        "Stick-slip turns irregular at the event that best divides the logarithm of the relative deviation "
+        "Stick-slip becomes irregular at the event that best divides the logarithm of the relative deviation "
         "of ΔF from its smooth course into two levels. The change is claimed if fewer than 1 % of random "
         "permutations divide as well, and a steady rise fits worse. Trends are weighted lines. Their p "
         "values come from permutations, with the other predictor fixed after Freedman and Lane, and are "

@@ -4,8 +4,8 @@ The alignment decides which ridge is which sheet. The functions here test its de
 it did not use. `neighbour_residual` measures how far each sheet is from the position that its neighbours
 predict. `hops` finds sheets that have moved to another ridge. `anchored` finds frames whose spacings,
 brightnesses and widths fit a single numbering, so that an earlier doubt is settled. `pattern_shift` finds
-frames from which on brightnesses and widths fit another numbering. `sheets_alike` tells where there is no
-pattern at all.
+frames from which on brightnesses and widths fit another numbering. `sheets_alike` finds combs
+without any pattern.
 """
 
 from __future__ import annotations
@@ -264,7 +264,7 @@ def sheets_alike(
     comb: RidgeComb,
     settings: TrackingSettings = DEFAULT,
 ) -> bool:
-    """Return whether nothing in a picture tells which sheets it shows.
+    """Return whether the sheets look so alike that a picture does not show which sheets it contains.
 
     Parameters
     ----------
@@ -280,9 +280,9 @@ def sheets_alike(
     Notes
     -----
     Neither end of the comb is in view, and brightness, width and spacing differ from the mean of both
-    neighbours by no more than they change with time, or than slips change spacings. Such a comb looks still
-    when it jumps by its pitch. Light that falls off along the comb is no pattern of the sheets. False for
-    fewer than five.
+    neighbours by no more than they change with time, or than slips change spacings. A jump of such a comb by
+    its pitch is invisible. Light that falls off along the comb is not a pattern of the sheets. False for
+    fewer than five sheets.
     """
     rest = rest_positions(x_px)
     reach = settings.edge_pitches * comb.pitch_px
@@ -299,7 +299,7 @@ def sheets_alike(
 
 
 def _bend(values: Floats) -> Floats:
-    """Return values (N,) less the means of their neighbours, (N − 2,)."""
+    """Return values (N,) minus the means of their neighbours, (N − 2,)."""
     return np.asarray(values[1:-1] - (values[2:] + values[:-2]) / 2)
 
 

@@ -467,7 +467,7 @@ def faint_ends(reference: ReferenceComb, moved_px: Floats, *, settings: Tracking
 
 
 def marks(
-    x_px: Floats, err_px: Floats, pulled_px: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT
+    x_px: Floats, err_px: Floats, usual_px: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT
 ) -> Bools:
     """Return which sheets are marks or lie under one, (N,): the measured position is not the sheet's.
 
@@ -480,8 +480,8 @@ def marks(
     ----------
     x_px, err_px
         Positions and their errors from noise (frame, N), NaN where missing.
-    pulled_px
-        How far each sheet is usually pulled aside, (N,).
+    usual_px
+        Usual distortion of each sheet, px, (N,).
     comb
         Width and pitch of the ridges.
     settings
@@ -496,7 +496,7 @@ def marks(
         ruler = _ruler_beside_comb(x_px - rest, rest, replace(settings, moving_px=least))
         uneven = np.abs(np.log(np.diff(rest) / comb.pitch_px)) > settings.odd_spacing
     misplaced = np.append(uneven, False) | np.insert(uneven, 0, False)
-    distorted = pulled_px > settings.mark_distorted * comb.fwhm_px
+    distorted = usual_px > settings.mark_distorted * comb.fwhm_px
     return np.asarray(ruler | distorted & (stationary | (misplaced & unmoved)), bool)
 
 

@@ -243,9 +243,9 @@ class TrackingSettings:
     for one (test_identity_doubt.py)."""
 
     alike_scatter: float = 2.0
-    """Times their change with time up to which brightnesses and widths of neighbours are alike, both as
-    medians. It is 0.3 to 0.6 for equal sheets and 10 or more for paper. Larger warns of combs that have a
-    pattern, smaller overlooks combs without one (test_identity_doubt.py)."""
+    """Difference of brightness and width between neighbours, over their change with time (medians), below
+    which sheets look alike. It is 0.3 to 0.6 for equal sheets and 10 or more for paper. Larger warns of combs
+    that have a pattern, smaller overlooks combs without one (test_identity_doubt.py)."""
 
     merged_widths: float = 0.8
     """Two sheets nearer to each other than this, in ridge widths, are one ridge: the resolution of two
@@ -325,31 +325,32 @@ class TrackingSettings:
     (test_distortion.py), smaller withholds sheets at hot pixels or in a shadow (test_degraded.py)."""
 
     distortion_sigmas: float = 4.0
-    """Difference between two fits of a ridge, and slope of the light, over its noise, above which the ridge
-    is distorted. Larger calls distorted ridges ok, smaller enlarges errors by chance; test_distortion.py
-    has a highlight and a shadow beside a ridge."""
+    """Limit for the difference between two fits of a ridge and for the slope of the light, each over its
+    noise, above which the ridge is distorted. Larger overlooks distorted ridges, smaller enlarges errors by
+    chance; test_distortion.py has a highlight and a shadow beside a ridge."""
 
     distortion_frames: int = 9
-    """Frames over which these are averaged. More show smaller distortions, fewer follow faster ones."""
+    """Frames over which the differences and the slope are averaged. More detect smaller distortions, fewer
+    follow faster ones."""
 
     distortion_error: float = 2.0
-    """Error of a distorted position over the difference of the fit of its top. In films with known positions
-    it is 0.6 (haze, focus) to 3 (reflections, background out of focus). Larger overstates errors, smaller
-    understates them (test_distortion.py)."""
+    """Error of a distorted position over the difference between the fits of its top and of the whole ridge.
+    In films with known positions it is 0.6 (haze, focus) to 3 (reflections, background out of focus). Larger
+    overstates errors, smaller understates them (test_distortion.py)."""
 
     distortion_slope: float = 0.9
-    """Error of a distorted position over the difference of the fit with a slope of the background. It is 0.3
-    (haze, focus) to 3 (reflections); larger overstates errors in haze, smaller misses objects of about the
-    ridge's width beside it, such as graph paper (test_distortion.py)."""
+    """Error of a distorted position over the difference between the fits with and without a slope of the
+    background. It is 0.3 (haze, focus) to 3 (reflections). Larger overstates errors in haze, smaller misses
+    objects of about the ridge's width beside it, such as graph paper (test_distortion.py)."""
 
     distortion_light: float = 1.75
-    """Error over the shift that the slope of the light causes on a Gaussian: the light between the ridges
-    slopes, too (up to 2), and an edge is steeper in its middle than from sheet to sheet
-    (test_distortion.py)."""
+    """Error over the shift of a Gaussian that the slope of the light causes. It exceeds 1, because the light
+    between the ridges slopes as well (up to 2), and because an edge is steeper in its middle than from sheet
+    to sheet. Larger overstates errors, smaller understates them (test_distortion.py)."""
 
     distortion_floor: float = 0.08
-    """Distortion, px, below which a position does not count as distorted, and a sheet not as pulled for good.
-    Larger hides slight distortions, smaller counts the texture of the paper."""
+    """Distortion, px, below which a position does not count as distorted, and a sheet not as distorted in the
+    whole film. Larger hides slight distortions, smaller counts the texture of the paper."""
 
     distortion_least_px: float = 5.0
     """Ridge width above which shapes are compared. The shape of narrower ridges depends on their position

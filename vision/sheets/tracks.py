@@ -108,7 +108,7 @@ def track_sheets(
     -----
     x_err_px is the noise of the profile times the fit's error per grey level. It is larger where positions
     scatter by more both in time and between sheets, where the ridge moves during the exposure
-    (`vision.sheets.quality.motion_blur`), and where something pulls it aside
+    (`vision.sheets.quality.motion_blur`), and where the ridge is distorted
     (`vision.sheets.distortion.distortion`). With ``fit="paper"`` it includes the locking to whole pixels. For
     lossy video it is the scatter between sheets, since compression hides the noise and adds its own
     artefacts. It does not include errors that are the same in all frames (uneven light, the choice of rows).
@@ -226,15 +226,21 @@ def _assess_ridges(
     blur = motion_blur(changing, detections.contrast, detections.fwhm_px, comb, settings)
     smeared = (blur.err_px > 0) | blur.blurred
     x_px = np.where(smeared & beside_missing(detections.flag), np.nan, x_px)
-    pulled = distortion(bright, x_px, errors.err_px, smeared, comb, settings)
-    usual_px = np.hypot(pulled.lasting_px, nan_median(pulled.err_px))
+    distorted = distortion(bright, x_px, errors.err_px, smeared, comb, settings)
+    usual_px = np.hypot(distorted.lasting_px, nan_median(distorted.err_px))
     not_a_sheet = not_one_ridge(bright, x_px, comb, settings)
-    not_a_sheet |= pulled.lasting_px > settings.most_distorted * comb.fwhm_px
+    not_a_sheet |= distorted.lasting_px > settings.most_distorted * comb.fwhm_px
     not_a_sheet |= marks(x_px, errors.err_px, usual_px, comb, settings)
     flag = np.where((detections.flag == "ok") & not_a_sheet, "merged", detections.flag)
+<<<<<<< HEAD
     err = np.sqrt(errors.err_px**2 + blur.err_px**2 + pulled.err_px**2)
     distorted = pulled.err_px > np.fmax(errors.err_px, settings.distortion_floor)
     return _Assessed(x_px, flag, err, blur.blurred, distorted, pulled.lasting_px)
+=======
+    err = np.sqrt(errors.err_px**2 + blur.err_px**2 + distorted.err_px**2)
+    is_distorted = distorted.err_px > np.fmax(errors.err_px, settings.distortion_floor)
+    return _Assessed(x_px, flag, err, blur.blurred, is_distorted)
+>>>>>>> w-lang
 
 
 class _Errors(NamedTuple):

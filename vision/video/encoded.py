@@ -244,7 +244,7 @@ def open_container(path: Path) -> av.container.InputContainer:
             found = "an MP4/MOV without its index (moov), which is written when the recording is closed"
             advice = "close it, or repair it from an intact one"
         else:
-            found = f"a file that is none ({type(error).__name__})"
+            found = f"another kind of file ({type(error).__name__})"
             advice = "give a recording PyAV, tifffile or OpenCV can read"
         raise InputError(path, "a video", found, advice) from None
     if container.format.name in ("tty", "image2", "txt"):  # these accept any text or picture
@@ -424,7 +424,7 @@ def _with_luma_plane(frame: av.VideoFrame) -> av.VideoFrame:
 def _grey_scale(frame: av.VideoFrame) -> tuple[int, float, str]:
     """Return significant bits, value of white, and the meaning of a grey value in words."""
     if _is_colour(frame.format):
-        bits = 16 if frame.format.components[0].bits > 8 else 8  # the decoder widens deeper colour
+        bits = 16 if frame.format.components[0].bits > 8 else 8  # deeper colour is decoded to 16 bits
         return bits, full_scale(bits), LUMA_RULE
     kind = _with_luma_plane(frame).format
     bits = kind.components[0].bits

@@ -130,7 +130,7 @@ class FrameStore(ProfileStore):
         return FramesRead(self.rows()[start:stop], marks["status"], marks["time_s"])
 
     def copy(self, start: int, stop: int) -> FramesRead:
-        """Return the same as a copy."""
+        """Return frames `start` to before `stop`, copied."""
         part = self.part(start, stop)
         return replace(part, intensity=part.intensity.copy())
 
@@ -234,7 +234,7 @@ def count_frames(
     measured = video.clock.kind == "file" or (video.clock.kind == "given" and _uneven(times_s))
     between, first = lost_between(times_s, settings=settings) if measured else (0, 0)
     if between:
-        where = f"where its times leap, the first after index {first}"
+        where = f"according to gaps in its times, the first after index {first}"
         warnings.append(f"{name}: {between} frame(s) lost {where}")
     if measured and (thinned := thinned_from(times_s, settings=settings)) is not None:
         what = "frames come at half or a third of the usual rate"
@@ -293,8 +293,8 @@ def lost_between(times_s: Floats, *, settings: VideoSettings = DEFAULTS) -> tupl
 def _local_step_s(known: Floats, places: Ints, settings: VideoSettings) -> Floats:
     """Return the usual time from one frame to the next, s, at each step between known times.
 
-    It is that of the whole recording, or a longer one that eight of the nine steps before or after agree on:
-    a camera that changes its rate does so for many frames. NaN for fewer than three times.
+    It is that of the whole recording, or a longer time on which eight of the nine steps before or after
+    agree, because a camera that changes its rate does so for many frames. NaN for fewer than three times.
     """
     usual_s = usual_step_s(known)
     step_s = np.diff(known) / np.diff(places)
@@ -304,16 +304,16 @@ def _local_step_s(known: Floats, places: Ints, settings: VideoSettings) -> Float
     runs = np.lib.stride_tricks.sliding_window_view(padded, _NEAR)
     middle = np.sort(runs, axis=1)[:, _NEAR // 2]  # NaN comes last
     ratio = runs / middle[:, np.newaxis]
-    alike = (ratio < settings.same_rate) & (ratio > 1 / settings.same_rate)
-    steady = np.where(alike.sum(axis=1) >= _NEAR - 1, middle, usual_s)
+    agree = (ratio < settings.same_rate) & (ratio > 1 / settings.same_rate)
+    steady = np.where(agree.sum(axis=1) >= _NEAR - 1, middle, usual_s)
     before, after = steady[: step_s.size], steady[_NEAR + 1 :]
     return np.maximum(usual_s, np.maximum(before, after))
 
 
 def thinned_from(times_s: Floats, *, settings: VideoSettings = DEFAULTS) -> int | None:
-    """Return the first frame from which on frames come at half or a third of the usual rate; None for none.
+    """Return the first frame after which frames come at half or a third of the usual rate; None if none.
 
-    The camera has changed its rate, or its frames are lost evenly; times do not tell which.
+    Either the camera changed its rate or frames are lost evenly; their times do not show which.
     """
     places = np.flatnonzero(np.isfinite(times_s))
     known = times_s[places]

@@ -47,7 +47,7 @@ class Facts:
     times_in_blocks
         Whether these times come with the blocks instead.
     turned_deg
-        Degrees clockwise by which the file is to be turned for display, as phones state.
+        Clockwise rotation for display that the file states (films of phones), degrees.
     container, codec, pixel_format, decoder, grey
         How pixels are stored, which program decodes them, and what a grey value means.
     warnings
@@ -316,7 +316,7 @@ def read_fully(file: BinaryIO, buffer: memoryview, path: Path) -> None:
     Raises
     ------
     InputError
-        If the file ends before.
+        If the file ends before the buffer is full.
     """
     done = 0
     while done < len(buffer):
@@ -324,7 +324,7 @@ def read_fully(file: BinaryIO, buffer: memoryview, path: Path) -> None:
         if not count:
             advice = "wait until it is copied, then run again"
             raise InputError(
-                path, "a file that stays whole while it is read", "one that became shorter", advice
+                path, "a file that does not change while it is read", "one that became shorter", advice
             )
         done += count
 

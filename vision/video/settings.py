@@ -63,8 +63,8 @@ class VideoSettings:
     shifts a few ridges, smaller accepts more noise of all ridges."""
     max_level: float = 2.0
     """Mean square step of the grey level along z, over that along x, above which a warning says that the
-    ridges may lie level. Larger does not warn of films of sheets that move along y (2.6 to 60 in real ones),
-    smaller warns of noise (1) and of real markers with level edges (1.0); test_level_ridges."""
+    ridges may be horizontal. Larger does not warn of films of sheets that move along y (2.6 to 60 in real
+    ones), smaller warns of noise (1) and of real markers with level edges (1.0); test_level_ridges."""
 
     edge_share: float = 0.08
     """Share of the frame's height that is left out if a strip of bowed ridges reaches its edge, where the bow
@@ -127,12 +127,12 @@ class VideoSettings:
     """Delay, in steps, that must persist after a gap for it to be a loss. Larger misses single lost frames
     under jitter; smaller counts late stamps (test_a_frame_that_only_came_late_is_not_lost)."""
     same_rate: float = 1.15
-    """Ratio of intervals up to which they are of one rate. Larger takes 1/30 and 1/24 s for one rate and
-    miscounts where both occur, smaller is misled by times in whole milliseconds
+    """Ratio of two intervals up to which they belong to one frame rate. Larger takes 1/30 and 1/24 s for one
+    rate and miscounts where both occur, smaller is misled by times in whole milliseconds
     (test_a_camera_that_changes_its_rate_loses_nothing)."""
     whole_ratio: float = 0.05
-    """Relative deviation up to which a changed rate is half or a third of the usual one, as if frames were
-    lost evenly. Larger warns of any slow part, smaller misses losses under jitter
+    """Relative deviation of a changed rate from half or a third of the usual one, below which frames may have
+    been lost evenly. Larger warns of any slow part, smaller misses losses under jitter
     (test_evenly_lost_frames_are_told)."""
     early_end_steps: float = 3.5
     """Steps between the last frame and the end that the file states above which frames are missing. Complete
@@ -140,8 +140,8 @@ class VideoSettings:
 
     # failing disks and networks
     answer_s: float = 60.0
-    """Seconds without any reading or computation after which a recording is given up. Shorter gives up disks
-    that have to start, longer waits for a lost connection (test_threads.py)."""
+    """Seconds without any reading or computation after which reading fails. A shorter time fails while a disk
+    starts, a longer one waits for a lost connection (test_threads.py)."""
 
     # interrupted runs
     resume_after_s: float = 10.0

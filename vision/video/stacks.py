@@ -343,9 +343,9 @@ def open_sequence(path: Path) -> ImagesReader:
 
 
 def _turned_deg(file: Path) -> int:
-    """Return the degrees clockwise by which a photograph states (in EXIF) that it is to be turned.
+    """Return the clockwise rotation for display that a photograph states (in EXIF), degrees.
 
-    That of a TIFF is ignored, as ImageJ and tifffile do.
+    A TIFF's rotation is ignored, as by ImageJ and tifffile.
     """
     if file.suffix.lower() in (".tif", ".tiff"):
         return 0
@@ -362,7 +362,7 @@ def _decode_image(file: Path | None, shape: tuple[int, int], dtype: np.dtype[np.
         return Frame(None, "lost")
     pixels = _image(file)
     if pixels is None and not file.exists():
-        wanted, advice = "images that stay there while they are read", "wait until nothing moves them"
+        wanted, advice = "images that exist while they are read", "wait until no program moves them"
         raise InputError(file, wanted, "one that was removed", advice)
     if pixels is None:
         return Frame(None, "corrupt")
@@ -420,7 +420,7 @@ def _frame_numbers(numbers: Ints, path: Path) -> tuple[Ints, tuple[str, ...]]:
     if usual > 1 and numbers.size >= 10 and not (steps % usual).any():  # few files do not prove a step
         return (numbers - numbers[0]) // usual, (f"{path.name}: file numbers count in steps of {usual}",)
     if numbers[-1] - numbers[0] > 10 * numbers.size:  # nine in ten frames lost is unlikely: clock times, say
-        text = f"{path.name}: file numbers are no frame count; only their order is used"
+        text = f"{path.name}: file numbers are not frame numbers; only their order is used"
         return np.arange(numbers.size), (text,)
     return numbers - numbers[0], ()
 

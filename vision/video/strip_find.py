@@ -170,7 +170,7 @@ def _warn_if_level(
         return strip
     warning = (
         f"grey levels change {math.sqrt(along_z / along_x):.1f} times as much from row to row as along the "
-        "rows: the ridges may lie level, one above the other; if they do, give `rotate` "
+        "rows: the ridges may be horizontal, one above the other; if so, give `rotate` "
         f"{(video.rotate + 90) % 360}"
     )
     return replace(strip, warnings=(*strip.warnings, warning))

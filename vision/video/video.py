@@ -453,7 +453,7 @@ def read_timestamps(path: Path) -> tuple[Floats, tuple[str, ...]]:
     if not backwards.size:
         return times_s, ()
     where = f"the first at frame {backwards[0] + 1}"
-    return times_s, (f"{path.name}: {backwards.size} time(s) do not grow, {where}",)
+    return times_s, (f"{path.name}: {backwards.size} time(s) do not increase, {where}",)
 
 
 def _cells(line: str) -> list[str]:
