@@ -333,9 +333,9 @@ class TrackingSettings:
     """Frames over which these are averaged. More show smaller distortions, fewer follow faster ones."""
 
     distortion_error: float = 2.0
-    """Error of a distorted position over the difference of the fit of its top. In films with known positions
-    it is 0.6 (haze, focus) to 3 (reflections, background out of focus). Larger overstates errors, smaller
-    understates them (test_distortion.py)."""
+    """Error of a distorted position over the difference of the fit of its top, where the film does not show
+    it. In films with known positions it is 0.6 (haze, focus) to 7 (reflections that move). Larger overstates
+    errors, smaller understates them (test_distortion.py)."""
 
     distortion_slope: float = 0.9
     """Error of a distorted position over the difference of the fit with a slope of the background. It is 0.3
