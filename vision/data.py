@@ -284,13 +284,8 @@ class TrackMetadata(Metadata):
         Permanent changes of the picture: first frame of the new scene (``frame``), common displacement of
         all sheets (``moved_px``), change of the logarithm of their relative brightness (``brightness``).
     sheets_alike, large_steps
-<<<<<<< HEAD
-        "yes" if nothing in a picture shows which sheets it contains, else "no"; if "yes", the frames before
-        which the whole comb moved so far that it may have moved by another number of spacings.
-=======
-        Whether the sheets look so alike that a picture does not show which sheets it contains; if so, frames
-        before which the whole comb moved so far that the number of spacings is uncertain.
->>>>>>> w-lang
+        "yes" if the sheets look so alike that a picture does not show which sheets it contains, else "no"; if
+        "yes", frames before which the whole comb moved so far that the number of spacings is uncertain.
     ridges_beyond
         Number of ridges that resemble the sheets and continue the comb beyond the given number of sheets.
     corrections_applied

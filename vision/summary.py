@@ -401,7 +401,9 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> list[str
     tilt = f", tilt {strip.tilt_deg:+.2f}°" if math.isfinite(strip.tilt_deg) else ""
     corrupt = f" ({strip.frames_corrupt} of them corrupt)" if strip.frames_corrupt else ""
     scale = "px: give `pixel_size_um` for µm" if pixel_size_um is None else f"{pixel_size_um:g} µm per px"
-    unseen = "; they look alike: a jump by their spacing would be invisible" if found.sheets_alike == "yes" else ""
+    unseen = (
+        "; they look alike: a jump by their spacing would be invisible" if found.sheets_alike == "yes" else ""
+    )
     # Compression hides the noise of pixels, so that the error predicted from them means nothing.
     predicted = (
         f"; x_err_px {noise['stated_px']:.4f} px ({strip.codec} hides the noise of pixels)"

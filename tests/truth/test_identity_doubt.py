@@ -105,12 +105,8 @@ def test_a_jump_that_cannot_be_seen_is_not_made_up():
     tracks = track_sheets(picture)
     step = np.diff(tracks.x_px.values, axis=0)
     assert np.nanmax(np.abs(np.nanmedian(step, axis=1))) < 0.5 * PITCH
-<<<<<<< HEAD
     assert tracks.attrs["sheets_alike"] == "yes"
     assert track_sheets(cropped(MOTIONS["jumps of a pitch"])[1]).attrs["sheets_alike"] == "no"
-=======
-    assert "the sheets look alike" in " ".join(tracking_warnings(tracks))
->>>>>>> w-lang
 
 
 def test_large_steps_of_sheets_that_are_alike_are_named():
@@ -118,15 +114,9 @@ def test_large_steps_of_sheets_that_are_alike_are_named():
     means that nobody is told of it, or that combs with a pattern, or with an end in view, get the warning."""
     far = np.where(np.arange(FRAMES) < 50, 0.0, 0.4 * PITCH)[:, None]
     _, picture = cropped(far, equal=True)
-<<<<<<< HEAD
     assert "large steps before frame(s) 50:" in " ".join(tracking_warnings(track_sheets(picture)))
     for picture in (cropped(far)[1], strip(ridges(comb(FRAMES, slip=0.4, axis_px=480)[:, 4:], width=960))):
         assert "large steps" not in " ".join(tracking_warnings(track_sheets(picture)))
-=======
-    assert "large steps before frame(s) 50:" in " ".join(tracking_warnings(track_sheets(picture)))
-    for picture in (cropped(far)[1], strip(ridges(comb(FRAMES, slip=0.4, axis_px=480)[:, 4:], width=960))):
-        assert "the sheets look alike" not in " ".join(tracking_warnings(track_sheets(picture)))
->>>>>>> w-lang
 
 
 def test_an_even_comb_with_an_end_in_view_needs_no_doubt():

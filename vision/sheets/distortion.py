@@ -105,9 +105,9 @@ def distortion(
 
     It is fitted three times: over the whole ridge, over its top alone, and over the whole ridge with a slope
     of the background. Whatever is not a shift of the ridge shifts these fits by different amounts. The
-    differences from the first fit, times `distortion_error` and `distortion_slope`, are the error where they
-    exceed their noise (`_significant`). The mean difference of a sheet shifts all its positions alike, and is
-    no error of displacements.
+    differences from the first fit, times `_error_over`, are the error where they exceed their noise
+    (`_significant`). The mean difference of a sheet shifts all its positions alike, and is no error of
+    displacements.
 
     Light that falls off over a ridge hardly changes its shape; it shows in the heights (`_shift_by_light`).
     """
@@ -135,8 +135,10 @@ def distortion(
     noise = [err_px * float(np.linalg.norm(fits[k] - fits[1]) / np.linalg.norm(fits[1])) for k in (3, 5)]
     size = np.fmax.reduce(
         [
-            settings.distortion_error * _significant(apart - lasting, noise[0], settings),
-            settings.distortion_slope * _significant(sloping - nan_median(sloping), noise[1], settings),
+            _error_over(apart, settings.distortion_error, x_px, settings)
+            * _significant(apart - lasting, noise[0], settings),
+            _error_over(sloping, settings.distortion_slope, x_px, settings)
+            * _significant(sloping - nan_median(sloping), noise[1], settings),
             _shift_by_light(x_px, height, comb, settings),
         ]
     )
@@ -161,6 +163,35 @@ def _fit_matrix(shape: Floats, top: int) -> Floats:
     fits[2:4, inner] = np.linalg.pinv(basis[inner])[1:]
     fits[4:] = np.linalg.pinv(np.column_stack([basis, np.arange(len(shape)) - len(shape) // 2]))[1:3]
     return fits
+
+
+def _error_over(values: Floats, usual: float, x_px: Floats, settings: TrackingSettings = DEFAULT) -> float:
+    r"""Return the error of a position over the size of `values` (frame, N): `usual`, or what the film shows.
+
+    Where a distortion changes, position and value change together. Changes over `distortion_frames` are taken
+    relative to both neighbours, and k is the median of their ratios, weighted by the change of the value, so
+    that slips do not enter. With q the share by which they change in the same direction more often than in
+    opposite ones, the result is :math:`\sqrt{q k^2 + (1 - q^2) u^2}`, u being the usual one.
+    """
+
+    def change(of: Floats) -> Floats:
+        mean = _mean_over(of, settings.distortion_frames)
+        relative = mean[:, 1:-1] - (mean[:, :-2] + mean[:, 2:]) / 2
+        return relative[settings.distortion_frames :] - relative[: -settings.distortion_frames]
+
+    moved, changed = change(x_px), change(values)
+    known = np.isfinite(moved * changed) & (changed != 0)
+    if not known.any():
+        return usual
+    weight = np.where(known, np.abs(changed), 0.0)
+    seen = weight.sum(axis=0)
+    along = np.where(known, np.copysign(weight, moved * changed), 0.0).sum(axis=0)
+    share = abs(float(np.mean(along[seen > 0] / seen[seen > 0])))
+    ratio, weight = moved[known] / changed[known], weight[known]
+    order = np.argsort(ratio)
+    total = np.cumsum(weight[order])
+    ratio = ratio[order][np.searchsorted(total, total[-1] / 2)]
+    return float(np.sqrt(share * ratio**2 + (1 - share**2) * usual**2))
 
 
 def _significant(values: Floats, noise: Floats, settings: TrackingSettings) -> Floats:

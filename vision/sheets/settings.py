@@ -334,9 +334,9 @@ class TrackingSettings:
     follow faster ones."""
 
     distortion_error: float = 2.0
-    """Error of a distorted position over the difference between the fits of its top and of the whole ridge.
-    In films with known positions it is 0.6 (haze, focus) to 3 (reflections, background out of focus). Larger
-    overstates errors, smaller understates them (test_distortion.py)."""
+    """Error of a distorted position over the difference of the fit of its top, where the film does not show
+    it. In films with known positions it is 0.6 (haze, focus) to 7 (reflections that move). Larger overstates
+    errors, smaller understates them (test_distortion.py)."""
 
     distortion_slope: float = 0.9
     """Error of a distorted position over the difference between the fits with and without a slope of the

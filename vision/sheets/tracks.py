@@ -232,15 +232,9 @@ def _assess_ridges(
     not_a_sheet |= distorted.lasting_px > settings.most_distorted * comb.fwhm_px
     not_a_sheet |= marks(x_px, errors.err_px, usual_px, comb, settings)
     flag = np.where((detections.flag == "ok") & not_a_sheet, "merged", detections.flag)
-<<<<<<< HEAD
-    err = np.sqrt(errors.err_px**2 + blur.err_px**2 + pulled.err_px**2)
-    distorted = pulled.err_px > np.fmax(errors.err_px, settings.distortion_floor)
-    return _Assessed(x_px, flag, err, blur.blurred, distorted, pulled.lasting_px)
-=======
     err = np.sqrt(errors.err_px**2 + blur.err_px**2 + distorted.err_px**2)
     is_distorted = distorted.err_px > np.fmax(errors.err_px, settings.distortion_floor)
-    return _Assessed(x_px, flag, err, blur.blurred, is_distorted)
->>>>>>> w-lang
+    return _Assessed(x_px, flag, err, blur.blurred, is_distorted, distorted.lasting_px)
 
 
 class _Errors(NamedTuple):
