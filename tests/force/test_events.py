@@ -550,8 +550,46 @@ def test_knocks_as_large_as_slips_are_told() -> None:
         load[at : at + 80] += rng.choice([-1, 1]) * 40 * np.exp(-np.arange(80) / 8)
     events = find_stick_slip(test.force.assign(load_N=("time_s", load)))
     assert len(matched(events, test.truth)[0]) > 90
-    assert any("jumps upward" in line for line in events.attrs["warnings"])
-    assert not any("jumps upward" in line for line in find_stick_slip(test.force).attrs["warnings"])
+    assert any("upward jump" in line for line in events.attrs["warnings"])
+    assert not any("upward jump" in line for line in find_stick_slip(test.force).attrs["warnings"])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_returns_to_its_level_is_no_slip(seed: int) -> None:
+    """A failure means that each contact lost in a cable makes an event from the drop to 0, called ok."""
+    test = plain(sticks=60, samples=80, snr=40, jitter=0.1)
+    load, rng = test.force["load_N"].to_numpy() + 1000, np.random.default_rng(seed)
+    for at in rng.choice(load.size - 300, 6, replace=False) + 100:
+        load[at : at + rng.integers(20, 100)] = 0
+    events = find_stick_slip(test.force.assign(load_N=("time_s", load)))
+    ok = events[events["flag"] == "ok"]
+    right, _ = matched(ok, test.truth)
+    assert len(ok) == len(right) >= 0.6 * len(test.truth)
+    assert any("upward jump" in line for line in events.attrs["warnings"])
+
+
+@pytest.mark.parametrize("seed", [2, 3, 27, 35])
+def test_telegraph_noise_is_no_stick_slip(seed: int) -> None:
+    """A failure means that the falls of a load that jumps up as often and as far make events called ok."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(12000) * 0.01
+    jumps = rng.choice([-0.2, 0.2], time.size) * (rng.random(time.size) < 0.002)
+    load = 20 + 0.01 * time + np.cumsum(jumps) + rng.normal(0, 0.02, time.size)
+    try:
+        events = find_stick_slip(recording(time, load, 13 + time / 60, 1.0))
+    except InputError:
+        return
+    assert not events["flag"].eq("ok").any()
+
+
+@pytest.mark.parametrize("factor", [0.2, 0.5, 2.0])
+def test_a_change_of_range_is_told(factor: float) -> None:
+    """A failure means that an amplifier's other range makes a slip that differs in nothing but its size."""
+    test = plain(sticks=60, samples=80, snr=40, jitter=0.1)
+    load = test.force["load_N"].to_numpy() + 1000
+    load[load.size // 2 :] *= factor
+    events = find_stick_slip(test.force.assign(load_N=("time_s", load)))
+    assert any("range" in line for line in events.attrs["warnings"])
 
 
 def test_a_zero_set_under_load_is_no_compression() -> None:

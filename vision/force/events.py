@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 import xarray as xr
+from numpy.lib.stride_tricks import sliding_window_view
 
 from vision.data import FORCE, STICKS, ForceMetadata, StickMetadata, record
 from vision.errors import InputError
@@ -61,9 +62,10 @@ def find_stick_slip(
     they are the recorded extremes. K is the slope of the central half, K1 and K2 those before and after a
     knee. Lengths and stiffness are NaN where d is unknown.
     ``flag`` is "ok" or, joined by "+", what is wrong within the stick (gap, nan, saturated, repeated,
-    backwards, few (samples), falling, unloading), what the instrument cannot give (short, negative), or how
-    it was measured (slow); "oscillation", "cycles" and "noise" are those of the whole recording. Attributes
-    are described in `vision.data.StickMetadata`.
+    backwards, few (samples), falling, unloading), or within it or the one next to it (jump: an upward jump as
+    large as slips), what the instrument cannot give (short, negative), or how it was measured (slow);
+    "oscillation", "cycles" and "noise" are those of the whole recording. Attributes are described in
+    `vision.data.StickMetadata`.
 
     Raises
     ------
@@ -123,7 +125,7 @@ def find_stick_slip(
         events = _with_bias(events, signal, slips, analysis.bent, compliance, found.samples, settings)
     response = tau or (found.samples if found.proven else 0.0)
     events = events.assign(
-        flag=_all_flags(events, regime.name, unloading, response * signal.interval_s, signal, settings)
+        flag=_all_flags(events, regime.name, unloading, response * signal.interval_s, signal, slips, settings)
     )
     first_peak = analysis.corners.peak[0]
     first, last = np.interp(analysis.corners.peak[[0, -1]], np.arange(signal.time.size), signal.time)
@@ -446,11 +448,17 @@ def _all_flags(
     unloading: Bools,
     response_s: float,
     signal: Signal,
+    slips: Slips,
     settings: ForceSettings,
 ) -> list[str]:
     """Add flags for what contradicts stick-slip and for what the instrument cannot resolve."""
     duration = (events["t_p_s"] - events["t_v_s"]).to_numpy(float)
+    # k + 1 slips lie before stick k. Where a jump reverses a drop, or a drop a jump, that drop is no slip,
+    # but ends the stick with the jump and the one before or after it. Many jumps make all drops doubtful.
+    away = np.arange(len(events))[:, np.newaxis] + 1 - slips.jumps
+    jump = (np.abs(away) <= 1).any(axis=1)
     marks = {
+        "jump": jump | (jump.mean() >= 0.5),
         "unloading": unloading[:-1] | unloading[1:],
         "short": duration < settings.short_stick * response_s,
         "negative": events["F_v_N"].to_numpy(float) < -3 * signal.sigma,
@@ -489,9 +497,21 @@ def _warnings(events: pd.DataFrame, regime: Regime, signal: Signal, slips: Slips
         if step > 0.3 * stick:  # about three steps in a stick, or fewer
             lines.append(f"{what} has steps of {step:.3g} {unit}, sticks are {stick:.3g} {unit}")
     lines += slips.warnings()
+    around = sliding_window_view(np.pad(slips.drop, 5), 11)
+    for k in np.flatnonzero(slips.drop > 5 * np.delete(around, 5, axis=1).max(axis=1))[:5]:
+        if k < slips.drop.size - 1:  # the last one may be the end of the test
+            lines.append(
+                f"the load falls by {slips.drop[k]:.3g} N at {signal.time[slips.edge[k]]:.4g} s, more than "
+                "five times as far as at the slips around: a change of range or zero, or a part that broke"
+            )
     flags = events["flag"].str.split("+")
     for word, meaning in (
         ("unloading", "lie beside a fall while the crosshead went back"),
+        (
+            "jump",
+            "contain or adjoin an upward jump of the load, as large as slips: noise, knocks, ringing, a "
+            "loose cable or a change of range",
+        ),
         ("short", "are shorter than the load cell's own response allows"),
         ("negative", "have a negative friction force: check the load cell's zero"),
     ):

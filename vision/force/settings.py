@@ -128,9 +128,10 @@ class ForceSettings:
     mainly the response of the instrument was recorded."""
 
     upward_share: float = 0.4
-    """Largest jump upward within a stick over the drop of a slip, both at the median, from which a recording
-    shows noise, not stick-slip. Smaller flags slips recorded in two or three steps of a coarse load cell
-    (0.31), larger passes noise; shown by pink, brown and filtered noise (0.43 to 13)."""
+    """Upward jump within a stick over the median drop from which the drops beside it may be no slips; where
+    the median jump reaches it the recording shows noise. Smaller flags slips recorded in two or three steps
+    of a coarse load cell (0.31), larger passes noise; shown by pink, brown, filtered (0.43 to 13) and
+    telegraph noise."""
 
     equal_share: float = 0.5
     """Duration of falls over that of rises (or its inverse) from which the two count as equally long. Slow

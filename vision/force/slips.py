@@ -29,7 +29,7 @@ class Slips:
     # "given"
     threshold_how: str
     left_out: Floats  # drops that exceed the white noise but not the threshold
-    jumps: int = 0  # upward jumps above the threshold; about as many of the drops are not slips
+    jumps: Ints  # for each large upward jump, the number of slips before it
 
     def warnings(self) -> list[str]:
         """Return which slips may have been left out, and how many of the drops may be none."""
@@ -51,11 +51,6 @@ class Slips:
                 f"drops below {self.threshold:.3g} N are not told from the noise: slips may be missed, since "
                 f"the median drop is {usual:.3g} N"
             )
-        if self.jumps > max(1, 0.01 * self.edge.size):
-            lines.append(
-                f"the load also jumps upward {self.jumps} times by {self.threshold:.3g} N or more: at least "
-                "as many of the events may be noise, knocks or ringing"
-            )
         return lines
 
 
@@ -72,7 +67,7 @@ def find_slips(
 
     Noise that is not white, knocks and ringing jump upward as often as downward, but slips only fall. The
     number of upward jumps within the sticks therefore estimates how many drops of each size are not slips,
-    and may raise the threshold.
+    and may raise the threshold. A jump nearly as large as the drops makes those beside it doubtful.
 
     Parameters
     ----------
@@ -90,8 +85,9 @@ def find_slips(
     edge = _edges(y, _local_period(edge, y.size), sigma, settings)
     drop = _stick_drops(y, edge, settings)
     least, how = (settings.threshold_sigmas * sigma, "noise") if threshold is None else (threshold, "given")
-    keep, left_out, jump = drop >= least, np.empty(0), np.empty(0)
-    if threshold is None and (jump := _jumps_upward(y, edge, sigma, settings, least)).size:
+    keep, left_out = drop >= least, np.empty(0)
+    jump_edge, jump = _jumps_upward(y, edge, sigma, settings)
+    if threshold is None and jump.size:
         # Choose the threshold with most slips, less `jump_cost` for each upward jump above it except one.
         steps = np.r_[least, np.nextafter(np.sort(jump), np.inf)]
         above = np.sum(drop >= steps[:, np.newaxis], axis=1)
@@ -103,12 +99,18 @@ def find_slips(
     if threshold is None and (gap := size_gap(drop[keep], settings.threshold_gap, 0.5)) > least:
         left_out = drop[(drop >= settings.threshold_sigmas * sigma) & (drop < gap)]
         keep, least, how = drop >= gap, gap, "gap"
-    period = float(np.median(np.diff(edge[keep]))) if keep.sum() > 1 else float("nan")
-    return Slips(edge[keep], drop[keep], period, least, how, left_out, int(np.sum(jump >= least)))
+    edge, drop = edge[keep], drop[keep]
+    period = float(np.median(np.diff(edge))) if edge.size > 1 else float("nan")
+    # Lines through curved sticks, or through a hold, are also apart: a jump rises by more than a stick does
+    # within five samples.
+    usual = float(np.median(drop)) if edge.size else float("nan")
+    step = y[np.minimum(jump_edge + 2, y.size - 1)] - y[np.maximum(jump_edge - 3, 0)]
+    large = (step - 5 * usual / period > 0.5 * jump) & (jump > settings.upward_share * usual)
+    return Slips(edge, drop, period, least, how, left_out, np.searchsorted(edge, jump_edge[large]))
 
 
-def _jumps_upward(y: Floats, edge: Ints, sigma: float, settings: ForceSettings, least: float) -> Floats:
-    """Return the heights, `least` or more, of the upward jumps between the edges.
+def _jumps_upward(y: Floats, edge: Ints, sigma: float, settings: ForceSettings) -> tuple[Ints, Floats]:
+    """Return the positions and heights of the upward jumps between the edges that exceed the noise.
 
     They are the drops of the mirrored load: each stick is mirrored about the parabola fitted to it, which
     keeps the rise of the stick and inverts the deviations from it.
@@ -122,11 +124,12 @@ def _jumps_upward(y: Floats, edge: Ints, sigma: float, settings: ForceSettings, 
     # The slips themselves are excluded. An upward jump must also show between the lines through the load.
     slips = np.concatenate([edge + away for away in range(-3, 4)])
     if not np.setdiff1d(_peaks(mirrored, _half_widths(period, settings), sigma, settings), slips).size:
-        return np.empty(0)
+        return np.empty(0, np.int64), np.empty(0)
     found = np.setdiff1d(_edges(mirrored, period, sigma, settings), slips)
     both = np.union1d(edge, found)
     height = -_stick_drops(y, both, settings)[np.searchsorted(both, found)]
-    return height[height >= least]
+    high = height >= settings.threshold_sigmas * sigma
+    return found[high], height[high]
 
 
 def upward_share(y: Floats, edge: Ints, settings: ForceSettings) -> float:
