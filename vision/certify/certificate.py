@@ -296,18 +296,16 @@ def certify(
 def _with_hidden_motion(
     like: Likeness, again: Callable[[xr.DataArray], xr.Dataset], settings: CertifySettings
 ) -> Likeness:
-    """Give films so much common motion of all sheets that they show as much of it as the recording.
+    """Return a likeness whose films show as much common motion of all sheets as the recording.
 
-    The codec leaves out a part of this motion. A film that repeated what it kept would lose hardly any of it
-    when encoded again, so films get another motion with the same spectrum.
+    The codec leaves out a part of this motion. If films had just the motion that is left, hardly any of it
+    would be lost when they are encoded again. They have another one with the same spectrum.
     """
-    kept = like.common_px
-    if not kept.any():
+    if not (kept := like.common_px).any():
         return like
-    sizes = np.abs(np.fft.rfft(kept))
-    another = np.fft.irfft(
-        sizes * np.exp(2j * np.pi * np.random.default_rng(0).random(sizes.size)), kept.size
-    )
+    waves = np.abs(np.fft.rfft(kept)).astype(complex)
+    waves *= np.exp(2j * np.pi * np.random.default_rng(0).random(waves.size))
+    another = np.fft.irfft(waves, kept.size)
     another *= _rms(kept) / _rms(another)
 
     def moved(factor: float) -> Likeness:
@@ -315,7 +313,7 @@ def _with_hidden_motion(
 
     def shown(factor: float) -> float:
         film = moved(factor)
-        found = np.asarray(again(film.film(film.motion_px, number=0))["x_px"].values, float)
+        found = again(film.film(film.motion_px, number=0))["x_px"].values
         return _rms(smooth_motion(found, like.slips, settings, chained=True)[1]) / _rms(kept)
 
     once = shown(1.0)
