@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.ndimage import gaussian_filter1d
 
 from tests.scenes.combs import comb, ridges, strip
 from tests.scenes.degraded import CODECS, DEGRADATIONS, FPS, FRAMES, SCENE, clean
@@ -237,6 +238,24 @@ def test_films_encoded_again_have_the_errors_of_the_recording(crf, tmp_path):
         residuals = certify(strip, tracks, settings=ONE_FILM)
         assert residuals.error_px / rms(error) < 0.85
         assert residuals.encoding == "" and any("carries content" in line for line in residuals.warnings)
+
+
+@pytest.mark.parametrize("codec", ["MPEG-4 q 3", "H.264 crf 18"])
+def test_films_have_as_much_common_motion_as_the_codec_left_out(codec, tmp_path):
+    """A failure means that films of textured paper before a shaking camera move more or less than it."""
+    rng, frames, sheets = np.random.default_rng(1), 150, 22
+    creep = np.linspace(-3, 3, sheets) * (np.arange(frames) % 37 / 37)[:, None]
+    sway = gaussian_filter1d(rng.normal(0, 0.06, frames), 1)[:, None]
+    x = 30 + 16 * np.arange(sheets) + rng.normal(0, 0.5, sheets) + creep + sway
+    texture = 1 + 0.25 * gaussian_filter1d(rng.normal(0, 2, (48, sheets)), 2, axis=0)
+    ridges = np.exp(-(((np.arange(400)[:, None] - x[:, None]) / 2.9) ** 2) / 2)
+    pixels = 30 + 100 * texture @ ridges.transpose(0, 2, 1) + rng.normal(0, 0.7, (frames, 48, 400))
+    path = CODECS[codec](tmp_path, np.clip(np.rint(pixels), 0, 255).astype(np.uint8))
+    strip = strip_profile(open_video(path))
+    tracks = track_sheets(strip)
+    encoder = read_encoder(path, (tracks.attrs["strip_z0"], tracks.attrs["strip_z1"]), (0, 400))
+    found = certify(strip, tracks, encoder=encoder, settings=ONE_FILM)
+    assert 0.85 < found.error_px / rms(moved(tracks.x_px.values - x)) < 1.15
 
 
 def test_a_film_that_is_gone_or_of_another_codec_is_not_encoded_again(tmp_path):

@@ -13,7 +13,7 @@ import pandas as pd
 import xarray as xr
 
 from vision.certify.encoder import Encoder, read_encoder
-from vision.certify.likeness import Likeness, learn
+from vision.certify.likeness import Likeness, learn, smooth_motion
 from vision.certify.settings import DEFAULT, CertifySettings
 from vision.clock import Clock
 from vision.data import StripMetadata, TrackMetadata
@@ -24,7 +24,7 @@ from vision.run import RunFolder, read_strip, read_table
 from vision.run.export import film_of
 from vision.run.reading import read_json, tracks_of
 from vision.sheets import TrackingSettings, track_sheets
-from vision.sheets.quality import BetweenSlips, spatial_scatter, suppressed_motion
+from vision.sheets.quality import BetweenSlips, spatial_scatter
 from vision.sheets.subpixel import FitChoice, position_noise
 from vision.sheets.tracks import BETWEEN_FRAMES
 
@@ -233,10 +233,13 @@ def certify(
     """
     like = learn(strip, tracks, settings)
     if encoder is not None:
-        like = _with_encoder(like, encoder, np.asarray(tracks["x_px"].values, float))
+        drawn, shown_px = like.film(like.motion_px, number=None).values, like.shown_px(like.motion_px)
+        like = replace(like, encoder=encoder.fitted(drawn, shown_px, like.strip.values))
     imitated = tracks.isel(frame=like.frames)
     recorded_px = _scatter(np.asarray(imitated["x_px"].values, float), like.chained)
     again = _tracking(tracks, like, recorded_px)
+    if encoder is not None:
+        like = _with_hidden_motion(like, again, settings)
     scales = [scale for scale in (1.5, 2.0, 3.0, 4.0) if scale <= settings.largest_jump]
     work = settings.films + 1 + len(scales) + (settings.films if sticks is not None else 0)
     finished = itertools.count(1)
@@ -263,7 +266,6 @@ def certify(
     metadata, facts = TrackMetadata.of(tracks), StripMetadata.of(strip)
     sheets = _sheet_table(like, tracks, error, stated, locking, sweeps * settings.errors_resolved, sweeps)
     known = np.isfinite(error)
-    imitated = tracks.isel(frame=like.frames)
     scatter_px = float(np.median([film.scatter_px for film in measured]))
     doubts = _doubts(like, facts, imitated, _rms(error), scatter_px, recorded_px, settings)
     return Certificate(
@@ -291,21 +293,33 @@ def certify(
     )
 
 
-def _with_encoder(like: Likeness, encoder: Encoder, x_px: Floats) -> Likeness:
-    """Prepare films that are encoded like the recording.  x_px: measured positions (frame, sheet).
+def _with_hidden_motion(
+    like: Likeness, again: Callable[[xr.DataArray], xr.Dataset], settings: CertifySettings
+) -> Likeness:
+    """Return a likeness whose films show as much common motion of all sheets as the recording.
 
-    The codec leaves out a part of the camera's motion, which is added to the motion of the films, so that it
-    can be left out again. The common motion in single frames also contains the noise of a median over sheets,
-    whose variance is π/2 times that of a mean.
+    The codec leaves out a part of this motion. If films had just the motion that is left, hardly any of it
+    would be lost when they are encoded again. They have another one with the same spectrum.
     """
-    between = BetweenSlips(x_px)
-    scatter = float(np.nan_to_num(nan_median(spatial_scatter(between, between_frames=True))))
-    noise = 1.57 * scatter**2 / x_px.shape[1]
-    share = max(0.0, 1 - noise / max(float(np.var(like.common_px)), 1e-12))  # of the variance that is motion
-    added = suppressed_motion(between) * np.sqrt(share) * like.common_px
-    like = replace(like, motion_px=like.motion_px + added[:, None])
-    drawn, shown = like.film(like.motion_px, number=None).values, like.shown_px(like.motion_px)
-    return replace(like, encoder=encoder.fitted(drawn, shown, like.strip.values))
+    if not (kept := like.common_px).any():
+        return like
+    waves = np.abs(np.fft.rfft(kept)).astype(complex)
+    waves *= np.exp(2j * np.pi * np.random.default_rng(0).random(waves.size))
+    another = np.fft.irfft(waves, kept.size)
+    another *= _rms(kept) / _rms(another)
+
+    def moved(factor: float) -> Likeness:
+        return replace(like, motion_px=like.motion_px + (factor * another - kept)[:, None])
+
+    def shown(factor: float) -> float:
+        film = moved(factor)
+        found = again(film.film(film.motion_px, number=0))["x_px"].values
+        return _rms(smooth_motion(found, like.slips, settings, chained=True)[1]) / _rms(kept)
+
+    once = shown(1.0)
+    most = float(np.clip(1 / max(once, 1e-3), 1.0, settings.most_hidden))
+    slope = (shown(most) - once) / (most - 1) if most > 1 else 0.0
+    return moved(float(np.clip(1 + (1 - once) / slope, 1.0, most)) if slope > 0 else most)
 
 
 def _tracking(tracks: xr.Dataset, like: Likeness, recorded_px: float) -> Callable[[xr.DataArray], xr.Dataset]:

@@ -65,6 +65,11 @@ class CertifySettings:
     certificate says that its errors are approximate.  Smaller doubts good certificates; larger trusts films
     that are unlike the recording."""
 
+    most_hidden: float = 4.0
+    """Largest common motion of the sheets of films that are encoded again, relative to what the recording
+    shows of it.  Smaller lacks motion that strong compression hides; larger adds motion where the recording
+    shows nothing but errors of the codec."""
+
     gain_step: float = 0.03
     """Relative step of the brightness across which residuals are not exchanged.  Smaller leaves few frames
     for exchange in flickering light; larger moves clipped pixels into frames that have none."""

@@ -3,8 +3,7 @@
 `repeated_frames` finds frames that the codec or the recorder repeated. `motion_blur` finds ridges that moved
 while the shutter was open. `scene_changes` finds where the picture changes permanently. `comb_is_stationary`
 distinguishes a comb from a fixed pattern. `spatial_scatter` measures errors that persist from frame to frame,
-`shared_error` those that neighbours share, and `suppressed_motion` the part of the common motion that a codec
-drops.
+and `shared_error` those that neighbours share.
 """
 
 from __future__ import annotations
@@ -340,37 +339,15 @@ def shared_error(positions: BetweenSlips, *, between_frames: bool) -> float:
        of c and :math:`b\,s/(s + 2b)`, where s is the vibration seen from frame to frame. Both were measured
        on H.264, HEVC, MPEG-2, MPEG-4 and VP9 (reports/degraded.md).
     """
-    found = _shared(positions, between_frames=between_frames)
-    return float(np.hypot(found.blocks, found.all_sheets))
-
-
-def suppressed_motion(positions: BetweenSlips) -> float:
-    """Return the common motion that a codec suppressed, relative to the common motion that it kept.
-
-    The suppressed motion is the error that all sheets share; see `shared_error`.
-    """
-    found = _shared(positions, between_frames=True)
-    return found.all_sheets / max(found.shaking, 1e-9)
-
-
-class _Shared(NamedTuple):
-    """Errors shared within blocks and by all sheets, and the common motion from frame to frame, px."""
-
-    blocks: float
-    all_sheets: float
-    shaking: float
-
-
-def _shared(positions: BetweenSlips, *, between_frames: bool) -> _Shared:
     if positions.x_px.shape[1] < len(FOURTH) + 3 or positions.frames < 2 * LEAST_FRAMES:
-        return _Shared(0.0, 0.0, 0.0)
+        return 0.0
     second = positions.second(LAGS[between_frames])
     own = _deviation_of_all(_fourth(second))
     apart = _deviation_of_all(second - nan_median(second, axis=1)[:, None])
     blocks = float(np.sqrt(max(0.0, apart**2 - own**2)))
     shaking = _deviation_of_all(positions.second((1,), nan_median(positions.x_px, axis=1)[:, None]))
     followed = own * shaking / max(shaking + 2 * own, 1e-9)
-    return _Shared(blocks, max(blocks, followed) if between_frames else 0.0, shaking)
+    return float(np.hypot(blocks, max(blocks, followed) if between_frames else 0.0))
 
 
 def _fourth(x_px: Floats) -> Floats:
