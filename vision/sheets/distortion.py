@@ -1,7 +1,6 @@
 """Errors of ridges distorted by specks, reflections, the edge of a hand or uneven light.
 
-`distortion` estimates the error from the shape and height of each ridge. `not_one_ridge` finds sheets that
-are not a single ridge.
+`distortion` estimates the error from each ridge's shape and height. `not_one_ridge` finds ridges of several.
 """
 
 from __future__ import annotations
