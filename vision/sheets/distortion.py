@@ -1,7 +1,6 @@
 """Errors of ridges distorted by specks, reflections, the edge of a hand or uneven light.
 
-`distortion` estimates the error from the shape and height of each ridge. `not_one_ridge` finds sheets that
-are not a single ridge.
+`distortion` estimates the error from each ridge's shape and height. `not_one_ridge` finds ridges of several.
 """
 
 from __future__ import annotations
@@ -23,51 +22,34 @@ def not_one_ridge(
     """Return which sheets are not a single ridge, (N,): their mean profile differs from the comb's.
 
     Several sheets side by side, far thinner than most, appear as one hump to the search for ridges, and the
-    position lies between them. Always False for fewer than five sheets.
-
-    Parameters
-    ----------
-    bright
-        Profile with bright ridges (frame, x).
-    x_px
-        Positions (frame, N), NaN where missing.
-    comb
-        Width and pitch of the ridges.
-    settings
-        `least_likeness`: correlation of a sheet's mean profile, over 0.6 ridge widths on either side of its
-        positions, with that of all sheets.
+    position lies between them. A sheet's mean profile, over 0.6 ridge widths on either side of its positions
+    x_px (frame, N), correlates with that of all sheets by less than `least_likeness`. Always False for fewer
+    than five sheets.
     """
     if x_px.shape[1] < 5:
         return np.zeros(x_px.shape[1], bool)
     half = max(3, round(min(0.6 * comb.fwhm_px, 0.5 * comb.pitch_px)))
-    _, normalised, shape = _sampled_profiles(bright, x_px, half)
-    own = nan_median(normalised)
+    profiles, shape = _sampled_profiles(bright, x_px, half)
+    own = nan_median(profiles)
     own -= own.mean(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         likeness = (shape - shape.mean()) @ own / np.linalg.norm(own, axis=0) / np.std(shape)
     return np.asarray(likeness / np.sqrt(len(shape)) < settings.least_likeness, bool)
 
 
-def _sampled_profiles(bright: Floats32, x_px: Floats, half: int) -> tuple[Floats, Floats, Floats]:
-    """Return the pixels at offsets u from the positions in some frames, (frame, u, N), the same with mean 0
-    and standard deviation 1, and the median of the latter over all sheets and frames, (u,)."""
+def _sampled_profiles(bright: Floats32, x_px: Floats, half: int) -> tuple[Floats, Floats]:
+    """Return the pixels at offsets u from the positions in some frames, with mean 0 and standard deviation 1,
+    (frame, u, N), and their median over all sheets and frames, (u,)."""
     sample = np.unique(np.linspace(0, len(bright) - 1, 200).astype(int))
-    around = _around(bright[sample], x_px[sample], half)
-    level = around - around.mean(axis=1, keepdims=True)
+    level = _around(bright[sample], x_px[sample], half)
+    level -= level.mean(axis=1, keepdims=True)
     level /= level.std(axis=1, keepdims=True)
-    return around, level, nan_median(level.swapaxes(1, 2).reshape(-1, level.shape[1]))
+    return level, nan_median(level.swapaxes(1, 2).reshape(-1, level.shape[1]))
 
 
 class Distortion(NamedTuple):
-    """What pulls ridges aside.
-
-    Parameters
-    ----------
-    err_px
-        Error of each displacement because of it, (frame, N); 0 without a sign.
-    lasting_px
-        How far each sheet is usually pulled, compared with the other sheets, (N,).
-    """
+    """What pulls ridges aside: the error of each displacement because of it, (frame, N), 0 without a sign;
+    and how far each sheet is usually pulled, compared with the other sheets, (N,)."""
 
     err_px: Floats
     lasting_px: Floats
@@ -115,7 +97,7 @@ def distortion(
     if comb.fwhm_px < settings.distortion_least_px:
         return none
     half = max(3, round(min(0.9 * comb.fwhm_px, 0.5 * comb.pitch_px)))
-    shape = _sampled_profiles(bright, x_px, half)[2]
+    shape = _sampled_profiles(bright, x_px, half)[1]
     if not np.isfinite(shape).all():
         return none
     fits = _fit_matrix(shape, min(max(2, round(0.5 * comb.fwhm_px)), half - 1))
@@ -131,31 +113,22 @@ def distortion(
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(fit, (slice(i, i + FRAMES_PER_BLOCK) for i in range(0, len(bright), FRAMES_PER_BLOCK))))
     height[blurred], apart[blurred], sloping[blurred] = np.nan, np.nan, np.nan
-    lasting = nan_median(apart)
-    noise = [err_px * float(np.linalg.norm(fits[k] - fits[1]) / np.linalg.norm(fits[1])) for k in (3, 5)]
-    size = np.fmax.reduce(
-        [
-            _error_over(apart, settings.distortion_error, x_px, settings)
-            * _significant(apart - lasting, noise[0], settings),
-            _error_over(sloping, settings.distortion_slope, x_px, settings)
-            * _significant(sloping - nan_median(sloping), noise[1], settings),
-            _shift_by_light(x_px, height, comb, settings),
-        ]
-    )
+    size = _shift_by_light(x_px, height, comb, settings)
+    for differs, usual, k in ((apart, settings.distortion_error, 3), (sloping, settings.distortion_slope, 5)):
+        noise = err_px * float(np.linalg.norm(fits[k] - fits[1]) / np.linalg.norm(fits[1]))
+        seen = _significant(differs - nan_median(differs), noise, settings)
+        size = np.fmax(size, _error_over(differs, usual, x_px, settings) * seen)
     size = np.minimum(size, comb.fwhm_px)  # what is fitted lies within the ridge
-    lasting = np.abs(lasting - nan_median(lasting))
-    usual = np.fmax(
-        settings.distortion_sigmas * nan_median(lasting) / NORMAL_MEDIAN, settings.distortion_floor
-    )
-    lasting = settings.distortion_error * _if_above(lasting, usual)
+    pull = nan_median(apart)
+    pull = np.abs(pull - nan_median(pull))
+    least = np.fmax(settings.distortion_sigmas * nan_median(pull) / NORMAL_MEDIAN, settings.distortion_floor)
+    lasting = settings.distortion_error * _if_above(pull, least)
     return Distortion(np.where(np.isfinite(apart), size, 0.0), lasting)
 
 
 def _fit_matrix(shape: Floats, top: int) -> Floats:
-    """Return the matrix from pixels to height and shift of the mean shape, (6, u).
-
-    It is fitted to all pixels, to those up to `top` from the middle, and to all with a sloping background.
-    """
+    """Return the matrix from pixels to height and shift of the mean shape, (6, u): fitted to all pixels, to
+    those up to `top` from the middle, and to all with a sloping background."""
     basis = np.stack([np.ones_like(shape), shape, np.gradient(shape)], axis=1)
     inner = slice(len(shape) // 2 - top, len(shape) // 2 + top + 1)
     fits = np.zeros((6, len(shape)))
@@ -165,7 +138,7 @@ def _fit_matrix(shape: Floats, top: int) -> Floats:
     return fits
 
 
-def _error_over(values: Floats, usual: float, x_px: Floats, settings: TrackingSettings = DEFAULT) -> float:
+def _error_over(values: Floats, usual: float, x_px: Floats, settings: TrackingSettings) -> float:
     r"""Return the error of a position over the size of `values` (frame, N): `usual`, or what the film shows.
 
     Where a distortion changes, position and value change together. Changes over `distortion_frames` are taken
@@ -180,18 +153,16 @@ def _error_over(values: Floats, usual: float, x_px: Floats, settings: TrackingSe
         return relative[settings.distortion_frames :] - relative[: -settings.distortion_frames]
 
     moved, changed = change(x_px), change(values)
-    known = np.isfinite(moved * changed) & (changed != 0)
+    weight = np.where(np.isfinite(moved * changed), np.abs(changed), 0.0)
+    known, total = weight > 0, weight.sum(axis=0)
     if not known.any():
         return usual
-    weight = np.where(known, np.abs(changed), 0.0)
-    seen = weight.sum(axis=0)
     along = np.where(known, np.copysign(weight, moved * changed), 0.0).sum(axis=0)
-    share = abs(float(np.mean(along[seen > 0] / seen[seen > 0])))
+    share = abs(float(np.mean(along[total > 0] / total[total > 0])))
     ratio, weight = moved[known] / changed[known], weight[known]
     order = np.argsort(ratio)
-    total = np.cumsum(weight[order])
-    ratio = ratio[order][np.searchsorted(total, total[-1] / 2)]
-    return float(np.sqrt(share * ratio**2 + (1 - share**2) * usual**2))
+    median = ratio[order][np.searchsorted(np.cumsum(weight[order]), weight.sum() / 2)]
+    return float(np.sqrt(share * median**2 + (1 - share**2) * usual**2))
 
 
 def _significant(values: Floats, noise: Floats, settings: TrackingSettings) -> Floats:
@@ -238,9 +209,7 @@ def _around(bright: Floats32, x_px: Floats, half: int) -> Floats:
     return np.asarray(around, np.float64)
 
 
-def _shift_by_light(
-    x_px: Floats, height: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT
-) -> Floats:
+def _shift_by_light(x_px: Floats, height: Floats, comb: RidgeComb, settings: TrackingSettings) -> Floats:
     r"""Return the shift of each ridge due to light L that falls off over it, px, (frame, N).
 
     A Gaussian in such light remains a Gaussian, shifted by :math:`\sigma_r^2 L'/L`, so that only heights

@@ -339,9 +339,9 @@ class TrackingSettings:
     errors, smaller understates them (test_distortion.py)."""
 
     distortion_slope: float = 0.9
-    """Error of a distorted position over the difference between the fits with and without a slope of the
-    background. It is 0.3 (haze, focus) to 3 (reflections). Larger overstates errors in haze, smaller misses
-    objects of about the ridge's width beside it, such as graph paper (test_distortion.py)."""
+    """The same over the difference between the fits with and without a slope of the background: 0.2 (haze) to
+    5 (reflections). Larger overstates errors in haze, smaller misses objects of about the ridge's width beside
+    it, such as graph paper (test_distortion.py)."""
 
     distortion_light: float = 1.75
     """Error over the shift of a Gaussian that the slope of the light causes. It exceeds 1, because the light
