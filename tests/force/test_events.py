@@ -450,6 +450,20 @@ def test_a_machine_that_averages_its_samples(averaged: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
+def test_samples_that_are_means_since_the_one_before(seed: int) -> None:
+    """A failure means that drops and lengths are 2 to 4 % too small with errors that a tenth of them hold."""
+    test = plain(sticks=60, samples=400, snr=40, jitter=0.1, seed=seed)
+    whole = test.force.sizes["time_s"] // 10 * 10
+    names = ("time_s", "load_N", "d_mm")
+    columns = [test.force[name].to_numpy()[:whole].reshape(-1, 10).mean(axis=1) for name in names]
+    events = find_stick_slip(recording(*columns, 1.0))
+    right, truth = matched(events, test.truth)
+    assert len(events) == len(right) == len(test.truth)
+    for name, error in (("dF_N", "dF_err_N"), ("stick_length_um", "stick_length_err_um")):
+        assert np.mean(np.abs(right[name] - truth[name]) < 1.2 * right[error]) > 0.6, name
+
+
+@pytest.mark.parametrize("seed", range(3))
 def test_a_drift_that_wanders_makes_no_slips(seed: int) -> None:
     """A failure means that the falls of a wandering load are counted beside slips three times as large."""
     test = plain(sticks=60, samples=80, snr=1e3, jitter=0.1)

@@ -180,10 +180,13 @@ def measure_sticks(
     known = np.flatnonzero(~signal.is_missing)
     after = np.clip(np.searchsorted(known, corners.middle), 1, known.size - 1)
     position_error = position_error * (known[after] - known[after - 1])
-    if signal.alike > 1:
-        # The filter that makes the noise of neighbouring samples common may also have lengthened a sudden
-        # slip: then the two corners of a stick are together off by its length.
-        position_error = np.hypot(position_error, (corners.valley - corners.peak) / np.sqrt(2))
+    # A sudden slip appears shorter than half a sample. It appears longer, up to 2.5 samples, where each is
+    # the mean since the one before, and where a filter makes the noise of neighbouring samples common. The
+    # two corners of a stick are then together off by its length. Between lost samples nothing is known of it.
+    length = corners.valley - corners.peak
+    averaged = (length > 0.5) & (length < 2.5) & ~signal.is_missing.any()
+    lengthened = averaged | (signal.alike > 1)
+    position_error = np.hypot(position_error, np.where(lengthened, length / np.sqrt(2), 0))
     # The machine's stretch is subtracted at the corners only: at every sample it would add the load's noise.
     d_v = np.interp(v, index, signal.travel) - compliance * f_v
     d_p = np.interp(p, index, signal.travel) - compliance * f_p

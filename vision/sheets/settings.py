@@ -340,7 +340,7 @@ class TrackingSettings:
 
     distortion_slope: float = 0.9
     """The same over the difference between the fits with and without a slope of the background: 0.2 (haze) to
-    5 (reflections). Larger overstates errors in haze, smaller misses objects of about the ridge's width beside
+    5 (reflections). Larger overstates errors in haze, smaller misses objects about as wide as a ridge beside
     it, such as graph paper (test_distortion.py)."""
 
     distortion_light: float = 1.75
