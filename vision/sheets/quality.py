@@ -1,9 +1,9 @@
 """Effects of the recording on positions, beyond pixel noise: repeated frames, motion blur, cuts and codecs.
 
 `repeated_frames` finds frames that the codec or the recorder repeated. `motion_blur` finds ridges that moved
-while the shutter was open. `scene_changes` finds where the picture changes for good. `comb_is_stationary`
-tells a comb from a fixed pattern. `spatial_scatter` measures errors that persist from frame to frame, and
-`shared_error` those that neighbours share.
+while the shutter was open. `scene_changes` finds where the picture changes permanently. `comb_is_stationary`
+distinguishes a comb from a fixed pattern. `spatial_scatter` measures errors that persist from frame to frame,
+and `shared_error` those that neighbours share.
 """
 
 from __future__ import annotations
