@@ -60,7 +60,7 @@ def test_ten_lines_and_a_picture(film, tmp_path, monkeypatch, capsys):
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 10
     assert "8 bright ridges (4 left, 4 right)" in lines[3]
-    px, um = map(float, re.search(r"noise +([\d.]+) px = ([\d.]+) µm", lines[7]).groups())
+    px, um = map(float, re.search(r"noise +x_err_px ([\d.]+) px = ([\d.]+) µm", lines[7]).groups())
     assert um == pytest.approx(10 * px, abs=0.001)
     assert Path("comb_preview.png").stat().st_size > 10_000
     assert run(["preview", str(film), "--quiet"]) == 0  # its own picture is made anew

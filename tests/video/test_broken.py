@@ -242,7 +242,7 @@ def test_images_that_are_removed_are_one_line(pattern, folder):
         for n in range(250, 300):
             (folder / f"a_{n:04d}.bmp").unlink()
 
-    with pytest.raises(InputError, match="stay there"):
+    with pytest.raises(InputError, match="exist while they are read"):
         list(reading_while(folder / pattern, remove))
 
 
