@@ -100,7 +100,7 @@ def drift_model(
     rate = nan_median((unpushed_px[apart:] - unpushed_px[:-apart]) / elapsed_s)
     slow_px = rate * frames.length_s[:, None] / 2
     both = BothSides.of(side, n, middle_px, slope_px, slow_px, settings)
-    return both if both.enough else OneSide.of(line, n, frames, vibration_px, settings)
+    return both if both.enough else OneSide.of(slope_px, unpushed_px, n, frames, vibration_px, settings)
 
 
 @dataclass(frozen=True)
@@ -292,9 +292,15 @@ class OneSide:
 
     @classmethod
     def of(
-        cls, line: Creep, n: Ints, frames: StickFrames, vibration_px: Floats, settings: DeformationSettings
+        cls,
+        slope_px: Floats,
+        unpushed_px: Floats,
+        n: Ints,
+        frames: StickFrames,
+        vibration_px: Floats,
+        settings: DeformationSettings,
     ) -> OneSide:
-        """Drift model from the lines fitted to all sheets and the vibration, px, (F,).
+        """Drift model from the slopes and middles of all sheets, without pushes, and the vibration, px, (F,).
 
         Where drift cannot be measured, its error is the slope that white noise as large as the vibration
         would have.
@@ -302,10 +308,8 @@ class OneSide:
         stick = np.arange(frames.sticks)
         distance = np.abs(stick[:, None] - stick)
         near = np.maximum(1 - distance / (settings.neighbouring_sticks + 1.0), 0.0)
-        middle_px, slope_px = line.coefficient[..., 0], line.coefficient[..., 1]
         near = near * ~_is_jump(nan_median(slope_px - nan_median(slope_px), axis=1), settings)
         profile_px = _weighted_mean(near * (distance > 0), slope_px)
-        unpushed_px = middle_px - _pushed_between(middle_px, frames.middle_s, settings)[:, None]
         rate, weight = _rate(near, frames.middle_s, unpushed_px)
         steadiness = _steadiness(profile_px)
         slow_px_s = _at_axis(rate, weight * steadiness, n, profile_px)
