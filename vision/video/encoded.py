@@ -53,6 +53,7 @@ class EncodedReader:
         self._path = path
         with open_container(path) as container:
             stream = _video_stream(container, path)
+            stream.thread_type = "NONE"  # with threads FFmpeg decodes several frames before it returns one
             first = _first_frame(container, stream, path)
             self._dtype = grey_plane(first).dtype.newbyteorder("=")
             cut = (f"{path.name}: the file was cut short; its last frames are missing",) * _ends_early(path)
@@ -70,20 +71,22 @@ class EncodedReader:
 
     def sample(self, numbers: Sequence[int]) -> Iterator[Pixels]:
         """Yield the key frame at or before each number, each only once, without decoding other frames."""
-        entered: set[int] = set()
+        packets: list[av.Packet[av.VideoStream]] = []
         with open_container(self._path) as container:
             stream = _video_stream(container, self._path)
             rate = self.facts.playback_fps or 1 / float(stream.time_base or 1)
             for number in numbers:
-                if not _enter(container, stream, number / rate, stream.start_time or 0):
-                    continue
-                packet = next(_video_packets(container, stream))
-                if packet is None or packet.pos in entered:
-                    continue
-                if packet.pos is not None:
-                    entered.add(packet.pos)
-                frames = _frames_of(packet, stream) or _frames_of(None, stream)
-                yield from (self._checked(grey_plane(frame)) for frame in frames[:1])
+                if _enter(container, stream, number / rate, stream.start_time or 0):
+                    packet = next(_video_packets(container, stream))
+                    seen = [other.pos for other in packets if other.pos is not None]
+                    if packet is not None and packet.pos not in seen:
+                        packets.append(packet)
+            for packet in (*packets, None):
+                frames = _frames_of(packet, stream)  # several packets at once, in threads
+                if packet is not None and _reorders(stream):  # it would wait for frames displayed before it
+                    frames = (frames or _frames_of(None, stream))[:1]
+                    stream.codec_context.flush_buffers()
+                yield from (self._checked(grey_plane(frame)) for frame in frames)
 
     def from_key_frame(self, time_s: float) -> Iterator[tuple[float, Pixels]]:
         """Yield readable frames with the container's times, from the key frame at or before `time_s` on.
@@ -351,8 +354,7 @@ def _decoded(
     """
     waiting: list[int] = []
     # AVI has only times of decoding, which are wrong if the order of display differs
-    reorders = stream.codec_context.codec.properties & 8  # AV_CODEC_PROP_REORDER
-    timed = container.format.name != "avi" or not reorders
+    timed = container.format.name != "avi" or not _reorders(stream)
     for packet in _video_packets(container, stream):
         if timed and packet is not None and packet.pts is not None:
             waiting.append(packet.pts)
@@ -363,6 +365,11 @@ def _decoded(
                 yield from ((pts, None) for pts in overtaken)
             yield (frame.pts if timed else None), frame
     yield from ((pts, None) for pts in sorted(waiting))
+
+
+def _reorders(stream: av.VideoStream) -> bool:
+    """Return whether the order of display may differ from that of decoding."""
+    return bool(stream.codec_context.codec.properties & 8)  # AV_CODEC_PROP_REORDER
 
 
 def _video_packets(
