@@ -48,12 +48,13 @@ OTHERS = {
         "optics.shape": "flat",
     },
 }
+LOCKING = {"narrow and bright": {"optics.fwhm_px": 6, "camera.full_well_e": 20000}}
 
 
 @cache
 def drawn(name, fit="sliding", seed=21):
     """Strip, tracks, and errors of displacements (frame, sheet)."""
-    changes = {**SCENE, **(FILMS | OTHERS)[name]}
+    changes = {**SCENE, **(FILMS | OTHERS | LOCKING)[name]}
     strip, truth = profiles(with_settings(preset("paper", seed=seed), changes))
     tracks = track_sheets(strip, fit=fit)
     return strip, tracks, moved(tracks.x_px.values - truth.x_px.values)
@@ -126,13 +127,15 @@ def test_the_certificate_compares_its_films_with_the_recording():
     assert not certify(picture, tracks, settings=ONE_FILM).uncertain
 
 
-def test_the_papers_fit_is_certified_with_its_locking():
-    """A failure means that pull towards whole pixels, of 60 mpx and more there, is not seen."""
-    strip, tracks, error = drawn("narrow", "paper")
+@pytest.mark.parametrize("name", ["narrow", "narrow and bright"])
+def test_the_papers_fit_is_certified_with_its_locking(name):
+    """A failure means that pull towards whole pixels, of 60 mpx and more there, is not seen, or counts for
+    motion: where it is six times the noise the predicted error was then a quarter too small."""
+    strip, tracks, error = drawn(name, "paper")
     certificate = certify(strip, tracks, settings=ONE_FILM)
-    assert 0.85 < certificate.error_px / rms(error) < 1.15
+    assert 0.92 < certificate.error_px / rms(error) < 1.1
     assert certificate.locking_px > 0.06
-    strip, tracks, _ = drawn("narrow")
+    strip, tracks, _ = drawn(name)
     assert certify(strip, tracks, settings=ONE_FILM).locking_px < 0.01
 
 
@@ -331,10 +334,11 @@ def test_what_happens_to_a_recording_happens_to_its_films(name, tmp_path):
     assert not certificate.uncertain
 
 
-@pytest.mark.parametrize("name", ["dirt", "glare", "passing hand"])
-def test_where_something_pulls_ridges_the_certificate_says_so(name, tmp_path):
-    """A failure means a number that looks sure where dirt, a highlight or a hand shift sheets by more."""
-    strip, tracks, error = damaged(name, tmp_path)
+@pytest.mark.parametrize(("name", "seed"), [("dirt", 36), ("dirt", 31), ("glare", 36), ("passing hand", 36)])
+def test_where_something_pulls_ridges_the_certificate_says_so(name, seed, tmp_path):
+    """A failure means a number that looks sure where dirt, a highlight or a hand shift sheets by more; dirt
+    of seed 31 touches less than 1 % of the positions, which have 60 % of the squared errors."""
+    strip, tracks, error = damaged(name, tmp_path, seed)
     certificate = certify(strip, tracks, settings=ONE_FILM)
     assert 0.65 < certificate.error_px / rms(error) < 1.35
     assert certificate.uncertain

@@ -231,7 +231,7 @@ def certify(
     sheet's position, which displacements do not have, nor errors that last as long as a stick phase, which
     look like motion; codecs that predict frames from others make such errors.
     """
-    like = learn(strip, tracks, settings)
+    like = learn(strip, _without_locking(strip, tracks), settings)
     if encoder is not None:
         drawn, shown_px = like.film(like.motion_px, number=None).values, like.shown_px(like.motion_px)
         like = replace(like, encoder=encoder.fitted(drawn, shown_px, like.strip.values))
@@ -330,16 +330,8 @@ def _tracking(tracks: xr.Dataset, like: Likeness, recorded_px: float) -> Callabl
     the film's own choice or the same fit for all sheets is used, whichever gives a scatter more like the
     recording's, `recorded_px`.
     """
-    steps = [step for step in tracks.attrs.get("operations", ()) if step["operation"] == "track_sheets"]
-    parameters = dict(steps[-1]["parameters"]) if steps else {}
-    tuned = parameters.pop("settings", {})
-    known = {part.name for part in fields(TrackingSettings)}
-    values: dict[str, Any] = {
-        name: tuple(value) if isinstance(value, list) else value
-        for name, value in tuned.items()
-        if name in known
-    }
-    settings = TrackingSettings(**values | {"mark_distorted": math.inf, "most_distorted": math.inf})
+    parameters, known = _parameters(tracks)
+    settings = TrackingSettings(**known | {"mark_distorted": math.inf, "most_distorted": math.inf})
     used: FitChoice = TrackMetadata.of(tracks).fit  # type: ignore[assignment]
     asked = parameters.pop("fit", used)
 
@@ -354,6 +346,30 @@ def _tracking(tracks: xr.Dataset, like: Likeness, recorded_px: float) -> Callabl
         return abs(math.log(_measure(like, like.motion_px, again(film)).scatter_px / recorded_px))
 
     return min((with_fit(fit) for fit in choices), key=unlike)
+
+
+def _parameters(tracks: xr.Dataset) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the run's parameters of `track_sheets`, and its settings."""
+    steps = [step for step in tracks.attrs.get("operations", ()) if step["operation"] == "track_sheets"]
+    parameters = dict(steps[-1]["parameters"]) if steps else {}
+    tuned, known = parameters.pop("settings", {}), {part.name for part in fields(TrackingSettings)}
+    values = {
+        name: tuple(value) if isinstance(value, list) else value
+        for name, value in tuned.items()
+        if name in known
+    }
+    return parameters, values
+
+
+def _without_locking(strip: xr.DataArray, tracks: xr.Dataset) -> xr.Dataset:
+    """Return positions to learn the motion from: of the sliding fit if the run used the publication's.
+
+    Its error repeats with the fraction of a pixel. It would be taken for motion, and be missing in the error.
+    """
+    if TrackMetadata.of(tracks).fit != "paper":
+        return tracks
+    parameters, known = _parameters(tracks)
+    return track_sheets(strip, **parameters | {"fit": "sliding"}, settings=TrackingSettings(**known))
 
 
 def _measure(like: Likeness, truth_px: Floats, found: xr.Dataset) -> _Measured:
@@ -579,10 +595,13 @@ def _doubts(
     if not like.smooth.any():
         lines.append("slips follow each other so fast that motion and noise can hardly be separated")
     disturbed = max(float(like.disturbed.mean()), float(tracks["distorted"].mean()))
-    if disturbed > 0.02:
+    variance = np.where(tracks["flag"].values == "ok", tracks["x_err_px"].values, 0.0) ** 2
+    at_distorted = float(variance[:, tracks["distorted"].values > 0].sum() / max(variance.sum(), 1e-12))
+    if disturbed > 0.02 or at_distorted > 0.5:
         lines.append(
-            f"something distorts or hides ridges in {100 * disturbed:.0f} % of the film (dirt, a highlight, "
-            "a hand): the films show the recorded pixels there, with true positions predicted from "
+            f"something distorts or hides ridges in {100 * disturbed:.1f} % of the film (dirt, a highlight, "
+            f"a hand), and the sheets that it distorts have {100 * at_distorted:.0f} % of the squared "
+            "errors: the films show the recorded pixels there, with true positions predicted from "
             "neighbouring sheets; the true errors were 0.4 to 1.9 times these in tests"
         )
     return lines

@@ -452,7 +452,8 @@ def smooth_motion(
         motion[np.ix_(piece, which[fits])] = fitted[:, fits]
         left[np.ix_(inner, which[fits])] = 1 - leverage[:, None]
         waiting += [(half, which[~fits]) for half in np.array_split(piece, 2)]
-    shared = 1 - 1.57 / sheets if sheets >= LEAST_SHARING else 1.0  # a median's variance is π/2 of a mean's
+    # Of N sheets, each less their median, 1 - 2/N + (π/2)/N of the noise's variance is left.
+    shared = 1 - (2 - np.pi / 2) / sheets if sheets >= LEAST_SHARING else 1.0
     motion += np.where(left > 0, common[:, None], 0.0)
     return motion, common, left * shared
 
