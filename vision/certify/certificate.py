@@ -587,7 +587,7 @@ def _doubts(
         )
     noise_px = max(float(np.nan_to_num(nan_median(tracks["x_noise_px"].values))), 1e-6)
     # Errors exceed the noise also with the publication's fit, and with codecs that predict frames.
-    if not chained and TrackMetadata.of(tracks).fit != "paper" and error_px > 1.3 * noise_px:
+    if not chained and TrackMetadata.of(tracks).fit != "paper" and error_px > settings.above_noise * noise_px:
         lines.append(
             f"errors of the films, {error_px:.3f} px, are above the noise of the recording from frame to "
             f"frame, {noise_px:.3f} px: if its motion is not smooth, the films contain some of it as noise"
