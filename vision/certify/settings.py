@@ -68,7 +68,8 @@ class CertifySettings:
     above_noise: float = 1.25
     """Ratio of the films' errors to the recording's noise from frame to frame from which the certificate says
     that they may contain motion.  Smaller doubts films of grained paper, whose errors are larger than their
-    noise; larger trusts films in which each sheet slips by itself (1.15 to 1.35, up to 1.6 times too large)."""
+    noise; larger trusts films in which each sheet slips by itself (1.15 to 1.35; errors up to 1.6 times too
+    large)."""
 
     most_hidden: float = 4.0
     """Largest common motion of the sheets of films that are encoded again, relative to what the recording
