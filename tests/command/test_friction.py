@@ -8,8 +8,8 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from tests.scenes.single_sheets import DiscTest, write_rheocompass, write_rheometer_csv
 from vision.command.main import run
-from vision.experiment.single_sheets import DiscTest, write_rheocompass, write_rheometer_csv
 
 COLUMNS = ["file", "measurement", "N_N", "mu_s", "mu_s_err", "mu_d", "mu_d_err"]
 TEST = DiscTest(loads_N=(0.1, 0.5, 2.0))

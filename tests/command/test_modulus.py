@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.scenes.single_sheets import CyclesTest, write_cycles
 from vision.command.main import run
-from vision.experiment.single_sheets import CyclesTest, write_cycles
 
 COLUMNS = ["cycle", "k_N_per_mm", "k_err_N_per_mm", "F0_N", "F0_err_N", "Y_p_GPa", "Y_p_err_GPa"]
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vision.experiment.single_sheets import CyclesTest, DiscTest, write_cycles, write_rheocompass
+from tests.scenes.single_sheets import CyclesTest, DiscTest, write_cycles, write_rheocompass
 from vision.figures import load_figures, save_figures
 from vision.figures.single_sheets import friction_figure, modulus_figure
 from vision.force.recording import read_force

@@ -10,8 +10,8 @@ import pandas as pd
 import pytest
 from scipy.integrate import quad
 
+from tests.scenes.single_sheets import DiscTest, disc_record, write_rheocompass, write_rheometer_csv
 from vision.errors import InputError
-from vision.experiment.single_sheets import DiscTest, disc_record, write_rheocompass, write_rheometer_csv
 from vision.models.friction import (
     PUBLISHED_FRICTION,
     FrictionSettings,

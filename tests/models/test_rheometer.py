@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.scenes.single_sheets import DiscTest, write_rheocompass, write_rheometer_csv
 from vision.errors import InputError
-from vision.experiment.single_sheets import DiscTest, write_rheocompass, write_rheometer_csv
 from vision.models.rheometer import ROTATION, read_rheometer
 
 TEST = DiscTest(loads_N=(0.2, 1.0), torque_noise_mN_m=0.0, normal_noise_N=0.0)
