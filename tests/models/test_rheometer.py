@@ -171,23 +171,3 @@ def test_a_result_that_cannot_be_used_costs_no_other(tmp_path: Path, spoiled, re
         (line,) = rotation.attrs["left_out"]
         assert line.startswith("Friction 0.5 N: ")
         assert reason in line
-
-
-def test_steps_of_trios(tmp_path: Path) -> None:
-    """A failure means exports of TA Instruments are misread: steps, units, torques that are none."""
-    head = "Filename\tdisc.tri\nInstrument name\tDHR-2\n[Parameters]\nTorque range\t200 mN.m\n\n"
-    columns = "Displacement\tStep time\tTorque\tAxial force\tGap\nrad\ts\tµN.m\tN\tmm\n"
-    angle = np.linspace(0, 2, 40)
-    steps = [
-        f"[step]\nPeak hold - {k}\n{columns}"
-        + "".join(f"{a:.6f}\t{10 * a:.5f}\t{1000 * load + a:.6f}\t{load}\t0.1\n" for a in angle)
-        for k, load in enumerate((0.5, 2.0), 1)
-    ]
-    (tmp_path / "t.txt").write_text(head + "\n".join(steps), encoding="utf-8-sig")
-    found = read_rheometer(tmp_path / "t.txt")
-    assert [rotation.attrs["measurement"] for rotation in found] == ["Peak hold - 1", "Peak hold - 2"]
-    for rotation, load in zip(found, (0.5, 2.0), strict=True):
-        np.testing.assert_allclose(rotation["angle_rad"], angle, atol=1e-6)
-        np.testing.assert_allclose(rotation["torque_N_m"], 1e-6 * (1000 * load + angle), rtol=1e-6)
-        np.testing.assert_allclose(rotation["normal_force_N"], load)
-        assert not rotation.attrs["left_out"]

@@ -83,20 +83,6 @@ def disc_friction(
     return np.asarray(3 * np.asarray(torque_N_m, float) / (2 * radius_mm / 1000 * usable))
 
 
-def rim_slip_torque_N_m(
-    mu_s: ArrayLike, *, normal_force_N: ArrayLike, radius_mm: float = RADIUS_MM
-) -> Floats:
-    r"""Torque at which the rim begins to slip if the shear stress is proportional to the radius.
-
-    Notes
-    -----
-    .. math:: \tau = \int_0^R \mu_s \frac{N}{\pi R^2}\frac{r}{R}\, 2\pi r^2\, dr = \tfrac12 \mu_s N R,
-
-    from which `disc_friction` gives 0.75 μ_s.
-    """
-    return np.asarray(0.5 * np.asarray(mu_s, float) * np.asarray(normal_force_N, float) * radius_mm / 1000)
-
-
 @dataclass(frozen=True, kw_only=True)
 class DiscFriction:
     """Friction coefficients of one measurement with their standard errors."""

@@ -1,4 +1,4 @@
-"""Reading of rheometer exports: RheoCompass (Anton Paar), TRIOS (TA Instruments), and plain tables."""
+"""Reading of rheometer exports: RheoCompass (Anton Paar) and plain tables."""
 
 from __future__ import annotations
 
@@ -99,7 +99,6 @@ _QUANTITIES = (
     _Quantity("speed_rad_s", (), ("shear",), _SPEED, with_unit=("speed", "drehzahl", "vitesse", "velocity")),
 )
 _MARKS = ("Project:", "Test:", "Result:", "Interval and data points:", "Interval data:")
-_STEP = "[step]"  # in a TRIOS export the line before a step's name, columns, units and rows
 _SEPARATORS = ("\t", ";", ",")
 
 
@@ -110,8 +109,8 @@ def read_rheometer(path: str | Path) -> list[pd.DataFrame]:
     ----------
     path
         RheoCompass export (Anton Paar; UTF-16 or UTF-8; tab, semicolon or comma; several results and
-        intervals), TRIOS export (TA Instruments; steps), or a plain table whose header names torque and
-        angle with their units, as in ``Torque [mN·m]`` or ``Angle (°)``. Units: mN·m, µN·m, N·m; mrad, rad,
+        intervals), or a plain table whose header names torque and angle with their units, as in
+        ``Torque [mN·m]`` or ``Angle (°)``. Units: mN·m, µN·m, N·m; mrad, rad,
         °; N, mN.
 
     Returns
@@ -137,13 +136,7 @@ def read_rheometer(path: str | Path) -> list[pd.DataFrame]:
     lines = _decode(path).splitlines()
     results = [k for k, line in enumerate(lines) if _mark(line) == "Result:"]
     starts = [k for k, line in enumerate(lines) if _mark(line) == "Interval and data points:"]
-    steps = [k for k, line in enumerate(lines) if line.strip().lower() == _STEP]
-    if starts:
-        blocks = _intervals(lines, starts, results)
-    elif steps:
-        blocks = _steps(lines, steps)
-    else:
-        blocks = [_plain_table(path, lines)]
+    blocks = _intervals(lines, starts, results) if starts else [_plain_table(path, lines)]
     if len(blocks) == 1 and not blocks[0].problem:
         _convert(path, blocks[0])
     else:
@@ -276,24 +269,6 @@ def _interval(result: str, line: int, name: str, lines: list[str], announced: st
     if announced.isdecimal() and int(announced) != len(data):
         block.warnings.append(f"{name} announces {announced} points and has {len(data)}")
     return block
-
-
-def _steps(lines: list[str], starts: list[int]) -> list[_Block]:
-    """The steps of a TRIOS export: name, columns, units, and rows up to an empty line or the next section."""
-    blocks: list[_Block] = []
-    for number, start in enumerate(starts):
-        end = starts[number + 1] if number + 1 < len(starts) else len(lines)
-        name = lines[start + 1].strip(' "\t,;') if start + 1 < end else f"step {number + 1}"
-        stop = next(
-            (k for k in range(start + 3, end) if not lines[k].strip(" \t,;") or lines[k].startswith("[")), end
-        )
-        if stop - start < 5:
-            blocks.append(_Block("", start, name, problem="no columns and rows"))
-            continue
-        cells = _cells(lines[start + 2 : stop], _separator(lines[start + 2])).map(str.strip)
-        names, units = ([str(cell) for cell in cells.iloc[row]] for row in (0, 1))
-        blocks.append(_Block("", start, name, names, units, cells.iloc[2:].reset_index(drop=True)))
-    return blocks
 
 
 def _plain_table(path: Path, lines: list[str]) -> _Block:
