@@ -50,8 +50,8 @@ from vision.run import (
     write_json,
 )
 from vision.run.comparing import MARK, write_comparison
-from vision.run.export import Format, film_of, frame_step_s, unevenness_s, write_overlay, write_space_time_tif
-from vision.run.reading import AGAIN, tracks_of
+from vision.run.export import Format, frame_step_s, unevenness_s, write_overlay, write_space_time_tif
+from vision.run.reading import AGAIN
 from vision.sheets import pixel_size_from_pitch
 from vision.sheets.ridges import describe_ridges, find_ridges
 from vision.sheets.tracks import LOSSY
@@ -373,11 +373,11 @@ def overlay(run: Path, film: Path | None, frames: str | None, output: OutputOpti
     if target.suffix.lower() != ".mp4":
         raise InputError("`out`", "a name that ends in .mp4", f"'{target}'")
     check_new(target, overwrite=output.overwrite)
-    source = film_of(made, film)
+    source = made.input("film", film)
     with frame_progress("drawing", quiet=output.quiet) as progress, whole_file(target) as path:
         written = write_overlay(made, source, path, frames=part, progress=progress)
     size = f"{written.frames} frames of {written.shape[1]} x {written.shape[0]} px"
-    speed = f"{written.fps:g} frames/s{_slower(written.fps, StripMetadata.of(tracks_of(made)).fps)}"
+    speed = f"{written.fps:g} frames/s{_slower(written.fps, StripMetadata.of(made.tracks).fps)}"
     line = f"{size}, played at {speed}, {target.stat().st_size / 1e6:.1f} MB -> {target}"
     return conclude([line], (), quiet=output.quiet)
 

@@ -18,7 +18,7 @@ from vision.figures.decimate import minmax_decimate
 from vision.files import reading
 from vision.numeric import Floats, Floats32, Ints, nearest
 from vision.pipeline import Settings
-from vision.review.effects import READY, Effects
+from vision.review.effects import Effects
 from vision.review.positions import (
     FLAGS,
     SAME_RIDGE_PX,
@@ -98,6 +98,7 @@ class Session:
     def _load(self, tracks: Future[StoredTracks] | None = None) -> None:
         """Read the folder, then apply the decisions that are not in its tables yet."""
         self.stored = StoredRun.of(self.folder)
+        self.events, self.saved_clock = self.stored.events, self.stored.clock
         columns = self.settings.columns
         first = 0 if columns is None else columns.start or 0
         self.diagram = Diagram(self.folder / "kymograph.tif", first, self.settings.tuning.tracking)
@@ -179,7 +180,7 @@ class Session:
             settings=self.settings,
             applied=tuple(self.applied),
             decisions=self._as_written(decisions, undone),
-            clock=self.stored.clock,
+            clock=self.saved_clock,
             film=self.recordings.moved,
             beside={REPLACED: pack(self._before)} if self._before and same_strip else {},
             options=self.options,
@@ -323,7 +324,7 @@ class Session:
                 "ridge_fwhm_px": facts.ridge_fwhm_px,
                 "ridges": facts.ridges,
                 "flags": FLAGS,
-                "has_force": self.stored.events is not None,
+                "has_force": self.events is not None,
                 "warnings": self.stored.facts.get("warnings", []),
                 "sheets": self.sheets(),
                 "doubts": self.doubts(),
@@ -379,12 +380,12 @@ class Session:
     @property
     def clock(self) -> Clock | None:
         """The run's clock, or that of a later decision."""
-        decision, saved = last_of(self.pending, "clock"), self.stored.clock
+        decision, saved = last_of(self.pending, "clock"), self.saved_clock
         return saved if decision is None else decided_clock(saved, decision)
 
     def sticks(self, clock: Clock | None = None) -> list[dict[Any, Any]]:
         """Return the stick phases within the film, in frames, by the current clock or another."""
-        clock, events = clock or self.clock, self.stored.events
+        clock, events = clock or self.clock, self.events
         if clock is None or events is None:
             return []
         start, stop = (clock.to_video_s(events[name].to_numpy(float)) for name in ("t_v_s", "t_p_s"))
@@ -396,9 +397,9 @@ class Session:
     def slips(self, clock: Clock | None = None) -> list[int]:
         """Return the first frames after the slips of the force or, without a clock, of the sheets."""
         clock, time_s = clock or self.clock, self.positions.time_s
-        if clock is None or self.stored.events is None or clock.status not in READY:
+        if clock is None or self.events is None or clock.status == "ambiguous":
             return self.film_slips()
-        at = clock.to_video_s(self.stored.events["t_p_s"].to_numpy(float))
+        at = clock.to_video_s(self.events["t_p_s"].to_numpy(float))
         at = at[(at > np.nanmin(time_s)) & (at < np.nanmax(time_s))]
         return sorted({int(frame) for frame in self._frames_at(at)})
 
