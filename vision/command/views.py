@@ -28,7 +28,8 @@ from vision.command.settings import (
 )
 from vision.command.track import command_line, run_name
 from vision.comparison import compare as compare_runs
-from vision.comparison.comparison import summary_lines
+from vision.comparison import write_comparison
+from vision.comparison.comparison import MARK, summary_lines
 from vision.data import StripMetadata, TrackMetadata, warnings_of
 from vision.errors import InputError
 from vision.figures import kymograph_figure, load_figures, preview_figure, sides_known, slip_times
@@ -49,7 +50,6 @@ from vision.run import (
     whole_file,
     write_json,
 )
-from vision.run.comparing import MARK, write_comparison
 from vision.run.export import Format, frame_step_s, unevenness_s, write_overlay, write_space_time_tif
 from vision.run.reading import AGAIN
 from vision.sheets import pixel_size_from_pitch

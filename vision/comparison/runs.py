@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import difflib
-import json
 import math
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -17,6 +16,8 @@ import pandas as pd
 from vision.errors import InputError
 from vision.files import reading
 from vision.numeric import Floats
+from vision.run import RunFolder, is_run, read_run
+from vision.run.reading import AGAIN, read_json
 from vision.sample import PUBLISHED, Sample
 
 COLUMNS = ("run", "sample", "V_mm_min", "n_test", "RH_percent", "T_C")
@@ -103,7 +104,7 @@ def read_tests(runs: Sequence[str | Path] = (), table: str | Path | pd.DataFrame
     for folder, name in zip(folders, names, strict=True):
         unique = name if names.count(name) == 1 else str(folder)
         try:
-            with reading(folder, "a run as track writes it", "run track again"):
+            with reading(folder, "a run as track writes it", AGAIN):
                 tests.append(_read_test(folder, unique, row_of.get(folder, {}), warnings))
         except InputError as error:
             failures.append(str(error))
@@ -200,9 +201,7 @@ def _rows_of_runs(
             warnings.append(f"run {name} is in the table more than once; its first row is used")
         elif matches:
             known[matches[0]] = row
-    if missing := [
-        str(folder) for folder in folders if folder not in known and (folder / "run.json").is_file()
-    ]:
+    if missing := [str(folder) for folder in folders if folder not in known and is_run(folder)]:
         warnings.append(f"not in the table, so left out of the trends: {', '.join(missing)}")
     return known
 
@@ -211,18 +210,15 @@ def _rows_of_runs(
 
 
 def _read_test(folder: Path, name: str, row: Row, warnings: list[str]) -> TractionTest:
-    if not (folder / "run.json").is_file():
-        found = "no run.json in it" if folder.is_dir() else "no such folder"
-        raise InputError(folder, "a finished run of track or track force", found)
-    facts = _json(folder / "run.json")
-    models = _json(folder / "models.json") if (folder / "models.json").is_file() else {}
-    recorded = _number((facts.get("force") or {}).get("speed_mm_min"))
+    made = read_run(folder)
+    models = read_json(folder / "models.json") if (folder / "models.json").is_file() else {}
+    recorded = _number((made.facts.get("force") or {}).get("speed_mm_min"))
     given = _number(row.get("V_mm_min"))
     if math.isfinite(given) and math.isfinite(recorded) and abs(given / recorded - 1) > 0.05:
         warnings.append(f"{name}: the table has V = {given:g} mm/min, its recording {recorded:.4g}")
     modulus = models.get("Y_eff_GPa") or {}
-    sample = _sample(models.get("sample") or facts.get("sample"))
-    events = _events(folder / "events.csv", sample)
+    sample = _sample(models.get("sample") or made.facts.get("sample"))
+    events = _events(made, sample)
     if sample is PUBLISHED:
         warnings.append(f"{name}: the run does not say which sample it had; the publication's is assumed")
     label = row.get("sample")
@@ -263,17 +259,11 @@ def _instrument(budget: Mapping[str, Any]) -> dict[str, dict[str, float]]:
     return found
 
 
-def _json(path: Path) -> dict[str, Any]:
-    with reading(path, "JSON as track writes it", "run track again"):
-        return dict(json.loads(path.read_text(encoding="utf-8")))
-
-
-def _events(path: Path, sample: Sample) -> pd.DataFrame:
+def _events(run: RunFolder, sample: Sample) -> pd.DataFrame:
     """Read the complete events, which have every value that is compared, in order of d_v_mm."""
-    if not path.is_file():
-        raise InputError(path.parent, "a run with a force recording", "no events.csv in it")
-    with reading(path, "a table as track writes it", "run track again"):
-        table = pd.read_csv(path)
+    path, table = run.folder / "events.csv", run.table("events")
+    if table is None:
+        raise InputError(run.folder, "a run with a force recording", "no events.csv in it")
     if absent := [name for name in _NEEDED if name not in table]:
         raise InputError(path, f"columns {', '.join(_NEEDED)}", f"no {', '.join(absent)}")
     text = [str(name) for name in table if name != "flag" and table[name].dtype.kind not in "iufb"]

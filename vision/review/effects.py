@@ -248,7 +248,7 @@ class Effects:
             shells = classify_shells(one, threshold=settings.threshold, settings=settings.tuning.shells)
         except InputError as error:
             return _unknown(error)
-        names = ("side", "n", "ratio", "ratio_err", "p_stiff", "shell", "flag")
+        names = ("side", "n", "ratio", "ratio_err", "shell", "flag")
         table = pd.DataFrame(
             {"index": sheets["sheet"].values} | {name: sheets[name].values for name in names}
         )
