@@ -138,7 +138,6 @@ def test_a_peak_that_is_not_resolved_is_said(tmp_path: Path) -> None:
     assert round(1000 * np.radians(0.3) / 0.1) == 52
     rotation, _ = one_measurement(tmp_path, replace(TEST, fine_Hz=50.0, fine_s=1.0))
     found = friction_of_disc(rotation)
-    assert found.samples_before_dynamic == 3
     assert any("not resolved" in line for line in found.warnings)
 
 

@@ -151,15 +151,13 @@ def _owners(scene: Scene, frames: slice) -> Ints:
 # --- I(x, t) ------------------------------------------------------------------------------------------------
 
 
-def profiles(experiment: Experiment, *, progress: Progress | None = None) -> tuple[xr.DataArray, xr.Dataset]:
+def profiles(experiment: Experiment) -> tuple[xr.DataArray, xr.Dataset]:
     """Draw I(x, t) of the default strip directly: a thousand frames in a second or two.
 
     Parameters
     ----------
     experiment
         The experiment.
-    progress
-        Called with (frames done, frames in total).
 
     Returns
     -------
@@ -180,8 +178,6 @@ def profiles(experiment: Experiment, *, progress: Progress | None = None) -> tup
     for first in range(0, total, 32):
         frames = slice(first, min(first + 32, total))
         intensity[frames] = _strip_block(scene, average, frames)
-        if progress is not None:
-            progress(frames.stop, total)
     return _as_strip(intensity, scene), truth_of(scene)
 
 

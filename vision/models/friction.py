@@ -96,7 +96,6 @@ class DiscFriction:
     mu_d: float  # mean over the range of angles
     mu_d_err: float
     peak_deg: float  # travelled angle of the maximum
-    samples_before_dynamic: int  # from the start to the range of μ_d, where the peak must be resolved
     warnings: tuple[str, ...] = ()  # possible errors of these numbers
 
 
@@ -249,7 +248,6 @@ def friction_of_disc(
         mu_d=mu_d,
         mu_d_err=math.hypot(scatter, mu_d * load_err / mean_load),
         peak_deg=peak_deg,
-        samples_before_dynamic=samples,
         warnings=(*facts.warnings, *_warnings(angle, peak_deg, samples, settings)),
     )
 
@@ -447,16 +445,11 @@ def fit_static_friction(N_N: ArrayLike, mu_s: ArrayLike, mu_s_err: ArrayLike | N
     )
 
 
-def threshold_curves(
-    N_N: ArrayLike | None = None, *, mu: float = 0.89, law: StaticFriction = PUBLISHED_FRICTION
-) -> pd.DataFrame:
+def threshold_curves(*, mu: float = 0.89, law: StaticFriction = PUBLISHED_FRICTION) -> pd.DataFrame:
     """Static friction force of a constant coefficient and of the law, over the loads in the blocks.
 
     Parameters
     ----------
-    N_N
-        Loads; by default 200 from 0.0034 N (T*/μ) to 6.4 N (on the axis at d = 13.5 mm), the publication's
-        range.
     mu
         The constant coefficient.
     law
@@ -465,7 +458,8 @@ def threshold_curves(
     Returns
     -------
     pandas.DataFrame
-        Columns ``N_N``, ``constant_N`` = μN and ``law_N`` = a(N + b). They cross at ``law.crossing_N(mu)``.
+        Columns ``N_N``, from 0.0034 N (T*/μ) to 6.4 N (on the axis at d = 13.5 mm), ``constant_N`` = μN and
+        ``law_N`` = a(N + b). They cross at ``law.crossing_N(mu)``.
     """
-    load = np.geomspace(0.0034, 6.4, 200) if N_N is None else np.asarray(N_N, float)
+    load = np.geomspace(0.0034, 6.4, 200)
     return pd.DataFrame({"N_N": load, "constant_N": mu * load, "law_N": law.threshold_N(load)})
