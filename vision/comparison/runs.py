@@ -3,8 +3,11 @@
 # ruff: noqa: N815 (the unit is part of a name, and newton is N)
 from __future__ import annotations
 
+import csv
 import difflib
+import io
 import math
+import re
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -14,12 +17,13 @@ import numpy as np
 import pandas as pd
 
 from vision.errors import InputError
-from vision.files import reading
+from vision.files import check_regular, reading, shortened
 from vision.numeric import Floats
 from vision.run import RunFolder, is_run, read_run
 from vision.run.reading import AGAIN, read_json
 from vision.sample import PUBLISHED, Sample
 
+MAX_BYTES = 1 << 24  # size of a table
 COLUMNS = ("run", "sample", "V_mm_min", "n_test", "RH_percent", "T_C")
 Row = Mapping[Hashable, Any]  # cells of one row of the table, by column
 LIMITS = {"V_mm_min": (1e-6, 1e4), "n_test": (0.0, 1e6), "RH_percent": (0.0, 100.0), "T_C": (-90.0, 200.0)}
@@ -124,8 +128,10 @@ def _read_table(table: str | Path | pd.DataFrame | None) -> tuple[pd.DataFrame |
     if isinstance(table, pd.DataFrame):
         rows, source, base = table.copy(), "`table`", Path()
     else:
-        rows, source, base = _csv(Path(table)), str(table), Path(table).parent
-    rows.columns = [str(name).strip().lstrip("\ufeff") for name in rows.columns]
+        header, lines = table_cells(Path(table), "a CSV table of tests")
+        cells = [dict(zip(header, (cell.strip() or None for cell in row), strict=False)) for _, row in lines]
+        rows, source, base = pd.DataFrame(cells, columns=header), str(table), Path(table).parent
+    rows.columns = [str(name).strip() for name in rows.columns]
     warnings = []
     for name in [name for name in rows.columns if name not in COLUMNS]:
         near = difflib.get_close_matches(name.lower(), ALIKE, n=1, cutoff=0.0)[0]
@@ -139,13 +145,30 @@ def _read_table(table: str | Path | pd.DataFrame | None) -> tuple[pd.DataFrame |
     return rows, base, warnings
 
 
-def _csv(path: Path) -> pd.DataFrame:
-    """Read a table separated by commas, or one by semicolons or tabs that may have decimal commas."""
-    with reading(path, "a CSV table of tests", "save it as CSV, UTF-8"):
-        first = path.read_text(encoding="utf-8-sig").lstrip().partition("\n")[0]
+def table_cells(path: Path, wanted: str) -> tuple[list[str], list[tuple[int, list[str]]]]:
+    """Return the heading of a CSV table and, with their line numbers, the rows that are not empty.
+
+    Commas separate cells, or semicolons or tabs; then commas in numbers are decimal marks.
+
+    wanted: what the file should be, for the message.  Raises: InputError.
+    """
+    if check_regular(path, wanted).st_size > MAX_BYTES:
+        raise InputError(path, wanted, "a far larger file", "check its name")
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+        first = text.lstrip().partition("\n")[0]
         separator = max((",", ";", "\t"), key=first.count)
-        rows = pd.read_csv(path, sep=separator, dtype=str, encoding="utf-8-sig", skipinitialspace=True)
-    return rows if separator == "," else rows.apply(lambda column: column.str.replace(",", "."))
+        reader = csv.reader(io.StringIO(text), delimiter=separator, skipinitialspace=True, strict=True)
+        table = [(reader.line_num, cells) for cells in reader if any(cell.strip() for cell in cells)]
+    except (OSError, ValueError, csv.Error) as error:
+        found = shortened(str(getattr(error, "strerror", None) or error)).lower()
+        raise InputError(path, wanted, found, "save it as CSV, UTF-8") from error
+    if len(table) < 2:
+        raise InputError(path, "a heading and a row for each test", f"{len(table)} lines")
+    if separator != ",":
+        decimal = re.compile(r"^\s*([-+]?[0-9]+),([0-9]+)\s*$")
+        table = [(number, [decimal.sub(r"\1.\2", cell) for cell in cells]) for number, cells in table]
+    return table[0][1], table[1:]
 
 
 def _numbers(
