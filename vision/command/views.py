@@ -406,7 +406,8 @@ def certify(run: Path, films: int, most_frames: int, output: OutputOptions) -> i
     with frame_progress("films", quiet=output.quiet) as progress:
         certificate = certify_run(finished, settings=settings, progress=progress)
     write_certificate(certificate, target)
-    lines = [*in_columns(statements(certificate), "<"), f"-> {target}/"]
+    answers = [(one.what, f"{one.value} {one.detail}") for one in statements(certificate)]
+    lines = [*in_columns(answers, "<"), f"-> {target}/"]
     return conclude(lines, certificate.warnings, quiet=output.quiet)
 
 
