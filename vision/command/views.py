@@ -29,7 +29,7 @@ from vision.command.settings import (
 from vision.command.track import command_line, run_name
 from vision.comparison import compare as compare_runs
 from vision.comparison import write_comparison
-from vision.comparison.comparison import MARK, summary_lines
+from vision.comparison.comparison import MARK, answers
 from vision.data import StripMetadata, TrackMetadata, warnings_of
 from vision.errors import InputError
 from vision.figures import kymograph_figure, load_figures, preview_figure, sides_known, slip_times
@@ -434,5 +434,6 @@ def compare(
     for line in (*found.failures, *found.warnings):
         complain(line)
     if not output.quiet:
-        say([f"{counted(len(found.tests), 'test')} -> {target}/", *summary_lines(found)])
+        rows = [(one.what, ", ".join(filter(None, (one.value, one.detail)))) for one in answers(found)]
+        say([f"{counted(len(found.tests), 'test')} -> {target}/", *in_columns(rows, "<")])
     return 1 if found.failures or found.warnings else 0

@@ -279,35 +279,45 @@ def _joint(
 # --- summary ------------------------------------------------------------------------------------------------
 
 
-def summary_lines(found: Comparison) -> list[str]:
-    """Describe the joint μ, Y_eff, the collapse, change points and trends in one line each."""
-    lines = [joint_line(one) for one in found.joint]
-    source = ", ".join(found.modulus_from[:3]) + (" …" if len(found.modulus_from) > 3 else "")
-    lines.append(f"Y_eff {plus_minus(found.modulus)} GPa held fixed ({source})")
-    if found.collapse is not None:
-        c = found.collapse
-        lines.append(
-            f"collapse: rms {c.rms_after:.2g} sheets, {c.rms_before:.2g} with one Λ̂ for all; "
-            f"noise {c.rms_noise:.2g}"
+def answers(found: Comparison) -> list[Answer]:
+    """Return the main results, for the top of the page and for the summary of the command."""
+    boxes = [
+        Answer(
+            f"one μ of {one.sample or 'all tests'}",
+            both_errors(one.mu),
+            f"for {len(one.runs)} tests{_joint_detail(one)}",
+            doubt=one.disagrees or bool(one.at_limit),
         )
+        for one in found.joint
+    ]
+    source = ", ".join(found.modulus_from[:3]) + (" …" if len(found.modulus_from) > 3 else "")
+    boxes.append(Answer("Y_eff, held fixed", f"{plus_minus(found.modulus)} GPa", f"from {source}"))
+    if (c := found.collapse) is not None:
+        before = f"{c.rms_before:.2g} with one Λ̂ for all tests"
+        detail = f"{before}; neighbouring events scatter by {c.rms_noise:.2g}"
+        doubt = c.rms_after > 2 * c.rms_noise
+        boxes.append(Answer("collapse", f"rms {c.rms_after:.2g} sheets", detail, doubt=doubt))
     changed = [one for one in found.irregular if np.isfinite(one.change_mm)]
-    for one in changed[:6]:
-        position = plus_minus(Estimate(one.change_mm, one.change_err_mm))
-        lines.append(f"{one.run}: stick-slip becomes irregular at d_v = {position} mm")
-    if not changed:
-        lines.append("stick-slip becomes irregular in no test")
-    claimed = [t for t in found.trends if t.claimed]
-    for t in claimed:
-        partial = np.isfinite(t.partial_slope)
-        slope = Estimate(*((t.partial_slope, t.partial_slope_err) if partial else (t.slope, t.slope_err)))
-        how = ", the other held fixed" if partial else ""
-        lines.append(f"{t.quantity} with {t.predictor}: {plus_minus(slope)}{how} (p {t.p_adjusted:.2g})")
-    examined = [t for t in found.trends if not t.reason]
-    if doubtful := [f"{t.quantity} with {t.predictor}" for t in examined if not t.beyond_systematic]:
-        lines.append(f"within the systematic errors of the geometry: {', '.join(doubtful)}")
-    if examined and not claimed:
-        lines.append(f"no trend among the {len(examined)} examined")
-    return lines
+    places = [
+        f"{one.run} from d_v = {plus_minus(Estimate(one.change_mm, one.change_err_mm))} mm"
+        for one in changed[:6]
+    ]
+    which = f"in {len(changed)} of {len(found.irregular)} tests" if changed else "in no test"
+    boxes.append(Answer("irregular stick-slip", which, "; ".join(places)))
+    if examined := [t for t in found.trends if not t.reason]:
+        claimed = [t for t in examined if t.claimed]
+        lines = [_trend_line(t) for t in claimed]
+        if doubtful := [f"{t.quantity} with {t.predictor}" for t in examined if not t.beyond_systematic]:
+            lines.append(f"within the systematic errors of the geometry: {', '.join(doubtful)}")
+        boxes.append(Answer("trends", f"{len(claimed)} of {len(examined)} examined", "; ".join(lines)))
+    return boxes
+
+
+def _trend_line(t: Trend) -> str:
+    partial = np.isfinite(t.partial_slope)
+    slope = Estimate(*((t.partial_slope, t.partial_slope_err) if partial else (t.slope, t.slope_err)))
+    how = ", the other held fixed" if partial else ""
+    return f"{t.quantity} with {t.predictor}: {plus_minus(slope)}{how} (p {t.p_adjusted:.2g})"
 
 
 def _misfit_line(one: JointFriction) -> str:
@@ -318,13 +328,7 @@ def _misfit_line(one: JointFriction) -> str:
     )
 
 
-def joint_line(one: JointFriction) -> str:
-    """State the joint μ of several tests, and whether they agree on it."""
-    mu = both_errors(one.mu)
-    return f"{one.sample or 'all tests'}: one μ {mu} for {len(one.runs)} tests{joint_detail(one)}"
-
-
-def joint_detail(one: JointFriction) -> str:
+def _joint_detail(one: JointFriction) -> str:
     """State A of several tests, and whether they agree on μ."""
     line = ""
     if np.isfinite(one.amplitude.value):
@@ -382,44 +386,13 @@ def _write_page(path: Path, found: Comparison, facts: Mapping[str, Any], figures
         title=f"{len(found.tests)} tests",
         kind="comparison",
         subtitle=f"{len(found.tests)} tests of {len(samples)} sample{'s' * (len(samples) > 1)}{pulled}",
-        answers=_answers(found),
+        answers=answers(found),
         warnings=list(facts.get("warnings", ())),
         missing=_missing(found),
         methods=_methods(found),
         citation=citation(),
         tables=(),
     )
-
-
-def _answers(found: Comparison) -> list[Answer]:
-    """Return the main results for the top of the page."""
-    answers = [
-        Answer(
-            f"friction coefficient, {one.sample or 'all tests'}",
-            f"μ = {both_errors(one.mu)}",
-            f"{len(one.runs)} tests{joint_detail(one)}",
-            doubt=one.disagrees or bool(one.at_limit),
-        )
-        for one in found.joint
-    ]
-    if found.collapse is not None:
-        c = found.collapse
-        detail = (
-            f"{c.rms_before:.2g} with one Λ̂ for all tests; neighbouring events scatter by {c.rms_noise:.2g}"
-        )
-        doubt = c.rms_after > 2 * c.rms_noise
-        answers.append(Answer("collapse", f"rms {c.rms_after:.2g} sheets", detail, doubt=doubt))
-    changed = [one for one in found.irregular if np.isfinite(one.change_mm)]
-    if changed:
-        first = changed[0]
-        change = plus_minus(Estimate(first.change_mm, first.change_err_mm))
-        detail = f"{first.run}; {len(changed)} of {len(found.irregular)} tests change"
-        answers.append(Answer("irregular stick-slip", f"from d_v = {change} mm", detail))
-    claimed = [f"{t.quantity} with {t.predictor}" for t in found.trends if t.claimed]
-    tested = sum(not t.reason for t in found.trends)
-    if tested:
-        answers.append(Answer("trends", f"{len(claimed)} of {tested}", ", ".join(claimed) or "none claimed"))
-    return answers
 
 
 def _missing(found: Comparison) -> list[str]:
