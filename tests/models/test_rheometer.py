@@ -81,14 +81,6 @@ def test_names_and_units_of_plain_tables(tmp_path: Path, head: str) -> None:
     np.testing.assert_allclose(rotation["angle_rad"], [0, 0.1, 0.2])
 
 
-def test_angle_from_speed_and_time(tmp_path: Path) -> None:
-    """A failure means a file without angle is refused although its speed tells it."""
-    head = "Time [s],Torque [mN·m],Rotational Speed [1/min]"
-    (rotation,) = read_rheometer(_write(tmp_path / "t.csv", head, "0,0,6\n1,5,6\n2,4,6\n"))
-    np.testing.assert_allclose(rotation["angle_rad"], [0, 0.2 * np.pi, 0.4 * np.pi])
-    assert any("no angle" in line for line in rotation.attrs["warnings"])
-
-
 def test_a_cut_export_says_so(tmp_path: Path) -> None:
     """A failure means a half-copied file passes for a whole one."""
     write_rheocompass(tmp_path / "rheo.csv", replace(TEST, loads_N=(1.0,)), encoding="utf-8")

@@ -181,23 +181,9 @@ def friction(files: Sequence[Path], options: FrictionOptions, output: OutputOpti
     return 1 if found.failures or found.warnings else 0
 
 
-_NAMES_WITH_UNITS = {
-    "thickness": "thickness_mm",
-    "width": "width_mm",
-    "length": "length_mm",
-    "clamp_distance": "clamp_distance_mm",
-    "machine_stiffness": "machine_stiffness_N_per_mm",
-    "radius": "radius_mm",
-    "normal_force": "normal_force_N",
-    "dynamic": "dynamic_deg",
-}
-"""Names of options in run.json, where they end in their unit."""
-
-
 def _provenance(files: Sequence[Path], options: Any, defaults: Any) -> dict[str, Any]:
     """Return versions, command, inputs and parameters for run.json."""
-    given = parameters_given(vars(options), vars(defaults))
-    parameters = {_NAMES_WITH_UNITS.get(name, name): parameter for name, parameter in given.items()}
+    parameters = parameters_given(vars(options), vars(defaults))
     return Origin(command=command_line(), inputs=files, parameters=parameters).facts()
 
 

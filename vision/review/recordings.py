@@ -97,19 +97,11 @@ def _as_entry(facts: Mapping[str, Any]) -> dict[str, Any]:
 
 def decided_clock(earlier: Clock | None, decision: Correction) -> Clock:
     """Return the clock of a decision. Its counts of slips remain the earlier ones until the run is saved."""
-    known = earlier or Clock(
-        offset_s=0.0,
-        drift_ppm=0.0,
-        residual_ms=math.nan,
-        matched=0,
-        unmatched_video=0,
-        unmatched_force=0,
-        margin=math.nan,
-        status="given",
-        how="given",
+    none = Clock(
+        offset_s=0.0, drift_ppm=0.0, unmatched_video=0, unmatched_force=0, status="given", how="given"
     )
     return replace(
-        known,
+        earlier or none,
         offset_s=decision.offset_s or 0.0,
         drift_ppm=decision.drift_ppm,
         status="given",
