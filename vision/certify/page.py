@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-import numpy as np
-
 import vision
 from vision.certify.certificate import Certificate
 from vision.figures import Figure, Panel, Series
+from vision.figures.labels import from_zero
 from vision.figures.style import DATA, PEAK, VALLEY
 from vision.report.page import render_page
 from vision.report.text import Answer, citation
@@ -59,39 +58,24 @@ def certificate_figure(certificate: Certificate) -> Figure:
     """Return error, smallest sweep and pixel locking of every sheet."""
     table = certificate.sheets
     x = table["x_px"].to_numpy(float)
-    lines = (
-        ("RMS error of a displacement", "error_px", DATA, "points", False),
-        ("stated by the run, x_err", "stated_px", DATA, "line", True),
-        ("smallest sweep in a stick phase", "smallest_sweep_px", PEAK, "points", True),
-        ("pixel locking, peak to peak", "locking_px", VALLEY, "line", False),
+    error, stated, sweep, locking = (
+        1000 * table[name].to_numpy(float)
+        for name in ("error_px", "stated_px", "smallest_sweep_px", "locking_px")
     )
-    series = tuple(
-        Series(
-            label=label,
-            x=x,
-            y=1000 * table[name].to_numpy(float),
-            ink=ink,
-            look=look,  # type: ignore[arg-type]
-            dashed=look == "line" and other,
-            hollow=look == "points" and other,
-        )
-        for label, name, ink, look, other in lines
-    )
-    top = 1.15 * float(np.nanmax([np.nanmax(line.y, initial=0.0) for line in series], initial=1.0))
     panel = Panel(
         x_label="position of the sheet (px)",
         y_label="thousandths of a pixel",
-        series=series,
-        y_range=(0.0, top),
+        series=(
+            Series.points("RMS error of a displacement", x, error, DATA),
+            Series(label="stated by the run, x_err", x=x, y=stated, ink=DATA, dashed=True),
+            Series.points("smallest sweep in a stick phase", x, sweep, PEAK, hollow=True),
+            Series(label="pixel locking, peak to peak", x=x, y=locking, ink=VALLEY),
+        ),
+        y_range=from_zero(error, stated, sweep, locking),
         aspect=0.45,
     )
-    return Figure(
-        name="certificate",
-        title="Accuracy of each sheet's position",
-        caption="Measured on films that are similar to the recording and have known truth.",
-        panels=(panel,),
-        width_in=7.0,
-    )
+    caption = "Measured on films that are similar to the recording and have known truth."
+    return Figure.of("certificate", panel, caption, title="Accuracy of each sheet's position")
 
 
 def statements(certificate: Certificate) -> list[Answer]:
