@@ -21,18 +21,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vision.clock import Clock
 from vision.errors import InputError
 from vision.files import PACKAGES
 from vision.numeric import Floats, Ints
 from vision.pipeline import Analysis, Settings, analyse, open_recording
 from vision.review.positions import Before, Positions, median_positions, positions_of
+from vision.review.recordings import StoredRun
 from vision.review.tracks_file import read_tracks
 from vision.run.folder import clean_up, plain, put_in_place
 from vision.run.provenance import Origin, Parameter
 from vision.run.reading import read_run, read_strip
 from vision.run.writing import write_run
-from vision.sheets.corrections import Correction, Decisions
+from vision.sheets.corrections import Decisions
 
 if TYPE_CHECKING:
     from vision.review.session import Session
@@ -50,9 +50,7 @@ class SaveJob:
 
     folder: Path  # the run
     settings: Settings  # settings of the run, without corrections
-    applied: tuple[Correction, ...]  # decisions that are already applied
     decisions: Decisions  # decisions that are to be applied
-    clock: Clock | None = None  # clock of the run, reused unless a decision changes it
     # path of the film if it has been moved; without the film, anything but another strip can be saved
     film: Path | None = None
     beside: Mapping[str, bytes] | None = None  # files of the review to store with the run: content by name
@@ -68,13 +66,13 @@ def save_run(job: SaveJob, tell: Tell = lambda stage, done=0, total=0: None) -> 
     """
     tell("reading the run")
     folder, settings = job.folder, replace(job.settings, corrections=job.decisions.corrections)
-    run = read_run(folder)
+    run = StoredRun.of(folder)
     parameters = dict(run.parameters)
     earlier = Analysis(
-        settings=replace(settings, corrections=job.applied),
+        settings=replace(settings, corrections=tuple(run.applied)),
         strip=read_strip(run),
         tracks=run.tracks,
-        clock=job.clock,
+        clock=run.clock,  # used again unless a decision changes it
     )
     tell("measuring")
 

@@ -178,9 +178,7 @@ class Session:
         return SaveJob(
             folder=self.folder,
             settings=self.settings,
-            applied=tuple(self.applied),
             decisions=self._as_written(decisions, undone),
-            clock=self.saved_clock,
             film=self.recordings.moved,
             beside={REPLACED: pack(self._before)} if self._before and same_strip else {},
             options=self.options,
