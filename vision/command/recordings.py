@@ -35,7 +35,6 @@ from vision.models.friction import (
     FrictionSettings,
     StaticFriction,
     fit_static_friction,
-    friction_curve,
     friction_of_disc,
     friction_table,
 )
@@ -169,9 +168,7 @@ def friction(files: Sequence[Path], options: FrictionOptions, output: OutputOpti
         "warnings": found.warnings,
         "seconds": {"total": time.perf_counter() - started},
     }
-    figure = friction_figure(
-        found.measured, found.curves, law, mu=options.mu, dynamic_deg=settings.dynamic_deg
-    )
+    figure = friction_figure(found.measured, law, mu=options.mu, dynamic_deg=settings.dynamic_deg)
     _write(target, output, "friction", table, figure, content, facts)
     if not output.quiet:
         count = f"{counted(len(found.measured), 'measurement')} of {counted(len(files), 'file')}"
@@ -207,10 +204,9 @@ def _write(
 
 @dataclass
 class _Measurements:
-    """Friction coefficients of all files with their curves, failures (one line each), and notes."""
+    """Friction coefficients of all files, failures (one line each), and notes."""
 
     measured: list[DiscFriction] = field(default_factory=list)
-    curves: list[pd.DataFrame] = field(default_factory=list)
     failures: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
@@ -235,14 +231,11 @@ def _measure(
         found.failures += [f"{file}: {line}" for line in rotations[0].attrs["left_out"]]
         for rotation in rotations:
             found.notes += [f"{file.name}: {line}" for line in rotation.attrs["notes"]]
-            options: dict[str, Any] = {"radius_mm": radius_mm, "normal_force_N": load, "settings": settings}
             try:
-                one, curve = friction_of_disc(rotation, **options), friction_curve(rotation, **options)
+                one = friction_of_disc(rotation, radius_mm=radius_mm, normal_force_N=load, settings=settings)
+                found.measured.append(one)
             except InputError as error:
                 found.failures.append(str(error))
-                continue
-            found.measured.append(one)
-            found.curves.append(curve)
     return found
 
 

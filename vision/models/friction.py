@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -96,40 +96,16 @@ class DiscFriction:
     mu_d: float  # mean over the range of angles
     mu_d_err: float
     peak_deg: float  # travelled angle of the maximum
+    # One row per sample: angle_deg (travelled), mu, N_N (given, or the running mean of the recorded one) and
+    # N_err_N (its standard error).
+    curve: pd.DataFrame = field(repr=False, compare=False)
     warnings: tuple[str, ...] = ()  # possible errors of these numbers
 
 
-def friction_curve(
-    rotation: pd.DataFrame,
-    *,
-    radius_mm: float = RADIUS_MM,
-    normal_force_N: float | None = None,
-    settings: FrictionSettings = FrictionSettings(),
+def _curve(
+    rotation: pd.DataFrame, radius_mm: float, normal_force_N: float | None, settings: FrictionSettings
 ) -> pd.DataFrame:
-    """Friction coefficient as a function of the travelled angle.
-
-    Parameters
-    ----------
-    rotation
-        One measurement from `read_rheometer`.
-    radius_mm
-        Radius R of the discs.
-    normal_force_N
-        N, if it was not recorded or is to replace the recorded one.
-    settings
-        See `FrictionSettings`.
-
-    Returns
-    -------
-    pandas.DataFrame
-        Columns ``angle_deg``, ``mu``, ``N_N`` (given, or the running mean of the recorded one) and
-        ``N_err_N`` (its standard error), one row per sample.
-
-    Raises
-    ------
-    InputError
-        If there is no normal force, or it is not compressive throughout.
-    """
+    """Friction coefficient against the travelled angle, as in `DiscFriction`."""
     ROTATION.check(rotation)
     about = f"{RotationMetadata.of(rotation).source}: {RotationMetadata.of(rotation).measurement}"
     check_positive(radius_mm=radius_mm, normal_force_N=normal_force_N)
@@ -193,8 +169,14 @@ def friction_of_disc(
 
     Parameters
     ----------
-    rotation, radius_mm, normal_force_N, settings
-        As in `friction_curve`.
+    rotation
+        One measurement from `read_rheometer`.
+    radius_mm
+        Radius R of the discs.
+    normal_force_N
+        N, if it was not recorded or is to replace the recorded one.
+    settings
+        See `FrictionSettings`.
 
     Returns
     -------
@@ -208,7 +190,8 @@ def friction_of_disc(
     Raises
     ------
     InputError
-        If there is no normal force, or the rotation ends before the range of μ_d.
+        If there is no normal force, it is not compressive throughout, or the rotation ends before the range
+        of μ_d.
 
     Notes
     -----
@@ -216,7 +199,7 @@ def friction_of_disc(
     Source: appendix "Single sheets characterization".
     """
     facts = RotationMetadata.of(rotation)
-    curve = friction_curve(rotation, radius_mm=radius_mm, normal_force_N=normal_force_N, settings=settings)
+    curve = _curve(rotation, radius_mm, normal_force_N, settings)
     angle, mu = curve["angle_deg"].to_numpy(), curve["mu"].to_numpy()
     low, high = settings.dynamic_deg
     inside = (angle >= low) & (angle <= high)
@@ -248,6 +231,7 @@ def friction_of_disc(
         mu_d=mu_d,
         mu_d_err=math.hypot(scatter, mu_d * load_err / mean_load),
         peak_deg=peak_deg,
+        curve=curve,
         warnings=(*facts.warnings, *_warnings(angle, peak_deg, samples, settings)),
     )
 
