@@ -30,10 +30,9 @@ from matplotlib.figure import Figure as Page
 from reports.rivals import strip_of
 from reports.writing import head, row, write_report
 from vision.experiment import Experiment, with_settings
-from vision.experiment.images import frame_blocks
 from vision.experiment.mechanics import frame_times
 from vision.experiment.scene import make_scene
-from vision.experiment.simulate import write_video
+from vision.experiment.simulate import frame_blocks, write_video
 from vision.numeric import Pixels
 
 HERE = Path(__file__).parent

@@ -12,9 +12,9 @@ from matplotlib.image import imread
 
 from vision.command.main import run
 from vision.experiment import force_recording, preset, simulate_pull, with_settings, write_force
-from vision.experiment.single_sheets import CyclesTest, DiscTest, write_cycles, write_rheocompass
 from vision.figures import load_figures
 
+FIXTURES = Path(__file__).parents[2] / "fixtures"
 NAMES = {"peaks": 3, "sticks": 4, "drops": 5, "stiffnesses": 6, "collapse": 9, "friction": 10, "modulus": 11}
 NAMES |= {"trends": 14}
 # V in mm/min, previous tests, relative humidity in %: N̂ rises with the tests, μ with humidity.
@@ -47,10 +47,8 @@ with tempfile.TemporaryDirectory() as scratch:
     compared = str(work / "comparison")
     run(["compare", "--table", str(work / "tests.csv"), "--out", compared, "--no-report", "--quiet"])
 
-    write_rheocompass(work / "rheometer.csv", DiscTest())
-    run(["friction", str(work / "rheometer.csv"), "--out", str(work / "friction"), "--quiet"])
-    write_cycles(work / "cycles.txt", CyclesTest())
-    run(["modulus", str(work / "cycles.txt"), "--out", str(work / "modulus"), "--quiet"])
+    run(["friction", str(FIXTURES / "discs.csv"), "--out", str(work / "friction"), "--quiet"])
+    run(["modulus", str(FIXTURES / "strip.txt"), "--out", str(work / "modulus"), "--quiet"])
 
     # As `track figures --compare comparison` and `track figures friction` give them.
     made = [

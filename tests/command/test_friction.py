@@ -8,8 +8,8 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from tests.scenes.single_sheets import DiscTest, write_rheocompass, write_rheometer_csv
 from vision.command.main import run
-from vision.experiment.single_sheets import DiscTest, write_rheocompass, write_rheometer_csv
 
 COLUMNS = ["file", "measurement", "N_N", "mu_s", "mu_s_err", "mu_d", "mu_d_err"]
 TEST = DiscTest(loads_N=(0.1, 0.5, 2.0))
@@ -35,7 +35,7 @@ def test_run_folder(capsys: pytest.CaptureFixture[str]) -> None:
     assert law["a"] == pytest.approx(0.507, abs=4 * law["a_err"])
     assert law["thresholds_equal_at_N"] == pytest.approx(0.189, abs=0.01)
     told = json.loads((out / "run.json").read_text("utf-8"))
-    assert told["parameters"]["radius_mm"] == {"value": 25.0, "how": "default"}
+    assert told["parameters"]["radius"] == {"value": 25.0, "how": "default"}
     assert len(told["inputs"][0]["sha256"]) == 64
     assert (out / "friction.png").stat().st_size > 10_000
     printed = capsys.readouterr()

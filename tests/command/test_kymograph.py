@@ -123,7 +123,8 @@ def give_events(folder, status="ok"):
     """Slips of the comb film at 1, 2 and 2.96 s, on a force clock 7 s ahead that runs 1000 ppm fast."""
     slips = np.array([1.0, 2.0, 2.96, 55.0])
     pd.DataFrame({"event": range(4), "t_p_s": 7 + slips * 1.001}).to_csv(folder / "events.csv", index=False)
-    clock = {"offset_s": 7.0, "drift_ppm": 1000.0, "status": status}
+    clock = {"offset_s": 7.0, "drift_ppm": 1000.0, "status": status, "how": "events"}
+    clock |= {"unmatched_video": 0, "unmatched_force": 0}
     (folder / "clock.json").write_text(json.dumps(clock))
     return slips
 

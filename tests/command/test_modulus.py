@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.scenes.single_sheets import CyclesTest, write_cycles
 from vision.command.main import run
-from vision.experiment.single_sheets import CyclesTest, write_cycles
 
 COLUMNS = ["cycle", "k_N_per_mm", "k_err_N_per_mm", "F0_N", "F0_err_N", "Y_p_GPa", "Y_p_err_GPa"]
 
@@ -33,7 +33,7 @@ def test_run_folder(capsys: pytest.CaptureFixture[str]) -> None:
     assert mean["value"] == pytest.approx(2.5, abs=0.005)
     assert 0 < mean["error"] < mean["scatter"]
     told = json.loads((out / "run.json").read_text("utf-8"))
-    assert told["parameters"]["length_mm"] == {"value": 16.8, "how": "default"}
+    assert told["parameters"]["length"] == {"value": 16.8, "how": "default"}
     assert any("publication's sheet is assumed" in line for line in told["notes"])
     assert (out / "modulus.png").stat().st_size > 10_000
     assert "Y_p = |F0|/(εW) 2.4997" in capsys.readouterr().out

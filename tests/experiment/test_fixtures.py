@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from tests.scenes.single_sheets import CyclesTest, DiscTest, write_cycles, write_rheocompass
 from vision.command.main import run
 from vision.video import open_video
 
@@ -61,3 +62,14 @@ def test_a_video_of_another_seed_would_be_noticed(tmp_path):
     assert run(["simulate", str(tmp_path / "x"), *arguments]) == 0
     other = pixels(tmp_path / "x")
     assert np.sqrt(((pixels(FIXTURES / "paper")[: len(other)] - other) ** 2).mean()) > 2
+
+
+def test_recordings_of_single_sheets_are_those_of_the_generator(tmp_path):
+    """A failure means that the README states truths that the files do not have."""
+    truth = write_rheocompass(tmp_path / "discs.csv", DiscTest(), encoding="utf-8")
+    modulus = write_cycles(tmp_path / "strip.txt", CyclesTest())["Y_p_GPa"]
+    for name in ("discs.csv", "strip.txt"):
+        assert (FIXTURES / name).read_bytes() == (tmp_path / name).read_bytes()
+    assert np.allclose(truth["mu_s"], 0.507 * (1 + 0.143 / truth["N_N"]))
+    assert np.allclose(truth["mu_d"], 0.44, atol=0.001)
+    assert np.allclose(modulus, 2.5)

@@ -15,7 +15,7 @@ from vision.experiment import (
     make_scene,
     profiles,
 )
-from vision.experiment.images import electrons_per_level, grey_levels
+from vision.experiment.simulate import electrons_per_level, grey_levels
 
 PLAIN = Optics(contrast_spread=0, gradient=0, texture=0, flicker=0, tilt_deg=0)
 WIDE = Sheets(count=8, pitch_px=70, bow_px=0)

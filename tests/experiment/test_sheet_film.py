@@ -11,7 +11,7 @@ import xarray as xr
 
 import vision
 from vision.experiment import force_recording, preset, profiles, with_settings, write_force
-from vision.experiment.mechanics import sheet_pull
+from vision.experiment.mechanics import threshold_factors
 from vision.experiment.scene import Scene, make_scene
 from vision.models import equations
 from vision.sheets import track_sheets
@@ -139,7 +139,7 @@ def test_the_rise_of_a_stick_lacks_what_the_peaks_fall_by(scenes: dict[str, Scen
     d_v, d_p = (events[name].to_numpy() for name in ("d_v_mm", "d_p_mm"))
     normal = equations.total_normal_force(d_v, mu=0.89)
     fallen = equations.traction(d_v, mu=0.89) - equations.traction(d_p, mu=0.89)
-    factor = np.mean(sheet_pull(scenes["short"].experiment).threshold_factor)  # of the unequal thresholds
+    factor = np.mean(threshold_factors(scenes["short"].experiment))  # of the unequal thresholds
     rise = events["dF_N"].to_numpy()
     np.testing.assert_allclose(rise + fallen, 0.34 * factor * normal, rtol=0.005)
     assert rise[0] / normal[0] == pytest.approx(0.973 * 0.34 * factor, rel=0.002)

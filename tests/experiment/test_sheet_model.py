@@ -7,29 +7,30 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vision.experiment.sheet_model import SheetPull, pull_sheets
+from vision.experiment.settings import Mechanics
+from vision.experiment.sheet_model import normal_N, pull_sheets
 from vision.models import equations
 from vision.models.spring_block import SpringBlock, stick_slip
-from vision.sample import Sample
+from vision.sample import PUBLISHED, Sample
 
-PULL = SheetPull(d_end_mm=13.08)
+PULL = Mechanics(d_end_mm=13.08)
 
 
 @pytest.mark.parametrize("d", [13.0, 18.0])
 def test_sum_over_the_sheets_is_eq_1(d: float) -> None:
     """At their thresholds 2M sheets carry Eq. 1, to 5e-6: the continuum limit's error."""
-    loads = 2 * PULL.mu * PULL.normal_N(d) + PULL.sample.t_star_N
+    loads = 2 * PULL.mu * normal_N(d, PULL) + PUBLISHED.t_star_N
     assert 2 * loads.sum() == pytest.approx(float(equations.traction(d, mu=0.89)), rel=5e-6)
 
 
 def test_one_sheet_is_a_spring_and_a_block() -> None:
     """A failure means a sheet sticks or slips otherwise than the block under the load of both faces."""
     sample = Sample(sheets_per_block=1, thickness_mm=60.0, width_mm=0.075)  # k = 300 N/mm, α = 8.2
-    pull = SheetPull(sample=sample, d_end_mm=13.1, speed_mm_min=2.0)
-    result = pull_sheets(pull)
+    pull = Mechanics(d_end_mm=13.1, speed_mm_min=2.0)
+    result = pull_sheets(pull, sample)
     slips = np.flatnonzero(result["slipped"].values)[5:-1]
     d = result["d_mm"].values[slips]
-    load = 2 * np.array([pull.normal_N(at)[0] for at in d])
+    load = 2 * np.array([normal_N(at, pull, sample)[0] for at in d])
     cycles = [
         stick_slip(
             SpringBlock(mass_kg=1e-6, stiffness_N_per_mm=300.0, load_N=w, mu_static=0.89, mu_dynamic=0.72),
@@ -54,7 +55,7 @@ def test_no_load_exceeds_its_threshold() -> None:
     result = pull_sheets(PULL)
     right = result["load_N"].values[:, 25:]
     for d, load in zip(result["d_mm"].values, right, strict=True):
-        assert (load <= (2 * 0.89 * PULL.normal_N(d) + 0.003) * (1 + 1e-6)).all()
+        assert (load <= (2 * 0.89 * normal_N(d, PULL) + 0.003) * (1 + 1e-6)).all()
     assert (right >= 0).all()
 
 
@@ -68,7 +69,7 @@ def test_sides_are_mirror_images_unless_the_sheets_differ() -> None:
     assert load[-1, 25] > 10 * load[-1, 45]
     factor = np.ones(50)
     factor[25] = 2.0  # n = 1 on the right
-    strong = pull_sheets(replace(PULL, threshold_factor=tuple(factor)))["load_N"].values
+    strong = pull_sheets(PULL, threshold_factor=factor)["load_N"].values
     assert strong[:, 25].max() > 1.5 * strong[:, 24].max()
 
 
@@ -82,19 +83,19 @@ def test_sheets_that_hold_each_other_give_eq_1_and_the_drops() -> None:
     drops = equations.stick_slip_amplitude(d[after], mu=0.89)
     np.testing.assert_allclose(force[after - 1] - force[after], drops, rtol=1e-4)
     first, last = d[after[:-1]], d[after[1:] - 1]
-    innermost = np.array([pull.normal_N(at)[0] for at in first])
+    innermost = np.array([normal_N(at, pull)[0] for at in first])
     falls = 2 * 0.89 * innermost * 2 * 0.1 * 0.89 * 25**2 / first**2  # of the threshold with d, N/mm
     np.testing.assert_allclose(last - first, 2 * 0.34 * innermost / (300 + falls), rtol=0.01)
     load = result["load_N"].values[:, 25:]
     gained = load[after[1] - 1] - load[after[0]]
     crept = 1 - gained / (300 * (last[0] - first[0]))
-    normal = pull.normal_N(first[0])
+    normal = normal_N(first[0], pull)
     np.testing.assert_allclose(crept, 1 - normal / normal[0], atol=0.02)
 
 
 def test_a_finer_step_changes_nothing() -> None:
     """A failure means slips depend on how often N is computed."""
-    coarse, fine = pull_sheets(PULL), pull_sheets(replace(PULL, longest_step_um=0.1))
+    coarse, fine = pull_sheets(PULL), pull_sheets(PULL, longest_step_um=0.1)
     slips = [np.flatnonzero(run["slipped"].values) for run in (coarse, fine)]
     assert slips[0].size == slips[1].size > 1
     at = [run["d_mm"].values[found] for run, found in zip((coarse, fine), slips, strict=True)]

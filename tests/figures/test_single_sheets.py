@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from vision.experiment.single_sheets import CyclesTest, DiscTest, write_cycles, write_rheocompass
+from tests.scenes.single_sheets import CyclesTest, DiscTest, write_cycles, write_rheocompass
 from vision.figures import load_figures, save_figures
 from vision.figures.single_sheets import friction_figure, modulus_figure
 from vision.force.recording import read_force
-from vision.models.friction import fit_static_friction, friction_curve, friction_of_disc
+from vision.models.friction import fit_static_friction, friction_of_disc
 from vision.models.modulus import STRIP, measure_cycles
 from vision.models.rheometer import read_rheometer
 
@@ -15,18 +15,16 @@ from vision.models.rheometer import read_rheometer
 def test_friction_shows_what_was_measured(tmp_path):
     """A failure means that a coefficient is drawn at another load, or that the figure is lost when kept."""
     write_rheocompass(tmp_path / "r.csv", DiscTest(loads_N=(0.1, 0.5, 2.0)))
-    rotations = read_rheometer(tmp_path / "r.csv")
-    measured = [friction_of_disc(one) for one in rotations]
-    curves = [friction_curve(one) for one in rotations]
+    measured = [friction_of_disc(one) for one in read_rheometer(tmp_path / "r.csv")]
     law = fit_static_friction([m.N_N for m in measured], [m.mu_s for m in measured])
-    figure = friction_figure(measured, curves, law)
+    figure = friction_figure(measured, law)
     static = figure.panels[1].series[0]
     np.testing.assert_allclose(static.y, [m.mu_s for m in sorted(measured, key=lambda m: m.N_N)])
     assert figure.panels[2].series[2].x[0] == pytest.approx(law.crossing_N(0.89))
     assert figure.panels[0].bands[0].of_x
     kept = load_figures(save_figures(tmp_path / "f.npz", [figure]))[0]
     assert kept.png() == figure.png()
-    without = friction_figure(measured, curves, None)
+    without = friction_figure(measured, None)
     assert "published" in without.panels[2].series[1].label
 
 

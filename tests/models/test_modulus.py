@@ -10,8 +10,8 @@ import pandas as pd
 import pytest
 import xarray as xr
 
+from tests.scenes.single_sheets import CyclesTest, cycles_record, write_cycles
 from vision.errors import InputError
-from vision.experiment.single_sheets import CyclesTest, cycles_record, write_cycles
 from vision.force.recording import read_force
 from vision.models.modulus import (
     CYCLES,

@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.scenes.single_sheets import DiscTest, write_rheocompass, write_rheometer_csv
 from vision.errors import InputError
-from vision.experiment.single_sheets import DiscTest, write_rheocompass, write_rheometer_csv
 from vision.models.rheometer import ROTATION, read_rheometer
 
 TEST = DiscTest(loads_N=(0.2, 1.0), torque_noise_mN_m=0.0, normal_noise_N=0.0)
@@ -79,14 +79,6 @@ def test_names_and_units_of_plain_tables(tmp_path: Path, head: str) -> None:
     (rotation,) = read_rheometer(_write(tmp_path / "t.csv", head, "0,0,0\n1,5,100\n2,4,200\n"))
     np.testing.assert_allclose(rotation["torque_N_m"], [0, 5e-6, 4e-6])
     np.testing.assert_allclose(rotation["angle_rad"], [0, 0.1, 0.2])
-
-
-def test_angle_from_speed_and_time(tmp_path: Path) -> None:
-    """A failure means a file without angle is refused although its speed tells it."""
-    head = "Time [s],Torque [mN·m],Rotational Speed [1/min]"
-    (rotation,) = read_rheometer(_write(tmp_path / "t.csv", head, "0,0,6\n1,5,6\n2,4,6\n"))
-    np.testing.assert_allclose(rotation["angle_rad"], [0, 0.2 * np.pi, 0.4 * np.pi])
-    assert any("no angle" in line for line in rotation.attrs["warnings"])
 
 
 def test_a_cut_export_says_so(tmp_path: Path) -> None:
@@ -171,23 +163,3 @@ def test_a_result_that_cannot_be_used_costs_no_other(tmp_path: Path, spoiled, re
         (line,) = rotation.attrs["left_out"]
         assert line.startswith("Friction 0.5 N: ")
         assert reason in line
-
-
-def test_steps_of_trios(tmp_path: Path) -> None:
-    """A failure means exports of TA Instruments are misread: steps, units, torques that are none."""
-    head = "Filename\tdisc.tri\nInstrument name\tDHR-2\n[Parameters]\nTorque range\t200 mN.m\n\n"
-    columns = "Displacement\tStep time\tTorque\tAxial force\tGap\nrad\ts\tµN.m\tN\tmm\n"
-    angle = np.linspace(0, 2, 40)
-    steps = [
-        f"[step]\nPeak hold - {k}\n{columns}"
-        + "".join(f"{a:.6f}\t{10 * a:.5f}\t{1000 * load + a:.6f}\t{load}\t0.1\n" for a in angle)
-        for k, load in enumerate((0.5, 2.0), 1)
-    ]
-    (tmp_path / "t.txt").write_text(head + "\n".join(steps), encoding="utf-8-sig")
-    found = read_rheometer(tmp_path / "t.txt")
-    assert [rotation.attrs["measurement"] for rotation in found] == ["Peak hold - 1", "Peak hold - 2"]
-    for rotation, load in zip(found, (0.5, 2.0), strict=True):
-        np.testing.assert_allclose(rotation["angle_rad"], angle, atol=1e-6)
-        np.testing.assert_allclose(rotation["torque_N_m"], 1e-6 * (1000 * load + angle), rtol=1e-6)
-        np.testing.assert_allclose(rotation["normal_force_N"], load)
-        assert not rotation.attrs["left_out"]

@@ -277,7 +277,6 @@ def test_candidates_of_a_frame_name_their_sheets(page):
     free = [one["x_px"] for one in found["candidates"] if one["sheet"] is None]
     assert min(abs(place - x_px[7]) for place in free) < 1
     assert found["sheets"][7]["flag"] == "left_out"
-    assert abs(found["sheets"][7]["expected_px"] - x_px[7]) < 3
 
 
 def test_the_force(page):

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import difflib
 import glob
-import io
 import math
 import re
 import time
@@ -16,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from vision.campaign.settings import CampaignSettings
-from vision.comparison.runs import ALIKE, COLUMNS, LIMITS
+from vision.comparison.runs import ALIKE, COLUMNS, LIMITS, table_cells
 from vision.errors import InputError
-from vision.files import Stamp, check_regular, shortened
+from vision.files import Stamp, shortened
 from vision.video import open_video, video_files
 from vision.video.raw import PIXELS
 from vision.video.threads import answered
@@ -28,7 +26,6 @@ from vision.video.threads import answered
 
 FACTS = (*COLUMNS[1:], "notes")  # columns that describe the test
 PATHS = ("force", "timestamps", "corrections")  # options that name a file, relative to the table
-MAX_BYTES = 1 << 24  # size of a table
 MAX_NAME_BYTES = 150  # length of a name, from which the names of folders and files are made
 # Usual names of the columns. A message about an unknown column suggests the nearest of them.
 _ALIKE = ALIKE | {
@@ -119,7 +116,8 @@ def read_campaign(
     InputError
         If the file is not a table or has no rows, or a disk does not answer.
     """
-    header, lines = answered(lambda: _lines(path), path, settings.answer_s)
+    read = partial(table_cells, path, "a CSV table with a column film")
+    header, lines = answered(read, path, settings.answer_s)
     columns, problems = _columns(header, ("film", "name", *FACTS, *options))
     rows: list[Row] = []
     for number, cells in lines:
@@ -136,28 +134,6 @@ def read_campaign(
     bad = {problem.row for problem in problems}
     good = tuple(row for row in rows if row.row not in bad)
     return good, tuple(sorted(problems, key=lambda p: (p.row, p.column)))
-
-
-def _lines(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """Return the heading and, with their line numbers, the rows that are not empty."""
-    wanted = "a CSV table with a column film"
-    if check_regular(path, wanted).st_size > MAX_BYTES:
-        raise InputError(path, wanted, "a far larger file", "check its name")
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-        first = text.lstrip().partition("\n")[0]
-        separator = max((",", ";", "\t"), key=first.count)
-        reader = csv.reader(io.StringIO(text), delimiter=separator, skipinitialspace=True, strict=True)
-        table = [(reader.line_num, cells) for cells in reader if any(cell.strip() for cell in cells)]
-    except (OSError, ValueError, csv.Error) as error:
-        found = shortened(str(getattr(error, "strerror", None) or error)).lower()
-        raise InputError(path, wanted, found, "save it as CSV, UTF-8") from error
-    if len(table) < 2:
-        raise InputError(path, "a heading and a row for each test", f"{len(table)} lines")
-    if separator != ",":  # then commas are decimal marks
-        decimal = re.compile(r"^\s*([-+]?[0-9]+),([0-9]+)\s*$")
-        table = [(number, [decimal.sub(r"\1.\2", cell) for cell in cells]) for number, cells in table]
-    return table[0][1], table[1:]
 
 
 def _columns(header: Sequence[str], known: Sequence[str]) -> tuple[list[str], list[Problem]]:

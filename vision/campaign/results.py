@@ -20,13 +20,12 @@ import xarray as xr
 from jinja2 import Environment, StrictUndefined
 
 from vision.campaign.plan import FINISHED, Plan, PlannedFilm, State
-from vision.comparison import compare
+from vision.comparison import compare, write_comparison
 from vision.comparison.runs import COLUMNS, LIMITS
 from vision.errors import InputError
 from vision.files import reading
 from vision.pipeline import Analysis
 from vision.run import Origin, whole_file, write_json
-from vision.run.comparing import write_comparison
 from vision.run.reading import read_json
 from vision.run.tables import ROWS_PER_CHUNK, sheets_table, tracks_table, write_table
 from vision.shells import deformation_table

@@ -20,9 +20,7 @@ from vision.data import StripMetadata, TrackMetadata
 from vision.deformation import horizontal_deformation
 from vision.errors import InputError
 from vision.numeric import Bools, Floats, Ints, nan_median
-from vision.run import RunFolder, read_strip, read_table
-from vision.run.export import film_of
-from vision.run.reading import read_json, tracks_of
+from vision.run import RunFolder, read_strip
 from vision.sheets import TrackingSettings, track_sheets
 from vision.sheets.quality import BetweenSlips, spatial_scatter
 from vision.sheets.subpixel import FitChoice, position_noise
@@ -142,16 +140,13 @@ def certify_run(
     InputError
         For a run without a video, or with sheets in too few frames.
     """
-    sticks, path = read_table(run.folder, "events"), run.folder / "clock.json"
-    clock = _clock(read_json(path)) if path.exists() else None
-    given = run.facts.get("parameters", {}).get("threshold", {}).get("value")
-    strip = read_strip(run)
+    clock, given, strip = run.clock, run.value("threshold"), read_strip(run)
     return certify(
         strip,
-        tracks_of(run),
+        run.tracks,
         pixel_size_um=run.pixel_size_um,
-        sticks=sticks,
-        clock=clock,
+        sticks=run.table("events"),
+        clock=None if clock is None or clock.status == "ambiguous" else clock,
         threshold=0.1 if given is None else float(given),
         encoder=_encoder(run, strip),
         settings=settings,
@@ -165,23 +160,12 @@ def _encoder(run: RunFolder, strip: xr.DataArray) -> Encoder | None:
     if facts.codec not in BETWEEN_FRAMES:
         return None
     try:
-        film = film_of(run)
+        film = run.input("film")
     except InputError:
         return None
     columns = (int(strip["x"].values[0]), int(strip["x"].values[-1]) + 1)
     rows = (facts.strip_z0, facts.strip_z1)
     return read_encoder(film, rows, columns, rotate=facts.rotate, first=int(strip["frame"].values[0]))
-
-
-def _clock(facts: dict[str, Any]) -> Clock | None:
-    """Return the run's clock; None if it is ambiguous."""
-    if facts.get("status") not in ("ok", "given"):
-        return None
-    known = {part.name for part in fields(Clock)} - {"candidates", "warnings"}
-    values: dict[str, Any] = {name: facts[name] for name in known if name in facts}
-    for name, value in values.items():
-        values[name] = math.nan if value is None else value
-    return Clock(**values)
 
 
 def certify(

@@ -49,7 +49,7 @@ PRESETS = {
     10: "veryslow",
 }
 """x264's presets by the effort of its motion search (subme), which x264 writes into its films."""
-TRIED_FRAMES = 60
+TRIED_FRAMES, READ_FRAMES = 60, 600  # from which the noise, and how the film was encoded, is found
 NOISE_GREY, NOISE_ERROR = 12.0, 0.03
 """Largest pixel noise that is tried, more than films that can be tracked have, and its tolerance."""
 
@@ -249,7 +249,6 @@ def read_encoder(
     *,
     rotate: int = 0,
     first: int = 0,
-    frames: int = 600,
 ) -> Encoder | None:
     """Read how a recording was encoded; None if it cannot be read, or there is no such encoder.
 
@@ -263,8 +262,6 @@ def read_encoder(
         Degrees clockwise by which the run turned frames.
     first
         Number of the run's first frame, which becomes the picture.
-    frames
-        Number of frames that are read.
     """
     try:
         with open_container(path) as film:
@@ -277,7 +274,7 @@ def read_encoder(
             stream.thread_type = "NONE"
             quantisers, keys, size, decoded, b_frames = [], [], 0, 0, False
             for n, packet in enumerate(film.demux(stream)):
-                if n >= frames:
+                if n >= READ_FRAMES:
                     break
                 size += packet.size
                 header += bytes(packet)[:4096] if n == 0 else b""  # x264 and x265 write their settings here

@@ -401,8 +401,7 @@ def friction(
     Parameters
     ----------
     files
-        RheoCompass exports (UTF-16 or UTF-8, several results and intervals), TRIOS exports, or tables with
-        units.
+        RheoCompass exports (UTF-16 or UTF-8, several results and intervals), or tables with units.
     """
     from vision.command import recordings
 

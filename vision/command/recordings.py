@@ -35,7 +35,6 @@ from vision.models.friction import (
     FrictionSettings,
     StaticFriction,
     fit_static_friction,
-    friction_curve,
     friction_of_disc,
     friction_table,
 )
@@ -169,9 +168,7 @@ def friction(files: Sequence[Path], options: FrictionOptions, output: OutputOpti
         "warnings": found.warnings,
         "seconds": {"total": time.perf_counter() - started},
     }
-    figure = friction_figure(
-        found.measured, found.curves, law, mu=options.mu, dynamic_deg=settings.dynamic_deg
-    )
+    figure = friction_figure(found.measured, law, mu=options.mu, dynamic_deg=settings.dynamic_deg)
     _write(target, output, "friction", table, figure, content, facts)
     if not output.quiet:
         count = f"{counted(len(found.measured), 'measurement')} of {counted(len(files), 'file')}"
@@ -181,23 +178,9 @@ def friction(files: Sequence[Path], options: FrictionOptions, output: OutputOpti
     return 1 if found.failures or found.warnings else 0
 
 
-_NAMES_WITH_UNITS = {
-    "thickness": "thickness_mm",
-    "width": "width_mm",
-    "length": "length_mm",
-    "clamp_distance": "clamp_distance_mm",
-    "machine_stiffness": "machine_stiffness_N_per_mm",
-    "radius": "radius_mm",
-    "normal_force": "normal_force_N",
-    "dynamic": "dynamic_deg",
-}
-"""Names of options in run.json, where they end in their unit."""
-
-
 def _provenance(files: Sequence[Path], options: Any, defaults: Any) -> dict[str, Any]:
     """Return versions, command, inputs and parameters for run.json."""
-    given = parameters_given(vars(options), vars(defaults))
-    parameters = {_NAMES_WITH_UNITS.get(name, name): parameter for name, parameter in given.items()}
+    parameters = parameters_given(vars(options), vars(defaults))
     return Origin(command=command_line(), inputs=files, parameters=parameters).facts()
 
 
@@ -221,10 +204,9 @@ def _write(
 
 @dataclass
 class _Measurements:
-    """Friction coefficients of all files with their curves, failures (one line each), and notes."""
+    """Friction coefficients of all files, failures (one line each), and notes."""
 
     measured: list[DiscFriction] = field(default_factory=list)
-    curves: list[pd.DataFrame] = field(default_factory=list)
     failures: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
@@ -249,14 +231,11 @@ def _measure(
         found.failures += [f"{file}: {line}" for line in rotations[0].attrs["left_out"]]
         for rotation in rotations:
             found.notes += [f"{file.name}: {line}" for line in rotation.attrs["notes"]]
-            options: dict[str, Any] = {"radius_mm": radius_mm, "normal_force_N": load, "settings": settings}
             try:
-                one, curve = friction_of_disc(rotation, **options), friction_curve(rotation, **options)
+                one = friction_of_disc(rotation, radius_mm=radius_mm, normal_force_N=load, settings=settings)
+                found.measured.append(one)
             except InputError as error:
                 found.failures.append(str(error))
-                continue
-            found.measured.append(one)
-            found.curves.append(curve)
     return found
 
 

@@ -16,8 +16,8 @@ from vision.errors import InputError
 from vision.files import check_regular, reading, shortened
 from vision.force import parse_columns
 from vision.pipeline import Settings
-from vision.run import Parameter
-from vision.run.reading import AGAIN, parameters_of, read_json
+from vision.run import Parameter, read_run
+from vision.run.reading import AGAIN
 from vision.sample import PUBLISHED, Sample
 from vision.sheets import read_corrections
 from vision.spacetime import Sheet
@@ -190,9 +190,8 @@ def settings_of_run(folder: Path) -> Settings:
 
     Raises: InputError for a folder that is no run, or whose run.json is damaged.
     """
-    facts = folder / "run.json"
-    parameters = parameters_of(folder, read_json(facts)) | {"corrections": Parameter(None, "default")}
-    with reading(facts, "the parameters of a run", AGAIN):
+    parameters = read_run(folder).parameters | {"corrections": Parameter(None, "default")}
+    with reading(folder / "run.json", "the parameters of a run", AGAIN):
         return settings_of(parameters)
 
 

@@ -28,7 +28,8 @@ from vision.command.settings import (
 )
 from vision.command.track import command_line, run_name
 from vision.comparison import compare as compare_runs
-from vision.comparison.comparison import summary_lines
+from vision.comparison import write_comparison
+from vision.comparison.comparison import MARK, answers
 from vision.data import StripMetadata, TrackMetadata, warnings_of
 from vision.errors import InputError
 from vision.figures import kymograph_figure, load_figures, preview_figure, sides_known, slip_times
@@ -49,9 +50,8 @@ from vision.run import (
     whole_file,
     write_json,
 )
-from vision.run.comparing import MARK, write_comparison
-from vision.run.export import Format, film_of, frame_step_s, unevenness_s, write_overlay, write_space_time_tif
-from vision.run.reading import AGAIN, tracks_of
+from vision.run.export import Format, frame_step_s, unevenness_s, write_overlay, write_space_time_tif
+from vision.run.reading import AGAIN
 from vision.sheets import pixel_size_from_pitch
 from vision.sheets.ridges import describe_ridges, find_ridges
 from vision.sheets.tracks import LOSSY
@@ -373,11 +373,11 @@ def overlay(run: Path, film: Path | None, frames: str | None, output: OutputOpti
     if target.suffix.lower() != ".mp4":
         raise InputError("`out`", "a name that ends in .mp4", f"'{target}'")
     check_new(target, overwrite=output.overwrite)
-    source = film_of(made, film)
+    source = made.input("film", film)
     with frame_progress("drawing", quiet=output.quiet) as progress, whole_file(target) as path:
         written = write_overlay(made, source, path, frames=part, progress=progress)
     size = f"{written.frames} frames of {written.shape[1]} x {written.shape[0]} px"
-    speed = f"{written.fps:g} frames/s{_slower(written.fps, StripMetadata.of(tracks_of(made)).fps)}"
+    speed = f"{written.fps:g} frames/s{_slower(written.fps, StripMetadata.of(made.tracks).fps)}"
     line = f"{size}, played at {speed}, {target.stat().st_size / 1e6:.1f} MB -> {target}"
     return conclude([line], (), quiet=output.quiet)
 
@@ -406,7 +406,8 @@ def certify(run: Path, films: int, most_frames: int, output: OutputOptions) -> i
     with frame_progress("films", quiet=output.quiet) as progress:
         certificate = certify_run(finished, settings=settings, progress=progress)
     write_certificate(certificate, target)
-    lines = [*in_columns(statements(certificate), "<"), f"-> {target}/"]
+    answers = [(one.what, f"{one.value} {one.detail}") for one in statements(certificate)]
+    lines = [*in_columns(answers, "<"), f"-> {target}/"]
     return conclude(lines, certificate.warnings, quiet=output.quiet)
 
 
@@ -433,5 +434,6 @@ def compare(
     for line in (*found.failures, *found.warnings):
         complain(line)
     if not output.quiet:
-        say([f"{counted(len(found.tests), 'test')} -> {target}/", *summary_lines(found)])
+        rows = [(one.what, ", ".join(filter(None, (one.value, one.detail)))) for one in answers(found)]
+        say([f"{counted(len(found.tests), 'test')} -> {target}/", *in_columns(rows, "<")])
     return 1 if found.failures or found.warnings else 0

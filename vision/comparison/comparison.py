@@ -1,8 +1,9 @@
-"""compare(): read finished runs and a table of tests, and compare them."""
+"""compare(): read finished runs and a table of tests, and compare them; the comparison's folder and page."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import time
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vision.comparison.figures import compare_figures
+import vision
+from vision.comparison.figures import compare_figures, compare_sections
 from vision.comparison.joint import (
     QUANTITIES,
     Collapse,
@@ -28,8 +30,15 @@ from vision.comparison.joint import (
 from vision.comparison.runs import TractionTest, read_tests
 from vision.comparison.trends import Irregularity, Trend, find_irregular, find_trends
 from vision.errors import InputError
-from vision.figures import Figure, both_errors, plus_minus
+from vision.figures import Figure, both_errors, plus_minus, save_figures
 from vision.models import Estimate
+from vision.report.page import render_page
+from vision.report.text import Answer, citation
+from vision.run import Origin, run_folder, write_json
+from vision.run.tables import write_table
+
+MARK = "compare"  # key in run.json that distinguishes a comparison from a run
+PICTURES = ("collapse", "trends")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -270,35 +279,45 @@ def _joint(
 # --- summary ------------------------------------------------------------------------------------------------
 
 
-def summary_lines(found: Comparison) -> list[str]:
-    """Describe the joint μ, Y_eff, the collapse, change points and trends in one line each."""
-    lines = [joint_line(one) for one in found.joint]
-    source = ", ".join(found.modulus_from[:3]) + (" …" if len(found.modulus_from) > 3 else "")
-    lines.append(f"Y_eff {plus_minus(found.modulus)} GPa held fixed ({source})")
-    if found.collapse is not None:
-        c = found.collapse
-        lines.append(
-            f"collapse: rms {c.rms_after:.2g} sheets, {c.rms_before:.2g} with one Λ̂ for all; "
-            f"noise {c.rms_noise:.2g}"
+def answers(found: Comparison) -> list[Answer]:
+    """Return the main results, for the top of the page and for the summary of the command."""
+    boxes = [
+        Answer(
+            f"one μ of {one.sample or 'all tests'}",
+            both_errors(one.mu),
+            f"for {len(one.runs)} tests{_joint_detail(one)}",
+            doubt=one.disagrees or bool(one.at_limit),
         )
+        for one in found.joint
+    ]
+    source = ", ".join(found.modulus_from[:3]) + (" …" if len(found.modulus_from) > 3 else "")
+    boxes.append(Answer("Y_eff, held fixed", f"{plus_minus(found.modulus)} GPa", f"from {source}"))
+    if (c := found.collapse) is not None:
+        before = f"{c.rms_before:.2g} with one Λ̂ for all tests"
+        detail = f"{before}; neighbouring events scatter by {c.rms_noise:.2g}"
+        doubt = c.rms_after > 2 * c.rms_noise
+        boxes.append(Answer("collapse", f"rms {c.rms_after:.2g} sheets", detail, doubt=doubt))
     changed = [one for one in found.irregular if np.isfinite(one.change_mm)]
-    for one in changed[:6]:
-        position = plus_minus(Estimate(one.change_mm, one.change_err_mm))
-        lines.append(f"{one.run}: stick-slip becomes irregular at d_v = {position} mm")
-    if not changed:
-        lines.append("stick-slip becomes irregular in no test")
-    claimed = [t for t in found.trends if t.claimed]
-    for t in claimed:
-        partial = np.isfinite(t.partial_slope)
-        slope = Estimate(*((t.partial_slope, t.partial_slope_err) if partial else (t.slope, t.slope_err)))
-        how = ", the other held fixed" if partial else ""
-        lines.append(f"{t.quantity} with {t.predictor}: {plus_minus(slope)}{how} (p {t.p_adjusted:.2g})")
-    examined = [t for t in found.trends if not t.reason]
-    if doubtful := [f"{t.quantity} with {t.predictor}" for t in examined if not t.beyond_systematic]:
-        lines.append(f"within the systematic errors of the geometry: {', '.join(doubtful)}")
-    if examined and not claimed:
-        lines.append(f"no trend among the {len(examined)} examined")
-    return lines
+    places = [
+        f"{one.run} from d_v = {plus_minus(Estimate(one.change_mm, one.change_err_mm))} mm"
+        for one in changed[:6]
+    ]
+    which = f"in {len(changed)} of {len(found.irregular)} tests" if changed else "in no test"
+    boxes.append(Answer("irregular stick-slip", which, "; ".join(places)))
+    if examined := [t for t in found.trends if not t.reason]:
+        claimed = [t for t in examined if t.claimed]
+        lines = [_trend_line(t) for t in claimed]
+        if doubtful := [f"{t.quantity} with {t.predictor}" for t in examined if not t.beyond_systematic]:
+            lines.append(f"within the systematic errors of the geometry: {', '.join(doubtful)}")
+        boxes.append(Answer("trends", f"{len(claimed)} of {len(examined)} examined", "; ".join(lines)))
+    return boxes
+
+
+def _trend_line(t: Trend) -> str:
+    partial = np.isfinite(t.partial_slope)
+    slope = Estimate(*((t.partial_slope, t.partial_slope_err) if partial else (t.slope, t.slope_err)))
+    how = ", the other held fixed" if partial else ""
+    return f"{t.quantity} with {t.predictor}: {plus_minus(slope)}{how} (p {t.p_adjusted:.2g})"
 
 
 def _misfit_line(one: JointFriction) -> str:
@@ -309,13 +328,7 @@ def _misfit_line(one: JointFriction) -> str:
     )
 
 
-def joint_line(one: JointFriction) -> str:
-    """State the joint μ of several tests, and whether they agree on it."""
-    mu = both_errors(one.mu)
-    return f"{one.sample or 'all tests'}: one μ {mu} for {len(one.runs)} tests{joint_detail(one)}"
-
-
-def joint_detail(one: JointFriction) -> str:
+def _joint_detail(one: JointFriction) -> str:
     """State A of several tests, and whether they agree on μ."""
     line = ""
     if np.isfinite(one.amplitude.value):
@@ -325,3 +338,85 @@ def joint_detail(one: JointFriction) -> str:
     if one.at_limit:
         line += f"; 𝒯0 at its limit in {', '.join(one.at_limit)}"
     return line
+
+
+# --- the folder ---------------------------------------------------------------------------------------------
+
+
+def write_comparison(
+    found: Comparison, target: Path, origin: Origin, *, overwrite: bool = False, report: bool = True
+) -> dict[str, Any]:
+    """Write the tables, figures, report.html and run.json of a comparison; return the content of run.json.
+
+    Raises: InputError if the folder exists (without `overwrite`) or cannot be written; nothing is left then.
+    """
+    started = time.perf_counter()
+    facts = origin.facts() | {
+        MARK: {"runs": [str(test.folder) for test in found.tests], "failures": list(found.failures)},
+        "warnings": origin.named((*found.failures, *found.warnings)),
+    }
+    with run_folder(target, overwrite=overwrite) as folder:
+        write_table(found.table, folder / "tests.csv")
+        write_table(found.events(), folder / "all_events.csv")
+        write_json(found.to_json(), folder / "trends.json")
+        figures = found.figures()
+        save_figures(folder / "figures.npz", figures)
+        for figure in figures:
+            if figure.name in PICTURES:
+                figure.save(folder / f"{figure.name}.png")
+        if report:
+            _write_page(folder / "report.html", found, facts, figures)
+        facts["seconds"] = {"writing": time.perf_counter() - started}
+        write_json(facts, folder / "run.json")
+    return facts
+
+
+# --- its page -----------------------------------------------------------------------------------------------
+
+
+def _write_page(path: Path, found: Comparison, facts: Mapping[str, Any], figures: Sequence[Figure]) -> None:
+    """Write report.html of several tests."""
+    samples = {test.sample_name for test in found.tests}
+    speeds = sorted({float(f"{test.speed_mm_min:.2g}") for test in found.tests if test.speed_mm_min > 0})
+    pulled = f", V = {', '.join(f'{v:g}' for v in speeds)} mm/min" if speeds else ""
+    render_page(
+        path,
+        compare_sections(figures),
+        facts,
+        title=f"{len(found.tests)} tests",
+        kind="comparison",
+        subtitle=f"{len(found.tests)} tests of {len(samples)} sample{'s' * (len(samples) > 1)}{pulled}",
+        answers=answers(found),
+        warnings=list(facts.get("warnings", ())),
+        missing=_missing(found),
+        methods=_methods(found),
+        citation=citation(),
+        tables=(),
+    )
+
+
+def _missing(found: Comparison) -> list[str]:
+    """Return what could not be determined, with the reason."""
+    lines = [f"{t.quantity} with {t.predictor}: {t.reason}." for t in found.trends if t.reason]
+    if found.collapse is None:
+        lines.append("The collapse: no test has a Λ̂.")
+    return lines
+
+
+def _methods(found: Comparison) -> list[str]:
+    t_star = 1000 * found.tests[0].sample.t_star_N
+    source = "as given" if found.modulus_from == ("given",) else f"of {', '.join(found.modulus_from)}"
+    modulus = plus_minus(found.modulus)
+    return [
+        f"For each of {len(found.tests)} tests the peak forces were fitted with Eq. 1 of the publication and "
+        f"an offset, with T* = {t_star:.3g} mN fixed. K was fitted with M_eff K_eff, with Y_eff = {modulus} "
+        f"GPa ({source}) fixed and only Λ̂ free; N̂ follows from Λ̂ and μ. One μ for all tests of a sample "
+        "was fitted with an individual offset of each test within ±10 N. Standard errors are White's, scaled "
+        "if χ²/dof exceeds 1.",
+        "Stick-slip becomes irregular at the event that best divides the logarithm of the relative deviation "
+        "of ΔF from its smooth course into two levels. The change is claimed if fewer than 1 % of random "
+        "permutations divide as well, and a steady rise fits worse. Trends are weighted lines. Their p "
+        "values come from permutations, with the other predictor fixed after Freedman and Lane, and are "
+        "adjusted for the number of trends after Holm.",
+        f"The analysis was done with sheetvision {vision.__version__}.",
+    ]

@@ -3,9 +3,11 @@
 # ruff: noqa: N815 (the unit is part of a name, and newton is N)
 from __future__ import annotations
 
+import csv
 import difflib
-import json
+import io
 import math
+import re
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -15,10 +17,13 @@ import numpy as np
 import pandas as pd
 
 from vision.errors import InputError
-from vision.files import reading
+from vision.files import check_regular, reading, shortened
 from vision.numeric import Floats
+from vision.run import RunFolder, is_run, read_run
+from vision.run.reading import AGAIN, read_json
 from vision.sample import PUBLISHED, Sample
 
+MAX_BYTES = 1 << 24  # size of a table
 COLUMNS = ("run", "sample", "V_mm_min", "n_test", "RH_percent", "T_C")
 Row = Mapping[Hashable, Any]  # cells of one row of the table, by column
 LIMITS = {"V_mm_min": (1e-6, 1e4), "n_test": (0.0, 1e6), "RH_percent": (0.0, 100.0), "T_C": (-90.0, 200.0)}
@@ -103,7 +108,7 @@ def read_tests(runs: Sequence[str | Path] = (), table: str | Path | pd.DataFrame
     for folder, name in zip(folders, names, strict=True):
         unique = name if names.count(name) == 1 else str(folder)
         try:
-            with reading(folder, "a run as track writes it", "run track again"):
+            with reading(folder, "a run as track writes it", AGAIN):
                 tests.append(_read_test(folder, unique, row_of.get(folder, {}), warnings))
         except InputError as error:
             failures.append(str(error))
@@ -123,8 +128,10 @@ def _read_table(table: str | Path | pd.DataFrame | None) -> tuple[pd.DataFrame |
     if isinstance(table, pd.DataFrame):
         rows, source, base = table.copy(), "`table`", Path()
     else:
-        rows, source, base = _csv(Path(table)), str(table), Path(table).parent
-    rows.columns = [str(name).strip().lstrip("\ufeff") for name in rows.columns]
+        header, lines = table_cells(Path(table), "a CSV table of tests")
+        cells = [dict(zip(header, (cell.strip() or None for cell in row), strict=False)) for _, row in lines]
+        rows, source, base = pd.DataFrame(cells, columns=header), str(table), Path(table).parent
+    rows.columns = [str(name).strip() for name in rows.columns]
     warnings = []
     for name in [name for name in rows.columns if name not in COLUMNS]:
         near = difflib.get_close_matches(name.lower(), ALIKE, n=1, cutoff=0.0)[0]
@@ -138,13 +145,30 @@ def _read_table(table: str | Path | pd.DataFrame | None) -> tuple[pd.DataFrame |
     return rows, base, warnings
 
 
-def _csv(path: Path) -> pd.DataFrame:
-    """Read a table separated by commas, or one by semicolons or tabs that may have decimal commas."""
-    with reading(path, "a CSV table of tests", "save it as CSV, UTF-8"):
-        first = path.read_text(encoding="utf-8-sig").lstrip().partition("\n")[0]
+def table_cells(path: Path, wanted: str) -> tuple[list[str], list[tuple[int, list[str]]]]:
+    """Return the heading of a CSV table and, with their line numbers, the rows that are not empty.
+
+    Commas separate cells, or semicolons or tabs; then commas in numbers are decimal marks.
+
+    wanted: what the file should be, for the message.  Raises: InputError.
+    """
+    if check_regular(path, wanted).st_size > MAX_BYTES:
+        raise InputError(path, wanted, "a far larger file", "check its name")
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+        first = text.lstrip().partition("\n")[0]
         separator = max((",", ";", "\t"), key=first.count)
-        rows = pd.read_csv(path, sep=separator, dtype=str, encoding="utf-8-sig", skipinitialspace=True)
-    return rows if separator == "," else rows.apply(lambda column: column.str.replace(",", "."))
+        reader = csv.reader(io.StringIO(text), delimiter=separator, skipinitialspace=True, strict=True)
+        table = [(reader.line_num, cells) for cells in reader if any(cell.strip() for cell in cells)]
+    except (OSError, ValueError, csv.Error) as error:
+        found = shortened(str(getattr(error, "strerror", None) or error)).lower()
+        raise InputError(path, wanted, found, "save it as CSV, UTF-8") from error
+    if len(table) < 2:
+        raise InputError(path, "a heading and a row for each test", f"{len(table)} lines")
+    if separator != ",":
+        decimal = re.compile(r"^\s*([-+]?[0-9]+),([0-9]+)\s*$")
+        table = [(number, [decimal.sub(r"\1.\2", cell) for cell in cells]) for number, cells in table]
+    return table[0][1], table[1:]
 
 
 def _numbers(
@@ -200,9 +224,7 @@ def _rows_of_runs(
             warnings.append(f"run {name} is in the table more than once; its first row is used")
         elif matches:
             known[matches[0]] = row
-    if missing := [
-        str(folder) for folder in folders if folder not in known and (folder / "run.json").is_file()
-    ]:
+    if missing := [str(folder) for folder in folders if folder not in known and is_run(folder)]:
         warnings.append(f"not in the table, so left out of the trends: {', '.join(missing)}")
     return known
 
@@ -211,18 +233,15 @@ def _rows_of_runs(
 
 
 def _read_test(folder: Path, name: str, row: Row, warnings: list[str]) -> TractionTest:
-    if not (folder / "run.json").is_file():
-        found = "no run.json in it" if folder.is_dir() else "no such folder"
-        raise InputError(folder, "a finished run of track or track force", found)
-    facts = _json(folder / "run.json")
-    models = _json(folder / "models.json") if (folder / "models.json").is_file() else {}
-    recorded = _number((facts.get("force") or {}).get("speed_mm_min"))
+    made = read_run(folder)
+    models = read_json(folder / "models.json") if (folder / "models.json").is_file() else {}
+    recorded = _number((made.facts.get("force") or {}).get("speed_mm_min"))
     given = _number(row.get("V_mm_min"))
     if math.isfinite(given) and math.isfinite(recorded) and abs(given / recorded - 1) > 0.05:
         warnings.append(f"{name}: the table has V = {given:g} mm/min, its recording {recorded:.4g}")
     modulus = models.get("Y_eff_GPa") or {}
-    sample = _sample(models.get("sample") or facts.get("sample"))
-    events = _events(folder / "events.csv", sample)
+    sample = _sample(models.get("sample") or made.facts.get("sample"))
+    events = _events(made, sample)
     if sample is PUBLISHED:
         warnings.append(f"{name}: the run does not say which sample it had; the publication's is assumed")
     label = row.get("sample")
@@ -263,17 +282,11 @@ def _instrument(budget: Mapping[str, Any]) -> dict[str, dict[str, float]]:
     return found
 
 
-def _json(path: Path) -> dict[str, Any]:
-    with reading(path, "JSON as track writes it", "run track again"):
-        return dict(json.loads(path.read_text(encoding="utf-8")))
-
-
-def _events(path: Path, sample: Sample) -> pd.DataFrame:
+def _events(run: RunFolder, sample: Sample) -> pd.DataFrame:
     """Read the complete events, which have every value that is compared, in order of d_v_mm."""
-    if not path.is_file():
-        raise InputError(path.parent, "a run with a force recording", "no events.csv in it")
-    with reading(path, "a table as track writes it", "run track again"):
-        table = pd.read_csv(path)
+    path, table = run.folder / "events.csv", run.table("events")
+    if table is None:
+        raise InputError(run.folder, "a run with a force recording", "no events.csv in it")
     if absent := [name for name in _NEEDED if name not in table]:
         raise InputError(path, f"columns {', '.join(_NEEDED)}", f"no {', '.join(absent)}")
     text = [str(name) for name in table if name != "flag" and table[name].dtype.kind not in "iufb"]

@@ -1,6 +1,5 @@
 """Synthetic traction tests with known truth: mechanics, sheets, optics, camera, clocks."""
 
-from vision.experiment.images import frame_blocks, profiles
 from vision.experiment.mechanics import Pull, simulate_pull
 from vision.experiment.scene import Scene, make_scene, truth_of
 from vision.experiment.settings import (
@@ -16,7 +15,14 @@ from vision.experiment.settings import (
     settings_from_toml,
     with_settings,
 )
-from vision.experiment.simulate import SimulatedTest, force_recording, simulate, write_force
+from vision.experiment.simulate import (
+    SimulatedTest,
+    force_recording,
+    frame_blocks,
+    profiles,
+    simulate,
+    write_force,
+)
 
 __all__ = [
     "Camera",

@@ -25,7 +25,7 @@ import pandas as pd
 import xarray as xr
 
 from vision.experiment.settings import Experiment, Mechanics, Sheets
-from vision.experiment.sheet_model import SheetPull, pull_sheets
+from vision.experiment.sheet_model import pull_sheets
 from vision.models import equations as eq
 from vision.numeric import Bools, Floats, Ints
 from vision.sample import PUBLISHED, Sample
@@ -439,26 +439,17 @@ class ResolvedMotion(SheetMotion):
         return np.asarray(inside + early * x[0] + late * x[-1])
 
 
-def sheet_pull(experiment: Experiment) -> SheetPull:
-    """Return the sheet-resolved pull with an experiment's sample, friction, speed and unequal thresholds."""
-    m = experiment.mechanics
+def threshold_factors(experiment: Experiment) -> Floats:
+    """Return the factors of the unequal thresholds of an experiment's sheets, (2M,)."""
     count = 2 * experiment.sample.sheets_per_block
     spread = np.clip(random_stream(experiment.seed, "thresholds").standard_normal(count), -3, 3)
-    return SheetPull(
-        sample=experiment.sample,
-        mu=m.mu,
-        amplitude=m.amplitude,
-        modulus_GPa=m.modulus_GPa,
-        speed_mm_min=m.speed_mm_min,
-        d0_mm=m.d0_mm,
-        d_end_mm=m.d_end_mm,
-        threshold_factor=tuple((1 + m.threshold_scatter * spread).tolist()),
-    )
+    return np.asarray(1 + experiment.mechanics.threshold_scatter * spread)
 
 
 def resolved_test(experiment: Experiment, comb: RestingComb) -> tuple[ResolvedPull, ResolvedMotion]:
     """Return pull and motion of a test with ``mechanics.model = "sheets"``."""
-    m, result = experiment.mechanics, pull_sheets(sheet_pull(experiment))
+    m, factors = experiment.mechanics, threshold_factors(experiment)
+    result = pull_sheets(m, experiment.sample, threshold_factor=factors)
     after_slip = np.flatnonzero(result["slipped"].values)
     valley = np.append(0, after_slip)
     peak = np.append(after_slip - 1, result.sizes["step"] - 1)

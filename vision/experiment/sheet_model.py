@@ -19,14 +19,12 @@ M_eff, Λ_st and σ_x/Λ_st do not enter. Source: Plati, Restagno & Poulard, Eqs
 in a simple spring-block model".
 """
 
-# ruff: noqa: N815 (the unit is part of a name, and newton is N)
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
 
+from vision.experiment.settings import Mechanics
 from vision.models.equations import normal_force, sheet_stiffness
 from vision.numeric import Floats
 from vision.sample import PUBLISHED, Sample
@@ -35,62 +33,28 @@ _CLOSE = 1e-9  # tolerance of the threshold at which a slip is found, relative
 _NARROW = 1e-13  # tolerance of d, relative
 
 
-@dataclass(frozen=True, kw_only=True)
-class SheetPull:
-    """Parameters of a sheet-resolved pull; the defaults are the publication's numbers.
-
-    Parameters
-    ----------
-    sample
-        M, ε, W, L and T*.
-    mu, amplitude
-        μ (static) and A = 2(μ_s − μ_d).
-    modulus_GPa
-        Young's modulus Y of one sheet: k = εWY/L.
-    speed_mm_min, d0_mm, d_end_mm
-        Speed, initial and final separation.
-    threshold_factor
-        Factor on the threshold of each sheet from left to right, shape (2M,); None for equal sheets.
-    longest_step_um
-        Largest step of d between updates of N.
-    """
-
-    sample: Sample = PUBLISHED
-    mu: float = 0.89
-    amplitude: float = 0.34
-    modulus_GPa: float = 3.8
-    speed_mm_min: float = 1.0
-    d0_mm: float = 13.0
-    d_end_mm: float = 18.0
-    threshold_factor: tuple[float, ...] | None = None
-    longest_step_um: float = 0.5
-
-    @property
-    def stiffness_N_per_mm(self) -> float:
-        """Stiffness k of one sheet."""
-        return float(sheet_stiffness(modulus_GPa=self.modulus_GPa, sample=self.sample))
-
-    def normal_N(self, d_mm: float) -> Floats:
-        """Return N of Eq. 2 for the sheets of one side from the centre outwards, (M,)."""
-        n = np.arange(int(self.sample.sheets_per_block)) + 0.5
-        return np.asarray(normal_force(n, d_mm, mu=self.mu, sample=self.sample))
+def normal_N(d_mm: float, m: Mechanics, sample: Sample = PUBLISHED) -> Floats:
+    """Return N of Eq. 2 for the sheets of one side from the centre outwards, (M,)."""
+    n = np.arange(int(sample.sheets_per_block)) + 0.5
+    return np.asarray(normal_force(n, d_mm, mu=m.mu, sample=sample))
 
 
 class _Assembly:
     """The sheets of a pull at a separation d. Loads are (2, M), left side first, from the centre outwards."""
 
-    def __init__(self, pull: SheetPull) -> None:
-        self.pull, self.k, self.d = pull, pull.stiffness_N_per_mm, pull.d0_mm
-        count = int(pull.sample.sheets_per_block)
-        given = np.ones(2 * count) if pull.threshold_factor is None else np.asarray(pull.threshold_factor)
+    def __init__(self, m: Mechanics, sample: Sample, threshold_factor: Floats | None) -> None:
+        self.m, self.sample, self.d = m, sample, m.d0_mm
+        self.k = float(sheet_stiffness(modulus_GPa=m.modulus_GPa, sample=sample))
+        count = int(sample.sheets_per_block)
+        given = np.ones(2 * count) if threshold_factor is None else threshold_factor
         self.factor = np.stack([given[:count][::-1], given[count:]])
         self.load = np.zeros((2, count))
 
     def thresholds(self, d: float) -> tuple[Floats, Floats]:
         """Return T_s and T_d at a separation, (2, M)."""
-        normal = self.pull.normal_N(d)
-        top = 2 * self.pull.mu * normal + self.pull.sample.t_star_N
-        return self.factor * top, self.factor * (top - self.pull.amplitude * normal)
+        normal = normal_N(d, self.m, self.sample)
+        top = 2 * self.m.mu * normal + self.sample.t_star_N
+        return self.factor * top, self.factor * (top - self.m.amplitude * normal)
 
     def margin(self, step: float) -> float:
         """Return (T_s − T)/T_s of the sheet that sticks longest after a step of d."""
@@ -125,8 +89,25 @@ class _Assembly:
         self.load = np.minimum(np.maximum(2 * level - self.load, 0.0), top)
 
 
-def pull_sheets(pull: SheetPull) -> xr.Dataset:
+def pull_sheets(
+    m: Mechanics,
+    sample: Sample = PUBLISHED,
+    *,
+    threshold_factor: Floats | None = None,
+    longest_step_um: float = 0.5,
+) -> xr.Dataset:
     """Simulate the whole pull, event by event; it starts without loads.
+
+    Parameters
+    ----------
+    m
+        μ (static), A = 2(μ_s − μ_d), Young's modulus Y of one sheet (k = εWY/L), and the pull.
+    sample
+        M, ε, W, L and T*.
+    threshold_factor
+        Factor on the threshold of each sheet from left to right, shape (2M,); None for equal sheets.
+    longest_step_um
+        Largest step of d between updates of N.
 
     Returns
     -------
@@ -136,12 +117,12 @@ def pull_sheets(pull: SheetPull) -> xr.Dataset:
         Between steps loads are linear in d. Sheets are ordered from left to right, with ``side`` and ``n``.
         attrs: ``stiffness_N_per_mm`` of one sheet.
     """
-    sheets = _Assembly(pull)
+    sheets = _Assembly(m, sample, threshold_factor)
     steps = [(sheets.d, sheets.load, False)]
-    while sheets.d < pull.d_end_mm * (1 - 1e-12):
+    while sheets.d < m.d_end_mm * (1 - 1e-12):
         # Sheets reach their thresholds one after the other within a stick phase, which needs short steps.
-        stick = 2 * pull.amplitude * float(pull.normal_N(sheets.d).max()) / sheets.k
-        longest = min(pull.longest_step_um / 1000, stick / 20, pull.d_end_mm - sheets.d)
+        stick = 2 * m.amplitude * float(normal_N(sheets.d, m, sample).max()) / sheets.k
+        longest = min(longest_step_um / 1000, stick / 20, m.d_end_mm - sheets.d)
         sheets.advance(sheets.step_to_slip(longest))
         steps.append((sheets.d, sheets.load, False))
         if sheets.margin(0.0) <= _CLOSE:
@@ -153,7 +134,7 @@ def pull_sheets(pull: SheetPull) -> xr.Dataset:
     return xr.Dataset(
         {
             "d_mm": ("step", d),
-            "time_s": ("step", 60 * (d - d[0]) / pull.speed_mm_min),
+            "time_s": ("step", 60 * (d - d[0]) / m.speed_mm_min),
             "force_N": ("step", load.sum(axis=1)),
             "load_N": (("step", "sheet"), load),
             "slipped": ("step", slipped),

@@ -29,7 +29,6 @@ MOST_POINTS = 3000  # of a curve
 
 def friction_figure(
     measured: Sequence[DiscFriction],
-    curves: Sequence[pd.DataFrame],
     law: StaticFriction | None,
     *,
     mu: float = 0.89,
@@ -37,8 +36,8 @@ def friction_figure(
 ) -> Figure:
     """Return μ(φ) with its maxima, μ_s and μ_d against N, and the threshold forces.
 
-    measured, curves: coefficients and curves of all measurements, in the same order.  law: None if there were
-    too few.  mu: constant coefficient for comparison, as from Eq. 1.  dynamic_deg: range of angles for μ_d.
+    law: None if there were too few measurements.  mu: constant coefficient for comparison, as from Eq. 1.
+    dynamic_deg: range of angles for μ_d.
     """
     fitted = (
         f" Line: μ_s = a(1 + b/N), a = {plus_minus(Estimate(law.a, law.a_err))}, "
@@ -56,7 +55,7 @@ def friction_figure(
             "with a constant coefficient and with this law. Compare figure 10 of the publication."
         ),
         panels=(
-            _angle_panel(measured, curves, dynamic_deg),
+            _angle_panel(measured, dynamic_deg),
             _coefficient_panel(measured, law, mu),
             _threshold_panel(law, mu),
         ),
@@ -65,17 +64,15 @@ def friction_figure(
     )
 
 
-def _angle_panel(
-    measured: Sequence[DiscFriction], curves: Sequence[pd.DataFrame], dynamic_deg: tuple[float, float]
-) -> Panel:
+def _angle_panel(measured: Sequence[DiscFriction], dynamic_deg: tuple[float, float]) -> Panel:
     least_deg = 0.01  # left end of the logarithmic axis
     order = np.argsort([one.N_N for one in measured])
     series: list[Series] = []
     top = 0.0
     for k, ink in zip(order, ordered_inks(len(order)), strict=True):
-        one, curve = measured[k], curves[k]
-        angle = np.maximum(curve["angle_deg"].to_numpy(float), least_deg)
-        at, height = minmax_decimate(angle, curve["mu"].to_numpy(float), most=MOST_POINTS)
+        one = measured[k]
+        angle = np.maximum(one.curve["angle_deg"].to_numpy(float), least_deg)
+        at, height = minmax_decimate(angle, one.curve["mu"].to_numpy(float), most=MOST_POINTS)
         series.append(Series(label=f"{one.N_N:.3g} N", x=at, y=height, ink=ink, width=0.9))
         if np.isfinite(one.mu_s):
             series.append(Series.points("", [one.peak_deg], [one.mu_s], MODEL, [one.mu_s_err], hollow=True))

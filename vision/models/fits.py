@@ -130,7 +130,7 @@ def fit_models(
         fits,
         left_out=left_out,
         input_errors=errors | ({"d0_mm": d0_err} if np.isfinite(d0_err) else {}),
-        notes=(*fits.notes, *notes),
+        notes=tuple(notes),
         warnings=warnings,
     )
 
@@ -381,7 +381,6 @@ def _fit_all(events: pd.DataFrame, given: Sample, free_t_star: bool, held: Mappi
         correlation=correlation,
         d_mm=span,
         sample=given,
-        notes=_notes(peaks, stiffness, span, free_t_star),
         held=tuple(held),
     )
 
@@ -523,25 +522,23 @@ def _drop_lost_by_sampling(force: xr.Dataset, events: pd.DataFrame) -> float:
 # --- notes and warnings -------------------------------------------------------------------------------------
 
 
-def _notes(peaks: Fit, stiffness: Fit, span: tuple[float, float], free_t_star: bool) -> tuple[str, ...]:
+def _degeneracies(fits: ModelFits) -> list[str]:
     """Notes on degenerate parameters and on the range of d."""
     notes = []
-    if free_t_star:
-        notes.append(
-            f"T* and mu are degenerate (correlation {peaks.correlation(0, 2):.3f}): use them only together"
-        )
-    if abs(stiffness.correlation(0, 1)) > 0.98:
+    if (correlation := fits.correlation.get("mu,T_star_N")) is not None:
+        notes.append(f"T* and mu are degenerate (correlation {correlation:.3f}): use them only together")
+    if abs(fits.correlation["Lambda_hat_mm,Y_eff_GPa"]) > 0.98:
         notes.append("Lambda_hat and Y_eff are nearly degenerate over this range of d")
-    if span[1] > stiffness.value[0]:
-        notes.append(f"d goes beyond {stiffness.value[0]:.2f} mm, where M_eff is 0")
-    return tuple(notes)
+    if fits.d_mm[1] > fits.scale_mm.value:
+        notes.append(f"d goes beyond {fits.scale_mm.value:.2f} mm, where M_eff is 0")
+    return notes
 
 
 def _remarks(
     fits: ModelFits, force: xr.Dataset, left_out: Mapping[str, int], given_range: bool
 ) -> tuple[list[str], tuple[str, ...]]:
     """Notes and warnings on the range used, the misfit, the offset, the speed and systematic errors."""
-    notes: list[str] = []
+    notes = _degeneracies(fits)
     warnings: list[str] = []
     used = fits.goodness["peaks"].points
     build_up, misfit = left_out.get("build_up", 0), left_out.get("misfit", 0)

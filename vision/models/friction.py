@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -83,20 +83,6 @@ def disc_friction(
     return np.asarray(3 * np.asarray(torque_N_m, float) / (2 * radius_mm / 1000 * usable))
 
 
-def rim_slip_torque_N_m(
-    mu_s: ArrayLike, *, normal_force_N: ArrayLike, radius_mm: float = RADIUS_MM
-) -> Floats:
-    r"""Torque at which the rim begins to slip if the shear stress is proportional to the radius.
-
-    Notes
-    -----
-    .. math:: \tau = \int_0^R \mu_s \frac{N}{\pi R^2}\frac{r}{R}\, 2\pi r^2\, dr = \tfrac12 \mu_s N R,
-
-    from which `disc_friction` gives 0.75 μ_s.
-    """
-    return np.asarray(0.5 * np.asarray(mu_s, float) * np.asarray(normal_force_N, float) * radius_mm / 1000)
-
-
 @dataclass(frozen=True, kw_only=True)
 class DiscFriction:
     """Friction coefficients of one measurement with their standard errors."""
@@ -110,41 +96,16 @@ class DiscFriction:
     mu_d: float  # mean over the range of angles
     mu_d_err: float
     peak_deg: float  # travelled angle of the maximum
-    samples_before_dynamic: int  # from the start to the range of μ_d, where the peak must be resolved
+    # One row per sample: angle_deg (travelled), mu, N_N (given, or the running mean of the recorded one) and
+    # N_err_N (its standard error).
+    curve: pd.DataFrame = field(repr=False, compare=False)
     warnings: tuple[str, ...] = ()  # possible errors of these numbers
 
 
-def friction_curve(
-    rotation: pd.DataFrame,
-    *,
-    radius_mm: float = RADIUS_MM,
-    normal_force_N: float | None = None,
-    settings: FrictionSettings = FrictionSettings(),
+def _curve(
+    rotation: pd.DataFrame, radius_mm: float, normal_force_N: float | None, settings: FrictionSettings
 ) -> pd.DataFrame:
-    """Friction coefficient as a function of the travelled angle.
-
-    Parameters
-    ----------
-    rotation
-        One measurement from `read_rheometer`.
-    radius_mm
-        Radius R of the discs.
-    normal_force_N
-        N, if it was not recorded or is to replace the recorded one.
-    settings
-        See `FrictionSettings`.
-
-    Returns
-    -------
-    pandas.DataFrame
-        Columns ``angle_deg``, ``mu``, ``N_N`` (given, or the running mean of the recorded one) and
-        ``N_err_N`` (its standard error), one row per sample.
-
-    Raises
-    ------
-    InputError
-        If there is no normal force, or it is not compressive throughout.
-    """
+    """Friction coefficient against the travelled angle, as in `DiscFriction`."""
     ROTATION.check(rotation)
     about = f"{RotationMetadata.of(rotation).source}: {RotationMetadata.of(rotation).measurement}"
     check_positive(radius_mm=radius_mm, normal_force_N=normal_force_N)
@@ -208,8 +169,14 @@ def friction_of_disc(
 
     Parameters
     ----------
-    rotation, radius_mm, normal_force_N, settings
-        As in `friction_curve`.
+    rotation
+        One measurement from `read_rheometer`.
+    radius_mm
+        Radius R of the discs.
+    normal_force_N
+        N, if it was not recorded or is to replace the recorded one.
+    settings
+        See `FrictionSettings`.
 
     Returns
     -------
@@ -223,7 +190,8 @@ def friction_of_disc(
     Raises
     ------
     InputError
-        If there is no normal force, or the rotation ends before the range of μ_d.
+        If there is no normal force, it is not compressive throughout, or the rotation ends before the range
+        of μ_d.
 
     Notes
     -----
@@ -231,7 +199,7 @@ def friction_of_disc(
     Source: appendix "Single sheets characterization".
     """
     facts = RotationMetadata.of(rotation)
-    curve = friction_curve(rotation, radius_mm=radius_mm, normal_force_N=normal_force_N, settings=settings)
+    curve = _curve(rotation, radius_mm, normal_force_N, settings)
     angle, mu = curve["angle_deg"].to_numpy(), curve["mu"].to_numpy()
     low, high = settings.dynamic_deg
     inside = (angle >= low) & (angle <= high)
@@ -263,7 +231,7 @@ def friction_of_disc(
         mu_d=mu_d,
         mu_d_err=math.hypot(scatter, mu_d * load_err / mean_load),
         peak_deg=peak_deg,
-        samples_before_dynamic=samples,
+        curve=curve,
         warnings=(*facts.warnings, *_warnings(angle, peak_deg, samples, settings)),
     )
 
@@ -461,16 +429,11 @@ def fit_static_friction(N_N: ArrayLike, mu_s: ArrayLike, mu_s_err: ArrayLike | N
     )
 
 
-def threshold_curves(
-    N_N: ArrayLike | None = None, *, mu: float = 0.89, law: StaticFriction = PUBLISHED_FRICTION
-) -> pd.DataFrame:
+def threshold_curves(*, mu: float = 0.89, law: StaticFriction = PUBLISHED_FRICTION) -> pd.DataFrame:
     """Static friction force of a constant coefficient and of the law, over the loads in the blocks.
 
     Parameters
     ----------
-    N_N
-        Loads; by default 200 from 0.0034 N (T*/μ) to 6.4 N (on the axis at d = 13.5 mm), the publication's
-        range.
     mu
         The constant coefficient.
     law
@@ -479,7 +442,8 @@ def threshold_curves(
     Returns
     -------
     pandas.DataFrame
-        Columns ``N_N``, ``constant_N`` = μN and ``law_N`` = a(N + b). They cross at ``law.crossing_N(mu)``.
+        Columns ``N_N``, from 0.0034 N (T*/μ) to 6.4 N (on the axis at d = 13.5 mm), ``constant_N`` = μN and
+        ``law_N`` = a(N + b). They cross at ``law.crossing_N(mu)``.
     """
-    load = np.geomspace(0.0034, 6.4, 200) if N_N is None else np.asarray(N_N, float)
+    load = np.geomspace(0.0034, 6.4, 200)
     return pd.DataFrame({"N_N": load, "constant_N": mu * load, "law_N": law.threshold_N(load)})

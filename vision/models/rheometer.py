@@ -1,4 +1,4 @@
-"""Reading of rheometer exports: RheoCompass (Anton Paar), TRIOS (TA Instruments), and plain tables."""
+"""Reading of rheometer exports: RheoCompass (Anton Paar) and plain tables."""
 
 from __future__ import annotations
 
@@ -64,7 +64,6 @@ _ANGLE = {
 }
 _FORCE = {"N": 1.0, "mN": 1e-3, "µN": 1e-6, "kN": 1e3}
 _TIME = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0}
-_SPEED = {"rad/s": 1.0, "1/s": 2 * math.pi, "1/min": math.pi / 30, "rpm": math.pi / 30, "°/s": math.pi / 180}
 
 
 @dataclass(frozen=True)
@@ -76,7 +75,6 @@ class _Quantity:
     never: tuple[str, ...]  # none of which is in its name
     units: Mapping[str, float]  # possible units, with their factors to SI
     default_unit: str = ""  # unit if none is written
-    with_unit: tuple[str, ...] = ()  # words in its name that count only with one of the units
 
 
 _QUANTITIES = (
@@ -86,7 +84,6 @@ _QUANTITIES = (
         ("angle", "angular deflection", "angular displacement", "winkel"),
         ("phase", "loss", "shift"),
         _ANGLE,
-        with_unit=("displacement",),
     ),
     _Quantity(
         "normal_force_N",
@@ -96,10 +93,8 @@ _QUANTITIES = (
         "N",
     ),
     _Quantity("time_s", ("time", "zeit", "temps"), ("date", "stamp"), _TIME, "s"),
-    _Quantity("speed_rad_s", (), ("shear",), _SPEED, with_unit=("speed", "drehzahl", "vitesse", "velocity")),
 )
 _MARKS = ("Project:", "Test:", "Result:", "Interval and data points:", "Interval data:")
-_STEP = "[step]"  # in a TRIOS export the line before a step's name, columns, units and rows
 _SEPARATORS = ("\t", ";", ",")
 
 
@@ -110,8 +105,8 @@ def read_rheometer(path: str | Path) -> list[pd.DataFrame]:
     ----------
     path
         RheoCompass export (Anton Paar; UTF-16 or UTF-8; tab, semicolon or comma; several results and
-        intervals), TRIOS export (TA Instruments; steps), or a plain table whose header names torque and
-        angle with their units, as in ``Torque [mN·m]`` or ``Angle (°)``. Units: mN·m, µN·m, N·m; mrad, rad,
+        intervals), or a plain table whose header names torque and angle with their units, as in
+        ``Torque [mN·m]`` or ``Angle (°)``. Units: mN·m, µN·m, N·m; mrad, rad,
         °; N, mN.
 
     Returns
@@ -137,13 +132,7 @@ def read_rheometer(path: str | Path) -> list[pd.DataFrame]:
     lines = _decode(path).splitlines()
     results = [k for k, line in enumerate(lines) if _mark(line) == "Result:"]
     starts = [k for k, line in enumerate(lines) if _mark(line) == "Interval and data points:"]
-    steps = [k for k, line in enumerate(lines) if line.strip().lower() == _STEP]
-    if starts:
-        blocks = _intervals(lines, starts, results)
-    elif steps:
-        blocks = _steps(lines, steps)
-    else:
-        blocks = [_plain_table(path, lines)]
+    blocks = _intervals(lines, starts, results) if starts else [_plain_table(path, lines)]
     if len(blocks) == 1 and not blocks[0].problem:
         _convert(path, blocks[0])
     else:
@@ -278,24 +267,6 @@ def _interval(result: str, line: int, name: str, lines: list[str], announced: st
     return block
 
 
-def _steps(lines: list[str], starts: list[int]) -> list[_Block]:
-    """The steps of a TRIOS export: name, columns, units, and rows up to an empty line or the next section."""
-    blocks: list[_Block] = []
-    for number, start in enumerate(starts):
-        end = starts[number + 1] if number + 1 < len(starts) else len(lines)
-        name = lines[start + 1].strip(' "\t,;') if start + 1 < end else f"step {number + 1}"
-        stop = next(
-            (k for k in range(start + 3, end) if not lines[k].strip(" \t,;") or lines[k].startswith("[")), end
-        )
-        if stop - start < 5:
-            blocks.append(_Block("", start, name, problem="no columns and rows"))
-            continue
-        cells = _cells(lines[start + 2 : stop], _separator(lines[start + 2])).map(str.strip)
-        names, units = ([str(cell) for cell in cells.iloc[row]] for row in (0, 1))
-        blocks.append(_Block("", start, name, names, units, cells.iloc[2:].reset_index(drop=True)))
-    return blocks
-
-
 def _plain_table(path: Path, lines: list[str]) -> _Block:
     """A plain table: its header names a torque, and the units are in the header or in the row below."""
     header = next((k for k, line in enumerate(lines) if _looks_like_header(line)), None)
@@ -373,11 +344,6 @@ def _convert(path: Path, block: _Block) -> None:
     values = pd.DataFrame(found)
     if "time_s" not in values:
         values["time_s"] = np.nan
-    if "angle_rad" not in values and "speed_rad_s" in values and values["time_s"].notna().all():
-        time, speed = values["time_s"].to_numpy(), values["speed_rad_s"].to_numpy()
-        steps = 0.5 * (speed[1:] + speed[:-1]) * np.diff(time)
-        values["angle_rad"] = np.concatenate([[0.0], np.cumsum(steps)])
-        block.warnings.append(f"{block.name} has no angle: taken from speed and time")
     if "angle_rad" not in values:
         block.problem = f"no deflection angle (columns: {', '.join(filter(None, block.names))})"
         return
@@ -394,17 +360,12 @@ def _convert(path: Path, block: _Block) -> None:
 def _column(path: Path, block: _Block, quantity: _Quantity) -> pd.Series[float] | None:
     """The values of one quantity in its SI unit; None without such a column."""
     low = [name.lower() for name in block.names]
-
-    def named(words: Sequence[str]) -> list[int]:
-        """Columns with one of these words in their names, and none of the excluded ones."""
-        possible = [k for k, name in enumerate(low) if not any(word in name for word in quantity.never)]
-        return [k for k in possible if any(word in low[k] for word in words)]
-
-    by_name = named(quantity.words)
-    with_unit = [k for k in by_name or named(quantity.with_unit) if _unit(block.units[k]) in quantity.units]
-    if not by_name and not with_unit:
+    possible = [k for k, name in enumerate(low) if any(word in name for word in quantity.words)]
+    possible = [k for k in possible if not any(word in low[k] for word in quantity.never)]
+    if not possible:
         return None
-    k = min(with_unit or by_name, key=lambda index: len(low[index]))  # "Time" before "Interval Time"
+    with_unit = [k for k in possible if _unit(block.units[k]) in quantity.units]
+    k = min(with_unit or possible, key=lambda index: len(low[index]))  # "Time" before "Interval Time"
     unit = _unit(block.units[k]) or quantity.default_unit
     if unit not in quantity.units:
         written = f'"{block.units[k]}"' if unit else "no unit"

@@ -105,7 +105,7 @@ class ModelFits:
     correlation: dict[str, float]
     d_mm: tuple[float, float]
     sample: Sample
-    notes: tuple[str, ...]
+    notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     held: tuple[str, ...] = ()
     left_out: Mapping[str, int] = field(default_factory=dict)

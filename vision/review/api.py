@@ -195,10 +195,9 @@ class Api:
         return _png(self.session.tiles.part(*(request.path_params[name] for name in ("level", "x", "y"))))
 
     def _tracks(self, request: Request) -> Response:
-        """Return the curves of all sheets as float32, row after row."""
+        """Return the positions of all sheets as float32, row after row."""
         first, stop = _number(request, "first", 0), _number(request, "stop", 1 << 40)
-        what = request.query_params.get("what", "x")
-        return _floats(self.session.curves(first, stop, _points(request), what))
+        return _floats(self.session.curves(first, stop, _points(request)))
 
     def _force(self, request: Request) -> Response:
         """Return time on the force clock, load and separation as float64, row after row."""

@@ -34,7 +34,6 @@ sheet in one of thirty stick phases."""
 SHOWN_ROWS = 400  # rows of a preview
 MAX_ROWS = 2000  # rows in which a stick phase and its neighbours are measured
 NOISE_FRAMES = 16  # frames from which the noise in another strip is measured
-READY = ("ok", "given")  # states in which a clock can be used
 
 
 class Effects:
@@ -113,8 +112,8 @@ class Effects:
 
     def _event_at(self, row: int, clock: Clock | None = None) -> int | None:
         """Return the stick phase that contains a row; None if there is none or the clock is ambiguous."""
-        clock, events = clock or self.run.clock, self.run.stored.events
-        if clock is None or events is None or clock.status not in READY:
+        clock, events = clock or self.run.clock, self.run.events
+        if clock is None or events is None or clock.status == "ambiguous":
             return None
         time_s = float(clock.to_force_s(self.run.positions.time_s[row]))
         inside = (events["t_v_s"] <= time_s) & (events["t_p_s"] >= time_s)
@@ -126,10 +125,10 @@ class Effects:
         Raises: InputError if the run has no force recording.
         """
         decision = self.run.decision_of({"kind": "clock", "offset_s": offset_s, "drift_ppm": drift_ppm})
-        if self.run.stored.events is None:
+        if self.run.events is None:
             raise InputError("the clock", "a run with a force recording", "none")
         with self.run.lock:
-            clock = decided_clock(self.run.stored.clock, decision)
+            clock = decided_clock(self.run.saved_clock, decision)
             times = {"sticks": self.run.sticks(clock), "slips": self.run.slips(clock)}
             if not isinstance(frame, int):
                 return times
@@ -209,10 +208,10 @@ class Effects:
 
     def _near(self, event: int, clock: Clock | None = None) -> Near:
         """Return a stick phase with its neighbours.  Raises: InputError if events or clock are missing."""
-        clock, events = clock or self.run.clock, self.run.stored.events
+        clock, events = clock or self.run.clock, self.run.events
         if clock is None or events is None:
             raise InputError("the run", "a force recording and its clock", "none", "give `force` to track")
-        if clock.status not in READY:
+        if clock.status == "ambiguous":
             raise InputError("the clock", "an unambiguous one", "an ambiguous one", "accept a candidate")
         at = np.flatnonzero(events["event"].to_numpy() == event)
         if not at.size:
@@ -249,7 +248,7 @@ class Effects:
             shells = classify_shells(one, threshold=settings.threshold, settings=settings.tuning.shells)
         except InputError as error:
             return _unknown(error)
-        names = ("side", "n", "ratio", "ratio_err", "p_stiff", "shell", "flag")
+        names = ("side", "n", "ratio", "ratio_err", "shell", "flag")
         table = pd.DataFrame(
             {"index": sheets["sheet"].values} | {name: sheets[name].values for name in names}
         )

@@ -33,7 +33,7 @@ FLAGS = (
     "ok", "blurred", "edge", "missing", "merged", "unfit", "left_out", "frozen", "blank", "corrupt", "lost",
     "doubtful",
 )  # fmt: skip
-"""Values of `flag`, from the best to the worst: of several frames that share a pixel the worst is shown."""
+"""Values of `flag`."""
 WHYS = ("", *DOUBTS)
 DOUBTFUL = FLAGS.index("doubtful")
 CELLS = ("x_px", "err_px", "withheld_px", "flag", "why")

@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from threading import Lock
 from typing import IO, Any
@@ -20,14 +20,13 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
-from vision.clock import Candidate, Clock
+from vision.clock import Clock
 from vision.errors import InputError
 from vision.figures.decimate import grey_levels, grey_limits, minmax_decimate
 from vision.numeric import Floats, Floats32, Pixels
 from vision.pipeline import Settings, open_force, open_recording
 from vision.run.folder import MARK, lock_open_file
-from vision.run.provenance import Parameter
-from vision.run.reading import AGAIN, input_of, parameters_of, read_json, read_table, stored_kymograph
+from vision.run.reading import AGAIN, RunFolder, read_json, stored_kymograph
 from vision.sheets.corrections import Correction, correction_of
 from vision.sheets.settings import TrackingSettings
 from vision.video import Video
@@ -39,30 +38,16 @@ COLUMNS = ("event", "t_v_s", "t_p_s", "stick_length_um")
 """Columns of events.csv that a review needs."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class StoredRun:
-    """Contents of a run folder, read once."""
+@dataclass(frozen=True)
+class StoredRun(RunFolder):
+    """The run folder that is reviewed."""
 
-    folder: Path
-    facts: Mapping[str, Any]  # run.json
-    parameters: Mapping[str, Parameter]  # by the names of the command's options
     stamp: tuple[int, int, int]  # identity of run.json, to notice that another run has replaced this one
-    clock: Clock | None = None
-    events: pd.DataFrame | None = None
 
     @classmethod
     def of(cls, folder: Path) -> StoredRun:
-        """Read a run folder.  Raises: InputError if it is damaged or not the run of a video."""
-        stamp, facts = _stamp(folder), read_json(folder / MARK)
-        clock = folder / "clock.json"
-        return cls(
-            folder=folder,
-            facts=facts,
-            parameters=parameters_of(folder, facts),
-            stamp=stamp,
-            clock=clock_of(read_json(clock)) if clock.exists() else None,
-            events=_events(folder),
-        )
+        """Open a run folder.  Raises: InputError if its run.json is damaged."""
+        return cls(folder, read_json(folder / MARK), _stamp(folder))
 
     def check_there(self) -> None:
         """Check that the folder still holds this run.  Raises: InputError if not."""
@@ -70,11 +55,15 @@ class StoredRun:
             found, advice = "none, or another one", "nothing was changed; end the review and start it again"
             raise InputError(self.folder, "the run that is reviewed", found, advice)
 
-    @property
-    def pixel_size_um(self) -> float | None:
-        """µm per pixel; None if it is unknown."""
-        size = self.parameters.get("pixel_size")
-        return None if size is None or size.value is None else float(size.value)
+    @cached_property
+    def events(self) -> pd.DataFrame | None:
+        """The stick-slip events; None if the run has none."""
+        table = self.table("events")
+        absent = [] if table is None else [column for column in COLUMNS if column not in table]
+        if absent:
+            found = f"no {', '.join(absent)}"
+            raise InputError(self.folder / "events.csv", "a table as track writes it", found, AGAIN)
+        return table
 
     @property
     def film_checksum(self) -> str:
@@ -97,24 +86,6 @@ def _stamp(folder: Path) -> tuple[int, int, int]:
     return facts.st_ino, facts.st_size, facts.st_mtime_ns
 
 
-def _events(folder: Path) -> pd.DataFrame | None:
-    """Return the stick-slip events; None if the run has none."""
-    table = read_table(folder, "events")
-    absent = [] if table is None else [column for column in COLUMNS if column not in table]
-    if absent:
-        found = f"no {', '.join(absent)}"
-        raise InputError(folder / "events.csv", "a table as track writes it", found, AGAIN)
-    return table
-
-
-def clock_of(facts: Mapping[str, Any]) -> Clock:
-    """Return the `Clock` in the content of clock.json."""
-    values: dict[str, Any] = {name: math.nan if value is None else value for name, value in facts.items()}
-    values["candidates"] = tuple(Candidate(**one) for one in facts.get("candidates") or ())
-    values["warnings"] = tuple(facts.get("warnings") or ())
-    return Clock(**{name: values[name] for name in Clock.__dataclass_fields__ if name in values})
-
-
 def _as_entry(facts: Mapping[str, Any]) -> dict[str, Any]:
     """Convert a correction in run.json to an entry of a corrections file."""
     known = {name: value for name, value in facts.items() if name in Correction.__dataclass_fields__}
@@ -126,19 +97,11 @@ def _as_entry(facts: Mapping[str, Any]) -> dict[str, Any]:
 
 def decided_clock(earlier: Clock | None, decision: Correction) -> Clock:
     """Return the clock of a decision. Its counts of slips remain the earlier ones until the run is saved."""
-    known = earlier or Clock(
-        offset_s=0.0,
-        drift_ppm=0.0,
-        residual_ms=math.nan,
-        matched=0,
-        unmatched_video=0,
-        unmatched_force=0,
-        margin=math.nan,
-        status="given",
-        how="given",
+    none = Clock(
+        offset_s=0.0, drift_ppm=0.0, unmatched_video=0, unmatched_force=0, status="given", how="given"
     )
     return replace(
-        known,
+        earlier or none,
         offset_s=decision.offset_s or 0.0,
         drift_ppm=decision.drift_ppm,
         status="given",
@@ -421,21 +384,13 @@ class Recordings:
         with self._lock:
             if self._film is None:
                 try:
-                    path = input_of(self.stored.folder, self._input(0), self.moved)
+                    path = self.stored.input("film", self.moved)
                     self._film = Film(open_recording(path, self.settings))
                 except InputError as error:
                     self._film = error
             if isinstance(self._film, InputError):
                 raise InputError("the film", "the one that was tracked", str(self._film))
             return self._film
-
-    def _input(self, place: int) -> Mapping[str, Any]:
-        """Return the entry of the film (0) or the force recording (-1) among the inputs in run.json."""
-        inputs = self.stored.facts.get("inputs") or []
-        force = self.stored.parameters.get("force")
-        if not inputs or (place and (force is None or not force.value)):
-            raise InputError(self.stored.folder, "a film and a force recording", "none in its run.json")
-        return dict(inputs[place])
 
     def picture(self, frame: int, time_s: float) -> Grey:
         """Return one frame in 8 bits, with the same grey scale for all frames."""
@@ -454,7 +409,7 @@ class Recordings:
         """
         with self._lock:
             if self._force is None:
-                path = input_of(self.stored.folder, self._input(-1))
+                path = self.stored.input("force")
                 self._force = open_force(path, self.settings)[["load_N", "d_mm"]]
         time_s = self._force["time_s"].to_numpy()
         a, b = np.searchsorted(time_s, [first_s, stop_s])

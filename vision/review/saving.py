@@ -21,18 +21,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vision.clock import Clock
 from vision.errors import InputError
 from vision.files import PACKAGES
 from vision.numeric import Floats, Ints
 from vision.pipeline import Analysis, Settings, analyse, open_recording
 from vision.review.positions import Before, Positions, median_positions, positions_of
+from vision.review.recordings import StoredRun
 from vision.review.tracks_file import read_tracks
 from vision.run.folder import clean_up, plain, put_in_place
 from vision.run.provenance import Origin, Parameter
-from vision.run.reading import input_of, parameters_of, read_run, read_strip, read_table, tracks_of
+from vision.run.reading import read_run, read_strip
 from vision.run.writing import write_run
-from vision.sheets.corrections import Correction, Decisions
+from vision.sheets.corrections import Decisions
 
 if TYPE_CHECKING:
     from vision.review.session import Session
@@ -50,9 +50,7 @@ class SaveJob:
 
     folder: Path  # the run
     settings: Settings  # settings of the run, without corrections
-    applied: tuple[Correction, ...]  # decisions that are already applied
     decisions: Decisions  # decisions that are to be applied
-    clock: Clock | None = None  # clock of the run, reused unless a decision changes it
     # path of the film if it has been moved; without the film, anything but another strip can be saved
     film: Path | None = None
     beside: Mapping[str, bytes] | None = None  # files of the review to store with the run: content by name
@@ -68,32 +66,31 @@ def save_run(job: SaveJob, tell: Tell = lambda stage, done=0, total=0: None) -> 
     """
     tell("reading the run")
     folder, settings = job.folder, replace(job.settings, corrections=job.decisions.corrections)
-    run = read_run(folder)
-    inputs, parameters = run.facts.get("inputs") or [], parameters_of(folder, run.facts)
+    run = StoredRun.of(folder)
+    parameters = dict(run.parameters)
     earlier = Analysis(
-        settings=replace(settings, corrections=job.applied),
+        settings=replace(settings, corrections=tuple(run.applied)),
         strip=read_strip(run),
-        tracks=tracks_of(run),
-        clock=job.clock,
+        tracks=run.tracks,
+        clock=run.clock,  # used again unless a decision changes it
     )
-    force, size = (parameters.get(name, Parameter(None, "default")).value for name in ("force", "pixel_size"))
     tell("measuring")
 
     def read(done: int, total: int | None) -> None:
         tell("reading the film" if done != total else "measuring", done, total or 0)
 
     try:
-        video = open_recording(input_of(folder, inputs[0], job.film), job.settings)
+        video = open_recording(run.input("film", job.film), job.settings)
     except InputError:  # the film is gone; only another strip would need it
         video = None
     analysis = analyse(
         video,
-        None if force is None else input_of(folder, inputs[-1]),
+        None if run.value("force") is None else run.input("force"),
         settings if settings.pitch_um is None else replace(settings, pixel_size_um=None),
         earlier=earlier,
         progress=read,
     )
-    if settings.pitch_um is not None and size is not None:
+    if settings.pitch_um is not None and run.value("pixel_size") is not None:
         parameters["pixel_size"] = Parameter(analysis.pixel_size_um, "found")
     tell("writing")
     write_run(
@@ -102,7 +99,7 @@ def save_run(job: SaveJob, tell: Tell = lambda stage, done=0, total=0: None) -> 
         Origin(command=str(run.facts.get("command", "")), parameters=parameters, options=job.options),
         overwrite=True,
         report=(folder / "report.html").exists(),
-        facts={"inputs": inputs},
+        facts={"inputs": run.facts.get("inputs") or []},
         decisions=job.decisions,
         beside=job.beside,
     )
@@ -340,7 +337,7 @@ def _deformation_differs(before: Path, after: Path, old: Ints, new: Ints) -> dic
     """Compare σ_x/Λ_st of the sheets in both runs, and the shells (see `differences`)."""
     names = ("deformation", "shells")
     (sheets, shells), (sheets_new, shells_new) = (
-        [read_table(folder, name) for name in names] for folder in (before, after)
+        map(read_run(folder).table, names) for folder in (before, after)
     )
     if sheets is None or sheets_new is None or shells is None or shells_new is None:
         return {"ratios": None, "shells": None}

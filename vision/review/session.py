@@ -18,7 +18,7 @@ from vision.figures.decimate import minmax_decimate
 from vision.files import reading
 from vision.numeric import Floats, Floats32, Ints, nearest
 from vision.pipeline import Settings
-from vision.review.effects import READY, Effects
+from vision.review.effects import Effects
 from vision.review.positions import (
     FLAGS,
     SAME_RIDGE_PX,
@@ -98,6 +98,7 @@ class Session:
     def _load(self, tracks: Future[StoredTracks] | None = None) -> None:
         """Read the folder, then apply the decisions that are not in its tables yet."""
         self.stored = StoredRun.of(self.folder)
+        self.events, self.saved_clock = self.stored.events, self.stored.clock
         columns = self.settings.columns
         first = 0 if columns is None else columns.start or 0
         self.diagram = Diagram(self.folder / "kymograph.tif", first, self.settings.tuning.tracking)
@@ -177,9 +178,7 @@ class Session:
         return SaveJob(
             folder=self.folder,
             settings=self.settings,
-            applied=tuple(self.applied),
             decisions=self._as_written(decisions, undone),
-            clock=self.stored.clock,
             film=self.recordings.moved,
             beside={REPLACED: pack(self._before)} if self._before and same_strip else {},
             options=self.options,
@@ -305,26 +304,15 @@ class Session:
             decision = last_of(self.pending, "strip")
             return {
                 "name": self.folder.resolve().name,
-                "source": strip.source,
                 "frames": self.diagram.frames,
                 "first_frame": int(positions.frame[0]),
-                "time_first_s": positions.time_s[0],
-                "time_last_s": positions.time_s[-1],
-                "fps": strip.fps,
-                "clock_kind": strip.clock_kind,
                 "columns": self.diagram.columns,
                 "first_column": self.diagram.first_column,
-                "pixel_size_um": self.stored.pixel_size_um,
                 "threshold": self.settings.threshold,
                 "strip": (decision and decision.rows) or (strip.strip_z0, strip.strip_z1),
                 "axis_px": facts.axis_px,
-                "axis_range_px": [facts.axis_low_px, facts.axis_high_px],
                 "pitch_px": facts.pitch_px,
-                "ridge_fwhm_px": facts.ridge_fwhm_px,
                 "ridges": facts.ridges,
-                "flags": FLAGS,
-                "has_force": self.stored.events is not None,
-                "warnings": self.stored.facts.get("warnings", []),
                 "sheets": self.sheets(),
                 "doubts": self.doubts(),
                 "sticks": self.sticks(),
@@ -379,12 +367,12 @@ class Session:
     @property
     def clock(self) -> Clock | None:
         """The run's clock, or that of a later decision."""
-        decision, saved = last_of(self.pending, "clock"), self.stored.clock
+        decision, saved = last_of(self.pending, "clock"), self.saved_clock
         return saved if decision is None else decided_clock(saved, decision)
 
     def sticks(self, clock: Clock | None = None) -> list[dict[Any, Any]]:
         """Return the stick phases within the film, in frames, by the current clock or another."""
-        clock, events = clock or self.clock, self.stored.events
+        clock, events = clock or self.clock, self.events
         if clock is None or events is None:
             return []
         start, stop = (clock.to_video_s(events[name].to_numpy(float)) for name in ("t_v_s", "t_p_s"))
@@ -396,9 +384,9 @@ class Session:
     def slips(self, clock: Clock | None = None) -> list[int]:
         """Return the first frames after the slips of the force or, without a clock, of the sheets."""
         clock, time_s = clock or self.clock, self.positions.time_s
-        if clock is None or self.stored.events is None or clock.status not in READY:
+        if clock is None or self.events is None or clock.status == "ambiguous":
             return self.film_slips()
-        at = clock.to_video_s(self.stored.events["t_p_s"].to_numpy(float))
+        at = clock.to_video_s(self.events["t_p_s"].to_numpy(float))
         at = at[(at > np.nanmin(time_s)) & (at < np.nanmax(time_s))]
         return sorted({int(frame) for frame in self._frames_at(at)})
 
@@ -418,24 +406,14 @@ class Session:
         row = np.searchsorted(time_s[known], np.nan_to_num(seconds, nan=-np.inf))
         return np.asarray(self.positions.frame[known[np.minimum(row, known.size - 1)]], np.int64)
 
-    def curves(self, first: int, stop: int, points: int, what: str = "x") -> Floats32:
-        """Return frame numbers and one value per sheet, (rows, 1 + sheets); extremes if frames exceed points.
-
-        what: "x", "err" or "withheld" (px), or "flag" (index in `FLAGS`, the worst of each interval).
-        Raises: InputError for another name.
-        """
-        names = {"x": "x_px", "err": "err_px", "withheld": "withheld_px"}
-        if what not in (*names, "flag"):
-            raise InputError("what", f"{', '.join(names)} or flag", repr(what))
+    def curves(self, first: int, stop: int, points: int) -> Floats32:
+        """Return frames and x_px of every sheet, (rows, 1 + sheets); extremes if frames exceed points."""
         with self.lock:
             positions = self.positions
             a, b = np.searchsorted(positions.frame, [first, stop])
             rows = slice(int(a), max(int(b), int(a)))
             frame = positions.frame[rows].astype(np.float64)
-            if what == "flag":
-                at, values = _worst(frame, positions.flag[rows], points)
-            else:
-                at, values = minmax_decimate(frame, getattr(positions, names[what])[rows], most=points)
+            at, values = minmax_decimate(frame, positions.x_px[rows], most=points)
         return np.column_stack([at, values]).astype(np.float32)
 
     def ridges(self, frame: int) -> dict[str, Any]:
@@ -447,20 +425,12 @@ class Session:
             known = np.isfinite(seen.x_px[0])
             x = seen.x_px[0][known].astype(float) + self.diagram.first_column
             owner = _owners(x, positions.x_px[row])
-            doubtful_owner = _owners(x, positions.withheld_px[row])
-            contrast, fwhm_px = seen.contrast[0][known], seen.fwhm_px[0][known]
-            candidates = [
-                {"x_px": x[k], "contrast": contrast[k], "fwhm_px": fwhm_px[k]}
-                | {"sheet": owner[k], "doubted_sheet": doubtful_owner[k]}
-                for k in range(len(x))
-            ]
-            expected = positions.expected_px(np.array([row]))[0]
-            names = ("x_px", "err_px", "withheld_px")
+            candidates = [{"x_px": x[k], "sheet": owner[k]} for k in range(len(x))]
+            names = ("x_px", "withheld_px")
             sheets = [
                 {"index": k, "flag": FLAGS[positions.flag[row, k]]}
                 | {"why": DOUBTS.get(WHYS[positions.why[row, k]], "")}
                 | {name: getattr(positions, name)[row, k] for name in names}
-                | {"expected_px": expected[k]}
                 for k in range(positions.sheets)
             ]
         return {"frame": frame, "candidates": candidates, "sheets": sheets}
@@ -480,11 +450,3 @@ def _owners(x: Floats, positions: Floats32) -> list[int | None]:
     """Return the index of the sheet nearest to each candidate; None if none is within `SAME_RIDGE_PX`."""
     sheet, distance = nearest(np.broadcast_to(positions.astype(float), (len(x), len(positions))), x)
     return [int(k) if away <= SAME_RIDGE_PX else None for k, away in zip(sheet, distance, strict=True)]
-
-
-def _worst(frame: Floats, codes: Any, points: int) -> tuple[Floats, Any]:
-    """Return the first frame and the largest code of every interval."""
-    if len(frame) <= points:
-        return frame, codes
-    starts = np.arange(0, len(frame), -(-len(frame) // points))
-    return frame[starts], np.maximum.reduceat(codes, starts, axis=0)

@@ -27,7 +27,7 @@ from vision.files import reading
 from vision.numeric import Floats, Ints, Pixels
 from vision.report.page import flattened
 from vision.run.folder import check_new, check_target, run_folder, whole_file, write_json
-from vision.run.reading import AGAIN, RunFolder, check_mark, input_of, read_json, read_table, tracks_of
+from vision.run.reading import AGAIN, RunFolder, check_mark, read_json
 from vision.run.tables import sheets_table, tracks_table
 from vision.video import Video, open_video
 
@@ -107,7 +107,7 @@ def all_tables(run: RunFolder) -> dict[str, pd.DataFrame]:
     are NaN; their flag says why.
     """
     tables: dict[str, pd.DataFrame] = {}
-    if run.tracks is not None:
+    if run.of_video:
         size = run.pixel_size_um
         tables["tracks"] = tracks_table(run.tracks, pixel_size_um=size)
         tables["positions"] = positions_table(run.tracks, pixel_size_um=size)
@@ -117,7 +117,7 @@ def all_tables(run: RunFolder) -> dict[str, pd.DataFrame]:
 
 def _event_tables(run: RunFolder) -> dict[str, pd.DataFrame]:
     """Return the tables of a run that depend on the force recording."""
-    found = {name: read_table(run.folder, name) for name in ("events", "deformation", "shells")}
+    found = {name: run.table(name) for name in ("events", "deformation", "shells")}
     return {name: table for name, table in found.items() if table is not None}
 
 
@@ -141,7 +141,7 @@ def trackpy_table(run: RunFolder) -> pd.DataFrame:
     particle is the sheet's index from the left, ep the standard error of x, and y the middle of the strip.
     Positions that were not measured are left out, as trackpy accepts no NaN.
     """
-    tracks = tracks_of(run)
+    tracks = run.tracks
     table = tracks_table(tracks)
     table = table[table["flag"].isin(("ok", "blurred"))].rename(
         columns={"x_px": "x", "x_err_px": "ep", "index": "particle"}
@@ -257,7 +257,7 @@ def write_mat(run: RunFolder, path: Path) -> None:
 
     content: dict[str, Any] = {}
     tables = _event_tables(run) | {"settings": settings_table(run)}
-    if run.tracks is not None:
+    if run.of_video:
         content = _matrices(run.tracks, np.nan if run.pixel_size_um is None else run.pixel_size_um)
         tables["sheets"] = sheets_table(run.tracks)
     content |= {name: _struct(table) for name, table in tables.items()}
@@ -425,14 +425,6 @@ class Overlay:
     fps: float
 
 
-def film_of(run: RunFolder, moved: Path | None = None) -> Path:
-    """Return the path of a run's film, which may have moved; see `input_of`.  Raises: InputError."""
-    inputs = run.facts.get("inputs") or []
-    if not inputs or run.tracks is None:
-        raise InputError(run.folder, "a run of a video", "no film in its run.json", "give the run of a video")
-    return input_of(run.folder, inputs[0], moved)
-
-
 def write_overlay(
     run: RunFolder, film: Path, target: Path, *, frames: slice | None = None, progress: Progress | None = None
 ) -> Overlay:
@@ -441,7 +433,7 @@ def write_overlay(
     Parameters
     ----------
     run, film
-        As returned by `read_run` and `film_of`.
+        As returned by `read_run` and its method `input`.
     target
         The MP4 to write.
     frames
@@ -462,7 +454,7 @@ def write_overlay(
     """
     import av  # 30 ms that no other export needs
 
-    tracks = tracks_of(run)
+    tracks = run.tracks
     video = open_video(film, rotate=StripMetadata.of(tracks).rotate, frames=_within(tracks, frames, run))
     canvas = _Canvas.of(video, tracks)
     row_of = {int(number): row for row, number in enumerate(tracks["frame"].values)}

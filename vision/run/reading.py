@@ -10,10 +10,10 @@ import os
 import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, fields
+from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, BinaryIO, Self
+from typing import Any, BinaryIO, Literal, Self
 
 import numpy as np
 import pandas as pd
@@ -22,6 +22,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 import vision
+from vision.clock import Candidate, Clock
 from vision.data import TRACKS, StripMetadata, TrackMetadata
 from vision.errors import InputError
 from vision.files import READ_HDF5, check_regular, reading, shortened, try_out
@@ -39,30 +40,93 @@ AGAIN = "run track again"
 
 @dataclass(frozen=True)
 class RunFolder:
-    """Content of a run folder."""
+    """A finished run. Its other files are read when they are first used; InputError says which is damaged."""
 
     folder: Path
     facts: Mapping[str, Any]  # content of run.json
-    tracks: xr.Dataset | None  # as `track_sheets` returned them; None for a run without a video
+
+    @cached_property
+    def parameters(self) -> dict[str, Parameter]:
+        """Parameters by the names of the command's options."""
+        known = self.facts.get("parameters", {})
+        if not isinstance(known, dict) or not all(isinstance(one, dict) for one in known.values()):
+            raise InputError(self.folder / MARK, "the parameters of a run", "none", AGAIN)
+        return {name: Parameter(one.get("value"), one.get("how", "given")) for name, one in known.items()}
+
+    def value(self, option: str) -> Any:
+        """Return the value of an option; None if it was not given and has no default."""
+        return self.parameters[option].value if option in self.parameters else None
 
     @property
     def pixel_size_um(self) -> float | None:
-        """µm per pixel as recorded in run.json; None if it was not given."""
-        value = self._parameter("pixel_size")
+        """µm per pixel; None if it was not given."""
+        value = self.value("pixel_size")
         with reading(self.folder / MARK, "a pixel size in µm", AGAIN):
             if value is None or 0 < float(value) < math.inf:
                 return None if value is None else float(value)
             raise ValueError(value)
 
     @property
-    def first_column(self) -> int:
-        """First column of the strip in the video."""
-        first = str(self._parameter("columns") or "").partition(":")[0].strip()
-        return int(first) if first.isdigit() else 0
+    def of_video(self) -> bool:
+        """Whether the run has tracks, and not only a force recording."""
+        return (self.folder / "tracks.nc").exists()
 
-    def _parameter(self, name: str) -> Any:
-        with reading(self.folder / MARK, "parameters as track writes them", AGAIN):
-            return self.facts.get("parameters", {}).get(name, {}).get("value")
+    @cached_property
+    def tracks(self) -> xr.Dataset:
+        """The tracks as `track_sheets` returned them.  Raises: InputError for a run without a video."""
+        if not self.of_video:
+            found, advice = "no tracks.nc in it", "give the run of a video"
+            raise InputError(self.folder, "a run of a video", found, advice)
+        return _read_tracks(self.folder / "tracks.nc")
+
+    @cached_property
+    def clock(self) -> Clock | None:
+        """The clock, which may be ambiguous; None if the run has none."""
+        path = self.folder / "clock.json"
+        if not path.exists():
+            return None
+        facts = read_json(path)
+        with reading(path, "a clock as track writes it", AGAIN):
+            known = {part.name: facts[part.name] for part in fields(Clock) if part.name in facts}
+            known = {name: math.nan if value is None else value for name, value in known.items()}
+            candidates = tuple(Candidate(**one) for one in known.get("candidates") or ())
+            return Clock(**known | {"candidates": candidates, "warnings": tuple(known.get("warnings") or ())})
+
+    def table(self, name: str) -> pd.DataFrame | None:
+        """Return a table, such as "events"; None if the run does not have it."""
+        path = self.folder / f"{name}.csv"
+        if not path.exists():
+            return None
+        with reading(path, "a table as track writes it", AGAIN):
+            return pd.read_csv(path)
+
+    def input(self, which: Literal["film", "force"], moved: Path | None = None) -> Path:
+        """Return the path of the film or the force recording after checking that it is the same file.
+
+        moved: its new path, if it was moved.
+
+        Raises: InputError if the run has none, there is no such file, or its size or fingerprint differs.
+        """
+        inputs = self.facts.get("inputs") or []  # the film is the first, the force recording the last
+        if not inputs or not (self.of_video if which == "film" else self.value("force")):
+            wanted = "a run of a video" if which == "film" else "a run with a force recording"
+            raise InputError(self.folder, wanted, "none in its run.json", "give another run")
+        known: Mapping[str, Any] = inputs[0 if which == "film" else -1]
+        named = Path(str(known["path"]))
+        candidates = [named, self.folder.absolute().parent / named] if moved is None else [moved]
+        path = next((candidate for candidate in candidates if _exists(candidate)), None)
+        if path is None:
+            found, advice = "no such file", "give its new path (`film`)"
+            raise InputError(candidates[0], f"an input of {self.folder}", found, advice)
+        kind = "sha256" if "sha256" in known else "fingerprint"
+        now = describe_input(path, whole=kind == "sha256")
+        if now["size_bytes"] != known["size_bytes"]:
+            wanted = f"an input of {self.folder}, {known['size_bytes']} bytes"
+            raise InputError(path, wanted, f"one of {now['size_bytes']} bytes")
+        if now.get(kind) != known.get(kind):
+            found = "another of the same size"
+            raise InputError(path, f"an input of {self.folder}", found, "track it again")
+        return path
 
 
 def is_run(folder: Path) -> bool:
@@ -80,31 +144,11 @@ def check_mark(target: Path, mark: str) -> None:
 
 
 def read_run(folder: Path) -> RunFolder:
-    """Read run.json and tracks.nc of a run folder.  Raises: InputError if it is none, or is damaged."""
+    """Open a run folder and read its run.json.  Raises: InputError if it is none, or is damaged."""
     if not is_run(folder):
         found = "no run.json in it" if folder.is_dir() else "no such folder"
         raise InputError(folder, "a run folder of track", found, "give the folder that track wrote")
-    facts = read_json(folder / MARK)
-    tracks = folder / "tracks.nc"
-    return RunFolder(folder, facts, _read_tracks(tracks) if tracks.exists() else None)
-
-
-def parameters_of(folder: Path, facts: Mapping[str, Any]) -> dict[str, Parameter]:
-    """Return a run's parameters by the names of the command's options.
-
-    Raises: InputError if run.json holds none, or they are damaged.
-    """
-    known = facts.get("parameters")
-    if not isinstance(known, dict) or not all(isinstance(one, dict) for one in known.values()):
-        raise InputError(folder / MARK, "the parameters of a run", "none", AGAIN)
-    return {name: Parameter(one.get("value"), one.get("how", "given")) for name, one in known.items()}
-
-
-def tracks_of(run: RunFolder) -> xr.Dataset:
-    """Return a run's tracks.  Raises: InputError for a run without a video."""
-    if run.tracks is None:
-        raise InputError(run.folder, "a run of a video", "no tracks.nc in it", "give the run of a video")
-    return run.tracks
+    return RunFolder(folder, read_json(folder / MARK))
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -116,15 +160,6 @@ def read_json(path: Path) -> dict[str, Any]:
     return content
 
 
-def read_table(folder: Path, name: str) -> pd.DataFrame | None:
-    """Read a CSV table of a run folder; None if there is none.  Raises: InputError for a damaged one."""
-    path = folder / f"{name}.csv"
-    if not path.exists():
-        return None
-    with reading(path, "a table as track writes it", AGAIN):
-        return pd.read_csv(path)
-
-
 def read_strip(run: RunFolder) -> xr.DataArray:
     """Read I(x, t) from kymograph.tif, with the coordinates and attributes that `strip_profile` set.
 
@@ -134,9 +169,10 @@ def read_strip(run: RunFolder) -> xr.DataArray:
 
     Raises: InputError if the file is missing or damaged, or does not fit the tracks.
     """
-    tracks, path = tracks_of(run), run.folder / "kymograph.tif"
-    values = _read_tif(path, tracks.sizes["frame"])
-    first = run.first_column
+    tracks = run.tracks
+    values = _read_tif(run.folder / "kymograph.tif", tracks.sizes["frame"])
+    start = str(run.value("columns") or "").partition(":")[0].strip()
+    first = int(start) if start.isdigit() else 0
     flags = tracks["flag"].values[:, 0]
     return xr.DataArray(
         values,
@@ -152,30 +188,6 @@ def read_strip(run: RunFolder) -> xr.DataArray:
     )
 
 
-def input_of(folder: Path, known: Mapping[str, Any], moved: Path | None = None) -> Path:
-    """Return the path of one of a run's inputs after checking that it is the same file.
-
-    known: its entry in run.json.  moved: its new path, if it was moved.
-
-    Raises: InputError if there is no such file, or its size or fingerprint differs.
-    """
-    named = Path(str(known["path"]))
-    candidates = [named, folder.absolute().parent / named] if moved is None else [moved]
-    path = next((candidate for candidate in candidates if _exists(candidate)), None)
-    if path is None:
-        found, advice = "no such file", "give its new path (`film`)"
-        raise InputError(candidates[0], f"an input of {folder}", found, advice)
-    whole = "sha256" in known
-    now = describe_input(path, whole=whole)
-    if now["size_bytes"] != known["size_bytes"]:
-        found = f"one of {now['size_bytes']} bytes"
-        raise InputError(path, f"an input of {folder}, {known['size_bytes']} bytes", found)
-    kind = "sha256" if whole else "fingerprint"
-    if now.get(kind) != known.get(kind):
-        raise InputError(path, f"an input of {folder}", "another of the same size", "track it again")
-    return path
-
-
 def _exists(path: Path) -> bool:
     """Tell whether a file, or a file that matches a pattern, exists."""
     return path.exists() or bool(glob.glob(str(path)))  # noqa: PTH207  # may be absolute
@@ -186,15 +198,10 @@ def slip_times_s(run: RunFolder) -> Floats | None:
 
     None if the run has no events, or its clocks are ambiguous: wrong times are worse than none.
     """
-    events, clock = read_table(run.folder, "events"), run.folder / "clock.json"
-    if events is None or not clock.exists():
+    events, clock = run.table("events"), run.clock
+    if events is None or clock is None or clock.status == "ambiguous":
         return None
-    facts = read_json(clock)
-    if facts.get("status") not in ("ok", "given"):
-        return None
-    peaks = events["t_p_s"].to_numpy(np.float64)
-    drift = 1 + 1e-6 * float(facts.get("drift_ppm") or 0.0)
-    video_s = (peaks - float(facts["offset_s"])) / drift
+    video_s = clock.to_video_s(events["t_p_s"].to_numpy(np.float64))
     return np.asarray(video_s[np.isfinite(video_s)])
 
 
