@@ -167,7 +167,7 @@ codec {html.escape(c.codec or "none")}; sheetvision {vision.__version__}.</p>
 <p>The recording was separated into its mean picture in coordinates that move with the sheets (the shape of
 each ridge, the gaps, the light), the smooth motion of the sheets between slips including their common motion,
 and the residual. {films_made}
-{c.films} films of the same length, whose positions are known exactly, were tracked like the recording.
+Synthetic films of the same length ({c.films}), with positions known exactly, were tracked like the recording.
 For the pixel locking the sheets cross one pixel without noise. For the identities the motion was enlarged.
 At the threshold every sheet creeps by √12 times the threshold times Λ<sub>st</sub> in each stick phase, and
 the whole analysis follows. Repeated and missing frames, steps of the brightness, clipped pixels and distorted

@@ -126,7 +126,7 @@ def overview(figures: Iterable[Figure]) -> Figure | None:
             "orange)."
         ),
         panels=panels,
-        width_in=13.0,
+        width_in=camera.page_width_in(named["frame"]) if "frame" in named else 13.0,
     )
 
 
@@ -216,8 +216,10 @@ FIGURES: Mapping[str, CatalogueEntry] = {
     ),
     "force_drop": CatalogueEntry(
         _STICKS,
-        lambda r: force.force_drop_figure(r.sticks, r.fits, unit=load_unit(r.force)),
-        ("force", "separation"),
+        lambda r: (
+            force.force_drop_figure(r.sticks, r.fits, unit=load_unit(r.force)) if len(r.sticks) else None
+        ),
+        ("force", "sticks"),
         paper="5",
     ),
     "stiffness": CatalogueEntry(

@@ -51,8 +51,8 @@ _STYLE: dict[str, Any] = {
 class _Inches:
     """Sizes on a page."""
 
-    SIDE, INNER = 0.85, 0.15  # margin of a panel with and without the numbers and label of an axis
-    TOP, BOTTOM, FOOT = 0.12, 0.55, 0.2  # above and below each panel; below the last for the marks' label
+    SIDE, INNER = 0.85, 0.18  # margin of a panel with and without the numbers and label of an axis
+    TOP, BOTTOM, FOOT = 0.12, 0.55, 0.2  # above and below each panel; below its labels for that of the marks
     TITLE, LEGEND_ROW = 0.26, 0.24  # heights
     CHARACTER, MARKER = 0.075, 0.55  # widths in a legend
     NUMBER = 0.8  # width for each number of the x axis
@@ -131,8 +131,10 @@ def _page(figure: Figure, *, interactive: bool = False) -> Page:
             page.text(box[0], top / size[1], to_mathtext(panel.title), fontsize=11)
         if not _labelled(panel):
             ax.tick_params(labelleft=False)
-    if label := _marks_label(figure):
-        page.text(1 - 0.1 / size[0], 0.05 / size[1], label, color=HIGHLIGHT, fontsize=8, ha="right")
+        if panel.marks_label and panel is [p for p in figure.panels if p.marks_label][-1]:
+            below = (bottom - _Inches.BOTTOM - _Inches.FOOT / 2) / size[1]
+            end: dict[str, Any] = {"ha": "right", "va": "center"}
+            page.text(box[0] + box[2], below, panel.marks_label, color=HIGHLIGHT, fontsize=8, **end)
     return page
 
 
@@ -235,7 +237,7 @@ def _draw_sheets(ax: Axes, panel: Panel) -> None:
         lines = [np.stack([s.y, s.x] if panel.time_down else [s.x, s.y], axis=1) for s in mine]
         width = mine[0].width
         if panel.image is not None:  # coloured lines are invisible on white ridges without a dark edge
-            ax.add_collection(LineCollection(lines, linewidths=width + 0.9, **casing))
+            ax.add_collection(LineCollection(lines, linewidths=1.9 * width, **casing))
         inks = [s.ink[0] for s in mine]
         ax.add_collection(
             LineCollection(lines, colors=inks, linewidths=width, linestyles=_DASHES if dashed else "-")
@@ -266,6 +268,8 @@ def _draw_series(ax: Axes, series: Series) -> None:
         ax.bar(at, series.y, width, color=colour, alpha=0.5, ec=colour, label=series.label)
         return
     ax.plot(at, series.y, label=to_mathtext(series.label) or "_", **_line_style(series))
+    if series.look == "line" and (alone := _isolated(series.y)).any():
+        ax.plot(at[alone], series.y[alone], ls="none", marker="o", ms=2.5, color=colour)
 
 
 def _line_style(series: Series) -> dict[str, Any]:
@@ -415,8 +419,8 @@ def _legend_entries(panel: Panel) -> list[tuple[Series | Band, str]]:
     if panel.image is not None or panel.empty:
         return []
     if not panel.switchable:
-        parts: list[Series | Band] = [*panel.series, *panel.bands]
-        return [(part, part.label) for part in parts if part.label]
+        parts: list[Series | Band] = [series for series in panel.series if np.isfinite(series.y).any()]
+        return [(part, part.label) for part in (*parts, *panel.bands) if part.label]
     entries: list[tuple[Series | Band, str]] = []
     for side, name in ((-1, "left"), (1, "right")):
         mine = {s.sheet[1]: s for s in panel.series if s.sheet is not None and s.sheet[0] == side}
@@ -482,9 +486,8 @@ def _layout(figure: Figure) -> tuple[list[Box], tuple[float, float]]:
             x += before[column]
             boxes.append((x, y, width, height))
             x += width + after[column]
-        y -= _Inches.BOTTOM
-    total = (_Inches.FOOT if _marks_label(figure) else 0.0) - y
-    return [(x, y + total, width, height) for x, y, width, height in boxes], (figure.width_in, total)
+        y -= _Inches.BOTTOM + (_Inches.FOOT if any(panel.marks_label for panel in row) else 0.0)
+    return [(x, bottom - y, width, height) for x, bottom, width, height in boxes], (figure.width_in, -y)
 
 
 def _top(figure: Figure, panel: Panel, width_in: float) -> float:
@@ -498,10 +501,6 @@ def _top(figure: Figure, panel: Panel, width_in: float) -> float:
 def _labelled(panel: Panel) -> bool:
     """Tell whether the vertical axis has its own label."""
     return bool(panel.x_label if panel.time_down else panel.y_label)
-
-
-def _marks_label(figure: Figure) -> str:
-    return next((p.marks_label for p in figure.panels if p.marks is not None and p.marks.size), "")
 
 
 def _width_in(ax: Axes) -> float:

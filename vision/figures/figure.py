@@ -84,7 +84,10 @@ class Image:
         """The grey scale in words, from black to white; "" without one."""
         if not (math.isfinite(self.black) and math.isfinite(self.white)):
             return ""
-        return f"grey levels {self.black:.3g} to {self.white:.3g}"
+        black, white = (
+            f"{level:.3g}" if abs(level) < 1000 else f"{level:.0f}" for level in (self.black, self.white)
+        )
+        return f"grey levels {black} to {white}"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -256,7 +259,7 @@ class Figure:
 
             drawing.write(self, path, dpi=dpi)
         else:
-            raise InputError(path, "a name that ends in .png, .pdf, .svg or .csv", kind or "no ending")
+            raise InputError(path.name, "a name that ends in .png, .pdf, .svg or .csv", kind or "no ending")
         return path
 
     def png(self) -> bytes:

@@ -217,15 +217,21 @@ def sticks_figure(force: xr.Dataset, sticks: pd.DataFrame) -> Figure:
         x_label="d − d_v (µm)",
         y_label=load_label("F − F_v", load_unit(force)),
         series=series + _central_parts(chosen, series, part),
-        arrows=_stick_sizes(chosen),
     )
-    if arrows := panel.arrows:  # room for the arrows and their symbols
-        x = np.concatenate([curve.x for curve in series])
-        y = np.concatenate([curve.y for curve in series])
-        beside = 1.12 * max(float(x.max()), arrows[0].x[0])
-        above = 1.15 * max(float(y.max()), arrows[1].y[0])
+    length, drop = (
+        float(chosen[name].iloc[0]) if len(chosen) else np.nan for name in ("stick_length_um", "dF_N")
+    )
+    if np.isfinite(length):  # arrows for the first event, beside and above all curves
+        x, y = (np.concatenate([getattr(curve, axis) for curve in series]) for axis in "xy")
+        right, top = max(float(x.max()), length), max(float(y.max()), drop)
         panel = replace(
-            panel, x_range=(float(x.min()) - 0.02 * beside, beside), y_range=(min(float(y.min()), 0.0), above)
+            panel,
+            arrows=(
+                Arrow(x=(1.04 * right, 1.04 * right), y=(0.0, drop), label="ΔF"),
+                Arrow(x=(0.0, length), y=(1.05 * top, 1.05 * top), label="Λ_st"),
+            ),
+            x_range=(float(x.min()) - 0.02 * right, 1.14 * right),
+            y_range=(min(float(y.min()), 0.0), 1.16 * top),
         )
     return Figure.of(
         "sticks",
@@ -248,18 +254,6 @@ def _central_parts(chosen: pd.DataFrame, curves: tuple[Series, ...], part: float
             label = "" if dots else "K is measured here"
             dots.append(Series.points(label, curve.x[inside], curve.y[inside], curve.ink))
     return tuple(dots)
-
-
-def _stick_sizes(chosen: pd.DataFrame) -> tuple[Arrow, ...]:
-    """Return arrows for ΔF and Λ_st of the first event shown."""
-    if chosen.empty or not np.isfinite(chosen["stick_length_um"].iloc[0]):
-        return ()
-    length, drop = float(chosen["stick_length_um"].iloc[0]), float(chosen["dF_N"].iloc[0])
-    beside, above = 1.04 * length, 1.05 * drop
-    return (
-        Arrow(x=(beside, beside), y=(0.0, drop), label="ΔF"),
-        Arrow(x=(0.0, length), y=(above, above), label="Λ_st"),
-    )
 
 
 def force_drop_figure(sticks: pd.DataFrame, fits: ModelFits | None = None, *, unit: str = "N") -> Figure:
@@ -330,7 +324,8 @@ def stiffness_residuals_figure(sticks: pd.DataFrame, fits: ModelFits, *, unit: s
     residual = measured.y - fits.stiffness_N_per_mm(measured.x)
     points = Series.points("K − M_eff K_eff", measured.x, residual, DATA, measured.high - measured.y)
     line = Series(label="", x=measured.x, y=np.zeros(measured.x.size), ink=MODEL, dashed=True)
-    reach = 1.3 * float(np.nanquantile(np.abs(points.y), 0.98)) or 1.0
+    ends = np.abs(points.y) + measured.high - measured.y  # of the error bars
+    reach = 1.05 * float(np.nanquantile(ends, 0.98)) or 1.0
     panel = Panel(
         x_label="d_v (mm)",
         y_label=_stiffness_label("K − model", unit),
@@ -358,11 +353,15 @@ def force_overview_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFi
         f"{len(sticks)} events{kind}, drops above {threshold:.3g} {'of the weight' if unit == '1' else unit}"
     )
     panels = (replace(whole, title=found), _zoom(force, sticks), drops.panel, stiffness.panel)
+    shown = panels[:1] + tuple(panel for panel in panels[1:] if not panel.empty)
     return Figure(
         name="force_overview",
         title="The force recording and its stick-slip events",
-        caption="The whole recording, a few events in its middle, amplitude and stiffness of every event.",
-        panels=tuple(replace(panel, aspect=0.6) for panel in panels),
+        caption=(
+            "The whole recording, a few events in its middle, and the amplitude and stiffness of every "
+            "event, as far as they are known."
+        ),
+        panels=tuple(replace(panel, aspect=0.6) for panel in shown),
         columns=2,
         width_in=13.0,
     )
@@ -419,7 +418,7 @@ def force_insets_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFits
         ),
         panels=tuple(panels),
         columns=2,
-        width_in=13.0,
+        width_in=8.0,
     )
 
 

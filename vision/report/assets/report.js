@@ -72,7 +72,7 @@
     c.save(); c.strokeStyle = "rgba(16,16,16,0.7)"; c.setLineDash([]);
     chart.series.forEach((s, k) => {
       if (!u.series[k + 1].show) return;
-      c.lineWidth = (s.width + 0.9) * devicePixelRatio; c.beginPath();
+      c.lineWidth = 1.9 * s.width * devicePixelRatio; c.beginPath();
       let pen = false;
       u.data[k + 1].forEach((v, i) => {
         if (v == null) { pen = false; return; }
