@@ -531,7 +531,7 @@ def _notes(peaks: Fit, stiffness: Fit, span: tuple[float, float], free_t_star: b
             f"T* and mu are degenerate (correlation {peaks.correlation(0, 2):.3f}): use them only together"
         )
     if abs(stiffness.correlation(0, 1)) > 0.98:
-        notes.append("Lambda_hat and Y_eff are nearly degenerate over this range of d")
+        notes.append("Λ̂ and Y_eff are nearly degenerate over this range of d")
     if span[1] > stiffness.value[0]:
         notes.append(f"d goes beyond {stiffness.value[0]:.2f} mm, where M_eff is 0")
     return tuple(notes)
