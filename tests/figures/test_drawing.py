@@ -136,7 +136,7 @@ def test_the_label_of_marks_is_below_their_panel(video_only):
     )
     page = new_figure(Figure(name="f", title="", caption="", panels=(panel, lower)))
     FigureCanvasAgg(page).draw()
-    label = next(t for t in page.texts if t.get_text() == panel.marks_label).get_window_extent()
+    label = next(t for t in page.texts if panel.marks_label in t.get_text()).get_window_extent()
     assert page.axes[0].xaxis.label.get_window_extent().y0 > label.y1
     assert label.y0 > page.axes[1].get_window_extent().y1
     assert label.y0 > max(text.get_window_extent().y1 for text in page.axes[1].get_legend().get_texts())

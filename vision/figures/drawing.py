@@ -21,7 +21,6 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure as Page
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
-from matplotlib.transforms import blended_transform_factory
 from numpy.typing import NDArray
 
 from vision.figures.figure import Arrow, Band, Figure, Image, Panel, Series
@@ -52,7 +51,8 @@ class _Inches:
     """Sizes on a page."""
 
     SIDE, INNER = 0.85, 0.18  # margin of a panel with and without the numbers and label of an axis
-    TOP, BOTTOM, FOOT = 0.12, 0.55, 0.2  # above and below each panel; below its labels for that of the marks
+    TOP, BOTTOM = 0.12, 0.55  # above and below each panel
+    FOOT = 0.16  # height of a line below the labels of a panel
     TITLE, LEGEND_ROW = 0.26, 0.24  # heights
     CHARACTER, MARKER = 0.075, 0.55  # widths in a legend
     NUMBER = 0.8  # width for each number of the x axis
@@ -88,10 +88,8 @@ def draw_panel(ax: Axes, panel: Panel) -> Axes:
 
 
 def _draw_annotations(ax: Axes, panel: Panel) -> None:
-    """Draw arrows, the grey scale, numbers of sheets, the inset, and marks along the edge."""
+    """Draw arrows, numbers of sheets, the inset, and marks along the edge."""
     _draw_arrows(ax, panel.arrows)
-    if panel.image is not None and panel.image.scale:
-        _draw_scale(ax, panel.image.scale, below=panel.downwards)
     _draw_ticks(ax, [series for series in panel.series if series.look == "ticks"])
     if panel.inset is not None:
         _draw_inset(ax, panel.inset)
@@ -131,10 +129,11 @@ def _page(figure: Figure, *, interactive: bool = False) -> Page:
             page.text(box[0], top / size[1], to_mathtext(panel.title), fontsize=11)
         if not _labelled(panel):
             ax.tick_params(labelleft=False)
-        if panel.marks_label and panel is [p for p in figure.panels if p.marks_label][-1]:
-            below = (bottom - _Inches.BOTTOM - _Inches.FOOT / 2) / size[1]
-            end: dict[str, Any] = {"ha": "right", "va": "center"}
-            page.text(box[0] + box[2], below, panel.marks_label, color=HIGHLIGHT, fontsize=8, **end)
+    for k, ((left, bottom, width, _), panel) in enumerate(zip(boxes, figure.panels, strict=True)):
+        following = figure.panels[k + 1].foot if k + 1 < len(boxes) and boxes[k + 1][1] == bottom else ""
+        if panel.foot != following:  # once for panels side by side
+            below = (left + width) / size[0], (bottom - _Inches.BOTTOM) / size[1]
+            page.text(*below, panel.foot, color=QUIET[0], fontsize=8, ha="right", va="top")
     return page
 
 
@@ -196,21 +195,6 @@ def _draw_image(ax: Axes, panel: Panel, image: Image) -> None:
         vmax=255,
         interpolation_stage="data",
     )
-
-
-def _draw_scale(ax: Axes, text: str, *, below: bool) -> None:
-    """Write the grey scale in the corner of the image, or below it, as a frame may be too flat or narrow."""
-    style: dict[str, Any] = {"ha": "right", "fontsize": 6.5}
-    if below and (page := ax.get_figure(root=True)) is not None:
-        # The right end of the space for the panel, which the image need not fill.
-        end = (ax.get_position(original=True).x1, 0.0)
-        transform = blended_transform_factory(page.transFigure, ax.transAxes)
-        # 19 points are below the numbers of the axis
-        offset: dict[str, Any] = {"xytext": (0, -19), "textcoords": "offset points", "va": "top"}
-        ax.annotate(text, end, xycoords=transform, color=QUIET[0], annotation_clip=False, **offset, **style)
-    else:
-        box = {"boxstyle": "round,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.8}
-        ax.text(0.99, 0.01, text, bbox=box, transform=ax.transAxes, va="bottom", **style)
 
 
 def _draw_bands(ax: Axes, panel: Panel) -> None:
@@ -486,7 +470,7 @@ def _layout(figure: Figure) -> tuple[list[Box], tuple[float, float]]:
             x += before[column]
             boxes.append((x, y, width, height))
             x += width + after[column]
-        y -= _Inches.BOTTOM + (_Inches.FOOT if any(panel.marks_label for panel in row) else 0.0)
+        y -= _Inches.BOTTOM + _Inches.FOOT * max(len(panel.foot.splitlines()) for panel in row)
     return [(x, bottom - y, width, height) for x, bottom, width, height in boxes], (figure.width_in, -y)
 
 

@@ -81,13 +81,13 @@ class Image:
 
     @property
     def scale(self) -> str:
-        """The grey scale in words, from black to white; "" without one."""
+        """The grey scale in words; "" without one."""
         if not (math.isfinite(self.black) and math.isfinite(self.white)):
             return ""
         black, white = (
             f"{level:.3g}" if abs(level) < 1000 else f"{level:.0f}" for level in (self.black, self.white)
         )
-        return f"grey levels {black} to {white}"
+        return f"black to white: grey levels {black} to {white}"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -143,6 +143,11 @@ class Panel:
     def switchable(self) -> bool:
         """Whether some series are sheets, which the page can switch on and off."""
         return any(series.sheet is not None for series in self.series)
+
+    @property
+    def foot(self) -> str:
+        """What the grey levels and the marks are, one line each, for below the panel."""
+        return "\n".join(filter(None, (self.image.scale if self.image else "", self.marks_label)))
 
     @property
     def common_x(self) -> bool:

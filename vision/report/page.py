@@ -108,7 +108,7 @@ def _figure_text(figure: Figure) -> dict[str, Any]:
     return {
         "name": figure.name,
         "title": figure.title,
-        "caption": f"{figure.caption} Black to white: {scale}." if scale else figure.caption,
+        "caption": f"{figure.caption} {scale.capitalize()}." if scale else figure.caption,
         "notes": figure.notes,
     }
 
