@@ -149,11 +149,6 @@ def write(figure: Figure, path: Path, *, dpi: float | None = None) -> None:
         page.savefig(path, format=kind, dpi=300 if dpi is None else dpi, metadata=stamp)
 
 
-def png(figure: Figure, *, dpi: float | None = None) -> bytes:
-    """Return the content of a PNG file."""
-    return _png(drawn(figure, dpi=dpi))
-
-
 def drawn(figure: Figure, *, dpi: float | None = None) -> NDArray[np.uint8]:
     """Return the figure's pixels, RGBA (rows, columns, 4)."""
     with picture_style():
@@ -166,10 +161,11 @@ def drawn(figure: Figure, *, dpi: float | None = None) -> NDArray[np.uint8]:
 
 def write_png(pixels: NDArray[np.uint8], path: Path) -> None:
     """Write pixels as returned by `drawn`; other Python threads can run meanwhile."""
-    path.write_bytes(_png(pixels))
+    path.write_bytes(png(pixels))
 
 
-def _png(pixels: NDArray[np.uint8]) -> bytes:
+def png(pixels: NDArray[np.uint8]) -> bytes:
+    """Return the content of a PNG file of pixels as returned by `drawn`."""
     return cv2.imencode(".png", cv2.cvtColor(pixels, cv2.COLOR_RGBA2BGR), _PNG)[1].tobytes()
 
 
