@@ -211,6 +211,14 @@ def test_nothing_is_missing_from_a_whole_run(pulled):
     assert missing_parts(pulled) == []
 
 
+def test_ambiguous_clocks_are_named_in_a_sentence(pulled):
+    """A failure means "expected clocks that are not ambiguous; found …" in the report."""
+    clock = replace(pulled.clock, status="ambiguous")
+    reasons = {"motion": "test.avi: expected clocks that are not ambiguous; found too few slips"}
+    (line,) = missing_parts(replace(pulled, motion=None, shells=None, clock=clock, reasons=reasons))
+    assert line.startswith("Deformation and shells: the time of stick phases in the video is unknown")
+
+
 def test_a_whole_run_has_them_all_with_their_numbers(pulled):
     """A failure means that a figure of the publication is not there, or does not say which one it is."""
     figures = publication_figures_of(pulled)
