@@ -185,7 +185,6 @@ def _panel_data(name: str, panel: Panel, store: ArrayStore) -> dict[str, Any]:
         "downwards": panel.downwards,
         "timeDown": panel.time_down,
         "aspect": 0.75 if panel.time_down else panel.aspect,
-        "squarePixels": panel.square_pixels,
     }
 
 

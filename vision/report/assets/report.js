@@ -234,7 +234,7 @@
   }
   function sizeOf(chart, holder) {
     let width = Math.max(260, Math.floor(holder.clientWidth));
-    if (chart.squarePixels) { /* the plotted area keeps the frame's shape: what is left are the axes */
+    if (chart.picture && !chart.timeDown) { /* the plotted area has the stated shape; the rest are the axes */
       const across = 62, along = 56;
       if ((width - across) * chart.aspect > 560) width = Math.max(260, Math.floor(560 / chart.aspect) + across);
       return { width, height: Math.round((width - across) * chart.aspect) + along };
