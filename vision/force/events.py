@@ -473,11 +473,10 @@ def _warnings(events: pd.DataFrame, regime: Regime, signal: Signal, slips: Slips
     """Return why the recording, or a part of its events, may not be stick-slip."""
     lines = []
     if regime.name == "oscillation":
-        low, high = np.percentile(signal.clean, [1, 99])
         lines.append(
             f"an oscillation, not stick-slip: falls last {regime.fall_over_rise:.2g} times as long as rises, "
             f"{100 * regime.line_share:.0f} % of the variance is at one frequency, and the load varies by "
-            f"{high - low:.3g}"
+            f"{np.ptp(np.percentile(signal.clean, [1, 99])):.3g}"
         )
     elif regime.name == "cycles":
         lines.append(
