@@ -54,6 +54,7 @@ def test_tests_that_share_their_friction_coefficient(tmp_path, mu):
     assert not any("single μ" in line for line in found.warnings)
     peaks = next(figure for figure in found.figures() if figure.name == "peaks")
     assert [one.label for one in peaks.panel.series] == ["V = 1 mm/min", "Eq. 1"]
+    assert "fitted jointly to all tests" in peaks.caption
 
 
 def test_systematic_errors_of_the_runs_are_taken_over(tmp_path):

@@ -101,13 +101,18 @@ def test_nothing_in_the_overview_overlaps():
     page = overview(figures_of(scene())).plot().figure
     FigureCanvasAgg(page).draw()
     boxes = [ax.get_tightbbox() for ax in page.axes]
-    titles = [text.get_window_extent() for text in page.texts]
+    titles, feet = (
+        [text.get_window_extent() for text in page.texts if text.get_va() == where]
+        for where in ("baseline", "top")
+    )
+    assert len(feet) == 2
+    assert not any(foot.overlaps(box) for foot in feet for box in [*boxes, *titles])
     legend = page.axes[2].get_legend().get_window_extent()
     assert legend.y0 >= page.axes[2].get_window_extent().y1  # above the lines
     assert not titles[2].overlaps(legend)
     assert all(upper.y0 >= lower.y1 for upper, lower in itertools.pairwise(boxes))
     assert all(title.y0 >= ax.get_window_extent().y1 for title, ax in zip(titles, page.axes, strict=True))
-    assert all(page.bbox.contains(*corner) for box in [*boxes, *titles] for corner in (box.p0, box.p1))
+    assert all(page.bbox.contains(*corner) for box in [*boxes, *titles, *feet] for corner in (box.p0, box.p1))
 
 
 @pytest.mark.parametrize("shape", [(20, 1200), (400, 30)])
@@ -128,8 +133,9 @@ def test_the_grey_scale_of_a_frame_lies_beside_everything(shape):
     page = figure.plot().figure
     FigureCanvasAgg(page).draw()
     ax = page.axes[0]
-    scale = next(text for text in ax.texts if "grey levels" in text.get_text()).get_window_extent()
-    others = [ax.xaxis.label, *ax.get_xticklabels(), *page.texts]
+    (text,) = (text for text in page.texts if "grey levels" in text.get_text())
+    scale = text.get_window_extent()
+    others = [ax.xaxis.label, *ax.get_xticklabels()]
     assert not any(scale.overlaps(other.get_window_extent()) for other in others)
     assert page.bbox.y0 <= scale.y0 < scale.y1 <= ax.get_window_extent().y0
 
@@ -203,6 +209,14 @@ def test_each_missing_part_is_named(pulled, changes, reason, gone):
 def test_nothing_is_missing_from_a_whole_run(pulled):
     """A failure means that a reader is told to give what was given."""
     assert missing_parts(pulled) == []
+
+
+def test_ambiguous_clocks_are_named_in_a_sentence(pulled):
+    """A failure means "expected clocks that are not ambiguous; found …" in the report."""
+    clock = replace(pulled.clock, status="ambiguous")
+    reasons = {"motion": "test.avi: expected clocks that are not ambiguous; found too few slips"}
+    (line,) = missing_parts(replace(pulled, motion=None, shells=None, clock=clock, reasons=reasons))
+    assert line.startswith("Deformation and shells: the time of stick phases in the video is unknown")
 
 
 def test_a_whole_run_has_them_all_with_their_numbers(pulled):

@@ -115,6 +115,40 @@ def test_legends_name_the_sides_and_hide_nothing():
     assert names == [f"{side}, n = 1 (dark) to 3 (bright)" for side in ("left", "right")]
 
 
+def test_legends_and_lines_show_what_there_is():
+    """A failure means a legend of curves that are not drawn, or measured values that no line shows."""
+    x = np.arange(5.0)
+    series = (
+        Series(label="alone", x=x, y=np.array([np.nan, 2, np.nan, 3, 4]), ink=DATA),
+        Series(label="nothing", x=x, y=np.full(5, np.nan), ink=DATA),
+    )
+    panel = Panel(x_label="x", y_label="y", series=series)
+    ax = Figure(name="f", title="", caption="", panels=(panel,)).plot()
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["alone"]
+    assert [line.get_xdata().tolist() for line in ax.lines if line.get_marker() == "o"] == [[1.0]]
+
+
+def test_the_label_of_marks_is_below_their_panel(video_only):
+    """A failure means that the displacements seem to have marks, or that nobody knows what marks are."""
+    panel = space_time_figure(video_only.strip, video_only.tracks, slips_s=np.array([1.0, 2.0])).panel
+    lower = Panel(
+        x_label="x", y_label="y", series=(Series(label="F", x=np.arange(3.0), y=np.arange(3.0), ink=DATA),)
+    )
+    page = new_figure(Figure(name="f", title="", caption="", panels=(panel, lower)))
+    FigureCanvasAgg(page).draw()
+    label = next(t for t in page.texts if panel.marks_label in t.get_text()).get_window_extent()
+    assert page.axes[0].xaxis.label.get_window_extent().y0 > label.y1
+    assert label.y0 > page.axes[1].get_window_extent().y1
+    assert label.y0 > max(text.get_window_extent().y1 for text in page.axes[1].get_legend().get_texts())
+
+
+def test_many_tracks_leave_the_image_visible(video_only):
+    """A failure means that the lines of many sheets hide the ridges."""
+    few, many = (space_time_figure(video_only.strip, make_tracks(sawtooth(60, n))).panel for n in (10, 200))
+    assert few.series[0].width == 1
+    assert many.series[0].width == 0.25
+
+
 @pytest.mark.parametrize("width", [2, 3.5, 6, 12])
 def test_every_legend_fits_above_its_axes(pulled, width):
     """A failure means legends cut off at the edge of the file, or over the data."""

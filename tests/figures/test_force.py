@@ -14,6 +14,7 @@ from vision.figures.force import (
     clocks_figure,
     force_figure,
     sticks_figure,
+    stiffness_residuals_figure,
 )
 from vision.figures.positions import outward_px
 from vision.report.text import methods
@@ -140,19 +141,33 @@ def test_lines_run_from_valley_to_peak_along_the_force(pulled):
 
 
 def test_a_recording_without_separation_says_so(pulled, tmp_path):
-    """A failure means no picture, or axes of nothing without a word, where no speed was given."""
+    """A failure means no picture, or empty axes, where no speed was given."""
     blind = pulled.sticks.assign(d_v_mm=np.nan, d_p_mm=np.nan, K_N_per_mm=np.nan)
     force = pulled.force.assign(d_mm=pulled.force["d_mm"] * np.nan)
     figure = force_overview_figure(force, blind)
-    assert [panel.empty for panel in figure.panels] == [False, False, False, True]
+    assert [panel.empty for panel in figure.panels] == [False, False, False]
     axes = figure.plot().figure.axes
-    assert "d is not known" in [text.get_text() for text in axes[3].texts]
     assert axes[2].get_xlabel().startswith("t")
     figure.save(tmp_path / "force.png")
+
+
+def test_error_bars_and_arrows_are_in_view(pulled):
+    """A failure means bars that are cut off, or an arrow over the curves that it measures."""
+    figure = stiffness_residuals_figure(pulled.sticks, pulled.fits)
+    points, y_range = by_label(figure)["K − M_eff K_eff"], figure.panel.y_range
+    inside = (points.low > y_range[0]) & (points.high < y_range[1])
+    assert inside.mean() > 0.9
+    panel = sticks_figure(pulled.force, pulled.sticks).panel
+    drop, length = panel.arrows
+    curves = [series for series in panel.series if series.label.startswith("d_v")]
+    assert drop.x[0] > max(series.x.max() for series in curves)
+    assert length.y[0] > max(series.y.max() for series in curves)
+    assert drop.x[0] < panel.x_range[1]
+    assert length.y[0] < panel.y_range[1]
 
 
 def test_a_recording_without_events_has_its_picture(pulled, tmp_path):
     """A failure means a traceback for a recording in which nothing slips."""
     figure = force_overview_figure(pulled.force, pulled.sticks.iloc[:0])
-    assert figure.panels[1].empty
+    assert [panel.title for panel in figure.panels] == [figure.panel.title]
     figure.save(tmp_path / "force.png")

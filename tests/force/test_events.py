@@ -501,7 +501,7 @@ def test_a_load_cell_that_rings_is_an_oscillation() -> None:
     rung = load[0] + lfilter([sum(poles)], poles, load - load[0])
     events = find_stick_slip(test.force.assign(load_N=("time_s", rung)))
     assert events.attrs["regime"] == "oscillation"
-    assert any("an oscillation, no stick-slip" in line for line in events.attrs["warnings"])
+    assert any("an oscillation, not stick-slip" in line for line in events.attrs["warnings"])
 
 
 def test_a_small_slip_before_the_large_one_is_no_curvature() -> None:

@@ -223,7 +223,9 @@ def test_doubtful_stretches_are_listed(video_only, tmp_path):
     assert "<h2>Doubtful stretches</h2>" not in page_of(video_only, tmp_path)
     tracks["flag"].values[30:42, 7] = "doubtful"
     tracks["why"].values[30:42, 7] = "hop"
+    tracks["flag"].values[20, 9], tracks["why"].values[20, 9] = "doubtful", "hop"
     page = page_of(replace(video_only, tracks=tracks), tmp_path)
     table = page.split("<h2>Doubtful stretches</h2>")[1].split("</section>")[0]
-    assert "<td>7</td><td>left</td><td>18</td><td>30–41</td>" in table
+    assert "<td>7</td><td>left</td><td>18</td><td>30\u2060–\u206041</td>" in table
+    assert "<td>20</td>" in table
     assert "on another ridge" in table

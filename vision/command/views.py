@@ -361,7 +361,7 @@ def figures(
         check_new(file, overwrite=output.overwrite)
     for file in files:
         with whole_file(file) as path:
-            made[file.stem].save(path)
+            made[file.stem].save(path, dpi=300)
     return conclude([f"{counted(len(files), 'figure')} -> {target}/"], (), quiet=output.quiet)
 
 

@@ -89,7 +89,7 @@ def peaks_figure(found: Comparison, events: pd.DataFrame) -> Figure:
         d, mu, sample = _span(events, "d_p_mm"), found.mu, found.tests[0].sample
         eq1 = Series.model("Eq. 1", d, equations.traction(d, mu=mu.value, sample=sample), MODEL)
         series = (*series, eq1)
-        whose = f"fitted jointly to {joint.sample}" if joint and joint.sample else "of the first test"
+        whose = f"fitted jointly to {joint.sample or 'all tests'}" if joint else "of the first test"
         t_star = f"T* = {1000 * sample.t_star_N:g} mN"
         model = f"Dashed: Eq. 1 with μ = {plus_minus(mu)}, {whose}, {t_star}."
     return Figure.of(

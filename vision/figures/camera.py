@@ -22,6 +22,7 @@ from vision.spacetime import space_time
 
 MOST_ROWS = 1200  # of an image
 X_PX, GREY_LEVELS = "x (px)", "I (grey levels)"  # labels of axes
+FLATTEST, TALLEST = 0.06, 1.5  # height over width of a frame; beyond them it is stretched
 SHOWN_SLIPS = 4  # of single sheets, as in the publication
 KYMOGRAPH_CAPTION = (
     "Intensity I(x,t) averaged over the strip's rows, one frame below the other, time downwards. "
@@ -42,7 +43,7 @@ def frame_figure(frame: Pixels, tracks: xr.Dataset, *, axis: bool = True) -> Fig
     """Return one whole frame with the averaged rows outlined, the sheets' numbers n and the symmetry axis.
 
     Without an axis the numbers are the index from the left. Pixels are square, unless the frame is so flat
-    that it must be stretched, as its title then says.
+    or narrow that it must be stretched, as title and caption then say.
     """
     rows, columns = frame.shape
     step = max(1, -(-rows // MOST_ROWS), -(-columns // (2 * MOST_ROWS)))
@@ -53,10 +54,12 @@ def frame_figure(frame: Pixels, tracks: xr.Dataset, *, axis: bool = True) -> Fig
     axis_px = TrackMetadata.of(tracks).axis_px if axis else math.nan
     numbers = "sheet numbers n, symmetry axis (dashed)" if axis else "index from the left (axis not known)"
     # The range includes the numbers above the strip.
-    z_range = min(-0.5, z0 - max(0.15 * rows, 0.02 * columns)), rows - 0.5
-    aspect, flattest = (z_range[1] - z_range[0]) / columns, 0.06
+    z_range = min(-0.5, z0 - 0.02 * (rows + columns)), rows - 0.5
+    aspect = (z_range[1] - z_range[0]) / columns
+    shown = float(np.clip(aspect, FLATTEST, TALLEST))
+    times = max(shown / aspect, aspect / shown)
+    stretched = f"; {'z' if shown > aspect else 'x'} stretched {times:.2g} times" if shown != aspect else ""
     which = _which_frame(tracks)
-    stretched = f"; z stretched {flattest / aspect:.2g} times" if aspect < flattest else ""
     panel = Panel(
         title=f"{which}: averaged rows (outlined), {numbers}{stretched}",
         x_label=X_PX,
@@ -76,15 +79,16 @@ def frame_figure(frame: Pixels, tracks: xr.Dataset, *, axis: bool = True) -> Fig
         x_range=(-0.5, columns - 0.5),
         y_range=z_range,
         downwards=True,
-        aspect=float(np.clip(aspect, flattest, 1)),
-        square_pixels=aspect >= flattest,
+        aspect=shown,
+        square_pixels=shown == aspect,
     )
     return Figure.of(
         "frame",
         panel,
         f"{which} of the recording. The outlined rows {z0:.0f} to {z1:.0f} (half-open) are averaged to the "
         "profile I(x); vertical strokes mark the sheets that were found, with their "
-        + ("number n counted outwards from the symmetry axis (dashed)." if axis else "index from the left."),
+        + ("number n counted outwards from the symmetry axis (dashed)" if axis else "index from the left")
+        + f"{stretched}.",
         title="The frame, the strip and the numbered sheets",
     )
 
@@ -162,6 +166,7 @@ def preview_figure(
         aspect=0.2,
         placeholder="no positions",
     )
+    picture = frame_figure(frame, tracks, axis=sides_known(tracks)).panel
     return Figure(
         name="preview",
         title="Preview",
@@ -171,9 +176,14 @@ def preview_figure(
             "error of one position (hollow) and the scatter from frame to frame over "
             f"{tracks.sizes['frame']} consecutive frames (filled)."
         ),
-        panels=(frame_figure(frame, tracks, axis=sides_known(tracks)).panel, curve, noise),
-        width_in=13.0,
+        panels=(picture, curve, noise),
+        width_in=page_width_in(picture),
     )
+
+
+def page_width_in(frame: Panel) -> float:
+    """Return the width in inches of a figure with this frame: less than usual if the frame is high."""
+    return min(13.0, 1.1 + 7.0 / frame.aspect)
 
 
 def intensity_figure(strip: xr.DataArray, tracks: xr.Dataset, slips_s: Floats | None = None) -> Figure | None:
@@ -195,7 +205,7 @@ def intensity_figure(strip: xr.DataArray, tracks: xr.Dataset, slips_s: Floats | 
     if frames and sheet is not None:
         panels.append(_ridge_panel(strip, tracks, frames, sheet))
         ridge = (
-            " Right: one ridge at the beginning and at the end of a stick phase and after the slip; vertical "
+            " Below: one ridge at the beginning and at the end of a stick phase and after the slip; vertical "
             "lines are its positions. It moves inwards during the stick phase and back in the slip."
         )
     return Figure(
@@ -203,8 +213,6 @@ def intensity_figure(strip: xr.DataArray, tracks: xr.Dataset, slips_s: Floats | 
         title="Intensity profile and one ridge in three frames",
         caption=f"Intensity averaged over the strip's rows against the column, with the positions.{ridge}",
         panels=tuple(panels),
-        columns=len(panels),
-        width_in=13.0 if ridge else 8.0,
     )
 
 
@@ -259,7 +267,7 @@ def _ridge_panel(strip: xr.DataArray, tracks: xr.Dataset, frames: tuple[int, int
     reach = 0.9 * pitch if math.isfinite(pitch) else 20.0
     near = np.flatnonzero(np.abs(columns - positions.mean()) <= reach)
     series: list[Series] = []
-    names = ("start of the stick", "end of the stick", "after the slip")
+    names = ("stick begins", "stick ends", "after the slip")
     for name, ink, frame, at in zip(names, (DATA, PEAK, MODEL), frames, positions, strict=True):
         values = np.asarray(strip.values[frame, near], np.float64)
         hollow = name == names[2]
@@ -321,7 +329,8 @@ def space_time_figure(
         limits=grey_limits(strip.values),
         series=tuple(
             replace(series, dashed=False)  # dashes are invisible in a narrow line with a dark edge
-            for series in sheet_series(tracks, at, x_px * scale, inks=inks, width=1.0)
+            # narrower for many sheets, which would otherwise hide the image
+            for series in sheet_series(tracks, at, x_px * scale, inks=inks, width=min(1.0, 50 / len(inks)))
         ),
         title="Space-time diagram with the tracks",
         marks=slips_s,

@@ -126,7 +126,7 @@ def overview(figures: Iterable[Figure]) -> Figure | None:
             "orange)."
         ),
         panels=panels,
-        width_in=13.0,
+        width_in=camera.page_width_in(named["frame"]) if "frame" in named else 13.0,
     )
 
 
@@ -216,8 +216,10 @@ FIGURES: Mapping[str, CatalogueEntry] = {
     ),
     "force_drop": CatalogueEntry(
         _STICKS,
-        lambda r: force.force_drop_figure(r.sticks, r.fits, unit=load_unit(r.force)),
-        ("force", "separation"),
+        lambda r: (
+            force.force_drop_figure(r.sticks, r.fits, unit=load_unit(r.force)) if len(r.sticks) else None
+        ),
+        ("force", "sticks"),
         paper="5",
     ),
     "stiffness": CatalogueEntry(
@@ -305,12 +307,10 @@ def _missing_from_force(r: Results) -> Iterator[str]:
         default = "the clocks of camera and testing machine were not matched."
         yield f"Deformation and shells: {r.reasons.get('clock', default)}"
     elif not _has(r, "motion"):
-        default = (
-            "the clocks are ambiguous, so the time of stick phases in the video is unknown (give `offset_s`)."
-            if r.clock.status == "ambiguous"
-            else "no stick phase was measured in the video."
-        )
-        yield f"Deformation and shells: {r.reasons.get('motion', default)}"
+        reason = r.reasons.get("motion", "no stick phase was measured in the video.")
+        if r.clock.status == "ambiguous":
+            reason = "the time of stick phases in the video is unknown, as the clocks are ambiguous."
+        yield f"Deformation and shells: {reason}"
     elif not _has(r, "shells"):
         default = "too few sheets have a known deformation."
         yield f"Size of the stiff shell: {r.reasons.get('shells', default)}"

@@ -84,25 +84,16 @@ def time_rows(values: NDArray[np.floating], time: Floats, *, most: int) -> tuple
     half = step / 2 or 0.5
     edges = np.linspace(time[0] - half, time[-1] + half, count + 1)
     ends = np.searchsorted(time, edges)
-    rows = mean_rows(values, ends)
     has_frame = np.diff(ends) > 0
-    single = np.flatnonzero(~has_frame[1:-1] & has_frame[:-2] & has_frame[2:]) + 1
-    rows[single] = rows[single - 1]
-    return rows, edges
-
-
-def mean_rows(values: NDArray[np.floating], ends: NDArray[np.integer[Any]]) -> Floats32:
-    """Return means of the known values from each of `ends` to the next, (len(ends) - 1, columns), or NaN.
-
-    The values are read in parts, so that memory does not grow with the recording.
-    """
-    rows = np.full((len(ends) - 1, values.shape[1]), np.nan, np.float32)
-    for start in range(0, len(rows), _ROWS_AT_ONCE):
+    rows = np.full((count, values.shape[1]), np.nan, np.float32)
+    for start in range(0, count, _ROWS_AT_ONCE):
         part = ends[start : start + _ROWS_AT_ONCE + 1]
         filled = np.flatnonzero(np.diff(part) > 0)
         if filled.size:
             rows[start + filled] = _means(values[part[0] : part[-1]], part[filled] - part[0])
-    return rows
+    single = np.flatnonzero(~has_frame[1:-1] & has_frame[:-2] & has_frame[2:]) + 1
+    rows[single] = rows[single - 1]
+    return rows, edges
 
 
 def _means(values: NDArray[np.floating], starts: NDArray[np.integer[Any]]) -> Floats:

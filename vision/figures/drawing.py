@@ -21,7 +21,6 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure as Page
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
-from matplotlib.transforms import blended_transform_factory
 from numpy.typing import NDArray
 
 from vision.figures.figure import Arrow, Band, Figure, Image, Panel, Series
@@ -51,8 +50,9 @@ _STYLE: dict[str, Any] = {
 class _Inches:
     """Sizes on a page."""
 
-    SIDE, INNER = 0.85, 0.15  # margin of a panel with and without the numbers and label of an axis
-    TOP, BOTTOM, FOOT = 0.12, 0.55, 0.2  # above and below each panel; below the last for the marks' label
+    SIDE, INNER = 0.85, 0.18  # margin of a panel with and without the numbers and label of an axis
+    TOP, BOTTOM = 0.12, 0.55  # above and below each panel
+    FOOT = 0.16  # height of a line below the labels of a panel
     TITLE, LEGEND_ROW = 0.26, 0.24  # heights
     CHARACTER, MARKER = 0.075, 0.55  # widths in a legend
     NUMBER = 0.8  # width for each number of the x axis
@@ -88,10 +88,8 @@ def draw_panel(ax: Axes, panel: Panel) -> Axes:
 
 
 def _draw_annotations(ax: Axes, panel: Panel) -> None:
-    """Draw arrows, the grey scale, numbers of sheets, the inset, and marks along the edge."""
+    """Draw arrows, numbers of sheets, the inset, and marks along the edge."""
     _draw_arrows(ax, panel.arrows)
-    if panel.image is not None and panel.image.scale:
-        _draw_scale(ax, panel.image.scale, below=panel.downwards)
     _draw_ticks(ax, [series for series in panel.series if series.look == "ticks"])
     if panel.inset is not None:
         _draw_inset(ax, panel.inset)
@@ -131,8 +129,11 @@ def _page(figure: Figure, *, interactive: bool = False) -> Page:
             page.text(box[0], top / size[1], to_mathtext(panel.title), fontsize=11)
         if not _labelled(panel):
             ax.tick_params(labelleft=False)
-    if label := _marks_label(figure):
-        page.text(1 - 0.1 / size[0], 0.05 / size[1], label, color=HIGHLIGHT, fontsize=8, ha="right")
+    for k, ((left, bottom, width, _), panel) in enumerate(zip(boxes, figure.panels, strict=True)):
+        following = figure.panels[k + 1].foot if k + 1 < len(boxes) and boxes[k + 1][1] == bottom else ""
+        if panel.foot != following:  # once for panels side by side
+            below = (left + width) / size[0], (bottom - _Inches.BOTTOM) / size[1]
+            page.text(*below, panel.foot, color=QUIET[0], fontsize=8, ha="right", va="top")
     return page
 
 
@@ -148,11 +149,6 @@ def write(figure: Figure, path: Path, *, dpi: float | None = None) -> None:
         page.savefig(path, format=kind, dpi=300 if dpi is None else dpi, metadata=stamp)
 
 
-def png(figure: Figure, *, dpi: float | None = None) -> bytes:
-    """Return the content of a PNG file."""
-    return _png(drawn(figure, dpi=dpi))
-
-
 def drawn(figure: Figure, *, dpi: float | None = None) -> NDArray[np.uint8]:
     """Return the figure's pixels, RGBA (rows, columns, 4)."""
     with picture_style():
@@ -165,10 +161,11 @@ def drawn(figure: Figure, *, dpi: float | None = None) -> NDArray[np.uint8]:
 
 def write_png(pixels: NDArray[np.uint8], path: Path) -> None:
     """Write pixels as returned by `drawn`; other Python threads can run meanwhile."""
-    path.write_bytes(_png(pixels))
+    path.write_bytes(png(pixels))
 
 
-def _png(pixels: NDArray[np.uint8]) -> bytes:
+def png(pixels: NDArray[np.uint8]) -> bytes:
+    """Return the content of a PNG file of pixels as returned by `drawn`."""
     return cv2.imencode(".png", cv2.cvtColor(pixels, cv2.COLOR_RGBA2BGR), _PNG)[1].tobytes()
 
 
@@ -196,21 +193,6 @@ def _draw_image(ax: Axes, panel: Panel, image: Image) -> None:
     )
 
 
-def _draw_scale(ax: Axes, text: str, *, below: bool) -> None:
-    """Write the grey scale in the corner of the image, or below it, as a frame may be too flat or narrow."""
-    style: dict[str, Any] = {"ha": "right", "fontsize": 6.5}
-    if below and (page := ax.get_figure(root=True)) is not None:
-        # The right end of the space for the panel, which the image need not fill.
-        end = (ax.get_position(original=True).x1, 0.0)
-        transform = blended_transform_factory(page.transFigure, ax.transAxes)
-        # 19 points are below the numbers of the axis
-        offset: dict[str, Any] = {"xytext": (0, -19), "textcoords": "offset points", "va": "top"}
-        ax.annotate(text, end, xycoords=transform, color=QUIET[0], annotation_clip=False, **offset, **style)
-    else:
-        box = {"boxstyle": "round,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.8}
-        ax.text(0.99, 0.01, text, bbox=box, transform=ax.transAxes, va="bottom", **style)
-
-
 def _draw_bands(ax: Axes, panel: Panel) -> None:
     for band in panel.bands:
         if band.outline:
@@ -235,7 +217,7 @@ def _draw_sheets(ax: Axes, panel: Panel) -> None:
         lines = [np.stack([s.y, s.x] if panel.time_down else [s.x, s.y], axis=1) for s in mine]
         width = mine[0].width
         if panel.image is not None:  # coloured lines are invisible on white ridges without a dark edge
-            ax.add_collection(LineCollection(lines, linewidths=width + 0.9, **casing))
+            ax.add_collection(LineCollection(lines, linewidths=1.9 * width, **casing))
         inks = [s.ink[0] for s in mine]
         ax.add_collection(
             LineCollection(lines, colors=inks, linewidths=width, linestyles=_DASHES if dashed else "-")
@@ -266,6 +248,8 @@ def _draw_series(ax: Axes, series: Series) -> None:
         ax.bar(at, series.y, width, color=colour, alpha=0.5, ec=colour, label=series.label)
         return
     ax.plot(at, series.y, label=to_mathtext(series.label) or "_", **_line_style(series))
+    if series.look == "line" and (alone := _isolated(series.y)).any():
+        ax.plot(at[alone], series.y[alone], ls="none", marker="o", ms=2.5, color=colour)
 
 
 def _line_style(series: Series) -> dict[str, Any]:
@@ -415,8 +399,8 @@ def _legend_entries(panel: Panel) -> list[tuple[Series | Band, str]]:
     if panel.image is not None or panel.empty:
         return []
     if not panel.switchable:
-        parts: list[Series | Band] = [*panel.series, *panel.bands]
-        return [(part, part.label) for part in parts if part.label]
+        parts: list[Series | Band] = [series for series in panel.series if np.isfinite(series.y).any()]
+        return [(part, part.label) for part in (*parts, *panel.bands) if part.label]
     entries: list[tuple[Series | Band, str]] = []
     for side, name in ((-1, "left"), (1, "right")):
         mine = {s.sheet[1]: s for s in panel.series if s.sheet is not None and s.sheet[0] == side}
@@ -482,9 +466,8 @@ def _layout(figure: Figure) -> tuple[list[Box], tuple[float, float]]:
             x += before[column]
             boxes.append((x, y, width, height))
             x += width + after[column]
-        y -= _Inches.BOTTOM
-    total = (_Inches.FOOT if _marks_label(figure) else 0.0) - y
-    return [(x, y + total, width, height) for x, y, width, height in boxes], (figure.width_in, total)
+        y -= _Inches.BOTTOM + _Inches.FOOT * max(len(panel.foot.splitlines()) for panel in row)
+    return [(x, bottom - y, width, height) for x, bottom, width, height in boxes], (figure.width_in, -y)
 
 
 def _top(figure: Figure, panel: Panel, width_in: float) -> float:
@@ -498,10 +481,6 @@ def _top(figure: Figure, panel: Panel, width_in: float) -> float:
 def _labelled(panel: Panel) -> bool:
     """Tell whether the vertical axis has its own label."""
     return bool(panel.x_label if panel.time_down else panel.y_label)
-
-
-def _marks_label(figure: Figure) -> str:
-    return next((p.marks_label for p in figure.panels if p.marks is not None and p.marks.size), "")
 
 
 def _width_in(ax: Axes) -> float:

@@ -81,10 +81,13 @@ class Image:
 
     @property
     def scale(self) -> str:
-        """The grey scale in words, from black to white; "" without one."""
+        """The grey scale in words; "" without one."""
         if not (math.isfinite(self.black) and math.isfinite(self.white)):
             return ""
-        return f"grey levels {self.black:.3g} to {self.white:.3g}"
+        black, white = (
+            f"{level:.3g}" if abs(level) < 1000 else f"{level:.0f}" for level in (self.black, self.white)
+        )
+        return f"black to white: grey levels {black} to {white}"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -140,6 +143,11 @@ class Panel:
     def switchable(self) -> bool:
         """Whether some series are sheets, which the page can switch on and off."""
         return any(series.sheet is not None for series in self.series)
+
+    @property
+    def foot(self) -> str:
+        """What the grey levels and the marks are, one line each, for below the panel."""
+        return "\n".join(filter(None, (self.image.scale if self.image else "", self.marks_label)))
 
     @property
     def common_x(self) -> bool:
@@ -256,14 +264,14 @@ class Figure:
 
             drawing.write(self, path, dpi=dpi)
         else:
-            raise InputError(path, "a name that ends in .png, .pdf, .svg or .csv", kind or "no ending")
+            raise InputError(path.name, "a name that ends in .png, .pdf, .svg or .csv", kind or "no ending")
         return path
 
     def png(self) -> bytes:
         """Return the content of a PNG file of the figure."""
         from vision.figures import drawing
 
-        return drawing.png(self)
+        return drawing.png(drawing.drawn(self))
 
     def _repr_png_(self) -> bytes:
         return self.png()

@@ -63,12 +63,8 @@ def force_figure(
             f" Dashed: Eq. 1 fitted to the peaks, μ = {plus_minus(fits.mu)} with T* "
             f"= {1000 * fits.t_star_N.value:g} mN and an offset T_0 = {plus_minus(fits.t0_N)} N."
         )
-    panel = Panel(
-        title="Force against separation" if known else "Force against time",
-        x_label="d (mm)" if known else "t (s, force clock)",
-        y_label=load_label("F", load_unit(force)),
-        series=tuple(series),
-    )
+    title = "Force against separation" if known else "Force against time"
+    panel = _force_panel(force, title, tuple(series), against_d=known)
     return Figure.of(
         "force",
         panel,
@@ -217,15 +213,21 @@ def sticks_figure(force: xr.Dataset, sticks: pd.DataFrame) -> Figure:
         x_label="d − d_v (µm)",
         y_label=load_label("F − F_v", load_unit(force)),
         series=series + _central_parts(chosen, series, part),
-        arrows=_stick_sizes(chosen),
     )
-    if arrows := panel.arrows:  # room for the arrows and their symbols
-        x = np.concatenate([curve.x for curve in series])
-        y = np.concatenate([curve.y for curve in series])
-        beside = 1.12 * max(float(x.max()), arrows[0].x[0])
-        above = 1.15 * max(float(y.max()), arrows[1].y[0])
+    length, drop = (
+        float(chosen[name].iloc[0]) if len(chosen) else np.nan for name in ("stick_length_um", "dF_N")
+    )
+    if np.isfinite(length):  # arrows for the first event, beside and above all curves
+        x, y = (np.concatenate([getattr(curve, axis) for curve in series]) for axis in "xy")
+        right, top = max(float(x.max()), length), max(float(y.max()), drop)
         panel = replace(
-            panel, x_range=(float(x.min()) - 0.02 * beside, beside), y_range=(min(float(y.min()), 0.0), above)
+            panel,
+            arrows=(
+                Arrow(x=(1.04 * right, 1.04 * right), y=(0.0, drop), label="ΔF"),
+                Arrow(x=(0.0, length), y=(1.05 * top, 1.05 * top), label="Λ_st"),
+            ),
+            x_range=(float(x.min()) - 0.02 * right, 1.14 * right),
+            y_range=(min(float(y.min()), 0.0), 1.16 * top),
         )
     return Figure.of(
         "sticks",
@@ -248,18 +250,6 @@ def _central_parts(chosen: pd.DataFrame, curves: tuple[Series, ...], part: float
             label = "" if dots else "K is measured here"
             dots.append(Series.points(label, curve.x[inside], curve.y[inside], curve.ink))
     return tuple(dots)
-
-
-def _stick_sizes(chosen: pd.DataFrame) -> tuple[Arrow, ...]:
-    """Return arrows for ΔF and Λ_st of the first event shown."""
-    if chosen.empty or not np.isfinite(chosen["stick_length_um"].iloc[0]):
-        return ()
-    length, drop = float(chosen["stick_length_um"].iloc[0]), float(chosen["dF_N"].iloc[0])
-    beside, above = 1.04 * length, 1.05 * drop
-    return (
-        Arrow(x=(beside, beside), y=(0.0, drop), label="ΔF"),
-        Arrow(x=(0.0, length), y=(above, above), label="Λ_st"),
-    )
 
 
 def force_drop_figure(sticks: pd.DataFrame, fits: ModelFits | None = None, *, unit: str = "N") -> Figure:
@@ -330,7 +320,8 @@ def stiffness_residuals_figure(sticks: pd.DataFrame, fits: ModelFits, *, unit: s
     residual = measured.y - fits.stiffness_N_per_mm(measured.x)
     points = Series.points("K − M_eff K_eff", measured.x, residual, DATA, measured.high - measured.y)
     line = Series(label="", x=measured.x, y=np.zeros(measured.x.size), ink=MODEL, dashed=True)
-    reach = 1.3 * float(np.nanquantile(np.abs(points.y), 0.98)) or 1.0
+    ends = np.abs(points.y) + measured.high - measured.y  # of the error bars
+    reach = 1.05 * float(np.nanquantile(ends, 0.98)) or 1.0
     panel = Panel(
         x_label="d_v (mm)",
         y_label=_stiffness_label("K − model", unit),
@@ -357,46 +348,25 @@ def force_overview_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFi
     found = (
         f"{len(sticks)} events{kind}, drops above {threshold:.3g} {'of the weight' if unit == '1' else unit}"
     )
-    panels = (replace(whole, title=found), _zoom(force, sticks), drops.panel, stiffness.panel)
+    start = max(len(sticks) // 2 - 3, 0)
+    title = "A few events, with the lines from valley to peak"
+    if facts.lowpass_s:
+        title += (
+            f"\n(corrected for the load cell's low-pass of {1e3 * facts.lowpass_s:.2g} ms; F as recorded)"
+        )
+    some = _events_panel(force, sticks.iloc[start : start + 6], title, against_d=False)
+    panels = (replace(whole, title=found), some, drops.panel, stiffness.panel)
+    shown = panels[:1] + tuple(panel for panel in panels[1:] if not panel.empty)
     return Figure(
         name="force_overview",
         title="The force recording and its stick-slip events",
-        caption="The whole recording, a few events in its middle, amplitude and stiffness of every event.",
-        panels=tuple(replace(panel, aspect=0.6) for panel in panels),
+        caption=(
+            "The whole recording, a few events in its middle, and the amplitude and stiffness of every "
+            "event, as far as they are known."
+        ),
+        panels=tuple(replace(panel, aspect=0.6) for panel in shown),
         columns=2,
         width_in=13.0,
-    )
-
-
-def _zoom(force: xr.Dataset, sticks: pd.DataFrame) -> Panel:
-    """Return F(t) of six events in the middle of the test, with valleys, peaks and the lines between."""
-    start = max(len(sticks) // 2 - 3, 0)
-    shown = sticks.iloc[start : start + 6]
-    t_v, t_p, f_v, f_p = (shown[name].to_numpy(float) for name in ("t_v_s", "t_p_s", "F_v_N", "F_p_N"))
-    title = "A few events, with the lines from valley to peak"
-    if lowpass_s := StickMetadata.of(sticks).lowpass_s:
-        title += f"\n(corrected for the load cell's low-pass of {1e3 * lowpass_s:.2g} ms; F as recorded)"
-    series: tuple[Series, ...] = ()
-    if len(shown):
-        margin = 0.15 * (t_p[-1] - t_v[0])
-        good = good_samples(force)
-        time = good["time_s"].to_numpy()
-        near = (time > t_v[0] - margin) & (time < t_p[-1] + margin)
-        at, load = minmax_decimate(time[near], good["load_N"].to_numpy()[near], most=3000)
-        gap = np.full(len(shown), np.nan)
-        lines_t, lines_f = (np.stack(parts, axis=1).ravel() for parts in ((t_v, t_p, t_p), (f_v, f_p, gap)))
-        series = (
-            Series(label="F", x=at, y=load, ink=QUIET, width=0.8),
-            Series(label="stick phases", x=lines_t, y=lines_f, ink=MODEL),
-            Series.points("peaks", t_p, f_p, PEAK),
-            Series.points("valleys", t_v, f_v, VALLEY, hollow=True),
-        )
-    return Panel(
-        title=title,
-        x_label="t (s, force clock)",
-        y_label=load_label("F", load_unit(force)),
-        series=series,
-        placeholder="no events",
     )
 
 
@@ -405,11 +375,15 @@ def force_insets_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFits
     whole = force_figure(force, sticks, fits).panel
     usable = sticks[sticks["d_v_mm"].notna()]
     rise = float(usable["t_p_s"].iloc[0]) if len(usable) else np.inf  # to the first slip
-    panels = [replace(whole, title="Whole test", aspect=0.6)]
-    panels.append(_part(force, (-np.inf, rise), (), "Initial response"))
+    first = (_part(force, (-np.inf, rise), against_d=True),)
+    panels = [
+        replace(whole, title="Whole test"),
+        _force_panel(force, "Initial response", first, against_d=True),
+    ]
     for share, title in ((0.1, "Early stick-slip events"), (0.85, "Late stick-slip events")):
         start = int(share * len(usable))
-        panels.append(_some_events(force, usable.iloc[start : start + SHOWN_STICKS], title))
+        some = usable.iloc[start : start + SHOWN_STICKS]
+        panels.append(_events_panel(force, some, title, against_d=True))
     return Figure(
         name="force_insets",
         title="Traction force and stages of the test",
@@ -417,36 +391,48 @@ def force_insets_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFits
             "Traction force against separation with the fit of Eq. 1 to the peaks; the first rise of the "
             "force; and events of an early and a late stage of the test (peaks filled, valleys hollow)."
         ),
-        panels=tuple(panels),
+        panels=tuple(replace(panel, aspect=0.6) for panel in panels),
         columns=2,
-        width_in=13.0,
+        width_in=8.0,
     )
 
 
-def _some_events(force: xr.Dataset, sticks: pd.DataFrame, title: str) -> Panel:
-    """Return F(d) of these events with their peaks and valleys."""
-    if sticks.empty:
-        return _part(force, (np.inf, np.inf), (), title)
-    start, end = float(sticks["t_v_s"].iloc[0]), float(sticks["t_p_s"].iloc[-1])
-    margin = 0.1 * (end - start)
-    peaks = Series.points("peaks", sticks["d_p_mm"], sticks["F_p_N"], PEAK)
-    valleys = Series.points("valleys", sticks["d_v_mm"], sticks["F_v_N"], VALLEY, hollow=True)
-    return _part(force, (start - margin, end + margin), (peaks, valleys), title)
+def _events_panel(force: xr.Dataset, events: pd.DataFrame, title: str, *, against_d: bool) -> Panel:
+    """Return F of these events against d or time, with peaks, valleys and the lines between them."""
+    names = ("t_v_s", "t_p_s", "d_v_mm", "d_p_mm", "F_v_N", "F_p_N")
+    t_v, t_p, d_v, d_p, f_v, f_p = (events[name].to_numpy(float) for name in names)
+    series: tuple[Series, ...] = ()
+    if len(events):
+        x_v, x_p = (d_v, d_p) if against_d else (t_v, t_p)
+        margin, gap = 0.15 * (t_p[-1] - t_v[0]), np.full(len(events), np.nan)
+        lines_x, lines_f = (np.stack(parts, axis=1).ravel() for parts in ((x_v, x_p, x_p), (f_v, f_p, gap)))
+        series = (
+            _part(force, (t_v[0] - margin, t_p[-1] + margin), against_d=against_d),
+            Series(label="stick phases", x=lines_x, y=lines_f, ink=MODEL),
+            Series.points("peaks", x_p, f_p, PEAK),
+            Series.points("valleys", x_v, f_v, VALLEY, hollow=True),
+        )
+    return _force_panel(force, title, series, against_d=against_d)
 
 
-def _part(force: xr.Dataset, time_s: Range, series: tuple[Series, ...], title: str) -> Panel:
-    """Return F(d) of a part of the recording."""
+def _part(force: xr.Dataset, time_s: Range, *, against_d: bool) -> Series:
+    """Return F of a part of the recording, against d or time."""
     good = good_samples(force)
-    inside = (good["time_s"].to_numpy() >= time_s[0]) & (good["time_s"].to_numpy() <= time_s[1])
-    d = np.maximum.accumulate(good["d_mm"].to_numpy()[inside])  # recorded in steps, may go back by one
-    at, load = minmax_decimate(d, good["load_N"].to_numpy()[inside], most=4000)
+    time = good["time_s"].to_numpy()
+    inside = (time >= time_s[0]) & (time <= time_s[1])
+    # The separation is recorded in steps, and may go back by one.
+    x = np.maximum.accumulate(good["d_mm"].to_numpy()[inside]) if against_d else time[inside]
+    at, load = minmax_decimate(x, good["load_N"].to_numpy()[inside], most=4000)
+    return Series(label="F", x=at, y=load, ink=QUIET, width=0.8)
+
+
+def _force_panel(force: xr.Dataset, title: str, series: tuple[Series, ...], *, against_d: bool) -> Panel:
     return Panel(
         title=title,
-        x_label="d (mm)",
+        x_label="d (mm)" if against_d else "t (s, force clock)",
         y_label=load_label("F", load_unit(force)),
-        series=(Series(label="F", x=at, y=load, ink=QUIET, width=0.9), *series),
+        series=series,
         placeholder="no events",
-        aspect=0.6,
     )
 
 

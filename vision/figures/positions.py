@@ -112,7 +112,7 @@ def noise_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> F
         y_label=f"noise of x ({unit})",
         series=(
             Series.points("from frame to frame", numbers, measured, DATA),
-            Series.points("between sheets", numbers, scatter, VALLEY),
+            Series(label="between sheets", x=numbers, y=scatter, ink=VALLEY, width=0.8),
             Series.points("stated error", numbers, stated, PEAK, hollow=True),
         ),
         y_range=from_zero(measured, scatter, stated),
@@ -123,10 +123,10 @@ def noise_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> F
         "noise",
         panel,
         "Filled: scatter of each sheet's position from frame to frame, from second differences in time, "
-        "which exclude creep and common motion; and against its neighbours, from fourth differences along n. "
-        "Hollow: stated error of a position (median over the frames), from the noise of the profile, or with "
-        "a lossy codec from the scatter between sheets. If the scatter from frame to frame exceeds the "
-        "error, the sheet moves, or the error is too small.",
+        "which exclude creep and common motion. Line: scatter against its neighbours, from fourth "
+        "differences along n. Hollow: stated error of a position (median over the frames), from the noise of "
+        "the profile, or with a lossy codec from the scatter between sheets. If the scatter from frame to "
+        "frame exceeds the error, the sheet moves, or the error is too small.",
         title="Noise of the positions",
     )
 
@@ -300,7 +300,6 @@ def mean_deformation_figure(motion: xr.Dataset, *, threshold: float = 0.1) -> Fi
         "standard deviation (shaded curves). Shaded range: below "
         f"{threshold:g}, where a sheet counts as stiff.",
         title="Horizontal deformation, means over stick phases",
-        width_in=8.0,
     )
 
 

@@ -473,21 +473,21 @@ def _warnings(events: pd.DataFrame, regime: Regime, signal: Signal, slips: Slips
     """Return why the recording, or a part of its events, may not be stick-slip."""
     lines = []
     if regime.name == "oscillation":
-        low, high = np.percentile(signal.clean, [1, 99])
         lines.append(
-            f"an oscillation, no stick-slip: falls last {regime.fall_over_rise:.2g} times as long as rises, "
-            f"{100 * regime.line_share:.0f} % of the variance is at one frequency; swings by {high - low:.3g}"
+            f"an oscillation, not stick-slip: falls last {regime.fall_over_rise:.2g} times as long as rises, "
+            f"{100 * regime.line_share:.0f} % of the variance is at one frequency, and the load varies by "
+            f"{np.ptp(np.percentile(signal.clean, [1, 99])):.3g}"
         )
     elif regime.name == "cycles":
         lines.append(
-            f"no stick-slip: falls last {regime.fall_over_rise:.2g} times as long as rises and are as "
+            f"not stick-slip: falls last {regime.fall_over_rise:.2g} times as long as rises and are equally "
             "straight, as in cycles of loading and unloading"
         )
     elif regime.name == "noise":
         lines.append(
-            f"stick-slip does not show clearly: within the sticks the load jumps upward by "
-            f"{regime.upward_share:.2g} times what it drops, as noise does, so all events are flagged noise; "
-            "a larger `threshold_N` leaves out the smaller drops"
+            "stick-slip is not clearly visible: within the sticks the load jumps upward by "
+            f"{regime.upward_share:.2g} times the median drop, as noise does, so all events are flagged "
+            "noise; a larger `threshold_N` leaves out the smaller drops"
         )
     for column, values, what, unit in (
         ("stick_length_um", 1e3 * signal.travel, "lengths and K are not resolved: the displacement", "µm"),

@@ -17,19 +17,19 @@ from vision.numeric import Bools, Floats
 class Regime:
     """What kind of motion a recording shows."""
 
-    # "stick-slip"; "oscillation": rises and falls equally long and rounded, one frequency; "cycles": both
-    # equally long and straight; "noise": upward jumps within the sticks as large as the drops
+    # "stick-slip"; "oscillation": rises and falls are equally long and rounded, and have one frequency;
+    # "cycles": they are equally long and straight; "noise": the load jumps upward about as far as it drops
     name: str
     fall_over_rise: float  # median duration of falls over that of rises
     line_share: float  # share of the load's variance within 20 % of the frequency of the slips
-    upward_share: float  # median jump upward within the sticks over the median drop
+    upward_share: float  # median of the largest upward jumps within sticks over the median drop
 
 
 def find_regime(y: Floats, slips: Slips, extremes: Extremes, settings: ForceSettings) -> Regime:
-    """Return whether a load shows stick-slip, an oscillation, loading and unloading, or noise.
+    """Return whether a load shows stick-slip, an oscillation, cycles of loading and unloading, or noise.
 
-    A straight line and half a cosine are fitted to each rise and fall of the load. Slow slips of true
-    stick-slip are rounded like an oscillation, but their sticks are straight.
+    A line and half a cosine are fitted to each rise and fall of the load, and show which of them are straight
+    or rounded. Slow slips of stick-slip are rounded as those of an oscillation, but the sticks are straight.
     """
     rise, fall = extremes.rise, extremes.fall[1:]
     known = (rise >= 4) & (fall >= 2)
@@ -51,7 +51,7 @@ def find_regime(y: Floats, slips: Slips, extremes: Extremes, settings: ForceSett
 
 
 def _roundness(y: Floats, start: Floats, stop: Floats) -> float:
-    """Return the squared residuals of a line over those of half a cosine, at the median of all stretches."""
+    """Return the median ratio of the squared residuals of a line to those of half a cosine."""
     row, index = flat_ranges(start.astype(np.int64), stop.astype(np.int64) + 1)
     u = (index - start[row]) / (stop - start)[row]
     residual = []
@@ -65,9 +65,9 @@ def _roundness(y: Floats, start: Floats, stop: Floats) -> float:
 
 
 def _line_share(y: Floats, extremes: Extremes) -> float:
-    """Return the share of the variance within 20 % of the frequency of the slips.
+    """Return the share of the load's variance within 20 % of the frequency of the slips.
 
-    Frequencies below half of it are left out of the variance.
+    The variance is that of all frequencies above half of the slips'.
     """
     low, high = int(extremes.peak[0]), int(extremes.peak[-1])
     if high - low < 8:
@@ -81,9 +81,9 @@ def _line_share(y: Floats, extremes: Extremes) -> float:
 
 
 def is_unloading(travel: Floats, extremes: Extremes) -> Bools:
-    """Return the falls during which the crosshead goes back by a fifth, or more, of its last advance.
+    """Return whether the crosshead goes back during each fall, by more than a fifth of its last advance.
 
-    `travel` is the separation at each sample; where it is NaN no fall counts as unloading.
+    travel: separation at each sample; where it is NaN, no fall counts as unloading.
     """
     index = np.arange(travel.size)
     at_peak, at_valley = (np.interp(at, index, travel) for at in (extremes.peak, extremes.valley))

@@ -528,7 +528,7 @@ def _degeneracies(fits: ModelFits) -> list[str]:
     if (correlation := fits.correlation.get("mu,T_star_N")) is not None:
         notes.append(f"T* and mu are degenerate (correlation {correlation:.3f}): use them only together")
     if abs(fits.correlation["Lambda_hat_mm,Y_eff_GPa"]) > 0.98:
-        notes.append("Lambda_hat and Y_eff are nearly degenerate over this range of d")
+        notes.append("Λ̂ and Y_eff are nearly degenerate over this range of d")
     if fits.d_mm[1] > fits.scale_mm.value:
         notes.append(f"d goes beyond {fits.scale_mm.value:.2f} mm, where M_eff is 0")
     return notes

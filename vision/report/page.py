@@ -108,7 +108,7 @@ def _figure_text(figure: Figure) -> dict[str, Any]:
     return {
         "name": figure.name,
         "title": figure.title,
-        "caption": f"{figure.caption} Black to white: {scale}." if scale else figure.caption,
+        "caption": f"{figure.caption} {scale.capitalize()}." if scale else figure.caption,
         "notes": figure.notes,
     }
 
@@ -185,13 +185,14 @@ def _panel_data(name: str, panel: Panel, store: ArrayStore) -> dict[str, Any]:
         "downwards": panel.downwards,
         "timeDown": panel.time_down,
         "aspect": 0.75 if panel.time_down else panel.aspect,
-        "squarePixels": panel.square_pixels,
     }
 
 
 def _series_data(series: Series, index_of: Callable[[Floats], int]) -> dict[str, Any]:
     same = ("label", "ink", "look", "dashed", "hollow", "shift", "width", "axis", "sheet")
     data: dict[str, Any] = {name: getattr(series, name) for name in same}
+    if not np.isfinite(series.y).any():
+        data["label"] = ""  # the legend leaves it out
     data |= {"html": str(to_html(series.label)), "textLabel": to_unicode(series.label)}
     data |= {"x": index_of(series.x), "y": index_of(series.y)}
     if series.low is not None and series.high is not None:
@@ -309,7 +310,7 @@ def doubt_table(results: Results) -> FactsTable:
             str(row["sheet"]),
             {-1: "left", 1: "right"}[row["side"]],
             str(row["n"]),
-            f"{row['first_frame']}–{row['last_frame']}",
+            _frames(row["first_frame"], row["last_frame"]),
             str(row["why"]),
             _digits(row["x_withheld_px"], places=1),
             _digits(row["x_expected_px"], places=1),
@@ -322,6 +323,11 @@ def doubt_table(results: Results) -> FactsTable:
     if more := len(table) - len(rows):
         note += f" {more} shorter ones: run.json."
     return FactsTable("Doubtful stretches", heads, rows, note)
+
+
+def _frames(first: int, last: int) -> str:
+    """Return a range of frames, which stays on one line."""
+    return str(first) if first == last else f"{first}\u2060–\u2060{last}"
 
 
 def _digits(value: float | None, unknown: str = "—", *, places: int | None = None) -> str:

@@ -72,7 +72,7 @@
     c.save(); c.strokeStyle = "rgba(16,16,16,0.7)"; c.setLineDash([]);
     chart.series.forEach((s, k) => {
       if (!u.series[k + 1].show) return;
-      c.lineWidth = (s.width + 0.9) * devicePixelRatio; c.beginPath();
+      c.lineWidth = 1.9 * s.width * devicePixelRatio; c.beginPath();
       let pen = false;
       u.data[k + 1].forEach((v, i) => {
         if (v == null) { pen = false; return; }
@@ -234,7 +234,7 @@
   }
   function sizeOf(chart, holder) {
     let width = Math.max(260, Math.floor(holder.clientWidth));
-    if (chart.squarePixels) { /* the plotted area keeps the frame's shape: what is left are the axes */
+    if (chart.picture && !chart.timeDown) { /* the plotted area has the stated shape; the rest are the axes */
       const across = 62, along = 56;
       if ((width - across) * chart.aspect > 560) width = Math.max(260, Math.floor(560 / chart.aspect) + across);
       return { width, height: Math.round((width - across) * chart.aspect) + along };
