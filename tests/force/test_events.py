@@ -606,6 +606,22 @@ def test_a_change_of_range_is_told(factor: float) -> None:
     assert any("range" in line for line in events.attrs["warnings"])
 
 
+@pytest.mark.parametrize(("load_factor", "noise"), [(0.1, 0.0), (10.0, 0.0), (1.0, 6.0)])
+def test_slips_in_other_noise_are_found(load_factor: float, noise: float) -> None:
+    """A failure means that a change of range or of the noise loses most slips, or makes slips of noise."""
+    test = plain(sticks=60, samples=80, snr=40, jitter=0.1)
+    load = test.force["load_N"].to_numpy() + 1000
+    later = np.arange(load.size) > load.size // 2
+    load = np.where(later, load_factor * load, load) + noise * later * np.random.default_rng(1).normal(
+        size=load.size
+    )
+    events = find_stick_slip(test.force.assign(load_N=("time_s", load)))
+    right, _ = matched(events, test.truth)
+    assert len(right) >= 0.85 * len(test.truth)
+    assert len(events) - len(right) <= 4
+    assert any("the noise changes" in line for line in events.attrs["warnings"])
+
+
 def test_a_zero_set_under_load_is_no_compression() -> None:
     """A failure means that a pull tared at its end is refused as compression, or passes without a word."""
     test = plain(sticks=60, samples=80, snr=40, jitter=0.1)

@@ -85,7 +85,7 @@ def find_stick_slip(
     _check_times(force, metadata.source)
     signal = Signal.of(force, settings)
     _check_load(signal, metadata.source, settings)
-    slips = find_slips(signal.clean, signal.sigma, threshold=threshold_N, settings=settings)
+    slips = find_slips(signal.clean, signal.noise, threshold=threshold_N, settings=settings)
     if slips.edge.size < 2:
         raise _too_few_slips(signal, slips, metadata.source)
     _check_lowpass(lowpass_s, slips.period * signal.interval_s, metadata.source)
@@ -288,7 +288,7 @@ def _above_slow_drops(
     slow = is_slow(corners.valley - corners.peak, corners.peak[1:] - corners.valley[:-1], settings)
     if not small.any() or slow[small].mean() < 0.5:
         return None
-    clear = find_slips(signal.clean, signal.sigma, threshold=gap, settings=settings)
+    clear = find_slips(signal.clean, signal.noise, threshold=gap, settings=settings)
     lines = stick_lines(signal.clean, clear.edge, settings)
     noisier = replace(signal, sigma=max(signal.sigma, float(nan_median(lines.spread))))
     return noisier, replace(clear, threshold_how="gap", left_out=slips.drop[small])
@@ -303,7 +303,7 @@ def _above_slow_noise(signal: Signal, slips: Slips, alike: float, settings: Forc
     least = settings.threshold_sigmas * float(np.sqrt(alike) * nan_median(error))
     if not least > slips.threshold:
         return slips
-    clear = find_slips(signal.clean, signal.sigma, threshold=least, settings=settings)
+    clear = find_slips(signal.clean, signal.noise, threshold=least, settings=settings)
     return replace(clear, threshold_how="noise", left_out=slips.drop[slips.drop < least])
 
 
@@ -496,6 +496,12 @@ def _warnings(events: pd.DataFrame, regime: Regime, signal: Signal, slips: Slips
         step, stick = _resolution(values), float(nan_median(events[column].to_numpy(float)))
         if step > 0.3 * stick:  # about three steps in a stick, or fewer
             lines.append(f"{what} has steps of {step:.3g} {unit}, sticks are {stick:.3g} {unit}")
+    quiet, loud = signal.noise.min(), signal.noise.max()
+    if quiet < loud:
+        lines.append(
+            f"the noise changes between {quiet:.2g} and {loud:.2g} N within the recording: a change of the "
+            "amplifier's range, whose forces then differ by a factor, or of what disturbs the load cell"
+        )
     lines += slips.warnings()
     around = sliding_window_view(np.pad(slips.drop, 5), 11)
     for k in np.flatnonzero(slips.drop > 5 * np.delete(around, 5, axis=1).max(axis=1))[:5]:

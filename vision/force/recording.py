@@ -531,8 +531,19 @@ def noise_sigma(y: Floats) -> float:
     return float(max(spread, quantum / np.sqrt(12.0), 1e-9 * range_, np.finfo(float).tiny))
 
 
+def noise_levels(y: Floats, settings: ForceSettings) -> Floats:
+    """Return `noise_sigma` at every sample: that of the whole load unless its parts differ by `noise_ratio`."""
+    whole = noise_sigma(y)
+    parts = np.array_split(y, min(y.size // 500 + 1, 32))
+    level = np.maximum(running_median(np.array([noise_sigma(part) for part in parts]), 3), 0.05 * whole)
+    if level.max() < settings.noise_ratio * level.min():
+        return np.full(y.shape, whole)
+    level = np.max(sliding_window_view(np.pad(level, 1, "edge"), 3), axis=1)  # a change lies within a part
+    return np.repeat(level, [part.size for part in parts])
+
+
 def find_spikes(
-    y: Floats, sigma: float, *, settings: ForceSettings = ForceSettings()
+    y: Floats, sigma: Floats | float, *, settings: ForceSettings = ForceSettings()
 ) -> tuple[Bools, Floats]:
     """Return which samples belong to spikes, and the signal with their neighbours' level in place of spikes.
 
@@ -550,7 +561,7 @@ def find_spikes(
         is_spike[some] = off[some] > 2.0 * np.median(around[some], axis=1)
     clean = np.where(is_spike, middle, y)
     jump = np.diff(clean)
-    high = np.flatnonzero(np.abs(jump) > settings.pulse_sigmas * sigma)
+    high = np.flatnonzero(np.abs(jump) > settings.pulse_sigmas * np.broadcast_to(sigma, y.shape)[1:])
     high = high[np.abs(jump[high]) > 4.0 * np.median(around[high], axis=1)]
     for width in (3, 4, 5):
         away = high[np.isin(high + width, high)]

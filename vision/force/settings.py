@@ -21,6 +21,10 @@ class ForceSettings:
     """Equal samples in a row at the largest load that mean saturation. Smaller flags the rounded peaks of a
     coarse load cell, larger misses short saturations."""
 
+    noise_ratio: float = 4.0
+    """Ratio of the noise in parts of a recording from which each part has its own. Smaller follows the
+    scatter of the estimates, larger overlooks a change; shown by changes of range and of noise."""
+
     spike_sigmas: float = 6.0
     """A sample this far from the median of the five around it is a spike. Smaller takes noise for spikes,
     larger lets spikes make slips; shown by sawteeth with 1 % of spikes added."""

@@ -11,7 +11,7 @@ import xarray as xr
 
 from vision.force.corners import Corners, Extremes, Shape, find_extremes, is_slow
 from vision.force.lines import BrokenLines, fit_broken_lines, fit_lines
-from vision.force.recording import find_spikes, noise_sigma, usable
+from vision.force.recording import find_spikes, noise_levels, noise_sigma, usable
 from vision.force.settings import ForceSettings
 from vision.numeric import Bools, Floats, Ints
 
@@ -27,6 +27,7 @@ class Signal:
     is_spike: Bools  # samples that are spikes
     is_missing: Bools  # samples put in where the recording lost one
     sigma: float  # standard deviation of the load's white noise, N
+    noise: Floats  # the same at every sample
     damage: dict[str, Ints]  # by kind, the number of bad samples before each good one
     alike: float = 1.0  # number of neighbouring samples whose noise is common: 1 for white noise
 
@@ -38,12 +39,12 @@ class Signal:
         good = usable(flags)
         good[np.flatnonzero(good)[_filled_in(force["load_N"].to_numpy()[good].astype(float))]] = False
         time, travel, load = (force[k].to_numpy()[good].astype(float) for k in ("time_s", "d_mm", "load_N"))
-        sigma = noise_sigma(load)
-        is_spike, clean = find_spikes(load, sigma, settings=settings)
+        sigma, noise = noise_sigma(load), noise_levels(load, settings)
+        is_spike, clean = find_spikes(load, noise, settings=settings)
         kinds = ("gap", "nan", "saturated", "repeated", "backwards")
         damage = {kind: np.cumsum(flags == kind)[good] for kind in kinds if np.any(flags == kind)}
         none = np.zeros_like(is_spike)
-        return cls(time, travel, load, clean, is_spike, none, sigma, damage)._even(settings)
+        return cls(time, travel, load, clean, is_spike, none, sigma, noise, damage)._even(settings)
 
     def _even(self, settings: ForceSettings) -> Signal:
         """Return the signal with the samples that the recording lost put in by interpolation.
@@ -70,6 +71,7 @@ class Signal:
             clean=np.interp(every, place, self.clean),
             is_spike=self.is_spike[before] & ~new,
             is_missing=new,
+            noise=self.noise[before],
             damage={kind: counted[before] for kind, counted in self.damage.items()},
         )
 
