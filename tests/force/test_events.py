@@ -477,6 +477,24 @@ def test_a_drift_that_wanders_makes_no_slips(seed: int) -> None:
     assert np.mean(off < 2 * right["dF_err_N"]) > 0.7
 
 
+@pytest.mark.parametrize("power", [0.5, 1.0])
+def test_slow_noise_moves_sticks_as_a_whole(power: float) -> None:
+    """A failure means that a fifth to two fifths of the errors of F_v and F_p hold, as 1/f noise (power 0.5)
+    and a random walk (1) are slower than the sticks, within which they were measured."""
+    held = []
+    for seed in range(6):
+        test = plain(sticks=60, samples=200, snr=1e3, jitter=0.1, seed=seed)
+        white = np.fft.rfft(np.random.default_rng(seed).standard_normal(test.force.sizes["time_s"]))
+        noise = np.fft.irfft(white / np.arange(1, white.size + 1) ** power, test.force.sizes["time_s"])
+        noise *= 40 * 10 ** (2 * power - 1) / noise.std()
+        quiet = find_stick_slip(test.force)
+        events = find_stick_slip(test.force.assign(load_N=test.force["load_N"] + noise))
+        right, truth = matched(events, quiet)
+        for name, error in (("F_v_N", "F_v_err_N"), ("F_p_N", "F_p_err_N")):
+            held += list(np.abs(right[name] - truth[name]) < right[error])
+    assert 0.5 < np.mean(held) < 0.9
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_samples_lost_at_random(seed: int) -> None:
     """A failure means that the steps of a recording that runs unevenly are slips, or widen every error."""
@@ -632,6 +650,18 @@ def test_a_zero_set_under_load_is_no_compression() -> None:
     assert any("check the load cell's zero" in line for line in events.attrs["warnings"])
     with pytest.raises(InputError, match="load=-NAME"):
         find_stick_slip(tared.assign(load_N=-test.force["load_N"]))
+
+
+@pytest.mark.parametrize(("offset", "told"), [(0.0, 0), (3.0, 2), (-3.0, 2)])
+def test_a_zero_set_too_late_is_told(offset: float, told: int) -> None:
+    """A failure means that a load cell whose zero was set under load, or not at all, shifts F_p without a
+    word although the load before and after the pull shows it; or that a right zero is doubted."""
+    test = plain(sticks=60, samples=80, snr=40, jitter=0.1)
+    rest = np.random.default_rng(4).standard_normal(300)
+    load = np.r_[rest, test.force["load_N"], rest] + offset
+    time = np.arange(load.size) * 0.01
+    events = find_stick_slip(recording(time, load, 13 + time / 60, 1.0))
+    assert sum("zero is wrong" in line for line in events.attrs["warnings"]) == told
 
 
 def test_times_written_too_coarsely_are_named() -> None:

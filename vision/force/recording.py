@@ -532,7 +532,7 @@ def noise_sigma(y: Floats) -> float:
 
 
 def noise_levels(y: Floats, settings: ForceSettings) -> Floats:
-    """Return `noise_sigma` at every sample: that of the whole load unless its parts differ by `noise_ratio`."""
+    """Return `noise_sigma` at every sample: of all unless its parts differ by `noise_ratio`."""
     whole = noise_sigma(y)
     parts = np.array_split(y, min(y.size // 500 + 1, 32))
     level = np.maximum(running_median(np.array([noise_sigma(part) for part in parts]), 3), 0.05 * whole)

@@ -30,6 +30,7 @@ class Signal:
     noise: Floats  # the same at every sample
     damage: dict[str, Ints]  # by kind, the number of bad samples before each good one
     alike: float = 1.0  # number of neighbouring samples whose noise is common: 1 for white noise
+    wander: float = 0.0  # standard deviation, N, of noise so slow that it moves a stick as a whole
 
     @classmethod
     def of(cls, force: xr.Dataset, settings: ForceSettings) -> Signal:
@@ -332,8 +333,8 @@ def _ends(signal: Signal, sticks: _Sticks, t_v: Floats, t_p: Floats, shape: Shap
     return _Ends(
         f_v,
         f_p,
-        error_v=np.hypot(noise * line.lever(t_v), shape_v),
-        error_p=np.hypot(noise * line.lever(t_p), shape_p),
+        error_v=np.hypot(np.hypot(noise * line.lever(t_v), shape_v), signal.wander),
+        error_p=np.hypot(np.hypot(noise * line.lever(t_p), shape_p), signal.wander),
         error_rise=np.hypot(noise / np.sqrt(line.sxx) * (t_p - t_v), np.hypot(shape_v, shape_p)),
         slope=line.slope,
     )
