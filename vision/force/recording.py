@@ -472,7 +472,8 @@ def sample_flags(
 
     "nan": time, load or displacement is not a number. "backwards": the time is earlier than a previous one.
     "repeated": the time equals the latest one. "saturated": the sample is in a run of equal samples at the
-    largest absolute load. "gap": several sampling intervals lie before the sample, which itself is good.
+    largest absolute load. "gap": several sampling intervals, or as long a way, lie before the sample, which
+    itself is good.
     """
     flags = np.full(time_s.shape, "ok", dtype="<U9")
     bad = ~(np.abs(time_s) < _MOST) | ~(np.abs(load) < _MOST)  # damaged digits; NaN and infinity too
@@ -481,8 +482,17 @@ def sample_flags(
     latest = np.fmax.accumulate(np.r_[-np.inf, np.where(bad, -np.inf, time_s)])[:-1]
     step = np.where(bad, np.nan, time_s) - latest
     forward = step[np.isfinite(step) & (step > 0)]
-    usual = np.median(forward) if forward.size else np.nan
-    flags[np.isfinite(step) & (step > settings.gap_intervals * usual)] = "gap"
+    if forward.size:
+        usual = np.full(step.shape, np.nan)
+        usual[np.isfinite(step) & (step > 0)] = running_median(forward, 101)  # the rate may change
+        flags[step > settings.gap_intervals * usual] = "gap"
+    if (
+        displacement is not None
+    ):  # the clock may stand still while samples are lost, but the crosshead goes on
+        way = np.abs(np.diff(displacement, prepend=displacement[:1]))
+        moves = way[~bad & (way > 0)]
+        if moves.size:
+            flags[way > settings.gap_intervals * np.quantile(moves, 0.99)] = "gap"
     flags[_saturated(load, settings.saturated_run)] = "saturated"
     flags[step == 0] = "repeated"
     flags[step < 0] = "backwards"

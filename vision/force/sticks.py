@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 import pandas as pd
 import xarray as xr
+from numpy.lib.stride_tricks import sliding_window_view
 
 from vision.force.corners import Corners, Extremes, Shape, find_extremes, is_slow
 from vision.force.lines import BrokenLines, fit_broken_lines, fit_lines
@@ -38,12 +39,16 @@ class Signal:
         count = force.sizes["time_s"]
         flags = np.asarray(force["flag"].values, dtype=str) if "flag" in force else np.full(count, "ok")
         good = usable(flags)
+        # A few lost samples leave a stick whole: more of them in a row, and those at the limit, do not.
+        run = np.cumsum(good)
+        many = np.bincount(run, ~good)[run] >= settings.gap_intervals
         good[np.flatnonzero(good)[_filled_in(force["load_N"].to_numpy()[good].astype(float))]] = False
         time, travel, load = (force[k].to_numpy()[good].astype(float) for k in ("time_s", "d_mm", "load_N"))
         sigma, noise = noise_sigma(load), noise_levels(load, settings)
         is_spike, clean = find_spikes(load, noise, settings=settings)
         kinds = ("gap", "nan", "saturated", "repeated", "backwards")
-        damage = {kind: np.cumsum(flags == kind)[good] for kind in kinds if np.any(flags == kind)}
+        bad = {kind: (flags == kind) & (many | (kind in {"gap", "saturated"})) for kind in kinds}
+        damage = {kind: np.cumsum(at)[good] for kind, at in bad.items() if at.any()}
         none = np.zeros_like(is_spike)
         return cls(time, travel, load, clean, is_spike, none, sigma, noise, damage)._even(settings)
 
@@ -51,13 +56,14 @@ class Signal:
         """Return the signal with the samples that the recording lost put in by interpolation.
 
         All that follows counts samples, which else ran unevenly. Unchanged unless all times are multiples of
-        one interval; gaps stay.
+        one interval, and where the rate itself changes; gaps stay.
         """
         steps = np.diff(self.time)
         steps = steps / np.median(steps[steps < 1.5 * np.quantile(steps, 0.1)])
         count = np.rint(steps)
         lost = (count > 1) & (count <= settings.gap_intervals)
-        if not lost.any() or np.mean(np.abs(steps - count) < 0.1) < 0.99:
+        slower = sliding_window_view(count, min(100, count.size)).min(axis=1) > 1
+        if not lost.any() or slower.any() or np.mean(np.abs(steps - count) < 0.1) < 0.99:
             return self
         count = np.where(lost, count, 1)
         place = np.r_[0.0, np.cumsum(count)]
