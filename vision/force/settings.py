@@ -14,8 +14,9 @@ class ForceSettings:
     """
 
     gap_intervals: float = 5.0
-    """A step in time of more sampling intervals than this is a gap. Larger overlooks short interruptions,
-    smaller flags the jitter of a clock; shown by recordings of which a part was cut out."""
+    """A step of more sampling intervals than this, in time or in the crosshead's way, is a gap; as many lost
+    samples in a row flag the stick. Larger overlooks short interruptions, smaller flags the jitter of a clock;
+    shown by recordings of which a part was cut out."""
 
     saturated_run: int = 5
     """Equal samples in a row at the largest load that mean saturation. Smaller flags the rounded peaks of a
