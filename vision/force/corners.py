@@ -255,11 +255,10 @@ class Extremes:
 
     peak: Floats  # position of the highest load, in samples
     valley: Floats  # position of the lowest load, in samples
-    high: Floats  # load at the peak, averaged over `width` samples
+    high: Floats  # load at the peak, averaged over a 24th of the usual slip
     low: Floats  # load at the valley, averaged likewise
     highest: Floats  # single largest sample
     lowest: Floats  # single smallest sample
-    width: Ints  # samples averaged: a 24th of the slip, which lowers a half cosine by next to nothing
 
     @property
     def fall(self) -> Floats:
@@ -289,38 +288,26 @@ def find_extremes(y: Floats, middle: Floats, length: Floats) -> Extremes:
     # The middles of close slips may be in either order, so each range contains at least the slip's sample.
     start = np.minimum(np.floor(bounds[:-1]).astype(np.int64), here)
     stop = np.maximum(np.ceil(bounds[1:]).astype(np.int64), here)
-    width = 2 * (np.nan_to_num(length) / 48).astype(np.int64) + 1
-    smooth = {int(w): running_mean(y, int(w)) for w in np.unique(_octaves(width))}
-    peak, high, highest = _largest(y, smooth, _octaves(width), start, here + 1, 1)
-    valley, low, lowest = _largest(-y, smooth, _octaves(width), here, stop + 1, -1)
-    return Extremes(peak, valley, high, -low, highest, -lowest, width)
+    # A 24th of the usual slip is averaged, which lowers a half cosine by next to nothing.
+    smooth = running_mean(y, 2 * int(np.nan_to_num(nan_median(length)) / 48) + 1)
+    peak, high, highest = _largest(y, smooth, start, here + 1, 1)
+    valley, low, lowest = _largest(y, smooth, here, stop + 1, -1)
+    return Extremes(peak, valley, high, low, highest, lowest)
 
 
-def _octaves(width: Ints) -> Ints:
-    """Round widths down to 1, 3, 5, 9, 17, …, so that a few filters serve all slips."""
-    exponent = np.floor(np.log2(np.maximum(width - 1, 1))).astype(np.int64)
-    return np.where(width > 1, 2**exponent + 1, 1)
-
-
-def _largest(
-    y: Floats, smooth: dict[int, Floats], width: Ints, start: Ints, stop: Ints, sign: int
-) -> tuple[Floats, Floats, Floats]:
+def _largest(y: Floats, smooth: Floats, start: Ints, stop: Ints, sign: int) -> tuple[Floats, Floats, Floats]:
     """Return the position and value of the largest smoothed value of each range, and its largest sample."""
     row, index = flat_ranges(start, np.minimum(stop, y.size))
-    single = np.full(start.size, -np.inf)
-    np.maximum.at(single, row, y[index])
-    values = np.empty(index.size)
-    for w, signal in smooth.items():
-        of_width = width[row] == w
-        values[of_width] = sign * signal[index[of_width]]
-    best = np.full(start.size, -np.inf)
+    single, best = np.full(start.size, -np.inf), np.full(start.size, -np.inf)
+    np.maximum.at(single, row, sign * y[index])
+    values = sign * smooth[index]
     np.maximum.at(best, row, values)
     hits = np.flatnonzero(values == best[row])
     position = np.full(start.size, np.nan)
     # Of equal samples the one next to the slip: the last for peaks, the first for valleys.
     order = hits if sign > 0 else hits[::-1]
     position[row[order]] = index[order]
-    return position, best, single
+    return position, sign * best, sign * single
 
 
 def is_slow(fall: Floats, rise: Floats, settings: ForceSettings) -> Bools:

@@ -15,7 +15,7 @@ class ForceSettings:
 
     gap_intervals: float = 5.0
     """A step of more sampling intervals than this, in time or in the crosshead's way, is a gap; as many lost
-    samples in a row flag the stick. Larger overlooks short interruptions, smaller flags the jitter of a clock;
+    samples in a row flag the stick. Larger overlooks short interruptions, smaller flags the jitter of clocks;
     shown by recordings of which a part was cut out."""
 
     saturated_run: int = 5

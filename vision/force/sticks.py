@@ -10,7 +10,7 @@ import pandas as pd
 import xarray as xr
 from numpy.lib.stride_tricks import sliding_window_view
 
-from vision.force.corners import Corners, Extremes, Shape, find_extremes, is_slow
+from vision.force.corners import Corners, Extremes, Shape, is_slow
 from vision.force.lines import BrokenLines, fit_broken_lines, fit_lines
 from vision.force.recording import find_spikes, noise_levels, noise_sigma, usable
 from vision.force.settings import ForceSettings
@@ -179,16 +179,15 @@ def measure_sticks(
     ends = _ends(signal, sticks, t_v, t_p, corners.shape)
     rises = np.abs(ends.slope) * signal.interval_at(v), np.abs(ends.slope) * signal.interval_at(p)
     if lag:
-        f_v, f_p = _forces_without_lowpass(signal, corners, sticks, ends, rises)
+        f_v, f_p = ends.f_v, ends.f_p
     else:
         f_v, f_p = _within_recorded(signal, extremes, ends, sticks, rises, settings)
         f_v = np.where(recorded[:-1], extremes.low[:-1], f_v)
         f_p = np.where(recorded[1:], extremes.high[1:], f_p)
-    position_error = np.where(recorded, _flat_top_error(signal, corners, extremes), corners.error)
     # Corners lie between two samples; of lost ones the next known samples are further apart.
     known = np.flatnonzero(~signal.is_missing)
     after = np.clip(np.searchsorted(known, corners.middle), 1, known.size - 1)
-    position_error = position_error * (known[after] - known[after - 1])
+    position_error = corners.error * (known[after] - known[after - 1])
     # A sudden slip appears shorter than half a sample. It appears longer, up to 2.5 samples, where each is
     # the mean since the one before, and where a filter makes the noise of neighbouring samples common. The
     # two corners of a stick are then together off by its length. Between lost samples nothing is known of it.
@@ -235,20 +234,6 @@ def measure_sticks(
         }
     )
     return table.assign(flag=_event_flags(signal, sticks, corners, ends.slope > 0, slow[:-1] | slow[1:]))
-
-
-def _forces_without_lowpass(
-    signal: Signal, corners: Corners, sticks: _Sticks, ends: _Ends, rises: tuple[Floats, Floats]
-) -> tuple[Floats, Floats]:
-    """Return F_v and F_p of a load corrected for a low-pass; those of sticks with a knee are limited."""
-    gain = 1 / np.expm1(1 / sticks.lag)
-    load = signal.clean + gain * np.diff(signal.clean, prepend=signal.clean[:1])
-    noise = signal.sigma * float(np.sqrt(1 + 2 * gain * (1 + gain)))
-    extremes = find_extremes(load, corners.middle, corners.valley - corners.peak)
-    corrected = replace(signal, clean=load, sigma=noise)
-    f_v, f_p = _within_recorded(corrected, extremes, ends, sticks, rises, sticks.settings)
-    bent = np.isfinite(sticks.knee)
-    return np.where(bent, f_v, ends.f_v), np.where(bent, f_p, ends.f_p)
 
 
 def _within_recorded(
@@ -300,13 +285,6 @@ def _rings(signal: Signal, ends: _Ends, sticks: _Sticks) -> bool:
     swing = int(np.argmin(course[:quarter]))
     above = np.max(course[swing:quarter]) - level
     return bool(above > sticks.settings.ringing_share * (level - course[swing]))
-
-
-def _flat_top_error(signal: Signal, corners: Corners, extremes: Extremes) -> Floats:
-    """Return the position error, in samples, of the extremes of half cosines in the noise."""
-    noise = signal.sigma / np.sqrt(extremes.width)
-    relative = noise / np.maximum(extremes.high - extremes.low, noise)
-    return np.asarray(np.fmax(extremes.fall * 2 / np.pi * np.sqrt(relative), corners.error))
 
 
 @dataclass(frozen=True)
