@@ -284,7 +284,7 @@ def _above_slow_drops(
     """
     gap = size_gap(slips.drop, settings.slow_gap, 1 - 3 / slips.drop.size)
     small = slips.drop < gap
-    slow = is_slow(corners.valley - corners.peak, corners.peak[1:] - corners.valley[:-1], settings)
+    slow = is_slow(corners, settings)
     if not small.any() or slow[small].mean() < 0.5:
         return None
     clear = find_slips(signal.clean, signal.noise, threshold=gap, settings=settings)
@@ -568,7 +568,6 @@ def detection_limit(
     force: xr.Dataset,
     sticks: pd.DataFrame,
     *,
-    levels_N: tuple[float, ...] | None = None,
     injected: int = 40,
     seed: int = 0,
     settings: ForceSettings = ForceSettings(),
@@ -579,8 +578,6 @@ def detection_limit(
     ----------
     force, sticks
         As from `read_force` and `find_stick_slip`.
-    levels_N
-        Drops to try; by default 1 to 12 times the noise.
     injected, seed
         Largest number of sticks to which a slip is added, and the seed of their choice.
     settings
@@ -607,7 +604,7 @@ def detection_limit(
     whole = sticks[(sticks["flag"] == "ok") & (sticks["samples"] >= 2 * sticks["samples"].median() / 3)]
     if len(whole) < 3:
         raise InputError("detection limit", "at least three whole sticks", f"{len(whole)}")
-    levels = np.array(levels_N or metadata.noise_N * np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 12.0]))
+    levels = metadata.noise_N * np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 12.0])
     rng = np.random.default_rng(seed)
     chosen = np.sort(rng.choice(len(whole), size=min(injected, len(whole)), replace=False))
     picked = whole.iloc[chosen]

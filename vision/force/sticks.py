@@ -169,7 +169,7 @@ def measure_sticks(
     is corrected for, in samples, 0 for none; `compliance` is that of the machine, mm/N.
     """
     index = np.arange(signal.time.size, dtype=float)
-    slow = is_slow(corners.valley - corners.peak, corners.peak[1:] - corners.valley[:-1], settings)
+    slow = is_slow(corners, settings)
     recorded = slow if not lag else np.zeros_like(slow)
     valley = np.where(recorded, extremes.valley, corners.valley)
     peak = np.where(recorded, extremes.peak, corners.peak)
