@@ -477,6 +477,23 @@ def test_a_drift_that_wanders_makes_no_slips(seed: int) -> None:
     assert np.mean(off < 2 * right["dF_err_N"]) > 0.7
 
 
+def test_slow_noise_moves_sticks_as_a_whole() -> None:
+    """A failure means that a fifth of the errors of F_v and F_p hold, as a random walk of the load cell is
+    slower than the sticks, within which it was measured."""
+    held = []
+    for seed in range(10):
+        test = plain(sticks=60, samples=100, snr=1e3, jitter=0.1, seed=seed)
+        white = np.fft.rfft(np.random.default_rng(seed).standard_normal(test.force.sizes["time_s"]))
+        noise = np.fft.irfft(white / np.arange(1, white.size + 1), test.force.sizes["time_s"])
+        noise *= 400 / noise.std()
+        quiet = find_stick_slip(test.force)
+        events = find_stick_slip(test.force.assign(load_N=test.force["load_N"] + noise))
+        right, truth = matched(events, quiet)
+        for name, error in (("F_v_N", "F_v_err_N"), ("F_p_N", "F_p_err_N")):
+            held.append(np.mean(np.abs(right[name] - truth[name]) < right[error]))
+    assert 0.54 < np.mean(held) < 0.9
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_samples_lost_at_random(seed: int) -> None:
     """A failure means that the steps of a recording that runs unevenly are slips, or widen every error."""
@@ -488,6 +505,45 @@ def test_samples_lost_at_random(seed: int) -> None:
     assert events.attrs["warnings"] == []
     assert right["dF_err_N"].median() < 0.9  # of 40 N
     assert np.mean(np.abs(right["dF_N"] - truth["dF_N"]) < right["dF_err_N"]) > 0.5
+
+
+def test_a_few_samples_without_a_time_of_their_own_leave_sticks_whole() -> None:
+    """A failure means that a logger which repeats each tenth time stamp gives no event called ok."""
+    test = plain(sticks=60, samples=80, snr=40, jitter=0.1)
+    time = test.force["time_s"].to_numpy().copy()
+    again = np.flatnonzero(np.random.default_rng(5).random(time.size - 1) < 0.1) + 1
+    time[again] = test.force["time_s"].to_numpy()[again - 1]
+    flags = sample_flags(time, test.force["load_N"].to_numpy(), None)
+    events = find_stick_slip(test.force.assign_coords(time_s=time).assign(flag=("time_s", flags)))
+    right, truth = matched(events[events["flag"] == "ok"], test.truth)
+    assert len(right) == len(test.truth)
+    assert np.mean(np.abs(right["dF_N"] - truth["dF_N"]) < right["dF_err_N"]) > 0.5
+
+
+def test_a_part_recorded_more_slowly_has_no_gaps() -> None:
+    """A failure means that all sticks of the slower part are flagged, or interpolated to slow slips whose
+    drops are 5 % too small."""
+    test = plain(sticks=60, samples=120, snr=100, jitter=0.1)
+    rows = np.arange(test.force.sizes["time_s"])
+    force = test.force.isel(time_s=np.flatnonzero((rows < rows.size // 2) | (rows % 5 == 0)))
+    columns = (force[name].to_numpy() for name in ("time_s", "load_N", "d_mm"))
+    events = find_stick_slip(force.assign(flag=("time_s", sample_flags(*columns))))
+    right, truth = matched(events[events["flag"] == "ok"], test.truth)
+    assert len(right) == len(test.truth)
+    for name, error in (("dF_N", "dF_err_N"), ("stick_length_um", "stick_length_err_um")):
+        assert np.mean(np.abs(right[name] - truth[name]) < right[error]) > 0.55, name
+
+
+def test_samples_lost_while_the_clock_stood_still_are_a_gap() -> None:
+    """A failure means that the load's fall over lost samples is a slip called ok."""
+    test = plain(sticks=60, samples=80, snr=40, jitter=0.1)
+    rows = np.arange(test.force.sizes["time_s"])
+    lost = np.random.default_rng(6).choice(rows.size - 200, 8, replace=False) + 100
+    kept = np.flatnonzero((np.abs(rows[:, np.newaxis] - lost) > 20).all(axis=1))
+    force = test.force.isel(time_s=kept).assign_coords(time_s=0.01 * np.arange(kept.size))
+    columns = (force[name].to_numpy() for name in ("time_s", "load_N", "d_mm"))
+    flags = sample_flags(*columns)
+    assert set(np.flatnonzero(flags == "gap")) == set(np.flatnonzero(np.diff(kept) > 1) + 1)
 
 
 def test_a_load_cell_that_rings_is_an_oscillation() -> None:
@@ -606,6 +662,22 @@ def test_a_change_of_range_is_told(factor: float) -> None:
     assert any("range" in line for line in events.attrs["warnings"])
 
 
+@pytest.mark.parametrize(("load_factor", "noise"), [(0.1, 0.0), (10.0, 0.0), (1.0, 6.0)])
+def test_slips_in_other_noise_are_found(load_factor: float, noise: float) -> None:
+    """A failure means that a change of range or of the noise loses most slips, or makes slips of noise."""
+    test = plain(sticks=60, samples=80, snr=40, jitter=0.1)
+    load = test.force["load_N"].to_numpy() + 1000
+    later = np.arange(load.size) > load.size // 2
+    load = np.where(later, load_factor * load, load) + noise * later * np.random.default_rng(1).normal(
+        size=load.size
+    )
+    events = find_stick_slip(test.force.assign(load_N=("time_s", load)))
+    right, _ = matched(events, test.truth)
+    assert len(right) >= 0.85 * len(test.truth)
+    assert len(events) - len(right) <= 4
+    assert any("the noise changes" in line for line in events.attrs["warnings"])
+
+
 def test_a_zero_set_under_load_is_no_compression() -> None:
     """A failure means that a pull tared at its end is refused as compression, or passes without a word."""
     test = plain(sticks=60, samples=80, snr=40, jitter=0.1)
@@ -616,6 +688,18 @@ def test_a_zero_set_under_load_is_no_compression() -> None:
     assert any("check the load cell's zero" in line for line in events.attrs["warnings"])
     with pytest.raises(InputError, match="load=-NAME"):
         find_stick_slip(tared.assign(load_N=-test.force["load_N"]))
+
+
+@pytest.mark.parametrize(("offset", "told"), [(0.0, 0), (3.0, 2), (-3.0, 2)])
+def test_a_zero_set_too_late_is_told(offset: float, told: int) -> None:
+    """A failure means that a load cell whose zero was set under load, or not at all, shifts F_p without a
+    word although the load before and after the pull shows it; or that a right zero is doubted."""
+    test = plain(sticks=60, samples=80, snr=40, jitter=0.1)
+    rest = np.random.default_rng(4).standard_normal(300)
+    load = np.r_[rest, test.force["load_N"], rest] + offset
+    time = np.arange(load.size) * 0.01
+    events = find_stick_slip(recording(time, load, 13 + time / 60, 1.0))
+    assert sum("zero is wrong" in line for line in events.attrs["warnings"]) == told
 
 
 def test_times_written_too_coarsely_are_named() -> None:

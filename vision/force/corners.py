@@ -60,9 +60,8 @@ def find_corners(
     base = _Baselines.of(signal, two_slopes, settings)
     high, middle, low = _crossings(signal.load, signal.edge, base)
     stick = np.diff(signal.edge)
-    if stick.size and 2 * nan_median(np.fmin(middle - high, low - middle)) < settings.shape_slip * np.median(
-        stick
-    ):
+    length = 2 * nan_median(np.fmin(middle - high, low - middle))
+    if stick.size and length < settings.shape_slip * np.median(stick):
         shape = Shape.of(signal.load, signal.edge, settings)
         if shape.begin or shape.end:
             base = _Baselines.of(signal, two_slopes, settings, shape)
@@ -140,7 +139,7 @@ class _Baselines:
         here = np.asarray(edge - 0.5, dtype=float)
         # Edges at begin and end of each stick; the first stick has no begin, the last no end.
         begin, end = np.insert(here, 0, np.nan), np.append(here, np.nan)
-        shape = shape or Shape(0.0, 0.0, 0.0, 0.0, 0.0)
+        shape = shape or Shape()
         rise = np.nan_to_num(lines.slope * (end - begin))
         at_begin, at_end = lines.at(begin) + shape.begin * rise, lines.at(end) + shape.end * rise
         early, late = lines.slope, lines.slope
@@ -211,23 +210,22 @@ class Shape:
     It is common to all sticks of a recording, and 0 where they are straight.
     """
 
-    begin: float
-    end: float
-    begin_error: float
-    end_error: float
-    spread: float  # root mean square of the deviations within `line_part`
+    begin: float = 0.0
+    end: float = 0.0
+    begin_error: float = 0.0
+    end_error: float = 0.0
+    spread: float = 0.0  # root mean square of the deviations within `line_part`
 
     @classmethod
     def of(cls, y: Floats, edge: Ints, settings: ForceSettings) -> Shape:
         """Fit polynomials of degree 2 to 4 to the residuals of the lines of sticks between two slips."""
         start, stop = (at[1:-1] for at in stick_middles(edge, y.size, settings))
-        straight = cls(0.0, 0.0, 0.0, 0.0, 0.0)
         length = np.diff(edge)
         rise = stick_lines(y, edge, settings).slope[1:-1] * length
         long = max(2 * settings.few_samples, 0.5 * np.quantile(length, 0.9)) if length.size else 0
         some = np.flatnonzero((length > long) & (rise > 0))  # shorter ones may be oscillations
         if some.size < 8:
-            return straight
+            return cls()
         some = some[:: some.size // 400 + 1]  # enough for medians
         share = fit_polynomials(y, start[some], stop[some])[0][:, 2:] / rise[some, np.newaxis]
         middle = np.median(share, axis=0)
@@ -238,7 +236,7 @@ class Shape:
         kept = np.where(clear, middle, 0.0)
         begin, end = (ends * kept).sum(axis=1)
         if not clear.any() or max(abs(begin), abs(end)) > 1.0:  # no stick deviates that far
-            return straight
+            return cls()
         # What the terms left out, and those beyond the last, may add: as much as the last one.
         unknown = np.where(clear & (np.arange(2, 5) < 4), standard, np.abs(middle))
         begin_error, end_error = np.sqrt(((ends * unknown) ** 2).sum(axis=1))
@@ -255,11 +253,10 @@ class Extremes:
 
     peak: Floats  # position of the highest load, in samples
     valley: Floats  # position of the lowest load, in samples
-    high: Floats  # load at the peak, averaged over `width` samples
+    high: Floats  # load at the peak, averaged over a 24th of the usual slip
     low: Floats  # load at the valley, averaged likewise
     highest: Floats  # single largest sample
     lowest: Floats  # single smallest sample
-    width: Ints  # samples averaged: a 24th of the slip, which lowers a half cosine by next to nothing
 
     @property
     def fall(self) -> Floats:
@@ -289,45 +286,31 @@ def find_extremes(y: Floats, middle: Floats, length: Floats) -> Extremes:
     # The middles of close slips may be in either order, so each range contains at least the slip's sample.
     start = np.minimum(np.floor(bounds[:-1]).astype(np.int64), here)
     stop = np.maximum(np.ceil(bounds[1:]).astype(np.int64), here)
-    width = 2 * (np.nan_to_num(length) / 48).astype(np.int64) + 1
-    smooth = {int(w): running_mean(y, int(w)) for w in np.unique(_octaves(width))}
-    peak, high, highest = _largest(y, smooth, _octaves(width), start, here + 1, 1)
-    valley, low, lowest = _largest(-y, smooth, _octaves(width), here, stop + 1, -1)
-    return Extremes(peak, valley, high, -low, highest, -lowest, width)
+    # A 24th of the usual slip is averaged, which lowers a half cosine by next to nothing.
+    smooth = running_mean(y, 2 * int(np.nan_to_num(nan_median(length)) / 48) + 1)
+    peak, high, highest = _largest(y, smooth, start, here + 1, 1)
+    valley, low, lowest = _largest(y, smooth, here, stop + 1, -1)
+    return Extremes(peak, valley, high, low, highest, lowest)
 
 
-def _octaves(width: Ints) -> Ints:
-    """Round widths down to 1, 3, 5, 9, 17, …, so that a few filters serve all slips."""
-    exponent = np.floor(np.log2(np.maximum(width - 1, 1))).astype(np.int64)
-    return np.where(width > 1, 2**exponent + 1, 1)
-
-
-def _largest(
-    y: Floats, smooth: dict[int, Floats], width: Ints, start: Ints, stop: Ints, sign: int
-) -> tuple[Floats, Floats, Floats]:
+def _largest(y: Floats, smooth: Floats, start: Ints, stop: Ints, sign: int) -> tuple[Floats, Floats, Floats]:
     """Return the position and value of the largest smoothed value of each range, and its largest sample."""
     row, index = flat_ranges(start, np.minimum(stop, y.size))
-    single = np.full(start.size, -np.inf)
-    np.maximum.at(single, row, y[index])
-    values = np.empty(index.size)
-    for w, signal in smooth.items():
-        of_width = width[row] == w
-        values[of_width] = sign * signal[index[of_width]]
-    best = np.full(start.size, -np.inf)
+    single, best = np.full(start.size, -np.inf), np.full(start.size, -np.inf)
+    np.maximum.at(single, row, sign * y[index])
+    values = sign * smooth[index]
     np.maximum.at(best, row, values)
     hits = np.flatnonzero(values == best[row])
     position = np.full(start.size, np.nan)
     # Of equal samples the one next to the slip: the last for peaks, the first for valleys.
     order = hits if sign > 0 else hits[::-1]
     position[row[order]] = index[order]
-    return position, best, single
+    return position, sign * best, sign * single
 
 
-def is_slow(fall: Floats, rise: Floats, settings: ForceSettings) -> Bools:
-    """Return which slips, of lengths `fall`, last a considerable part of a neighbouring stick.
-
-    `rise` is the length of each stick between two slips.
-    """
+def is_slow(corners: Corners, settings: ForceSettings) -> Bools:
+    """Return which slips last a considerable part of a neighbouring stick."""
+    fall, rise = corners.valley - corners.peak, corners.peak[1:] - corners.valley[:-1]
     if not rise.size:
         return np.zeros(fall.shape, dtype=bool)
     shorter = np.minimum(np.r_[rise[:1], rise], np.r_[rise, rise[-1:]])

@@ -85,7 +85,7 @@ def find_stick_slip(
     _check_times(force, metadata.source)
     signal = Signal.of(force, settings)
     _check_load(signal, metadata.source, settings)
-    slips = find_slips(signal.clean, signal.sigma, threshold=threshold_N, settings=settings)
+    slips = find_slips(signal.clean, signal.noise, threshold=threshold_N, settings=settings)
     if slips.edge.size < 2:
         raise _too_few_slips(signal, slips, metadata.source)
     _check_lowpass(lowpass_s, slips.period * signal.interval_s, metadata.source)
@@ -93,14 +93,13 @@ def find_stick_slip(
     if threshold_N is None and (clear := _above_slow_drops(signal, slips, analysis.corners, settings)):
         signal, slips = clear
         analysis = _analyse_slips(signal, slips, lowpass_s, two_slopes, settings)
-    alike = _alike(signal, slips, settings)
-    if threshold_N is None and alike > 1:
-        clear_slips = _above_slow_noise(signal, slips, alike, settings)
+    signal = _with_slow_noise(signal, slips, settings)
+    if threshold_N is None and signal.alike > 1:
+        clear_slips = _above_slow_noise(signal, slips, settings)
         if 2 <= clear_slips.edge.size < slips.edge.size:
             slips = clear_slips
-            alike = _alike(signal, slips, settings)
+            signal = _with_slow_noise(signal, slips, settings)
             analysis = _analyse_slips(signal, slips, lowpass_s, two_slopes, settings)
-    signal = replace(signal, alike=alike)
     tau, found, regime = analysis.samples, analysis.found, analysis.regime
     unloading = is_unloading(signal.travel, analysis.extremes)
     if unloading.all():
@@ -285,40 +284,42 @@ def _above_slow_drops(
     """
     gap = size_gap(slips.drop, settings.slow_gap, 1 - 3 / slips.drop.size)
     small = slips.drop < gap
-    slow = is_slow(corners.valley - corners.peak, corners.peak[1:] - corners.valley[:-1], settings)
+    slow = is_slow(corners, settings)
     if not small.any() or slow[small].mean() < 0.5:
         return None
-    clear = find_slips(signal.clean, signal.sigma, threshold=gap, settings=settings)
+    clear = find_slips(signal.clean, signal.noise, threshold=gap, settings=settings)
     lines = stick_lines(signal.clean, clear.edge, settings)
     noisier = replace(signal, sigma=max(signal.sigma, float(nan_median(lines.spread))))
     return noisier, replace(clear, threshold_how="gap", left_out=slips.drop[small])
 
 
-def _above_slow_noise(signal: Signal, slips: Slips, alike: float, settings: ForceSettings) -> Slips:
+def _above_slow_noise(signal: Signal, slips: Slips, settings: ForceSettings) -> Slips:
     """Return the slips that exceed the error of a drop between two lines where the noise is not white."""
     lines = stick_lines(signal.clean, slips.edge, settings)
     at = np.asarray(slips.edge - 0.5, np.float64)
     before, after = lines.take(slice(None, -1)), lines.take(slice(1, None))
     error = np.hypot(before.spread * before.lever(at), after.spread * after.lever(at))
-    least = settings.threshold_sigmas * float(np.sqrt(alike) * nan_median(error))
+    least = settings.threshold_sigmas * float(np.sqrt(signal.alike) * nan_median(error))
     if not least > slips.threshold:
         return slips
-    clear = find_slips(signal.clean, signal.sigma, threshold=least, settings=settings)
+    clear = find_slips(signal.clean, signal.noise, threshold=least, settings=settings)
     return replace(clear, threshold_how="noise", left_out=slips.drop[slips.drop < least])
 
 
-def _alike(signal: Signal, slips: Slips, settings: ForceSettings) -> float:
-    """Return the number of neighbouring samples whose noise is common: 1 unless it is proven not white.
+def _with_slow_noise(signal: Signal, slips: Slips, settings: ForceSettings) -> Signal:
+    """Return the signal with `alike` and `wander`, which differ from 1 and 0 where the noise is not white.
 
     Noise that is not white separates the lines through the two halves of each stick, at their middle, by more
     than white noise does. Only the scatter of this distance counts: its median is the sticks' curvature. Slow
     noise separates the halves by more than the quarters; by as much more it changes the line through the
-    whole stick.
+    whole stick. Each doubling of the time adds to its variance in the same ratio, up to the whole recording:
+    by the sum of these the line is off as a whole.
     """
     start, stop = (at[1:-1] for at in stick_middles(slips.edge, signal.clean.size, settings))
     some = np.flatnonzero(stop - start >= 2 * settings.few_samples)
+    white = replace(signal, alike=1.0, wander=0.0)
     if some.size < 8:
-        return 1.0
+        return white
     some = some[:: some.size // 400 + 1]  # enough for a median
     start, stop = start[some], stop[some]
     index = np.arange(signal.clean.size, dtype=float)
@@ -337,10 +338,16 @@ def _alike(signal: Signal, slips: Slips, settings: ForceSettings) -> float:
 
     half = common(start, stop, spread)
     if half < 1 + settings.alike_sigmas / np.sqrt(some.size):
-        return 1.0
+        return white
     middle = (start + stop) // 2
     quarter = common(np.r_[start, middle], np.r_[middle, stop], np.r_[spread, spread])
-    return half * max(half / quarter, 1.0)
+    # The variance of the distance grows by this when the time doubles: by 1/2 for white noise, 1 for pink
+    # noise, 2 for a random walk. A quarter of it is that of the mean.
+    growth = min(0.5 * half / quarter, 2.0)
+    octaves = np.arange(2, np.log2(slips.edge.size) + 2)
+    distance = 16 * half * float(np.median(spread**2 / (stop - start)))
+    wander = float(np.sqrt(0.25 * distance * np.sum(growth**octaves)))
+    return replace(signal, alike=half * max(half / quarter, 1.0), wander=wander)
 
 
 def _have_knees(signal: Signal, slips: Slips, lag: float, settings: ForceSettings) -> bool:
@@ -496,7 +503,7 @@ def _warnings(events: pd.DataFrame, regime: Regime, signal: Signal, slips: Slips
         step, stick = _resolution(values), float(nan_median(events[column].to_numpy(float)))
         if step > 0.3 * stick:  # about three steps in a stick, or fewer
             lines.append(f"{what} has steps of {step:.3g} {unit}, sticks are {stick:.3g} {unit}")
-    lines += slips.warnings()
+    lines += slips.warnings() + _load_warnings(signal, slips, events)
     around = sliding_window_view(np.pad(slips.drop, 5), 11)
     for k in np.flatnonzero(slips.drop > 5 * np.delete(around, 5, axis=1).max(axis=1))[:5]:
         if k < slips.drop.size - 1:  # the last one may be the end of the test
@@ -520,6 +527,34 @@ def _warnings(events: pd.DataFrame, regime: Regime, signal: Signal, slips: Slips
     return lines
 
 
+def _load_warnings(signal: Signal, slips: Slips, events: pd.DataFrame) -> list[str]:
+    """Return that the noise changes, and that the load at rest is not 0.
+
+    The load rests in the first or last period of the slips if it changes there by a tenth of itself at most.
+    """
+    lines = []
+    quiet, loud = signal.noise.min(), signal.noise.max()
+    if quiet < loud:
+        lines.append(
+            f"the noise changes between {quiet:.2g} and {loud:.2g} N within the recording: a change of the "
+            "amplifier's range, whose forces then differ by a factor, or of what disturbs the load cell"
+        )
+    peak, part = float(events["F_p_N"].median()), max(int(slips.period), 8)
+    for load, when in (
+        (signal.clean[:part], "before the pull"),
+        (signal.clean[-part:], "at the end, after the pull"),
+    ):
+        first, last = np.mean(load[: part // 2]), np.mean(load[part // 2 :])
+        level = 0.5 * (first + last)
+        rests = abs(last - first) < 0.1 * abs(level) and level < 0.2 * abs(peak)
+        if rests and abs(level) > 0.005 * abs(peak):
+            lines.append(
+                f"the load rests at {level:.3g} N {when}, {100 * level / peak:.1f} % of the usual peak: if "
+                "nothing was pulled then, the load cell's zero is wrong by as much, and with it 𝒯0 and μ"
+            )
+    return lines
+
+
 def _resolution(values: Floats) -> float:
     """Return the median step between the values that occur; 0 where nearly all values differ."""
     different = np.unique(values[np.isfinite(values)])
@@ -533,7 +568,6 @@ def detection_limit(
     force: xr.Dataset,
     sticks: pd.DataFrame,
     *,
-    levels_N: tuple[float, ...] | None = None,
     injected: int = 40,
     seed: int = 0,
     settings: ForceSettings = ForceSettings(),
@@ -544,8 +578,6 @@ def detection_limit(
     ----------
     force, sticks
         As from `read_force` and `find_stick_slip`.
-    levels_N
-        Drops to try; by default 1 to 12 times the noise.
     injected, seed
         Largest number of sticks to which a slip is added, and the seed of their choice.
     settings
@@ -572,7 +604,7 @@ def detection_limit(
     whole = sticks[(sticks["flag"] == "ok") & (sticks["samples"] >= 2 * sticks["samples"].median() / 3)]
     if len(whole) < 3:
         raise InputError("detection limit", "at least three whole sticks", f"{len(whole)}")
-    levels = np.array(levels_N or metadata.noise_N * np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 12.0]))
+    levels = metadata.noise_N * np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 12.0])
     rng = np.random.default_rng(seed)
     chosen = np.sort(rng.choice(len(whole), size=min(injected, len(whole)), replace=False))
     picked = whole.iloc[chosen]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -146,53 +146,37 @@ class _Blocks:
 
         tau in blocks, 0 for no transient; knee as a share of the stick.
         """
-        parabola, hinge, transient = self._columns(tau)
-        columns = [*parabola, *([hinge(knee)] if knee < 1 else []), *transient]
-        directions, length = _orthonormal(columns)
+        directions, length = _orthonormal(self._columns(tau, knee))
+        along = [_dot(direction, self.load) for direction in directions]
+        residual = float(np.sum(self.load**2) - np.sum(np.square(along)))
         with np.errstate(divide="ignore", invalid="ignore"):
-            return self._residual(directions), _dot(directions[-1], self.load) / length
+            return residual, along[-1] / length
 
     def over_knees(self, tau: float) -> list[float]:
-        """Return the squared residuals for each of the knees; the terms they share are fitted once."""
-        parabola, hinge, transient = self._columns(tau)
-        shared, _ = _orthonormal([*parabola, *transient])
-        residual = self._residual(shared)
-        return [
-            residual - (self._along(_orthonormal([hinge(knee)], shared)[0][-1]) if knee < 1 else 0.0)
-            for knee in self.knees
-        ]
+        """Return the squared residuals for each of the knees."""
+        return [self.fit(tau, knee)[0] for knee in self.knees]
 
-    def _residual(self, directions: Sequence[Floats]) -> float:
-        """Return the squared residuals about a fit of orthonormal columns."""
-        return float(np.sum(self.load**2)) - sum(self._along(one) for one in directions)
-
-    def _along(self, direction: Floats) -> float:
-        """Return the squares that one orthonormal column explains."""
-        return float(np.sum(_dot(direction, self.load) ** 2))
-
-    def _columns(self, tau: float) -> tuple[list[Floats], Callable[[float], Floats], list[Floats]]:
-        """Return the columns of the fit, 0 in unknown blocks: parabola, hinge for a given knee, transient."""
+    def _columns(self, tau: float, knee: float) -> list[Floats]:
+        """Return the columns of the fit, 0 in unknown blocks: parabola, hinge at the knee, transient."""
         t = np.arange(float(self.load.shape[1]))
         # The low-pass delays the end of the slip by its time constant.
         begin = self.valley - (tau - self.corrected / self.size)
         rise = self.peak - begin
         u = (t - begin[:, None]) / rise[:, None]
-
-        def hinge(knee: float) -> Floats:
-            return lagged_hinge(t - (begin + knee * rise)[:, None], tau) * self.known
-
+        hinge = [lagged_hinge(t - (begin + knee * rise)[:, None], tau) * self.known] if knee < 1 else []
         transient = [np.exp(-t / tau) * self.known] if tau else []
         one = self.known.astype(np.float64)
-        return [one, u * one, u**2 * one], hinge, transient
+        return [one, u * one, u**2 * one, *hinge, *transient]
 
 
-def _orthonormal(columns: Sequence[Floats], before: Sequence[Floats] = ()) -> tuple[list[Floats], Floats]:
-    """Orthonormalise columns within each row, after the columns `before`.
+def _orthonormal(columns: Sequence[Floats]) -> tuple[list[Floats], Floats]:
+    """Orthonormalise columns within each row.
 
-    Returns all orthonormal columns, and the norm of the last one before normalisation. Modified Gram-Schmidt
+    Returns the orthonormal columns, and the norm of the last one before normalisation. Modified Gram-Schmidt
     treats all rows at once; LAPACK's QR of each small matrix takes three times as long.
     """
-    directions, length = list(before), np.zeros(0)
+    directions: list[Floats] = []
+    length = np.zeros(0)
     for column in columns:
         rest = column
         for direction in directions:

@@ -472,7 +472,8 @@ def sample_flags(
 
     "nan": time, load or displacement is not a number. "backwards": the time is earlier than a previous one.
     "repeated": the time equals the latest one. "saturated": the sample is in a run of equal samples at the
-    largest absolute load. "gap": several sampling intervals lie before the sample, which itself is good.
+    largest absolute load. "gap": several sampling intervals, or as long a way, lie before the sample, which
+    itself is good.
     """
     flags = np.full(time_s.shape, "ok", dtype="<U9")
     bad = ~(np.abs(time_s) < _MOST) | ~(np.abs(load) < _MOST)  # damaged digits; NaN and infinity too
@@ -481,8 +482,17 @@ def sample_flags(
     latest = np.fmax.accumulate(np.r_[-np.inf, np.where(bad, -np.inf, time_s)])[:-1]
     step = np.where(bad, np.nan, time_s) - latest
     forward = step[np.isfinite(step) & (step > 0)]
-    usual = np.median(forward) if forward.size else np.nan
-    flags[np.isfinite(step) & (step > settings.gap_intervals * usual)] = "gap"
+    if forward.size:
+        usual = np.full(step.shape, np.nan)
+        usual[np.isfinite(step) & (step > 0)] = running_median(forward, 101)  # the rate may change
+        flags[step > settings.gap_intervals * usual] = "gap"
+    if (
+        displacement is not None
+    ):  # the clock may stand still while samples are lost, but the crosshead goes on
+        way = np.abs(np.diff(displacement, prepend=displacement[:1]))
+        moves = way[~bad & (way > 0)]
+        if moves.size:
+            flags[way > settings.gap_intervals * np.quantile(moves, 0.99)] = "gap"
     flags[_saturated(load, settings.saturated_run)] = "saturated"
     flags[step == 0] = "repeated"
     flags[step < 0] = "backwards"
@@ -531,8 +541,19 @@ def noise_sigma(y: Floats) -> float:
     return float(max(spread, quantum / np.sqrt(12.0), 1e-9 * range_, np.finfo(float).tiny))
 
 
+def noise_levels(y: Floats, settings: ForceSettings) -> Floats:
+    """Return `noise_sigma` at every sample: of all unless its parts differ by `noise_ratio`."""
+    whole = noise_sigma(y)
+    parts = np.array_split(y, min(y.size // 500 + 1, 32))
+    level = np.maximum(running_median(np.array([noise_sigma(part) for part in parts]), 3), 0.05 * whole)
+    if level.max() < settings.noise_ratio * level.min():
+        return np.full(y.shape, whole)
+    level = np.max(sliding_window_view(np.pad(level, 1, "edge"), 3), axis=1)  # a change lies within a part
+    return np.repeat(level, [part.size for part in parts])
+
+
 def find_spikes(
-    y: Floats, sigma: float, *, settings: ForceSettings = ForceSettings()
+    y: Floats, sigma: Floats | float, *, settings: ForceSettings = ForceSettings()
 ) -> tuple[Bools, Floats]:
     """Return which samples belong to spikes, and the signal with their neighbours' level in place of spikes.
 
@@ -550,7 +571,7 @@ def find_spikes(
         is_spike[some] = off[some] > 2.0 * np.median(around[some], axis=1)
     clean = np.where(is_spike, middle, y)
     jump = np.diff(clean)
-    high = np.flatnonzero(np.abs(jump) > settings.pulse_sigmas * sigma)
+    high = np.flatnonzero(np.abs(jump) > settings.pulse_sigmas * np.broadcast_to(sigma, y.shape)[1:])
     high = high[np.abs(jump[high]) > 4.0 * np.median(around[high], axis=1)]
     for width in (3, 4, 5):
         away = high[np.isin(high + width, high)]

@@ -14,12 +14,17 @@ class ForceSettings:
     """
 
     gap_intervals: float = 5.0
-    """A step in time of more sampling intervals than this is a gap. Larger overlooks short interruptions,
-    smaller flags the jitter of a clock; shown by recordings of which a part was cut out."""
+    """A step of more sampling intervals than this, in time or in the crosshead's way, is a gap; as many lost
+    samples in a row flag the stick. Larger overlooks short interruptions, smaller flags the jitter of clocks;
+    shown by recordings of which a part was cut out."""
 
     saturated_run: int = 5
     """Equal samples in a row at the largest load that mean saturation. Smaller flags the rounded peaks of a
     coarse load cell, larger misses short saturations."""
+
+    noise_ratio: float = 4.0
+    """Ratio of the noise in parts of a recording from which each part has its own. Smaller follows the
+    scatter of the estimates, larger overlooks a change; shown by changes of range and of noise."""
 
     spike_sigmas: float = 6.0
     """A sample this far from the median of the five around it is a spike. Smaller takes noise for spikes,

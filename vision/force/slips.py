@@ -55,7 +55,11 @@ class Slips:
 
 
 def find_slips(
-    y: Floats, sigma: float, *, threshold: float | None = None, settings: ForceSettings = ForceSettings()
+    y: Floats,
+    sigma: Floats | float,
+    *,
+    threshold: float | None = None,
+    settings: ForceSettings = ForceSettings(),
 ) -> Slips:
     """Return the slips of a sawtooth without spikes; empty arrays where there are none.
 
@@ -74,42 +78,47 @@ def find_slips(
     y
         Load, finite.
     sigma
-        Standard deviation of its white noise, in the unit of y.
+        Standard deviation of its white noise, in the unit of y: of every sample, or one for all. Drops are
+        compared as multiples of the noise beside them.
     threshold
         Smallest drop that counts as a slip. By default 4 sigma, the size of the upward jumps, or the middle
         of the widest gap in the logarithm of the drops where one separates small from large drops.
     settings
         See `ForceSettings`.
     """
+    sigma = np.broadcast_to(sigma, y.shape)
     edge = _edges(y, _first_period(y, sigma, settings), sigma, settings)
     edge = _edges(y, _local_period(edge, y.size), sigma, settings)
     drop = _stick_drops(y, edge, settings)
-    least, how = (settings.threshold_sigmas * sigma, "noise") if threshold is None else (threshold, "given")
-    keep, left_out = drop >= least, np.empty(0)
-    jump_edge, jump = _jumps_upward(y, edge, sigma, settings)
+    jump_edge, jump_N = _jumps_upward(y, edge, sigma, settings)
+    # From here on drops and jumps are as high as if the noise were the usual one everywhere.
+    noise = float(np.median(sigma))
+    height, jump = drop * (noise / sigma[edge]), jump_N * (noise / sigma[jump_edge])
+    least, how = (settings.threshold_sigmas * noise, "noise") if threshold is None else (threshold, "given")
+    keep, left_out = (height if threshold is None else drop) >= least, np.empty(0)
     if threshold is None and jump.size:
         # Choose the threshold with most slips, less `jump_cost` for each upward jump above it except one.
         steps = np.r_[least, np.nextafter(np.sort(jump), np.inf)]
-        above = np.sum(drop >= steps[:, np.newaxis], axis=1)
+        above = np.sum(height >= steps[:, np.newaxis], axis=1)
         balance = above - settings.jump_cost * np.maximum(jump.size - 1 - np.arange(steps.size), 0)
         best = int(np.argmax(balance))
         if best:
-            left_out = drop[keep & (drop < steps[best])]
-            keep, least, how = drop >= steps[best], float(steps[best]), "jumps"
-    if threshold is None and (gap := size_gap(drop[keep], settings.threshold_gap, 0.5)) > least:
-        left_out = drop[(drop >= settings.threshold_sigmas * sigma) & (drop < gap)]
-        keep, least, how = drop >= gap, gap, "gap"
+            left_out = drop[keep & (height < steps[best])]
+            keep, least, how = height >= steps[best], float(steps[best]), "jumps"
+    if threshold is None and (gap := size_gap(height[keep], settings.threshold_gap, 0.5)) > least:
+        left_out = drop[(height >= settings.threshold_sigmas * noise) & (height < gap)]
+        keep, least, how = height >= gap, gap, "gap"
     edge, drop = edge[keep], drop[keep]
     period = float(np.median(np.diff(edge))) if edge.size > 1 else float("nan")
     # Lines through curved sticks, or through a hold, are also apart: a jump rises by more than a stick does
     # within five samples.
     usual = float(np.median(drop)) if edge.size else float("nan")
     step = y[np.minimum(jump_edge + 2, y.size - 1)] - y[np.maximum(jump_edge - 3, 0)]
-    large = (step - 5 * usual / period > 0.5 * jump) & (jump > settings.upward_share * usual)
+    large = (step - 5 * usual / period > 0.5 * jump_N) & (jump_N > settings.upward_share * usual)
     return Slips(edge, drop, period, least, how, left_out, np.searchsorted(edge, jump_edge[large]))
 
 
-def _jumps_upward(y: Floats, edge: Ints, sigma: float, settings: ForceSettings) -> tuple[Ints, Floats]:
+def _jumps_upward(y: Floats, edge: Ints, sigma: Floats, settings: ForceSettings) -> tuple[Ints, Floats]:
     """Return the positions and heights of the upward jumps between the edges that exceed the noise.
 
     They are the drops of the mirrored load: each stick is mirrored about the parabola fitted to it, which
@@ -128,7 +137,7 @@ def _jumps_upward(y: Floats, edge: Ints, sigma: float, settings: ForceSettings) 
     found = np.setdiff1d(_edges(mirrored, period, sigma, settings), slips)
     both = np.union1d(edge, found)
     height = -_stick_drops(y, both, settings)[np.searchsorted(both, found)]
-    high = height >= settings.threshold_sigmas * sigma
+    high = height >= settings.threshold_sigmas * sigma[found]
     return found[high], height[high]
 
 
@@ -179,7 +188,7 @@ def _step_filter(y: Floats, half: Ints) -> Floats:
     return np.where(inside, step, np.nan)
 
 
-def _peaks(y: Floats, half: Ints, sigma: float, settings: ForceSettings) -> Ints:
+def _peaks(y: Floats, half: Ints, sigma: Floats, settings: ForceSettings) -> Ints:
     """Return the peaks of the step filter whose prominence exceeds `candidate_sigmas` for white noise.
 
     Heights would not do: on a stick the filter's level depends on the stiffness and on its own width.
@@ -189,7 +198,7 @@ def _peaks(y: Floats, half: Ints, sigma: float, settings: ForceSettings) -> Ints
     return apart(found.at, standard[found.at], max(int(half.min()), 1))
 
 
-def _edges(y: Floats, period: Floats, sigma: float, settings: ForceSettings) -> Ints:
+def _edges(y: Floats, period: Floats, sigma: Floats, settings: ForceSettings) -> Ints:
     """Return the edges of a signal whose period, in samples, is known at every sample."""
     edge = _join_weak(y, _peaks(y, _half_widths(period, settings), sigma, settings), sigma, settings)
     return _join_knees(y, _join_parts(y, edge, settings), sigma, settings)
@@ -200,7 +209,7 @@ def _half_widths(period: Floats, settings: ForceSettings) -> Ints:
     return np.asarray(np.clip(np.rint(settings.step_width * period), 2, None), np.int64)
 
 
-def _first_period(y: Floats, sigma: float, settings: ForceSettings) -> Floats:
+def _first_period(y: Floats, sigma: Floats, settings: ForceSettings) -> Floats:
     """Return the period, in samples, at every sample, from the filter width that suits each stretch best."""
     scales = np.unique(np.geomspace(2, max(y.size // 12, 3), 24).astype(np.int64))
     found = [_peaks(y, np.full(1, scale), sigma, settings) for scale in scales]
@@ -239,11 +248,11 @@ def _best_scale(scales: Ints, found: list[Ints], start: float, stop: float) -> t
     return best
 
 
-def _join_weak(y: Floats, edge: Ints, sigma: float, settings: ForceSettings) -> Ints:
+def _join_weak(y: Floats, edge: Ints, sigma: Floats, settings: ForceSettings) -> Ints:
     """Join neighbouring sticks that one line fits as well as two, the least certain edge first."""
     while edge.size:
         lines = stick_lines(y, edge, settings)
-        score = _split_gain(lines.take(slice(None, -1)), lines.take(slice(1, None))) / sigma**2
+        score = _split_gain(lines.take(slice(None, -1)), lines.take(slice(1, None))) / sigma[edge] ** 2
         weak = ~(score > settings.split_sigmas**2)
         if not weak.any():
             break
@@ -271,7 +280,7 @@ def _join_parts(y: Floats, edge: Ints, settings: ForceSettings) -> Ints:
     return edge
 
 
-def _join_knees(y: Floats, edge: Ints, sigma: float, settings: ForceSettings) -> Ints:
+def _join_knees(y: Floats, edge: Ints, sigma: Floats, settings: ForceSettings) -> Ints:
     """Join neighbouring sticks that one continuous line with a knee fits as well as two lines.
 
     The load never falls at a knee, but two lines that meet a little before an edge differ at the edge. From
@@ -286,7 +295,8 @@ def _join_knees(y: Floats, edge: Ints, sigma: float, settings: ForceSettings) ->
         bounds = np.r_[0, edge, y.size]
         low, at, high = bounds[candidates], edge[candidates], bounds[candidates + 2]
         bent = _squares_with_knee(x, y, low, at, high)
-        knee = bent - (squares[candidates] + squares[candidates + 1]) < (settings.split_sigmas * sigma) ** 2
+        least = (settings.split_sigmas * sigma[at]) ** 2
+        knee = bent - (squares[candidates] + squares[candidates + 1]) < least
         # Remove one of two neighbouring edges at a time: the other may be a slip once the sticks are joined.
         first = np.diff(candidates[knee], prepend=-2) > 1
         gone = candidates[knee][first]

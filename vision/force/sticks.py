@@ -8,10 +8,11 @@ from functools import cached_property
 import numpy as np
 import pandas as pd
 import xarray as xr
+from numpy.lib.stride_tricks import sliding_window_view
 
-from vision.force.corners import Corners, Extremes, Shape, find_extremes, is_slow
+from vision.force.corners import Corners, Extremes, Shape, is_slow
 from vision.force.lines import BrokenLines, fit_broken_lines, fit_lines
-from vision.force.recording import find_spikes, noise_sigma, usable
+from vision.force.recording import find_spikes, noise_levels, noise_sigma, usable
 from vision.force.settings import ForceSettings
 from vision.numeric import Bools, Floats, Ints
 
@@ -27,8 +28,10 @@ class Signal:
     is_spike: Bools  # samples that are spikes
     is_missing: Bools  # samples put in where the recording lost one
     sigma: float  # standard deviation of the load's white noise, N
+    noise: Floats  # the same at every sample
     damage: dict[str, Ints]  # by kind, the number of bad samples before each good one
     alike: float = 1.0  # number of neighbouring samples whose noise is common: 1 for white noise
+    wander: float = 0.0  # standard deviation, N, of noise so slow that it moves a stick as a whole
 
     @classmethod
     def of(cls, force: xr.Dataset, settings: ForceSettings) -> Signal:
@@ -36,26 +39,31 @@ class Signal:
         count = force.sizes["time_s"]
         flags = np.asarray(force["flag"].values, dtype=str) if "flag" in force else np.full(count, "ok")
         good = usable(flags)
+        # A few lost samples leave a stick whole: more of them in a row, and those at the limit, do not.
+        run = np.cumsum(good)
+        many = np.bincount(run, ~good)[run] >= settings.gap_intervals
         good[np.flatnonzero(good)[_filled_in(force["load_N"].to_numpy()[good].astype(float))]] = False
         time, travel, load = (force[k].to_numpy()[good].astype(float) for k in ("time_s", "d_mm", "load_N"))
-        sigma = noise_sigma(load)
-        is_spike, clean = find_spikes(load, sigma, settings=settings)
+        sigma, noise = noise_sigma(load), noise_levels(load, settings)
+        is_spike, clean = find_spikes(load, noise, settings=settings)
         kinds = ("gap", "nan", "saturated", "repeated", "backwards")
-        damage = {kind: np.cumsum(flags == kind)[good] for kind in kinds if np.any(flags == kind)}
+        bad = {kind: (flags == kind) & (many | (kind in {"gap", "saturated"})) for kind in kinds}
+        damage = {kind: np.cumsum(at)[good] for kind, at in bad.items() if at.any()}
         none = np.zeros_like(is_spike)
-        return cls(time, travel, load, clean, is_spike, none, sigma, damage)._even(settings)
+        return cls(time, travel, load, clean, is_spike, none, sigma, noise, damage)._even(settings)
 
     def _even(self, settings: ForceSettings) -> Signal:
         """Return the signal with the samples that the recording lost put in by interpolation.
 
         All that follows counts samples, which else ran unevenly. Unchanged unless all times are multiples of
-        one interval; gaps stay.
+        one interval, and where the rate itself changes; gaps stay.
         """
         steps = np.diff(self.time)
         steps = steps / np.median(steps[steps < 1.5 * np.quantile(steps, 0.1)])
         count = np.rint(steps)
         lost = (count > 1) & (count <= settings.gap_intervals)
-        if not lost.any() or np.mean(np.abs(steps - count) < 0.1) < 0.99:
+        slower = sliding_window_view(count, min(100, count.size)).min(axis=1) > 1
+        if not lost.any() or slower.any() or np.mean(np.abs(steps - count) < 0.1) < 0.99:
             return self
         count = np.where(lost, count, 1)
         place = np.r_[0.0, np.cumsum(count)]
@@ -70,6 +78,7 @@ class Signal:
             clean=np.interp(every, place, self.clean),
             is_spike=self.is_spike[before] & ~new,
             is_missing=new,
+            noise=self.noise[before],
             damage={kind: counted[before] for kind, counted in self.damage.items()},
         )
 
@@ -160,7 +169,7 @@ def measure_sticks(
     is corrected for, in samples, 0 for none; `compliance` is that of the machine, mm/N.
     """
     index = np.arange(signal.time.size, dtype=float)
-    slow = is_slow(corners.valley - corners.peak, corners.peak[1:] - corners.valley[:-1], settings)
+    slow = is_slow(corners, settings)
     recorded = slow if not lag else np.zeros_like(slow)
     valley = np.where(recorded, extremes.valley, corners.valley)
     peak = np.where(recorded, extremes.peak, corners.peak)
@@ -170,16 +179,15 @@ def measure_sticks(
     ends = _ends(signal, sticks, t_v, t_p, corners.shape)
     rises = np.abs(ends.slope) * signal.interval_at(v), np.abs(ends.slope) * signal.interval_at(p)
     if lag:
-        f_v, f_p = _forces_without_lowpass(signal, corners, sticks, ends, rises)
+        f_v, f_p = ends.f_v, ends.f_p
     else:
         f_v, f_p = _within_recorded(signal, extremes, ends, sticks, rises, settings)
         f_v = np.where(recorded[:-1], extremes.low[:-1], f_v)
         f_p = np.where(recorded[1:], extremes.high[1:], f_p)
-    position_error = np.where(recorded, _flat_top_error(signal, corners, extremes), corners.error)
     # Corners lie between two samples; of lost ones the next known samples are further apart.
     known = np.flatnonzero(~signal.is_missing)
     after = np.clip(np.searchsorted(known, corners.middle), 1, known.size - 1)
-    position_error = position_error * (known[after] - known[after - 1])
+    position_error = corners.error * (known[after] - known[after - 1])
     # A sudden slip appears shorter than half a sample. It appears longer, up to 2.5 samples, where each is
     # the mean since the one before, and where a filter makes the noise of neighbouring samples common. The
     # two corners of a stick are then together off by its length. Between lost samples nothing is known of it.
@@ -226,20 +234,6 @@ def measure_sticks(
         }
     )
     return table.assign(flag=_event_flags(signal, sticks, corners, ends.slope > 0, slow[:-1] | slow[1:]))
-
-
-def _forces_without_lowpass(
-    signal: Signal, corners: Corners, sticks: _Sticks, ends: _Ends, rises: tuple[Floats, Floats]
-) -> tuple[Floats, Floats]:
-    """Return F_v and F_p of a load corrected for a low-pass; those of sticks with a knee are limited."""
-    gain = 1 / np.expm1(1 / sticks.lag)
-    load = signal.clean + gain * np.diff(signal.clean, prepend=signal.clean[:1])
-    noise = signal.sigma * float(np.sqrt(1 + 2 * gain * (1 + gain)))
-    extremes = find_extremes(load, corners.middle, corners.valley - corners.peak)
-    corrected = replace(signal, clean=load, sigma=noise)
-    f_v, f_p = _within_recorded(corrected, extremes, ends, sticks, rises, sticks.settings)
-    bent = np.isfinite(sticks.knee)
-    return np.where(bent, f_v, ends.f_v), np.where(bent, f_p, ends.f_p)
 
 
 def _within_recorded(
@@ -293,13 +287,6 @@ def _rings(signal: Signal, ends: _Ends, sticks: _Sticks) -> bool:
     return bool(above > sticks.settings.ringing_share * (level - course[swing]))
 
 
-def _flat_top_error(signal: Signal, corners: Corners, extremes: Extremes) -> Floats:
-    """Return the position error, in samples, of the extremes of half cosines in the noise."""
-    noise = signal.sigma / np.sqrt(extremes.width)
-    relative = noise / np.maximum(extremes.high - extremes.low, noise)
-    return np.asarray(np.fmax(extremes.fall * 2 / np.pi * np.sqrt(relative), corners.error))
-
-
 @dataclass(frozen=True)
 class _Ends:
     """Both ends of each stick line."""
@@ -330,8 +317,8 @@ def _ends(signal: Signal, sticks: _Sticks, t_v: Floats, t_p: Floats, shape: Shap
     return _Ends(
         f_v,
         f_p,
-        error_v=np.hypot(noise * line.lever(t_v), shape_v),
-        error_p=np.hypot(noise * line.lever(t_p), shape_p),
+        error_v=np.hypot(np.hypot(noise * line.lever(t_v), shape_v), signal.wander),
+        error_p=np.hypot(np.hypot(noise * line.lever(t_p), shape_p), signal.wander),
         error_rise=np.hypot(noise / np.sqrt(line.sxx) * (t_p - t_v), np.hypot(shape_v, shape_p)),
         slope=line.slope,
     )
