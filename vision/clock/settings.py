@@ -107,6 +107,10 @@ class ClockSettings:
     """Difference of the clocks' rates that must be exceeded by two standard errors for a warning about the
     frame rate. Larger → a rate that is wrong by a thousandth passes; smaller → poor but correct clocks get a
     warning. `test_a_wrong_frame_rate_is_said`."""
+    unmatched_share: float = 0.2
+    """Share of the slips of the film, or of the drops of the force, without a partner above which a warning
+    is given. Larger → recordings that contradict each other pass; smaller → a warning for each missed slip.
+    `test_slips_of_one_recording_alone_are_said`."""
     contradiction_sigma: float = 3.0
     """Difference, in standard errors, between a given clock and that of the slips above which a warning is
     given."""

@@ -111,7 +111,7 @@ def clock_of(facts: Mapping[str, Any]) -> Clock:
     """Return the `Clock` in the content of clock.json."""
     values: dict[str, Any] = {name: math.nan if value is None else value for name, value in facts.items()}
     values["candidates"] = tuple(Candidate(**one) for one in facts.get("candidates") or ())
-    values["warnings"] = tuple(facts.get("warnings") or ())
+    values |= {name: tuple(facts.get(name) or ()) for name in ("warnings", "only_video_s")}
     return Clock(**{name: values[name] for name in Clock.__dataclass_fields__ if name in values})
 
 
@@ -141,6 +141,7 @@ def decided_clock(earlier: Clock | None, decision: Correction) -> Clock:
         known,
         offset_s=decision.offset_s or 0.0,
         drift_ppm=decision.drift_ppm,
+        only_video_s=(),
         status="given",
         how="given",
         error_ms=math.nan,
