@@ -291,6 +291,28 @@ def shells_against_fits(
     ]
 
 
+def unlike_sides(shells: pd.DataFrame | None, settings: ShellSettings) -> list[str]:
+    """Return a warning if the stiff shells of the two sides differ by more than their errors."""
+    if shells is None or shells["side"].nunique() < 2:
+        return []
+    names = ["stiff_sheets", "stiff_low", "stiff_high"]
+    known = shells.dropna(subset="stiff_sheets").set_index("event")
+    left, right = (known.loc[known["side"] == side, names].astype(float) for side in (-1, 1))
+    left, right = left.align(right, join="inner", axis=0)
+    one_larger = (
+        (left["stiff_low"] > right["stiff_high"]).sum(),
+        (right["stiff_low"] > left["stiff_high"]).sum(),
+    )
+    if len(left) < 3 or max(one_larger) <= settings.contradicted_share * len(left):
+        return []
+    sizes = (side["stiff_sheets"].median() for side in (left, right))
+    return [
+        "the stiff shell has {:.0f} sheets on the left but {:.0f} on the right".format(*sizes)
+        + f" in {max(one_larger)} of {len(left)} stick phases: check `axis_px` and whether each sheet has a"
+        " number, unless the sample is not symmetric"
+    ]
+
+
 def doubt_line(tracks: xr.Dataset) -> str:
     """Return the number of doubtful stretches and the longest three, or "".
 
@@ -476,9 +498,11 @@ def _clocks(clock: Clock) -> str:
     spread = f" to {clock.residual_ms:.1f} ms" if math.isfinite(clock.residual_ms) else ""
     if clock.status == "ambiguous" and clock.candidates:
         return f"ambiguous: possible offsets (log-likelihood) {candidates_text(clock)}; none is used"
+    numbers = {"film": clock.unmatched_video, "force": clock.unmatched_force}
+    alone = "".join(f", {count} only in the {name}" for name, count in numbers.items() if count > 0)
     return (
         f"{clock.status}: offset {offset_text(clock)}, drift {drift_text(clock)}, "
-        f"{clock.matched} slips matched{spread}"
+        f"{clock.matched} slips matched{spread}{alone}"
     )
 
 
