@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.scenes.slip_trains import pair, slip_sizes
+from tests.scenes.slip_trains import pair, slip_sizes, slip_times
 from vision.clock.alignment import (
     CandidateClocks,
     SlipSizes,
@@ -202,6 +202,17 @@ def test_even_slips_are_ambiguous_and_say_why():
     assert any("nearly as well" in a.ambiguity for a in found)
     shifts = [np.diff(np.sort(a.clocks.offset_s[:3])) for a in found]
     assert np.median(np.concatenate(shifts) / 0.487) == pytest.approx(1, abs=0.1)
+
+
+def test_a_trend_that_unrelated_trains_share_is_no_evidence():
+    """Even slips whose intervals become 1 % shorter from one to the next.  A failure means that the force of
+    another test of the same sample sets the clocks."""
+    rng = np.random.default_rng(5)
+    for _ in range(8):
+        film, force = (slip_times(rng, 44, period_s=1.0, jitter=0.003, trend=-0.01) for _ in range(2))
+        film = film + rng.normal(0, 0.006, 44)
+        film, force = (train[rng.random(44) >= 0.15] for train in (film, force))
+        assert align(SlipTrains(film, np.full(len(film), 0.006), force)).ambiguity
 
 
 def test_few_slips_and_slips_that_fit_loosely_are_told_apart():

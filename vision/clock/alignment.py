@@ -475,17 +475,18 @@ def _interval_evidence(trains: SlipTrains, fits: ClockFits, settings: ClockSetti
     """Log-likelihood that a shift by one slip loses by the scatter of the intervals alone.
 
     Such a shift moves each slip by the difference of one interval from the mean one. The scatter is that of
-    neighbouring intervals, so that a trend is no evidence.
+    the changes from one interval to the next about their median, so that a trend is no evidence.
     """
     paired = np.unique(fits.partner[0][fits.partner[0] >= 0])
     interval = np.diff(trains.force_s[paired])
     comparable = np.abs(np.diff(np.log(interval))) < 0.5  # else a slip is missed or false between them
-    change = np.abs(np.diff(interval))[comparable]
+    change = np.diff(interval)[comparable]
     if not len(change):
         return 0.0
     # The errors of the force slips add to the scatter: a change depends on three times, twice on the middle
     # one, which adds 6 variances.
-    scatter2 = (float(np.median(change)) / NORMAL_MEDIAN) ** 2 / 2 - 3 * trains.force_error_s**2
+    spread = float(np.median(np.abs(change - np.median(change)))) / NORMAL_MEDIAN
+    scatter2 = spread**2 / 2 - 3 * trains.force_error_s**2
     error = trains.typical_error_s * fits.error_scale[0]
     most = np.median(trains.pair_gain(settings))
     return float(len(interval) * min(0.5 * max(scatter2, 0.0) / error**2, 0.5 * most))
