@@ -340,18 +340,20 @@ def _if_backwards(tracks: xr.Dataset, drops: pd.DataFrame, settings: ClockSettin
 
 def _unmatched_warnings(clock: Clock, settings: ClockSettings) -> list[str]:
     """Warnings of slips that only one of the two recordings shows."""
-    lines = []
-    if (alone := clock.unmatched_video) > settings.unmatched_share * (alone + clock.matched):
-        lines.append(
-            f"{alone} of {alone + clock.matched} slips of the film match no drop of the force, and stick"
-            " phases that contain them are left out: check `threshold_N` and `offset_s`"
-        )
-    if (alone := clock.unmatched_force) > settings.unmatched_share * (alone + clock.matched):
-        lines.append(
-            f"{alone} of {alone + clock.matched} drops of the force match no slip of the film: check whether"
-            " frames are missing and whether the sheets in view slip"
-        )
-    return lines
+    of_film = (
+        "slips of the film match no drop of the force, and stick phases that contain them are left out: check"
+        " `threshold_N` and `offset_s`"
+    )
+    of_force = (
+        "drops of the force match no slip of the film: check whether frames are missing and whether the"
+        " sheets in view slip"
+    )
+    alone = {of_film: clock.unmatched_video, of_force: clock.unmatched_force}
+    return [
+        f"{count} of {count + clock.matched} {line}"
+        for line, count in alone.items()
+        if count > settings.unmatched_share * (count + clock.matched)
+    ]
 
 
 def _best_beyond_search(found: Alignments) -> tuple[float, float]:
