@@ -117,8 +117,10 @@ def test_a_part_of_one_side(picture):
     (line,) = consistency_warnings(tracks, assumed=PUBLISHED)
     assert "only 19 of 25 sheets of one side are in view" in line
     assert "`axis_px`" in line
-    told = tracks.assign_attrs(axis_how="given")
-    assert consistency_warnings(told, assumed=PUBLISHED) == []
+    beside = track_sheets(picture[:, int(AXIS + 6 * PITCH) :], axis_px=AXIS + 6 * PITCH)
+    assert consistency_warnings(beside, assumed=PUBLISHED) == []
+    away = track_sheets(picture[:, int(AXIS + 6 * PITCH) :], axis_px=AXIS)
+    assert consistency_warnings(away, assumed=PUBLISHED) == [line]
 
 
 @pytest.fixture(scope="module")

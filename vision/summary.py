@@ -227,8 +227,12 @@ def consistency_warnings(
         )
     # The axis lies between two sheets, half a pitch from both; sheets may be unevenly spaced.
     slack = 0.75 * found.pitch_px
+    x_px = nan_median(tracks["x_px"].values)
     known = math.isfinite(found.axis_low_px) and math.isfinite(found.axis_high_px)
-    if known and not found.axis_low_px - slack <= found.axis_px <= found.axis_high_px + slack:
+    # With one side in view, the axis may lie anywhere beyond its end.
+    low = -math.inf if found.axis_high_px <= np.nanmin(x_px) else found.axis_low_px - slack
+    high = math.inf if found.axis_low_px >= np.nanmax(x_px) else found.axis_high_px + slack
+    if known and not low <= found.axis_px <= high:
         lines.append(
             f"the axis at {found.axis_px:.0f} px is outside the range that the motion allows"
             f" ({found.axis_low_px:.0f} to {found.axis_high_px:.0f} px): check `axis_px`, and whether both"
@@ -237,10 +241,13 @@ def consistency_warnings(
     most = ridges_per_side(tracks)
     used = sample or assumed
     one_side = len(np.unique(tracks["side"].values)) == 1
-    if used is not None and one_side and most < used.sheets_per_block and found.axis_how != "given":
+    # Nearer to the axis than 1.25 pitches, no other sheet fits in between.
+    beside = found.axis_how == "given" and np.nanmin(np.abs(x_px - found.axis_px)) < 1.25 * found.pitch_px
+    if used is not None and one_side and most < used.sheets_per_block and not beside:
         lines.append(
             f"only {most} of {used.sheets_per_block} sheets of one side are in view, and n counts from the"
-            " innermost of them: give `axis_px` if others lie between it and the axis"
+            " innermost of them: if others lie between it and the axis, n and the stiff shell are too small"
+            " by their number; if none do, give `axis_px` beside it"
         )
     if used is not None and pixel_size_um is not None:
         spacing, thickness = found.pitch_px * pixel_size_um / 1000, used.thickness_mm

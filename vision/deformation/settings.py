@@ -51,7 +51,7 @@ class DeformationSettings:
     the sheet's slip.  Smaller removes frames of noisy sheets; larger leaves in frames of late ones."""
 
     late_common: float = 0.2
-    """Largest fraction of sheets that may slip late; a delay of more sheets is an error of the clock."""
+    """Fraction of sheets that slip in time, below which the delay is common to all: an error of the clock."""
 
     correlation_positions: int = 10_000
     """Approximate number of positions from which the autocorrelation of the noise is estimated.  More take
