@@ -25,6 +25,7 @@ from vision.summary import (
     shells_against_fits,
     summary_lines,
     tracking_warnings,
+    unlike_sides,
 )
 from vision.video import VideoSettings
 
@@ -116,8 +117,10 @@ def test_a_part_of_one_side(picture):
     (line,) = consistency_warnings(tracks, assumed=PUBLISHED)
     assert "only 19 of 25 sheets of one side are in view" in line
     assert "`axis_px`" in line
-    told = tracks.assign_attrs(axis_how="given")
-    assert consistency_warnings(told, assumed=PUBLISHED) == []
+    beside = track_sheets(picture[:, int(AXIS + 6 * PITCH) :], axis_px=AXIS + 6 * PITCH)
+    assert consistency_warnings(beside, assumed=PUBLISHED) == []
+    away = track_sheets(picture[:, int(AXIS + 6 * PITCH) :], axis_px=AXIS)
+    assert consistency_warnings(away, assumed=PUBLISHED) == [line]
 
 
 @pytest.fixture(scope="module")
@@ -149,6 +152,24 @@ def test_shells_that_say_nothing_about_the_fits(wrong_d0):
     assert shells_against_fits(agreeing, fits, settings) == []
     fewer = shells.assign(stiff_low=12, stiff_high=14)
     assert len(shells_against_fits(fewer, fits, settings)) == 1
+
+
+def test_sides_with_different_shells_are_said():
+    """A failure means that an axis one sheet aside, or a side that does not slip, passes in silence; or that
+    sides which differ within their errors, or now one way and now the other, are said to differ."""
+
+    def said(left, right):
+        rows = [(event, side, size) for event in range(10) for side, size in ((-1, left), (1, right))]
+        sizes = [size(event) if callable(size) else size for event, _, size in rows]
+        table = pd.DataFrame(rows, columns=["event", "side", "stiff_sheets"]).assign(stiff_sheets=sizes)
+        table = table.assign(stiff_low=table["stiff_sheets"] - 1, stiff_high=table["stiff_sheets"] + 1)
+        return unlike_sides(table.astype("Int64"), ShellSettings())
+
+    (line,) = said(12, 15)
+    assert "12 sheets on the left but 15 on the right in 10 of 10" in line and "`axis_px`" in line
+    assert said(12, 14) == []
+    assert said(12, lambda event: 12 + 5 * (-1) ** event) == []
+    assert unlike_sides(None, ShellSettings()) == []
 
 
 def test_both_errors_are_printed():

@@ -50,6 +50,7 @@ from vision.summary import (
     shells_against_fits,
     summary_lines,
     tracking_warnings,
+    unlike_sides,
 )
 from vision.video import (
     Follow,
@@ -582,4 +583,5 @@ def _warnings(found: Analysis, reasons: Mapping[str, str]) -> tuple[str, ...]:
     lines += found.fits.warnings if found.fits else ()
     lines += found.clock.warnings if found.clock else ()
     lines += shells_against_fits(found.shells, found.fits, found.settings.tuning.shells)
+    lines += unlike_sides(found.shells, found.settings.tuning.shells)
     return tuple(dict.fromkeys(lines))

@@ -227,8 +227,12 @@ def consistency_warnings(
         )
     # The axis lies between two sheets, half a pitch from both; sheets may be unevenly spaced.
     slack = 0.75 * found.pitch_px
+    x_px = nan_median(tracks["x_px"].values)
     known = math.isfinite(found.axis_low_px) and math.isfinite(found.axis_high_px)
-    if known and not found.axis_low_px - slack <= found.axis_px <= found.axis_high_px + slack:
+    # With one side in view, the axis may lie anywhere beyond its end.
+    low = -math.inf if found.axis_high_px <= np.nanmin(x_px) else found.axis_low_px - slack
+    high = math.inf if found.axis_low_px >= np.nanmax(x_px) else found.axis_high_px + slack
+    if known and not low <= found.axis_px <= high:
         lines.append(
             f"the axis at {found.axis_px:.0f} px is outside the range that the motion allows"
             f" ({found.axis_low_px:.0f} to {found.axis_high_px:.0f} px): check `axis_px`, and whether both"
@@ -237,10 +241,13 @@ def consistency_warnings(
     most = ridges_per_side(tracks)
     used = sample or assumed
     one_side = len(np.unique(tracks["side"].values)) == 1
-    if used is not None and one_side and most < used.sheets_per_block and found.axis_how != "given":
+    # Nearer to the axis than 1.25 pitches, no other sheet fits in between.
+    beside = found.axis_how == "given" and np.nanmin(np.abs(x_px - found.axis_px)) < 1.25 * found.pitch_px
+    if used is not None and one_side and most < used.sheets_per_block and not beside:
         lines.append(
             f"only {most} of {used.sheets_per_block} sheets of one side are in view, and n counts from the"
-            " innermost of them: give `axis_px` if others lie between it and the axis"
+            " innermost of them: if others lie between it and the axis, n and the stiff shell are too small"
+            " by their number; if none do, give `axis_px` beside it"
         )
     if used is not None and pixel_size_um is not None:
         spacing, thickness = found.pitch_px * pixel_size_um / 1000, used.thickness_mm
@@ -288,6 +295,28 @@ def shells_against_fits(
         f" {outside.sum()} of {len(known)} stick phases and sides:"
         " check `d0_mm`, `pixel_size_um`, `axis_px`, the sample's geometry, `sheets_per_block` and"
         " `threshold`"
+    ]
+
+
+def unlike_sides(shells: pd.DataFrame | None, settings: ShellSettings) -> list[str]:
+    """Return a warning if the stiff shells of the two sides differ by more than their errors."""
+    if shells is None or shells["side"].nunique() < 2:
+        return []
+    names = ["stiff_sheets", "stiff_low", "stiff_high"]
+    known = shells.dropna(subset="stiff_sheets").set_index("event")
+    left, right = (known.loc[known["side"] == side, names].astype(float) for side in (-1, 1))
+    left, right = left.align(right, join="inner", axis=0)
+    one_larger = (
+        (left["stiff_low"] > right["stiff_high"]).sum(),
+        (right["stiff_low"] > left["stiff_high"]).sum(),
+    )
+    if len(left) < 3 or max(one_larger) <= settings.contradicted_share * len(left):
+        return []
+    sizes = (side["stiff_sheets"].median() for side in (left, right))
+    return [
+        "the stiff shell has {:.0f} sheets on the left but {:.0f} on the right".format(*sizes)
+        + f" in {max(one_larger)} of {len(left)} stick phases: check `axis_px` and whether each sheet has a"
+        " number, unless the sample is not symmetric"
     ]
 
 
@@ -476,9 +505,11 @@ def _clocks(clock: Clock) -> str:
     spread = f" to {clock.residual_ms:.1f} ms" if math.isfinite(clock.residual_ms) else ""
     if clock.status == "ambiguous" and clock.candidates:
         return f"ambiguous: possible offsets (log-likelihood) {candidates_text(clock)}; none is used"
+    numbers = {"film": clock.unmatched_video, "force": clock.unmatched_force}
+    alone = "".join(f", {count} only in the {name}" for name, count in numbers.items() if count > 0)
     return (
         f"{clock.status}: offset {offset_text(clock)}, drift {drift_text(clock)}, "
-        f"{clock.matched} slips matched{spread}"
+        f"{clock.matched} slips matched{spread}{alone}"
     )
 
 

@@ -77,6 +77,53 @@ def test_a_given_offset_needs_no_slips(recorded):
     assert np.isnan(clock.residual_ms)
 
 
+def test_a_film_that_is_played_backwards_is_said(recorded):
+    """A failure means a refusal that names everything but the cause."""
+    seen, *machine = recorded
+    backwards = seen.isel(frame=slice(None, None, -1))
+    backwards = backwards.assign_coords({name: seen[name] for name in ("frame", "time_s")})
+    with pytest.raises(InputError, match="in reverse order: the film is played backwards"):
+        synchronise(backwards, *machine)
+    (warning,) = synchronise(backwards, *machine, offset_s=OFFSET_S).warnings
+    assert "backwards" in warning
+
+
+@pytest.mark.parametrize("share", [0.05, 0.4])
+def test_slips_of_one_recording_alone_are_said(share):
+    """A failure means that stick phases which the two recordings delimit differently pass in silence, or
+    that every missed slip gives a warning."""
+    rng = np.random.default_rng(3)
+    slips = 2.0 + slip_times(rng, 90, period_s=0.61)
+    there = rng.random(len(slips)) >= share
+    stop_s = slips[-1] + 1
+    film, force = tracks(rng, slips, stop_s=stop_s), sawtooth(rng, slips, stop_s=stop_s)
+    fewer_seen = synchronise(tracks(rng, slips[there], stop_s=stop_s), force, sticks_of(slips))
+    fewer_drops = synchronise(film, sawtooth(rng, slips[there], stop_s=stop_s), sticks_of(slips[there]))
+    assert fewer_seen.status == fewer_drops.status == "ok"
+    assert fewer_seen.only_video_s == ()
+    lost = slips[~there]
+    between = lost[(lost > slips[there][0]) & (lost < slips[there][-1])]
+    np.testing.assert_allclose(fewer_drops.only_video_s, between, atol=FRAME_S)
+    said = "drops of the force match no slip", "slips of the film match no drop"
+    for clock, line in zip((fewer_seen, fewer_drops), said, strict=True):
+        assert [line in warning for warning in clock.warnings] == [True] * (share > 0.2)
+
+
+@pytest.mark.parametrize(("size", "status"), [(1.0, "ambiguous"), (0.2, "ok")])
+def test_a_film_with_a_part_from_another_time_is_ambiguous(size, status):
+    """Ten seconds from before the pull, then ten from its middle; the frames between are lost.  A failure
+    means that a clock which holds in one part is used for the other, or that a test whose first slips are too
+    small to be seen has no clock."""
+    rng = np.random.default_rng(4)
+    slips = 2.0 + slip_times(rng, 90, period_s=0.61)
+    sizes = np.where(slips < 32, size, 1.0)
+    shown = slips[(slips > 32) & (slips < 42)] - 22
+    force = sawtooth(rng, slips, stop_s=slips[-1] + 1, sizes=sizes)
+    clock = synchronise(tracks(rng, shown, stop_s=20.0), force, sticks_of(slips, sizes=sizes))
+    assert clock.status == status
+    assert ("lost frames?" in clock.ambiguity) == (status == "ambiguous")
+
+
 def with_video_time(force, *, rate=0.999958, first_s=8.0853, every=7):
     """The column as MTS writes it: repeated until the next frame arrives."""
     video = rate * force["time_s"].to_numpy() + first_s

@@ -178,6 +178,18 @@ def test_a_sheet_that_slips_by_itself_has_a_larger_error():
     np.testing.assert_allclose(others, np.delete(quiet["ratio_err"].to_numpy(), 7, axis=0), rtol=0.1)
 
 
+def test_a_jump_of_many_sheets_within_one_stick_leaves_the_others_alone():
+    """A failure means that the jump passes for sheets that slip late, and shortens every stick."""
+    made = make(uniform(5.0, 20.0, events=20), noise_px=0.03, frames=40)
+    quiet = measure(made)
+    inside = 5 + made.tracks["time_s"].to_numpy() > made.sticks["t_v_s"][7] + 0.2
+    made.tracks["x_px"][:, ::2] += np.where(inside, 3.0, 0.0)[:, None]
+    motion = measure(made)
+    assert (motion["flag"][7] != "ok").any()
+    change = np.delete(((motion["ratio"] - quiet["ratio"]) / quiet["ratio_err"]).to_numpy(), 7, axis=0)
+    assert np.abs(change).max() < 0.5
+
+
 def test_bends_that_turn_round_are_no_pattern():
     """A failure means that all errors are NaN where by chance nothing at all of the bends returns."""
     bends = np.zeros((2, 12, 3))

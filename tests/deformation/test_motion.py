@@ -100,6 +100,19 @@ def test_frames_that_hold_a_slip_are_left_out():
     assert careful["frames_left_out"].median() >= 1
 
 
+def test_a_stick_in_which_the_film_shows_a_slip_is_left_out():
+    """A failure means that two sticks, between which the force lacks the drop, are measured as one; or that
+    a slip timed slightly differently costs the stick before it."""
+    made = make(uniform(1.0, 20.0), frames=20)
+    whole = measure(made)
+    begin, end = (made.sticks[name].to_numpy() for name in ("t_v_s", "t_p_s"))
+    inside, beside = 0.5 * (begin + end)[3], end[6] - 0.05 * (end - begin)[6]
+    motion = measure(made, Clock(only_video_s=(inside, beside)))
+    assert set(whole["event"].to_numpy()) - set(motion["event"].to_numpy()) == {made.sticks["event"][3]}
+    with pytest.raises(InputError, match="sheets do not slip"):
+        measure(made, Clock(only_video_s=tuple(0.5 * (begin + end))))
+
+
 def test_an_uncertain_clock_keeps_more_frames_away():
     """A failure means that the clock's error is ignored when frames next to a slip are left out."""
     made = make(uniform(1.0, 20.0), frames=20)

@@ -24,6 +24,7 @@ class Clock:
     offset_s: float = 5.0
     error_ms: float = np.nan
     ambiguity: str = ""
+    only_video_s: tuple[float, ...] = ()
 
     def to_force_s(self, video_time_s):
         return self.offset_s + np.asarray(video_time_s)

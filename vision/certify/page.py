@@ -143,12 +143,12 @@ def _length(px: float, c: Certificate) -> str:
 def _methods(c: Certificate, films_made: str) -> list[str]:
     return [
         "The recording was separated into its mean picture in coordinates that move with the sheets (the "
-        "shape of each ridge, the gaps, the light), the smooth motion of the sheets between slips including "
-        f"their common motion, and the residual. {films_made} Synthetic films of the same length "
-        f"({c.films}), with positions known exactly, were tracked like the recording. For the pixel locking the sheets "
-        "cross one pixel without noise. For the identities the motion was enlarged. At the threshold every "
-        "sheet creeps by √12 times the threshold times Λ_st in each stick phase, and the whole analysis "
-        "follows. Repeated and missing frames, steps of the brightness, clipped pixels and distorted ridges "
-        "are in the films where they are in the recording.",
+        "shape of each ridge, the gaps, the light), the smooth motion of the sheets between slips "
+        f"including their common motion, and the residual. {films_made} Synthetic films of the same length"
+        f" ({c.films}), with positions known exactly, were tracked like the recording. For the pixel "
+        "locking the sheets cross one pixel without noise. For the identities the motion was enlarged. At"
+        " the threshold every sheet creeps by √12 times the threshold times Λ_st in each stick phase, and"
+        " the whole analysis follows. Repeated and missing frames, steps of the brightness, clipped "
+        "pixels and distorted ridges are in the films where they are in the recording.",
         f"The analysis was done with sheetvision {vision.__version__}.",
     ]

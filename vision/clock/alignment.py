@@ -12,7 +12,7 @@ unrelated trains can agree by chance. An alignment is accepted only if it passes
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Self
 
 import numpy as np
@@ -45,7 +45,7 @@ class SlipSizes:
         score = np.full(len(size), np.nan)
         if known.sum() < 5:  # too few for a scatter
             return cls(score, 0.0)
-        deviation = subtract_trend(np.log(size[known]), settings)
+        deviation = _subtract_trend(np.log(size[known]), settings)
         scatter = float(np.median(np.abs(deviation))) / NORMAL_MEDIAN
         noise = float(np.median(np.broadcast_to(error, size.shape)[known] / size[known]))
         if not scatter > max(noise, 1e-9):
@@ -54,7 +54,7 @@ class SlipSizes:
         return cls(score, float(np.sqrt(1 - (noise / scatter) ** 2)))
 
 
-def subtract_trend(values: Floats, settings: ClockSettings) -> Floats:
+def _subtract_trend(values: Floats, settings: ClockSettings) -> Floats:
     """Values minus a straight line (Theil and Sen's) and, in long series, minus a running median."""
     slope, intercept = _theil_sen(values)
     residual = values - intercept - slope * np.arange(len(values))
@@ -405,13 +405,9 @@ def align(trains: SlipTrains, settings: ClockSettings = ClockSettings()) -> Alig
     - it pairs so many slips that unrelated recordings would not;
     - its log-likelihood exceeds the next one's by `least_margin` (by twice that if it is not far above that
       of unrelated slips or if the sizes disagree; by more if errors had to be widened);
-    - its lead over shifts with similar overlap exceeds the lead that randomly missed slips produce in
-      evenly spaced trains: if shares :math:`p` of the :math:`n` force slips and :math:`q` of the camera
-      slips are paired, the number of pairs of a wrong shift scatters by :math:`\sqrt{n p (1 - p) (1 - q)}`;
     - intervals or sizes are uneven enough to exclude a shift by one slip;
     - neighbouring residuals are uncorrelated, unlike those of unrelated even trains, whose offset changes
-      smoothly, and those after lost frames, which all shift;
-    - its log-likelihood exceeds those of random permutations of the intervals.
+      smoothly, and those after lost frames, which all shift.
     """
     clocks, fits = find_alignments(trains, settings)
     likelihood = fits.log_likelihood
@@ -440,52 +436,35 @@ def _ambiguity(trains: SlipTrains, fits: ClockFits, margin: float, settings: Clo
     needed = settings.least_margin * strictness
     if margin <= needed:
         return f"the next alignment fits nearly as well (margin {margin:.1f}, {needed:.3g} needed)"
-    chance = _lead_by_missed_slips(trains, fits, settings)
-    if _lead_over_shifts(fits, fits.log_likelihood) <= chance:
-        return "missed slips could explain why shifts by whole slips fit less well"
-    by_sizes = min(_lead_over_shifts(fits, fits.size_evidence), float(fits.size_evidence[0]))
+    # Shifts with less than half the overlap have fewer sizes.
+    shifts = fits.size_evidence[1:][fits.force[1:] >= 0.5 * fits.force[0]]
+    by_sizes = float(fits.size_evidence[0] - shifts.max(initial=0.0))
     evidence = _interval_evidence(trains, fits, settings) + max(by_sizes, 0.0)
     # Longer unrelated trains are compared at more offsets and agree more often.
     least_evidence = settings.least_margin + np.log(len(trains.video_s) + len(trains.force_s))
-    if evidence <= max(least_evidence, chance):
+    if evidence <= least_evidence:
         return "times and sizes of the slips are too regular to exclude a shift by one slip"
     if _residual_correlation(fits, trains) > settings.largest_wander:
         return "neighbouring residuals are correlated: the clocks differ by more than an offset and a rate"
-    lead = settings.permutation_lead * strictness
-    if not exceeds_permutation_null(trains, fits.log_likelihood[0], lead, settings):
-        return "random permutations of the camera's intervals fit nearly as well"
     return ""
-
-
-def _lead_over_shifts(fits: ClockFits, value: Floats) -> float:
-    """Lead of the best alignment's value over shifts with at least half its overlap; inf without any."""
-    shifts = value[1:][fits.force[1:] >= 0.5 * fits.force[0]]
-    return float(value[0] - shifts.max(initial=-np.inf))
-
-
-def _lead_by_missed_slips(trains: SlipTrains, fits: ClockFits, settings: ClockSettings) -> float:
-    """Lead over shifts of an even train that randomly missed slips can produce."""
-    matched, force, video = int(fits.matched[0]), int(fits.force[0]), int(fits.video[0])
-    p, q = (matched + 1) / (force + 2), (matched + 1) / (video + 2)
-    scatter = np.sqrt(max(force * p * (1 - p) * (1 - q), 0.0))
-    return float(settings.missed_slips_sigma * scatter * np.median(trains.pair_gain(settings)))
 
 
 def _interval_evidence(trains: SlipTrains, fits: ClockFits, settings: ClockSettings) -> float:
     """Log-likelihood that a shift by one slip loses by the scatter of the intervals alone.
 
     Such a shift moves each slip by the difference of one interval from the mean one. The scatter is that of
-    neighbouring intervals, so that a trend is no evidence.
+    the changes from one interval to the next about their median, so that a trend is no evidence.
     """
     paired = np.unique(fits.partner[0][fits.partner[0] >= 0])
     interval = np.diff(trains.force_s[paired])
     comparable = np.abs(np.diff(np.log(interval))) < 0.5  # else a slip is missed or false between them
-    change = np.abs(np.diff(interval))[comparable]
+    change = np.diff(interval)[comparable]
     if not len(change):
         return 0.0
     # The errors of the force slips add to the scatter: a change depends on three times, twice on the middle
     # one, which adds 6 variances.
-    scatter2 = (float(np.median(change)) / NORMAL_MEDIAN) ** 2 / 2 - 3 * trains.force_error_s**2
+    spread = float(np.median(np.abs(change - np.median(change)))) / NORMAL_MEDIAN
+    scatter2 = spread**2 / 2 - 3 * trains.force_error_s**2
     error = trains.typical_error_s * fits.error_scale[0]
     most = np.median(trains.pair_gain(settings))
     return float(len(interval) * min(0.5 * max(scatter2, 0.0) / error**2, 0.5 * most))
@@ -496,40 +475,3 @@ def _residual_correlation(fits: ClockFits, trains: SlipTrains) -> float:
     z = (fits.residual_s[0] / trains.error_s)[fits.partner[0] >= 0]
     correlation = 1 - np.sum(np.diff(z) ** 2) / (2 * max(np.sum(z**2), np.finfo(float).tiny))
     return float(correlation * np.sqrt(len(z)))
-
-
-def exceeds_permutation_null(
-    trains: SlipTrains, log_likelihood: float, lead: float, settings: ClockSettings = ClockSettings()
-) -> bool:
-    """Permutation test: whether camera trains with their intervals in random order align less well.
-
-    True if no permutation comes within `lead` of `log_likelihood`, that of the best alignment of the real
-    trains.  Intervals are permuted together with the sizes of the slips that end them, about their trend,
-    which stays. Thus the permuted trains are as regular, as incomplete and as long as the real one, and
-    their sizes are related to their intervals in the same way.  The random numbers are the same in each
-    call. A quarter of the permutations suffices if none of them reaches half the log-likelihood.
-    """
-    rng = np.random.default_rng(0)
-    log_interval = np.log(np.diff(trains.video_s))
-    deviation = subtract_trend(log_interval, settings)
-    highest = -np.inf
-    for count in range(1, settings.permutations + 1):
-        order = rng.permutation(len(log_interval))
-        permuted = _permuted(trains, log_interval - deviation + deviation[order], order)
-        reached = float(find_alignments(permuted, settings)[1].log_likelihood[0])
-        if reached > log_likelihood - lead:
-            return False
-        highest = max(highest, reached)
-        if 4 * count >= settings.permutations and highest < 0.5 * log_likelihood:
-            break
-    return True
-
-
-def _permuted(trains: SlipTrains, log_interval: Floats, order: Ints) -> SlipTrains:
-    """The trains with these intervals of the camera slips, and their sizes in this order."""
-    size = trains.video_size
-    return replace(
-        trains,
-        video_s=np.cumsum(np.r_[trains.video_s[0], np.exp(log_interval)]),
-        video_size=size and SlipSizes(np.r_[size.score[:1], size.score[1:][order]], size.reliability),
-    )

@@ -57,6 +57,8 @@ class Clock:
         Median absolute residual of the matched slips; NaN without any.
     matched, unmatched_video, unmatched_force
         Numbers of slips within the time that both recordings cover.
+    only_video_s
+        Times of the slips of the film that match no slip of the force, s, on the force clock.
     margin
         Log-likelihood minus that of the next different alignment; NaN where the clock was given.
     status
@@ -89,6 +91,7 @@ class Clock:
     matched: int = 0
     unmatched_video: int
     unmatched_force: int
+    only_video_s: tuple[float, ...] = ()
     margin: float = math.nan
     status: Status
     how: How
@@ -230,23 +233,12 @@ def _from_slips(
     """Clock of the best alignment of the slips, with status "ok" or "ambiguous"."""
     seen, drops = video_slips(tracks, settings=settings), force_slips(force, sticks, settings=settings)
     video, machine = StripMetadata.of(tracks).source, ForceMetadata.of(force).source
-    for about, slips in ((video, seen), (machine, drops)):
+    for about, slips in ((machine, drops), (video, seen)):
         if len(slips) < settings.least_slips:
             need = f"at least {settings.least_slips} slips to align the clocks"
-            raise InputError(about, need, f"{len(slips)}", "give `offset_s`")
-    found = align(_slip_trains(seen, drops, settings), settings)
-    strip = StripMetadata.of(tracks)
-    advice = ""
-    if strip.clock_kind != "file":
-        rate, likelihood = _best_beyond_search(found)
-        lead = likelihood - float(found.fits.log_likelihood[0])
-        if not found.ambiguity and lead > -settings.least_margin:
-            found = replace(found, ambiguity="evenly spaced slips fit nearly as well at other frame rates")
-        # Evenly spaced slips fit nearly equally well at many rates.
-        elif found.ambiguity and lead > settings.clear_likelihood:
-            scaled = replace(found.trains, video_s=rate * found.trains.video_s)
-            if not align(scaled, settings).ambiguity:
-                advice = f"the slips agree at {_frame_rate(strip, rate)}: check `fps`"
+            backwards = about == video and _if_backwards(tracks, drops, settings)
+            raise InputError(about, need, f"{len(slips)}", backwards or "give `offset_s`")
+    found, advice = _against_film(align(_slip_trains(seen, drops, settings), settings), tracks, drops)
     if found.fits.log_likelihood[0] <= 0:
         raise InputError(
             video,
@@ -257,16 +249,19 @@ def _from_slips(
     error, drift_error, offset_error = found.errors()
     clocks, fits = found.clocks, found.fits
     drift = float(clocks.drift[0])
-    warnings = (
-        [f"clocks ambiguous: {found.ambiguity}; {advice or 'give `offset_s`'}"] if found.ambiguity else []
-    )
-    if not found.ambiguity and abs(drift) - 2 * drift_error > 1e-6 * settings.usual_drift_ppm:
-        warnings.append(
-            f"the clocks of film and machine differ by {100 * drift:+.2f} %, more than real clocks: they"
-            f" agree at {_frame_rate(strip, 1 + drift)}; check `fps`"
-        )
+    clock = _clock_of(found.trains, clocks, fits, "events")
+    if found.ambiguity:
+        warnings = [f"clocks ambiguous: {found.ambiguity}; {advice or 'give `offset_s`'}"]
+    else:
+        warnings = _unmatched_warnings(clock, settings)
+        if abs(drift) - 2 * drift_error > 1e-6 * settings.usual_drift_ppm:
+            rate = _frame_rate(StripMetadata.of(tracks), 1 + drift)
+            warnings.append(
+                f"the clocks of film and machine differ by {100 * drift:+.2f} %, more than real clocks: they"
+                f" agree at {rate}; check `fps`"
+            )
     return replace(
-        _clock_of(clocks, fits, "events"),
+        clock,
         margin=found.margin,
         status="ambiguous" if found.ambiguity else "ok",
         error_ms=1e3 * float(np.hypot(error, drops.attrs["lag_s"])),
@@ -284,6 +279,81 @@ def _from_slips(
         ambiguity=found.ambiguity,
         warnings=tuple(warnings),
     )
+
+
+def _against_film(found: Alignments, tracks: xr.Dataset, drops: pd.DataFrame) -> tuple[Alignments, str]:
+    """The alignments, ambiguous also where the film contradicts them, and advice on the cause or ""."""
+    strip, settings = StripMetadata.of(tracks), found.settings
+    if not found.ambiguity and (silent := _silent_drops(tracks, drops, found)):
+        why = f"the film shows no slip at {silent} drops of the force beside those in common (lost frames?)"
+        found = replace(found, ambiguity=why)
+    if found.ambiguity and (backwards := _if_backwards(tracks, drops, settings)):
+        return found, backwards
+    if strip.clock_kind == "file":
+        return found, ""
+    rate, likelihood = _best_beyond_search(found)
+    lead = likelihood - float(found.fits.log_likelihood[0])
+    if not found.ambiguity and lead > -settings.least_margin:
+        return replace(found, ambiguity="evenly spaced slips fit nearly as well at other frame rates"), ""
+    # Evenly spaced slips fit nearly equally well at many rates.
+    if found.ambiguity and lead > settings.clear_likelihood:
+        scaled = replace(found.trains, video_s=rate * found.trains.video_s)
+        if not align(scaled, settings).ambiguity:
+            return found, f"the slips agree at {_frame_rate(strip, rate)}: check `fps`"
+    return found, ""
+
+
+def _silent_drops(tracks: xr.Dataset, drops: pd.DataFrame, found: Alignments) -> int:
+    """Number of drops of the force that the film should show before its first or after its last slip.
+
+    0 where all of them may have been missed at random, as some are between the slips in common.  Otherwise
+    frames are lost or the frame rate changes, so that the clock holds only in part of the film.
+    """
+    fits, settings = found.fits, found.settings
+    time = tracks["time_s"].to_numpy()
+    shown = np.isfinite(tracks["x_px"].to_numpy()).mean(axis=1) >= settings.least_sheets
+    frame_s = np.sort(found.clocks.map(time[shown & np.isfinite(time)])[0])
+    drop_s, size = drops["time_s"].to_numpy(), drops["drop_N"].to_numpy()
+    next_frame = np.clip(np.searchsorted(frame_s, drop_s), 1, len(frame_s) - 1)
+    filmed = (drop_s > frame_s[0]) & (drop_s < frame_s[-1])
+    filmed &= frame_s[next_frame] - frame_s[next_frame - 1] < 2 * np.median(np.diff(frame_s))
+    paired = fits.partner[0][fits.partner[0] >= 0]
+    filmed &= ~(size < 0.5 * nan_median(size[paired]))  # the sheets may move too little in smaller ones
+    filmed[paired] = False
+    first_s, last_s = found.clocks.map(found.trains.video_s[[0, -1]])[0]
+    missed = (fits.force[0] - len(paired) + 1) / (fits.force[0] + 2)  # share of the drops in common
+    silent = [int((filmed & outside).sum()) for outside in (drop_s < first_s, drop_s > last_s)]
+    return sum(count for count in silent if count * np.log(missed) < -settings.least_margin)
+
+
+def _if_backwards(tracks: xr.Dataset, drops: pd.DataFrame, settings: ClockSettings) -> str:
+    """Advice for a film that is played backwards; "" if its slips do not match the force's in reverse."""
+    reverse = tracks.isel(frame=slice(None, None, -1))
+    seen = video_slips(reverse.assign_coords(time_s=-reverse["time_s"]), settings=settings)
+    if (
+        min(len(seen), len(drops)) < settings.least_slips
+        or align(_slip_trains(seen, drops, settings), settings).ambiguity
+    ):
+        return ""
+    return "the slips match those of the force in reverse order: the film is played backwards"
+
+
+def _unmatched_warnings(clock: Clock, settings: ClockSettings) -> list[str]:
+    """Warnings of slips that only one of the two recordings shows."""
+    of_film = (
+        "slips of the film match no drop of the force, and stick phases that contain them are left out: check"
+        " `threshold_N` and `offset_s`"
+    )
+    of_force = (
+        "drops of the force match no slip of the film: check whether frames are missing and whether the"
+        " sheets in view slip"
+    )
+    alone = {of_film: clock.unmatched_video, of_force: clock.unmatched_force}
+    return [
+        f"{count} of {count + clock.matched} {line}"
+        for line, count in alone.items()
+        if count > settings.unmatched_share * (count + clock.matched)
+    ]
 
 
 def _best_beyond_search(found: Alignments) -> tuple[float, float]:
@@ -312,8 +382,11 @@ def _frame_rate(strip: StripMetadata, rate: float) -> str:
     return f"{strip.fps / rate:.5g} frames/s instead of {strip.fps:.5g}"
 
 
-def _clock_of(clocks: CandidateClocks, fits: ClockFits, how: How) -> Clock:
+def _clock_of(trains: SlipTrains, clocks: CandidateClocks, fits: ClockFits, how: How) -> Clock:
     """Clock from the first of the candidates, with its numbers of slips and its residual."""
+    first, last = trains.force_s[[0, -1]]
+    seen_s = clocks.map(trains.video_s)[0]
+    only_video = (fits.partner[0] < 0) & (seen_s > first) & (seen_s < last)
     return Clock(
         offset_s=float(clocks.offset_s[0]),
         drift_ppm=1e6 * float(clocks.drift[0]),
@@ -321,6 +394,7 @@ def _clock_of(clocks: CandidateClocks, fits: ClockFits, how: How) -> Clock:
         matched=int(fits.matched[0]),
         unmatched_video=int(fits.video[0] - fits.matched[0]),
         unmatched_force=int(fits.force[0] - fits.matched[0]),
+        only_video_s=tuple(seen_s[only_video].tolist()),
         status="given",
         how=how,
     )
@@ -337,6 +411,7 @@ def _given(
     """A given clock, with warnings where the slips contradict it."""
     seen, drops = video_slips(tracks, settings=settings), force_slips(force, sticks, settings=settings)
     if min(len(seen), len(drops)) < settings.least_slips:
+        backwards = _if_backwards(tracks, drops, settings)
         return Clock(
             offset_s=line[0],
             drift_ppm=line[1],
@@ -344,10 +419,11 @@ def _given(
             unmatched_force=len(drops),
             status="given",
             how=how,
+            warnings=(backwards,) if backwards else (),
         )
     trains = _slip_trains(seen, drops, settings)
     clocks = CandidateClocks(np.array([line[0]]), np.array([1e-6 * line[1]]), np.zeros(1))
-    given = _clock_of(clocks, fit_clocks(trains, clocks, settings), how)
+    given = _clock_of(trains, clocks, fit_clocks(trains, clocks, settings), how)
     return replace(given, warnings=_contradiction(given, align(trains, settings)))
 
 
@@ -361,10 +437,7 @@ def _contradiction(given: Clock, found: Alignments) -> tuple[str, ...]:
             f"according to the slips the force clock is {found.clocks.offset_s[0]:.4f} s at video time 0, "
             f"not {given.offset_s:.4f} s (margin {found.margin:.0f})",
         )
-    if given.matched < min(given.unmatched_video, given.unmatched_force):
-        clock = "the given offset" if given.how == "given" else "the column of video times"
-        return (f"only {given.matched} slips match {clock}",)
-    return ()
+    return tuple(_unmatched_warnings(given, found.settings))
 
 
 # --- a column of video times in the force recording ---------------------------------------------------------

@@ -90,15 +90,6 @@ class ClockSettings:
     least_margin: float = 6.0
     """Log-likelihood by which the best alignment must exceed the next one. Larger → more clocks are
     ambiguous; smaller → wrong ones pass. `test_a_wrong_alignment_is_never_believed`."""
-    missed_slips_sigma: float = 3.0
-    """Required lead over shifts by whole slips, in standard deviations of the lead that randomly missed slips
-    produce. At 0 one of 700 hard alignments is wrong and accepted; at 6 damaged trains are ambiguous."""
-    permutations: int = 16
-    """Number of random orders of the camera's intervals that are aligned for comparison. More → slower, and
-    stricter. `test_shuffled_slips_reach_what_unrelated_ones_do`."""
-    permutation_lead: float = 4.0
-    """Log-likelihood by which the best alignment must exceed those of all permutations. Larger → a few more
-    clocks are ambiguous."""
     largest_wander: float = 3.0
     """Correlation of neighbouring residuals, in standard errors, above which the clocks differ by more than
     an offset and a rate. Without this test, 18 of 24 recordings with an unreported lost frame were accepted,
@@ -107,6 +98,10 @@ class ClockSettings:
     """Difference of the clocks' rates that must be exceeded by two standard errors for a warning about the
     frame rate. Larger → a rate that is wrong by a thousandth passes; smaller → poor but correct clocks get a
     warning. `test_a_wrong_frame_rate_is_said`."""
+    unmatched_share: float = 0.2
+    """Share of the slips of the film, or of the drops of the force, without a partner above which a warning
+    is given. Larger → recordings that contradict each other pass; smaller → a warning for each missed slip.
+    `test_slips_of_one_recording_alone_are_said`."""
     contradiction_sigma: float = 3.0
     """Difference, in standard errors, between a given clock and that of the slips above which a warning is
     given."""

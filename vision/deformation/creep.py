@@ -259,6 +259,7 @@ def _late(x_px: Floats, frames: StickFrames, settings: DeformationSettings) -> t
     with np.errstate(divide="ignore", invalid="ignore"):
         largest = -frames.lowest(np.where(end & np.isfinite(limit), -limit, 0.0))
         clear = (largest > 0) & np.isfinite(largest) & (np.abs(jump) > 2 * largest)
+        clear &= ~_uneven(creep.square, creep.dof, _typical_variance(creep), settings)
         # Part of the slip that is still missing, or, at the end of the stick, that is already made.
         part = -np.sign(frames.u)[:, None] * residual / jump[frames.row]
         part = np.where(end & clear[frames.row] & (part < 1.5), part, np.nan)  # more is not a late slip

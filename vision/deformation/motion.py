@@ -126,6 +126,7 @@ def horizontal_deformation(
     time = np.asarray(clock.to_force_s(np.asarray(tracks["time_s"].values, float)), float)
     interval = _interval(time, source)
     events = _inside(sticks, time, interval, source)
+    events = _uninterrupted(events, np.array(clock.only_video_s), settings, source)
     margin = interval / 2 + _clock_error_s(clock, interval) if margin_s is None else margin_s
     start, stop = (events[name].to_numpy(float) for name in ("t_v_s", "t_p_s"))
     every = frames_of_sticks(time, start, stop, margin_s=0.0, interval_s=interval)
@@ -238,6 +239,23 @@ def _inside(sticks: pd.DataFrame, time_s: Floats, interval_s: float, source: str
         found = "no displacement in the force recording"
         raise InputError(source, "stick lengths", found, "give `speed_mm_min`")
     return sticks[within].sort_values("t_v_s")
+
+
+def _uninterrupted(
+    events: pd.DataFrame, slip_s: Floats, settings: DeformationSettings, source: str
+) -> pd.DataFrame:
+    """Stick phases without those that contain a slip of the film that the force lacks (`slip_s`).
+
+    A slip near either end of a stick is the one between two sticks, timed differently.
+    """
+    start, stop = (events[name].to_numpy(float)[:, None] for name in ("t_v_s", "t_p_s"))
+    part = (slip_s - start) / (stop - start)
+    end = settings.slip_near_end
+    whole: Bools = ~((part > end) & (part < 1 - end)).any(axis=1)
+    if not whole.any():
+        found = "slips of the film within all of them"
+        raise InputError(source, "stick phases in which the sheets do not slip", found, "check `offset_s`")
+    return events.loc[whole]
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,11 @@ from dataclasses import dataclass
 class DeformationSettings:
     """Tunable constants of `horizontal_deformation`; the tests named are in tests/deformation."""
 
+    slip_near_end: float = 0.15
+    """Fraction of a stick, from either end, in which a slip of the film that matches none of the force may
+    be the one that ends or begins the stick.  Larger measures sticks in which the sheets slip; smaller leaves
+    out all sticks if the given clock is slightly wrong (test_motion)."""
+
     least_cover: float = 0.4
     """Fraction of a stick that its positions must span.  Larger drops sheets that are hidden for part of a
     stick; smaller extrapolates (test_motion: a stick seen only at its start)."""
@@ -46,7 +51,7 @@ class DeformationSettings:
     the sheet's slip.  Smaller removes frames of noisy sheets; larger leaves in frames of late ones."""
 
     late_common: float = 0.2
-    """Largest fraction of sheets that may slip late; a delay of more sheets is an error of the clock."""
+    """Fraction of sheets that slip in time, below which the delay is common to all: an error of the clock."""
 
     correlation_positions: int = 10_000
     """Approximate number of positions from which the autocorrelation of the noise is estimated.  More take

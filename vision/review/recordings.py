@@ -104,6 +104,7 @@ def decided_clock(earlier: Clock | None, decision: Correction) -> Clock:
         earlier or none,
         offset_s=decision.offset_s or 0.0,
         drift_ppm=decision.drift_ppm,
+        only_video_s=(),
         status="given",
         how="given",
         error_ms=math.nan,

@@ -47,8 +47,9 @@ class ShellSettings:
     contradictions arise by chance where Λ̂ is uncertain; at 3 a d0 wrong by 3.6 mm passes (`fixtures/late`
     with 13)."""
     contradicted_share: float = 0.5
-    """Share of stick phases and sides that must contradict the fit for a warning. Intervals miss the truth in
-    a tenth of them: 0.2 gives false warnings in short recordings; at 1 a single agreement suppresses it."""
+    """Share of stick phases and sides that must contradict the fit, or each other, for a warning. Intervals
+    miss the truth in a tenth of them: 0.2 gives false warnings in short recordings; at 1 a single agreement
+    suppresses it."""
 
 
 def classify_sheets(motion: xr.Dataset, *, threshold: float = 0.1, certainty: float = 0.9) -> xr.Dataset:
