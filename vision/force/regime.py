@@ -1,16 +1,20 @@
-"""What a recording shows: stick-slip, an oscillation, cycles of loading and unloading, or noise."""
+"""What a recording shows: stick-slip, an oscillation, cycles of loading and unloading, or noise; and why its
+events may not be stick-slip."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
+from numpy.lib.stride_tricks import sliding_window_view
 
 from vision.force.corners import Extremes
 from vision.force.lines import flat_ranges
 from vision.force.settings import ForceSettings
 from vision.force.slips import Slips, upward_share
-from vision.numeric import Bools, Floats
+from vision.force.sticks import Signal
+from vision.numeric import Bools, Floats, nan_median
 
 
 @dataclass(frozen=True)
@@ -89,3 +93,88 @@ def is_unloading(travel: Floats, extremes: Extremes) -> Bools:
     at_peak, at_valley = (np.interp(at, index, travel) for at in (extremes.peak, extremes.valley))
     forward = np.abs(at_peak - np.r_[travel[0], at_valley[:-1]])
     return np.asarray((at_peak - at_valley) > np.maximum(0.2 * forward, 1e-12))
+
+
+def doubts(events: pd.DataFrame, regime: Regime, signal: Signal, slips: Slips) -> list[str]:
+    """Return why the recording, or a part of its events, may not be stick-slip."""
+    lines = []
+    if regime.name == "oscillation":
+        lines.append(
+            f"an oscillation, not stick-slip: falls last {regime.fall_over_rise:.2g} times as long as rises, "
+            f"{100 * regime.line_share:.0f} % of the variance is at one frequency, and the load varies by "
+            f"{np.ptp(np.percentile(signal.clean, [1, 99])):.3g}"
+        )
+    elif regime.name == "cycles":
+        lines.append(
+            f"not stick-slip: falls last {regime.fall_over_rise:.2g} times as long as rises and are equally "
+            "straight, as in cycles of loading and unloading"
+        )
+    elif regime.name == "noise":
+        lines.append(
+            "stick-slip is not clearly visible: within the sticks the load jumps upward by "
+            f"{regime.upward_share:.2g} times the median drop, as noise does, so all events are flagged "
+            "noise; a larger `threshold_N` leaves out the smaller drops"
+        )
+    for column, values, what, unit in (
+        ("stick_length_um", 1e3 * signal.travel, "lengths and K are not resolved: the displacement", "µm"),
+        ("dF_N", signal.load, "drops and K are not resolved: the load", "N"),
+    ):
+        step, stick = _resolution(values), float(nan_median(events[column].to_numpy(float)))
+        if step > 0.3 * stick:  # about three steps in a stick, or fewer
+            lines.append(f"{what} has steps of {step:.3g} {unit}, sticks are {stick:.3g} {unit}")
+    lines += slips.warnings() + _load_warnings(signal, slips, events)
+    around = sliding_window_view(np.pad(slips.drop, 5), 11)
+    for k in np.flatnonzero(slips.drop > 5 * np.delete(around, 5, axis=1).max(axis=1))[:5]:
+        if k < slips.drop.size - 1:  # the last one may be the end of the test
+            lines.append(
+                f"the load falls by {slips.drop[k]:.3g} N at {signal.time[slips.edge[k]]:.4g} s, more than "
+                "five times as far as at the slips around: a change of range or zero, or a part that broke"
+            )
+    flags = events["flag"].str.split("+")
+    for word, meaning in (
+        ("unloading", "lie beside a fall while the crosshead went back"),
+        (
+            "jump",
+            "contain or adjoin an upward jump of the load, as large as slips: noise, knocks, ringing, a "
+            "loose cable or a change of range",
+        ),
+        ("short", "are shorter than the load cell's own response allows"),
+        ("negative", "have a negative friction force: check the load cell's zero"),
+    ):
+        if count := int(flags.map(lambda words, word=word: word in words).sum()):
+            lines.append(f"{count} of {len(events)} sticks {meaning} (flag {word})")
+    return lines
+
+
+def _load_warnings(signal: Signal, slips: Slips, events: pd.DataFrame) -> list[str]:
+    """Return that the noise changes, and that the load at rest is not 0.
+
+    The load rests in the first or last period of the slips if it changes there by a tenth of itself at most.
+    """
+    lines = []
+    quiet, loud = signal.noise.min(), signal.noise.max()
+    if quiet < loud:
+        lines.append(
+            f"the noise changes between {quiet:.2g} and {loud:.2g} N within the recording: a change of the "
+            "amplifier's range, whose forces then differ by a factor, or of what disturbs the load cell"
+        )
+    peak, part = float(events["F_p_N"].median()), max(int(slips.period), 8)
+    for load, when in (
+        (signal.clean[:part], "before the pull"),
+        (signal.clean[-part:], "at the end, after the pull"),
+    ):
+        first, last = np.mean(load[: part // 2]), np.mean(load[part // 2 :])
+        level = 0.5 * (first + last)
+        rests = abs(last - first) < 0.1 * abs(level) and level < 0.2 * abs(peak)
+        if rests and abs(level) > 0.005 * abs(peak):
+            lines.append(
+                f"the load rests at {level:.3g} N {when}, {100 * level / peak:.1f} % of the usual peak: if "
+                "nothing was pulled then, the load cell's zero is wrong by as much, and with it 𝒯0 and μ"
+            )
+    return lines
+
+
+def _resolution(values: Floats) -> float:
+    """Return the median step between the values that occur; 0 where nearly all values differ."""
+    different = np.unique(values[np.isfinite(values)])
+    return float(np.median(np.diff(different))) if 2 < different.size < 0.2 * values.size else 0.0
