@@ -115,14 +115,15 @@ def test_what_comes_out_is_as_declared():
     assert last["operation"] == "track_sheets" and last["parameters"]["axis_px"] == 260.0
 
 
-@pytest.mark.parametrize(("codec", "raised"), [("mjpeg", True), ("rawvideo", False)])
-def test_errors_of_lossy_video_are_no_smaller_than_the_scatter(codec, raised):
-    """A failure means that compression, which hides the noise, makes error bars too small."""
+@pytest.mark.parametrize("codec", ["mjpeg", "rawvideo"])
+def test_errors_are_no_smaller_than_the_scatter(codec):
+    """A failure means that error bars are too small where compression hides the noise of the pixels, or where
+    something else than that noise moves the ridges from frame to frame."""
     truth = comb(120, per_side=8, axis_px=260, slip=0.0)
     shaken = truth + np.random.default_rng(1).normal(0, 0.05, truth.shape)  # an artefact of 0.05 px
     tracks = track_sheets(strip(ridges(shaken, width=520), snr=1000).assign_attrs(codec=codec))
     stated = float(np.median(tracks["x_err_px"]))
-    assert (stated > 0.04) if raised else (stated < 0.01)
+    assert 0.04 < stated < 0.06
 
 
 @pytest.mark.parametrize("lacking", ["time_s", "frame"])

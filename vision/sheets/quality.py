@@ -3,7 +3,7 @@
 `repeated_frames` finds frames that the codec or the recorder repeated. `motion_blur` finds ridges that moved
 while the shutter was open. `scene_changes` finds where the picture changes permanently. `comb_is_stationary`
 distinguishes a comb from a fixed pattern. `spatial_scatter` measures errors that persist from frame to frame,
-and `shared_error` those that neighbours share.
+`shared_error` those that neighbours share, and `noise_excess` what all stated errors leave out.
 """
 
 from __future__ import annotations
@@ -14,13 +14,16 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, Strings, nan_median, nan_quantile
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, Ints, Strings, nan_median, nan_quantile
 from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb, profile_noise
 from vision.sheets.settings import DEFAULT, TrackingSettings
 
 FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 LEAST_FRAMES = 8
 SCENE_FRAMES = 5  # compared before and after a change of scene
+NOISE_LAGS = range(2, 9)  # frames: an error that repeats itself vanishes at some of them
+FITTED = {True: 3.0, False: 1.25}  # sheets whose scatter medians of a line, or of a level, remove
+ONE_SIGMA = 0.6827  # share of values that lie within one standard deviation
 LAGS = {True: (16, 12, 8, 6, 4, 3, 2, 1), False: (4, 3, 2, 1)}
 """Lags, in frames, of second differences in time, for codecs that predict frames from others (True) and for
 all others. Content that a codec keeps unchanged shows at longer lags; but so does the individual motion of
@@ -169,7 +172,8 @@ class BetweenSlips:
 
     def __init__(self, x_px: Floats) -> None:
         self.frames = len(x_px)
-        self.x_px = x_px[np.isfinite(x_px).any(axis=1)]
+        self.seen = np.isfinite(x_px).any(axis=1)
+        self.x_px = x_px[self.seen]
         self.slips = np.zeros(len(self.x_px), np.int64)
         if x_px.shape[1] < len(FOURTH):
             return
@@ -190,10 +194,14 @@ class BetweenSlips:
         """
         x = self.x_px if values is None else values
         for lag in lags:
-            calm = self.slips[2 * lag :] == self.slips[: -2 * lag]
-            if calm.sum() >= LEAST_FRAMES:
-                return np.asarray((x[2 * lag :] - 2 * x[lag:-lag] + x[: -2 * lag])[calm] / np.sqrt(6))
+            first = self.without_slip(2 * lag)
+            if len(first) >= LEAST_FRAMES:
+                return np.asarray((x[first] - 2 * x[first + lag] + x[first + 2 * lag]) / np.sqrt(6))
         return x[:0]
+
+    def without_slip(self, frames: int) -> Ints:
+        """Return from which frames on this many frames follow without a slip."""
+        return np.flatnonzero(self.slips[frames:] == self.slips[:-frames])
 
 
 def spatial_scatter(positions: BetweenSlips, *, between_frames: bool) -> Floats:
@@ -209,6 +217,54 @@ def spatial_scatter(positions: BetweenSlips, *, between_frames: bool) -> Floats:
     if sheets < len(FOURTH) or not len(second):
         return np.full(sheets, np.nan)
     return np.asarray(np.pad(_deviation(_fourth(second)), 2, mode="edge"), np.float64)
+
+
+def noise_excess(x_px: Floats, err_px: Floats, settings: TrackingSettings = DEFAULT) -> Floats:
+    r"""Return how much more positions scatter than their errors say, as a factor, (N,).
+
+    Parameters
+    ----------
+    x_px, err_px
+        Positions and their errors (frame, N), NaN where missing or repeated.
+    settings
+        `own_excess`.
+
+    Returns
+    -------
+    Floats
+        1 for fewer than five sheets, and where slips leave too few frames between them.
+
+    Notes
+    -----
+    Turbulent air, flicker that differs between rows, and a camera that shakes along leaning sheets shift each
+    ridge by another amount, and leave its shape unchanged. This shows in second differences of positions in
+    time, between slips. The motion that all sheets share is subtracted, and with ten sheets or more what
+    is linear in n (a camera that vibrates or breathes). Sizes at several lags are averaged as squares, since
+    at one lag an error that lasts or repeats itself may cancel. A size is the one within which 68 % of the
+    frames lie, which leaves out slips of single sheets. Vibration of most sheets during the whole film cannot
+    be distinguished from such errors, and counts as one.
+    """
+    positions, sheets = BetweenSlips(x_px), x_px.shape[1]
+    variance = err_px[positions.seen] ** 2
+    third, line = sheets // 3, sheets >= 10
+    along = (np.arange(sheets) - (sheets - 1) / 2) / (sheets - third)
+    sizes = []
+    for lag in NOISE_LAGS if sheets >= len(FOURTH) else ():
+        first = positions.without_slip(2 * lag)
+        if len(first) >= 2 * LEAST_FRAMES:
+            second = positions.second((lag,))
+            if line:
+                low, high = (nan_median(part, axis=1) for part in (second[:, :third], second[:, -third:]))
+                second = second - np.nan_to_num(high - low)[:, None] * along
+            second = second - nan_median(second, axis=1)[:, None]
+            expected = (variance[first] + 4 * variance[first + lag] + variance[first + 2 * lag]) / 6
+            sizes.append(nan_quantile(np.abs(second) / np.sqrt(expected), ONE_SIGMA))
+    if not sizes:
+        return np.ones(sheets)
+    excess = np.sqrt(np.mean(np.square(sizes), axis=0) / (1 - FITTED[line] / sheets))
+    usual = nan_median(excess)
+    own = np.where(excess > settings.own_excess[0] * usual, excess, usual)
+    return np.fmin(own, settings.own_excess[1] * usual)
 
 
 class SceneChange(NamedTuple):
@@ -312,15 +368,13 @@ def _sums(values: Floats) -> Floats:
     return np.asarray(total[SCENE_FRAMES:] - total[:-SCENE_FRAMES], np.float64)
 
 
-def shared_error(positions: BetweenSlips, *, between_frames: bool) -> float:
-    r"""Return the error that neighbouring sheets share in compressed video, px.
+def shared_error(positions: BetweenSlips) -> float:
+    r"""Return the error that neighbouring sheets share where a codec predicts frames from others, px.
 
     Parameters
     ----------
     positions
         Positions of the sheets in all frames.
-    between_frames
-        Whether the codec predicts frames from others; otherwise only the first part below counts.
 
     Returns
     -------
@@ -341,13 +395,13 @@ def shared_error(positions: BetweenSlips, *, between_frames: bool) -> float:
     """
     if positions.x_px.shape[1] < len(FOURTH) + 3 or positions.frames < 2 * LEAST_FRAMES:
         return 0.0
-    second = positions.second(LAGS[between_frames])
+    second = positions.second(LAGS[True])
     own = _deviation_of_all(_fourth(second))
     apart = _deviation_of_all(second - nan_median(second, axis=1)[:, None])
     blocks = float(np.sqrt(max(0.0, apart**2 - own**2)))
     shaking = _deviation_of_all(positions.second((1,), nan_median(positions.x_px, axis=1)[:, None]))
     followed = own * shaking / max(shaking + 2 * own, 1e-9)
-    return float(np.hypot(blocks, max(blocks, followed) if between_frames else 0.0))
+    return float(np.hypot(blocks, max(blocks, followed)))
 
 
 def _fourth(x_px: Floats) -> Floats:

@@ -358,9 +358,16 @@ class TrackingSettings:
 
     # --- stated errors (tracks.py) ---
 
-    most_correlated: float = 2.0
-    """Scatter of positions over that predicted from the pixels, above which it is motion. Noise that adjacent
-    pixels share increases the scatter by the root of their number. Larger takes motion for noise."""
+    sharpened: float = 1.15
+    """Scatter of positions over that predicted from the pixels, inverted, from which a camera is taken to
+    sharpen and errors are reduced. Smaller reduces them by chance, larger overstates those of sharpened film
+    (test_noise_that_a_camera_sharpens_is_in_the_errors)."""
+
+    own_excess: tuple[float, float] = (1.3, 2.0)
+    """Scatter of a sheet's positions over its error, as multiples of the usual one, between which it counts
+    instead of the usual one. A smaller first one enlarges errors by chance; a larger second one takes the
+    motion of a single sheet for noise, and a smaller one understates errors where flicker shifts some sheets
+    by far more than others (test_quality.py)."""
 
     # --- symmetry axis (numbering.py) ---
 

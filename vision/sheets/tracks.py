@@ -21,6 +21,7 @@ from vision.sheets.quality import (
     BetweenSlips,
     beside_missing,
     motion_blur,
+    noise_excess,
     repeated_frames,
     scene_changes,
     shared_error,
@@ -107,7 +108,7 @@ def track_sheets(
     Notes
     -----
     x_err_px is the noise of the profile times the fit's error per grey level. It is larger where positions
-    scatter by more both in time and between sheets, where the ridge moves during the exposure
+    scatter by more (`vision.sheets.quality.noise_excess`), where the ridge moves during the exposure
     (`vision.sheets.quality.motion_blur`), and where the ridge is distorted
     (`vision.sheets.distortion.distortion`). With ``fit="paper"`` it includes the locking to whole pixels. For
     lossy video it is the scatter between sheets, since compression hides the noise and adds its own
@@ -221,7 +222,10 @@ def _assess_ridges(
     comb: RidgeComb,
     settings: TrackingSettings,
 ) -> _Assessed:
-    """Find ridges that are blurred, cut or distorted, and those that are not the ridge of one sheet."""
+    """Find ridges that are blurred, cut or distorted, and those that are not the ridge of one sheet.
+
+    What positions scatter beyond all these errors is added to them (`noise_excess`).
+    """
     changing = np.where(frozen[:, None], np.nan, x_px)
     blur = motion_blur(changing, detections.contrast, detections.fwhm_px, comb, settings)
     smeared = (blur.err_px > 0) | blur.blurred
@@ -233,6 +237,9 @@ def _assess_ridges(
     not_a_sheet |= marks(x_px, errors.err_px, usual_px, comb, settings)
     flag = np.where((detections.flag == "ok") & not_a_sheet, "merged", detections.flag)
     err = np.sqrt(errors.err_px**2 + blur.err_px**2 + distorted.err_px**2)
+    usual = nan_median(np.where(np.isfinite(x_px), err, np.nan))
+    excess = noise_excess(np.where(frozen[:, None], np.nan, x_px), err, settings)
+    err = np.hypot(err, np.nan_to_num(usual) * np.sqrt(np.fmax(excess**2 - 1.0, 0.0)))
     is_distorted = distorted.err_px > np.fmax(errors.err_px, settings.distortion_floor)
     return _Assessed(x_px, flag, err, blur.blurred, is_distorted, distorted.lasting_px)
 
@@ -360,12 +367,11 @@ def _fit(
 def _errors(fitted: _Fitted, frozen: Bools, codec: str, settings: TrackingSettings) -> _Errors:
     """Return the stated errors, and what was predicted from the pixels and measured from the positions.
 
-    The prediction from the pixels holds where their noise is independent. Correlated noise of neighbouring
-    pixels (a soft lens, clipped tops) shifts ridges by more, both in time and between sheets. The smaller of
-    these two scatters is used, as a median over all sheets, since real motion in time or along n is no error.
-    Compression hides the noise of pixels and shifts ridges for several frames: the scatter between sheets
-    shows this, and `shared_error` adds the errors that neighbours share. Repeated frames are left out, as
-    they would hide scatter. No error is zero: a profile without noise still has whole grey levels.
+    The prediction from the pixels holds where their noise is independent. Where a camera sharpens, it is too
+    large; positions then scatter less (`noise_excess`), and the error is reduced. Compression hides the noise
+    of pixels and shifts ridges for several frames: the scatter between sheets shows this, and `shared_error`
+    adds what neighbours share if the codec predicts frames from others. Repeated frames are left out, as they
+    would hide scatter. No error is zero: a profile without noise still has whole grey levels.
     """
     new = np.where(frozen[:, None], np.nan, fitted.x_px)
     between_frames = codec in BETWEEN_FRAMES
@@ -382,11 +388,11 @@ def _errors(fitted: _Fitted, frozen: Bools, codec: str, settings: TrackingSettin
     known = np.isfinite(measured)
     if between_frames and known.any():  # all sheets share one quantiser
         measured = np.full_like(measured, np.sqrt(np.mean(measured[known] ** 2)))
-    if codec in LOSSY:
-        measured = np.hypot(measured, shared_error(positions, between_frames=between_frames))
-    else:
-        excess = nan_median(np.minimum(noise_px, scatter_px) / predicted)
-        measured = predicted * (np.fmax(excess, 1.0) if excess < settings.most_correlated else 1.0)
+    if between_frames:
+        measured = np.hypot(measured, shared_error(positions))
+    elif codec not in LOSSY:
+        excess = float(nan_median(noise_excess(new, err, settings)))
+        measured = predicted * min(1.0, settings.sharpened * excess)
     stated = err * np.nan_to_num(measured / predicted, nan=1.0)
     return _Errors(np.maximum(stated, LEAST_ERROR_PX), noise_px, scatter_px, predicted)
 
