@@ -49,6 +49,7 @@ BETWEEN_FRAMES = frozenset(_MPEG | _OTHERS | _MICROSOFT)
 LOSSY = BETWEEN_FRAMES | {"mjpeg", "mjpegb", "amv", "jpeg2000", "dvvideo", "dnxhd", "prores", "cfhd"}
 WHOLE_LEVELS = 0.05  # grey: noise assumed where a profile, averaged over some rows, shows none
 LEAST_ERROR_PX = 1e-4
+QUARTER_PIXEL = 0.25 / np.sqrt(12)  # px: standard deviation of a rounding to quarter pixels
 
 
 def track_sheets(
@@ -364,8 +365,9 @@ def _errors(fitted: _Fitted, frozen: Bools, codec: str, settings: TrackingSettin
     pixels (a soft lens, clipped tops) shifts ridges by more, both in time and between sheets. The smaller of
     these two scatters is used, as a median over all sheets, since real motion in time or along n is no error.
     Compression hides the noise of pixels and shifts ridges for several frames: the scatter between sheets
-    shows this, and `shared_error` adds the errors that neighbours share. Repeated frames are left out, as
-    they would hide scatter. No error is zero: a profile without noise still has whole grey levels.
+    shows this, and `shared_error` adds the errors that neighbours share. Where sheets are too few for that, a
+    codec that moves blocks by quarter pixels is assumed to err by their rounding. Repeated frames are left
+    out, as they would hide scatter. No error is zero: a profile without noise still has whole grey levels.
     """
     new = np.where(frozen[:, None], np.nan, fitted.x_px)
     between_frames = codec in BETWEEN_FRAMES
@@ -378,7 +380,8 @@ def _errors(fitted: _Fitted, frozen: Bools, codec: str, settings: TrackingSettin
     err = np.where(np.isfinite(err) & (err > 0), err, WHOLE_LEVELS * np.nan_to_num(per_grey, nan=1.0))
     err = np.maximum(err, LEAST_ERROR_PX)
     predicted = nan_median(np.where(np.isfinite(new), err, np.nan))
-    measured = np.where(np.isfinite(scatter_px), scatter_px, np.fmax(noise_px, predicted))
+    rounding = QUARTER_PIXEL if between_frames else 0.0
+    measured = np.where(np.isfinite(scatter_px), scatter_px, np.hypot(np.fmax(noise_px, predicted), rounding))
     known = np.isfinite(measured)
     if between_frames and known.any():  # all sheets share one quantiser
         measured = np.full_like(measured, np.sqrt(np.mean(measured[known] ** 2)))
