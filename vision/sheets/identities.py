@@ -109,7 +109,7 @@ def identify_sheets(
         if np.array_equal(before, match):
             break
     margin = np.where(match >= 0, pairing.margin[segments.of_frames()], np.nan)
-    return Identities(*_undo_false_jumps(match, margin, ridges, comb, settings), rest, reference)
+    return Identities(*_undo_anchor_natss(match, margin, ridges, comb, settings), rest, reference)
 
 
 def comb_displacement(ridges: Ridges, comb: RidgeComb, settings: TrackingSettings = DEFAULT) -> Floats:
@@ -186,7 +186,7 @@ def fill_rows(values: Floats, at: Floats) -> Floats:
 RENUMBERED = np.arange(-2, 3)  # sheets by which the frames between two jumps may be numbered otherwise
 
 
-def _undo_false_jumps(
+def _undo_anchor_natss(
     match: Ints, margin: Floats, ridges: Ridges, comb: RidgeComb, settings: TrackingSettings
 ) -> tuple[Ints, Floats]:
     r"""Renumber the frames between two jumps of the comb if it did not jump; return match and margin.
@@ -207,26 +207,25 @@ def _undo_false_jumps(
     after, the median :math:`\tilde u`, and the usual changes in the film. The logarithms allow for slips,
     which blur ridges. A run is renumbered only if its own numbering costs `anchor_nats` more.
     """
-    x, contrast = (values_of(match, values) for values in (ridges.x_px, ridges.contrast))
-    seen = np.flatnonzero(np.isfinite(x).any(axis=1))
-    x, level = x[seen], np.log(contrast[seen])
-    level -= nan_median(level, axis=1)[:, None]
-    common = np.nan_to_num(nan_median(np.diff(x, axis=0), axis=1))
-    jump = np.abs(common) > settings.tear_fraction * comb.pitch_px
-    after = 1 + np.flatnonzero(jump)
-    if not len(after):
+    seen = np.flatnonzero((match >= 0).any(axis=1))
+    x = values_of(match[seen], ridges.x_px[seen])
+    step = np.diff(x, axis=0)
+    common = nan_median(step, axis=1)[:, None]
+    jump = np.abs(np.nan_to_num(common[:, 0])) > settings.tear_fraction * comb.pitch_px
+    if not jump.any():
         return match, margin
-    usual = _usual_changes(x, level)
+    level = np.log(values_of(match[seen], ridges.contrast[seen]))
+    level -= nan_median(level, axis=1)[:, None]
+    least_change = ((common, 1.0), (step - common, 0.5), (np.diff(level, axis=0), 0.02))  # whole pixels
+    usual = [least + float(np.nanmedian(np.abs(change))) / NORMAL_MEDIAN for change, least in least_change]
+    after = 1 + np.flatnonzero(jump)
+    before = x[after - 1], level[after - 1]
     least, most = 2 * RENUMBERED[[0, -1]]
-    changes = np.stack(
-        [
-            _change_cost(
-                x[after - 1], level[after - 1], shifted(x[after], by), shifted(level[after], by), usual
-            )
-            for by in range(least, most + 1)
-        ]
-    )
-    cost = changes[RENUMBERED - RENUMBERED[:, None] - least]  # (number before, number after, jump)
+    changes = [
+        _change_cost(before, (shifted(x[after], by), shifted(level[after], by)), usual)
+        for by in range(least, most + 1)
+    ]
+    cost = np.stack(changes)[RENUMBERED - RENUMBERED[:, None] - least]  # (number before, number after, jump)
     run = np.r_[0, np.cumsum(jump)]
     each = np.nan_to_num(nan_median(margin[seen], axis=1), posinf=1e3)
     shifted_cost = np.where(RENUMBERED == 0, 0.0, (np.bincount(run, each) / np.bincount(run))[:, None])
@@ -253,34 +252,17 @@ def _cheapest(own: Floats, cost: Floats) -> Floats:
     return before
 
 
-def _usual_changes(x_px: Floats, level: Floats) -> tuple[float, float, float]:
-    """Return the usual changes from frame to frame of all sheets together, px, of each sheet relative to
-    them, px, and of log brightness, allowing for positions in whole pixels."""
-    step = np.diff(x_px, axis=0)
-    common = nan_median(step, axis=1)[:, None]
-    changes = (common, step - common, np.diff(level, axis=0))
-    sizes = (float(np.nanmedian(np.abs(change))) / NORMAL_MEDIAN for change in changes)
-    together, each, brightness = sizes
-    return together + 1.0, each + 0.5, brightness + 0.02
-
-
-def _change_cost(
-    x_before: Floats,
-    level_before: Floats,
-    x_after: Floats,
-    level_after: Floats,
-    usual: tuple[float, float, float],
-) -> Floats:
-    """Return the cost of a change of positions and brightnesses, nats, (rows,); see `_undo_false_jumps`."""
-    step = x_after - x_before
+def _change_cost(before: tuple[Floats, Floats], after: tuple[Floats, Floats], usual: list[float]) -> Floats:
+    """Return the cost of a change of positions and brightnesses, nats, (rows,); see `_undo_anchor_natss`."""
+    step, brightened = (later - earlier for earlier, later in zip(before, after, strict=True))
     common = nan_median(step, axis=1)
     each = np.log1p((step - common[:, None]) ** 2 / (2 * usual[1] ** 2))
-    each += np.log1p((level_after - level_before) ** 2 / (2 * usual[2] ** 2))
-    paired, before = np.isfinite(each).sum(axis=1), np.isfinite(x_before).sum(axis=1)
-    cost = np.nansum(each, axis=1) / np.maximum(paired, 1) * before + np.log1p(
+    each += np.log1p(brightened**2 / (2 * usual[2] ** 2))
+    paired, sheets = np.isfinite(each).sum(axis=1), np.isfinite(before[0]).sum(axis=1)
+    cost = np.nansum(each, axis=1) * sheets / np.maximum(paired, 1) + np.log1p(
         common**2 / (2 * usual[0] ** 2)
     )
-    return np.where(paired >= np.minimum(3, before), cost, 1e3)
+    return np.where(paired >= np.minimum(3, sheets), cost, 1e3)
 
 
 # --- segments -----------------------------------------------------------------------------------------------

@@ -221,8 +221,9 @@ class TrackingSettings:
     another ridge is searched. Larger lets hops pass, smaller doubts sheets with individual motion."""
 
     anchor_nats: float = 9.0
-    """Log-likelihood ratio by which the pattern must exclude other numberings for a doubt to end. Larger
-    keeps doubts that the pattern has settled, smaller ends them on equal sheets ("cropped combs")."""
+    """Log-likelihood ratio by which the pattern must exclude other numberings for a doubt to end, or for a
+    jump to be undone. Larger keeps doubts that the pattern has settled and false jumps, smaller ends them on
+    equal sheets ("cropped combs", test_a_jump_by_a_pitch_of_nearly_equal_sheets_is_doubted at 3)."""
 
     anchor_fit: float = 1.5
     """Mean cost of a feature, nats, up to which a frame's pattern is the learned one (usually 0.5)."""
