@@ -163,3 +163,17 @@ def test_a_comb_whose_light_moves_slowly_keeps_its_numbers(seed):
     tracks = track_sheets(picture)
     assert wrong_positions(tracks, truth) == 0
     assert (tracks.flag == "ok").values.mean() > 0.95
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_comb_back_at_rest_after_a_large_slip_is_not_doubted(seed):
+    """It slips by 0.75 pitches, creeps back, and from then on reflections flicker. A failure means that the
+    rest of the film is withheld as displaced by whole pitches, although the sheets are where they were."""
+    rng = np.random.default_rng(seed)
+    away = np.interp(np.arange(FRAMES), [199, 200, 210], [0.0, 0.75, 0.0])[:, None] * PITCH
+    truth = comb(FRAMES, per_side=8, axis_px=300, slip=0.1) + away
+    flicker = np.where(np.arange(FRAMES)[:, None] < 200, 0.03, 0.5)
+    height = np.exp(flicker * rng.normal(size=(FRAMES, 16)))
+    tracks = track_sheets(strip(ridges(truth, width=600, contrast=height * brightness(16))))
+    assert wrong_positions(tracks, truth) == 0
+    assert (tracks.flag == "doubtful").values.mean() < 0.05

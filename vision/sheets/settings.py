@@ -77,8 +77,8 @@ class TrackingSettings:
 
     step_fraction: float = 0.3
     """A candidate is followed from frame to frame while it moves less than this fraction of the spacing to
-    its neighbour. Larger risks mistakes ("cropped combs" at 0.6), smaller cuts more and leaves more to the
-    alignment."""
+    its neighbour, and a comb is at rest within it. Larger risks mistakes ("cropped combs" at 0.6), smaller
+    cuts more and leaves more to the alignment."""
 
     least_change: float = 0.2
     """Change of the logarithms of brightness, rms over the sheets, at which a comb that seems not to move has
