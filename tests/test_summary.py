@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+import xarray as xr
 
 from tests.scenes.analysed import with_force
 from tests.scenes.combs import comb, ridges, strip
@@ -236,6 +237,14 @@ def test_a_picture_has_no_noise_to_measure_and_says_so(picture, frames):
     tracks = track_sheets(still)
     assert any("all frames are equal" in line for line in tracking_warnings(tracks)) == (frames > 1)
     assert "not measured" in _noise(noise_figures(tracks, None), "")
+
+
+def test_frames_without_positions_are_not_called_equal(picture):
+    """A failure means that a noisy film in which no ridge could be fitted is said not to change."""
+    tracks = track_sheets(picture)
+    nothing = np.full_like(tracks.x_noise_px.values, np.nan)
+    tracks = tracks.assign(flag=xr.full_like(tracks.flag, "missing"), x_noise_px=("sheet", nothing))
+    assert "all frames are equal" not in " ".join(tracking_warnings(tracks))
 
 
 @pytest.mark.parametrize(("apart_px", "said"), [(11.0, True), (19.0, False)])

@@ -106,7 +106,8 @@ def tracking_warnings(tracks: xr.Dataset) -> list[str]:
         lines.append(f"{missing} of {total} positions missing (flags missing, edge, unfit in tracks.csv)")
     if line := _frames_with_few_sheets(tracks):
         lines.append(line)
-    if tracks.sizes["frame"] >= 10 and not (tracks["x_noise_px"].values > 0).any():
+    still = "ok" in flags and not (tracks["x_noise_px"].values > 0).any()
+    if tracks.sizes["frame"] >= 10 and still:
         lines.append("all frames are equal: neither motion nor noise can be measured")
     elif tracks.sizes["frame"] >= 20 and comb_is_stationary(tracks):
         lines.append(

@@ -8,6 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.scenes.degraded import write_ffv1, write_h264
+from vision import open_video
 from vision.command.main import run
 from vision.numeric import nan_median
 
@@ -155,3 +157,32 @@ def test_the_sarcomeres_are_never_a_pitch_off_all_together(tracked, strip):
     off = np.abs(common) > 0.6 * facts["found"]["ridges"]["pitch_px"]
     assert np.isfinite(x[seen][off]).sum() <= 1
     assert np.isfinite(x).mean() > 0.25
+
+
+def test_sarcomeres_compressed_again_keep_their_numbers(tracked, tmp_path):
+    """The film as it is and through another codec shows the same discs. A failure means that at the height of
+    a contraction all discs are given as their neighbours, flagged ok, or that these frames are withheld."""
+    _, x, _, _ = tracked("sarcomeres.avi", "--rotate", "90")
+    film = np.stack(list(open_video(DATA / "sarcomeres.avi").frames()))
+    path = write_h264(tmp_path / "again.mkv", film, 23)
+    _, again, flags, _ = track(tmp_path / "run", path, ("--rotate", "90"))
+    same = np.abs(nan_median(again)[:, None] - nan_median(x)).argmin(axis=1)
+    off = np.abs(again - nan_median(again) - (x - nan_median(x))[:, same])
+    assert (off > 6).sum() <= 2  # discs 12 px apart
+    assert (flags == "doubtful").mean() < 0.05
+
+
+def test_a_slow_hand_over_the_upper_floor_renumbers_no_marker(tracked, tmp_path):
+    """Something dark comes over two of seven markers and leaves again. A failure means that the others are
+    given as their neighbours, flagged ok."""
+    chosen = ("--strip", "4:54", "--ridges", "dark", "--sheets", "7")
+    _, x, _, _ = tracked("released_markers_upper.avi", *chosen)
+    film = np.stack(list(open_video(DATA / "released_markers_upper.avi").frames()))
+    frames, _, width = film.shape
+    over = np.clip((np.arange(frames) - frames // 4) / (3 * frames // 4 - frames // 4), 0, 1)
+    edge = np.where(over > 0, 0.25 * width * np.sin(np.pi * over), -width)
+    covered = 1 / (1 + np.exp((np.arange(width) - edge[:, None]) / 6))[:, None]
+    path = write_ffv1(tmp_path / "hand.mkv", np.rint(film * (1 - covered) + 25 * covered).astype(np.uint8))
+    _, beside, flags, _ = track(tmp_path / "run", path, chosen)
+    assert np.nanmax(np.abs(beside - x)) < 20  # 160 px apart
+    assert np.isin(flags, ("ok", "blurred")).mean() > 0.85

@@ -19,6 +19,7 @@ from tests.scenes.degraded import (
     measured,
     passing_hand,
     slow_hand,
+    write_h264,
 )
 from vision.sheets import track_sheets
 from vision.video import open_video, strip_profile
@@ -106,6 +107,20 @@ def test_the_comparison_sees_understated_errors(tmp_path):
     tracks = track_sheets(strip_profile(open_video(tmp_path / "film.mkv")))
     halved = compare(tracks.assign(x_err_px=tracks.x_err_px / 2), film.truth_px)
     assert halved.coverage_moved < 0.5 < from_film.coverage_moved
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_errors_of_few_sheets_include_what_the_codec_may_do(seed, tmp_path):
+    """Three sheets do not show by how much H.264 moves each. A failure means that their errors are stated as
+    if it moved none, and hold for a third of the truths."""
+    film = clean(seed)
+    middle = film.truth_px.shape[1] // 2
+    truth = film.truth_px[:, middle : middle + 3]
+    first, last = (2 * round(x / 2) for x in (truth.min() - 14, truth.max() + 14))
+    path = write_h264(tmp_path / "few.mkv", np.ascontiguousarray(film.pixels[:, :, first:last]), 23)
+    found = compare(track_sheets(strip_profile(open_video(path))), truth - first)
+    assert found.sheets == 3
+    assert 0.62 < found.coverage_moved < 0.9
 
 
 @pytest.mark.parametrize("seed", [4, 12, 13])

@@ -1,7 +1,8 @@
 """Identities: every sheet keeps its index through every slip, or its position is flagged as doubtful.
 
 Frames are first joined to segments in which candidates can be followed without doubt. Then all segments are
-aligned with one reference comb. No segment depends on the one before, so a mistake cannot spread.
+aligned with one reference comb. No segment depends on the one before, so a mistake cannot spread. Last, where
+the comb then seems to jump by whole pitches, the frames before and after must agree that it did.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vision.numeric import Bools, Floats, Floats32, Ints, nan_median, shifted
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, Ints, nan_median, shifted
 from vision.sheets.alignment import Candidates, Pairing, align, values_of
 from vision.sheets.neighbours import torn
 from vision.sheets.reference import ReferenceComb, build_reference, faint_ends, static_ridges
@@ -108,7 +109,7 @@ def identify_sheets(
         if np.array_equal(before, match):
             break
     margin = np.where(match >= 0, pairing.margin[segments.of_frames()], np.nan)
-    return Identities(match, margin, rest, reference)
+    return Identities(*_undo_anchor_natss(match, margin, ridges, comb, settings), rest, reference)
 
 
 def comb_displacement(ridges: Ridges, comb: RidgeComb, settings: TrackingSettings = DEFAULT) -> Floats:
@@ -178,6 +179,90 @@ def fill_rows(values: Floats, at: Floats) -> Floats:
     low = np.take_along_axis(values, lower, axis=1)
     filled = low + fraction * (np.take_along_axis(values, upper, axis=1) - low)
     return np.where(usable, filled, np.nan)
+
+
+# --- jumps --------------------------------------------------------------------------------------------------
+
+RENUMBERED = np.arange(-2, 3)  # sheets by which the frames between two jumps may be numbered otherwise
+
+
+def _undo_anchor_natss(
+    match: Ints, margin: Floats, ridges: Ridges, comb: RidgeComb, settings: TrackingSettings
+) -> tuple[Ints, Floats]:
+    r"""Renumber the frames between two jumps of the comb if it did not jump; return match and margin.
+
+    A comb that contracts, or whose ends fade, may fit the reference best with every sheet taken for the next
+    one. It then seems to jump by a pitch and back, although each ridge hardly moves and keeps its brightness.
+
+    Notes
+    -----
+    Jumps divide the film into runs of frames. The numbering of each run is shifted by up to two sheets so
+    that the sum of all costs is lowest (Viterbi 1967). A shifted run costs its mean margin. A jump costs
+
+    .. math:: \ln\Big(1 + \frac{\tilde u^2}{2 \sigma^2}\Big) + \sum_n \Big[
+              \ln\Big(1 + \frac{(u_n - \tilde u)^2}{2 \sigma_u^2}\Big)
+              + \ln\Big(1 + \frac{b_n^2}{2 \sigma_b^2}\Big)\Big]
+
+    with the changes of position u and of log brightness b of each sheet from the frame before to the frame
+    after, the median :math:`\tilde u`, and the usual changes in the film. The logarithms allow for slips,
+    which blur ridges. A run is renumbered only if its own numbering costs `anchor_nats` more.
+    """
+    seen = np.flatnonzero((match >= 0).any(axis=1))
+    x = values_of(match[seen], ridges.x_px[seen])
+    step = np.diff(x, axis=0)
+    common = nan_median(step, axis=1)[:, None]
+    jump = np.abs(np.nan_to_num(common[:, 0])) > settings.tear_fraction * comb.pitch_px
+    if not jump.any():
+        return match, margin
+    level = np.log(values_of(match[seen], ridges.contrast[seen]))
+    level -= nan_median(level, axis=1)[:, None]
+    least_change = ((common, 1.0), (step - common, 0.5), (np.diff(level, axis=0), 0.02))  # whole pixels
+    usual = [least + float(np.nanmedian(np.abs(change))) / NORMAL_MEDIAN for change, least in least_change]
+    after = 1 + np.flatnonzero(jump)
+    before = x[after - 1], level[after - 1]
+    least, most = 2 * RENUMBERED[[0, -1]]
+    changes = [
+        _change_cost(before, (shifted(x[after], by), shifted(level[after], by)), usual)
+        for by in range(least, most + 1)
+    ]
+    cost = np.stack(changes)[RENUMBERED - RENUMBERED[:, None] - least]  # (number before, number after, jump)
+    run = np.r_[0, np.cumsum(jump)]
+    each = np.nan_to_num(nan_median(margin[seen], axis=1), posinf=1e3)
+    shifted_cost = np.where(RENUMBERED == 0, 0.0, (np.bincount(run, each) / np.bincount(run))[:, None])
+    earlier = _cheapest(shifted_cost, cost)
+    later = _cheapest(shifted_cost[::-1], cost.swapaxes(0, 1)[..., ::-1])[::-1]
+    total = shifted_cost + earlier + later
+    lowest, second = np.sort(total, axis=1)[:, :2].T
+    wrong = total[:, RENUMBERED == 0][:, 0] >= lowest + settings.anchor_nats
+    shift = np.where(wrong, RENUMBERED[total.argmin(axis=1)], 0)
+    shift -= int(np.median(shift[run]))
+    match, margin = match.copy(), margin.copy()
+    for number in np.unique(shift[shift != 0]).tolist():
+        rows = seen[shift[run] == number]
+        match[rows] = np.nan_to_num(shifted(match[rows].astype(np.float64), number), nan=-1.0)
+        margin[rows] = np.where(match[rows] >= 0, (second - lowest)[run[shift[run] == number], None], np.nan)
+    return match, margin
+
+
+def _cheapest(own: Floats, cost: Floats) -> Floats:
+    """Return the lowest cost of all runs before each, and of the jumps up to it, (runs, numberings)."""
+    before = np.zeros_like(own)
+    for run in range(1, len(own)):
+        before[run] = (before[run - 1] + own[run - 1] + cost[..., run - 1].T).min(axis=1)
+    return before
+
+
+def _change_cost(before: tuple[Floats, Floats], after: tuple[Floats, Floats], usual: list[float]) -> Floats:
+    """Return the cost of a change of positions and brightnesses, nats, (rows,); see `_undo_anchor_natss`."""
+    step, brightened = (later - earlier for earlier, later in zip(before, after, strict=True))
+    common = nan_median(step, axis=1)
+    each = np.log1p((step - common[:, None]) ** 2 / (2 * usual[1] ** 2))
+    each += np.log1p(brightened**2 / (2 * usual[2] ** 2))
+    paired, sheets = np.isfinite(each).sum(axis=1), np.isfinite(before[0]).sum(axis=1)
+    cost = np.nansum(each, axis=1) * sheets / np.maximum(paired, 1) + np.log1p(
+        common**2 / (2 * usual[0] ** 2)
+    )
+    return np.where(paired >= np.minimum(3, sheets), cost, 1e3)
 
 
 # --- segments -----------------------------------------------------------------------------------------------

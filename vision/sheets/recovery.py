@@ -248,7 +248,10 @@ def _after_jumps(
     run_worse = np.bincount(run, np.where(known, worse, 0.0)) / frames
     run_margin = np.bincount(run, np.nan_to_num(margin)) / frames
     unproved = away & (run_margin[run] < least * run_worse[run])
-    return unproved[:, None] & np.isfinite(x), np.asarray(run_worse[run] > settings.unlike_itself, bool)
+    # `pitches` counts large slips but not the creep back: where the comb is at rest, it has not jumped
+    moved = np.abs(nan_median(x - rest_positions(x), axis=1))
+    jumped = (unproved & (moved > settings.step_fraction * comb.pitch_px))[:, None] & np.isfinite(x)
+    return jumped, np.asarray(run_worse[run] > settings.unlike_itself, bool)
 
 
 # --- the second search --------------------------------------------------------------------------------------

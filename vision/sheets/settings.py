@@ -77,8 +77,8 @@ class TrackingSettings:
 
     step_fraction: float = 0.3
     """A candidate is followed from frame to frame while it moves less than this fraction of the spacing to
-    its neighbour. Larger risks mistakes ("cropped combs" at 0.6), smaller cuts more and leaves more to the
-    alignment."""
+    its neighbour, and a comb is at rest within it. Larger risks mistakes ("cropped combs" at 0.6), smaller
+    cuts more and leaves more to the alignment."""
 
     least_change: float = 0.2
     """Change of the logarithms of brightness, rms over the sheets, at which a comb that seems not to move has
@@ -221,8 +221,9 @@ class TrackingSettings:
     another ridge is searched. Larger lets hops pass, smaller doubts sheets with individual motion."""
 
     anchor_nats: float = 9.0
-    """Log-likelihood ratio by which the pattern must exclude other numberings for a doubt to end. Larger
-    keeps doubts that the pattern has settled, smaller ends them on equal sheets ("cropped combs")."""
+    """Log-likelihood ratio by which the pattern must exclude other numberings for a doubt to end, or for a
+    jump to be undone. Larger keeps doubts that the pattern has settled and false jumps, smaller ends them on
+    equal sheets ("cropped combs", test_a_jump_by_a_pitch_of_nearly_equal_sheets_is_doubted at 3)."""
 
     anchor_fit: float = 1.5
     """Mean cost of a feature, nats, up to which a frame's pattern is the learned one (usually 0.5)."""

@@ -50,6 +50,7 @@ BETWEEN_FRAMES = frozenset(_MPEG | _OTHERS | _MICROSOFT)
 LOSSY = BETWEEN_FRAMES | {"mjpeg", "mjpegb", "amv", "jpeg2000", "dvvideo", "dnxhd", "prores", "cfhd"}
 WHOLE_LEVELS = 0.05  # grey: noise assumed where a profile, averaged over some rows, shows none
 LEAST_ERROR_PX = 1e-4
+QUARTER_PIXEL = 0.25 / np.sqrt(12)  # px: standard deviation of a rounding to quarter pixels
 
 
 def track_sheets(
@@ -370,8 +371,9 @@ def _errors(fitted: _Fitted, frozen: Bools, codec: str, settings: TrackingSettin
     The prediction from the pixels holds where their noise is independent. Where a camera sharpens, it is too
     large; positions then scatter less (`noise_excess`), and the error is reduced. Compression hides the noise
     of pixels and shifts ridges for several frames: the scatter between sheets shows this, and `shared_error`
-    adds what neighbours share if the codec predicts frames from others. Repeated frames are left out, as they
-    would hide scatter. No error is zero: a profile without noise still has whole grey levels.
+    adds what neighbours share if the codec predicts frames from others. Where sheets are too few for that, a
+    codec that moves blocks by quarter pixels is assumed to err by their rounding. Repeated frames are left
+    out, as they would hide scatter. No error is zero: a profile without noise still has whole grey levels.
     """
     new = np.where(frozen[:, None], np.nan, fitted.x_px)
     between_frames = codec in BETWEEN_FRAMES
@@ -384,7 +386,8 @@ def _errors(fitted: _Fitted, frozen: Bools, codec: str, settings: TrackingSettin
     err = np.where(np.isfinite(err) & (err > 0), err, WHOLE_LEVELS * np.nan_to_num(per_grey, nan=1.0))
     err = np.maximum(err, LEAST_ERROR_PX)
     predicted = nan_median(np.where(np.isfinite(new), err, np.nan))
-    measured = np.where(np.isfinite(scatter_px), scatter_px, np.fmax(noise_px, predicted))
+    rounding = QUARTER_PIXEL if between_frames else 0.0
+    measured = np.where(np.isfinite(scatter_px), scatter_px, np.hypot(np.fmax(noise_px, predicted), rounding))
     known = np.isfinite(measured)
     if between_frames and known.any():  # all sheets share one quantiser
         measured = np.full_like(measured, np.sqrt(np.mean(measured[known] ** 2)))
