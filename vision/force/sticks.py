@@ -10,7 +10,7 @@ import pandas as pd
 import xarray as xr
 from numpy.lib.stride_tricks import sliding_window_view
 
-from vision.force.corners import Corners, Extremes, Shape, is_slow
+from vision.force.corners import Corners, Extremes, Shape, find_extremes, is_slow
 from vision.force.lines import BrokenLines, fit_broken_lines, fit_lines
 from vision.force.recording import find_spikes, noise_levels, noise_sigma, usable
 from vision.force.settings import ForceSettings
@@ -179,7 +179,7 @@ def measure_sticks(
     ends = _ends(signal, sticks, t_v, t_p, corners.shape)
     rises = np.abs(ends.slope) * signal.interval_at(v), np.abs(ends.slope) * signal.interval_at(p)
     if lag:
-        f_v, f_p = ends.f_v, ends.f_p
+        f_v, f_p = _forces_without_lowpass(signal, corners, sticks, ends, rises)
     else:
         f_v, f_p = _within_recorded(signal, extremes, ends, sticks, rises, settings)
         f_v = np.where(recorded[:-1], extremes.low[:-1], f_v)
@@ -234,6 +234,20 @@ def measure_sticks(
         }
     )
     return table.assign(flag=_event_flags(signal, sticks, corners, ends.slope > 0, slow[:-1] | slow[1:]))
+
+
+def _forces_without_lowpass(
+    signal: Signal, corners: Corners, sticks: _Sticks, ends: _Ends, rises: tuple[Floats, Floats]
+) -> tuple[Floats, Floats]:
+    """Return F_v and F_p of a load corrected for a low-pass; those of sticks with a knee are limited."""
+    gain = 1 / np.expm1(1 / sticks.lag)
+    load = signal.clean + gain * np.diff(signal.clean, prepend=signal.clean[:1])
+    noise = signal.sigma * float(np.sqrt(1 + 2 * gain * (1 + gain)))
+    extremes = find_extremes(load, corners.middle, corners.valley - corners.peak)
+    corrected = replace(signal, clean=load, sigma=noise)
+    f_v, f_p = _within_recorded(corrected, extremes, ends, sticks, rises, sticks.settings)
+    bent = np.isfinite(sticks.knee)
+    return np.where(bent, f_v, ends.f_v), np.where(bent, f_p, ends.f_p)
 
 
 def _within_recorded(

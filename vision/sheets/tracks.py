@@ -395,7 +395,8 @@ def _errors(fitted: _Fitted, frozen: Bools, codec: str, settings: TrackingSettin
         measured = np.hypot(measured, shared_error(positions))
     elif codec not in LOSSY:
         excess = float(nan_median(noise_excess(new, err, settings)))
-        measured = predicted * min(1.0, settings.sharpened * excess)
+        # Locking to whole pixels lasts, and scatters less than the error that contains it.
+        measured = predicted * (1.0 if fitted.fit == "paper" else min(1.0, settings.sharpened * excess))
     stated = err * np.nan_to_num(measured / predicted, nan=1.0)
     return _Errors(np.maximum(stated, LEAST_ERROR_PX), noise_px, scatter_px, predicted)
 
