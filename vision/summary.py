@@ -231,8 +231,9 @@ def consistency_warnings(
     x_px = nan_median(tracks["x_px"].values)
     known = math.isfinite(found.axis_low_px) and math.isfinite(found.axis_high_px)
     # With one side in view, the axis may lie anywhere beyond its end.
-    low = -math.inf if found.axis_high_px <= np.nanmin(x_px) else found.axis_low_px - slack
-    high = math.inf if found.axis_low_px >= np.nanmax(x_px) else found.axis_high_px + slack
+    first, last = np.nanmin(x_px, initial=math.inf), np.nanmax(x_px, initial=-math.inf)
+    low = -math.inf if found.axis_high_px <= first else found.axis_low_px - slack
+    high = math.inf if found.axis_low_px >= last else found.axis_high_px + slack
     if known and not low <= found.axis_px <= high:
         lines.append(
             f"the axis at {found.axis_px:.0f} px is outside the range that the motion allows"
@@ -243,7 +244,7 @@ def consistency_warnings(
     used = sample or assumed
     one_side = len(np.unique(tracks["side"].values)) == 1
     # Nearer to the axis than 1.25 pitches, no other sheet fits in between.
-    beside = found.axis_how == "given" and np.nanmin(np.abs(x_px - found.axis_px)) < 1.25 * found.pitch_px
+    beside = found.axis_how == "given" and (np.abs(x_px - found.axis_px) < 1.25 * found.pitch_px).any()
     if used is not None and one_side and most < used.sheets_per_block and not beside:
         lines.append(
             f"only {most} of {used.sheets_per_block} sheets of one side are in view, and n counts from the"

@@ -109,7 +109,7 @@ def identify_sheets(
         if np.array_equal(before, match):
             break
     margin = np.where(match >= 0, pairing.margin[segments.of_frames()], np.nan)
-    return Identities(*_undo_anchor_natss(match, margin, ridges, comb, settings), rest, reference)
+    return Identities(*_undo_false_jumps(match, margin, ridges, comb, settings), rest, reference)
 
 
 def comb_displacement(ridges: Ridges, comb: RidgeComb, settings: TrackingSettings = DEFAULT) -> Floats:
@@ -186,7 +186,7 @@ def fill_rows(values: Floats, at: Floats) -> Floats:
 RENUMBERED = np.arange(-2, 3)  # sheets by which the frames between two jumps may be numbered otherwise
 
 
-def _undo_anchor_natss(
+def _undo_false_jumps(
     match: Ints, margin: Floats, ridges: Ridges, comb: RidgeComb, settings: TrackingSettings
 ) -> tuple[Ints, Floats]:
     r"""Renumber the frames between two jumps of the comb if it did not jump; return match and margin.
@@ -253,7 +253,7 @@ def _cheapest(own: Floats, cost: Floats) -> Floats:
 
 
 def _change_cost(before: tuple[Floats, Floats], after: tuple[Floats, Floats], usual: list[float]) -> Floats:
-    """Return the cost of a change of positions and brightnesses, nats, (rows,); see `_undo_anchor_natss`."""
+    """Return the cost of a change of positions and brightnesses, nats, (rows,); see `_undo_false_jumps`."""
     step, brightened = (later - earlier for earlier, later in zip(before, after, strict=True))
     common = nan_median(step, axis=1)
     each = np.log1p((step - common[:, None]) ** 2 / (2 * usual[1] ** 2))
