@@ -27,6 +27,7 @@ from vision.sheets.subpixel import FitChoice, position_noise
 from vision.sheets.tracks import BETWEEN_FRAMES
 
 Progress = Callable[[int, int | None], None]
+Tracker = Callable[[xr.DataArray], xr.Dataset]  # `track_sheets` with the parameters of a run
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -225,30 +226,25 @@ def certify(
     if encoder is not None:
         like = _with_hidden_motion(like, again, settings)
     scales = [scale for scale in (1.5, 2.0, 3.0, 4.0) if scale <= settings.largest_jump]
-    work = settings.films + 1 + len(scales) + (settings.films if sticks is not None else 0)
-    finished = itertools.count(1)
-
-    def done() -> None:
-        if progress is not None:
-            progress(next(finished), work)
-
-    measured = []
-    for number in range(settings.films):
-        measured.append(_measure(like, like.motion_px, again(like.film(like.motion_px, number=number))))
-        done()
+    with_threshold = sticks is not None and clock is not None and pixel_size_um is not None
+    if progress is not None:
+        again = _counting(again, progress, settings.films * (1 + with_threshold) + 1 + len(scales))
+    measured = [
+        _measure(like, like.motion_px, again(like.film(like.motion_px, number=number)))
+        for number in range(settings.films)
+    ]
     error = np.concatenate([_without_means(film.error_px) for film in measured])
     stated = np.concatenate([film.stated_px for film in measured])
     locking = _locking(like, again)
-    done()
     sweeps, stick_frames = _sweep_errors(like, measured, settings)
-    margin, tried = _identity_margin(like, again, measured, scales, done)
+    margin, tried = _identity_margin(like, again, measured, scales)
     at_threshold = None
     if sticks is not None and clock is not None and pixel_size_um is not None:
         at_threshold = _at_threshold(
             like, again, settings.films, sticks, clock, pixel_size_um, threshold, tracks
         )
     metadata, facts = TrackMetadata.of(tracks), StripMetadata.of(strip)
-    sheets = _sheet_table(like, tracks, error, stated, locking, sweeps * settings.errors_resolved, sweeps)
+    sheets = _sheet_table(like, tracks, error, stated, locking, sweeps, settings.errors_resolved)
     known = np.isfinite(error)
     scatter_px = float(np.median([film.scatter_px for film in measured]))
     doubts = _doubts(like, facts, imitated, _rms(error), scatter_px, recorded_px, settings)
@@ -277,9 +273,19 @@ def certify(
     )
 
 
-def _with_hidden_motion(
-    like: Likeness, again: Callable[[xr.DataArray], xr.Dataset], settings: CertifySettings
-) -> Likeness:
+def _counting(track: Tracker, progress: Progress, total: int) -> Tracker:
+    """Return `track`, which then reports its number of films so far."""
+    number = itertools.count(1)
+
+    def tracked(film: xr.DataArray) -> xr.Dataset:
+        tracks = track(film)
+        progress(next(number), total)
+        return tracks
+
+    return tracked
+
+
+def _with_hidden_motion(like: Likeness, again: Tracker, settings: CertifySettings) -> Likeness:
     """Return a likeness whose films show as much common motion of all sheets as the recording.
 
     The codec leaves out a part of this motion. If films had just the motion that is left, hardly any of it
@@ -306,7 +312,7 @@ def _with_hidden_motion(
     return moved(float(np.clip(1 + (1 - once) / slope, 1.0, most)) if slope > 0 else most)
 
 
-def _tracking(tracks: xr.Dataset, like: Likeness, recorded_px: float) -> Callable[[xr.DataArray], xr.Dataset]:
+def _tracking(tracks: xr.Dataset, like: Likeness, recorded_px: float) -> Tracker:
     """Return `track_sheets` with the run's parameters.
 
     It does not search for false sheets and marks again, as the recording has shown which they are. If the run
@@ -319,14 +325,14 @@ def _tracking(tracks: xr.Dataset, like: Likeness, recorded_px: float) -> Callabl
     used: FitChoice = TrackMetadata.of(tracks).fit  # type: ignore[assignment]
     asked = parameters.pop("fit", used)
 
-    def with_fit(fit: FitChoice) -> Callable[[xr.DataArray], xr.Dataset]:
+    def with_fit(fit: FitChoice) -> Tracker:
         return lambda film: track_sheets(film, **parameters, fit=fit, settings=settings)
 
     if asked != "auto" or used == "sliding":
         return with_fit(used)
     film, choices = like.film(like.motion_px, number=0), (used, asked)
 
-    def unlike(again: Callable[[xr.DataArray], xr.Dataset]) -> float:
+    def unlike(again: Tracker) -> float:
         return abs(math.log(_measure(like, like.motion_px, again(film)).scatter_px / recorded_px))
 
     return min((with_fit(fit) for fit in choices), key=unlike)
@@ -399,7 +405,7 @@ def _without_means(error: Floats) -> Floats:
     return error - _columns(error, lambda column: float(column.mean()))
 
 
-def _locking(like: Likeness, again: Callable[[xr.DataArray], xr.Dataset]) -> Floats:
+def _locking(like: Likeness, again: Tracker) -> Floats:
     """Return the peak-to-peak error without noise while all sheets cross one pixel, (sheet,)."""
     motion = like.rest_px + np.linspace(0, 1, 41)[:, None]
     error = _measure(like, motion, again(like.film(motion, number=None))).error_px
@@ -441,11 +447,7 @@ def _largest_jump(like: Likeness) -> float:
 
 
 def _identity_margin(
-    like: Likeness,
-    again: Callable[[xr.DataArray], xr.Dataset],
-    measured: list[_Measured],
-    scales: list[float],
-    done: Callable[[], None],
+    like: Likeness, again: Tracker, measured: list[_Measured], scales: list[float]
 ) -> tuple[float, float]:
     """Return the largest multiple of the motion without a wrong identity, and the largest tested.
 
@@ -460,7 +462,6 @@ def _identity_margin(
             break
         tried = scale
         film = _measure(like, motion, again(like.film(motion, number=0)))
-        done()
         if film.wrong or np.isfinite(film.error_px).mean() < 0.9 * found:
             break
         margin = scale
@@ -469,7 +470,7 @@ def _identity_margin(
 
 def _at_threshold(
     like: Likeness,
-    again: Callable[[xr.DataArray], xr.Dataset],
+    again: Tracker,
     films: int,
     sticks: pd.DataFrame,
     clock: Clock,
@@ -488,19 +489,16 @@ def _at_threshold(
         share = (time[inside] - begin) / max(end - begin, 1e-9) - 0.5
         inward[inside] = share * np.sqrt(12) * threshold * np.nan_to_num(long) / pixel_size_um
     motion = like.rest_px - side * inward[:, None]
-    ratios, raws, errors = [], [], []
-    for number in range(films):
-        try:
-            moved = horizontal_deformation(
-                again(like.film(motion, number=number)), sticks, clock, pixel_size_um=pixel_size_um
-            )
-        except InputError:
-            return None
-        ratios.append(moved["ratio_signed"].values.ravel() / threshold)
-        raw = moved["sigma_x_um"].values / moved["stick_length_um"].values[:, None]
-        raws.append(raw.ravel() / threshold)
-        errors.append(moved["ratio_err"].values.ravel() / threshold)
-    ratio, raw, error = (np.concatenate(part) for part in (ratios, raws, errors))
+    tracked = (again(like.film(motion, number=number)) for number in range(films))
+    try:
+        moved = [horizontal_deformation(one, sticks, clock, pixel_size_um=pixel_size_um) for one in tracked]
+    except InputError:
+        return None
+    moved = [one.assign(raw=one["sigma_x_um"] / one["stick_length_um"]) for one in moved]
+    ratio, raw, error = (
+        np.concatenate([one[name].values.ravel() for one in moved]) / threshold
+        for name in ("ratio_signed", "raw", "ratio_err")
+    )
     known = np.isfinite(ratio)
     if not known.any():
         return None
@@ -520,8 +518,8 @@ def _sheet_table(
     error: Floats,
     stated: Floats,
     locking: Floats,
-    smallest: Floats,
     sweeps: Floats,
+    errors_resolved: float,
 ) -> pd.DataFrame:
     """Return the table of the sheets that are in the films, one row per sheet."""
     x_px = like.rest_px + float(like.strip["x"].values[0])
@@ -540,7 +538,7 @@ def _sheet_table(
             "found": np.isfinite(error).mean(axis=0).round(4),
             "locking_px": locking.round(5),
             "sweep_error_px": sweeps.round(5),
-            "smallest_sweep_px": smallest.round(5),
+            "smallest_sweep_px": (errors_resolved * sweeps).round(5),
         }
     )
 
@@ -566,8 +564,7 @@ def _doubts(
     if abs(math.log(scatter_px / recorded_px)) > math.log(settings.alike):
         lines.append(
             f"positions of the films scatter by {scatter_px:.4f} px, those of the recording by "
-            f"{recorded_px:.4f} px: "
-            "the films do not reproduce its noise, and their errors are not quite its own"
+            f"{recorded_px:.4f} px: the films do not reproduce its noise, and their errors are approximate"
         )
     noise_px = max(float(np.nan_to_num(nan_median(tracks["x_noise_px"].values))), 1e-6)
     # Errors exceed the noise also with the publication's fit, and with codecs that predict frames.
