@@ -19,7 +19,7 @@ from vision.clock import Clock
 from vision.data import StripMetadata, TrackMetadata
 from vision.deformation import horizontal_deformation
 from vision.errors import InputError
-from vision.numeric import Bools, Floats, Ints, nan_median
+from vision.numeric import Bools, Floats, Ints, nan_median, rms
 from vision.run import RunFolder, read_strip
 from vision.sheets import TrackingSettings, track_sheets
 from vision.sheets.quality import BetweenSlips, spatial_scatter
@@ -247,7 +247,7 @@ def certify(
     sheets = _sheet_table(like, tracks, error, stated, locking, sweeps, settings.errors_resolved)
     known = np.isfinite(error)
     scatter_px = float(np.median([film.scatter_px for film in measured]))
-    doubts = _doubts(like, facts, imitated, _rms(error), scatter_px, recorded_px, settings)
+    doubts = _doubts(like, facts, imitated, rms(error), scatter_px, recorded_px, settings)
     return Certificate(
         source=facts.source,
         codec=facts.codec,
@@ -256,7 +256,7 @@ def certify(
         films=settings.films,
         pixel_size_um=pixel_size_um,
         sheets=sheets,
-        error_px=_rms(error),
+        error_px=rms(error),
         within_error=float((np.abs(error) <= stated)[known].mean()) if known.any() else math.nan,
         found=float(known.mean()),
         wrong=sum(film.wrong for film in measured),
@@ -296,7 +296,7 @@ def _with_hidden_motion(like: Likeness, again: Tracker, settings: CertifySetting
     waves = np.abs(np.fft.rfft(kept)).astype(complex)
     waves *= np.exp(2j * np.pi * np.random.default_rng(0).random(waves.size))
     another = np.fft.irfft(waves, kept.size)
-    another *= _rms(kept) / _rms(another)
+    another *= rms(kept) / rms(another)
 
     def moved(factor: float) -> Likeness:
         return replace(like, motion_px=like.motion_px + (factor * another - kept)[:, None])
@@ -304,7 +304,7 @@ def _with_hidden_motion(like: Likeness, again: Tracker, settings: CertifySetting
     def shown(factor: float) -> float:
         film = moved(factor)
         found = again(film.film(film.motion_px, number=0))["x_px"].values
-        return _rms(smooth_motion(found, like.slips, settings, chained=True)[1]) / _rms(kept)
+        return rms(smooth_motion(found, like.slips, settings, chained=True)[1]) / rms(kept)
 
     once = shown(1.0)
     most = float(np.clip(1 / max(once, 1e-3), 1.0, settings.most_hidden))
@@ -390,11 +390,6 @@ def _pitch(like: Likeness) -> float:
     return float(np.median(np.diff(like.rest_px))) if like.rest_px.size > 1 else 20.0
 
 
-def _rms(values: Floats) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(known**2))) if known.size else math.nan
-
-
 def _columns(values: Floats, work: Callable[[Floats], float]) -> Floats:
     """Apply `work` to the known values of each column; NaN without any."""
     known = (column[np.isfinite(column)] for column in values.T)
@@ -435,7 +430,7 @@ def _sweep_errors(
             u = np.linspace(-0.5, 0.5, frames)
             slope = u / (u @ u)
             found += [slope @ film.error_px[piece[first : first + frames]] for film in measured]
-    return _columns(np.array(found), _rms), float(frames)
+    return _columns(np.array(found), rms), float(frames)
 
 
 def _largest_jump(like: Likeness) -> float:
@@ -532,7 +527,7 @@ def _sheet_table(
             "side": tracks["side"].values[nearest],
             "n": tracks["n"].values[nearest],
             "x_px": x_px.round(3),
-            "error_px": _columns(error, _rms).round(5),
+            "error_px": _columns(error, rms).round(5),
             "stated_px": nan_median(stated).round(5),
             "within_error": _columns(within, lambda column: float(column.mean())).round(4),
             "found": np.isfinite(error).mean(axis=0).round(4),

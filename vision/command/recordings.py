@@ -10,7 +10,7 @@ from typing import Any
 
 import pandas as pd
 
-from vision.command.console import complain, conclude, counted, frame_progress, one_line, say
+from vision.command.console import complain, conclude, frame_progress, one_line, say
 from vision.command.options import (
     FrictionOptions,
     ModulusOptions,
@@ -26,6 +26,7 @@ from vision.experiment import preset as ready_made
 from vision.experiment import settings_from_toml, with_settings
 from vision.experiment import simulate as make_test
 from vision.figures import Figure, plus_minus, save_figures
+from vision.figures.labels import counted
 from vision.figures.single_sheets import friction_figure, modulus_figure
 from vision.force import detection_limit, parse_columns, read_force
 from vision.models import Estimate
