@@ -174,8 +174,8 @@ def compare(
         warnings.append(text)
     joint = _joint(tests, fits, settings)
     warnings += [
-        f"{one.sample or 'all tests'}: no single μ fits the {len(one.runs)} tests (χ²/dof of their individual "
-        f"μ {one.disagreement:.3g}): use the μ of each test, in tests.csv"
+        f"{one.sample or 'all tests'}: no single μ fits the {len(one.runs)} tests (χ²/dof of their "
+        f"individual μ {one.disagreement:.3g}): use the μ of each test, in tests.csv"
         for one in joint
         if not one.fits
     ]
