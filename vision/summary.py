@@ -77,9 +77,8 @@ def _systematic(budget: Budget) -> list[str]:
             lines.append(f"{name} ± {total:.2g} {unit} (statistical {statistical:.2g})".replace("  ", " "))
         if quantity != "x_px":  # its sources are measured: the user cannot give their errors
             unknown |= dict.fromkeys(budget.unknown(quantity))
-    if unknown:
-        advice = {"d0": "d0 has no error: give `d0_mm` as 13.0±0.1"}
-        without = [advice.get(one, f"{SOURCES.get(one, one)} has no error") for one in unknown]
+    without = [f"{SOURCES.get(one, one)} has no error" for one in unknown if one != "d0"]  # fits note d0
+    if without:
         lines.append(f"not included: {'; '.join(without)}")
     return lines
 

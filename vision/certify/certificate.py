@@ -222,26 +222,26 @@ def certify(
         like = replace(like, encoder=encoder.fitted(drawn, shown_px, like.strip.values))
     imitated = tracks.isel(frame=like.frames)
     recorded_px = _scatter(np.asarray(imitated["x_px"].values, float), like.chained)
-    again = _tracking(tracks, like, recorded_px)
+    track = _tracker(tracks, like, recorded_px)
     if encoder is not None:
-        like = _with_hidden_motion(like, again, settings)
+        like = _with_hidden_motion(like, track, settings)
     scales = [scale for scale in (1.5, 2.0, 3.0, 4.0) if scale <= settings.largest_jump]
     with_threshold = sticks is not None and clock is not None and pixel_size_um is not None
     if progress is not None:
-        again = _counting(again, progress, settings.films * (1 + with_threshold) + 1 + len(scales))
+        track = _counting(track, progress, settings.films * (1 + with_threshold) + 1 + len(scales))
     measured = [
-        _measure(like, like.motion_px, again(like.film(like.motion_px, number=number)))
+        _measure(like, like.motion_px, track(like.film(like.motion_px, number=number)))
         for number in range(settings.films)
     ]
     error = np.concatenate([_without_means(film.error_px) for film in measured])
     stated = np.concatenate([film.stated_px for film in measured])
-    locking = _locking(like, again)
+    locking = _locking(like, track)
     sweeps, stick_frames = _sweep_errors(like, measured, settings)
-    margin, tried = _identity_margin(like, again, measured, scales)
+    margin, tried = _identity_margin(like, track, measured, scales)
     at_threshold = None
     if sticks is not None and clock is not None and pixel_size_um is not None:
         at_threshold = _at_threshold(
-            like, again, settings.films, sticks, clock, pixel_size_um, threshold, tracks
+            like, track, settings.films, sticks, clock, pixel_size_um, threshold, tracks
         )
     metadata, facts = TrackMetadata.of(tracks), StripMetadata.of(strip)
     sheets = _sheet_table(like, tracks, error, stated, locking, sweeps, settings.errors_resolved)
@@ -285,7 +285,7 @@ def _counting(track: Tracker, progress: Progress, total: int) -> Tracker:
     return tracked
 
 
-def _with_hidden_motion(like: Likeness, again: Tracker, settings: CertifySettings) -> Likeness:
+def _with_hidden_motion(like: Likeness, track: Tracker, settings: CertifySettings) -> Likeness:
     """Return a likeness whose films show as much common motion of all sheets as the recording.
 
     The codec leaves out a part of this motion. If films had just the motion that is left, hardly any of it
@@ -302,8 +302,8 @@ def _with_hidden_motion(like: Likeness, again: Tracker, settings: CertifySetting
         return replace(like, motion_px=like.motion_px + (factor * another - kept)[:, None])
 
     def shown(factor: float) -> float:
-        film = moved(factor)
-        found = again(film.film(film.motion_px, number=0))["x_px"].values
+        tried = moved(factor)
+        found = track(tried.film(tried.motion_px, number=0))["x_px"].values
         return rms(smooth_motion(found, like.slips, settings, chained=True)[1]) / rms(kept)
 
     once = shown(1.0)
@@ -312,7 +312,7 @@ def _with_hidden_motion(like: Likeness, again: Tracker, settings: CertifySetting
     return moved(float(np.clip(1 + (1 - once) / slope, 1.0, most)) if slope > 0 else most)
 
 
-def _tracking(tracks: xr.Dataset, like: Likeness, recorded_px: float) -> Tracker:
+def _tracker(tracks: xr.Dataset, like: Likeness, recorded_px: float) -> Tracker:
     """Return `track_sheets` with the run's parameters.
 
     It does not search for false sheets and marks again, as the recording has shown which they are. If the run
@@ -332,8 +332,8 @@ def _tracking(tracks: xr.Dataset, like: Likeness, recorded_px: float) -> Tracker
         return with_fit(used)
     film, choices = like.film(like.motion_px, number=0), (used, asked)
 
-    def unlike(again: Tracker) -> float:
-        return abs(math.log(_measure(like, like.motion_px, again(film)).scatter_px / recorded_px))
+    def unlike(track: Tracker) -> float:
+        return abs(math.log(_measure(like, like.motion_px, track(film)).scatter_px / recorded_px))
 
     return min((with_fit(fit) for fit in choices), key=unlike)
 
@@ -400,10 +400,10 @@ def _without_means(error: Floats) -> Floats:
     return error - _columns(error, lambda column: float(column.mean()))
 
 
-def _locking(like: Likeness, again: Tracker) -> Floats:
+def _locking(like: Likeness, track: Tracker) -> Floats:
     """Return the peak-to-peak error without noise while all sheets cross one pixel, (sheet,)."""
     motion = like.rest_px + np.linspace(0, 1, 41)[:, None]
-    error = _measure(like, motion, again(like.film(motion, number=None))).error_px
+    error = _measure(like, motion, track(like.film(motion, number=None))).error_px
     return _columns(error, lambda column: float(np.ptp(column)))
 
 
@@ -442,7 +442,7 @@ def _largest_jump(like: Likeness) -> float:
 
 
 def _identity_margin(
-    like: Likeness, again: Tracker, measured: list[_Measured], scales: list[float]
+    like: Likeness, track: Tracker, measured: list[_Measured], scales: list[float]
 ) -> tuple[float, float]:
     """Return the largest multiple of the motion without a wrong identity, and the largest tested.
 
@@ -456,7 +456,7 @@ def _identity_margin(
         if np.diff(motion, axis=1).min(initial=np.inf) < 0.6 * _pitch(like):
             break
         tried = scale
-        film = _measure(like, motion, again(like.film(motion, number=0)))
+        film = _measure(like, motion, track(like.film(motion, number=0)))
         if film.wrong or np.isfinite(film.error_px).mean() < 0.9 * found:
             break
         margin = scale
@@ -465,7 +465,7 @@ def _identity_margin(
 
 def _at_threshold(
     like: Likeness,
-    again: Tracker,
+    track: Tracker,
     films: int,
     sticks: pd.DataFrame,
     clock: Clock,
@@ -484,7 +484,7 @@ def _at_threshold(
         share = (time[inside] - begin) / max(end - begin, 1e-9) - 0.5
         inward[inside] = share * np.sqrt(12) * threshold * np.nan_to_num(long) / pixel_size_um
     motion = like.rest_px - side * inward[:, None]
-    tracked = (again(like.film(motion, number=number)) for number in range(films))
+    tracked = (track(like.film(motion, number=number)) for number in range(films))
     try:
         moved = [horizontal_deformation(one, sticks, clock, pixel_size_um=pixel_size_um) for one in tracked]
     except InputError:

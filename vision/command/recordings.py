@@ -102,7 +102,7 @@ def modulus(file: Path, options: ModulusOptions, output: OutputOptions) -> int:
     notes, warnings = list(cycles.attrs["notes"]), list(cycles.attrs["warnings"])
     size = {"thickness_mm": options.thickness, "width_mm": options.width, "length_mm": options.length}
     if tuple(size.values()) == (0.1, 45.0, 16.8):
-        notes.append("the publication's sheet is assumed: ε = 0.1, W = 45, L = 16.8 mm")
+        notes.append("the sheet has the publication's size: ε = 0.1, W = 45, L = 16.8 mm")
     content = {
         **means,
         "cycles": len(cycles),

@@ -571,4 +571,6 @@ def _remarks(
         notes.append(
             f"models of A, N_hat and Y_eff hold for V ≤ 1 mm/min; here V = {facts.speed_mm_min:.3g} mm/min"
         )
+    if not np.isfinite(facts.d0_err_mm):
+        notes.append("systematic errors do not include that of d0, which is unknown (give `d0_err_mm`)")
     return notes, tuple(warnings)

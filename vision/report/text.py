@@ -149,12 +149,10 @@ def _noise(results: Results) -> Answer | None:
 
 
 def _frames(results: Results) -> Answer | None:
-    if results.strip is None:
+    if (tracks := results.tracks) is None:
         return None
-    strip = StripMetadata.of(results.strip)
-    tracks = results.tracks
-    frozen = flag_counts(tracks).get("frozen", 0) // tracks.sizes["sheet"] if tracks is not None else 0
-    bad = _bad_frames(strip, frozen)
+    strip = StripMetadata.of(tracks)
+    bad = _bad_frames(strip, frozen=flag_counts(tracks).get("frozen", 0) // tracks.sizes["sheet"])
     return Answer(
         "frames",
         f"{strip.frames_read} of {strip.frames_expected} read",
@@ -227,7 +225,7 @@ def _compression(codec: str) -> str:
 def _bad_frames(strip: StripMetadata, frozen: int = 0) -> str:
     """Return the numbers of lost, blank, corrupt and frozen frames, "" if there are none."""
     bad = {"lost": strip.frames_lost, "blank": strip.frames_blank, "corrupt": strip.frames_corrupt}
-    bad["frozen"] = frozen
+    bad |= {"frozen": frozen}
     return ", ".join(f"{count} {name}" for name, count in bad.items() if count)
 
 
