@@ -77,8 +77,8 @@ def _systematic(budget: Budget) -> list[str]:
             lines.append(f"{name} ± {total:.2g} {unit} (statistical {statistical:.2g})".replace("  ", " "))
         if quantity != "x_px":  # its sources are measured: the user cannot give their errors
             unknown |= dict.fromkeys(budget.unknown(quantity))
-    without = [f"{SOURCES.get(one, one)} has no error" for one in unknown if one != "d0"]  # fits note d0
-    if without:
+    # The notes of the fits say that d0 has no error.
+    if without := [f"{SOURCES.get(one, one)} has no error" for one in unknown if one != "d0"]:
         lines.append(f"not included: {'; '.join(without)}")
     return lines
 

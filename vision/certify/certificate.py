@@ -233,7 +233,7 @@ def certify(
         _measure(like, like.motion_px, track(like.film(like.motion_px, number=number)))
         for number in range(settings.films)
     ]
-    error = np.concatenate([_without_means(film.error_px) for film in measured])
+    error = np.concatenate([film.error_px - _columns(film.error_px, np.mean) for film in measured])
     stated = np.concatenate([film.stated_px for film in measured])
     locking = _locking(like, track)
     sweeps, stick_frames = _sweep_errors(like, measured, settings)
@@ -390,21 +390,17 @@ def _pitch(like: Likeness) -> float:
     return float(np.median(np.diff(like.rest_px))) if like.rest_px.size > 1 else 20.0
 
 
-def _columns(values: Floats, work: Callable[[Floats], float]) -> Floats:
+def _columns(values: Floats, work: Callable[[Floats], Any]) -> Floats:
     """Apply `work` to the known values of each column; NaN without any."""
     known = (column[np.isfinite(column)] for column in values.T)
     return np.array([work(column) if column.size else math.nan for column in known])
-
-
-def _without_means(error: Floats) -> Floats:
-    return error - _columns(error, lambda column: float(column.mean()))
 
 
 def _locking(like: Likeness, track: Tracker) -> Floats:
     """Return the peak-to-peak error without noise while all sheets cross one pixel, (sheet,)."""
     motion = like.rest_px + np.linspace(0, 1, 41)[:, None]
     error = _measure(like, motion, track(like.film(motion, number=None))).error_px
-    return _columns(error, lambda column: float(np.ptp(column)))
+    return _columns(error, np.ptp)
 
 
 def _pieces(like: Likeness) -> list[Ints]:
@@ -529,7 +525,7 @@ def _sheet_table(
             "x_px": x_px.round(3),
             "error_px": _columns(error, rms).round(5),
             "stated_px": nan_median(stated).round(5),
-            "within_error": _columns(within, lambda column: float(column.mean())).round(4),
+            "within_error": _columns(within, np.mean).round(4),
             "found": np.isfinite(error).mean(axis=0).round(4),
             "locking_px": locking.round(5),
             "sweep_error_px": sweeps.round(5),

@@ -244,8 +244,7 @@ def _summary(plan: Plan, states: Sequence[State], seconds: float) -> list[str]:
     """Return the numbers of tests in each state, and the first twenty tests with warnings."""
     counts = Counter(state.state for state in states)
     ran = sum(len(job.films) for job in plan.jobs.values())
-    words = {"warnings": "with warnings"}
-    by_state = ", ".join(f"{count} {words.get(state, state)}" for state, count in sorted(counts.items()))
+    by_state = ", ".join(f"{n} {'with ' * (name == 'warnings')}{name}" for name, n in sorted(counts.items()))
     lines = [f"{counted(len(states), 'test')}: {by_state}; {ran} of them run now in {duration(seconds)}"]
     warned = [state for state in states if state.state == "warnings"]
     lines += [f"  {state.name}: {state.reason}" for state in warned[:20]]

@@ -218,7 +218,7 @@ def collapse_figure(found: Comparison, events: pd.DataFrame) -> Figure | None:
     inset = Panel(
         x_label="d_v (mm)",
         y_label="K (N/mm)",
-        series=_by_test(stiffness, "d_v_mm", "K_N_per_mm", label=False),
+        series=tuple(replace(one, label="") for one in _by_test(stiffness, "d_v_mm", "K_N_per_mm")),
     )
     top = 1.05 * float(np.nanquantile(named["sheets"], 0.999))
     return Figure.of(
@@ -239,23 +239,21 @@ def collapse_figure(found: Comparison, events: pd.DataFrame) -> Figure | None:
     )
 
 
-def _by_test(events: pd.DataFrame, x: str, y: str, *, label: bool = True) -> tuple[Series, ...]:
+def _by_test(events: pd.DataFrame, x: str, y: str) -> tuple[Series, ...]:
     """Return one series per run, or one per sample or velocity for more runs than `MOST_COLOURS`."""
     key = events["run"]
     if key.nunique() > MOST_COLOURS:
         samples = len(set(events["sample"])) > 1
         key = events["sample"] if samples else events["V_mm_min"].map(_velocity_name)
-    return _by_name(events, key.replace("", "sample not named"), x, y, label=label)
+    return _by_name(events, key.replace("", "sample not named"), x, y)
 
 
-def _by_name(
-    events: pd.DataFrame, key: pd.Series, x: str, y: str, *, label: bool = True
-) -> tuple[Series, ...]:
+def _by_name(events: pd.DataFrame, key: pd.Series, x: str, y: str) -> tuple[Series, ...]:
     """Return one series per name in `key`, in their order."""
     names = list(dict.fromkeys(key))
     parts = [events[key == name].sort_values(x) for name in names]
     return tuple(
-        Series.points(name if label else "", part[x], part[y], ink, hollow=k % 2 == 1)
+        Series.points(name, part[x], part[y], ink, hollow=k % 2 == 1)
         for k, (name, part, ink) in enumerate(zip(names, parts, ordered_inks(len(names)), strict=True))
     )
 

@@ -224,9 +224,9 @@ def _compression(codec: str) -> str:
 
 def _bad_frames(strip: StripMetadata, frozen: int = 0) -> str:
     """Return the numbers of lost, blank, corrupt and frozen frames, "" if there are none."""
-    bad = {"lost": strip.frames_lost, "blank": strip.frames_blank, "corrupt": strip.frames_corrupt}
-    bad |= {"frozen": frozen}
-    return ", ".join(f"{count} {name}" for name, count in bad.items() if count)
+    counts = strip.frames_lost, strip.frames_blank, strip.frames_corrupt, frozen
+    named = zip(counts, ("lost", "blank", "corrupt", "frozen"), strict=True)
+    return ", ".join(f"{count} {name}" for count, name in named if count)
 
 
 def _tracking(tracks: xr.Dataset) -> str:
