@@ -15,8 +15,7 @@ from vision.comparison.runs import TractionTest
 from vision.figures.labels import counted
 from vision.numeric import Bools, Floats, Ints, rms
 
-SYMBOLS = {"mu": "μ", "N_hat_N": "N̂", "Lambda_hat_mm": "Λ̂"}
-"""Symbol of each quantity, by its column in tests.csv."""
+SYMBOLS = {"mu": "μ", "N_hat_N": "N̂", "Lambda_hat_mm": "Λ̂"}  # by columns of tests.csv
 PREDICTORS = ("n_test", "RH_percent")
 LEAST_TESTS = 5
 
