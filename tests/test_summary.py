@@ -14,6 +14,7 @@ from tests.scenes.reviewed import FORCE, SETTINGS, VIDEO, clean
 from vision.clock.clock import Candidate
 from vision.data import StickMetadata
 from vision.pipeline import analyse
+from vision.report.text import answers
 from vision.sample import PUBLISHED
 from vision.sheets import track_sheets
 from vision.shells import ShellSettings
@@ -188,7 +189,20 @@ def test_systematic_errors_are_a_line_each():
     assert place.startswith("position of a sheet") and place.count("±") == 1
     assert scale.startswith("Λ̂ ±") and " mm" in scale
     assert stiffness.startswith("K ±") and "N/mm" in stiffness
-    assert rest.startswith("not included: d0 has no error: give `d0_mm` as 13.0±0.1; pixel size has no error")
+    assert rest.startswith("not included: pixel size has no error")
+    assert sum("d0" in line for line in lines) == 1  # the note of the fits
+
+
+def test_frozen_frames_are_counted_beside_the_others():
+    """A failure means a film of which half is copies, summarised as read in full."""
+    found = with_force()
+    tracks = found.tracks.copy(deep=True)
+    tracks["flag"][3:5] = "frozen"
+    (line,) = (line for line in summary_lines(replace(found, tracks=tracks)) if line.startswith("frames"))
+    assert line.endswith("0 blank, 2 frozen")
+    (box,) = (box for box in answers(replace(found, tracks=tracks)) if box.what == "frames")
+    assert box.detail == "2 frozen" and box.doubt
+    assert not any("frozen" in line for line in summary_lines(found))
 
 
 def test_the_clock_s_errors_are_printed():

@@ -39,6 +39,12 @@ def mad_sigma(values: NDArray[np.floating], axis: int | None = None) -> Any:
     return np.median(np.abs(values - middle), axis=axis) / NORMAL_MEDIAN
 
 
+def rms(values: Floats) -> float:
+    """Return the root mean square of the finite values; NaN without any."""
+    known = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(known**2))) if known.size else np.nan
+
+
 def nan_median(values: NDArray[np.floating], axis: int = 0) -> Floats:
     """Return the median along an axis, ignoring NaN; NaN, without a warning, if all values are NaN."""
     lanes = np.array(np.moveaxis(np.asarray(values), axis, -1), np.float64, order="C")

@@ -54,7 +54,7 @@ def summary_lines(results: Results) -> list[str]:
         lines.append(f"models     μ {mu}, A {a}, N̂ {n_hat} N")
         lines += [f"           {note}" for note in fits.notes]
     elif reason := results.reasons.get("fits"):
-        lines.append(f"models     none: {reason}")
+        lines.append(f"models     none: {reason.removeprefix('model fits: ')}")
     if results.clock is not None:
         lines.append(f"clocks     {_clocks(results.clock)}")
     if results.shells is not None and results.motion is not None:
@@ -77,9 +77,8 @@ def _systematic(budget: Budget) -> list[str]:
             lines.append(f"{name} ± {total:.2g} {unit} (statistical {statistical:.2g})".replace("  ", " "))
         if quantity != "x_px":  # its sources are measured: the user cannot give their errors
             unknown |= dict.fromkeys(budget.unknown(quantity))
-    if unknown:
-        advice = {"d0": "d0 has no error: give `d0_mm` as 13.0±0.1"}
-        without = [advice.get(one, f"{SOURCES.get(one, one)} has no error") for one in unknown]
+    # The notes of the fits say that d0 has no error.
+    if without := [f"{SOURCES.get(one, one)} has no error" for one in unknown if one != "d0"]:
         lines.append(f"not included: {'; '.join(without)}")
     return lines
 
@@ -88,11 +87,8 @@ def tracking_warnings(tracks: xr.Dataset) -> list[str]:
     """Return warnings about frozen frames, doubtful or missing positions, motion, and overlooked sheets."""
     lines, flags = [], flag_counts(tracks)
     total = max(1, sum(flags.values()))
-    if frozen := flags.get("frozen", 0):
-        lines.append(
-            f"{frozen // tracks.sizes['sheet']} frame(s) are copies of the frame before and have no positions"
-            " (flag frozen)"
-        )
+    if frozen := flags.get("frozen", 0) // tracks.sizes["sheet"]:
+        lines.append(f"{frozen} frame(s) are copies of the frame before and have no positions (flag frozen)")
     uncertain = flags.get("doubtful", 0) + flags.get("merged", 0)
     if uncertain:
         line = f"{uncertain} of {total} positions left out because the identity of the sheet is uncertain"
@@ -431,6 +427,7 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> list[str
     other = ", ".join(f"{count} {name}" for name, count in flags.items() if name != "ok") or "none missing"
     tilt = f", tilt {strip.tilt_deg:+.2f}°" if math.isfinite(strip.tilt_deg) else ""
     corrupt = f" ({strip.frames_corrupt} of them corrupt)" if strip.frames_corrupt else ""
+    frozen = f", {count} frozen" if (count := flags.get("frozen", 0) // side.size) else ""
     scale = "px: give `pixel_size_um` for µm" if pixel_size_um is None else f"{pixel_size_um:g} µm per px"
     unseen = (
         "; they look alike: a jump by their spacing would be invisible" if found.sheets_alike == "yes" else ""
@@ -445,7 +442,7 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> list[str
         f"sheets     {found.sheets} {found.ridges} ridges ({(side < 0).sum()} left, {(side > 0).sum()} right)"
         f"; other ridges ignored: {found.ridges_dropped}{unseen}",
         f"frames     {strip.frames_read} of {strip.frames_expected} read; {strip.frames_lost} lost{corrupt}, "
-        f"{strip.frames_blank} blank",
+        f"{strip.frames_blank} blank{frozen}",
         f"positions  {flags.get('ok', 0)} measured; {other}",
         f"noise      {_noise(noise, length)}{predicted}",
         *([f"doubtful   {doubt}"] if (doubt := doubt_line(tracks)) else []),

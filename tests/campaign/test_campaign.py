@@ -61,7 +61,7 @@ def test_all_good_films_are_done_and_the_bad_one_is_named(tmp_path, monkeypatch,
     assert "clocks ambiguous" in found["video"]["reason"]
     assert "bad: failed: " in said.err
     assert "expected a TIFF" in said.err
-    assert "3 tests: 1 done, 1 failed, 1 warnings; 3 of them run now" in said.out
+    assert "3 tests: 1 done, 1 failed, 1 with warnings; 3 of them run now" in said.out
     assert json.loads((out / "states" / "bad.json").read_text())["attempts"] == 2
     assert not (tmp_path / "x").exists()
     assert not (out / "x").exists()
@@ -80,7 +80,7 @@ def test_all_good_films_are_done_and_the_bad_one_is_named(tmp_path, monkeypatch,
     log = (out / "snakemake.log").stat().st_size
     pooled = (out / "pool" / "run.json").stat().st_mtime_ns
     assert run(asked) == 1  # the warnings still matter
-    assert "2 tests: 1 done, 1 warnings; 0 of them run now" in capsys.readouterr().out
+    assert "2 tests: 1 done, 1 with warnings; 0 of them run now" in capsys.readouterr().out
     assert (out / "runs" / "paper" / "run.json").stat().st_mtime_ns == made
     assert (out / "pool" / "run.json").stat().st_mtime_ns == pooled
     assert (out / "snakemake.log").stat().st_size == log

@@ -6,9 +6,10 @@ import pytest
 import xarray as xr
 
 from tests.scenes.degraded import SCENE
+from vision.certify import CertifySettings, certify_run
 from vision.command.main import run
 from vision.experiment import preset, simulate, with_settings
-from vision.run.reading import read_json
+from vision.run.reading import read_json, read_run
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
 
@@ -38,6 +39,14 @@ def test_the_certificate_of_a_run(made, tmp_path, capsys, monkeypatch):
     assert len(pd.read_csv(tmp_path / "sim_tracks_certificate/certificate.csv")) == error.shape[1]
     assert run(["certify", str(target)]) == 2  # never over an earlier one unasked
     assert "--overwrite" in capsys.readouterr().err
+
+
+def test_every_film_is_progress(made):
+    """A failure means a bar that stands still, or ends early, while films at the threshold are tracked."""
+    seen = []
+    settings = CertifySettings(films=1, largest_jump=1.5)
+    certify_run(read_run(made[0]), settings=settings, progress=lambda *counts: seen.append(counts))
+    assert seen == [(1, 4), (2, 4), (3, 4), (4, 4)]
 
 
 def test_what_cannot_be_certified(tmp_path, capsys):

@@ -16,6 +16,7 @@ from vision.errors import InputError
 from vision.experiment import Experiment, force_recording, with_settings, write_force
 from vision.experiment.mechanics import simulate_pull
 from vision.figures import load_figures
+from vision.figures.labels import to_unicode
 
 COLUMNS = [
     "run",
@@ -82,6 +83,12 @@ def test_figures_of_a_comparison(six, tmp_path, capsys):
     named = {figure.name: figure for figure in figures}
     assert {"peaks", "drops", "stiffnesses", "collapse", "irregular", "trends"} <= set(named)
     assert named["collapse"].panel.inset is not None
+    inks = [series.ink for series in named["irregular"].panel.series]
+    assert len(set(inks)) == len(inks) == 6  # tests of one velocity too
+    labels = [
+        text for figure in figures for p in figure.panels for text in (p.x_label, p.y_label, p.y2_label)
+    ]
+    assert not any("_" in to_unicode(label) for label in labels)  # the page draws them as they are
     on_page = [figure.name for _, part in compare_sections(figures) for figure in part]
     assert len(on_page) == len(set(on_page)) >= 8
     assert "trends" not in on_page  # the page shows its panels as figures of their own
@@ -135,6 +142,7 @@ def test_runs_that_cannot_be_used_are_named_and_the_rest_done(six, tmp_path, cap
     [
         (["compare"], "expected finished run folders"),
         (["compare", "nowhere"], "found no such folder"),
+        (["compare", "tests.csv"], "found a file"),
         (["compare", "test00", "--table", "none.csv"], "none.csv: expected a CSV table"),
         (["compare", "test00", "--table", "empty.csv"], "empty.csv"),
         (["compare", "test00", "--table", "tests.csv", "--main-sample", "z"], "--main-sample: expected"),

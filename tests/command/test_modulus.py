@@ -34,7 +34,7 @@ def test_run_folder(capsys: pytest.CaptureFixture[str]) -> None:
     assert 0 < mean["error"] < mean["scatter"]
     told = json.loads((out / "run.json").read_text("utf-8"))
     assert told["parameters"]["length"] == {"value": 16.8, "how": "default"}
-    assert any("publication's sheet is assumed" in line for line in told["notes"])
+    assert any("the publication's size" in line for line in told["notes"])
     assert (out / "modulus.png").stat().st_size > 10_000
     assert "Y_p = |F0|/(εW) 2.4997" in capsys.readouterr().out
 

@@ -5,6 +5,7 @@ import pytest
 
 from tests.scenes.report_data import make_tracks, sawtooth
 from vision.figures.labels import (
+    counted,
     percent,
     plus_minus,
     position_unit,
@@ -86,3 +87,8 @@ def test_dollars_in_names_are_no_mathematics():
     """A failure means that a sample called $x$ is drawn as a formula, or ends the drawing."""
     assert to_mathtext(r"$\frac{$") == r"\$\frac{\$"
     assert to_mathtext("5 $ of σ_eff") == r"5 \$ of $σ_{\mathrm{eff}}$"
+
+
+def test_one_is_not_a_plural():
+    """A failure means "1 tests" at the top of a campaign's page."""
+    assert [counted(n, "test") for n in (0, 1, 2)] == ["0 tests", "1 test", "2 tests"]

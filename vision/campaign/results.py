@@ -23,6 +23,7 @@ from vision.campaign.plan import FINISHED, Plan, PlannedFilm, State
 from vision.comparison import compare, write_comparison
 from vision.comparison.runs import COLUMNS, LIMITS
 from vision.errors import InputError
+from vision.figures.labels import counted
 from vision.files import reading
 from vision.pipeline import Analysis
 from vision.run import Origin, whole_file, write_json
@@ -34,7 +35,7 @@ from vision.shells import deformation_table
 
 
 PAGE = "index.html"
-WORDS = ("failed", "partial", "warnings", "running", "waiting", "done")
+STATES = ("failed", "partial", "warnings", "running", "waiting", "done")
 
 TEMPLATE = Path(__file__).with_name("index.html.jinja")
 SHOWN = {
@@ -73,11 +74,12 @@ def write_page(plan: Plan, *, live: bool, remarks: tuple[str, ...] = ()) -> list
             refresh=10,  # seconds
             now=time.strftime("%Y-%m-%d %H:%M:%S"),
             ended=len(states) - counts["waiting"] - counts["running"],
-            counts=[(word, counts[word]) for word in WORDS if counts[word]],
+            counts=[(word, counts[word]) for word in STATES if counts[word]],
             left=duration(left) if live and left else "",
             pool=(plan.out / "pool" / "report.html").is_file(),
             remarks=remarks,
             facts=[SHOWN[name] for name in facts],
+            tests=counted(len(films), "test"),
             films=[_row(plan, film, state, facts) for film, state in films],
         )
     )

@@ -19,7 +19,7 @@ from vision.clock import Clock
 from vision.data import StripMetadata, TrackMetadata
 from vision.deformation import horizontal_deformation
 from vision.errors import InputError
-from vision.numeric import Bools, Floats, Ints, nan_median
+from vision.numeric import Bools, Floats, Ints, nan_median, rms
 from vision.run import RunFolder, read_strip
 from vision.sheets import TrackingSettings, track_sheets
 from vision.sheets.quality import BetweenSlips, spatial_scatter
@@ -27,6 +27,7 @@ from vision.sheets.subpixel import FitChoice, position_noise
 from vision.sheets.tracks import BETWEEN_FRAMES
 
 Progress = Callable[[int, int | None], None]
+Tracker = Callable[[xr.DataArray], xr.Dataset]  # `track_sheets` with the parameters of a run
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -221,37 +222,32 @@ def certify(
         like = replace(like, encoder=encoder.fitted(drawn, shown_px, like.strip.values))
     imitated = tracks.isel(frame=like.frames)
     recorded_px = _scatter(np.asarray(imitated["x_px"].values, float), like.chained)
-    again = _tracking(tracks, like, recorded_px)
+    track = _tracker(tracks, like, recorded_px)
     if encoder is not None:
-        like = _with_hidden_motion(like, again, settings)
+        like = _with_hidden_motion(like, track, settings)
     scales = [scale for scale in (1.5, 2.0, 3.0, 4.0) if scale <= settings.largest_jump]
-    work = settings.films + 1 + len(scales) + (settings.films if sticks is not None else 0)
-    finished = itertools.count(1)
-
-    def done() -> None:
-        if progress is not None:
-            progress(next(finished), work)
-
-    measured = []
-    for number in range(settings.films):
-        measured.append(_measure(like, like.motion_px, again(like.film(like.motion_px, number=number))))
-        done()
-    error = np.concatenate([_without_means(film.error_px) for film in measured])
+    with_threshold = sticks is not None and clock is not None and pixel_size_um is not None
+    if progress is not None:
+        track = _counting(track, progress, settings.films * (1 + with_threshold) + 1 + len(scales))
+    measured = [
+        _measure(like, like.motion_px, track(like.film(like.motion_px, number=number)))
+        for number in range(settings.films)
+    ]
+    error = np.concatenate([film.error_px - _columns(film.error_px, np.mean) for film in measured])
     stated = np.concatenate([film.stated_px for film in measured])
-    locking = _locking(like, again)
-    done()
+    locking = _locking(like, track)
     sweeps, stick_frames = _sweep_errors(like, measured, settings)
-    margin, tried = _identity_margin(like, again, measured, scales, done)
+    margin, tried = _identity_margin(like, track, measured, scales)
     at_threshold = None
     if sticks is not None and clock is not None and pixel_size_um is not None:
         at_threshold = _at_threshold(
-            like, again, settings.films, sticks, clock, pixel_size_um, threshold, tracks
+            like, track, settings.films, sticks, clock, pixel_size_um, threshold, tracks
         )
     metadata, facts = TrackMetadata.of(tracks), StripMetadata.of(strip)
-    sheets = _sheet_table(like, tracks, error, stated, locking, sweeps * settings.errors_resolved, sweeps)
+    sheets = _sheet_table(like, tracks, error, stated, locking, sweeps, settings.errors_resolved)
     known = np.isfinite(error)
     scatter_px = float(np.median([film.scatter_px for film in measured]))
-    doubts = _doubts(like, facts, imitated, _rms(error), scatter_px, recorded_px, settings)
+    doubts = _doubts(like, facts, imitated, rms(error), scatter_px, recorded_px, settings)
     return Certificate(
         source=facts.source,
         codec=facts.codec,
@@ -260,7 +256,7 @@ def certify(
         films=settings.films,
         pixel_size_um=pixel_size_um,
         sheets=sheets,
-        error_px=_rms(error),
+        error_px=rms(error),
         within_error=float((np.abs(error) <= stated)[known].mean()) if known.any() else math.nan,
         found=float(known.mean()),
         wrong=sum(film.wrong for film in measured),
@@ -277,9 +273,19 @@ def certify(
     )
 
 
-def _with_hidden_motion(
-    like: Likeness, again: Callable[[xr.DataArray], xr.Dataset], settings: CertifySettings
-) -> Likeness:
+def _counting(track: Tracker, progress: Progress, total: int) -> Tracker:
+    """Return `track`, which then reports its number of films so far."""
+    number = itertools.count(1)
+
+    def tracked(film: xr.DataArray) -> xr.Dataset:
+        tracks = track(film)
+        progress(next(number), total)
+        return tracks
+
+    return tracked
+
+
+def _with_hidden_motion(like: Likeness, track: Tracker, settings: CertifySettings) -> Likeness:
     """Return a likeness whose films show as much common motion of all sheets as the recording.
 
     The codec leaves out a part of this motion. If films had just the motion that is left, hardly any of it
@@ -290,15 +296,15 @@ def _with_hidden_motion(
     waves = np.abs(np.fft.rfft(kept)).astype(complex)
     waves *= np.exp(2j * np.pi * np.random.default_rng(0).random(waves.size))
     another = np.fft.irfft(waves, kept.size)
-    another *= _rms(kept) / _rms(another)
+    another *= rms(kept) / rms(another)
 
     def moved(factor: float) -> Likeness:
         return replace(like, motion_px=like.motion_px + (factor * another - kept)[:, None])
 
     def shown(factor: float) -> float:
-        film = moved(factor)
-        found = again(film.film(film.motion_px, number=0))["x_px"].values
-        return _rms(smooth_motion(found, like.slips, settings, chained=True)[1]) / _rms(kept)
+        tried = moved(factor)
+        found = track(tried.film(tried.motion_px, number=0))["x_px"].values
+        return rms(smooth_motion(found, like.slips, settings, chained=True)[1]) / rms(kept)
 
     once = shown(1.0)
     most = float(np.clip(1 / max(once, 1e-3), 1.0, settings.most_hidden))
@@ -306,7 +312,7 @@ def _with_hidden_motion(
     return moved(float(np.clip(1 + (1 - once) / slope, 1.0, most)) if slope > 0 else most)
 
 
-def _tracking(tracks: xr.Dataset, like: Likeness, recorded_px: float) -> Callable[[xr.DataArray], xr.Dataset]:
+def _tracker(tracks: xr.Dataset, like: Likeness, recorded_px: float) -> Tracker:
     """Return `track_sheets` with the run's parameters.
 
     It does not search for false sheets and marks again, as the recording has shown which they are. If the run
@@ -319,15 +325,15 @@ def _tracking(tracks: xr.Dataset, like: Likeness, recorded_px: float) -> Callabl
     used: FitChoice = TrackMetadata.of(tracks).fit  # type: ignore[assignment]
     asked = parameters.pop("fit", used)
 
-    def with_fit(fit: FitChoice) -> Callable[[xr.DataArray], xr.Dataset]:
+    def with_fit(fit: FitChoice) -> Tracker:
         return lambda film: track_sheets(film, **parameters, fit=fit, settings=settings)
 
     if asked != "auto" or used == "sliding":
         return with_fit(used)
     film, choices = like.film(like.motion_px, number=0), (used, asked)
 
-    def unlike(again: Callable[[xr.DataArray], xr.Dataset]) -> float:
-        return abs(math.log(_measure(like, like.motion_px, again(film)).scatter_px / recorded_px))
+    def unlike(track: Tracker) -> float:
+        return abs(math.log(_measure(like, like.motion_px, track(film)).scatter_px / recorded_px))
 
     return min((with_fit(fit) for fit in choices), key=unlike)
 
@@ -384,26 +390,17 @@ def _pitch(like: Likeness) -> float:
     return float(np.median(np.diff(like.rest_px))) if like.rest_px.size > 1 else 20.0
 
 
-def _rms(values: Floats) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(known**2))) if known.size else math.nan
-
-
-def _columns(values: Floats, work: Callable[[Floats], float]) -> Floats:
+def _columns(values: Floats, work: Callable[[Floats], Any]) -> Floats:
     """Apply `work` to the known values of each column; NaN without any."""
     known = (column[np.isfinite(column)] for column in values.T)
     return np.array([work(column) if column.size else math.nan for column in known])
 
 
-def _without_means(error: Floats) -> Floats:
-    return error - _columns(error, lambda column: float(column.mean()))
-
-
-def _locking(like: Likeness, again: Callable[[xr.DataArray], xr.Dataset]) -> Floats:
+def _locking(like: Likeness, track: Tracker) -> Floats:
     """Return the peak-to-peak error without noise while all sheets cross one pixel, (sheet,)."""
     motion = like.rest_px + np.linspace(0, 1, 41)[:, None]
-    error = _measure(like, motion, again(like.film(motion, number=None))).error_px
-    return _columns(error, lambda column: float(np.ptp(column)))
+    error = _measure(like, motion, track(like.film(motion, number=None))).error_px
+    return _columns(error, np.ptp)
 
 
 def _pieces(like: Likeness) -> list[Ints]:
@@ -429,7 +426,7 @@ def _sweep_errors(
             u = np.linspace(-0.5, 0.5, frames)
             slope = u / (u @ u)
             found += [slope @ film.error_px[piece[first : first + frames]] for film in measured]
-    return _columns(np.array(found), _rms), float(frames)
+    return _columns(np.array(found), rms), float(frames)
 
 
 def _largest_jump(like: Likeness) -> float:
@@ -441,11 +438,7 @@ def _largest_jump(like: Likeness) -> float:
 
 
 def _identity_margin(
-    like: Likeness,
-    again: Callable[[xr.DataArray], xr.Dataset],
-    measured: list[_Measured],
-    scales: list[float],
-    done: Callable[[], None],
+    like: Likeness, track: Tracker, measured: list[_Measured], scales: list[float]
 ) -> tuple[float, float]:
     """Return the largest multiple of the motion without a wrong identity, and the largest tested.
 
@@ -459,8 +452,7 @@ def _identity_margin(
         if np.diff(motion, axis=1).min(initial=np.inf) < 0.6 * _pitch(like):
             break
         tried = scale
-        film = _measure(like, motion, again(like.film(motion, number=0)))
-        done()
+        film = _measure(like, motion, track(like.film(motion, number=0)))
         if film.wrong or np.isfinite(film.error_px).mean() < 0.9 * found:
             break
         margin = scale
@@ -469,7 +461,7 @@ def _identity_margin(
 
 def _at_threshold(
     like: Likeness,
-    again: Callable[[xr.DataArray], xr.Dataset],
+    track: Tracker,
     films: int,
     sticks: pd.DataFrame,
     clock: Clock,
@@ -488,19 +480,16 @@ def _at_threshold(
         share = (time[inside] - begin) / max(end - begin, 1e-9) - 0.5
         inward[inside] = share * np.sqrt(12) * threshold * np.nan_to_num(long) / pixel_size_um
     motion = like.rest_px - side * inward[:, None]
-    ratios, raws, errors = [], [], []
-    for number in range(films):
-        try:
-            moved = horizontal_deformation(
-                again(like.film(motion, number=number)), sticks, clock, pixel_size_um=pixel_size_um
-            )
-        except InputError:
-            return None
-        ratios.append(moved["ratio_signed"].values.ravel() / threshold)
-        raw = moved["sigma_x_um"].values / moved["stick_length_um"].values[:, None]
-        raws.append(raw.ravel() / threshold)
-        errors.append(moved["ratio_err"].values.ravel() / threshold)
-    ratio, raw, error = (np.concatenate(part) for part in (ratios, raws, errors))
+    tracked = (track(like.film(motion, number=number)) for number in range(films))
+    try:
+        moved = [horizontal_deformation(one, sticks, clock, pixel_size_um=pixel_size_um) for one in tracked]
+    except InputError:
+        return None
+    moved = [one.assign(raw=one["sigma_x_um"] / one["stick_length_um"]) for one in moved]
+    ratio, raw, error = (
+        np.concatenate([one[name].values.ravel() for one in moved]) / threshold
+        for name in ("ratio_signed", "raw", "ratio_err")
+    )
     known = np.isfinite(ratio)
     if not known.any():
         return None
@@ -520,8 +509,8 @@ def _sheet_table(
     error: Floats,
     stated: Floats,
     locking: Floats,
-    smallest: Floats,
     sweeps: Floats,
+    errors_resolved: float,
 ) -> pd.DataFrame:
     """Return the table of the sheets that are in the films, one row per sheet."""
     x_px = like.rest_px + float(like.strip["x"].values[0])
@@ -534,13 +523,13 @@ def _sheet_table(
             "side": tracks["side"].values[nearest],
             "n": tracks["n"].values[nearest],
             "x_px": x_px.round(3),
-            "error_px": _columns(error, _rms).round(5),
+            "error_px": _columns(error, rms).round(5),
             "stated_px": nan_median(stated).round(5),
-            "within_error": _columns(within, lambda column: float(column.mean())).round(4),
+            "within_error": _columns(within, np.mean).round(4),
             "found": np.isfinite(error).mean(axis=0).round(4),
             "locking_px": locking.round(5),
             "sweep_error_px": sweeps.round(5),
-            "smallest_sweep_px": smallest.round(5),
+            "smallest_sweep_px": (errors_resolved * sweeps).round(5),
         }
     )
 
@@ -566,8 +555,7 @@ def _doubts(
     if abs(math.log(scatter_px / recorded_px)) > math.log(settings.alike):
         lines.append(
             f"positions of the films scatter by {scatter_px:.4f} px, those of the recording by "
-            f"{recorded_px:.4f} px: "
-            "the films do not reproduce its noise, and their errors are not quite its own"
+            f"{recorded_px:.4f} px: the films do not reproduce its noise, and their errors are approximate"
         )
     noise_px = max(float(np.nan_to_num(nan_median(tracks["x_noise_px"].values))), 1e-6)
     # Errors exceed the noise also with the publication's fit, and with codecs that predict frames.

@@ -26,11 +26,12 @@ from vision.campaign.plan import (
     write_plan,
 )
 from vision.campaign.results import duration, needs_pool, pool, read_remarks, write_page, write_remarks
-from vision.command.console import attempt, complain, counted, in_columns, say
+from vision.command.console import attempt, complain, in_columns, say
 from vision.command.options import GROUPS, CampaignOptions, RunOptions, option_fields, option_names
 from vision.command.settings import merged, number, parse_option, read_config, settings_of
 from vision.command.track import REFUSED, command_line, run_name, track_one
 from vision.errors import InputError, with_options
+from vision.figures.labels import counted
 from vision.run import Parameter
 from vision.video.threads import usable_cores
 
@@ -243,7 +244,7 @@ def _summary(plan: Plan, states: Sequence[State], seconds: float) -> list[str]:
     """Return the numbers of tests in each state, and the first twenty tests with warnings."""
     counts = Counter(state.state for state in states)
     ran = sum(len(job.films) for job in plan.jobs.values())
-    by_state = ", ".join(f"{count} {state}" for state, count in sorted(counts.items()))
+    by_state = ", ".join(f"{n} {'with ' * (name == 'warnings')}{name}" for name, n in sorted(counts.items()))
     lines = [f"{counted(len(states), 'test')}: {by_state}; {ran} of them run now in {duration(seconds)}"]
     warned = [state for state in states if state.state == "warnings"]
     lines += [f"  {state.name}: {state.reason}" for state in warned[:20]]

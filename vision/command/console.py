@@ -74,11 +74,6 @@ def conclude(lines: Iterable[str], warnings: Sequence[str], *, quiet: bool) -> i
     return 1 if warnings else 0
 
 
-def counted(count: int, noun: str) -> str:
-    """Return "1 film" or "2 films"."""
-    return f"{count} {noun}{'s' * (count != 1)}"
-
-
 def in_columns(rows: Sequence[Sequence[str]], align: str) -> list[str]:
     """Format rows in columns; `align` has < or > for each but the last, which is not padded."""
     widths = [max((len(row[k]) for row in rows), default=0) for k in range(len(align))]

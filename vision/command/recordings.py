@@ -10,7 +10,7 @@ from typing import Any
 
 import pandas as pd
 
-from vision.command.console import complain, conclude, counted, frame_progress, one_line, say
+from vision.command.console import complain, conclude, frame_progress, one_line, say
 from vision.command.options import (
     FrictionOptions,
     ModulusOptions,
@@ -26,6 +26,7 @@ from vision.experiment import preset as ready_made
 from vision.experiment import settings_from_toml, with_settings
 from vision.experiment import simulate as make_test
 from vision.figures import Figure, plus_minus, save_figures
+from vision.figures.labels import counted
 from vision.figures.single_sheets import friction_figure, modulus_figure
 from vision.force import detection_limit, parse_columns, read_force
 from vision.models import Estimate
@@ -101,7 +102,7 @@ def modulus(file: Path, options: ModulusOptions, output: OutputOptions) -> int:
     notes, warnings = list(cycles.attrs["notes"]), list(cycles.attrs["warnings"])
     size = {"thickness_mm": options.thickness, "width_mm": options.width, "length_mm": options.length}
     if tuple(size.values()) == (0.1, 45.0, 16.8):
-        notes.append("the publication's sheet is assumed: ε = 0.1, W = 45, L = 16.8 mm")
+        notes.append("the sheet has the publication's size: ε = 0.1, W = 45, L = 16.8 mm")
     content = {
         **means,
         "cycles": len(cycles),

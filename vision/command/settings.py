@@ -26,6 +26,7 @@ UM_PER = {"mm": 1000.0, "um": 1.0, "µm": 1.0, "μm": 1.0}  # micro sign and Gre
 _GEOMETRY = {"thickness_mm": "thickness", "width_mm": "width", "length_mm": "length", "t_star_N": "t_star"}
 _SAMPLE = ("sheets_per_block", *_GEOMETRY.values())
 _WITH_ERROR = ("d0", "force_lowpass", *_GEOMETRY.values())
+MOST_UM_PER_PX = 1000.0  # a larger size is a mistyped unit: such a picture would not show sheets
 _DEFAULT = Settings()
 DEFAULTS: Mapping[str, Any] = {
     "strip": "auto",
@@ -275,8 +276,8 @@ def parse_pixel_size(text: str | None) -> float | None:
         return None
     match = re.fullmatch(r"\s*(\S+?)\s*(mm|um|µm|μm)?(/px)?\s*", text)
     value = _float(match[1]) * UM_PER[match[2] or "um"] if match else math.nan
-    if not 1e-6 <= value < math.inf:
-        wanted = "a number from 1e-06 (µm per px)"
+    if not 1e-6 <= value <= MOST_UM_PER_PX:
+        wanted = f"a number from 1e-06 to {MOST_UM_PER_PX:g} (µm per px)"
         raise InputError("--pixel-size", wanted, f"'{text}'", "write 10, 10um or 0.01mm")
     return value
 

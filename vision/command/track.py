@@ -18,12 +18,13 @@ from typing import Any
 import matplotlib.artist
 import xarray as xr
 
-from vision.command.console import attempt, complain, counted, frame_progress, in_columns, say
+from vision.command.console import attempt, complain, frame_progress, in_columns, say
 from vision.command.options import ForceOptions, RunOptions, flag_of, option_names
 from vision.command.review import keep_first_view
 from vision.command.settings import merged, settings_of
 from vision.data import StripMetadata
 from vision.errors import InputError
+from vision.figures.labels import counted
 from vision.pipeline import Analysis, Settings, analyse, track_strip
 from vision.run import (
     FAILURES,
@@ -241,7 +242,7 @@ def _targets_of(
         raise InputError("VIDEO", "a video file, a folder or a quoted glob of images", "none", advice)
     for video in videos:
         if not answered(video.exists, video) and not glob.has_magic(str(video)):
-            raise InputError(video, "a video", "no such file", "check the path; options begin with --")
+            raise InputError(video, "a video", "no such file", "check the path, or see track --help")
     if all(_is_still(video) for video in videos):
         found = f"{len(videos)} still images"
         raise InputError(videos[0].parent, "films", found, "quote the glob: track 'frames/*.png'")

@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 
 from vision.certify import CertifySettings, certify_run, statements, write_certificate
-from vision.command.console import complain, conclude, counted, frame_progress, in_columns, say
+from vision.command.console import complain, conclude, frame_progress, in_columns, say
 from vision.command.options import OutputOptions, VideoOptions, WindowOptions, option_names
 from vision.command.settings import (
     merged,
@@ -33,6 +33,7 @@ from vision.comparison.comparison import MARK, answers
 from vision.data import StripMetadata, TrackMetadata, warnings_of
 from vision.errors import InputError
 from vision.figures import kymograph_figure, load_figures, preview_figure, sides_known, slip_times
+from vision.figures.labels import counted
 from vision.files import reading as reading_of
 from vision.numeric import Floats, Ints, Pixels
 from vision.pipeline import Settings, analyse, open_recording, track_strip

@@ -28,9 +28,10 @@ from vision.comparison.joint import (
     with_word,
 )
 from vision.comparison.runs import TractionTest, read_tests
-from vision.comparison.trends import Irregularity, Trend, find_irregular, find_trends
+from vision.comparison.trends import SYMBOLS, Irregularity, Trend, find_irregular, find_trends
 from vision.errors import InputError
 from vision.figures import Figure, both_errors, plus_minus, save_figures
+from vision.figures.labels import counted
 from vision.models import Estimate
 from vision.report.page import render_page
 from vision.report.text import Answer, citation
@@ -172,7 +173,12 @@ def compare(
         text = f"no Λ̂ with Y_eff = {modulus.value:.3g} GPa: {no_scale} (`modulus_GPa`, `main_sample`)"
         warnings.append(text)
     joint = _joint(tests, fits, settings)
-    warnings += [_misfit_line(one) for one in joint if not one.fits]
+    warnings += [
+        f"{one.sample or 'all tests'}: no single μ fits the {len(one.runs)} tests (χ²/dof of their "
+        f"individual μ {one.disagreement:.3g}): use the μ of each test, in tests.csv"
+        for one in joint
+        if not one.fits
+    ]
     rows = _table(tests, fits)
     shared = {name: shared_shifts(tests, fits, name) for name in QUANTITIES}
     individual = {with_word(name, "err"): [fit.individual_error(name) for fit in fits] for name in QUANTITIES}
@@ -307,7 +313,7 @@ def answers(found: Comparison) -> list[Answer]:
     if examined := [t for t in found.trends if not t.reason]:
         claimed = [t for t in examined if t.claimed]
         lines = [_trend_line(t) for t in claimed]
-        if doubtful := [f"{t.quantity} with {t.predictor}" for t in examined if not t.beyond_systematic]:
+        if doubtful := [t.name for t in examined if not t.beyond_systematic]:
             lines.append(f"within the systematic errors of the geometry: {', '.join(doubtful)}")
         boxes.append(Answer("trends", f"{len(claimed)} of {len(examined)} examined", "; ".join(lines)))
     return boxes
@@ -317,15 +323,7 @@ def _trend_line(t: Trend) -> str:
     partial = np.isfinite(t.partial_slope)
     slope = Estimate(*((t.partial_slope, t.partial_slope_err) if partial else (t.slope, t.slope_err)))
     how = ", the other held fixed" if partial else ""
-    return f"{t.quantity} with {t.predictor}: {plus_minus(slope)}{how} (p {t.p_adjusted:.2g})"
-
-
-def _misfit_line(one: JointFriction) -> str:
-    """Warn that the tests of one joint fit do not share a μ."""
-    return (
-        f"{one.sample or 'all tests'}: no single μ fits the {len(one.runs)} tests (χ²/dof of their "
-        f"individual μ {one.disagreement:.3g}): use the μ of each test, in tests.csv"
-    )
+    return f"{t.name}: {plus_minus(slope)}{how} (p {t.p_adjusted:.2g})"
 
 
 def _joint_detail(one: JointFriction) -> str:
@@ -378,14 +376,15 @@ def _write_page(path: Path, found: Comparison, facts: Mapping[str, Any], figures
     """Write report.html of several tests."""
     samples = {test.sample_name for test in found.tests}
     speeds = sorted({float(f"{test.speed_mm_min:.2g}") for test in found.tests if test.speed_mm_min > 0})
+    tests = counted(len(found.tests), "test")
     pulled = f", V = {', '.join(f'{v:g}' for v in speeds)} mm/min" if speeds else ""
     render_page(
         path,
         compare_sections(figures),
         facts,
-        title=f"{len(found.tests)} tests",
+        title=tests,
         kind="comparison",
-        subtitle=f"{len(found.tests)} tests of {len(samples)} sample{'s' * (len(samples) > 1)}{pulled}",
+        subtitle=f"{tests} of {counted(len(samples), 'sample')}{pulled}",
         answers=answers(found),
         warnings=list(facts.get("warnings", ())),
         missing=_missing(found),
@@ -397,7 +396,11 @@ def _write_page(path: Path, found: Comparison, facts: Mapping[str, Any], figures
 
 def _missing(found: Comparison) -> list[str]:
     """Return what could not be determined, with the reason."""
-    lines = [f"{t.quantity} with {t.predictor}: {t.reason}." for t in found.trends if t.reason]
+    reasons: dict[str, list[str]] = {}
+    for t in found.trends:
+        if t.reason:
+            reasons.setdefault(f"with {t.predictor}: {t.reason}", []).append(SYMBOLS[t.quantity])
+    lines = [f"Trends of {', '.join(names)} {why}." for why, names in reasons.items()]
     if found.collapse is None:
         lines.append("The collapse: no test has a Λ̂.")
     return lines
@@ -408,11 +411,11 @@ def _methods(found: Comparison) -> list[str]:
     source = "as given" if found.modulus_from == ("given",) else f"of {', '.join(found.modulus_from)}"
     modulus = plus_minus(found.modulus)
     return [
-        f"For each of {len(found.tests)} tests the peak forces were fitted with Eq. 1 of the publication and "
-        f"an offset, with T* = {t_star:.3g} mN fixed. K was fitted with M_eff K_eff, with Y_eff = {modulus} "
-        f"GPa ({source}) fixed and only Λ̂ free; N̂ follows from Λ̂ and μ. One μ for all tests of a sample "
-        "was fitted with an individual offset of each test within ±10 N. Standard errors are White's, scaled "
-        "if χ²/dof exceeds 1.",
+        "The peak forces of each test were fitted with Eq. 1 of the publication and an offset, with "
+        f"T* = {t_star:.3g} mN fixed. K was fitted with M_eff K_eff, with Y_eff = {modulus} GPa ({source}) "
+        "fixed and only Λ̂ free; N̂ follows from Λ̂ and μ. One μ for all tests of a sample was fitted with an "
+        "individual offset of each test within ±10 N. Standard errors are White's, scaled if χ²/dof exceeds "
+        "1.",
         "Stick-slip becomes irregular at the event that best divides the logarithm of the relative deviation "
         "of ΔF from its smooth course into two levels. The change is claimed if fewer than 1 % of random "
         "permutations divide as well, and a steady rise fits worse. Trends are weighted lines. Their p "

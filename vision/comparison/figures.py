@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from vision.comparison.joint import with_word
 from vision.comparison.runs import TractionTest
-from vision.comparison.trends import Trend
+from vision.comparison.trends import SYMBOLS, Trend
 from vision.errors import InputError
 from vision.figures.figure import Figure, Panel, Range, Series, load_figures
 from vision.figures.force import amplitude_curve, stiffness_curves
@@ -22,13 +23,9 @@ from vision.numeric import Floats
 if TYPE_CHECKING:
     from vision.comparison.comparison import Comparison
 
-SHOWN_TRENDS = {"n_test": "previous tests n_test", "RH_percent": "relative humidity (%)"}
-_QUANTITY = {
-    "mu": ("μ", "mu_err", "μ"),
-    "N_hat_N": ("N̂ (N)", "N_hat_err_N", "N̂"),
-    "Lambda_hat_mm": ("Λ̂ (mm)", "Lambda_hat_err_mm", "Λ̂"),
-}
-"""Label of the axis, column of the error, and symbol."""
+MOST_COLOURS = 8  # more cannot be distinguished
+SHOWN_TRENDS = {"n_test": "number of previous tests", "RH_percent": "relative humidity (%)"}
+_UNITS = {"N_hat_N": " (N)", "Lambda_hat_mm": " (mm)"}
 
 
 def compare_figures(found: Comparison) -> list[Figure]:
@@ -136,7 +133,7 @@ def stiffnesses_figure(found: Comparison, events: pd.DataFrame) -> Figure:
 
 
 def _velocity_name(speed_mm_min: float) -> str:
-    return "V unknown" if np.isnan(speed_mm_min) else f"V = {speed_mm_min:g} mm/min"
+    return "V unknown" if np.isnan(speed_mm_min) else f"V = {velocity(speed_mm_min):g} mm/min"
 
 
 def _points(found: Comparison, events: pd.DataFrame, x: str, y: str) -> tuple[Series, ...]:
@@ -150,11 +147,8 @@ def _points(found: Comparison, events: pd.DataFrame, x: str, y: str) -> tuple[Se
 
 def _by_velocity(events: pd.DataFrame, x: str, y: str) -> tuple[Series, ...]:
     """Return one series per velocity."""
-    groups = list(events.sort_values(x).groupby(events["V_mm_min"].map(velocity), dropna=False))
-    return tuple(
-        Series.points(_velocity_name(v), part[x], part[y], ink, hollow=k % 2 == 1)
-        for k, ((v, part), ink) in enumerate(zip(groups, ordered_inks(len(groups)), strict=True))
-    )
+    events = events.sort_values("V_mm_min")
+    return _by_name(events, events["V_mm_min"].map(_velocity_name), x, y)
 
 
 # --- single events ------------------------------------------------------------------------------------------
@@ -224,14 +218,14 @@ def collapse_figure(found: Comparison, events: pd.DataFrame) -> Figure | None:
     inset = Panel(
         x_label="d_v (mm)",
         y_label="K (N/mm)",
-        series=_by_test(stiffness, "d_v_mm", "K_N_per_mm", label=False),
+        series=tuple(replace(one, label="") for one in _by_test(stiffness, "d_v_mm", "K_N_per_mm")),
     )
     top = 1.05 * float(np.nanquantile(named["sheets"], 0.999))
     return Figure.of(
         "collapse",
         Panel(
             x_label="d̂ = d_v / Λ̂",
-            y_label="K / K_eff (sheets)",
+            y_label="K (effective sheets)",
             series=(*_by_test(named, "d_hat", "sheets"), *masters),
             y_range=(0.0, top),
             inset=inset,
@@ -245,19 +239,23 @@ def collapse_figure(found: Comparison, events: pd.DataFrame) -> Figure | None:
     )
 
 
-def _by_test(events: pd.DataFrame, x: str, y: str, *, label: bool = True) -> tuple[Series, ...]:
-    """Return one series per run, or one per sample or velocity for more than eight runs."""
+def _by_test(events: pd.DataFrame, x: str, y: str) -> tuple[Series, ...]:
+    """Return one series per run, or one per sample or velocity for more runs than `MOST_COLOURS`."""
     key = events["run"]
-    if key.nunique() > 8:  # more colours cannot be distinguished
+    if key.nunique() > MOST_COLOURS:
         samples = len(set(events["sample"])) > 1
-        key = events["sample"] if samples else events["V_mm_min"].map(velocity).map(_velocity_name)
+        key = events["sample"] if samples else events["V_mm_min"].map(_velocity_name)
+    return _by_name(events, key.replace("", "sample not named"), x, y)
+
+
+def _by_name(events: pd.DataFrame, key: pd.Series, x: str, y: str) -> tuple[Series, ...]:
+    """Return one series per name in `key`, in their order."""
     names = list(dict.fromkeys(key))
-    series = []
-    for k, (name, ink) in enumerate(zip(names, ordered_inks(len(names)), strict=True)):
-        part = events[key == name].sort_values(x)
-        text = (str(name) or "sample not named") if label else ""
-        series.append(Series.points(text, part[x], part[y], ink, hollow=k % 2 == 1))
-    return tuple(series)
+    parts = [events[key == name].sort_values(x) for name in names]
+    return tuple(
+        Series.points(name, part[x], part[y], ink, hollow=k % 2 == 1)
+        for k, (name, part, ink) in enumerate(zip(names, parts, ordered_inks(len(names)), strict=True))
+    )
 
 
 # --- irregular stick-slip -----------------------------------------------------------------------------------
@@ -266,22 +264,21 @@ def _by_test(events: pd.DataFrame, x: str, y: str, *, label: bool = True) -> tup
 def irregular_figure(found: Comparison) -> Figure | None:
     """Return the running coefficient of variation of ΔF against d_v with the change points."""
     irregular = [one for one in found.irregular if np.isfinite(one.variation).any()]
-    known = [(velocity(one.speed_mm_min), one) for one in irregular]
-    if not known:
+    if not irregular:
         return None
-    known.sort(key=lambda pair: (np.isnan(pair[0]), pair[0]))
-    names = list(dict.fromkeys(_velocity_name(v) for v, _ in known))
-    inks = ordered_inks(len(names))
-    series: list[Series] = []
-    lines, changes = [], []
-    for v, one in known:
-        k = names.index(name := _velocity_name(v))
-        label = "" if any(curve.label == name for curve in series) else name
-        series.append(Series(label=label, x=one.d_mm, y=one.variation, ink=inks[k], dashed=k % 2 == 1))
-        if np.isfinite(one.change_mm):
-            lines.append(one.change_mm)
-            change = plus_minus(Estimate(one.change_mm, one.change_err_mm))
-            changes.append(f"{one.run}: {change} mm")
+    irregular.sort(key=lambda one: (np.isnan(one.speed_mm_min), one.speed_mm_min))
+    names = [_velocity_name(one.speed_mm_min) for one in irregular]
+    if len(names) <= MOST_COLOURS:
+        names = [f"{one.run}, {name}" for one, name in zip(irregular, names, strict=True)]
+    labels = list(dict.fromkeys(names))
+    inks = ordered_inks(len(labels))
+    series = []
+    for k, (name, one) in enumerate(zip(names, irregular, strict=True)):
+        rank, label = labels.index(name), name if names.index(name) == k else ""
+        dashed = rank % 2 == 1
+        series.append(Series(label=label, x=one.d_mm, y=one.variation, ink=inks[rank], dashed=dashed))
+    changed = [one for one in irregular if np.isfinite(one.change_mm)]
+    changes = [f"{one.run}: {plus_minus(Estimate(one.change_mm, one.change_err_mm))} mm" for one in changed]
     rises = f"Vertical: where it rises permanently ({'; '.join(changes[:6])})."
     where = rises if changes else "No test has a change."
     return Figure.of(
@@ -290,7 +287,7 @@ def irregular_figure(found: Comparison) -> Figure | None:
             x_label="d_v (mm)",
             y_label="variation of ΔF",
             series=tuple(series),
-            x_lines=tuple(lines),
+            x_lines=tuple(one.change_mm for one in changed),
             y_range=from_zero(*(one.variation for one in irregular)),
         ),
         f"Coefficient of variation of ΔF about its smooth course, over a running window of events. {where}",
@@ -324,14 +321,14 @@ def trends_figures(found: Comparison) -> list[Figure]:
 def _trend_panel(found: Comparison, quantities: Sequence[str], predictor: str, what: str) -> Panel | None:
     series: list[Series] = []
     for k, quantity in enumerate(quantities):
-        _, error_name, short = _QUANTITY[quantity]
         ink = (DATA, PEAK)[k] if len(quantities) > 1 else VALLEY
         known = found.table.dropna(subset=[quantity, predictor]).sort_values(predictor)
         if known.empty or known[predictor].nunique() < 2:
             continue
-        x, y, error = (known[name].to_numpy(float) for name in (predictor, quantity, error_name))
+        columns = predictor, quantity, with_word(quantity, "err")
+        x, y, error = (known[name].to_numpy(float) for name in columns)
         look: dict[str, Any] = {"ink": ink, "axis": "right" if k else "left"}
-        series.append(Series.points(short, x, y, error=error, hollow=k == 1, **look))
+        series.append(Series.points(SYMBOLS[quantity], x, y, error=error, hollow=k == 1, **look))
         trend = _trend_of(found, quantity, predictor)
         if np.isfinite(trend.slope):
             ends = x[[0, -1]]
@@ -339,10 +336,8 @@ def _trend_panel(found: Comparison, quantities: Sequence[str], predictor: str, w
             series.append(Series(label="", x=ends, y=line, dashed=not trend.claimed, **look))
     if not series or (len(quantities) > 1 and not any(s.axis == "right" for s in series)):
         return None
-    second = _QUANTITY[quantities[1]][0] if len(quantities) > 1 else ""
-    return Panel(
-        x_label=what, y_label=_QUANTITY[quantities[0]][0], y2_label=second, series=tuple(series), aspect=0.6
-    )
+    first, second = [*(SYMBOLS[quantity] + _UNITS.get(quantity, "") for quantity in quantities), ""][:2]
+    return Panel(x_label=what, y_label=first, y2_label=second, series=tuple(series), aspect=0.6)
 
 
 def _trend_of(found: Comparison, quantity: str, predictor: str) -> Trend:
@@ -355,7 +350,7 @@ def _trend_text(trend: Trend) -> str:
         return ""
     slope = plus_minus(Estimate(trend.slope, trend.slope_err))
     rank = f"Spearman ρ = {trend.spearman:.2f} (p = {trend.p:.2g})"
-    text = f"{_QUANTITY[trend.quantity][2]}: slope {slope}, {rank}"
+    text = f"{SYMBOLS[trend.quantity]}: slope {slope}, {rank}"
     if np.isfinite(trend.partial_slope):
         partial = plus_minus(Estimate(trend.partial_slope, trend.partial_slope_err))
         text += f", with the other predictor fixed {partial} (p = {trend.partial_p:.2g})"

@@ -22,7 +22,7 @@ from vision.models.single_fits import (
     stiffness_errors,
     with_friction,
 )
-from vision.numeric import Bools, Floats
+from vision.numeric import Bools, Floats, rms
 from vision.sample import Sample
 
 DISAGREES = 4.0  # χ²/dof of the individual μ above which the tests are reported to differ
@@ -470,9 +470,9 @@ def collapse(tests: Sequence[TractionTest], fits: Sequence[TestFit], modulus: Es
     return Collapse(
         table=table,
         common_scale_mm=scale,
-        rms_before=_rms(table["sheets"].to_numpy(float) - before),
-        rms_after=_rms((table["sheets"] - table["model"]).to_numpy(float)),
-        rms_noise=_rms(table["noise"].to_numpy(float)),
+        rms_before=rms(table["sheets"].to_numpy(float) - before),
+        rms_after=rms((table["sheets"] - table["model"]).to_numpy(float)),
+        rms_noise=rms(table["noise"].to_numpy(float)),
     )
 
 
@@ -487,7 +487,3 @@ def _common_scale(tests: Sequence[TractionTest], fits: Sequence[TestFit], modulu
     with np.errstate(all="ignore"):
         scales = [fit_stiffness(events, sample, known).value[0] for sample, events in together.items()]
     return float(np.average(scales, weights=[len(events) for events in together.values()]))
-
-
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.nanmean(values**2)))

@@ -12,9 +12,10 @@ import scipy
 
 from vision.comparison.joint import CompareSettings, with_word
 from vision.comparison.runs import TractionTest
-from vision.numeric import Bools, Floats, Ints
+from vision.figures.labels import counted
+from vision.numeric import Bools, Floats, Ints, rms
 
-QUANTITIES = ("mu", "N_hat_N", "Lambda_hat_mm")
+SYMBOLS = {"mu": "μ", "N_hat_N": "N̂", "Lambda_hat_mm": "Λ̂"}  # by columns of tests.csv
 PREDICTORS = ("n_test", "RH_percent")
 LEAST_TESTS = 5
 
@@ -41,6 +42,11 @@ class Trend:
     p_adjusted: float = np.nan
     claimed: bool = False  # `p_adjusted` is below the significance, the slope beyond its systematic errors
     reason: str = ""  # why the trend was not examined; "" if it was
+
+    @property
+    def name(self) -> str:
+        """The quantity and the predictor as text."""
+        return f"{SYMBOLS[self.quantity]} with {self.predictor}"
 
     @property
     def beyond_systematic(self) -> bool:
@@ -71,7 +77,7 @@ def find_trends(
     """
     found = [
         _trend(table, quantity, predictor, (shared or {}).get(quantity), settings)
-        for quantity in QUANTITIES
+        for quantity in SYMBOLS
         for predictor in PREDICTORS
     ]
     adjusted = holm(np.array([t.p if np.isnan(t.partial_p) else t.partial_p for t in found]))
@@ -100,7 +106,7 @@ def _trend(
     count = int(known.sum())
     about: dict[str, Any] = {"quantity": quantity, "predictor": predictor, "tests": count}
     if count < LEAST_TESTS:
-        return Trend(**about, reason=f"{count} tests with both, at least {LEAST_TESTS} needed")
+        return Trend(**about, reason=f"{counted(count, 'test')} with both, at least {LEAST_TESTS} needed")
     if not np.ptp(x[known]) > 0:
         return Trend(**about, reason=f"{predictor} never changes")
     rng = np.random.default_rng(settings.seed)
@@ -243,8 +249,8 @@ def find_irregular(test: TractionTest, settings: CompareSettings = CompareSettin
     shuffled = rng.permuted(np.tile(level, (draws, 1)), axis=1)
     best = _gains(level[np.newaxis])[0].max()
     p = float((1 + np.sum(_gains(shuffled).max(axis=1) >= best)) / (draws + 1))
-    before, after = (float(np.sqrt(np.mean(part**2))) for part in (r[:at], r[at:]))
-    both = float(np.sqrt(np.mean(r**2)))
+    before, after = (rms(part) for part in (r[:at], r[at:]))
+    both = rms(r)
     reason = _reason_against(p, before, after, _smooth_rise_is_better(level, d, at), settings)
     error = nan
     if not reason:

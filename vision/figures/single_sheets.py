@@ -60,7 +60,7 @@ def friction_figure(
             _threshold_panel(law, mu),
         ),
         columns=3,
-        width_in=15.0,
+        width_in=13.0,
     )
 
 
@@ -174,7 +174,7 @@ def modulus_figure(
             _moduli(cycles),
         ),
         columns=3,
-        width_in=15.0,
+        width_in=13.0,
     )
 
 

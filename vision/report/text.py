@@ -16,7 +16,7 @@ from vision.figures import Results, both_errors, percent, plus_minus
 from vision.figures.labels import candidates_text, drift_text, load_unit, offset_text
 from vision.models import Estimate, ModelFits
 from vision.sheets.tracks import LOSSY
-from vision.summary import noise_figures
+from vision.summary import flag_counts, noise_figures
 
 PAPER = (
     "A. Plati, F. Restagno, C. Poulard, Stick-slip dynamics in an interleaved system with self-amplified "
@@ -149,14 +149,14 @@ def _noise(results: Results) -> Answer | None:
 
 
 def _frames(results: Results) -> Answer | None:
-    if results.strip is None:
+    if (tracks := results.tracks) is None:
         return None
-    strip = StripMetadata.of(results.strip)
-    bad = _bad_frames(strip)
+    strip = StripMetadata.of(tracks)
+    bad = _bad_frames(strip, frozen=flag_counts(tracks).get("frozen", 0) // tracks.sizes["sheet"])
     return Answer(
         "frames",
         f"{strip.frames_read} of {strip.frames_expected} read",
-        bad or "none lost, blank or corrupt",
+        bad or "none lost, blank, corrupt or frozen",
         doubt=bool(bad),
     )
 
@@ -222,10 +222,11 @@ def _compression(codec: str) -> str:
     return ", uncompressed" if codec in ("uncompressed", "rawvideo", "packed") else f", stored as {codec}"
 
 
-def _bad_frames(strip: StripMetadata) -> str:
-    """Return the numbers of lost, blank and corrupt frames, "" if there are none."""
-    bad = {"lost": strip.frames_lost, "blank": strip.frames_blank, "corrupt": strip.frames_corrupt}
-    return ", ".join(f"{count} {name}" for name, count in bad.items() if count)
+def _bad_frames(strip: StripMetadata, frozen: int = 0) -> str:
+    """Return the numbers of lost, blank, corrupt and frozen frames, "" if there are none."""
+    counts = strip.frames_lost, strip.frames_blank, strip.frames_corrupt, frozen
+    named = zip(counts, ("lost", "blank", "corrupt", "frozen"), strict=True)
+    return ", ".join(f"{count} {name}" for count, name in named if count)
 
 
 def _tracking(tracks: xr.Dataset) -> str:

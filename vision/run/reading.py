@@ -147,7 +147,7 @@ def check_mark(target: Path, mark: str) -> None:
 def read_run(folder: Path) -> RunFolder:
     """Open a run folder and read its run.json.  Raises: InputError if it is none, or is damaged."""
     if not is_run(folder):
-        found = "no run.json in it" if folder.is_dir() else "no such folder"
+        found = "no run.json in it" if folder.is_dir() else "a file" if folder.is_file() else "no such folder"
         raise InputError(folder, "a run folder of track", found, "give the folder that track wrote")
     return RunFolder(folder, read_json(folder / MARK))
 

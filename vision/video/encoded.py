@@ -240,15 +240,15 @@ def open_container(path: Path) -> av.container.InputContainer:
             },
             metadata_errors="replace",
         )
-    except (av.error.FFmpegError, OSError) as error:
+    except (av.error.FFmpegError, OSError):
         with path.open("rb") as file:
             head = file.read(12)
         if head[4:8] in (b"ftyp", b"mdat", b"free", b"wide"):
             found = "an MP4/MOV without its index (moov), which is written when the recording is closed"
             advice = "close it, or repair it from an intact one"
         else:
-            found = f"another kind of file ({type(error).__name__})"
-            advice = "give a recording PyAV, tifffile or OpenCV can read"
+            found = "another kind of file, or a damaged one"
+            advice = "give a film (AVI, MP4, MKV, MOV, cine, mraw), a TIFF or images"
         raise InputError(path, "a video", found, advice) from None
     if container.format.name in ("tty", "image2", "txt"):  # these accept any text or picture
         container.close()

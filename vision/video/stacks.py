@@ -383,7 +383,8 @@ def _image_files(path: Path) -> list[Path]:
     images = [file for file in everything if file.suffix.lower() in IMAGES and file.is_file()]
     if not images:
         wanted = "numbered images (PNG, TIFF, JPEG, BMP)"
-        raise InputError(path, wanted, "none", "check the folder or the pattern")
+        found = f"none among {len(everything)} files" if everything else "none"
+        raise InputError(path, wanted, found, "check the folder or the pattern; of a film, give the file")
     kinds = Counter(file.suffix.lower() for file in images)
     if len(kinds) > 1:
         found = ", ".join(f"{count} {kind}" for kind, count in kinds.most_common())
