@@ -20,6 +20,7 @@ from vision.sheets import track_sheets
 from vision.shells import ShellSettings
 from vision.summary import (
     _noise,
+    _tracking_lines,
     consistency_warnings,
     lowpass_correction,
     noise_figures,
@@ -97,7 +98,7 @@ def test_more_ridges_on_a_side_than_the_sample_has_sheets(picture):
     given = replace(PUBLISHED, sheets_per_block=20)
     lines = consistency_warnings(tracks, given)
     assert len(lines) == 1
-    assert "20 sheets per block and side given, but the video shows 25" in lines[0]
+    assert "20 sheets per block and side given, but n reaches 25" in lines[0]
     assert "`sheets_per_block`" in lines[0]
     assert consistency_warnings(tracks, replace(PUBLISHED, sheets_per_block=25, width_mm=44.0)) == []
     assert consistency_warnings(track_sheets(strip(ridges(comb(150, per_side=29))))) == []
@@ -121,8 +122,18 @@ def test_a_part_of_one_side(picture):
     assert "`axis_px`" in line
     beside = track_sheets(picture[:, int(AXIS + 6 * PITCH) :], axis_px=AXIS + 6 * PITCH)
     assert consistency_warnings(beside, assumed=PUBLISHED) == []
-    away = track_sheets(picture[:, int(AXIS + 6 * PITCH) :], axis_px=AXIS)
-    assert consistency_warnings(away, assumed=PUBLISHED) == [line]
+
+
+def test_n_counts_from_a_given_axis_out_of_view(picture):
+    """Sheets 7 to 25 of the right side, with the axis known. A failure means that they count as 1 to 19, or
+    that the summary does not say what it assumed."""
+    tracks = track_sheets(picture[:, int(AXIS + 6 * PITCH) :], axis_px=AXIS)
+    np.testing.assert_array_equal(tracks.n, np.arange(7, 26))
+    assert consistency_warnings(tracks, assumed=PUBLISHED) == []
+    (line,) = (line for line in _tracking_lines(tracks, None) if line.startswith("axis"))
+    assert "n begins at 7, as 6 more sheets fit" in line
+    too_far = track_sheets(picture[:, int(AXIS + 6 * PITCH) :], axis_px=AXIS - 5 * PITCH)
+    assert "but n reaches 30" in " ".join(consistency_warnings(too_far, PUBLISHED))
 
 
 @pytest.fixture(scope="module")

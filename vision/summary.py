@@ -236,16 +236,14 @@ def consistency_warnings(
             f" ({found.axis_low_px:.0f} to {found.axis_high_px:.0f} px): check `axis_px`, and whether both"
             " sides are in view"
         )
-    most = ridges_per_side(tracks)
+    most = int(tracks["n"].max())
     used = sample or assumed
     one_side = len(np.unique(tracks["side"].values)) == 1
-    # Nearer to the axis than 1.25 pitches, no other sheet fits in between.
-    beside = found.axis_how == "given" and (np.abs(x_px - found.axis_px) < 1.25 * found.pitch_px).any()
-    if used is not None and one_side and most < used.sheets_per_block and not beside:
+    if used is not None and one_side and found.axis_how != "given" and most < used.sheets_per_block:
         lines.append(
             f"only {most} of {used.sheets_per_block} sheets of one side are in view, and n counts from the"
             " innermost of them: if others lie between it and the axis, n and the stiff shell are too small"
-            " by their number; if none do, give `axis_px` beside it"
+            " by their number: give `axis_px`"
         )
     if used is not None and pixel_size_um is not None:
         spacing, thickness = found.pitch_px * pixel_size_um / 1000, used.thickness_mm
@@ -257,7 +255,7 @@ def consistency_warnings(
     if used is not None and most > used.sheets_per_block:
         how = "given" if sample is not None else "assumed"
         lines.append(
-            f"{used.sheets_per_block} sheets per block and side {how}, but the video shows {most}: check"
+            f"{used.sheets_per_block} sheets per block and side {how}, but n reaches {most}: check"
             " `sheets_per_block`, `axis_px` and `sheets`"
         )
     return lines
@@ -450,7 +448,7 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> list[str
         *([heights_line(tracks)] if "x_z_px" in tracks else []),
         f"ridges     {found.ridge_fwhm_px:.1f} px wide, {found.pitch_px:.1f} px apart; {found.fit} fit over "
         f"{found.window_px} px",
-        f"axis       {found.axis_px:.1f} px ({_axis(found)})",
+        f"axis       {found.axis_px:.1f} px ({_axis(found, int(tracks['n'].min()))})",
         f"clock      {frame_times(strip)}",
         f"scale      {scale}",
     ]
@@ -479,9 +477,10 @@ def heights_line(tracks: xr.Dataset) -> str:
     )
 
 
-def _axis(found: TrackMetadata) -> str:
+def _axis(found: TrackMetadata, innermost: int) -> str:
     if found.axis_how == "given":
-        return "given"
+        unseen = f"; n begins at {innermost}, as {innermost - 1} more sheets fit between it and those in view"
+        return "given" + unseen * (innermost > 1)
     how = {"motion": "found from motion", "geometry": "the middle of the ridges in view"}[found.axis_how]
     if not math.isfinite(found.axis_low_px):
         return f"{how}; the motion does not show the axis"

@@ -132,11 +132,11 @@ def test_a_video_with_more_ridges_than_sheets_says_so(truth, capsys):
     options = ("--offset", str(truth.attrs["offset_s"]), "--overwrite")
     assert run([*VIDEO, *FORCE, *options, "--sheets-per-block", "20"]) == 1
     assert (
-        "20 sheets per block and side given, but the video shows 25: check --sheets-per-block"
+        "20 sheets per block and side given, but n reaches 25: check --sheets-per-block"
         in capsys.readouterr().err
     )
     assert run([*VIDEO, *FORCE, *options, "--axis", "800"]) == 1
     said = capsys.readouterr()
-    assert "25 sheets per block and side assumed, but the video shows 33" in said.err
+    assert "25 sheets per block and side assumed, but n reaches 33" in said.err
     assert "assumed: the publication's, M = 25" in said.out
     assert "the video shows 33 per side" in said.out

@@ -81,9 +81,9 @@ def test_light_that_falls_off_over_a_ridge_is_in_its_error(moving):
     assert (tracks.flag.values == "ok").mean() > 0.99
 
 
-def off_in_errors(picture, x, **settings):
+def off_in_errors(picture, x, *, sheets=None, **settings):
     """Displacements measured less true ones, rms, in stated errors."""
-    tracks = track_sheets(picture, settings=TrackingSettings(**settings))
+    tracks = track_sheets(picture, sheets=sheets, settings=TrackingSettings(**settings))
     off = tracks.x_px.values - x
     return np.sqrt(np.mean(((off - np.median(off, axis=0)) / tracks.x_err_px.values) ** 2))
 
@@ -225,3 +225,36 @@ def test_how_far_distortions_move_ridges_is_measured_in_the_film(moving, period)
     light = ridges(x, width=640, fwhm_px=8.0, contrast=brightness(30, 3))
     picture = strip(light * (1 + 0.17 * np.sin(2 * np.pi * phase)))
     assert 0.7 < off_in_errors(picture, x) < 1.2
+
+
+def few_ridges(what, count, fwhm_px, snr):
+    """Two to four ridges, of which neighbours tell little, under light that moves or a focus that drifts."""
+    time, column, width = np.arange(200)[:, None], np.arange(30 * (count + 1)), 30 * (count + 1)
+    x = 30.0 * np.arange(1, count + 1) + 0.5 * np.sin(time / 11 + np.arange(count))
+    beam = np.exp(-(((column - width * (1.6 * time / 200 - 0.3)) / (0.35 * width)) ** 2))
+    if what == "focus":
+        sharp, blurred = (ridges(x, width=width, fwhm_px=fwhm_px * wider) for wider in (1.0, 1.6))
+        beside = ridges(x + 0.5 * fwhm_px, width=width, fwhm_px=fwhm_px) * 0.6
+        return x, strip(beside + sharp + (blurred - sharp) * time / 200, snr=snr)
+    light = ridges(x, width=width, fwhm_px=fwhm_px)
+    return x, strip(light * (1 + 0.8 * beam) if what == "beam" else light + 0.3 * beam, snr=snr)
+
+
+@pytest.mark.parametrize("count", [2, 3, 4])
+@pytest.mark.parametrize(
+    ("what", "fwhm_px", "snr"),
+    [("beam", 3.5, 1000), ("beam", 9.0, 60), ("reflected beam", 3.5, 1000), ("focus", 3.5, 1000)],
+)
+def test_few_ridges_have_the_error_of_light_and_focus(what, count, fwhm_px, snr):
+    """A failure means that they move by up to fifty times their stated errors, which no neighbour shows."""
+    x, picture = few_ridges(what, count, fwhm_px, snr)
+    assert off_in_errors(picture, x, sheets=count) < 1.15
+
+
+@pytest.mark.parametrize("fwhm_px", [3.5, 9.0])
+@pytest.mark.parametrize("count", [2, 3, 4])
+def test_few_ridges_that_nothing_moves_keep_their_errors(count, fwhm_px):
+    """A failure means that noise, or the place of a ridge among the pixels, counts as light or dirt."""
+    x, _ = few_ridges("", count, fwhm_px, 100)
+    picture = strip(ridges(x, width=30 * (count + 1), fwhm_px=fwhm_px), snr=100)
+    assert 0.85 < off_in_errors(picture, x) < 1.15

@@ -18,6 +18,7 @@ from vision.deformation.common_mode import (
     common_mode_motion,
     common_mode_noise_factor,
     drift_model,
+    movement_of_books,
 )
 from vision.deformation.creep import (
     Creep,
@@ -329,6 +330,8 @@ def _measure(
     white = fit_creep(steady, frames, 2, settings)
     independent = nan_median(white.inverse[..., 1, 1] / line.inverse[..., 1, 1], axis=1)
     curve = _Curve.of(line, parabola, errors, camera, settings).shortened(slips)
+    books_px = movement_of_books(curve.straight, frames.length_s)
+    curve = replace(curve, slope_err=np.hypot(curve.slope_err, books_px[:, None]))
     return _Deformation(
         rms_px=np.where(line.good, _rms(x_px, frames), np.nan),
         signed_px=np.asarray(-sheets.side * np.sign(curve.slope) * np.sqrt(curve.mean_square), float),

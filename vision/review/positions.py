@@ -323,7 +323,7 @@ def _with_sheet(positions: Positions, decision: Correction, diagram: Diagram) ->
     more = replace(wider, side=np.insert(positions.side, sheet, 1), n=np.insert(positions.n, sheet, 1))
     _put(more, slice(0, frames), sheet, x, _flags(start, x))
     before = Before(how="added", sheets=(sheet,), arrays={"side": positions.side, "n": positions.n})
-    return _renumbered(more, more.track_facts.axis_px), before
+    return _renumbered(more), before
 
 
 def _flags(start: Floats, x: Floats) -> NDArray[Any]:
@@ -402,9 +402,11 @@ def _fitted(positions: Positions, start_px: Floats, rows: Ints, diagram: Diagram
 # --- sheets and axis ----------------------------------------------------------------------------------------
 
 
-def _renumbered(positions: Positions, axis_px: float) -> Positions:
-    numbering = number_sheets(median_positions(positions)[None], axis_px=axis_px)
-    return replace(positions, side=numbering.side, n=numbering.n)
+def _renumbered(positions: Positions) -> Positions:
+    facts = positions.track_facts
+    numbering = number_sheets(median_positions(positions)[None], axis_px=facts.axis_px)
+    unseen = 0 if facts.axis_how == "given" else numbering.n.min() - 1
+    return replace(positions, side=numbering.side, n=numbering.n - unseen)
 
 
 def _with_axis(positions: Positions, axis_px: float) -> tuple[Positions, Before]:
@@ -416,7 +418,7 @@ def _with_axis(positions: Positions, axis_px: float) -> tuple[Positions, Before]
         axis_how=facts.axis_how,
     )
     attrs = dict(positions.attrs) | {"axis_px": axis_px, "axis_how": "given"}
-    return replace(_renumbered(positions, axis_px), attrs=attrs), before
+    return _renumbered(replace(positions, attrs=attrs)), before
 
 
 def _without(positions: Positions, sheet: int) -> tuple[Positions, Before]:
@@ -424,7 +426,7 @@ def _without(positions: Positions, sheet: int) -> tuple[Positions, Before]:
     arrays |= {"side": positions.side, "n": positions.n}
     fewer = _removed(positions, sheet)
     before = Before(how="deleted", sheets=(sheet,), arrays=arrays)
-    return _renumbered(fewer, fewer.track_facts.axis_px), before
+    return _renumbered(fewer), before
 
 
 def _removed(positions: Positions, sheet: int) -> Positions:

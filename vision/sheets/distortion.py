@@ -15,6 +15,8 @@ from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.sheets.subpixel import Starts, gather, position_noise
 
+ENOUGH = 5  # sheets of which neighbours show what is usual; ridges of fewer are checked at any width
+
 
 def not_one_ridge(
     bright: Floats32, x_px: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT
@@ -26,7 +28,7 @@ def not_one_ridge(
     x_px (frame, N), correlates with that of all sheets by less than `least_likeness`. Always False for fewer
     than five sheets.
     """
-    if x_px.shape[1] < 5:
+    if x_px.shape[1] < ENOUGH:
         return np.zeros(x_px.shape[1], bool)
     half = max(3, round(min(0.6 * comb.fwhm_px, 0.5 * comb.pitch_px)))
     profiles, shape = _sampled_profiles(bright, x_px, half)
@@ -94,7 +96,8 @@ def distortion(
     Light that falls off over a ridge hardly changes its shape; it shows in the heights (`_shift_by_light`).
     """
     none = Distortion(np.zeros_like(x_px), np.zeros(x_px.shape[1]))
-    if comb.fwhm_px < settings.distortion_least_px:
+    narrow = comb.fwhm_px < settings.distortion_least_px
+    if narrow and x_px.shape[1] >= ENOUGH:
         return none
     half = max(3, round(min(0.9 * comb.fwhm_px, 0.5 * comb.pitch_px)))
     shape = _sampled_profiles(bright, x_px, half)[1]
@@ -123,7 +126,7 @@ def distortion(
     pull = np.abs(pull - nan_median(pull))
     least = np.fmax(settings.distortion_sigmas * nan_median(pull) / NORMAL_MEDIAN, settings.distortion_floor)
     lasting = settings.distortion_error * _if_above(pull, least)
-    return Distortion(np.where(np.isfinite(apart), size, 0.0), lasting)
+    return Distortion(np.where(np.isfinite(apart), size, 0.0), none.lasting_px if narrow else lasting)
 
 
 def _fit_matrix(shape: Floats, top: int) -> Floats:
@@ -214,13 +217,21 @@ def _shift_by_light(x_px: Floats, height: Floats, comb: RidgeComb, settings: Tra
 
     A Gaussian in such light remains a Gaussian, shifted by :math:`\sigma_r^2 L'/L`, so that only heights
     reveal the shift. A lamp that moves, or the edge of a shadow, shows as a slope between a sheet and its
-    neighbours on both sides, beyond the scatter of single sheets.
+    neighbours on both sides, beyond the scatter of single sheets. Fewer than five sheets do not show that
+    scatter: every change of the slope between two sheets, beyond its noise in time, then counts as light.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         light = np.log(np.where(height > 0, height, np.nan))
     light -= nan_median(light)
     light -= nan_median(light, axis=1)[:, None]  # exposure
-    across = [_slope_across(_mean_over(light, n), x_px, settings) for n in (1, settings.distortion_frames)]
+    if light.shape[1] >= ENOUGH:
+        means = (_mean_over(light, frames) for frames in (1, settings.distortion_frames))
+        across = [_slope_across(mean, x_px, settings) for mean in means]
+    else:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            slope = np.diff(light, axis=1) / np.diff(nan_median(x_px))
+        slope = _significant(slope, np.zeros_like(slope), settings)
+        across = [np.pad(slope, ((0, 0), (1, 0))), np.pad(slope, ((0, 0), (0, 1)))]
     return settings.distortion_light * (comb.fwhm_px / FWHM) ** 2 * np.fmax(*across)
 
 
@@ -230,8 +241,6 @@ def _slope_across(light: Floats, x_px: Floats, settings: TrackingSettings) -> Fl
     It is the smaller of the slopes to both neighbours if these have the same sign, and its scatter is that of
     single sheets against the mean of their neighbours. The first and last sheet have that of their neighbour.
     """
-    if light.shape[1] < 4:
-        return np.zeros_like(light)
     apart = np.diff(nan_median(x_px))
     with np.errstate(divide="ignore", invalid="ignore"):
         slope = np.diff(light, axis=1) / np.where(apart > 0, apart, np.nan)

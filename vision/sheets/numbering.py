@@ -64,7 +64,8 @@ def number_sheets(
     Returns
     -------
     Numbering
-        Where the axis lies outside the picture, n counts from the sheet in view nearest to it.
+        With one side in view, n counts from the sheet nearest to the axis, unless the axis is given: then
+        the sheets that fit between both at the comb's median spacing count as well.
 
     Notes
     -----
@@ -82,7 +83,11 @@ def number_sheets(
         low, high = np.interp(limits, np.arange(len(edge)), edge)
     if axis_px is not None:
         split = int(np.searchsorted(position, axis_px))
-        return Numbering(float(axis_px), "given", *_side_and_n(split, sheets), float(low), float(high))
+        side, n = _side_and_n(split, sheets)
+        beyond = max(position[0] - axis_px, axis_px - position[-1], 0.0)
+        spacing = float(np.median(np.diff(position))) if sheets > 1 else np.inf
+        n += int(beyond / spacing)  # the axis is half a spacing from the innermost sheet
+        return Numbering(float(axis_px), "given", side, n, float(low), float(high))
     return Numbering(_axis(position, split), how, *_side_and_n(split, sheets), float(low), float(high))
 
 

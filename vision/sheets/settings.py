@@ -354,8 +354,9 @@ class TrackingSettings:
     whole film. Larger hides slight distortions, smaller counts the texture of the paper."""
 
     distortion_least_px: float = 5.0
-    """Ridge width above which shapes are compared. The shape of narrower ridges depends on their position
-    among the pixels, which smaller takes for dirt (test_accuracy.py's 3 px); larger checks fewer films."""
+    """Ridge width above which the shapes of five or more sheets are compared. The shape of narrower ridges
+    depends on their position among the pixels, which smaller takes for dirt (test_accuracy.py's 3 px); larger
+    checks fewer films."""
 
     # --- stated errors (tracks.py) ---
 
