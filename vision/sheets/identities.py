@@ -206,6 +206,10 @@ def _undo_false_jumps(
     with the changes of position u and of log brightness b of each sheet from the frame before to the frame
     after, the median :math:`\tilde u`, and the usual changes in the film. The logarithms allow for slips,
     which blur ridges. A run is renumbered only if its own numbering costs `anchor_nats` more.
+
+    A jump may remain although the sum of another numbering is smaller. If the difference is at least
+    `anchor_nats` and `sheet_nats` for each sheet, it is subtracted from the margins of the run that has the
+    smaller ones. The first term does not enter, since margins include the cost of a displacement.
     """
     seen = np.flatnonzero((match >= 0).any(axis=1))
     x = values_of(match[seen], ridges.x_px[seen])
@@ -222,10 +226,12 @@ def _undo_false_jumps(
     before = x[after - 1], level[after - 1]
     least, most = 2 * RENUMBERED[[0, -1]]
     changes = [
-        _change_cost(before, (shifted(x[after], by), shifted(level[after], by)), usual)
+        _change_costs(before, (shifted(x[after], by), shifted(level[after], by)), usual)
         for by in range(least, most + 1)
     ]
-    cost = np.stack(changes)[RENUMBERED - RENUMBERED[:, None] - least]  # (number before, number after, jump)
+    slip, each_sheet = np.stack(changes, axis=1)
+    between = RENUMBERED - RENUMBERED[:, None] - least
+    cost = (slip + each_sheet)[between]  # (number before, number after, jump)
     run = np.r_[0, np.cumsum(jump)]
     each = np.nan_to_num(nan_median(margin[seen], axis=1), posinf=1e3)
     shifted_cost = np.where(RENUMBERED == 0, 0.0, (np.bincount(run, each) / np.bincount(run))[:, None])
@@ -241,6 +247,14 @@ def _undo_false_jumps(
         rows = seen[shift[run] == number]
         match[rows] = np.nan_to_num(shifted(match[rows].astype(np.float64), number), nan=-1.0)
         margin[rows] = np.where(match[rows] >= 0, (second - lowest)[run[shift[run] == number], None], np.nan)
+    chosen = np.take_along_axis(each_sheet, (np.diff(shift) - least)[None], axis=0)[0]
+    excess = chosen - each_sheet.min(axis=0)
+    of_run = shifted_cost.max(axis=1)
+    weaker = run[after] - (of_run[:-1] < of_run[1:])
+    least_excess = np.fmax(settings.anchor_nats, settings.sheet_nats * np.isfinite(before[0]).sum(axis=1))
+    excess[excess < least_excess] = 0.0
+    against = np.bincount(weaker, excess, minlength=len(shift))
+    margin[seen] -= against[run][:, None]
     return match, margin
 
 
@@ -252,17 +266,19 @@ def _cheapest(own: Floats, cost: Floats) -> Floats:
     return before
 
 
-def _change_cost(before: tuple[Floats, Floats], after: tuple[Floats, Floats], usual: list[float]) -> Floats:
-    """Return the cost of a change of positions and brightnesses, nats, (rows,); see `_undo_false_jumps`."""
+def _change_costs(
+    before: tuple[Floats, Floats], after: tuple[Floats, Floats], usual: list[float]
+) -> tuple[Floats, Floats]:
+    """Return the costs, nats, of the common displacement and of each sheet's changes of position and
+    brightness, both (rows,); see `_undo_false_jumps`."""
     step, brightened = (later - earlier for earlier, later in zip(before, after, strict=True))
     common = nan_median(step, axis=1)
     each = np.log1p((step - common[:, None]) ** 2 / (2 * usual[1] ** 2))
     each += np.log1p(brightened**2 / (2 * usual[2] ** 2))
     paired, sheets = np.isfinite(each).sum(axis=1), np.isfinite(before[0]).sum(axis=1)
-    cost = np.nansum(each, axis=1) * sheets / np.maximum(paired, 1) + np.log1p(
-        common**2 / (2 * usual[0] ** 2)
-    )
-    return np.where(paired >= np.minimum(3, sheets), cost, 1e3)
+    cost = np.nansum(each, axis=1) * sheets / np.maximum(paired, 1)
+    slip = np.nan_to_num(np.log1p(common**2 / (2 * usual[0] ** 2)))
+    return slip, np.where(paired >= np.minimum(3, sheets), cost, 1e3)
 
 
 # --- segments -----------------------------------------------------------------------------------------------

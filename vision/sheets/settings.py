@@ -225,6 +225,11 @@ class TrackingSettings:
     jump to be undone. Larger keeps doubts that the pattern has settled and false jumps, smaller ends them on
     equal sheets ("cropped combs", test_a_jump_by_a_pitch_of_nearly_equal_sheets_is_doubted at 3)."""
 
+    sheet_nats: float = 0.5
+    """The same for each sheet, where another numbering explains a jump better. Larger leaves jumps that a
+    blurred slip only seems to make, smaller takes noise of the brightnesses for such a slip
+    (test_the_upper_floor_in_poor_jpegs_is_not_given_a_marker_further)."""
+
     anchor_fit: float = 1.5
     """Mean cost of a feature, nats, up to which a frame's pattern is the learned one (usually 0.5)."""
 
