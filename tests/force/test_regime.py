@@ -122,3 +122,14 @@ def test_slips_whose_middles_cross_still_have_their_extremes():
     for part in (found.peak, found.valley, found.high, found.low):
         assert np.isfinite(part).all()
     assert found.peak[0] == 49 and found.valley[3] == 100
+
+
+@pytest.mark.parametrize("seed", [6, 12, 14])
+def test_smoothed_noise_gives_no_event_called_ok(seed: int) -> None:
+    """A failure means that a few swings of a smoothly sliding load, between many slow ones, are slips."""
+    rng = np.random.default_rng([seed, 3976050858])
+    width = np.arange(-120, 121)
+    load = np.convolve(rng.standard_normal(12_000), np.exp(-(width**2) / 1800), "same")
+    time = np.arange(load.size) / 100
+    force = recording(time, 20 + 0.01 * time + 0.05 * load / load.std(), 13 + time / 60, 1.0)
+    assert not (find_stick_slip(force)["flag"] == "ok").any()
