@@ -150,7 +150,7 @@ def test_every_test_with_state_reason_thumbnail_and_link(tmp_path):
     (plan.out / "thumbnails").mkdir()
     (plan.out / "thumbnails" / "t0.png").write_bytes(b"\x89PNG")
     text = page_of(plan)
-    for word, count in [("done", 1), ("warnings", 1), ("failed", 1), ("waiting", 1)]:
+    for word, count in [("done", 1), ("with warnings", 1), ("failed", 1), ("waiting", 1)]:
         assert f"<b>{count}</b> {word}" in text
     links = {link["href"] for link in Elements(text).all("a")}
     assert {"runs/t0/report.html", "runs/t1/report.html", "campaign.csv"} == links

@@ -190,13 +190,10 @@ def test_a_camera_that_bends_with_every_stick_and_springs_back():
     assert measure(made)["drift_um"].median() == pytest.approx(5.0, abs=0.3)
 
 
-@pytest.mark.parametrize("sliding", ["every second sheet", "the right side"])
-def test_a_book_that_slides_is_in_the_errors(sliding):
-    """Its sheets move steadily to the right, and the others do not.  A failure means that this passes for
-    creep of its sheets, or half of it for movement of the camera and half for creep of all others."""
+def test_a_book_that_slides_is_in_the_errors():
+    """Every second sheet moves steadily to the right.  A failure means that this passes for its creep."""
     made = make(profile(np.full(40, 6.0)), noise_px=0.02)
-    side, index = made.tracks["side"], made.tracks["sheet"]
-    slides = index % 2 == 0 if sliding == "every second sheet" else side > 0
+    slides = made.tracks["sheet"] % 2 == 0
     moved = made.tracks["x_px"] + 0.1 * slides * made.tracks["time_s"]
     motion = horizontal_deformation(
         made.tracks.assign(x_px=moved), made.sticks, Clock(), pixel_size_um=PIXEL_UM

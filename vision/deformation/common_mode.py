@@ -180,18 +180,8 @@ class BothSides:
         random = np.divide(1, total, out=np.zeros_like(total), where=total > 0)
         systematic = np.hypot(pair.common_asymmetry(value, weight), sides_err)
         systematic = systematic * (share * pair.step).sum(axis=1)
-        shift = shift_err = one_side = 0.0
-        if slow:
-            shift, shift_err = self._constant_correction(value, random, share, all_pairs)
-            one_side = self._movement_of_one_side()
-        error = np.sqrt(random + systematic**2 + shift_err**2 + one_side**2)
-        return Drift(value + shift, error, of_sheet)
-
-    def _movement_of_one_side(self) -> float:
-        """Half of the steady movement that the mean positions of one side show and those of the other lack,
-        px: half of it passes for drift of the camera, and half for creep of both sides."""
-        left, right = (nan_median(self.slow_px[:, of]) for of in (self.left, self.right))
-        return min(_shared((right + left) / 2), _shared((right - left) / 2))
+        shift, shift_err = self._constant_correction(value, random, share, all_pairs) if slow else (0.0, 0.0)
+        return Drift(value + shift, np.sqrt(random + systematic**2 + shift_err**2), of_sheet)
 
     def _constant_correction(
         self, value: Floats, random: Floats, share: Floats, pairs: _Pairs
@@ -435,19 +425,15 @@ def _at_axis(rate: Floats, weight: Floats, n: Ints, profile: Floats) -> Floats:
 def movement_of_books(slope_px: Floats, length_s: Floats) -> Floats:
     """Steady movement of every second sheet against the others: each sheet's half in a stick, px, (stick,).
 
-    Such sheets are those of one book, which slides.  slope_px: half the movement to the right, without drift,
+    Such sheets are those of one book, which slides. The size is the one that nine tenths of the sheets reach
+    in the same direction; 0 for fewer than eight.  slope_px: half the movement to the right, without drift,
     (stick, sheet), sheets in order of position.
     """
     rate = nan_median(slope_px / length_s[:, None])
     rate = rate * (-1.0) ** np.arange(rate.size)
     apart = (rate[:-3] + 3 * rate[1:-2] + 3 * rate[2:-1] + rate[3:]) / 8  # without any parabola in n
-    return np.asarray(_shared(apart) * length_s, np.float64)
-
-
-def _shared(value: Floats) -> float:
-    """Size in one direction that nine tenths of the sheets or pairs reach; 0 for fewer than eight."""
-    value = value[np.isfinite(value)]
-    if value.size < 8:
-        return 0.0
-    low, high = np.quantile(value, (0.1, 0.9))
-    return float(max(low, -high, 0.0))
+    apart = apart[np.isfinite(apart)]
+    if apart.size < 8:
+        return np.zeros(len(length_s))
+    low, high = np.quantile(apart, (0.1, 0.9))
+    return np.asarray(max(low, -high, 0.0) * length_s, np.float64)
