@@ -206,8 +206,9 @@ def raw_films(folder: Path, runs: int) -> list[str]:
     lines += ["Seconds from a short and a long film, and from both the cost of one more frame:", ""]
     lines += head(["film", "frames", "`track`, s", "mean, s", "`track`, ms a frame", "mean", "ratio"])
     cached = (Film(2400), Film(19_200))
-    ours_s, fixed_s = _cost_of_a_frame(folder, runs, cached, "in the cache, 100 rows high", lines)
-    _cost_of_a_frame(folder, runs, (short, Film(4800, rows=1200)), "on the disk, 1200 rows high", lines)
+    on_disk = (short, Film(4800, rows=1200))
+    ours_s, fixed_s, cost = _cost_of_a_frame(folder, runs, cached, from_disk=False)
+    lines += [cost, _cost_of_a_frame(folder, runs, on_disk, from_disk=True)[2]]
     frame_s = loop_s / short.frames
     at_20000 = frame_s * 20_000 / (fixed_s + ours_s * 20_000)
     lines += [
@@ -222,13 +223,13 @@ def raw_films(folder: Path, runs: int) -> list[str]:
 
 
 def _cost_of_a_frame(
-    folder: Path, runs: int, films: tuple[Film, Film], where: str, lines: list[str]
-) -> tuple[float, float]:
-    """Add a line to the table; return the seconds of one more frame, and those without any frame."""
+    folder: Path, runs: int, films: tuple[Film, Film], *, from_disk: bool
+) -> tuple[float, float, str]:
+    """Return the seconds of one more frame, those without any frame, and a line of the table."""
     seconds: dict[str, list[float]] = {"`track`": [], "mean": []}
     for film in films:
         path = made(film, folder)
-        before = partial(out_of_cache, path) if "disk" in where else lambda: None
+        before = partial(out_of_cache, path) if from_disk else lambda: None
         costs = in_turn({"`track`": ours(film, path), "mean": rival("mean", film, path)}, runs, before)
         for name, cost in costs.items():
             seconds[name].append(middle(cost))
@@ -236,8 +237,9 @@ def _cost_of_a_frame(
     mine, bare = ((long - short) / (many - few) for short, long in seconds.values())
     took = (" and ".join(f"{s:.2f}" for s in both) for both in seconds.values())
     ratio = f"{mine / bare:.2f}"
-    lines.append(row([where, f"{few} and {many}", *took, f"{1e3 * mine:.3f}", f"{1e3 * bare:.3f}", ratio]))
-    return mine, seconds["`track`"][0] - mine * few
+    where = f"{'on the disk' if from_disk else 'in the cache'}, {films[0].rows} rows high"
+    line = row([where, f"{few} and {many}", *took, f"{1e3 * mine:.3f}", f"{1e3 * bare:.3f}", ratio])
+    return mine, seconds["`track`"][0] - mine * few, line
 
 
 def codecs(folder: Path, runs: int) -> list[str]:

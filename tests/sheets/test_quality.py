@@ -108,7 +108,7 @@ def test_slips_are_seen_while_the_camera_shakes():
     slips = np.cumsum(np.arange(400) % 40 == 39)[:, None] * np.linspace(-0.5, 0.5, 50)
     x = 20 * np.arange(50) + slips + rng.normal(0, 0.5, (400, 1)) + rng.normal(0, 0.02, (400, 50))
     assert np.diff(BetweenSlips(x).slips)[38::40].all()
-    assert np.median(noise_excess(x, np.full(x.shape, 0.02))) == pytest.approx(1, abs=0.1)
+    assert np.median(noise_excess(BetweenSlips(x), np.full(x.shape, 0.02))) == pytest.approx(1, abs=0.1)
 
 
 def test_a_scatter_needs_frames_between_slips():
@@ -131,7 +131,7 @@ def test_noise_that_differs_from_sheet_to_sheet_is_not_shared():
     """A failure means that motion, of sheets or of the camera, is taken for errors of a codec. Where a
     camera shakes, a codec that predicts frames leaves out no more of it than single sheets err by."""
     moving, noise = filmed()
-    excess = noise_excess(moving + noise, np.full(noise.shape, 0.02))
+    excess = noise_excess(BetweenSlips(moving + noise), np.full(noise.shape, 0.02))
     assert np.median(excess) == pytest.approx(1, abs=0.1)
     assert 0.4 * 0.02 < shared_error(BetweenSlips(moving + noise)) < 0.02
     still = moving - moving.mean(axis=1, keepdims=True)

@@ -486,9 +486,7 @@ def sample_flags(
         usual = np.full(step.shape, np.nan)
         usual[np.isfinite(step) & (step > 0)] = running_median(forward, 101)  # the rate may change
         flags[step > settings.gap_intervals * usual] = "gap"
-    if (
-        displacement is not None
-    ):  # the clock may stand still while samples are lost, but the crosshead goes on
+    if displacement is not None:  # the clock may stand still during a loss, but the crosshead goes on
         way = np.abs(np.diff(displacement, prepend=displacement[:1]))
         moves = way[~bad & (way > 0)]
         if moves.size:

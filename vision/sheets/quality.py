@@ -219,13 +219,15 @@ def spatial_scatter(positions: BetweenSlips, *, between_frames: bool) -> Floats:
     return np.asarray(np.pad(_deviation(_fourth(second)), 2, mode="edge"), np.float64)
 
 
-def noise_excess(x_px: Floats, err_px: Floats, settings: TrackingSettings = DEFAULT) -> Floats:
+def noise_excess(positions: BetweenSlips, err_px: Floats, settings: TrackingSettings = DEFAULT) -> Floats:
     r"""Return how much more positions scatter than their errors say, as a factor, (N,).
 
     Parameters
     ----------
-    x_px, err_px
-        Positions and their errors (frame, N), NaN where missing or repeated.
+    positions
+        Positions of the sheets in all frames, NaN where missing or repeated.
+    err_px
+        Their errors (frame, N).
     settings
         `own_excess`.
 
@@ -244,7 +246,7 @@ def noise_excess(x_px: Floats, err_px: Floats, settings: TrackingSettings = DEFA
     frames lie, which leaves out slips of single sheets. Vibration of most sheets during the whole film cannot
     be distinguished from such errors, and counts as one.
     """
-    positions, sheets = BetweenSlips(x_px), x_px.shape[1]
+    sheets = err_px.shape[1]
     variance = err_px[positions.seen] ** 2
     third, line = sheets // 3, sheets >= 10
     along = (np.arange(sheets) - (sheets - 1) / 2) / (sheets - third)

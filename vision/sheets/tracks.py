@@ -239,7 +239,7 @@ def _assess_ridges(
     flag = np.where((detections.flag == "ok") & not_a_sheet, "merged", detections.flag)
     err = np.sqrt(errors.err_px**2 + blur.err_px**2 + distorted.err_px**2)
     usual = nan_median(np.where(np.isfinite(x_px), err, np.nan))
-    excess = noise_excess(np.where(frozen[:, None], np.nan, x_px), err, settings)
+    excess = noise_excess(BetweenSlips(np.where(frozen[:, None], np.nan, x_px)), err, settings)
     err = np.hypot(err, np.nan_to_num(usual) * np.sqrt(np.fmax(excess**2 - 1.0, 0.0)))
     is_distorted = distorted.err_px > np.fmax(errors.err_px, settings.distortion_floor)
     return _Assessed(x_px, flag, err, blur.blurred, is_distorted, distorted.lasting_px)
@@ -394,7 +394,7 @@ def _errors(fitted: _Fitted, frozen: Bools, codec: str, settings: TrackingSettin
     if between_frames:
         measured = np.hypot(measured, shared_error(positions))
     elif codec not in LOSSY:
-        excess = float(nan_median(noise_excess(new, err, settings)))
+        excess = float(nan_median(noise_excess(positions, err, settings)))
         # Locking to whole pixels lasts, and scatters less than the error that contains it.
         measured = predicted * (1.0 if fitted.fit == "paper" else min(1.0, settings.sharpened * excess))
     stated = err * np.nan_to_num(measured / predicted, nan=1.0)
