@@ -82,6 +82,42 @@ def test_killed_before_any_call_of_the_system(exchange, tmp_path):
     assert seen.count("new") > 3
 
 
+@pytest.mark.parametrize("exchange", [True, False])
+def test_interrupted_before_any_call_of_the_system(exchange, tmp_path):
+    """A failure means that Ctrl-C, a time limit or a closed terminal leaves hidden folders or half a run."""
+    target, left, seen = tmp_path / "out", [0], []
+
+    def interrupt(event, arguments):
+        if event.partition(".")[0] in ("os", "shutil", "open", "ctypes", "fcntl", "glob") and left[0] > 0:
+            left[0] -= 1
+            if left[0] == 0:
+                raise KeyboardInterrupt
+
+    with pytest.MonkeyPatch.context() as patch:
+        if not exchange:
+            patch.setattr(folder, "_exchange", lambda one, other: False)
+        sys.addaudithook(interrupt)  # for the rest of the process, but idle when nothing is left to count
+        for step in range(1, MOST_STEPS):
+            shutil.rmtree(target, ignore_errors=True)
+            target.mkdir()
+            fill(target, "old")
+            try:
+                left[0] = step
+                replace(target)
+                interrupted = left[0] == 0
+                left[0] = 0
+            except KeyboardInterrupt:
+                interrupted = True
+            seen.append(whole(target))
+            assert [p.name for p in tmp_path.iterdir()] == ["out"], step
+            if not interrupted:
+                break
+    assert not interrupted
+    assert seen == ["old"] * seen.count("old") + ["new"] * seen.count("new")
+    assert seen.count("old") > 5
+    assert seen.count("new") > 3
+
+
 SCRIPT = """
 import importlib.util, sys
 from pathlib import Path

@@ -11,7 +11,6 @@ import os
 import secrets
 import shutil
 import sys
-import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, is_dataclass
@@ -88,10 +87,13 @@ def run_folder(target: Path, *, overwrite: bool = False) -> Iterator[Path]:
     except OSError as error:
         raise _unwritable(target, error) from error
     finally:
-        shutil.rmtree(temporary, ignore_errors=True)
-        if lock is not None:
-            os.close(lock)
-        _remove_empty(missing)
+        try:
+            shutil.rmtree(temporary, ignore_errors=True)
+        finally:  # again, as an interrupt may have ended it
+            shutil.rmtree(temporary, ignore_errors=True)
+            if lock is not None:
+                os.close(lock)
+            _remove_empty(missing)
 
 
 def reading_folder(target: Path) -> Path:
@@ -106,9 +108,8 @@ def clean_up(target: Path) -> None:
     for left in (reading_folder(target), *earlier, *target.parent.glob(hidden + PART)):
         if (lock := lock_folder(left)) is None:
             continue
-        if left in earlier and not target.exists():
-            with suppress(OSError):
-                left.rename(target)
+        if left in earlier:
+            _restore_or_remove(left, target)
         else:
             shutil.rmtree(left, ignore_errors=True)
         os.close(lock)
@@ -157,13 +158,23 @@ def put_in_place(made: Path, target: Path, *, overwrite: bool) -> None:
     if _exchange(made, target):
         return
     old = target.parent / f".{target.name}.{secrets.token_hex(4)}{OLD}"
-    target.rename(old)
     try:
+        target.rename(old)
         made.rename(target)
-    except OSError:
-        old.rename(target)
-        raise
-    shutil.rmtree(old, ignore_errors=True)
+    finally:
+        try:
+            _restore_or_remove(old, target)
+        finally:  # again, as an interrupt may have ended it
+            _restore_or_remove(old, target)
+
+
+def _restore_or_remove(old: Path, target: Path) -> None:
+    """Rename a run that was moved aside back to `target`, or remove it if there is another one."""
+    if target.exists():
+        shutil.rmtree(old, ignore_errors=True)
+    else:
+        with suppress(OSError):
+            old.rename(target)
 
 
 def _exchange(one: Path, other: Path) -> bool:
@@ -186,10 +197,11 @@ def whole_file(target: Path, *, durable: bool = False) -> Iterator[Path]:
 
     Raises: InputError if it cannot be written; an earlier file is then unchanged.
     """
-    temporary, missing = None, _missing_parents(target)
+    # The name is known before the folder exists, so that it is removed after an interrupt at any time.
+    temporary = target.parent / f".{target.name}.{secrets.token_hex(4)}"
+    missing = _missing_parents(target)
     try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
+        temporary.mkdir(parents=True)
         yield temporary / target.name
         if durable:
             _to_disk(temporary / target.name)
@@ -200,9 +212,11 @@ def whole_file(target: Path, *, durable: bool = False) -> Iterator[Path]:
         found = str(error.strerror or error).lower()
         raise InputError(target, "a place that can be written", found, "nothing was written") from error
     finally:
-        if temporary is not None:
+        try:
             shutil.rmtree(temporary, ignore_errors=True)
-        _remove_empty(missing)
+        finally:  # again, as an interrupt may have ended it
+            shutil.rmtree(temporary, ignore_errors=True)
+            _remove_empty(missing)
 
 
 def _to_disk(path: Path) -> None:
