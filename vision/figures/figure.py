@@ -400,6 +400,8 @@ def _decode(value: Any, stored: dict[str, NDArray[Any]], curves: dict[tuple[int,
 def _has_type(value: Any, kind: Any) -> bool:
     """Tell whether a value has the declared type, for the types of fields in this module."""
     origin, inner = get_origin(kind), get_args(kind)
+    if alias := getattr(origin, "__value__", None):  # of NDArray, from NumPy 2.5 on
+        origin = get_origin(alias)
     if origin is Literal:
         return value in inner
     if origin in (Union, UnionType):

@@ -7,6 +7,7 @@ import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import av
 import av.container
@@ -31,6 +32,8 @@ from vision.video.reader import (
 from vision.video.threads import in_threads
 
 # Formats that cameras, microscopes and their programs write: no playlists, lists of files or networks.
+# Metadata that are not UTF-8 do not matter here. PyAV from 19 on always replaces them and has no such option.
+_TOLERANT: dict[str, Any] = {"metadata_errors": "replace"} if int(av.__version__.split(".")[0]) < 19 else {}
 _FORMATS = (
     "avi,mov,matroska,webm,asf,flv,mpeg,mpegts,mpegvideo,h264,hevc,m4v,mjpeg,mjpeg_2000,mxf,nut,ogg,cine,ivf,dv,"
     "wtv,yuv4mpegpipe,gif,apng,av1,obu,vc1,rm,swf,gxf,nsv,mpjpeg,r3d,bink,smjpeg"
@@ -231,14 +234,14 @@ def open_container(path: Path) -> av.container.InputContainer:
     """
     check_regular(path, "a video")
     try:
-        container = av.open(
+        container: av.container.InputContainer = av.open(
             f"file:{path}",  # else a colon in a name, as in a time, would be read as a protocol
             options={
                 "protocol_whitelist": "file",
                 "format_whitelist": _FORMATS,
                 "max_pixels": str(MOST_PIXELS),
             },
-            metadata_errors="replace",
+            **_TOLERANT,
         )
     except (av.error.FFmpegError, OSError):
         with path.open("rb") as file:
