@@ -14,7 +14,6 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator
-from concurrent.futures import Future
 from pathlib import Path
 from typing import TypeVar
 
@@ -24,7 +23,6 @@ from vision.video.settings import DEFAULTS
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 Made = queue.Queue[tuple[Item] | Exception | None]
-Todo = queue.SimpleQueue[tuple[Future[Result], Item] | None]
 
 HELD = 32  # items that `in_threads` works on at once
 LEAVE_S = 0.5  # longest wait for a thread that is no longer needed: Ctrl-C ends within a second
@@ -46,17 +44,8 @@ def begun(
 ) -> Callable[[], Result]:
     """Start `work` at once, and return a function that waits for its result as `answered` does."""
     ready: Made[Result] = queue.Queue()
-    task = (work() for _ in range(1))
-    threading.Thread(target=_make_ahead, args=(task, ready, threading.Event()), daemon=True).start()
-
-    def result() -> Result:
-        entry = _awaited(ready, path, answer_s)
-        if isinstance(entry, Exception):
-            raise entry
-        assert entry is not None  # the end follows the only result
-        return entry[0]
-
-    return result
+    _start((work() for _ in range(1)), ready, threading.Event())
+    return lambda: _item(_awaited(ready, path, answer_s))
 
 
 def prefetch(
@@ -84,16 +73,27 @@ def prefetch(
     """
     ready: Made[Item] = queue.Queue(maxsize=2)
     abandoned = threading.Event()
-    worker = threading.Thread(target=_make_ahead, args=(items, ready, abandoned), daemon=True)
-    worker.start()
+    worker = _start(items, ready, abandoned)
     try:
         while (entry := _awaited(ready, path, answer_s)) is not None:
-            if isinstance(entry, Exception):
-                raise entry
-            yield entry[0]
+            yield _item(entry)
     finally:
         abandoned.set()
         worker.join(LEAVE_S)
+
+
+def _start(items: Iterator[Item], ready: Made[Item], abandoned: threading.Event) -> threading.Thread:
+    thread = threading.Thread(target=_make_ahead, args=(items, ready, abandoned), daemon=True)
+    thread.start()
+    return thread
+
+
+def _item(entry: tuple[Item] | Exception | None) -> Item:
+    """Return the item of an entry, or raise its exception."""
+    if isinstance(entry, Exception):
+        raise entry
+    assert entry is not None  # only `prefetch` reads up to the end
+    return entry[0]
 
 
 def _make_ahead(items: Iterator[Item], ready: Made[Item], abandoned: threading.Event) -> None:
@@ -143,33 +143,15 @@ def in_threads(work: Callable[[Item], Result], items: Iterable[Item]) -> Iterato
 
     `HELD` items are drawn and worked on before the next are drawn, since both may read the same file.
     """
-    todo: Todo[Result, Item] = queue.SimpleQueue()
-    workers = [threading.Thread(target=_serve, args=(work, todo), daemon=True) for _ in range(usable_cores())]
-    for worker in workers:
-        worker.start()
-    source = iter(items)
-    held: list[Future[Result]] = []
+    source, count, abandoned = iter(items), usable_cores(), threading.Event()
+    threads: list[threading.Thread] = []
     try:
         while batch := list(itertools.islice(source, HELD)):
-            held = [Future() for _ in batch]
-            for task in zip(held, batch, strict=True):
-                todo.put(task)
-            yield from (future.result() for future in held)
+            ready: list[Made[Result]] = [queue.Queue() for _ in range(count)]
+            threads = [_start(map(work, batch[n::count]), made, abandoned) for n, made in enumerate(ready)]
+            for n in range(len(batch)):
+                yield _item(ready[n % count].get())
     finally:
-        for future in held:
-            future.cancel()
-        for _ in workers:
-            todo.put(None)
-        for worker in workers:
-            worker.join(LEAVE_S / len(workers))
-
-
-def _serve(work: Callable[[Item], Result], todo: Todo[Result, Item]) -> None:
-    """Do the work in the queue, until None."""
-    while (task := todo.get()) is not None:
-        future, item = task
-        if future.set_running_or_notify_cancel():
-            try:
-                future.set_result(work(item))
-            except Exception as error:  # raised where the result is requested
-                future.set_exception(error)
+        abandoned.set()
+        for thread in threads:
+            thread.join(LEAVE_S / count)
