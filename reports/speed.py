@@ -30,8 +30,7 @@ from matplotlib.figure import Figure as Page
 from reports.rivals import strip_of
 from reports.writing import head, row, write_report
 from vision.experiment import Experiment, with_settings
-from vision.experiment.mechanics import frame_times
-from vision.experiment.scene import make_scene
+from vision.experiment.scene import frame_times, make_scene
 from vision.experiment.simulate import frame_blocks, write_video
 from vision.numeric import Pixels
 

@@ -38,7 +38,7 @@ class Mechanics:
 
     model: Literal["equations", "sheets"] = "equations"
     """Origin of the events: drawn from the publication's equations, or the result of 2M springs whose
-    thresholds decide which sheets stick (`sheet_model`). With "sheets", `mu` applies to every face,
+    thresholds decide which sheets stick. With "sheets", `mu` applies to every face,
     `amplitude` is 2(μ_s − μ_d), `modulus_GPa` is that of a sheet, and settings that describe events
     (`n_hat_N`, `t0_N`, and `peak_scatter` to `buildup_mm`) are not used."""
     threshold_scatter: Fraction = 0.02
@@ -127,8 +127,6 @@ class Optics:
     """Brightness between the ridges as a fraction of saturation."""
     surround: NonNegative = 0.5
     """Brightness beyond the sample relative to that between the ridges."""
-    psf_px: NonNegative = 0.0
-    """Standard deviation of the lens' blur."""
     gradient: NonNegative = 0.2
     """Relative change of the light across the frame."""
     flicker: Fraction = 0.015
@@ -177,8 +175,6 @@ class Camera:
     """RMS read-out noise, electrons."""
     prnu: Fraction = 0.007
     """Relative spread of the sensitivity of pixels (photo-response non-uniformity)."""
-    black_level: NonNegative = 0.0
-    """Grey level without light."""
     noise: bool = True
     """Whether photon and read-out noise are added."""
 
@@ -436,7 +432,6 @@ def _check_camera(e: Experiment) -> None:
     _require(e, "camera.bits", 8 <= camera.bits <= 16, "8 to 16")
     _require(e, "camera.exposure_s", camera.exposure_s <= longest, f"at most 1/fps = {longest:.4g} s")
     _require(e, "camera.duration_s", camera.duration_s * camera.fps >= 1, "at least one frame")
-    _require(e, "camera.black_level", camera.black_level < 2**camera.bits - 1, "below saturation")
 
 
 # --- ready-made experiments ---------------------------------------------------------------------------------

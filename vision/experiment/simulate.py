@@ -1,7 +1,7 @@
 """The instruments: the camera's frames and I(x, t), the machine's recording, and the files of both.
 
 A pixel that collects e electrons has the variance e + read² (photons and read-out); the mean of n rows has an
-n-th of that. Grey level = black level + e / gain, rounded and clipped.
+n-th of that. Grey level = e / gain, rounded and clipped.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from scipy.sparse import coo_array, csr_array
 
 from vision.data import STRIP, StripMetadata, record
 from vision.errors import InputError
-from vision.experiment.mechanics import FrameTimes, Pull, camera_time, random_stream
-from vision.experiment.scene import Scene, make_scene, strip_slice, truth_of
+from vision.experiment.mechanics import Pull, random_stream
+from vision.experiment.scene import FrameTimes, Scene, camera_time, make_scene, strip_slice, truth_of
 from vision.experiment.settings import Camera, Experiment, ForceFile
 from vision.numeric import Floats, Floats32, Ints, Pixels
 
@@ -44,8 +44,8 @@ def saturation_level(camera: Camera) -> int:
 
 
 def electrons_per_level(camera: Camera) -> float:
-    """Return the gain in electrons per grey level: the full well over the levels above black."""
-    return camera.full_well_e / (saturation_level(camera) - camera.black_level)
+    """Return the gain in electrons per grey level: the full well over the levels."""
+    return camera.full_well_e / saturation_level(camera)
 
 
 def grey_levels(light: Floats32, camera: Camera, rng: np.random.Generator) -> Pixels:
@@ -57,7 +57,7 @@ def grey_levels(light: Floats32, camera: Camera, rng: np.random.Generator) -> Pi
         electrons += spread * rng.standard_normal(light.shape, dtype=np.float32)
     np.minimum(electrons, np.float32(camera.full_well_e), out=electrons)
     electrons *= np.float32(1 / electrons_per_level(camera))
-    electrons += np.float32(camera.black_level + 0.5)
+    electrons += np.float32(0.5)
     np.clip(electrons, 0, saturation_level(camera), out=electrons)
     return electrons.astype(np.uint8 if camera.bits == 8 else np.uint16)
 
@@ -69,7 +69,7 @@ def mean_of_rows(light: Floats, camera: Camera, rows: int, rng: np.random.Genera
     if camera.noise:
         one = np.maximum(electrons, 0) + camera.read_noise_e**2 + gain**2 / 12  # + rounding
         electrons = electrons + np.sqrt(one / rows) * rng.standard_normal(light.shape, dtype=np.float32)
-    levels = camera.black_level + np.minimum(electrons, camera.full_well_e) / gain
+    levels = np.minimum(electrons, camera.full_well_e) / gain
     return np.asarray(np.clip(levels, 0, saturation_level(camera)), np.float32)
 
 
