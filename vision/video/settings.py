@@ -77,7 +77,7 @@ class VideoSettings:
     """Difference between outer and inner rows, px, above which ridges are bowed. Smaller leaves out rows of
     straight ridges, larger retains bias that exceeds the noise."""
 
-    # comparison of the strip's rows (strip_rows)
+    # comparison of the strip's rows (row_shifts, best_rows)
     least_bands: int = 8
     """Number of bands needed to compare rows. Fewer give no middle half to compare with."""
     least_strength: float = 0.2
