@@ -295,9 +295,6 @@ def open_container(path: Path) -> av.container.InputContainer:
             found = "another kind of file, or a damaged one"
             advice = "give a film (AVI, MP4, MKV, MOV, cine, mraw), a TIFF or images"
         raise InputError(path, "a video", found, advice) from None
-    if container.format.name in ("tty", "image2", "txt"):  # these accept any text or picture
-        container.close()
-        raise InputError(path, "a video", "a text file")
     return container
 
 
