@@ -156,9 +156,9 @@ class MjpegReader(EncodedReader):
     no larger difference. Damage in what is decoded gives a "corrupt" frame.
     """
 
-    def __init__(self, path: Path) -> None:
-        super().__init__(path)
-        self.facts = replace(self.facts, decoder="libjpeg-turbo")
+    def __init__(self, reader: EncodedReader) -> None:
+        vars(self).update(vars(reader))  # the film is not opened again
+        self.facts = replace(reader.facts, decoder="libjpeg-turbo")
 
     def read(self, start: int, stop: int | None, rows: slice, columns: slice) -> Iterator[Block]:
         """Yield frames in file order; those before `start` are not decoded."""
@@ -217,13 +217,15 @@ def open_encoded(path: Path) -> EncodedReader:
     if reader.facts.codec != "mjpeg" or reader.facts.depth_bits != 8:
         return reader
     with open_container(path) as container:
-        packet = next(_video_packets(container, _video_stream(container, path)), None)
-    fast = None if packet is None else _y_plane(bytes(packet))
-    slow = next(reader.sample([0]), None)
-    if fast is None or slow is None or slow.shape != fast.shape:
-        return reader
-    furthest = np.abs(fast.astype(np.int16) - slow.astype(np.int16)).max()
-    return MjpegReader(path) if furthest <= 1 else reader
+        stream = _video_stream(container, path)
+        stream.thread_type = "NONE"
+        packet = next(_video_packets(container, stream))
+        fast = None if packet is None else _y_plane(bytes(packet))
+        slow = [grey_plane(frame) for frame in _frames_of(packet, stream)]
+        if fast is None or not slow or slow[0].shape != fast.shape:
+            return reader
+        furthest = np.abs(fast.astype(np.int16) - slow[0].astype(np.int16)).max()
+    return MjpegReader(reader) if furthest <= 1 else reader
 
 
 def _part_of_jpeg(jpeg: bytes, rows: slice, shape: tuple[int, int]) -> tuple[bytes, int]:
