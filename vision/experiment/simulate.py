@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from fractions import Fraction
 from functools import partial
@@ -31,6 +29,7 @@ from vision.errors import InputError
 from vision.experiment.mechanics import Pull, random_stream
 from vision.experiment.scene import FrameTimes, Scene, camera_time, make_scene, strip_slice, truth_of
 from vision.experiment.settings import Camera, Experiment, ForceFile
+from vision.files import in_threads
 from vision.numeric import Floats, Floats32, Ints, Pixels
 
 Progress = Callable[[int, int | None], None]
@@ -76,24 +75,16 @@ def mean_of_rows(light: Floats, camera: Camera, rows: int, rng: np.random.Genera
 # --- frames -------------------------------------------------------------------------------------------------
 
 
-def frame_blocks(scene: Scene, *, workers: int = 2) -> Iterator[Pixels]:
+def frame_blocks(scene: Scene) -> Iterator[Pixels]:
     """Yield all frames in order, in blocks (frame, row, column) of uint8 (8 bit) or uint16.
 
-    A block has a few million pixels; at most `workers` + 1 of them exist at a time. Every frame has its own
-    stream of random numbers, so the data depend neither on the blocks nor on the threads.
+    A block has a few million pixels; at most four of them exist at a time. Every frame has its own stream of
+    random numbers, so the data depend neither on the blocks nor on the threads.
     """
-    camera = scene.experiment.camera
-    total = len(scene.times.camera_s)
+    camera, total = scene.experiment.camera, len(scene.times.camera_s)
     step = int(np.clip(4_000_000 // (camera.width * camera.height), 1, 32))
-    painter = _Painter(scene)
-    waiting: deque[Future[Pixels]] = deque()
-    with ThreadPoolExecutor(workers) as pool:
-        for first in range(0, total, step):
-            waiting.append(pool.submit(painter.block, slice(first, min(first + step, total))))
-            if len(waiting) > workers:
-                yield waiting.popleft().result()
-        while waiting:
-            yield waiting.popleft().result()
+    spans = (slice(first, min(first + step, total)) for first in range(0, total, step))
+    return in_threads(_Painter(scene).block, spans, held=4)
 
 
 class _Painter:

@@ -17,7 +17,7 @@ import numpy as np
 import simplejpeg
 
 from vision.errors import InputError
-from vision.files import MOST_PIXELS, check_pixels, check_regular
+from vision.files import MOST_PIXELS, check_pixels, check_regular, in_threads
 from vision.numeric import Pixels
 from vision.video.reader import (
     AS_STORED,
@@ -30,7 +30,6 @@ from vision.video.reader import (
     luma,
     shape_text,
 )
-from vision.video.threads import in_threads
 
 # Formats that cameras, microscopes and their programs write: no playlists, lists of files or networks.
 _FORMATS = (

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from vision.files import ANSWER_S
+
 
 @dataclass(frozen=True, kw_only=True)
 class VideoSettings:
@@ -139,9 +141,8 @@ class VideoSettings:
     files differ by up to two (test_cut_matroska_is_reported)."""
 
     # failing disks and networks
-    answer_s: float = 60.0
-    """Seconds without any reading or computation after which reading fails. A shorter time fails while a disk
-    starts, a longer one waits for a lost connection (test_threads.py)."""
+    answer_s: float = ANSWER_S
+    """Seconds without any reading or computation after which reading fails (`vision.files`)."""
 
     # interrupted runs
     resume_after_s: float = 10.0

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from PIL import Image as Pillow
 
 from vision.errors import InputError
-from vision.files import check_pixels, reading
+from vision.files import check_pixels, in_threads, reading
 from vision.numeric import Floats, Ints, Pixels
 from vision.video.reader import (
     AS_STORED,
@@ -34,7 +34,6 @@ from vision.video.reader import (
     luma,
     shape_text,
 )
-from vision.video.threads import in_threads
 
 IMAGES = {".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp"}
 _JPEG = {"jpg", "jpeg", "ojpeg", "jpeg_lossy"}
