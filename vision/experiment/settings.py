@@ -344,7 +344,7 @@ def _known(name: str, experiment: Experiment) -> tuple[str, str]:
 
 def _converted(value: Any, declared: Any, name: str) -> Any:
     """Convert a value to the declared type of a setting."""
-    kind = _plain_type(declared)
+    kind = _declaration(declared)[0]
     try:
         if kind is bool:
             return {"true": True, "false": False, "1": True, "0": False}[str(value).lower()]
@@ -361,30 +361,26 @@ def _types(group: type) -> dict[str, Any]:
     return get_type_hints(group, include_extras=True)
 
 
-def _plain_type(declared: Any) -> type:
-    """Return float, int, bool or str."""
+def _declaration(declared: Any) -> tuple[type, tuple[str, ...], tuple[str, ...], bool]:
+    """Return the plain type of a setting, its choices, its ranges, and whether it may be None."""
     if get_origin(declared) is Literal:
-        return str
-    declared = _without_none(declared)
-    kind: type = get_args(declared)[0] if get_origin(declared) is Annotated else declared
-    return kind
-
-
-def _without_none(declared: Any) -> Any:
-    """Return the declared type without None."""
-    return get_args(declared)[0] if NoneType in get_args(declared) else declared
+        return str, get_args(declared), (), False
+    optional = NoneType in get_args(declared)
+    kind = get_args(declared)[0] if optional else declared
+    ranges = getattr(kind, "__metadata__", ())
+    return get_args(kind)[0] if ranges else kind, (), ranges, optional
 
 
 def _check_value(name: str, value: Any, declared: Any) -> None:
     """Check that a value is one of the choices, or a number in the range, of its declared type."""
-    if get_origin(declared) is Literal:
-        choices = get_args(declared)
-        wanted = [(value in choices, ", ".join(choices))]
-    elif value is None and NoneType in get_args(declared):
+    _, choices, ranges, optional = _declaration(declared)
+    if value is None and optional:
         return
-    else:
-        ranges = getattr(_without_none(declared), "__metadata__", ())
-        wanted = [(math.isfinite(value), "a finite number"), *((_IN_RANGE[r](value), r) for r in ranges)]
+    wanted = [(_IN_RANGE[r](value), r) for r in ranges]
+    if choices:
+        wanted = [(value in choices, ", ".join(choices))]
+    elif not math.isfinite(value):
+        wanted = [(False, "a finite number")]
     for fine, expected in wanted:
         if not fine:
             raise InputError(f"setting {name}", expected, str(value))
