@@ -8,6 +8,7 @@ import re
 import struct
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import BinaryIO
@@ -69,12 +70,16 @@ def open_stack(path: Path) -> Reader:
         For a damaged file, several dimensions (time and channel, say), pages of several sizes, signed or
         64-bit pixels.
     """
-    check_tiff(path)
+    is_whole = check_tiff(path)
     with reading(path, "a TIFF stack"), tifffile.TiffFile(path) as tif:
-        return _reader_of_pages(tif, _pages(tif, path), path)
+        reader = _reader_of_pages(tif, _pages(tif, path), path)
+    cut_short = (f"{path.name}: the file was cut short; more pages were to follow",)
+    return reader if is_whole else replace(reader, facts=replace(reader.facts, warnings=cut_short))
 
 
-def _reader_of_pages(tif: tifffile.TiffFile, pages: Sequence[Page], path: Path) -> Reader:
+def _reader_of_pages(
+    tif: tifffile.TiffFile, pages: Sequence[Page], path: Path
+) -> MappedReader | ImagesReader:
     first = tif.pages.first
     if first.dtype is None or first.dtype.kind not in "uf" or first.dtype.itemsize > 4:
         wanted, found = "unsigned integers of 8 or 16 bits, or float32", str(first.dtype)
@@ -221,7 +226,6 @@ def _stack_facts(tif: tifffile.TiffFile, held: int, indexed: int, path: Path, *,
         decoder=decoder,
         grey=LUMA_RULE if first.samplesperpixel > 1 and not _leads_with_grey(first) else AS_STORED,
         times_s=_own_times(tif, declared),
-        warnings=(f"{path.name}: the file was cut short; more pages were to follow",) * _is_cut_short(tif),
     )
 
 
@@ -265,16 +269,6 @@ def _possible(declared: int, path: Path) -> int:
     In a file that was cut short, that number shows how much is missing; an impossible number is damaged.
     """
     return declared if 0 <= declared <= 10 * path.stat().st_size else 0
-
-
-def _is_cut_short(tif: tifffile.TiffFile) -> bool:
-    """Return whether the last page that can be reached names a following one."""
-    last, form, file = tif.pages[-1], tif.tiff, tif.filehandle
-    file.seek(last.offset)
-    tags = int(struct.unpack(form.tagnoformat, file.read(form.tagnosize))[0])
-    file.seek(last.offset + form.tagnosize + tags * form.tagsize)
-    following = file.read(form.offsetsize)
-    return len(following) < form.offsetsize or any(following)
 
 
 def _own_times(tif: tifffile.TiffFile, frames: int) -> Floats | None:
@@ -484,10 +478,10 @@ def _ends_in_chunk(data: NDArray[np.uint8]) -> bool:
 # --- the chain of a TIFF's pages, before a library follows it -----------------------------------------------
 
 
-def check_tiff(path: Path) -> None:
+def check_tiff(path: Path) -> bool:
     """Refuse a TIFF whose index would lead a reader in circles, or whose tags would take it for ever.
 
-    A chain that leaves the file is accepted: such a file was cut short.
+    Return False if the chain of its pages leaves the file, which was cut short.
 
     Raises
     ------
@@ -500,26 +494,28 @@ def check_tiff(path: Path) -> None:
         form = _FORMS.get(file.read(4), tifffile.TIFF.CLASSIC_LE)
         file.seek(form.offsetsize)
         seen: set[int] = set()
-        spent, found = 0, ""
-        while not found and 0 < (place := _number(form.offsetformat, file)) < size:
+        spent, found, place = 0, "", _number(form.offsetformat, file)
+        while not found and 0 < place < size:
             if place in seen:
                 found = f"one whose page {len(seen)} is an earlier one"
             file.seek(place)
             tags = _number(form.tagnoformat, file)
             if tags > 1000:  # microscopes write up to 60; damaged pages of more take long
                 found = f"{tags} tags in page {len(seen)}"
-            data = file.read(min(tags, 1000) * form.tagsize)
+            data = file.read(max(0, min(tags, 1000)) * form.tagsize)
             whole = data[: len(data) // form.tagsize * form.tagsize]
             for _, kind, count, _ in struct.iter_unpack(form.tagheaderformat, whole):
                 spent += count * struct.calcsize("=" + tifffile.TIFF.DATA_FORMATS.get(kind, "1B"))
             if spent > size + (1 << 26):  # pages may share values; reading all would never end
                 found = "tags that point to more than the file holds"
             seen.add(place)
+            place = _number(form.offsetformat, file)
     if found:
         raise InputError(path, "a TIFF stack", found, "copy or export it again")
+    return place == 0
 
 
 def _number(code: str, file: BinaryIO) -> int:
-    """Return the next number; 0 at the end of the file."""
+    """Return the next number; -1 at the end of the file."""
     data = file.read(struct.calcsize(code))
-    return int(struct.unpack(code, data)[0]) if len(data) == struct.calcsize(code) else 0
+    return int(struct.unpack(code, data)[0]) if len(data) == struct.calcsize(code) else -1
