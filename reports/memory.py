@@ -223,7 +223,7 @@ def main() -> None:
         "Peak of the resident memory beyond that of the imports and of",
         f"I(x, t), for films of {COLUMNS} x {ROWS} px of which rows {STRIP[0]} to {STRIP[1]} are",
         f"averaged; in brackets the frames. {os.cpu_count()} cores, Python {platform.python_version()}.",
-        "It fills what is read ahead, four blocks of 16 MiB and up to 32 whole frames, and stays there",
+        "It fills what is read ahead, four blocks of 4 MiB and up to 32 whole frames, and stays there",
         "however long the film is.",
         "",
         *head(["format", "few frames", "four times as many", "sixteen times"]),

@@ -30,8 +30,7 @@ from matplotlib.figure import Figure as Page
 from reports.rivals import strip_of
 from reports.writing import head, row, write_report
 from vision.experiment import Experiment, with_settings
-from vision.experiment.mechanics import frame_times
-from vision.experiment.scene import make_scene
+from vision.experiment.scene import frame_times, make_scene
 from vision.experiment.simulate import frame_blocks, write_video
 from vision.numeric import Pixels
 
@@ -322,8 +321,9 @@ def machine() -> list[str]:
 LIMITS = """## What limits what
 
 Raw film and TIFF stacks: the strip's rows are read and nothing else, so the disk, or memory once a film is in
-the cache; more cores do not help, a faster disk does. MJPEG: libjpeg-turbo, on all cores.
-H.264 and FFV1: FFmpeg's decoding on all cores; every pixel of every frame must be decoded whatever the strip.
+the cache; more cores do not help, a faster disk does. MJPEG: libjpeg-turbo, on all cores; of frames with
+restart markers between the rows of blocks, as FFmpeg and many cameras write them, it decodes the strip's rows
+alone. H.264 and FFV1: FFmpeg's decoding on all cores; every pixel of every frame must be decoded.
 Short films: loading the libraries and drawing, which neither disk nor cores shorten.
 """
 

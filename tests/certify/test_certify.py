@@ -281,7 +281,7 @@ def test_texture_of_the_paper_moves_with_the_sheets(tmp_path):
         "camera.full_well_e": 12000,
     }
     scene = make_scene(with_settings(preset("paper", seed=703), changes))
-    pixels = np.concatenate(list(frame_blocks(scene, workers=1)))
+    pixels = np.concatenate(list(frame_blocks(scene)))
     path = CODECS["H.264 crf 12"](tmp_path, pixels)
     strip = strip_profile(open_video(path))
     tracks = track_sheets(strip)

@@ -20,8 +20,8 @@ from tests.scenes.comb_video import frames_of, positions, write_video
 from vision import pipeline
 from vision.command import track
 from vision.command.main import run
+from vision.files import answered
 from vision.run import writing
-from vision.video.threads import answered
 
 FILES = {
     "tracks.csv",

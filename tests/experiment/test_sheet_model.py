@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from vision.experiment.mechanics import normal_N, pull_sheets
 from vision.experiment.settings import Mechanics
-from vision.experiment.sheet_model import normal_N, pull_sheets
 from vision.models import equations
 from vision.models.spring_block import SpringBlock, stick_slip
 from vision.sample import PUBLISHED, Sample

@@ -58,7 +58,7 @@ def clean(seed: int = 1, times: int = 1, vibration_px: float = 0.05) -> Film:
         "optics.vibration_px": vibration_px,
     }
     scene = make_scene(with_settings(preset("paper", seed=seed), changes))
-    pixels = np.concatenate(list(frame_blocks(scene, workers=1)))
+    pixels = np.concatenate(list(frame_blocks(scene)))
     return Film(pixels, scene.seen_px(slice(0, len(pixels))))
 
 

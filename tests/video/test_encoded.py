@@ -147,6 +147,30 @@ def test_fast_mjpeg_equals_ffmpeg_but_for_rounding(tmp_path):
     assert np.mean(whole(video) != slow) < 0.05
 
 
+@pytest.mark.parametrize("pix_fmt", ["yuvj420p", "yuvj444p"])
+@pytest.mark.parametrize("rows", [(0, 5), (3, 17), (16, 32), (30, 52), (0, 52)])
+def test_mjpeg_with_restart_markers_is_decoded_only_where_needed(tmp_path, rows, pix_fmt):
+    """Failure: other rows than asked for; or damage elsewhere in the picture costs frames."""
+    frames = comb(count=4, rows=52, columns=100)
+    options = {"qscale": "2", "threads": "2"}
+    path = write_encoded(
+        tmp_path / "a.avi", frames, codec="mjpeg", pix_fmt=pix_fmt, source="gray", options=options
+    )
+    data = path.read_bytes()
+    assert b"\xff\xdd" in data and b"\xff\xd1" in data
+    z = slice(*rows)
+    clean = whole(open_video(path))
+    assert np.array_equal(np.concatenate([b.pixels for b in open_video(path).blocks(z)]), clean[:, z])
+    broken = bytearray(data)
+    place = data.index(b"\xff\xd1", data.rindex(b"\xff\xd8\xff"))  # before rows 32 to 48
+    broken[place + 2 : place + 12] = bytes([255, 0]) * 5
+    path.write_bytes(broken)
+    (block,) = open_video(path).blocks(z)
+    reached = z.start < 48 and z.stop > 32
+    assert block.status == ("ok", "ok", "ok", "corrupt" if reached else "ok")
+    assert reached or np.array_equal(block.pixels, clean[:, z])
+
+
 def test_damaged_mjpeg_frame_is_flagged_and_counted(tmp_path):
     """Failure: a torn frame is tracked, or dropping it shifts every later time stamp."""
     path = mjpeg(tmp_path / "a.avi")

@@ -23,7 +23,7 @@ def test_single_frames_become_blocks_in_order():
 def test_blocks_stay_small():
     """Failure: memory grows with the size of a frame, or a large frame makes a block of none."""
     assert frames_per_block(1, 1, 1) == 256
-    assert frames_per_block(1000, 1000, 2) * 2_000_000 <= 16 << 20
+    assert frames_per_block(1000, 1000, 2) * 2_000_000 <= 4 << 20
     assert frames_per_block(100_000, 100_000, 2) == 1
 
 

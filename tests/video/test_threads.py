@@ -12,9 +12,9 @@ import tifffile
 
 from tests.scenes.films import comb, write_avi
 from vision.errors import InputError
+from vision.files import answered, begun, in_threads, prefetch
 from vision.video import VideoSettings, find_strip, open_video, reference_frame, strip_profile
 from vision.video.reader import MappedReader
-from vision.video.threads import answered, begun, in_threads, prefetch
 
 
 def test_prefetch_keeps_order_errors_and_ends():

@@ -16,10 +16,9 @@ from typing import Any
 from vision.campaign.settings import CampaignSettings
 from vision.comparison.runs import ALIKE, COLUMNS, LIMITS, table_cells
 from vision.errors import InputError
-from vision.files import Stamp, shortened
+from vision.files import Stamp, answered, shortened
 from vision.video import open_video, video_files
 from vision.video.raw import PIXELS
-from vision.video.threads import answered
 
 # --- the table ----------------------------------------------------------------------------------------------
 

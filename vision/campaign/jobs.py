@@ -30,10 +30,9 @@ from vision.campaign.plan import PLAN, Plan, PlannedFilm, State, Word, inputs_of
 from vision.campaign.results import page_age, write_page, write_partitions
 from vision.campaign.settings import CampaignSettings
 from vision.errors import InputError
-from vision.files import shortened
+from vision.files import answered, prefetch, shortened
 from vision.pipeline import Analysis
 from vision.run.folder import lock_open_file
-from vision.video.threads import answered, prefetch
 
 # --- Snakemake, a process -----------------------------------------------------------------------------------
 

@@ -22,11 +22,10 @@ import vision
 from vision.campaign.films import PATHS, Check, Row, is_remote
 from vision.campaign.settings import CampaignSettings
 from vision.errors import InputError
-from vision.files import Stamp, reading, shortened
+from vision.files import Stamp, answered, reading, shortened
 from vision.run import describe_input, plain, whole_file, write_json
 from vision.run.reading import read_json
 from vision.video import open_video, video_files
-from vision.video.threads import answered
 
 # --- states -------------------------------------------------------------------------------------------------
 

@@ -515,14 +515,7 @@ def _filled(x_px: Floats, raw_px: Floats) -> Floats:
     moved, sheet = filled - rest, np.arange(x_px.shape[1])
     known = np.isfinite(moved)
     for t in np.flatnonzero(~known.all(axis=1) & known.any(axis=1)):
-        found = sheet[known[t]]
-        displacement = moved[t, found]
-        moved[t] = np.interp(sheet, found, displacement)
-        # Beyond the last sheets found the displacement is extrapolated.
-        for outer, inner in ((0, 3), (-1, -4)) if found.size > 3 else ():
-            slope = (displacement[inner] - displacement[outer]) / (found[inner] - found[outer])
-            beyond = (sheet < found[0]) if outer == 0 else (sheet > found[-1])
-            moved[t, beyond] = displacement[outer] + slope * (sheet[beyond] - found[outer])
+        moved[t] = np.interp(sheet, sheet[known[t]], moved[t, known[t]])
     filled = rest + moved
     for column in filled.T:
         finite = np.isfinite(column)

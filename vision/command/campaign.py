@@ -32,8 +32,8 @@ from vision.command.settings import merged, number, parse_option, read_config, s
 from vision.command.track import REFUSED, command_line, run_name, track_one
 from vision.errors import InputError, with_options
 from vision.figures.labels import counted
+from vision.files import usable_cores
 from vision.run import Parameter
-from vision.video.threads import usable_cores
 
 
 def campaign(table: Path | None, options: CampaignOptions) -> int:

@@ -25,6 +25,7 @@ from vision.command.settings import merged, settings_of
 from vision.data import StripMetadata
 from vision.errors import InputError
 from vision.figures.labels import counted
+from vision.files import answered
 from vision.pipeline import Analysis, Settings, analyse, track_strip
 from vision.run import (
     FAILURES,
@@ -41,7 +42,6 @@ from vision.sheets.corrections import read_decisions
 from vision.summary import findings, flag_counts, noise_figures
 from vision.video import Follow, open_video, video_files
 from vision.video.raw import PIXELS, is_photron
-from vision.video.threads import answered
 
 LONG_FRAMES = 20_000
 """Number of frames from which a run stores what a review shows first. This takes seconds, where tracking took

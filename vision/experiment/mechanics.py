@@ -1,17 +1,30 @@
-r"""The traction test before any instrument: stick-slip events, d(t), F(t), x(n, t) and the two clocks.
+r"""The traction test before any instrument: stick-slip events, d(t), F(t) and x(n, t).
 
 The pull starts at time 0 of the machine's clock at d0 with zero force. A first elastic loading ends in
 slip 0; event i is the stick phase between slips i and i + 1. In a stick phase a sheet creeps towards the axis
 at constant speed; in a slip it jumps back out as half a cosine.
 
-With ``mechanics.model = "sheets"``, thresholds determine which sheets stick and for how long (`sheet_model`),
-and this module adds only the visible motion of the sheets. Between two slips of the assembly a sheet creeps
-by s(n) = d − d_v − (T(n) − T_v(n))/k. Its free part bends inwards in proportion, and the slip reverses this:
+With ``mechanics.model = "sheets"``, thresholds determine which sheets stick and for how long. Each of the 2M
+sheets is a spring of stiffness k = εWY/L between its clamp and two faces with friction. It sticks while its
+load T is below the threshold T_s of both faces. In a slip its load is reflected at the level T_d of dynamic
+friction, as for a spring and block:
+
+.. math:: T_s = 2\mu N + T^*, \qquad T_d = (2\mu - A) N + T^*, \qquad T \to 2T_d - T
+
+with A = 2(μ_s − μ_d). The normal force N(n, d) follows Eq. 2. If every sheet is at its threshold, the sum of
+the loads over the 2M sheets, at the positions n − ½, is Eq. 1 to 5e-6. If sheets slipped individually, the
+force would stay near 1 − A/2μ of Eq. 1. In the publication, all sheets slip at once and the peaks follow
+Eq. 1. The model gives this result, since a sheet at its threshold creeps, held by those that still stick, and
+the assembly slips when none sticks.
+
+Between two slips of the assembly a sheet creeps by s(n) = d − d_v − (T(n) − T_v(n))/k. Its free part bends
+inwards in proportion, and the slip reverses this:
 
 .. math:: x(n, t) = \hat x(n) \mp \sqrt{12}\, r\, s(n, t)
 
 with the same r for all sheets (`sheets.outer_ratio`): a sheet that creeps all the way has σ_x/Λ_st = r, one
-that sticks to the end has 0. Neither M_eff nor a shell enters.
+that sticks to the end has 0. Neither M_eff nor a shell enters. Source: Plati, Restagno & Poulard, Eqs. 1 and
+2 and section "Stick-slip in a simple spring-block model".
 """
 
 # ruff: noqa: N815 (the unit is part of a name, and newton is N)
@@ -25,7 +38,6 @@ import pandas as pd
 import xarray as xr
 
 from vision.experiment.settings import Experiment, Mechanics, Sheets
-from vision.experiment.sheet_model import pull_sheets
 from vision.models import equations as eq
 from vision.numeric import Bools, Floats, Ints
 from vision.sample import PUBLISHED, Sample
@@ -205,46 +217,7 @@ def _stick_shape(u: Floats, m: Mechanics) -> Floats:
     return u + m.softening * u * (1 - u) / 2
 
 
-# --- the camera's clock and the sheets at rest --------------------------------------------------------------
-
-
-@dataclass(frozen=True, kw_only=True)
-class FrameTimes:
-    """Times of mid-exposure, one entry per frame in the file.
-
-    camera_s is the true time on the camera's clock, stamp_s the recorded one (stale stamps repeat the
-    previous one), machine_s the force clock; `exposed` numbers the frames including lost ones.
-    """
-
-    camera_s: Floats
-    stamp_s: Floats
-    machine_s: Floats
-    exposed: Ints
-    lost: int
-
-
-def frame_times(experiment: Experiment) -> FrameTimes:
-    """Return the times of the frames that are not lost; the first frame is never lost."""
-    camera, clocks = experiment.camera, experiment.clocks
-    total = max(round(camera.duration_s * camera.fps), 1)
-    rng = random_stream(experiment.seed, "clocks")
-    keep = rng.uniform(size=total) >= clocks.dropped
-    keep[0] = True
-    exposed = np.flatnonzero(keep)
-    true = exposed / camera.fps
-    stale = rng.uniform(size=total)[exposed] < clocks.stale
-    stale[0] = False
-    source = np.maximum.accumulate(np.where(stale, 0, np.arange(len(true))))
-    machine = clocks.offset_s + (1 + clocks.drift_ppm * 1e-6) * true
-    return FrameTimes(
-        camera_s=true, stamp_s=true[source], machine_s=machine, exposed=exposed, lost=total - len(exposed)
-    )
-
-
-def camera_time(machine_s: Floats, experiment: Experiment) -> Floats:
-    """Convert times from the force clock to the camera's clock."""
-    clocks = experiment.clocks
-    return (np.asarray(machine_s) - clocks.offset_s) / (1 + clocks.drift_ppm * 1e-6)
+# --- the sheets at rest -------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -409,6 +382,122 @@ def _deformation_ratio(rank_share: Floats, stiff_share: Floats, sheets: Sheets) 
 
 # --- sheet-resolved pulls -----------------------------------------------------------------------------------
 
+_CLOSE, _NARROW = 1e-9, 1e-13  # relative tolerances: of the threshold at which a slip is found, and of d
+
+
+def normal_N(d_mm: float, m: Mechanics, sample: Sample = PUBLISHED) -> Floats:
+    """Return N of Eq. 2 for the sheets of one side from the centre outwards, (M,)."""
+    n = np.arange(int(sample.sheets_per_block)) + 0.5
+    return np.asarray(eq.normal_force(n, d_mm, mu=m.mu, sample=sample))
+
+
+class _Assembly:
+    """The sheets of a pull at a separation d. Loads are (2, M), left side first, from the centre outwards."""
+
+    def __init__(self, m: Mechanics, sample: Sample, threshold_factor: Floats | None) -> None:
+        self.m, self.sample, self.d = m, sample, m.d0_mm
+        self.k = float(eq.sheet_stiffness(modulus_GPa=m.modulus_GPa, sample=sample))
+        count = int(sample.sheets_per_block)
+        given = np.ones(2 * count) if threshold_factor is None else threshold_factor
+        self.factor = np.stack([given[:count][::-1], given[count:]])
+        self.load = np.zeros((2, count))
+
+    def thresholds(self, d: float) -> tuple[Floats, Floats]:
+        """Return T_s and T_d at a separation, (2, M)."""
+        normal = normal_N(d, self.m, self.sample)
+        top = 2 * self.m.mu * normal + self.sample.t_star_N
+        return self.factor * top, self.factor * (top - self.m.amplitude * normal)
+
+    def margin(self, step: float) -> float:
+        """Return (T_s − T)/T_s of the sheet that sticks longest after a step of d."""
+        top, _ = self.thresholds(self.d + step)
+        return float(((top - self.load - self.k * step) / top).max())
+
+    def advance(self, step: float) -> None:
+        """Increase d; sheets that stick gain k·step, the others creep at their thresholds."""
+        self.d += step
+        self.load = np.minimum(self.load + self.k * step, self.thresholds(self.d)[0])
+
+    def step_to_slip(self, longest: float) -> float:
+        """Return the step of d after which no sheet sticks, at most `longest`."""
+        low, at_low = 0.0, max(self.margin(0.0), 0.0)
+        high = step = longest
+        at_high = margin = self.margin(longest)
+        while not (margin >= -_CLOSE and (step == longest or margin <= _CLOSE)):
+            if high - low <= _NARROW * self.d:
+                return high
+            # Loads and thresholds are nearly linear within a step: take the crossing of lines.
+            step = low + (high - low) * at_low / (at_low - at_high)
+            margin = self.margin(step)
+            if margin < 0:
+                high, at_high = step, margin
+            else:
+                low, at_low = step, margin
+        return step
+
+    def slip(self) -> None:
+        """Reflect all loads at the level of dynamic friction."""
+        top, level = self.thresholds(self.d)
+        self.load = np.minimum(np.maximum(2 * level - self.load, 0.0), top)
+
+
+def pull_sheets(
+    m: Mechanics,
+    sample: Sample = PUBLISHED,
+    *,
+    threshold_factor: Floats | None = None,
+    longest_step_um: float = 0.5,
+) -> xr.Dataset:
+    """Simulate the whole pull, event by event; it starts without loads.
+
+    Parameters
+    ----------
+    m
+        μ (static), A = 2(μ_s − μ_d), Young's modulus Y of one sheet (k = εWY/L), and the pull.
+    sample
+        M, ε, W, L and T*.
+    threshold_factor
+        Factor on the threshold of each sheet from left to right, shape (2M,); None for equal sheets.
+    longest_step_um
+        Largest step of d between updates of N.
+
+    Returns
+    -------
+    xarray.Dataset
+        Along ``step``: ``d_mm``, ``time_s``, ``force_N`` (sum of the loads), ``load_N`` (step, sheet) and
+        ``slipped``. A slip consists of two steps at the same d and time; ``slipped`` is True on the second.
+        Between steps loads are linear in d. Sheets are ordered from left to right, with ``side`` and ``n``.
+        attrs: ``stiffness_N_per_mm`` of one sheet.
+    """
+    sheets = _Assembly(m, sample, threshold_factor)
+    steps = [(sheets.d, sheets.load, False)]
+    while sheets.d < m.d_end_mm * (1 - 1e-12):
+        # Sheets reach their thresholds one after the other within a stick phase, which needs short steps.
+        stick = 2 * m.amplitude * float(normal_N(sheets.d, m, sample).max()) / sheets.k
+        longest = min(longest_step_um / 1000, stick / 20, m.d_end_mm - sheets.d)
+        sheets.advance(sheets.step_to_slip(longest))
+        steps.append((sheets.d, sheets.load, False))
+        if sheets.margin(0.0) <= _CLOSE:
+            sheets.slip()
+            steps.append((sheets.d, sheets.load, True))
+    d, loads, slipped = (np.array(part) for part in zip(*steps, strict=True))
+    load = np.concatenate([loads[:, 0, ::-1], loads[:, 1]], axis=1)
+    number = np.arange(1, load.shape[1] // 2 + 1)
+    return xr.Dataset(
+        {
+            "d_mm": ("step", d),
+            "time_s": ("step", 60 * (d - d[0]) / m.speed_mm_min),
+            "force_N": ("step", load.sum(axis=1)),
+            "load_N": (("step", "sheet"), load),
+            "slipped": ("step", slipped),
+        },
+        coords={
+            "side": ("sheet", np.repeat([-1, 1], number.size)),
+            "n": ("sheet", np.r_[number[::-1], number]),
+        },
+        attrs={"stiffness_N_per_mm": sheets.k},
+    )
+
 
 @dataclass(frozen=True, kw_only=True)
 class ResolvedPull(Pull):
@@ -441,8 +530,8 @@ class ResolvedMotion(SheetMotion):
 
 def threshold_factors(experiment: Experiment) -> Floats:
     """Return the factors of the unequal thresholds of an experiment's sheets, (2M,)."""
-    count = 2 * experiment.sample.sheets_per_block
-    spread = np.clip(random_stream(experiment.seed, "thresholds").standard_normal(count), -3, 3)
+    rng = random_stream(experiment.seed, "thresholds")
+    spread = np.clip(rng.standard_normal(2 * experiment.sample.sheets_per_block), -3, 3)
     return np.asarray(1 + experiment.mechanics.threshold_scatter * spread)
 
 

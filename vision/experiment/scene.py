@@ -22,20 +22,17 @@ import scipy
 import xarray as xr
 
 from vision.experiment.mechanics import (
-    FrameTimes,
     Pull,
     RestingComb,
     SheetMotion,
-    camera_time,
     comb_at_rest,
-    frame_times,
     random_stream,
     resolved_test,
     sheet_motion,
     simulate_pull,
 )
 from vision.experiment.settings import Experiment, RidgeShape
-from vision.numeric import Floats, Floats32
+from vision.numeric import Floats, Floats32, Ints
 
 # --- ridges -------------------------------------------------------------------------------------------------
 
@@ -49,7 +46,6 @@ class RidgeAppearance:
     shape: RidgeShape
     fwhm_px: Floats
     height: Floats
-    psf_px: float
     shoulder_side: Floats
 
 
@@ -64,9 +60,7 @@ def _ridge_appearance(experiment: Experiment) -> RidgeAppearance:
     sign = 1 if optics.polarity == "bright" else -1
     height = sign * 2 * optics.level * optics.contrast / (1 - sign * optics.contrast) * unequal
     height[rng.permutation(count)[: optics.faint_sheets]] *= 0.2
-    return RidgeAppearance(
-        shape=optics.shape, fwhm_px=width, height=height, psf_px=optics.psf_px, shoulder_side=shoulder
-    )
+    return RidgeAppearance(shape=optics.shape, fwhm_px=width, height=height, shoulder_side=shoulder)
 
 
 def _light_up_to(u: Floats, ridges: RidgeAppearance) -> Floats:
@@ -76,9 +70,9 @@ def _light_up_to(u: Floats, ridges: RidgeAppearance) -> Floats:
     """
     fwhm, side = ridges.fwhm_px[:, None], ridges.shoulder_side[:, None]
     if ridges.shape == "flat":
-        return np.asarray(_soft_box(u, fwhm, ridges.psf_px) * ridges.height[:, None])
-    sigma = np.hypot(fwhm / _FWHM_PER_SIGMA, ridges.psf_px)
-    area = (fwhm / _FWHM_PER_SIGMA * np.sqrt(2 * np.pi)) * ridges.height[:, None]
+        return np.asarray(_soft_box(u, fwhm) * ridges.height[:, None])
+    sigma = fwhm / _FWHM_PER_SIGMA
+    area = (sigma * np.sqrt(2 * np.pi)) * ridges.height[:, None]
     if ridges.shape == "gaussian":
         return np.asarray(area * scipy.special.ndtr(u / sigma))
     share, distance = 0.22, 0.85 * fwhm * side  # fraction of the light in the shoulder, and its distance
@@ -87,9 +81,9 @@ def _light_up_to(u: Floats, ridges: RidgeAppearance) -> Floats:
     return np.asarray(area * ((1 - share) * main + share * shoulder))
 
 
-def _soft_box(u: Floats, fwhm: Floats, psf_px: float) -> Floats:
+def _soft_box(u: Floats, fwhm: Floats) -> Floats:
     """Return the integral of a box of width `fwhm` with soft edges, a difference of two integrals of ndtr."""
-    soft = np.hypot(fwhm / 10, psf_px)
+    soft = fwhm / 10
 
     def double_integral(v: Floats) -> Floats:
         return np.asarray(v * scipy.special.ndtr(v) + np.exp(-(v**2) / 2) / np.sqrt(2 * np.pi))
@@ -115,7 +109,7 @@ def _light_per_cell(positions_px: Floats, brightness: Floats, ridges: RidgeAppea
     """
     frames, cells = len(positions_px), line.cells
     # Half the window in which a ridge is drawn; 5e-10 of the light of a Gaussian lies outside it.
-    reach_px = float(2.6 * np.max(ridges.fwhm_px) + 6 * ridges.psf_px + 2)
+    reach_px = float(2.6 * np.max(ridges.fwhm_px) + 2)
     half = int(np.ceil(reach_px * line.per_px))
     first = np.floor((positions_px - line.start_px) * line.per_px).astype(np.int64) - half
     edge = first[..., None] + np.arange(2 * half + 2)
@@ -184,6 +178,48 @@ def camera_geometry(experiment: Experiment, comb: RestingComb) -> Geometry:
         half_comb_px=float(np.max(np.abs(comb.rest_px - comb.axis_px))) or 1.0,
         distortion=optics.distortion,
     )
+
+
+# --- the camera's clock -------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameTimes:
+    """Times of mid-exposure, one entry per frame in the file.
+
+    camera_s is the true time on the camera's clock, stamp_s the recorded one (stale stamps repeat the
+    previous one), machine_s the force clock; `exposed` numbers the frames including lost ones.
+    """
+
+    camera_s: Floats
+    stamp_s: Floats
+    machine_s: Floats
+    exposed: Ints
+    lost: int
+
+
+def frame_times(experiment: Experiment) -> FrameTimes:
+    """Return the times of the frames that are not lost; the first frame is never lost."""
+    camera, clocks = experiment.camera, experiment.clocks
+    total = max(round(camera.duration_s * camera.fps), 1)
+    rng = random_stream(experiment.seed, "clocks")
+    keep = rng.uniform(size=total) >= clocks.dropped
+    keep[0] = True
+    exposed = np.flatnonzero(keep)
+    true = exposed / camera.fps
+    stale = rng.uniform(size=total)[exposed] < clocks.stale
+    stale[0] = False
+    source = np.maximum.accumulate(np.where(stale, 0, np.arange(len(true))))
+    machine = clocks.offset_s + (1 + clocks.drift_ppm * 1e-6) * true
+    return FrameTimes(
+        camera_s=true, stamp_s=true[source], machine_s=machine, exposed=exposed, lost=total - len(exposed)
+    )
+
+
+def camera_time(machine_s: Floats, experiment: Experiment) -> Floats:
+    """Convert times from the force clock to the camera's clock."""
+    clocks = experiment.clocks
+    return (np.asarray(machine_s) - clocks.offset_s) / (1 + clocks.drift_ppm * 1e-6)
 
 
 # --- the scene ----------------------------------------------------------------------------------------------

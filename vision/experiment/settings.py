@@ -38,7 +38,7 @@ class Mechanics:
 
     model: Literal["equations", "sheets"] = "equations"
     """Origin of the events: drawn from the publication's equations, or the result of 2M springs whose
-    thresholds decide which sheets stick (`sheet_model`). With "sheets", `mu` applies to every face,
+    thresholds decide which sheets stick. With "sheets", `mu` applies to every face,
     `amplitude` is 2(μ_s − μ_d), `modulus_GPa` is that of a sheet, and settings that describe events
     (`n_hat_N`, `t0_N`, and `peak_scatter` to `buildup_mm`) are not used."""
     threshold_scatter: Fraction = 0.02
@@ -127,8 +127,6 @@ class Optics:
     """Brightness between the ridges as a fraction of saturation."""
     surround: NonNegative = 0.5
     """Brightness beyond the sample relative to that between the ridges."""
-    psf_px: NonNegative = 0.0
-    """Standard deviation of the lens' blur."""
     gradient: NonNegative = 0.2
     """Relative change of the light across the frame."""
     flicker: Fraction = 0.015
@@ -177,8 +175,6 @@ class Camera:
     """RMS read-out noise, electrons."""
     prnu: Fraction = 0.007
     """Relative spread of the sensitivity of pixels (photo-response non-uniformity)."""
-    black_level: NonNegative = 0.0
-    """Grey level without light."""
     noise: bool = True
     """Whether photon and read-out noise are added."""
 
@@ -348,7 +344,7 @@ def _known(name: str, experiment: Experiment) -> tuple[str, str]:
 
 def _converted(value: Any, declared: Any, name: str) -> Any:
     """Convert a value to the declared type of a setting."""
-    kind = _plain_type(declared)
+    kind = _declaration(declared)[0]
     try:
         if kind is bool:
             return {"true": True, "false": False, "1": True, "0": False}[str(value).lower()]
@@ -365,30 +361,26 @@ def _types(group: type) -> dict[str, Any]:
     return get_type_hints(group, include_extras=True)
 
 
-def _plain_type(declared: Any) -> type:
-    """Return float, int, bool or str."""
+def _declaration(declared: Any) -> tuple[type, tuple[str, ...], tuple[str, ...], bool]:
+    """Return the plain type of a setting, its choices, its ranges, and whether it may be None."""
     if get_origin(declared) is Literal:
-        return str
-    declared = _without_none(declared)
-    kind: type = get_args(declared)[0] if get_origin(declared) is Annotated else declared
-    return kind
-
-
-def _without_none(declared: Any) -> Any:
-    """Return the declared type without None."""
-    return get_args(declared)[0] if NoneType in get_args(declared) else declared
+        return str, get_args(declared), (), False
+    optional = NoneType in get_args(declared)
+    kind = get_args(declared)[0] if optional else declared
+    ranges = getattr(kind, "__metadata__", ())
+    return get_args(kind)[0] if ranges else kind, (), ranges, optional
 
 
 def _check_value(name: str, value: Any, declared: Any) -> None:
     """Check that a value is one of the choices, or a number in the range, of its declared type."""
-    if get_origin(declared) is Literal:
-        choices = get_args(declared)
-        wanted = [(value in choices, ", ".join(choices))]
-    elif value is None and NoneType in get_args(declared):
+    _, choices, ranges, optional = _declaration(declared)
+    if value is None and optional:
         return
-    else:
-        ranges = getattr(_without_none(declared), "__metadata__", ())
-        wanted = [(math.isfinite(value), "a finite number"), *((_IN_RANGE[r](value), r) for r in ranges)]
+    wanted = [(_IN_RANGE[r](value), r) for r in ranges]
+    if choices:
+        wanted = [(value in choices, ", ".join(choices))]
+    elif not math.isfinite(value):
+        wanted = [(False, "a finite number")]
     for fine, expected in wanted:
         if not fine:
             raise InputError(f"setting {name}", expected, str(value))
@@ -436,7 +428,6 @@ def _check_camera(e: Experiment) -> None:
     _require(e, "camera.bits", 8 <= camera.bits <= 16, "8 to 16")
     _require(e, "camera.exposure_s", camera.exposure_s <= longest, f"at most 1/fps = {longest:.4g} s")
     _require(e, "camera.duration_s", camera.duration_s * camera.fps >= 1, "at least one frame")
-    _require(e, "camera.black_level", camera.black_level < 2**camera.bits - 1, "below saturation")
 
 
 # --- ready-made experiments ---------------------------------------------------------------------------------

@@ -1,16 +1,14 @@
 """The instruments: the camera's frames and I(x, t), the machine's recording, and the files of both.
 
 A pixel that collects e electrons has the variance e + read² (photons and read-out); the mean of n rows has an
-n-th of that. Grey level = black level + e / gain, rounded and clipped.
+n-th of that. Grey level = e / gain, rounded and clipped.
 """
 
 from __future__ import annotations
 
 import os
 import shutil
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from fractions import Fraction
 from functools import partial
@@ -28,9 +26,10 @@ from scipy.sparse import coo_array, csr_array
 
 from vision.data import STRIP, StripMetadata, record
 from vision.errors import InputError
-from vision.experiment.mechanics import FrameTimes, Pull, camera_time, random_stream
-from vision.experiment.scene import Scene, make_scene, strip_slice, truth_of
+from vision.experiment.mechanics import Pull, random_stream
+from vision.experiment.scene import FrameTimes, Scene, camera_time, make_scene, strip_slice, truth_of
 from vision.experiment.settings import Camera, Experiment, ForceFile
+from vision.files import in_threads
 from vision.numeric import Floats, Floats32, Ints, Pixels
 
 Progress = Callable[[int, int | None], None]
@@ -44,8 +43,8 @@ def saturation_level(camera: Camera) -> int:
 
 
 def electrons_per_level(camera: Camera) -> float:
-    """Return the gain in electrons per grey level: the full well over the levels above black."""
-    return camera.full_well_e / (saturation_level(camera) - camera.black_level)
+    """Return the gain in electrons per grey level: the full well over the levels."""
+    return camera.full_well_e / saturation_level(camera)
 
 
 def grey_levels(light: Floats32, camera: Camera, rng: np.random.Generator) -> Pixels:
@@ -57,7 +56,7 @@ def grey_levels(light: Floats32, camera: Camera, rng: np.random.Generator) -> Pi
         electrons += spread * rng.standard_normal(light.shape, dtype=np.float32)
     np.minimum(electrons, np.float32(camera.full_well_e), out=electrons)
     electrons *= np.float32(1 / electrons_per_level(camera))
-    electrons += np.float32(camera.black_level + 0.5)
+    electrons += np.float32(0.5)
     np.clip(electrons, 0, saturation_level(camera), out=electrons)
     return electrons.astype(np.uint8 if camera.bits == 8 else np.uint16)
 
@@ -69,31 +68,23 @@ def mean_of_rows(light: Floats, camera: Camera, rows: int, rng: np.random.Genera
     if camera.noise:
         one = np.maximum(electrons, 0) + camera.read_noise_e**2 + gain**2 / 12  # + rounding
         electrons = electrons + np.sqrt(one / rows) * rng.standard_normal(light.shape, dtype=np.float32)
-    levels = camera.black_level + np.minimum(electrons, camera.full_well_e) / gain
+    levels = np.minimum(electrons, camera.full_well_e) / gain
     return np.asarray(np.clip(levels, 0, saturation_level(camera)), np.float32)
 
 
 # --- frames -------------------------------------------------------------------------------------------------
 
 
-def frame_blocks(scene: Scene, *, workers: int = 2) -> Iterator[Pixels]:
+def frame_blocks(scene: Scene) -> Iterator[Pixels]:
     """Yield all frames in order, in blocks (frame, row, column) of uint8 (8 bit) or uint16.
 
-    A block has a few million pixels; at most `workers` + 1 of them exist at a time. Every frame has its own
-    stream of random numbers, so the data depend neither on the blocks nor on the threads.
+    A block has a few million pixels; at most four of them exist at a time. Every frame has its own stream of
+    random numbers, so the data depend neither on the blocks nor on the threads.
     """
-    camera = scene.experiment.camera
-    total = len(scene.times.camera_s)
+    camera, total = scene.experiment.camera, len(scene.times.camera_s)
     step = int(np.clip(4_000_000 // (camera.width * camera.height), 1, 32))
-    painter = _Painter(scene)
-    waiting: deque[Future[Pixels]] = deque()
-    with ThreadPoolExecutor(workers) as pool:
-        for first in range(0, total, step):
-            waiting.append(pool.submit(painter.block, slice(first, min(first + step, total))))
-            if len(waiting) > workers:
-                yield waiting.popleft().result()
-        while waiting:
-            yield waiting.popleft().result()
+    spans = (slice(first, min(first + step, total)) for first in range(0, total, step))
+    return in_threads(_Painter(scene).block, spans, held=4)
 
 
 class _Painter:

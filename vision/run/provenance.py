@@ -16,7 +16,7 @@ from typing import Any, Literal, Self
 
 import vision
 from vision.errors import InputError, with_options
-from vision.video.threads import begun
+from vision.files import begun
 
 PACKAGES = ("av", "h5netcdf", "numpy", "opencv-python-headless", "pandas", "scipy", "tifffile", "xarray")
 MIB = 1 << 20

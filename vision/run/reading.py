@@ -239,7 +239,7 @@ def stored_kymograph(path: Path) -> tuple[int, np.dtype[Any], tuple[int, int]]:
     """
     wanted = "a space-time diagram as track writes it"
     check_regular(path, wanted)
-    check_tiff(path, frames=False)
+    check_tiff(path)
     with reading(path, wanted, AGAIN):
         with tifffile.TiffFile(path) as tif:
             page = tif.pages.first

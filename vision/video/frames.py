@@ -15,11 +15,10 @@ import numpy as np
 import xarray as xr
 
 from vision.errors import InputError
-from vision.files import Stamp
+from vision.files import Stamp, answered
 from vision.numeric import Bools, Floats, Floats32, Ints, Strings
 from vision.video.reader import Block
 from vision.video.settings import DEFAULTS, VideoSettings
-from vision.video.threads import answered
 from vision.video.video import Video, open_video, pixels_file
 
 STATUS_TYPE = "<U7"  # ok, blank, corrupt, lost

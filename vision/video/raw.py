@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vision.errors import InputError
-from vision.numeric import Floats, Ints
+from vision.numeric import Floats
 from vision.video.reader import (
     AS_STORED,
     LUMA_RULE,
@@ -40,8 +40,8 @@ def open_raw(path: Path, head: bytes) -> Reader | None:
         return _open_photron(path)
     if head[:4] == b"CI\x2c\x00":
         return _open_cine(path)
-    if head[:4] == b"RIFF" and head[8:] == b"AVI " and (layout := _read_avi_layout(path)).is_uncompressed:
-        return _open_avi(path, layout)
+    if head[:4] == b"RIFF" and head[8:] == b"AVI ":
+        return _open_avi(path)
     return None
 
 
@@ -61,65 +61,6 @@ _GREY_BITS = {
     b"Y1\x00\x0c": 12,
     b"Y1\x00\x0a": 10,
 }
-
-
-@dataclass(frozen=True, kw_only=True)
-class _AviLayout:
-    """Header of an AVI file's first video stream and positions of its frames, from its chunks alone.
-
-    Source: Microsoft AVI RIFF reference; OpenDML AVI file format extensions 1.02.
-    """
-
-    fourcc: bytes  # compression, zeros for plain bitmaps
-    bits: int  # per pixel
-    width: int
-    height: int
-    top_down: bool  # its height is stored as a negative number
-    palette: NDArray[np.uint8]  # (entries, 4): blue, green, red, 0
-    declared_frames: int | None
-    fps: float | None
-    offsets: Ints  # position of each whole frame
-    sizes: Ints  # its length; 0 is a frame that the camera dropped
-    cut_short: bool  # the file ends inside a frame
-
-    @property
-    def is_uncompressed(self) -> bool:
-        """Whether frames are uncompressed, so that `_open_avi` reads or refuses them without a decoder."""
-        return self.is_plain or self.fourcc in _GREY_BITS
-
-    @property
-    def is_plain(self) -> bool:
-        """Whether frames are bitmaps without a name of their format, or with the masks of 32-bit colour."""
-        return self.fourcc in _PLAIN or (self.fourcc == _MASKED and self.bits == 32)
-
-
-def _read_avi_layout(path: Path) -> _AviLayout:
-    """Walk through the chunks, OpenDML segments included; index and list sizes are not trusted.
-
-    Every whole frame is found in files without an index, with a broken one, over 1 GiB or cut short. An AVI
-    with a palette that changes is refused.
-    """
-    with path.open("rb", buffering=0) as file:
-        header, frames, cut_short = _walk(file, os.fstat(file.fileno()).st_size, path)
-    if len(header.strf) < 40:
-        raise InputError(path, "an AVI with a video stream", "none in its header", "record or copy it again")
-    _, width, height, _, bits, fourcc, _, _, _, used, _ = struct.unpack_from("<IiiHH4sIiiII", header.strf)
-    scale, rate, _, length = struct.unpack_from("<4I", header.strh, 20)
-    table = np.frombuffer(header.strf[40 : 40 + 4 * (used or 256)], np.uint8)
-    where = np.array(frames, np.int64).reshape(-1, 2)
-    return _AviLayout(
-        fourcc=fourcc,
-        bits=bits,
-        width=width,
-        height=abs(height),
-        top_down=height < 0,
-        palette=table[: table.size // 4 * 4].reshape(-1, 4),
-        declared_frames=max(length, header.total_frames) or None,
-        fps=rate / scale if scale and rate else None,
-        offsets=where[:, 0],
-        sizes=where[:, 1],
-        cut_short=cut_short,
-    )
 
 
 @dataclass
@@ -172,78 +113,89 @@ def _walk(file: BinaryIO, size: int, path: Path) -> tuple[_Header, list[tuple[in
     return header, frames, False
 
 
-def _open_avi(path: Path, layout: _AviLayout) -> MappedReader:
-    """Return a reader of uncompressed frames.
+def _open_avi(path: Path) -> MappedReader | None:
+    """Return a reader of uncompressed frames; None if the first video stream is compressed.
 
-    Plain bitmaps are bottom-up unless their height is negative, fourcc greys are top-down; rows may be
-    padded to 4 bytes. Palette colours and BGR become grey by `LUMA_RULE`. More than 8 bits are 10 to 16
-    bits in two bytes, low byte first. Plain bitmaps of 16 bits are refused (15-bit colour or a deep camera:
-    the file does not say), and so are packed deep formats.
+    Frames are found by walking through all chunks, OpenDML segments included, since indexes and the sizes of
+    lists cannot be trusted: without an index, with a broken one, over 1 GiB or cut short. Plain bitmaps are
+    bottom-up unless their height is negative, fourcc greys are top-down; rows may be padded to 4 bytes.
+    Palette colours and BGR become grey by `LUMA_RULE`. More than 8 bits are 10 to 16 bits in two bytes, low
+    byte first. Plain bitmaps of 16 bits are refused (15-bit colour or a deep camera: the file does not say),
+    and so are packed deep formats. Source: Microsoft AVI RIFF reference; OpenDML AVI file format extensions
+    1.02.
     """
-    bits, channels, name = _pixel_format(path, layout)
-    pixel_bytes = channels * (1 if bits == 8 else 2)
-    held = layout.sizes[layout.sizes > 0]
+    with path.open("rb", buffering=0) as file:
+        header, frames, is_cut = _walk(file, os.fstat(file.fileno()).st_size, path)
+    if len(header.strf) < 40:
+        raise InputError(path, "an AVI with a video stream", "none in its header", "record or copy it again")
+    _, width, height, _, stored, fourcc, _, _, _, used, _ = struct.unpack_from("<IiiHH4sIiiII", header.strf)
+    plain = fourcc in _PLAIN or (fourcc == _MASKED and stored == 32)
+    if not plain and fourcc not in _GREY_BITS:
+        return None
+    bits, channels, name = _pixel_format(path, fourcc, stored)
+    scale, rate, _, length = struct.unpack_from("<4I", header.strh, 20)
+    offsets, sizes = np.array(frames, np.int64).reshape(-1, 2).T
+    held = sizes[sizes > 0]  # 0 is a frame that the camera dropped
     if not held.size:
         advice = "the recording was cut short; copy it again"
         raise InputError(path, "at least one whole frame", "none", advice)
-    frame_bytes = int(np.median(held))
-    packed = layout.width * pixel_bytes
+    frame_bytes, shape = int(np.median(held)), (abs(height), width)
+    packed = width * channels * (1 if bits == 8 else 2)
     padded = (packed + 3) // 4 * 4
-    row_bytes = next((row for row in (padded, packed) if frame_bytes == row * layout.height), None)
+    row_bytes = next((row for row in (padded, packed) if frame_bytes == row * shape[0]), None)
     if row_bytes is None:
-        size = shape_text((layout.height, layout.width))
-        wanted = f"{padded * layout.height} bytes a frame for {size}, {name}"
+        wanted = f"{padded * shape[0]} bytes a frame for {shape_text(shape)}, {name}"
         advice = "packed depths are not read; export as FFV1 or TIFF"
         raise InputError(path, wanted, f"{frame_bytes} bytes", advice)
-    if (held < row_bytes * (layout.height - 1) + packed).any():
+    if (held < row_bytes * (shape[0] - 1) + packed).any():
         found = f"one of {int(held.min())}"
         raise InputError(path, f"frames of {frame_bytes} bytes", found, "a damaged recording")
-    plain, whole = layout.is_plain, layout.offsets.size
-    cut_short = (f"{path.name}: the file ends inside frame {whole}, which is left out",) * layout.cut_short
+    has_palette = plain and stored == 8
+    cut_short = (f"{path.name}: the file ends inside frame {sizes.size}, which is left out",) * is_cut
     facts = Facts(
-        shape=(layout.height, layout.width),
+        shape=shape,
         depth_bits=bits,
         saturation_level=full_scale(bits),
-        declared_frames=max(layout.declared_frames or 0, whole),
+        declared_frames=max(length, header.total_frames, sizes.size),
         container="avi",
         codec="uncompressed",
         pixel_format=name,
         decoder="none",
-        grey=LUMA_RULE if channels > 1 or (plain and layout.bits == 8) else AS_STORED,
-        playback_fps=layout.fps,
+        grey=LUMA_RULE if channels > 1 or has_palette else AS_STORED,
+        playback_fps=rate / scale if scale and rate else None,
         warnings=cut_short,
     )
     return MappedReader(
         path=path,
         facts=facts,
-        offsets=np.where(layout.sizes > 0, layout.offsets, -1),
+        offsets=np.where(sizes > 0, offsets, -1),
         row_bytes=row_bytes,
         dtype=np.dtype("u1" if bits == 8 else "<u2"),
         channels=channels,
         blue_first=True,
-        bottom_up=plain and not layout.top_down,
-        grey_levels=_grey_levels(layout) if plain and layout.bits == 8 else None,
+        bottom_up=plain and height > 0,
+        grey_levels=_grey_levels(header.strf[40 : 40 + 4 * (used or 256)]) if has_palette else None,
     )
 
 
-def _pixel_format(path: Path, layout: _AviLayout) -> tuple[int, int, str]:
-    """Return significant bits, number of channels and name of the pixel format."""
-    if layout.fourcc in _GREY_BITS:
-        bits = _GREY_BITS[layout.fourcc]
+def _pixel_format(path: Path, fourcc: bytes, stored: int) -> tuple[int, int, str]:
+    """Return significant bits, number of channels and name of the pixel format of `stored` bits."""
+    if fourcc in _GREY_BITS:
+        bits = _GREY_BITS[fourcc]
         return bits, 1, f"grey {bits} bit"
-    if layout.bits in (8, 24, 32):
-        name = {8: "8-bit palette", 24: "BGR24", 32: "BGR32"}[layout.bits]
-        return 8, max(1, layout.bits // 8), name
-    found = f"{layout.bits} bits per pixel without a name for them"
+    if stored in (8, 24, 32):
+        name = {8: "8-bit palette", 24: "BGR24", 32: "BGR32"}[stored]
+        return 8, max(1, stored // 8), name
+    found = f"{stored} bits per pixel without a name for them"
     raise InputError(path, "a raw AVI of 8, 24 or 32 bits per pixel", found, "export as FFV1 or 16-bit TIFF")
 
 
-def _grey_levels(layout: _AviLayout) -> NDArray[np.uint8] | None:
-    """Return the grey value of each palette entry; None for the plain grey ramp or no palette."""
-    if not layout.palette.size:
+def _grey_levels(table: bytes) -> NDArray[np.uint8] | None:
+    """Return the grey value of each palette entry (blue, green, red, 0); None for the grey ramp or none."""
+    colours = np.frombuffer(table[: len(table) // 4 * 4], np.uint8).reshape(-1, 4)[:256, 2::-1]
+    if not colours.size:
         return None
     levels = np.zeros(256, np.uint8)
-    colours = layout.palette[:256, 2::-1]
     levels[: len(colours)] = luma(colours[np.newaxis])[0]
     return None if np.array_equal(levels, np.arange(256)) else levels
 

@@ -123,8 +123,11 @@ class Frame:
 
 
 def frames_per_block(rows: int, columns: int, itemsize: int) -> int:
-    """Return the number of frames per block: up to 16 MiB, so that Python's cost per block is negligible."""
-    return max(1, min(256, (16 << 20) // max(1, rows * columns * itemsize)))
+    """Return the number of frames per block: up to 4 MiB.
+
+    Smaller blocks cost more of Python's time; larger ones leave the processor's cache before their mean.
+    """
+    return max(1, min(256, (4 << 20) // max(1, rows * columns * itemsize)))
 
 
 def gather_blocks(
@@ -218,16 +221,15 @@ class MappedReader:
     grey_levels: NDArray[np.uint8] | None = None
 
     def read(self, start: int, stop: int | None, rows: slice, columns: slice) -> Iterator[Block]:
-        """Yield runs of equally spaced frames, each block as one strided view."""
+        """Yield blocks of frames in order."""
         end = self.offsets.size if stop is None else min(stop, self.offsets.size)
         shape = (rows.stop - rows.start, columns.stop - columns.start)
         bytes_per_pixel = (
             self.dtype.itemsize * self.channels if self.row_bytes else 6
         )  # 12 bits, and 16 twice
         size = frames_per_block(*shape, bytes_per_pixel)
-        for first, last in _even_runs(self.offsets, start, end):
-            for at in range(first, last, size):
-                yield self._block(at, min(at + size, last), rows, columns)
+        for first in range(start, end, size):
+            yield self._block(first, min(first + size, end), rows, columns)
 
     def sample(self, numbers: Sequence[int]) -> Iterator[Pixels]:
         """Yield exactly these frames, whole, without those that the file does not contain."""
@@ -237,11 +239,9 @@ class MappedReader:
                 yield self._block(n, n + 1, slice(0, height), slice(0, width)).pixels[0]
 
     def _block(self, first: int, last: int, rows: slice, columns: slice) -> Block:
-        count = last - first
-        if self.offsets[first] < 0:
-            nothing = np.zeros((count, rows.stop - rows.start, columns.stop - columns.start), self._native)
-            return Block(nothing, first, repeated("lost", count))
-        return Block(self._grey(self._stored(first, last, rows)[:, :, columns]), first, repeated("ok", count))
+        pixels = self._grey(self._stored(first, last, rows)[:, :, columns])
+        status: list[Status] = ["lost" if place < 0 else "ok" for place in self.offsets[first:last]]
+        return Block(pixels, first, tuple(status))
 
     def _stored(self, first: int, last: int, rows: slice) -> Pixels:
         """Return frames first..last cut to rows, (k, rows, columns) or with channels last, top row first.
@@ -283,8 +283,11 @@ class MappedReader:
         """Read one row of `raw` per frame from `first` on, from byte `start` of each frame."""
         with self.path.open("rb", buffering=0) as file:
             for place, frame in zip(self.offsets[first:].tolist(), raw, strict=False):
-                file.seek(place + start)
-                read_fully(file, memoryview(frame), self.path)
+                if place < 0:
+                    frame[:] = 0
+                else:
+                    file.seek(place + start)
+                    read_fully(file, memoryview(frame), self.path)
 
     def _grey(self, pixels: Pixels) -> Pixels:
         if self.channels > 1:
@@ -327,24 +330,6 @@ def read_fully(file: BinaryIO, buffer: memoryview, path: Path) -> None:
                 path, "a file that does not change while it is read", "one that became shorter", advice
             )
         done += count
-
-
-def repeated(status: Status, count: int) -> tuple[Status, ...]:
-    """Return the same status for `count` frames."""
-    return (status,) * count
-
-
-def _even_runs(offsets: Ints, start: int, stop: int) -> Iterator[tuple[int, int]]:
-    """Yield half-open ranges in which frames are equally spaced and ascending, or all lost."""
-    while start < stop:
-        steps = np.diff(offsets[start:stop])
-        lost = offsets[start] < 0
-        even = offsets[start + 1 : stop] < 0 if lost else (steps == steps[:1]) & (steps > 0)
-        if not lost:
-            even &= offsets[start + 1 : stop] >= 0
-        length = int(np.argmin(even)) + 1 if not even.all() else even.size + 1
-        yield start, start + length
-        start += length
 
 
 def luma(rgb: Pixels) -> Pixels:

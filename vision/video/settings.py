@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from vision.files import ANSWER_S
+
 
 @dataclass(frozen=True, kw_only=True)
 class VideoSettings:
@@ -77,7 +79,7 @@ class VideoSettings:
     """Difference between outer and inner rows, px, above which ridges are bowed. Smaller leaves out rows of
     straight ridges, larger retains bias that exceeds the noise."""
 
-    # comparison of the strip's rows (strip_rows)
+    # comparison of the strip's rows (row_shifts, best_rows)
     least_bands: int = 8
     """Number of bands needed to compare rows. Fewer give no middle half to compare with."""
     least_strength: float = 0.2
@@ -139,9 +141,8 @@ class VideoSettings:
     files differ by up to two (test_cut_matroska_is_reported)."""
 
     # failing disks and networks
-    answer_s: float = 60.0
-    """Seconds without any reading or computation after which reading fails. A shorter time fails while a disk
-    starts, a longer one waits for a lost connection (test_threads.py)."""
+    answer_s: float = ANSWER_S
+    """Seconds without any reading or computation after which reading fails (`vision.files`)."""
 
     # interrupted runs
     resume_after_s: float = 10.0

@@ -8,6 +8,7 @@ import re
 import struct
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import BinaryIO
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from PIL import Image as Pillow
 
 from vision.errors import InputError
-from vision.files import check_pixels, reading
+from vision.files import check_pixels, in_threads, reading
 from vision.numeric import Floats, Ints, Pixels
 from vision.video.reader import (
     AS_STORED,
@@ -34,7 +35,6 @@ from vision.video.reader import (
     luma,
     shape_text,
 )
-from vision.video.threads import in_threads
 
 IMAGES = {".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp"}
 _JPEG = {"jpg", "jpeg", "ojpeg", "jpeg_lossy"}
@@ -70,12 +70,16 @@ def open_stack(path: Path) -> Reader:
         For a damaged file, several dimensions (time and channel, say), pages of several sizes, signed or
         64-bit pixels.
     """
-    check_tiff(path)
+    is_whole = check_tiff(path)
     with reading(path, "a TIFF stack"), tifffile.TiffFile(path) as tif:
-        return _reader_of_pages(tif, _pages(tif, path), path)
+        reader = _reader_of_pages(tif, _pages(tif, path), path)
+    cut_short = (f"{path.name}: the file was cut short; more pages were to follow",)
+    return reader if is_whole else replace(reader, facts=replace(reader.facts, warnings=cut_short))
 
 
-def _reader_of_pages(tif: tifffile.TiffFile, pages: Sequence[Page], path: Path) -> Reader:
+def _reader_of_pages(
+    tif: tifffile.TiffFile, pages: Sequence[Page], path: Path
+) -> MappedReader | ImagesReader:
     first = tif.pages.first
     if first.dtype is None or first.dtype.kind not in "uf" or first.dtype.itemsize > 4:
         wanted, found = "unsigned integers of 8 or 16 bits, or float32", str(first.dtype)
@@ -85,8 +89,6 @@ def _reader_of_pages(tif: tifffile.TiffFile, pages: Sequence[Page], path: Path) 
     if not 1 <= channels <= 64:  # tifffile allocates memory for all of them
         raise InputError(path, "1 to 64 values per pixel", str(channels), "export it as grey")
     check_pixels(path, first.imagelength, first.imagewidth)
-    if first.nbytes <= 0:
-        raise InputError(path, "pages with pixels", "none", "export it again")
     is_colour = channels > 1 and not _leads_with_grey(first)
     if first.photometric == tifffile.PHOTOMETRIC.SEPARATED:
         raise InputError(
@@ -121,13 +123,14 @@ def _decode_pages(path: Path, numbers: Sequence[int]) -> Iterator[Frame]:
 
 def _decode_page(page: Page, shape: tuple[int, int]) -> Frame:
     """Return the page as a frame, "corrupt" if it cannot be decoded to this shape."""
-    if page is None or page.keyframe is None:
+    if page is None or (key := page.keyframe) is None:
         return Frame(None, "lost")
     try:
-        grey = _grey_page(page.keyframe, page.asarray(maxworkers=1))
+        fits = (key.imagelength, key.imagewidth) == shape  # another size might take any memory
+        grey = _grey_page(key, page.asarray(maxworkers=1)) if fits else None
     except Exception:  # tifffile and its codecs raise any exception for damaged data
-        return Frame(None, "corrupt")
-    return Frame(grey) if grey.shape == shape else Frame(None, "corrupt")
+        grey = None
+    return Frame(grey) if grey is not None and grey.shape == shape else Frame(None, "corrupt")
 
 
 def _grey_page(first: tifffile.TiffPage, pixels: Pixels) -> Pixels:
@@ -223,7 +226,6 @@ def _stack_facts(tif: tifffile.TiffFile, held: int, indexed: int, path: Path, *,
         decoder=decoder,
         grey=LUMA_RULE if first.samplesperpixel > 1 and not _leads_with_grey(first) else AS_STORED,
         times_s=_own_times(tif, declared),
-        warnings=(f"{path.name}: the file was cut short; more pages were to follow",) * _is_cut_short(tif),
     )
 
 
@@ -267,16 +269,6 @@ def _possible(declared: int, path: Path) -> int:
     In a file that was cut short, that number shows how much is missing; an impossible number is damaged.
     """
     return declared if 0 <= declared <= 10 * path.stat().st_size else 0
-
-
-def _is_cut_short(tif: tifffile.TiffFile) -> bool:
-    """Return whether the last page that can be reached names a following one."""
-    last, form, file = tif.pages[-1], tif.tiff, tif.filehandle
-    file.seek(last.offset)
-    tags = int(struct.unpack(form.tagnoformat, file.read(form.tagnosize))[0])
-    file.seek(last.offset + form.tagnosize + tags * form.tagsize)
-    following = file.read(form.offsetsize)
-    return len(following) < form.offsetsize or any(following)
 
 
 def _own_times(tif: tifffile.TiffFile, frames: int) -> Floats | None:
@@ -485,81 +477,45 @@ def _ends_in_chunk(data: NDArray[np.uint8]) -> bool:
 
 # --- the chain of a TIFF's pages, before a library follows it -----------------------------------------------
 
-_ADVICE = "copy or export it again"
 
+def check_tiff(path: Path) -> bool:
+    """Refuse a TIFF whose index would lead a reader in circles, or whose tags would take it for ever.
 
-def check_tiff(path: Path, *, frames: bool = True) -> None:
-    """Refuse a TIFF whose index would lead a reader in circles, or whose pages are no pictures.
-
-    A chain that leaves the file is accepted: such a file was cut short.
-
-    Parameters
-    ----------
-    path
-        The file.
-    frames
-        Whether its pages are frames, which have a largest size, unlike space-time diagrams.
+    Return False if the chain of its pages leaves the file, which was cut short.
 
     Raises
     ------
     InputError
-        For a chain that returns to an earlier page, more tags than a page has, tags that together point to
-        more than the file holds, or pages of no pixels or far too many.
+        For a chain that returns to an earlier page, more tags than a page has, or tags that together point to
+        more than the file holds.
     """
     size = path.stat().st_size
     with path.open("rb") as file:
         form = _FORMS.get(file.read(4), tifffile.TIFF.CLASSIC_LE)
         file.seek(form.offsetsize)
-        place = _number(form.offsetformat, file)
         seen: set[int] = set()
-        spent = 0
-        while place and place < size:
+        spent, found, place = 0, "", _number(form.offsetformat, file)
+        while not found and 0 < place < size:
             if place in seen:
-                raise InputError(
-                    path, "a TIFF stack", f"one whose page {len(seen)} is an earlier one", _ADVICE
-                )
+                found = f"one whose page {len(seen)} is an earlier one"
             file.seek(place)
-            pointed, shape = _page_facts(file, form, path, size, number=len(seen))
-            seen.add(place)
-            spent += pointed
-            if frames and shape is not None:
-                check_pixels(path, *shape)
+            tags = _number(form.tagnoformat, file)
+            if tags > 1000:  # microscopes write up to 60; damaged pages of more take long
+                found = f"{tags} tags in page {len(seen)}"
+            data = file.read(max(0, min(tags, 1000)) * form.tagsize)
+            whole = data[: len(data) // form.tagsize * form.tagsize]
+            for _, kind, count, _ in struct.iter_unpack(form.tagheaderformat, whole):
+                spent += count * struct.calcsize("=" + tifffile.TIFF.DATA_FORMATS.get(kind, "1B"))
             if spent > size + (1 << 26):  # pages may share values; reading all would never end
-                raise InputError(path, "a TIFF stack", "tags that point to more than the file holds", _ADVICE)
+                found = "tags that point to more than the file holds"
+            seen.add(place)
             place = _number(form.offsetformat, file)
-
-
-def _page_facts(
-    file: BinaryIO, form: tifffile.TiffFormat, path: Path, size: int, *, number: int
-) -> tuple[int, tuple[int, int] | None]:
-    """Return the bytes to which the tags of the page at the file's position point, its rows and row length.
-
-    The position is then after the tags.
-    """
-    tags = _number(form.tagnoformat, file)
-    if tags > 1000:  # microscopes write up to 60; damaged pages of more take long
-        raise InputError(path, f"at most 1000 tags in page {number}", str(tags), _ADVICE)
-    data = file.read(tags * form.tagsize)
-    spent, shape = 0, {}
-    for code, kind, count, value in struct.iter_unpack(
-        form.tagheaderformat, data[: len(data) // form.tagsize * form.tagsize]
-    ):
-        values = tifffile.TIFF.DATA_FORMATS.get(kind, "1B")
-        held = count * struct.calcsize(f"={values}")
-        if held > size:
-            found = f"{held} bytes in a file of {size}"
-            raise InputError(path, f"a tag {code} of page {number} that fits in the file", found, _ADVICE)
-        if held > form.tagoffsetthreshold:
-            spent += held
-        elif code in (256, 257, 277):  # columns, rows, values per pixel
-            whole = kind in (1, 3, 4, 16)
-            shape[code] = struct.unpack_from(form.byteorder + values, value)[0] if whole else 0
-    if 256 in shape and 257 in shape:
-        return spent, (shape[257], shape[256] * max(1, shape.get(277, 1)))
-    return spent, None
+    if found:
+        raise InputError(path, "a TIFF stack", found, "copy or export it again")
+    return place == 0
 
 
 def _number(code: str, file: BinaryIO) -> int:
-    """Return the next number; 0 at the end of the file."""
+    """Return the next number; -1 at the end of the file."""
     data = file.read(struct.calcsize(code))
-    return int(struct.unpack(code, data)[0]) if len(data) == struct.calcsize(code) else 0
+    return int(struct.unpack(code, data)[0]) if len(data) == struct.calcsize(code) else -1

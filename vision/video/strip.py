@@ -16,6 +16,7 @@ import xarray as xr
 
 from vision.data import STRIP, STRIP_PARTS, StripMetadata, record
 from vision.errors import InputError
+from vision.files import prefetch
 from vision.numeric import Floats32, Pixels, Strings
 from vision.video.frames import (
     STATUS_TYPE,
@@ -31,7 +32,6 @@ from vision.video.frames import (
 from vision.video.reader import Block
 from vision.video.settings import DEFAULTS, VideoSettings
 from vision.video.strip_find import Strip, choose_strip, measure_strip
-from vision.video.threads import prefetch
 from vision.video.video import Video, cut
 
 Progress = Callable[[int, int | None], None]

@@ -10,24 +10,29 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import dataclass, field, replace
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vision.errors import InputError
-from vision.numeric import Bools, Floats, Floats32, Ints, Pixels
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, Ints, Pixels
 from vision.video.settings import DEFAULTS, VideoSettings
-from vision.video.strip_rows import (
-    NO_ERRORS,
-    StripErrors,
-    best_rows,
-    row_shifts,
-    segment_starts,
-    strip_errors,
-)
 from vision.video.video import Video, cut
+
+
+class StripErrors(NamedTuple):
+    """Dependence of positions on the choice of rows, px, without tilt and noise; 0 if not significant.
+
+    halves_px, bow_px: RMS difference of positions from the upper and the lower half, and from the outer and
+    the inner half. error_px: RMS displacement of the mean if a tenth of the rows were left out at both ends,
+    which is an equally good choice; as it does not vary with time, it is a systematic error.
+    """
+
+    halves_px: float = 0.0
+    bow_px: float = 0.0
+    error_px: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -55,16 +60,16 @@ class Strip:
     tilt_deg: float = math.nan
     clarity: float = 0.0
     warnings: tuple[str, ...] = ()
-    errors: StripErrors = NO_ERRORS
+    errors: StripErrors = field(default_factory=StripErrors)
 
 
 @dataclass(frozen=True)
 class _Slopes:
     """Slopes along x of bands of rows in some frames.
 
-    mean: mean of odd and even rows, (frame, band, x). difference: half their difference, which is noise.
-    band_rows: rows in a band. along_z, along_x: mean square steps of the grey level over 2 px, of every
-    second row. picture: mean of the frames, every second row and column.
+    mean, difference: mean of odd and even rows, and half their difference, which is noise, (frame, band, x).
+    along_z, along_x: mean square steps of the grey level over 2 px, of every second row. picture: mean of the
+    frames, every second row and column.
     """
 
     mean: Floats32
@@ -138,11 +143,10 @@ def find_strip(video: Video, *, columns: slice | None = None, settings: VideoSet
         return Strip(slice(0, height), "all rows")
     slopes = _measure_slopes(video, slice(0, height), x, band_rows, settings)
     best = _best_run(slopes, settings)
-    if best is not None:
-        best = _prefer_moving(slopes, best, settings)
     if best is None:
         whole = slice(0, height)
         return _warn_if_level(Strip(whole, "all rows"), slopes, whole, video, settings)
+    best = _prefer_moving(slopes, best, settings)
     tilt = tilt_px(slopes.mean[:, best[0] : best[1]])
     first, last = _without_text(slopes, *_agreeing(slopes, *best, tilt, settings), settings)
     bottom = height if last == slopes.mean.shape[1] else last * band_rows
@@ -151,7 +155,7 @@ def find_strip(video: Video, *, columns: slice | None = None, settings: VideoSet
     if strip_errors(row_shifts(bands, tilt, settings), settings).bow_px > settings.edge_bow_px:
         rows = _without_edges(rows, height, settings)
     first, last = -(-rows.start // band_rows), max(rows.stop // band_rows, first + 1)
-    strip = _described(slopes, min(first, last - 1), last, Strip(rows, "found"), settings, tilt=tilt)
+    strip = _described(slopes, min(first, last - 1), last, Strip(rows, "found"), settings, tilt)
     return _warn_if_level(strip, slopes, slice(best[0] * band_rows, best[1] * band_rows), video, settings)
 
 
@@ -206,13 +210,7 @@ def measure_strip(
 
 
 def _described(
-    slopes: _Slopes,
-    first: int,
-    last: int,
-    strip: Strip,
-    settings: VideoSettings,
-    *,
-    tilt: float | None = None,
+    slopes: _Slopes, first: int, last: int, strip: Strip, settings: VideoSettings, tilt: float | None = None
 ) -> Strip:
     """Return the strip with tilt, clarity, and warnings of strongly tilted ridges and unequal rows.
 
@@ -221,7 +219,7 @@ def _described(
     bands = slopes.mean[:, first:last]
     clarity = _clarity(slopes, first, last)
     if clarity < settings.min_clarity:
-        return Strip(strip.rows, strip.how, clarity=clarity)
+        return replace(strip, clarity=clarity)
     height = strip.rows.stop - strip.rows.start
     per_band = tilt_px(bands) if tilt is None else tilt
     per_row = per_band / slopes.band_rows
@@ -252,14 +250,11 @@ def _agreeing(
     width_px = ridge_width_px(bands.mean(axis=1))
     if not width_px > 0:
         return first, last
-    ridges = max(1.0, 2 * settings.segment_px / (2.5 * width_px))
-    begin, end = 0, last - first
+    ridges, whole = max(1.0, 2 * settings.segment_px / (2.5 * width_px)), (0, last - first)
     for _ in range(2):  # displaced rows also spoil the tilt: repeat with that of the other rows
         shifts = row_shifts(bands, tilt, settings)
-        if shifts is None:
-            break
-        begin, end = best_rows(shifts, ridges, settings)
-        if (begin, end) == (0, last - first):
+        begin, end = whole if shifts is None else best_rows(shifts, ridges, settings)
+        if (begin, end) == whole:
             break
         tilt = tilt_px(bands[:, begin:end])
     return first + begin, first + end
@@ -296,9 +291,8 @@ def _measure_slopes(
     if not frames:
         found = "none: they cannot be decoded"
         raise InputError(video.path, "at least one frame that shows something", found, "copy the file again")
-    odd_even = np.stack([_odd_even(frame[rows, columns], band_rows) for frame in frames])
-    slope = np.stack([_slope(halves, settings.slope_sigma_px) for halves in odd_even])
-    odd, even = slope[:, 0], slope[:, 1]
+    bands = (_odd_even(frame[rows, columns], band_rows) for frame in frames)
+    odd, even = np.stack([_slope(halves, settings.slope_sigma_px) for halves in bands], axis=1)
     half = np.float32(0.5)
     thinned = [_known(frame[rows, columns][::2, ::2]) for frame in frames]
     along_z, along_x = np.mean([_steps(pixels) for pixels in thinned], axis=0)
@@ -416,10 +410,9 @@ def _clarity(slopes: _Slopes, first: int, last: int) -> float:
 def tilt_px(bands: NDArray[np.floating]) -> float:
     """Return the shift of the ridges along x from one band to the next, px, positive to the right downwards.
 
-    It is the median over segments along x, so that labels and ridges bowed apart do not count as tilt. In
-    each segment, bands (frame, band, x) are shifted in proportion to their height until their sum is
-    strongest. Of several maxima, a pitch apart, the smallest tilt is used. Tilts beyond 12 px from the first
-    band to the last are not found. 0 for a single band.
+    It is the median over segments along x, so that labels and ridges bowed apart do not count. In each, bands
+    (frame, band, x) are shifted in proportion to their height until their sum is strongest. Of several
+    maxima, a pitch apart, the smallest tilt is used. Tilts beyond 12 px over all bands are not found.
     """
     count, width = bands.shape[1:]
     if count < 2:
@@ -452,11 +445,156 @@ def _tilt_of_segment(bands: NDArray[np.floating]) -> float:
 def ridge_width_px(slopes: NDArray[np.floating]) -> float:
     """Return the full width of a typical ridge at half height, px, from slopes along x (frame, x).
 
-    The slope of a ridge changes sign at its top, so that its autocorrelation has the first minimum where one
-    flank meets the other, for a Gaussian at sqrt(6)/2.355 = 1.04 of the width. The width includes the
-    smoothing of the slopes. NaN if there is no minimum.
+    The autocorrelation of slopes has its first minimum where one flank of a ridge meets the other, for a
+    Gaussian at sqrt(6)/2.355 = 1.04 of the width, which includes the smoothing. NaN if there is no minimum.
     """
     power = np.abs(np.fft.rfft(slopes, n=2 * slopes.shape[-1], axis=-1)) ** 2
     correlation = np.fft.irfft(power.sum(axis=0))[: slopes.shape[-1] // 2]
     rising = np.flatnonzero(np.diff(correlation) > 0)
     return float(rising[0]) / 1.04 if rising.size else math.nan
+
+
+# --- agreement of the rows on the positions of the ridges, which bows, shadows and edges spoil --------------
+
+
+@dataclass(frozen=True)
+class RowShifts:
+    """Displacement of the ridges in each band of rows against the bands in the middle.
+
+    shift_px: along x, without the common tilt and the tilt of the segment, (band, segment), mean over
+    `frames` frames. strength: of the ridges in each band, 1 in the middle, (band,). noise_px: standard
+    deviation of one band's displacement in one segment and frame, at strength 1.
+    """
+
+    shift_px: Floats
+    strength: Floats
+    noise_px: float
+    frames: int
+
+
+def row_shifts(bands: NDArray[np.floating], tilt: float, settings: VideoSettings) -> RowShifts | None:
+    r"""Measure the displacement of the ridges in each band of rows against the mean of the middle half.
+
+    Return None for fewer bands (frame, band, x) than `settings.least_bands`, or no ridges. The tilt, px from
+    one band to the next, is subtracted. With the mean slope :math:`m(x)` of the middle bands of a frame, a
+    band whose ridges are displaced by :math:`d` and :math:`a` times as strong shows :math:`a\, m(x - d)`, so
+
+    .. math:: a = \frac{\sum_x b\, m}{\sum_x m^2}, \qquad d = -\frac{\sum_x (b - a m)\, m'}{a \sum_x m'^2}
+
+    in each segment along x. d is linear up to about a third of a ridge's width and too small beyond.
+    """
+    frames, count, width = bands.shape
+    if count < settings.least_bands:
+        return None
+    height = np.arange(count) - (count - 1) / 2
+    spectrum = np.fft.rfft(bands, axis=-1)
+    back = np.exp(2j * np.pi * np.outer(tilt * height, np.fft.rfftfreq(width)))
+    upright = np.fft.irfft(spectrum * back, n=width, axis=-1)
+    middle = slice(count // 4, count - count // 4)
+    mean = upright[:, middle].mean(axis=1)
+    rise = np.gradient(mean, axis=-1)
+    starts = segment_starts(width, 2 * settings.segment_px)
+    power, steep = _sums(mean**2, starts), _sums(rise**2, starts)  # (frame, segment)
+    shows = np.median(power, axis=0) >= settings.ridge_share * np.sort(np.median(power, axis=0))[-1]
+    if not shows.any() or not (power[:, shows] > 0).all() or not (steep[:, shows] > 0).all():
+        return None
+    power, steep = power[:, None, shows], steep[:, None, shows]
+    strength = _sums(upright * mean[:, None], starts)[..., shows] / power
+    across = _sums(upright * rise[:, None], starts)[..., shows]
+    even = _sums(mean * rise, starts)[:, None, shows]
+    weak = np.maximum(strength, settings.least_strength)
+    shift = -(across - strength * even) / (weak * steep)
+    usual = np.clip(np.median(strength, axis=(0, 2)), 0.0, None)
+    spread = shift[:, middle].std(axis=0, ddof=1) if frames > 1 else np.zeros_like(shift[0, middle])
+    noise = float(np.median(spread * usual[middle, None]))
+    mean_shift, inner = shift.mean(axis=0), height[middle]
+    slope = (inner @ mean_shift[middle]) / (inner @ inner)  # of each segment's straight line
+    upright_px = mean_shift - mean_shift[middle].mean(axis=0) - height[:, None] * slope
+    return RowShifts(np.asarray(upright_px, np.float64), usual, noise, frames)
+
+
+def segment_starts(width: int, segment_px: int) -> Ints:
+    """Return the first column of each of the segments of about this width along x."""
+    return np.linspace(0, width, max(1, width // segment_px) + 1).astype(np.int64)[:-1]
+
+
+def _sums(values: NDArray[np.floating], starts: Ints) -> Floats:
+    return np.asarray(np.add.reduceat(values, starts, axis=-1), np.float64)
+
+
+def best_rows(shifts: RowShifts, ridges_in_segment: float, settings: VideoSettings) -> tuple[int, int]:
+    r"""Return the half-open run of bands whose mean has the smallest error, noise and bias together.
+
+    Rows of ridges with a smooth bow are retained: their mean position is well defined. Rows that depart from
+    a smooth bow (a shadow, a clamp, a damaged edge) may be left out. For n bands of strengths :math:`a_b`,
+    noise :math:`\sigma` and displacements :math:`d_{bs}` from the parabola that most bands of a segment lie
+    on, and about k ridges in a segment,
+
+    .. math::
+        E^2 = \frac{k\, n\, \sigma^2}{(\sum_b a_b)^2}
+            + \left\langle \left(\frac{\sum_b a_b d_{bs}}{\sum_b a_b}\right)^2 \right\rangle_s
+
+    less what the noise of d adds to the second term. The whole run is retained unless another run has a
+    clearly smaller :math:`E`, and the whole run's bias exceeds `settings.least_bias_px` and the noise.
+    """
+    a, d = shifts.strength, _beside_parabola(shifts)
+    count = len(a)
+    weight = np.concatenate([[0.0], np.cumsum(a)])
+    moved = np.concatenate([np.zeros((1, d.shape[1])), np.cumsum(a[:, None] * d, axis=0)])
+    bands = np.maximum(0, np.arange(count + 1) - np.arange(count + 1)[:, None])  # by first band and end
+    light = weight - weight[:, None]
+    possible = (bands >= max(2, count // 4)) & (light > 0)
+    light = np.where(possible, light, 1.0)
+    noise = bands * (shifts.noise_px / light) ** 2
+    bias = (((moved - moved[:, None]) / light[..., None]) ** 2).mean(axis=-1)
+    error = np.sqrt(ridges_in_segment * noise + np.maximum(0.0, bias - noise / shifts.frames))
+    first, last = np.unravel_index(np.argmin(np.where(possible, error, np.inf)), error.shape)
+    all_noise, all_bias = noise[0, count], bias[0, count]
+    harmless = max(settings.least_bias_px**2, settings.significant_rows**2 * all_noise / shifts.frames)
+    whole = math.sqrt(ridges_in_segment * all_noise + all_bias)
+    if all_bias < harmless or error[first, last] >= settings.worth_trimming * whole:
+        return 0, count
+    return int(first), int(last)
+
+
+def _beside_parabola(shifts: RowShifts) -> Floats:
+    """Return displacements (band, segment) from each segment's parabola, fitted without outliers."""
+    height = np.linspace(-1, 1, len(shifts.strength))
+    basis = np.stack([np.ones_like(height), height, height**2], axis=1)
+    residual = np.empty_like(shifts.shift_px)
+    for segment, d in enumerate(shifts.shift_px.T):
+        weight = (np.abs(height) <= 0.6).astype(np.float64)  # the ends have most leverage and most outliers
+        for _ in range(10):
+            fit = np.linalg.lstsq(basis * weight[:, None], d * weight, rcond=None)[0]
+            residual[:, segment] = off = d - basis @ fit
+            usual = max(float(np.median(np.abs(off))) / NORMAL_MEDIAN, 1e-9)
+            weight = np.clip(1 - (off / (4 * usual)) ** 2, 0.0, None)  # Tukey's biweight
+    return residual
+
+
+def strip_errors(shifts: RowShifts | None, settings: VideoSettings) -> StripErrors:
+    """Return how much positions depend on the choice of rows; 0 where this is within the noise."""
+    if shifts is None:
+        return StripErrors()
+    count = len(shifts.strength)
+    upper, distance = np.arange(count) < count // 2, np.abs(np.arange(count) - (count - 1) / 2)
+    outer, ends = distance >= count / 4, distance >= 0.4 * count
+    halves, bow, end = (_beyond_noise(shifts, part, settings) for part in (upper, outer, ends))
+    return StripErrors(halves, bow, float(shifts.strength[ends].sum() / shifts.strength.sum()) * end)
+
+
+def _beyond_noise(shifts: RowShifts, part: NDArray[np.bool_], settings: VideoSettings) -> float:
+    """Return the RMS difference over the segments between two parts of the bands, without noise.
+
+    The tenth of the segments that differ most (a label, a mark) is left out.
+    """
+    sides = part, ~part
+    light = [shifts.strength[side].sum() for side in sides]
+    if min(light) <= 0:
+        return 0.0
+    one, other = (shifts.strength[s] @ shifts.shift_px[s] / a for s, a in zip(sides, light, strict=True))
+    noise = shifts.noise_px**2 * sum(s.sum() / a**2 for s, a in zip(sides, light, strict=True))
+    squares = np.sort((one - other) ** 2)
+    mean = float(squares[: max(1, math.ceil(0.9 * squares.size))].mean())
+    expected = noise / shifts.frames
+    return math.sqrt(mean - expected) if mean > settings.significant_rows**2 * expected else 0.0

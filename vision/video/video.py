@@ -14,13 +14,12 @@ import numpy as np
 
 from vision.errors import InputError
 from vision.escaping import html_table
-from vision.files import Stamp, check_pixels, check_regular, reading
+from vision.files import Stamp, answered, check_pixels, check_regular, reading
 from vision.numeric import Floats, Ints, Pixels
 from vision.video.raw import is_photron, open_raw, photron_files
 from vision.video.reader import SECONDS, Block, Facts, Reader
 from vision.video.settings import DEFAULTS
 from vision.video.stacks import IMAGES, is_tiff, open_sequence, open_stack
-from vision.video.threads import answered
 
 _UNIT = re.compile(r"(?:^|[\s_(\[.,;/-])(s|sec|seconds|ms|us|µs|μs|ns)(?:$|[\s)\],;])", re.IGNORECASE)
 _TIME_NAME = re.compile(r"time|stamp|zeit|temps", re.IGNORECASE)
@@ -434,18 +433,25 @@ def read_timestamps(path: Path) -> tuple[Floats, tuple[str, ...]]:
     except OSError as error:
         found = error.strerror or type(error).__name__
         raise InputError(path, wanted, found) from None
-    lines = [line.strip() for line in text.splitlines() if line.strip()]
-    rows = [_numbers(line) for line in lines]
+    lines = [line for line in text.splitlines() if line.strip()] or [""]
+    separator = next((mark for mark in ";\t," if mark in lines[-1]), None)
+    cells = [[cell.strip() for cell in line.split(separator) if cell.strip()] for line in lines]
+    rows = [_numbers(line, decimal_comma=separator in (";", "\t")) for line in cells]
     first = next((n for n, row in enumerate(rows) if row), None)
     if first is None:
         raise InputError(path, "one time per line", "no numbers", "give one time per frame, in s")
     broken = next((line for line, row in zip(lines[first:], rows[first:], strict=True) if not row), None)
     if broken is not None:
-        raise InputError(path, "a number in every line", repr(broken[:40]))
+        raise InputError(path, "a number in every line", repr(broken.strip()[:40]))
     widths = {len(row) for row in rows[first:]}
     if len(widths) > 1:
         raise InputError(path, "the same number of columns in every line", f"{min(widths)} to {max(widths)}")
-    column, unit_s = _time_column(lines[first - 1] if first else "", widths.pop())
+    width = widths.pop()
+    header = lines[first - 1].lstrip("# ") if first else ""
+    names = [name.strip() for name in header.split(separator)] if width > 1 else [header]
+    column = next((n for n, name in enumerate(names[:width]) if _TIME_NAME.search(name)), width - 1)
+    unit = _UNIT.search(names[column] if column < len(names) else header)
+    unit_s = SECONDS[unit.group(1).lower()] if unit else 1.0
     times_s = np.array([row[column] for row in rows[first:]]) * unit_s
     if not np.isfinite(times_s).all():
         raise InputError(path, "a time for every frame", "NaN or infinity")
@@ -456,26 +462,9 @@ def read_timestamps(path: Path) -> tuple[Floats, tuple[str, ...]]:
     return times_s, (f"{path.name}: {backwards.size} time(s) do not increase, {where}",)
 
 
-def _cells(line: str) -> list[str]:
-    parts = re.split(r"[;\t]", line) if re.search(r"[;\t]", line) else line.split(",")
-    return [cell.strip() for cell in (parts if len(parts) > 1 else line.split())]
-
-
-def _numbers(line: str) -> list[float]:
-    """Return the numbers of a line, none if a cell is no number; with ; or tab, decimal commas are read."""
-    cells = [cell for cell in _cells(line) if cell]
-    if re.search(r"[;\t]", line):
-        cells = [cell.replace(",", ".") for cell in cells]
+def _numbers(cells: list[str], *, decimal_comma: bool) -> list[float]:
+    """Return the numbers of a line, none if a cell is no number."""
     try:
-        return [float(cell) for cell in cells]
+        return [float(cell.replace(",", ".") if decimal_comma else cell) for cell in cells]
     except ValueError:
         return []
-
-
-def _time_column(header: str, width: int) -> tuple[int, float]:
-    """Return the column that holds times, and its unit in s."""
-    names = [name for name in _cells(header.lstrip("# ")) if name] if width > 1 else [header.lstrip("# ")]
-    place = next((n for n, name in enumerate(names) if _TIME_NAME.search(name)), width - 1)
-    place = place if place < width else width - 1
-    unit = _UNIT.search(names[place] if place < len(names) else header)
-    return place, SECONDS[unit.group(1).lower()] if unit else 1.0
