@@ -143,7 +143,6 @@ def find_stick_slip(
         bend_share=analysis.corners.shape.begin,
         regime=regime.name,
         fall_over_rise=regime.fall_over_rise,
-        line_share=regime.line_share,
         warnings=doubts(events, regime, signal, slips),
         first_slip_s=float(first),
         first_slip_N=float(signal.clean[int(first_peak)]),
