@@ -13,13 +13,13 @@ from vision.data import FORCE, STICKS, ForceMetadata, StickMetadata, record
 from vision.errors import InputError
 from vision.force.corners import Corners, Extremes, find_corners, find_extremes, is_slow
 from vision.force.lines import fit_broken_lines, fit_lines, fit_polynomials
-from vision.force.lowpass import SlipTransients, deconvolve_lowpass, estimate_lowpass
+from vision.force.lowpass import Lowpass, find_lowpass
 from vision.force.recording import is_compression
 from vision.force.regime import Regime, doubts, find_regime, is_unloading
 from vision.force.settings import ForceSettings
 from vision.force.slips import Slips, find_slips, size_gap, stick_lines, stick_middles
-from vision.force.sticks import Signal, measure_sticks
-from vision.numeric import Bools, Floats, Ints, mad_sigma, nan_median
+from vision.force.sticks import Signal, measure_sticks, with_slow_noise
+from vision.numeric import Bools, nan_median
 
 
 def find_stick_slip(
@@ -92,12 +92,12 @@ def find_stick_slip(
     if threshold_N is None and (clear := _above_slow_drops(signal, slips, analysis.corners, settings)):
         signal, slips = clear
         analysis = _analyse_slips(signal, slips, lowpass_s, two_slopes, settings)
-    signal = _with_slow_noise(signal, slips, settings)
+    signal = with_slow_noise(signal, slips, settings)
     if threshold_N is None and signal.alike > 1:
         clear_slips = _above_slow_noise(signal, slips, settings)
         if 2 <= clear_slips.edge.size < slips.edge.size:
             slips = clear_slips
-            signal = _with_slow_noise(signal, slips, settings)
+            signal = with_slow_noise(signal, slips, settings)
             analysis = _analyse_slips(signal, slips, lowpass_s, two_slopes, settings)
     tau, found, regime = analysis.samples, analysis.found, analysis.regime
     unloading = is_unloading(signal.travel, analysis.extremes)
@@ -241,7 +241,7 @@ class _SlipAnalysis:
     extremes: Extremes
     regime: Regime
     bent: bool  # whether the sticks have knees
-    found: _Lowpass  # low-pass that the transients suggest
+    found: Lowpass  # low-pass that the transients suggest
     samples: float  # time constant that is corrected for; 0 for none
     how: str  # as ``lowpass_how`` of `StickMetadata`
 
@@ -255,21 +255,26 @@ def _analyse_slips(
     corners = _corners(signal, slips, bent, 0.0, settings)
     extremes = find_extremes(signal.clean, corners.middle, corners.valley - corners.peak)
     regime = find_regime(signal.clean, slips, extremes, settings)
-    found = _Lowpass()
+    found = Lowpass()
     if not given and regime.name == "stick-slip":
-        found = _find_lowpass(signal, slips, corners, bent, settings)
+        found = find_lowpass(signal.clean, signal.sigma, slips, corners, bent, settings)
         if found.samples and not bent and two_slopes is None:
             # The transients of the low-pass may hide the knees.
             bent = _have_knees(signal, slips, found.samples, settings)
             if bent:
                 corners = _corners(signal, slips, bent, 0.0, settings)
-                found = _find_lowpass(signal, slips, corners, bent, settings)
+                found = find_lowpass(signal.clean, signal.sigma, slips, corners, bent, settings)
     tau, how = (given, "given") if given else (0.0, "recorded" if lowpass_s == 0 else "none")
     if lowpass_s == "auto" and found.samples:
         tau, how = (found.samples, "found") if found.proven else (0.0, "doubtful")
     if tau:
         corners = _corners(signal, slips, bent, tau, settings)
     return _SlipAnalysis(corners, extremes, regime, bent, found, tau, how)
+
+
+def _corners(signal: Signal, slips: Slips, bent: bool, tau: float, settings: ForceSettings) -> Corners:
+    """Return the corners of the slips, corrected for a low-pass of tau samples."""
+    return find_corners(signal.clean, signal.sigma, slips, lowpass=tau, two_slopes=bent, settings=settings)
 
 
 def _above_slow_drops(
@@ -304,50 +309,6 @@ def _above_slow_noise(signal: Signal, slips: Slips, settings: ForceSettings) -> 
     return replace(clear, threshold_how="noise", left_out=slips.drop[slips.drop < least])
 
 
-def _with_slow_noise(signal: Signal, slips: Slips, settings: ForceSettings) -> Signal:
-    """Return the signal with `alike` and `wander`, which differ from 1 and 0 where the noise is not white.
-
-    Noise that is not white separates the lines through the two halves of each stick, at their middle, by more
-    than white noise does. Only the scatter of this distance counts: its median is the sticks' curvature. Slow
-    noise separates the halves by more than the quarters; by as much more it changes the line through the
-    whole stick. Each doubling of the time adds to its variance in the same ratio, up to the whole recording:
-    by the sum of these the line is off as a whole.
-    """
-    start, stop = (at[1:-1] for at in stick_middles(slips.edge, signal.clean.size, settings))
-    some = np.flatnonzero(stop - start >= 2 * settings.few_samples)
-    white = replace(signal, alike=1.0, wander=0.0)
-    if some.size < 8:
-        return white
-    some = some[:: some.size // 400 + 1]  # enough for a median
-    start, stop = start[some], stop[some]
-    index = np.arange(signal.clean.size, dtype=float)
-    spread = fit_lines(index, signal.spikeless, start, stop).spread
-
-    def common(start: Ints, stop: Ints, spread: Floats) -> float:
-        """Return the variance of the distance between the halves of each stretch over that of white noise."""
-        middle = (start + stop) // 2
-        centre = np.asarray(middle - 0.5, np.float64)
-        first, second = (
-            fit_lines(index, signal.spikeless, *part) for part in ((start, middle), (middle, stop))
-        )
-        expected = spread * np.hypot(first.lever(centre), second.lever(centre))
-        distance = (first.at(centre) - second.at(centre)) / np.maximum(expected, np.finfo(float).tiny)
-        return float(mad_sigma(distance[np.isfinite(distance)])) ** 2
-
-    half = common(start, stop, spread)
-    if half < 1 + settings.alike_sigmas / np.sqrt(some.size):
-        return white
-    middle = (start + stop) // 2
-    quarter = common(np.r_[start, middle], np.r_[middle, stop], np.r_[spread, spread])
-    # The variance of the distance grows by this when the time doubles: by 1/2 for white noise, 1 for pink
-    # noise, 2 for a random walk. A quarter of it is that of the mean.
-    growth = min(0.5 * half / quarter, 2.0)
-    octaves = np.arange(2, np.log2(slips.edge.size) + 2)
-    distance = 16 * half * float(np.median(spread**2 / (stop - start)))
-    wander = float(np.sqrt(0.25 * distance * np.sum(growth**octaves)))
-    return replace(signal, alike=half * max(half / quarter, 1.0), wander=wander)
-
-
 def _have_knees(signal: Signal, slips: Slips, lag: float, settings: ForceSettings) -> bool:
     """Return whether the median stick is steeper before a knee than after it.
 
@@ -370,56 +331,6 @@ def _have_knees(signal: Signal, slips: Slips, lag: float, settings: ForceSetting
     if not lag and np.median(smooth) > np.median(broken.gain[known]):
         return False
     return float(np.median(broken.gain[known])) > settings.knee_gain and ratio > settings.knee_ratio
-
-
-def _corners(signal: Signal, slips: Slips, two_slopes: bool, tau: float, settings: ForceSettings) -> Corners:
-    """Return the corners of the slips, corrected for a low-pass of tau samples."""
-    corrected = deconvolve_lowpass(signal.clean, signal.sigma, slips, tau)
-    return find_corners(corrected, two_slopes=two_slopes, settings=settings)
-
-
-@dataclass(frozen=True)
-class _Lowpass:
-    """The low-pass that the transients after slips suggest."""
-
-    samples: float = 0.0  # time constant; 0 for none
-    proven: bool = False  # the same after large and small slips and after long and short sticks
-
-
-def _find_lowpass(
-    signal: Signal, slips: Slips, plain: Corners, two_slopes: bool, settings: ForceSettings
-) -> _Lowpass:
-    """Find the low-pass of the load cell from the transients after slips."""
-    found = estimate_lowpass(signal.clean, plain.transients())
-    if found is None or found.gain <= 2.5:  # no sign of a transient
-        return _Lowpass()
-    # Corrected corners show the transients from their begin, so a low-pass must be found there again.
-    for _ in range(3):
-        transients = _corners(signal, slips, two_slopes, found.samples, settings).transients()
-        again = estimate_lowpass(signal.clean, transients, found.samples)
-        if again is None:
-            break
-        if again.confirms(found, settings):
-            return _Lowpass(again.samples, _same_everywhere(signal, transients, again.samples, settings))
-        found = again
-    return _Lowpass()
-
-
-def _same_everywhere(signal: Signal, transients: SlipTransients, tau: float, settings: ForceSettings) -> bool:
-    """Return whether large and small slips, and those after long and short sticks, show the same constant.
-
-    An amplifier has one time constant; relaxation of the sample changes with the slip.
-    """
-    stick = transients.peak - transients.valley
-    if not tau < 0.5 * float(np.median(stick)):
-        return False
-    for quantity in (transients.drop, stick):
-        large = quantity > np.median(quantity)
-        for part in (large, ~large):
-            found = estimate_lowpass(signal.clean, transients.take(part), tau)
-            if found is None or abs(np.log(found.samples / tau)) > settings.lowpass_same:
-                return False
-    return True
 
 
 def _with_bias(

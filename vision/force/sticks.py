@@ -14,7 +14,8 @@ from vision.force.corners import Corners, Extremes, Shape, find_extremes, is_slo
 from vision.force.lines import BrokenLines, fit_broken_lines, fit_lines
 from vision.force.recording import find_spikes, noise_levels, noise_sigma, usable
 from vision.force.settings import ForceSettings
-from vision.numeric import Bools, Floats, Ints
+from vision.force.slips import Slips, stick_middles
+from vision.numeric import Bools, Floats, Ints, mad_sigma
 
 
 @dataclass(frozen=True)
@@ -117,6 +118,50 @@ def _filled_in(load: Floats) -> Bools:
         if 1 < usual <= most and np.mean(even) > 0.9:
             return np.asarray(~measured, np.bool_)
     return np.zeros_like(repeats)
+
+
+def with_slow_noise(signal: Signal, slips: Slips, settings: ForceSettings) -> Signal:
+    """Return the signal with `alike` and `wander`, which differ from 1 and 0 where the noise is not white.
+
+    Noise that is not white separates the lines through the two halves of each stick, at their middle, by more
+    than white noise does. Only the scatter of this distance counts: its median is the sticks' curvature. Slow
+    noise separates the halves by more than the quarters; by as much more it changes the line through the
+    whole stick. Each doubling of the time adds to its variance in the same ratio, up to the whole recording:
+    by the sum of these the line is off as a whole.
+    """
+    start, stop = (at[1:-1] for at in stick_middles(slips.edge, signal.clean.size, settings))
+    some = np.flatnonzero(stop - start >= 2 * settings.few_samples)
+    white = replace(signal, alike=1.0, wander=0.0)
+    if some.size < 8:
+        return white
+    some = some[:: some.size // 400 + 1]  # enough for a median
+    start, stop = start[some], stop[some]
+    index = np.arange(signal.clean.size, dtype=float)
+    spread = fit_lines(index, signal.spikeless, start, stop).spread
+
+    def common(start: Ints, stop: Ints, spread: Floats) -> float:
+        """Return the variance of the distance between the halves of each stretch over that of white noise."""
+        middle = (start + stop) // 2
+        centre = np.asarray(middle - 0.5, np.float64)
+        first, second = (
+            fit_lines(index, signal.spikeless, *part) for part in ((start, middle), (middle, stop))
+        )
+        expected = spread * np.hypot(first.lever(centre), second.lever(centre))
+        distance = (first.at(centre) - second.at(centre)) / np.maximum(expected, np.finfo(float).tiny)
+        return float(mad_sigma(distance[np.isfinite(distance)])) ** 2
+
+    half = common(start, stop, spread)
+    if half < 1 + settings.alike_sigmas / np.sqrt(some.size):
+        return white
+    middle = (start + stop) // 2
+    quarter = common(np.r_[start, middle], np.r_[middle, stop], np.r_[spread, spread])
+    # The variance of the distance grows by this when the time doubles: by 1/2 for white noise, 1 for pink
+    # noise, 2 for a random walk. A quarter of it is that of the mean.
+    growth = min(0.5 * half / quarter, 2.0)
+    octaves = np.arange(2, np.log2(slips.edge.size) + 2)
+    distance = 16 * half * float(np.median(spread**2 / (stop - start)))
+    wander = float(np.sqrt(0.25 * distance * np.sum(growth**octaves)))
+    return replace(signal, alike=half * max(half / quarter, 1.0), wander=wander)
 
 
 @dataclass(frozen=True)
