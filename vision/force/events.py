@@ -88,17 +88,10 @@ def find_stick_slip(
     if slips.edge.size < 2:
         raise _too_few_slips(signal, slips, metadata.source)
     _check_lowpass(lowpass_s, slips.period * signal.interval_s, metadata.source)
-    analysis = _analyse_slips(signal, slips, lowpass_s, two_slopes, settings)
-    if threshold_N is None and (clear := _above_slow_drops(signal, slips, analysis.corners, settings)):
-        signal, slips = clear
-        analysis = _analyse_slips(signal, slips, lowpass_s, two_slopes, settings)
     signal = with_slow_noise(signal, slips, settings)
-    if threshold_N is None and signal.alike > 1:
-        clear_slips = _above_slow_noise(signal, slips, settings)
-        if 2 <= clear_slips.edge.size < slips.edge.size:
-            slips = clear_slips
-            signal = with_slow_noise(signal, slips, settings)
-            analysis = _analyse_slips(signal, slips, lowpass_s, two_slopes, settings)
+    if threshold_N is None:
+        signal, slips = _above_other_noise(signal, slips, settings)
+    analysis = _analyse_slips(signal, slips, lowpass_s, two_slopes, settings)
     tau, found, regime = analysis.samples, analysis.found, analysis.regime
     unloading = is_unloading(signal.travel, analysis.extremes)
     if unloading.all():
@@ -257,13 +250,13 @@ def _analyse_slips(
     regime = find_regime(signal.clean, slips, extremes, settings)
     found = Lowpass()
     if not given and regime.name == "stick-slip":
-        found = find_lowpass(signal.clean, signal.sigma, slips, corners, bent, settings)
+        found = find_lowpass(signal, slips, corners, bent, settings)
         if found.samples and not bent and two_slopes is None:
             # The transients of the low-pass may hide the knees.
             bent = _have_knees(signal, slips, found.samples, settings)
             if bent:
                 corners = _corners(signal, slips, bent, 0.0, settings)
-                found = find_lowpass(signal.clean, signal.sigma, slips, corners, bent, settings)
+                found = find_lowpass(signal, slips, corners, bent, settings)
     tau, how = (given, "given") if given else (0.0, "recorded" if lowpass_s == 0 else "none")
     if lowpass_s == "auto" and found.samples:
         tau, how = (found.samples, "found") if found.proven else (0.0, "doubtful")
@@ -277,36 +270,32 @@ def _corners(signal: Signal, slips: Slips, bent: bool, tau: float, settings: For
     return find_corners(signal.clean, signal.sigma, slips, lowpass=tau, two_slopes=bent, settings=settings)
 
 
-def _above_slow_drops(
-    signal: Signal, slips: Slips, corners: Corners, settings: ForceSettings
-) -> tuple[Signal, Slips] | None:
-    """Return signal and slips without the oscillations of hum or other noise that is not white, if any.
+def _above_other_noise(signal: Signal, slips: Slips, settings: ForceSettings) -> tuple[Signal, Slips]:
+    """Return signal and slips without the swings of hum and of other noise that is not white.
 
-    Most such drops are as slow as the rises beside them, and a gap in the sizes separates them from slips.
-    The noise of the returned signal is the scatter about the stick lines. None where no such drops are found.
+    Most swings of hum are as slow as the rises beside them, and a gap in the sizes separates them from slips;
+    the noise is then the scatter about the stick lines. In slow noise a slip exceeds four errors of a drop
+    between two lines.
     """
     gap = size_gap(slips.drop, settings.slow_gap, 1 - 3 / slips.drop.size)
     small = slips.drop < gap
-    slow = is_slow(corners, settings)
-    if not small.any() or slow[small].mean() < 0.5:
-        return None
-    clear = find_slips(signal.clean, signal.noise, threshold=gap, settings=settings)
-    lines = stick_lines(signal.clean, clear.edge, settings)
-    noisier = replace(signal, sigma=max(signal.sigma, float(nan_median(lines.spread))))
-    return noisier, replace(clear, threshold_how="gap", left_out=slips.drop[small])
-
-
-def _above_slow_noise(signal: Signal, slips: Slips, settings: ForceSettings) -> Slips:
-    """Return the slips that exceed the error of a drop between two lines where the noise is not white."""
-    lines = stick_lines(signal.clean, slips.edge, settings)
-    at = np.asarray(slips.edge - 0.5, np.float64)
-    before, after = lines.take(slice(None, -1)), lines.take(slice(1, None))
-    error = np.hypot(before.spread * before.lever(at), after.spread * after.lever(at))
-    least = settings.threshold_sigmas * float(np.sqrt(signal.alike) * nan_median(error))
-    if not least > slips.threshold:
-        return slips
-    clear = find_slips(signal.clean, signal.noise, threshold=least, settings=settings)
-    return replace(clear, threshold_how="noise", left_out=slips.drop[slips.drop < least])
+    if small.any() and is_slow(_corners(signal, slips, False, 0.0, settings), settings)[small].mean() >= 0.5:
+        clear = find_slips(signal.clean, signal.noise, threshold=gap, settings=settings)
+        spread = float(nan_median(stick_lines(signal.clean, clear.edge, settings).spread))
+        slips = replace(clear, threshold_how="gap", left_out=slips.drop[small])
+        signal = with_slow_noise(replace(signal, sigma=max(signal.sigma, spread)), slips, settings)
+    if signal.alike > 1:
+        lines = stick_lines(signal.clean, slips.edge, settings)
+        at = np.asarray(slips.edge - 0.5, np.float64)
+        before, after = lines.take(slice(None, -1)), lines.take(slice(1, None))
+        error = np.hypot(before.spread * before.lever(at), after.spread * after.lever(at))
+        least = settings.threshold_sigmas * float(np.sqrt(signal.alike) * nan_median(error))
+        least = max(least, slips.threshold)
+        clear = find_slips(signal.clean, signal.noise, threshold=least, settings=settings)
+        if 2 <= clear.edge.size < slips.edge.size:
+            slips = replace(clear, threshold_how="noise", left_out=slips.drop[slips.drop < least])
+            signal = with_slow_noise(signal, slips, settings)
+    return signal, slips
 
 
 def _have_knees(signal: Signal, slips: Slips, lag: float, settings: ForceSettings) -> bool:

@@ -12,6 +12,7 @@ from vision.force.corners import Corners, SlipTransients, find_corners
 from vision.force.lines import lagged_hinge
 from vision.force.settings import ForceSettings
 from vision.force.slips import Slips
+from vision.force.sticks import Signal
 from vision.numeric import Bools, Floats
 
 
@@ -24,19 +25,18 @@ class Lowpass:
 
 
 def find_lowpass(
-    y: Floats, sigma: float, slips: Slips, plain: Corners, two_slopes: bool, settings: ForceSettings
+    signal: Signal, slips: Slips, plain: Corners, two_slopes: bool, settings: ForceSettings
 ) -> Lowpass:
-    """Find the low-pass of the load cell from the transients after slips.
-
-    y is the load without spikes, sigma its noise; `plain` are the corners without a correction.
-    """
+    """Find the low-pass of the load cell from the transients after slips; `plain`: uncorrected corners."""
+    y = signal.clean
     found = estimate_lowpass(y, plain.transients())
-    if found is None or found.gain <= 2.5:  # no sign of a transient
+    # No sign of a transient: slow noise wanders like one after some of the slips.
+    if found is None or found.gain <= 2.5 * signal.alike:
         return Lowpass()
     # Corrected corners show the transients from their begin, so a low-pass must be found there again.
     for _ in range(3):
         corners = find_corners(
-            y, sigma, slips, lowpass=found.samples, two_slopes=two_slopes, settings=settings
+            y, signal.sigma, slips, lowpass=found.samples, two_slopes=two_slopes, settings=settings
         )
         transients = corners.transients()
         again = estimate_lowpass(y, transients, found.samples)

@@ -126,8 +126,8 @@ def with_slow_noise(signal: Signal, slips: Slips, settings: ForceSettings) -> Si
     Noise that is not white separates the lines through the two halves of each stick, at their middle, by more
     than white noise does. Only the scatter of this distance counts: its median is the sticks' curvature. Slow
     noise separates the halves by more than the quarters; by as much more it changes the line through the
-    whole stick. Each doubling of the time adds to its variance in the same ratio, up to the whole recording:
-    by the sum of these the line is off as a whole.
+    whole stick. This growth slows where the noise has a time constant: less of it is left at each doubling
+    of the time, up to the whole recording. By the sum of these the line is off as a whole.
     """
     start, stop = (at[1:-1] for at in stick_middles(slips.edge, signal.clean.size, settings))
     some = np.flatnonzero(stop - start >= 2 * settings.few_samples)
@@ -153,14 +153,17 @@ def with_slow_noise(signal: Signal, slips: Slips, settings: ForceSettings) -> Si
     half = common(start, stop, spread)
     if half < 1 + settings.alike_sigmas / np.sqrt(some.size):
         return white
-    middle = (start + stop) // 2
-    quarter = common(np.r_[start, middle], np.r_[middle, stop], np.r_[spread, spread])
-    # The variance of the distance grows by this when the time doubles: by 1/2 for white noise, 1 for pink
-    # noise, 2 for a random walk. A quarter of it is that of the mean.
-    growth = min(0.5 * half / quarter, 2.0)
-    octaves = np.arange(2, np.log2(slips.edge.size) + 2)
-    distance = 16 * half * float(np.median(spread**2 / (stop - start)))
-    wander = float(np.sqrt(0.25 * distance * np.sum(growth**octaves)))
+    bounds = np.linspace(start, stop, 5).astype(np.int64)
+    quarter = common(bounds[:4:2].ravel(), bounds[2::2].ravel(), np.tile(spread, 2))
+    eighth = common(bounds[:-1].ravel(), bounds[1:].ravel(), np.tile(spread, 4))
+    # Octaves by which the variance, over that of white noise, grows when the time doubles: 0 for white noise,
+    # 1 for pink noise, 2 for a random walk. The slowing is known poorly, so only its root counts.
+    growth, before = np.log2(half / quarter), np.log2(quarter / eighth)
+    slowing = np.sqrt(np.clip(growth / max(before, 1e-9), 0, 1))
+    doubled = np.arange(1, np.log2(slips.edge.size) + 2)
+    growth = np.clip(growth, 0, 2) * slowing**doubled
+    beyond = 4 * half * np.sum(2 ** np.cumsum(growth) * (2**growth - 1) / 2**doubled)
+    wander = float(np.sqrt(beyond * np.median(spread**2 / (stop - start))))
     return replace(signal, alike=half * max(half / quarter, 1.0), wander=wander)
 
 
