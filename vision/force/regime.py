@@ -104,13 +104,7 @@ def doubts(events: pd.DataFrame, regime: Regime, signal: Signal, slips: Slips) -
         if step > 0.3 * stick:  # about three steps in a stick, or fewer
             lines.append(f"{what} has steps of {step:.3g} {unit}, sticks are {stick:.3g} {unit}")
     lines += slips.warnings() + _load_warnings(signal, slips, events)
-    around = sliding_window_view(np.pad(slips.drop, 5), 11)
-    for k in np.flatnonzero(slips.drop > 5 * np.delete(around, 5, axis=1).max(axis=1))[:5]:
-        if k < slips.drop.size - 1:  # the last one may be the end of the test
-            lines.append(
-                f"the load falls by {slips.drop[k]:.3g} N at {signal.time[slips.edge[k]]:.4g} s, more than "
-                "five times as far as at the slips around: a change of range or zero, or a part that broke"
-            )
+    lines += _fall_warnings(signal, slips, events)
     flags = events["flag"].str.split("+")
     for word, meaning in (
         ("unloading", "lie beside a fall while the crosshead went back"),
@@ -125,6 +119,26 @@ def doubts(events: pd.DataFrame, regime: Regime, signal: Signal, slips: Slips) -
         if count := int(flags.map(lambda words, word=word: word in words).sum()):
             lines.append(f"{count} of {len(events)} sticks {meaning} (flag {word})")
     return lines
+
+
+def _fall_warnings(signal: Signal, slips: Slips, events: pd.DataFrame) -> list[str]:
+    """Return which falls are no slips: five times as far as those around, or twice and never made up for.
+
+    Then the five peaks after the fall are lower than the five before by half of its excess or more.
+    """
+    lines, peak = [], events["F_p_N"].to_numpy(float)
+    around = np.delete(sliding_window_view(np.pad(slips.drop, 5), 11), 5, axis=1).max(axis=1)
+    for k in np.flatnonzero(slips.drop > 2 * around):
+        before, after = peak[max(k - 5, 0) : k], peak[k : k + 5]
+        lost = before.min() - after.max() if min(before.size, after.size) >= 3 else -np.inf
+        large = slips.drop[k] > 5 * around[k] or lost > 0.5 * (slips.drop[k] - around[k])
+        if large and k < slips.drop.size - 1:  # the last one may be the end of the test
+            lines.append(
+                f"the load falls by {slips.drop[k]:.3g} N at {signal.time[slips.edge[k]]:.4g} s, "
+                f"{slips.drop[k] / around[k]:.2g} times as far as at the slips around: a change of range "
+                "or zero, or a part that broke"
+            )
+    return lines[:5]
 
 
 def _load_warnings(signal: Signal, slips: Slips, events: pd.DataFrame) -> list[str]:
