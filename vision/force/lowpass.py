@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -180,11 +179,11 @@ class _Blocks:
 
         tau in blocks, 0 for no transient; knee as a share of the stick.
         """
-        directions, length = _orthonormal(self._columns(tau, knee))
-        along = [_dot(direction, self.load) for direction in directions]
-        residual = float(np.sum(self.load**2) - np.sum(np.square(along)))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return residual, along[-1] / length
+        columns = np.stack(self._columns(tau, knee), axis=1)
+        with_load = columns @ self.load[:, :, np.newaxis]
+        products = columns @ columns.transpose(0, 2, 1)
+        found = np.linalg.pinv(products, rcond=1e-12, hermitian=True) @ with_load
+        return float(np.sum(self.load**2) - np.sum(found * with_load)), found[:, -1, 0]
 
     def over_knees(self, tau: float) -> list[float]:
         """Return the squared residuals for each of the knees."""
@@ -201,26 +200,3 @@ class _Blocks:
         transient = [np.exp(-t / tau) * self.known] if tau else []
         one = self.known.astype(np.float64)
         return [one, u * one, u**2 * one, *hinge, *transient]
-
-
-def _orthonormal(columns: Sequence[Floats]) -> tuple[list[Floats], Floats]:
-    """Orthonormalise columns within each row.
-
-    Returns the orthonormal columns, and the norm of the last one before normalisation. Modified Gram-Schmidt
-    treats all rows at once; LAPACK's QR of each small matrix takes three times as long.
-    """
-    directions: list[Floats] = []
-    length = np.zeros(0)
-    for column in columns:
-        rest = column
-        for direction in directions:
-            rest = rest - _dot(direction, rest)[:, None] * direction
-        length = np.sqrt(_dot(rest, rest))
-        independent = length > 1e-9 * np.sqrt(_dot(column, column))  # less is rounding
-        directions.append(rest * np.divide(1, length, out=np.zeros_like(length), where=independent)[:, None])
-    return directions, length
-
-
-def _dot(one: Floats, other: Floats) -> Floats:
-    """Return the scalar product of each row."""
-    return np.asarray(np.einsum("sw,sw->s", one, other), np.float64)
