@@ -175,11 +175,19 @@ class _Blocks:
         return float(np.exp(found.x[0])), float(found.x[1])
 
     def fit(self, tau: float, knee: float) -> tuple[float, Floats]:
-        """Return the squared residuals of all rows and the heights of the transients.
+        """Fit a parabola, a hinge at the knee and a transient to each row.
 
-        tau in blocks, 0 for no transient; knee as a share of the stick.
+        Returns the squared residuals of all rows and the heights of the transients. tau in blocks, 0 for no
+        transient; knee as a share of the stick.
         """
-        columns = np.stack(self._columns(tau, knee), axis=1)
+        t = np.arange(float(self.load.shape[1]))
+        # The low-pass delays the end of the slip by its time constant.
+        begin = self.valley - (tau - self.corrected / self.size)
+        rise = self.peak - begin
+        u = (t - begin[:, None]) / rise[:, None]
+        hinge = [lagged_hinge(t - (begin + knee * rise)[:, None], tau)] if knee < 1 else []
+        transient = [np.broadcast_to(np.exp(-t / tau), u.shape)] if tau else []
+        columns = np.stack([np.ones_like(u), u, u**2, *hinge, *transient], axis=1) * self.known[:, None]
         with_load = columns @ self.load[:, :, np.newaxis]
         products = columns @ columns.transpose(0, 2, 1)
         found = np.linalg.pinv(products, rcond=1e-12, hermitian=True) @ with_load
@@ -188,15 +196,3 @@ class _Blocks:
     def over_knees(self, tau: float) -> list[float]:
         """Return the squared residuals for each of the knees."""
         return [self.fit(tau, knee)[0] for knee in self.knees]
-
-    def _columns(self, tau: float, knee: float) -> list[Floats]:
-        """Return the columns of the fit, 0 in unknown blocks: parabola, hinge at the knee, transient."""
-        t = np.arange(float(self.load.shape[1]))
-        # The low-pass delays the end of the slip by its time constant.
-        begin = self.valley - (tau - self.corrected / self.size)
-        rise = self.peak - begin
-        u = (t - begin[:, None]) / rise[:, None]
-        hinge = [lagged_hinge(t - (begin + knee * rise)[:, None], tau) * self.known] if knee < 1 else []
-        transient = [np.exp(-t / tau) * self.known] if tau else []
-        one = self.known.astype(np.float64)
-        return [one, u * one, u**2 * one, *hinge, *transient]
