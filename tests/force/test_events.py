@@ -494,6 +494,21 @@ def test_slow_noise_moves_sticks_as_a_whole() -> None:
     assert 0.54 < np.mean(held) < 0.9
 
 
+def test_noise_with_a_time_constant_shows_no_low_pass() -> None:
+    """A failure means that noise which wanders after slips as a transient does is taken for a low-pass, and
+    widens the errors of F_v and F_p to 17 times what they are."""
+    test = plain(sticks=60, samples=240, snr=1e3, jitter=0.1, seed=2)
+    white = np.random.default_rng(2).standard_normal(test.force.sizes["time_s"])
+    noise = lfilter([1], [1, -0.9], white)
+    quiet = find_stick_slip(test.force)
+    events = find_stick_slip(test.force.assign(load_N=test.force["load_N"] + 25 * noise / noise.std()))
+    assert np.isnan(events.attrs["lowpass_proposed_s"])
+    right, truth = matched(events, quiet)
+    for name, error in (("F_v_N", "F_v_err_N"), ("F_p_N", "F_p_err_N")):
+        off = np.abs(right[name] - truth[name]).median()
+        assert off < right[error].median() < 12 * off, name
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_samples_lost_at_random(seed: int) -> None:
     """A failure means that the steps of a recording that runs unevenly are slips, or widen every error."""

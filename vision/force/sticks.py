@@ -127,7 +127,8 @@ def with_slow_noise(signal: Signal, slips: Slips, settings: ForceSettings) -> Si
     than white noise does. Only the scatter of this distance counts: its median is the sticks' curvature. Slow
     noise separates the halves by more than the quarters; by as much more it changes the line through the
     whole stick. This growth slows where the noise has a time constant: less of it is left at each doubling
-    of the time, up to the whole recording. By the sum of these the line is off as a whole.
+    of the time, up to the whole recording. By the sum of these the line is off as a whole, though by no more
+    than the peaks scatter.
     """
     start, stop = (at[1:-1] for at in stick_middles(slips.edge, signal.clean.size, settings))
     some = np.flatnonzero(stop - start >= 2 * settings.few_samples)
@@ -137,7 +138,8 @@ def with_slow_noise(signal: Signal, slips: Slips, settings: ForceSettings) -> Si
     some = some[:: some.size // 400 + 1]  # enough for a median
     start, stop = start[some], stop[some]
     index = np.arange(signal.clean.size, dtype=float)
-    spread = fit_lines(index, signal.spikeless, start, stop).spread
+    lines = fit_lines(index, signal.spikeless, start, stop)
+    spread, peaks = lines.spread, lines.at(stop.astype(float))
 
     def common(start: Ints, stop: Ints, spread: Floats) -> float:
         """Return the variance of the distance between the halves of each stretch over that of white noise."""
@@ -164,6 +166,7 @@ def with_slow_noise(signal: Signal, slips: Slips, settings: ForceSettings) -> Si
     growth = np.clip(growth, 0, 2) * slowing**doubled
     beyond = 4 * half * np.sum(2 ** np.cumsum(growth) * (2**growth - 1) / 2**doubled)
     wander = float(np.sqrt(beyond * np.median(spread**2 / (stop - start))))
+    wander = min(wander, float(np.std(peaks)))  # noise moves no stick further than all move
     return replace(signal, alike=half * max(half / quarter, 1.0), wander=wander)
 
 
