@@ -434,9 +434,8 @@ class StickMetadata(Metadata):
     two_slopes, bend_share
         Whether stick phases were fitted with a knee; correction of the lines at the valley for the curvature
         common to all sticks, over their rise (negative: sticks begin steeply).
-    regime, fall_over_rise, line_share
-        "stick-slip", "oscillation", "cycles" or "noise"; median duration of falls over that of rises; share
-        of the variance near the frequency of the slips.
+    regime, fall_over_rise
+        "stick-slip", "oscillation", "cycles" or "noise"; median duration of falls over that of rises.
     warnings
         Reasons why this may not be stick-slip.
     first_slip_s, first_slip_N, last_slip_s
@@ -462,7 +461,6 @@ class StickMetadata(Metadata):
     bend_share: float = 0.0
     regime: str = "stick-slip"
     fall_over_rise: float = math.nan
-    line_share: float = math.nan
     warnings: Sequence[str] = field(default_factory=list)
     first_slip_s: float = math.nan
     first_slip_N: float = math.nan

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from vision.force.corners import find_corners
-from vision.force.lowpass import deconvolve_lowpass
 from vision.force.slips import find_slips
 
 
@@ -24,7 +23,7 @@ def test_corners_of_half_cosine_slips(length: float) -> None:
     load += 0.05 * rng.standard_normal(load.size)
     slips = find_slips(load, 0.05)
     assert slips.edge.size == 40
-    corners = find_corners(deconvolve_lowpass(load, 0.05, slips, 0.0), two_slopes=False)
+    corners = find_corners(load, 0.05, slips, two_slopes=False)
     assert np.median(np.abs(corners.peak - begin)) < 0.15 * length
     assert np.median(np.abs(corners.valley - begin - length)) < 0.15 * length
     assert np.mean(np.abs(corners.peak - begin) < 3 * corners.error) > 0.95

@@ -494,6 +494,21 @@ def test_slow_noise_moves_sticks_as_a_whole() -> None:
     assert 0.54 < np.mean(held) < 0.9
 
 
+def test_noise_with_a_time_constant_shows_no_low_pass() -> None:
+    """A failure means that noise which wanders after slips as a transient does is taken for a low-pass, and
+    widens the errors of F_v and F_p to 17 times what they are."""
+    test = plain(sticks=60, samples=240, snr=1e3, jitter=0.1, seed=2)
+    white = np.random.default_rng(2).standard_normal(test.force.sizes["time_s"])
+    noise = lfilter([1], [1, -0.9], white)
+    quiet = find_stick_slip(test.force)
+    events = find_stick_slip(test.force.assign(load_N=test.force["load_N"] + 25 * noise / noise.std()))
+    assert np.isnan(events.attrs["lowpass_proposed_s"])
+    right, truth = matched(events, quiet)
+    for name, error in (("F_v_N", "F_v_err_N"), ("F_p_N", "F_p_err_N")):
+        off = np.abs(right[name] - truth[name]).median()
+        assert off < right[error].median() < 12 * off, name
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_samples_lost_at_random(seed: int) -> None:
     """A failure means that the steps of a recording that runs unevenly are slips, or widen every error."""
@@ -700,6 +715,18 @@ def test_a_zero_set_too_late_is_told(offset: float, told: int) -> None:
     time = np.arange(load.size) * 0.01
     events = find_stick_slip(recording(time, load, 13 + time / 60, 1.0))
     assert sum("zero is wrong" in line for line in events.attrs["warnings"]) == told
+
+
+@pytest.mark.parametrize("regained", [False, True])
+def test_a_zero_set_in_the_middle_is_told(regained: bool) -> None:
+    """A failure means that all later forces are too small by two drops and more, without a word; or that a
+    large slip, after which the load rises to its level again, is called a change of zero."""
+    test = plain(sticks=60, samples=80, snr=40, jitter=0.1)
+    time = test.force["time_s"].to_numpy()
+    since = time - 0.5 * (test.truth["t_v_s"][30] + test.truth["t_p_s"][30])
+    shift = np.clip(100.0 - 80 * since * regained, 0, 100) * (since > 0)
+    events = find_stick_slip(test.force.assign(load_N=("time_s", test.force["load_N"].to_numpy() - shift)))
+    assert sum("a change of range or zero" in line for line in events.attrs["warnings"]) == (not regained)
 
 
 def test_times_written_too_coarsely_are_named() -> None:

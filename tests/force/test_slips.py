@@ -12,7 +12,7 @@ from vision.errors import InputError
 from vision.experiment import force_recording, preset, simulate_pull, with_settings
 from vision.force import find_stick_slip
 from vision.force.corners import find_corners
-from vision.force.lowpass import deconvolve_lowpass, estimate_lowpass
+from vision.force.lowpass import estimate_lowpass
 from vision.force.slips import find_slips
 from vision.models import fit_models
 from vision.numeric import Floats
@@ -196,7 +196,7 @@ def test_a_long_hold_among_short_sticks() -> None:
     force = recording(time, 20 + load + 0.02 * rng.standard_normal(load.size), 13 + time / 1000, 0.06)
     slips = find_slips(force["load_N"].values, 0.02)
     load = force["load_N"].values
-    corners = find_corners(deconvolve_lowpass(load, 0.02, slips, 0.0), two_slopes=False)
+    corners = find_corners(load, 0.02, slips, two_slopes=False)
     transients = corners.transients()
     tracemalloc.start()
     estimate_lowpass(load, transients)

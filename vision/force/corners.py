@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.polynomial.legendre import legvander
 
 from vision.force.lines import fit_broken_lines, fit_polynomials, flat_ranges
-from vision.force.lowpass import DeconvolvedLoad, SlipTransients
 from vision.force.settings import ForceSettings
-from vision.force.slips import stick_lines, stick_middles
+from vision.force.slips import Slips, stick_lines, stick_middles
 from vision.numeric import Bools, Floats, Ints, mad_sigma, nan_median
 from vision.signals import running_mean
 
@@ -19,6 +18,22 @@ from vision.signals import running_mean
 _HALF_COSINE, _STRAIGHT = 0.59, 0.8
 
 # --- corners ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class SlipTransients:
+    """The stretch after each slip, in which a low-pass leaves a transient; all in samples."""
+
+    start: Ints  # of half-open ranges clear of slips
+    stop: Ints
+    middle: Floats  # of the slip as recorded
+    valley: Floats  # end of the slip
+    peak: Floats  # where the next slip begins
+    drop: Floats  # the slip's height
+
+    def take(self, rows: Bools) -> SlipTransients:
+        """Return the selected transients."""
+        return SlipTransients(*(getattr(self, part.name)[rows] for part in fields(self)))
 
 
 @dataclass(frozen=True)
@@ -48,15 +63,24 @@ class Corners:
 
 
 def find_corners(
-    signal: DeconvolvedLoad, *, two_slopes: bool, settings: ForceSettings = ForceSettings()
+    y: Floats,
+    sigma: float,
+    slips: Slips,
+    *,
+    lowpass: float = 0.0,
+    two_slopes: bool,
+    settings: ForceSettings = ForceSettings(),
 ) -> Corners:
     """Return the begin (peak) and end (valley) of each slip, clipped to the recording.
+
+    y is the load without spikes, sigma its noise, `lowpass` the time constant, in samples, to correct for.
 
     The load falls from the stick line before the slip, 100 %, to the one after it, 0 %. The times at 90, 50
     and 10 %, scaled as for half a cosine, give begin and end. The individual length of a slip is used where
     its drop exceeds 20 sigma, else the median of the recording. Slips too short to be resolved count as half
     as long as they appear. With `two_slopes` the stick lines may have a knee.
     """
+    signal = _deconvolve(y, sigma, slips, lowpass)
     base = _Baselines.of(signal, two_slopes, settings)
     high, middle, low = _crossings(signal.load, signal.edge, base)
     stick = np.diff(signal.edge)
@@ -68,7 +92,7 @@ def find_corners(
             high, middle, low = _crossings(signal.load, signal.edge, base)
     # Sampling and smoothing widen even a sudden drop: its 90 % and 50 % crossings are 0.4 samples apart, and
     # more where deconvolution leaves a sample part of the way down. This blur is subtracted in squares.
-    blur = np.hypot(0.4 * signal.width, 0.5 if signal.late else 0.0)
+    blur = np.hypot(0.4, 0.5 if signal.late else 0.0)
     onset, end = (np.sqrt(np.maximum(part**2 - blur**2, 0.0)) for part in (middle - high, low - middle))
     usual_onset, usual_end = (float(np.nan_to_num(nan_median(part))) for part in (onset, end))
     if usual_onset + usual_end < 1.0:
@@ -93,6 +117,44 @@ def find_corners(
     )
 
 
+@dataclass(frozen=True)
+class _DeconvolvedLoad:
+    """A load corrected for the low-pass of the load cell."""
+
+    load: Floats
+    edge: Ints  # the first sample after the steepest drop of each slip
+    late: float  # samples by which `load` lags behind the time
+    sigma: float  # noise of `load`
+
+
+def _deconvolve(y: Floats, sigma: float, slips: Slips, tau: float) -> _DeconvolvedLoad:
+    r"""Return the load before a first-order low-pass of `tau` samples, and the edges of the slips in it.
+
+    .. math:: z_k = y_k + c\,(y_k - y_{k-1}), \qquad c = 1 / (e^{1/\tau} - 1)
+
+    has no transient after a step, and on a rise it lags by :math:`\tau - c` samples. y is the load without
+    spikes, sigma its noise.
+    """
+    if not tau:
+        return _DeconvolvedLoad(y, slips.edge, 0.0, sigma)
+    gain = 1 / np.expm1(1 / tau)
+    load = y + gain * np.diff(y, prepend=y[:1])
+    edge = _steepest(load, slips.edge, 2 * tau)
+    return _DeconvolvedLoad(load, edge, tau - gain, sigma * float(np.sqrt(1 + 2 * gain * (1 + gain))))
+
+
+def _steepest(y: Floats, edge: Ints, back: float) -> Ints:
+    """Return the first sample after the largest drop between two samples shortly before each edge.
+
+    At most `back` samples, or 0.4 of the stick, before it.
+    """
+    earlier = np.minimum(0.4 * np.diff(edge, prepend=0), back)
+    away = np.arange(-int(earlier.max()), 2)
+    place = np.clip(edge[:, None] + away, 1, y.size - 2)
+    drop = np.where(away >= -earlier[:, None], y[place - 1] - y[place], -np.inf)
+    return np.asarray(place[np.arange(edge.size), drop.argmax(axis=1)])
+
+
 def _half_length(distance: Floats, slope: Floats, drop: Floats) -> Floats:
     """Return half the length of a slip from the distance between its middle and a crossing.
 
@@ -106,10 +168,10 @@ def _half_length(distance: Floats, slope: Floats, drop: Floats) -> Floats:
     return half
 
 
-def _errors(signal: DeconvolvedLoad, drop: Floats, length: float, settings: ForceSettings) -> Floats:
+def _errors(signal: _DeconvolvedLoad, drop: Floats, length: float, settings: ForceSettings) -> Floats:
     """Return the position error of each corner: noise over the slip's slope, sampling, and unknown shape."""
     systematic = np.hypot(settings.corner_error, settings.shape_error * length)
-    steepest = np.pi / 2 * np.maximum(drop, signal.sigma) / max(length, signal.width)
+    steepest = np.pi / 2 * np.maximum(drop, signal.sigma) / max(length, 1.0)
     return np.hypot(signal.sigma / steepest, systematic)
 
 
@@ -131,7 +193,7 @@ class _Baselines:
 
     @classmethod
     def of(
-        cls, signal: DeconvolvedLoad, two_slopes: bool, settings: ForceSettings, shape: Shape | None = None
+        cls, signal: _DeconvolvedLoad, two_slopes: bool, settings: ForceSettings, shape: Shape | None = None
     ) -> _Baselines:
         """Fit straight lines, lines with a knee where they fit clearly better, or lines of a common shape."""
         y, edge = signal.load, signal.edge

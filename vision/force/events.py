@@ -13,13 +13,13 @@ from vision.data import FORCE, STICKS, ForceMetadata, StickMetadata, record
 from vision.errors import InputError
 from vision.force.corners import Corners, Extremes, find_corners, find_extremes, is_slow
 from vision.force.lines import fit_broken_lines, fit_lines, fit_polynomials
-from vision.force.lowpass import SlipTransients, deconvolve_lowpass, estimate_lowpass
+from vision.force.lowpass import Lowpass, find_lowpass
 from vision.force.recording import is_compression
 from vision.force.regime import Regime, doubts, find_regime, is_unloading
 from vision.force.settings import ForceSettings
 from vision.force.slips import Slips, find_slips, size_gap, stick_lines, stick_middles
-from vision.force.sticks import Signal, measure_sticks
-from vision.numeric import Bools, Floats, Ints, mad_sigma, nan_median
+from vision.force.sticks import Signal, measure_sticks, with_slow_noise
+from vision.numeric import Bools, nan_median
 
 
 def find_stick_slip(
@@ -88,17 +88,10 @@ def find_stick_slip(
     if slips.edge.size < 2:
         raise _too_few_slips(signal, slips, metadata.source)
     _check_lowpass(lowpass_s, slips.period * signal.interval_s, metadata.source)
+    signal = with_slow_noise(signal, slips, settings)
+    if threshold_N is None:
+        signal, slips = _above_other_noise(signal, slips, settings)
     analysis = _analyse_slips(signal, slips, lowpass_s, two_slopes, settings)
-    if threshold_N is None and (clear := _above_slow_drops(signal, slips, analysis.corners, settings)):
-        signal, slips = clear
-        analysis = _analyse_slips(signal, slips, lowpass_s, two_slopes, settings)
-    signal = _with_slow_noise(signal, slips, settings)
-    if threshold_N is None and signal.alike > 1:
-        clear_slips = _above_slow_noise(signal, slips, settings)
-        if 2 <= clear_slips.edge.size < slips.edge.size:
-            slips = clear_slips
-            signal = _with_slow_noise(signal, slips, settings)
-            analysis = _analyse_slips(signal, slips, lowpass_s, two_slopes, settings)
     tau, found, regime = analysis.samples, analysis.found, analysis.regime
     unloading = is_unloading(signal.travel, analysis.extremes)
     if unloading.all():
@@ -143,7 +136,6 @@ def find_stick_slip(
         bend_share=analysis.corners.shape.begin,
         regime=regime.name,
         fall_over_rise=regime.fall_over_rise,
-        line_share=regime.line_share,
         warnings=doubts(events, regime, signal, slips),
         first_slip_s=float(first),
         first_slip_N=float(signal.clean[int(first_peak)]),
@@ -242,7 +234,7 @@ class _SlipAnalysis:
     extremes: Extremes
     regime: Regime
     bent: bool  # whether the sticks have knees
-    found: _Lowpass  # low-pass that the transients suggest
+    found: Lowpass  # low-pass that the transients suggest
     samples: float  # time constant that is corrected for; 0 for none
     how: str  # as ``lowpass_how`` of `StickMetadata`
 
@@ -256,15 +248,15 @@ def _analyse_slips(
     corners = _corners(signal, slips, bent, 0.0, settings)
     extremes = find_extremes(signal.clean, corners.middle, corners.valley - corners.peak)
     regime = find_regime(signal.clean, slips, extremes, settings)
-    found = _Lowpass()
+    found = Lowpass()
     if not given and regime.name == "stick-slip":
-        found = _find_lowpass(signal, slips, corners, bent, settings)
+        found = find_lowpass(signal, slips, corners, bent, settings)
         if found.samples and not bent and two_slopes is None:
             # The transients of the low-pass may hide the knees.
             bent = _have_knees(signal, slips, found.samples, settings)
             if bent:
                 corners = _corners(signal, slips, bent, 0.0, settings)
-                found = _find_lowpass(signal, slips, corners, bent, settings)
+                found = find_lowpass(signal, slips, corners, bent, settings)
     tau, how = (given, "given") if given else (0.0, "recorded" if lowpass_s == 0 else "none")
     if lowpass_s == "auto" and found.samples:
         tau, how = (found.samples, "found") if found.proven else (0.0, "doubtful")
@@ -273,80 +265,37 @@ def _analyse_slips(
     return _SlipAnalysis(corners, extremes, regime, bent, found, tau, how)
 
 
-def _above_slow_drops(
-    signal: Signal, slips: Slips, corners: Corners, settings: ForceSettings
-) -> tuple[Signal, Slips] | None:
-    """Return signal and slips without the oscillations of hum or other noise that is not white, if any.
+def _corners(signal: Signal, slips: Slips, bent: bool, tau: float, settings: ForceSettings) -> Corners:
+    """Return the corners of the slips, corrected for a low-pass of tau samples."""
+    return find_corners(signal.clean, signal.sigma, slips, lowpass=tau, two_slopes=bent, settings=settings)
 
-    Most such drops are as slow as the rises beside them, and a gap in the sizes separates them from slips.
-    The noise of the returned signal is the scatter about the stick lines. None where no such drops are found.
+
+def _above_other_noise(signal: Signal, slips: Slips, settings: ForceSettings) -> tuple[Signal, Slips]:
+    """Return signal and slips without the swings of hum and of other noise that is not white.
+
+    Most swings of hum are as slow as the rises beside them, and a gap in the sizes separates them from slips;
+    the noise is then the scatter about the stick lines. In slow noise a slip exceeds four errors of a drop
+    between two lines.
     """
     gap = size_gap(slips.drop, settings.slow_gap, 1 - 3 / slips.drop.size)
     small = slips.drop < gap
-    slow = is_slow(corners, settings)
-    if not small.any() or slow[small].mean() < 0.5:
-        return None
-    clear = find_slips(signal.clean, signal.noise, threshold=gap, settings=settings)
-    lines = stick_lines(signal.clean, clear.edge, settings)
-    noisier = replace(signal, sigma=max(signal.sigma, float(nan_median(lines.spread))))
-    return noisier, replace(clear, threshold_how="gap", left_out=slips.drop[small])
-
-
-def _above_slow_noise(signal: Signal, slips: Slips, settings: ForceSettings) -> Slips:
-    """Return the slips that exceed the error of a drop between two lines where the noise is not white."""
-    lines = stick_lines(signal.clean, slips.edge, settings)
-    at = np.asarray(slips.edge - 0.5, np.float64)
-    before, after = lines.take(slice(None, -1)), lines.take(slice(1, None))
-    error = np.hypot(before.spread * before.lever(at), after.spread * after.lever(at))
-    least = settings.threshold_sigmas * float(np.sqrt(signal.alike) * nan_median(error))
-    if not least > slips.threshold:
-        return slips
-    clear = find_slips(signal.clean, signal.noise, threshold=least, settings=settings)
-    return replace(clear, threshold_how="noise", left_out=slips.drop[slips.drop < least])
-
-
-def _with_slow_noise(signal: Signal, slips: Slips, settings: ForceSettings) -> Signal:
-    """Return the signal with `alike` and `wander`, which differ from 1 and 0 where the noise is not white.
-
-    Noise that is not white separates the lines through the two halves of each stick, at their middle, by more
-    than white noise does. Only the scatter of this distance counts: its median is the sticks' curvature. Slow
-    noise separates the halves by more than the quarters; by as much more it changes the line through the
-    whole stick. Each doubling of the time adds to its variance in the same ratio, up to the whole recording:
-    by the sum of these the line is off as a whole.
-    """
-    start, stop = (at[1:-1] for at in stick_middles(slips.edge, signal.clean.size, settings))
-    some = np.flatnonzero(stop - start >= 2 * settings.few_samples)
-    white = replace(signal, alike=1.0, wander=0.0)
-    if some.size < 8:
-        return white
-    some = some[:: some.size // 400 + 1]  # enough for a median
-    start, stop = start[some], stop[some]
-    index = np.arange(signal.clean.size, dtype=float)
-    spread = fit_lines(index, signal.spikeless, start, stop).spread
-
-    def common(start: Ints, stop: Ints, spread: Floats) -> float:
-        """Return the variance of the distance between the halves of each stretch over that of white noise."""
-        middle = (start + stop) // 2
-        centre = np.asarray(middle - 0.5, np.float64)
-        first, second = (
-            fit_lines(index, signal.spikeless, *part) for part in ((start, middle), (middle, stop))
-        )
-        expected = spread * np.hypot(first.lever(centre), second.lever(centre))
-        distance = (first.at(centre) - second.at(centre)) / np.maximum(expected, np.finfo(float).tiny)
-        return float(mad_sigma(distance[np.isfinite(distance)])) ** 2
-
-    half = common(start, stop, spread)
-    if half < 1 + settings.alike_sigmas / np.sqrt(some.size):
-        return white
-    middle = (start + stop) // 2
-    quarter = common(np.r_[start, middle], np.r_[middle, stop], np.r_[spread, spread])
-    # The variance of the distance grows by this when the time doubles: by 1/2 for white noise, 1 for pink
-    # noise, 2 for a random walk. A quarter of it is that of the mean.
-    growth = min(0.5 * half / quarter, 2.0)
-    octaves = np.arange(2, np.log2(slips.edge.size) + 2)
-    distance = 16 * half * float(np.median(spread**2 / (stop - start)))
-    wander = float(np.sqrt(0.25 * distance * np.sum(growth**octaves)))
-    return replace(signal, alike=half * max(half / quarter, 1.0), wander=wander)
+    if small.any() and is_slow(_corners(signal, slips, False, 0.0, settings), settings)[small].mean() >= 0.5:
+        clear = find_slips(signal.clean, signal.noise, threshold=gap, settings=settings)
+        spread = float(nan_median(stick_lines(signal.clean, clear.edge, settings).spread))
+        slips = replace(clear, threshold_how="gap", left_out=slips.drop[small])
+        signal = with_slow_noise(replace(signal, sigma=max(signal.sigma, spread)), slips, settings)
+    if signal.alike > 1:
+        lines = stick_lines(signal.clean, slips.edge, settings)
+        at = np.asarray(slips.edge - 0.5, np.float64)
+        before, after = lines.take(slice(None, -1)), lines.take(slice(1, None))
+        error = np.hypot(before.spread * before.lever(at), after.spread * after.lever(at))
+        least = settings.threshold_sigmas * float(np.sqrt(signal.alike) * nan_median(error))
+        least = max(least, slips.threshold)
+        clear = find_slips(signal.clean, signal.noise, threshold=least, settings=settings)
+        if 2 <= clear.edge.size < slips.edge.size:
+            slips = replace(clear, threshold_how="noise", left_out=slips.drop[slips.drop < least])
+            signal = with_slow_noise(signal, slips, settings)
+    return signal, slips
 
 
 def _have_knees(signal: Signal, slips: Slips, lag: float, settings: ForceSettings) -> bool:
@@ -371,56 +320,6 @@ def _have_knees(signal: Signal, slips: Slips, lag: float, settings: ForceSetting
     if not lag and np.median(smooth) > np.median(broken.gain[known]):
         return False
     return float(np.median(broken.gain[known])) > settings.knee_gain and ratio > settings.knee_ratio
-
-
-def _corners(signal: Signal, slips: Slips, two_slopes: bool, tau: float, settings: ForceSettings) -> Corners:
-    """Return the corners of the slips, corrected for a low-pass of tau samples."""
-    corrected = deconvolve_lowpass(signal.clean, signal.sigma, slips, tau)
-    return find_corners(corrected, two_slopes=two_slopes, settings=settings)
-
-
-@dataclass(frozen=True)
-class _Lowpass:
-    """The low-pass that the transients after slips suggest."""
-
-    samples: float = 0.0  # time constant; 0 for none
-    proven: bool = False  # the same after large and small slips and after long and short sticks
-
-
-def _find_lowpass(
-    signal: Signal, slips: Slips, plain: Corners, two_slopes: bool, settings: ForceSettings
-) -> _Lowpass:
-    """Find the low-pass of the load cell from the transients after slips."""
-    found = estimate_lowpass(signal.clean, plain.transients())
-    if found is None or found.gain <= 2.5:  # no sign of a transient
-        return _Lowpass()
-    # Corrected corners show the transients from their begin, so a low-pass must be found there again.
-    for _ in range(3):
-        transients = _corners(signal, slips, two_slopes, found.samples, settings).transients()
-        again = estimate_lowpass(signal.clean, transients, found.samples)
-        if again is None:
-            break
-        if again.confirms(found, settings):
-            return _Lowpass(again.samples, _same_everywhere(signal, transients, again.samples, settings))
-        found = again
-    return _Lowpass()
-
-
-def _same_everywhere(signal: Signal, transients: SlipTransients, tau: float, settings: ForceSettings) -> bool:
-    """Return whether large and small slips, and those after long and short sticks, show the same constant.
-
-    An amplifier has one time constant; relaxation of the sample changes with the slip.
-    """
-    stick = transients.peak - transients.valley
-    if not tau < 0.5 * float(np.median(stick)):
-        return False
-    for quantity in (transients.drop, stick):
-        large = quantity > np.median(quantity)
-        for part in (large, ~large):
-            found = estimate_lowpass(signal.clean, transients.take(part), tau)
-            if found is None or abs(np.log(found.samples / tau)) > settings.lowpass_same:
-                return False
-    return True
 
 
 def _with_bias(

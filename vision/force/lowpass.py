@@ -1,34 +1,68 @@
-"""The low-pass of the load cell: its time constant, from transients after slips, and its deconvolution."""
+"""The low-pass of the load cell: its time constant, from transients after slips, and whether it is proven."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 import scipy
 
+from vision.force.corners import Corners, SlipTransients, find_corners
 from vision.force.lines import lagged_hinge
 from vision.force.settings import ForceSettings
 from vision.force.slips import Slips
-from vision.numeric import Bools, Floats, Ints
-from vision.signals import running_mean
+from vision.force.sticks import Signal
+from vision.numeric import Bools, Floats
 
 
 @dataclass(frozen=True)
-class SlipTransients:
-    """The stretch after each slip, in which a low-pass leaves a transient; all in samples."""
+class Lowpass:
+    """The low-pass that the transients after slips suggest."""
 
-    start: Ints  # of half-open ranges clear of slips
-    stop: Ints
-    middle: Floats  # of the slip as recorded
-    valley: Floats  # end of the slip
-    peak: Floats  # where the next slip begins
-    drop: Floats  # the slip's height
+    samples: float = 0.0  # time constant; 0 for none
+    proven: bool = False  # the same after large and small slips and after long and short sticks
 
-    def take(self, rows: Bools) -> SlipTransients:
-        """Return the selected transients."""
-        return SlipTransients(*(getattr(self, part.name)[rows] for part in fields(self)))
+
+def find_lowpass(
+    signal: Signal, slips: Slips, plain: Corners, two_slopes: bool, settings: ForceSettings
+) -> Lowpass:
+    """Find the low-pass of the load cell from the transients after slips; `plain`: uncorrected corners."""
+    y = signal.clean
+    found = estimate_lowpass(y, plain.transients())
+    # No sign of a transient: slow noise wanders like one after some of the slips.
+    if found is None or found.gain <= 2.5 * signal.alike:
+        return Lowpass()
+    # Corrected corners show the transients from their begin, so a low-pass must be found there again.
+    for _ in range(3):
+        corners = find_corners(
+            y, signal.sigma, slips, lowpass=found.samples, two_slopes=two_slopes, settings=settings
+        )
+        transients = corners.transients()
+        again = estimate_lowpass(y, transients, found.samples)
+        if again is None:
+            break
+        if again.confirms(found, settings):
+            return Lowpass(again.samples, _same_everywhere(y, transients, again.samples, settings))
+        found = again
+    return Lowpass()
+
+
+def _same_everywhere(y: Floats, transients: SlipTransients, tau: float, settings: ForceSettings) -> bool:
+    """Return whether large and small slips, and those after long and short sticks, show the same constant.
+
+    An amplifier has one time constant; relaxation of the sample changes with the slip.
+    """
+    stick = transients.peak - transients.valley
+    if not tau < 0.5 * float(np.median(stick)):
+        return False
+    for quantity in (transients.drop, stick):
+        large = quantity > np.median(quantity)
+        for part in (large, ~large):
+            found = estimate_lowpass(y, transients.take(part), tau)
+            if found is None or abs(np.log(found.samples / tau)) > settings.lowpass_same:
+                return False
+    return True
 
 
 @dataclass(frozen=True)
@@ -190,49 +224,3 @@ def _orthonormal(columns: Sequence[Floats]) -> tuple[list[Floats], Floats]:
 def _dot(one: Floats, other: Floats) -> Floats:
     """Return the scalar product of each row."""
     return np.asarray(np.einsum("sw,sw->s", one, other), np.float64)
-
-
-@dataclass(frozen=True)
-class DeconvolvedLoad:
-    """A load corrected for the low-pass of the load cell."""
-
-    load: Floats  # running mean over `width` samples, since deconvolution amplifies the noise
-    edge: Ints  # the first sample after the steepest drop of each slip
-    late: float  # samples by which `load` lags behind the time
-    width: int  # samples averaged
-    sigma: float  # noise of `load`
-
-
-def deconvolve_lowpass(y: Floats, sigma: float, slips: Slips, tau: float) -> DeconvolvedLoad:
-    r"""Return the load before a first-order low-pass of `tau` samples, and the edges of the slips in it.
-
-    .. math:: z_k = y_k + c\,(y_k - y_{k-1}), \qquad c = 1 / (e^{1/\tau} - 1)
-
-    has no transient after a step, and on a rise it lags by :math:`\tau - c` samples. The running mean is just
-    wide enough for the median drop to be 40 times the noise, and a tenth of a period at most. y is the load
-    without spikes, sigma its noise.
-    """
-    if not tau:
-        return DeconvolvedLoad(y, slips.edge, 0.0, 1, sigma)
-    gain = 1 / np.expm1(1 / tau)
-    widths = 1 + 2 * np.arange(int(slips.period / 20) + 1)  # up to a tenth of a period
-    # The mean of differences is the difference of the ends, so its noise falls with the width, not its root.
-    noise = sigma * np.sqrt((1 + 2 * gain * (1 + gain) / widths) / widths)
-    noisy = int(np.sum(noise > np.median(slips.drop) / 40))
-    chosen = min(noisy, widths.size - 1)
-    width = int(widths[chosen])
-    load = running_mean(y + gain * np.diff(y, prepend=y[:1]), width)
-    edge = _steepest(load, slips.edge, 2 * tau, width)
-    return DeconvolvedLoad(load, edge, tau - gain, width, float(noise[chosen]))
-
-
-def _steepest(y: Floats, edge: Ints, back: float, width: int) -> Ints:
-    """Return the middle of the largest drop over 2 `width` samples shortly before each edge.
-
-    At most `back` samples, or 0.4 of the stick, before it.
-    """
-    earlier = np.minimum(0.4 * np.diff(edge, prepend=0), back)
-    away = np.arange(-int(earlier.max()), 2)
-    place = np.clip(edge[:, None] + away, width, y.size - 1 - width)
-    drop = np.where(away >= -earlier[:, None], y[place - width] - y[place - 1 + width], -np.inf)
-    return np.asarray(place[np.arange(edge.size), drop.argmax(axis=1)])

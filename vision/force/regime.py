@@ -21,11 +21,10 @@ from vision.numeric import Bools, Floats, nan_median
 class Regime:
     """What kind of motion a recording shows."""
 
-    # "stick-slip"; "oscillation": rises and falls are equally long and rounded, and have one frequency;
-    # "cycles": they are equally long and straight; "noise": the load jumps upward about as far as it drops
+    # "stick-slip"; "oscillation": rises and falls are equally long, and rises are rounded; "cycles": both are
+    # equally long and straight; "noise": the load jumps upward about as far as it drops
     name: str
     fall_over_rise: float  # median duration of falls over that of rises
-    line_share: float  # share of the load's variance within 20 % of the frequency of the slips
     upward_share: float  # median of the largest upward jumps within sticks over the median drop
 
 
@@ -40,18 +39,17 @@ def find_regime(y: Floats, slips: Slips, extremes: Extremes, settings: ForceSett
     upward = upward_share(y, slips.edge, settings)
     name = "noise" if upward > settings.upward_share else "stick-slip"
     if known.sum() < 2:
-        return Regime(name, float("nan"), float("nan"), upward)
+        return Regime(name, float("nan"), upward)
     ratio = float(np.median(fall[known] / rise[known]))
-    share = _line_share(y, extremes)
     equal = settings.equal_share < ratio < 1 / settings.equal_share
     v, p, next_v = extremes.valley[:-1], extremes.peak[1:], extremes.valley[1:]
     rounded_rise = _roundness(y, v[known], p[known]) > 1
     rounded_fall = _roundness(y, p[known], next_v[known]) > 1
-    if equal and rounded_rise and share > settings.line_share:
+    if equal and rounded_rise:
         name = "oscillation"
     elif equal and not rounded_rise and not rounded_fall:
         name = "cycles"
-    return Regime(name, ratio, share, upward)
+    return Regime(name, ratio, upward)
 
 
 def _roundness(y: Floats, start: Floats, stop: Floats) -> float:
@@ -66,22 +64,6 @@ def _roundness(y: Floats, start: Floats, stop: Floats) -> float:
         slope = np.bincount(row, dx * dy) / np.maximum(np.bincount(row, dx * dx), 1e-300)
         residual.append(np.bincount(row, (dy - slope[row] * dx) ** 2))
     return float(np.median(residual[0] / np.maximum(residual[1], 1e-300)))
-
-
-def _line_share(y: Floats, extremes: Extremes) -> float:
-    """Return the share of the load's variance within 20 % of the frequency of the slips.
-
-    The variance is that of all frequencies above half of the slips'.
-    """
-    low, high = int(extremes.peak[0]), int(extremes.peak[-1])
-    if high - low < 8:
-        return float("nan")
-    part = y[low:high]
-    frequency = np.fft.rfftfreq(part.size)
-    power = np.abs(np.fft.rfft((part - part.mean()) * np.hanning(part.size))) ** 2
-    usual = 1 / float(np.median(np.diff(extremes.peak)))
-    whole = power[frequency > 0.5 * usual].sum()
-    return float(power[np.abs(frequency - usual) < 0.2 * usual].sum() / whole) if whole > 0 else float("nan")
 
 
 def is_unloading(travel: Floats, extremes: Extremes) -> Bools:
@@ -101,8 +83,7 @@ def doubts(events: pd.DataFrame, regime: Regime, signal: Signal, slips: Slips) -
     if regime.name == "oscillation":
         lines.append(
             f"an oscillation, not stick-slip: falls last {regime.fall_over_rise:.2g} times as long as rises, "
-            f"{100 * regime.line_share:.0f} % of the variance is at one frequency, and the load varies by "
-            f"{np.ptp(np.percentile(signal.clean, [1, 99])):.3g}"
+            f"which are rounded, and the load varies by {np.ptp(np.percentile(signal.clean, [1, 99])):.3g}"
         )
     elif regime.name == "cycles":
         lines.append(
@@ -123,13 +104,7 @@ def doubts(events: pd.DataFrame, regime: Regime, signal: Signal, slips: Slips) -
         if step > 0.3 * stick:  # about three steps in a stick, or fewer
             lines.append(f"{what} has steps of {step:.3g} {unit}, sticks are {stick:.3g} {unit}")
     lines += slips.warnings() + _load_warnings(signal, slips, events)
-    around = sliding_window_view(np.pad(slips.drop, 5), 11)
-    for k in np.flatnonzero(slips.drop > 5 * np.delete(around, 5, axis=1).max(axis=1))[:5]:
-        if k < slips.drop.size - 1:  # the last one may be the end of the test
-            lines.append(
-                f"the load falls by {slips.drop[k]:.3g} N at {signal.time[slips.edge[k]]:.4g} s, more than "
-                "five times as far as at the slips around: a change of range or zero, or a part that broke"
-            )
+    lines += _fall_warnings(signal, slips, events)
     flags = events["flag"].str.split("+")
     for word, meaning in (
         ("unloading", "lie beside a fall while the crosshead went back"),
@@ -144,6 +119,26 @@ def doubts(events: pd.DataFrame, regime: Regime, signal: Signal, slips: Slips) -
         if count := int(flags.map(lambda words, word=word: word in words).sum()):
             lines.append(f"{count} of {len(events)} sticks {meaning} (flag {word})")
     return lines
+
+
+def _fall_warnings(signal: Signal, slips: Slips, events: pd.DataFrame) -> list[str]:
+    """Return which falls are no slips: five times as far as those around, or twice and never made up for.
+
+    Then the five peaks after the fall are lower than the five before by half of its excess or more.
+    """
+    lines, peak = [], events["F_p_N"].to_numpy(float)
+    around = np.delete(sliding_window_view(np.pad(slips.drop, 5), 11), 5, axis=1).max(axis=1)
+    for k in np.flatnonzero(slips.drop > 2 * around):
+        before, after = peak[max(k - 5, 0) : k], peak[k : k + 5]
+        lost = before.min() - after.max() if min(before.size, after.size) >= 3 else -np.inf
+        large = slips.drop[k] > 5 * around[k] or lost > 0.5 * (slips.drop[k] - around[k])
+        if large and k < slips.drop.size - 1:  # the last one may be the end of the test
+            lines.append(
+                f"the load falls by {slips.drop[k]:.3g} N at {signal.time[slips.edge[k]]:.4g} s, "
+                f"{slips.drop[k] / around[k]:.2g} times as far as at the slips around: a change of range "
+                "or zero, or a part that broke"
+            )
+    return lines[:5]
 
 
 def _load_warnings(signal: Signal, slips: Slips, events: pd.DataFrame) -> list[str]:

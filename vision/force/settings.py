@@ -142,10 +142,6 @@ class ForceSettings:
     """Duration of falls over that of rises (or its inverse) from which the two count as equally long. Slow
     slips of true stick-slip stay below it or have straight sticks; a sinusoid has 1."""
 
-    line_share: float = 0.5
-    """Share of the variance near the frequency of the slips from which an equally long, rounded rise and fall
-    is an oscillation. A sinusoid whose amplitude wanders keeps more than 0.7."""
-
     central_part: float = 0.5
     """Central part of the stick over which K is measured. Larger lowers the error of K but includes the
     curvature of the ends; the columns K30 and K70 show how much it matters."""

@@ -350,7 +350,6 @@ def size_gap(drop: Floats, ratio: float, most: float) -> float:
         return 0.0
     lower = np.log(ordered[: int(most * ordered.size) + 1])
     widest = int(np.argmax(np.diff(lower)))
-    # A single small drop below all others is not a cluster of noise.
-    if np.diff(lower)[widest] < np.log(ratio) or widest + 1 < 0.02 * ordered.size:
+    if np.diff(lower)[widest] < np.log(ratio):
         return 0.0
     return float(np.exp(0.5 * (lower[widest] + lower[widest + 1])))
