@@ -32,9 +32,9 @@ from vision.video.reader import (
     shape_text,
 )
 
-# Formats that cameras, microscopes and their programs write: no playlists, lists of files or networks.
 # Metadata that are not UTF-8 do not matter here. PyAV from 19 on always replaces them and has no such option.
 _TOLERANT: dict[str, Any] = {"metadata_errors": "replace"} if int(av.__version__.split(".")[0]) < 19 else {}
+# Formats that cameras, microscopes and their programs write: no playlists, lists of files or networks.
 _FORMATS = (
     "avi,mov,matroska,webm,asf,flv,mpeg,mpegts,mpegvideo,h264,hevc,m4v,mjpeg,mjpeg_2000,mxf,nut,ogg,cine,ivf,dv,"
     "wtv,yuv4mpegpipe,gif,apng,av1,obu,vc1,rm,swf,gxf,nsv,mpjpeg,r3d,bink,smjpeg"
