@@ -58,9 +58,10 @@ def force_slips(
         return pd.DataFrame(dict.fromkeys(("time_s", "error_s", "drop_N"), np.empty(0)))
     interval = float(np.median(np.diff(time)))
     steepest, of = np.unique(_steepest(time, load, begin, end), return_index=True)
-    middle, delay, duration = _mean_times(time, load, steepest, settings)
+    middle, delay, duration, largest = _mean_times(time, load, steepest, settings)
     order = np.argsort(middle)
-    error = np.full(len(order), 0.5 * interval / np.sqrt(12))
+    # A drop within one interval may lie anywhere in it; one that spreads over several is timed by its mean.
+    error = np.full(len(order), max(largest, 0.5) * interval / np.sqrt(12))
     table = pd.DataFrame({"time_s": (middle - delay)[order], "error_s": error, "drop_N": drop[of][order]})
     # Remaining errors of the delay, of the sampling, and of the shape of a drop.
     lag = np.multiply((0.25, 0.12, 0.02), (delay, interval, duration))
@@ -100,8 +101,9 @@ def _steepest(time: Floats, load: Floats, begin: Floats, end: Floats) -> Ints:
 
 def _mean_times(
     time: Floats, load: Floats, steepest: Ints, settings: ClockSettings
-) -> tuple[Floats, float, float]:
-    """Mean time of each drop, delay of the low-pass, and duration of a drop (`drop_end`), s."""
+) -> tuple[Floats, float, float, float]:
+    """Mean time of each drop, delay of the low-pass, and duration of a drop (`drop_end`), s; and the part of
+    a drop within its steepest interval."""
     spacing = float(np.median(np.diff(steepest))) if len(steepest) > 1 else 0.0
     # At most 100 samples, which limits the memory at high sampling rates.
     reach = int(np.clip(settings.window_of_period * spacing, 1, 100))
@@ -109,7 +111,7 @@ def _mean_times(
     inside = (steepest >= reach) & (steepest < len(time) - 1 - reach)
     middle = 0.5 * (time[steepest] + time[steepest + 1])
     if not inside.any():
-        return middle, 0.0, 0.0
+        return middle, 0.0, 0.0, 1.0
     index = steepest[inside, None] + around
     drop = load[index] - load[index + 1]
     drop = drop - np.median(drop, axis=1, keepdims=True)  # without the rise of the stick phase
@@ -122,7 +124,8 @@ def _mean_times(
     middle[inside] += shift
     third = float((drop * (since_steepest - shift[:, None]) ** 3).sum() / total.sum())
     duration = float(np.median(since_steepest[:, -1] - since_steepest[:, 0]))
-    return middle, float(np.cbrt(max(third, 0.0) / 2)), duration
+    largest = float(np.median(drop.max(axis=1) / total))
+    return middle, float(np.cbrt(max(third, 0.0) / 2)), duration, largest
 
 
 def _drop_extent(profile: Floats, centre: int, end: float) -> tuple[int, int]:
