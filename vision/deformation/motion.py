@@ -270,19 +270,16 @@ class _Sheets:
 
     side: Ints
     n: Ints
-    predicted_px: Floats  # stated error of a position, px, NaN if none
     locking: Floats  # pixel-locking slope
     pictured: bool  # whether the positions were measured in a picture, with the errors of unequal pixels
 
     @classmethod
     def of(cls, tracks: xr.Dataset) -> _Sheets:
         x_px = np.asarray(tracks["x_px"].values, float)
-        error_px = np.full_like(x_px, np.nan)
-        if "x_err_px" in tracks:
-            error_px = np.asarray(tracks["x_err_px"].values, float)
-        fit = TrackMetadata.of(tracks).fit
-        locking = pixel_locking_slope(x_px, error_px) if fit == "paper" else np.zeros(x_px.shape[1])
-        return cls(tracks["side"].values, tracks["n"].values, nan_median(error_px), locking, fit != "unknown")
+        fit, locking = TrackMetadata.of(tracks).fit, np.zeros(x_px.shape[1])
+        if fit == "paper" and "x_err_px" in tracks:
+            locking = pixel_locking_slope(x_px, np.asarray(tracks["x_err_px"].values, float))
+        return cls(tracks["side"].values, tracks["n"].values, locking, fit != "unknown")
 
 
 # --- measurement --------------------------------------------------------------------------------------------
@@ -323,7 +320,7 @@ def _measure(
     steady = unlocked - vibration[:, None]
     slips = find_late_slips(steady, frames, settings)
     steady = np.where(slips.outside, np.nan, steady)
-    noise = measure_noise(steady, frames, terms, sheets.predicted_px, settings)
+    noise = measure_noise(steady, frames, terms, settings)
     line, parabola, close = (fit_creep(steady, frames, k, settings, noise.correlation) for k in (2, 3, terms))
     noise = replace(noise, noise_px=noise.noise_px * np.sqrt(factor))
     errors = ErrorModel(noise, np.zeros(sheets.n.size))

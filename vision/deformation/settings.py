@@ -62,9 +62,9 @@ class DeformationSettings:
     """Approximate number of positions from which the autocorrelation of the noise is estimated.  More take
     longer; fewer make the stated errors less accurate (test_creep)."""
 
-    predicted_dof: float = 5.0
-    """Weight of the predicted noise of a sheet against its residuals, as degrees of freedom.  It stabilises
-    sheets seen in few frames; larger hides sheets noisier than predicted (test_creep: a noisy sheet)."""
+    common_dof: float = 5.0
+    """Weight of the noise of all sheets against the residuals of one, as degrees of freedom.  It stabilises
+    sheets seen in few frames; larger hides sheets noisier than the others (test_creep: a noisy sheet)."""
 
     uneven_probability: float = 1e-6
     """Probability below which residuals are too large for the sheet's noise.  Larger flags normal sticks
