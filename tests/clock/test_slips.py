@@ -75,6 +75,7 @@ def against(found_s, true_s):
         {"missing": 0.4},
         {"noise_px": 0.15, "jump_px": 1.5},
         {"sides": (1,), "shake_px": 0.02},
+        {"sides": (1,), "shake_px": 0.5},
         {"shake_px": 0.5, "drift_px": 40.0},
         {"exposure_s": 0.03},
         {"frame_s": 0.2, "missing": 0.0},
