@@ -56,8 +56,11 @@ def test_the_budget_of_a_whole_run():
     }
     assert budget.total("mu") == pytest.approx(found.fits.mu.systematic_error)
     assert budget.unknown("mu") == ["d0"]
-    assert budget.unknown("ratio") == ["pixel_size", "clock"]  # the scene's clock has no error
-    surer = replace(found, clock=replace(found.clock, error_ms=0.5))
+    assert budget.unknown("K_N_per_mm") == ["d0", "machine"]
+    assert budget.unknown("ratio") == ["pixel_size", "clock", "machine"]  # the scene's clock has no error
+    sticks = found.sticks.copy()
+    sticks.attrs["machine_stiffness_N_per_mm"] = 1e5
+    surer = replace(found, clock=replace(found.clock, error_ms=0.5), sticks=sticks)
     assert systematic_budget(surer).unknown("ratio") == ["pixel_size"]
     assert math.isnan(systematic_budget(video_only()).values["x_px"])
     assert systematic_budget(Found()).values == {}

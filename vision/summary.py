@@ -78,8 +78,8 @@ def _systematic(budget: Budget) -> list[str]:
         if quantity != "x_px":  # its sources are measured: the user cannot give their errors
             unknown |= dict.fromkeys(budget.unknown(quantity))
     # The notes of the fits say that d0 has no error.
-    if without := [f"{SOURCES.get(one, one)} has no error" for one in unknown if one != "d0"]:
-        lines.append(f"not included: {'; '.join(without)}")
+    if without := [SOURCES.get(one, one) for one in unknown if one != "d0"]:
+        lines.append(f"not included, since no error is known: {', '.join(without)}")
     return lines
 
 

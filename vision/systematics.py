@@ -1,8 +1,8 @@
 """The budget of systematic errors, which are the same in all frames or events.
 
 The statistical error of each number does not contain them. Their sources are the initial separation, the
-sample's geometry, drift of the load cell, the pixel size, the choice of the strip's rows, uneven light, and
-the clock.
+sample's geometry, drift of the load cell, the pixel size, the choice of the strip's rows, uneven light, the
+clock, and the compliance of the machine.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import xarray as xr
 
-from vision.data import MotionMetadata, StripMetadata, TrackMetadata
+from vision.data import MotionMetadata, StickMetadata, StripMetadata, TrackMetadata
 from vision.numeric import FWHM, nan_median
 
 if TYPE_CHECKING:
@@ -46,6 +46,7 @@ SOURCES = {
     "light": "uneven light",
     "pixel_size": "pixel size",
     "clock": "clock",
+    "machine": "compliance of the machine",
 }
 
 
@@ -89,7 +90,8 @@ def systematic_budget(results: Results) -> Budget:
     Errors of the fitted parameters are those of `ModelFits.budget` (a fit repeated with each source changed).
     The strip's rows and uneven light shift each sheet by a constant, which displacements and σ_x do not have.
     The pixel size scales σ_x/Λ_st; its error is not known. An error of the clock does not affect σ_x as long
-    as it is smaller than the time left out beside each slip.
+    as it is smaller than the time left out beside each slip. A machine that is not stiff moves less at the
+    sample than its crosshead does: K and σ_x/Λ_st are too small by K over its stiffness, unless corrected.
     """
     values: dict[str, float] = {}
     statistical: dict[str, float] = {}
@@ -104,14 +106,13 @@ def systematic_budget(results: Results) -> Budget:
         add("strip", "x_px", StripMetadata.of(results.tracks).strip_err_px)
         light = None if results.strip is None else uneven_light_px(results.strip, results.tracks)
         add("light", "x_px", light)
-    if results.fits is not None:
+    if results.fits is not None and results.sticks is not None:
         fitted = results.fits.named()
         for quantity, estimate in fitted.items():
             values[quantity], statistical[quantity] = estimate.value, estimate.error
         for source, errors in results.fits.budget.items():
             for quantity in (*fitted, "K_N_per_mm"):
                 add(source, quantity, errors[quantity])
-    if results.sticks is not None and results.fits is not None:
         values["K_N_per_mm"] = float(nan_median(results.sticks["K_N_per_mm"].to_numpy(float)))
         statistical["K_N_per_mm"] = float(nan_median(results.sticks["K_err_N_per_mm"].to_numpy(float)))
     if results.motion is not None:
@@ -121,6 +122,10 @@ def systematic_budget(results: Results) -> Budget:
         if results.clock is not None:
             margin_s = MotionMetadata.of(results.motion).margin_s
             add("clock", "ratio", 0.0 if 1e-3 * results.clock.error_ms <= margin_s else None)
+    affected = {"K_N_per_mm", "Lambda_hat_mm", "N_hat_N", "Y_eff_GPa", "ratio"} & values.keys()
+    sticks = results.sticks if affected else None
+    if sticks is not None and math.isnan(StickMetadata.of(sticks).machine_stiffness_N_per_mm):
+        sources["machine"] = dict.fromkeys(sorted(affected))
     return Budget(values=values, statistical=statistical, sources=sources)
 
 

@@ -28,6 +28,16 @@ def test_force_slips_are_free_of_the_chain_s_delay(rate_hz, lowpass_s, slips_s):
     assert abs(bias) < 3 * found.attrs["lag_s"]
 
 
+@pytest.mark.parametrize(("rate_hz", "lowpass_s"), [(10, 0.003), (20, 0.003), (25, 0.0003), (200, 0.0003)])
+def test_slips_within_one_sampling_interval(rate_hz, lowpass_s, slips_s):
+    """A failure means that a force sampled as slowly as it slips is timed worse than stated: its clocks are
+    then called ambiguous."""
+    force = sawtooth(np.random.default_rng(8), slips_s, stop_s=STOP_S, rate_hz=rate_hz, lowpass_s=lowpass_s)
+    found = force_slips(force, sticks_of(slips_s))
+    stated = np.hypot(found["error_s"], 1e-3)  # a slip itself lasts about 1 ms
+    assert 0.6 < np.std((found["time_s"] - slips_s) / stated) < 1.2
+
+
 def test_slips_where_the_load_holds_still(slips_s):
     """A failure means a division by no drop, where the events are those of another recording."""
     force = sawtooth(np.random.default_rng(8), slips_s, stop_s=STOP_S)
@@ -65,6 +75,7 @@ def against(found_s, true_s):
         {"missing": 0.4},
         {"noise_px": 0.15, "jump_px": 1.5},
         {"sides": (1,), "shake_px": 0.02},
+        {"sides": (1,), "shake_px": 0.5},
         {"shake_px": 0.5, "drift_px": 40.0},
         {"exposure_s": 0.03},
         {"frame_s": 0.2, "missing": 0.0},

@@ -113,6 +113,20 @@ def test_a_stick_in_which_the_film_shows_a_slip_is_left_out():
         measure(made, Clock(only_video_s=tuple(0.5 * (begin + end))))
 
 
+def test_a_stick_in_which_the_machine_pauses_is_left_out():
+    """A failure means creep that stands still in part of a stick, measured as if the pull were steady; or
+    sticks that are lost where only the speed changes, or where lengths are uncertain."""
+    made = make(uniform(1.0, 20.0), frames=20)
+    paused = made.sticks["event"] == 3
+    shorter = made.sticks["stick_length_um"] * np.where(paused, 0.6, 1.0)
+    motion = measure(replace(made, sticks=made.sticks.assign(stick_length_um=shorter)))
+    assert set(made.sticks["event"]) - set(motion["event"].to_numpy()) == {3}
+    uncertain = made.sticks.assign(stick_length_um=shorter, stick_length_err_um=0.15 * shorter)
+    assert 3 in measure(replace(made, sticks=uncertain))["event"]
+    slower = made.sticks["stick_length_um"] * np.where(made.sticks["event"] > 3, 0.2, 1.0)
+    assert 4 in measure(replace(made, sticks=made.sticks.assign(stick_length_um=slower)))["event"]
+
+
 def test_an_uncertain_clock_keeps_more_frames_away():
     """A failure means that the clock's error is ignored when frames next to a slip are left out."""
     made = make(uniform(1.0, 20.0), frames=20)

@@ -92,6 +92,15 @@ def test_unequal_pixels_count_in_long_sticks(name, changes):
     assert noise_alone < 0.55
 
 
+def test_very_unequal_pixels_are_found():
+    """A failure means that the fixed pattern is assumed, not measured: pixels that differ by 2 % shift the
+    sheets by three times as much as those of most cameras."""
+    truth, tracks, sticks, clock = run("fresh", **{"camera.duration_s": 12.0, "camera.prnu": 0.02})
+    _, within_one, within_two = score(*deformation(truth, tracks, sticks, clock))
+    assert 0.60 < within_one < 0.80
+    assert within_two > 0.93
+
+
 LATE_SLIPS = {"camera.duration_s": 10.0, "sheets.slip_delay_s": 0.02}
 
 
@@ -133,7 +142,7 @@ def test_the_force_recordings_own_error_of_the_stick_length(tmp_path):
     recording = force_recording(experiment, make_scene(experiment).pull)
     write_force(tmp_path / "force.txt", recording, experiment.force_file)
     sticks = find_stick_slip(read_force(tmp_path / "force.txt", d0_mm=16.8))
-    off = 1 + 0.5 * np.random.default_rng(0).standard_normal(len(sticks)).clip(-1.5, 1.5)
+    off = 1 + 0.5 * np.sin(np.arange(len(sticks)) / 3)
     for pulled, counts in (
         (sticks, 0.2),
         (sticks.assign(stick_length_um=sticks["stick_length_um"] * off), 1),

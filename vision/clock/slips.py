@@ -58,9 +58,10 @@ def force_slips(
         return pd.DataFrame(dict.fromkeys(("time_s", "error_s", "drop_N"), np.empty(0)))
     interval = float(np.median(np.diff(time)))
     steepest, of = np.unique(_steepest(time, load, begin, end), return_index=True)
-    middle, delay, duration = _mean_times(time, load, steepest, settings)
+    middle, delay, duration, largest = _mean_times(time, load, steepest, settings)
     order = np.argsort(middle)
-    error = np.full(len(order), 0.5 * interval / np.sqrt(12))
+    # A drop within one interval may lie anywhere in it; one that spreads over several is timed by its mean.
+    error = np.full(len(order), max(largest, 0.5) * interval / np.sqrt(12))
     table = pd.DataFrame({"time_s": (middle - delay)[order], "error_s": error, "drop_N": drop[of][order]})
     # Remaining errors of the delay, of the sampling, and of the shape of a drop.
     lag = np.multiply((0.25, 0.12, 0.02), (delay, interval, duration))
@@ -100,8 +101,9 @@ def _steepest(time: Floats, load: Floats, begin: Floats, end: Floats) -> Ints:
 
 def _mean_times(
     time: Floats, load: Floats, steepest: Ints, settings: ClockSettings
-) -> tuple[Floats, float, float]:
-    """Mean time of each drop, delay of the low-pass, and duration of a drop (`drop_end`), s."""
+) -> tuple[Floats, float, float, float]:
+    """Mean time of each drop, delay of the low-pass, and duration of a drop (`drop_end`), s; and the part of
+    a drop within its steepest interval."""
     spacing = float(np.median(np.diff(steepest))) if len(steepest) > 1 else 0.0
     # At most 100 samples, which limits the memory at high sampling rates.
     reach = int(np.clip(settings.window_of_period * spacing, 1, 100))
@@ -109,7 +111,7 @@ def _mean_times(
     inside = (steepest >= reach) & (steepest < len(time) - 1 - reach)
     middle = 0.5 * (time[steepest] + time[steepest + 1])
     if not inside.any():
-        return middle, 0.0, 0.0
+        return middle, 0.0, 0.0, 1.0
     index = steepest[inside, None] + around
     drop = load[index] - load[index + 1]
     drop = drop - np.median(drop, axis=1, keepdims=True)  # without the rise of the stick phase
@@ -122,7 +124,8 @@ def _mean_times(
     middle[inside] += shift
     third = float((drop * (since_steepest - shift[:, None]) ** 3).sum() / total.sum())
     duration = float(np.median(since_steepest[:, -1] - since_steepest[:, 0]))
-    return middle, float(np.cbrt(max(third, 0.0) / 2)), duration
+    largest = float(np.median(drop.max(axis=1) / total))
+    return middle, float(np.cbrt(max(third, 0.0) / 2)), duration, largest
 
 
 def _drop_extent(profile: Floats, centre: int, end: float) -> tuple[int, int]:
@@ -142,7 +145,9 @@ class _Steps:
 
     time_s: Floats  # (F,)
     moved_px: Floats  # outward movement, (F-1, sheet), NaN where either position is missing
-    uniform: Floats  # outward movement of each sheet when the whole picture moves by 1 px, (sheet,)
+    # Outward movement of each sheet when the whole picture moves by 1 px, (1 or 2, sheet).  With one side in
+    # view it may also be taken not to move, which is better where all sheets in view slip alike.
+    uniform: Floats
 
 
 def video_slips(tracks: xr.Dataset, *, settings: ClockSettings = ClockSettings()) -> pd.DataFrame:
@@ -175,11 +180,11 @@ def video_slips(tracks: xr.Dataset, *, settings: ClockSettings = ClockSettings()
     .. math:: \Delta x_{nf} = a_f p_n + s_f u_n,
 
     where :math:`p_n` is the pattern, the movement of each sheet in a slip, and :math:`s_f` is a shift of the
-    whole picture (drift, vibration), fitted only if both sides are in view; :math:`u_n = \pm 1` is the side
-    of the sheet. Both are fitted by least squares, weighted by the noise of the sheets. A slip is an
-    :math:`a_f` that exceeds the creep significantly. A slip during an exposure shows as a frame in an
-    intermediate position, which gives its time within the exposure; a slip between two exposures may lie
-    anywhere between them.
+    whole picture (drift, vibration); :math:`u_n = \pm 1` is the side of the sheet. With one side in view the
+    shift is fitted only if that times the slips better. Both are fitted by least squares, weighted by the
+    noise of the sheets. A slip is an :math:`a_f` that exceeds the creep significantly. A slip during an
+    exposure shows as a frame in an intermediate position, which gives its time within the exposure; a slip
+    between two exposures may lie anywhere between them.
     """
     steps = _steps(tracks, settings.least_sheets)
     n = np.asarray(tracks["n"].values, np.float64)
@@ -219,7 +224,7 @@ def _steps(tracks: xr.Dataset, least_sheets: float) -> _Steps:
         raise InputError(about, "at least 3 frames with sheets and rising times", f"{len(good)}")
     moved = np.diff(x[good], axis=0) * side
     two_sided = bool((side < 0).any() and (side > 0).any())
-    return _Steps(time[good], moved, side if two_sided else np.zeros_like(side))
+    return _Steps(time[good], moved, side[None] if two_sided else np.stack([np.zeros_like(side), side]))
 
 
 def _noise(moved_px: Floats) -> Floats:
@@ -234,15 +239,23 @@ def _noise(moved_px: Floats) -> Floats:
 def _common_movement(steps: _Steps, pattern: Floats, noise: Floats) -> tuple[Floats, Floats, float]:
     """Size of the pattern in each movement above the creep, its standard error, (F-1,) each, and the creep.
 
-    A uniform shift of all sheets is fitted at the same time.
+    A uniform shift of all sheets is fitted at the same time; with one side in view, if the error is smaller.
     """
+    fits = [_fit_pattern(steps, pattern, uniform, noise) for uniform in steps.uniform]
+    return min(fits, key=lambda fit: float(np.median(fit[1])))
+
+
+def _fit_pattern(
+    steps: _Steps, pattern: Floats, uniform: Floats, noise: Floats
+) -> tuple[Floats, Floats, float]:
+    """The result of `_common_movement` for this shift of the sheets, (sheet,)."""
     known = np.isfinite(steps.moved_px)
     # Sums over the sheets of products of the pattern (p), the uniform shift (u) and the movement (m).
-    weighted_p, weighted_u = np.stack([pattern, steps.uniform]) / noise**2
-    products = np.stack([weighted_p * pattern, weighted_p * steps.uniform, weighted_u * steps.uniform])
+    weighted_p, weighted_u = np.stack([pattern, uniform]) / noise**2
+    products = np.stack([weighted_p * pattern, weighted_p * uniform, weighted_u * uniform])
     pp, pu, uu = products @ known.T
     pm, um = np.stack([weighted_p, weighted_u]) @ np.where(known, steps.moved_px, 0.0).T
-    # With one sheet, or one side in view, the two are not separable: all movement counts as the pattern.
+    # With one sheet, or without a shift, all movement counts as the pattern.
     separable = pp * uu - pu**2 > 1e-6 * pp * uu
     with np.errstate(divide="ignore", invalid="ignore"):
         size = np.where(separable, (uu * pm - pu * um) / (pp * uu - pu**2), pm / pp)

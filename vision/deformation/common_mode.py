@@ -178,8 +178,7 @@ class BothSides:
         of_sheet = np.zeros_like(coefficient)
         of_sheet[:, self.left] = of_sheet[:, self.right] = share
         random = np.divide(1, total, out=np.zeros_like(total), where=total > 0)
-        systematic = np.hypot(pair.common_asymmetry(value, weight), sides_err)
-        systematic = systematic * (share * pair.step).sum(axis=1)
+        systematic = sides_err * (share * pair.step).sum(axis=1)
         shift, shift_err = self._constant_correction(value, random, share, all_pairs) if slow else (0.0, 0.0)
         return Drift(value + shift, np.sqrt(random + systematic**2 + shift_err**2), of_sheet)
 
@@ -251,12 +250,6 @@ class _Pairs:
         excess = (self.middle - value[:, None]) ** 2 - self.noise * (1 - share)
         steps = max(float((self.step[self.quiet] ** 2).sum()), 1e-18)
         return float(np.sqrt(max(float(excess[self.quiet].sum()), 0.0) / steps))
-
-    def common_asymmetry(self, value: Floats, weight: Floats) -> float:
-        """Mean asymmetry with its sign, as a share of the creep."""
-        weight = weight * self.quiet
-        steps = max(float((weight * self.step**2).sum()), 1e-18)
-        return float((weight * self.step * (self.middle - value[:, None])).sum()) / steps
 
 
 def _missing_sheets(middle_px: Floats, outwards: Ints) -> Ints:

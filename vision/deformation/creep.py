@@ -376,20 +376,17 @@ class Noise:
     excess: Floats  # factor, at least 1, by which the residuals of a stick exceed noise_px, (stick, sheet)
 
 
-def measure_noise(
-    x_px: Floats, frames: StickFrames, terms: int, predicted_px: Floats, settings: DeformationSettings
-) -> Noise:
+def measure_noise(x_px: Floats, frames: StickFrames, terms: int, settings: DeformationSettings) -> Noise:
     """Measure the noise and its autocorrelation from the residuals of a parabola or cubic in each stick.
 
-    x_px: positions without vibration, (F, sheet), NaN where there is none.  predicted_px: their standard
-    errors as stated by the subpixel fit, (sheet,), NaN where unknown.  Sticks with uneven residuals (a sheet
-    that slipped by itself) are left out.
+    x_px: positions without vibration, (F, sheet), NaN where there is none.  Sticks with uneven residuals (a
+    sheet that slipped by itself) are left out.
     """
     white = fit_creep(x_px, frames, terms, settings)
     even = (white.dof > 0) & ~_uneven(white.square, white.dof, _typical_variance(white), settings)
     correlation = _fit_correlation(x_px, frames, terms, even, settings)
     creep = fit_creep(x_px, frames, terms, settings, correlation)
-    variance = _variance(np.where(even, creep.square, 0.0), creep.dof * even, predicted_px, settings)
+    variance = _variance(np.where(even, creep.square, 0.0), creep.dof * even, settings)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.where(creep.dof > 0, creep.square / creep.dof / variance, 1.0)
     uneven = _uneven(ratio * creep.dof, creep.dof, np.ones(variance.size), settings)
@@ -462,16 +459,12 @@ def _uneven(square: Floats, dof: Ints, variance: Floats, settings: DeformationSe
     return np.asarray(square / variance * fewer / np.maximum(dof, 1) > limit)
 
 
-def _variance(square: Floats, dof: Ints, predicted_px: Floats, settings: DeformationSettings) -> Floats:
-    """Noise variance of each sheet: the mean of that of its residuals and of the predicted one, which is
-    scaled by the ratio of the two over all sheets."""
+def _variance(square: Floats, dof: Ints, settings: DeformationSettings) -> Floats:
+    """Noise variance of each sheet, px², from its residuals and, with a small weight, those of all sheets."""
     measured, weight = square.sum(axis=0), dof.sum(axis=0)
-    predicted = predicted_px**2
-    middle = float(nan_median(predicted))
-    shape = np.where(np.isfinite(predicted), predicted, middle if middle > 0 else 1.0)
-    prior = shape * measured.sum() / max(float((weight * shape).sum()), 1e-300)
-    both = (measured + settings.predicted_dof * prior) / (weight + settings.predicted_dof)
-    return np.asarray(np.maximum(both, _LEAST_VARIANCE_PX2))
+    common = measured.sum() / max(weight.sum(), 1)
+    each = (measured + settings.common_dof * common) / (weight + settings.common_dof)
+    return np.asarray(np.maximum(each, _LEAST_VARIANCE_PX2))
 
 
 # --- fixed-pattern error ------------------------------------------------------------------------------------

@@ -245,7 +245,8 @@ def _inside(sticks: pd.DataFrame, time_s: Floats, interval_s: float, source: str
 def _uninterrupted(
     events: pd.DataFrame, slip_s: Floats, settings: DeformationSettings, source: str
 ) -> pd.DataFrame:
-    """Stick phases without those that contain a slip of the film that the force lacks (`slip_s`).
+    """Stick phases without those that contain a slip of the film that the force lacks (`slip_s`), or in
+    which the machine paused.
 
     A slip near either end of a stick is the one between two sticks, timed differently.
     """
@@ -253,6 +254,10 @@ def _uninterrupted(
     part = (slip_s - start) / (stop - start)
     end = settings.slip_near_end
     whole: Bools = ~((part > end) & (part < 1 - end)).any(axis=1)
+    length, length_err = _lengths(events)
+    fastest = (length + 3 * np.nan_to_num(length_err)) / (stop - start)[:, 0]
+    usual = pd.Series(length / (stop - start)[:, 0]).rolling(5, center=True, min_periods=1).median()
+    whole &= ~(fastest < settings.least_speed * usual.to_numpy())  # also where a length is unknown
     if not whole.any():
         found = "slips of the film within all of them"
         raise InputError(source, "stick phases in which the sheets do not slip", found, "check `offset_s`")
@@ -265,19 +270,16 @@ class _Sheets:
 
     side: Ints
     n: Ints
-    predicted_px: Floats  # stated error of a position, px, NaN if none
     locking: Floats  # pixel-locking slope
     pictured: bool  # whether the positions were measured in a picture, with the errors of unequal pixels
 
     @classmethod
     def of(cls, tracks: xr.Dataset) -> _Sheets:
         x_px = np.asarray(tracks["x_px"].values, float)
-        error_px = np.full_like(x_px, np.nan)
-        if "x_err_px" in tracks:
-            error_px = np.asarray(tracks["x_err_px"].values, float)
-        fit = TrackMetadata.of(tracks).fit
-        locking = pixel_locking_slope(x_px, error_px) if fit == "paper" else np.zeros(x_px.shape[1])
-        return cls(tracks["side"].values, tracks["n"].values, nan_median(error_px), locking, fit != "unknown")
+        fit, locking = TrackMetadata.of(tracks).fit, np.zeros(x_px.shape[1])
+        if fit == "paper" and "x_err_px" in tracks:
+            locking = pixel_locking_slope(x_px, np.asarray(tracks["x_err_px"].values, float))
+        return cls(tracks["side"].values, tracks["n"].values, locking, fit != "unknown")
 
 
 # --- measurement --------------------------------------------------------------------------------------------
@@ -318,7 +320,7 @@ def _measure(
     steady = unlocked - vibration[:, None]
     slips = find_late_slips(steady, frames, settings)
     steady = np.where(slips.outside, np.nan, steady)
-    noise = measure_noise(steady, frames, terms, sheets.predicted_px, settings)
+    noise = measure_noise(steady, frames, terms, settings)
     line, parabola, close = (fit_creep(steady, frames, k, settings, noise.correlation) for k in (2, 3, terms))
     noise = replace(noise, noise_px=noise.noise_px * np.sqrt(factor))
     errors = ErrorModel(noise, np.zeros(sheets.n.size))
@@ -453,16 +455,21 @@ def _length_errors(events: pd.DataFrame, end_slope: Floats) -> tuple[Floats, Flo
     error of the ratio is therefore only the part by which the pull is unsteady and the part by which the
     sheets creep faster or slower near the ends (`end_slope`).
     """
-    length = events["stick_length_um"].to_numpy(float)
-    if "stick_length_err_um" not in events:
-        return np.zeros(length.shape), np.zeros(length.shape)
-    stated: Floats = np.nan_to_num(events["stick_length_err_um"].to_numpy(float) / length)
+    length, length_err = _lengths(events)
+    stated: Floats = np.nan_to_num(length_err / length)
     sigma = stated * (1 + end_slope)
     if len(length) < LEAST_STEADY:
         return sigma, sigma
     speed = length / (events["t_p_s"] - events["t_v_s"]).to_numpy(float)
     uneven = nan_median(np.abs(speed / nan_median(speed) - 1)) / NORMAL_MEDIAN
     return sigma, np.hypot(np.fmin(stated, uneven), stated * end_slope)
+
+
+def _lengths(events: pd.DataFrame) -> tuple[Floats, Floats]:
+    """Λ_st and its error, µm, (stick,); the error is 0 if none is stated."""
+    length = events["stick_length_um"].to_numpy(float)
+    error = events["stick_length_err_um"] if "stick_length_err_um" in events else np.zeros(length.shape)
+    return length, np.asarray(error, float)
 
 
 def _dataset(

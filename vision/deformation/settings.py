@@ -14,6 +14,11 @@ class DeformationSettings:
     be the one that ends or begins the stick.  Larger measures sticks in which the sheets slip; smaller leaves
     out all sticks if the given clock is slightly wrong (test_motion)."""
 
+    least_speed: float = 0.8
+    """Speed of the machine in a stick, as a fraction of that in the neighbouring ones, below which it paused
+    and the stick is left out.  Larger leaves out sticks of an unsteady pull; smaller measures creep that
+    stands still for part of a stick (test_motion: a machine that pauses)."""
+
     least_cover: float = 0.4
     """Fraction of a stick that its positions must span.  Larger drops sheets that are hidden for part of a
     stick; smaller extrapolates (test_motion: a stick seen only at its start)."""
@@ -57,9 +62,9 @@ class DeformationSettings:
     """Approximate number of positions from which the autocorrelation of the noise is estimated.  More take
     longer; fewer make the stated errors less accurate (test_creep)."""
 
-    predicted_dof: float = 5.0
-    """Weight of the predicted noise of a sheet against its residuals, as degrees of freedom.  It stabilises
-    sheets seen in few frames; larger hides sheets noisier than predicted (test_creep: a noisy sheet)."""
+    common_dof: float = 5.0
+    """Weight of the noise of all sheets against the residuals of one, as degrees of freedom.  It stabilises
+    sheets seen in few frames; larger hides sheets noisier than the others (test_creep: a noisy sheet)."""
 
     uneven_probability: float = 1e-6
     """Probability below which residuals are too large for the sheet's noise.  Larger flags normal sticks

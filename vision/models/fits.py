@@ -443,14 +443,15 @@ def _with_systematics(
     span = max(fits.d_mm[1] - fits.d_mm[0], 1e-9)
 
     def refit(changed: pd.DataFrame, sample: Sample = fits.sample) -> dict[str, float]:
+        stiffness = {"K_N_per_mm": float(changed["K_N_per_mm"].median())}
         try:
             found = _fit_all(changed, sample, free_t_star, held)
         except FAILURES:
-            return dict.fromkeys(PARAMETERS, float("nan"))
-        return {name: one.value for name, one in found.named().items()}
+            return dict.fromkeys(PARAMETERS, float("nan")) | stiffness
+        return {name: one.value for name, one in found.named().items()} | stiffness
 
     def half_difference(plus: Mapping[str, float], minus: Mapping[str, float]) -> dict[str, float | None]:
-        return {name: abs(plus[name] - minus[name]) / 2 for name in PARAMETERS}
+        return {name: abs(plus[name] - minus[name]) / 2 for name in plus}
 
     def shifted(by: float) -> pd.DataFrame:
         return events.assign(d_v_mm=events["d_v_mm"] + by, d_p_mm=events["d_p_mm"] + by)
@@ -460,18 +461,16 @@ def _with_systematics(
         ramp = by * (events["d_p_mm"] - events["d_p_mm"].min()) / span
         return events.assign(F_p_N=events["F_p_N"] + ramp, K_N_per_mm=events["K_N_per_mm"] + by / span)
 
-    unaffected: dict[str, float | None] = {"K_N_per_mm": 0.0, "ratio": 0.0}
-    unknown: dict[str, float | None] = dict.fromkeys((*PARAMETERS, "K_N_per_mm", "ratio"))
-    budget = {"d0": unknown}
+    budget: dict[str, dict[str, float | None]] = {"d0": dict.fromkeys((*PARAMETERS, "K_N_per_mm"))}
     if np.isfinite(d0_err):
-        budget["d0"] = half_difference(refit(shifted(d0_err)), refit(shifted(-d0_err))) | unaffected
+        budget["d0"] = half_difference(refit(shifted(d0_err)), refit(shifted(-d0_err)))
     by_drift = half_difference(refit(drifted(drift)), refit(drifted(-drift)))
-    budget["load_drift"] = by_drift | {"T0_N": drift, "K_N_per_mm": drift / span, "ratio": 0.0}
+    budget["load_drift"] = by_drift | {"T0_N": drift}
     budget |= _unresolved_valleys(fits, force, events, lowpass)
     for name, error in geometry.items():
         value = getattr(fits.sample, name)
         larger, smaller = (replace(fits.sample, **{name: value + by}) for by in (error, -error))
-        budget[name] = half_difference(refit(events, larger), refit(events, smaller)) | unaffected
+        budget[name] = half_difference(refit(events, larger), refit(events, smaller))
 
     def systematic(name: str, estimate: Estimate) -> Estimate:
         parts = [part for source in budget.values() if (part := source[name]) is not None]
@@ -485,7 +484,7 @@ def _unresolved_valleys(
     fits: ModelFits, force: xr.Dataset, events: pd.DataFrame, lowpass: Mapping[str, float]
 ) -> dict[str, dict[str, float | None]]:
     """Part of the budget from valleys that the low-pass and the sampling make too shallow."""
-    none: dict[str, float | None] = dict.fromkeys((*PARAMETERS, "K_N_per_mm", "ratio"), 0.0)
+    none: dict[str, float | None] = dict.fromkeys((*PARAMETERS, "K_N_per_mm"), 0.0)
     by_sampling = _drop_lost_by_sampling(force, events)
     if not any(lowpass.values()):
         return {"sampling": none | {"A": abs(fits.amplitude.value * by_sampling)}} if by_sampling else {}

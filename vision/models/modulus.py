@@ -291,24 +291,17 @@ def clamp_distance(
 ) -> Floats:
     """Δ in mm of every sample as in `measure_cycles`, without the correction for the machine."""
     crosshead = force["crosshead_mm"].values.astype(float)
-    known = crosshead[np.isfinite(crosshead)]
-    how = _origin(known, sheet, clamp_distance_mm)
-    return np.asarray(crosshead + _shift(how, float(known[0]), sheet, clamp_distance_mm))
+    _, shift = _origin(crosshead[np.isfinite(crosshead)], sheet, clamp_distance_mm)
+    return np.asarray(crosshead + shift)
 
 
-def _origin(crosshead: Floats, sheet: Sample, clamp_distance_mm: float | None) -> str:
-    """Source of Δ: "given", "column" or "length", as in `CyclesMetadata`."""
+def _origin(crosshead: Floats, sheet: Sample, clamp_distance_mm: float | None) -> tuple[str, float]:
+    """Source of Δ as in `CyclesMetadata`, and Δ minus the displacement, mm."""
     if clamp_distance_mm is not None:
         check_positive(clamp_distance_mm=clamp_distance_mm)
-        return "given"
-    return "column" if abs(float(np.median(crosshead)) - sheet.length_mm) < sheet.length_mm / 2 else "length"
-
-
-def _shift(how: str, first_mm: float, sheet: Sample, clamp_distance_mm: float | None) -> float:
-    """Difference between Δ and the displacement, mm."""
-    if clamp_distance_mm is not None:
-        return clamp_distance_mm - first_mm
-    return 0.0 if how == "column" else sheet.length_mm
+        return "given", clamp_distance_mm - float(crosshead[0])
+    recorded = abs(float(np.median(crosshead)) - sheet.length_mm) < sheet.length_mm / 2
+    return ("column", 0.0) if recorded else ("length", sheet.length_mm)
 
 
 @dataclass(frozen=True)
@@ -375,8 +368,8 @@ def _clean(
     time, crosshead, load = time[usable], crosshead[usable], load[usable]
     if time.size < 5:
         raise InputError(source, "samples with time, displacement and load", f"{time.size}")
-    how = _origin(crosshead, sheet, clamp_distance_mm)
-    delta = crosshead + _shift(how, float(crosshead[0]), sheet, clamp_distance_mm)
+    how, shift = _origin(crosshead, sheet, clamp_distance_mm)
+    delta = crosshead + shift
     notes = [_ORIGINS[how].format(length=sheet.length_mm)] if how != "given" else []
     facts = CyclesMetadata(source=source, clamp_distance_from=how, notes=notes, warnings=warnings)
     turns = turning_points(delta, settings=settings)
