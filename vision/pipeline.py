@@ -579,7 +579,7 @@ def _warnings(found: Analysis, reasons: Mapping[str, str]) -> tuple[str, ...]:
         # The models need d0 and a force in newtons; without them, no fits are expected.
         has_d0 = math.isfinite(ForceMetadata.of(found.force).d0_mm)
         if "fits" in reasons and has_d0 and found.force["load_N"].attrs["units"] == "N":
-            lines.append(f"no model fits: {reasons['fits'].removeprefix('model fits: ')}")
+            lines.append(f"no model fits: {reasons['fits']}")
     lines += found.fits.warnings if found.fits else ()
     lines += found.clock.warnings if found.clock else ()
     lines += shells_against_fits(found.shells, found.fits, found.settings.tuning.shells)

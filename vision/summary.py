@@ -54,7 +54,7 @@ def summary_lines(results: Results) -> list[str]:
         lines.append(f"models     μ {mu}, A {a}, N̂ {n_hat} N")
         lines += [f"           {note}" for note in fits.notes]
     elif reason := results.reasons.get("fits"):
-        lines.append(f"models     none: {reason.removeprefix('model fits: ')}")
+        lines.append(f"models     none: {reason}")
     if results.clock is not None:
         lines.append(f"clocks     {_clocks(results.clock)}")
     if results.shells is not None and results.motion is not None:

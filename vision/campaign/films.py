@@ -18,8 +18,8 @@ from vision.comparison.runs import ALIKE, COLUMNS, LIMITS, table_cells
 from vision.errors import InputError
 from vision.files import Stamp, shortened
 from vision.video import open_video, video_files
-from vision.video.raw import PIXELS
 from vision.video.threads import answered
+from vision.video.video import FILMS
 
 # --- the table ----------------------------------------------------------------------------------------------
 
@@ -250,9 +250,6 @@ def _twice(row: Row, first: Row) -> str:
 # --- a folder that is watched -------------------------------------------------------------------------------
 
 
-FILMS = {".avi", ".mp4", ".m4v", ".mkv", ".mov", ".cine", PIXELS, ".tif", ".tiff"}
-
-
 class FolderWatch:
     """Finds the complete films of a folder, without its subfolders.
 
@@ -282,7 +279,9 @@ class FolderWatch:
 
     def films(self) -> list[Path]:
         """Return every film in the folder, complete or not, in order of their names."""
-        files = [file for file in sorted(self.folder.iterdir()) if file.suffix.lower() in FILMS]
+        files = [
+            file for file in sorted(self.folder.iterdir()) if file.suffix.lower() in {*FILMS, ".tif", ".tiff"}
+        ]
         return [file for file in files if not file.name.startswith(".") and file.is_file()]
 
     def complete(self, film: Path) -> bool:

@@ -95,7 +95,7 @@ def _plain(name: str, value: Any) -> Any:
 def read_config(path: Path) -> dict[str, Any]:
     """Read options from a TOML file and parse them as if they were typed.
 
-    Keys are the long names with hyphens or underscores. Options of the sample may stand in a table
+    Keys are the long names with hyphens or underscores. Options of the sample may be in a table
     ``[sample]``.
     """
     wanted = "a TOML file of options"

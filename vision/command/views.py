@@ -26,7 +26,7 @@ from vision.command.settings import (
     parse_sheets,
     settings_of,
 )
-from vision.command.track import command_line, run_name
+from vision.command.track import command_line, one_film, run_name
 from vision.comparison import compare as compare_runs
 from vision.comparison import write_comparison
 from vision.comparison.comparison import MARK, answers
@@ -82,7 +82,7 @@ class Preview:
 
 def preview(video: Path, reading: VideoOptions, config: Path | None, output: OutputOptions) -> int:
     """Write the picture of a preview, print its summary, and return the exit status."""
-    settings = settings_of(merged(reading, config=config))
+    video, settings = one_film(video), settings_of(merged(reading, config=config))
     target = output.out or Path(f"{run_name(video)}_preview.png")
     if output.out is not None:
         check_new(target, overwrite=output.overwrite)
@@ -174,6 +174,7 @@ def kymograph(
     """Write space-time diagrams of a video or of a run, and return the exit status."""
     started = time.perf_counter()
     options = _space_time_options(window)
+    video_or_run = one_film(video_or_run)
     target = output.out or Path(f"{run_name(video_or_run)}_kymograph")
     check_target(target, overwrite=output.overwrite)
     check_mark(target, DIAGRAMS)
