@@ -26,8 +26,8 @@ from vision.clock import Clock, ClockSettings, synchronise
 from vision.data import ForceMetadata, StripMetadata, warnings_of
 from vision.deformation import DeformationSettings, horizontal_deformation
 from vision.errors import InputError, known_as
-from vision.escaping import html_table
 from vision.figures.catalogue import Plots, Results, figure_named
+from vision.files import html_table
 from vision.force import ForceSettings, find_stick_slip, read_force
 from vision.models import ModelFits, fit_models
 from vision.models.modulus import cycles_seen

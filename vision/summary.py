@@ -11,7 +11,7 @@ import pandas as pd
 import xarray as xr
 
 from vision.data import StickMetadata, StripMetadata, TrackMetadata
-from vision.figures.labels import both_errors, candidates_text, drift_text, offset_text
+from vision.figures.style import both_errors, candidates_text, drift_text, offset_text
 from vision.models.equations import effective_sheets
 from vision.numeric import Pixels, nan_median
 from vision.sample import Sample

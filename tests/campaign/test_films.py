@@ -6,8 +6,7 @@ import pytest
 
 from tests.campaign.scenes import films, table
 from tests.scenes.comb_video import frames_of, positions, write_video
-from vision.campaign.films import FolderWatch, Row, read_campaign, safe_name
-from vision.campaign.settings import CampaignSettings
+from vision.campaign.films import CampaignSettings, FolderWatch, Row, read_campaign, safe_name
 from vision.command.campaign import _checker
 from vision.command.main import run
 from vision.command.options import option_fields

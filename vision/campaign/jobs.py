@@ -25,10 +25,9 @@ from typing import Literal
 
 from PIL import Image
 
-from vision.campaign.films import is_remote
+from vision.campaign.films import CampaignSettings, is_remote
 from vision.campaign.plan import PLAN, Plan, PlannedFilm, State, Word, inputs_of, write_plan, write_state
 from vision.campaign.results import page_age, write_page, write_partitions
-from vision.campaign.settings import CampaignSettings
 from vision.errors import InputError
 from vision.files import shortened
 from vision.pipeline import Analysis

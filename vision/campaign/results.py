@@ -23,7 +23,7 @@ from vision.campaign.plan import FINISHED, Plan, PlannedFilm, State
 from vision.comparison import compare, write_comparison
 from vision.comparison.runs import COLUMNS, LIMITS
 from vision.errors import InputError
-from vision.figures.labels import counted
+from vision.figures.style import counted
 from vision.files import reading
 from vision.pipeline import Analysis
 from vision.run import Origin, whole_file, write_json

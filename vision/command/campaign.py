@@ -31,7 +31,7 @@ from vision.command.options import GROUPS, CampaignOptions, RunOptions, option_f
 from vision.command.settings import merged, number, parse_option, read_config, settings_of
 from vision.command.track import REFUSED, command_line, run_name, track_one
 from vision.errors import InputError, with_options
-from vision.figures.labels import counted
+from vision.figures.style import counted
 from vision.run import Parameter
 from vision.video.threads import usable_cores
 

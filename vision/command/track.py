@@ -24,7 +24,7 @@ from vision.command.review import keep_first_view
 from vision.command.settings import merged, settings_of
 from vision.data import StripMetadata
 from vision.errors import InputError
-from vision.figures.labels import counted
+from vision.figures.style import counted
 from vision.pipeline import Analysis, Settings, analyse, track_strip
 from vision.run import (
     FAILURES,

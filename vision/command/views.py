@@ -33,7 +33,7 @@ from vision.comparison.comparison import MARK, answers
 from vision.data import StripMetadata, TrackMetadata, warnings_of
 from vision.errors import InputError
 from vision.figures import kymograph_figure, load_figures, preview_figure, sides_known, slip_times
-from vision.figures.labels import counted
+from vision.figures.style import counted
 from vision.files import reading as reading_of
 from vision.numeric import Floats, Ints, Pixels
 from vision.pipeline import Settings, analyse, open_recording, track_strip

@@ -15,8 +15,7 @@ from vision.comparison.trends import SYMBOLS, Trend
 from vision.errors import InputError
 from vision.figures.figure import Figure, Panel, Range, Series, load_figures
 from vision.figures.force import amplitude_curve, stiffness_curves
-from vision.figures.labels import from_zero, plus_minus
-from vision.figures.style import DATA, MODEL, PEAK, QUIET, VALLEY, ordered_inks
+from vision.figures.style import DATA, MODEL, PEAK, QUIET, VALLEY, from_zero, ordered_inks, plus_minus
 from vision.models import Estimate, equations
 from vision.numeric import Floats
 

@@ -24,8 +24,7 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from vision.figures.figure import Arrow, Band, Figure, Image, Panel, Series
-from vision.figures.labels import to_mathtext
-from vision.figures.style import CASING, HIGHLIGHT, MISSING, MODEL, QUIET
+from vision.figures.style import CASING, HIGHLIGHT, MISSING, MODEL, QUIET, to_mathtext
 from vision.numeric import Bools, Floats
 
 MOST_LINES = 40  # marked times that get a line across; more are marked only at the edges

@@ -13,8 +13,7 @@ from typing import Literal
 import numpy as np
 
 from vision.errors import InputError
-from vision.escaping import html_table
-from vision.files import Stamp, check_pixels, check_regular, reading
+from vision.files import Stamp, check_pixels, check_regular, html_table, reading
 from vision.numeric import Floats, Ints, Pixels
 from vision.video.raw import PIXELS, is_photron, open_raw, photron_files
 from vision.video.reader import SECONDS, Block, Facts, Reader
