@@ -42,8 +42,9 @@ def campaign(table: Path | None, options: CampaignOptions) -> int:
     if named is None:
         wanted = "a table of tests, or a folder to watch"
         raise InputError("TABLE.csv", wanted, "none", "track campaign --help")
-    number(options.cores, "--cores", least=1)
-    number(options.idle, "--idle", least=0)
+    for value, option, least in ((options.cores, "--cores", 1), (options.idle, "--idle", 0)):
+        if value is not None:
+            number(value, option, least)
     target = options.out or Path(f"{run_name(named)}_campaign")
     check_folder(target)
     check = _checker(options.config)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -139,48 +139,48 @@ def parse_option(source: Path, name: str, value: Any) -> Any:
 def settings_of(parameters: Mapping[str, Parameter]) -> Settings:
     """Return the pipeline's settings.  Raises: InputError for values that are invalid for any recording."""
     value = {name: parameter.value for name, parameter in parameters.items()}
-    columns, corrections = value.get("force_columns"), value.get("corrections")
     sizes = {name: parse_with_error(value.get(option), flag_of(option)) for name, option in _GEOMETRY.items()}
     d0_mm, d0_err_mm = parse_with_error(value.get("d0"), "--d0")
 
-    def from_(least: float, name: str, *, whole: bool = False) -> Any:
-        return number(value.get(name), flag_of(name), least=least, whole=whole)
+    def given(name: str, parse: Callable[..., Any], *how: Any) -> Any:
+        """Parse an option, unless it is not given."""
+        return None if value.get(name) is None else parse(value[name], flag_of(name), *how)
 
     sample = Sample(
         sheets_per_block=value.get("sheets_per_block", PUBLISHED.sheets_per_block),
         **{name: size for name, (size, _) in sizes.items() if size is not None},
     )
-    given = any(parameters[name].how != "default" for name in _SAMPLE if name in parameters)
+    stated = any(parameters[name].how != "default" for name in _SAMPLE if name in parameters)
     parts = {
-        "rows": parse_range(value.get("strip"), "--strip"),
-        "columns": parse_range(value.get("columns"), "--columns"),
+        "rows": given("strip", parse_range),
+        "columns": given("columns", parse_range),
         "rotate": value.get("rotate"),
-        "frames": parse_range(value.get("frames"), "--frames"),
-        "fps": from_(1e-9, "fps"),
+        "frames": given("frames", parse_range),
+        "fps": given("fps", number, 1e-9),
         "timestamps": value.get("timestamps"),
         "ridges": value.get("ridges"),
-        "sheets": from_(1, "sheets", whole=True),
-        "strips": from_(2, "strips", whole=True),
-        "axis_px": from_(-1e6, "axis"),
+        "sheets": given("sheets", number, 1, "a whole number"),
+        "strips": given("strips", number, 2, "a whole number"),
+        "axis_px": given("axis", number, -1e6),
         "fit": value.get("fit"),
-        "window_px": parse_window(value.get("window")),
-        "corrections": read_corrections(corrections) if corrections else None,
+        "window_px": given("window", parse_window),
+        "corrections": given("corrections", lambda file, _: read_corrections(file)),
         "pixel_size_um": value.get("pixel_size"),
-        "pitch_um": parse_pitch(value.get("pitch")),
-        "speed_mm_min": from_(1e-9, "speed"),
+        "pitch_um": given("pitch", parse_pitch),
+        "speed_mm_min": given("speed", number, 1e-9),
         "d0_mm": d0_mm,
         "d0_err_mm": d0_err_mm,
-        "force_columns": parse_columns(columns) if columns else None,
-        "force_threshold_N": from_(0, "force_threshold"),
-        "force_lowpass_s": parse_lowpass(value.get("force_lowpass")),
-        "fit_range_mm": parse_mm_range(value.get("fit_range"), "--fit-range"),
-        "mu": from_(1e-9, "fix_mu"),
-        "modulus_GPa": from_(1e-9, "fix_yeff"),
-        "machine_stiffness_N_per_mm": from_(1e-9, "machine_stiffness"),
-        "offset_s": from_(-1e12, "offset"),
-        "threshold": from_(1e-6, "threshold"),
+        "force_columns": given("force_columns", lambda text, _: parse_columns(text)),
+        "force_threshold_N": given("force_threshold", number, 0),
+        "force_lowpass_s": given("force_lowpass", parse_lowpass),
+        "fit_range_mm": given("fit_range", parse_mm_range),
+        "mu": given("fix_mu", number, 1e-9),
+        "modulus_GPa": given("fix_yeff", number, 1e-9),
+        "machine_stiffness_N_per_mm": given("machine_stiffness", number, 1e-9),
+        "offset_s": given("offset", number, -1e12),
+        "threshold": given("threshold", number, 1e-6),
         "common_mode": value.get("common_mode") != "off",
-        "sample": sample if given else None,
+        "sample": sample if stated else None,
         "geometry_err": {name: error for name, (_, error) in sizes.items() if error is not None},
     }
     return Settings(**{name: part for name, part in parts.items() if part is not None})
@@ -224,13 +224,13 @@ def parse_with_error(text: str | float | None, option: str) -> tuple[float | Non
     return parts[0], parts[1] if sign else None
 
 
-def parse_lowpass(text: str | float | None) -> float | Literal["auto"] | None:
+def parse_lowpass(text: str | float, option: str) -> float | Literal["auto"]:
     """Parse a number of seconds from 0, or "auto".  Raises: InputError."""
-    if text is None or text == "auto":
-        return None if text is None else "auto"
+    if text == "auto":
+        return "auto"
     value = _float(str(text))
     if not 0 <= value < math.inf:
-        raise InputError("--force-lowpass", "seconds from 0, or auto", f"'{text}'")
+        raise InputError(option, "seconds from 0, or auto", f"'{text}'")
     return value
 
 
@@ -245,27 +245,23 @@ def parse_pair(
     return low, high
 
 
-def parse_mm_range(text: str | None, option: str) -> tuple[float, float] | None:
+def parse_mm_range(text: str, option: str) -> tuple[float, float]:
     """Parse `A:B` in mm.  Raises: InputError."""
-    wanted = "two separations in mm A:B with A < B"
-    return None if text is None else parse_pair(text, option, wanted, advice="write 13.2:17")
+    return parse_pair(text, option, "two separations in mm A:B with A < B", advice="write 13.2:17")
 
 
-def parse_window(text: str | None) -> int | Literal["auto"] | None:
+def parse_window(text: str, option: str) -> int | Literal["auto"]:
     """Parse a number of pixels, or "auto".  Raises: InputError."""
-    if text is None or text == "auto":
-        return None if text is None else "auto"
+    if text == "auto":
+        return "auto"
     if not re.fullmatch(r"[0-9]{1,9}", text):
-        raise InputError("--window", "an odd number of pixels, or auto", f"'{text}'")
+        raise InputError(option, "an odd number of pixels, or auto", f"'{text}'")
     return int(text)
 
 
-def number(value: float | None, option: str, *, least: float, whole: bool = False) -> Any:
-    """Return the number unchanged if it is None or not below `least`.  Raises: InputError."""
-    if value is None:
-        return None
+def number(value: float, option: str, least: float, kind: str = "a number") -> float:
+    """Return the number unchanged if it is not below `least`.  Raises: InputError."""
     if not (least <= value < math.inf):
-        kind = "a whole number" if whole else "a number"
         raise InputError(option, f"{kind} from {least:g}", f"'{value}'")
     return value
 
@@ -297,13 +293,11 @@ def parse_scale(text: str | None) -> float | None:
     return size
 
 
-def parse_pitch(text: str | None) -> float | None:
+def parse_pitch(text: str, option: str) -> float:
     """Return the distance of neighbouring sheets in µm from a length: 0.2mm.  Raises: InputError."""
-    if text is None:
-        return None
-    length = parse_length(text, "--pitch")
+    length = parse_length(text, option)
     if "width_um" not in length:
-        raise InputError("--pitch", "a length in mm or µm", f"'{text}'", "write 0.2mm")
+        raise InputError(option, "a length in mm or µm", f"'{text}'", "write 0.2mm")
     return length["width_um"]
 
 
