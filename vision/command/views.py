@@ -57,7 +57,16 @@ from vision.sheets import pixel_size_from_pitch
 from vision.sheets.ridges import describe_ridges, find_ridges
 from vision.sheets.tracks import LOSSY
 from vision.spacetime import space_time
-from vision.summary import flag_counts, frame_times, noise_figures, overexposure, tracking_warnings
+from vision.summary import (
+    flag_counts,
+    frame_times,
+    noise_figures,
+    other_flags,
+    overexposure,
+    ridges_line,
+    scale_line,
+    tracking_warnings,
+)
 from vision.video import Video, reference_frame, strip_profile, video_files
 from vision.video.strip import row_means
 from vision.video.strip_find import choose_strip
@@ -128,10 +137,8 @@ def preview_summary(found: Preview, pixel_size_um: float | None) -> list[str]:
     length = "" if pixel_size_um is None else f" = {noise['stated_um']:.3f} µm"
     tilt = "tilt not measured" if math.isnan(strip.tilt_deg) else f"tilt {strip.tilt_deg:+.2f}°"
     flags = flag_counts(found.tracks)
-    other = ", ".join(f"{n} {name}" for name, n in flags.items() if name != "ok") or "none missing"
     low, high = int(found.ridge_counts.min()), int(found.ridge_counts.max())
     counted = f"{low}" if low == high else f"{low} to {high}"
-    scale = "px: give `pixel_size_um` for µm" if pixel_size_um is None else f"{pixel_size_um:g} µm per px"
     frames, left = found.tracks.sizes["frame"], int((found.tracks["side"] < 0).sum())
     sides = f" ({left} left, {comb.sheets - left} right)" if sides_known(found.tracks) else ""
     hidden = f" (not independent: {strip.codec} hides the noise of the pixels)" * (strip.codec in LOSSY)
@@ -142,13 +149,12 @@ def preview_summary(found: Preview, pixel_size_um: float | None) -> list[str]:
         f"{strip.strip_err_px:.3f} px error from the choice of rows",
         f"sheets     {comb.sheets} {comb.ridges} ridges{sides}; {counted} ridges, sheets or not, in "
         f"{found.ridge_counts.size} frames over the film",
-        f"ridges     {comb.ridge_fwhm_px:.1f} px wide, {comb.pitch_px:.1f} px apart; {comb.fit} fit over "
-        f"{comb.window_px} px",
+        ridges_line(comb),
         f"light      ridges {comb.contrast:.3g} grey levels high, profile noise {comb.profile_noise:.2g}",
-        f"positions  {flags.get('ok', 0)} in the first {frames} frames; {other}",
+        f"positions  {flags.get('ok', 0)} in the first {frames} frames; {other_flags(flags)}",
         f"noise      x_err_px {noise['stated_px']:.4f} px{length}; {noise['measured_px']:.4f} px scatter "
         f"between {frames} frames{hidden}",
-        f"scale      {scale}",
+        scale_line(pixel_size_um),
     ]
 
 
