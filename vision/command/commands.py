@@ -44,7 +44,8 @@ def track(
     Parameters
     ----------
     videos
-        One or several: a video file, a TIFF stack, a folder or a quoted glob of numbered images.
+        One or several: a video file, a TIFF stack, a folder of films or of numbered images, or a quoted glob
+        of images. Pictures beside films are left out.
     config
         TOML file with any of these options; the command line takes precedence.
     """

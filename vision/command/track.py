@@ -89,7 +89,7 @@ def films_of(video: Path) -> list[Path]:
 
     A folder often holds pictures of its films, such as those of `track preview`.
     """
-    if is_run(video) or not answered(video.is_dir, video):
+    if not answered(lambda: video.is_dir() and not is_run(video), video):
         return [video]
     files = answered(lambda: [file for file in sorted(video.iterdir()) if file.name[0] != "."], video)
     films = [file for file in files if file.suffix.lower() in FILMS]
