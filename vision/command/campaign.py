@@ -27,7 +27,7 @@ from vision.campaign.plan import (
 )
 from vision.campaign.results import duration, needs_pool, pool, read_remarks, write_page, write_remarks
 from vision.command.console import attempt, complain, in_columns, say
-from vision.command.options import GROUPS, CampaignOptions, RunOptions, option_fields, option_names
+from vision.command.options import GROUPS, SETTINGS, CampaignOptions, RunOptions, option_names
 from vision.command.settings import merged, number, parse_option, read_config, settings_of
 from vision.command.track import REFUSED, command_line, run_name, track_one
 from vision.errors import InputError, with_options
@@ -140,7 +140,7 @@ def _merged(values: Mapping[str, Any], config: Path | None = None) -> dict[str, 
 def _read(table: Path, check: Check, awaited: Path | None) -> list[Row]:
     """Return the table's rows.  Raises: InputError, after printing every problem of every row."""
     rows, problems = read_campaign(
-        table, options=option_fields(), check=check, name_of=run_name, awaited=awaited
+        table, options=list(SETTINGS), check=check, name_of=run_name, awaited=awaited
     )
     if problems:
         rows_shown = [("row", "column", "problem"), *((str(p.row), p.column, p.text) for p in problems)]

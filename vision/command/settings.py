@@ -6,12 +6,13 @@ import math
 import re
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
 from cyclopts import App, CycloptsError
 
-from vision.command.options import GROUPS, flag_of, option_fields
+from vision.command.options import GROUPS, SETTINGS, flag_of
 from vision.errors import InputError
 from vision.files import check_regular, reading, shortened
 from vision.force import parse_columns
@@ -23,7 +24,7 @@ from vision.sheets import read_corrections
 from vision.spacetime import Sheet
 
 UM_PER = {"mm": 1000.0, "um": 1.0, "µm": 1.0, "μm": 1.0}  # micro sign and Greek mu
-_GEOMETRY = {"thickness_mm": "thickness", "width_mm": "width", "length_mm": "length", "t_star_N": "t_star"}
+_GEOMETRY = {SETTINGS[name]: name for name in ("thickness", "width", "length", "t_star")}
 _SAMPLE = ("sheets_per_block", *_GEOMETRY.values())
 _WITH_ERROR = ("d0", "force_lowpass", *_GEOMETRY.values())
 MOST_UM_PER_PX = 1000.0  # a larger size is a mistyped unit: such a picture would not show sheets
@@ -118,9 +119,8 @@ def parse_option(source: Path, name: str, value: Any) -> Any:
     source: the TOML file or table that holds it.  name: the option, with underscores.
     Raises: InputError for an unknown option, or a value that it does not accept.
     """
-    known = option_fields()
-    if name not in known:
-        raise InputError(source, f"options of track ({', '.join(known)})", f"'{name}'")
+    if name not in SETTINGS:
+        raise InputError(source, f"options of track ({', '.join(SETTINGS)})", f"'{name}'")
     if not isinstance(value, str | int | float) or isinstance(value, bool):
         raise InputError(source, f"one value for '{name}'", f"a {type(value).__name__}")
     app = App(help_flags=(), version_flags=())
@@ -134,66 +134,6 @@ def parse_option(source: Path, name: str, value: Any) -> Any:
         found = shortened(repr(value))
         raise InputError(source, f"a value for '{name}' as on the command line", found) from error
     return getattr(options, name)
-
-
-def settings_of(parameters: Mapping[str, Parameter]) -> Settings:
-    """Return the pipeline's settings.  Raises: InputError for values that are invalid for any recording."""
-    value = {name: parameter.value for name, parameter in parameters.items()}
-    sizes = {name: parse_with_error(value.get(option), flag_of(option)) for name, option in _GEOMETRY.items()}
-    d0_mm, d0_err_mm = parse_with_error(value.get("d0"), "--d0")
-
-    def given(name: str, parse: Callable[..., Any], *how: Any) -> Any:
-        """Parse an option, unless it is not given."""
-        return None if value.get(name) is None else parse(value[name], flag_of(name), *how)
-
-    sample = Sample(
-        sheets_per_block=value.get("sheets_per_block", PUBLISHED.sheets_per_block),
-        **{name: size for name, (size, _) in sizes.items() if size is not None},
-    )
-    stated = any(parameters[name].how != "default" for name in _SAMPLE if name in parameters)
-    parts = {
-        "rows": given("strip", parse_range),
-        "columns": given("columns", parse_range),
-        "rotate": value.get("rotate"),
-        "frames": given("frames", parse_range),
-        "fps": given("fps", number, 1e-9),
-        "timestamps": value.get("timestamps"),
-        "ridges": value.get("ridges"),
-        "sheets": given("sheets", number, 1, "a whole number"),
-        "strips": given("strips", number, 2, "a whole number"),
-        "axis_px": given("axis", number, -1e6),
-        "fit": value.get("fit"),
-        "window_px": given("window", parse_window),
-        "corrections": given("corrections", lambda file, _: read_corrections(file)),
-        "pixel_size_um": value.get("pixel_size"),
-        "pitch_um": given("pitch", parse_pitch),
-        "speed_mm_min": given("speed", number, 1e-9),
-        "d0_mm": d0_mm,
-        "d0_err_mm": d0_err_mm,
-        "force_columns": given("force_columns", lambda text, _: parse_columns(text)),
-        "force_threshold_N": given("force_threshold", number, 0),
-        "force_lowpass_s": given("force_lowpass", parse_lowpass),
-        "fit_range_mm": given("fit_range", parse_mm_range),
-        "mu": given("fix_mu", number, 1e-9),
-        "modulus_GPa": given("fix_yeff", number, 1e-9),
-        "machine_stiffness_N_per_mm": given("machine_stiffness", number, 1e-9),
-        "offset_s": given("offset", number, -1e12),
-        "threshold": given("threshold", number, 1e-6),
-        "common_mode": value.get("common_mode") != "off",
-        "sample": sample if stated else None,
-        "geometry_err": {name: error for name, (_, error) in sizes.items() if error is not None},
-    }
-    return Settings(**{name: part for name, part in parts.items() if part is not None})
-
-
-def settings_of_run(folder: Path) -> Settings:
-    """Return the settings that a run was made with, without its corrections.
-
-    Raises: InputError for a folder that is no run, or whose run.json is damaged.
-    """
-    parameters = read_run(folder).parameters | {"corrections": Parameter(None, "default")}
-    with reading(folder / "run.json", "the parameters of a run", AGAIN):
-        return settings_of(parameters)
 
 
 def parse_range(text: str | None, option: str) -> slice | None:
@@ -350,3 +290,54 @@ def _float(text: str) -> float:
         return float(text)
     except ValueError:
         return math.nan
+
+
+# --- the pipeline's settings --------------------------------------------------------------------------------
+
+_PARSERS: Mapping[str, Callable[[Any, str], Any]] = {
+    **dict.fromkeys(("strip", "columns", "frames"), parse_range),
+    **dict.fromkeys(("fps", "speed", "fix_mu", "fix_yeff", "machine_stiffness"), partial(number, least=1e-9)),
+    "sheets": partial(number, least=1, kind="a whole number"),
+    "strips": partial(number, least=2, kind="a whole number"),
+    "axis": partial(number, least=-1e6),
+    "window": parse_window,
+    "corrections": lambda file, _: read_corrections(file),
+    "pitch": parse_pitch,
+    "force_columns": lambda text, _: parse_columns(text),
+    "force_threshold": partial(number, least=0),
+    "force_lowpass": parse_lowpass,
+    "fit_range": parse_mm_range,
+    "offset": partial(number, least=-1e12),
+    "threshold": partial(number, least=1e-6),
+    "common_mode": lambda text, _: text != "off",
+}
+"""How the value of an option becomes a setting; the others are settings as they are."""
+
+
+def settings_of(parameters: Mapping[str, Parameter]) -> Settings:
+    """Return the pipeline's settings.  Raises: InputError for values that are invalid for any recording."""
+    value = {name: parameter.value for name, parameter in parameters.items()}
+    parts: dict[str, Any] = {
+        setting: _PARSERS[option](value[option], flag_of(option)) if option in _PARSERS else value[option]
+        for option, setting in SETTINGS.items()
+        if value.get(option) is not None and setting in Settings.__dataclass_fields__
+    }
+    parts["d0_mm"], parts["d0_err_mm"] = parse_with_error(value.get("d0"), "--d0")
+    sizes = {name: parse_with_error(value.get(option), flag_of(option)) for name, option in _GEOMETRY.items()}
+    parts["geometry_err"] = {name: error for name, (_, error) in sizes.items() if error is not None}
+    if any(parameters[name].how != "default" for name in _SAMPLE if name in parameters):
+        parts["sample"] = Sample(
+            sheets_per_block=value.get("sheets_per_block", PUBLISHED.sheets_per_block),
+            **{name: size for name, (size, _) in sizes.items() if size is not None},
+        )
+    return Settings(**{name: part for name, part in parts.items() if part is not None})
+
+
+def settings_of_run(folder: Path) -> Settings:
+    """Return the settings that a run was made with, without its corrections.
+
+    Raises: InputError for a folder that is no run, or whose run.json is damaged.
+    """
+    parameters = read_run(folder).parameters | {"corrections": Parameter(None, "default")}
+    with reading(folder / "run.json", "the parameters of a run", AGAIN):
+        return settings_of(parameters)
