@@ -152,13 +152,15 @@ def sections_of(figures: Iterable[Figure]) -> list[tuple[str, list[Figure]]]:
     return list(sections.items())
 
 
+OVERVIEW = {"frame": None, "space_time": 0.45, "tracks": 0.33}  # its panels; height over width, None: its own
+
+
 def overview(figures: Iterable[Figure]) -> Figure | None:
     """Return a figure of frame, space-time diagram and displacements, taken from these figures."""
     named = {figure.name: figure.panel for figure in figures}
-    aspects = {"frame": None, "space_time": 0.45, "tracks": 0.33}
     panels = tuple(
         named[name] if aspect is None else replace(named[name], aspect=aspect)
-        for name, aspect in aspects.items()
+        for name, aspect in OVERVIEW.items()
         if name in named
     )
     if not panels:
@@ -227,7 +229,9 @@ FIGURES: Mapping[str, CatalogueEntry] = {
     "single_sheets": CatalogueEntry("", camera.single_sheets_figure, paper="7b and c"),
     "mean_deformation": CatalogueEntry("", positions.mean_deformation_figure, paper="8"),
     "intensity": CatalogueEntry("", camera.intensity_figure, paper="12"),
-    "overview": CatalogueEntry("", lambda results: overview(figures_of(results))),
+    "overview": CatalogueEntry(
+        "", lambda results: overview(_made(results, (FIGURES[name] for name in OVERVIEW)))
+    ),
     "kymograph": CatalogueEntry(
         "", lambda strip, pixel_size_um=None: camera.kymograph_figure([strip], pixel_size_um=pixel_size_um)
     ),
