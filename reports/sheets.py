@@ -15,7 +15,7 @@ import xarray as xr
 import vision
 from reports.writing import row, write_report
 from vision.experiment import preset, simulate, with_settings
-from vision.figures.labels import plus_minus
+from vision.figures.style import plus_minus
 from vision.models import ModelFits, equations
 from vision.pipeline import Settings
 

@@ -10,7 +10,6 @@ LAYERS = (
     "numeric",
     "signals",
     "files",
-    "escaping",
     "data",
     "sample",
     "video",

@@ -102,15 +102,11 @@ def _problem(data: Data, name: str, declared: Variable, required: bool) -> str:
     """Return what is wrong with one variable; "" if nothing is."""
     if isinstance(data, pd.DataFrame):
         return f"no column {name}" if required and name not in data.columns else ""
-    if isinstance(data, xr.DataArray) and name == data.name:
-        found = data
-    elif name in data.coords or (isinstance(data, xr.Dataset) and name in data):
-        found = data[name]
-    else:
+    variables = data.variables if isinstance(data, xr.Dataset) else {**data.coords, data.name: data}
+    if name not in variables:
         return f"no {name}" if required else ""
-    if tuple(found.dims) != declared.dims:
-        return f"{name} with dimensions {found.dims} in place of {declared.dims}"
-    return ""
+    dims = variables[name].dims
+    return "" if dims == declared.dims else f"{name} with dimensions {dims} in place of {declared.dims}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,9 +153,7 @@ def record(data: AnyData, operation: str, **parameters: Any) -> AnyData:
 
 def warnings_of(*parts: Data | None) -> list[str]:
     """Return the warnings of several stages in order, without repetition."""
-    lines: Sequence[str] = [
-        line for part in parts if part is not None for line in part.attrs.get("warnings", ())
-    ]
+    lines = [line for part in parts if part is not None for line in part.attrs.get("warnings", ())]
     return list(dict.fromkeys(lines))
 
 
@@ -250,8 +244,7 @@ STRIP_PARTS = Schema(
     {
         "intensity": Variable(("z", "frame", "x"), "grey level", "mean intensity of a part of the strip"),
         "z": Variable(("z",), "px", "middle row of the part, counted from the top"),
-        "frame": Variable(("frame",), "", "frame number in the file"),
-        "x": Variable(("x",), "px", "column"),
+        **{name: STRIP[name] for name in ("frame", "x")},
     },
 )
 
@@ -571,13 +564,8 @@ MOTION = Schema(
         ),
         "drift_err_um": Variable(_EVENT, "um", "standard error of drift_um"),
         "noise_um": Variable(_SHEET, "um", "standard deviation of single positions, from the residuals"),
-        "event": Variable(_EVENT, "", "event number"),
-        "t_v_s": Variable(_EVENT, "s", "time of the valley"),
-        "t_p_s": Variable(_EVENT, "s", "time of the peak"),
-        "d_v_mm": Variable(_EVENT, "mm", "separation at the valley"),
-        "d_p_mm": Variable(_EVENT, "mm", "separation at the peak"),
-        "side": Variable(_SHEET, "", "-1 left, +1 right of the axis"),
-        "n": Variable(_SHEET, "", "sheet number, counted from the centre outwards"),
+        **{name: STICKS[name] for name in ("event", "t_v_s", "t_p_s", "d_v_mm", "d_p_mm")},
+        **{name: TRACKS[name] for name in ("side", "n")},
     },
     MotionMetadata,
     needs=("ratio", "ratio_err", "ratio_signed", "event", "side", "n"),
@@ -598,8 +586,7 @@ SHELLS = Schema(
     "shells",
     "vision.classify_shells",
     {
-        "event": Variable(_EVENT, "", "event number"),
-        "d_v_mm": Variable(_EVENT, "mm", "separation at the valley"),
+        **{name: STICKS[name] for name in ("event", "d_v_mm")},
         "side": Variable(_EVENT, "", "-1 left, +1 right of the axis"),
         "stiff_sheets": Variable(_EVENT, "", "sheets in the stiff inner shell"),
         "stiff_low": Variable(_EVENT, "", "lower end of the interval"),

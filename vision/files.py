@@ -1,4 +1,4 @@
-"""Safe reading of input files: which are opened, whether they change, how errors of decoders are reported.
+"""Safe reading of input files, and text from them made safe in the program's output.
 
 A read from a disk or a network that does not answer never returns and cannot be cancelled. All access to a
 recording is therefore made in threads that can be abandoned (`answered`, `prefetch`): unlike those of
@@ -10,23 +10,28 @@ from __future__ import annotations
 
 import contextlib
 import glob
+import html
 import itertools
 import json
 import os
 import queue
+import re
 import signal
 import stat
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from vision.errors import InputError
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 MOST_PIXELS = 100_000_000
 """Largest number of pixels of a frame. A larger limit accepts more damaged headers, for which memory is then
@@ -373,3 +378,39 @@ def _found(status: int, out: bytes, seconds: float) -> str:
     except (ValueError, IndexError):
         why = f"status {status}"
     return f"one that cannot be read ({shortened(why)})"
+
+
+# --- text of files and names, in the program's output -------------------------------------------------------
+
+_FORMULA = tuple("=+-@")  # first characters of cells that Excel and LibreOffice take for formulas
+_NUMBER = re.compile(r"[-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?")
+
+
+def html_table(title: str, rows: Mapping[str, str]) -> str:
+    """Return an HTML table of two columns for notebooks, with escaped text."""
+    cells = "".join(
+        f'<tr><th style="text-align:left">{html.escape(name)}</th>'
+        f'<td style="text-align:left">{html.escape(value)}</td></tr>'
+        for name, value in rows.items()
+    )
+    return f"<table><caption>{html.escape(title)}</caption>{cells}</table>"
+
+
+def harmless(text: str) -> str:
+    """Put an apostrophe before text that a spreadsheet would take for a formula.
+
+    Numbers are not changed. Carriage returns become spaces, since some programs start a row there.
+    """
+    text = text.replace("\r", " ")
+    is_formula = text.lstrip()[:1] in _FORMULA or text[:1] == "\t"
+    return f"'{text}" if text and is_formula and not _NUMBER.fullmatch(text) else text
+
+
+def harmless_table(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the table with `harmless` text and column names, for every table that may contain names."""
+    safe = table.rename(columns=lambda name: harmless(str(name)))
+    for k, column in enumerate(safe.columns):
+        if safe.iloc[:, k].dtype.kind not in "iufb":
+            cells = safe.iloc[:, k].map(lambda cell: harmless(cell) if isinstance(cell, str) else cell)
+            safe = safe.assign(**{column: cells})
+    return safe

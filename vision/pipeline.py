@@ -26,8 +26,8 @@ from vision.clock import Clock, ClockSettings, synchronise
 from vision.data import ForceMetadata, StripMetadata, warnings_of
 from vision.deformation import DeformationSettings, horizontal_deformation
 from vision.errors import InputError, known_as
-from vision.escaping import html_table
 from vision.figures.catalogue import Plots, Results, figure_named
+from vision.files import html_table
 from vision.force import ForceSettings, find_stick_slip, read_force
 from vision.models import ModelFits, fit_models
 from vision.models.modulus import cycles_seen
@@ -579,7 +579,7 @@ def _warnings(found: Analysis, reasons: Mapping[str, str]) -> tuple[str, ...]:
         # The models need d0 and a force in newtons; without them, no fits are expected.
         has_d0 = math.isfinite(ForceMetadata.of(found.force).d0_mm)
         if "fits" in reasons and has_d0 and found.force["load_N"].attrs["units"] == "N":
-            lines.append(f"no model fits: {reasons['fits'].removeprefix('model fits: ')}")
+            lines.append(f"no model fits: {reasons['fits']}")
     lines += found.fits.warnings if found.fits else ()
     lines += found.clock.warnings if found.clock else ()
     lines += shells_against_fits(found.shells, found.fits, found.settings.tuning.shells)

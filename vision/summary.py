@@ -11,7 +11,7 @@ import pandas as pd
 import xarray as xr
 
 from vision.data import StickMetadata, StripMetadata, TrackMetadata
-from vision.figures.labels import both_errors, candidates_text, drift_text, offset_text
+from vision.figures.style import both_errors, candidates_text, drift_text, offset_text
 from vision.models.equations import effective_sheets
 from vision.numeric import Pixels, nan_median
 from vision.sample import Sample
@@ -54,7 +54,7 @@ def summary_lines(results: Results) -> list[str]:
         lines.append(f"models     μ {mu}, A {a}, N̂ {n_hat} N")
         lines += [f"           {note}" for note in fits.notes]
     elif reason := results.reasons.get("fits"):
-        lines.append(f"models     none: {reason.removeprefix('model fits: ')}")
+        lines.append(f"models     none: {reason}")
     if results.clock is not None:
         lines.append(f"clocks     {_clocks(results.clock)}")
     if results.shells is not None and results.motion is not None:
@@ -422,11 +422,9 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> list[str
     side, flags = tracks["side"].values, flag_counts(tracks)
     noise = noise_figures(tracks, pixel_size_um)
     length = "" if pixel_size_um is None else f" = {noise['measured_um']:.3f} µm"
-    other = ", ".join(f"{count} {name}" for name, count in flags.items() if name != "ok") or "none missing"
     tilt = f", tilt {strip.tilt_deg:+.2f}°" if math.isfinite(strip.tilt_deg) else ""
     corrupt = f" ({strip.frames_corrupt} of them corrupt)" if strip.frames_corrupt else ""
     frozen = f", {count} frozen" if (count := flags.get("frozen", 0) // side.size) else ""
-    scale = "px: give `pixel_size_um` for µm" if pixel_size_um is None else f"{pixel_size_um:g} µm per px"
     unseen = (
         "; they look alike: a jump by their spacing would be invisible" if found.sheets_alike == "yes" else ""
     )
@@ -441,17 +439,33 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> list[str
         f"; other ridges ignored: {found.ridges_dropped}{unseen}",
         f"frames     {strip.frames_read} of {strip.frames_expected} read; {strip.frames_lost} lost{corrupt}, "
         f"{strip.frames_blank} blank{frozen}",
-        f"positions  {flags.get('ok', 0)} measured; {other}",
+        f"positions  {flags.get('ok', 0)} measured; {other_flags(flags)}",
         f"noise      {_noise(noise, length)}{predicted}",
         *([f"doubtful   {doubt}"] if (doubt := doubt_line(tracks)) else []),
         f"strip      rows {strip.strip_z0}:{strip.strip_z1} ({strip.strip_how}){tilt}",
         *([heights_line(tracks)] if "x_z_px" in tracks else []),
-        f"ridges     {found.ridge_fwhm_px:.1f} px wide, {found.pitch_px:.1f} px apart; {found.fit} fit over "
-        f"{found.window_px} px",
+        ridges_line(found),
         f"axis       {found.axis_px:.1f} px ({_axis(found, int(tracks['n'].min()))})",
         f"clock      {frame_times(strip)}",
-        f"scale      {scale}",
+        scale_line(pixel_size_um),
     ]
+
+
+def ridges_line(found: TrackMetadata) -> str:
+    """Return width and spacing of the ridges, and the fit."""
+    size = f"{found.ridge_fwhm_px:.1f} px wide, {found.pitch_px:.1f} px apart"
+    return f"ridges     {size}; {found.fit} fit over {found.window_px} px"
+
+
+def scale_line(pixel_size_um: float | None) -> str:
+    """Return the pixel size."""
+    unknown = "px: give `pixel_size_um` for µm"
+    return f"scale      {unknown if pixel_size_um is None else f'{pixel_size_um:g} µm per px'}"
+
+
+def other_flags(flags: Mapping[str, int]) -> str:
+    """Return how many positions have which flag other than "ok"."""
+    return ", ".join(f"{count} {name}" for name, count in flags.items() if name != "ok") or "none missing"
 
 
 def _noise(noise: Mapping[str, float], length: str) -> str:

@@ -7,10 +7,9 @@ from pathlib import Path
 import pytest
 
 from tests.campaign.scenes import films, planned, rows, table
-from vision.campaign.films import Checked, FolderWatch, read_campaign
+from vision.campaign.films import CampaignSettings, Checked, FolderWatch, read_campaign
 from vision.campaign.jobs import _source, copy_or_give_up
 from vision.campaign.plan import State, make_plan, vanished_rows, write_state
-from vision.campaign.settings import CampaignSettings
 from vision.errors import InputError
 
 SHORT = CampaignSettings(answer_s=0.2)

@@ -6,11 +6,10 @@ import pytest
 
 from tests.campaign.scenes import films, table
 from tests.scenes.comb_video import frames_of, positions, write_video
-from vision.campaign.films import FolderWatch, Row, read_campaign, safe_name
-from vision.campaign.settings import CampaignSettings
+from vision.campaign.films import CampaignSettings, FolderWatch, Row, read_campaign, safe_name
 from vision.command.campaign import _checker
 from vision.command.main import run
-from vision.command.options import option_fields
+from vision.command.options import SETTINGS
 from vision.command.track import run_name
 from vision.errors import InputError
 
@@ -19,7 +18,7 @@ from vision.errors import InputError
 
 def read(path, config=None, awaited=None):
     return read_campaign(
-        path, options=option_fields(), check=_checker(config), name_of=run_name, awaited=awaited
+        path, options=list(SETTINGS), check=_checker(config), name_of=run_name, awaited=awaited
     )
 
 

@@ -6,7 +6,7 @@ import os
 import pytest
 
 from tests.campaign.scenes import films, planned, rows
-from vision.campaign.films import Checked
+from vision.campaign.films import CampaignSettings, Checked
 from vision.campaign.plan import (
     PlannedFilm,
     State,
@@ -19,7 +19,6 @@ from vision.campaign.plan import (
     write_plan,
     write_state,
 )
-from vision.campaign.settings import CampaignSettings
 from vision.command.main import run
 from vision.errors import InputError
 

@@ -16,7 +16,7 @@ from vision.errors import InputError
 from vision.experiment import Experiment, force_recording, with_settings, write_force
 from vision.experiment.mechanics import simulate_pull
 from vision.figures import load_figures
-from vision.figures.labels import to_unicode
+from vision.figures.style import to_unicode
 
 COLUMNS = [
     "run",

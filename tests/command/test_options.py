@@ -166,14 +166,15 @@ def test_a_value_with_a_senseless_error_is_refused(text):
 
 def test_low_pass_and_range_of_the_fit():
     """A failure means auto or a range is misread."""
-    assert (parse_lowpass("auto"), parse_lowpass("0"), parse_lowpass("0.003")) == ("auto", 0.0, 0.003)
+    read = [parse_lowpass(text, "--force-lowpass") for text in ("auto", "0", "0.003")]
+    assert read == ["auto", 0.0, 0.003]
     assert parse_mm_range("13.2:17", "--fit-range") == (13.2, 17.0)
     for wrong in ("17:13", "13", "a:b", ":17"):
         with pytest.raises(InputError, match="--fit-range"):
             parse_mm_range(wrong, "--fit-range")
     for wrong in ("fast", "-1", "nan"):
         with pytest.raises(InputError, match="--force-lowpass"):
-            parse_lowpass(wrong)
+            parse_lowpass(wrong, "--force-lowpass")
 
 
 def test_options_that_are_not_given_are_the_settings_defaults():

@@ -104,6 +104,22 @@ def test_frames_that_the_shell_spread_out_are_no_films(suffix, tmp_path, monkeyp
     assert run(["--fps", "5"]) == 2
 
 
+def test_films_of_a_folder_are_preferred_to_pictures_beside_them(films, tmp_path, capsys):
+    """A failure means that `track .` takes the picture of a preview for the film."""
+    folder = tmp_path / "films"
+    folder.mkdir()
+    write_video(folder / "pull.avi", frames_of(positions(30, sheets=8)))
+    cv2.imwrite(str(folder / "pull_preview.png"), np.zeros((40, 200), np.uint8))
+    assert run(["films", "--fps", "20", "--no-report"]) == 0
+    assert "1 film and 1 picture; the films are used" in capsys.readouterr().err
+    assert pd.read_csv("pull_tracks/tracks.csv")["index"].nunique() == 8
+    write_video(folder / "push.avi", frames_of(positions(30, sheets=7)))
+    assert run(["preview", "films", "--fps", "20"]) == 2
+    assert "expected one film; found 2; name one of them, such as pull.avi" in capsys.readouterr().err
+    assert run(["films", "--fps", "20", "--no-report", "--out", "runs"]) == 0
+    assert sorted(path.name for path in Path("runs").iterdir()) == ["pull_tracks", "push_tracks"]
+
+
 def test_the_sheets_themselves_are_the_ruler(films):
     """A failure means lengths in a wrong unit: the comb's spacing is 20 px less its opening of 1 px or so."""
     assert run([films[0], "--pitch", "0.2mm", "--no-report", "--quiet"]) == 0

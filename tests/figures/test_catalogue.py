@@ -10,7 +10,6 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from tests.scenes.analysed import Found
 from tests.scenes.report_data import make_profile, make_tracks, sawtooth
-from vision.escaping import html_table
 from vision.figures import (
     FIGURES,
     figures_of,
@@ -21,9 +20,9 @@ from vision.figures import (
     sections_of,
 )
 from vision.figures.camera import intensity_figure, single_sheets_figure, space_time_figure
-from vision.figures.catalogue import slips_of
 from vision.figures.figure import Figure, Image, Panel
 from vision.figures.positions import mean_deformation_figure
+from vision.files import html_table
 
 
 def scene(*, sheets=7, frames=40, rows=60, columns=400, times_s=None, nothing_found=False):
@@ -252,7 +251,7 @@ def test_one_ridge_moves_inwards_and_back():
 
 def test_space_time_of_two_sheets_over_four_slips(pulled):
     """A failure means the wrong sheets, or slips marked elsewhere than in the force."""
-    slips, source = slips_of(pulled)
+    slips, source = pulled.slips
     figure = single_sheets_figure(pulled.strip, pulled.tracks, slips, pixel_size_um=10.0)
     assert source == "the force"
     assert [panel.title.split("\n")[0] for panel in figure.panels] == ["right, n = 23", "right, n = 10"]

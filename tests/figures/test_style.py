@@ -1,10 +1,27 @@
-"""Colours: readable on their background, in order, also in grey print."""
+"""Colours, readable on their background and in grey print; symbols, numbers with errors, units."""
 
 import numpy as np
 import pytest
 
 from tests.scenes.report_data import make_tracks, sawtooth
-from vision.figures.style import DATA, MODEL, PEAK, VALLEY, ordered_inks, sheet_inks
+from vision.figures.style import (
+    DATA,
+    MODEL,
+    PEAK,
+    VALLEY,
+    counted,
+    ordered_inks,
+    percent,
+    plus_minus,
+    position_unit,
+    sheet_inks,
+    signed,
+    time_axis,
+    to_html,
+    to_mathtext,
+    to_unicode,
+)
+from vision.models import Estimate
 
 
 def luminance(colour):
@@ -35,3 +52,79 @@ def test_sheets_are_blue_on_the_left_and_orange_on_the_right():
     assert blue == [True] * 5 + [False] * 5
     right = [luminance(light) for light, _ in inks[5:]]
     assert (np.diff(right) > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("text", "small", "markup", "figure"),
+    [
+        ("σ_x / Λ_st", "σₓ / Λₛₜ", "σ<sub>x</sub> / Λ<sub>st</sub>", "σₓ / Λₛₜ"),
+        ("F − F_v (N)", "F − Fᵥ (N)", "F − F<sub>v</sub> (N)", "F − Fᵥ (N)"),
+        (
+            "M_eff K_eff",
+            "M_eff K_eff",
+            "M<sub>eff</sub> K<sub>eff</sub>",
+            r"$M_{\mathrm{eff}}$ $K_{\mathrm{eff}}$",
+        ),
+        ("tracks_x.csv <b>", "tracks_x.csv <b>", "tracks_x.csv &lt;b&gt;", "tracks_x.csv <b>"),
+    ],
+)
+def test_symbols_are_set_as_in_print(text, small, markup, figure):
+    """A failure means underscores in a manuscript's figure, or a file name taken for a symbol."""
+    assert (to_unicode(text), str(to_html(text)), to_mathtext(text)) == (small, markup, figure)
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "text"),
+    [
+        (0.8911, 0.0012, "0.8911 ± 0.0012"),
+        (-12.3456, 3.4, "−12.3 ± 3.4"),
+        (1234.5, 160, "1234 ± 160"),
+        (0.003, float("nan"), "0.003"),
+    ],
+)
+def test_values_have_as_many_digits_as_their_error(value, error, text):
+    """A failure means digits that mean nothing, or too few of them."""
+    assert plus_minus(Estimate(value, error)) == text
+
+
+def test_percentages_do_not_round_up_to_all():
+    """A failure means that 3 lost positions in 10 000 are reported as none."""
+    assert (percent(0.9997), percent(1.0), signed(-3.2)) == ("99.9 %", "100 %", "−3")
+
+
+@pytest.mark.parametrize(
+    ("size", "expected"), [(None, (1.0, "px")), (0.5, (0.5, "µm")), (10.0, (0.01, "mm"))]
+)
+def test_positions_are_in_the_unit_that_suits_the_picture(size, expected):
+    """A failure means lengths that are off by a thousand, or an axis of zeros."""
+    assert position_unit(size, 400) == expected
+
+
+def timed(times_s):
+    tracks = make_tracks(sawtooth(40, 4))
+    return tracks.assign_coords(time_s=("frame", times_s))
+
+
+def test_a_clock_that_runs_backwards_is_not_an_axis():
+    """A failure means that tracks fold over each other."""
+    time, label = time_axis(timed(np.r_[np.arange(20.0), np.arange(20.0)]))
+    assert (label, time[-1]) == ("frame", 39)
+
+
+def test_one_repeated_time_does_not_cost_the_clock():
+    """A failure means that a single stamp written twice turns seconds into frame numbers."""
+    times_s = np.arange(40) / 25
+    times_s[11] = times_s[10]
+    assert time_axis(timed(times_s))[1] == "t (s)"
+    assert time_axis(timed(np.zeros(40)))[1] == "frame"
+
+
+def test_dollars_in_names_are_no_mathematics():
+    """A failure means that a sample called $x$ is drawn as a formula, or ends the drawing."""
+    assert to_mathtext(r"$\frac{$") == r"\$\frac{\$"
+    assert to_mathtext("5 $ of σ_eff") == r"5 \$ of $σ_{\mathrm{eff}}$"
+
+
+def test_one_is_not_a_plural():
+    """A failure means "1 tests" at the top of a campaign's page."""
+    assert [counted(n, "test") for n in (0, 1, 2)] == ["0 tests", "1 test", "2 tests"]

@@ -288,7 +288,7 @@ def test_a_failed_export_leaves_nothing(run, to, tmp_path, monkeypatch):
         raise full
 
     monkeypatch.setattr("vision.run.export._write_file", write)
-    with pytest.raises(InputError, match="no space left"):
+    with pytest.raises(InputError, match="a full disk"):
         export_run(run, to)
     assert [p.name for p in tmp_path.iterdir()] == ["film_tracks"]
 

@@ -377,7 +377,7 @@ def test_evenly_lost_frames_are_told(tmp_path, name):
     kept = np.r_[:40, 40:120:2]
     path = phone_film(tmp_path / name, comb(count=120, rows=64, columns=96, top=200)[kept], kept / 60)
     strip = strip_profile(open_video(path), slice(0, 64))
-    assert "from index 40 on, frames come at half or a third" in strip.warnings[-1]
+    assert "from frame 40 on, frames come at half or a third" in strip.warnings[-1]
 
 
 @pytest.mark.parametrize("turned_deg", [0, 90, 180, 270])

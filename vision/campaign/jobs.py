@@ -25,14 +25,13 @@ from typing import Literal
 
 from PIL import Image
 
-from vision.campaign.films import is_remote
+from vision.campaign.films import CampaignSettings, is_remote
 from vision.campaign.plan import PLAN, Plan, PlannedFilm, State, Word, inputs_of, write_plan, write_state
 from vision.campaign.results import page_age, write_page, write_partitions
-from vision.campaign.settings import CampaignSettings
 from vision.errors import InputError
 from vision.files import answered, prefetch, shortened
 from vision.pipeline import Analysis
-from vision.run.folder import lock_open_file
+from vision.run.folder import lock_open_file, unwritable
 
 # --- Snakemake, a process -----------------------------------------------------------------------------------
 
@@ -73,8 +72,7 @@ def campaign_lock(out: Path) -> Iterator[None]:
         out.mkdir(parents=True, exist_ok=True)
         handle = os.open(out / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
     except OSError as error:
-        found = (error.strerror or str(error)).lower()
-        raise InputError(out, "a place that can be written", found, "give another `out`") from error
+        raise unwritable(out, error, "give another `out`") from error
     try:
         try:
             lock_open_file(handle)

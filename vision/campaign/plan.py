@@ -19,8 +19,7 @@ from typing import Any, Literal
 import numpy as np
 
 import vision
-from vision.campaign.films import PATHS, Check, Row, is_remote
-from vision.campaign.settings import CampaignSettings
+from vision.campaign.films import PATHS, CampaignSettings, Check, Row, is_remote
 from vision.errors import InputError
 from vision.files import Stamp, answered, reading, shortened
 from vision.run import describe_input, plain, whole_file, write_json

@@ -21,9 +21,9 @@ from jinja2 import Environment, StrictUndefined
 
 from vision.campaign.plan import FINISHED, Plan, PlannedFilm, State
 from vision.comparison import compare, write_comparison
-from vision.comparison.runs import COLUMNS, LIMITS
+from vision.comparison.runs import COLUMNS, LIMITS, number
 from vision.errors import InputError
-from vision.figures.labels import counted
+from vision.figures.style import counted
 from vision.files import reading
 from vision.pipeline import Analysis
 from vision.run import Origin, whole_file, write_json
@@ -98,7 +98,7 @@ def write_page(plan: Plan, *, live: bool, remarks: tuple[str, ...] = ()) -> list
 
 
 def _row(plan: Plan, film: PlannedFilm, state: State, facts: list[str]) -> dict[str, Any]:
-    run = plan.run_of(film.name)
+    run, given = plan.run_of(film.name), [film.facts.get(name, "") for name in facts]
     finished = state.state in FINISHED and (run / "run.json").is_file()
     page = "report.html" if (run / "report.html").is_file() else "overview.png"
     return {
@@ -107,16 +107,12 @@ def _row(plan: Plan, film: PlannedFilm, state: State, facts: list[str]) -> dict[
         "file": Path(film.film).name,
         "link": f"runs/{quote(film.name, safe='')}/{page}" if finished else "",
         "picture": _data_uri(plan.out / "thumbnails" / f"{film.name}.png") if finished else "",
-        "facts": [_shown(film.facts.get(name)) for name in facts],
+        "facts": [f"{fact:g}" if isinstance(fact, float) else fact for fact in given],
         "frames": film.frames or "",
         "seconds": f"{state.seconds:.1f}" if state.seconds else "",
         "warnings": state.warnings,
         "reason": state.reason or (film.doubt if state.state == "waiting" else ""),
     }
-
-
-def _shown(fact: Any) -> str:
-    return "" if fact is None else f"{fact:g}" if isinstance(fact, float) else str(fact)
 
 
 def _data_uri(path: Path) -> str:
@@ -309,14 +305,10 @@ def _facts(plan: Plan, film: PlannedFilm, state: State) -> dict[str, Any]:
         "state": state.state,
         "warnings": len(state.warnings),
         "seconds": state.seconds,
-        "frames_read": _count(frames.get("read")),
-        "frames_lost": _count(frames.get("lost")),
+        "frames_read": number(frames.get("read")),
+        "frames_lost": number(frames.get("lost")),
         "run": str(Path("runs") / film.name),
     }
-
-
-def _count(value: Any) -> float:
-    return float(value) if isinstance(value, int | float) else float("nan")
 
 
 def needs_pool(plan: Plan) -> bool:

@@ -8,8 +8,7 @@ from pathlib import Path
 import vision
 from vision.certify.certificate import Certificate
 from vision.figures import Figure, Panel, Series
-from vision.figures.labels import from_zero
-from vision.figures.style import DATA, PEAK, VALLEY
+from vision.figures.style import DATA, PEAK, VALLEY, from_zero
 from vision.report.page import render_page
 from vision.report.text import Answer, citation
 from vision.run import write_json

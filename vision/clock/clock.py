@@ -25,7 +25,7 @@ from vision.clock.settings import ClockSettings
 from vision.clock.slips import force_slips, video_slips
 from vision.data import FORCE, STICKS, TRACKS, ForceMetadata, StripMetadata
 from vision.errors import InputError
-from vision.escaping import html_table
+from vision.files import html_table
 from vision.force.recording import good_samples
 from vision.numeric import NORMAL_MEDIAN, Floats, nan_median
 

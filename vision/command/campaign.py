@@ -27,11 +27,11 @@ from vision.campaign.plan import (
 )
 from vision.campaign.results import duration, needs_pool, pool, read_remarks, write_page, write_remarks
 from vision.command.console import attempt, complain, in_columns, say
-from vision.command.options import GROUPS, CampaignOptions, RunOptions, option_fields, option_names
+from vision.command.options import GROUPS, SETTINGS, CampaignOptions, RunOptions, option_names
 from vision.command.settings import merged, number, parse_option, read_config, settings_of
 from vision.command.track import REFUSED, command_line, run_name, track_one
 from vision.errors import InputError, with_options
-from vision.figures.labels import counted
+from vision.figures.style import counted
 from vision.files import usable_cores
 from vision.run import Parameter
 
@@ -42,8 +42,9 @@ def campaign(table: Path | None, options: CampaignOptions) -> int:
     if named is None:
         wanted = "a table of tests, or a folder to watch"
         raise InputError("TABLE.csv", wanted, "none", "track campaign --help")
-    number(options.cores, "--cores", least=1)
-    number(options.idle, "--idle", least=0)
+    for value, option, least in ((options.cores, "--cores", 1), (options.idle, "--idle", 0)):
+        if value is not None:
+            number(value, option, least)
     target = options.out or Path(f"{run_name(named)}_campaign")
     check_folder(target)
     check = _checker(options.config)
@@ -139,7 +140,7 @@ def _merged(values: Mapping[str, Any], config: Path | None = None) -> dict[str, 
 def _read(table: Path, check: Check, awaited: Path | None) -> list[Row]:
     """Return the table's rows.  Raises: InputError, after printing every problem of every row."""
     rows, problems = read_campaign(
-        table, options=option_fields(), check=check, name_of=run_name, awaited=awaited
+        table, options=list(SETTINGS), check=check, name_of=run_name, awaited=awaited
     )
     if problems:
         rows_shown = [("row", "column", "problem"), *((str(p.row), p.column, p.text) for p in problems)]

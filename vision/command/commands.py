@@ -44,7 +44,7 @@ def track(
     Parameters
     ----------
     videos
-        One or several: a video file, a TIFF stack, a folder or a quoted glob of numbered images.
+        One or several: a video file, a TIFF stack, a folder of films or images, or a quoted glob of images.
     config
         TOML file with any of these options; the command line takes precedence.
     """

@@ -21,6 +21,11 @@ def _whole(kind: Any, tokens: Sequence[Any]) -> int:
     return int(text.partition(".")[0])
 
 
+def _sets(setting: str) -> Any:
+    """Return a field, None by default, whose option sets what the library calls `setting`."""
+    return field(default=None, metadata={"setting": setting})
+
+
 Whole = Annotated[int, Option(converter=_whole)]
 Flag = Annotated[bool, Option(negative="", show_default=False)]
 Report = Annotated[bool, Option(show_default=False)]  # also --no-report
@@ -31,7 +36,7 @@ Report = Annotated[bool, Option(show_default=False)]  # also --no-report
 class VideoOptions:
     """How a video is read and its sheets are found."""
 
-    strip: str | None = None
+    strip: str | None = _sets("rows")
     """Rows to average, Z0:Z1, half-open, from the top; auto finds where ridges are straight and clear."""
     columns: str | None = None
     """Columns to use, X0:X1, half-open, from the left."""
@@ -41,19 +46,19 @@ class VideoOptions:
     """Number of ridges in view; found if not given."""
     ridges: Literal["bright", "dark", "auto"] | None = None
     """Whether ridges are brighter or darker than the gaps between them: bright, dark or auto."""
-    axis: float | None = None
+    axis: float | None = _sets("axis_px")
     """Symmetry axis in px; found from the motion if not given."""
     fit: Literal["auto", "sliding", "paper", "template"] | None = None
     """auto (template where it is learned well, else sliding), sliding, paper (as published) or template."""
-    window: str | None = None
+    window: str | None = _sets("window_px")
     """Fit window in px, odd, or auto to follow the ridge width; 9 if ridges are 6 to 14 px wide."""
     corrections: Path | None = None
     """TOML file of manual decisions: accept, leave_out, swap, assign, add, delete, axis, strip, clock."""
-    pixel_size: str | None = None
+    pixel_size: str | None = _sets("pixel_size_um")
     """µm per pixel, also as 10um or 0.01mm; without it lengths are in px."""
     scale: str | None = None
     """Pixel size from a known length, such as 1mm=103px."""
-    pitch: str | None = None
+    pitch: str | None = _sets("pitch_um")
     """Pixel size from the known mean distance between neighbouring sheets, such as 0.2mm."""
     fps: float | None = None
     """The camera's frame rate, where the file states only a playback rate."""
@@ -72,7 +77,7 @@ class TestOptions:
 
     force: Path | None = None
     """Force recording of the testing machine; adds events, clocks, σ_x/Λ_st and shells."""
-    offset: float | None = None
+    offset: float | None = _sets("offset_s")
     """Time on the force clock at video time 0, s, if known (0 with a common hardware trigger)."""
     threshold: float | None = None
     """σ_x/Λ_st below which a sheet is stiff; 0.1 if not given."""
@@ -85,23 +90,23 @@ class TestOptions:
 class ForceOptions:
     """How a force recording is read and its stick-slip events are found."""
 
-    speed: float | None = None
+    speed: float | None = _sets("speed_mm_min")
     """Pulling speed V in mm/min, if no displacement is recorded."""
-    d0: str | None = None
+    d0: str | None = _sets("d0_mm")
     """Initial separation in mm, also 13.0±0.1; 0 if the displacement column is the separation itself."""
     force_columns: str | None = None
     """Columns by name or number, such as time=Time,load=Load:kN,displacement=3."""
-    force_threshold: float | None = None
+    force_threshold: float | None = _sets("force_threshold_N")
     """Smallest force drop that counts as a slip, N; found from the noise if not given."""
-    force_lowpass: str | None = None
+    force_lowpass: str | None = _sets("force_lowpass_s")
     """Load-cell time constant to correct for, s; 0: no correction; auto: only if the slips show it."""
-    machine_stiffness: float | None = None
+    machine_stiffness: float | None = _sets("machine_stiffness_N_per_mm")
     """Stiffness of the machine in N/mm, to correct d; no correction if not given."""
-    fit_range: str | None = None
+    fit_range: str | None = _sets("fit_range_mm")
     """Separations A:B in mm between which the models are fitted; from where Eq. 1 fits if not given."""
-    fix_mu: float | None = None
+    fix_mu: float | None = _sets("mu")
     """Known friction coefficient, which is then not fitted."""
-    fix_yeff: float | None = None
+    fix_yeff: float | None = _sets("modulus_GPa")
     """Known effective modulus Y_eff in GPa, which is then not fitted."""
 
 
@@ -112,13 +117,13 @@ class SampleOptions:
 
     sheets_per_block: Whole | None = None
     """M, number of sheets of one block on each side of the axis."""
-    thickness: str | None = None
+    thickness: str | None = _sets("thickness_mm")
     """Thickness ε of one sheet, mm; with its error as 0.1±0.002."""
-    width: str | None = None
+    width: str | None = _sets("width_mm")
     """Width W of the sheets, mm; with its error as 45±0.2."""
-    length: str | None = None
+    length: str | None = _sets("length_mm")
     """Length L from the clamp to the end of the sheets, mm; with its error as 57±0.5."""
-    t_star: str | None = None
+    t_star: str | None = _sets("t_star_N")
     """Friction force T* due to adhesion, N; with its error as 0.003±0.001."""
 
 
@@ -209,11 +214,6 @@ class FrictionOptions:
     """Constant friction coefficient for comparison."""
 
 
-def _sets(setting: str) -> Any:
-    """Return a field, None by default, whose option sets this setting of `vision.experiment`."""
-    return field(default=None, metadata={"setting": setting})
-
-
 @Option(name="*")
 @dataclass(frozen=True, kw_only=True)
 class SimulateOptions:
@@ -301,29 +301,14 @@ class CampaignOptions:
 
 
 GROUPS = (VideoOptions, ForceOptions, SampleOptions, TestOptions)
-# Arguments of the library whose option has another name.
-_OPTION_OF: Mapping[str, str] = {
-    "rows": "--strip",
-    "axis_px": "--axis",
-    "window_px": "--window",
-    "pixel_size_um": "--pixel-size",
-    "pitch_um": "--pitch",
-    "speed_mm_min": "--speed",
-    "d0_mm": "--d0",
+SETTINGS: Mapping[str, str] = {
+    one.name: one.metadata.get("setting", one.name) for group in GROUPS for one in fields(group)
+}
+"""Options that a configuration file or a campaign's table may contain, and what the library calls each."""
+_ALSO: Mapping[str, str] = {
     "d0_err_mm": "--d0 as 13.0±0.1",
-    "force_threshold_N": "--force-threshold",
     "threshold_N": "--force-threshold",
-    "force_lowpass_s": "--force-lowpass",
     "lowpass_s": "--force-lowpass",
-    "fit_range_mm": "--fit-range",
-    "mu": "--fix-mu",
-    "modulus_GPa": "--fix-yeff",
-    "machine_stiffness_N_per_mm": "--machine-stiffness",
-    "offset_s": "--offset",
-    "thickness_mm": "--thickness",
-    "width_mm": "--width",
-    "length_mm": "--length",
-    "t_star_N": "--t-star",
     "clamp_distance_mm": "--clamp-distance",
     "normal_force_N": "--normal-force",
     "radius_mm": "--radius",
@@ -347,10 +332,6 @@ def option_names() -> Mapping[str, str]:
     The library's messages name its arguments in backticks. Before the command prints or stores a message,
     `vision.errors.with_options` finds these names and puts the options in their place.
     """
-    same = (*option_fields(), *(field.name for field in fields(RunOptions)), *_OF_ONE_COMMAND)
-    return {name: flag_of(name) for name in same} | dict(_OPTION_OF)
-
-
-def option_fields() -> list[str]:
-    """Return the names of the options that a configuration file or a campaign's table may contain."""
-    return [field.name for group in GROUPS for field in fields(group)]
+    same = (*SETTINGS, *(field.name for field in fields(RunOptions)), *_OF_ONE_COMMAND)
+    names = {name: flag_of(name) for name in same}
+    return names | {setting: flag_of(name) for name, setting in SETTINGS.items()} | dict(_ALSO)

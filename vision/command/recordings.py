@@ -26,8 +26,8 @@ from vision.experiment import preset as ready_made
 from vision.experiment import settings_from_toml, with_settings
 from vision.experiment import simulate as make_test
 from vision.figures import Figure, plus_minus, save_figures
-from vision.figures.labels import counted
 from vision.figures.single_sheets import friction_figure, modulus_figure
+from vision.figures.style import counted
 from vision.force import detection_limit, parse_columns, read_force
 from vision.models import Estimate
 from vision.models.friction import (

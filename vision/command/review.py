@@ -44,8 +44,9 @@ def review(
     if not (folder / "run.json").is_file():  # as `vision.run.is_run`, which takes a second to import
         if not run_or_video.exists() and not glob.has_magic(str(run_or_video)):
             raise InputError(folder, "a run folder or a video", "no such file or folder", "check the path")
-        from vision.command.track import run_name, track
+        from vision.command.track import one_film, run_name, track
 
+        run_or_video = one_film(run_or_video)
         folder = run.out or Path(f"{run_name(run_or_video)}_tracks")
         status = track([run_or_video], groups, replace(run, out=folder), config)
         if status > 1:

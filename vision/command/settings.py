@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
 from cyclopts import App, CycloptsError
 
-from vision.command.options import GROUPS, flag_of, option_fields
+from vision.command.options import GROUPS, SETTINGS, flag_of
 from vision.errors import InputError
 from vision.files import check_regular, reading, shortened
 from vision.force import parse_columns
@@ -23,7 +24,7 @@ from vision.sheets import read_corrections
 from vision.spacetime import Sheet
 
 UM_PER = {"mm": 1000.0, "um": 1.0, "µm": 1.0, "μm": 1.0}  # micro sign and Greek mu
-_GEOMETRY = {"thickness_mm": "thickness", "width_mm": "width", "length_mm": "length", "t_star_N": "t_star"}
+_GEOMETRY = {SETTINGS[name]: name for name in ("thickness", "width", "length", "t_star")}
 _SAMPLE = ("sheets_per_block", *_GEOMETRY.values())
 _WITH_ERROR = ("d0", "force_lowpass", *_GEOMETRY.values())
 MOST_UM_PER_PX = 1000.0  # a larger size is a mistyped unit: such a picture would not show sheets
@@ -95,7 +96,7 @@ def _plain(name: str, value: Any) -> Any:
 def read_config(path: Path) -> dict[str, Any]:
     """Read options from a TOML file and parse them as if they were typed.
 
-    Keys are the long names with hyphens or underscores. Options of the sample may stand in a table
+    Keys are the long names with hyphens or underscores. Options of the sample may be in a table
     ``[sample]``.
     """
     wanted = "a TOML file of options"
@@ -118,9 +119,8 @@ def parse_option(source: Path, name: str, value: Any) -> Any:
     source: the TOML file or table that holds it.  name: the option, with underscores.
     Raises: InputError for an unknown option, or a value that it does not accept.
     """
-    known = option_fields()
-    if name not in known:
-        raise InputError(source, f"options of track ({', '.join(known)})", f"'{name}'")
+    if name not in SETTINGS:
+        raise InputError(source, f"options of track ({', '.join(SETTINGS)})", f"'{name}'")
     if not isinstance(value, str | int | float) or isinstance(value, bool):
         raise InputError(source, f"one value for '{name}'", f"a {type(value).__name__}")
     app = App(help_flags=(), version_flags=())
@@ -134,66 +134,6 @@ def parse_option(source: Path, name: str, value: Any) -> Any:
         found = shortened(repr(value))
         raise InputError(source, f"a value for '{name}' as on the command line", found) from error
     return getattr(options, name)
-
-
-def settings_of(parameters: Mapping[str, Parameter]) -> Settings:
-    """Return the pipeline's settings.  Raises: InputError for values that are invalid for any recording."""
-    value = {name: parameter.value for name, parameter in parameters.items()}
-    columns, corrections = value.get("force_columns"), value.get("corrections")
-    sizes = {name: parse_with_error(value.get(option), flag_of(option)) for name, option in _GEOMETRY.items()}
-    d0_mm, d0_err_mm = parse_with_error(value.get("d0"), "--d0")
-
-    def from_(least: float, name: str, *, whole: bool = False) -> Any:
-        return number(value.get(name), flag_of(name), least=least, whole=whole)
-
-    sample = Sample(
-        sheets_per_block=value.get("sheets_per_block", PUBLISHED.sheets_per_block),
-        **{name: size for name, (size, _) in sizes.items() if size is not None},
-    )
-    given = any(parameters[name].how != "default" for name in _SAMPLE if name in parameters)
-    parts = {
-        "rows": parse_range(value.get("strip"), "--strip"),
-        "columns": parse_range(value.get("columns"), "--columns"),
-        "rotate": value.get("rotate"),
-        "frames": parse_range(value.get("frames"), "--frames"),
-        "fps": from_(1e-9, "fps"),
-        "timestamps": value.get("timestamps"),
-        "ridges": value.get("ridges"),
-        "sheets": from_(1, "sheets", whole=True),
-        "strips": from_(2, "strips", whole=True),
-        "axis_px": from_(-1e6, "axis"),
-        "fit": value.get("fit"),
-        "window_px": parse_window(value.get("window")),
-        "corrections": read_corrections(corrections) if corrections else None,
-        "pixel_size_um": value.get("pixel_size"),
-        "pitch_um": parse_pitch(value.get("pitch")),
-        "speed_mm_min": from_(1e-9, "speed"),
-        "d0_mm": d0_mm,
-        "d0_err_mm": d0_err_mm,
-        "force_columns": parse_columns(columns) if columns else None,
-        "force_threshold_N": from_(0, "force_threshold"),
-        "force_lowpass_s": parse_lowpass(value.get("force_lowpass")),
-        "fit_range_mm": parse_mm_range(value.get("fit_range"), "--fit-range"),
-        "mu": from_(1e-9, "fix_mu"),
-        "modulus_GPa": from_(1e-9, "fix_yeff"),
-        "machine_stiffness_N_per_mm": from_(1e-9, "machine_stiffness"),
-        "offset_s": from_(-1e12, "offset"),
-        "threshold": from_(1e-6, "threshold"),
-        "common_mode": value.get("common_mode") != "off",
-        "sample": sample if given else None,
-        "geometry_err": {name: error for name, (_, error) in sizes.items() if error is not None},
-    }
-    return Settings(**{name: part for name, part in parts.items() if part is not None})
-
-
-def settings_of_run(folder: Path) -> Settings:
-    """Return the settings that a run was made with, without its corrections.
-
-    Raises: InputError for a folder that is no run, or whose run.json is damaged.
-    """
-    parameters = read_run(folder).parameters | {"corrections": Parameter(None, "default")}
-    with reading(folder / "run.json", "the parameters of a run", AGAIN):
-        return settings_of(parameters)
 
 
 def parse_range(text: str | None, option: str) -> slice | None:
@@ -224,13 +164,13 @@ def parse_with_error(text: str | float | None, option: str) -> tuple[float | Non
     return parts[0], parts[1] if sign else None
 
 
-def parse_lowpass(text: str | float | None) -> float | Literal["auto"] | None:
+def parse_lowpass(text: str | float, option: str) -> float | Literal["auto"]:
     """Parse a number of seconds from 0, or "auto".  Raises: InputError."""
-    if text is None or text == "auto":
-        return None if text is None else "auto"
+    if text == "auto":
+        return "auto"
     value = _float(str(text))
     if not 0 <= value < math.inf:
-        raise InputError("--force-lowpass", "seconds from 0, or auto", f"'{text}'")
+        raise InputError(option, "seconds from 0, or auto", f"'{text}'")
     return value
 
 
@@ -245,27 +185,23 @@ def parse_pair(
     return low, high
 
 
-def parse_mm_range(text: str | None, option: str) -> tuple[float, float] | None:
+def parse_mm_range(text: str, option: str) -> tuple[float, float]:
     """Parse `A:B` in mm.  Raises: InputError."""
-    wanted = "two separations in mm A:B with A < B"
-    return None if text is None else parse_pair(text, option, wanted, advice="write 13.2:17")
+    return parse_pair(text, option, "two separations in mm A:B with A < B", advice="write 13.2:17")
 
 
-def parse_window(text: str | None) -> int | Literal["auto"] | None:
+def parse_window(text: str, option: str) -> int | Literal["auto"]:
     """Parse a number of pixels, or "auto".  Raises: InputError."""
-    if text is None or text == "auto":
-        return None if text is None else "auto"
+    if text == "auto":
+        return "auto"
     if not re.fullmatch(r"[0-9]{1,9}", text):
-        raise InputError("--window", "an odd number of pixels, or auto", f"'{text}'")
+        raise InputError(option, "an odd number of pixels, or auto", f"'{text}'")
     return int(text)
 
 
-def number(value: float | None, option: str, *, least: float, whole: bool = False) -> Any:
-    """Return the number unchanged if it is None or not below `least`.  Raises: InputError."""
-    if value is None:
-        return None
+def number(value: float, option: str, least: float, kind: str = "a number") -> float:
+    """Return the number unchanged if it is not below `least`.  Raises: InputError."""
     if not (least <= value < math.inf):
-        kind = "a whole number" if whole else "a number"
         raise InputError(option, f"{kind} from {least:g}", f"'{value}'")
     return value
 
@@ -297,13 +233,11 @@ def parse_scale(text: str | None) -> float | None:
     return size
 
 
-def parse_pitch(text: str | None) -> float | None:
+def parse_pitch(text: str, option: str) -> float:
     """Return the distance of neighbouring sheets in µm from a length: 0.2mm.  Raises: InputError."""
-    if text is None:
-        return None
-    length = parse_length(text, "--pitch")
+    length = parse_length(text, option)
     if "width_um" not in length:
-        raise InputError("--pitch", "a length in mm or µm", f"'{text}'", "write 0.2mm")
+        raise InputError(option, "a length in mm or µm", f"'{text}'", "write 0.2mm")
     return length["width_um"]
 
 
@@ -356,3 +290,54 @@ def _float(text: str) -> float:
         return float(text)
     except ValueError:
         return math.nan
+
+
+# --- the pipeline's settings --------------------------------------------------------------------------------
+
+_PARSERS: Mapping[str, Callable[[Any, str], Any]] = {
+    **dict.fromkeys(("strip", "columns", "frames"), parse_range),
+    **dict.fromkeys(("fps", "speed", "fix_mu", "fix_yeff", "machine_stiffness"), partial(number, least=1e-9)),
+    "sheets": partial(number, least=1, kind="a whole number"),
+    "strips": partial(number, least=2, kind="a whole number"),
+    "axis": partial(number, least=-1e6),
+    "window": parse_window,
+    "corrections": lambda file, _: read_corrections(file),
+    "pitch": parse_pitch,
+    "force_columns": lambda text, _: parse_columns(text),
+    "force_threshold": partial(number, least=0),
+    "force_lowpass": parse_lowpass,
+    "fit_range": parse_mm_range,
+    "offset": partial(number, least=-1e12),
+    "threshold": partial(number, least=1e-6),
+    "common_mode": lambda text, _: text != "off",
+}
+"""How the value of an option becomes a setting; the others are settings as they are."""
+
+
+def settings_of(parameters: Mapping[str, Parameter]) -> Settings:
+    """Return the pipeline's settings.  Raises: InputError for values that are invalid for any recording."""
+    value = {name: parameter.value for name, parameter in parameters.items()}
+    parts: dict[str, Any] = {
+        setting: _PARSERS[option](value[option], flag_of(option)) if option in _PARSERS else value[option]
+        for option, setting in SETTINGS.items()
+        if value.get(option) is not None and setting in Settings.__dataclass_fields__
+    }
+    parts["d0_mm"], parts["d0_err_mm"] = parse_with_error(value.get("d0"), "--d0")
+    sizes = {name: parse_with_error(value.get(option), flag_of(option)) for name, option in _GEOMETRY.items()}
+    parts["geometry_err"] = {name: error for name, (_, error) in sizes.items() if error is not None}
+    if any(parameters[name].how != "default" for name in _SAMPLE if name in parameters):
+        parts["sample"] = Sample(
+            sheets_per_block=value.get("sheets_per_block", PUBLISHED.sheets_per_block),
+            **{name: size for name, (size, _) in sizes.items() if size is not None},
+        )
+    return Settings(**{name: part for name, part in parts.items() if part is not None})
+
+
+def settings_of_run(folder: Path) -> Settings:
+    """Return the settings that a run was made with, without its corrections.
+
+    Raises: InputError for a folder that is no run, or whose run.json is damaged.
+    """
+    parameters = read_run(folder).parameters | {"corrections": Parameter(None, "default")}
+    with reading(folder / "run.json", "the parameters of a run", AGAIN):
+        return settings_of(parameters)

@@ -24,7 +24,7 @@ from vision.command.review import keep_first_view
 from vision.command.settings import merged, settings_of
 from vision.data import StripMetadata
 from vision.errors import InputError
-from vision.figures.labels import counted
+from vision.figures.style import counted
 from vision.files import answered
 from vision.pipeline import Analysis, Settings, analyse, track_strip
 from vision.run import (
@@ -42,11 +42,12 @@ from vision.sheets.corrections import read_decisions
 from vision.summary import findings, flag_counts, noise_figures
 from vision.video import Follow, open_video, video_files
 from vision.video.raw import PIXELS, is_photron
+from vision.video.stacks import IMAGES
+from vision.video.video import FILMS
 
 LONG_FRAMES = 20_000
 """Number of frames from which a run stores what a review shows first. This takes seconds, where tracking took
 minutes; a review reads shorter runs while its page loads."""
-STILLS = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"}
 REFUSED = ("sticks", "clock", "motion", "shells")  # stages whose unusable input gives exit status 2
 
 
@@ -70,6 +71,7 @@ def track(videos: Sequence[Path], groups: Sequence[Any], run: RunOptions, config
         For options or a video that cannot be used.
     """
     parameters = merged(*groups, config=config)
+    videos = [film for video in videos for film in films_of(video)]
     if len(videos) == 1:
         _check_force(parameters)
         target = run.out or Path(f"{run_name(videos[0])}_tracks")
@@ -80,6 +82,30 @@ def track(videos: Sequence[Path], groups: Sequence[Any], run: RunOptions, config
     settings_of(parameters)  # an invalid option is reported once, not for every film
     _check_force(parameters)
     return _track_several(targets, parameters, run, config)
+
+
+def films_of(video: Path) -> list[Path]:
+    """Return the films of a folder that holds some, else the path itself. Pictures beside films are left out.
+
+    A folder often holds pictures of its films, such as those of `track preview`.
+    """
+    if not answered(lambda: video.is_dir() and not is_run(video), video):
+        return [video]
+    files = answered(lambda: [file for file in sorted(video.iterdir()) if file.name[0] != "."], video)
+    films = [file for file in files if file.suffix.lower() in FILMS]
+    pictures = sum(file.suffix.lower() in IMAGES for file in files)
+    if films and pictures:
+        both = f"{counted(len(films), 'film')} and {counted(pictures, 'picture')}"
+        complain(f"{video}: {both}; the films are used (for the pictures, quote a pattern such as '*.png')")
+    return films or [video]
+
+
+def one_film(video: Path) -> Path:
+    """Return the film of a folder that holds one, else the path itself.  Raises: InputError for several."""
+    films = films_of(video)
+    if len(films) > 1:
+        raise InputError(video, "one film", f"{len(films)}", f"name one of them, such as {films[0].name}")
+    return films[0]
 
 
 def _check_force(parameters: Mapping[str, Parameter]) -> None:
@@ -267,7 +293,7 @@ def _targets_of(
 
 def _is_still(path: Path) -> bool:
     """Tell whether a file holds a single image; a TIFF of several pages is a film."""
-    if path.suffix.lower() not in STILLS or not path.is_file():
+    if path.suffix.lower() not in IMAGES or not path.is_file():
         return False
     if path.suffix.lower() not in (".tif", ".tiff"):
         return True

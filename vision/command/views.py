@@ -26,14 +26,14 @@ from vision.command.settings import (
     parse_sheets,
     settings_of,
 )
-from vision.command.track import command_line, run_name
+from vision.command.track import command_line, one_film, run_name
 from vision.comparison import compare as compare_runs
 from vision.comparison import write_comparison
 from vision.comparison.comparison import MARK, answers
 from vision.data import StripMetadata, TrackMetadata, warnings_of
 from vision.errors import InputError
 from vision.figures import kymograph_figure, load_figures, preview_figure, sides_known, slip_times
-from vision.figures.labels import counted
+from vision.figures.style import counted
 from vision.files import reading as reading_of
 from vision.numeric import Floats, Ints, Pixels
 from vision.pipeline import Settings, analyse, open_recording, track_strip
@@ -57,7 +57,16 @@ from vision.sheets import pixel_size_from_pitch
 from vision.sheets.ridges import describe_ridges, find_ridges
 from vision.sheets.tracks import LOSSY
 from vision.spacetime import space_time
-from vision.summary import flag_counts, frame_times, noise_figures, overexposure, tracking_warnings
+from vision.summary import (
+    flag_counts,
+    frame_times,
+    noise_figures,
+    other_flags,
+    overexposure,
+    ridges_line,
+    scale_line,
+    tracking_warnings,
+)
 from vision.video import Video, reference_frame, strip_profile, video_files
 from vision.video.strip import row_means
 from vision.video.strip_find import choose_strip
@@ -82,7 +91,7 @@ class Preview:
 
 def preview(video: Path, reading: VideoOptions, config: Path | None, output: OutputOptions) -> int:
     """Write the picture of a preview, print its summary, and return the exit status."""
-    settings = settings_of(merged(reading, config=config))
+    video, settings = one_film(video), settings_of(merged(reading, config=config))
     target = output.out or Path(f"{run_name(video)}_preview.png")
     if output.out is not None:
         check_new(target, overwrite=output.overwrite)
@@ -128,10 +137,8 @@ def preview_summary(found: Preview, pixel_size_um: float | None) -> list[str]:
     length = "" if pixel_size_um is None else f" = {noise['stated_um']:.3f} µm"
     tilt = "tilt not measured" if math.isnan(strip.tilt_deg) else f"tilt {strip.tilt_deg:+.2f}°"
     flags = flag_counts(found.tracks)
-    other = ", ".join(f"{n} {name}" for name, n in flags.items() if name != "ok") or "none missing"
     low, high = int(found.ridge_counts.min()), int(found.ridge_counts.max())
     counted = f"{low}" if low == high else f"{low} to {high}"
-    scale = "px: give `pixel_size_um` for µm" if pixel_size_um is None else f"{pixel_size_um:g} µm per px"
     frames, left = found.tracks.sizes["frame"], int((found.tracks["side"] < 0).sum())
     sides = f" ({left} left, {comb.sheets - left} right)" if sides_known(found.tracks) else ""
     hidden = f" (not independent: {strip.codec} hides the noise of the pixels)" * (strip.codec in LOSSY)
@@ -142,13 +149,12 @@ def preview_summary(found: Preview, pixel_size_um: float | None) -> list[str]:
         f"{strip.strip_err_px:.3f} px error from the choice of rows",
         f"sheets     {comb.sheets} {comb.ridges} ridges{sides}; {counted} ridges, sheets or not, in "
         f"{found.ridge_counts.size} frames over the film",
-        f"ridges     {comb.ridge_fwhm_px:.1f} px wide, {comb.pitch_px:.1f} px apart; {comb.fit} fit over "
-        f"{comb.window_px} px",
+        ridges_line(comb),
         f"light      ridges {comb.contrast:.3g} grey levels high, profile noise {comb.profile_noise:.2g}",
-        f"positions  {flags.get('ok', 0)} in the first {frames} frames; {other}",
+        f"positions  {flags.get('ok', 0)} in the first {frames} frames; {other_flags(flags)}",
         f"noise      x_err_px {noise['stated_px']:.4f} px{length}; {noise['measured_px']:.4f} px scatter "
         f"between {frames} frames{hidden}",
-        f"scale      {scale}",
+        scale_line(pixel_size_um),
     ]
 
 
@@ -174,6 +180,7 @@ def kymograph(
     """Write space-time diagrams of a video or of a run, and return the exit status."""
     started = time.perf_counter()
     options = _space_time_options(window)
+    video_or_run = one_film(video_or_run)
     target = output.out or Path(f"{run_name(video_or_run)}_kymograph")
     check_target(target, overwrite=output.overwrite)
     check_mark(target, DIAGRAMS)

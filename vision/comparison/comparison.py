@@ -31,7 +31,7 @@ from vision.comparison.runs import TractionTest, read_tests
 from vision.comparison.trends import SYMBOLS, Irregularity, Trend, find_irregular, find_trends
 from vision.errors import InputError
 from vision.figures import Figure, both_errors, plus_minus, save_figures
-from vision.figures.labels import counted
+from vision.figures.style import counted
 from vision.models import Estimate
 from vision.report.page import render_page
 from vision.report.text import Answer, citation

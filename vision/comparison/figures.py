@@ -13,10 +13,9 @@ from vision.comparison.joint import with_word
 from vision.comparison.runs import TractionTest
 from vision.comparison.trends import SYMBOLS, Trend
 from vision.errors import InputError
-from vision.figures.figure import Figure, Panel, Range, Series, load_figures
+from vision.figures.figure import Figure, Panel, Series, load_figures
 from vision.figures.force import amplitude_curve, stiffness_curves
-from vision.figures.labels import from_zero, plus_minus
-from vision.figures.style import DATA, MODEL, PEAK, QUIET, VALLEY, ordered_inks
+from vision.figures.style import DATA, MODEL, PEAK, QUIET, VALLEY, from_zero, ordered_inks, plus_minus
 from vision.models import Estimate, equations
 from vision.numeric import Floats
 
@@ -107,7 +106,12 @@ def drops_figure(found: Comparison, events: pd.DataFrame) -> Figure:
         model = f" Dashed: A times the total normal force, A = {plus_minus(amplitude)} (slow tests)."
     return Figure.of(
         "drops",
-        Panel(x_label="d_v (mm)", y_label="ΔF (N)", y_range=_above_zero(events["dF_N"]), series=series),
+        Panel(
+            x_label="d_v (mm)",
+            y_label="ΔF (N)",
+            y_range=from_zero(events["dF_N"].to_numpy(float), share=0.98),
+            series=series,
+        ),
         f"ΔF = F_p − F_v of every event against the separation at its valley.{model}",
         title="Stick-slip amplitudes at all velocities",
     )
@@ -122,7 +126,7 @@ def stiffnesses_figure(found: Comparison, events: pd.DataFrame) -> Figure:
         one = equations.sheet_stiffness(modulus_GPa=found.modulus.value, sample=sample)
         k = np.asarray(equations.effective_sheets(d / scale, sample=sample) * one)
         series = (*series, *stiffness_curves("M_eff K_eff, median Λ̂", d, k, sample))
-    y_range = _above_zero(events["K_N_per_mm"])
+    y_range = from_zero(events["K_N_per_mm"].to_numpy(float), share=0.98)
     return Figure.of(
         "stiffnesses",
         Panel(x_label="d_v (mm)", y_label="K (N/mm)", y_range=y_range, series=series),
@@ -139,16 +143,14 @@ def _velocity_name(speed_mm_min: float) -> str:
 def _points(found: Comparison, events: pd.DataFrame, x: str, y: str) -> tuple[Series, ...]:
     """Return used events by velocity, or by test if no single μ fits them; unused ones hollow and grey."""
     used, rest = events[events["used"]], events[~events["used"]].sort_values(x)
-    series = _by_test(used, x, y) if found.main and not found.main.fits else _by_velocity(used, x, y)
+    if found.main and not found.main.fits:
+        series = _by_test(used, x, y)
+    else:
+        used = used.sort_values("V_mm_min")
+        series = _by_name(used, used["V_mm_min"].map(_velocity_name), x, y)
     if len(rest):
         series = (*series, Series.points("not used", rest[x], rest[y], QUIET, hollow=True))
     return series
-
-
-def _by_velocity(events: pd.DataFrame, x: str, y: str) -> tuple[Series, ...]:
-    """Return one series per velocity."""
-    events = events.sort_values("V_mm_min")
-    return _by_name(events, events["V_mm_min"].map(_velocity_name), x, y)
 
 
 # --- single events ------------------------------------------------------------------------------------------
@@ -364,7 +366,3 @@ def _trend_text(trend: Trend) -> str:
 def _span(events: pd.DataFrame, column: str) -> Floats:
     used = events.loc[events["used"], column]
     return np.linspace(float(used.min()), float(used.max()), 300)
-
-
-def _above_zero(values: pd.Series) -> Range | None:
-    return from_zero(values.to_numpy(float), share=0.98)

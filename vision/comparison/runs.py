@@ -235,8 +235,8 @@ def _rows_of_runs(
 def _read_test(folder: Path, name: str, row: Row, warnings: list[str]) -> TractionTest:
     made = read_run(folder)
     models = read_json(folder / "models.json") if (folder / "models.json").is_file() else {}
-    recorded = _number((made.facts.get("force") or {}).get("speed_mm_min"))
-    given = _number(row.get("V_mm_min"))
+    recorded = number((made.facts.get("force") or {}).get("speed_mm_min"))
+    given = number(row.get("V_mm_min"))
     if math.isfinite(given) and math.isfinite(recorded) and abs(given / recorded - 1) > 0.05:
         warnings.append(f"{name}: the table has V = {given:g} mm/min, its recording {recorded:.4g}")
     modulus = models.get("Y_eff_GPa") or {}
@@ -245,24 +245,24 @@ def _read_test(folder: Path, name: str, row: Row, warnings: list[str]) -> Tracti
     if sample is PUBLISHED:
         warnings.append(f"{name}: the run does not say which sample it had; the publication's is assumed")
     label = row.get("sample")
-    low, high = map(_number, models.get("fit_range_mm") or (None, None))
+    low, high = map(number, models.get("fit_range_mm") or (None, None))
     return TractionTest(
         run=name,
         folder=folder,
         sample_name="" if label is None or label != label else str(label).strip(),
         speed_mm_min=given if math.isfinite(given) else recorded,
-        n_test=_number(row.get("n_test")),
-        humidity_percent=_number(row.get("RH_percent")),
-        temperature_C=_number(row.get("T_C")),
+        n_test=number(row.get("n_test")),
+        humidity_percent=number(row.get("RH_percent")),
+        temperature_C=number(row.get("T_C")),
         sample=sample,
         events=events,
         fit_range_mm=(low, high) if low < high else None,
-        modulus_GPa=_number(modulus.get("value")),
-        modulus_err_GPa=_number(modulus.get("error")),
+        modulus_GPa=number(modulus.get("value")),
+        modulus_err_GPa=number(modulus.get("error")),
         errors={
             name: error
             for name, value in (models.get("input_errors") or {}).items()
-            if (error := _number(value)) > 0
+            if (error := number(value)) > 0
         },
         instrument=_instrument(models.get("budget") or {}),
     )
@@ -276,7 +276,7 @@ def _instrument(budget: Mapping[str, Any]) -> dict[str, dict[str, float]]:
     """Return the entries of a run's budget that come from the force recording and are not zero."""
     found = {}
     for source in INSTRUMENT:
-        shifts = {str(name): _number(shift) for name, shift in (budget.get(source) or {}).items()}
+        shifts = {str(name): number(shift) for name, shift in (budget.get(source) or {}).items()}
         if positive := {name: shift for name, shift in shifts.items() if shift > 0}:
             found[source] = positive
     return found
@@ -316,7 +316,8 @@ def _sample(content: Any) -> Sample:
     return Sample(**{part: content[part] for part in parts}) if parts <= set(content or ()) else PUBLISHED
 
 
-def _number(value: Any) -> float:
+def number(value: Any) -> float:
+    """Return a value of a JSON file or a table as a number, NaN if it is none."""
     try:
         return float(value)
     except (TypeError, ValueError):

@@ -20,7 +20,6 @@ from vision.figures.catalogue import (
 )
 from vision.figures.figure import Arrow, Band, Figure, Image, Panel, Series, load_figures, save_figures
 from vision.figures.force import clocks_figure, force_figure, force_overview_figure
-from vision.figures.labels import both_errors, percent, plus_minus
 from vision.figures.positions import (
     deformation_figure,
     noise_figure,
@@ -28,6 +27,7 @@ from vision.figures.positions import (
     shells_figure,
     tracks_figure,
 )
+from vision.figures.style import both_errors, percent, plus_minus
 
 __all__ = [
     "FIGURES",

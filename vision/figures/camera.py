@@ -14,9 +14,22 @@ from vision.data import StripMetadata, TrackMetadata
 from vision.errors import InputError
 from vision.figures.decimate import grey_levels, grey_limits, time_rows
 from vision.figures.figure import Band, Figure, Image, Panel, Range, Series
-from vision.figures.labels import UM_PER_MM, displacement_unit, from_zero, position_unit, time_axis
 from vision.figures.positions import decimated_tracks, sheet_series
-from vision.figures.style import DATA, LEFT_ON_GREY, MODEL, PEAK, QUIET, RIGHT_ON_GREY, VALLEY, sheet_inks
+from vision.figures.style import (
+    DATA,
+    LEFT_ON_GREY,
+    MODEL,
+    PEAK,
+    QUIET,
+    RIGHT_ON_GREY,
+    UM_PER_MM,
+    VALLEY,
+    displacement_unit,
+    from_zero,
+    position_unit,
+    sheet_inks,
+    time_axis,
+)
 from vision.numeric import Floats, Pixels, nan_median
 from vision.spacetime import space_time
 

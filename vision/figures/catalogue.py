@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from functools import cached_property
+from inspect import signature
+from typing import TYPE_CHECKING
 
 import pandas as pd
 import xarray as xr
@@ -13,7 +15,7 @@ from vision.clock import Clock
 from vision.errors import InputError
 from vision.figures import camera, force, positions
 from vision.figures.figure import Figure
-from vision.figures.labels import load_unit
+from vision.figures.style import load_unit
 from vision.models import ModelFits
 from vision.numeric import Floats, Pixels
 
@@ -54,9 +56,37 @@ class Results:
     warnings: tuple[str, ...] = ()
 
     @property
+    def results(self) -> Results:
+        """These results, for figures that are made from others."""
+        return self
+
+    @property
     def pixel_size_um(self) -> float | None:
         """µm per pixel; None if it is unknown, and lengths are in px."""
         return None
+
+    @property
+    def unit(self) -> str:
+        """Unit of the load, "1" for a force over a weight."""
+        return "N" if self.force is None else load_unit(self.force)
+
+    @cached_property
+    def slips(self) -> tuple[Floats | None, str]:
+        """Times of the slips on the camera's clock, s, or None; and what they were found from."""
+        sticks, clock = self.sticks, self.clock
+        if sticks is None or not len(sticks) or clock is None or clock.status == "ambiguous":
+            return camera.slip_times(self.tracks)
+        return camera.slip_times(self.tracks, clock.to_video_s(sticks["t_p_s"].to_numpy(float)))
+
+    @property
+    def slips_s(self) -> Floats | None:
+        """Times of the slips on the camera's clock, s; None if unknown."""
+        return self.slips[0]
+
+    @property
+    def slips_from(self) -> str:
+        """What the times of the slips were found from."""
+        return self.slips[1]
 
     @property
     def threshold(self) -> float:
@@ -66,18 +96,34 @@ class Results:
 
 @dataclass(frozen=True)
 class CatalogueEntry:
-    """How one figure is made."""
+    """How one figure is made.
 
-    # heading in the report; "" for figures that the report lacks, as it shows their panels individually
+    Parameters
+    ----------
+    section
+        Heading in the report; "" for figures that the report lacks, as it shows their panels individually.
+    build
+        Makes the figure, or None if there is nothing to show. Its parameters have the names of parts of the
+        results; those without a default are needed.
+    needs
+        What else the figure needs (see `_has`).
+    paper
+        Number of the corresponding figure of the publication, or "".
+    """
+
     section: str
-    # makes the figure from results with the parts in `needs`; returns None if there is nothing to show
-    build: Callable[[Any], Figure | None]
-    needs: tuple[str, ...] = ()  # parts of the results that the figure needs (`_has`)
-    paper: str = ""  # number of the corresponding figure of the publication, or ""
+    build: Callable[..., Figure | None]
+    needs: str = ""
+    paper: str = ""
 
     def make(self, results: Results) -> Figure | None:
         """Return the figure, with the publication's number in its caption; None without its data."""
-        figure = self.build(results) if all(_has(results, part) for part in self.needs) else None
+        parameters = signature(self.build).parameters
+        known = {name: one for name, one in parameters.items() if hasattr(results, name)}
+        needed = [name for name, one in known.items() if one.default is one.empty]
+        if not all(_has(results, part) for part in filter(None, (*needed, self.needs))):
+            return None
+        figure = self.build(**{name: getattr(results, name) for name in known})
         if figure is None or not self.paper:
             return figure
         return replace(figure, caption=f"{figure.caption} Compare figure {self.paper} of the publication.")
@@ -106,13 +152,15 @@ def sections_of(figures: Iterable[Figure]) -> list[tuple[str, list[Figure]]]:
     return list(sections.items())
 
 
+OVERVIEW = {"frame": None, "space_time": 0.45, "tracks": 0.33}  # its panels; height over width, None: its own
+
+
 def overview(figures: Iterable[Figure]) -> Figure | None:
     """Return a figure of frame, space-time diagram and displacements, taken from these figures."""
     named = {figure.name: figure.panel for figure in figures}
-    aspects = {"frame": None, "space_time": 0.45, "tracks": 0.33}
     panels = tuple(
         named[name] if aspect is None else replace(named[name], aspect=aspect)
-        for name, aspect in aspects.items()
+        for name, aspect in OVERVIEW.items()
         if name in named
     )
     if not panels:
@@ -141,38 +189,17 @@ def kymograph(figures: Iterable[Figure]) -> Figure | None:
     return Figure.of("kymograph", panel, camera.KYMOGRAPH_CAPTION, width_in=13.0)
 
 
-def slips_of(r: Results) -> tuple[Floats | None, str]:
-    """Return the times of the slips on the camera's clock, s, and their source."""
-    if r.sticks is None or not len(r.sticks) or r.clock is None or r.clock.status == "ambiguous":
-        return camera.slip_times(r.tracks)
-    return camera.slip_times(r.tracks, r.clock.to_video_s(r.sticks["t_p_s"].to_numpy(float)))
-
-
 def _has(r: Results, part: str) -> bool:
     """Tell whether the results have this part and it is not empty; "separation": events with known d."""
     if part == "separation":
         return r.sticks is not None and bool(r.sticks["d_v_mm"].notna().any())
+    if part == "events":
+        return r.sticks is not None and len(r.sticks) > 0
     if part == "motion":
         return r.motion is not None and r.motion.sizes["event"] > 0
     if part == "shells":
         return r.shells is not None and bool(r.shells["stiff_sheets"].notna().any())
     return getattr(r, part) is not None
-
-
-def _space_time(r: Any) -> Figure:
-    slips_s, source = slips_of(r)
-    return camera.space_time_figure(
-        r.strip, r.tracks, pixel_size_um=r.pixel_size_um, slips_s=slips_s, slips_from=source
-    )
-
-
-def _single_sheets(r: Any) -> Figure | None:
-    slips_s, source = slips_of(r)
-    if slips_s is None:
-        return None
-    return camera.single_sheets_figure(
-        r.strip, r.tracks, slips_s, pixel_size_um=r.pixel_size_um, slips_from=source
-    )
 
 
 _CAMERA = "What the camera saw"
@@ -182,95 +209,33 @@ _CLOCKS = "The two clocks"
 _STICKS = "Stick phases"
 _SHELL = "Deformation and the stiff shell"
 FIGURES: Mapping[str, CatalogueEntry] = {
-    "frame": CatalogueEntry(
-        _CAMERA, lambda r: camera.frame_figure(r.frame, r.tracks), ("frame", "tracks"), paper="7a"
-    ),
-    "space_time": CatalogueEntry(_CAMERA, _space_time, ("strip", "tracks")),
-    "tracks": CatalogueEntry(
-        _POSITIONS, lambda r: positions.tracks_figure(r.tracks, pixel_size_um=r.pixel_size_um), ("tracks",)
-    ),
-    "outer_inner": CatalogueEntry(
-        _POSITIONS,
-        lambda r: positions.outer_inner_figure(r.tracks, pixel_size_um=r.pixel_size_um),
-        ("tracks",),
-    ),
-    "noise": CatalogueEntry(
-        _TRUST, lambda r: positions.noise_figure(r.tracks, pixel_size_um=r.pixel_size_um), ("tracks",)
-    ),
-    "pixel_locking": CatalogueEntry(_TRUST, lambda r: positions.pixel_locking_figure(r.tracks), ("tracks",)),
-    "force": CatalogueEntry(
-        "Traction force", lambda r: force.force_figure(r.force, r.sticks, r.fits), ("force",), paper="2"
-    ),
-    "clocks": CatalogueEntry(
-        _CLOCKS,
-        lambda r: force.clocks_figure(r.force, r.tracks, r.clock, r.sticks, pixel_size_um=r.pixel_size_um),
-        ("force", "tracks", "clock"),
-    ),
-    "clock_residuals": CatalogueEntry(
-        _CLOCKS,
-        lambda r: force.clock_residuals_figure(r.force, r.tracks, r.clock, r.sticks),
-        ("force", "tracks", "clock", "sticks"),
-    ),
-    "sticks": CatalogueEntry(
-        _STICKS, lambda r: force.sticks_figure(r.force, r.sticks), ("force", "separation"), paper="4"
-    ),
-    "force_drop": CatalogueEntry(
-        _STICKS,
-        lambda r: (
-            force.force_drop_figure(r.sticks, r.fits, unit=load_unit(r.force)) if len(r.sticks) else None
-        ),
-        ("force", "sticks"),
-        paper="5",
-    ),
-    "stiffness": CatalogueEntry(
-        _STICKS,
-        lambda r: force.stiffness_figure(r.sticks, r.fits, unit=load_unit(r.force)),
-        ("force", "separation"),
-        paper="6",
-    ),
-    "stiffness_residuals": CatalogueEntry(
-        _STICKS,
-        lambda r: force.stiffness_residuals_figure(r.sticks, r.fits, unit=load_unit(r.force)),
-        ("force", "separation", "fits"),
-    ),
-    "stick": CatalogueEntry(
-        _SHELL,
-        lambda r: positions.stick_figure(r.tracks, r.motion, r.clock),
-        ("tracks", "clock", "motion"),
-        paper="7d",
-    ),
-    "deformation": CatalogueEntry(
-        _SHELL,
-        lambda r: positions.deformation_figure(r.motion, threshold=r.threshold),
-        ("motion",),
-        paper="8",
-    ),
-    "shells": CatalogueEntry(_SHELL, lambda r: positions.shells_figure(r.shells, r.fits), ("shells",)),
-    "force_insets": CatalogueEntry(
-        "", lambda r: force.force_insets_figure(r.force, r.sticks, r.fits), ("force", "separation"), paper="2"
-    ),
-    "single_sheets": CatalogueEntry("", _single_sheets, ("strip", "tracks"), paper="7b and c"),
-    "mean_deformation": CatalogueEntry(
-        "",
-        lambda r: positions.mean_deformation_figure(r.motion, threshold=r.threshold),
-        ("motion",),
-        paper="8",
-    ),
-    "intensity": CatalogueEntry(
-        "",
-        lambda r: camera.intensity_figure(r.strip, r.tracks, slips_of(r)[0]),
-        ("strip", "tracks"),
-        paper="12",
-    ),
+    "frame": CatalogueEntry(_CAMERA, camera.frame_figure, paper="7a"),
+    "space_time": CatalogueEntry(_CAMERA, camera.space_time_figure),
+    "tracks": CatalogueEntry(_POSITIONS, positions.tracks_figure),
+    "outer_inner": CatalogueEntry(_POSITIONS, positions.outer_inner_figure),
+    "noise": CatalogueEntry(_TRUST, positions.noise_figure),
+    "pixel_locking": CatalogueEntry(_TRUST, positions.pixel_locking_figure),
+    "force": CatalogueEntry("Traction force", force.force_figure, paper="2"),
+    "clocks": CatalogueEntry(_CLOCKS, force.clocks_figure),
+    "clock_residuals": CatalogueEntry(_CLOCKS, force.clock_residuals_figure),
+    "sticks": CatalogueEntry(_STICKS, force.sticks_figure, "separation", paper="4"),
+    "force_drop": CatalogueEntry(_STICKS, force.force_drop_figure, "events", paper="5"),
+    "stiffness": CatalogueEntry(_STICKS, force.stiffness_figure, "separation", paper="6"),
+    "stiffness_residuals": CatalogueEntry(_STICKS, force.stiffness_residuals_figure, "separation"),
+    "stick": CatalogueEntry(_SHELL, positions.stick_figure, paper="7d"),
+    "deformation": CatalogueEntry(_SHELL, positions.deformation_figure, paper="8"),
+    "shells": CatalogueEntry(_SHELL, positions.shells_figure),
+    "force_insets": CatalogueEntry("", force.force_insets_figure, "separation", paper="2"),
+    "single_sheets": CatalogueEntry("", camera.single_sheets_figure, paper="7b and c"),
+    "mean_deformation": CatalogueEntry("", positions.mean_deformation_figure, paper="8"),
+    "intensity": CatalogueEntry("", camera.intensity_figure, paper="12"),
     "overview": CatalogueEntry(
-        "", lambda r: overview(_made(r, (FIGURES[name] for name in ("frame", "space_time", "tracks"))))
+        "", lambda results: overview(_made(results, (FIGURES[name] for name in OVERVIEW)))
     ),
     "kymograph": CatalogueEntry(
-        "", lambda r: camera.kymograph_figure([r.strip], pixel_size_um=r.pixel_size_um), ("strip",)
+        "", lambda strip, pixel_size_um=None: camera.kymograph_figure([strip], pixel_size_um=pixel_size_um)
     ),
-    "force_overview": CatalogueEntry(
-        "", lambda r: force.force_overview_figure(r.force, r.sticks, r.fits), ("force", "sticks")
-    ),
+    "force_overview": CatalogueEntry("", force.force_overview_figure),
 }
 """Figures by name, in reading order."""
 

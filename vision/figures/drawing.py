@@ -24,8 +24,7 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from vision.figures.figure import Arrow, Band, Figure, Image, Panel, Series
-from vision.figures.labels import to_mathtext
-from vision.figures.style import CASING, HIGHLIGHT, MISSING, MODEL, QUIET
+from vision.figures.style import CASING, HIGHLIGHT, MISSING, MODEL, QUIET, to_mathtext
 from vision.numeric import Bools, Floats
 
 MOST_LINES = 40  # marked times that get a line across; more are marked only at the edges
@@ -79,22 +78,17 @@ def draw_panel(ax: Axes, panel: Panel) -> Axes:
         for colour, dashes in (("white", "-"), (QUIET[0], (0, (6, 4)))):  # visible on dark and light images
             ax.axvline(x, color=colour, lw=1, ls=dashes)
     _set_axes(ax, right, panel)
-    _draw_annotations(ax, panel)
-    if panel.empty:
-        ax.text(0.5, 0.5, panel.placeholder, transform=ax.transAxes, ha="center", color=QUIET[0])
-        ax.set(xticks=[], yticks=[])
-    _draw_legend(ax, panel)
-    return ax
-
-
-def _draw_annotations(ax: Axes, panel: Panel) -> None:
-    """Draw arrows, numbers of sheets, the inset, and marks along the edge."""
     _draw_arrows(ax, panel.arrows)
     _draw_ticks(ax, [series for series in panel.series if series.look == "ticks"])
     if panel.inset is not None:
         _draw_inset(ax, panel.inset)
     if panel.marks is not None and panel.marks.size:
         _draw_marks(ax, panel.marks)
+    if panel.empty:
+        ax.text(0.5, 0.5, panel.placeholder, transform=ax.transAxes, ha="center", color=QUIET[0])
+        ax.set(xticks=[], yticks=[])
+    _draw_legend(ax, panel)
+    return ax
 
 
 def new_figure(figure: Figure, *, interactive: bool = False) -> Page:

@@ -21,8 +21,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from vision.errors import InputError
-from vision.escaping import harmless_table
-from vision.files import reading
+from vision.files import harmless_table, reading
 from vision.numeric import Bools, Floats
 
 if TYPE_CHECKING:

@@ -13,18 +13,24 @@ from vision.data import StickMetadata
 from vision.errors import InputError
 from vision.figures.decimate import minmax_by_x, minmax_decimate
 from vision.figures.figure import Arrow, Figure, Ink, Panel, Range, Series
-from vision.figures.labels import (
+from vision.figures.positions import outward_px
+from vision.figures.style import (
+    DATA,
+    MODEL,
+    OTHER_MODEL,
+    PEAK,
+    QUIET,
+    VALLEY,
     displacement_unit,
     drift_text,
     from_zero,
     load_label,
     load_unit,
     offset_text,
+    ordered_inks,
     plus_minus,
     time_axis,
 )
-from vision.figures.positions import outward_px
-from vision.figures.style import DATA, MODEL, OTHER_MODEL, PEAK, QUIET, VALLEY, ordered_inks
 from vision.force import good_samples
 from vision.models import Estimate, ModelFits, equations
 from vision.numeric import Floats

@@ -12,8 +12,17 @@ from vision.clock import Clock
 from vision.deformation import stick_displacement
 from vision.figures.decimate import minmax_decimate
 from vision.figures.figure import Band, Figure, Ink, Panel, Series
-from vision.figures.labels import displacement_unit, from_zero, time_axis
-from vision.figures.style import DATA, MODEL, PEAK, VALLEY, ordered_inks, sheet_inks
+from vision.figures.style import (
+    DATA,
+    MODEL,
+    PEAK,
+    VALLEY,
+    displacement_unit,
+    from_zero,
+    ordered_inks,
+    sheet_inks,
+    time_axis,
+)
 from vision.models import ModelFits
 from vision.numeric import Bools, Floats, Ints, nan_median
 

@@ -10,8 +10,7 @@ import xarray as xr
 
 from vision.figures.decimate import minmax_decimate
 from vision.figures.figure import Band, Figure, Panel, Range, Series
-from vision.figures.labels import plus_minus
-from vision.figures.style import DATA, MODEL, PEAK, QUIET, VALLEY, ordered_inks
+from vision.figures.style import DATA, MODEL, PEAK, QUIET, VALLEY, ordered_inks, plus_minus
 from vision.models import Estimate
 from vision.models.friction import (
     PUBLISHED_FRICTION,

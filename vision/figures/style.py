@@ -1,16 +1,27 @@
-"""Colours of all figures, for light and dark backgrounds, grey print and colour-blind readers.
+"""Colours of all figures, and text of figures and of the report: symbols, numbers with errors, units, axes.
 
-Single colours are those of Okabe & Ito; series also differ in luminance, dashes and markers. Sheets are blue
-on the left and orange on the right, and darkest (on a light background) at the axis.
+Colours suit light and dark backgrounds, grey print and colour-blind readers. Single colours are those of
+Okabe & Ito; series also differ in luminance, dashes and markers. Sheets are blue on the left and orange on
+the right, and darkest (on a light background) at the axis.
 """
 
 from __future__ import annotations
 
+import math
+import re
+from typing import TYPE_CHECKING
+
 import numpy as np
 import xarray as xr
+from markupsafe import Markup, escape
 
+from vision.data import StripMetadata
 from vision.figures.figure import Ink
+from vision.models import Estimate
 from vision.numeric import Floats
+
+if TYPE_CHECKING:
+    from vision.clock import Clock
 
 DATA: Ink = ("#0072b2", "#56b4e9")
 PEAK: Ink = ("#b34700", "#ff9d57")
@@ -56,3 +67,142 @@ def _along(colours: tuple[str, ...], shares: Floats) -> list[str]:
     at = np.linspace(0, 1, len(colours))
     channels = [np.interp(shares, at, channel) for channel in zip(*map(rgb, colours), strict=True)]
     return [f"#{round(r):02x}{round(g):02x}{round(b):02x}" for r, g, b in zip(*channels, strict=True)]
+
+
+# --- symbols: σ_x, Λ_st and M_eff are written so in the program and in tables -------------------------------
+
+_SYMBOL = re.compile(r"(?<![A-Za-z0-9_])([A-Za-zΔΛσδ])_(st|sl|eff|x|v|p|0)\b")
+_SMALL_LETTERS = str.maketrans("xvpst0", "ₓᵥₚₛₜ₀")
+
+
+def to_html(text: str) -> Markup:
+    """Return safe HTML, with <sub> for subscripts."""
+    return Markup(_SYMBOL.sub(r"\1<sub>\2</sub>", str(escape(text))))
+
+
+def to_unicode(text: str) -> str:
+    """Return plain text with Unicode subscripts; "_eff" and "_sl" are unchanged, as Unicode lacks them."""
+    return _SYMBOL.sub(
+        lambda m: m[0] if m[2] in ("eff", "sl") else m[1] + m[2].translate(_SMALL_LETTERS), text
+    )
+
+
+def to_mathtext(text: str) -> str:
+    """Return text for matplotlib, with Unicode subscripts, or else mathtext, which is slower."""
+    # A name may contain "$".
+    plain = _SYMBOL.sub(r"$\1_{\\mathrm{\2}}$", to_unicode(text).replace("$", r"\$"))
+    # Outside mathtext, a hat on a capital is cut off.
+    return re.sub("(\\w)\u0302", r"$\\hat{\\mathrm{\1}}$", plain)
+
+
+# --- numbers ------------------------------------------------------------------------------------------------
+
+
+def plus_minus(estimate: Estimate) -> str:
+    """Return a value ± its standard error, to two digits of the error; four digits without an error."""
+    value, error = estimate.value, estimate.error
+    if not math.isfinite(error) or error <= 0:
+        return f"{value:.4g}".replace("-", "−")
+    digits = max(0, 1 - math.floor(math.log10(error)))
+    return f"{value:.{digits}f} ± {error:.{digits}f}".replace("-", "−")
+
+
+def both_errors(estimate: Estimate) -> str:
+    """Return a value with its statistical and, if known, its systematic error."""
+    systematic = estimate.systematic_error
+    if not math.isfinite(systematic) or systematic == 0:
+        return plus_minus(estimate)
+    smallest = min([e for e in (estimate.error, systematic) if math.isfinite(e) and e > 0], default=math.nan)
+    if not math.isfinite(smallest):
+        return f"{plus_minus(estimate)} (stat.) ± {systematic:.2g} (syst.)"
+    digits = max(0, 1 - math.floor(math.log10(smallest)))
+    error = f"{estimate.error:.{digits}f}" if math.isfinite(estimate.error) else "?"
+    text = f"{estimate.value:.{digits}f} ± {error} (stat.) ± {systematic:.{digits}f} (syst.)"
+    return text.replace("-", "−")
+
+
+def counted(count: int, noun: str) -> str:
+    """Return "1 film" or "2 films"."""
+    return f"{count} {noun}{'s' * (count != 1)}"
+
+
+def percent(fraction: float) -> str:
+    """Return a fraction as a percentage with one decimal, rounded down so that 99.96 is not 100."""
+    return f"{math.floor(1000 * fraction) / 10:g} %"
+
+
+def signed(value: float) -> str:
+    """Return a number rounded to a whole one, with its sign."""
+    return f"{value:+.0f}".replace("-", "−")
+
+
+def offset_text(clock: Clock) -> str:
+    """Return a clock's offset, with its error if known."""
+    if not clock.offset_err_s > 0:
+        return f"{clock.offset_s:.4f} s".replace("-", "−")
+    return f"{plus_minus(Estimate(clock.offset_s, clock.offset_err_s))} s"
+
+
+def drift_text(clock: Clock) -> str:
+    """Return a clock's drift, with its error if known."""
+    error = clock.drift_err_ppm
+    if not error > 0:
+        return f"{signed(clock.drift_ppm)} ppm"
+    sign = "+" if clock.drift_ppm > 0 else ""
+    return f"{sign}{plus_minus(Estimate(clock.drift_ppm, error))} ppm"
+
+
+def candidates_text(clock: Clock) -> str:
+    """Return the offsets of the best three alignments with their log-likelihoods."""
+    best = [f"{one.offset_s:.3f} s ({one.log_likelihood:.1f})" for one in clock.candidates[:3]]
+    return ", ".join(best).replace("-", "−")
+
+
+# --- units and axes -----------------------------------------------------------------------------------------
+
+UM_PER_MM = 1000
+
+
+def time_axis(data: xr.Dataset | xr.DataArray) -> tuple[Floats, str]:
+    """Return the times of the frames of tracks or I(x, t), (frame,), and the label of their axis.
+
+    The label names the playback rate if the times are known only from it. Frame numbers replace times that
+    are unknown, do not increase in most frames, or decrease.
+    """
+    time = np.asarray(data["time_s"].values, np.float64)
+    steps = np.diff(time)
+    if not np.isfinite(time).all() or (steps < 0).any() or (steps.size and np.median(steps) <= 0):
+        return np.asarray(data["frame"].values, np.float64), "frame"
+    playback = "clock_kind" in data.attrs and StripMetadata.of(data).clock_kind == "playback"
+    return time, "t (s, playback rate)" if playback else "t (s)"
+
+
+def displacement_unit(pixel_size_um: float | None) -> tuple[float, str]:
+    """Return the factor from px, and the unit: µm, or px if the pixel size is not known."""
+    return (1.0, "px") if pixel_size_um is None else (pixel_size_um, "µm")
+
+
+def position_unit(pixel_size_um: float | None, width_px: float) -> tuple[float, str]:
+    """Return factor from px and unit for a picture `width_px` wide: mm, µm below 1 mm, or px."""
+    if pixel_size_um is None or pixel_size_um * width_px < UM_PER_MM:
+        return displacement_unit(pixel_size_um)
+    return pixel_size_um / UM_PER_MM, "mm"
+
+
+def from_zero(*values: Floats, share: float = 1.0) -> tuple[float, float] | None:
+    """Return the range of an axis from 0 to above this share of the values; None if none is positive."""
+    known = np.concatenate([np.asarray(part, np.float64).ravel() for part in values])
+    known = known[np.isfinite(known)]
+    margin = 1.15 if share == 1 else 1.25  # for the outliers
+    top = margin * float(np.quantile(known, share)) if known.size else 0.0
+    return (0.0, top) if top > 0 else None
+
+
+def load_unit(force: xr.Dataset) -> str:
+    """Return the load's unit: "N", or "1" for a force over a weight."""
+    return str(force["load_N"].attrs.get("units", "N"))
+
+
+def load_label(name: str, unit: str) -> str:
+    """Return the label of an axis of force."""
+    return f"{name} / weight" if unit == "1" else f"{name} ({unit})"

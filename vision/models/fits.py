@@ -145,16 +145,18 @@ def _held(mu: float | None, modulus_GPa: float | None) -> dict[str, float]:
 def _undetermined(reason: str, advice: str = "") -> InputError:
     """Error for events that do not determine the parameters."""
     advice = advice or "check `d0_mm`, and that the force was recorded while the blocks were pulled apart"
-    return InputError("model fits", "events that follow the paper's model", f"others ({reason})", advice)
+    return InputError(
+        "the force recording", "events that follow the paper's model", f"others ({reason})", advice
+    )
 
 
 def _check_force(force: xr.Dataset) -> None:
     """Raise InputError if the load is not a force or the initial separation is unknown."""
     if force["load_N"].attrs.get("units") == "1":
-        raise InputError("model fits", "a force in N", "a force over a weight")
+        raise InputError("the force recording", "a force in N", "a force over a weight")
     facts = ForceMetadata.of(force)
     if facts.separation_from != "none" and np.isnan(facts.d0_mm):
-        raise InputError("model fits", "the initial separation", "none", "give `d0_mm`")
+        raise InputError("the force recording", "the initial separation", "none", "give `d0_mm`")
 
 
 def _read_as(force: xr.Dataset) -> str:
@@ -175,12 +177,12 @@ def _doubtful_units(events: pd.DataFrame, sample: Sample, force: xr.Dataset) -> 
     distance = float(np.ptp(events["d_v_mm"])) / (len(events) - 1)
     if distance < 1e-4:  # below the resolution of any crosshead
         wanted, found = "events at least 0.1 µm apart", f"{1e3 * distance:.2g} µm"
-        raise InputError("model fits", wanted, found, _read_as(force))
+        raise InputError("the force recording", wanted, found, _read_as(force))
     k = float(events["K_N_per_mm"].median())
     least = k * sample.length_mm / (1000 * sample.sheets_per_block * sample.thickness_mm * sample.width_mm)
     found = f"K of {k:.3g} N/mm, which needs sheets of {least:.2g} GPa"
     if least > 1000:  # the modulus of diamond
-        raise InputError("model fits", "sheets of less than 1000 GPa", found, _read_as(force))
+        raise InputError("the force recording", "sheets of less than 1000 GPa", found, _read_as(force))
     return "" if 0.1 < least < 30 else f"{found} or more: {_read_as(force)}"
 
 
@@ -206,7 +208,7 @@ def _misread_lengths(
             found += f"it agrees (μ = {peaks.value[0]:.3g}, 𝒯0 = {peaks.value[1]:.2g} N)"
             if any("displacement assumed in" in note for note in facts.notes):
                 advice = f"the file states no unit: give `force_columns` displacement=NAME:{unit}"
-                raise InputError("model fits", "peaks that agree with Eq. 1", found, advice)
+                raise InputError("the force recording", "peaks that agree with Eq. 1", found, advice)
             return f"the unit of the displacement contradicts Eq. 1: {found}"
     return ""
 
@@ -215,7 +217,7 @@ def _complete_events(sticks: pd.DataFrame, sample: Sample, force: xr.Dataset) ->
     """Return the complete events with all that the fits need; raise InputError if they are too few."""
     needed = ["d_v_mm", "d_p_mm", "F_p_N", "dF_N", "K_N_per_mm"]
     if absent := [name for name in needed if name not in sticks]:
-        raise InputError("model fits", f"columns {', '.join(needed)}", f"no {', '.join(absent)}")
+        raise InputError("the force recording", f"columns {', '.join(needed)}", f"no {', '.join(absent)}")
     if "flag" in sticks:
         measured = [set(str(flag).split("+")) <= _MEASURED for flag in sticks["flag"]]
         events: pd.DataFrame = sticks[np.asarray(measured, dtype=bool)]
@@ -234,7 +236,7 @@ def _complete_events(sticks: pd.DataFrame, sample: Sample, force: xr.Dataset) ->
         known = np.isfinite(d).any()
         travel = f"the separation changes by {np.nanmax(d) - np.nanmin(d):.3g} mm" if known else ""
         raise InputError(
-            "model fits",
+            "the force recording",
             f"at least {_LEAST_EVENTS} whole events with d, F_p, dF and K",
             f"{len(events)} of {len(sticks)}",
             f"{travel}: {_read_as(force)}" if travel else "lengths need a displacement or `speed_mm_min`",
@@ -242,7 +244,7 @@ def _complete_events(sticks: pd.DataFrame, sample: Sample, force: xr.Dataset) ->
     low, high = float(events["d_v_mm"].min()), float(events["d_p_mm"].max())
     if low <= 0 or high >= sample.length_mm:
         raise InputError(
-            "model fits",
+            "the force recording",
             f"separations between 0 and {sample.length_mm:g} mm",
             f"{low:.3g} to {high:.3g} mm",
             f"give the initial separation with `d0_mm`, check `length_mm`, or {_read_as(force)}",

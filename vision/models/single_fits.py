@@ -16,7 +16,7 @@ import pandas as pd
 import scipy
 from numpy.typing import ArrayLike
 
-from vision.escaping import html_table
+from vision.files import html_table
 from vision.models import equations
 from vision.numeric import Bools, Floats
 from vision.sample import Sample

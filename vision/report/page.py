@@ -21,8 +21,7 @@ from PIL import Image as Pillow
 from vision.data import ForceMetadata, StripMetadata
 from vision.errors import with_options
 from vision.figures import Figure, Image, Panel, Results, Series, figures_of, missing_parts, sections_of
-from vision.figures.labels import to_html, to_unicode
-from vision.figures.style import MISSING, rgb
+from vision.figures.style import MISSING, rgb, to_html, to_unicode
 from vision.numeric import Floats
 from vision.report.text import answers, citation, methods, subtitle
 from vision.sheets import doubtful_stretches

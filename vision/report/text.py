@@ -13,7 +13,7 @@ import vision
 from vision.clock import Clock
 from vision.data import ForceMetadata, MotionMetadata, StickMetadata, StripMetadata, TrackMetadata
 from vision.figures import Results, both_errors, percent, plus_minus
-from vision.figures.labels import candidates_text, drift_text, load_unit, offset_text
+from vision.figures.style import candidates_text, drift_text, load_unit, offset_text
 from vision.models import Estimate, ModelFits
 from vision.sheets.tracks import LOSSY
 from vision.summary import flag_counts, noise_figures

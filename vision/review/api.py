@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -105,14 +106,22 @@ class Api:
         run, trial, effects = self.session, self.session.trial, self.session.effects
         get: dict[str, Callable[[Request], Response]] = {
             "/api/run": lambda ask: _json(run.summary() | self._other_windows(ask)),
-            "/api/state": self._state,
+            "/api/state": lambda ask: _json(run.state() | self._other_windows(ask)),
             "/api/film": self._film,
-            "/api/frame/{frame:int}.png": self._frame,
-            "/api/kymograph/{level:int}/{x:int}/{y:int}.png": self._tile,
-            "/api/tracks": self._tracks,
+            "/api/frame/{frame:int}.png": lambda ask: _png(run.picture(ask.path_params["frame"])),
+            "/api/kymograph/{level:int}/{x:int}/{y:int}.png": lambda ask: _png(
+                run.tiles.part(*(ask.path_params[name] for name in ("level", "x", "y")))
+            ),
+            "/api/tracks": lambda ask: _floats(  # positions of all sheets as float32, row after row
+                run.curves(_number(ask, "first", 0), _number(ask, "stop", 1 << 40), _points(ask))
+            ),
             "/api/times": lambda ask: _floats(run.positions.time_s[:, None]),  # s, one per frame
             "/api/slips": lambda ask: _json({"slips": run.slips(), "film": run.film_slips()}),
-            "/api/force": self._force,
+            "/api/force": lambda ask: _floats(  # time on the force clock, load and separation as float64
+                run.recordings.force(
+                    _seconds(ask, "first_s", -math.inf), _seconds(ask, "stop_s", math.inf), _points(ask)
+                )
+            ),
             # the page requests each stick phase that the cursor passes
             "/api/stick/{event:int}": lambda ask: _json(effects.stick(ask.path_params["event"])),
             "/api/ridges/{frame:int}": lambda ask: _json(run.ridges(ask.path_params["frame"])),
@@ -163,10 +172,6 @@ class Api:
 
         return answer
 
-    def _state(self, request: Request) -> Response:
-        """Return the revision, the decisions, and the number of other windows."""
-        return _json(self.session.state() | self._other_windows(request))
-
     def _other_windows(self, request: Request) -> dict[str, Any]:
         """Record the requesting window and return the number of others."""
         window, now = _window(request), time.monotonic()
@@ -184,33 +189,13 @@ class Api:
             return _json({"rows": None, "columns": None, "error": with_options(str(error))})
         return _json({"rows": rows, "columns": columns, "error": ""})
 
-    def _frame(self, request: Request) -> Response:
-        """Return one frame of the film."""
-        frame, session = request.path_params["frame"], self.session
-        row = session.positions.row_of(frame)
-        return _png(session.recordings.picture(frame, float(session.positions.time_s[row])))
-
-    def _tile(self, request: Request) -> Response:
-        """Return one tile of I(x, t)."""
-        return _png(self.session.tiles.part(*(request.path_params[name] for name in ("level", "x", "y"))))
-
-    def _tracks(self, request: Request) -> Response:
-        """Return the positions of all sheets as float32, row after row."""
-        first, stop = _number(request, "first", 0), _number(request, "stop", 1 << 40)
-        return _floats(self.session.curves(first, stop, _points(request)))
-
-    def _force(self, request: Request) -> Response:
-        """Return time on the force clock, load and separation as float64, row after row."""
-        span = (_seconds(request, "first_s", float("-inf")), _seconds(request, "stop_s", float("inf")))
-        return _floats(self.session.recordings.force(*span, _points(request)))
-
     def _changed(self, request: Request, body: Mapping[str, Any], work: Callable[[], None]) -> Response:
         """Make a change, unless the page has not yet seen a change made in another window."""
         with self.session.lock:
             if body.get("revision", self.session.revision) != self.session.revision:
                 raise HTTPException(409, "the run was changed in another window: look again")
             work()
-            return self._state(request)
+            return _json(self.session.state() | self._other_windows(request))
 
 
 def _window(request: Request) -> str:

@@ -25,7 +25,7 @@ from vision.errors import InputError
 from vision.figures.decimate import grey_levels, grey_limits, minmax_decimate
 from vision.numeric import Floats, Floats32, Pixels
 from vision.pipeline import Settings, open_force, open_recording
-from vision.run.folder import MARK, lock_open_file
+from vision.run.folder import MARK, lock_open_file, unwritable
 from vision.run.reading import AGAIN, RunFolder, read_json, stored_kymograph
 from vision.sheets.corrections import Correction, correction_of
 from vision.sheets.settings import TrackingSettings
@@ -127,8 +127,7 @@ def claim(folder: Path) -> IO[str]:
     try:
         file = path.open("w", encoding="utf-8")
     except OSError as error:
-        found = (error.strerror or str(error)).lower()
-        raise InputError(path, "a place that can be written", found, "copy the run folder") from error
+        raise unwritable(path, error, "copy the run folder") from error
     try:
         lock_open_file(file.fileno())
     except OSError:

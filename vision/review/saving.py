@@ -28,7 +28,7 @@ from vision.pipeline import Analysis, Settings, analyse, open_recording
 from vision.review.positions import Before, Positions, median_positions, positions_of
 from vision.review.recordings import StoredRun
 from vision.review.tracks_file import read_tracks
-from vision.run.folder import clean_up, plain, put_in_place
+from vision.run.folder import clean_up, plain, put_in_place, unwritable
 from vision.run.provenance import Origin, Parameter
 from vision.run.reading import read_run, read_strip
 from vision.run.writing import write_run
@@ -284,8 +284,7 @@ class Trial:
             try:
                 put_in_place(folder, run.folder.resolve(), overwrite=True)
             except OSError as error:
-                found = (error.strerror or str(error)).lower()
-                raise InputError(run.folder, "a place that can be written", found, "not kept") from error
+                raise unwritable(run.folder, error, "not kept") from error
             self.discard()
             run.reload()
 

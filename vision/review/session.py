@@ -29,7 +29,7 @@ from vision.review.positions import (
     positions_of,
     take_back,
 )
-from vision.review.recordings import Diagram, Recordings, StoredRun, Tiles, claim, decided_clock
+from vision.review.recordings import Diagram, Grey, Recordings, StoredRun, Tiles, claim, decided_clock
 from vision.review.saving import SaveJob, Saver, Trial, pack, unpack
 from vision.review.tracks_file import StoredTracks, read_tracks
 from vision.run.folder import plain, whole_file
@@ -415,6 +415,10 @@ class Session:
             frame = positions.frame[rows].astype(np.float64)
             at, values = minmax_decimate(frame, positions.x_px[rows], most=points)
         return np.column_stack([at, values]).astype(np.float32)
+
+    def picture(self, frame: int) -> Grey:
+        """Return one frame of the film."""
+        return self.recordings.picture(frame, float(self.positions.time_s[self.positions.row_of(frame)]))
 
     def ridges(self, frame: int) -> dict[str, Any]:
         """Return every ridge found in one frame with the sheet it is assigned to, and every sheet."""

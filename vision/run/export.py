@@ -20,10 +20,9 @@ from numpy.typing import NDArray
 
 from vision.data import StripMetadata
 from vision.errors import InputError
-from vision.escaping import harmless, harmless_table
 from vision.figures.decimate import grey_limits
 from vision.figures.style import HIGHLIGHT, LEFT_ON_GREY, RIGHT_ON_GREY, rgb
-from vision.files import reading
+from vision.files import harmless, harmless_table, reading
 from vision.numeric import Floats, Ints, Pixels
 from vision.report.page import flattened
 from vision.run.folder import check_new, check_target, run_folder, whole_file, write_json

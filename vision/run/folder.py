@@ -39,7 +39,7 @@ def check_target(target: Path, *, overwrite: bool) -> None:
             _check_earlier(target, overwrite=overwrite)
         parent = existing_parent(target)
     except OSError as error:
-        raise _unwritable(target, error) from error
+        raise unwritable(target, error) from error
     if not os.access(parent, os.W_OK | os.X_OK):
         raise InputError(target, "a place that can be written", f"{parent} is not", "give another `out`")
 
@@ -85,7 +85,7 @@ def run_folder(target: Path, *, overwrite: bool = False) -> Iterator[Path]:
         yield temporary
         put_in_place(temporary, target, overwrite=overwrite)
     except OSError as error:
-        raise _unwritable(target, error) from error
+        raise unwritable(target, error) from error
     finally:
         try:
             shutil.rmtree(temporary, ignore_errors=True)
@@ -209,8 +209,7 @@ def whole_file(target: Path, *, durable: bool = False) -> Iterator[Path]:
         if durable:
             _to_disk(target.parent)
     except OSError as error:
-        found = str(error.strerror or error).lower()
-        raise InputError(target, "a place that can be written", found, "nothing was written") from error
+        raise unwritable(target, error, "nothing was written") from error
     finally:
         try:
             shutil.rmtree(temporary, ignore_errors=True)
@@ -247,12 +246,14 @@ def existing_parent(path: Path) -> Path:
     return next(parent for parent in path.absolute().parents if parent.exists())
 
 
-def _unwritable(target: Path, error: OSError) -> InputError:
-    """Return the error for a run folder that could not be written."""
+def unwritable(
+    target: Path, error: OSError, advice: str = "nothing was written; give another `out`"
+) -> InputError:
+    """Return the error for a file or folder that could not be written."""
     short = error.errno is None and "requested and" in str(error)  # NumPy's message for an incomplete write
     full = short or error.errno in (errno.ENOSPC, errno.EDQUOT)
     found = "a full disk" if full else str(error.strerror or error).lower()
-    return InputError(target, "a place that can be written", found, "nothing was written; give another `out`")
+    return InputError(target, "a place that can be written", found, advice)
 
 
 def write_json(content: Mapping[str, Any], path: Path) -> None:

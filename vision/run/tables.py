@@ -17,7 +17,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from pyarrow import csv
 
-from vision.escaping import harmless_table
+from vision.files import harmless_table
 
 _JSON = ("[", "{", '"')  # first character of an attribute that is read back as JSON
 ROWS_PER_CHUNK = 500_000  # of tracks.csv, so that memory does not grow with the recording

@@ -154,17 +154,13 @@ def run_facts(analysis: Analysis, origin: Origin, inputs: Callable[[], Any]) -> 
     if analysis.clock is not None:
         facts["clock"] = analysis.clock
     facts["systematic_errors"] = systematic_budget(analysis).to_json()
-    operations = [part.attrs.get("operations", ()) for part in _parts(analysis)]
+    parts = (analysis.tracks, analysis.force, analysis.sticks, analysis.motion, analysis.shells)
+    operations = [part.attrs.get("operations", ()) for part in parts if part is not None]
     longest = max(operations, key=len, default=())
     others = [step for steps in operations for step in steps if step not in longest]
     facts["operations"] = [*longest, *others]
     reasons = dict(zip(analysis.reasons, origin.named(analysis.reasons.values()), strict=True))
     return facts | {"warnings": origin.named(analysis.warnings), "not_measured": reasons}
-
-
-def _parts(analysis: Analysis) -> list[Any]:
-    parts = (analysis.tracks, analysis.force, analysis.sticks, analysis.motion, analysis.shells)
-    return [part for part in parts if part is not None]
 
 
 def _video_facts(analysis: Analysis) -> dict[str, Any]:

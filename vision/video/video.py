@@ -13,14 +13,15 @@ from typing import Literal
 import numpy as np
 
 from vision.errors import InputError
-from vision.escaping import html_table
-from vision.files import Stamp, answered, check_pixels, check_regular, reading
+from vision.files import Stamp, answered, check_pixels, check_regular, html_table, reading
 from vision.numeric import Floats, Ints, Pixels
-from vision.video.raw import is_photron, open_raw, photron_files
+from vision.video.raw import PIXELS, is_photron, open_raw, photron_files
 from vision.video.reader import SECONDS, Block, Facts, Reader
 from vision.video.settings import DEFAULTS
 from vision.video.stacks import IMAGES, is_tiff, open_sequence, open_stack
 
+FILMS = {".avi", ".mp4", ".m4v", ".mkv", ".mov", ".cine", PIXELS}
+"""Suffixes by which the films of a folder are found. A film that is named may have any suffix."""
 _UNIT = re.compile(r"(?:^|[\s_(\[.,;/-])(s|sec|seconds|ms|us|µs|μs|ns)(?:$|[\s)\],;])", re.IGNORECASE)
 _TIME_NAME = re.compile(r"time|stamp|zeit|temps", re.IGNORECASE)
 

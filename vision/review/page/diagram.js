@@ -102,7 +102,7 @@ export class Tiles {
     for (let i = begin; i < end; i++) yield i;
   }
 
-  /** The whole test on the coarsest level stands in for whatever is on its way. */
+  /** The coarsest level of the whole test is shown until the tiles have arrived. */
   holdCoarsest() {
     const level = this.levels - 1, across = Math.ceil(this.width / this.columns);
     for (let j = 0; j < across; j++) this.pictures.get(`${level}/${j}/0`);

@@ -200,7 +200,7 @@ class Page {
     const [kind, text] = this.ended ? ["lost", "The review has ended"]
       : this.lost ? ["lost", "Does not answer – trying again …"]
         : this.saving ? ["open", "Saving …"]
-          : state.changed ? ["open", waiting ? `${waiting === 1 ? "1 decision" : `${waiting} decisions`} not in the tables yet` : "The tables hold what was undone"]
+          : state.changed ? ["open", waiting ? `${waiting === 1 ? "1 decision" : `${waiting} decisions`} not in the tables yet` : "The tables still contain undone decisions"]
             : ["saved", this.savedAt ? `Saved at ${this.savedAt}` : "Tables are up to date"];
     this.say("connection", text);
     by("connection").dataset.state = kind;
