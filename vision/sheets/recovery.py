@@ -226,8 +226,8 @@ def _unproved_jumps(
     run = np.cumsum(run)
     moved = nan_median(x - rest_positions(x), axis=1)
     place = np.array([nan_median(moved[run == one]) for one in range(run[-1] + 1)])
-    apart = np.abs(place - place[:, None]) > settings.step_fraction * comb.pitch_px
-    away = apart[np.argmax(~apart @ np.bincount(run))][run]
+    apart = np.abs(place - place[:, None]) / (settings.step_fraction * comb.pitch_px)
+    away = apart[np.argmax((apart < 0.5) @ np.bincount(run))][run] > 1
     if not away.any():
         return np.zeros(x.shape, bool)
     reach = settings.edge_pitches * comb.pitch_px
