@@ -363,14 +363,14 @@ class _Joints(NamedTuple):
 
 
 def _joints(ridges: Ridges, comb: RidgeComb, width_px: int, settings: TrackingSettings) -> _Joints:
-    """Compare consecutive frames, first with no sheet crossing the edge, then with one or two."""
+    """Compare consecutive frames, first with no sheet crossing the edge, then with one."""
     frames = len(ridges.x_px)
     pairs = _pairs(ridges, np.arange(frames - 1), 0, comb, width_px, settings)
     usual = float(np.median(pairs.change)) if frames > 1 else 0.0
     most = max(settings.least_change, 5.0 * usual)
     continues, moved = pairs.continues & (pairs.change <= most), pairs.moved_px
     came = np.zeros(frames - 1, np.int64)
-    for number in (1, -1, 2, -2):
+    for number in (1, -1):
         rows = np.flatnonzero(~continues)
         pairs = _pairs(ridges, rows, number, comb, width_px, settings)
         good = pairs.continues & (pairs.change <= most)
