@@ -150,14 +150,9 @@ def _shifted_pattern(certain: Floats, settings: TrackingSettings) -> Bools:
         with np.errstate(divide="ignore", invalid="ignore"):
             log_contrast, log_width = np.log(certain[1:, rows])
             shift = pattern_shift(log_contrast, log_width, settings)
-        away[rows] = seen[rows] & (shift != _commonest(shift))[:, None]
+        shifts, counts = np.unique(shift, return_counts=True)
+        away[rows] = seen[rows] & (shift != shifts[counts.argmax()])[:, None]
     return away
-
-
-def _commonest(values: Ints) -> int:
-    """Return the value that occurs most often, the smallest of several."""
-    found, counts = np.unique(values, return_counts=True)
-    return int(found[np.argmax(counts)])
 
 
 def _settle_by_pattern(why: Strings, paired: Floats, comb: RidgeComb, settings: TrackingSettings) -> Strings:
@@ -242,10 +237,8 @@ def _unproved_jumps(
     worse = np.maximum(misfit / settings.least_misfit**2, 1.0)
     margin = nan_median(identities.margin, axis=1)  # of the whole comb; single sheets may be less certain
     known = np.isfinite(margin)
-    frames = np.maximum(np.bincount(run, known), 1)
-    run_worse = np.bincount(run, np.where(known, worse, 0.0)) / frames
-    run_margin = np.bincount(run, np.nan_to_num(margin)) / frames
-    unproved = away & (run_margin[run] < least * run_worse[run])
+    given, wanted = (np.bincount(run[known], part[known], run[-1] + 1) for part in (margin, least * worse))
+    unproved = away & (given < wanted)[run]
     return np.asarray(unproved[:, None] & np.isfinite(x), bool)
 
 
