@@ -236,8 +236,9 @@ def _unproved_jumps(
     misfit /= np.maximum(np.isfinite(off).sum(axis=1), 1)
     worse = np.maximum(misfit / settings.least_misfit**2, 1.0)
     margin = nan_median(identities.margin, axis=1)  # of the whole comb; single sheets may be less certain
-    known = np.isfinite(margin)
-    given, wanted = (np.bincount(run[known], part[known], run[-1] + 1) for part in (margin, least * worse))
+    runs = [run == one for one in range(run[-1] + 1)]
+    # medians: a slip within the exposure of one frame changes brightnesses there alone
+    given, wanted = (np.array([nan_median(part[one]) for one in runs]) for part in (margin, least * worse))
     unproved = away & (given < wanted)[run]
     return np.asarray(unproved[:, None] & np.isfinite(x), bool)
 
