@@ -173,6 +173,22 @@ def test_sarcomeres_compressed_again_keep_their_numbers(tracked, tmp_path):
     assert (flags == "doubtful").mean() < 0.05
 
 
+@pytest.mark.parametrize("noise", [8, 20])
+def test_sarcomeres_in_noise_are_never_a_pitch_off_all_together(tracked, tmp_path, noise):
+    """Noise hides the ends of the comb, so that it fits a pitch further nearly as well. A failure means that
+    all discs are given as their neighbours, flagged ok, in a twentieth or a quarter of all positions."""
+    _, x, _, _ = tracked("sarcomeres.avi", "--rotate", "90")
+    film = np.stack(list(open_video(DATA / "sarcomeres.avi").frames()))
+    noisy = np.rint(film + np.random.default_rng(noise).normal(0, noise, film.shape)).clip(0, 255)
+    _, again, _, _ = track(
+        tmp_path / "run", write_ffv1(tmp_path / "noisy.mkv", noisy.astype(np.uint8)), ("--rotate", "90")
+    )
+    same = np.abs(nan_median(again)[:, None] - nan_median(x)).argmin(axis=1)
+    off = again - x[:, same]
+    assert (np.abs(off - nan_median(off)) > 6).sum() <= 0.02 * np.isfinite(again).sum()  # discs 12 px apart
+    assert np.isfinite(again).sum() > 500
+
+
 def test_a_slow_hand_over_the_upper_floor_renumbers_no_marker(tracked, tmp_path):
     """Something dark comes over two of seven markers and leaves again. A failure means that the others are
     given as their neighbours, flagged ok."""

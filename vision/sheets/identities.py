@@ -184,6 +184,7 @@ def fill_rows(values: Floats, at: Floats) -> Floats:
 # --- jumps --------------------------------------------------------------------------------------------------
 
 RENUMBERED = np.arange(-2, 3)  # sheets by which the frames between two jumps may be numbered otherwise
+CHANGES = np.arange(2 * RENUMBERED[0], 2 * RENUMBERED[-1] + 1)  # by which the numbering may change at a jump
 
 
 def _undo_false_jumps(
@@ -213,31 +214,16 @@ def _undo_false_jumps(
     """
     seen = np.flatnonzero((match >= 0).any(axis=1))
     x = values_of(match[seen], ridges.x_px[seen])
-    step = np.diff(x, axis=0)
-    common = nan_median(step, axis=1)[:, None]
-    jump = np.abs(np.nan_to_num(common[:, 0])) > settings.tear_fraction * comb.pitch_px
+    jump = np.abs(nan_median(np.diff(x, axis=0), axis=1)) > settings.tear_fraction * comb.pitch_px
     if not jump.any():
         return match, margin
+    run = np.r_[0, np.cumsum(jump)]
     level = np.log(values_of(match[seen], ridges.contrast[seen]))
     level -= nan_median(level, axis=1)[:, None]
-    least_change = ((common, 1.0), (step - common, 0.5), (np.diff(level, axis=0), 0.02))  # whole pixels
-    usual = [least + float(np.nanmedian(np.abs(change))) / NORMAL_MEDIAN for change, least in least_change]
-    after = 1 + np.flatnonzero(jump)
-    before = x[after - 1], level[after - 1]
-    least, most = 2 * RENUMBERED[[0, -1]]
-    changes = [
-        _change_costs(before, (shifted(x[after], by), shifted(level[after], by)), usual)
-        for by in range(least, most + 1)
-    ]
-    slip, each_sheet = np.stack(changes, axis=1)
-    between = RENUMBERED - RENUMBERED[:, None] - least
-    cost = (slip + each_sheet)[between]  # (number before, number after, jump)
-    run = np.r_[0, np.cumsum(jump)]
+    slip, sheets = _jump_costs(x, level, 1 + np.flatnonzero(jump))
     each = np.nan_to_num(nan_median(margin[seen], axis=1), posinf=1e3)
-    shifted_cost = np.where(RENUMBERED == 0, 0.0, (np.bincount(run, each) / np.bincount(run))[:, None])
-    earlier = _cheapest(shifted_cost, cost)
-    later = _cheapest(shifted_cost[::-1], cost.swapaxes(0, 1)[..., ::-1])[::-1]
-    total = shifted_cost + earlier + later
+    run_margin = np.bincount(run, each) / np.bincount(run)
+    total = _lowest_sums(np.where(RENUMBERED == 0, 0.0, run_margin[:, None]), slip + sheets)
     lowest, second = np.sort(total, axis=1)[:, :2].T
     wrong = total[:, RENUMBERED == 0][:, 0] >= lowest + settings.anchor_nats
     shift = np.where(wrong, RENUMBERED[total.argmin(axis=1)], 0)
@@ -247,38 +233,56 @@ def _undo_false_jumps(
         rows = seen[shift[run] == number]
         match[rows] = np.nan_to_num(shifted(match[rows].astype(np.float64), number), nan=-1.0)
         margin[rows] = np.where(match[rows] >= 0, (second - lowest)[run[shift[run] == number], None], np.nan)
-    chosen = np.take_along_axis(each_sheet, (np.diff(shift) - least)[None], axis=0)[0]
-    excess = chosen - each_sheet.min(axis=0)
-    of_run = shifted_cost.max(axis=1)
-    weaker = run[after] - (of_run[:-1] < of_run[1:])
-    least_excess = np.fmax(settings.anchor_nats, settings.sheet_nats * np.isfinite(before[0]).sum(axis=1))
-    excess[excess < least_excess] = 0.0
-    against = np.bincount(weaker, excess, minlength=len(shift))
-    margin[seen] -= against[run][:, None]
+    chosen = sheets[np.diff(shift) - CHANGES[0], np.arange(jump.sum())]
+    excess = chosen - sheets.min(axis=0)
+    known = np.isfinite(x[:-1][jump]).sum(axis=1)
+    excess[excess < np.fmax(settings.anchor_nats, settings.sheet_nats * known)] = 0.0
+    weaker = np.arange(len(excess)) + (run_margin[:-1] >= run_margin[1:])
+    margin[seen] -= np.bincount(weaker, excess, minlength=len(shift))[run][:, None]
     return match, margin
 
 
-def _cheapest(own: Floats, cost: Floats) -> Floats:
-    """Return the lowest cost of all runs before each, and of the jumps up to it, (runs, numberings)."""
-    before = np.zeros_like(own)
-    for run in range(1, len(own)):
-        before[run] = (before[run - 1] + own[run - 1] + cost[..., run - 1].T).min(axis=1)
-    return before
+def _jump_costs(x: Floats, level: Floats, after: Ints) -> tuple[Floats, Floats]:
+    """Return the costs of jumps if the numbering changes at them by each of `CHANGES`, (changes, jumps).
+
+    The first are those of the common displacement, the second those of the single sheets' changes; see
+    `_undo_false_jumps`. x, level: positions and log brightnesses of the sheets (frame, N). after: first frame
+    after each jump.
+    """
+    step = np.diff(x, axis=0)
+    common = nan_median(step, axis=1)[:, None]
+    least_change = ((common, 1.0), (step - common, 0.5), (np.diff(level, axis=0), 0.02))  # whole pixels
+    usual = [least + float(np.nanmedian(np.abs(change))) / NORMAL_MEDIAN for change, least in least_change]
+    known = np.isfinite(x[after - 1]).sum(axis=1)
+    slip, sheets = np.empty((2, len(CHANGES), len(after)))
+    for i, by in enumerate(CHANGES.tolist()):
+        step = shifted(x[after], by) - x[after - 1]
+        brightened = shifted(level[after], by) - level[after - 1]
+        common = nan_median(step, axis=1)
+        each = np.log1p((step - common[:, None]) ** 2 / (2 * usual[1] ** 2))
+        each += np.log1p(brightened**2 / (2 * usual[2] ** 2))
+        paired = np.isfinite(each).sum(axis=1)
+        cost = np.nansum(each, axis=1) * known / np.maximum(paired, 1)
+        sheets[i] = np.where(paired >= np.minimum(3, known), cost, 1e3)
+        slip[i] = np.nan_to_num(np.log1p(common**2 / (2 * usual[0] ** 2)))
+    return slip, sheets
 
 
-def _change_costs(
-    before: tuple[Floats, Floats], after: tuple[Floats, Floats], usual: list[float]
-) -> tuple[Floats, Floats]:
-    """Return the costs, nats, of the common displacement and of each sheet's changes of position and
-    brightness, both (rows,); see `_undo_false_jumps`."""
-    step, brightened = (later - earlier for earlier, later in zip(before, after, strict=True))
-    common = nan_median(step, axis=1)
-    each = np.log1p((step - common[:, None]) ** 2 / (2 * usual[1] ** 2))
-    each += np.log1p(brightened**2 / (2 * usual[2] ** 2))
-    paired, sheets = np.isfinite(each).sum(axis=1), np.isfinite(before[0]).sum(axis=1)
-    cost = np.nansum(each, axis=1) * sheets / np.maximum(paired, 1)
-    slip = np.nan_to_num(np.log1p(common**2 / (2 * usual[0] ** 2)))
-    return slip, np.where(paired >= np.minimum(3, sheets), cost, 1e3)
+def _lowest_sums(own: Floats, change: Floats) -> Floats:
+    """Return the lowest sum of all costs if a run has each numbering, (runs, numberings).
+
+    own: cost of each run in each numbering. change: cost of each jump for each of `CHANGES`.
+    """
+    cost = change[RENUMBERED - RENUMBERED[:, None] - CHANGES[0]]  # (number before, number after, jump)
+
+    def before(own: Floats, cost: Floats) -> Floats:
+        """Return the lowest cost of all runs before each, and of the jumps up to it."""
+        lowest = np.zeros_like(own)
+        for run in range(1, len(own)):
+            lowest[run] = (lowest[run - 1] + own[run - 1] + cost[..., run - 1].T).min(axis=1)
+        return lowest
+
+    return own + before(own, cost) + before(own[::-1], cost.swapaxes(0, 1)[..., ::-1])[::-1]
 
 
 # --- segments -----------------------------------------------------------------------------------------------
@@ -359,14 +363,14 @@ class _Joints(NamedTuple):
 
 
 def _joints(ridges: Ridges, comb: RidgeComb, width_px: int, settings: TrackingSettings) -> _Joints:
-    """Compare consecutive frames, first with no sheet crossing the edge, then with one or two."""
+    """Compare consecutive frames, first with no sheet crossing the edge, then with one."""
     frames = len(ridges.x_px)
     pairs = _pairs(ridges, np.arange(frames - 1), 0, comb, width_px, settings)
     usual = float(np.median(pairs.change)) if frames > 1 else 0.0
     most = max(settings.least_change, 5.0 * usual)
     continues, moved = pairs.continues & (pairs.change <= most), pairs.moved_px
     came = np.zeros(frames - 1, np.int64)
-    for number in (1, -1, 2, -2):
+    for number in (1, -1):
         rows = np.flatnonzero(~continues)
         pairs = _pairs(ridges, rows, number, comb, width_px, settings)
         good = pairs.continues & (pairs.change <= most)

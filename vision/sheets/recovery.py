@@ -113,8 +113,7 @@ def assign_detections(
 DOUBTS = {
     "margin": "another numbering fits nearly as well",
     "tear": "displaced differently from the largest group of sheets",
-    "jump": "after a jump of the comb by whole pitches",
-    "unlike": "displaced by whole pitches, and the sheets' brightnesses differ from their usual ones",
+    "jump": "displaced by a jump that could be one of whole pitches",
     "pattern": "brightnesses and widths fit another numbering: the comb may have jumped by whole pitches",
     "hop": "on another ridge, away from the position that the neighbours predict",
 }
@@ -131,10 +130,8 @@ def _doubts(
 ) -> Strings:
     """Return why the identity of each paired ridge is doubtful (margin, jump, tear) or "", (frame, N)."""
     why = np.full(x.shape, "", "<U9")
-    jump, unlike = _after_jumps(x, contrast, identities, comb, width_px, settings)
-    why[jump] = "jump"
-    why[jump & unlike[:, None]] = "unlike"
-    why[~(identities.margin >= settings.doubt) & (why != "unlike")] = "margin"
+    why[~(identities.margin >= settings.doubt)] = "margin"
+    why[_unproved_jumps(x, contrast, identities, comb, width_px, settings)] = "jump"
     why[torn(x - rest_positions(x), comb, settings)] = "tear"
     why[np.isnan(x)] = ""
     return why
@@ -153,19 +150,14 @@ def _shifted_pattern(certain: Floats, settings: TrackingSettings) -> Bools:
         with np.errstate(divide="ignore", invalid="ignore"):
             log_contrast, log_width = np.log(certain[1:, rows])
             shift = pattern_shift(log_contrast, log_width, settings)
-        away[rows] = seen[rows] & (shift != _commonest(shift))[:, None]
+        shifts, counts = np.unique(shift, return_counts=True)
+        away[rows] = seen[rows] & (shift != shifts[counts.argmax()])[:, None]
     return away
 
 
-def _commonest(values: Ints) -> int:
-    """Return the value that occurs most often, the smallest of several."""
-    found, counts = np.unique(values, return_counts=True)
-    return int(found[np.argmax(counts)])
-
-
 def _settle_by_pattern(why: Strings, paired: Floats, comb: RidgeComb, settings: TrackingSettings) -> Strings:
-    """Return the doubts that remain once the pattern has confirmed all identities that it can."""
-    unsettled = (why == "jump") | (why == "margin")
+    """Return the doubts that remain where the pattern confirms identities whose margin was too small."""
+    unsettled = why == "margin"
     if not unsettled.any():
         return why
     x, contrast, fwhm = paired
@@ -205,31 +197,34 @@ def _reassign_hops(
     return paired, why
 
 
-def _after_jumps(
+def _unproved_jumps(
     x: Floats,
     contrast: Floats,
     identities: Identities,
     comb: RidgeComb,
     width_px: int,
     settings: TrackingSettings,
-) -> tuple[Bools, Bools]:
-    """Return where the comb is whole pitches away from its usual position without proof, (frame, N), and in
-    which frames its brightnesses differ so much that its pattern proves nothing either, (frame,).
+) -> Bools:
+    """Return where the comb is displaced by a jump that could be one of whole pitches, (frame, N).
 
-    A jump is proved by a margin that exceeds the cost of staying in place. With neither end in view, where
-    only brightness shows a jump, the margin must also exceed the costs of sheets that cross the edges. After
-    a real jump every sheet keeps its brightness. Where the brightnesses fit worse than usual, the costs
-    mistake changed sheets for exchanged ones, and the margin required grows by the ratio of the misfits: the
-    overdispersion of a quasi-likelihood (McCullagh & Nelder 1989, chapter 9).
+    Jumps divide the film into runs of frames. Where the comb is not at its usual place, the margin must
+    exceed the cost of staying there; with neither end in view, where only brightness shows a jump, it must
+    also exceed the costs of sheets that cross the edges. After a real jump every sheet keeps its brightness.
+    Where brightnesses changed by more than `least_misfit`, the costs mistake changed sheets for exchanged
+    ones, and the margin required grows by the ratio of the squares: the overdispersion of a quasi-likelihood
+    (McCullagh & Nelder 1989, chapter 9).
     """
-    seen = np.flatnonzero(np.isfinite(x).any(axis=1))
-    step = np.nan_to_num(nan_median(np.diff(x[seen], axis=0), axis=1)) / comb.pitch_px
-    jump = np.where(np.abs(step) > settings.tear_fraction, np.rint(step), 0).astype(np.int64)
-    pitches = np.zeros(len(x), np.int64)
-    pitches[seen[1:]] = np.cumsum(jump)
-    away = pitches != (_commonest(pitches[seen]) if len(seen) else 0)
+    seen = np.isfinite(x).any(axis=1)
+    step = np.nan_to_num(nan_median(np.diff(x[seen], axis=0), axis=1))
+    run = np.zeros(len(x), np.int64)
+    run[np.flatnonzero(seen)[1:]] = np.abs(step) > settings.jump_fraction * comb.pitch_px
+    run = np.cumsum(run)
+    moved = nan_median(x - rest_positions(x), axis=1)
+    place = np.array([nan_median(moved[run == one]) for one in range(run[-1] + 1)])
+    apart = np.abs(place - place[:, None]) / (settings.step_fraction * comb.pitch_px)
+    away = apart[np.argmax((apart < 0.5) @ np.bincount(run))][run] > 1
     if not away.any():
-        return np.zeros(x.shape, bool), away
+        return np.zeros(x.shape, bool)
     reach = settings.edge_pitches * comb.pitch_px
     rest = identities.rest_px
     no_end_in_view = (rest[:, 0] < reach) & (rest[:, -1] > width_px - 1 - reach)
@@ -239,19 +234,13 @@ def _after_jumps(
     off -= nan_median(off, axis=1)[:, None]  # flicker
     misfit = np.minimum(np.nan_to_num(off) ** 2, LIKE_ITSELF**2).sum(axis=1)
     misfit /= np.maximum(np.isfinite(off).sum(axis=1), 1)
-    usual = float(nan_median(misfit[seen][~away[seen]]))
-    worse = np.maximum(misfit / max(usual, settings.least_misfit**2), 1.0)
+    worse = np.maximum(misfit / settings.least_misfit**2, 1.0)
     margin = nan_median(identities.margin, axis=1)  # of the whole comb; single sheets may be less certain
-    known = np.isfinite(margin)
-    run = np.r_[0, np.cumsum(away[1:] != away[:-1])]  # all frames of one run are accepted or doubted together
-    frames = np.maximum(np.bincount(run, known), 1)
-    run_worse = np.bincount(run, np.where(known, worse, 0.0)) / frames
-    run_margin = np.bincount(run, np.nan_to_num(margin)) / frames
-    unproved = away & (run_margin[run] < least * run_worse[run])
-    # `pitches` counts large slips but not the creep back: where the comb is at rest, it has not jumped
-    moved = np.abs(nan_median(x - rest_positions(x), axis=1))
-    jumped = (unproved & (moved > settings.step_fraction * comb.pitch_px))[:, None] & np.isfinite(x)
-    return jumped, np.asarray(run_worse[run] > settings.unlike_itself, bool)
+    runs = [run == one for one in range(run[-1] + 1)]
+    # medians: a slip within the exposure of one frame changes brightnesses there alone
+    given, wanted = (np.array([nan_median(part[one]) for one in runs]) for part in (margin, least * worse))
+    unproved = away & (given < wanted)[run]
+    return np.asarray(unproved[:, None] & np.isfinite(x), bool)
 
 
 # --- the second search --------------------------------------------------------------------------------------

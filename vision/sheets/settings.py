@@ -206,15 +206,16 @@ class TrackingSettings:
     """Difference of two neighbours' displacements, in pitches, that no slip causes. Larger lets wrong
     identities pass, smaller flags avalanches."""
 
-    least_misfit: float = 0.12
-    """Change of the logarithm of brightness, rms over the sheets, that is compatible with a jump by whole
-    pitches. Larger accepts jumps of combs that look different (test_identity_doubt.py's moving light at 0.3),
-    smaller doubts jumps because of noise."""
+    jump_fraction: float = 0.45
+    """Step of the whole comb, in pitches, after which its displacement needs proof: half a pitch to one side
+    looks like half a pitch to the other. Larger lets combs jump the wrong way, smaller doubts slips
+    (test_equal_sheets_of_a_cropped_jumping_comb_are_doubted_rather_than_swapped at 0.6)."""
 
-    unlike_itself: float = 2.0
-    """Factor over its usual value by which the mean square change of brightness must grow for the pattern not
-    to settle a jump. Larger lets a pattern that moved over the sheets settle it, smaller keeps doubts of
-    blurred combs."""
+    least_misfit: float = 0.075
+    """Change of the logarithm of brightness, rms over the sheets, that is compatible with a jump by whole
+    pitches. Larger accepts jumps of combs that look different (test_identity_doubt.py's moving light at 0.3,
+    test_sarcomeres_in_noise_are_never_a_pitch_off_all_together at 0.12), smaller doubts jumps because of
+    noise."""
 
     leave_sigmas: float = 8.0
     """Distance from the position that its neighbours predict, over the sheet's own scatter, above which
