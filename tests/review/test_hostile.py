@@ -5,7 +5,6 @@ import json
 import os
 import shutil
 import signal
-import tempfile
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -119,7 +118,7 @@ def test_a_folder_that_cannot_be_written_keeps_nothing(session, monkeypatch, cod
     def refused(*args, **kwargs):
         raise OSError(code, os.strerror(code))
 
-    monkeypatch.setattr(tempfile, "mkdtemp", refused)
+    monkeypatch.setattr(Path, "mkdir", refused)
     text = (session.folder / "corrections.toml").read_bytes()
     found = "a full disk" if code == errno.ENOSPC else os.strerror(code).lower()
     for work in (lambda: session.decide(LEFT_OUT), session.undo):
