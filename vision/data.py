@@ -513,8 +513,8 @@ class MotionMetadata(Metadata):
         The video's path; µm per pixel; time left out on either side of each slip; time between frames.
     noise_share, noise_rho
         Noise that is correlated from frame to frame: its share of the variance, and its AR(1) coefficient.
-    camera_movement
-        How the camera's movement was separated from the creep of the sheets.
+    camera_movement, warnings
+        How the camera's movement was separated from the creep of the sheets; stick phases that are left out.
     """
 
     source: str = "the video"
@@ -524,6 +524,7 @@ class MotionMetadata(Metadata):
     noise_share: float = 0.0
     noise_rho: float = 0.0
     camera_movement: str = ""
+    warnings: Sequence[str] = field(default_factory=list)
 
 
 _EVENT_SHEET = ("event", "sheet")

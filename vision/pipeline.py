@@ -582,6 +582,7 @@ def _warnings(found: Analysis, reasons: Mapping[str, str]) -> tuple[str, ...]:
             lines.append(f"no model fits: {reasons['fits']}")
     lines += found.fits.warnings if found.fits else ()
     lines += found.clock.warnings if found.clock else ()
+    lines += warnings_of(found.motion)
     lines += shells_against_fits(found.shells, found.fits, found.settings.tuning.shells)
     lines += unlike_sides(found.shells, found.settings.tuning.shells)
     return tuple(dict.fromkeys(lines))

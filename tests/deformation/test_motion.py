@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.scenes.creeping import PIXEL_UM, Clock, errors, make, measure, profile, relaxing, straight, uniform
-from vision.data import MOTION, MotionMetadata
+from vision.data import MOTION, MotionMetadata, warnings_of
 from vision.deformation import DeformationSettings, stick_displacement
 from vision.errors import InputError
 
@@ -121,6 +121,9 @@ def test_a_stick_in_which_the_machine_pauses_is_left_out():
     shorter = made.sticks["stick_length_um"] * np.where(paused, 0.6, 1.0)
     motion = measure(replace(made, sticks=made.sticks.assign(stick_length_um=shorter)))
     assert set(made.sticks["event"]) - set(motion["event"].to_numpy()) == {3}
+    (said,) = warnings_of(motion)
+    assert "1 of" in said
+    assert "(events 3)" in said
     uncertain = made.sticks.assign(stick_length_um=shorter, stick_length_err_um=0.15 * shorter)
     assert 3 in measure(replace(made, sticks=uncertain))["event"]
     slower = made.sticks["stick_length_um"] * np.where(made.sticks["event"] > 3, 0.2, 1.0)

@@ -127,7 +127,7 @@ def horizontal_deformation(
     time = np.asarray(clock.to_force_s(np.asarray(tracks["time_s"].values, float)), float)
     interval = _interval(time, source)
     events = _inside(sticks, time, interval, source)
-    events = _uninterrupted(events, np.array(clock.only_video_s), settings, source)
+    events, warnings = _uninterrupted(events, np.array(clock.only_video_s), settings, source)
     margin = interval / 2 + _clock_error_s(clock, interval) if margin_s is None else margin_s
     start, stop = (events[name].to_numpy(float) for name in ("t_v_s", "t_p_s"))
     every = frames_of_sticks(time, start, stop, margin_s=0.0, interval_s=interval)
@@ -147,6 +147,7 @@ def horizontal_deformation(
         noise_share=found.noise.correlation.share,
         noise_rho=found.noise.correlation.rho,
         camera_movement=found.camera_movement,
+        warnings=warnings,
     )
     return record(
         motion.assign_attrs(facts.attrs()),
@@ -244,9 +245,9 @@ def _inside(sticks: pd.DataFrame, time_s: Floats, interval_s: float, source: str
 
 def _uninterrupted(
     events: pd.DataFrame, slip_s: Floats, settings: DeformationSettings, source: str
-) -> pd.DataFrame:
+) -> tuple[pd.DataFrame, list[str]]:
     """Stick phases without those that contain a slip of the film that the force lacks (`slip_s`), or in
-    which the machine paused.
+    which the machine paused, and warnings of the latter; the clock warns of the former.
 
     A slip near either end of a stick is the one between two sticks, timed differently.
     """
@@ -257,11 +258,16 @@ def _uninterrupted(
     length, length_err = _lengths(events)
     fastest = (length + 3 * np.nan_to_num(length_err)) / (stop - start)[:, 0]
     usual = pd.Series(length / (stop - start)[:, 0]).rolling(5, center=True, min_periods=1).median()
-    whole &= ~(fastest < settings.least_speed * usual.to_numpy())  # also where a length is unknown
+    paused = whole & (fastest < settings.least_speed * usual.to_numpy())  # not where a length is unknown
+    whole &= ~paused
     if not whole.any():
         found = "slips of the film within all of them"
         raise InputError(source, "stick phases in which the sheets do not slip", found, "check `offset_s`")
-    return events.loc[whole]
+    if not paused.any():
+        return events.loc[whole], []
+    numbers = ", ".join(events.loc[paused, "event"].astype(str)[:5]) + (", …" if paused.sum() > 5 else "")
+    line = f"{paused.sum()} of {len(events)} stick phases are left out of σ_x/Λ_st (events {numbers}): "
+    return events.loc[whole], [line + "the machine moved more slowly in them than in those around"]
 
 
 @dataclass(frozen=True)
