@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import struct
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
@@ -330,16 +330,13 @@ def _quantiser(frame: av.VideoFrame, codec: str) -> list[float]:
     It is in the units of the encoder's options: for H.264 as reported, for VP9 the index over 4, and for
     MPEG-2 and MPEG-4 half of the values of the blocks.
     """
-    for part in cast("Iterable[Any]", frame.side_data):
-        if "VIDEO_ENC_PARAMS" in str(part.type):
-            # unsigned nb_blocks; size_t blocks_offset, block_size; enum type; int32 qp
-            blocks, first, step, _, base = struct.unpack_from("@IQQii", bytes(part))
-            if codec in ("h264", "vp9"):
-                return [base if codec == "h264" else base / 4]
-            # of a block: int src_x, src_y, w, h; int32 delta_qp
-            given = [
-                struct.unpack_from("@i", bytes(part), first + k * step + 16)[0]
-                for k in range(min(blocks, 64))
-            ]
-            return [float(np.median(given)) / 2] if given else []
-    return []
+    part = cast("Mapping[str, Any]", frame.side_data).get("VIDEO_ENC_PARAMS")
+    if part is None:
+        return []
+    # unsigned nb_blocks; size_t blocks_offset, block_size; enum type; int32 qp
+    blocks, first, step, _, base = struct.unpack_from("@IQQii", bytes(part))
+    if codec in ("h264", "vp9"):
+        return [base if codec == "h264" else base / 4]
+    # of a block: int src_x, src_y, w, h; int32 delta_qp
+    given = [struct.unpack_from("@i", bytes(part), first + k * step + 16)[0] for k in range(min(blocks, 64))]
+    return [float(np.median(given)) / 2] if given else []
