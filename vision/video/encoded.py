@@ -39,7 +39,7 @@ _FORMATS = (
     "avi,mov,matroska,webm,asf,flv,mpeg,mpegts,mpegvideo,h264,hevc,m4v,mjpeg,mjpeg_2000,mxf,nut,ogg,cine,ivf,dv,"
     "wtv,yuv4mpegpipe,gif,apng,av1,obu,vc1,rm,swf,gxf,nsv,mpjpeg,r3d,bink,smjpeg"
 )
-_RESTART = re.compile(rb"\xff[\xd0-\xd7]")
+_RESTART = re.compile(rb"\xff([\xd0-\xd7])")
 
 
 class EncodedReader:
@@ -234,8 +234,8 @@ def _part_of_jpeg(jpeg: bytes, rows: slice, shape: tuple[int, int]) -> tuple[byt
     """Return a JPEG of the rows around `rows` alone, and the number of its first row.
 
     Rows can be decoded without those above them if restart markers separate them, which FFmpeg and many
-    cameras write after every row of blocks. Without such markers, or if the picture has not this shape or
-    lacks some markers, the whole JPEG is returned.
+    cameras write after every row of blocks. Without such markers, if some are missing or out of order, or if
+    the picture has not this shape, the whole JPEG is returned.
     """
     whole, size, interval, at = (jpeg, 0), 0, 0, 2
     while (kind := jpeg[at : at + 2]) != b"\xff\xda":  # the header ends where the scan starts
@@ -253,8 +253,9 @@ def _part_of_jpeg(jpeg: bytes, rows: slice, shape: tuple[int, int]) -> tuple[byt
     sampling = jpeg[size + 6 : size + 5 + 3 * jpeg[size + 4] : 3] if jpeg[size + 4] > 1 else b"\x11"
     across = -(-width // (8 * max(factors >> 4 for factors in sampling)))  # blocks
     part_rows = interval // across * 8 * max(factors & 15 for factors in sampling)
-    parts = _RESTART.split(jpeg[start:])
-    if interval % across or len(parts) != -(-height // part_rows):
+    pieces = _RESTART.split(jpeg[start:])
+    parts, numbers = pieces[::2], b"".join(pieces[1::2])
+    if interval % across or numbers != bytes(0xD0 + n % 8 for n in range(-(-height // part_rows) - 1)):
         return whole
     first, last = rows.start // part_rows, -(-rows.stop // part_rows)
     scan = parts[first]
