@@ -5,7 +5,7 @@ from __future__ import annotations
 import glob
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -328,6 +328,16 @@ def _opened(path: Path) -> tuple[Reader, Stamp, Path]:
 def video_files(path: Path) -> tuple[Path, ...]:
     """Return the files of a recording: one, or the pixels and the header of a Photron recording."""
     return photron_files(path) if path.is_file() and is_photron(path) else (path,)
+
+
+def files_in(folder: Path, suffixes: Collection[str]) -> list[Path]:
+    """Return the files of a folder that have one of these suffixes, in order of their names, none hidden.
+
+    Raises: InputError if the folder cannot be read.
+    """
+    with reading(folder, "a folder that can be read", "check its permissions"):
+        files = [file for file in sorted(folder.iterdir()) if file.suffix.lower() in suffixes]
+    return [file for file in files if not file.name.startswith(".") and file.is_file()]
 
 
 def pixels_file(path: Path) -> Path:
