@@ -270,8 +270,8 @@ def _targets_of(
     if all(_is_still(video) for video in videos):
         found = f"{len(videos)} still images"
         raise InputError(videos[0].parent, "films", found, "quote the glob: track 'frames/*.png'")
-    one_film = ("force", "timestamps", "offset")  # options that belong to a single film
-    given = [f"--{name}" for name in one_film if parameters[name].value is not None]
+    of_one_film = ("force", "timestamps", "offset")
+    given = [f"--{name}" for name in of_one_film if parameters[name].value is not None]
     if given:
         wanted = f"one video with {', '.join(given)}"
         raise InputError(given[0], wanted, f"{len(videos)} videos", "track campaign takes a table of tests")
