@@ -445,7 +445,8 @@ def read_timestamps(path: Path) -> tuple[Floats, tuple[str, ...]]:
         found = error.strerror or type(error).__name__
         raise InputError(path, wanted, found) from None
     lines = [line for line in text.splitlines() if line.strip()] or [""]
-    separator = next((mark for mark in ";\t," if mark in lines[-1]), None)
+    end = "".join(lines[-2:])  # the last line may be cut before its separator
+    separator = next((mark for mark in ";\t," if mark in end), None)
     cells = [[cell.strip() for cell in line.split(separator) if cell.strip()] for line in lines]
     rows = [_numbers(line, decimal_comma=separator in (";", "\t")) for line in cells]
     first = next((n for n, row in enumerate(rows) if row), None)
@@ -459,7 +460,9 @@ def read_timestamps(path: Path) -> tuple[Floats, tuple[str, ...]]:
         raise InputError(path, "the same number of columns in every line", f"{min(widths)} to {max(widths)}")
     width = widths.pop()
     header = lines[first - 1].lstrip("# ") if first else ""
-    names = [name.strip() for name in header.split(separator)] if width > 1 else [header]
+    mark = next((mark for mark in (separator, *";\t,") if mark and mark in header), None)
+    header = header if mark else re.sub(r"\s+(?=[(\[])", "_", header)  # "time (ms)" is one name
+    names = [name.strip() for name in header.split(mark)] if width > 1 else [header]
     column = next((n for n, name in enumerate(names[:width]) if _TIME_NAME.search(name)), width - 1)
     unit = _UNIT.search(names[column] if column < len(names) else header)
     unit_s = SECONDS[unit.group(1).lower()] if unit else 1.0
