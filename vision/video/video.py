@@ -354,13 +354,9 @@ def _open_reader(path: Path) -> Reader:
     """Return the reader for this kind of file, recognised by its first bytes."""
     if path.is_dir() or (not path.exists() and glob.has_magic(str(path))):
         return open_sequence(path)
-    wanted = "a video, a TIFF, a folder or glob of images"
-    check_regular(path, wanted)
-    try:
-        with path.open("rb") as file:
-            head = file.read(12)
-    except OSError as error:
-        raise InputError(path, wanted, error.strerror or type(error).__name__, "check the path") from None
+    check_regular(path, "a video, a TIFF, a folder or glob of images")
+    with path.open("rb") as file:
+        head = file.read(12)
     if not head:
         advice = "copy it again from the camera's computer"
         raise InputError(path, "a video", "an empty file (0 bytes)", advice)
@@ -439,11 +435,8 @@ def read_timestamps(path: Path) -> tuple[Floats, tuple[str, ...]]:
     wanted = "a readable file of time stamps"
     if check_regular(path, wanted).st_size > 1 << 28:  # ten million frames
         raise InputError(path, wanted, "a far larger file", "check its name")
-    try:
+    with reading(path, wanted):
         text = path.read_text(encoding="utf-8-sig", errors="replace")
-    except OSError as error:
-        found = error.strerror or type(error).__name__
-        raise InputError(path, wanted, found) from None
     lines = [line for line in text.splitlines() if line.strip()] or [""]
     end = "".join(lines[-2:])  # the last line may be cut before its separator
     separator = next((mark for mark in ";\t," if mark in end), None)
