@@ -279,7 +279,6 @@ def in_threads(
 
 # --- in a separate process ----------------------------------------------------------------------------------
 
-
 PACKAGES = tuple(folder for folder in sys.path if folder)
 """Search path of packages for the separate process. It is stored early, because OpenCV temporarily puts its
 own folders first while it is imported, and one of them contains a module `typing` that is not Python's."""

@@ -121,6 +121,21 @@ def test_films_of_one_name_need_names(tmp_path):
     assert [row.name for row in rows] == ["dry", "humid"]
 
 
+def test_a_folder_of_films_is_read_as_by_track(tmp_path):
+    """A failure means that the picture of a preview beside a film is tracked as a film of one frame."""
+    films(tmp_path / "day", 1)
+    (tmp_path / "day" / "t0.tif").rename(tmp_path / "day" / "pull.avi")
+    (tmp_path / "day" / "pull_preview.png").write_bytes(b"")
+    (tmp_path / "day" / "raw.avi").mkdir()  # no film
+    rows, wrong = read(table(tmp_path / "t.csv", ["day"]))
+    assert wrong == ()
+    assert (rows[0].film, rows[0].name) == (str(tmp_path / "day" / "pull.avi"), "pull")
+    (tmp_path / "day" / "push.avi").write_bytes(b"")
+    ((row, column, text),) = problems(tmp_path / "t.csv")
+    assert (row, column) == (2, "film")
+    assert "expected one film; found 2; name one of them" in text
+
+
 @pytest.mark.parametrize(
     ("content", "word"),
     [(b"", "0 lines"), (b"film\n", "1 lines"), (b"\xff\xfe\x00", "utf-8"), (b'film\n"open', "end of data")],

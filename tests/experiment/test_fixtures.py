@@ -44,7 +44,7 @@ def test_remade_it_is_the_same(tmp_path, name):
     old, new = FIXTURES / name, tmp_path / name
     with xr.open_dataset(old / "truth.nc") as was, xr.open_dataset(new / "truth.nc") as now:
         xr.testing.assert_allclose(was, now, rtol=1e-9)
-        gone = {"optics.psf_px": 0.0, "camera.black_level": 0.0}  # settings that are new have their defaults
+        gone = {"optics.psf_px": 0.0, "camera.black_level": 0.0}  # settings that only the fixtures name
         assert _settings(was).items() <= (_settings(now) | gone).items()
     assert (old / "force.txt").read_bytes() == (new / "force.txt").read_bytes()
     assert (old / "timestamps.txt").read_text() == (new / "timestamps.txt").read_text()

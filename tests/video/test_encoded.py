@@ -171,6 +171,22 @@ def test_mjpeg_with_restart_markers_is_decoded_only_where_needed(tmp_path, rows,
     assert reached or np.array_equal(block.pixels, clean[:, z])
 
 
+def test_rows_of_an_mjpeg_that_damage_displaced_are_not_decoded(tmp_path):
+    """Failure: where one marker is lost and another made up, rows are taken from another place."""
+    frames = comb(count=4, rows=52, columns=100)
+    options = {"qscale": "2", "threads": "2"}
+    path = write_encoded(
+        tmp_path / "a.avi", frames, codec="mjpeg", pix_fmt="yuvj420p", source="gray", options=options
+    )
+    data = bytearray(path.read_bytes())
+    scan = data.rindex(b"\xff\xda") + 14
+    last = data.index(b"\xff\xd2", scan)  # before rows 48 to 52
+    data[scan : scan + 2], data[last : last + 2] = b"\xff\xd0", bytes(2)
+    path.write_bytes(data)
+    (block,) = open_video(path).blocks(slice(33, 47))
+    assert block.status == ("ok", "ok", "ok", "corrupt")
+
+
 def test_damaged_mjpeg_frame_is_flagged_and_counted(tmp_path):
     """Failure: a torn frame is tracked, or dropping it shifts every later time stamp."""
     path = mjpeg(tmp_path / "a.avi")

@@ -71,6 +71,9 @@ def test_frames_beyond_the_end_are_reported_where_none_are_declared_too(tmp_path
         ("t [ns]\n", 1e9, "{t!r}"),
         ("frame,time_ms\n", 1e3, "{n},{t!r}"),
         ("# camera 7\nframe;timestamp [µs];gain\n", 1e6, "{n};{t!r};2.5"),
+        ("frame, time (ms)\n", 1e3, "{n} {t!r}"),
+        ("# frame time\n", 1, "{n},{t!r}"),
+        ("frame time [us]\n", 1e6, "{n} {t!r}"),
         ("", 1, "{n}\t{t!r}"),
         ("\ufefftime_s\r\n", 1, "{t!r}\r"),
     ],
@@ -83,6 +86,15 @@ def test_layouts_and_units(tmp_path, header, scale, line):
     times_s, warnings = read_timestamps(path)
     assert np.allclose(times_s, TIMES_S, rtol=1e-12)
     assert warnings == ()
+
+
+@pytest.mark.parametrize("separator", [";", "\t", ","])
+def test_times_that_were_cut_short_are_refused(tmp_path, separator):
+    """Failure: a last line without its time is taken for the only line of data."""
+    lines = [f"{n}{separator}{t}" for n, t in enumerate(TIMES_S)]
+    (tmp_path / "t.csv").write_text("\n".join(lines)[: -len(lines[-1]) + 1])
+    with pytest.raises(InputError, match="the same number of columns"):
+        read_timestamps(tmp_path / "t.csv")
 
 
 def test_times_reach_the_profile(tmp_path):

@@ -18,7 +18,7 @@ from vision.errors import InputError
 from vision.files import Stamp, answered, shortened
 from vision.video import open_video, video_files
 from vision.video.settings import DEFAULTS
-from vision.video.video import FILMS
+from vision.video.video import FILMS, files_in
 
 # --- tunable constants -------------------------------------------------------------------------------------
 
@@ -254,6 +254,10 @@ def _film(text: str, base: Path) -> tuple[str, list[tuple[str, str]]]:
     if is_remote(text):
         return text, []
     film = str(base / text)
+    if films := files_in(Path(film), FILMS) if Path(film).is_dir() else []:
+        one = str(films[0])
+        wrong = f"{shortened(film)}: expected one film; found {len(films)}; name one of them, such as {one}"
+        return one, [("film", wrong)] * (len(films) > 1)
     if "\0" not in film and (Path(film).exists() or (glob.has_magic(film) and glob.glob(film))):  # noqa: PTH207
         return film, []
     return film, [("film", f"{shortened(film)}: expected a film; found no such file")]
@@ -333,10 +337,7 @@ class FolderWatch:
 
     def films(self) -> list[Path]:
         """Return every film in the folder, complete or not, in order of their names."""
-        files = [
-            file for file in sorted(self.folder.iterdir()) if file.suffix.lower() in {*FILMS, ".tif", ".tiff"}
-        ]
-        return [file for file in files if not file.name.startswith(".") and file.is_file()]
+        return files_in(self.folder, {*FILMS, ".tif", ".tiff"})
 
     def complete(self, film: Path) -> bool:
         """Return whether a film no longer changes and can be opened without warnings."""

@@ -43,7 +43,7 @@ from vision.summary import findings, flag_counts, noise_figures
 from vision.video import Follow, open_video, video_files
 from vision.video.raw import PIXELS, is_photron
 from vision.video.stacks import IMAGES
-from vision.video.video import FILMS
+from vision.video.video import FILMS, files_in
 
 LONG_FRAMES = 20_000
 """Number of frames from which a run stores what a review shows first. This takes seconds, where tracking took
@@ -91,11 +91,9 @@ def films_of(video: Path) -> list[Path]:
     """
     if not answered(lambda: video.is_dir() and not is_run(video), video):
         return [video]
-    files = answered(lambda: [file for file in sorted(video.iterdir()) if file.name[0] != "."], video)
-    films = [file for file in files if file.suffix.lower() in FILMS]
-    pictures = sum(file.suffix.lower() in IMAGES for file in files)
-    if films and pictures:
-        both = f"{counted(len(films), 'film')} and {counted(pictures, 'picture')}"
+    films = answered(lambda: files_in(video, FILMS), video)
+    if films and (pictures := answered(lambda: files_in(video, IMAGES), video)):
+        both = f"{counted(len(films), 'film')} and {counted(len(pictures), 'picture')}"
         complain(f"{video}: {both}; the films are used (for the pictures, quote a pattern such as '*.png')")
     return films or [video]
 
@@ -272,8 +270,8 @@ def _targets_of(
     if all(_is_still(video) for video in videos):
         found = f"{len(videos)} still images"
         raise InputError(videos[0].parent, "films", found, "quote the glob: track 'frames/*.png'")
-    one_film = ("force", "timestamps", "offset")  # options that belong to a single film
-    given = [f"--{name}" for name in one_film if parameters[name].value is not None]
+    of_one_film = ("force", "timestamps", "offset")
+    given = [f"--{name}" for name in of_one_film if parameters[name].value is not None]
     if given:
         wanted = f"one video with {', '.join(given)}"
         raise InputError(given[0], wanted, f"{len(videos)} videos", "track campaign takes a table of tests")

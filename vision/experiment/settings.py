@@ -376,11 +376,9 @@ def _check_value(name: str, value: Any, declared: Any) -> None:
     _, choices, ranges, optional = _declaration(declared)
     if value is None and optional:
         return
-    wanted = [(_IN_RANGE[r](value), r) for r in ranges]
-    if choices:
-        wanted = [(value in choices, ", ".join(choices))]
-    elif not math.isfinite(value):
-        wanted = [(False, "a finite number")]
+    wanted = [(value in choices, ", ".join(choices))]
+    if not choices:
+        wanted = [(math.isfinite(value), "a finite number"), *((_IN_RANGE[r](value), r) for r in ranges)]
     for fine, expected in wanted:
         if not fine:
             raise InputError(f"setting {name}", expected, str(value))

@@ -341,7 +341,8 @@ def parse_columns(text: str) -> dict[str, str]:
         key, equals, value = part.partition("=")
         role = next((role for role in ROLES if role == key.strip()), None)
         if role is None or not equals or not value.strip():
-            raise InputError("`columns`", f"ROLE=COLUMN with ROLE one of {', '.join(ROLES)}", f'"{part}"')
+            wanted = f"ROLE=COLUMN with ROLE one of {', '.join(ROLES)}"
+            raise InputError("`force_columns`", wanted, f'"{part}"')
         found[role] = value.strip()
     return found
 

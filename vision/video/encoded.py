@@ -39,7 +39,7 @@ _FORMATS = (
     "avi,mov,matroska,webm,asf,flv,mpeg,mpegts,mpegvideo,h264,hevc,m4v,mjpeg,mjpeg_2000,mxf,nut,ogg,cine,ivf,dv,"
     "wtv,yuv4mpegpipe,gif,apng,av1,obu,vc1,rm,swf,gxf,nsv,mpjpeg,r3d,bink,smjpeg"
 )
-_RESTART = re.compile(rb"\xff[\xd0-\xd7]")
+_RESTART = re.compile(rb"\xff([\xd0-\xd7])")
 
 
 class EncodedReader:
@@ -167,8 +167,8 @@ class MjpegReader(EncodedReader):
         with open_container(self._path) as container:
             jpegs = itertools.islice(self._jpegs(container), start, stop)
             frames = in_threads(partial(self._decode, rows=rows), jpegs)
-            whole = slice(0, rows.stop - rows.start)
-            yield from gather_blocks(frames, start=start, rows=whole, columns=columns, dtype=np.uint8)
+            decoded = slice(0, rows.stop - rows.start)
+            yield from gather_blocks(frames, start=start, rows=decoded, columns=columns, dtype=np.uint8)
 
     def _jpegs(self, container: av.container.InputContainer) -> Iterator[tuple[bytes, float | None]]:
         """Yield (JPEG, its own time) for every frame number; no bytes for a frame that the camera dropped."""
@@ -193,7 +193,7 @@ class MjpegReader(EncodedReader):
         pixels = _y_plane(part)
         if pixels is None:
             return Frame(None, "corrupt", time_s)
-        if part is data:
+        if part is data:  # a part is made only of a picture of the right size
             self._checked(pixels)
         return Frame(pixels[rows.start - first : rows.stop - first], "ok", time_s)
 
@@ -234,34 +234,37 @@ def _part_of_jpeg(jpeg: bytes, rows: slice, shape: tuple[int, int]) -> tuple[byt
     """Return a JPEG of the rows around `rows` alone, and the number of its first row.
 
     Rows can be decoded without those above them if restart markers separate them, which FFmpeg and many
-    cameras write after every row of blocks. Without such markers, or if the picture has not this shape or
-    lacks some markers, the whole JPEG is returned.
+    cameras write after every row of blocks. Without such markers, if some are missing or out of order, or if
+    the picture has not this shape, the whole JPEG is returned.
     """
-    whole, size, interval, at = (jpeg, 0), 0, 0, 2
+    whole = jpeg, 0
+    size_at, interval, at = 0, 0, 2
     while (kind := jpeg[at : at + 2]) != b"\xff\xda":  # the header ends where the scan starts
         if kind == b"\xff\xc0":
-            size = at + 5  # height, width, number of colours, and of each colour three bytes
+            size_at = at + 5  # height, width, number of colours, and of each colour three bytes
         elif kind == b"\xff\xdd":
             interval = int.from_bytes(jpeg[at + 4 : at + 6], "big")
         elif kind[:1] != b"\xff":
             return whole
         at += 2 + int.from_bytes(jpeg[at + 2 : at + 4], "big")
     start = at + 2 + int.from_bytes(jpeg[at + 2 : at + 4], "big")
-    height, width = (int.from_bytes(jpeg[size + k : size + k + 2], "big") for k in (0, 2))
-    if not (size and interval) or (height, width) != shape or jpeg[at + 4] != jpeg[size + 4]:
-        return whole
-    sampling = jpeg[size + 6 : size + 5 + 3 * jpeg[size + 4] : 3] if jpeg[size + 4] > 1 else b"\x11"
+    height, width = (int.from_bytes(jpeg[size_at + k : size_at + k + 2], "big") for k in (0, 2))
+    colours = jpeg[size_at + 4]
+    if not (size_at and interval) or (height, width) != shape or jpeg[at + 4] != colours:
+        return whole  # also where each colour has its own scan
+    sampling = jpeg[size_at + 6 : size_at + 5 + 3 * colours : 3] if colours > 1 else b"\x11"
     across = -(-width // (8 * max(factors >> 4 for factors in sampling)))  # blocks
     part_rows = interval // across * 8 * max(factors & 15 for factors in sampling)
-    parts = _RESTART.split(jpeg[start:])
-    if interval % across or len(parts) != -(-height // part_rows):
+    pieces = _RESTART.split(jpeg[start:])
+    parts, numbers = pieces[::2], b"".join(pieces[1::2])
+    if interval % across or numbers != bytes(0xD0 + n % 8 for n in range(-(-height // part_rows) - 1)):
         return whole
     first, last = rows.start // part_rows, -(-rows.stop // part_rows)
     scan = parts[first]
     for number, part in enumerate(parts[first + 1 : last]):
         scan += bytes([255, 0xD0 + number % 8]) + part
     lines = min(height, last * part_rows) - first * part_rows
-    header = jpeg[:size] + lines.to_bytes(2, "big") + jpeg[size + 2 : start]
+    header = jpeg[:size_at] + lines.to_bytes(2, "big") + jpeg[size_at + 2 : start]
     return header + scan + b"\xff\xd9", first * part_rows
 
 

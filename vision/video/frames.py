@@ -229,20 +229,16 @@ def count_frames(
     for state, reason in reasons.items():
         which = np.flatnonzero(status == state)
         if which.size:
-            warnings.append(
-                f"{name}: {which.size} frame(s) {reason}, the first is frame {video.first + which[0]}"
-            )
+            where = f"the first is frame {video.first + which[0]}"
+            warnings.append(f"{name}: {which.size} frame(s) {reason}, {where}")
     measured = video.clock.kind == "file" or (video.clock.kind == "given" and _uneven(times_s))
     between, first = lost_between(times_s, settings=settings) if measured else (0, 0)
     if between:
         where = f"according to gaps in its times, the first after frame {video.first + first}"
         warnings.append(f"{name}: {between} frame(s) lost {where}")
     if measured and (thinned := thinned_from(times_s, settings=settings)) is not None:
-        what = "frames come at half or a third of the usual rate"
-        warnings.append(
-            f"{name}: from frame {video.first + thinned} on, {what}: the camera was slower, or frames are"
-            " lost evenly"
-        )
+        what = f"from frame {video.first + thinned} on, frames come at half or a third of the usual rate"
+        warnings.append(f"{name}: {what}: the camera was slower, or frames are lost evenly")
     beyond = 0
     if video.duration_s is not None:
         known = times_s[np.isfinite(times_s)]

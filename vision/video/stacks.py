@@ -42,8 +42,6 @@ _JPEG = {"jpg", "jpeg", "ojpeg", "jpeg_lossy"}
 Pillow.MAX_IMAGE_PIXELS = None  # its warning; `check_pixels` bounds what is decoded
 
 Page = tifffile.TiffPage | tifffile.TiffFrame | None
-
-
 _FORMS = {
     b"II*\0": tifffile.TIFF.CLASSIC_LE,
     b"MM\0*": tifffile.TIFF.CLASSIC_BE,

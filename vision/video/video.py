@@ -5,7 +5,7 @@ from __future__ import annotations
 import glob
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -330,6 +330,16 @@ def video_files(path: Path) -> tuple[Path, ...]:
     return photron_files(path) if path.is_file() and is_photron(path) else (path,)
 
 
+def files_in(folder: Path, suffixes: Collection[str]) -> list[Path]:
+    """Return the files of a folder that have one of these suffixes, in order of their names, none hidden.
+
+    Raises: InputError if the folder cannot be read.
+    """
+    with reading(folder, "a folder that can be read", "check its permissions"):
+        files = [file for file in sorted(folder.iterdir()) if file.suffix.lower() in suffixes]
+    return [file for file in files if not file.name.startswith(".") and file.is_file()]
+
+
 def pixels_file(path: Path) -> Path:
     """Return the file of a recording that holds its pixels, which grows while a camera writes."""
     if not (path.is_file() and is_photron(path)):
@@ -344,13 +354,9 @@ def _open_reader(path: Path) -> Reader:
     """Return the reader for this kind of file, recognised by its first bytes."""
     if path.is_dir() or (not path.exists() and glob.has_magic(str(path))):
         return open_sequence(path)
-    wanted = "a video, a TIFF, a folder or glob of images"
-    check_regular(path, wanted)
-    try:
-        with path.open("rb") as file:
-            head = file.read(12)
-    except OSError as error:
-        raise InputError(path, wanted, error.strerror or type(error).__name__, "check the path") from None
+    check_regular(path, "a video, a TIFF, a folder or glob of images")
+    with path.open("rb") as file:
+        head = file.read(12)
     if not head:
         advice = "copy it again from the camera's computer"
         raise InputError(path, "a video", "an empty file (0 bytes)", advice)
@@ -429,13 +435,11 @@ def read_timestamps(path: Path) -> tuple[Floats, tuple[str, ...]]:
     wanted = "a readable file of time stamps"
     if check_regular(path, wanted).st_size > 1 << 28:  # ten million frames
         raise InputError(path, wanted, "a far larger file", "check its name")
-    try:
+    with reading(path, wanted):
         text = path.read_text(encoding="utf-8-sig", errors="replace")
-    except OSError as error:
-        found = error.strerror or type(error).__name__
-        raise InputError(path, wanted, found) from None
     lines = [line for line in text.splitlines() if line.strip()] or [""]
-    separator = next((mark for mark in ";\t," if mark in lines[-1]), None)
+    end = "".join(lines[-2:])  # the last line may be cut before its separator
+    separator = next((mark for mark in ";\t," if mark in end), None)
     cells = [[cell.strip() for cell in line.split(separator) if cell.strip()] for line in lines]
     rows = [_numbers(line, decimal_comma=separator in (";", "\t")) for line in cells]
     first = next((n for n, row in enumerate(rows) if row), None)
@@ -449,7 +453,9 @@ def read_timestamps(path: Path) -> tuple[Floats, tuple[str, ...]]:
         raise InputError(path, "the same number of columns in every line", f"{min(widths)} to {max(widths)}")
     width = widths.pop()
     header = lines[first - 1].lstrip("# ") if first else ""
-    names = [name.strip() for name in header.split(separator)] if width > 1 else [header]
+    mark = next((mark for mark in (separator, *";\t,") if mark and mark in header), None)
+    header = header if mark else re.sub(r"\s+(?=[(\[])", "_", header)  # "time (ms)" is one name
+    names = [name.strip() for name in header.split(mark)] if width > 1 else [header]
     column = next((n for n, name in enumerate(names[:width]) if _TIME_NAME.search(name)), width - 1)
     unit = _UNIT.search(names[column] if column < len(names) else header)
     unit_s = SECONDS[unit.group(1).lower()] if unit else 1.0
