@@ -135,7 +135,7 @@ def test_no_low_pass_is_seen_in_noise(samples: int, snr: float) -> None:
 
 
 def test_slips_of_several_samples_behind_a_slow_chain_are_no_shorter_in_noise() -> None:
-    """A failure means the noise of the corrected load shortens slips, so that drops and sticks are too long."""
+    """A failure means noise of the corrected load shortens slips, and so lengthens drops and sticks."""
     for tau, noise in ((0.05, 2.0), (0.2, 0.3)):
         test = realistic(tau=tau, noise=noise, rate=100.0, slip_s=0.1, d1=14.5)
         for name, ratio in median_ratios(test, lowpass_s=tau).items():
