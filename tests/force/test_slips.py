@@ -134,6 +134,14 @@ def test_no_low_pass_is_seen_in_noise(samples: int, snr: float) -> None:
         assert find_stick_slip(force, lowpass_s="auto").attrs["lowpass_s"] == 0
 
 
+def test_slips_of_several_samples_behind_a_slow_chain_are_no_shorter_in_noise() -> None:
+    """A failure means noise of the corrected load shortens slips, and so lengthens drops and sticks."""
+    for tau, noise in ((0.05, 2.0), (0.2, 0.3)):
+        test = realistic(tau=tau, noise=noise, rate=100.0, slip_s=0.1, d1=14.5)
+        for name, ratio in median_ratios(test, lowpass_s=tau).items():
+            assert ratio == pytest.approx(1, abs=0.02), name
+
+
 def test_everything_is_as_recorded_unless_asked() -> None:
     """A failure means a model is applied unasked, or what it would change is kept from the user."""
     test = realistic(tau=0.01, **FAST)

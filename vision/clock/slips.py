@@ -146,7 +146,7 @@ class _Steps:
     time_s: Floats  # (F,)
     moved_px: Floats  # outward movement, (F-1, sheet), NaN where either position is missing
     # Outward movement of each sheet when the whole picture moves by 1 px, (1 or 2, sheet).  With one side in
-    # view it may also be taken not to move, which is better where all sheets in view slip alike.
+    # view the first row is 0: sheets that slip alike look like a picture that moves.
     uniform: Floats
 
 
@@ -181,7 +181,7 @@ def video_slips(tracks: xr.Dataset, *, settings: ClockSettings = ClockSettings()
 
     where :math:`p_n` is the pattern, the movement of each sheet in a slip, and :math:`s_f` is a shift of the
     whole picture (drift, vibration); :math:`u_n = \pm 1` is the side of the sheet. With one side in view the
-    shift is fitted only if that times the slips better. Both are fitted by least squares, weighted by the
+    shift is fitted only if the slips then stand out more. Both are fitted by least squares, weighted by the
     noise of the sheets. A slip is an :math:`a_f` that exceeds the creep significantly. A slip during an
     exposure shows as a frame in an intermediate position, which gives its time within the exposure; a slip
     between two exposures may lie anywhere between them.
@@ -191,7 +191,7 @@ def video_slips(tracks: xr.Dataset, *, settings: ClockSettings = ClockSettings()
     pattern = n / n.max()  # initial guess: outer sheets move more
     noise = _noise(steps.moved_px)
     for _ in range(3):
-        above, error, creep = _common_movement(steps, pattern, noise)
+        above, error, creep = _common_movement(steps, pattern, noise, settings)
         first, last = _find_steps(above, error, creep, settings)
         pattern = _updated_pattern(steps, pattern, first, last)
     time_s, error_s, share = _step_times(steps.time_s, above, first, last)
@@ -236,13 +236,21 @@ def _noise(moved_px: Floats) -> Floats:
     return np.asarray(np.maximum(np.where(np.isfinite(noise), noise, np.inf), floor))
 
 
-def _common_movement(steps: _Steps, pattern: Floats, noise: Floats) -> tuple[Floats, Floats, float]:
+def _common_movement(
+    steps: _Steps, pattern: Floats, noise: Floats, settings: ClockSettings
+) -> tuple[Floats, Floats, float]:
     """Size of the pattern in each movement above the creep, its standard error, (F-1,) each, and the creep.
 
-    A uniform shift of all sheets is fitted at the same time; with one side in view, if the error is smaller.
+    A uniform shift of all sheets is fitted at the same time; with one side in view, if the slips then stand
+    out more. The error alone does not tell: where all sheets slip alike, the shift takes the slips with it.
     """
+
+    def prominence(fit: tuple[Floats, Floats, float]) -> float:
+        significance = fit[0] / fit[1]
+        return float(np.nan_to_num(nan_median(significance[significance > settings.step_significance])))
+
     fits = [_fit_pattern(steps, pattern, uniform, noise) for uniform in steps.uniform]
-    return min(fits, key=lambda fit: float(np.median(fit[1])))
+    return max(fits, key=prominence)
 
 
 def _fit_pattern(

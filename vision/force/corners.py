@@ -92,7 +92,7 @@ def find_corners(
             high, middle, low = _crossings(signal.load, signal.edge, base)
     # Sampling and smoothing widen even a sudden drop: its 90 % and 50 % crossings are 0.4 samples apart, and
     # more where deconvolution leaves a sample part of the way down. This blur is subtracted in squares.
-    blur = np.hypot(0.4, 0.5 if signal.late else 0.0)
+    blur = np.hypot(0.4 * signal.width, 0.5 if signal.late else 0.0)
     onset, end = (np.sqrt(np.maximum(part**2 - blur**2, 0.0)) for part in (middle - high, low - middle))
     usual_onset, usual_end = (float(np.nan_to_num(nan_median(part))) for part in (onset, end))
     if usual_onset + usual_end < 1.0:
@@ -121,9 +121,10 @@ def find_corners(
 class _DeconvolvedLoad:
     """A load corrected for the low-pass of the load cell."""
 
-    load: Floats
+    load: Floats  # running mean over `width` samples, since deconvolution amplifies the noise
     edge: Ints  # the first sample after the steepest drop of each slip
     late: float  # samples by which `load` lags behind the time
+    width: int  # samples averaged
     sigma: float  # noise of `load`
 
 
@@ -132,26 +133,33 @@ def _deconvolve(y: Floats, sigma: float, slips: Slips, tau: float) -> _Deconvolv
 
     .. math:: z_k = y_k + c\,(y_k - y_{k-1}), \qquad c = 1 / (e^{1/\tau} - 1)
 
-    has no transient after a step, and on a rise it lags by :math:`\tau - c` samples. y is the load without
-    spikes, sigma its noise.
+    has no transient after a step, and on a rise it lags by :math:`\tau - c` samples. The running mean is just
+    wide enough for the median drop to be 6 times the noise, and a tenth of a period at most: in more
+    noise, slips of several samples look shorter than they are. y is the load without spikes, sigma its noise.
     """
     if not tau:
-        return _DeconvolvedLoad(y, slips.edge, 0.0, sigma)
+        return _DeconvolvedLoad(y, slips.edge, 0.0, 1, sigma)
     gain = 1 / np.expm1(1 / tau)
-    load = y + gain * np.diff(y, prepend=y[:1])
-    edge = _steepest(load, slips.edge, 2 * tau)
-    return _DeconvolvedLoad(load, edge, tau - gain, sigma * float(np.sqrt(1 + 2 * gain * (1 + gain))))
+    widths = 1 + 2 * np.arange(int(slips.period / 20) + 1)  # up to a tenth of a period
+    # The mean of differences is the difference of the ends, so its noise falls with the width, not its root.
+    noise = sigma * np.sqrt((1 + 2 * gain * (1 + gain) / widths) / widths)
+    noisy = int(np.sum(noise > np.median(slips.drop) / 6))
+    chosen = min(noisy, widths.size - 1)
+    width = int(widths[chosen])
+    load = running_mean(y + gain * np.diff(y, prepend=y[:1]), width)
+    edge = _steepest(load, slips.edge, 2 * tau, width)
+    return _DeconvolvedLoad(load, edge, tau - gain, width, float(noise[chosen]))
 
 
-def _steepest(y: Floats, edge: Ints, back: float) -> Ints:
-    """Return the first sample after the largest drop between two samples shortly before each edge.
+def _steepest(y: Floats, edge: Ints, back: float, width: int) -> Ints:
+    """Return the middle of the largest drop over 2 `width` samples shortly before each edge.
 
     At most `back` samples, or 0.4 of the stick, before it.
     """
     earlier = np.minimum(0.4 * np.diff(edge, prepend=0), back)
     away = np.arange(-int(earlier.max()), 2)
-    place = np.clip(edge[:, None] + away, 1, y.size - 2)
-    drop = np.where(away >= -earlier[:, None], y[place - 1] - y[place], -np.inf)
+    place = np.clip(edge[:, None] + away, width, y.size - 1 - width)
+    drop = np.where(away >= -earlier[:, None], y[place - width] - y[place - 1 + width], -np.inf)
     return np.asarray(place[np.arange(edge.size), drop.argmax(axis=1)])
 
 
@@ -171,7 +179,7 @@ def _half_length(distance: Floats, slope: Floats, drop: Floats) -> Floats:
 def _errors(signal: _DeconvolvedLoad, drop: Floats, length: float, settings: ForceSettings) -> Floats:
     """Return the position error of each corner: noise over the slip's slope, sampling, and unknown shape."""
     systematic = np.hypot(settings.corner_error, settings.shape_error * length)
-    steepest = np.pi / 2 * np.maximum(drop, signal.sigma) / max(length, 1.0)
+    steepest = np.pi / 2 * np.maximum(drop, signal.sigma) / max(length, signal.width)
     return np.hypot(signal.sigma / steepest, systematic)
 
 

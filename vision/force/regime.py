@@ -122,14 +122,14 @@ def doubts(events: pd.DataFrame, regime: Regime, signal: Signal, slips: Slips) -
 
 
 def _fall_warnings(signal: Signal, slips: Slips, events: pd.DataFrame) -> list[str]:
-    """Return which falls are no slips: five times as far as those around, or twice and never made up for.
+    """Return which falls may be no slips: five times as far as those around, or twice and not made up for.
 
-    Then the five peaks after the fall are lower than the five before by half of its excess or more.
+    Then the ten peaks after the fall are lower than the five before by half of its excess or more.
     """
     lines, peak = [], events["F_p_N"].to_numpy(float)
     around = np.delete(sliding_window_view(np.pad(slips.drop, 5), 11), 5, axis=1).max(axis=1)
     for k in np.flatnonzero(slips.drop > 2 * around):
-        before, after = peak[max(k - 5, 0) : k], peak[k : k + 5]
+        before, after = peak[max(k - 5, 0) : k], peak[k : k + 10]
         lost = before.min() - after.max() if min(before.size, after.size) >= 3 else -np.inf
         large = slips.drop[k] > 5 * around[k] or lost > 0.5 * (slips.drop[k] - around[k])
         if large and k < slips.drop.size - 1:  # the last one may be the end of the test

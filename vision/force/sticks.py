@@ -125,10 +125,10 @@ def with_slow_noise(signal: Signal, slips: Slips, settings: ForceSettings) -> Si
 
     Noise that is not white separates the lines through the two halves of each stick, at their middle, by more
     than white noise does. Only the scatter of this distance counts: its median is the sticks' curvature. Slow
-    noise separates the halves by more than the quarters; by as much more it changes the line through the
-    whole stick. This growth slows where the noise has a time constant: less of it is left at each doubling
-    of the time, up to the whole recording. By the sum of these the line is off as a whole, though by no more
-    than the peaks scatter.
+    noise separates the halves by more than the quarters, and changes the line through the whole stick by as
+    much more. Where the noise has a time constant, this growth gets smaller with each doubling of the time,
+    up to the whole recording. The sum over all doublings is the variance with which sticks move as a whole;
+    they move by no more than the peaks scatter.
     """
     start, stop = (at[1:-1] for at in stick_middles(slips.edge, signal.clean.size, settings))
     some = np.flatnonzero(stop - start >= 2 * settings.few_samples)
