@@ -87,12 +87,13 @@ class Schema:
         InputError
             If anything is not as declared. One message names every such variable and fact.
         """
-        needed = needs or self.needs or list(self.variables)
-        problems = [
-            _problem(data, name, declared, name in needed) for name, declared in self.variables.items()
-        ]
-        missing = [] if self.metadata is None else self.metadata.missing(data)
-        problems += [f"attrs['{name}'] is missing" for name in missing]
+        if isinstance(data, Data):
+            needed = needs or self.needs or list(self.variables)
+            problems = [_problem(data, name, made, name in needed) for name, made in self.variables.items()]
+            missing = [] if self.metadata is None else self.metadata.missing(data)
+            problems += [f"attrs['{name}'] is missing" for name in missing]
+        else:  # a path, None or the result of another stage
+            problems = [f"the type {type(data).__name__}"]
         if found := ", ".join(filter(None, problems)):
             wanted = f"what `{self.made_by}` returns"
             raise InputError(f"the {self.name}", wanted, found, "pass that on unchanged")
@@ -573,12 +574,14 @@ MOTION = Schema(
 
 # --- shells -------------------------------------------------------------------------------------------------
 
+STIFF_BELOW = 0.1  # σ_x/Λ_st below which a sheet is stiff by default: the publication's
+
 
 @dataclass(frozen=True, kw_only=True)
 class ShellMetadata(Metadata):
     """Classification: σ_x/Λ_st below which a sheet is stiff; confidence level of the intervals."""
 
-    threshold: float = 0.1
+    threshold: float = STIFF_BELOW
     certainty: float = 0.9
 
 

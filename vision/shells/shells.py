@@ -11,7 +11,7 @@ import pandas as pd
 import scipy
 import xarray as xr
 
-from vision.data import MOTION, ShellMetadata, record
+from vision.data import MOTION, STIFF_BELOW, ShellMetadata, record
 from vision.errors import InputError
 from vision.numeric import Bools, Floats, Floats32, Ints
 
@@ -52,7 +52,9 @@ class ShellSettings:
     suppresses it."""
 
 
-def classify_sheets(motion: xr.Dataset, *, threshold: float = 0.1, certainty: float = 0.9) -> xr.Dataset:
+def classify_sheets(
+    motion: xr.Dataset, *, threshold: float = STIFF_BELOW, certainty: float = 0.9
+) -> xr.Dataset:
     """Classify each sheet as stiff or mobile from its own ratio alone.
 
     Parameters
@@ -89,7 +91,9 @@ def classify_sheets(motion: xr.Dataset, *, threshold: float = 0.1, certainty: fl
     return record(classified, "classify_sheets", threshold=threshold, certainty=certainty)
 
 
-def deformation_table(motion: xr.Dataset, *, threshold: float = 0.1, certainty: float = 0.9) -> pd.DataFrame:
+def deformation_table(
+    motion: xr.Dataset, *, threshold: float = STIFF_BELOW, certainty: float = 0.9
+) -> pd.DataFrame:
     """Return the table of `deformation.csv`: one row per event and sheet, in this order.
 
     The parameters are those of `classify_sheets`.
@@ -112,7 +116,7 @@ def deformation_table(motion: xr.Dataset, *, threshold: float = 0.1, certainty: 
 def classify_shells(
     motion: xr.Dataset,
     *,
-    threshold: float = 0.1,
+    threshold: float = STIFF_BELOW,
     certainty: float = 0.9,
     effective_sheets: Callable[[Floats], Floats] | None = None,
     settings: ShellSettings = ShellSettings(),
