@@ -268,7 +268,7 @@ def _targets_of(
         raise InputError("VIDEO", "a video file, a folder or a quoted glob of images", "none", advice)
     for video in videos:
         if not answered(video.exists, video) and not glob.has_magic(str(video)):
-            raise InputError(video, "a video", "no such file", "check the path, or see track --help")
+            raise InputError(video, "a video", "no such file", "check the path, with quotes if it has spaces")
     if all(_is_still(video) for video in videos):
         found = f"{len(videos)} still images"
         raise InputError(videos[0].parent, "films", found, "quote the glob: track 'frames/*.png'")

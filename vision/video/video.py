@@ -350,7 +350,7 @@ def _open_reader(path: Path) -> Reader:
         with path.open("rb") as file:
             head = file.read(12)
     except OSError as error:
-        raise InputError(path, wanted, error.strerror or type(error).__name__, "check the path") from None
+        raise InputError(path, wanted, str(error.strerror or error).lower(), "check the path") from None
     if not head:
         advice = "copy it again from the camera's computer"
         raise InputError(path, "a video", "an empty file (0 bytes)", advice)
