@@ -575,16 +575,6 @@ MOTION = Schema(
 # --- shells -------------------------------------------------------------------------------------------------
 
 STIFF_BELOW = 0.1  # σ_x/Λ_st below which a sheet is stiff by default: the publication's
-
-
-@dataclass(frozen=True, kw_only=True)
-class ShellMetadata(Metadata):
-    """Classification: σ_x/Λ_st below which a sheet is stiff; confidence level of the intervals."""
-
-    threshold: float = STIFF_BELOW
-    certainty: float = 0.9
-
-
 SHELLS = Schema(
     "shells",
     "vision.classify_shells",
@@ -596,5 +586,4 @@ SHELLS = Schema(
         "stiff_high": Variable(_EVENT, "", "upper end of the interval"),
         "M_eff_model": Variable(_EVENT, "", "M_eff implied by the force"),
     },
-    ShellMetadata,
 )

@@ -453,8 +453,7 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> list[str
 
 def ridges_line(found: TrackMetadata) -> str:
     """Return width and spacing of the ridges, and the fit."""
-    spacing = f", {found.pitch_px:.1f} px apart" * (found.sheets > 1)
-    size = f"{found.ridge_fwhm_px:.1f} px wide{spacing}"
+    size = f"{found.ridge_fwhm_px:.1f} px wide" + f", {found.pitch_px:.1f} px apart" * (found.sheets > 1)
     return f"ridges     {size}; {found.fit} fit over {found.window_px} px"
 
 
