@@ -157,11 +157,13 @@ def test_a_value_may_carry_its_error(text, meant):
     assert parse_with_error(text, "--d0") == meant
 
 
-@pytest.mark.parametrize("text", ["x", "13±", "-1", "13±-0.1", "nan", "inf", "13±0.1±0.1", "13um", "13N"])
+@pytest.mark.parametrize(
+    "text", ["x", "13±", "-1", "13±-0.1", "nan", "inf", "13±0.1±0.1", "0,1", "13um", "13N"]
+)
 def test_a_value_with_a_senseless_error_is_refused(text):
-    """A failure means a typing error becomes a separation."""
-    with pytest.raises(InputError, match="--d0"):
-        parse_with_error(text, "--d0")
+    """A failure means a typing error becomes a length, or advice with a value of another option."""
+    with pytest.raises(InputError, match=r"--thickness: .*; write it in mm with a decimal point"):
+        parse_with_error(text, "--thickness")
 
 
 def test_low_pass_and_range_of_the_fit():
