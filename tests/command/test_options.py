@@ -182,3 +182,9 @@ def test_low_pass_and_range_of_the_fit():
 def test_options_that_are_not_given_are_the_settings_defaults():
     """A failure means that run.json says another default than the analysis had."""
     assert settings_of(merged(*(group() for group in GROUPS))) == Settings()
+
+
+def test_a_wrong_option_is_told_before_the_folder_that_exists(tmp_path, capsys):
+    """A failure means that who adds --overwrite is stopped a second time, by a mistake of the first call."""
+    assert run(["film.avi", "--strip", "60-144", "--out", str(tmp_path)]) == 2
+    assert "--strip: expected two whole numbers" in capsys.readouterr().err

@@ -143,8 +143,8 @@ def track_one(
     if is_run(video):
         found, advice = "a run folder", "track review, figures and export take it"
         raise InputError(video, "a video or a folder of images", found, advice)
-    check_target(target, overwrite=run.overwrite)
     settings, force = settings_of(parameters), parameters["force"].value
+    check_target(target, overwrite=run.overwrite)
     if run.resume and settings.strips != 1:
         raise InputError("`resume` and `strips`", "one of the two", "both", "leave `resume` out")
     along = run.checksum and not run.follow and copy is None and video.exists()
