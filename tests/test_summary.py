@@ -12,7 +12,7 @@ from tests.scenes.analysed import with_force
 from tests.scenes.combs import comb, ridges, strip
 from tests.scenes.reviewed import FORCE, SETTINGS, VIDEO, clean
 from vision.clock.clock import Candidate
-from vision.data import StickMetadata
+from vision.data import StickMetadata, TrackMetadata
 from vision.pipeline import analyse
 from vision.report.text import answers
 from vision.sample import PUBLISHED
@@ -25,6 +25,7 @@ from vision.summary import (
     lowpass_correction,
     noise_figures,
     overexposure,
+    ridges_line,
     shells_against_fits,
     summary_lines,
     tracking_warnings,
@@ -43,6 +44,12 @@ def film(contrast=1.0, snr=100):
 @pytest.fixture(scope="module")
 def picture():
     return film()
+
+
+@pytest.mark.parametrize(("sheets", "line"), [(2, "8.0 px wide, 20.0 px apart; "), (1, "8.0 px wide; ")])
+def test_a_single_ridge_has_no_spacing(sheets, line):
+    """A failure means that the width of the picture is printed as a spacing of sheets."""
+    assert line in ridges_line(TrackMetadata(sheets=sheets, ridge_fwhm_px=8.0, pitch_px=20.0))
 
 
 def test_a_film_that_agrees_with_itself_raises_nothing(picture):

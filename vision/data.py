@@ -87,12 +87,13 @@ class Schema:
         InputError
             If anything is not as declared. One message names every such variable and fact.
         """
-        needed = needs or self.needs or list(self.variables)
-        problems = [
-            _problem(data, name, declared, name in needed) for name, declared in self.variables.items()
-        ]
-        missing = [] if self.metadata is None else self.metadata.missing(data)
-        problems += [f"attrs['{name}'] is missing" for name in missing]
+        if isinstance(data, Data):
+            needed = needs or self.needs or list(self.variables)
+            problems = [_problem(data, name, made, name in needed) for name, made in self.variables.items()]
+            missing = [] if self.metadata is None else self.metadata.missing(data)
+            problems += [f"attrs['{name}'] is missing" for name in missing]
+        else:  # a path, None or the result of another stage
+            problems = [f"the type {type(data).__name__}"]
         if found := ", ".join(filter(None, problems)):
             wanted = f"what `{self.made_by}` returns"
             raise InputError(f"the {self.name}", wanted, found, "pass that on unchanged")
@@ -574,15 +575,7 @@ MOTION = Schema(
 
 # --- shells -------------------------------------------------------------------------------------------------
 
-
-@dataclass(frozen=True, kw_only=True)
-class ShellMetadata(Metadata):
-    """Classification: σ_x/Λ_st below which a sheet is stiff; confidence level of the intervals."""
-
-    threshold: float = 0.1
-    certainty: float = 0.9
-
-
+STIFF_BELOW = 0.1  # σ_x/Λ_st below which a sheet is stiff by default: the publication's
 SHELLS = Schema(
     "shells",
     "vision.classify_shells",
@@ -594,5 +587,4 @@ SHELLS = Schema(
         "stiff_high": Variable(_EVENT, "", "upper end of the interval"),
         "M_eff_model": Variable(_EVENT, "", "M_eff implied by the force"),
     },
-    ShellMetadata,
 )

@@ -47,7 +47,7 @@ def check_regular(path: Path, wanted: str) -> os.stat_result:
     try:
         facts = path.stat()
     except (OSError, ValueError) as error:  # ValueError: a null byte in the name
-        found = getattr(error, "strerror", None) or str(error)
+        found = (getattr(error, "strerror", None) or str(error)).lower()
         raise InputError(path, wanted, found, "check the path") from None
     if not stat.S_ISREG(facts.st_mode):
         kind = "a folder" if stat.S_ISDIR(facts.st_mode) else "a device, pipe or socket"

@@ -23,7 +23,7 @@ import pandas as pd
 import xarray as xr
 
 from vision.clock import Clock, ClockSettings, synchronise
-from vision.data import ForceMetadata, StripMetadata, warnings_of
+from vision.data import STIFF_BELOW, ForceMetadata, StripMetadata, warnings_of
 from vision.deformation import DeformationSettings, horizontal_deformation
 from vision.errors import InputError, known_as
 from vision.figures.catalogue import Plots, Results, figure_named
@@ -157,7 +157,7 @@ class Settings:
     modulus_GPa: float | None = None
     machine_stiffness_N_per_mm: float | None = None
     offset_s: float | None = None
-    threshold: float = 0.1
+    threshold: float = STIFF_BELOW
     common_mode: bool = True
     sample: Sample | None = None
     geometry_err: Mapping[str, float] = field(default_factory=dict)

@@ -453,7 +453,7 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> list[str
 
 def ridges_line(found: TrackMetadata) -> str:
     """Return width and spacing of the ridges, and the fit."""
-    size = f"{found.ridge_fwhm_px:.1f} px wide, {found.pitch_px:.1f} px apart"
+    size = f"{found.ridge_fwhm_px:.1f} px wide" + f", {found.pitch_px:.1f} px apart" * (found.sheets > 1)
     return f"ridges     {size}; {found.fit} fit over {found.window_px} px"
 
 
@@ -507,7 +507,7 @@ def frame_times(strip: StripMetadata) -> str:
         return "the file states no frame rate: give the camera's with `fps`"
     kinds: Mapping[str, str] = {
         "playback": " is the file's playback rate: confirm it or give the camera's with `fps`",
-        "file": ", from the recording's own time stamps",
+        "file": ", from the recording itself",
         "given": ", as given",
     }
     return f"{strip.fps:g} frames/s{kinds[strip.clock_kind]}"

@@ -64,7 +64,7 @@ def test_examples_have_no_option_that_does_not_exist(example, tmp_path, monkeypa
     monkeypatch.chdir(tmp_path)
     arguments = shlex.split(example)[1:]
     assert run([str(tmp_path / "none" / Path(arguments[0]).name), *arguments[1:]]) == 2
-    assert re.search(r"No such file|found none", capsys.readouterr().err)
+    assert re.search(r"no such file|found none", capsys.readouterr().err)
 
 
 def test_help_groups_the_options_by_what_they_are_about(capsys):

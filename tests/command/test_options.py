@@ -157,11 +157,13 @@ def test_a_value_may_carry_its_error(text, meant):
     assert parse_with_error(text, "--d0") == meant
 
 
-@pytest.mark.parametrize("text", ["x", "13±", "-1", "13±-0.1", "nan", "inf", "13±0.1±0.1", "13um", "13N"])
+@pytest.mark.parametrize(
+    "text", ["x", "13±", "-1", "13±-0.1", "nan", "inf", "13±0.1±0.1", "0,1", "13um", "13N"]
+)
 def test_a_value_with_a_senseless_error_is_refused(text):
-    """A failure means a typing error becomes a separation."""
-    with pytest.raises(InputError, match="--d0"):
-        parse_with_error(text, "--d0")
+    """A failure means a typing error becomes a length, or advice with a value of another option."""
+    with pytest.raises(InputError, match=r"--thickness: .*; write it in mm with a decimal point"):
+        parse_with_error(text, "--thickness")
 
 
 def test_low_pass_and_range_of_the_fit():
@@ -180,3 +182,9 @@ def test_low_pass_and_range_of_the_fit():
 def test_options_that_are_not_given_are_the_settings_defaults():
     """A failure means that run.json says another default than the analysis had."""
     assert settings_of(merged(*(group() for group in GROUPS))) == Settings()
+
+
+def test_a_wrong_option_is_told_before_the_folder_that_exists(tmp_path, capsys):
+    """A failure means that who adds --overwrite is stopped a second time, by a mistake of the first call."""
+    assert run(["film.avi", "--strip", "60-144", "--out", str(tmp_path)]) == 2
+    assert "--strip: expected two whole numbers" in capsys.readouterr().err

@@ -52,6 +52,10 @@ def test_the_examples_give_what_they_promise(folder, monkeypatch):
     exec(BLOCKS[4], stages)
     assert stages["left"].get_xlabel()
     assert len(stages["right"].lines) > 0
+    stages["fig"].canvas.draw()
+    label = stages["right"].yaxis.label.get_window_extent()
+    assert label.x0 > stages["left"].get_window_extent().x1  # the labels do not cover the other figure
+    assert stages["right"].get_legend().get_window_extent().y1 <= stages["fig"].bbox.y1
 
 
 def test_every_python_example_is_run():

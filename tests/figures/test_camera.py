@@ -23,7 +23,7 @@ from vision.figures import (
     tracks_figure,
 )
 from vision.figures.decimate import grey_limits
-from vision.figures.drawing import MOST_LINES
+from vision.figures.drawing import MOST_LINES, new_figure
 from vision.figures.positions import MOST_POINTS
 from vision.figures.style import MISSING
 
@@ -100,7 +100,8 @@ def test_a_window_counts_from_its_sheet(ax, attrs, label, limits):
     draw_kymograph(ax, diagram_of(**WINDOW | attrs))
     assert ax.get_xlabel() == label
     np.testing.assert_allclose(ax.get_xlim(), limits)
-    assert "right, n = 23" in kymograph_figure([diagram_of(**WINDOW | attrs)]).panel.title
+    (title, *_) = new_figure(kymograph_figure([diagram_of(**WINDOW | attrs)])).texts
+    assert "right, n = 23" in title.get_text()
 
 
 def test_a_playback_rate_or_no_clock_is_said_on_the_axis(ax):

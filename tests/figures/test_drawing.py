@@ -105,6 +105,18 @@ def test_the_two_curves_of_the_clock_check_do_not_cross(pulled):
     assert share(ax).min() > share(right).max()
 
 
+def test_a_title_is_wrapped_to_its_panel():
+    """A failure means that the titles of a narrow film end outside the picture."""
+    title = "Frame 0 (t = 0 s): averaged rows (outlined), sheet numbers n, symmetry axis (dashed)"
+    panel = Panel(title=title, x_label="x (px)", y_label="z (px)")
+    page = new_figure(Figure(name="narrow", title="", caption="", panels=(panel, panel), width_in=5))
+    FigureCanvasAgg(page).draw()
+    above, below = (text.get_window_extent() for text in page.texts)
+    assert [text.get_text().replace("\n", " ") for text in page.texts] == [title, title]
+    assert max(above.x1, below.x1) <= page.bbox.x1 and above.y1 <= page.bbox.y1
+    assert below.y1 < page.axes[0].get_window_extent().y0 and below.y0 > page.axes[1].get_window_extent().y1
+
+
 def test_legends_name_the_sides_and_hide_nothing():
     """A failure means that the highest peaks disappear behind the legend."""
     ax = tracks_figure(make_tracks(sawtooth(100, 6))).plot()

@@ -1,6 +1,7 @@
 """What must hold for every recording: symmetries, order, inputs left alone; and strips that are refused."""
 
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
 from hypothesis import given, settings
@@ -142,6 +143,12 @@ def test_a_strip_made_by_hand_needs_no_name_and_no_status():
     assert (tracks["flag"].values[5] == "blank").all()
     assert (np.delete(tracks["flag"].values, 5, axis=0) == "ok").all()
     assert np.nanmax(np.abs(tracks["x_px"].values - truth)) < 0.3
+
+
+@pytest.mark.parametrize("other", ["film.avi", None, pd.DataFrame()])
+def test_the_result_of_another_stage_is_refused(other):
+    """A failure means that a notebook ends in an AttributeError that names nothing to pass."""
+    assert "expected what `vision.strip_profile` returns" in refusal(other)
 
 
 def test_dimensions_in_another_order_are_refused():

@@ -314,7 +314,7 @@ def test_files_that_are_no_video(tmp_path, name, content, says):
 
 def test_missing_file_and_unknown_codec(tmp_path):
     """Failure: as above, for a mistyped name and for a codec nobody has."""
-    with pytest.raises(InputError, match="No such file"):
+    with pytest.raises(InputError, match="no such file"):
         open_video(tmp_path / "nothing.avi")
     path = write_avi(tmp_path / "a.avi", comb(), fourcc=b"QZQZ")
     with pytest.raises(InputError):

@@ -16,7 +16,7 @@ from vision.certify.encoder import Encoder, read_encoder
 from vision.certify.likeness import Likeness, learn, smooth_motion
 from vision.certify.settings import DEFAULT, CertifySettings
 from vision.clock import Clock
-from vision.data import StripMetadata, TrackMetadata
+from vision.data import STIFF_BELOW, StripMetadata, TrackMetadata
 from vision.deformation import horizontal_deformation
 from vision.errors import InputError
 from vision.numeric import Bools, Floats, Ints, nan_median, rms
@@ -148,7 +148,7 @@ def certify_run(
         pixel_size_um=run.pixel_size_um,
         sticks=run.table("events"),
         clock=None if clock is None or clock.status == "ambiguous" else clock,
-        threshold=0.1 if given is None else float(given),
+        threshold=STIFF_BELOW if given is None else float(given),
         encoder=_encoder(run, strip),
         settings=settings,
         progress=progress,
@@ -176,7 +176,7 @@ def certify(
     pixel_size_um: float | None = None,
     sticks: pd.DataFrame | None = None,
     clock: Clock | None = None,
-    threshold: float = 0.1,
+    threshold: float = STIFF_BELOW,
     encoder: Encoder | None = None,
     settings: CertifySettings = DEFAULT,
     progress: Progress | None = None,

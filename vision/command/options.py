@@ -306,7 +306,7 @@ SETTINGS: Mapping[str, str] = {
 }
 """Options that a configuration file or a campaign's table may contain, and what the library calls each."""
 _ALSO: Mapping[str, str] = {
-    "d0_err_mm": "--d0 as 13.0±0.1",
+    "d0_err_mm": "--d0 with its error, like 13.0±0.1",
     "threshold_N": "--force-threshold",
     "lowpass_s": "--force-lowpass",
     "clamp_distance_mm": "--clamp-distance",
@@ -317,7 +317,7 @@ _ALSO: Mapping[str, str] = {
     "width_px": "--width",
     "runs": "RUN…",
 }
-_OF_ONE_COMMAND = ("sheet", "film", "table", "main_sample", "executor", "profile", "watch")
+_OF_ONE_COMMAND = ("preset", "sheet", "film", "table", "main_sample", "executor", "profile", "watch")
 
 
 def flag_of(name: str) -> str:

@@ -124,7 +124,7 @@ def modulus(file: Path, options: ModulusOptions, output: OutputOptions) -> int:
         lines = [f"{len(cycles)} loading branches -> {target}/"]
         for name, key in (("Y_p = |F0|/(εW)", "Y_p_GPa"), ("kL/(εW)", "Y_slope_GPa")):
             mean = means[key]
-            scatter = f", scatter {mean.scatter:.2g}" if len(cycles) > 1 else ""
+            scatter = f", scatter {mean.scatter:.2g} GPa" if len(cycles) > 1 else ""
             lines.append(f"{name} {plus_minus(Estimate(mean.value, mean.error))} GPa{scatter}")
         lines.append(
             f"peak {means['F_max_N'].value:.4g} N, drifting by {means['drift_N'].value:.2g} N a cycle; "

@@ -62,9 +62,12 @@ def review(
         if browser:
             webbrowser.open(address)
 
-    first_view = read_first_view(folder, film)
+    kept = read_first_view(folder, film)
     with ExitStack() as cleanup:
-        serve(lambda stop: _answers(folder, film, cleanup, stop), opened=opened, port=port, kept=first_view)
+        try:
+            serve(lambda stop: _answers(folder, film, cleanup, stop), opened=opened, port=port, kept=kept)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt("the review has ended, and its decisions are stored") from None
     return 0
 
 

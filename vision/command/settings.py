@@ -159,7 +159,7 @@ def parse_with_error(text: str | float | None, option: str) -> tuple[float | Non
     value, sign, error = plain.partition("±")
     parts = _float(value), _float(error) if sign else 0.0
     if not all(0 <= part < math.inf for part in parts):
-        advice = "write it as 13 or 13.0±0.1"
+        advice = f"write it in {unit} with a decimal point, like 13.5 or 13.5±0.1"
         raise InputError(option, f"a number of {unit} from 0, or with its error", f"'{text}'", advice)
     return parts[0], parts[1] if sign else None
 

@@ -141,8 +141,8 @@ def track_one(
     if is_run(video):
         found, advice = "a run folder", "track review, figures and export take it"
         raise InputError(video, "a video or a folder of images", found, advice)
-    check_target(target, overwrite=run.overwrite)
     settings, force = settings_of(parameters), parameters["force"].value
+    check_target(target, overwrite=run.overwrite)
     if run.resume and settings.strips != 1:
         raise InputError("`resume` and `strips`", "one of the two", "both", "leave `resume` out")
     along = run.checksum and not run.follow and copy is None and video.exists()
@@ -266,7 +266,7 @@ def _targets_of(
         raise InputError("VIDEO", "a video file, a folder or a quoted glob of images", "none", advice)
     for video in videos:
         if not answered(video.exists, video) and not glob.has_magic(str(video)):
-            raise InputError(video, "a video", "no such file", "check the path, or see track --help")
+            raise InputError(video, "a video", "no such file", "check the path, with quotes if it has spaces")
     if all(_is_still(video) for video in videos):
         found = f"{len(videos)} still images"
         raise InputError(videos[0].parent, "films", found, "quote the glob: track 'frames/*.png'")

@@ -214,7 +214,7 @@ def kymograph(
     rows, columns = diagrams[0].shape
     scale = "" if size is None else f", {size:g} µm per px"
     lines = [
-        f"diagrams   {len(diagrams)} of {rows} frames x {columns} px{scale}",
+        f"diagrams   {len(diagrams)}; {rows} frames x {columns} px{scale}",
         f"slips      {slips}",
         f"results    {target}/: {', '.join([*names, f'kymograph.{picture}'])}",
     ]

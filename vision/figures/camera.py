@@ -160,7 +160,7 @@ def preview_figure(
     facts = StripMetadata.of(strip)
     left, right = -0.5, frame.shape[1] - 0.5
     first = int(np.argmax(np.isfinite(tracks["x_px"].values).any(axis=1)))
-    title = f"Profile I(x): mean of rows {facts.strip_z0} to {facts.strip_z1} of this frame"
+    title = f"Profile I(x): mean of rows {facts.strip_z0}:{facts.strip_z1} of this frame"
     curve = replace(_profile_panel(strip, tracks, first, title), x_range=(left, right), aspect=0.2)
     scale, unit = displacement_unit(pixel_size_um)
     mean = np.asarray(tracks["x_mean_px"].values, np.float64)
@@ -420,6 +420,7 @@ def kymograph_figure(
         panels=panels,
         columns=len(panels),
         width_in=width,
+        panel_titles=windows,
     )
 
 

@@ -12,6 +12,7 @@ import pandas as pd
 import xarray as xr
 
 from vision.clock import Clock
+from vision.data import STIFF_BELOW
 from vision.errors import InputError
 from vision.figures import camera, force, positions
 from vision.figures.figure import Figure
@@ -91,7 +92,7 @@ class Results:
     @property
     def threshold(self) -> float:
         """σ_x/Λ_st below which a sheet is stiff."""
-        return 0.1
+        return STIFF_BELOW
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ and tight bounding boxes draw everything twice. pyplot is not imported.
 from __future__ import annotations
 
 import sys
+import textwrap
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
@@ -53,7 +54,7 @@ class _Inches:
     TOP, BOTTOM = 0.12, 0.55  # above and below each panel
     FOOT = 0.16  # height of a line below the labels of a panel
     TITLE, LEGEND_ROW = 0.26, 0.24  # heights
-    CHARACTER, MARKER = 0.075, 0.55  # widths in a legend
+    CHARACTER, MARKER, TITLE_CHARACTER = 0.075, 0.55, 0.08  # widths in a legend and of a title's letters
     NUMBER = 0.8  # width for each number of the x axis
     X_LABEL, Y_LABEL = 0.3, 0.64  # from an axis to its label
     LEAST_HEIGHT, MOST_HEIGHT = 0.35, 9.0  # of a panel
@@ -118,9 +119,9 @@ def _page(figure: Figure, *, interactive: bool = False) -> Page:
         ax.yaxis.set_label_coords(-_Inches.Y_LABEL / width, 0.5)
         if panel.y2_label:
             page.axes[-1].yaxis.set_label_coords(1 + _Inches.Y_LABEL / width, 0.5)
-        if len(figure.panels) > 1:
+        if figure.panel_titles or len(figure.panels) > 1:
             top = bottom + height + 0.06 + _head(panel, width)[1]
-            page.text(box[0], top / size[1], to_mathtext(panel.title), fontsize=11)
+            page.text(box[0], top / size[1], to_mathtext(_title(panel, width)), fontsize=11)
         if not _labelled(panel):
             ax.tick_params(labelleft=False)
     for k, ((left, bottom, width, _), panel) in enumerate(zip(boxes, figure.panels, strict=True)):
@@ -432,7 +433,7 @@ def _head(panel: Panel, width_in: float) -> tuple[float, float]:
         return 0.0, 0.0
     columns = _legend_columns(entries, width_in)
     height = _Inches.LEGEND_ROW * -(-len(entries) // columns)
-    title = 0.09 * max(map(len, panel.title.split("\n")))
+    title = 0.09 * max(map(len, _title(panel, width_in).split("\n")))
     beside = columns == len(entries) and _legend_width(entries, columns) + title < width_in
     return height, 0.0 if beside else height
 
@@ -467,9 +468,15 @@ def _layout(figure: Figure) -> tuple[list[Box], tuple[float, float]]:
 def _top(figure: Figure, panel: Panel, width_in: float) -> float:
     """Return the height of title and legend above a panel, inches."""
     legend, below = _head(panel, width_in)
-    if len(figure.panels) == 1:
+    if len(figure.panels) == 1 and not figure.panel_titles:
         return legend
-    return max(_Inches.TITLE * (1 + panel.title.count("\n")) + below, legend)
+    return max(_Inches.TITLE * (1 + _title(panel, width_in).count("\n")) + below, legend)
+
+
+def _title(panel: Panel, width_in: float) -> str:
+    """Return the title, wrapped to the width of the panel."""
+    fitting = int(width_in / _Inches.TITLE_CHARACTER)
+    return "\n".join(textwrap.fill(line, fitting) for line in panel.title.split("\n"))
 
 
 def _labelled(panel: Panel) -> bool:

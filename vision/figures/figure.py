@@ -188,6 +188,7 @@ class Figure:
     panels: tuple[Panel, ...]  # in reading order
     columns: int = 1  # number of panels side by side
     width_in: float = 6.0  # width of the saved figure, inches
+    panel_titles: bool = False  # whether a single panel has its title, too
     notes: tuple[str, ...] = ()  # warnings about the figure
 
     @classmethod

@@ -9,6 +9,7 @@ import pandas as pd
 import xarray as xr
 
 from vision.clock import Clock
+from vision.data import STIFF_BELOW
 from vision.deformation import stick_displacement
 from vision.figures.decimate import minmax_decimate
 from vision.figures.figure import Band, Figure, Ink, Panel, Series
@@ -251,7 +252,7 @@ def stick_figure(tracks: xr.Dataset, motion: xr.Dataset, clock: Clock, *, event:
     )
 
 
-def deformation_figure(motion: xr.Dataset, *, threshold: float = 0.1) -> Figure:
+def deformation_figure(motion: xr.Dataset, *, threshold: float = STIFF_BELOW) -> Figure:
     """Return σ_x/Λ_st against the sheet's number for a few stick phases, with standard errors."""
     chosen = np.flatnonzero(np.isfinite(motion["ratio"].to_numpy()).any(axis=1))
     if chosen.size:
@@ -286,7 +287,7 @@ def _ratio_panel(series: tuple[Series, ...], threshold: float) -> Panel:
     )
 
 
-def mean_deformation_figure(motion: xr.Dataset, *, threshold: float = 0.1) -> Figure | None:
+def mean_deformation_figure(motion: xr.Dataset, *, threshold: float = STIFF_BELOW) -> Figure | None:
     """Return σ_x/Λ_st against the sheet's number, as means over up to a dozen stick phases, or None."""
     known = np.flatnonzero(np.isfinite(motion["ratio"].to_numpy()).any(axis=1))
     if not known.size:

@@ -191,7 +191,7 @@ def _video(profile: xr.DataArray, pixel_size_um: float | None) -> str:
     strip = StripMetadata.of(profile)
     source = {
         "playback": " (the file's playback rate)",
-        "file": " (the recording's own time stamps)",
+        "file": " (from the recording itself)",
     }.get(strip.clock_kind, "")
     known = math.isfinite(strip.fps)
     rate = f"{strip.fps:.6g} frames per second{source}" if known else "a frame rate that is not known"

@@ -11,7 +11,7 @@ import pandas as pd
 import scipy
 import xarray as xr
 
-from vision.data import MOTION, ShellMetadata, record
+from vision.data import MOTION, STIFF_BELOW, record
 from vision.errors import InputError
 from vision.numeric import Bools, Floats, Floats32, Ints
 
@@ -40,6 +40,9 @@ class ShellSettings:
     sheets are measured wrongly: 80 % contain the truth instead of 97 %."""
     draws: int = 256
     """Number of random profiles per event. More → smoother intervals, slower."""
+    certainty: float = 0.9
+    """Probability that an interval contains the true size, and the least at which a sheet is called stiff or
+    mobile. Smaller → shorter intervals that miss more often."""
     significance: float = 1e-3
     """Probability of chance below which a decrease of the ratio with n, or an increase, is significant."""
     fit_sigma: float = 2.0
@@ -52,7 +55,9 @@ class ShellSettings:
     suppresses it."""
 
 
-def classify_sheets(motion: xr.Dataset, *, threshold: float = 0.1, certainty: float = 0.9) -> xr.Dataset:
+def classify_sheets(
+    motion: xr.Dataset, *, threshold: float = STIFF_BELOW, settings: ShellSettings = ShellSettings()
+) -> xr.Dataset:
     """Classify each sheet as stiff or mobile from its own ratio alone.
 
     Parameters
@@ -61,8 +66,8 @@ def classify_sheets(motion: xr.Dataset, *, threshold: float = 0.1, certainty: fl
         From `horizontal_deformation`.
     threshold
         σ_x/Λ_st below which a sheet is stiff.
-    certainty
-        Smallest probability at which a sheet is called stiff or mobile.
+    settings
+        See `ShellSettings`.
 
     Returns
     -------
@@ -73,10 +78,11 @@ def classify_sheets(motion: xr.Dataset, *, threshold: float = 0.1, certainty: fl
     Raises
     ------
     InputError
-        If the threshold is not above 0 or the certainty not between 0.5 and 1.
+        If the threshold is not above 0.
     """
     MOTION.check(motion)
-    _check(threshold, certainty)
+    _check(threshold)
+    certainty = settings.certainty
     value, error = motion["ratio_signed"].to_numpy(), np.maximum(motion["ratio_err"].to_numpy(), LEAST_ERROR)
     p = scipy.special.ndtr((threshold - value) / error) - scipy.special.ndtr((-threshold - value) / error)
     shell = np.select([p >= certainty, p <= 1 - certainty], ["stiff", "mobile"], default="undetermined")
@@ -85,16 +91,12 @@ def classify_sheets(motion: xr.Dataset, *, threshold: float = 0.1, certainty: fl
         p_stiff=(("event", "sheet"), p, about),
         shell=(("event", "sheet"), shell, {"long_name": f"at a certainty of {certainty:g}"}),
     )
-    classified = classified.assign_attrs(ShellMetadata(threshold=threshold, certainty=certainty).attrs())
     return record(classified, "classify_sheets", threshold=threshold, certainty=certainty)
 
 
-def deformation_table(motion: xr.Dataset, *, threshold: float = 0.1, certainty: float = 0.9) -> pd.DataFrame:
-    """Return the table of `deformation.csv`: one row per event and sheet, in this order.
-
-    The parameters are those of `classify_sheets`.
-    """
-    classified = classify_sheets(motion, threshold=threshold, certainty=certainty)
+def deformation_table(motion: xr.Dataset, *, threshold: float = STIFF_BELOW) -> pd.DataFrame:
+    """Return the table of `deformation.csv`: one row per event and sheet, in this order."""
+    classified = classify_sheets(motion, threshold=threshold)
     events, sheets = classified.sizes["event"], classified.sizes["sheet"]
     columns = {
         "event": np.repeat(classified["event"].to_numpy(), sheets),
@@ -112,8 +114,7 @@ def deformation_table(motion: xr.Dataset, *, threshold: float = 0.1, certainty: 
 def classify_shells(
     motion: xr.Dataset,
     *,
-    threshold: float = 0.1,
-    certainty: float = 0.9,
+    threshold: float = STIFF_BELOW,
     effective_sheets: Callable[[Floats], Floats] | None = None,
     settings: ShellSettings = ShellSettings(),
 ) -> pd.DataFrame:
@@ -132,8 +133,6 @@ def classify_shells(
         From `horizontal_deformation`.
     threshold
         σ_x/Λ_st below which a sheet is stiff.
-    certainty
-        Probability that the interval contains the true size.
     effective_sheets
         M_eff according to the force as a function of d in mm, for example `ModelFits.effective_sheets`.
     settings
@@ -155,19 +154,18 @@ def classify_shells(
     Raises
     ------
     InputError
-        If the threshold is not above 0 or the certainty not between 0.5 and 1.
+        If the threshold is not above 0.
 
     Notes
     -----
     Source: paper, shaded region of the deformation figure.
     """
     MOTION.check(motion)
-    _check(threshold, certainty)
+    _check(threshold)
     sides = [Side.of(motion, side) for side in np.unique(motion["side"].to_numpy())]
-    table = pd.concat([_side_table(side, motion, threshold, certainty, settings) for side in sides])
+    table = pd.concat([_side_table(side, motion, threshold, settings) for side in sides])
     table = table.sort_values(["event", "side"], ignore_index=True)
-    table.attrs |= ShellMetadata(threshold=threshold, certainty=certainty).attrs()
-    table = record(table, "classify_shells", threshold=threshold, certainty=certainty)
+    table = record(table, "classify_shells", threshold=threshold, certainty=settings.certainty)
     return table if effective_sheets is None else with_model(table, effective_sheets)
 
 
@@ -177,13 +175,11 @@ def with_model(shells: pd.DataFrame, effective_sheets: Callable[[Floats], Floats
     return shells.assign(M_eff_model=np.asarray(effective_sheets(d_mm), float))
 
 
-def _side_table(
-    side: Side, motion: xr.Dataset, threshold: float, certainty: float, settings: ShellSettings
-) -> pd.DataFrame:
+def _side_table(side: Side, motion: xr.Dataset, threshold: float, settings: ShellSettings) -> pd.DataFrame:
     """The rows of one side in the table of `classify_shells`."""
     known = side.known.sum(axis=1)
     names = ("stiff_sheets", "stiff_low", "stiff_high")
-    sizes = shell_sizes(side, threshold=threshold, certainty=certainty, settings=settings)
+    sizes = shell_sizes(side, threshold=threshold, settings=settings)
     d_v = motion["d_v_mm"].to_numpy() if "d_v_mm" in motion.coords else np.full(known.size, np.nan)
     return pd.DataFrame(
         {"event": motion["event"].to_numpy(), "d_v_mm": d_v, "side": side.side}
@@ -200,12 +196,10 @@ def _side_table(
     )
 
 
-def _check(threshold: float, certainty: float) -> None:
-    """Raise InputError if the threshold or the certainty is out of range."""
+def _check(threshold: float) -> None:
+    """Raise InputError unless the threshold is above 0."""
     if not (np.isfinite(threshold) and threshold > 0):
         raise InputError("`threshold`", "a number above 0", f"{threshold:g}", "0.1 is the publication's")
-    if not 0.5 < certainty < 1:
-        raise InputError("`certainty`", "a probability above 0.5 and below 1", f"{certainty:g}")
 
 
 # --- the sheets of one side ---------------------------------------------------------------------------------
@@ -300,7 +294,7 @@ def breakpoint_n(side: Side, significance: float) -> Floats:
 
 
 def shell_sizes(
-    side: Side, *, threshold: float, certainty: float, settings: ShellSettings = ShellSettings()
+    side: Side, *, threshold: float, settings: ShellSettings = ShellSettings()
 ) -> tuple[Ints, Ints, Ints]:
     r"""Number of stiff sheets of one side, (event,): median and ends of the shortest interval.
 
@@ -325,7 +319,7 @@ def shell_sizes(
         share, _ = _profile_weights(profiles, sheets.at(block), relative)
         ratio = _draw_ratios(profiles, share, counted.at(block), relative, outliers=sheets.alone[block])
         count = _count_below(ratio, threshold, side.length_err[block], side.shared_err[block])
-        sizes.append(_median_and_interval(count, certainty))
+        sizes.append(_median_and_interval(count, settings.certainty))
     size, low, high = np.concatenate(sizes, axis=1)
     return size, low, high
 
