@@ -128,25 +128,34 @@ class _DeconvolvedLoad:
     sigma: float  # noise of `load`
 
 
-def _deconvolve(y: Floats, sigma: float, slips: Slips, tau: float) -> _DeconvolvedLoad:
-    r"""Return the load before a first-order low-pass of `tau` samples, and the edges of the slips in it.
+def without_lowpass(y: Floats, tau: float) -> tuple[Floats, float]:
+    r"""Return the load z before a first-order low-pass of `tau` samples, and the gain c of the differences.
 
     .. math:: z_k = y_k + c\,(y_k - y_{k-1}), \qquad c = 1 / (e^{1/\tau} - 1)
 
-    has no transient after a step, and on a rise it lags by :math:`\tau - c` samples. The running mean is just
-    wide enough for the median drop to be 6 times the noise, and a tenth of a period at most: in more
-    noise, slips of several samples look shorter than they are. y is the load without spikes, sigma its noise.
+    has no transient after a step, and on a rise it lags by :math:`\tau - c` samples.
+    """
+    gain = 1 / float(np.expm1(1 / tau))
+    return y + gain * np.diff(y, prepend=y[:1]), gain
+
+
+def _deconvolve(y: Floats, sigma: float, slips: Slips, tau: float) -> _DeconvolvedLoad:
+    """Return the load before a first-order low-pass of `tau` samples, and the edges of the slips in it.
+
+    The running mean is just wide enough for the median drop to be 6 times the noise, and a tenth of a period
+    at most: in more noise, slips of several samples look shorter than they are. y is the load without spikes,
+    sigma its noise.
     """
     if not tau:
         return _DeconvolvedLoad(y, slips.edge, 0.0, 1, sigma)
-    gain = 1 / np.expm1(1 / tau)
+    load, gain = without_lowpass(y, tau)
     widths = 1 + 2 * np.arange(int(slips.period / 20) + 1)  # up to a tenth of a period
     # The mean of differences is the difference of the ends, so its noise falls with the width, not its root.
     noise = sigma * np.sqrt((1 + 2 * gain * (1 + gain) / widths) / widths)
     noisy = int(np.sum(noise > np.median(slips.drop) / 6))
     chosen = min(noisy, widths.size - 1)
     width = int(widths[chosen])
-    load = running_mean(y + gain * np.diff(y, prepend=y[:1]), width)
+    load = running_mean(load, width)
     edge = _steepest(load, slips.edge, 2 * tau, width)
     return _DeconvolvedLoad(load, edge, tau - gain, width, float(noise[chosen]))
 

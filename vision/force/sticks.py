@@ -10,7 +10,7 @@ import pandas as pd
 import xarray as xr
 from numpy.lib.stride_tricks import sliding_window_view
 
-from vision.force.corners import Corners, Extremes, Shape, find_extremes, is_slow
+from vision.force.corners import Corners, Extremes, Shape, find_extremes, is_slow, without_lowpass
 from vision.force.lines import BrokenLines, fit_broken_lines, fit_lines
 from vision.force.recording import find_spikes, noise_levels, noise_sigma, usable
 from vision.force.settings import ForceSettings
@@ -291,8 +291,7 @@ def _forces_without_lowpass(
     signal: Signal, corners: Corners, sticks: _Sticks, ends: _Ends, rises: tuple[Floats, Floats]
 ) -> tuple[Floats, Floats]:
     """Return F_v and F_p of a load corrected for a low-pass; those of sticks with a knee are limited."""
-    gain = 1 / np.expm1(1 / sticks.lag)
-    load = signal.clean + gain * np.diff(signal.clean, prepend=signal.clean[:1])
+    load, gain = without_lowpass(signal.clean, sticks.lag)
     noise = signal.sigma * float(np.sqrt(1 + 2 * gain * (1 + gain)))
     extremes = find_extremes(load, corners.middle, corners.valley - corners.peak)
     corrected = replace(signal, clean=load, sigma=noise)
