@@ -22,11 +22,12 @@ import subprocess
 import sys
 import threading
 import time
+import tomllib
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from vision.errors import InputError
 
@@ -85,6 +86,18 @@ def reading(path: Path, wanted: str, advice: str = "copy or export it again") ->
     except Exception as error:
         what = f"{type(error).__name__}: {error}"
         raise InputError(path, wanted, f"a damaged one ({shortened(what)})", advice) from error
+
+
+def read_toml(path: Path, wanted: str, advice: str) -> dict[str, Any]:
+    """Return the content of a TOML file of at most 1 MiB.
+
+    wanted: what the file should hold.  advice: what the user can do about a damaged one.
+    Raises: InputError for anything but a regular file of TOML.
+    """
+    if check_regular(path, wanted).st_size > 1 << 20:
+        raise InputError(path, wanted, "more than 1 MiB", "check its name")
+    with reading(path, wanted, advice):
+        return tomllib.loads(path.read_text(encoding="utf-8"))
 
 
 def shortened(text: str, most: int = 160) -> str:

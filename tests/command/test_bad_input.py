@@ -5,6 +5,7 @@ import resource
 import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import cv2
@@ -66,6 +67,20 @@ def refused(capsys, *arguments):
 
 
 # --- files that are no recordings ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("option", ["--force", "--timestamps", "--corrections", "--config", "--toml"])
+def test_a_pipe_given_to_any_option_is_refused(option, video, capsys):
+    """A failure means a program that waits for ever. If it does open the pipe, this test ends it."""
+    os.mkfifo("pipe")
+    writer = threading.Timer(20, lambda: os.close(os.open("pipe", os.O_WRONLY | os.O_NONBLOCK)))
+    writer.start()
+    try:
+        said = refused(capsys, *(("simulate", "made") if option == "--toml" else (video,)), option, "pipe")
+    finally:
+        writer.cancel()
+    assert said.startswith("track: pipe: expected a ")
+    assert "damaged" not in said
 
 
 def note(path, frames):

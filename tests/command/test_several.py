@@ -120,6 +120,19 @@ def test_films_of_a_folder_are_preferred_to_pictures_beside_them(films, tmp_path
     assert sorted(path.name for path in Path("runs").iterdir()) == ["pull_tracks", "push_tracks"]
 
 
+def test_an_overlay_beside_its_run_is_no_film(films, tmp_path):
+    """A failure means that `track .` tracks its own drawing. A film that is only named so is tracked."""
+    write_video(tmp_path / "pull.avi", frames_of(positions(20, sheets=8)))
+    write_video(tmp_path / "push_overlay.avi", frames_of(positions(20, sheets=7)))
+    for film in films:
+        Path(film).unlink()
+    assert run(["pull.avi", "--fps", "20", "--no-report"]) == 0
+    assert run(["overlay", "pull_tracks"]) == 0
+    assert Path("pull_tracks_overlay.mp4").exists()
+    assert run([".", "--fps", "20", "--no-report", "--out", "runs"]) == 0
+    assert sorted(path.name for path in Path("runs").iterdir()) == ["pull_tracks", "push_overlay_tracks"]
+
+
 def test_the_sheets_themselves_are_the_ruler(films):
     """A failure means lengths in a wrong unit: the comb's spacing is 20 px less its opening of 1 px or so."""
     assert run([films[0], "--pitch", "0.2mm", "--no-report", "--quiet"]) == 0

@@ -341,3 +341,6 @@ def test_jpeg_counts_as_lossy_wherever_it_stands(tmp_path, kind):
     assert open_video(path).facts.codec in LOSSY
     tifffile.imwrite(tmp_path / "b.tif", frames, compression="zlib")
     assert open_video(tmp_path / "b.tif").facts.codec not in LOSSY
+    tifffile.imwrite(tmp_path / "c.tif", frames)
+    tifffile.imwrite(tmp_path / "d.tif", frames[0], rowsperstrip=3)
+    assert {open_video(tmp_path / name).facts.codec for name in ("c.tif", "d.tif")} == {"uncompressed"}

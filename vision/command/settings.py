@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -14,7 +13,7 @@ from cyclopts import App, CycloptsError
 
 from vision.command.options import GROUPS, SETTINGS, flag_of
 from vision.errors import InputError
-from vision.files import check_regular, reading, shortened
+from vision.files import read_toml, reading, shortened
 from vision.force import parse_columns
 from vision.pipeline import Settings
 from vision.run import Parameter, read_run
@@ -99,11 +98,7 @@ def read_config(path: Path) -> dict[str, Any]:
     Keys are the long names with hyphens or underscores. Options of the sample may be in a table
     ``[sample]``.
     """
-    wanted = "a TOML file of options"
-    if check_regular(path, wanted).st_size > 1 << 20:
-        raise InputError(path, wanted, "more than 1 MiB", "check its name")
-    with reading(path, wanted, "write lines like: strip = '60:144'"):
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    table = read_toml(path, "a TOML file of options", "write lines like: strip = '60:144'")
     found: dict[str, Any] = {}
     for key, value in table.items():
         options = value if isinstance(value, dict) and key == "sample" else {key: value}

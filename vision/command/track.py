@@ -87,15 +87,21 @@ def track(videos: Sequence[Path], groups: Sequence[Any], run: RunOptions, config
 def films_of(video: Path) -> list[Path]:
     """Return the films of a folder that holds some, else the path itself. Pictures beside films are left out.
 
-    A folder often holds pictures of its films, such as those of `track preview`.
+    A folder often holds pictures of its films, such as those of `track preview`, and overlays of its runs,
+    which are left out as well.
     """
     if not answered(lambda: video.is_dir() and not is_run(video), video):
         return [video]
-    films = answered(lambda: files_in(video, FILMS), video)
+    films = [film for film in answered(lambda: files_in(video, FILMS), video) if not _is_overlay(film)]
     if films and (pictures := answered(lambda: files_in(video, IMAGES), video)):
         both = f"{counted(len(films), 'film')} and {counted(len(pictures), 'picture')}"
         complain(f"{video}: {both}; the films are used (for the pictures, quote a pattern such as '*.png')")
     return films or [video]
+
+
+def _is_overlay(film: Path) -> bool:
+    """Tell whether a film is named as `track overlay` names that of a run beside it."""
+    return film.stem.endswith("_overlay") and is_run(film.with_name(film.stem.removesuffix("_overlay")))
 
 
 def one_film(video: Path) -> Path:

@@ -8,7 +8,6 @@ whether the settings are consistent; an invalid value raises InputError with the
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -16,6 +15,7 @@ from types import NoneType
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 from vision.errors import InputError
+from vision.files import read_toml
 from vision.sample import PUBLISHED, Sample
 
 Positive = Annotated[float, "more than zero"]
@@ -317,12 +317,7 @@ def settings_from_toml(path: Path) -> dict[str, Any]:
     InputError
         If the file cannot be read or is not TOML.
     """
-    try:
-        content = tomllib.loads(path.read_text("utf-8"))
-    except OSError as error:
-        raise InputError(path, "a readable TOML file", error.strerror or str(error)) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(path, "TOML", str(error)) from error
+    content = read_toml(path, "a TOML file of settings", "write lines like: fps = 60 under [camera]")
     flat: dict[str, Any] = {}
     for name, value in content.items():
         flat |= {f"{name}.{key}": v for key, v in value.items()} if isinstance(value, dict) else {name: value}

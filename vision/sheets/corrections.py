@@ -49,7 +49,6 @@ effect.
 from __future__ import annotations
 
 import json
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -60,6 +59,7 @@ from typing import Any
 import numpy as np
 
 from vision.errors import InputError
+from vision.files import read_toml
 from vision.numeric import Floats, Ints, nan_median, nearest
 from vision.sheets.recovery import Detections
 from vision.sheets.ridges import RidgeComb, Ridges
@@ -228,10 +228,8 @@ def read_decisions(path: str | Path) -> Decisions:
         For a file that cannot be read, an unknown kind or key, or a value of the wrong type. The message
         names the entry.
     """
-    try:
-        table = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
-        raise InputError(path, "a TOML file of corrections", str(error)) from error
+    advice = "write entries such as [[swap]], sheets = [4, 5]"
+    table = read_toml(Path(path), "a TOML file of corrections", advice)
     run, undone = table.pop("run", {}), table.pop("undone", [])
     if not isinstance(run, dict) or not isinstance(undone, list):
         raise InputError(path, "[run] and [[undone]] as tables", f"run = {run!r}")

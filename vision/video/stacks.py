@@ -229,7 +229,7 @@ def _stack_facts(tif: tifffile.TiffFile, held: int, indexed: int, path: Path, *,
 
 def _codec_of_page(page: tifffile.TiffPage) -> str:
     """Return TIFF's name of the compression; "mjpeg" for every JPEG, which is lossy as in films."""
-    if not hasattr(page.compression, "name"):
+    if page.compression == 1 or not hasattr(page.compression, "name"):
         return "uncompressed"
     name = page.compression.name.lower()
     return "mjpeg" if name in _JPEG else str(name)
