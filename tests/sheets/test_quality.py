@@ -213,6 +213,24 @@ def test_errors_hold_where_ridges_are_drawn_over_their_neighbours():
     assert np.mean(gross) < 0.02
 
 
+@pytest.mark.parametrize("of_last", [0.2, 0.5])
+def test_errors_hold_where_frames_are_blended(of_last):
+    """Converters of frame rates mix two frames, and a ringing comb appears twice, often with one image where
+    the frame before had one. A failure means that positions off by pixels claim tenths."""
+    frame = np.arange(300)
+    ringing = 40 * np.exp(-(frame % 75) / 20) * np.cos(2.1 * (frame % 75) + frame // 75)
+    x = 100 + 100.0 * np.arange(7) + ringing[:, None]
+    uneven = 1 + 0.1 * np.sin(np.arange(800) / 15)
+    light = ridges(x, width=800, fwhm_px=14.0) * uneven
+    mixed = (1 - of_last) * light + of_last * np.vstack([light[:1], light[:-1]])
+    truth = (1 - of_last) * x + of_last * np.vstack([x[:1], x[:-1]])
+    tracks = track_sheets(strip(mixed), sheets=7)
+    off = np.abs(tracks.x_px.values - truth - np.nanmedian(tracks.x_px.values - truth, axis=0))
+    assert np.isfinite(off).mean() > 0.8
+    gross = (tracks.flag.values == "ok") & (off > 5 * tracks.x_err_px.values) & (off > 0.3)
+    assert gross.mean() < 0.005
+
+
 def test_without_the_blur_the_same_errors_fail():
     """The errors of the quiet frames hold few of the truths in slip frames: the scene is hard."""
     truth, picture, slips = slipping(1.5)

@@ -20,6 +20,8 @@ from vision.sheets.settings import DEFAULT, TrackingSettings
 
 FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 LEAST_FRAMES = 8
+BLUR_FRAMES = 2  # before and after a blurred one: two may show the same one of two images
+LIGHT_FRAMES = 5  # before and after, in at least one of which a ridge is as high as its light permits
 SCENE_FRAMES = 5  # compared before and after a change of scene
 NOISE_LAGS = range(2, 9)  # frames: an error that repeats itself vanishes at some of them
 FITTED = {True: 3.0, False: 1.25}  # sheets whose scatter medians of a line, or of a level, remove
@@ -97,35 +99,40 @@ def motion_blur(
     -----
     A ridge that jumps by D after a fraction p of the exposure appears twice, with heights p and 1 − p. The
     fit follows the higher image. Its error is up to :math:`\min(p, 1-p)\,D`: the loss of height times the
-    jump between the frames on both sides. It is smaller where both images merge into one wider ridge. After a
-    jump of about one pitch the second image falls on the first image of a neighbour, and no ridge loses
-    height; p then follows from sheets of the same frame that moved by other amounts. A ridge is blurred if it
-    moved by more than a fraction of its width and is wider or lower than usual by more than its scatter.
+    motion over `BLUR_FRAMES` frames before and after. It is smaller where both images merge into one wider
+    ridge. A ridge is blurred if it moved by more than a fraction of its width and is wider or lower than
+    usual by more than its scatter. A ridge that is low in all of several frames is in a shadow.
+
+    All sheets of a frame have the same p. Hence a sheet that moved by more than half its width has at least
+    the signs of most such sheets: its own may be hidden by a background that varies, or, after a jump of
+    about one pitch, by the image of its neighbour, which fills the gap that its own leaves.
     """
-    moved = np.zeros_like(x_px)
-    moved[1:-1] = np.nan_to_num(np.abs(x_px[2:] - x_px[:-2]))
-    steps = np.nan_to_num(np.abs(np.diff(x_px, axis=0)))
-    moved[1:] = np.maximum(moved[1:], steps)
-    moved[:-1] = np.maximum(moved[:-1], steps)
+    near = _frames_around(x_px, BLUR_FRAMES)
+    moved = np.nan_to_num(np.fmax.reduce(near) - np.fmin.reduce(near))
     with np.errstate(divide="ignore", invalid="ignore"):
         lower, wider = -np.log(contrast), np.log(fwhm_px)
+    lower = lower - np.fmax(nan_median(lower), np.fmin.reduce(_frames_around(lower, LIGHT_FRAMES)))
     fast = (moved > settings.blur_fraction * comb.fwhm_px) & np.isfinite(x_px)
     sampled = 0.7 / comb.fwhm_px**2  # height that a ridge between two pixels loses
     excess = np.maximum(_excess(lower, sampled), _excess(wider, sampled))
-    blurred = fast & (excess > settings.blur_sigmas)
-    suspect = fast & (excess > 0.5 * settings.blur_sigmas)  # not flagged, but with a larger error
-    loss = np.clip(1 - np.exp(-np.nan_to_num(lower - nan_median(lower))), 0.0, 0.5)
+    loss = np.clip(1 - np.exp(-np.nan_to_num(lower)), 0.0, 0.5)
     apart = moved / comb.fwhm_px
     pitches = np.maximum(np.rint(moved / comb.pitch_px), 1.0)
-    overlapping = fast & (np.abs(moved - pitches * comb.pitch_px) < settings.blur_overlap * comb.fwhm_px)
+    overlapping = np.abs(moved - pitches * comb.pitch_px) < settings.blur_overlap * comb.fwhm_px
     informative = fast & ~overlapping & (apart > 0.5)
-    frame_loss = nan_quantile(np.where(informative, loss, np.nan), 0.75, axis=1)[:, None]
-    frame_excess = nan_quantile(np.where(informative, excess, np.nan), 0.75, axis=1)[:, None]
-    loss = np.where(overlapping, np.fmax(loss, frame_loss), loss)
-    blurred |= overlapping & (frame_excess > settings.blur_sigmas)
-    suspect |= overlapping & (frame_excess > 0.5 * settings.blur_sigmas)
-    share = np.minimum(0.8, apart)  # images nearer than a width merge, and the fit finds their middle
-    return Blur(blurred, np.where(suspect, settings.blur_error * loss * moved * share, 0.0))
+    for sign, share in ((excess, 0.5), (loss, 0.75)):
+        of_frame = nan_quantile(np.where(informative, sign, np.nan), share, axis=1)[:, None]
+        np.copyto(sign, np.fmax(sign, of_frame), where=informative | (fast & overlapping))
+    suspect = fast & (excess > 0.5 * settings.blur_sigmas)  # not flagged, but with a larger error
+    merged = np.minimum(0.8, apart)  # images nearer than a width merge, and the fit finds their middle
+    err = np.where(suspect, settings.blur_error * loss * moved * merged, 0.0)
+    return Blur(fast & (excess > settings.blur_sigmas), err)
+
+
+def _frames_around(values: Floats, frames: int) -> list[Floats]:
+    """Return values (frame, N) of each frame before, at and after every frame, up to so many frames away."""
+    padded = np.pad(values, ((frames, frames), (0, 0)), constant_values=np.nan)
+    return [padded[k : k + len(values)] for k in range(2 * frames + 1)]
 
 
 def _excess(values: Floats, least: float) -> Floats:

@@ -309,7 +309,7 @@ class TrackingSettings:
     blur, smaller flags sharp slips; the error grows from half of this on."""
 
     blur_fraction: float = 0.2
-    """Motion between frames, in ridge widths, from which a ridge can be blurred. Smaller flags noise."""
+    """Motion over a few frames, in ridge widths, from which a ridge can be blurred. Smaller flags noise."""
 
     blur_error: float = 0.8
     """Error of a blurred position over lost height times motion; in test_quality.py it must cover 62 to 74 of
