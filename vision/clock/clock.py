@@ -329,7 +329,7 @@ def _silent_drops(tracks: xr.Dataset, drops: pd.DataFrame, found: Alignments) ->
         number, matched = np.arange(1, match.size + 1), np.cumsum(match)
         missed = (match.size - match.sum() - (number - matched) + 1) / (match.size - number + 2)
         lead = (number - matched) * np.log((1 - by_chance) / missed)
-        lead += matched * np.log(by_chance / (1 - missed))
+        lead += matched * np.log(by_chance**2 / (1 - missed))  # the film's slips pair by chance, too
         if lead.max(initial=0.0) > settings.least_margin:
             silent += int((number - matched)[np.argmax(lead)])
     return silent
