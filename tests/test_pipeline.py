@@ -83,6 +83,14 @@ def broken(*arguments, **options):
 
 
 @pytest.mark.usefixtures("no_picture")
+@pytest.mark.parametrize("name", ["d0_mm", "sheets", "threshold", "window_px", "force_lowpass_s"])
+def test_a_text_in_place_of_a_number_is_named(name):
+    """A failure means that a number read from a table as text ends in a TypeError far from its cause."""
+    with pytest.raises(InputError, match=f"`{name}`: expected a number; found the text '13'"):
+        Settings(**{name: "13"})
+    assert Settings(window_px="auto", force_lowpass_s="auto").window_px == "auto"
+
+
 def test_an_unforeseen_error_in_a_late_stage_costs_only_that_stage(monkeypatch, tmp_path, capsys):
     """A failure means that hours of tracking are lost to a defect of the fits."""
     monkeypatch.setattr(pipeline, "fit_models", broken)

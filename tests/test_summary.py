@@ -168,6 +168,8 @@ def test_shells_that_say_nothing_about_the_fits(wrong_d0):
     assert shells_against_fits(cut, fits, settings) == []
     loose = replace(fits, scale_mm=replace(fits.scale_mm, error=20 * fits.scale_mm.error))
     assert shells_against_fits(shells, loose, settings) == []
+    unknown = replace(fits, scale_mm=replace(fits.scale_mm, value=300.0, error=300.0))
+    assert shells_against_fits(shells, unknown, settings) == []
     agreeing = shells.assign(stiff_high=9)
     assert shells_against_fits(agreeing, fits, settings) == []
     fewer = shells.assign(stiff_low=12, stiff_high=14)
@@ -176,18 +178,21 @@ def test_shells_that_say_nothing_about_the_fits(wrong_d0):
 
 def test_sides_with_different_shells_are_said():
     """A failure means that an axis one sheet aside, or a side that does not slip, passes in silence; or that
-    sides which differ within their errors, or now one way and now the other, are said to differ."""
+    sides are said to differ that do so within their errors, by one sheet, or now one way and now the other.
+    """
 
-    def said(left, right):
+    def said(left, right, error=1):
         rows = [(event, side, size) for event in range(10) for side, size in ((-1, left), (1, right))]
         sizes = [size(event) if callable(size) else size for event, _, size in rows]
         table = pd.DataFrame(rows, columns=["event", "side", "stiff_sheets"]).assign(stiff_sheets=sizes)
-        table = table.assign(stiff_low=table["stiff_sheets"] - 1, stiff_high=table["stiff_sheets"] + 1)
+        table = table.assign(
+            stiff_low=table["stiff_sheets"] - error, stiff_high=table["stiff_sheets"] + error
+        )
         return unlike_sides(table.astype("Int64"), ShellSettings())
 
     (line,) = said(12, 15)
     assert "12 sheets on the left but 15 on the right in 10 of 10" in line and "`axis_px`" in line
-    assert said(12, 14) == []
+    assert said(12, 14) == [] == said(12, 13, error=0) != said(12, 14, error=0)
     assert said(12, lambda event: 12 + 5 * (-1) ** event) == []
     assert unlike_sides(None, ShellSettings()) == []
 

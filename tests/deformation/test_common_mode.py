@@ -173,8 +173,24 @@ def test_shells_that_differ_between_the_sides(share):
     tracks = left.tracks.assign(x_px=left.tracks["x_px"].where(~of_right, right.tracks["x_px"]))
     motion = horizontal_deformation(tracks, left.sticks, Clock(), pixel_size_um=PIXEL_UM)
     wrong = motion["ratio_signed"].to_numpy() - np.where(of_right, right.ratio, left.ratio)
-    assert np.abs(wrong.mean(axis=0)).max() < 0.004
+    assert np.abs(wrong.mean(axis=0)).max() < 0.006
     assert 0.60 < np.mean(np.abs(wrong) < motion["ratio_err"].to_numpy()) < 0.80
+
+
+def test_sheets_that_move_by_themselves_do_not_pass_for_the_camera():
+    """Paper relaxes: every sheet has its own steady movement.  A failure means that the inner sheets, which
+    creep least, decide about the camera, with errors that do not know their own movement."""
+    made = make(profile(np.full(30, 8.0)), noise_px=0.02)
+    rate = np.random.default_rng(1).normal(0, 0.06, made.tracks.sizes["sheet"])  # px/s to the right
+    moved = made.tracks["x_px"] + made.tracks["time_s"].to_numpy()[:, None] * rate
+    motion = horizontal_deformation(
+        made.tracks.assign(x_px=moved), made.sticks, Clock(), pixel_size_um=PIXEL_UM
+    )
+    length_s = (made.sticks["t_p_s"] - made.sticks["t_v_s"]).to_numpy()[:, None]
+    sweep_um = PIXEL_UM * length_s * -made.tracks["side"].to_numpy() * rate
+    own = sweep_um / np.sqrt(12) / made.sticks["stick_length_um"].to_numpy()[:, None]
+    off = (motion["ratio_signed"].to_numpy() - made.ratio - own) / motion["ratio_err"].to_numpy()
+    assert 0.60 < np.mean(np.abs(off) < 1) < 0.80
 
 
 def test_a_camera_that_bends_with_every_stick_and_springs_back():

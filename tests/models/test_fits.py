@@ -387,6 +387,9 @@ def test_what_limits_the_result_is_said() -> None:
     assert not any("errors from 0" in note for note in true_zero.notes)
     high = fit(made.assign(F_p_N=made["F_p_N"] + 20))
     assert any("𝒯0 = 2" in line for line in high.warnings)
+    short = fit(made.assign(F_p_N=made["F_p_N"] + 20).iloc[:8])
+    assert short.t0_N.error > 5
+    assert not short.warnings
     fast = fit_models(MADE.assign_attrs(speed_mm_min=10.0), made)
     assert any("V ≤ 1 mm/min" in note for note in fast.notes)
     assert not any("V ≤ 1 mm/min" in note for note in fit(made).notes)

@@ -285,7 +285,8 @@ def _against_film(found: Alignments, tracks: xr.Dataset, drops: pd.DataFrame) ->
     """The alignments, ambiguous also where the film contradicts them, and advice on the cause or ""."""
     strip, settings = StripMetadata.of(tracks), found.settings
     if not found.ambiguity and (silent := _silent_drops(tracks, drops, found)):
-        why = f"the film shows no slip at {silent} drops of the force beside those in common (lost frames?)"
+        why = f"the film shows no slip at {silent} drops of the force before or after those in common"
+        why += " (lost frames? a clock that jumps?)"
         found = replace(found, ambiguity=why)
     if found.ambiguity and (backwards := _if_backwards(tracks, drops, settings)):
         return found, backwards
@@ -304,10 +305,10 @@ def _against_film(found: Alignments, tracks: xr.Dataset, drops: pd.DataFrame) ->
 
 
 def _silent_drops(tracks: xr.Dataset, drops: pd.DataFrame, found: Alignments) -> int:
-    """Number of drops of the force that the film should show before its first or after its last slip.
+    """Number of drops of the force, at the beginning or end of the film, that the film does not show in time.
 
-    0 where all of them may have been missed at random, as some are between the slips in common.  Otherwise
-    frames are lost or the frame rate changes, so that the clock holds only in part of the film.
+    0 where all of them may have been missed at random, as some are among the others.  Otherwise frames are
+    lost or one of the clocks jumps, so that the alignment holds only in part of the film.
     """
     fits, settings = found.fits, found.settings
     time = tracks["time_s"].to_numpy()
@@ -317,13 +318,21 @@ def _silent_drops(tracks: xr.Dataset, drops: pd.DataFrame, found: Alignments) ->
     next_frame = np.clip(np.searchsorted(frame_s, drop_s), 1, len(frame_s) - 1)
     filmed = (drop_s > frame_s[0]) & (drop_s < frame_s[-1])
     filmed &= frame_s[next_frame] - frame_s[next_frame - 1] < 2 * np.median(np.diff(frame_s))
-    paired = fits.partner[0][fits.partner[0] >= 0]
-    filmed &= ~(size < 0.5 * nan_median(size[paired]))  # the sheets may move too little in smaller ones
-    filmed[paired] = False
-    first_s, last_s = found.clocks.map(found.trains.video_s[[0, -1]])[0]
-    missed = (fits.force[0] - len(paired) + 1) / (fits.force[0] + 2)  # share of the drops in common
-    silent = [int((filmed & outside).sum()) for outside in (drop_s < first_s, drop_s > last_s)]
-    return sum(count for count in silent if count * np.log(missed) < -settings.least_margin)
+    pairs = fits.partner[0][fits.partner[0] >= 0]
+    paired = np.isin(np.arange(len(drop_s)), pairs)
+    filmed &= paired | ~(
+        size < 0.5 * nan_median(size[pairs])
+    )  # the sheets may move too little in smaller ones
+    by_chance, silent = settings.paired_by_chance, 0
+    for match in (paired[filmed], paired[filmed][::-1]):
+        # The log-likelihood of the first drops if they pair by chance, minus that if they pair as the others.
+        number, matched = np.arange(1, match.size + 1), np.cumsum(match)
+        missed = (match.size - match.sum() - (number - matched) + 1) / (match.size - number + 2)
+        lead = (number - matched) * np.log((1 - by_chance) / missed)
+        lead += matched * np.log(by_chance**2 / (1 - missed))  # the film's slips pair by chance, too
+        if lead.max(initial=0.0) > settings.least_margin:
+            silent += int((number - matched)[np.argmax(lead)])
+    return silent
 
 
 def _if_backwards(tracks: xr.Dataset, drops: pd.DataFrame, settings: ClockSettings) -> str:

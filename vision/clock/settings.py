@@ -94,6 +94,10 @@ class ClockSettings:
     """Correlation of neighbouring residuals, in standard errors, above which the clocks differ by more than
     an offset and a rate. Without this test, 18 of 24 recordings with an unreported lost frame were accepted,
     in place of 4; `test_unreported_lost_frames_are_not_believed_blindly`."""
+    paired_by_chance: float = 0.15
+    """Share of the slips that are paired where the alignment is wrong. Larger → a jump of a clock is
+    overlooked where few slips follow it; smaller → it is overlooked once slips after it pair by chance.
+    `test_clocks_that_jump_are_not_believed`."""
     usual_drift_ppm: float = 500.0
     """Difference of the clocks' rates that must be exceeded by two standard errors for a warning about the
     frame rate. Larger → a rate that is wrong by a thousandth passes; smaller → poor but correct clocks get a

@@ -271,22 +271,23 @@ def _fit_pattern(
     useful = np.isfinite(size) & np.isfinite(error)
     if not useful.any():
         return np.zeros_like(size), np.full_like(error, np.inf), 0.0
-    creep, scatter = _shortest_half(size[useful])
+    creep, scatter = _shortest_third(size[useful])
     # The noise of the sheets does not explain all scatter: paper also deforms unevenly.
     error = error * max(scatter, 1e-9) / np.median(error[useful])
     return np.where(useful, size - creep, 0.0), np.where(useful, error, np.inf), creep
 
 
-def _shortest_half(values: Floats) -> tuple[float, float]:
-    """Centre and standard deviation of the movements without slips, robust up to nearly half of slips.
+def _shortest_third(values: Floats) -> tuple[float, float]:
+    """Centre and standard deviation of the movements without slips, robust up to two thirds of others.
 
-    Both come from the shortest interval that contains half the values (Rousseeuw & Leroy 1988).
+    Both come from the shortest interval that contains a third of the values (after Rousseeuw & Leroy 1988),
+    as the sheets may slip in a third of the frames and rest in another.
     """
     ordered = np.sort(values)
-    half = len(ordered) // 2
-    length = ordered[half:] - ordered[: len(ordered) - half]
+    third = len(ordered) // 3
+    length = ordered[third:] - ordered[: len(ordered) - third]
     k = int(np.argmin(length))
-    return float(ordered[k : k + half + 1].mean()), float(length[k]) / (2 * NORMAL_MEDIAN)
+    return float(ordered[k : k + third + 1].mean()), float(length[k]) / (2 * 0.4307)
 
 
 def _find_steps(above: Floats, error: Floats, creep: float, settings: ClockSettings) -> tuple[Ints, Ints]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
 from vision.deformation.creep import Creep, StickFrames
 from vision.deformation.settings import DeformationSettings
@@ -166,24 +167,26 @@ class BothSides:
         left, right = coefficient[:, self.left], coefficient[:, self.right]
         noise = (error[:, self.left] ** 2 + error[:, self.right] ** 2) / 4
         all_pairs = pair = _Pairs.of(left, right, noise, self.least_pairs)
-        asymmetry = 0.2  # initial value; four rounds suffice to converge
+        own, relative = 0.0, 0.04  # initial values; four rounds suffice to converge
         for _round in range(4):
-            weight = pair.known / np.maximum(pair.noise + (asymmetry * pair.step) ** 2, 1e-18)
+            weight = pair.known / np.maximum(pair.noise + own + relative * pair.step**2, 1e-18)
             total = weight.sum(axis=1)
             share = np.divide(weight, total[:, None], out=np.zeros_like(weight), where=pair.known)
             sides, sides_err = all_pairs.difference_of_sides(weight)
             pair = replace(all_pairs, middle=all_pairs.middle - sides * all_pairs.step)
             value = (share * pair.middle).sum(axis=1)
-            asymmetry = pair.asymmetry(value, share)
+            own, relative = pair.asymmetry(value, share, weight)
         of_sheet = np.zeros_like(coefficient)
         of_sheet[:, self.left] = of_sheet[:, self.right] = share
         random = np.divide(1, total, out=np.zeros_like(total), where=total > 0)
         systematic = sides_err * (share * pair.step).sum(axis=1)
-        shift, shift_err = self._constant_correction(value, random, share, all_pairs) if slow else (0.0, 0.0)
+        shift, shift_err = 0.0, 0.0
+        if slow:
+            shift, shift_err = self._constant_correction(value, random, share, all_pairs, own)
         return Drift(value + shift, np.sqrt(random + systematic**2 + shift_err**2), of_sheet)
 
     def _constant_correction(
-        self, value: Floats, random: Floats, share: Floats, pairs: _Pairs
+        self, value: Floats, random: Floats, share: Floats, pairs: _Pairs, own_px2: float
     ) -> tuple[float, float]:
         """Correction of the drift that is the same in all sticks, and its error, px.
 
@@ -195,7 +198,7 @@ class BothSides:
         difference = float(np.median((share * np.nan_to_num(slow)).sum(axis=1) - value))
         noise = np.pi / 2 * float(np.median(random)) / len(value)  # variance of a median
         difference = np.sign(difference) * np.sqrt(max(difference**2 - noise, 0.0))
-        ends = np.clip((0.0, difference), *pairs.limits_of_correction(value))
+        ends = np.clip((0.0, difference), *pairs.limits_of_correction(value, own_px2))
         return float(ends.mean()), float(abs(ends[1] - ends[0])) / 2
 
 
@@ -219,9 +222,12 @@ class _Pairs:
         middle, step, noise = (np.where(known, part, 0.0) for part in (middle, step, noise))
         return cls(middle, step, noise, known, quiet)
 
-    def limits_of_correction(self, value: Floats) -> tuple[float, float]:
+    def limits_of_correction(self, value: Floats, own_px2: float) -> tuple[float, float]:
         """Range of a constant correction of the drift for which no sheet of the pair that creeps least creeps
-        outwards, in the median over the sticks and within two standard errors, px."""
+        outwards, in the median over the sticks and within two standard errors, px.
+
+        own_px2: variance of the half sums by movement of the sheets' own.
+        """
         step, residual, noise = (
             nan_median(np.where(self.known, part, np.nan))
             for part in (self.step, self.middle - value[:, None], self.noise)
@@ -229,27 +235,34 @@ class _Pairs:
         if not np.isfinite(step).any():
             return 0.0, 0.0
         least = np.nanargmin(np.abs(step))
-        creep = abs(step[least]) + 2 * np.sqrt(np.pi / 2 * noise[least] / self.known[:, least].sum())
+        variance = np.pi / 2 * noise[least] / self.known[:, least].sum() + own_px2
+        creep = abs(step[least]) + 2 * np.sqrt(variance)
         return float(residual[least] - creep), float(residual[least] + creep)
 
     def difference_of_sides(self, weight: Floats) -> tuple[float, float]:
-        """Half sum as a share of the creep that all pairs have in common, and its error from noise.
+        """Half sum as a share of the creep that all pairs have in common, and its error.
 
-        0 where all pairs creep alike, because there it cannot be separated from drift.
+        0 where all pairs creep alike, because there it cannot be separated from drift.  What one pair differs
+        by repeats in every stick, so each pair contributes one residual to the error.
         """
         weight = weight * self.quiet
         total = np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
-        step = self.step - (weight * self.step).sum(axis=1, keepdims=True) / total
+        step, middle = (v - (weight * v).sum(axis=1, keepdims=True) / total for v in (self.step, self.middle))
         square = float((weight * step**2).sum())
         if square <= 4 * float((weight * self.noise).sum()):
             return 0.0, 0.0
-        return float((weight * step * self.middle).sum()) / square, square**-0.5
+        share = float((weight * step * middle).sum()) / square
+        of_pair = (weight * step * (middle - share * step)).sum(axis=0)
+        return share, float(np.sqrt(max((of_pair**2).sum() / square, 1.0) / square))
 
-    def asymmetry(self, value: Floats, share: Floats) -> float:
-        """RMS asymmetry beyond noise, as a share of the creep."""
+    def asymmetry(self, value: Floats, share: Floats, weight: Floats) -> tuple[float, float]:
+        """Variance of the half sums beyond noise: a part that does not depend on the creep, px², from sheets
+        that move by themselves, and the other in units of the squared creep."""
         excess = (self.middle - value[:, None]) ** 2 - self.noise * (1 - share)
-        steps = max(float((self.step[self.quiet] ** 2).sum()), 1e-18)
-        return float(np.sqrt(max(float(excess[self.quiet].sum()), 0.0) / steps))
+        weight = weight * self.quiet
+        design = np.stack([weight.ravel(), (weight * self.step**2).ravel()], axis=-1)
+        own, relative = scipy.optimize.nnls(design, (weight * excess).ravel())[0]
+        return float(own), float(relative)
 
 
 def _missing_sheets(middle_px: Floats, outwards: Ints) -> Ints:
