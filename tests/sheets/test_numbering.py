@@ -115,6 +115,20 @@ def test_vibration_does_not_move_the_axis():
     assert abs(tracked(truth).attrs["axis_px"] - 600) < PITCH / 2
 
 
+@pytest.mark.parametrize("seed", range(1, 7))
+def test_a_comb_that_every_slip_carries_along_keeps_its_axis(seed):
+    """With every slip the whole comb is carried by up to a pitch, either way. A failure means that the few
+    slips that carried it one way number all sheets from near one end."""
+    truth = comb(300, slip=0.3)
+    jump = np.abs(np.diff(truth[:, 0], prepend=truth[0, 0])) > 3.0
+    carried = np.random.default_rng(seed).uniform(-PITCH, PITCH, (300, 1)) * jump[:, None]
+    noise = np.random.default_rng(seed).normal(0, 0.005, truth.shape)
+    numbering = number_sheets(truth + np.cumsum(carried, axis=0) + noise)
+    np.testing.assert_array_equal(numbering.n, numbered(25, 25))
+    assert numbering.how == "geometry"
+    assert numbering.low_px < 600 < numbering.high_px
+
+
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_hardly_any_sheets_are_numbered_all_the_same(count):
     """A failure means a close-up of a few sheets crashes or leaves sheets without a number."""

@@ -114,13 +114,13 @@ def _split_by_motion(
     shift = settings.vibration_sigmas * vibration
     first, last = (_middle(_splits(opening + sign * shift, error, settings)) for sign in (1, -1))
     low, high = min(first, last), max(first, last)
+    middle, even = _middle(good), sheets // 2
+    if np.floor(low) <= even <= high:
+        return even, "motion" if high - low <= settings.decided_sheets else "geometry", (low, high)
     outside = good[(good == 0) | (good == sheets)]  # all sheets move alike: one side is in view
     if len(outside):
         beyond = int(outside[0])
         return beyond, "motion", (min(low, beyond), max(high, beyond))
-    middle, even = _middle(good), sheets // 2
-    if low - 0.5 <= sheets / 2 <= high + 0.5:
-        return even, "motion" if high - low <= settings.decided_sheets else "geometry", (low, high)
     return int(np.floor(middle) if middle > even else np.ceil(middle)), "motion", (low, high)
 
 
@@ -141,7 +141,9 @@ def _opening(x_px: Floats, settings: TrackingSettings) -> tuple[Floats, Floats, 
     vibration causes. The opening is the step of the comb's ends away from each other.
 
     A camera that vibrates or drifts does not change the distance between the ends. After a knock or a cut all
-    sheets move together by more than the ends move apart; such steps are not used.
+    sheets move together by more than the ends move apart; such steps are not used. The slips themselves may
+    carry the whole comb along: the common error is the larger of that of all steps and that of the steps in
+    slips, whose sizes differ (White 1980).
     """
     step = np.diff(x_px, axis=0)
     known = np.isfinite(step)
@@ -155,8 +157,13 @@ def _opening(x_px: Floats, settings: TrackingSettings) -> tuple[Floats, Floats, 
     power = float((apart**2).sum())
     if power == 0:
         return np.zeros(x_px.shape[1]), np.full(x_px.shape[1], np.inf), 0.0
-    vibration = float(np.nan_to_num(nan_median(np.abs(common)))) / NORMAL_MEDIAN
-    return (apart @ step) / power, noise / np.sqrt(power), vibration / float(np.sqrt(power))
+    common = np.nan_to_num(common)
+    beside = common - (apart @ common) / power * apart
+    vibration = max(
+        float(np.median(np.abs(common))) / NORMAL_MEDIAN / float(np.sqrt(power)),
+        float(np.linalg.norm(apart * beside)) / power,
+    )
+    return (apart @ step) / power, noise / np.sqrt(power), vibration
 
 
 def _axis(position: Floats, split: int) -> float:
