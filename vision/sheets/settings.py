@@ -202,6 +202,11 @@ class TrackingSettings:
     """Fraction of the sheet's usual contrast that this ridge must have. Larger loses shaded sheets, smaller
     accepts noise; test_recovery.py fades a sheet to 0.25 and to nothing."""
 
+    least_squeeze: float = 2.0
+    """Displacement of the comb's ends towards its middle, in pitches, from which sheets are identified at the
+    comb's usual spacing. Larger loses combs that slips squeeze (test_identity.py, four slips), smaller takes
+    a change of a few spacings for one of all (pulled markers)."""
+
     tear_fraction: float = 0.6
     """Difference of two neighbours' displacements, in pitches, that no slip causes. Larger lets wrong
     identities pass, smaller flags avalanches."""
