@@ -7,7 +7,6 @@ the comb then seems to jump by whole pitches, the frames before and after must a
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -150,25 +149,24 @@ def comb_squeeze(ridges: Ridges, settings: TrackingSettings = DEFAULT) -> Squeez
     """Measure how much the whole comb is squeezed in each frame.
 
     The quantiles of the spacings are compared with their usual values, since spacings may be of several
-    kinds; those of a missing sheet or a false detection are beyond the quantiles.
+    kinds; those of a missing sheet or a false detection are beyond the quantiles. A squeeze changes all of
+    them alike: `squeeze_share` of the variance of their logarithms must be common.
     """
-    middle, scale = float(nan_median(ridges.x_px.ravel())), np.ones(len(ridges.x_px))
+    middle, still = float(nan_median(ridges.x_px.ravel())), np.ones(len(ridges.x_px))
     gap = np.diff(ridges.x_px.astype(np.float64), axis=1)
-    if gap.shape[1] < 2:
-        return Squeeze(scale, middle)
-    with warnings.catch_warnings():  # frames without two ridges
-        warnings.simplefilter("ignore", RuntimeWarning)
-        gaps = np.nanquantile(gap, np.linspace(0.1, 0.9, 17), axis=1)
-    ratio = (gaps / nan_median(gaps, axis=1)[:, None]).mean(axis=0)
     sheets = 1 + np.isfinite(gap).sum(axis=1)
     usual = np.median(sheets)
-    ratio[2 * sheets < usual] = np.nan  # many sheets are covered
-    ratio = fill_rows(ratio[None], np.arange(len(ratio), dtype=np.float64))[0]
-    measured = running_median(np.nan_to_num(ratio, nan=1.0), 3)
-    low, high = np.quantile(measured, (0.02, 0.98))
-    if (high / low - 1) * usual / 2 >= settings.least_squeeze:
-        scale = measured
-    return Squeeze(scale, middle)
+    rows = np.flatnonzero((2 * sheets >= usual) & (sheets > 1))  # without frames in which many are covered
+    if not len(rows):
+        return Squeeze(still, middle)
+    change = np.log(np.nanquantile(gap[rows], np.linspace(0.1, 0.9, 17), axis=1)).T
+    change -= np.median(change, axis=0)
+    common = change.mean(axis=1)
+    scale = running_median(np.exp(np.interp(np.arange(len(gap)), rows, common)), 3)
+    low, high = np.quantile(scale, (0.02, 0.98))
+    squeezed = (high / low - 1) * usual / 2 >= settings.least_squeeze
+    squeezed &= common.var() >= settings.squeeze_share * change.var()
+    return Squeeze(scale if squeezed else still, middle)
 
 
 def comb_displacement(ridges: Ridges, comb: RidgeComb, settings: TrackingSettings = DEFAULT) -> Floats:

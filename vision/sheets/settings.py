@@ -204,8 +204,13 @@ class TrackingSettings:
 
     least_squeeze: float = 2.0
     """Displacement of the comb's ends towards its middle, in pitches, from which sheets are identified at the
-    comb's usual spacing. Larger loses combs that slips squeeze (test_identity.py, four slips), smaller takes
-    a change of a few spacings for one of all (pulled markers)."""
+    comb's usual spacing. Larger loses combs that slips squeeze (test_identity.py, four slips), smaller
+    stretches frames for the slips of a mobile shell, which need it not."""
+
+    squeeze_share: float = 0.7
+    """Share of the variance of all spacings, in logarithms, that a squeeze of the whole comb must explain.
+    Larger loses combs whose outer sheets are squeezed more, smaller stretches recordings in which a few
+    spacings open (a row of markers that is released)."""
 
     tear_fraction: float = 0.6
     """Difference of two neighbours' displacements, in pitches, that no slip causes. Larger lets wrong
