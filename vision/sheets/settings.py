@@ -401,8 +401,9 @@ class TrackingSettings:
     Larger lets one knock place the axis, smaller drops slips of films with vibration."""
 
     vibration_sigmas: float = 2.0
-    """Common-mode vibration, in standard deviations, that the axis allows for. Larger leaves the axis open,
-    smaller lets vibration move it; test_numbering.py has vibrating lopsided and centred combs."""
+    """Vibration and unequal slips, in standard deviations of what they do to the axis, that it allows for.
+    Larger leaves the axis open, smaller lets them move it; test_numbering.py has lopsided and centred combs
+    that vibrate, are carried along, or slip in avalanches."""
 
     decided_sheets: int = 2
     """Sheets by which the axis may lie elsewhere for the motion still to have found it."""
