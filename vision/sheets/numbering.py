@@ -58,7 +58,7 @@ def number_sheets(
     axis_px
         The axis, if known.
     settings
-        `axis_sigmas`, `axis_slack`, `knock_ratio`, `vibration_sigmas`, `decided_sheets`.
+        `axis_slack`, `knock_ratio`, `vibration_sigmas`, `decided_sheets`.
 
     Returns
     -------
@@ -113,10 +113,6 @@ def _split_by_motion(
     if sheets < 3 or power == 0:
         return sheets // 2, "geometry", None
     opening, error = apart @ step / power, noise / np.sqrt(power)
-    moves = (np.abs(opening[[0, -1]]) > settings.axis_sigmas * error[[0, -1]]).any()
-    rigid = np.abs(opening).max() > 3.0  # px per px: a comb that moves more than its ends do moves as a whole
-    if not moves or rigid:
-        return sheets // 2, "geometry", None
     contrast = _contrast(opening)
     best = int(contrast.argmax())
     worse = contrast[best] - contrast

@@ -389,9 +389,6 @@ class TrackingSettings:
 
     # --- symmetry axis (numbering.py) ---
 
-    axis_sigmas: float = 4.0
-    """Standard errors by which the comb's ends must move for the motion to decide the axis."""
-
     axis_slack: float = 0.02
     """Fraction of all motion by which positions of the axis may differ and still be equally good; larger
     widens the choice in the stiff centre."""
