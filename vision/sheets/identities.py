@@ -159,12 +159,17 @@ def comb_squeeze(ridges: Ridges, settings: TrackingSettings = DEFAULT) -> Squeez
     rows = np.flatnonzero((2 * sheets >= usual) & (sheets > 1))  # without frames in which many are covered
     if not len(rows):
         return Squeeze(still, middle)
-    change = np.log(np.nanquantile(gap[rows], np.linspace(0.1, 0.9, 17), axis=1)).T
+    gap = np.sort(gap[rows], axis=1)  # NaN last; nanquantile takes forty times as long
+    last = sheets[rows, None] - 2
+    at = np.linspace(0.1, 0.9, 17) * last
+    lower = at.astype(np.int64)
+    low, high = (np.take_along_axis(gap, k, axis=1) for k in (lower, np.minimum(lower + 1, last)))
+    change = np.log(low + (at - lower) * (high - low))
     change -= np.median(change, axis=0)
     common = change.mean(axis=1)
-    scale = running_median(np.exp(np.interp(np.arange(len(gap)), rows, common)), 3)
-    low, high = np.quantile(scale, (0.02, 0.98))
-    squeezed = (high / low - 1) * usual / 2 >= settings.least_squeeze
+    scale = running_median(np.exp(np.interp(np.arange(len(still)), rows, common)), 3)
+    least, most = np.quantile(scale, (0.02, 0.98))
+    squeezed = (most / least - 1) * usual / 2 >= settings.least_squeeze
     squeezed &= common.var() >= settings.squeeze_share * change.var()
     return Squeeze(scale if squeezed else still, middle)
 
