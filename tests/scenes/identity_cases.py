@@ -183,6 +183,17 @@ def _() -> Case:
     return Case(x, strip(ridges(x, width=600, contrast=brightness(24))), least_found=0.97)
 
 
+for _back in (False, True):
+
+    @case("four slips squeeze the comb to half its spacing" + (" and two open it" if _back else ""))
+    def _(back: bool = _back) -> Case:
+        step = np.zeros(FRAMES)
+        step[40:200:40] = -0.125
+        step[[210, 250]] = 0.2 * back
+        x = 650 + (1 + np.cumsum(step)[:, None]) * (comb(FRAMES, axis_px=0, uneven=0.1, slip=0.2) * 1.2)
+        return Case(x, strip(ridges(x, width=1300, fwhm_px=5, contrast=brightness())), pitch_px=12)
+
+
 # light
 
 

@@ -38,7 +38,7 @@ def test_one_sheet_that_is_covered_in_a_slip_does_not_move_the_axis(sheet, jump_
     truth[slip + 1 : slip + 9, sheet] += jump_px
     numbering = number_sheets(truth + np.random.default_rng(1).normal(0, 0.005, truth.shape))
     np.testing.assert_array_equal(numbering.n, numbered(25, 25))
-    assert abs(numbering.low_px - 600) < PITCH
+    assert abs(numbering.low_px - 600) < 1.5 * PITCH
 
 
 @pytest.mark.parametrize("cut", [2, 5, 9])
@@ -113,6 +113,37 @@ def test_vibration_does_not_move_the_axis():
     """A failure means a shaking camera decides which side a sheet is on."""
     truth = comb(300, slip=0.6) + np.random.default_rng(1).normal(0, 1.0, (300, 1))
     assert abs(tracked(truth).attrs["axis_px"] - 600) < PITCH / 2
+
+
+@pytest.mark.parametrize("seed", range(1, 7))
+def test_a_comb_that_every_slip_carries_along_keeps_its_axis(seed):
+    """With every slip the whole comb is carried by up to a pitch, either way. A failure means that the few
+    slips that carried it one way number all sheets from near one end."""
+    truth = comb(300, slip=0.3)
+    jump = np.abs(np.diff(truth[:, 0], prepend=truth[0, 0])) > 3.0
+    carried = np.random.default_rng(seed).uniform(-PITCH, PITCH, (300, 1)) * jump[:, None]
+    noise = np.random.default_rng(seed).normal(0, 0.005, truth.shape)
+    numbering = number_sheets(truth + np.cumsum(carried, axis=0) + noise)
+    np.testing.assert_array_equal(numbering.n, numbered(25, 25))
+    assert numbering.how == "geometry"
+    assert numbering.low_px < 600 < numbering.high_px
+
+
+@pytest.mark.parametrize("seed", range(1, 7))
+def test_avalanches_that_reach_a_part_of_the_comb_keep_the_axis_in_its_middle(seed):
+    """Avalanches begin anywhere, run a sheet further in every frame, and end somewhere. A failure means that
+    the side with the larger avalanches takes sheets of the other."""
+    rng, side, n = np.random.default_rng(seed), np.sign(np.arange(50) - 24.5), numbered(25, 25)
+    slipped = np.zeros((150, 50))
+    for begin in range(10, 150, 30):
+        from_first = np.abs(np.arange(50) - rng.integers(50))
+        reached = from_first < rng.uniform(10, 50)
+        slipped += reached * (np.arange(150)[:, None] >= begin + from_first)
+    inwards = 6.0 * (n / 25) ** 2.3 * (np.arange(150)[:, None] / 30 - slipped)
+    truth = 600 + side * ((n - 0.5) * PITCH - inwards) + rng.normal(0, 0.005, (150, 50))
+    numbering = number_sheets(truth)
+    assert numbering.low_px - PITCH < 600 < numbering.high_px + PITCH
+    np.testing.assert_array_equal(numbering.n, n)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])

@@ -80,6 +80,7 @@ def test_a_sheet_hidden_in_its_neighbour_s_ridge_is_merged_with_it(away_px, flag
         np.insert(identities.margin, 6, np.nan, axis=1),
         hidden,
         identities.reference,
+        identities.squeeze,
     )
     got = assign_detections(profile, found, one_more, described).flag
     assert (got[:, 6] == flag).all()

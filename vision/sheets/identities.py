@@ -7,10 +7,11 @@ the comb then seems to jump by whole pitches, the frames before and after must a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, Ints, nan_median, shifted
 from vision.sheets.alignment import Candidates, Pairing, align, values_of
@@ -18,6 +19,32 @@ from vision.sheets.neighbours import torn
 from vision.sheets.reference import ReferenceComb, build_reference, faint_ends, static_ridges
 from vision.sheets.ridges import RidgeComb, Ridges
 from vision.sheets.settings import DEFAULT, TrackingSettings
+from vision.signals import running_median
+
+
+@dataclass(frozen=True)
+class Squeeze:
+    """Mean spacing of the ridges in each frame over that of the film.
+
+    Parameters
+    ----------
+    scale
+        The ratio, (frame,); 1 in all frames of a film in which it hardly changes.
+    middle_px
+        The point from which distances are measured, about the middle of the comb.
+    """
+
+    scale: Floats
+    middle_px: float
+
+    def undone(self, x_px: NDArray[np.floating]) -> Floats:
+        """Return positions (frame, any) at the usual spacing."""
+        x = np.asarray(x_px, np.float64)
+        return x if (self.scale == 1).all() else self.middle_px + (x - self.middle_px) / self.scale[:, None]
+
+    def inverse(self) -> Squeeze:
+        """Return what turns positions at the usual spacing into those of the film."""
+        return replace(self, scale=1 / self.scale)
 
 
 @dataclass(frozen=True)
@@ -34,12 +61,15 @@ class Identities:
         Rest position of each sheet around the time of the frame, (frame, N).
     reference
         The reference comb.
+    squeeze
+        How much the whole comb is squeezed in each frame.
     """
 
     match: Ints
     margin: Floats
     rest_px: Floats
     reference: ReferenceComb
+    squeeze: Squeeze
 
 
 def identify_sheets(
@@ -55,7 +85,7 @@ def identify_sheets(
 
     Frames are joined to segments in which candidates cannot be confused, and a reference comb is found that
     most of the recording agrees on. All segments are aligned with that comb, and aligned again with each
-    sheet expected where it was found around that time.
+    sheet expected where it was found around that time. All of this is done at the comb's usual spacing.
 
     Parameters
     ----------
@@ -75,6 +105,8 @@ def identify_sheets(
     InputError
         If there are no ridges, or fewer than `sheets`.
     """
+    squeeze = comb_squeeze(ridges, settings)
+    ridges = replace(ridges, x_px=squeeze.undone(ridges.x_px).astype(np.float32))
     segments = split_segments(ridges, comb, width_px=width_px, settings=settings)
     displacement = comb_displacement(ridges, comb, settings)
     reference = build_reference(
@@ -109,7 +141,37 @@ def identify_sheets(
         if np.array_equal(before, match):
             break
     margin = np.where(match >= 0, pairing.margin[segments.of_frames()], np.nan)
-    return Identities(*_undo_false_jumps(match, margin, ridges, comb, settings), rest, reference)
+    match, margin = _undo_false_jumps(match, margin, ridges, comb, settings)
+    return Identities(match, margin, squeeze.inverse().undone(rest), reference, squeeze)
+
+
+def comb_squeeze(ridges: Ridges, settings: TrackingSettings = DEFAULT) -> Squeeze:
+    """Measure how much the whole comb is squeezed in each frame.
+
+    The quantiles of the spacings are compared with their usual values, since spacings may be of several
+    kinds; those of a missing sheet or a false detection are beyond the quantiles. A squeeze changes all of
+    them alike: `squeeze_share` of the variance of their logarithms must be common.
+    """
+    middle, still = float(nan_median(ridges.x_px.ravel())), np.ones(len(ridges.x_px))
+    gap = np.diff(ridges.x_px.astype(np.float64), axis=1)
+    sheets = 1 + np.isfinite(gap).sum(axis=1)
+    usual = np.median(sheets)
+    rows = np.flatnonzero((2 * sheets >= usual) & (sheets > 1))  # without frames in which many are covered
+    if not len(rows):
+        return Squeeze(still, middle)
+    gap = np.sort(gap[rows], axis=1)  # NaN last; nanquantile takes forty times as long
+    last = sheets[rows, None] - 2
+    at = np.linspace(0.1, 0.9, 17) * last
+    lower = at.astype(np.int64)
+    low, high = (np.take_along_axis(gap, k, axis=1) for k in (lower, np.minimum(lower + 1, last)))
+    change = np.log(low + (at - lower) * (high - low))
+    change -= np.median(change, axis=0)
+    common = change.mean(axis=1)
+    scale = running_median(np.exp(np.interp(np.arange(len(still)), rows, common)), 3)
+    least, most = np.quantile(scale, (0.02, 0.98))
+    squeezed = (most / least - 1) * usual / 2 >= settings.least_squeeze
+    squeezed &= common.var() >= settings.squeeze_share * change.var()
+    return Squeeze(scale if squeezed else still, middle)
 
 
 def comb_displacement(ridges: Ridges, comb: RidgeComb, settings: TrackingSettings = DEFAULT) -> Floats:

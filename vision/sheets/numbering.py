@@ -10,7 +10,6 @@ import numpy as np
 from vision.numeric import NORMAL_MEDIAN, Floats, Ints, nan_median
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.sheets.subpixel import position_noise
-from vision.signals import running_median
 
 AxisHow = Literal["given", "motion", "geometry"]
 
@@ -59,7 +58,7 @@ def number_sheets(
     axis_px
         The axis, if known.
     settings
-        `axis_sigmas`, `axis_slack`, `knock_ratio`, `vibration_sigmas`, `decided_sheets`.
+        `axis_slack`, `knock_ratio`, `vibration_sigmas`, `decided_sheets`.
 
     Returns
     -------
@@ -102,61 +101,65 @@ def _side_and_n(split: int, sheets: int) -> tuple[Ints, Ints]:
 def _split_by_motion(
     x_px: Floats, settings: TrackingSettings
 ) -> tuple[int, AxisHow, tuple[float, float] | None]:
-    """Return the number of sheets left of the axis, how it was found, and the limits set by the motion."""
+    """Return the number of sheets left of the axis, how it was found, and the limits set by the motion.
+
+    Splits are equally good within the noise of positions. The limits also allow for steps that are no
+    opening: vibration in all frames, and in slips, whose sizes differ, a comb that is carried along or an
+    avalanche on one side (White 1980, with the residuals of MacKinnon & White 1985).
+    """
     sheets = x_px.shape[1]
-    opening, error, vibration = _opening(x_px, settings)
-    moves = (np.abs(opening[[0, -1]]) > settings.axis_sigmas * error[[0, -1]]).any()
-    rigid = np.abs(opening).max() > 3.0  # px per px: a comb that moves more than its ends do moves as a whole
-    if sheets < 3 or not moves or rigid:
+    step, apart, noise = _slips(x_px, settings)
+    power = float((apart**2).sum())
+    if sheets < 3 or power == 0:
         return sheets // 2, "geometry", None
-    opening = running_median(opening, 3)  # removes a single sheet that was covered in a slip
-    good = _splits(opening, error, settings)
-    shift = settings.vibration_sigmas * vibration
-    first, last = (_middle(_splits(opening + sign * shift, error, settings)) for sign in (1, -1))
-    low, high = min(first, last), max(first, last)
+    opening, error = apart @ step / power, noise / np.sqrt(power)
+    contrast = _contrast(opening)
+    best = int(contrast.argmax())
+    worse = contrast[best] - contrast
+    slack = settings.axis_slack * np.abs(opening).sum() + np.sqrt((error**2).sum())
+    good = np.flatnonzero(worse <= slack)
+    other = _contrast(step - apart[:, None] * opening)
+    other -= other[:, [best]]
+    vibration = np.median(np.abs(other), axis=0) / NORMAL_MEDIAN * np.sqrt(power)
+    leverage = apart**2 / power
+    in_slips = np.linalg.norm((apart / np.maximum(1 - leverage, 1e-6))[:, None] * other, axis=0)
+    spread = np.maximum(vibration, in_slips) / power
+    possible = np.flatnonzero(worse <= slack + settings.vibration_sigmas * spread)
+    middle, even = float(good[0] + good[-1]) / 2, sheets // 2
+    low, high = middle - good[0] + possible[0], middle - good[-1] + possible[-1]
+    if np.floor(low) <= even <= high:
+        return even, "motion" if high - low <= settings.decided_sheets else "geometry", (low, high)
     outside = good[(good == 0) | (good == sheets)]  # all sheets move alike: one side is in view
     if len(outside):
         beyond = int(outside[0])
         return beyond, "motion", (min(low, beyond), max(high, beyond))
-    middle, even = _middle(good), sheets // 2
-    if low - 0.5 <= sheets / 2 <= high + 0.5:
-        return even, "motion" if high - low <= settings.decided_sheets else "geometry", (low, high)
     return int(np.floor(middle) if middle > even else np.ceil(middle)), "motion", (low, high)
 
 
-def _splits(opening: Floats, error: Floats, settings: TrackingSettings) -> Ints:
-    """Return the splits that separate opposite motions as well as the best split does."""
-    total = np.r_[0, np.cumsum(opening)]
-    contrast = total[-1] - 2 * total  # right of the split less left of it
-    slack = settings.axis_slack * np.abs(opening).sum() + np.sqrt((error**2).sum())
-    return np.asarray(np.flatnonzero(contrast >= contrast.max() - slack), np.int64)
+def _contrast(step: Floats) -> Floats:
+    """Return the motion right of each split less that left of it, (..., N + 1)."""
+    total = np.cumsum(np.insert(step, 0, 0.0, axis=-1), axis=-1)
+    return np.asarray(total[..., -1:] - 2 * total, np.float64)
 
 
-def _middle(splits: Ints) -> float:
-    return float(splits[0] + splits[-1]) / 2
-
-
-def _opening(x_px: Floats, settings: TrackingSettings) -> tuple[Floats, Floats, float]:
-    """Return the step of each sheet per pixel of opening, its standard error, and the common error that
-    vibration causes. The opening is the step of the comb's ends away from each other.
+def _slips(x_px: Floats, settings: TrackingSettings) -> tuple[Floats, Floats, Floats]:
+    """Return the step of each sheet, (frame − 1, N), the step of the comb's ends away from each other in
+    slips, 0 elsewhere, (frame − 1,), and the noise of a step, (N,).
 
     A camera that vibrates or drifts does not change the distance between the ends. After a knock or a cut all
     sheets move together by more than the ends move apart; such steps are not used.
     """
     step = np.diff(x_px, axis=0)
     known = np.isfinite(step)
+    common = np.nan_to_num(nan_median(step, axis=1))
     step = np.where(known, step, 0.0)
-    ends = known[:, 0] & known[:, -1]
-    apart = np.where(ends, step[:, -1] - step[:, 0], 0.0)
+    apart = np.where(known[:, 0] & known[:, -1], step[:, -1] - step[:, 0], 0.0)
     noise = np.nan_to_num(position_noise(x_px), nan=1.0) * np.sqrt(2)
     apart = np.where(np.abs(apart) > 5 * noise[[0, -1]].max(), apart, 0.0)  # only slips, not noise
-    common = nan_median(np.where(known, step, np.nan), axis=1)
-    apart = np.where(np.abs(np.nan_to_num(common)) < settings.knock_ratio * np.abs(apart), apart, 0.0)
-    power = float((apart**2).sum())
-    if power == 0:
-        return np.zeros(x_px.shape[1]), np.full(x_px.shape[1], np.inf), 0.0
-    vibration = float(np.nan_to_num(nan_median(np.abs(common)))) / NORMAL_MEDIAN
-    return (apart @ step) / power, noise / np.sqrt(power), vibration / float(np.sqrt(power))
+    apart = np.where(np.abs(common) < settings.knock_ratio * np.abs(apart), apart, 0.0)
+    beside = np.pad(step, ((0, 0), (1, 1)), "edge")
+    step = np.median([beside[:, :-2], step, beside[:, 2:]], axis=0)  # removes a single sheet that was covered
+    return step, apart, noise
 
 
 def _axis(position: Floats, split: int) -> float:

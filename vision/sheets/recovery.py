@@ -85,8 +85,9 @@ def assign_detections(
     """
     candidates = np.stack([ridges.x_px, ridges.contrast, ridges.fwhm_px])
     paired = np.stack([values_of(identities.match, values) for values in candidates])
-    why = _doubts(paired[0], paired[1], identities, comb, profile.shape[1], settings)
-    why = _settle_by_pattern(why, paired, comb, settings)
+    usual = np.stack([identities.squeeze.undone(paired[0]), *paired[1:]])
+    why = _doubts(usual[0], usual[1], identities, comb, profile.shape[1], settings)
+    why = _settle_by_pattern(why, usual, comb, settings)
     why[_shifted_pattern(np.where(why == "", paired, np.nan), settings)] = "pattern"
     paired, why = _reassign_hops(candidates, paired, why, comb, settings)
     doubtful = why != ""

@@ -202,6 +202,16 @@ class TrackingSettings:
     """Fraction of the sheet's usual contrast that this ridge must have. Larger loses shaded sheets, smaller
     accepts noise; test_recovery.py fades a sheet to 0.25 and to nothing."""
 
+    least_squeeze: float = 2.0
+    """Displacement of the comb's ends towards its middle, in pitches, from which sheets are identified at the
+    comb's usual spacing. Larger loses combs that slips squeeze (test_identity.py, four slips), smaller
+    stretches frames for the slips of a mobile shell, which need it not."""
+
+    squeeze_share: float = 0.7
+    """Share of the variance of all spacings, in logarithms, that a squeeze of the whole comb must explain.
+    Larger loses combs whose outer sheets are squeezed more, smaller stretches recordings in which a few
+    spacings open (a row of markers that is released)."""
+
     tear_fraction: float = 0.6
     """Difference of two neighbours' displacements, in pitches, that no slip causes. Larger lets wrong
     identities pass, smaller flags avalanches."""
@@ -379,9 +389,6 @@ class TrackingSettings:
 
     # --- symmetry axis (numbering.py) ---
 
-    axis_sigmas: float = 4.0
-    """Standard errors by which the comb's ends must move for the motion to decide the axis."""
-
     axis_slack: float = 0.02
     """Fraction of all motion by which positions of the axis may differ and still be equally good; larger
     widens the choice in the stiff centre."""
@@ -391,8 +398,9 @@ class TrackingSettings:
     Larger lets one knock place the axis, smaller drops slips of films with vibration."""
 
     vibration_sigmas: float = 2.0
-    """Common-mode vibration, in standard deviations, that the axis allows for. Larger leaves the axis open,
-    smaller lets vibration move it; test_numbering.py has vibrating lopsided and centred combs."""
+    """Vibration and unequal slips, in standard deviations of what they do to the axis, that it allows for.
+    Larger leaves the axis open, smaller lets them move it; test_numbering.py has lopsided and centred combs
+    that vibrate, are carried along, or slip in avalanches."""
 
     decided_sheets: int = 2
     """Sheets by which the axis may lie elsewhere for the motion still to have found it."""
