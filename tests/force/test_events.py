@@ -471,10 +471,10 @@ def test_a_drift_that_wanders_makes_no_slips(seed: int) -> None:
     drift = 0.03 * drop * np.cumsum(np.random.default_rng(seed).standard_normal(size))
     events = find_stick_slip(test.force.assign(load_N=test.force["load_N"] + drift))
     right, truth = matched(events, test.truth)
-    assert len(events) == len(right) == len(test.truth)
+    assert len(test.truth) - 1 <= len(events) == len(right)
     assert any("not counted" in line for line in events.attrs["warnings"])
     off = np.abs(right["dF_N"] - truth["dF_N"])
-    assert np.mean(off < 2 * right["dF_err_N"]) > 0.7
+    assert np.mean(off < 2 * right["dF_err_N"]) > 0.82
 
 
 def test_slow_noise_moves_sticks_as_a_whole() -> None:
@@ -492,6 +492,45 @@ def test_slow_noise_moves_sticks_as_a_whole() -> None:
         for name, error in (("F_v_N", "F_v_err_N"), ("F_p_N", "F_p_err_N")):
             held.append(np.mean(np.abs(right[name] - truth[name]) < right[error]))
     assert 0.54 < np.mean(held) < 0.9
+
+
+def coloured(power: float, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Noise whose spectrum falls with the frequency to the minus `power`; above 2, autoregressive noise whose
+    time constant is so many samples."""
+    white = rng.standard_normal(count)
+    if power > 2:
+        return np.asarray(lfilter([1], [1, -np.exp(-1 / power)], white))
+    spectrum = np.fft.rfft(white)
+    return np.fft.irfft(spectrum / np.arange(1, spectrum.size + 1) ** (power / 2), count)
+
+
+@pytest.mark.parametrize("power", [1.0, 2.0, 9.5])
+def test_the_errors_know_the_kind_of_slow_noise(power: float) -> None:
+    """A failure means that noise with a time constant is continued as a random walk, which makes the errors
+    of F_v and F_p ten times too large, or a random walk as if it had one, which makes them too small."""
+    held, ratio = [], []
+    for seed in range(8):
+        test = plain(sticks=60, samples=100, snr=1e3, jitter=0.1, seed=seed)
+        noise = coloured(power, test.force.sizes["time_s"], np.random.default_rng(seed))
+        quiet = find_stick_slip(test.force)
+        events = find_stick_slip(test.force.assign(load_N=test.force["load_N"] + 25 * noise / noise.std()))
+        right, truth = matched(events, quiet)
+        for name in ("F_v", "F_p"):
+            off = right[f"{name}_N"] - truth[f"{name}_N"]
+            held.append(np.mean(np.abs(off) < right[f"{name}_err_N"]))
+            ratio.append(right[f"{name}_err_N"].median() / np.sqrt(np.mean(off**2)))
+    assert 0.6 < np.mean(held) < 0.82
+    assert 0.7 < np.median(ratio) < 1.9
+    assert max(ratio) < 4
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_swings_of_slow_noise_are_no_slips(seed: int) -> None:
+    """A failure means that swings of noise, which first cut the sticks short, remain as events."""
+    test = plain(sticks=40, samples=300, snr=1e3, jitter=0.1, seed=seed)
+    noise = coloured(4.5, test.force.sizes["time_s"], np.random.default_rng(seed))
+    events = find_stick_slip(test.force.assign(load_N=test.force["load_N"] + 25 * noise / noise.std()))
+    assert len(events) == len(matched(events, test.truth)[0]) == len(test.truth)
 
 
 def test_noise_with_a_time_constant_shows_no_low_pass() -> None:
