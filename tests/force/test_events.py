@@ -418,6 +418,24 @@ def curved(*, power: float, snr: float, ringing: float = 0.0, sticks: int = 60) 
     return Test(recording(0.01 * index, load, 13 + index / 6000, 1.0), truth)
 
 
+@pytest.mark.parametrize("bend", [0.3, 0.8])
+def test_sticks_that_bend_by_different_amounts(bend: float) -> None:
+    """A failure means that each stick is taken to bend as the usual one does: a third of the errors hold."""
+    rng = np.random.default_rng(5)
+    count, length = 80, 100
+    drop = 10 * np.exp(0.1 * rng.standard_normal(count))
+    own = bend * (1 + 0.17 * rng.standard_normal(count))
+    u = np.arange(length) / length
+    load = 50 - drop[:, np.newaxis] * (1 - (1 + own[:, np.newaxis]) * u + own[:, np.newaxis] * u**2)
+    time = 0.01 * np.arange(load.size)
+    noisy = load.ravel() + 0.15 * rng.standard_normal(load.size)
+    events = find_stick_slip(recording(time, noisy, 13 + time / 60, 1.0))
+    assert len(events) == count - 2
+    assert 0.55 < np.mean(np.abs(events["F_p_N"] - 50) < events["F_p_err_N"]) < 0.85
+    assert 0.55 < np.mean(np.abs(events["F_v_N"] - 50 + drop[1:-1]) < events["F_v_err_N"]) < 0.85
+    assert 0.55 < np.mean(np.abs(events["dF_N"] - drop[1:-1]) < events["dF_err_N"]) < 0.95
+
+
 @pytest.mark.parametrize(
     ("power", "snr", "largest"),
     [(2.0, 10.0, 1.5), (2.0, 40.0, 0.4), (2.0, 100.0, 0.2), (3.0, 20.0, 0.8), (1.0, 10.0, 0.7)],

@@ -268,7 +268,15 @@ def _analyse_slips(
 
 def _corners(signal: Signal, slips: Slips, bent: bool, tau: float, settings: ForceSettings) -> Corners:
     """Return the corners of the slips, corrected for a low-pass of tau samples."""
-    return find_corners(signal.clean, signal.sigma, slips, lowpass=tau, two_slopes=bent, settings=settings)
+    return find_corners(
+        signal.clean,
+        signal.sigma,
+        slips,
+        lowpass=tau,
+        two_slopes=bent,
+        alike=signal.slow is not None,
+        settings=settings,
+    )
 
 
 def _above_other_noise(signal: Signal, slips: Slips, settings: ForceSettings) -> tuple[Signal, Slips]:

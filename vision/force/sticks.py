@@ -360,7 +360,7 @@ def _ends(signal: Signal, sticks: _Sticks, t_v: Floats, t_p: Floats, shape: Shap
         f_p,
         error_v=np.hypot(np.hypot(noise * line.lever(t_v), shape_v), signal.wander),
         error_p=np.hypot(np.hypot(noise * line.lever(t_p), shape_p), signal.wander),
-        error_rise=np.hypot(noise / np.sqrt(line.sxx) * (t_p - t_v), np.hypot(shape_v, shape_p)),
+        error_rise=np.hypot(noise / np.sqrt(line.sxx) * (t_p - t_v), shape.difference_error * rise),
         slope=line.slope,
     )
 
