@@ -579,6 +579,18 @@ def test_samples_lost_at_random(seed: int) -> None:
     assert np.mean(np.abs(right["dF_N"] - truth["dF_N"]) < right["dF_err_N"]) > 0.5
 
 
+def test_half_of_the_samples_lost() -> None:
+    """A failure means that slips between lost samples look long, with errors of ΔF and Λ_st too small."""
+    held = []
+    for seed in range(4):
+        test = plain(sticks=100, samples=80, snr=40, jitter=0.1, seed=seed)
+        kept = np.flatnonzero(np.random.default_rng(seed).random(test.force.sizes["time_s"]) > 0.5)
+        right, truth = matched(find_stick_slip(test.force.isel(time_s=kept)), test.truth)
+        for name, error in (("dF_N", "dF_err_N"), ("stick_length_um", "stick_length_err_um")):
+            held.append(np.mean(np.abs(right[name] - truth[name]) < right[error]))
+    assert 0.5 < np.mean(held) < 0.95
+
+
 def test_a_few_samples_without_a_time_of_their_own_leave_sticks_whole() -> None:
     """A failure means that a logger which repeats each tenth time stamp gives no event called ok."""
     test = plain(sticks=60, samples=80, snr=40, jitter=0.1)

@@ -218,10 +218,11 @@ def measure_sticks(
     position_error = corners.error * (known[after] - known[after - 1])
     # A sudden slip appears shorter than half a sample. It appears longer, up to 2.5 samples, where each is
     # the mean since the one before, and where a filter makes the noise of neighbouring samples common. The
-    # two corners of a stick are then together off by its length. Between lost samples nothing is known of it.
+    # two corners of a stick are then together off by its length. So they are where two samples or more in a
+    # row were lost at the slip, since the load between them is interpolated.
     length = corners.valley - corners.peak
     averaged = (length > 0.5) & (length < 2.5) & ~signal.is_missing.any()
-    lengthened = averaged | (signal.alike > 1)
+    lengthened = averaged | (signal.alike > 1) | (known[after] - known[after - 1] > 2)
     position_error = np.hypot(position_error, np.where(lengthened, length / np.sqrt(2), 0))
     # The machine's stretch is subtracted at the corners only: at every sample it would add the load's noise.
     d_v = np.interp(v, index, signal.travel) - compliance * f_v
