@@ -418,6 +418,24 @@ def curved(*, power: float, snr: float, ringing: float = 0.0, sticks: int = 60) 
     return Test(recording(0.01 * index, load, 13 + index / 6000, 1.0), truth)
 
 
+@pytest.mark.parametrize("bend", [0.3, 0.8])
+def test_sticks_that_bend_by_different_amounts(bend: float) -> None:
+    """A failure means that each stick is taken to bend as the usual one does: a third of the errors hold."""
+    rng = np.random.default_rng(5)
+    count, length = 80, 100
+    drop = 10 * np.exp(0.1 * rng.standard_normal(count))
+    own = bend * (1 + 0.17 * rng.standard_normal(count))
+    u = np.arange(length) / length
+    load = 50 - drop[:, np.newaxis] * (1 - (1 + own[:, np.newaxis]) * u + own[:, np.newaxis] * u**2)
+    time = 0.01 * np.arange(load.size)
+    noisy = load.ravel() + 0.15 * rng.standard_normal(load.size)
+    events = find_stick_slip(recording(time, noisy, 13 + time / 60, 1.0))
+    assert len(events) == count - 2
+    assert 0.55 < np.mean(np.abs(events["F_p_N"] - 50) < events["F_p_err_N"]) < 0.85
+    assert 0.55 < np.mean(np.abs(events["F_v_N"] - 50 + drop[1:-1]) < events["F_v_err_N"]) < 0.85
+    assert 0.55 < np.mean(np.abs(events["dF_N"] - drop[1:-1]) < events["dF_err_N"]) < 0.95
+
+
 @pytest.mark.parametrize(
     ("power", "snr", "largest"),
     [(2.0, 10.0, 1.5), (2.0, 40.0, 0.4), (2.0, 100.0, 0.2), (3.0, 20.0, 0.8), (1.0, 10.0, 0.7)],
@@ -471,10 +489,10 @@ def test_a_drift_that_wanders_makes_no_slips(seed: int) -> None:
     drift = 0.03 * drop * np.cumsum(np.random.default_rng(seed).standard_normal(size))
     events = find_stick_slip(test.force.assign(load_N=test.force["load_N"] + drift))
     right, truth = matched(events, test.truth)
-    assert len(events) == len(right) == len(test.truth)
+    assert len(test.truth) - 1 <= len(events) == len(right)
     assert any("not counted" in line for line in events.attrs["warnings"])
     off = np.abs(right["dF_N"] - truth["dF_N"])
-    assert np.mean(off < 2 * right["dF_err_N"]) > 0.7
+    assert np.mean(off < 2 * right["dF_err_N"]) > 0.82
 
 
 def test_slow_noise_moves_sticks_as_a_whole() -> None:
@@ -492,6 +510,45 @@ def test_slow_noise_moves_sticks_as_a_whole() -> None:
         for name, error in (("F_v_N", "F_v_err_N"), ("F_p_N", "F_p_err_N")):
             held.append(np.mean(np.abs(right[name] - truth[name]) < right[error]))
     assert 0.54 < np.mean(held) < 0.9
+
+
+def coloured(power: float, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Noise whose spectrum falls with the frequency to the minus `power`; above 2, autoregressive noise whose
+    time constant is so many samples."""
+    white = rng.standard_normal(count)
+    if power > 2:
+        return np.asarray(lfilter([1], [1, -np.exp(-1 / power)], white))
+    spectrum = np.fft.rfft(white)
+    return np.fft.irfft(spectrum / np.arange(1, spectrum.size + 1) ** (power / 2), count)
+
+
+@pytest.mark.parametrize("power", [1.0, 2.0, 9.5])
+def test_the_errors_know_the_kind_of_slow_noise(power: float) -> None:
+    """A failure means that noise with a time constant is continued as a random walk, which makes the errors
+    of F_v and F_p ten times too large, or a random walk as if it had one, which makes them too small."""
+    held, ratio = [], []
+    for seed in range(8):
+        test = plain(sticks=60, samples=100, snr=1e3, jitter=0.1, seed=seed)
+        noise = coloured(power, test.force.sizes["time_s"], np.random.default_rng(seed))
+        quiet = find_stick_slip(test.force)
+        events = find_stick_slip(test.force.assign(load_N=test.force["load_N"] + 25 * noise / noise.std()))
+        right, truth = matched(events, quiet)
+        for name in ("F_v", "F_p"):
+            off = right[f"{name}_N"] - truth[f"{name}_N"]
+            held.append(np.mean(np.abs(off) < right[f"{name}_err_N"]))
+            ratio.append(right[f"{name}_err_N"].median() / np.sqrt(np.mean(off**2)))
+    assert 0.6 < np.mean(held) < 0.82
+    assert 0.7 < np.median(ratio) < 1.9
+    assert max(ratio) < 4
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_swings_of_slow_noise_are_no_slips(seed: int) -> None:
+    """A failure means that swings of noise, which first cut the sticks short, remain as events."""
+    test = plain(sticks=40, samples=300, snr=1e3, jitter=0.1, seed=seed)
+    noise = coloured(4.5, test.force.sizes["time_s"], np.random.default_rng(seed))
+    events = find_stick_slip(test.force.assign(load_N=test.force["load_N"] + 25 * noise / noise.std()))
+    assert len(events) == len(matched(events, test.truth)[0]) == len(test.truth)
 
 
 def test_noise_with_a_time_constant_shows_no_low_pass() -> None:
@@ -520,6 +577,18 @@ def test_samples_lost_at_random(seed: int) -> None:
     assert events.attrs["warnings"] == []
     assert right["dF_err_N"].median() < 0.9  # of 40 N
     assert np.mean(np.abs(right["dF_N"] - truth["dF_N"]) < right["dF_err_N"]) > 0.5
+
+
+def test_half_of_the_samples_lost() -> None:
+    """A failure means that slips between lost samples look long, with errors of ΔF and Λ_st too small."""
+    held = []
+    for seed in range(4):
+        test = plain(sticks=100, samples=80, snr=40, jitter=0.1, seed=seed)
+        kept = np.flatnonzero(np.random.default_rng(seed).random(test.force.sizes["time_s"]) > 0.5)
+        right, truth = matched(find_stick_slip(test.force.isel(time_s=kept)), test.truth)
+        for name, error in (("dF_N", "dF_err_N"), ("stick_length_um", "stick_length_err_um")):
+            held.append(np.mean(np.abs(right[name] - truth[name]) < right[error]))
+    assert 0.5 < np.mean(held) < 0.95
 
 
 def test_a_few_samples_without_a_time_of_their_own_leave_sticks_whole() -> None:

@@ -11,7 +11,7 @@ from tests.scenes.sawtooth import Test, plain, realistic, recording
 from vision.errors import InputError
 from vision.experiment import force_recording, preset, simulate_pull, with_settings
 from vision.force import find_stick_slip
-from vision.force.corners import find_corners
+from vision.force.corners import SlipTransients, find_corners
 from vision.force.lowpass import estimate_lowpass
 from vision.force.slips import find_slips
 from vision.models import fit_models
@@ -132,6 +132,21 @@ def test_no_low_pass_is_seen_in_noise(samples: int, snr: float) -> None:
     for seed in range(2):
         force = plain(sticks=150, samples=samples, snr=snr, seed=seed).force
         assert find_stick_slip(force, lowpass_s="auto").attrs["lowpass_s"] == 0
+
+
+def test_a_fit_that_is_nearly_singular_proves_nothing() -> None:
+    """A failure means that a low-pass fits 10^16 times better than none, since sticks that began long before
+    they are seen leave the knee's transient and that of the slip the same."""
+    rng = np.random.default_rng(0)
+    start = 600 * np.arange(1, 20)
+    stop = start + 60
+    load = 0.01 * np.arange(600.0 * 21) + 0.02 * rng.standard_normal(600 * 21)
+    transients = SlipTransients(
+        start, stop, start - 200.0, start - rng.uniform(100, 200, start.size), stop + 5.0, np.ones(start.size)
+    )
+    found = estimate_lowpass(load, transients)
+    assert found is not None
+    assert found.gain < 1e3
 
 
 def test_slips_of_several_samples_behind_a_slow_chain_are_no_shorter_in_noise() -> None:

@@ -137,6 +137,10 @@ def test_flagged_events_do_not_count() -> None:
         (lambda made: made.head(4), "at least 6 whole events.*4 of 4"),
         (lambda made: made.assign(d_v_mm=made["d_v_mm"] - 13.1), "initial separation with `d0_mm`"),
         (lambda made: made.assign(d_p_mm=made["d_p_mm"] + 50), "between 0 and 57 mm"),
+        (
+            lambda made: made.assign(d_v_mm=made["d_v_mm"] - 13.05, d_p_mm=made["d_p_mm"] - 13.05),
+            "displacement that begins at 0; give the initial separation with `d0_mm`",
+        ),
         (lambda made: made.drop(columns="dF_N"), "no dF_N"),
         (lambda made: made.assign(K_N_per_mm=np.nan), "0 of 200; the separation changes by 9 mm: check the"),
         (lambda made: made.assign(flag="gap", K2_N_per_mm=1.0), "0 of 200"),

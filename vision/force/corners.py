@@ -69,11 +69,13 @@ def find_corners(
     *,
     lowpass: float = 0.0,
     two_slopes: bool,
+    alike: bool = False,
     settings: ForceSettings = ForceSettings(),
 ) -> Corners:
     """Return the begin (peak) and end (valley) of each slip, clipped to the recording.
 
     y is the load without spikes, sigma its noise, `lowpass` the time constant, in samples, to correct for.
+    `alike`: all sticks count as bent alike, since slow noise explains the scatter of their curvatures.
 
     The load falls from the stick line before the slip, 100 %, to the one after it, 0 %. The times at 90, 50
     and 10 %, scaled as for half a cosine, give begin and end. The individual length of a slip is used where
@@ -86,7 +88,7 @@ def find_corners(
     stick = np.diff(signal.edge)
     length = 2 * nan_median(np.fmin(middle - high, low - middle))
     if stick.size and length < settings.shape_slip * np.median(stick):
-        shape = Shape.of(signal.load, signal.edge, settings)
+        shape = Shape.of(signal.load, signal.edge, alike, settings)
         if shape.begin or shape.end:
             base = _Baselines.of(signal, two_slopes, settings, shape)
             high, middle, low = _crossings(signal.load, signal.edge, base)
@@ -291,12 +293,13 @@ class Shape:
 
     begin: float = 0.0
     end: float = 0.0
-    begin_error: float = 0.0
+    begin_error: float = 0.0  # of a single stick, whose curvature may differ from the common one
     end_error: float = 0.0
+    difference_error: float = 0.0  # of end minus begin: a bend moves both alike
     spread: float = 0.0  # root mean square of the deviations within `line_part`
 
     @classmethod
-    def of(cls, y: Floats, edge: Ints, settings: ForceSettings) -> Shape:
+    def of(cls, y: Floats, edge: Ints, alike: bool, settings: ForceSettings) -> Shape:
         """Fit polynomials of degree 2 to 4 to the residuals of the lines of sticks between two slips."""
         start, stop = (at[1:-1] for at in stick_middles(edge, y.size, settings))
         length = np.diff(edge)
@@ -306,9 +309,11 @@ class Shape:
         if some.size < 8:
             return cls()
         some = some[:: some.size // 400 + 1]  # enough for medians
-        share = fit_polynomials(y, start[some], stop[some])[0][:, 2:] / rise[some, np.newaxis]
+        found, residual, row = fit_polynomials(y, start[some], stop[some])
+        share = found[:, 2:] / rise[some, np.newaxis]
         middle = np.median(share, axis=0)
-        standard = 1.25 * mad_sigma(share, axis=0) / np.sqrt(some.size)
+        scatter = mad_sigma(share, axis=0)
+        standard = 1.25 * scatter / np.sqrt(some.size)
         clear = np.abs(middle) > settings.shape_sigmas * standard
         reach = float(np.median(length[some] / (stop - 1 - start)[some]))
         ends = legvander(np.array([-reach, reach]), 4)[:, 2:]
@@ -318,9 +323,18 @@ class Shape:
             return cls()
         # What the terms left out, and those beyond the last, may add: as much as the last one.
         unknown = np.where(clear & (np.arange(2, 5) < 4), standard, np.abs(middle))
-        begin_error, end_error = np.sqrt(((ends * unknown) ** 2).sum(axis=1))
+        # Sticks may bend by different amounts: as far as their curvatures scatter more than noise explains.
+        count = np.bincount(row)
+        noise = np.bincount(row, residual**2) / np.maximum(count - 5, 1) / count / rise[some] ** 2
+        white = (2 * np.arange(2, 5) + 1) * np.median(noise)
+        differ = (not alike) & (scatter**2 > white * (1 + settings.alike_sigmas / np.sqrt(some.size)))
+        unknown = np.sqrt(unknown**2 + np.where(differ, scatter**2 - white, 0))
+        difference = ends[1] - ends[0]
+        difference[2] = np.hypot(*ends[:, 2])  # stands for all terms beyond
+        errors = np.linalg.norm(np.vstack([ends, difference]) * unknown, axis=1)
+        begin_error, end_error, difference_error = map(float, errors)
         spread = np.sqrt(np.sum(kept**2 / (2 * np.arange(2, 5) + 1)))
-        return cls(float(begin), float(end), float(begin_error), float(end_error), float(spread))
+        return cls(float(begin), float(end), begin_error, end_error, difference_error, float(spread))
 
 
 # --- recorded extremes --------------------------------------------------------------------------------------

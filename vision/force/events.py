@@ -17,9 +17,10 @@ from vision.force.lowpass import Lowpass, find_lowpass
 from vision.force.recording import is_compression
 from vision.force.regime import Regime, doubts, find_regime, is_unloading
 from vision.force.settings import ForceSettings
-from vision.force.slips import Slips, find_slips, size_gap, stick_lines, stick_middles
+from vision.force.slips import Slips, find_slips, size_gap, stick_drops, stick_lines, stick_middles
+from vision.force.slow_noise import SlowNoise
 from vision.force.sticks import Signal, measure_sticks, with_slow_noise
-from vision.numeric import Bools, nan_median
+from vision.numeric import Bools, Floats, Ints, nan_median
 
 
 def find_stick_slip(
@@ -267,35 +268,57 @@ def _analyse_slips(
 
 def _corners(signal: Signal, slips: Slips, bent: bool, tau: float, settings: ForceSettings) -> Corners:
     """Return the corners of the slips, corrected for a low-pass of tau samples."""
-    return find_corners(signal.clean, signal.sigma, slips, lowpass=tau, two_slopes=bent, settings=settings)
+    return find_corners(
+        signal.clean,
+        signal.sigma,
+        slips,
+        lowpass=tau,
+        two_slopes=bent,
+        alike=signal.slow is not None,
+        settings=settings,
+    )
 
 
 def _above_other_noise(signal: Signal, slips: Slips, settings: ForceSettings) -> tuple[Signal, Slips]:
     """Return signal and slips without the swings of hum and of other noise that is not white.
 
     Most swings of hum are as slow as the rises beside them, and a gap in the sizes separates them from slips;
-    the noise is then the scatter about the stick lines. In slow noise a slip exceeds four errors of a drop
-    between two lines.
+    the noise is then the scatter about the stick lines. In slow noise a slip exceeds four errors of the drop
+    between two lines: five with the lines found first, or four once the drops of the noise are gone.
     """
     gap = size_gap(slips.drop, settings.slow_gap, 1 - 3 / slips.drop.size)
     small = slips.drop < gap
     if small.any() and is_slow(_corners(signal, slips, False, 0.0, settings), settings)[small].mean() >= 0.5:
-        clear = find_slips(signal.clean, signal.noise, threshold=gap, settings=settings)
-        spread = float(nan_median(stick_lines(signal.clean, clear.edge, settings).spread))
-        slips = replace(clear, threshold_how="gap", left_out=slips.drop[small])
+        slips = slips.above(gap, "gap")
+        spread = float(nan_median(stick_lines(signal.clean, slips.edge, settings).spread))
         signal = with_slow_noise(replace(signal, sigma=max(signal.sigma, spread)), slips, settings)
-    if signal.alike > 1:
-        lines = stick_lines(signal.clean, slips.edge, settings)
-        at = np.asarray(slips.edge - 0.5, np.float64)
-        before, after = lines.take(slice(None, -1)), lines.take(slice(1, None))
-        error = np.hypot(before.spread * before.lever(at), after.spread * after.lever(at))
-        least = settings.threshold_sigmas * float(np.sqrt(signal.alike) * nan_median(error))
-        least = max(least, slips.threshold)
-        clear = find_slips(signal.clean, signal.noise, threshold=least, settings=settings)
-        if 2 <= clear.edge.size < slips.edge.size:
-            slips = replace(clear, threshold_how="noise", left_out=slips.drop[slips.drop < least])
-            signal = with_slow_noise(signal, slips, settings)
+    keep = np.ones(slips.edge.shape, dtype=bool)
+    while signal.slow is not None:
+        # Drops of the noise cut the sticks short. Without them the lines are longer, the noise is known
+        # better, and drops that are the largest of many by chance are smaller. But so are those of slips
+        # beside a slip that was taken for noise: a drop that was clear at first stays.
+        first = slips.drop / _drop_errors(signal.slow, slips.edge, signal.clean.size, settings)
+        edge = slips.edge[keep]
+        drop = stick_drops(signal.clean, edge, settings)
+        now = drop / _drop_errors(signal.slow, edge, signal.clean.size, settings)
+        above = (now >= settings.threshold_sigmas) | (first[keep] >= settings.split_sigmas)
+        if above.all() or np.sum(above) < 2:
+            break
+        keep[keep] = above
+        least = max(settings.threshold_sigmas * float(np.median(drop / now)), slips.threshold)
+        clear = replace(slips, edge=slips.edge[keep], drop=slips.drop[keep], threshold=least)
+        signal = with_slow_noise(signal, clear, settings)
+    if not keep.all():
+        slips = replace(clear, threshold_how="noise", left_out=slips.drop[~keep])
     return signal, slips
+
+
+def _drop_errors(slow: SlowNoise, edge: Ints, size: int, settings: ForceSettings) -> Floats:
+    """Return the standard error, in slow noise, of the drop between the lines on both sides of each edge."""
+    length = settings.line_part * np.maximum(np.diff(np.r_[0, edge, size]), 3)
+    some = np.geomspace(length.min(), length.max(), 24)
+    variance = np.interp(length, some, [slow.of_drop(each, 1 / settings.line_part) for each in some])
+    return np.asarray(np.sqrt(0.5 * (variance[:-1] + variance[1:])), np.float64)
 
 
 def _have_knees(signal: Signal, slips: Slips, lag: float, settings: ForceSettings) -> bool:
@@ -360,7 +383,7 @@ def _all_flags(
     duration = (events["t_p_s"] - events["t_v_s"]).to_numpy(float)
     # k + 1 slips lie before stick k. Where a jump reverses a drop, or a drop a jump, that drop is no slip,
     # but ends the stick with the jump and the one before or after it. Many jumps make all drops doubtful.
-    away = np.arange(len(events))[:, np.newaxis] + 1 - slips.jumps
+    away = np.arange(len(events))[:, np.newaxis] + 1 - slips.before_jumps(settings)
     jump = (np.abs(away) <= 1).any(axis=1)
     marks = {
         "jump": jump | (jump.mean() >= 0.5),

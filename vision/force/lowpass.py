@@ -80,7 +80,7 @@ class LowpassEstimate:
 
     def confirms(self, before: LowpassEstimate, settings: ForceSettings) -> bool:
         """Return whether this estimate, from corners corrected for the one before, agrees with it."""
-        steady = abs(np.log(self.samples / before.samples)) < 0.25
+        steady = abs(np.log(self.samples / before.samples)) < 0.15
         enough = self.gain > settings.lowpass_accepted and 0.25 < self.height < 5.0
         return enough and self.scatter < 0.6 and steady
 
@@ -216,7 +216,7 @@ def _orthonormal(columns: Sequence[Floats]) -> tuple[list[Floats], Floats]:
         for direction in directions:
             rest = rest - _dot(direction, rest)[:, None] * direction
         length = np.sqrt(_dot(rest, rest))
-        independent = length > 1e-9 * np.sqrt(_dot(column, column))  # less is rounding
+        independent = length > 1e-6 * np.sqrt(_dot(column, column))  # less is rounding, magnified
         directions.append(rest * np.divide(1, length, out=np.zeros_like(length), where=independent)[:, None])
     return directions, length
 

@@ -147,9 +147,15 @@ class ForceSettings:
     curvature of the ends; the columns K30 and K70 show how much it matters."""
 
     alike_sigmas: float = 6.0
-    """Excess variance of the distance between the two halves of the sticks, in units of 1 over the root of
-    the number of sticks, beyond which errors are widened. Smaller widens those of white noise by chance,
-    larger leaves those of slow noise too small; shown by both."""
+    """Excess variance of the means of quarters of the sticks, in units of 1 over the root of the number of
+    sticks, beyond which noise counts as slow; likewise of their curvatures, beyond which each bends by its
+    own amount. Smaller widens the errors in white noise by chance, larger leaves those in slow noise, or of
+    sticks that differ, too small; shown by all three."""
+
+    contrasts: int = 4
+    """Independent values per stick that a time scale counts for at most in the fit of slow noise. More give
+    the shortest scales, where hum and digits disturb, more weight; fewer tell time constants from random
+    walks less well."""
 
     few_samples: int = 10
     """Sticks of fewer samples are flagged "few", and the model fits leave them out."""

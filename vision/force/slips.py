@@ -5,7 +5,8 @@ Candidates from a step filter become slips where the stick lines on both sides s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -23,13 +24,43 @@ class Slips:
 
     edge: Ints  # index of the first sample after the steepest drop
     drop: Floats  # height between the stick lines on both sides there
-    period: float  # median samples from slip to slip; NaN with fewer than two
     threshold: float  # smallest drop that counts as a slip
     # "noise": a multiple of the noise; "jumps": above the upward jumps; "gap": between small and large drops;
     # "given"
     threshold_how: str
     left_out: Floats  # drops that exceed the white noise but not the threshold
-    jumps: Ints  # for each large upward jump, the number of slips before it
+    # Upward jumps within the sticks: positions, heights between lines, and rises within five samples.
+    jump_edge: Ints
+    jump: Floats
+    jump_rise: Floats
+
+    @cached_property
+    def period(self) -> float:
+        """Median samples from slip to slip; NaN with fewer than two."""
+        return float(np.median(np.diff(self.edge))) if self.edge.size > 1 else float("nan")
+
+    def above(self, threshold: float, how: str) -> Slips:
+        """Return the slips whose drops reach a threshold above that which found them."""
+        keep = self.drop >= threshold
+        return replace(
+            self,
+            edge=self.edge[keep],
+            drop=self.drop[keep],
+            threshold=threshold,
+            threshold_how=how,
+            left_out=self.drop[~keep],
+        )
+
+    def before_jumps(self, settings: ForceSettings) -> Ints:
+        """Return the number of slips before each upward jump that is as large as slips.
+
+        Lines through curved sticks, or through a hold, are also apart: a jump rises by more than a stick does
+        within five samples.
+        """
+        usual = float(np.median(self.drop))
+        large = self.jump_rise - 5 * usual / self.period > 0.5 * self.jump
+        large &= self.jump > settings.upward_share * usual
+        return np.searchsorted(self.edge, self.jump_edge[large])
 
     def warnings(self) -> list[str]:
         """Return which slips may have been left out, and how many of the drops may be none."""
@@ -89,7 +120,7 @@ def find_slips(
     sigma = np.broadcast_to(sigma, y.shape)
     edge = _edges(y, _first_period(y, sigma, settings), sigma, settings)
     edge = _edges(y, _local_period(edge, y.size), sigma, settings)
-    drop = _stick_drops(y, edge, settings)
+    drop = stick_drops(y, edge, settings)
     jump_edge, jump_N = _jumps_upward(y, edge, sigma, settings)
     # From here on drops and jumps are as high as if the noise were the usual one everywhere.
     noise = float(np.median(sigma))
@@ -108,14 +139,8 @@ def find_slips(
     if threshold is None and (gap := size_gap(height[keep], settings.threshold_gap, 0.5)) > least:
         left_out = drop[(height >= settings.threshold_sigmas * noise) & (height < gap)]
         keep, least, how = height >= gap, gap, "gap"
-    edge, drop = edge[keep], drop[keep]
-    period = float(np.median(np.diff(edge))) if edge.size > 1 else float("nan")
-    # Lines through curved sticks, or through a hold, are also apart: a jump rises by more than a stick does
-    # within five samples.
-    usual = float(np.median(drop)) if edge.size else float("nan")
     step = y[np.minimum(jump_edge + 2, y.size - 1)] - y[np.maximum(jump_edge - 3, 0)]
-    large = (step - 5 * usual / period > 0.5 * jump_N) & (jump_N > settings.upward_share * usual)
-    return Slips(edge, drop, period, least, how, left_out, np.searchsorted(edge, jump_edge[large]))
+    return Slips(edge[keep], drop[keep], least, how, left_out, jump_edge, jump_N, step)
 
 
 def _jumps_upward(y: Floats, edge: Ints, sigma: Floats, settings: ForceSettings) -> tuple[Ints, Floats]:
@@ -136,7 +161,7 @@ def _jumps_upward(y: Floats, edge: Ints, sigma: Floats, settings: ForceSettings)
         return np.empty(0, np.int64), np.empty(0)
     found = np.setdiff1d(_edges(mirrored, period, sigma, settings), slips)
     both = np.union1d(edge, found)
-    height = -_stick_drops(y, both, settings)[np.searchsorted(both, found)]
+    height = -stick_drops(y, both, settings)[np.searchsorted(both, found)]
     high = height >= settings.threshold_sigmas * sigma[found]
     return found[high], height[high]
 
@@ -272,7 +297,7 @@ def _join_parts(y: Floats, edge: Ints, settings: ForceSettings) -> Ints:
         falling = np.flatnonzero(~rises[1:-1])
         if not falling.size:
             break
-        drop = np.nan_to_num(_stick_drops(y, edge, settings), nan=-np.inf)
+        drop = np.nan_to_num(stick_drops(y, edge, settings), nan=-np.inf)
         gone = np.where(drop[falling] < drop[falling + 1], falling, falling + 1)
         remaining = np.setdiff1d(np.arange(edge.size), gone)
         rises = np.logical_or.reduceat(rises, np.r_[0, remaining + 1])
@@ -333,7 +358,7 @@ def _split_gain(a: Lines, b: Lines) -> Floats:
     return weight * apart_y**2 + a.slope**2 * a.sxx + b.slope**2 * b.sxx - joint_sxy**2 / joint_sxx
 
 
-def _stick_drops(y: Floats, edge: Ints, settings: ForceSettings) -> Floats:
+def stick_drops(y: Floats, edge: Ints, settings: ForceSettings) -> Floats:
     """Return the difference of the stick lines before and after each edge, at the edge."""
     lines = stick_lines(y, edge, settings)
     here = np.asarray(edge - 0.5, dtype=float)

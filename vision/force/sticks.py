@@ -15,7 +15,8 @@ from vision.force.lines import BrokenLines, fit_broken_lines, fit_lines
 from vision.force.recording import find_spikes, noise_levels, noise_sigma, usable
 from vision.force.settings import ForceSettings
 from vision.force.slips import Slips, stick_middles
-from vision.numeric import Bools, Floats, Ints, mad_sigma
+from vision.force.slow_noise import SlowNoise, fit_slow_noise
+from vision.numeric import Bools, Floats, Ints
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,7 @@ class Signal:
     damage: dict[str, Ints]  # by kind, the number of bad samples before each good one
     alike: float = 1.0  # number of neighbouring samples whose noise is common: 1 for white noise
     wander: float = 0.0  # standard deviation, N, of noise so slow that it moves a stick as a whole
+    slow: SlowNoise | None = None  # noise that is not white
 
     @classmethod
     def of(cls, force: xr.Dataset, settings: ForceSettings) -> Signal:
@@ -121,53 +123,28 @@ def _filled_in(load: Floats) -> Bools:
 
 
 def with_slow_noise(signal: Signal, slips: Slips, settings: ForceSettings) -> Signal:
-    """Return the signal with `alike` and `wander`, which differ from 1 and 0 where the noise is not white.
-
-    Noise that is not white separates the lines through the two halves of each stick, at their middle, by more
-    than white noise does. Only the scatter of this distance counts: its median is the sticks' curvature. Slow
-    noise separates the halves by more than the quarters, and changes the line through the whole stick by as
-    much more. Where the noise has a time constant, this growth gets smaller with each doubling of the time,
-    up to the whole recording. The sum over all doublings is the variance with which sticks move as a whole;
-    they move by no more than the peaks scatter.
-    """
+    """Return the signal with `alike`, `wander` and `slow` of noise that is not white."""
     start, stop = (at[1:-1] for at in stick_middles(slips.edge, signal.clean.size, settings))
     some = np.flatnonzero(stop - start >= 2 * settings.few_samples)
-    white = replace(signal, alike=1.0, wander=0.0)
+    white = replace(signal, alike=1.0, wander=0.0, slow=None)
     if some.size < 8:
         return white
     some = some[:: some.size // 400 + 1]  # enough for a median
     start, stop = start[some], stop[some]
-    index = np.arange(signal.clean.size, dtype=float)
-    lines = fit_lines(index, signal.spikeless, start, stop)
-    spread, peaks = lines.spread, lines.at(stop.astype(float))
-
-    def common(start: Ints, stop: Ints, spread: Floats) -> float:
-        """Return the variance of the distance between the halves of each stretch over that of white noise."""
-        middle = (start + stop) // 2
-        centre = np.asarray(middle - 0.5, np.float64)
-        first, second = (
-            fit_lines(index, signal.spikeless, *part) for part in ((start, middle), (middle, stop))
-        )
-        expected = spread * np.hypot(first.lever(centre), second.lever(centre))
-        distance = (first.at(centre) - second.at(centre)) / np.maximum(expected, np.finfo(float).tiny)
-        return float(mad_sigma(distance[np.isfinite(distance)])) ** 2
-
-    half = common(start, stop, spread)
-    if half < 1 + settings.alike_sigmas / np.sqrt(some.size):
+    lines = fit_lines(np.arange(signal.clean.size, dtype=float), signal.spikeless, start, stop)
+    spread = float(np.median(lines.spread))
+    # A sample beside lost ones, which are interpolated, counts more than once.
+    known = np.flatnonzero(~signal.is_missing)
+    more = float(np.mean((known[2:] - known[:-2]) ** 2 / 4) * known.size / signal.time.size)
+    slow = fit_slow_noise(signal.clean, start, stop, spread * float(np.sqrt(more)), settings)
+    if slow is None:
         return white
-    bounds = np.linspace(start, stop, 5).astype(np.int64)
-    quarter = common(bounds[:4:2].ravel(), bounds[2::2].ravel(), np.tile(spread, 2))
-    eighth = common(bounds[:-1].ravel(), bounds[1:].ravel(), np.tile(spread, 4))
-    # Octaves by which the variance, over that of white noise, grows when the time doubles: 0 for white noise,
-    # 1 for pink noise, 2 for a random walk. The slowing is known poorly, so only its root counts.
-    growth, before = np.log2(half / quarter), np.log2(quarter / eighth)
-    slowing = np.sqrt(np.clip(growth / max(before, 1e-9), 0, 1))
-    doubled = np.arange(1, np.log2(slips.edge.size) + 2)
-    growth = np.clip(growth, 0, 2) * slowing**doubled
-    beyond = 4 * half * np.sum(2 ** np.cumsum(growth) * (2**growth - 1) / 2**doubled)
-    wander = float(np.sqrt(beyond * np.median(spread**2 / (stop - start))))
-    wander = min(wander, float(np.std(peaks)))  # noise moves no stick further than all move
-    return replace(signal, alike=half * max(half / quarter, 1.0), wander=wander)
+    length = int(np.median(stop - start))
+    mean, half_rise = slow.of_line(length)
+    alike = max(half_rise * length / (3 * spread**2), 1.0)
+    wander = float(np.sqrt(max(mean - alike * spread**2 / length, 0.0)))
+    wander = min(wander, float(np.std(lines.at(stop.astype(float)))))  # noise moves no stick further than all
+    return replace(signal, alike=alike, wander=wander, slow=slow)
 
 
 @dataclass(frozen=True)
@@ -241,10 +218,11 @@ def measure_sticks(
     position_error = corners.error * (known[after] - known[after - 1])
     # A sudden slip appears shorter than half a sample. It appears longer, up to 2.5 samples, where each is
     # the mean since the one before, and where a filter makes the noise of neighbouring samples common. The
-    # two corners of a stick are then together off by its length. Between lost samples nothing is known of it.
+    # two corners of a stick are then together off by its length. So they are where two samples or more in a
+    # row were lost at the slip, since the load between them is interpolated.
     length = corners.valley - corners.peak
     averaged = (length > 0.5) & (length < 2.5) & ~signal.is_missing.any()
-    lengthened = averaged | (signal.alike > 1)
+    lengthened = averaged | (signal.alike > 1) | (known[after] - known[after - 1] > 2)
     position_error = np.hypot(position_error, np.where(lengthened, length / np.sqrt(2), 0))
     # The machine's stretch is subtracted at the corners only: at every sample it would add the load's noise.
     d_v = np.interp(v, index, signal.travel) - compliance * f_v
@@ -383,7 +361,7 @@ def _ends(signal: Signal, sticks: _Sticks, t_v: Floats, t_p: Floats, shape: Shap
         f_p,
         error_v=np.hypot(np.hypot(noise * line.lever(t_v), shape_v), signal.wander),
         error_p=np.hypot(np.hypot(noise * line.lever(t_p), shape_p), signal.wander),
-        error_rise=np.hypot(noise / np.sqrt(line.sxx) * (t_p - t_v), np.hypot(shape_v, shape_p)),
+        error_rise=np.hypot(noise / np.sqrt(line.sxx) * (t_p - t_v), shape.difference_error * rise),
         slope=line.slope,
     )
 

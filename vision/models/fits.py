@@ -242,11 +242,12 @@ def _complete_events(sticks: pd.DataFrame, sample: Sample, force: xr.Dataset) ->
             f"{travel}: {_read_as(force)}" if travel else "lengths need a displacement or `speed_mm_min`",
         )
     low, high = float(events["d_v_mm"].min()), float(events["d_p_mm"].max())
-    if low <= 0 or high >= sample.length_mm:
+    from_zero = low < 0.1 * high  # no pull makes the separation ten times as large
+    if from_zero or high >= sample.length_mm:
         raise InputError(
             "the force recording",
             f"separations between 0 and {sample.length_mm:g} mm",
-            f"{low:.3g} to {high:.3g} mm",
+            f"{low:.3g} to {high:.3g} mm{', as of a displacement that begins at 0' if from_zero else ''}",
             f"give the initial separation with `d0_mm`, check `length_mm`, or {_read_as(force)}",
         )
     return events
