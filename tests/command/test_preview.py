@@ -79,8 +79,8 @@ def test_the_picture_shows_the_measured_numbers(found):
 
 
 def test_without_an_axis_sheets_are_numbered_from_the_left():
-    """In its first frames the film does not move enough to show its axis: the one found lies left of all
-    sheets. A failure means a picture with an axis beside the comb, and sheets that are numbered from it."""
+    """In its first frames the film moves so little that its axis may be anywhere in most of the comb. A
+    failure means a picture with an axis that is only the middle of the comb, and sheets numbered from it."""
     film = Path(__file__).parents[2] / "fixtures" / "paper" / "video.avi"
     found = make_preview(film, settings_of(merged(VideoOptions())))
     frame = preview_figure(found.frame, found.strip, found.tracks).panels[0]

@@ -44,12 +44,13 @@ KYMOGRAPH_CAPTION = (
 
 
 def sides_known(tracks: xr.Dataset) -> bool:
-    """Tell whether the sides and n are meaningful: the axis was given, or lies between sheets.
+    """Tell whether the sides and n are meaningful: the axis was given, or the motion limits it.
 
-    In few frames the sheets hardly move, and the axis that is found may lie beside all of them.
+    In few frames the sheets hardly move. The axis may then be anywhere in half of the comb, or lie beside it.
     """
-    side = tracks["side"].values
-    return TrackMetadata.of(tracks).axis_how == "given" or bool((side < 0).any() and (side > 0).any())
+    found, side, mean = TrackMetadata.of(tracks), tracks["side"].values, tracks["x_mean_px"]
+    limited = found.axis_high_px - found.axis_low_px < 0.5 * float(mean.max() - mean.min())
+    return found.axis_how == "given" or bool(limited and (side < 0).any() and (side > 0).any())
 
 
 def frame_figure(frame: Pixels, tracks: xr.Dataset, *, axis: bool = True) -> Figure:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import nnls
+import scipy
 
 from vision.force.settings import ForceSettings
 from vision.numeric import Floats, Ints, nan_median
@@ -78,7 +78,7 @@ def fit_slow_noise(
     for power, corner in kinds:
         density = (4 * sine**2 + corner**2) ** (-power / 2)
         slow = contrast @ (density * width) / variance
-        share, _ = nnls(np.stack([white, slow], axis=1) * root[:, np.newaxis], root)
+        share, _ = scipy.optimize.nnls(np.stack([white, slow], axis=1) * root[:, np.newaxis], root)
         misfit = float(weight @ np.log(share[0] * white + share[1] * slow) ** 2) + 0.5 * (corner > 0)
         if misfit < least:
             least = misfit

@@ -156,7 +156,8 @@ def comb_squeeze(ridges: Ridges, settings: TrackingSettings = DEFAULT) -> Squeez
     gap = np.diff(ridges.x_px.astype(np.float64), axis=1)
     sheets = 1 + np.isfinite(gap).sum(axis=1)
     usual = np.median(sheets)
-    rows = np.flatnonzero((2 * sheets >= usual) & (sheets > 1))  # without frames in which many are covered
+    # Without frames in which many are covered, or in which two frames share an image and many are seen twice.
+    rows = np.flatnonzero((2 * sheets >= usual) & (4 * sheets <= 5 * usual) & (sheets > 1))
     if not len(rows):
         return Squeeze(still, middle)
     gap = np.sort(gap[rows], axis=1)  # NaN last; nanquantile takes forty times as long
