@@ -15,7 +15,8 @@ from tests.scenes.undrawn import undrawn
 from vision.command import views
 from vision.command.main import run
 from vision.command.options import OutputOptions, VideoOptions, WindowOptions
-from vision.run import read_run, slip_times_s
+from vision.figures import Results
+from vision.run import read_run
 
 SHEET, COLUMN = ["--sheet", "right:4"], 7  # the outermost on the right
 
@@ -134,9 +135,8 @@ def give_events(folder, status="ok"):
 def test_slips_are_moved_to_the_video_s_clock_where_it_is_sure(there, status, known, capsys):
     """A failure means slips marked at the wrong time, or by a clock that may be wrong."""
     folder = Path("comb_tracks")
-    assert slip_times_s(read_run(folder)) is None
-    slips = give_events(folder, status)
-    found = slip_times_s(read_run(folder))
+    slips, made = give_events(folder, status), read_run(folder)
+    found = Results(sticks=made.table("events"), clock=made.clock).slips_s
     if known:
         np.testing.assert_allclose(found, slips, atol=1e-9)
     else:

@@ -14,7 +14,7 @@ from tests.scenes.comb_video import write_video
 from tests.scenes.films import comb, write_avi, write_encoded
 from vision.command.main import run
 from vision.errors import InputError
-from vision.run import Checkpoint, read_run, read_strip
+from vision.run import Checkpoint, RunFolder, read_run, read_strip
 from vision.run.folder import clean_up, reading_folder, run_folder
 from vision.video import VideoSettings, open_video, strip_profile
 
@@ -54,6 +54,14 @@ def test_a_diagram_may_be_larger_than_any_frame(folder, monkeypatch):
     """A failure means that the diagram of a long film, over 100 million values, is refused."""
     monkeypatch.setattr("vision.files.MOST_PIXELS", 1000)
     assert read_strip(read_run(folder)).shape == (60, 180)
+
+
+@pytest.mark.parametrize(("which", "advice"), [("film", "new path"), ("force", "put it back")])
+def test_a_lost_input_is_named_with_advice_that_can_be_followed(which, advice, folder):
+    """A failure means that a lost force recording is to be given with an option that is the film's."""
+    lost = {"inputs": [{"path": "lost"}, {"path": "lost"}], "parameters": {"force": {"value": "lost"}}}
+    with pytest.raises(InputError, match=f"^lost: .* found no such file; .*{advice}"):
+        RunFolder(folder, lost).input(which)
 
 
 # --- what an interrupted run kept ---------------------------------------------------------------------------

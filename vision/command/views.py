@@ -32,7 +32,7 @@ from vision.comparison import write_comparison
 from vision.comparison.comparison import MARK, answers
 from vision.data import StripMetadata, TrackMetadata, warnings_of
 from vision.errors import InputError
-from vision.figures import kymograph_figure, load_figures, preview_figure, sides_known, slip_times
+from vision.figures import Results, kymograph_figure, load_figures, preview_figure, sides_known, slip_times
 from vision.figures.style import counted
 from vision.files import reading as reading_of
 from vision.numeric import Floats, Ints, Pixels
@@ -47,7 +47,6 @@ from vision.run import (
     read_run,
     read_strip,
     run_folder,
-    slip_times_s,
     whole_file,
     write_json,
 )
@@ -249,7 +248,7 @@ def _from_run(folder: Path, reading: VideoOptions) -> DiagramData:
     strip = read_strip(run)
     columns, size = parse_range(reading.columns, "--columns"), parse_pixel_size(reading.pixel_size)
     files = ("kymograph.tif", "tracks.nc", "events.csv", "clock.json")
-    slips_s, slips_from = slip_times(run.tracks, slip_times_s(run))
+    slips_s, slips_from = Results(tracks=run.tracks, sticks=run.table("events"), clock=run.clock).slips
     return DiagramData(
         strip=_cut(strip, columns or slice(None), folder),
         tracks=run.tracks,

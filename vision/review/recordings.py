@@ -25,7 +25,7 @@ from vision.errors import InputError
 from vision.figures.decimate import grey_levels, grey_limits, minmax_decimate
 from vision.numeric import Floats, Floats32, Pixels
 from vision.pipeline import Settings, open_force, open_recording
-from vision.run.folder import MARK, lock_open_file, unwritable
+from vision.run.folder import RUN_JSON, lock_open_file, unwritable
 from vision.run.reading import AGAIN, RunFolder, read_json, stored_kymograph
 from vision.sheets.corrections import Correction, correction_of
 from vision.sheets.settings import TrackingSettings
@@ -47,7 +47,7 @@ class StoredRun(RunFolder):
     @classmethod
     def of(cls, folder: Path) -> StoredRun:
         """Open a run folder.  Raises: InputError if its run.json is damaged."""
-        return cls(folder, read_json(folder / MARK), _stamp(folder))
+        return cls(folder, read_json(folder / RUN_JSON), _stamp(folder))
 
     def check_there(self) -> None:
         """Check that the folder still holds this run.  Raises: InputError if not."""
@@ -80,7 +80,7 @@ class StoredRun(RunFolder):
 def _stamp(folder: Path) -> tuple[int, int, int]:
     """Return inode, size and time of run.json; zeros if there is none."""
     try:
-        facts = (folder / MARK).stat()
+        facts = (folder / RUN_JSON).stat()
     except OSError:
         return 0, 0, 0
     return facts.st_ino, facts.st_size, facts.st_mtime_ns

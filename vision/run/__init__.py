@@ -10,7 +10,6 @@ from vision.run.reading import (
     is_run,
     read_run,
     read_strip,
-    slip_times_s,
 )
 from vision.run.writing import FAILURES, write_run
 
@@ -31,7 +30,6 @@ __all__ = [
     "read_run",
     "read_strip",
     "run_folder",
-    "slip_times_s",
     "whole_file",
     "write_json",
     "write_run",

@@ -24,7 +24,7 @@ try:
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
-MARK = "run.json"  # what makes a folder a run folder
+RUN_JSON = "run.json"  # the file that makes a folder a run folder
 PART, OLD = ".part", ".old"  # suffixes of a run that is being written, and of one that was moved aside
 READING = ".reading"  # suffix of the folder that holds the frames read so far
 
@@ -57,7 +57,7 @@ def _check_earlier(target: Path, *, overwrite: bool) -> None:
     """
     check_new(target, overwrite=overwrite, kind="folder")
     wanted = "a run folder to overwrite"
-    if not (target.is_dir() and (not any(target.iterdir()) or (target / MARK).is_file())):
+    if not (target.is_dir() and (not any(target.iterdir()) or (target / RUN_JSON).is_file())):
         raise InputError(target, wanted, "something else (no run.json in it)", "give another `out`")
     if target.samefile(Path.cwd()):
         raise InputError(target, wanted, "the working directory", "go one folder up")

@@ -26,8 +26,8 @@ from vision.clock import Candidate, Clock
 from vision.data import TRACKS, StripMetadata, TrackMetadata
 from vision.errors import InputError
 from vision.files import READ_HDF5, check_regular, reading, shortened, try_out
-from vision.numeric import Floats, Floats32
-from vision.run.folder import MARK, existing_parent, lock_folder, plain, reading_folder, write_json
+from vision.numeric import Floats32
+from vision.run.folder import RUN_JSON, existing_parent, lock_folder, plain, reading_folder, write_json
 from vision.run.provenance import Parameter, describe_input
 from vision.run.tables import attrs_of_netcdf
 from vision.video import FramesRead, FrameStore, Video, VideoSettings, video_files
@@ -50,7 +50,7 @@ class RunFolder:
         """Parameters by the names of the command's options."""
         known = self.facts.get("parameters", {})
         if not isinstance(known, dict) or not all(isinstance(one, dict) for one in known.values()):
-            raise InputError(self.folder / MARK, "the parameters of a run", "none", AGAIN)
+            raise InputError(self.folder / RUN_JSON, "the parameters of a run", "none", AGAIN)
         return {name: Parameter(one.get("value"), one.get("how", "given")) for name, one in known.items()}
 
     def value(self, option: str) -> Any:
@@ -61,10 +61,13 @@ class RunFolder:
     def pixel_size_um(self) -> float | None:
         """µm per pixel; None if it was not given."""
         value = self.value("pixel_size")
-        with reading(self.folder / MARK, "a pixel size in µm", AGAIN):
-            if value is None or 0 < float(value) < math.inf:
-                return None if value is None else float(value)
-            raise ValueError(value)
+        if value is None:
+            return None
+        with reading(self.folder / RUN_JSON, "a pixel size in µm", AGAIN):
+            size = float(value)
+            if not 0 < size < math.inf:
+                raise ValueError(value)
+        return size
 
     @property
     def of_video(self) -> bool:
@@ -117,8 +120,8 @@ class RunFolder:
         candidates = [named, self.folder.absolute().parent / named] if moved is None else [moved]
         path = next((candidate for candidate in candidates if _exists(candidate)), None)
         if path is None:
-            found, advice = "no such file", "give its new path (`film`)"
-            raise InputError(candidates[0], f"an input of {self.folder}", found, advice)
+            advice = "give its new path (`film`)" if which == "film" else "put it back there"
+            raise InputError(candidates[0], f"an input of {self.folder}", "no such file", advice)
         kind = "sha256" if "sha256" in known else "fingerprint"
         now = describe_input(path, whole=kind == "sha256")
         if now["size_bytes"] != known["size_bytes"]:
@@ -132,16 +135,17 @@ class RunFolder:
 
 def is_run(folder: Path) -> bool:
     """Tell a run folder from a folder of images."""
-    return (folder / MARK).is_file()
+    return (folder / RUN_JSON).is_file()
 
 
 def check_mark(target: Path, mark: str) -> None:
-    """Check that an existing folder's run.json has the key `mark`, so that no other kind is overwritten.
+    """Check that an existing folder's run.json has the key `mark`: only results of the same command have it.
 
     Raises: InputError.
     """
-    if is_run(target) and mark not in read_json(target / MARK):
-        raise InputError(target, f"a folder of {mark} to overwrite", "another run", "give another `out`")
+    if is_run(target) and mark not in read_json(target / RUN_JSON):
+        wanted = "an earlier result of the same command"
+        raise InputError(target, wanted, "another run", "give another `out`")
 
 
 def read_run(folder: Path) -> RunFolder:
@@ -149,7 +153,7 @@ def read_run(folder: Path) -> RunFolder:
     if not is_run(folder):
         found = "no run.json in it" if folder.is_dir() else "a file" if folder.is_file() else "no such folder"
         raise InputError(folder, "a run folder of track", found, "give the folder that track wrote")
-    return RunFolder(folder, read_json(folder / MARK))
+    return RunFolder(folder, read_json(folder / RUN_JSON))
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -192,18 +196,6 @@ def read_strip(run: RunFolder) -> xr.DataArray:
 def _exists(path: Path) -> bool:
     """Tell whether a file, or a file that matches a pattern, exists."""
     return path.exists() or bool(glob.glob(str(path)))  # noqa: PTH207  # may be absolute
-
-
-def slip_times_s(run: RunFolder) -> Floats | None:
-    """Return when the slips begin on the video's clock: the peaks of the events, converted, in s.
-
-    None if the run has no events, or its clocks are ambiguous: wrong times are worse than none.
-    """
-    events, clock = run.table("events"), run.clock
-    if events is None or clock is None or clock.status == "ambiguous":
-        return None
-    video_s = clock.to_video_s(events["t_p_s"].to_numpy(np.float64))
-    return np.asarray(video_s[np.isfinite(video_s)])
 
 
 def _read_tracks(path: Path) -> xr.Dataset:
