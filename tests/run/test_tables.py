@@ -124,7 +124,7 @@ def test_inputs_are_read_while_tables_are_written(found, tmp_path, monkeypatch):
 
 def test_a_picture_is_compressed_while_the_next_is_drawn(found, tmp_path, monkeypatch):
     """A failure means that one core rests while the other compresses."""
-    both, told, draw = threading.Event(), [], drawing.drawn
+    both, told, draw = threading.Event(), [], drawing.render
 
     def drawn(figure):
         pixels = draw(figure)
@@ -132,7 +132,7 @@ def test_a_picture_is_compressed_while_the_next_is_drawn(found, tmp_path, monkey
             both.set()
         return pixels
 
-    monkeypatch.setattr(drawing, "drawn", drawn)
+    monkeypatch.setattr(drawing, "render", drawn)
     monkeypatch.setattr(drawing, "write_png", lambda pixels, path: told.append((path.name, both.wait(20))))
     write_run(found, tmp_path / "run", Origin(command="track"), report=False)
     assert told == [("overview.png", True), ("kymograph.png", True)]

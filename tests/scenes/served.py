@@ -17,7 +17,7 @@ from typing import Any, Self
 from starlette.testclient import TestClient
 from starlette.types import ASGIApp
 
-from vision.review.api import answers
+from vision.review.api import session_app
 from vision.review.server import make_app, serve
 from vision.review.session import Session
 
@@ -29,7 +29,7 @@ PATIENCE_S = 120.0  # the machine may be busy
 
 def app_of(session: Session) -> ASGIApp:
     """What a review serves, without a server."""
-    return make_app(answers(session, lambda: None), port=PORT, token=TOKEN)
+    return make_app(session_app(session, lambda: None), port=PORT, token=TOKEN)
 
 
 def page_of(app: ASGIApp) -> TestClient:
@@ -80,7 +80,7 @@ class Served(Address):
 
         def opened(stop: Callable[[], None]) -> ASGIApp:
             opening()
-            return answers(session, stop)
+            return session_app(session, stop)
 
         self.thread = Thread(target=serve, args=(opened,), kwargs={"opened": ready.put, "kept": kept})
         self.thread.daemon = True

@@ -22,18 +22,18 @@ def undrawn() -> Iterator[None]:
     """Within this process, for as long as the block lasts. PDF, SVG and axes are drawn all the same."""
     from vision.figures import drawing  # which a process that draws nothing does not load
 
-    drawn, drawing.drawn = drawing.drawn, lambda figure, **how: np.zeros((1, 1, 4), np.uint8)
+    render, drawing.render = drawing.render, lambda figure, **how: np.zeros((1, 1, 4), np.uint8)
     try:
         yield
     finally:
-        drawing.drawn = drawn
+        drawing.render = render
 
 
 def undraw() -> None:
     """For the rest of this process, which then need not load matplotlib."""
     stand_in = ModuleType(DRAWING)
     stand_in.png = lambda figure, **how: BYTE  # type: ignore[attr-defined]
-    stand_in.drawn = lambda figure, **how: None  # type: ignore[attr-defined]
+    stand_in.render = lambda figure, **how: None  # type: ignore[attr-defined]
     stand_in.write = lambda figure, path, **how: path.write_bytes(BYTE)  # type: ignore[attr-defined]
     stand_in.write_png = lambda pixels, path: path.write_bytes(BYTE)  # type: ignore[attr-defined]
     sys.modules[DRAWING] = stand_in

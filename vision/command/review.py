@@ -65,29 +65,29 @@ def review(
     kept = read_first_view(folder, film)
     with ExitStack() as cleanup:
         try:
-            serve(lambda stop: _answers(folder, film, cleanup, stop), opened=opened, port=port, kept=kept)
+            serve(lambda stop: _open_app(folder, film, cleanup, stop), opened=opened, port=port, kept=kept)
         except KeyboardInterrupt:
             raise KeyboardInterrupt("the review has ended, and its decisions are stored") from None
     return 0
 
 
-def _answers(folder: Path, film: Path | None, cleanup: ExitStack, stop: Callable[[], None]) -> ASGIApp:
+def _open_app(folder: Path, film: Path | None, cleanup: ExitStack, stop: Callable[[], None]) -> ASGIApp:
     """Open the run and return the application that serves it; `cleanup` closes the run.
 
     The tracks are read in a thread while modules are imported.
     """
     from vision.review.tracks_file import read_tracks
 
-    with ThreadPoolExecutor(1) as beside:
-        tracks = beside.submit(read_tracks, folder / "tracks.nc")
+    with ThreadPoolExecutor(1) as pool:
+        tracks = pool.submit(read_tracks, folder / "tracks.nc")
         from vision.command.settings import settings_of_run
-        from vision.review.api import answers, keep_first_view
+        from vision.review.api import keep_first_view, session_app
         from vision.review.session import Session
 
         session = Session(folder, settings_of_run(folder), film=film, options=option_names(), tracks=tracks)
     cleanup.enter_context(session)
     cleanup.callback(keep_first_view, session)
-    return answers(session, stop)
+    return session_app(session, stop)
 
 
 def keep_first_view(folder: Path, settings: Settings) -> None:

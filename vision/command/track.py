@@ -159,7 +159,7 @@ def track_one(
                 analysis = analyse(copy or video, force, settings, follow=follow)
         else:
             with frame_progress("reading", quiet=run.quiet) as progress:
-                show = sums.beside(progress)
+                show = sums.following(progress)
                 analysis = analyse(copy or video, force, settings, progress=show, log=checkpoint)
         # A review expects the film first and the force recording last.
         files = (parameters["timestamps"].value, config, parameters["corrections"].value, force)

@@ -136,7 +136,7 @@ def write(figure: Figure, path: Path, *, dpi: float | None = None) -> None:
     """Write a PNG, PDF or SVG, by the path's suffix; equal figures give equal files."""
     kind = path.suffix.lower().removeprefix(".")
     if kind == "png":
-        write_png(drawn(figure, dpi=dpi), path)
+        write_png(render(figure, dpi=dpi), path)
         return
     stamp: dict[str, Any] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}[kind]
     with picture_style():
@@ -144,7 +144,7 @@ def write(figure: Figure, path: Path, *, dpi: float | None = None) -> None:
         page.savefig(path, format=kind, dpi=300 if dpi is None else dpi, metadata=stamp)
 
 
-def drawn(figure: Figure, *, dpi: float | None = None) -> NDArray[np.uint8]:
+def render(figure: Figure, *, dpi: float | None = None) -> NDArray[np.uint8]:
     """Return the figure's pixels, RGBA (rows, columns, 4)."""
     with picture_style():
         page = _page(figure)
@@ -155,12 +155,12 @@ def drawn(figure: Figure, *, dpi: float | None = None) -> NDArray[np.uint8]:
 
 
 def write_png(pixels: NDArray[np.uint8], path: Path) -> None:
-    """Write pixels as returned by `drawn`; other Python threads can run meanwhile."""
+    """Write pixels as returned by `render`; other Python threads can run meanwhile."""
     path.write_bytes(png(pixels))
 
 
 def png(pixels: NDArray[np.uint8]) -> bytes:
-    """Return the content of a PNG file of pixels as returned by `drawn`."""
+    """Return the content of a PNG file of pixels as returned by `render`."""
     return cv2.imencode(".png", cv2.cvtColor(pixels, cv2.COLOR_RGBA2BGR), _PNG)[1].tobytes()
 
 

@@ -271,7 +271,7 @@ class Figure:
         """Return the content of a PNG file of the figure."""
         from vision.figures import drawing
 
-        return drawing.png(drawing.drawn(self))
+        return drawing.png(drawing.render(self))
 
     def _repr_png_(self) -> bytes:
         return self.png()

@@ -34,7 +34,7 @@ time requests a finer level, which takes as long as reading the run."""
 FORCE_POINTS = 4096  # points of the whole force recording that a page requests first
 
 
-def answers(session: Session, stop: Callable[[], None]) -> ASGIApp:
+def session_app(session: Session, stop: Callable[[], None]) -> ASGIApp:
     """Return the application that answers requests about an open run; `stop` ends the server."""
     routes = Api(session, stop).routes()
     return Starlette(routes=routes, exception_handlers={HTTPException: failed, Exception: failed})
@@ -68,7 +68,7 @@ def first_answers(session: Session) -> dict[str, bytes]:
             across = range(-(-session.diagram.columns // columns) if shown else 0)
             addresses += [f"/api/kymograph/{level}/{x}/{k}.png" for x in across]
     found = {"/api/run": bytes(_json(session.summary() | {"revision": 0, "other_windows": 0}).body)}
-    app = answers(session, lambda: None)
+    app = session_app(session, lambda: None)
     for address in addresses:
         answer = anyio.run(_request, app, address)
         if answer is not None:  # there may be no film, or no force

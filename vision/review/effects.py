@@ -99,7 +99,7 @@ class Effects:
             shown = min(max(shown, first), first + MAX_ROWS // 2)
         return min(int(np.searchsorted(numbers, shown)), len(numbers) - 1)
 
-    def _rows_for(self, decision: Correction, at: int) -> tuple[Near | None, slice]:
+    def _rows_for(self, decision: Correction, at: int) -> tuple[StickAndNeighbours | None, slice]:
         """Return the stick phase at a row, and the rows around it from where an assigned ridge starts."""
         numbers, event = self.run.positions.frame, self._event_at(at)
         near = None if event is None else self._near(event)
@@ -206,7 +206,7 @@ class Effects:
             return _unknown(error)
         return self._measured(self.run.positions, near)
 
-    def _near(self, event: int, clock: Clock | None = None) -> Near:
+    def _near(self, event: int, clock: Clock | None = None) -> StickAndNeighbours:
         """Return a stick phase with its neighbours.  Raises: InputError if events or clock are missing."""
         clock, events = clock or self.run.clock, self.run.events
         if clock is None or events is None:
@@ -226,9 +226,9 @@ class Effects:
                 break
         if not rows.size:
             raise InputError("the stick phase", "one within the film", f"{event}")
-        return Near(event=event, clock=clock, sticks=sticks, rows=rows)
+        return StickAndNeighbours(event=event, clock=clock, sticks=sticks, rows=rows)
 
-    def _measured(self, positions: Positions, near: Near) -> dict[str, Any]:
+    def _measured(self, positions: Positions, near: StickAndNeighbours) -> dict[str, Any]:
         """Return σ_x/Λ_st of every sheet in a stick phase and the shell of each side, or why not."""
         settings = self.run.settings
         try:
@@ -257,7 +257,7 @@ class Effects:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Near:
+class StickAndNeighbours:
     """One stick phase, with its neighbours, from which noise and camera movement are measured."""
 
     event: int
@@ -265,12 +265,12 @@ class Near:
     sticks: pd.DataFrame
     rows: Ints
 
-    def since(self, row: int) -> Near:
+    def since(self, row: int) -> StickAndNeighbours:
         """Return the same with rows counted from another one."""
         return replace(self, rows=self.rows - row)
 
 
-def _changes_stick(before: Positions, after: Positions, near: Near) -> bool:
+def _changes_stick(before: Positions, after: Positions, near: StickAndNeighbours) -> bool:
     """Return whether numbering or positions differ in the rows of a stick phase."""
     same = np.array_equal(before.side, after.side) and np.array_equal(before.n, after.n)
     return not (same and np.array_equal(before.x_px[near.rows], after.x_px[near.rows], equal_nan=True))

@@ -176,8 +176,8 @@ _EMPTY: Mapping[str, Any] = {"flag": FLAGS.index("missing"), "why": 0}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Before:
-    """The values that a decision replaced, from which it can be undone."""
+class UndoStep:
+    """What is needed to undo a decision: the values that it replaced."""
 
     how: str  # "swap", "cells" (of one sheet), "deleted", "added", "numbering" or "nothing"
     first: int = 0  # row
@@ -198,8 +198,8 @@ def _medians(values: Floats32) -> Floats:
     return nan_median(values[:: max(1, len(values) // MEDIAN_ROWS)].astype(np.float64))
 
 
-def apply(positions: Positions, decision: Correction, diagram: Diagram) -> tuple[Positions, Before]:
-    """Apply a decision; return the new positions and the values that it replaced.
+def apply(positions: Positions, decision: Correction, diagram: Diagram) -> tuple[Positions, UndoStep]:
+    """Apply a decision; return the new positions and how to undo it.
 
     If the number of sheets does not change, the arrays are changed in place. Ridges are searched in the
     diagram and fitted with the sliding window; they get the sheet's median error. (Saving tracks again, with
@@ -211,7 +211,7 @@ def apply(positions: Positions, decision: Correction, diagram: Diagram) -> tuple
     if decision.kind == "axis":
         return _with_axis(positions, float(decision.x_px or 0.0))
     if decision.kind not in OF_SHEETS:
-        return positions, Before(how="nothing")
+        return positions, UndoStep(how="nothing")
     stop = np.inf if decision.stop is None else decision.stop
     rows = np.flatnonzero((positions.frame >= decision.first) & (positions.frame < stop))
     check_there(decision, rows, positions.frame, positions.sheets)
@@ -223,7 +223,7 @@ def apply(positions: Positions, decision: Correction, diagram: Diagram) -> tuple
             return _with_sheet(positions, decision, diagram)
         case "swap":
             _swap(positions, slice(first, last), decision.sheets)
-            return positions, Before(how="swap", first=first, stop=last, sheets=decision.sheets)
+            return positions, UndoStep(how="swap", first=first, stop=last, sheets=decision.sheets)
     part, sheet = slice(first, last), decision.sheets[0]
     if decision.kind == "leave_out":
         x, flag = np.full(last - first, np.nan), np.full(last - first, FLAGS.index("left_out"))
@@ -233,26 +233,26 @@ def apply(positions: Positions, decision: Correction, diagram: Diagram) -> tuple
         x, flag = _assigned(positions, decision, part, diagram)
     before = {name: getattr(positions, name)[part, sheet].copy() for name in CELLS}
     _put(positions, part, sheet, x, flag)
-    return positions, Before(how="cells", first=first, stop=last, sheets=(sheet,), arrays=before)
+    return positions, UndoStep(how="cells", first=first, stop=last, sheets=(sheet,), arrays=before)
 
 
-def take_back(positions: Positions, before: Before) -> Positions:
+def undo(positions: Positions, step: UndoStep) -> Positions:
     """Undo the last decision and return the earlier positions."""
-    rows, arrays = slice(before.first, before.stop), before.arrays
-    match before.how:
+    rows, arrays = slice(step.first, step.stop), step.arrays
+    match step.how:
         case "swap":
-            _swap(positions, rows, before.sheets)
+            _swap(positions, rows, step.sheets)
             return positions
         case "cells":
             for name in CELLS:
-                getattr(positions, name)[rows, before.sheets[0]] = arrays[name]
+                getattr(positions, name)[rows, step.sheets[0]] = arrays[name]
             return positions
         case "deleted":
-            return replace(_inserted(positions, before.sheets[0], arrays), side=arrays["side"], n=arrays["n"])
+            return replace(_inserted(positions, step.sheets[0], arrays), side=arrays["side"], n=arrays["n"])
         case "added":
-            return replace(_removed(positions, before.sheets[0]), side=arrays["side"], n=arrays["n"])
+            return replace(_removed(positions, step.sheets[0]), side=arrays["side"], n=arrays["n"])
         case "numbering":
-            attrs = dict(positions.attrs) | {"axis_px": before.axis_px, "axis_how": before.axis_how}
+            attrs = dict(positions.attrs) | {"axis_px": step.axis_px, "axis_how": step.axis_how}
             return replace(positions, side=arrays["side"], n=arrays["n"], attrs=attrs)
     return positions
 
@@ -306,7 +306,7 @@ def _assigned(
     return x, _flags(start, x)
 
 
-def _with_sheet(positions: Positions, decision: Correction, diagram: Diagram) -> tuple[Positions, Before]:
+def _with_sheet(positions: Positions, decision: Correction, diagram: Diagram) -> tuple[Positions, UndoStep]:
     """Add a sheet, followed from the given frame in both directions of time."""
     row, frames = positions.row_of(decision.first), len(positions.frame)
     start, other = np.full(frames, np.nan), np.full(frames, -1)
@@ -322,7 +322,7 @@ def _with_sheet(positions: Positions, decision: Correction, diagram: Diagram) ->
     wider = _inserted(positions, sheet, _EMPTY)
     more = replace(wider, side=np.insert(positions.side, sheet, 1), n=np.insert(positions.n, sheet, 1))
     _put(more, slice(0, frames), sheet, x, _flags(start, x))
-    before = Before(how="added", sheets=(sheet,), arrays={"side": positions.side, "n": positions.n})
+    before = UndoStep(how="added", sheets=(sheet,), arrays={"side": positions.side, "n": positions.n})
     return _renumbered(more), before
 
 
@@ -409,9 +409,9 @@ def _renumbered(positions: Positions) -> Positions:
     return replace(positions, side=numbering.side, n=numbering.n - unseen)
 
 
-def _with_axis(positions: Positions, axis_px: float) -> tuple[Positions, Before]:
+def _with_axis(positions: Positions, axis_px: float) -> tuple[Positions, UndoStep]:
     facts = positions.track_facts
-    before = Before(
+    before = UndoStep(
         how="numbering",
         arrays={"side": positions.side, "n": positions.n},
         axis_px=facts.axis_px,
@@ -421,11 +421,11 @@ def _with_axis(positions: Positions, axis_px: float) -> tuple[Positions, Before]
     return _renumbered(replace(positions, attrs=attrs)), before
 
 
-def _without(positions: Positions, sheet: int) -> tuple[Positions, Before]:
+def _without(positions: Positions, sheet: int) -> tuple[Positions, UndoStep]:
     arrays = {name: getattr(positions, name)[:, sheet].copy() for name in CELLS}
     arrays |= {"side": positions.side, "n": positions.n}
     fewer = _removed(positions, sheet)
-    before = Before(how="deleted", sheets=(sheet,), arrays=arrays)
+    before = UndoStep(how="deleted", sheets=(sheet,), arrays=arrays)
     return _renumbered(fewer), before
 
 

@@ -25,7 +25,7 @@ from vision.errors import InputError
 from vision.files import PACKAGES
 from vision.numeric import Floats, Ints
 from vision.pipeline import Analysis, Settings, analyse, open_recording
-from vision.review.positions import Before, Positions, median_positions, positions_of
+from vision.review.positions import Positions, UndoStep, median_positions, positions_of
 from vision.review.recordings import StoredRun
 from vision.review.tracks_file import read_tracks
 from vision.run.folder import clean_up, plain, put_in_place, unwritable
@@ -53,7 +53,7 @@ class SaveJob:
     decisions: Decisions  # decisions that are to be applied
     # path of the film if it has been moved; without the film, anything but another strip can be saved
     film: Path | None = None
-    beside: Mapping[str, bytes] | None = None  # files of the review to store with the run: content by name
+    extra_files: Mapping[str, bytes] | None = None  # of the review, to be stored in the run: content by name
     # the command-line option that the report shows in place of each argument's name
     options: Mapping[str, str] = field(default_factory=dict)
     into: Path | None = None  # where to write the run if it must not replace the old one
@@ -101,7 +101,7 @@ def save_run(job: SaveJob, tell: Tell = lambda stage, done=0, total=0: None) -> 
         report=(folder / "report.html").exists(),
         facts={"inputs": run.facts.get("inputs") or []},
         decisions=job.decisions,
-        beside=job.beside,
+        extra_files=job.extra_files,
     )
 
 
@@ -126,14 +126,19 @@ class Saver:
         """Whether a job is being executed."""
         return self._thread is not None and self._thread.is_alive()
 
+    def check_free(self) -> None:
+        """Raise `InputError` while a job is being executed."""
+        if self.running:
+            wanted, found = "one that is not being tracked or saved", "one that is"
+            raise InputError("the run", wanted, found, "wait for its end, or cancel it")
+
     def start(self, job: SaveJob, finished: Callable[[Mapping[str, Any]], None]) -> None:
         """Start a job.
 
         finished: called in a thread when the run has been written, with its `differences` from the old run if
         that was not replaced.  Raises: InputError while another job is being executed.
         """
-        if self.running:
-            raise InputError("the run", "one that is not being tracked or saved", "one that is", "wait")
+        self.check_free()
         self.stage, self.error, self._cancelled = "starting", "", False
         self._thread = Thread(target=self._work, args=(job, finished), daemon=True)
         self._thread.start()
@@ -395,11 +400,11 @@ def _positions_differ(before: Positions, after: Positions, old: Ints, new: Ints)
     }
 
 
-# --- values that decisions replaced -------------------------------------------------------------------------
+# --- undo steps in a file -----------------------------------------------------------------------------------
 
 
-def pack(steps: Sequence[Before | None]) -> bytes:
-    """Return the values that decisions replaced, in order, as the content of an .npz file."""
+def pack(steps: Sequence[UndoStep | None]) -> bytes:
+    """Return the steps that undo decisions, in order, as the content of an .npz file."""
     names = ("how", "first", "stop", "sheets", "axis_px", "axis_how")
     facts = [step and {name: getattr(step, name) for name in names} for step in steps]
     arrays: dict[str, Any] = {
@@ -413,7 +418,7 @@ def pack(steps: Sequence[Before | None]) -> bytes:
     return stream.getvalue()
 
 
-def unpack(path: Path) -> list[Before | None]:
+def unpack(path: Path) -> list[UndoStep | None]:
     """Read what `pack` returned from a file; an empty list if the file is missing or damaged.
 
     Without it a decision can still be undone, but the effect is visible only when the run has been saved.
@@ -427,6 +432,6 @@ def unpack(path: Path) -> list[Before | None]:
     return [None if one is None else _step(k, one, arrays) for k, one in enumerate(facts)]
 
 
-def _step(k: int, facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Before:
+def _step(k: int, facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> UndoStep:
     own = {name.partition(".")[2]: values for name, values in arrays.items() if name.startswith(f"{k}.")}
-    return Before(**{**facts, "sheets": tuple(facts["sheets"])}, arrays=own)
+    return UndoStep(**{**facts, "sheets": tuple(facts["sheets"])}, arrays=own)

@@ -280,7 +280,7 @@ def read_first_view(folder: Path, film: Path | None = None) -> dict[str, bytes]:
     try:
         with ZipFile(folder / FIRST_VIEW) as file:
             size = sum(one.file_size for one in file.filelist)
-            if file.comment != _state(folder, film) or size > MAX_BYTES:
+            if file.comment != _digest(folder, film) or size > MAX_BYTES:
                 return {}
             return {name: file.read(name) for name in file.namelist()}
     except (OSError, ValueError, RuntimeError, EOFError, BadZipFile, zlib.error):  # all that ZipFile raises
@@ -294,21 +294,21 @@ def write_first_view(
     with ZipFile(path, "w") as file:
         for name, content in answers.items():
             file.writestr(name, content)
-        file.comment = _state(folder, film)
+        file.comment = _digest(folder, film)
 
 
-def _state(folder: Path, film: Path | None) -> bytes:
+def _digest(folder: Path, film: Path | None) -> bytes:
     """Return a digest of what determines the answers: run, decisions, existence of inputs, and program."""
     texts = [(folder / name).read_bytes() if (folder / name).exists() else b"" for name in READ]
     facts = json.loads(texts[0])
     texts += [path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py"))]
     inputs = [Path(str(one["path"])) for one in facts.get("inputs") or []]
     places = [*inputs, *(folder.absolute().parent / one for one in inputs), *([film] if film else [])]
-    known = [__version__, *_facts(folder / name for name in SIZED), *_facts(places, dated=True)]
+    known = [__version__, *_stamps(folder / name for name in SIZED), *_stamps(places, dated=True)]
     return hashlib.sha256(b"\0".join([*texts, json.dumps(known).encode()])).hexdigest().encode()
 
 
-def _facts(paths: Iterable[Path], *, dated: bool = False) -> list[Any]:
+def _stamps(paths: Iterable[Path], *, dated: bool = False) -> list[Any]:
     """Return size and, if `dated`, time of the last change of each file; None for missing files."""
     found = [path.stat() if path.exists() else None for path in paths]
     return [one and [one.st_size, one.st_mtime_ns if dated else 0] for one in found]

@@ -23,11 +23,11 @@ from vision.review.positions import (
     FLAGS,
     SAME_RIDGE_PX,
     WHYS,
-    Before,
+    UndoStep,
     apply,
     median_positions,
     positions_of,
-    take_back,
+    undo,
 )
 from vision.review.recordings import Diagram, Grey, Recordings, StoredRun, Tiles, claim, decided_clock
 from vision.review.saving import SaveJob, Saver, Trial, pack, unpack
@@ -129,27 +129,27 @@ class Session:
         wanted = read_decisions(path) if path.exists() else Decisions(corrections=tuple(self.applied))
         self.undone = list(wanted.undone)
         self.unseen: list[Correction] = []  # undone decisions that remain visible until the run is saved
-        same, count = _common(self.applied, wanted.corrections), len(self.applied)
+        same, count = _common_start(self.applied, wanted.corrections), len(self.applied)
         self.decisions = [*wanted.corrections[:same], *self.applied[same:]]
-        # the values that each decision replaced; None if unknown
-        self._before: list[Before | None] = [*unpack(self.folder / REPLACED), *[None] * count][:count]
+        # how to undo each decision; None if that is not known
+        self._undo_steps: list[UndoStep | None] = [*unpack(self.folder / REPLACED), *[None] * count][:count]
         while len(self.decisions) > same:  # undone since the run was saved
             self._step_back()
         for decision in wanted.corrections[same:]:
             self._apply(decision)
 
     def _apply(self, decision: Correction) -> None:
-        self.positions, before = apply(self.positions, decision, self.diagram)
+        self.positions, step = apply(self.positions, decision, self.diagram)
         self.decisions.append(decision)
-        self._before.append(before)
+        self._undo_steps.append(step)
         self.revision += 1
 
     def _step_back(self) -> Correction:
-        decision, before = self.decisions.pop(), self._before.pop()
-        if before is None:
+        decision, step = self.decisions.pop(), self._undo_steps.pop()
+        if step is None:
             self.unseen.append(decision)
         else:
-            self.positions = take_back(self.positions, before)
+            self.positions = undo(self.positions, step)
         self.revision += 1
         return decision
 
@@ -180,7 +180,7 @@ class Session:
             settings=self.settings,
             decisions=self._as_written(decisions, undone),
             film=self.recordings.moved,
-            beside={REPLACED: pack(self._before)} if self._before and same_strip else {},
+            extra_files={REPLACED: pack(self._undo_steps)} if self._undo_steps and same_strip else {},
             options=self.options,
         )
 
@@ -201,9 +201,7 @@ class Session:
 
         Raises: InputError.
         """
-        if self.saver.running:
-            wanted, found = "one that is not being tracked or saved", "one that is"
-            raise InputError("the run", wanted, found, "wait for its end, or cancel it")
+        self.saver.check_free()
         self.trial.discard()
 
     # --- decisions ------------------------------------------------------------------------------------------
@@ -240,7 +238,7 @@ class Session:
             self._write([*self.decisions, again], rest)
             self.unseen.pop()
             self.decisions.append(again)
-            self._before.append(None)
+            self._undo_steps.append(None)
             self.undone = rest
             self.revision += 1
 
@@ -257,7 +255,7 @@ class Session:
     @property
     def pending(self) -> list[Correction]:
         """Decisions that are not in the run's tables yet."""
-        return self.decisions[_common(self.applied, self.decisions) :]
+        return self.decisions[_common_start(self.applied, self.decisions) :]
 
     @property
     def changed(self) -> bool:
@@ -444,7 +442,7 @@ def _listed(one: Correction) -> dict[str, Any]:
     return {"kind": one.kind, "text": one.text(), "date": one.date, "entry": one.entry()}
 
 
-def _common(one: Sequence[Correction], other: Sequence[Correction]) -> int:
+def _common_start(one: Sequence[Correction], other: Sequence[Correction]) -> int:
     """Return how many decisions, from the first on, are the same in both."""
     pairs = enumerate(zip(one, other, strict=False))
     return next((k for k, (a, b) in pairs if a.what != b.what), min(len(one), len(other)))

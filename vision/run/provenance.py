@@ -139,7 +139,9 @@ class Checksums:
     def __exit__(self, *_: object) -> None:
         self._proceed(math.inf)  # the thread ends after the current part
 
-    def beside(self, progress: Callable[[int, int | None], None] | None) -> Callable[[int, int | None], None]:
+    def following(
+        self, progress: Callable[[int, int | None], None] | None
+    ) -> Callable[[int, int | None], None]:
         """Return a progress function that also tells this object how far the film is read."""
 
         def both(done: int, total: int | None) -> None:

@@ -50,7 +50,7 @@ def write_run(
     report: bool = True,
     facts: Mapping[str, Any] | None = None,
     decisions: Decisions | None = None,
-    beside: Mapping[str, bytes] | None = None,
+    extra_files: Mapping[str, bytes] | None = None,
 ) -> dict[str, Any]:
     """Write tables, pictures, report.html and run.json of a run.
 
@@ -66,8 +66,8 @@ def write_run(
         Whether report.html is written.
     decisions
         Decisions for corrections.toml, by default ``analysis.settings.corrections``.
-    beside
-        Further files: name to content.
+    extra_files
+        Further files: content by name.
 
     Returns
     -------
@@ -86,7 +86,7 @@ def write_run(
         seconds["tables"] = time.perf_counter() - started
         content = {**run_facts(analysis, origin, inputs), **(facts or {})}
         _write_decisions(analysis, folder, content, decisions)
-        for name, data in (beside or {}).items():
+        for name, data in (extra_files or {}).items():
             (folder / name).write_bytes(data)
         seconds["run facts"] = time.perf_counter() - started - seconds["tables"]
         drawn = time.perf_counter()
@@ -126,8 +126,8 @@ def _write_figures_and_page(
     """Write figures and page; an unexpected error is added to `failures`, as the tables are complete."""
     try:
         figures = figures_of(analysis)
-        with ThreadPoolExecutor(1) as beside:
-            written = _write_pictures(analysis, folder, figures, beside)
+        with ThreadPoolExecutor(1) as pool:
+            written = _write_pictures(analysis, folder, figures, pool)
             if report and analysis.tracks is not None:
                 page = folder / "report.html"
                 write_report(page, analysis, content, figures=figures, options=origin.options)
@@ -208,8 +208,8 @@ def _write_tables(analysis: Analysis, folder: Path, origin: Origin) -> None:
 def _write_tracks(analysis: Analysis, tracks: xr.Dataset, strip: xr.DataArray, folder: Path) -> None:
     """Write tracks.csv in a thread, and meanwhile, in about the same time, the other files of the tracks."""
     size, stop = analysis.pixel_size_um, threading.Event()
-    with ThreadPoolExecutor(1) as beside:
-        text = beside.submit(write_tracks_csv, tracks, folder / "tracks.csv", pixel_size_um=size, stop=stop)
+    with ThreadPoolExecutor(1) as pool:
+        text = pool.submit(write_tracks_csv, tracks, folder / "tracks.csv", pixel_size_um=size, stop=stop)
         try:
             constant = systematic_budget(analysis).total("x_px")
             path = folder / "tracks.nc"
@@ -222,21 +222,21 @@ def _write_tracks(analysis: Analysis, tracks: xr.Dataset, strip: xr.DataArray, f
 
 
 def _write_pictures(
-    analysis: Analysis, folder: Path, figures: Sequence[Figure], beside: Executor
+    analysis: Analysis, folder: Path, figures: Sequence[Figure], pool: Executor
 ) -> list[Future[Any]]:
     """Write figures.npz, overview.png and kymograph.png (without a video force.png); return what to wait for.
 
-    Pictures are drawn here, and compressed by `beside`, in half the time, while others are drawn.
+    Pictures are drawn here, and compressed in the thread of `pool` while others are drawn: in half the time.
     """
     from vision.figures import drawing  # loads matplotlib
 
     stored = [*figures, *publication_figures_of(analysis)]
-    written: list[Future[Any]] = [beside.submit(save_figures, folder / "figures.npz", stored)]
+    written: list[Future[Any]] = [pool.submit(save_figures, folder / "figures.npz", stored)]
     if analysis.tracks is None:
         pictures = {"force.png": FIGURES["force_overview"].make(analysis)}
     else:
         pictures = {"overview.png": overview(figures), "kymograph.png": kymograph(figures)}
     for file, figure in pictures.items():
         if figure is not None:
-            written.append(beside.submit(drawing.write_png, drawing.drawn(figure), folder / file))
+            written.append(pool.submit(drawing.write_png, drawing.render(figure), folder / file))
     return written
