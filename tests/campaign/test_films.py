@@ -101,6 +101,15 @@ def test_values_are_checked_as_on_the_command_line(tmp_path):
     assert "one of --pixel-size, --scale and --pitch" in found[0][2]
 
 
+def test_the_length_of_a_name_counts_bytes_as_the_disk_does(tmp_path):
+    """A failure means a run folder that no disk can hold, or a message with which the name fits already."""
+    films(tmp_path, 2)
+    ((_, column, text),) = problems(
+        table(tmp_path / "t.csv", ["t0.tif", "t1.tif"], name=["é" * 75, "é" * 76])
+    )
+    assert (column, "at most 150 bytes" in text, "found 152" in text) == ("name", True, True)
+
+
 def test_semicolons_and_decimal_commas(tmp_path):
     """As a German spreadsheet saves it."""
     films(tmp_path, 1)

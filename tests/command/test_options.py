@@ -8,7 +8,7 @@ from vision.command.settings import (
     merged,
     parse_length,
     parse_lowpass,
-    parse_mm_range,
+    parse_pair,
     parse_scale,
     parse_seconds,
     parse_sheets,
@@ -170,10 +170,10 @@ def test_low_pass_and_range_of_the_fit():
     """A failure means auto or a range is misread."""
     read = [parse_lowpass(text, "--force-lowpass") for text in ("auto", "0", "0.003")]
     assert read == ["auto", 0.0, 0.003]
-    assert parse_mm_range("13.2:17", "--fit-range") == (13.2, 17.0)
+    assert parse_pair("13.2:17", "--fit-range", "a range") == (13.2, 17.0)
     for wrong in ("17:13", "13", "a:b", ":17"):
         with pytest.raises(InputError, match="--fit-range"):
-            parse_mm_range(wrong, "--fit-range")
+            parse_pair(wrong, "--fit-range", "a range")
     for wrong in ("fast", "-1", "nan"):
         with pytest.raises(InputError, match="--force-lowpass"):
             parse_lowpass(wrong, "--force-lowpass")

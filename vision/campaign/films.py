@@ -17,7 +17,7 @@ from vision.comparison.runs import ALIKE, COLUMNS, LIMITS, table_cells
 from vision.errors import InputError
 from vision.files import Stamp, answered, shortened
 from vision.video import open_video, video_files
-from vision.video.settings import DEFAULTS
+from vision.video.settings import DEFAULT
 from vision.video.video import FILMS, files_in
 
 # --- tunable constants -------------------------------------------------------------------------------------
@@ -57,7 +57,7 @@ class CampaignSettings:
     least_job_seconds: float = 20.0
     """Smallest duration of jobs that are split so that all cores finish together. Shorter jobs lose more to
     their start (3 s), longer ones leave cores idle at the end."""
-    answer_s: float = DEFAULTS.answer_s
+    answer_s: float = DEFAULT.answer_s
     """Longest wait, s, for a disk that does not answer while films are planned, watched or copied. A shorter
     time fails while a disk starts, a longer one waits for lost connections (tests/campaign/test_disks.py)."""
 
@@ -80,7 +80,7 @@ class CampaignSettings:
 
 FACTS = (*COLUMNS[1:], "notes")  # columns that describe the test
 PATHS = ("force", "timestamps", "corrections")  # options that name a file, relative to the table
-MAX_NAME_BYTES = 150  # length of a name, from which the names of folders and files are made
+MAX_NAME_BYTES = 150  # of a name in UTF-8, from which the names of folders and files are made
 # Usual names of the columns. A message about an unknown column suggests the nearest of them.
 _ALIKE = ALIKE | {
     "video": "film", "file": "film", "movie": "film", "path": "film", "recording": "force", "load": "force",
@@ -242,8 +242,8 @@ def _row(
     problems += checked.problems
     name = safe_name(given.get("name", "") or name_of(Path(film)))
     if len(name.encode()) > MAX_NAME_BYTES:
-        text = f"expected a name of at most {MAX_NAME_BYTES} letters; give one in a column name"
-        problems.append(("name", text))
+        wanted = f"expected a name of at most {MAX_NAME_BYTES} bytes (an accented letter has 2)"
+        problems.append(("name", f"{wanted}; found {len(name.encode())}; give one in a column name"))
     row = Row(row=number, film=film, name=name, options=options, values=checked.values, facts=facts)
     return row, problems
 
@@ -377,9 +377,7 @@ class FolderWatch:
         given = (Path(row.options[name]) for name in PATHS if name in row.options)
         ages = [self._unchanged_for(file) for file in given if self._in_folder(file)]
         film = Path(row.film)
-        complete = not self._in_folder(film) or self.complete(
-            film
-        )  # always called: it starts the film's timer
+        complete = not self._in_folder(film) or self.complete(film)
         return complete and min(ages, default=math.inf) >= self._settings.still_seconds
 
     def _in_folder(self, file: Path) -> bool:

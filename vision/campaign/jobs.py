@@ -191,7 +191,7 @@ def _last_line(log: Path) -> str:
 # --- one job ------------------------------------------------------------------------------------------------
 
 
-STATES: dict[int, Word] = {0: "done", 1: "warnings"}  # by the exit status of a film's analysis
+STATE_OF_STATUS: dict[int, Word] = {0: "done", 1: "warnings"}  # others: partial
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -287,7 +287,7 @@ def _run_each(
     work: Work,
     copies: dict[str, Path],
     current: mmap.mmap,
-    tuning: CampaignSettings,
+    settings: CampaignSettings,
 ) -> None:
     """Analyse films one after the other and write their states; `current` holds the index of the film."""
     for number, film in enumerate(films):
@@ -297,7 +297,7 @@ def _run_each(
         _try_to_write(plan.out, begun)
         started = time.perf_counter()
         try:
-            ended = _run_one(plan, film, work, copies, tuning)
+            ended = _run_one(plan, film, work, copies, settings)
         except KeyboardInterrupt:
             _try_to_write(plan.out, replace(begun, state="waiting", reason="interrupted"))
             raise
@@ -305,7 +305,7 @@ def _run_each(
             ended = State(name=film.name, state="failed", reason=shortened(str(error), 300))
         seconds = time.perf_counter() - started
         _try_to_write(plan.out, replace(ended, key=film.key, seconds=seconds, attempts=begun.attempts))
-        if page_age(plan.out) > tuning.page_seconds * (1 + len(plan.films) / 100):
+        if page_age(plan.out) > settings.page_seconds * (1 + len(plan.films) / 100):
             with suppress(InputError):  # a full disk also fails the films, which report it
                 write_page(plan, live=True)
 
@@ -317,11 +317,11 @@ def _try_to_write(out: Path, state: State) -> None:
 
 
 def _run_one(
-    plan: Plan, film: PlannedFilm, work: Work, copies: dict[str, Path], tuning: CampaignSettings
+    plan: Plan, film: PlannedFilm, work: Work, copies: dict[str, Path], settings: CampaignSettings
 ) -> State:
     """Analyse one film, write its tables for the pool and its thumbnail, and return its state."""
     target = plan.run_of(film.name)
-    with _source(film, copies, tuning, stage=plan.stage) as source:
+    with _source(film, copies, settings, stage=plan.stage) as source:
         outcome = work(film, source, target)
     run = target / "run.json"
     state = State(name=film.name, state="failed", reason=outcome.reason)
@@ -329,10 +329,10 @@ def _run_one(
         return state
     write_partitions(plan.out, film.name, outcome.analysis)
     with suppress(OSError, ValueError), Image.open(target / "overview.png") as image:
-        image.thumbnail((tuning.thumbnail_px, 4 * tuning.thumbnail_px))
+        image.thumbnail((settings.thumbnail_px, 4 * settings.thumbnail_px))
         (plan.out / "thumbnails").mkdir(exist_ok=True)
         image.convert("RGB").quantize(32).save(plan.out / "thumbnails" / f"{film.name}.png", optimize=True)
-    warnings, word = outcome.warnings, STATES.get(outcome.status, "partial")
+    warnings, word = outcome.warnings, STATE_OF_STATUS.get(outcome.status, "partial")
     reason = outcome.reason or (shortened(warnings[0], 300) if warnings else "")
     more = f" (and {len(warnings) - 1} more)" if outcome.status == 1 and len(warnings) > 1 else ""
     return replace(state, state=word, reason=reason + more, warnings=warnings)
@@ -340,7 +340,7 @@ def _run_one(
 
 @contextmanager
 def _source(
-    film: PlannedFilm, copies: dict[str, Path], tuning: CampaignSettings, *, stage: bool
+    film: PlannedFilm, copies: dict[str, Path], settings: CampaignSettings, *, stage: bool
 ) -> Iterator[Path]:
     """Return the path to read a film from: its own, Snakemake's copy, or a copy on the node's local disk.
 
@@ -352,21 +352,21 @@ def _source(
         yield copies[film.film]
         return
     path = Path(film.film)
-    if not stage or not answered(path.is_file, path, tuning.answer_s):
+    if not stage or not answered(path.is_file, path, settings.answer_s):
         yield path
         return
 
     def sizes() -> dict[Path, int]:
         return {file: file.stat().st_size for file in inputs_of(film.film, {}) if file.is_file()}
 
-    files = answered(sizes, path, tuning.answer_s)
+    files = answered(sizes, path, settings.answer_s)
     room, needed = shutil.disk_usage(tempfile.gettempdir()).free, sum(files.values())
     if needed > 0.95 * room:
         wanted, found = f"room for {needed / 1e9:.1f} GB of {path.name}", f"{room / 1e9:.1f} GB free"
         raise InputError(tempfile.gettempdir(), wanted, found, "set TMPDIR")
     with tempfile.TemporaryDirectory(prefix="track-") as folder:
         for file in files:
-            copy_or_give_up(file, Path(folder) / file.name, tuning.answer_s)
+            copy_or_give_up(file, Path(folder) / file.name, settings.answer_s)
         yield Path(folder) / path.name
 
 

@@ -274,22 +274,22 @@ def read_plan(path: Path) -> Plan:
 # --- one film -----------------------------------------------------------------------------------------------
 
 
-def _film(row: Row, known: dict[str, Any], tuning: CampaignSettings) -> PlannedFilm:
+def _film(row: Row, known: dict[str, Any], settings: CampaignSettings) -> PlannedFilm:
     values = {name: value for name, value in row.values.items() if name not in PATHS}
     remote = is_remote(row.film)
     contents = [] if remote else [_fingerprint(path, known) for path in inputs_of(row.film, row.values)]
     facts = _header(row)
     megasamples = facts.get("frames", 0) * facts.get("columns", 0) / 1e6
-    per_megasample = tuning.seconds_per_megasample
-    per_megasample += facts.get("rows", 0) / 1000 * tuning.seconds_per_gigapixel
+    per_megasample = settings.seconds_per_megasample
+    per_megasample += facts.get("rows", 0) / 1000 * settings.seconds_per_gigapixel
     return PlannedFilm(
         name=row.name,
         film=row.film,
         options=dict(row.options),
         facts=dict(row.facts),
         key=_digest([LAYOUT, row.film if remote else "", contents, values]),
-        seconds=round(tuning.base_seconds + megasamples * per_megasample, 2),
-        memory_mb=math.ceil(tuning.base_memory_mb + megasamples * tuning.memory_mb_per_megasample),
+        seconds=round(settings.base_seconds + megasamples * per_megasample, 2),
+        memory_mb=math.ceil(settings.base_memory_mb + megasamples * settings.memory_mb_per_megasample),
         **facts,
     )
 
@@ -354,7 +354,7 @@ def _time_correction(plan: Plan) -> float:
 
 
 def share(
-    films: Iterable[PlannedFilm], factor: float, cores: int, tuning: CampaignSettings
+    films: Iterable[PlannedFilm], factor: float, cores: int, settings: CampaignSettings
 ) -> list[list[PlannedFilm]]:
     """Divide films into jobs: each long film has its own, short films share one.
 
@@ -364,21 +364,21 @@ def share(
     """
     alone, short = [], []
     for film in sorted(films, key=lambda film: -film.seconds):
-        if film.seconds * factor >= tuning.job_seconds / 2 or is_remote(film.film):
+        if film.seconds * factor >= settings.job_seconds / 2 or is_remote(film.film):
             alone.append([film])
         else:
             short.append(film)
     total = factor * sum(film.seconds for film in short)
-    even = min(cores * tuning.jobs_per_core, max(cores, int(total / tuning.least_job_seconds)))
-    count = max(even, math.ceil(total / tuning.job_seconds))
+    even = min(cores * settings.jobs_per_core, max(cores, int(total / settings.least_job_seconds)))
+    count = max(even, math.ceil(total / settings.job_seconds))
     return alone + [part for k in range(count) if (part := short[k::count])]
 
 
-def _job(films: Sequence[PlannedFilm], factor: float, tuning: CampaignSettings) -> Job:
+def _job(films: Sequence[PlannedFilm], factor: float, settings: CampaignSettings) -> Job:
     seconds = factor * sum(film.seconds for film in films)
     return Job(
         films=tuple(film.name for film in films),
         seconds=round(seconds, 1),
         memory_mb=max(film.memory_mb for film in films),
-        minutes=math.ceil(tuning.margin * seconds / 60) + tuning.spare_minutes,
+        minutes=math.ceil(settings.margin * seconds / 60) + settings.spare_minutes,
     )

@@ -35,7 +35,7 @@ from vision.shells import deformation_table
 
 
 PAGE = "index.html"
-STATES = ("failed", "partial", "warnings", "running", "waiting", "done")
+ORDER_OF_STATES = ("failed", "partial", "warnings", "running", "waiting", "done")
 
 TEMPLATE = Path(__file__).with_name("index.html.jinja")
 SHOWN = {
@@ -55,8 +55,8 @@ def page_age(out: Path) -> float:
         return float("inf")
 
 
-def write_page(plan: Plan, *, live: bool, remarks: tuple[str, ...] = ()) -> list[State]:
-    """Write index.html and campaign.csv from the films' states; return the states in the plan's order.
+def write_page(plan: Plan, *, live: bool, remarks: tuple[str, ...] = ()) -> None:
+    """Write index.html and campaign.csv from the films' states.
 
     live: whether the page reloads itself.  remarks: lines above the table.  Raises: InputError.
     """
@@ -74,7 +74,7 @@ def write_page(plan: Plan, *, live: bool, remarks: tuple[str, ...] = ()) -> list
             refresh=10,  # seconds
             now=time.strftime("%Y-%m-%d %H:%M:%S"),
             ended=len(states) - counts["waiting"] - counts["running"],
-            counts=[(word, counts[word]) for word in STATES if counts[word]],
+            counts=[(word, counts[word]) for word in ORDER_OF_STATES if counts[word]],
             left=duration(left) if live and left else "",
             pool=(plan.out / "pool" / "report.html").is_file(),
             remarks=remarks,
@@ -94,7 +94,6 @@ def write_page(plan: Plan, *, live: bool, remarks: tuple[str, ...] = ()) -> list
     ]
     with whole_file(plan.out / "campaign.csv") as path:
         write_table(pd.DataFrame(rows, columns=["film", "state", "reason", "seconds", "run"]), path)
-    return states
 
 
 def _row(plan: Plan, film: PlannedFilm, state: State, facts: list[str]) -> dict[str, Any]:

@@ -28,7 +28,7 @@ from vision.campaign.plan import (
 from vision.campaign.results import duration, needs_pool, pool, read_remarks, write_page, write_remarks
 from vision.command.console import attempt, complain, in_columns, say
 from vision.command.options import GROUPS, SETTINGS, CampaignOptions, RunOptions, option_names
-from vision.command.settings import merged, number, parse_option, read_config, settings_of
+from vision.command.settings import at_least, merged, parse_option, read_config, settings_of
 from vision.command.track import REFUSED, command_line, run_name, track_one
 from vision.errors import InputError, with_options
 from vision.figures.style import counted
@@ -44,7 +44,7 @@ def campaign(table: Path | None, options: CampaignOptions) -> int:
         raise InputError("TABLE.csv", wanted, "none", "track campaign --help")
     for value, option, least in ((options.cores, "--cores", 1), (options.idle, "--idle", 0)):
         if value is not None:
-            number(value, option, least)
+            at_least(value, option, least)
     target = options.out or Path(f"{run_name(named)}_campaign")
     check_folder(target)
     check = _checker(options.config)

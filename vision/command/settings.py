@@ -180,11 +180,6 @@ def parse_pair(
     return low, high
 
 
-def parse_mm_range(text: str, option: str) -> tuple[float, float]:
-    """Parse `A:B` in mm.  Raises: InputError."""
-    return parse_pair(text, option, "two separations in mm A:B with A < B", advice="write 13.2:17")
-
-
 def parse_window(text: str, option: str) -> int | Literal["auto"]:
     """Parse a number of pixels, or "auto".  Raises: InputError."""
     if text == "auto":
@@ -194,8 +189,8 @@ def parse_window(text: str, option: str) -> int | Literal["auto"]:
     return int(text)
 
 
-def number(value: float, option: str, least: float, kind: str = "a number") -> float:
-    """Return the number unchanged if it is not below `least`.  Raises: InputError."""
+def at_least(value: float, option: str, least: float, kind: str = "a number") -> float:
+    """Return the number unchanged if it is finite and not below `least`.  Raises: InputError."""
     if not (least <= value < math.inf):
         raise InputError(option, f"{kind} from {least:g}", f"'{value}'")
     return value
@@ -291,19 +286,21 @@ def _float(text: str) -> float:
 
 _PARSERS: Mapping[str, Callable[[Any, str], Any]] = {
     **dict.fromkeys(("strip", "columns", "frames"), parse_range),
-    **dict.fromkeys(("fps", "speed", "fix_mu", "fix_yeff", "machine_stiffness"), partial(number, least=1e-9)),
-    "sheets": partial(number, least=1, kind="a whole number"),
-    "strips": partial(number, least=2, kind="a whole number"),
-    "axis": partial(number, least=-1e6),
+    **dict.fromkeys(
+        ("fps", "speed", "fix_mu", "fix_yeff", "machine_stiffness"), partial(at_least, least=1e-9)
+    ),
+    "sheets": partial(at_least, least=1, kind="a whole number"),
+    "strips": partial(at_least, least=2, kind="a whole number"),
+    "axis": partial(at_least, least=-1e6),
     "window": parse_window,
     "corrections": lambda file, _: read_corrections(file),
     "pitch": parse_pitch,
     "force_columns": lambda text, _: parse_columns(text),
-    "force_threshold": partial(number, least=0),
+    "force_threshold": partial(at_least, least=0),
     "force_lowpass": parse_lowpass,
-    "fit_range": parse_mm_range,
-    "offset": partial(number, least=-1e12),
-    "threshold": partial(number, least=1e-6),
+    "fit_range": partial(parse_pair, wanted="two separations in mm A:B with A < B", advice="write 13.2:17"),
+    "offset": partial(at_least, least=-1e12),
+    "threshold": partial(at_least, least=1e-6),
     "common_mode": lambda text, _: text != "off",
 }
 """How the value of an option becomes a setting; the others are settings as they are."""

@@ -18,7 +18,7 @@ from vision.errors import InputError
 from vision.files import Stamp, answered
 from vision.numeric import Bools, Floats, Floats32, Ints, Strings
 from vision.video.reader import Block
-from vision.video.settings import DEFAULTS, VideoSettings
+from vision.video.settings import DEFAULT, VideoSettings
 from vision.video.video import Video, open_video, pixels_file
 
 STATUS_TYPE = "<U7"  # ok, blank, corrupt, lost
@@ -142,7 +142,7 @@ def is_blank(
     readable: Bools,
     *,
     saturation_level: float | None = None,
-    settings: VideoSettings = DEFAULTS,
+    settings: VideoSettings = DEFAULT,
 ) -> Bools:
     """Return which readable frames do not show the scene.
 
@@ -205,7 +205,7 @@ class FrameCounts:
 
 
 def count_frames(
-    video: Video, status: Strings, times_s: Floats, *, settings: VideoSettings = DEFAULTS
+    video: Video, status: Strings, times_s: Floats, *, settings: VideoSettings = DEFAULT
 ) -> FrameCounts:
     """Count the frames expected and read, from their number, the file's duration and gaps in its times.
 
@@ -259,7 +259,7 @@ def count_frames(
     )
 
 
-def lost_between(times_s: Floats, *, settings: VideoSettings = DEFAULTS) -> tuple[int, int]:
+def lost_between(times_s: Floats, *, settings: VideoSettings = DEFAULT) -> tuple[int, int]:
     """Return the number of frames lost between time stamps, and the index of the frame before the first gap.
 
     A step of more than `settings.gap_steps` usual steps is a gap if the frames after it remain late against
@@ -308,7 +308,7 @@ def _local_step_s(known: Floats, places: Ints, settings: VideoSettings) -> Float
     return np.maximum(usual_s, np.maximum(before, after))
 
 
-def thinned_from(times_s: Floats, *, settings: VideoSettings = DEFAULTS) -> int | None:
+def thinned_from(times_s: Floats, *, settings: VideoSettings = DEFAULT) -> int | None:
     """Return the first frame after which frames come at half or a third of the usual rate; None if none.
 
     Either the camera changed its rate or frames are lost evenly; their times do not show which.

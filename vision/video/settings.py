@@ -174,4 +174,4 @@ class VideoSettings:
     smaller saves memory and costs time. The values are the same (test_spilled_profile_is_the_same)."""
 
 
-DEFAULTS = VideoSettings()
+DEFAULT = VideoSettings()

@@ -30,7 +30,7 @@ from vision.video.frames import (
     part_of,
 )
 from vision.video.reader import Block
-from vision.video.settings import DEFAULTS, VideoSettings
+from vision.video.settings import DEFAULT, VideoSettings
 from vision.video.strip_find import Strip, choose_strip, measure_strip
 from vision.video.video import Video, cut
 
@@ -61,7 +61,7 @@ def strip_profile(
     *,
     columns: slice | None = None,
     progress: Progress | None = None,
-    settings: VideoSettings = DEFAULTS,
+    settings: VideoSettings = DEFAULT,
     log: ReadingLog | None = None,
     follow: Follow | None = None,
 ) -> xr.DataArray:
@@ -136,7 +136,7 @@ def strip_profiles(
     *,
     columns: slice | None = None,
     progress: Progress | None = None,
-    settings: VideoSettings = DEFAULTS,
+    settings: VideoSettings = DEFAULT,
 ) -> tuple[xr.DataArray, xr.DataArray]:
     r"""Return I(x, t) of the strip, and I(x, z, t) of parts of it at several heights, from one pass.
 

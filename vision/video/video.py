@@ -17,7 +17,7 @@ from vision.files import Stamp, answered, check_pixels, check_regular, html_tabl
 from vision.numeric import Floats, Ints, Pixels
 from vision.video.raw import PIXELS, is_photron, open_raw, photron_files
 from vision.video.reader import SECONDS, Block, Facts, Reader
-from vision.video.settings import DEFAULTS
+from vision.video.settings import DEFAULT
 from vision.video.stacks import IMAGES, is_tiff, open_sequence, open_stack
 
 FILMS = {".avi", ".mp4", ".m4v", ".mkv", ".mov", ".cine", PIXELS}
@@ -79,7 +79,7 @@ class Video:
     warnings: tuple[str, ...] = ()
     stamp: Stamp = field(default_factory=Stamp)
     pixels: Path | None = None
-    answer_s: float = DEFAULTS.answer_s
+    answer_s: float = DEFAULT.answer_s
 
     def __repr__(self) -> str:
         count = "an unknown number of" if self.expected is None else self.expected
@@ -248,7 +248,7 @@ def open_video(
     frames: slice | None = None,
     fps: float | None = None,
     timestamps: str | os.PathLike[str] | None = None,
-    answer_s: float = DEFAULTS.answer_s,
+    answer_s: float = DEFAULT.answer_s,
 ) -> Video:
     """Open a recording, to be read in one pass.
 
