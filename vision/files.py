@@ -34,6 +34,8 @@ from vision.errors import InputError
 if TYPE_CHECKING:
     import pandas as pd
 
+Progress = Callable[[int, int | None], None]
+"""Function that is called with the number of frames done and of all frames, None if that is not known."""
 MOST_PIXELS = 100_000_000
 """Largest number of pixels of a frame. A larger limit accepts more damaged headers, for which memory is then
 allocated; the largest film cameras have 70 million (tests/video/test_broken.py)."""

@@ -27,7 +27,7 @@ from vision.data import STIFF_BELOW, ForceMetadata, StripMetadata, warnings_of
 from vision.deformation import DeformationSettings, horizontal_deformation
 from vision.errors import InputError, known_as
 from vision.figures.catalogue import Plots, Results, figure_named
-from vision.files import html_table
+from vision.files import Progress, html_table
 from vision.force import ForceSettings, find_stick_slip, read_force
 from vision.models import ModelFits, fit_models
 from vision.models.modulus import cycles_seen
@@ -65,7 +65,6 @@ from vision.video import (
     strip_profiles,
 )
 
-Progress = Callable[[int, int | None], None]
 Result = TypeVar("Result")
 
 

@@ -1,5 +1,6 @@
 """What a certificate predicts against what the errors truly were, on films it has not seen."""
 
+import errno
 import math
 from dataclasses import replace
 from functools import cache
@@ -198,7 +199,7 @@ def test_identities_fail_where_jumps_are_too_large():
     assert 0.05 < certificate.largest_jump_pitches < 0.5
 
 
-def test_files(tmp_path):
+def test_files(tmp_path, monkeypatch):
     """JSON, CSV and one page that needs nothing else; no NaN in the JSON."""
     strip, tracks, _ = drawn("as usual")
     certificate = certify(strip, tracks, pixel_size_um=10, settings=ONE_FILM)
@@ -215,6 +216,14 @@ def test_files(tmp_path):
     assert rms(errors) == pytest.approx(1000 * certificate.error_px, rel=0.1)
     assert facts["threshold"] is None
     assert math.isfinite(table["error_px"].sum())
+
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(pd.DataFrame, "to_csv", full)
+    with pytest.raises(InputError, match=r"certificate\.csv: .*a full disk"):
+        write_certificate(certificate, tmp_path / "full")
+    assert not (tmp_path / "full").exists()
 
 
 def test_too_few_frames():

@@ -1,5 +1,6 @@
 """`track VIDEO` against a hostile world, as processes: one clear line, no traceback, nothing half-written."""
 
+import errno
 import os
 import resource
 import signal
@@ -15,7 +16,7 @@ import tifffile
 
 from tests.scenes.comb_video import frames_of, positions, write_video
 from tests.scenes.films import write_avi, write_encoded
-from vision.command.console import complain, say
+from vision.command.console import complain, one_line, say
 from vision.command.main import run
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
@@ -310,6 +311,13 @@ def test_a_reader_that_leaves_is_no_failure(video):
     done = subprocess.run(shell, capture_output=True, text=True, env=PLACE, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     assert (video.parent / "comb_tracks" / "run.json").exists()
+
+
+def test_a_full_disk_is_not_blamed_on_the_recording():
+    """A failure means that a user whose disk is full looks for a damaged film."""
+    line = one_line(OSError(errno.ENOSPC, "No space left on device"))
+    assert line.startswith("the disk: ")
+    assert line.endswith("free some space")
 
 
 def test_no_reader_at_all_is_no_failure(monkeypatch):

@@ -19,6 +19,7 @@ from vision.clock import Clock
 from vision.data import STIFF_BELOW, StripMetadata, TrackMetadata
 from vision.deformation import horizontal_deformation
 from vision.errors import InputError
+from vision.files import Progress
 from vision.numeric import Bools, Floats, Ints, nan_median, rms
 from vision.run import RunFolder, read_strip
 from vision.sheets import TrackingSettings, track_sheets
@@ -26,7 +27,6 @@ from vision.sheets.quality import BetweenSlips, spatial_scatter
 from vision.sheets.subpixel import FitChoice, position_noise
 from vision.sheets.tracks import BETWEEN_FRAMES
 
-Progress = Callable[[int, int | None], None]
 Tracker = Callable[[xr.DataArray], xr.Dataset]  # `track_sheets` with the parameters of a run
 
 

@@ -11,7 +11,7 @@ from vision.figures import Figure, Panel, Series
 from vision.figures.style import DATA, PEAK, VALLEY, from_zero
 from vision.report.page import render_page
 from vision.report.text import Answer, citation
-from vision.run import write_json
+from vision.run import whole_file, write_json
 
 # How films were made, and what the certificate does not include.
 _RESIDUALS = (
@@ -27,13 +27,19 @@ _ENCODED = (
 
 
 def write_certificate(certificate: Certificate, folder: Path) -> None:
-    """Write certificate.html, certificate.json and certificate.csv."""
-    folder.mkdir(parents=True, exist_ok=True)
-    certificate.sheets.to_csv(folder / "certificate.csv", index=False, lineterminator="\n")
-    write_json(certificate.facts, folder / "certificate.json")
-    c, made = certificate, _ENCODED if certificate.encoding else _RESIDUALS
+    """Write certificate.html, certificate.json and certificate.csv.  Raises: InputError."""
+    with whole_file(folder / "certificate.csv") as path:
+        certificate.sheets.to_csv(path, index=False, lineterminator="\n")
+    with whole_file(folder / "certificate.json") as path:
+        write_json(certificate.facts, path)
+    with whole_file(folder / "certificate.html") as path:
+        _write_page(certificate, path)
+
+
+def _write_page(c: Certificate, path: Path) -> None:
+    made = _ENCODED if c.encoding else _RESIDUALS
     render_page(
-        folder / "certificate.html",
+        path,
         [("Every sheet", [certificate_figure(c)])],
         {},
         title=Path(c.source).name,

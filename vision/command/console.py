@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 import tempfile
@@ -15,6 +16,7 @@ from cyclopts import CycloptsError, UnusedCliTokensError
 
 from vision.command.options import option_names
 from vision.errors import InputError, with_options
+from vision.files import Progress
 
 T = TypeVar("T")
 
@@ -98,13 +100,14 @@ def _print(lines: Iterable[str], stream: TextIO | None) -> OSError | None:
 
 
 @contextmanager
-def frame_progress(what: str, *, quiet: bool = False) -> Iterator[Callable[[int, int | None], None] | None]:
+def frame_progress(what: str, *, quiet: bool = False) -> Iterator[Progress | None]:
     """Show a progress bar; yield a function of (frames done, total or None), or None without a terminal."""
     if quiet or sys.stderr is None or not sys.stderr.isatty():
         yield None
         return
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, ProgressColumn, Task, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bar
     from rich.text import Text
 
     class Rate(ProgressColumn):
@@ -114,7 +117,7 @@ def frame_progress(what: str, *, quiet: bool = False) -> Iterator[Callable[[int,
             return Text("" if not task.speed else f"{task.speed:,.0f} frames/s")
 
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}"), Rate())
-    with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bar:
+    with Bar(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(what, total=None)
 
         def show(done: int, total: int | None) -> None:
@@ -159,9 +162,10 @@ def one_line(error: Exception) -> str:
     elif isinstance(error, CycloptsError):
         return " ".join(str(error).split()) + " (track --help lists the options)"
     elif isinstance(error, OSError):
-        about = error.filename if isinstance(error.filename, str) else "the recording"
-        found = (error.strerror or str(error)).lower()
-        error = InputError(about, "a file or folder that can be used", found, "check the path and its rights")
+        about = error.filename if isinstance(error.filename, str) else "the disk"
+        found, full = (error.strerror or str(error)).lower(), error.errno == errno.ENOSPC
+        advice = "free some space" if full else "check the path and its rights"
+        error = InputError(about, "a file or folder that can be used", found, advice)
     elif isinstance(error, MemoryError):
         advice = "take a part of it (`frames`)"
         error = InputError("the recording", "enough memory", "not enough memory", advice)

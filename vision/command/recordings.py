@@ -39,7 +39,7 @@ from vision.models.friction import (
     friction_of_disc,
     friction_table,
 )
-from vision.models.modulus import ModulusSettings, measure_cycles, summarise_modulus
+from vision.models.modulus import STRIP, ModulusSettings, measure_cycles, summarise_modulus
 from vision.models.rheometer import read_rheometer
 from vision.pipeline import analyse
 from vision.run import Origin, check_target, run_folder, write_json, write_run
@@ -91,22 +91,22 @@ def modulus(file: Path, options: ModulusOptions, output: OutputOptions) -> int:
     columns = parse_columns(options.force_columns) if options.force_columns else None
     with known_as(columns="force_columns"):
         force = read_force(file, columns=columns)
+    sheet = Sample(thickness_mm=options.thickness, width_mm=options.width, length_mm=options.length)
     cycles = measure_cycles(
         force,
-        sheet=Sample(thickness_mm=options.thickness, width_mm=options.width, length_mm=options.length),
+        sheet=sheet,
         clamp_distance_mm=options.clamp_distance,
         machine_stiffness_N_per_mm=options.machine_stiffness,
         settings=ModulusSettings(part=shares),
     )
     means = summarise_modulus(cycles)
     notes, warnings = list(cycles.attrs["notes"]), list(cycles.attrs["warnings"])
-    size = {"thickness_mm": options.thickness, "width_mm": options.width, "length_mm": options.length}
-    if tuple(size.values()) == (0.1, 45.0, 16.8):
+    if sheet == STRIP:
         notes.append("the sheet has the publication's size: ε = 0.1, W = 45, L = 16.8 mm")
     content = {
         **means,
         "cycles": len(cycles),
-        "sheet": size,
+        "sheet": {name: getattr(sheet, name) for name in ("thickness_mm", "width_mm", "length_mm")},
         "clamp_distance_from": cycles.attrs["clamp_distance_from"],
         "machine_stiffness_N_per_mm": options.machine_stiffness,
         "notes": notes,

@@ -131,22 +131,23 @@ def preview_summary(found: Preview, pixel_size_um: float | None) -> list[str]:
     strip, comb, film = StripMetadata.of(found.strip), TrackMetadata.of(found.tracks), found.video
     rows, columns = film.shape
     count = "an unknown number of" if film.estimated is None else f"{film.estimated}"
-    about = "" if film.expected is not None else "about " * (film.estimated is not None)
+    if film.expected is None and film.estimated is not None:
+        count = f"about {count}"
     noise = noise_figures(found.tracks, pixel_size_um)
     length = "" if pixel_size_um is None else f" = {noise['stated_um']:.3f} µm"
     tilt = "tilt not measured" if math.isnan(strip.tilt_deg) else f"tilt {strip.tilt_deg:+.2f}°"
     flags = flag_counts(found.tracks)
     low, high = int(found.ridge_counts.min()), int(found.ridge_counts.max())
-    counted = f"{low}" if low == high else f"{low} to {high}"
+    seen = f"{low}" if low == high else f"{low} to {high}"
     frames, left = found.tracks.sizes["frame"], int((found.tracks["side"] < 0).sum())
     sides = f" ({left} left, {comb.sheets - left} right)" if sides_known(found.tracks) else ""
     hidden = f" (not independent: {strip.codec} hides the noise of the pixels)" * (strip.codec in LOSSY)
     return [
-        f"film       {about}{count} frames of {columns} x {rows} px, {film.depth_bits} bit, {strip.codec}",
+        f"film       {count} frames of {columns} x {rows} px, {film.depth_bits} bit, {strip.codec}",
         f"clock      {frame_times(strip)}",
         f"strip      rows {strip.strip_z0}:{strip.strip_z1}, clarity {strip.strip_clarity:.2f}, {tilt}, "
         f"{strip.strip_err_px:.3f} px error from the choice of rows",
-        f"sheets     {comb.sheets} {comb.ridges} ridges{sides}; {counted} ridges, sheets or not, in "
+        f"sheets     {comb.sheets} {comb.ridges} ridges{sides}; {seen} ridges, sheets or not, in "
         f"{found.ridge_counts.size} frames over the film",
         ridges_line(comb),
         f"light      ridges {comb.contrast:.3g} grey levels high, profile noise {comb.profile_noise:.2g}",

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 import vision
-from vision.comparison.figures import compare_figures, compare_sections
+from vision.comparison.figures import compare_figures, compare_sections, velocity
 from vision.comparison.joint import (
     QUANTITIES,
     Collapse,
@@ -375,7 +375,7 @@ def write_comparison(
 def _write_page(path: Path, found: Comparison, facts: Mapping[str, Any], figures: Sequence[Figure]) -> None:
     """Write report.html of several tests."""
     samples = {test.sample_name for test in found.tests}
-    speeds = sorted({float(f"{test.speed_mm_min:.2g}") for test in found.tests if test.speed_mm_min > 0})
+    speeds = sorted({velocity(test.speed_mm_min) for test in found.tests if test.speed_mm_min > 0})
     tests = counted(len(found.tests), "test")
     pulled = f", V = {', '.join(f'{v:g}' for v in speeds)} mm/min" if speeds else ""
     render_page(

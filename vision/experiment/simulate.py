@@ -29,10 +29,8 @@ from vision.errors import InputError
 from vision.experiment.mechanics import Pull, random_stream
 from vision.experiment.scene import FrameTimes, Scene, camera_time, make_scene, strip_slice, truth_of
 from vision.experiment.settings import Camera, Experiment, ForceFile
-from vision.files import in_threads
+from vision.files import Progress, in_threads
 from vision.numeric import Floats, Floats32, Ints, Pixels
-
-Progress = Callable[[int, int | None], None]
 
 # --- sensor -------------------------------------------------------------------------------------------------
 

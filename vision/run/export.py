@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -22,7 +22,7 @@ from vision.data import StripMetadata
 from vision.errors import InputError
 from vision.figures.decimate import grey_limits
 from vision.figures.style import HIGHLIGHT, LEFT_ON_GREY, RIGHT_ON_GREY, rgb
-from vision.files import harmless, harmless_table, reading
+from vision.files import Progress, harmless, harmless_table, reading
 from vision.numeric import Floats, Ints, Pixels
 from vision.report.page import flattened
 from vision.run.folder import check_new, check_target, run_folder, whole_file, write_json
@@ -407,7 +407,6 @@ def _display(diagram: xr.DataArray, low: float, step: float) -> dict[str, float]
 # --- the film with its tracks drawn on it -------------------------------------------------------------------
 
 
-Progress = Callable[[int, int | None], None]
 Colour = NDArray[np.uint8]
 
 MARGIN = 22  # px above the picture for the numbers, and below it for frame and time

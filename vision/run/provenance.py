@@ -16,7 +16,7 @@ from typing import Any, Literal, Self
 
 import vision
 from vision.errors import InputError, with_options
-from vision.files import begun
+from vision.files import Progress, begun
 
 PACKAGES = ("av", "h5netcdf", "numpy", "opencv-python-headless", "pandas", "scipy", "tifffile", "xarray")
 MIB = 1 << 20
@@ -139,9 +139,7 @@ class Checksums:
     def __exit__(self, *_: object) -> None:
         self._proceed(math.inf)  # the thread ends after the current part
 
-    def following(
-        self, progress: Callable[[int, int | None], None] | None
-    ) -> Callable[[int, int | None], None]:
+    def following(self, progress: Progress | None) -> Progress:
         """Return a progress function that also tells this object how far the film is read."""
 
         def both(done: int, total: int | None) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import pairwise
@@ -16,7 +16,7 @@ import xarray as xr
 
 from vision.data import STRIP, STRIP_PARTS, StripMetadata, record
 from vision.errors import InputError
-from vision.files import prefetch
+from vision.files import Progress, prefetch
 from vision.numeric import Floats32, Pixels, Strings
 from vision.video.frames import (
     STATUS_TYPE,
@@ -33,8 +33,6 @@ from vision.video.reader import Block
 from vision.video.settings import DEFAULT, VideoSettings
 from vision.video.strip_find import Strip, choose_strip, measure_strip
 from vision.video.video import Video, cut
-
-Progress = Callable[[int, int | None], None]
 
 
 class ReadingLog(Protocol):
