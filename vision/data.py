@@ -309,6 +309,7 @@ class TrackMetadata(Metadata):
     corrections_applied: int = 0
 
 
+MEASURED = ("ok", "blurred")  # flags of positions that were measured
 _FRAME_SHEET, _SHEET = ("frame", "sheet"), ("sheet",)
 TRACKS = Schema(
     "tracks",

@@ -239,7 +239,7 @@ def test_checksums_beside_the_reading_are_those_of_the_whole_files(tmp_path):
     for k, file in enumerate(files):
         file.write_bytes(bytes([k]) * (3 * MIB + 17))
     with Checksums(files) as sums:
-        progress = sums.beside(None)
+        progress = sums.following(None)
         for done in range(5):
             progress(done, 5)
         found = sums.found()
@@ -263,7 +263,7 @@ def test_checksums_do_not_run_ahead_of_the_film(tmp_path, monkeypatch):
     file.write_bytes(bytes(20 * MIB))
     with Watched([file]) as sums:
         for share, expected in ((0, 2), (25, 7), (50, 12)):  # the film's place, one MiB, and where it waits
-            sums.beside(None)(share, 100)
+            sums.following(None)(share, 100)
             until = time.monotonic() + 120
             while sums.read < expected * MIB and time.monotonic() < until:
                 time.sleep(0.01)

@@ -177,11 +177,11 @@ def read_campaign(
     for number, cells in lines:
         pairs = zip(columns, cells, strict=False)
         given = {name: cell.strip() for name, cell in pairs if name and cell.strip()}
-        extra = any(cell.strip() for cell in cells[len(columns) :])
         base = path.absolute().parent
         read_row = partial(_row, number, given, base, check, name_of, awaited)
         row, found = answered(read_row, base / given.get("film", ""), settings.answer_s)
-        found += [("", f"expected {len(columns)} cells; found {len(cells)}")] * extra
+        if any(cell.strip() for cell in cells[len(columns) :]):
+            found.append(("", f"expected {len(columns)} cells; found {len(cells)}"))
         problems += [Problem(row=number, column=column, text=text) for column, text in found]
         rows.append(row)
     problems += _clashes(rows)
@@ -257,7 +257,7 @@ def _film(text: str, base: Path) -> tuple[str, list[tuple[str, str]]]:
     if films := files_in(Path(film), FILMS) if Path(film).is_dir() else []:
         one = str(films[0])
         wrong = f"{shortened(film)}: expected one film; found {len(films)}; name one of them, such as {one}"
-        return one, [("film", wrong)] * (len(films) > 1)
+        return one, [("film", wrong)] if len(films) > 1 else []
     if "\0" not in film and (Path(film).exists() or (glob.has_magic(film) and glob.glob(film))):  # noqa: PTH207
         return film, []
     return film, [("film", f"{shortened(film)}: expected a film; found no such file")]

@@ -226,9 +226,12 @@ def certify(
     if encoder is not None:
         like = _with_hidden_motion(like, track, settings)
     scales = [scale for scale in (1.5, 2.0, 3.0, 4.0) if scale <= settings.largest_jump]
-    with_threshold = sticks is not None and clock is not None and pixel_size_um is not None
+    pulled = None
+    if sticks is not None and clock is not None and pixel_size_um is not None:
+        pulled = sticks, clock, pixel_size_um
     if progress is not None:
-        track = _counting(track, progress, settings.films * (1 + with_threshold) + 1 + len(scales))
+        films = settings.films if pulled is None else 2 * settings.films
+        track = _counting(track, progress, films + 1 + len(scales))
     measured = [
         _measure(like, like.motion_px, track(like.film(like.motion_px, number=number)))
         for number in range(settings.films)
@@ -238,11 +241,7 @@ def certify(
     locking = _locking(like, track)
     sweeps, stick_frames = _sweep_errors(like, measured, settings)
     margin, tried = _identity_margin(like, track, measured, scales)
-    at_threshold = None
-    if sticks is not None and clock is not None and pixel_size_um is not None:
-        at_threshold = _at_threshold(
-            like, track, settings.films, sticks, clock, pixel_size_um, threshold, tracks
-        )
+    at_threshold = pulled and _at_threshold(like, track, settings.films, *pulled, threshold, tracks)
     metadata, facts = TrackMetadata.of(tracks), StripMetadata.of(strip)
     sheets = _sheet_table(like, tracks, error, stated, locking, sweeps, settings.errors_resolved)
     known = np.isfinite(error)

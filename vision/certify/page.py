@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-import vision
 from vision.certify.certificate import Certificate
 from vision.figures import Figure, Panel, Series
 from vision.figures.style import DATA, PEAK, VALLEY, from_zero
 from vision.report.page import render_page
-from vision.report.text import Answer, citation
+from vision.report.text import ANALYSED_WITH, Answer, citation
 from vision.run import whole_file, write_json
 
 # How films were made, and what the certificate does not include.
@@ -155,5 +154,5 @@ def _methods(c: Certificate, films_made: str) -> list[str]:
         " the threshold every sheet creeps by √12 times the threshold times Λ_st in each stick phase, and"
         " the whole analysis follows. Repeated and missing frames, steps of the brightness, clipped "
         "pixels and distorted ridges are in the films where they are in the recording.",
-        f"The analysis was done with sheetvision {vision.__version__}.",
+        ANALYSED_WITH,
     ]

@@ -22,7 +22,7 @@ from vision.command.console import attempt, complain, frame_progress, in_columns
 from vision.command.options import ForceOptions, RunOptions, flag_of, option_names
 from vision.command.review import keep_first_view
 from vision.command.settings import merged, settings_of
-from vision.data import StripMetadata
+from vision.data import MEASURED, StripMetadata
 from vision.errors import InputError
 from vision.figures.style import counted
 from vision.files import answered
@@ -334,7 +334,7 @@ def _row(video: Path, status: int, found: Analysis | None, why: str, seconds: fl
     if found is None or found.tracks is None:
         return (video.name, str(status), "", "", "", "", "", f"{seconds:.1f}", why)
     strip, flags = StripMetadata.of(found.tracks), flag_counts(found.tracks)
-    share = (flags.get("ok", 0) + flags.get("blurred", 0)) / max(1, sum(flags.values()))
+    share = sum(flags.get(name, 0) for name in MEASURED) / max(1, sum(flags.values()))
     count = len(found.warnings)
     return (
         video.name,
@@ -407,7 +407,7 @@ def _state(strip: xr.DataArray, behind: int | None, settings: Settings) -> str:
     except InputError as error:
         return f"{where}{late}; {error}"
     flags = flag_counts(tracks)
-    lost = sum(count for name, count in flags.items() if name not in ("ok", "blurred"))
+    lost = sum(count for name, count in flags.items() if name not in MEASURED)
     noise_px = noise_figures(tracks, None)["measured_px"]
     share = 100 * lost / max(1, sum(flags.values()))
     return (

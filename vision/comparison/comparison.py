@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-import vision
 from vision.comparison.figures import compare_figures, compare_sections, velocity
 from vision.comparison.joint import (
     QUANTITIES,
@@ -34,7 +33,7 @@ from vision.figures import Figure, both_errors, plus_minus, save_figures
 from vision.figures.style import counted
 from vision.models import Estimate
 from vision.report.page import render_page
-from vision.report.text import Answer, citation
+from vision.report.text import ANALYSED_WITH, Answer, citation
 from vision.run import Origin, run_folder, write_json
 from vision.run.tables import write_table
 
@@ -421,5 +420,5 @@ def _methods(found: Comparison) -> list[str]:
         "permutations divide as well, and a steady rise fits worse. Trends are weighted lines. Their p "
         "values come from permutations, with the other predictor fixed after Freedman and Lane, and are "
         "adjusted for the number of trends after Holm.",
-        f"The analysis was done with sheetvision {vision.__version__}.",
+        ANALYSED_WITH,
     ]

@@ -131,11 +131,6 @@ def percent(fraction: float) -> str:
     return f"{math.floor(1000 * fraction) / 10:g} %"
 
 
-def signed(value: float) -> str:
-    """Return a number rounded to a whole one, with its sign."""
-    return f"{value:+.0f}".replace("-", "−")
-
-
 def offset_text(clock: Clock) -> str:
     """Return a clock's offset, with its error if known."""
     if not clock.offset_err_s > 0:
@@ -147,7 +142,7 @@ def drift_text(clock: Clock) -> str:
     """Return a clock's drift, with its error if known."""
     error = clock.drift_err_ppm
     if not error > 0:
-        return f"{signed(clock.drift_ppm)} ppm"
+        return f"{clock.drift_ppm:+.0f} ppm".replace("-", "−")
     sign = "+" if clock.drift_ppm > 0 else ""
     return f"{sign}{plus_minus(Estimate(clock.drift_ppm, error))} ppm"
 

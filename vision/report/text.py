@@ -11,7 +11,7 @@ import xarray as xr
 
 import vision
 from vision.clock import Clock
-from vision.data import ForceMetadata, MotionMetadata, StickMetadata, StripMetadata, TrackMetadata
+from vision.data import MEASURED, ForceMetadata, MotionMetadata, StickMetadata, StripMetadata, TrackMetadata
 from vision.figures import Results, both_errors, percent, plus_minus
 from vision.figures.style import candidates_text, drift_text, load_unit, offset_text
 from vision.models import Estimate, ModelFits
@@ -22,6 +22,7 @@ PAPER = (
     "A. Plati, F. Restagno, C. Poulard, Stick-slip dynamics in an interleaved system with self-amplified "
     "friction."
 )
+ANALYSED_WITH = f"The analysis was done with sheetvision {vision.__version__}."
 DOUBTFUL = ("doubtful", "merged")  # flags of positions whose sheet is uncertain
 
 # --- the answers --------------------------------------------------------------------------------------------
@@ -59,7 +60,7 @@ def _sheets(results: Results) -> Answer | None:
     if tracks is None:
         return None
     side, flags = tracks["side"].values, tracks["flag"].values
-    ok = float(np.isin(flags, ("ok", "blurred")).mean()) if flags.size else 0.0
+    ok = float(np.isin(flags, MEASURED).mean()) if flags.size else 0.0
     return Answer(
         "sheets tracked",
         f"{side.size} ({(side < 0).sum()} left, {(side > 0).sum()} right)",
@@ -179,7 +180,7 @@ def methods(results: Results) -> list[str]:
         paragraphs.append(_deformation(results.motion, results.threshold))
     if results.fits is not None:
         paragraphs.append(_models(results.fits))
-    return [*paragraphs, f"The analysis was done with sheetvision {vision.__version__}."]
+    return [*paragraphs, ANALYSED_WITH]
 
 
 def citation() -> list[str]:

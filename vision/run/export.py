@@ -18,7 +18,7 @@ import tifffile
 import xarray as xr
 from numpy.typing import NDArray
 
-from vision.data import StripMetadata
+from vision.data import MEASURED, StripMetadata
 from vision.errors import InputError
 from vision.figures.decimate import grey_limits
 from vision.figures.style import HIGHLIGHT, LEFT_ON_GREY, RIGHT_ON_GREY, rgb
@@ -142,7 +142,7 @@ def trackpy_table(run: RunFolder) -> pd.DataFrame:
     """
     tracks = run.tracks
     table = tracks_table(tracks)
-    table = table[table["flag"].isin(("ok", "blurred"))].rename(
+    table = table[table["flag"].isin(MEASURED)].rename(
         columns={"x_px": "x", "x_err_px": "ep", "index": "particle"}
     )
     strip = StripMetadata.of(tracks)

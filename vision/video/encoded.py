@@ -61,11 +61,14 @@ class EncodedReader:
             stream.thread_type = "NONE"  # with threads FFmpeg decodes several frames before it returns one
             first = _first_frame(container, stream, path)
             self._dtype = grey_plane(first).dtype.newbyteorder("=")
-            cut = (f"{path.name}: the file was cut short; its last frames are missing",) * _ends_early(path)
-            what = "odd and even rows are half a frame apart, which blurs moving ridges"
-            fields = (f"{path.name}: the film is interlaced: {what}",) * first.interlaced_frame
+            warnings = []
+            if _ends_early(path):
+                warnings.append(f"{path.name}: the file was cut short; its last frames are missing")
+            if first.interlaced_frame:
+                what = "odd and even rows are half a frame apart, which blurs moving ridges"
+                warnings.append(f"{path.name}: the film is interlaced: {what}")
             facts = _facts(container, stream, first, path.stat().st_size)
-            self.facts = replace(facts, warnings=cut + fields)
+            self.facts = replace(facts, warnings=tuple(warnings))
             self._size = path.stat().st_size
             self._fixed_rate = stream.average_rate if container.format.name == "avi" else None
 

@@ -151,7 +151,7 @@ def _open_avi(path: Path) -> MappedReader | None:
         found = f"one of {int(held.min())}"
         raise InputError(path, f"frames of {frame_bytes} bytes", found, "a damaged recording")
     has_palette = plain and stored == 8
-    cut_short = (f"{path.name}: the file ends inside frame {sizes.size}, which is left out",) * is_cut
+    cut_short = f"{path.name}: the file ends inside frame {sizes.size}, which is left out"
     facts = Facts(
         shape=shape,
         depth_bits=bits,
@@ -163,7 +163,7 @@ def _open_avi(path: Path) -> MappedReader | None:
         decoder="none",
         grey=LUMA_RULE if channels > 1 or has_palette else AS_STORED,
         playback_fps=rate / scale if scale and rate else None,
-        warnings=cut_short,
+        warnings=(cut_short,) if is_cut else (),
     )
     return MappedReader(
         path=path,
@@ -230,7 +230,7 @@ def _open_cine(path: Path) -> Reader:
         bits = min(stored if compression == 0 else 10, 16)
     mosaic = (
         f"{path.name}: a Bayer pattern of colour filters lies on the pixels, so that neighbouring columns "
-        "differ in brightness: export it as grey, or with interpolated colour",
+        "differ in brightness: export it as grey, or with interpolated colour"
     )
     facts = Facts(
         shape=(abs(height), width),
@@ -243,7 +243,7 @@ def _open_cine(path: Path) -> Reader:
         decoder="none",
         grey=LUMA_RULE if stored in (24, 48) else AS_STORED,
         times_s=times_s,
-        warnings=mosaic * (kind == 2),  # pixels of a colour camera without interpolation
+        warnings=(mosaic,) if kind == 2 else (),  # pixels of a colour camera without interpolation
     )
     if compression != 0 or stored not in (8, 16, 24, 48):
         grey = f"{bits} bit as stored, companded by the camera, not linear in light"
