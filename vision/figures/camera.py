@@ -377,11 +377,7 @@ def _comb_range(tracks: xr.Dataset, panel: Panel, scale: float) -> Range | None:
 
 
 def kymograph_figure(
-    diagrams: Sequence[xr.DataArray],
-    *,
-    pixel_size_um: float | None = None,
-    slips_s: Floats | None = None,
-    slips_from: str = "the force",
+    diagrams: Sequence[xr.DataArray], *, slips_s: Floats | None = None, slips_from: str = "the force"
 ) -> Figure:
     """Return space-time diagrams side by side, with one time axis and one grey scale.
 
@@ -389,8 +385,6 @@ def kymograph_figure(
     ----------
     diagrams
         The whole strip, or windows around sheets, as returned by `space_time`.
-    pixel_size_um
-        Pixel size of diagrams without one in their attributes.
     slips_s
         Times to mark, on the recording's clock, s.
     slips_from
@@ -404,9 +398,9 @@ def kymograph_figure(
     panels = tuple(
         _diagram_panel(
             diagram,
-            pixel_size_um=diagram.attrs.get("pixel_size_um", pixel_size_um),
+            pixel_size_um=diagram.attrs.get("pixel_size_um"),
             limits=limits,
-            title=_window_title(diagram, pixel_size_um),
+            title=_window_title(diagram),
             marks=slips_s,
             marks_label=f"orange: slips, from {slips_from}",
             with_time=k == 0,
@@ -486,11 +480,11 @@ def _columns(diagram: xr.DataArray, size: float | None) -> tuple[Floats, str]:
     return edges * scale, f"{name} ({unit})"
 
 
-def _window_title(diagram: xr.DataArray, pixel_size_um: float | None) -> str:
+def _window_title(diagram: xr.DataArray) -> str:
     if "sheet" not in diagram.attrs:
         return "Space-time diagram of the strip"
     side, n = diagram.attrs["sheet"].split(":")
-    size, centre = diagram.attrs.get("pixel_size_um", pixel_size_um), diagram.attrs["centre_px"]
+    size, centre = diagram.attrs.get("pixel_size_um"), diagram.attrs["centre_px"]
     x_0 = f"{centre:.1f} px" if size is None else f"{centre * size / UM_PER_MM:.2f} mm"
     return f"{side}, n = {n}" + ("" if diagram.attrs["follow"] else f"\nx₀ = {x_0}")
 
@@ -535,7 +529,7 @@ def single_sheets_figure(
         return None
     sheets = " and ".join(f"n = {n} ({side})" for side, n in names)
     return replace(
-        kymograph_figure(diagrams, pixel_size_um=pixel_size_um, slips_s=shown, slips_from=slips_from),
+        kymograph_figure(diagrams, slips_s=shown, slips_from=slips_from),
         name="single_sheets",
         title="Space-time diagrams of single sheets",
         caption=(

@@ -231,11 +231,9 @@ FIGURES: Mapping[str, CatalogueEntry] = {
     "mean_deformation": CatalogueEntry("", positions.mean_deformation_figure, paper="8"),
     "intensity": CatalogueEntry("", camera.intensity_figure, paper="12"),
     "overview": CatalogueEntry(
-        "", lambda results: overview(_made(results, (FIGURES[name] for name in OVERVIEW)))
+        "", lambda results: overview(_made(results, [FIGURES[name] for name in OVERVIEW]))
     ),
-    "kymograph": CatalogueEntry(
-        "", lambda strip, pixel_size_um=None: camera.kymograph_figure([strip], pixel_size_um=pixel_size_um)
-    ),
+    "kymograph": CatalogueEntry("", lambda results: kymograph(_made(results, [FIGURES["space_time"]]))),
     "force_overview": CatalogueEntry("", force.force_overview_figure),
 }
 """Figures by name, in reading order."""
