@@ -34,6 +34,7 @@ from vision.errors import InputError
 if TYPE_CHECKING:
     import pandas as pd
 
+AGAIN = "run track again"  # advice for a damaged file of a run
 Progress = Callable[[int, int | None], None]
 """Function that is called with the number of frames done and of all frames, None if that is not known."""
 MOST_PIXELS = 100_000_000

@@ -13,11 +13,10 @@ from cyclopts import App, CycloptsError
 
 from vision.command.options import GROUPS, SETTINGS, flag_of
 from vision.errors import InputError
-from vision.files import read_toml, reading, shortened
+from vision.files import AGAIN, read_toml, reading, shortened
 from vision.force import parse_columns
 from vision.pipeline import Settings
 from vision.run import Parameter, read_run
-from vision.run.reading import AGAIN
 from vision.sample import PUBLISHED, Sample
 from vision.sheets import read_corrections
 from vision.spacetime import Sheet

@@ -34,6 +34,7 @@ from vision.data import StripMetadata, TrackMetadata, warnings_of
 from vision.errors import InputError
 from vision.figures import Results, kymograph_figure, load_figures, preview_figure, sides_known, slip_times
 from vision.figures.style import counted
+from vision.files import AGAIN
 from vision.files import reading as reading_of
 from vision.numeric import Floats, Ints, Pixels
 from vision.pipeline import Settings, analyse, open_recording, track_strip
@@ -51,7 +52,6 @@ from vision.run import (
     write_json,
 )
 from vision.run.export import Format, frame_step_s, unevenness_s, write_overlay, write_space_time_tif
-from vision.run.reading import AGAIN
 from vision.sheets import pixel_size_from_pitch
 from vision.sheets.ridges import describe_ridges, find_ridges
 from vision.sheets.tracks import LOSSY

@@ -17,10 +17,10 @@ import numpy as np
 import pandas as pd
 
 from vision.errors import InputError
-from vision.files import check_regular, reading, shortened
+from vision.files import AGAIN, check_regular, reading, shortened
 from vision.numeric import Floats
 from vision.run import RunFolder, is_run, read_run
-from vision.run.reading import AGAIN, read_json
+from vision.run.reading import read_json
 from vision.sample import PUBLISHED, Sample
 
 MAX_BYTES = 1 << 24  # size of a table

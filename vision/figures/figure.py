@@ -21,7 +21,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from vision.errors import InputError
-from vision.files import harmless_table, reading
+from vision.files import AGAIN, harmless_table, reading
 from vision.numeric import Bools, Floats
 
 if TYPE_CHECKING:
@@ -356,7 +356,7 @@ def load_figures(path: str | Path) -> list[Figure]:
 
     Raises: InputError for a file that does not hold figures, or those of an incompatible version.
     """
-    with reading(Path(path), "figures that a run has saved", "run track again"):
+    with reading(Path(path), "figures that a run has saved", AGAIN):
         with np.load(path, allow_pickle=False) as arrays:
             stored = {name: arrays[name] for name in arrays.files}
         listed = json.loads(stored["figures"].tobytes().decode())

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import xarray as xr
 from jinja2 import Environment, StrictUndefined, Template
 from markupsafe import Markup
 from PIL import Image as Pillow
@@ -62,6 +63,7 @@ def write_report(
     named = dict(options or {})
     lines = [*map(str, facts.get("warnings", ())), *results.warnings]
     warnings = dict.fromkeys(with_options(line, named) for line in lines)
+    tables = [budget_table(results), *([] if results.tracks is None else [doubt_table(results.tracks)])]
     return render_page(
         path,
         sections_of(figures),
@@ -74,7 +76,7 @@ def write_report(
         missing=[with_options(line, named) for line in missing_parts(results)],
         methods=methods(results),
         citation=citation(),
-        tables=[table for table in (budget_table(results), doubt_table(results)) if table.rows],
+        tables=[table for table in tables if table.rows],
     )
 
 
@@ -298,12 +300,10 @@ def _total(budget: Budget, quantity: str) -> str:
     return "not known" if total == 0 and budget.unknown(quantity) else _two_digits(total, "not known")
 
 
-def doubt_table(results: Results) -> FactsTable:
+def doubt_table(tracks: xr.Dataset) -> FactsTable:
     """Return the stretches in which the identity of a sheet is uncertain."""
     heads = ("sheet", "side", "n", "frames", "why", "ridge withheld (px)", "predicted by neighbours (px)")
-    if results.tracks is None:
-        return FactsTable("Doubtful stretches", heads, ())
-    table = doubtful_stretches(results.tracks)
+    table = doubtful_stretches(tracks)
     rows = tuple(
         (
             str(row["sheet"]),
@@ -329,9 +329,9 @@ def _frames(first: int, last: int) -> str:
     return str(first) if first == last else f"{first}\u2060–\u2060{last}"
 
 
-def _digits(value: float | None, unknown: str = "—", *, places: int | None = None) -> str:
+def _digits(value: float | None, *, places: int | None = None) -> str:
     if value is None or not np.isfinite(value):
-        return unknown
+        return "—"
     return (f"{value:.4g}" if places is None else f"{value:.{places}f}").replace("-", "−")
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from vision.clock import Clock
 from vision.errors import InputError
 from vision.figures.decimate import minmax_decimate
-from vision.files import reading
+from vision.files import AGAIN, reading
 from vision.numeric import Floats, Floats32, Ints, nearest
 from vision.pipeline import Settings
 from vision.review.effects import Effects
@@ -33,7 +33,6 @@ from vision.review.recordings import Diagram, Grey, Recordings, StoredRun, Tiles
 from vision.review.saving import SaveJob, Saver, Trial, pack, unpack
 from vision.review.tracks_file import StoredTracks, read_tracks
 from vision.run.folder import plain, whole_file
-from vision.run.reading import AGAIN
 from vision.run.writing import CORRECTIONS
 from vision.sheets.corrections import (
     KEYS,

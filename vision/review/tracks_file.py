@@ -18,10 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vision.errors import InputError
-from vision.files import try_out
+from vision.files import AGAIN, try_out
 
 WANTED = "tracks as track writes them"
-AGAIN = "run track again"
 CELLS = ("x_px", "x_err_px", "x_withheld_px")
 """Numbers of (frame, sheet), in single precision: 1e-4 px is enough for display."""
 WORDS = ("flag", "why")

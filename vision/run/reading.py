@@ -25,7 +25,7 @@ import vision
 from vision.clock import Candidate, Clock
 from vision.data import TRACKS, StripMetadata, TrackMetadata
 from vision.errors import InputError
-from vision.files import READ_HDF5, check_regular, reading, shortened, try_out
+from vision.files import AGAIN, READ_HDF5, check_regular, reading, shortened, try_out
 from vision.numeric import Floats32
 from vision.run.folder import RUN_JSON, existing_parent, lock_folder, plain, reading_folder, write_json
 from vision.run.provenance import Parameter, describe_input
@@ -34,8 +34,6 @@ from vision.video import FramesRead, FrameStore, Video, VideoSettings, video_fil
 from vision.video.frames import ProfileStore
 from vision.video.reader import read_fully
 from vision.video.stacks import check_tiff
-
-AGAIN = "run track again"
 
 
 @dataclass(frozen=True)
