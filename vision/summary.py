@@ -59,9 +59,8 @@ def summary_lines(results: Results) -> list[str]:
         lines.append(f"clocks     {_clocks(results.clock)}")
     if results.shells is not None and results.motion is not None:
         lines.append(f"shells     {_shells(results.motion, results.shells)}")
-    heads = "systematic", *[""] * len(QUANTITIES)
-    for head, line in zip(heads, _systematic(systematic_budget(results)), strict=False):
-        lines.append(f"{head:<10} {line}")
+    for k, line in enumerate(_systematic(systematic_budget(results))):
+        lines.append(f"{'' if k else 'systematic':<10} {line}")
     return lines
 
 
@@ -298,7 +297,7 @@ def shells_against_fits(
 def unlike_sides(shells: pd.DataFrame | None, settings: ShellSettings) -> list[str]:
     """Return a warning if the stiff shells of the two sides differ by more than their errors.
 
-    A difference of one sheet is not said: sheets differ, and an axis that is one sheet aside makes it two.
+    A difference of one sheet is not reported: sheets differ, and an axis one sheet aside makes it two.
     """
     if shells is None or shells["side"].nunique() < 2:
         return []

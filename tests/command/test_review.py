@@ -49,7 +49,7 @@ def test_without_the_extra_it_says_what_to_install(folder, monkeypatch, capsys):
     ("arguments", "says"),
     [
         (["nowhere.avi"], "nowhere.avi: expected a run folder or a video"),
-        (["RUN", "--pixel-size", "3"], "without further options"),
+        (["RUN", "--pixel-size", "3"], "without further options; found --pixel-size; give"),
     ],
 )
 def test_what_cannot_be_reviewed_is_one_line(folder, arguments, says, capsys, monkeypatch, tmp_path):

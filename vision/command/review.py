@@ -11,12 +11,12 @@ import webbrowser
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vision.command.console import say
-from vision.command.options import RunOptions, option_names
+from vision.command.options import RunOptions, flag_of, option_names
 from vision.errors import InputError
 
 if TYPE_CHECKING:
@@ -51,10 +51,9 @@ def review(
         status = track([run_or_video], groups, replace(run, out=folder), config)
         if status > 1:
             return status
-    elif config or run != RunOptions() or any(group != type(group)() for group in groups):
-        raise InputError(
-            folder, "a run without further options", "some", "give the video, or run track again"
-        )
+    elif given := [*_given(*groups, run), *(["--config"] if config else [])]:
+        wanted, advice = "a run without further options", "give the video, or run track again"
+        raise InputError(folder, wanted, ", ".join(given), advice)
     from vision.review.server import read_first_view, serve
 
     def opened(address: str) -> None:
@@ -69,6 +68,12 @@ def review(
         except KeyboardInterrupt:
             raise KeyboardInterrupt("the review has ended, and its decisions are stored") from None
     return 0
+
+
+def _given(*groups: Any) -> list[str]:
+    """Return the options of these groups that differ from their defaults."""
+    pairs = [(group, one) for group in groups for one in fields(group)]
+    return [flag_of(one.name) for group, one in pairs if getattr(group, one.name) != one.default]
 
 
 def _open_app(folder: Path, film: Path | None, cleanup: ExitStack, stop: Callable[[], None]) -> ASGIApp:

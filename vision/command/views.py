@@ -15,7 +15,7 @@ import xarray as xr
 
 from vision.certify import CertifySettings, certify_run, statements, write_certificate
 from vision.command.console import complain, conclude, frame_progress, in_columns, say
-from vision.command.options import OutputOptions, VideoOptions, WindowOptions, option_names
+from vision.command.options import OutputOptions, VideoOptions, WindowOptions, flag_of, option_names
 from vision.command.settings import (
     merged,
     parameters_given,
@@ -243,7 +243,7 @@ def _from_run(folder: Path, reading: VideoOptions) -> DiagramData:
     accepted = ("columns", "frames", "pixel_size")
     given = [name for name, value in vars(reading).items() if value is not None and name not in accepted]
     if given:
-        found = ", ".join(f"--{name}" for name in given)
+        found = ", ".join(map(flag_of, given))
         raise InputError(folder, "options that a run takes", found, "give the video, or run track again")
     run = read_run(folder)
     strip = read_strip(run)
