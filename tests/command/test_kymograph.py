@@ -164,6 +164,8 @@ def test_jumps_are_not_marked_where_outward_is_a_guess(there, capsys):
     write_video(there / "still.tif", frames_of(still))
     assert run(["kymograph", "still.tif", *SHEET, "--fps", "20"]) == 1  # with a warning: nothing moves
     assert "not known" in capsys.readouterr().out
+    kept = " ".join(json.loads(Path("still_kymograph/run.json").read_text())["warnings"])
+    assert ("--frames" in kept, "`" in kept) == (True, False), kept
     assert run(["kymograph", "still.tif", *SHEET, "--fps", "20", "--axis", "90", "--overwrite"]) == 1
     assert "0 in the part shown" in capsys.readouterr().out
 

@@ -16,10 +16,9 @@ from vision.command.options import (
     ModulusOptions,
     OutputOptions,
     SimulateOptions,
-    option_names,
 )
 from vision.command.settings import merged, parameters_given, parse_pair, settings_of
-from vision.command.track import command_line, finish
+from vision.command.track import finish, origin_of
 from vision.data import ForceMetadata
 from vision.errors import InputError, known_as
 from vision.experiment import preset as ready_made
@@ -42,7 +41,7 @@ from vision.models.friction import (
 from vision.models.modulus import STRIP, ModulusSettings, measure_cycles, summarise_modulus
 from vision.models.rheometer import read_rheometer
 from vision.pipeline import analyse
-from vision.run import Origin, check_target, run_folder, write_json, write_run
+from vision.run import check_target, run_folder, write_json, write_run
 from vision.run.tables import write_table
 from vision.sample import Sample
 
@@ -67,11 +66,11 @@ def force(
     analysis = analyse(None, file, replace(settings_of(parameters), t_star_fitted=free_t_star))
     parameters |= parameters_given({"free_t_star": free_t_star})
     inputs = (file,) if config is None else (file, config)
-    origin = Origin(command=command_line(), inputs=inputs, parameters=parameters, options=option_names())
     found = None
     if limit and analysis.force is not None and analysis.sticks is not None:
         table = detection_limit(analysis.force, analysis.sticks)
         found = {"limit_N": table.attrs["limit_N"], "tried": table.to_dict("records")}
+    origin = origin_of(inputs, parameters)
     write_run(analysis, target, origin, overwrite=output.overwrite, facts={"detection_limit": found})
     if analysis.force is not None:
         for note in ForceMetadata.of(analysis.force).notes:
@@ -111,11 +110,12 @@ def modulus(file: Path, options: ModulusOptions, output: OutputOptions) -> int:
         "machine_stiffness_N_per_mm": options.machine_stiffness,
         "notes": notes,
     }
+    origin = origin_of([file], parameters_given(vars(options), vars(ModulusOptions())))
     facts = {
-        **_provenance([file], options, ModulusOptions()),
+        **origin.facts(),
         "cycles": len(cycles),
         "notes": notes,
-        "warnings": warnings,
+        "warnings": origin.named(warnings),
         "seconds": {"total": time.perf_counter() - started},
     }
     figure = modulus_figure(force, cycles, clamp_distance_mm=options.clamp_distance)
@@ -161,12 +161,14 @@ def friction(files: Sequence[Path], options: FrictionOptions, output: OutputOpti
         "caveat": RIM_CAVEAT,
         "notes": notes,
     }
+    parameters = parameters_given(vars(options), vars(FrictionOptions()))
+    origin = origin_of([file for file in files if file.is_file()], parameters)
     facts = {
-        **_provenance([file for file in files if file.is_file()], options, FrictionOptions()),
+        **origin.facts(),
         "measurements": len(found.measured),
-        "failures": found.failures,
+        "failures": origin.named(found.failures),
         "notes": [*notes, RIM_CAVEAT],
-        "warnings": found.warnings,
+        "warnings": origin.named(found.warnings),
         "seconds": {"total": time.perf_counter() - started},
     }
     figure = friction_figure(found.measured, law, mu=options.mu, dynamic_deg=settings.dynamic_deg)
@@ -177,12 +179,6 @@ def friction(files: Sequence[Path], options: FrictionOptions, output: OutputOpti
     for line in filter(None, (*found.failures, *found.warnings, why)):
         complain(line)
     return 1 if found.failures or found.warnings else 0
-
-
-def _provenance(files: Sequence[Path], options: Any, defaults: Any) -> dict[str, Any]:
-    """Return versions, command, inputs and parameters for run.json."""
-    parameters = parameters_given(vars(options), vars(defaults))
-    return Origin(command=command_line(), inputs=files, parameters=parameters).facts()
 
 
 def _write(

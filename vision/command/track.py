@@ -167,14 +167,7 @@ def track_one(
         if settings.pitch_um is not None:
             parameters = {**parameters, "pixel_size": Parameter(analysis.pixel_size_um, "found")}
         analysis = _warn_of_other_film(analysis, parameters["corrections"].value, inputs[0])
-        origin = Origin(
-            command=command_line(),
-            inputs=inputs,
-            parameters=parameters,
-            checksum=run.checksum,
-            options=option_names(),
-            described=sums.found(),
-        )
+        origin = origin_of(inputs, parameters, checksum=run.checksum, described=sums.found())
         facts = {"frames_resumed": checkpoint.resumed} if checkpoint.resumed else None
         write_run(analysis, target, origin, overwrite=run.overwrite, report=run.report, facts=facts)
         checkpoint.done()
@@ -228,6 +221,13 @@ def run_name(video: Path) -> str:
 def command_line() -> str:
     """Return the command line, quoted so that it can be typed again."""
     return shlex.join(["track", *sys.argv[1:]])
+
+
+def origin_of(inputs: Sequence[Path], parameters: Mapping[str, Parameter], **more: Any) -> Origin:
+    """Return the provenance of what this command writes, whose messages name options."""
+    return Origin(
+        command=command_line(), inputs=inputs, parameters=parameters, options=option_names(), **more
+    )
 
 
 def finish(

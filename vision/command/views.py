@@ -15,7 +15,7 @@ import xarray as xr
 
 from vision.certify import CertifySettings, certify_run, statements, write_certificate
 from vision.command.console import complain, conclude, frame_progress, in_columns, say
-from vision.command.options import OutputOptions, VideoOptions, WindowOptions, flag_of, option_names
+from vision.command.options import OutputOptions, VideoOptions, WindowOptions, flag_of
 from vision.command.settings import (
     merged,
     parameters_given,
@@ -26,7 +26,7 @@ from vision.command.settings import (
     parse_sheets,
     settings_of,
 )
-from vision.command.track import command_line, one_film, run_name
+from vision.command.track import one_film, origin_of, run_name
 from vision.comparison import compare as compare_runs
 from vision.comparison import write_comparison
 from vision.comparison.comparison import MARK, answers
@@ -39,7 +39,6 @@ from vision.files import reading as reading_of
 from vision.numeric import Floats, Ints, Pixels
 from vision.pipeline import Settings, analyse, open_recording, track_strip
 from vision.run import (
-    Origin,
     check_mark,
     check_new,
     check_target,
@@ -200,8 +199,9 @@ def kymograph(
     diagrams = _diagrams(data, **options)
     warnings = [*data.warnings, *_warnings(diagrams)]
     slips, chosen = _slips_shown(data, diagrams[0]), parameters | parameters_given(vars(window))
-    facts = Origin(command=command_line(), inputs=data.files, parameters=chosen).facts()
-    facts |= {DIAGRAMS: [_facts(diagram) for diagram in diagrams], "slips": slips, "warnings": warnings}
+    origin = origin_of(data.files, chosen)
+    facts = origin.facts() | {DIAGRAMS: list(map(_facts, diagrams)), "slips": slips}
+    facts["warnings"] = origin.named(warnings)
     names = [f"kymograph_{d.attrs.get('sheet', 'strip').replace(':', '')}.tif" for d in diagrams]
     figure = kymograph_figure(diagrams, slips_s=data.slips_s, slips_from=data.slips_from)
     size = data.pixel_size_um
@@ -432,12 +432,9 @@ def compare(
     check_target(target, overwrite=output.overwrite)
     check_mark(target, MARK)
     found = compare_runs(runs, table, main_sample=main_sample, modulus_GPa=fix_yeff)
-    origin = Origin(
-        command=command_line(),
-        inputs=[*(test.folder / "events.csv" for test in found.tests), *([table] if table else [])],
-        parameters=parameters_given({"table": table, "main_sample": main_sample, "fix_yeff": fix_yeff}),
-        options=option_names(),
-    )
+    inputs = [*(test.folder / "events.csv" for test in found.tests), *([table] if table else [])]
+    given = parameters_given({"table": table, "main_sample": main_sample, "fix_yeff": fix_yeff})
+    origin = origin_of(inputs, given)
     write_comparison(found, target, origin, overwrite=output.overwrite, report=report)
     for line in (*found.failures, *found.warnings):
         complain(line)

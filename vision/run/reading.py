@@ -122,12 +122,11 @@ class RunFolder:
             raise InputError(candidates[0], f"an input of {self.folder}", "no such file", advice)
         kind = "sha256" if "sha256" in known else "fingerprint"
         now = describe_input(path, whole=kind == "sha256")
-        if now["size_bytes"] != known["size_bytes"]:
+        same_size = now["size_bytes"] == known["size_bytes"]
+        if not same_size or now.get(kind) != known.get(kind):
             wanted = f"an input of {self.folder}, {known['size_bytes']} bytes"
-            raise InputError(path, wanted, f"one of {now['size_bytes']} bytes")
-        if now.get(kind) != known.get(kind):
-            found = "another of the same size"
-            raise InputError(path, f"an input of {self.folder}", found, "track it again")
+            found = "another of the same size" if same_size else f"one of {now['size_bytes']} bytes"
+            raise InputError(path, wanted, found, "track it again")
         return path
 
 
