@@ -47,7 +47,7 @@ def without_pictures():
 
 @pytest.fixture
 def no_picture():
-    """The same for one test."""
+    """As `without_pictures`, for a single test."""
     with undrawn():
         yield
 
@@ -71,7 +71,7 @@ def video_only():
 
 @pytest.fixture(scope="session")
 def pulled():
-    """A run with everything."""
+    """A run of a video and a force recording, with every stage."""
     from tests.scenes import analysed
 
     return analysed.with_force()

@@ -191,7 +191,7 @@ def test_nothing_is_kept_of_a_short_reading_or_after_the_run(film, tmp_path):
         with run_folder(tmp_path / "out") as folder:
             (folder / "run.json").write_text("{}")
         assert log.kept == 1200  # writing the run folder does not clear what is in use
-        log.done()
+        log.remove()
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.avi", "out"]
 
 

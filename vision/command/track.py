@@ -170,7 +170,7 @@ def track_one(
         origin = origin_of(inputs, parameters, checksum=run.checksum, described=sums.found())
         facts = {"frames_resumed": checkpoint.resumed} if checkpoint.resumed else None
         write_run(analysis, target, origin, overwrite=run.overwrite, report=run.report, facts=facts)
-        checkpoint.done()
+        checkpoint.remove()
     if analysis.tracks is not None and analysis.tracks.sizes["frame"] >= LONG_FRAMES:
         keep_first_view(target, settings)
     status = finish(

@@ -272,7 +272,7 @@ class Checkpoint:
 
     A hidden folder beside the run folder holds two files. One grows by a record per frame (status, time, the
     strip's mean). The other says which film is read and how. The folder is made when reading has taken
-    `after_s`, and `done` removes it when the run folder is written. A record that was only partly written
+    `after_s`, and removed when the run folder is written. A record that was only partly written
     before a kill is ignored.
 
     With `resume` a run continues where an interrupted one of the same film with the same settings ended; if
@@ -312,7 +312,7 @@ class Checkpoint:
                 found, advice = "one that is still running", "wait for it, or give another `out`"
                 raise InputError(self._target, "an interrupted run to resume", found, advice)
             if not self._resume:
-                self.done()
+                self.remove()
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -322,8 +322,8 @@ class Checkpoint:
             os.close(self._lock)
             self._lock = None
 
-    def done(self) -> None:
-        """Remove what was stored, as the run folder is written."""
+    def remove(self) -> None:
+        """Remove what was stored, which nobody will resume."""
         if self._own:
             shutil.rmtree(self._place, ignore_errors=True)
         self.__exit__()
@@ -361,12 +361,12 @@ class Checkpoint:
             for start in range(self.kept, frames.count, PART):
                 self._write(frames.part(start, min(start + PART, frames.count)))
         except (OSError, InputError):  # the run continues without a checkpoint
-            self.done()
+            self.remove()
             self._off = True
 
     def _start(self) -> None:
         """Make the folder; the facts are written last, as `begin` ignores frames without them."""
-        self.done()
+        self.remove()
         self._place.mkdir(parents=True)
         self._own, self._lock = True, lock_folder(self._place)
         self._file = (self._place / FRAMES).open("wb", buffering=0)
