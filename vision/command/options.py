@@ -317,7 +317,7 @@ _ALSO: Mapping[str, str] = {
     "width_px": "--width",
     "runs": "RUN…",
 }
-_OF_ONE_COMMAND = ("preset", "sheet", "film", "table", "main_sample", "executor", "profile", "watch")
+_OF_ONE_COMMAND = ("preset", "sheet", "film", "port", "table", "main_sample", "executor", "profile", "watch")
 
 
 def flag_of(name: str) -> str:
