@@ -171,6 +171,9 @@ def test_a_comb_that_lies_on_its_side_is_said_to(tmp_path):
         vision.analyse(tmp_path / "lying.tif")
     upright = vision.analyse(tmp_path / "lying.tif", settings=Settings(rotate=90))
     assert upright.tracks.sizes["sheet"] == 20
+    tifffile.imwrite(tmp_path / "upright.tif", np.rot90(lying, axes=(1, 2)))
+    with pytest.raises(InputError, match=r"found horizontal ridges.*give `rotate` 0"):
+        vision.analyse(tmp_path / "upright.tif", settings=Settings(rotate=90))
     noise = np.random.default_rng(1).integers(0, 255, (20, 200, 200), dtype=np.uint8)
     tifffile.imwrite(tmp_path / "noise.tif", noise)
     with pytest.raises(InputError, match="check `rows`"):

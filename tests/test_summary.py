@@ -267,6 +267,33 @@ def test_frames_of_another_scene_are_named(picture):
     assert "in 60 frames (the longest run is 90:150)" in lines[0]
 
 
+def test_positions_are_left_out_for_the_reason_that_holds():
+    """A failure means that sheets in one ridge are said to be of uncertain identity."""
+    tracks = with_force().tracks.copy(deep=True)
+    total = tracks["flag"].size
+    tracks["flag"][3:5, 0] = "merged"
+    assert tracking_warnings(tracks)[0].startswith(f"2 of {total} positions left out where it shares a ridge")
+    tracks["flag"][3:6, 1] = "doubtful"
+    line = tracking_warnings(tracks)[0]
+    assert line.startswith(f"5 of {total} positions left out: 3 where the identity of the sheet is")
+    assert ", 2 where it shares a ridge" in line
+    tracks["flag"][:] = "merged"
+    assert "overview.png" not in tracking_warnings(tracks)[0]  # a preview has none
+
+
+def test_without_a_position_nothing_is_called_nan():
+    """A failure means "nan px" in the summary of a run in which every position is doubtful."""
+    found = with_force()
+    tracks = found.tracks.copy(deep=True)
+    tracks["flag"][:] = "doubtful"
+    for name in ("x_px", "x_err_px", "x_noise_px"):
+        tracks[name][:] = np.nan
+    tracks = tracks.assign_attrs(axis_px=float("nan"), codec="mjpeg")
+    lines = summary_lines(replace(found, tracks=tracks))
+    assert any(line.split() == ["axis", "not", "known"] for line in lines)
+    assert not [line for line in lines if "nan" in line]
+
+
 @pytest.mark.parametrize("frames", [1, 60])
 def test_a_picture_has_no_noise_to_measure_and_says_so(picture, frames):
     """One picture, or one repeated: a failure means "nan px" or "0.0000 px" as if that had been measured."""

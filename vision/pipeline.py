@@ -459,6 +459,8 @@ def _suggesting_rotation(film: Video | None, chosen: Settings, work: Callable[[]
         if film is None or rows_given or not _has_horizontal_ridges(film):
             raise
         found, way = "horizontal ridges, one above the other", (film.rotate + 90) % 360
+        if film.rotate == 90:  # rather as recorded than upside down
+            way = 0
         raise InputError(film.path, "upright ridges", found, f"give `rotate` {way}") from None
 
 

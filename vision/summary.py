@@ -29,6 +29,11 @@ if TYPE_CHECKING:
     from vision.shells import ShellSettings
 
 
+DOUBTFUL = {
+    "doubtful": "where the identity of the sheet is uncertain",
+    "merged": "where it shares a ridge with another sheet or a mark",
+}
+"""Flags of positions that are left out because they may belong to another sheet, and why."""
 PAIR_SPACINGS = 9
 """Smallest number of spacings in which pairs of ridges are looked for: fewer may alternate by chance."""
 PAIR_TAIL, PAIR_RATIO = 0.1, 1.5
@@ -73,7 +78,8 @@ def _systematic(budget: Budget) -> list[str]:
         total = budget.total(quantity)
         if quantity in budget.values and math.isfinite(total) and total > 0:
             statistical = budget.statistical[quantity]
-            lines.append(f"{name} ± {total:.2g} {unit} (statistical {statistical:.2g})".replace("  ", " "))
+            beside = f" (statistical {statistical:.2g})" if math.isfinite(statistical) else ""
+            lines.append(f"{name} ± {total:.2g} {unit}".rstrip() + beside)
         if quantity != "x_px":  # its sources are measured: the user cannot give their errors
             unknown |= dict.fromkeys(budget.unknown(quantity))
     # The notes of the fits say that d0 has no error.
@@ -82,18 +88,27 @@ def _systematic(budget: Budget) -> list[str]:
     return lines
 
 
+def why_left_out(flags: Mapping[str, int]) -> str:
+    """Return why positions are left out, with the number for each reason if there are several."""
+    counts = {why: flags[flag] for flag, why in DOUBTFUL.items() if flags.get(flag)}
+    if len(counts) == 1:
+        return f" {next(iter(counts))}"
+    return ": " + ", ".join(f"{count} {why}" for why, count in counts.items())
+
+
 def tracking_warnings(tracks: xr.Dataset) -> list[str]:
     """Return warnings about frozen frames, doubtful or missing positions, motion, and overlooked sheets."""
     lines, flags = [], flag_counts(tracks)
     total = max(1, sum(flags.values()))
     if frozen := flags.get("frozen", 0) // tracks.sizes["sheet"]:
         lines.append(f"{frozen} frame(s) are copies of the frame before and have no positions (flag frozen)")
-    uncertain = flags.get("doubtful", 0) + flags.get("merged", 0)
-    if uncertain:
-        line = f"{uncertain} of {total} positions left out because the identity of the sheet is uncertain"
+    if uncertain := sum(flags.get(flag, 0) for flag in DOUBTFUL):
+        line = f"{uncertain} of {total} positions left out{why_left_out(flags)}"
         # With 0.2 there is no advice if a hand always covers part of the comb and other positions are wrong.
         if uncertain > 0.1 * total:
-            line += "; with so many, other positions may also be wrong: look at overview.png, and exclude"
+            line += (
+                "; with so many, other positions may also be wrong: check where the tracks lie, and exclude"
+            )
             line += " what hides the comb with `frames` or `columns`"
         lines.append(line)
     missing = flags.get("missing", 0) + flags.get("edge", 0) + flags.get("unfit", 0)
@@ -437,18 +452,19 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> list[str
         if strip.codec in LOSSY
         else f", {noise['predicted_px']:.4f} px predicted from the pixels"
     )
+    axis = f"{found.axis_px:.1f} px ({_axis(found, int(tracks['n'].min()))})"
     return [
         f"sheets     {found.sheets} {found.ridges} ridges ({(side < 0).sum()} left, {(side > 0).sum()} right)"
         f"; other ridges ignored: {found.ridges_dropped}{unseen}",
         f"frames     {strip.frames_read} of {strip.frames_expected} read; {strip.frames_lost} lost{corrupt}, "
         f"{strip.frames_blank} blank{frozen}",
         f"positions  {flags.get('ok', 0)} measured; {other_flags(flags)}",
-        f"noise      {_noise(noise, length)}{predicted}",
+        f"noise      {_noise(noise, length)}{predicted * ('ok' in flags)}",
         *([f"doubtful   {doubt}"] if (doubt := doubt_line(tracks)) else []),
         f"strip      rows {strip.strip_z0}:{strip.strip_z1} ({strip.strip_how}){tilt}",
         *([heights_line(tracks)] if "x_z_px" in tracks else []),
         ridges_line(found),
-        f"axis       {found.axis_px:.1f} px ({_axis(found, int(tracks['n'].min()))})",
+        f"axis       {axis if math.isfinite(found.axis_px) else 'not known'}",
         f"clock      {frame_times(strip)}",
         scale_line(pixel_size_um),
     ]

@@ -37,6 +37,8 @@ def test_the_certificate_of_a_run(made, tmp_path, capsys, monkeypatch):
     assert 0.85 < facts["error_px"] / actual < 1.15
     assert abs(facts["threshold"]["bias"]) < 0.05
     assert len(pd.read_csv(tmp_path / "sim_tracks_certificate/certificate.csv")) == error.shape[1]
+    page = (tmp_path / "sim_tracks_certificate/certificate.html").read_text("utf-8")
+    assert '<div class="what">σ<sub>x</sub>/Λ<sub>st</sub> at 0.1</div>' in page
     assert run(["certify", str(target)]) == 2  # never over an earlier one unasked
     assert "--overwrite" in capsys.readouterr().err
 

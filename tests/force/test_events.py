@@ -273,6 +273,15 @@ def test_a_load_that_holds_still_warns_of_nothing() -> None:
     assert len(find_stick_slip(recording(time, load, 13 + time / 1000, 0.06))) > 40
 
 
+def test_a_load_without_noise() -> None:
+    """A failure means that a calculated sawtooth, on which one tries the program, ends in a traceback."""
+    index = np.arange(3000)
+    force = recording(index * 0.01, (index % 100) * 0.5, 13 + index / 6000, 0.1)
+    events = find_stick_slip(force)
+    assert len(events) == 28
+    assert events["dF_N"].median() == pytest.approx(49.5, abs=0.05)
+
+
 def test_facts_travel_with_the_events() -> None:
     """A failure means a later stage does not know the noise, the low-pass or the first slip."""
     test = realistic(d1=13.5)

@@ -200,6 +200,10 @@ def test_methods_tell_what_this_run_lacks(pulled):
     assert "tilted by 0.70°" in text
     assert "(4 lost)" in text
     assert "a frame rate that is not known" in text
+    text = " ".join(methods(replace(pulled, tracks=pulled.tracks.assign_attrs(sheets=1), pixel_size_um=None)))
+    assert "One sheet appears as a " in text
+    assert "px apart" not in text
+    assert "The pixel size is not known." in text
 
 
 def test_systematic_errors_are_a_table_of_the_page(pulled, tmp_path):

@@ -372,6 +372,13 @@ def test_the_page_is_there_before_the_run_has_been_read():
     assert "damaged" in told["error"]
 
 
+@pytest.mark.parametrize("port", [-1, 99999])
+def test_a_port_that_does_not_exist_is_refused_in_one_line(port):
+    """A failure means a traceback for a slip of the pen in a number."""
+    with pytest.raises(InputError, match=rf"`port`: expected a free one, at most 65535; found {port}"):
+        serve(lambda stop: None, opened=lambda address: None, port=port)
+
+
 # --- the first view -----------------------------------------------------------------------------------------
 
 

@@ -91,7 +91,7 @@ def test_what_cannot_be_read_is_named(tmp_path, text, names):
         ('[[accept]]\nsheet=11\nframes="80:81"', "0 to 10"),
         ('[[accept]]\nsheet=6\nframes="80:999"', "0:200"),
         ('[[accept]]\nsheet=1\nframes="80:81"', "doubtful stretch"),
-        ('[[assign]]\nsheet=6\nframes="80:81"\nx_px=5', "x_px = 5"),
+        ('[[assign]]\nsheet=6\nframes="80:81"\nx_px=5', "x_px = 5; found the nearest at "),
         ('[[accept]]\nsheet=6\nframes="80:90"\n[[leave_out]]\nsheet=6\nframes="85:86"', "[[accept]] 1"),
     ],
 )

@@ -106,6 +106,17 @@ def test_times_reach_the_profile(tmp_path):
     assert (strip.clock_kind, round(strip.fps)) == ("given", 50)
 
 
+@pytest.mark.parametrize(("header", "scale", "told"), [("", 1000, 1), ("time_ms\n", 1000, 0), ("", 1, 0)])
+def test_times_in_ms_that_do_not_say_so(tmp_path, header, scale, told):
+    """Failure: a film of five seconds lasts more than an hour, and nobody is told."""
+    path = write_avi(tmp_path / "a.avi", comb())
+    played = np.arange(6) / open_video(path).clock.fps
+    (tmp_path / "t.txt").write_text(header + "\n".join(map(str, scale * played)))
+    warnings = open_video(path, timestamps=tmp_path / "t.txt").warnings
+    assert len(warnings) == told
+    assert not told or "(time_ms)" in warnings[0]
+
+
 def test_backward_times_are_reported(tmp_path):
     """Failure: a clock that was reset in the middle goes unnoticed."""
     (tmp_path / "t.txt").write_text("0\n1\n2\n1.5\n3\n4\n")

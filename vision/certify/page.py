@@ -117,8 +117,8 @@ def statements(certificate: Certificate) -> list[Answer]:
         answers.append(
             Answer(
                 f"σ_x/Λ_st at {t.ratio:g}",
-                f"bias {100 * t.bias:+.1f} %",
-                f"(uncorrected {100 * t.raw_bias:+.1f} %), single measurements scatter by "
+                f"bias {_signed_percent(t.bias)}",
+                f"(uncorrected {_signed_percent(t.raw_bias)}), single measurements scatter by "
                 f"{100 * t.scatter:.1f} %, stated {100 * t.stated:.1f} %; {100 * t.called_stiff:.0f} % "
                 "called stiff (50 % without bias)",
             )
@@ -136,6 +136,10 @@ def _margin(c: Certificate) -> str:
     return (
         f"identities are correct with {c.identity_margin:g} times the motion, not {c.identity_tried:g} times"
     )
+
+
+def _signed_percent(share: float) -> str:
+    return f"{100 * share:+.1f} %".replace("-", "−")
 
 
 def _length(px: float, c: Certificate) -> str:

@@ -63,7 +63,7 @@ class VideoOptions:
     fps: float | None = None
     """The camera's frame rate, where the file states only a playback rate."""
     timestamps: Path | None = None
-    """Text file with the time of every frame."""
+    """Text file with the time of every frame, in s or with the unit above: time_ms."""
     frames: str | None = None
     """Part of the video, A:B, half-open, counted from 0."""
     rotate: Literal[0, 90, 180, 270] | None = None
@@ -317,7 +317,7 @@ _ALSO: Mapping[str, str] = {
     "width_px": "--width",
     "runs": "RUN…",
 }
-_OF_ONE_COMMAND = ("preset", "sheet", "film", "table", "main_sample", "executor", "profile", "watch")
+_OF_ONE_COMMAND = ("preset", "sheet", "film", "port", "table", "main_sample", "executor", "profile", "watch")
 
 
 def flag_of(name: str) -> str:

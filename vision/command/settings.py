@@ -203,7 +203,7 @@ def parse_pixel_size(text: str | None) -> float | None:
     value = _float(match[1]) * UM_PER[match[2] or "um"] if match else math.nan
     if not 1e-6 <= value <= MOST_UM_PER_PX:
         wanted = f"a number from 1e-06 to {MOST_UM_PER_PX:g} (µm per px)"
-        raise InputError("--pixel-size", wanted, f"'{text}'", "write 10, 10um or 0.01mm")
+        raise InputError("--pixel-size", wanted, f"'{text}'", "write 10.5, 10.5um or 0.0105mm")
     return value
 
 

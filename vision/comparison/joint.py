@@ -12,6 +12,7 @@ import scipy
 
 from vision.comparison.runs import INSTRUMENT, TractionTest
 from vision.errors import InputError
+from vision.figures.style import counted
 from vision.models import Estimate, equations
 from vision.models.single_fits import (
     FAILURES,
@@ -189,7 +190,9 @@ def fit_test(test: TractionTest, modulus: Estimate, settings: CompareSettings = 
     if chi2 > settings.test_misfit:
         warnings.append(f"the models misfit: χ²/dof = {chi2:.3g}, errors scaled")
     if left := int((~used).sum()):
-        notes.append(f"{left} events before the largest peaks or outside the run's fit range left out")
+        notes.append(
+            f"{counted(left, 'event')} before the largest peaks or outside the run's fit range left out"
+        )
     return TestFit(
         values=values,
         shifts={},

@@ -57,6 +57,8 @@ def fit_slow_noise(
     to a sixth of the lowest frequency of the recording: between random walks about their mean, and those
     that begin at 0 with the recording.
     """
+    if white_N == 0:  # a load without any noise: calculated or heavily smoothed
+        return None
     length = int(np.median(stop - start))
     scales = 2 ** np.arange(int(np.log2(length // 4)) + 1)
     found = [_contrasts(y, start, stop, int(m), length) for m in scales]

@@ -544,10 +544,12 @@ def _remarks(
     warnings: list[str] = []
     used = fits.goodness["peaks"].points
     build_up, misfit = left_out.get("build_up", 0), left_out.get("misfit", 0)
-    if build_up or misfit:
+    without = [f"{build_up} of the build-up"] * bool(build_up)
+    without += [f"{misfit} later ones that Eq. 1 does not fit"] * bool(misfit)
+    if without:
         notes.append(
             f"fitted to {used} events from d = {fits.d_mm[0]:.2f} to {fits.d_mm[1]:.2f} mm, without "
-            f"{build_up} of the build-up and {misfit} later ones that Eq. 1 does not fit (`fit_range_mm`)"
+            f"{' and '.join(without)} (`fit_range_mm`)"
         )
     elif given_range:
         notes.append(f"fitted to {used} events in the given range, {left_out.get('outside', 0)} are outside")

@@ -16,14 +16,13 @@ from vision.figures import Results, both_errors, percent, plus_minus
 from vision.figures.style import candidates_text, drift_text, load_unit, offset_text
 from vision.models import Estimate, ModelFits
 from vision.sheets.tracks import LOSSY
-from vision.summary import flag_counts, noise_figures
+from vision.summary import DOUBTFUL, flag_counts, noise_figures, why_left_out
 
 PAPER = (
     "A. Plati, F. Restagno, C. Poulard, Stick-slip dynamics in an interleaved system with self-amplified "
     "friction."
 )
 ANALYSED_WITH = f"The analysis was done with sheetvision {vision.__version__}."
-DOUBTFUL = ("doubtful", "merged")  # flags of positions whose sheet is uncertain
 
 # --- the answers --------------------------------------------------------------------------------------------
 
@@ -196,9 +195,8 @@ def _video(profile: xr.DataArray, pixel_size_um: float | None) -> str:
     }.get(strip.clock_kind, "")
     known = math.isfinite(strip.fps)
     rate = f"{strip.fps:.6g} frames per second{source}" if known else "a frame rate that is not known"
-    scale = (
-        "; the pixel size is not known" if pixel_size_um is None else f" at {pixel_size_um:g} µm per pixel"
-    )
+    scale = "" if pixel_size_um is None else f" at {pixel_size_um:g} µm per pixel"
+    unknown = " The pixel size is not known." if pixel_size_um is None else ""
     chosen = {"given": "as given", "all rows": "the whole frame"}.get(strip.strip_how, "found automatically")
     tilt = (
         f" The ridges are tilted by {abs(strip.tilt_deg):.2f}°; the mean over the rows does not correct this."
@@ -208,7 +206,7 @@ def _video(profile: xr.DataArray, pixel_size_um: float | None) -> str:
     bad = f" ({bad})" if (bad := _bad_frames(strip)) else ""
     return (
         f"The edges of the sheets were recorded at {rate}{scale}, with {strip.depth_bits} bits per pixel"
-        f"{_compression(strip.codec)}. In each of {strip.frames_read} frames{bad} the "
+        f"{_compression(strip.codec)}.{unknown} In each of {strip.frames_read} frames{bad} the "
         f"intensity was averaged over {strip.strip_z1 - strip.strip_z0} rows (rows {strip.strip_z0} to "
         f"{strip.strip_z1}, {chosen}) to a profile I(x,t).{tilt}"
     )
@@ -245,14 +243,21 @@ def _tracking(tracks: xr.Dataset) -> str:
         else ""
     )
     origin = {"motion": "found from motion", "geometry": "the middle of the ridges in view"}
-    where = f" at {t.axis_px:.1f} px ({origin.get(t.axis_how, t.axis_how)})"
-    axis = where if math.isfinite(t.axis_px) else ""
-    return (
+    how = origin.get(t.axis_how, t.axis_how)
+    axis = (
+        f"n counts outwards from the symmetry axis at {t.axis_px:.1f} px ({how})"
+        if math.isfinite(t.axis_px)
+        else "the symmetry axis is not known"
+    )
+    seen = (
         f"The {t.sheets} sheets appear as {t.ridges} ridges {t.ridge_fwhm_px:.1f} px wide and "
         f"{t.pitch_px:.1f} px apart. Their positions x(n,t) were measured {method}. The sheets were "
-        "identified through slips by their order, spacing and brightness; n counts outwards from the "
-        f"symmetry axis{axis}.{scatter}{_withheld(tracks)}{_decisions(tracks)}"
+        f"identified through slips by their order, spacing and brightness; {axis}."
+        if t.sheets > 1
+        else f"One sheet appears as a {t.ridges} ridge {t.ridge_fwhm_px:.1f} px wide. Its positions x(t) "
+        f"were measured {method}."
     )
+    return f"{seen}{scatter}{_withheld(tracks)}{_decisions(tracks)}"
 
 
 def _decisions(tracks: xr.Dataset) -> str:
@@ -266,13 +271,13 @@ def _decisions(tracks: xr.Dataset) -> str:
 
 def _withheld(tracks: xr.Dataset) -> str:
     """Return how many positions were left out or carry a flag, "" if there are none."""
-    flags = tracks["flag"].values
-    total = max(1, flags.size)
-    doubtful = int(np.isin(flags, DOUBTFUL).sum())
-    other = int((~np.isin(flags, (*DOUBTFUL, "ok"))).sum())
+    flags = flag_counts(tracks)
+    total = max(1, sum(flags.values()))
+    doubtful = sum(flags.get(flag, 0) for flag in DOUBTFUL)
+    other = sum(flags.values()) - flags.get("ok", 0) - doubtful
     text = ""
     if doubtful:
-        text += f" {doubtful} of {total} positions were left out because the sheet's identity was uncertain."
+        text += f" {doubtful} of {total} positions were left out{why_left_out(flags)}."
     if other:
         text += f" {other} of {total} positions are missing or carry another flag (tracks.csv)."
     return text

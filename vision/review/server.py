@@ -213,14 +213,14 @@ def serve(
     Raises
     ------
     InputError
-        If the port is in use or the run cannot be read.
+        If the port is in use or does not exist, or the run cannot be read.
     """
     listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     with contextlib.closing(listening), ThreadPoolExecutor(1) as reader:
         try:
             listening.bind(("127.0.0.1", port))
-        except OSError as error:
-            raise InputError("`port`", "a free one", f"{port}, in use", "leave it out") from error
+        except (OSError, OverflowError) as error:
+            raise InputError("`port`", "a free one, at most 65535", f"{port}", "leave it out") from error
         listening.listen(64)
         number, token = int(listening.getsockname()[1]), secrets.token_urlsafe(32)
         answers: Future[ASGIApp] = Future()

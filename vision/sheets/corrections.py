@@ -551,9 +551,10 @@ def follow_ridge(
         guess, distance = nearest(block, np.full(len(block), at))
         near = distance <= reach
         if begin == 0 and not near[0]:
-            seen = ridges.x_px[rows[0]][np.isfinite(ridges.x_px[rows[0]])] + origin_px
-            found = ", ".join(f"{x_px:.0f}" for x_px in seen) or "none"
-            raise InputError(correction.name, f"a ridge near x_px = {correction.x_px:g}", found)
+            seen = ridges.x_px[rows[0]][np.isfinite(ridges.x_px[rows[0]])]
+            close = np.sort(seen[np.argsort(np.abs(seen - at))[:2]] + origin_px)
+            found = f"the nearest at {' and '.join(f'{x_px:.0f}' for x_px in close)}" * bool(close.size)
+            raise InputError(correction.name, f"a ridge near x_px = {correction.x_px:g}", found or "none")
         before = _last_before(np.where(near, block[np.arange(len(block)), guess], np.nan), at)
         best, distance = nearest(block, before)  # from its position in the row before
         close = distance <= reach

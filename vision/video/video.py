@@ -298,6 +298,7 @@ def open_video(
         if facts.declared_frames not in (None, times_s.size):
             wanted = f"{facts.declared_frames} times, one per frame of {where.name}"
             raise InputError(timestamps, wanted, f"{times_s.size} times")
+        warnings += _unit_warning(times_s, facts.playback_fps, table.name)
     held = facts.declared_frames or facts.estimated_frames
     if stop is not None and held is not None and stop > held:
         about = "" if facts.declared_frames else "about "
@@ -418,6 +419,19 @@ def _median_rate(times_s: Floats) -> float | None:
         return None
     step = float(np.nanmedian(np.diff(times_s)))
     return 1.0 / step if step > 0 else None
+
+
+def _unit_warning(times_s: Floats, playback_fps: float | None, name: str) -> list[str]:
+    """Warn of times that are 10³, 10⁶ or 10⁹ times as far apart as in the played film: hardly in s."""
+    # The playback rate may be a little off; a wider range would doubt more time-lapse films.
+    slower = float(np.median(np.diff(times_s))) * (playback_fps or 0.0) if times_s.size > 1 else 0.0
+    for unit in ("ms", "us", "ns"):
+        if 0.8 < slower * SECONDS[unit] < 1.25:
+            return [
+                f"{name}: the times, read in s, are {slower:.0f} times as far apart as when the film is "
+                f"played: if they are in {unit}, name the unit in a first line (time_{unit})"
+            ]
+    return []
 
 
 def read_timestamps(path: Path) -> tuple[Floats, tuple[str, ...]]:
