@@ -88,6 +88,7 @@ def assign_detections(
     usual = np.stack([identities.squeeze.undone(paired[0]), *paired[1:]])
     why = _doubts(usual[0], usual[1], identities, comb, profile.shape[1], settings)
     why = _settle_by_pattern(why, usual, comb, settings)
+    why[_numbered_off_the_end(candidates[:2], paired[:2], comb, settings)] = "end"
     why[_shifted_pattern(np.where(why == "", paired, np.nan), settings)] = "pattern"
     paired, why = _reassign_hops(candidates, paired, why, comb, settings)
     doubtful = why != ""
@@ -114,6 +115,7 @@ def assign_detections(
 DOUBTS = {
     "margin": "another numbering fits nearly as well",
     "tear": "displaced differently from the largest group of sheets",
+    "end": "a ridge beyond the comb is like the sheets, while the sheet at the other end is missing",
     "jump": "displaced by a jump that could be one of whole pitches",
     "pattern": "brightnesses and widths fit another numbering: the comb may have jumped by whole pitches",
     "hop": "on another ridge, away from the position that the neighbours predict",
@@ -136,6 +138,29 @@ def _doubts(
     why[torn(x - rest_positions(x), comb, settings)] = "tear"
     why[np.isnan(x)] = ""
     return why
+
+
+def _numbered_off_the_end(
+    candidates: Floats32, paired: Floats, comb: RidgeComb, settings: TrackingSettings
+) -> Bools:
+    """Return where a displaced comb leaves out a ridge at one end while its other end is missing, (frame, N).
+
+    If the ridge beyond the end is like the sheets, the frame has as many ridges as the comb has sheets, and
+    another numbering pairs all of them. In a comb that is displaced by less than half of `jump_fraction`, a
+    sheet from beyond the end has come into view. candidates and paired hold positions and contrasts,
+    (2, frame, K) and (2, frame, N).
+    """
+    x, contrast = paired
+    moved = nan_median(x - rest_positions(x), axis=1)
+    rows = np.flatnonzero(np.abs(moved) > 0.5 * settings.jump_fraction * comb.pitch_px)
+    ridge, height = candidates[:, rows].astype(np.float64)
+    alike = np.abs(np.log(height / nan_median(contrast[rows], axis=1)[:, None])) < LIKE_ITSELF
+    off = np.zeros(len(x), bool)
+    for way in (1, -1):  # a ridge beyond the last sheet, then one before the first
+        place = way * x[rows, ::way]
+        beyond = (way * ridge - np.fmax.reduce(place, axis=1)[:, None]) / comb.pitch_px
+        off[rows] |= np.isnan(place[:, 0]) & (alike & (beyond > 0.5) & (beyond < 1.5)).any(axis=1)
+    return np.asarray(off[:, None] & np.isfinite(x), bool)
 
 
 def _shifted_pattern(certain: Floats, settings: TrackingSettings) -> Bools:

@@ -18,10 +18,12 @@ from numpy.typing import NDArray
 from vision.data import TrackMetadata
 from vision.errors import InputError
 from vision.numeric import FWHM, NORMAL_MEDIAN, Bools, Floats, Floats32, Ints
+from vision.sheets.polarity import Stripes, choose_polarity
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.signals import find_maxima, half_widths
 
 Polarity = Literal["bright", "dark"]
+SEARCH_SIGMA_PX = 1.0  # standard deviation of the smoothing with which a comb is described
 FRAMES_PER_BLOCK = 128  # processed at once, so that intermediate arrays fit into a core's cache
 
 
@@ -41,8 +43,6 @@ class RidgeComb:
         Standard deviation of the profile's noise, grey levels.
     count
         Number of main ridges in a frame.
-    ends_px
-        Distance from the outermost main ridge to the picture's edge, the smaller of the two sides.
     """
 
     polarity: Polarity
@@ -51,11 +51,10 @@ class RidgeComb:
     contrast: float
     noise: float
     count: float
-    ends_px: float
 
     @classmethod
     def of(cls, found: TrackMetadata) -> RidgeComb:
-        """Return the comb as the tracking measured it; `ends_px` is not recorded, and is 0."""
+        """Return the comb as the tracking measured it."""
         return cls(
             "dark" if found.ridges == "dark" else "bright",
             found.ridge_fwhm_px,
@@ -63,7 +62,6 @@ class RidgeComb:
             found.contrast,
             found.profile_noise,
             float(found.sheets),
-            0.0,
         )
 
     def bright(self, profile: Floats32) -> Floats32:
@@ -116,8 +114,7 @@ def describe_ridges(
     profile
         Grey levels (frame, x), at least one frame without NaN.
     polarity
-        "auto" chooses the polarity with more ridges if both ends of the comb are in view, else that of the
-        narrower stripes.
+        "auto" chooses as `choose_polarity` does; where that is undecided, the narrower stripes.
     sheets
         Number of ridges in view, if known.
     source
@@ -134,10 +131,10 @@ def describe_ridges(
     noise = profile_noise(sample)
     names: tuple[Polarity, ...] = ("bright", "dark") if polarity == "auto" else (polarity,)
     measured = (_measure(sample, name, noise, sheets, settings) for name in names)
-    found = [comb for comb in measured if comb is not None]
+    found = [main for main in measured if main is not None]
     if not found:
         raise no_ridges(sample, source)
-    return _likelier(found[0], found[1], settings) if len(found) == 2 else found[0]
+    return (_likelier(sample, found[0], found[1], settings) if len(found) == 2 else found[0]).comb
 
 
 def no_ridges(profile: Floats32, source: str) -> InputError:
@@ -185,16 +182,21 @@ def _noise_floor(noise: float, smoothing_px: float, settings: TrackingSettings) 
     return max(1e-6, float(settings.noise_factor * smoothed_noise))
 
 
-def _likelier(bright: RidgeComb, dark: RidgeComb, settings: TrackingSettings) -> RidgeComb:
-    """Return the likelier of two polarities of the same stripes, bright in a tie.
+class _MainRidges(NamedTuple):
+    """The main ridges of one polarity in a sample of frames."""
 
-    If both ends of the comb are in view, it is the one with more ridges (N ridges have N − 1 gaps), provided
-    that dark ridges are also narrower; else the one with the narrower ridges.
-    """
-    in_view = all(comb.ends_px > 1.3 * comb.pitch_px for comb in (bright, dark))
-    if in_view and bright.count != dark.count:
-        return dark if dark.count > bright.count and dark.fwhm_px < bright.fwhm_px else bright
-    return dark if dark.fwhm_px < settings.dark_width_ratio * bright.fwhm_px else bright
+    comb: RidgeComb
+    stripes: Stripes
+
+
+def _likelier(
+    sample: Floats32, bright: _MainRidges, dark: _MainRidges, settings: TrackingSettings
+) -> _MainRidges:
+    """Return the likelier of two polarities of the same stripes."""
+    polarity = choose_polarity(_smoothed(sample, SEARCH_SIGMA_PX), bright.stripes, dark.stripes, settings)
+    if polarity is None:
+        return dark if dark.comb.fwhm_px < settings.dark_width_ratio * bright.comb.fwhm_px else bright
+    return bright if polarity == "bright" else dark
 
 
 def _sample(profile: Floats32) -> Floats32:
@@ -208,20 +210,20 @@ def _sample(profile: Floats32) -> Floats32:
 
 def _measure(
     sample: Floats32, polarity: Polarity, noise: float, sheets: int | None, settings: TrackingSettings
-) -> RidgeComb | None:
-    """Return medians over the main ridges of this polarity, None without any.
+) -> _MainRidges | None:
+    """Return the main ridges of this polarity, None without any.
 
     A bright base below few ridges can have more prominence than the ridges on it. Where only one or two
     ridges are prominent in the whole picture, ridges prominent in their surroundings are searched as well.
     """
     whole = _measure_within(sample, polarity, noise, sheets, settings, None)
     few = 3
-    if whole is None or whole.count >= few:
+    if whole is None or whole.comb.count >= few:
         return whole
-    near = [reach for reach in (6, 12, 24, 48) if reach < 2 * whole.fwhm_px]
+    near = [reach for reach in (6, 12, 24, 48) if reach < 2 * whole.comb.fwhm_px]
     tried = [_measure_within(sample, polarity, noise, sheets, settings, reach) for reach in near]
-    more = [comb for comb in tried if comb is not None and comb.count >= few]
-    return max([whole, *more], key=lambda comb: comb.count * comb.contrast / np.sqrt(comb.fwhm_px))
+    combs = [whole, *(main for main in tried if main is not None and main.comb.count >= few)]
+    return max(combs, key=lambda main: main.comb.count * main.comb.contrast / np.sqrt(main.comb.fwhm_px))
 
 
 def _measure_within(
@@ -231,9 +233,9 @@ def _measure_within(
     sheets: int | None,
     settings: TrackingSettings,
     reach_px: int | None,
-) -> RidgeComb | None:
-    """Return medians over ridges prominent within `reach_px` on both sides (None: in the whole picture)."""
-    sigma = 1.0
+) -> _MainRidges | None:
+    """Return the ridges prominent within `reach_px` on both sides (None: in the whole picture)."""
+    sigma = SEARCH_SIGMA_PX
     walled = _smoothed(sample if polarity == "bright" else -sample, sigma, wall_px=1)
     walled[:, [0, -1]] = walled[:, 1:-1].min()
     floor = _noise_floor(noise, sigma, settings)
@@ -250,10 +252,11 @@ def _measure_within(
     fwhm = float(np.sqrt(max(width**2 - (FWHM * sigma) ** 2, 1.0)))
     gaps = np.diff(at[main])[np.diff(frame[main]) == 0]
     pitch = float(np.median(gaps)) if len(gaps) else float(sample.shape[1])
-    x, columns = at[main] % walled.shape[1], walled.shape[1]
-    count = float(np.median(np.bincount(frame[main], minlength=len(sample))))
-    ends = float(min(np.quantile(x, 0.01), columns - 1 - np.quantile(x, 0.99)))
-    return RidgeComb(polarity, fwhm, pitch, float(np.median(prominence[main])), noise, count, ends)
+    counts = np.bincount(frame[main], minlength=len(sample))
+    contrast, ends = float(np.median(prominence[main])), np.cumsum(counts)[:-1]
+    comb = RidgeComb(polarity, fwhm, pitch, contrast, noise, float(np.median(counts)))
+    x = at[main] % walled.shape[1] - 1  # without the wall
+    return _MainRidges(comb, Stripes(np.split(x, ends), np.split(widths[main], ends)))
 
 
 def _commonest_width(

@@ -34,10 +34,24 @@ class TrackingSettings:
     Gaussian has ended. Smaller cuts off ridges ("cropped combs" at 0.85), larger includes gradients of the
     background."""
 
+    background_margin: float = 0.2
+    """How far from the middle between bright and dark stripes all of the background beside the comb must be
+    to decide which are the sheets, as a share of their difference. Smaller trusts uneven backgrounds, larger
+    leaves out combs of touching sheets ("touching" at 0.3)."""
+
+    even_spacing: float = 2.5
+    """Stripes whose spacings differ by more than this factor between their quartiles are no comb of sheets
+    and gaps in turn. Combs of sheets stay below 2.1, markers filmed in pairs exceed 3.1."""
+
+    polarity_evidence: float = 0.5
+    """Least evidence that decides which stripes of a comb without ends are the sheets: the logarithm of how
+    much more the others change their widths, times how much more they themselves differ in brightness. Larger
+    leaves more combs to their widths alone, smaller decides by chance where nothing moves and all sheets are
+    alike."""
+
     dark_width_ratio: float = 0.9
-    """Ridges are dark where the dark stripes are narrower than the bright ones by this factor. Nearer to 1
-    flips even stripes to dark ("sheets come in and go out at the edges"), smaller misses broad dark
-    ridges."""
+    """Where nothing else decides, ridges are dark if the dark stripes are narrower than the bright ones by
+    this factor. Nearer to 1 flips even stripes to dark, smaller misses broad dark ridges."""
 
     narrowest_widths: float = 0.25
     """A candidate narrower than this many typical widths is a hot pixel. Larger loses half-merged ridges

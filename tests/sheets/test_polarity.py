@@ -1,0 +1,74 @@
+"""Which stripes are the sheets where the sheets are wider than the gaps between them."""
+
+import numpy as np
+import pytest
+
+from tests.scenes.combs import comb, ridges, strip
+from vision.sheets import track_sheets
+from vision.sheets.ridges import describe_ridges
+
+FRAMES, WIDTH = 40, 480
+
+
+def wide_sheets(*, shift_px=0.0, per_side=10, contrast=1.0, uneven=0.15, slip=0.3):
+    """Sheets of 11 px at a pitch of 18 px, half as wide again as the gaps."""
+    x = comb(FRAMES, per_side=per_side, pitch_px=18.0, axis_px=WIDTH / 2 + shift_px, uneven=uneven, slip=slip)
+    return x, ridges(x, width=WIDTH, fwhm_px=3.0, flat_px=11.0, contrast=contrast)
+
+
+def shades(sheets):
+    return np.random.default_rng(4).normal(1, 0.15, sheets)
+
+
+def chosen(light, sign):
+    return describe_ridges(strip(light, sign=sign).values).polarity == ("bright" if sign > 0 else "dark")
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("shift_px", [-90.0, 0.0, 90.0])
+def test_the_background_beside_the_comb_tells_sheets_from_gaps(sign, shift_px):
+    """A failure means that gaps are measured where only one end of the comb is in view."""
+    x, light = wide_sheets(shift_px=shift_px)
+    assert ((x.min() > 40) & (x.max() < WIDTH - 40)) == (shift_px == 0)
+    assert chosen(light, sign)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_sheets_that_touch_do_not_turn_the_comb_over(sign):
+    """Two sheets without a gap are one ridge, so that ridges are no more than gaps. A failure means that this
+    turns sheets into gaps in a film whose ends are both in view."""
+    x, _ = wide_sheets()
+    x[:, 1] = x[:, 0] + 11.0
+    assert chosen(ridges(x, width=WIDTH, fwhm_px=3.0, flat_px=11.0), sign)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("slip", [0.0, 0.6])
+def test_a_comb_without_ends_is_known_by_what_varies(sign, slip):
+    """A failure means that gaps are measured in a film that the comb fills from edge to edge."""
+    x, light = wide_sheets(per_side=18, contrast=shades(36), slip=slip)
+    assert x[:, 1].max() < 0
+    assert x[:, -2].min() > WIDTH
+    assert chosen(light, sign)
+
+
+def test_sheets_of_a_comb_that_leaves_the_picture_are_measured():
+    """A failure means that positions are those of gaps, which move by the mean of two sheets."""
+    x, light = wide_sheets(contrast=shades(20))
+    x = x + np.linspace(0, 90, FRAMES)[:, None]
+    light = ridges(x, width=WIDTH, fwhm_px=3.0, flat_px=11.0, contrast=shades(20))
+    found = track_sheets(strip(light)).x_px.values
+    there = np.isfinite(found)
+    away = np.abs(found[..., None] - x[:, None, :]).min(axis=2)
+    assert there.mean() > 0.7
+    assert away[there].max() < 0.5
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_lit_field_that_ends_beside_the_comb_is_not_the_background(sign):
+    """Dark sheets before a lamp that is a little wider than the comb; beyond the lamp it is dark again. A
+    failure means that the bright gaps are taken for sheets."""
+    x, light = wide_sheets(contrast=0.6 * shades(20))
+    columns = np.arange(WIDTH)
+    lamp = (columns > x.min() - 20) & (columns < x.max() + 20)
+    assert chosen(light - 0.6 * lamp, sign)
