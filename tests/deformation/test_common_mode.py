@@ -173,7 +173,7 @@ def test_shells_that_differ_between_the_sides(share):
     tracks = left.tracks.assign(x_px=left.tracks["x_px"].where(~of_right, right.tracks["x_px"]))
     motion = horizontal_deformation(tracks, left.sticks, Clock(), pixel_size_um=PIXEL_UM)
     wrong = motion["ratio_signed"].to_numpy() - np.where(of_right, right.ratio, left.ratio)
-    assert np.abs(wrong.mean(axis=0)).max() < 0.006
+    assert np.abs(wrong.mean(axis=0)).max() < 0.007
     assert 0.60 < np.mean(np.abs(wrong) < motion["ratio_err"].to_numpy()) < 0.80
 
 
@@ -191,6 +191,24 @@ def test_sheets_that_move_by_themselves_do_not_pass_for_the_camera():
     own = sweep_um / np.sqrt(12) / made.sticks["stick_length_um"].to_numpy()[:, None]
     off = (motion["ratio_signed"].to_numpy() - made.ratio - own) / motion["ratio_err"].to_numpy()
     assert 0.60 < np.mean(np.abs(off) < 1) < 0.80
+
+
+@pytest.mark.parametrize("pairs", [3, 5, 10])
+def test_few_pairs_whose_sheets_move_by_themselves(pairs):
+    """A failure means that the innermost pair, which the drift follows, passes for one that never moves by
+    itself: of three pairs, a fifth of the errors hold."""
+    rng = np.random.default_rng(pairs)
+    held = []
+    for _ in range(40):
+        creep = np.linspace(0.2, 2, pairs) * rng.uniform(0.7, 1.3, (60, 1))
+        drift = 0.3 * rng.standard_normal((60, 1))
+        middle = drift + 0.1 * rng.standard_normal(creep.shape)
+        noise = 0.03 * rng.standard_normal((60, 2 * pairs))
+        at = np.arange(pairs)
+        both = BothSides(at, at + pairs, np.zeros((60, 2 * pairs)), 3)
+        found = both.drift(np.hstack([middle + creep, middle - creep]) + noise, 0 * noise + 0.03, slow=False)
+        held.append(np.mean(np.abs(found.value - drift[:, 0]) < found.error))
+    assert 0.6 < np.mean(held) < 0.75
 
 
 def test_a_camera_that_bends_with_every_stick_and_springs_back():

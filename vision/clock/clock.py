@@ -320,9 +320,8 @@ def _silent_drops(tracks: xr.Dataset, drops: pd.DataFrame, found: Alignments) ->
     filmed &= frame_s[next_frame] - frame_s[next_frame - 1] < 2 * np.median(np.diff(frame_s))
     pairs = fits.partner[0][fits.partner[0] >= 0]
     paired = np.isin(np.arange(len(drop_s)), pairs)
-    filmed &= paired | ~(
-        size < 0.5 * nan_median(size[pairs])
-    )  # the sheets may move too little in smaller ones
+    # In small drops the sheets may move too little.
+    filmed &= paired | ~(size < 0.5 * nan_median(size[pairs]))
     by_chance, silent = settings.paired_by_chance, 0
     for match in (paired[filmed], paired[filmed][::-1]):
         # The log-likelihood of the first drops if they pair by chance, minus that if they pair as the others.

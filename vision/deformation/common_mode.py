@@ -260,7 +260,8 @@ class _Pairs:
         that move by themselves, and the other in units of the squared creep."""
         excess = (self.middle - value[:, None]) ** 2 - self.noise * (1 - share)
         weight = weight * self.quiet
-        design = np.stack([weight.ravel(), (weight * self.step**2).ravel()], axis=-1)
+        rest = weight * (1 - share)  # the drift follows the pairs that weigh most
+        design = np.stack([rest.ravel(), (rest * self.step**2).ravel()], axis=-1)
         own, relative = scipy.optimize.nnls(design, (weight * excess).ravel())[0]
         return float(own), float(relative)
 

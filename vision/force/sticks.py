@@ -132,11 +132,13 @@ def with_slow_noise(signal: Signal, slips: Slips, settings: ForceSettings) -> Si
     some = some[:: some.size // 400 + 1]  # enough for a median
     start, stop = start[some], stop[some]
     lines = fit_lines(np.arange(signal.clean.size, dtype=float), signal.spikeless, start, stop)
+    rise = lines.slope * (stop - start)
+    rise = np.maximum(rise, 0.1 * np.median(np.abs(rise)) + np.finfo(float).tiny)
     spread = float(np.median(lines.spread))
     # A sample beside lost ones, which are interpolated, counts more than once.
     known = np.flatnonzero(~signal.is_missing)
     more = float(np.mean((known[2:] - known[:-2]) ** 2 / 4) * known.size / signal.time.size)
-    slow = fit_slow_noise(signal.clean, start, stop, spread * float(np.sqrt(more)), settings)
+    slow = fit_slow_noise(signal.clean, start, stop, rise, spread * float(np.sqrt(more)), settings)
     if slow is None:
         return white
     length = int(np.median(stop - start))
