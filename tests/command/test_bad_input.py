@@ -200,7 +200,7 @@ ARGUMENTS = {
     "axis far outside": (["--axis", "5000"], "--axis"),
     "axis is no number": (["--axis", "nan"], "--axis"),
     "pixel size 0": (["--pixel-size", "0"], "--pixel-size"),
-    "pixel size in another unit": (["--pixel-size", "10mm"], "10um"),
+    "pixel size in another unit": (["--pixel-size", "10mm"], "10.5um"),
     "negative pixel size": (["--pixel-size", "-1"], "--pixel-size"),
     "second video that is not there": (["other.tif"], "other.tif"),
     "two pixel sizes": (["--scale", "1mm=103px", "--pitch", "0.2mm"], "one of"),
