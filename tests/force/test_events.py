@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 
 import numpy as np
@@ -72,6 +73,19 @@ def test_a_recording_sampled_too_slowly_is_refused(samples: int, message: str) -
     """A failure means that beats of the sampling with the slips are reported as events."""
     with pytest.raises(InputError, match=message):
         find_stick_slip(plain(samples=samples, snr=100, jitter=0.05).force)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.001, 0.05])
+@pytest.mark.parametrize("samples", [2, 3, 5, 8, 16])
+def test_a_recording_of_a_few_samples_is_measured_or_refused(samples: int, noise: float) -> None:
+    """A failure means that random values of few samples are taken for repeated ones, until none is left."""
+    rng = np.random.default_rng(samples)
+    for sticks in (2, 3, 5, 12):
+        rise = np.arange(samples * sticks) % samples / samples
+        time = np.arange(rise.size) / 10
+        load = 5 + rise + noise * rng.standard_normal(rise.size)
+        with contextlib.suppress(InputError):
+            assert find_stick_slip(recording(time, load, 13 + time / 100, 0.6)).shape[0] <= sticks
 
 
 def test_a_change_of_the_sampling_rate_keeps_the_drops() -> None:

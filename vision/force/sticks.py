@@ -106,7 +106,8 @@ def _filled_in(load: Floats) -> Bools:
 
     They repeat the sample before, or lie on a straight line from one measured value to the next. Then nearly
     all runs of equal values, or of equal differences, have the same length, unlike the steps of a coarse
-    load. Where the ends of a line lie between samples, the first sample after each counts as measured.
+    load. Where the ends of a line lie between samples, the first sample after each counts as measured. Fewer
+    than ten runs show no rule.
     """
     steps = np.diff(np.unique(load[:20_000]))  # enough to find the last digit written
     rounding = 3 * float(np.min(steps, where=steps > 1e-9 * np.ptp(load), initial=np.inf))
@@ -117,7 +118,7 @@ def _filled_in(load: Floats) -> Bools:
         length = np.diff(np.append(np.flatnonzero(measured), load.size))
         usual = np.median(length)
         even = np.abs(length - usual * np.rint(length / usual)) <= (usual >= 4 and measured is bends)
-        if 1 < usual <= most and np.mean(even) > 0.9:
+        if 1 < usual <= most and length.size >= 10 and np.mean(even) > 0.9:
             return np.asarray(~measured, np.bool_)
     return np.zeros_like(repeats)
 
