@@ -287,7 +287,8 @@ def _shortest_third(values: Floats) -> tuple[float, float]:
     third = len(ordered) // 3
     length = ordered[third:] - ordered[: len(ordered) - third]
     k = int(np.argmin(length))
-    return float(ordered[k : k + third + 1].mean()), float(length[k]) / (2 * 0.4307)
+    within = 0.4307  # standard deviations from the mean, in which a third of normally distributed values lie
+    return float(ordered[k : k + third + 1].mean()), float(length[k]) / (2 * within)
 
 
 def _find_steps(above: Floats, error: Floats, creep: float, settings: ClockSettings) -> tuple[Ints, Ints]:
