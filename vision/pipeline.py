@@ -164,7 +164,7 @@ class Settings:
     tuning: Tuning = field(default_factory=Tuning)
 
     def __post_init__(self) -> None:
-        for one in fields(self):
+        for one in fields(self):  # a type is a text here, such as "float | Literal['auto']"
             value, kind = getattr(self, one.name), str(one.type)
             if isinstance(value, str) and kind.startswith(("float", "int")) and repr(value) not in kind:
                 raise InputError(f"`{one.name}`", "a number", f"the text {value!r}")

@@ -136,6 +136,13 @@ def mjpeg(path, count=12, **size):
     )
 
 
+def mjpeg_with_restarts(path, pix_fmt="yuvj420p"):
+    """Four frames of 52 rows with a marker after every 16."""
+    frames = comb(count=4, rows=52, columns=100)
+    options = {"qscale": "2", "threads": "2"}
+    return write_encoded(path, frames, codec="mjpeg", pix_fmt=pix_fmt, source="gray", options=options)
+
+
 def test_fast_mjpeg_equals_ffmpeg_but_for_rounding(tmp_path):
     """Failure: the quick decoder is not the same measurement as the reference decoder."""
     path = mjpeg(tmp_path / "a.avi")
@@ -151,11 +158,7 @@ def test_fast_mjpeg_equals_ffmpeg_but_for_rounding(tmp_path):
 @pytest.mark.parametrize("rows", [(0, 5), (3, 17), (16, 32), (30, 52), (0, 52)])
 def test_mjpeg_with_restart_markers_is_decoded_only_where_needed(tmp_path, rows, pix_fmt):
     """Failure: other rows than asked for; or damage elsewhere in the picture costs frames."""
-    frames = comb(count=4, rows=52, columns=100)
-    options = {"qscale": "2", "threads": "2"}
-    path = write_encoded(
-        tmp_path / "a.avi", frames, codec="mjpeg", pix_fmt=pix_fmt, source="gray", options=options
-    )
+    path = mjpeg_with_restarts(tmp_path / "a.avi", pix_fmt)
     data = path.read_bytes()
     assert b"\xff\xdd" in data and b"\xff\xd1" in data
     z = slice(*rows)
@@ -173,11 +176,7 @@ def test_mjpeg_with_restart_markers_is_decoded_only_where_needed(tmp_path, rows,
 
 def test_rows_of_an_mjpeg_that_damage_displaced_are_not_decoded(tmp_path):
     """Failure: where one marker is lost and another made up, rows are taken from another place."""
-    frames = comb(count=4, rows=52, columns=100)
-    options = {"qscale": "2", "threads": "2"}
-    path = write_encoded(
-        tmp_path / "a.avi", frames, codec="mjpeg", pix_fmt="yuvj420p", source="gray", options=options
-    )
+    path = mjpeg_with_restarts(tmp_path / "a.avi")
     data = bytearray(path.read_bytes())
     scan = data.rindex(b"\xff\xda") + 14
     last = data.index(b"\xff\xd2", scan)  # before rows 48 to 52

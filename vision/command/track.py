@@ -45,6 +45,7 @@ from vision.video.raw import PIXELS, is_photron
 from vision.video.stacks import IMAGES
 from vision.video.video import FILMS, files_in
 
+OVERLAY = "_overlay"  # follows a run's name in that of the film which `track overlay` writes
 LONG_FRAMES = 20_000
 """Number of frames from which a run stores what a review shows first. This takes seconds, where tracking took
 minutes; a review reads shorter runs while its page loads."""
@@ -101,7 +102,7 @@ def films_of(video: Path) -> list[Path]:
 
 def _is_overlay(film: Path) -> bool:
     """Tell whether a film is named as `track overlay` names that of a run beside it."""
-    return film.stem.endswith("_overlay") and is_run(film.with_name(film.stem.removesuffix("_overlay")))
+    return film.stem.endswith(OVERLAY) and is_run(film.with_name(film.stem.removesuffix(OVERLAY)))
 
 
 def one_film(video: Path) -> Path:

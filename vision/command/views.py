@@ -26,7 +26,7 @@ from vision.command.settings import (
     parse_sheets,
     settings_of,
 )
-from vision.command.track import one_film, origin_of, run_name
+from vision.command.track import OVERLAY, one_film, origin_of, run_name
 from vision.comparison import compare as compare_runs
 from vision.comparison import write_comparison
 from vision.comparison.comparison import MARK, answers
@@ -377,7 +377,7 @@ def overlay(run: Path, film: Path | None, frames: str | None, output: OutputOpti
     """Write the film of a run with its tracks drawn on it, and return the exit status."""
     part = parse_range(frames, "--frames")
     made = read_run(run)
-    target = output.out or Path(f"{made.folder.resolve().name}_overlay.mp4")
+    target = output.out or Path(f"{made.folder.resolve().name}{OVERLAY}.mp4")
     if target.suffix.lower() != ".mp4":
         raise InputError("`out`", "a name that ends in .mp4", f"'{target}'")
     check_new(target, overwrite=output.overwrite)

@@ -64,7 +64,8 @@ def fit_slow_noise(
         return None
     length = int(np.median(stop - start))
     scales = 2 ** np.arange(int(np.log2(length // 4)) + 1)
-    found = [_contrasts(y, start, stop, rise_N / (stop - start) ** 2, int(m), length) for m in scales]
+    total, bend = np.r_[0.0, np.cumsum(y - y.mean())], rise_N / (stop - start) ** 2
+    found = [_contrasts(total, start, stop, bend, int(m), length) for m in scales]
     variance = np.array([np.quantile(np.abs(values), _WITHIN) ** 2 for values in found])
     variance = np.maximum(variance, 1e-3 * white_N**2 / scales)  # coarse loads do not change at short scales
     beyond = 1 + settings.alike_sigmas / np.sqrt(found[-1].size)
@@ -97,16 +98,16 @@ def fit_slow_noise(
     return best
 
 
-def _contrasts(y: Floats, start: Ints, stop: Ints, bend: Floats, m: int, length: int) -> Floats:
+def _contrasts(total: Floats, start: Ints, stop: Ints, bend: Floats, m: int, length: int) -> Floats:
     """Return the contrasts of means of m samples at up to 64 places along each stick, less their medians.
 
-    `bend` is what the contrast of a common curvature is proportional to.
+    `total` holds the sums of the load up to each sample, `bend` what the contrast of a common curvature is
+    proportional to.
     """
     places = np.linspace(0, 1, min(length // (4 * m), 64)) if length >= 8 * m else np.array([0.5])
     long = stop - start >= 4 * m
     first, room = start[long, np.newaxis], (stop - start)[long, np.newaxis] - 4 * m
     at = first + np.rint(places * room).astype(np.int64)
-    total = np.r_[0.0, np.cumsum(y - y.mean())]
     ends = [total[at + k * m] for k in range(5)]
     values = (ends[4] - 2 * ends[3] + 2 * ends[1] - ends[0]) / m
     usual = bend[long, np.newaxis]

@@ -134,8 +134,9 @@ def _doubts(
     """Return why the identity of each paired ridge is doubtful (margin, jump, tear) or "", (frame, N)."""
     why = np.full(x.shape, "", "<U9")
     why[~(identities.margin >= settings.doubt)] = "margin"
-    why[_unproved_jumps(x, contrast, identities, comb, width_px, settings)] = "jump"
-    why[torn(x - rest_positions(x), comb, settings)] = "tear"
+    displaced = x - rest_positions(x)
+    why[_unproved_jumps(x, displaced, contrast, identities, comb, width_px, settings)] = "jump"
+    why[torn(displaced, comb, settings)] = "tear"
     why[np.isnan(x)] = ""
     return why
 
@@ -225,6 +226,7 @@ def _reassign_hops(
 
 def _unproved_jumps(
     x: Floats,
+    displaced: Floats,
     contrast: Floats,
     identities: Identities,
     comb: RidgeComb,
@@ -238,14 +240,14 @@ def _unproved_jumps(
     also exceed the costs of sheets that cross the edges. After a real jump every sheet keeps its brightness.
     Where brightnesses changed by more than `least_misfit`, the costs mistake changed sheets for exchanged
     ones, and the margin required grows by the ratio of the squares: the overdispersion of a quasi-likelihood
-    (McCullagh & Nelder 1989, chapter 9).
+    (McCullagh & Nelder 1989, chapter 9). `displaced` is x less the rest positions.
     """
     seen = np.isfinite(x).any(axis=1)
     step = np.nan_to_num(nan_median(np.diff(x[seen], axis=0), axis=1))
     run = np.zeros(len(x), np.int64)
     run[np.flatnonzero(seen)[1:]] = np.abs(step) > settings.jump_fraction * comb.pitch_px
     run = np.cumsum(run)
-    moved = nan_median(x - rest_positions(x), axis=1)
+    moved = nan_median(displaced, axis=1)
     place = np.array([nan_median(moved[run == one]) for one in range(run[-1] + 1)])
     apart = np.abs(place - place[:, None]) / (settings.step_fraction * comb.pitch_px)
     away = apart[np.argmax((apart < 0.5) @ np.bincount(run))][run] > 1
