@@ -18,11 +18,8 @@ from vision.models.modulus import (
     STRIP,
     ModulusSettings,
     cycles_seen,
-    looks_like_cycles,
     mean_over_cycles,
     measure_cycles,
-    modulus_from_offset_GPa,
-    modulus_from_slope_GPa,
     summarise_modulus,
     turning_points,
 )
@@ -77,11 +74,11 @@ def _dataset(record: pd.DataFrame) -> xr.Dataset:
 def test_quoted_numbers() -> None:
     """Y_p of 2 and 3 GPa is k = 536 and 804 N/mm and |F0| = 9 and 13.5 kN on the publication's sheet."""
     for modulus, k, offset in ((2.0, 536, 9.0), (3.0, 804, 13.5)):
-        test = replace(TEST, modulus_GPa=modulus)
-        assert round(test.stiffness_N_per_mm) == k
-        assert round(test.stiffness_N_per_mm * 16.8 / 1000, 1) == offset
-        assert modulus_from_offset_GPa(-1000 * offset) == pytest.approx(modulus)
-        assert modulus_from_slope_GPa(test.stiffness_N_per_mm) == pytest.approx(modulus)
+        cycle = measure_cycles(_dataset(cycles_record(replace(TEST, modulus_GPa=modulus)))).iloc[0]
+        assert cycle["k_N_per_mm"] == pytest.approx(k, rel=0.002)
+        assert -cycle["F0_N"] / 1000 == pytest.approx(offset, rel=0.002)
+        assert cycle["Y_p_GPa"] == pytest.approx(modulus, rel=0.002)
+        assert cycle["Y_slope_GPa"] == pytest.approx(modulus, rel=0.002)
 
 
 def test_the_extrapolated_offset_has_the_larger_absolute_error(tmp_path: Path) -> None:
@@ -159,28 +156,31 @@ def test_residual_distance_at_zero_force() -> None:
     assert cycles["loop_mJ"].dropna().mean() == pytest.approx(area, rel=0.02)
 
 
+def _travelled(time: np.ndarray, crosshead_mm: np.ndarray) -> xr.Dataset:
+    """A dataset with this displacement and no load."""
+    nothing = np.zeros(len(crosshead_mm))
+    return _dataset(pd.DataFrame({"time_s": time, "crosshead_mm": crosshead_mm, "load_N": nothing}))
+
+
 # --- cycles or a pull ---------------------------------------------------------------------------------------
 
 
 def test_cycles_are_told_from_a_pull(tmp_path: Path) -> None:
     """A failure means `track force` takes loading and unloading of an elastic sheet for sticks and slips."""
     force, _ = recorded(tmp_path, replace(TEST, friction_N=0.0, slack_mm=0.0001))
-    assert looks_like_cycles(force["time_s"].values, force["crosshead_mm"].values)
     assert cycles_seen(force).startswith("5 push–pull cycles")
     time = np.arange(3000) * 0.02
     rng = np.random.default_rng(0)
     pull = np.round((time / 60 + 1e-4 * rng.standard_normal(time.size)) / 5e-5) * 5e-5
-    assert not looks_like_cycles(time, pull)
-    assert not looks_like_cycles(time, np.concatenate([pull[:1500], pull[1500::-1][:1500]]))
-    assert not looks_like_cycles(time, np.full(3000, 3.0))
-    assert not looks_like_cycles([], [])
+    for travel in (pull, np.concatenate([pull[:1500], pull[1500::-1][:1500]]), np.full(3000, 3.0), []):
+        assert cycles_seen(_travelled(time[: len(travel)], travel)) == ""
 
 
 def test_a_short_preload_or_holds_are_no_cycles() -> None:
     """Machines take up slack and wait: neither makes a pull a cycle."""
     time = np.arange(6000) * 0.02
     corners = np.interp(time, [0, 5, 10, 30, 60, 80, 120], [0, 0.05, 0, 0.5, 0.5, 1.2, 2.0])
-    assert not looks_like_cycles(time, corners)
+    assert cycles_seen(_travelled(time, corners)) == ""
     assert turning_points(corners).tolist() == [0, 5999]
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -138,57 +139,29 @@ def _extrema(values: Floats, least: float) -> Ints:
     return np.union1d(inner, [0, values.size - 1]).astype(np.int64)
 
 
-def looks_like_cycles(
-    time: ArrayLike, displacement: ArrayLike, *, settings: ModulusSettings = ModulusSettings()
-) -> bool:
-    """Whether a recording consists of push–pull cycles rather than one pull.
-
-    True if the displacement reverses at least twice by a fifth of its range: the force then rises and falls
-    by loading and unloading, not by stick-slip. One pull with one return is not a cycle. Samples with NaN, or
-    with times that do not increase, are left out.
-    """
-    t, position = np.asarray(time, float), np.asarray(displacement, float)
-    known = np.isfinite(t) & np.isfinite(position)
-    t, position = t[known], position[known]
-    increasing = t > np.maximum.accumulate(np.concatenate([[-np.inf], t[:-1]]))
-    return turning_points(position[increasing], settings=settings).size >= 4
-
-
 def cycles_seen(force: xr.Dataset) -> str:
     """Return one line on the number of push–pull cycles of a recording; "" for a single pull.
 
-    It is also "" without a recorded displacement.
+    In cycles the displacement reverses at least twice by a fifth of its range, so that the force rises and
+    falls by loading and unloading, not by stick-slip. One pull with one return is not a cycle. It is also ""
+    without a recorded displacement.
     """
     if "crosshead_mm" not in force:
         return ""
     time, crosshead = force["time_s"].values, force["crosshead_mm"].values
-    if not looks_like_cycles(time, crosshead):
+    known = np.isfinite(time) & np.isfinite(crosshead)
+    time, crosshead = time[known], crosshead[known]
+    rising = time > np.maximum.accumulate(np.concatenate([[-np.inf], time[:-1]]))
+    turns = turning_points(crosshead[rising])
+    if turns.size < 4:
         return ""
-    known = crosshead[np.isfinite(crosshead)]
-    number = (turning_points(known).size - 1) // 2
     return (
-        f"{number} push–pull cycles between {known.min():.4g} and {known.max():.4g} mm, no stick-slip: "
-        "their rises and falls are loading and unloading"
+        f"{(turns.size - 1) // 2} push–pull cycles between {crosshead.min():.4g} and {crosshead.max():.4g} "
+        "mm, no stick-slip: their rises and falls are loading and unloading"
     )
 
 
 # --- cycles -------------------------------------------------------------------------------------------------
-
-
-def modulus_from_offset_GPa(F0_N: ArrayLike, *, sheet: Sample = STRIP) -> Floats:
-    r"""Young's modulus from the force extrapolated to Δ = 0.
-
-    .. math:: Y_p = \frac{k\Delta_0}{\epsilon W} = \frac{|F_0|}{\epsilon W}, \qquad \Delta_0 = -F_0/k
-
-    The publication prints Δ0 = k/F0, which has the wrong dimension.
-    """
-    return np.asarray(np.abs(np.asarray(F0_N, float)) / (sheet.thickness_mm * sheet.width_mm) / 1000)
-
-
-def modulus_from_slope_GPa(k_N_per_mm: ArrayLike, *, sheet: Sample = STRIP) -> Floats:
-    """Young's modulus from the slope and the length, Y = k L / (ε W)."""
-    area = sheet.thickness_mm * sheet.width_mm
-    return np.asarray(np.asarray(k_N_per_mm, float) * sheet.length_mm / area / 1000)
 
 
 def measure_cycles(
@@ -231,8 +204,11 @@ def measure_cycles(
 
     Notes
     -----
-    .. math:: F = k\Delta + F_0, \qquad \sigma_{F_0}^2 = s^2/n + \bar\Delta^2\sigma_k^2
+    .. math:: F = k\Delta + F_0, \qquad \sigma_{F_0}^2 = s^2/n + \bar\Delta^2\sigma_k^2, \qquad
+        Y_p = \frac{k\Delta_0}{\epsilon W} = \frac{|F_0|}{\epsilon W}, \qquad \Delta_0 = -F_0/k
 
+    The publication prints Δ0 = k/F0, which has the wrong dimension. The slope and the length also give a
+    modulus, kL/(εW).
     F0 is extrapolated from strains of a few per cent to Δ = 0, over the whole length of the sheet, so k and
     F0 have nearly the same relative error. Residuals with a correlation ρ between samples enlarge the errors
     by √((1 + ρ)/(1 − ρ)). An error of Δ enters in full: 1 % of L is 1 % of Y_p.
@@ -246,13 +222,16 @@ def measure_cycles(
     if not branches:
         reversals = max(cycles.turns.size - 2, 0)
         raise InputError(source, "push–pull cycles", f"a displacement that turns back {reversals} times")
-    rows, skipped = [], 0
+    delta, load, rows = cycles.delta, cycles.load, []
     for start, stop, following in branches:
         fitted = _part(cycles.smooth, start, stop, settings.part)
-        if fitted.stop - fitted.start < settings.least_samples:
-            skipped += 1
+        if (samples := fitted.stop - fitted.start) < settings.least_samples:
             continue
-        rows.append(_branch(cycles, start, stop, following, fitted, sheet))
+        times = {"t_start_s": float(cycles.time[start]), "t_end_s": float(cycles.time[stop])}
+        fit = {"fit_from_mm": float(delta[fitted][0]), "fit_to_mm": float(delta[fitted][-1])}
+        fit |= {"F_max_N": float(cycles.smooth[start : stop + 1].max()), "samples": samples}
+        line = _line(delta[fitted], load[fitted], sheet)
+        rows.append(line | _unloading(cycles, start, stop, following, sheet) | times | fit)
     if not rows:
         raise InputError(
             source,
@@ -268,6 +247,7 @@ def measure_cycles(
     table.insert(0, "cycle", np.arange(1, len(rows) + 1))
     table["drift_N"] = table["F_max_N"].diff()
     stiffness = math.nan if machine is None else machine
+    skipped = len(branches) - len(rows)
     few = [f"{skipped} loading branches with too few samples"] if skipped else []
     meta = replace(
         facts,
@@ -304,8 +284,7 @@ def _origin(crosshead: Floats, sheet: Sample, clamp_distance_mm: float | None) -
     return ("column", 0.0) if recorded else ("length", sheet.length_mm)
 
 
-@dataclass(frozen=True)
-class _Cycles:
+class _Cycles(NamedTuple):
     """Usable samples of a recording."""
 
     time: Floats  # s
@@ -326,24 +305,6 @@ def _loading_branches(cycles: _Cycles) -> list[tuple[int, int, int | None]]:
         (int(turns[k]), int(turns[k + 1]), int(turns[k + 2]) if whole[k + 1 : k + 2].any() else None)
         for k in np.flatnonzero((travel > 0) & whole)
     ]
-
-
-def _branch(
-    cycles: _Cycles, start: int, stop: int, following: int | None, fitted: slice, sheet: Sample
-) -> dict[str, float]:
-    """Row of the table for one loading branch, without its number."""
-    delta, load, smooth = cycles.delta, cycles.load, cycles.smooth
-    line = _line(delta[fitted], load[fitted])
-    return {
-        **_line_columns(line, sheet),
-        **_unloading(cycles, start, stop, following),
-        "t_start_s": float(cycles.time[start]),
-        "t_end_s": float(cycles.time[stop]),
-        "fit_from_mm": float(delta[fitted][0]),
-        "fit_to_mm": float(delta[fitted][-1]),
-        "F_max_N": float(smooth[start : stop + 1].max()),
-        "samples": fitted.stop - fitted.start,
-    }
 
 
 def _clean(
@@ -390,61 +351,40 @@ def _part(smooth: Floats, start: int, stop: int, part: tuple[float, float]) -> s
     return slice(start + first, start + max(last, first))
 
 
-@dataclass(frozen=True)
-class _Line:
-    """F = slope Δ + offset, with standard errors for correlated residuals."""
+def _line(delta: Floats, load: Floats, sheet: Sample) -> dict[str, float]:
+    """Columns of the table that follow from the least-squares line F = kΔ + F0 through the samples.
 
-    slope: float
-    slope_err: float
-    offset: float
-    offset_err: float
-    root: float  # Δ at F = 0
-    root_err: float
-
-
-def _line(delta: Floats, load: Floats) -> _Line:
-    """Least-squares line through the samples."""
+    Standard errors are those of correlated residuals. Only k if it is not positive; -inf if Δ does not vary.
+    """
     mean_delta, mean_load = float(delta.mean()), float(load.mean())
     x, y = delta - mean_delta, load - mean_load
     sxx = float(x @ x)
-    if sxx <= 0:
-        return _Line(-math.inf, math.nan, math.nan, math.nan, math.nan, math.nan)
-    slope = float(x @ y) / sxx
+    slope = float(x @ y) / sxx if sxx > 0 else -math.inf
+    if slope <= 0:
+        return {"k_N_per_mm": slope}
     residual = y - slope * x
     squares = float(residual @ residual)
     rho = float(residual[1:] @ residual[:-1]) / squares if squares > 0 else 0.0
     rho = min(max(rho, 0.0), 0.99)
     variance = squares / max(delta.size - 2, 1) * (1 + rho) / (1 - rho)
-    slope_var, mean_var = variance / sxx, variance / delta.size
-    # The root mean_delta − mean_load / slope depends on two quantities with independent errors.
-    root_var = (mean_var + (mean_load / slope) ** 2 * slope_var) / slope**2 if slope else math.inf
-    return _Line(
-        slope=slope,
-        slope_err=math.sqrt(slope_var),
-        offset=mean_load - slope * mean_delta,
-        offset_err=math.sqrt(mean_var + mean_delta**2 * slope_var),
-        root=mean_delta - mean_load / slope if slope else math.nan,
-        root_err=math.sqrt(root_var),
-    )
-
-
-def _line_columns(line: _Line, sheet: Sample) -> dict[str, float]:
-    """Columns of the table that follow from the line."""
+    slope_err, mean_err = math.sqrt(variance / sxx), math.sqrt(variance / delta.size)
+    offset, offset_err = mean_load - slope * mean_delta, math.hypot(mean_err, mean_delta * slope_err)
+    area = 1000 * sheet.thickness_mm * sheet.width_mm
     return {
-        "k_N_per_mm": line.slope,
-        "k_err_N_per_mm": line.slope_err,
-        "F0_N": line.offset,
-        "F0_err_N": line.offset_err,
-        "Y_p_GPa": float(modulus_from_offset_GPa(line.offset, sheet=sheet)),
-        "Y_p_err_GPa": float(modulus_from_offset_GPa(line.offset_err, sheet=sheet)),
-        "Y_slope_GPa": float(modulus_from_slope_GPa(line.slope, sheet=sheet)),
-        "Y_slope_err_GPa": float(modulus_from_slope_GPa(line.slope_err, sheet=sheet)),
-        "delta0_mm": line.root,
-        "delta0_err_mm": line.root_err,
+        "k_N_per_mm": slope,
+        "k_err_N_per_mm": slope_err,
+        "F0_N": offset,
+        "F0_err_N": offset_err,
+        "Y_p_GPa": abs(offset) / area,
+        "Y_p_err_GPa": offset_err / area,
+        "Y_slope_GPa": slope * sheet.length_mm / area,
+        "Y_slope_err_GPa": slope_err * sheet.length_mm / area,
+        "delta0_mm": -offset / slope,
+        "delta0_err_mm": math.hypot(mean_err, mean_load / slope * slope_err) / slope,
     }
 
 
-def _unloading(cycles: _Cycles, start: int, top: int, stop: int | None) -> dict[str, float]:
+def _unloading(cycles: _Cycles, start: int, top: int, stop: int | None, sheet: Sample) -> dict[str, float]:
     """Columns of the unloading: energy lost in the cycle, change of Δ at F = 0, and slope after the turn.
 
     The slope is taken from 5 % to 25 % of the fall of the force, without the rounded turn itself. There the
@@ -457,7 +397,8 @@ def _unloading(cycles: _Cycles, start: int, top: int, stop: int | None) -> dict[
     up, down = slice(start, top + 1), slice(top, stop + 1)
     common = max(float(delta[start]), float(delta[stop]))
     turn = _part(-smooth, top, stop, (0.05, 0.25))
-    tangent = _line(delta[turn], load[turn]).slope if turn.stop - turn.start > 2 else math.nan
+    enough = turn.stop - turn.start > 2
+    tangent = _line(delta[turn], load[turn], sheet)["k_N_per_mm"] if enough else math.nan
     return {
         "loop_mJ": _work(delta[up], load[up], common) + _work(delta[down], load[down], common),
         "residual_mm": _zero_crossing(delta[down][::-1], smooth[down][::-1])
