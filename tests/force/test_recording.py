@@ -235,7 +235,7 @@ def test_units_become_s_N_and_mm(time, load, length, tmp_path: Path) -> None:
         ("Load (N),Width (mm)\n" + rows(LOAD, LOAD, sep=","), "a time column"),
         ("nothing here\nbut words\n", "no three lines of numbers"),
         ("", "an empty file"),
-        ("a\x00b\x00", "a binary file"),
+        ("a\x00\x00b\x01\x00", "a binary file"),
         ("Time (s),Load (N)\n" + rows(TIME[:4], LOAD[:4], sep=","), "at least 10 samples; found 4"),
     ],
 )

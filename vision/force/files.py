@@ -7,7 +7,7 @@ import io
 import re
 import warnings
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -150,16 +150,17 @@ _BRACKETED = re.compile(r"^(?P<name>.*?)\s*[\(\[\{<](?P<unit>[^()\[\]{}<>]*)[\)\
 _TRAILING = re.compile(r"^(?P<name>.*\S)(?:\s*[,/]\s*|_|\s+in\s+)(?P<unit>[^\s,/_]+)\s*$")
 
 
-def split_name(header: str) -> tuple[str, str]:
+def split_name(header: str, is_unit: Callable[[str], object] = unit_of) -> tuple[str, str]:
     """Return ("Load", "kN") for "Load (kN)", "Load [kN]", "Load, kN", "Load / kN", "Load in kN" or "Load_kN".
 
-    Any text in brackets is split off as the unit; the other forms are split only at a known unit.
+    Any text in brackets is split off as the unit; the other forms are split only where
+    `is_unit` knows what follows.
     """
     bracketed = _BRACKETED.match(header)
     if bracketed:
         return bracketed["name"].strip(), bracketed["unit"].strip()
     trailing = _TRAILING.match(header)
-    if trailing and unit_of(trailing["unit"]):
+    if trailing and is_unit(trailing["unit"]):
         return trailing["name"].strip(), trailing["unit"].strip()
     return header.strip(), ""
 
@@ -189,7 +190,7 @@ def _read_text(path: Path) -> list[Table]:
     if size > _Most.mixed_bytes:
         wanted = f"at most {_Most.mixed_bytes >> 30} GiB of text that is not numbers alone"
         raise InputError(path, wanted, f"{size >> 20} MiB", "export one table of numbers")
-    text, encoding = _decode(path, path.read_bytes())
+    text, encoding = decode_text(path, path.read_bytes(), _WANTED)
     lines = text.splitlines()
     style = _find_style(lines)
     if style is None:
@@ -211,7 +212,7 @@ def _read_plain(path: Path) -> Table | None:
         head = file.read(1 << 17)  # the header and the first rows
         whole = not file.read(1)
     raw = head.split(b"\n")[: None if whole else -1]
-    text, encoding = _decode(path, b"\n".join(raw))
+    text, encoding = decode_text(path, b"\n".join(raw), _WANTED)
     lines = text.splitlines()
     style = _find_style(lines)
     if len(lines) not in (len(raw), len(raw) - 1) or style is None or style.separator == style.decimal:
@@ -243,23 +244,28 @@ def _facts(lines: list[str], style: _Style, encoding: str) -> dict[str, str]:
     }
 
 
-def _decode(path: Path, data: bytes) -> tuple[str, str]:
-    """Return the text and the encoding of a file's bytes."""
-    if not data.strip():
-        raise InputError(path, "a force recording", "an empty file")
+def decode_text(path: Path, data: bytes, wanted: str) -> tuple[str, str]:
+    """Return the text of a file in whatever encoding, and that encoding.
+
+    Raises InputError for an empty or a binary file.
+    """
+    if not data.strip(b"\x00 \t\r\n"):
+        raise InputError(path, wanted, "an empty file")
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         return data.decode("utf-16", errors="replace"), "utf-16"
-    if b"\x00" in data[:4096]:
-        raise InputError(
-            path, "a text table or a MATLAB .mat", "a binary file", "export the recording as text or CSV"
-        )
-    for encoding in ("utf-8-sig", "cp1252"):
+    even, odd = (data[first:4096:2].count(0) for first in (0, 1))
+    pairs = len(data[:4096]) / 2
+    if max(even, odd) > 0.4 * pairs and min(even, odd) < 0.1 * pairs:
+        # Latin text in UTF-16 without a byte order mark
+        return data.decode("utf-16-le" if odd > even else "utf-16-be", errors="replace"), "utf-16"
+    if even or odd:
+        raise InputError(path, f"{wanted} as text", "a binary file", "export it as text or CSV")
+    utf_8 = "utf-8 with BOM" if data.startswith(b"\xef\xbb\xbf") else "utf-8"
+    for encoding, name in (("utf-8-sig", utf_8), ("cp1252", "latin-1")):
         try:
-            text = data.decode(encoding)
+            return data.decode(encoding), name
         except UnicodeDecodeError:
             continue
-        unicode = "utf-8 with BOM" if data.startswith(b"\xef\xbb\xbf") else "utf-8"
-        return text, unicode if encoding == "utf-8-sig" else "latin-1"
     return data.decode("latin-1"), "latin-1"
 
 

@@ -14,6 +14,7 @@ import pandas as pd
 
 from vision.data import Metadata, Schema, Variable, record
 from vision.errors import InputError
+from vision.force.files import decode_text, split_name
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,7 +130,9 @@ def read_rheometer(path: str | Path) -> list[pd.DataFrame]:
     (approach, waiting) are left out, with a note. A result that cannot be used does not affect the others.
     """
     path = Path(path)
-    lines = _decode(path).splitlines()
+    if not path.is_file():
+        raise InputError(path, "a rheometer's file", "a folder" if path.is_dir() else "no such file")
+    lines = decode_text(path, path.read_bytes(), "a rheometer's file")[0].splitlines()
     results = [k for k, line in enumerate(lines) if _mark(line) == "Result:"]
     starts = [k for k, line in enumerate(lines) if _mark(line) == "Interval and data points:"]
     blocks = _intervals(lines, starts, results) if starts else [_plain_table(path, lines)]
@@ -161,29 +164,6 @@ class _Block:
     problem: str = ""  # why it is not a measurement; "" if it is
     waiting: bool = False  # whether it has values but no rotation, as before and between measurements
     values: pd.DataFrame = field(default_factory=pd.DataFrame)  # numbers in SI units
-
-
-def _decode(path: Path) -> str:
-    """Text of the file in whatever encoding; raise InputError if it is missing, empty or binary."""
-    if not path.is_file():
-        raise InputError(path, "a rheometer's file", "a folder" if path.is_dir() else "no such file")
-    data = path.read_bytes()
-    if not data.strip(b"\x00 \t\r\n"):
-        raise InputError(path, "a rheometer's file", "an empty file")
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return data.decode("utf-16", errors="replace")
-    head = np.frombuffer(data[:4096], np.uint8)
-    odd, even = float(np.mean(head[1::2] == 0)), float(np.mean(head[::2] == 0))
-    if max(odd, even) > 0.4 and min(odd, even) < 0.1:  # Latin text in UTF-16 without a byte order mark
-        return data.decode("utf-16-le" if odd > even else "utf-16-be", errors="replace")
-    if max(odd, even) > 0:
-        raise InputError(path, "a text export of a rheometer", "a binary file", "export it as text or CSV")
-    for encoding in ("utf-8-sig", "cp1252"):
-        try:
-            return data.decode(encoding)
-        except UnicodeDecodeError:
-            continue
-    return data.decode("latin-1")
 
 
 def _mark(line: str) -> str:
@@ -274,8 +254,9 @@ def _plain_table(path: Path, lines: list[str]) -> _Block:
         shown = next((line.strip()[:60] for line in lines if line.strip()), "nothing")
         raise InputError(path, "a torque column", f"the first line '{shown}'", "name it: Torque [mN·m]")
     cells = _cells(lines[header:], _separator(lines[header])).map(str.strip)
-    split = [_split_unit(str(cell).lstrip("#% ")) for cell in cells.iloc[0]]
-    names, units = [name for name, _ in split], [unit for _, unit in split]
+    known = {unit for quantity in _QUANTITIES for unit in quantity.units}
+    split = [split_name(str(cell).lstrip("#% "), lambda text: _unit(text) in known) for cell in cells.iloc[0]]
+    names, units = [name.replace("_", " ") for name, _ in split], [unit for _, unit in split]
     first = 1
     if len(cells) > 1 and not any(units) and not any(_is_number(str(cell)) for cell in cells.iloc[1]):
         units, first = [str(cell) for cell in cells.iloc[1]], 2
@@ -297,23 +278,6 @@ def _is_number(text: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _split_unit(header: str) -> tuple[str, str]:
-    """Split a header: "Torque [mN·m]", "Torque (mN·m)", "Torque in mN·m" → ("Torque", "mN·m")."""
-    name = header.strip()
-    for opened, closed in ("[]", "()"):
-        if name.endswith(closed) and opened in name:
-            start = name.rindex(opened)
-            return name[:start].strip(), name[start + 1 : -1].strip()
-    known = {unit for quantity in _QUANTITIES for unit in quantity.units}
-    for cut in (" in ", ", ", " / ", "_"):
-        start = name.find(cut)
-        while start >= 0:
-            if _unit(name[start + len(cut) :]) in known:
-                return name[:start].replace("_", " ").strip(), name[start + len(cut) :]
-            start = name.find(cut, start + 1)
-    return name.replace("_", " "), ""
 
 
 _NO_SIGN = str.maketrans(dict.fromkeys("·⋅•∙*. _-[]()") | {"μ": "µ"})
