@@ -538,19 +538,15 @@ def _posterior(
 # --- standard errors ----------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class ErrorModel:
-    """Components of the errors of the creep."""
+def coefficient_errors(
+    fit: Creep, noise: Noise, pattern_px: Floats | float = 0.0, scale: float = 0.0
+) -> Floats:
+    """Standard errors of the coefficients of a fit with the correlation of `noise`, px, (stick, sheet, term).
 
-    noise: Noise  # of the positions
-    pattern_px: Floats  # fixed-pattern error of each sheet, (sheet,)
-    scale: float = 0.0  # relative error of the magnification
-
-    def of(self, fit: Creep) -> Floats:
-        """Standard errors of the coefficients of a fit with this noise's correlation, px, (stick, sheet,
-        term)."""
-        variance = np.einsum("eskk->esk", fit.inverse)
-        random = np.sqrt(variance) * (self.noise.noise_px * self.noise.excess)[..., None]
-        reach = fit.coefficient[..., 1]
-        pattern = fixed_pattern_gain(reach, variance.shape[2]) * self.pattern_px[:, None]
-        return np.asarray(np.sqrt(random**2 + pattern**2 + (self.scale * reach[..., None]) ** 2))
+    pattern_px: fixed-pattern error of each sheet, (sheet,).  scale: relative error of the magnification.
+    """
+    variance = np.einsum("eskk->esk", fit.inverse)
+    random = np.sqrt(variance) * (noise.noise_px * noise.excess)[..., None]
+    reach = fit.coefficient[..., 1]
+    pattern = fixed_pattern_gain(reach, variance.shape[2]) * np.reshape(pattern_px, (-1, 1))
+    return np.asarray(np.sqrt(random**2 + pattern**2 + (scale * reach[..., None]) ** 2))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,11 +22,11 @@ from vision.deformation.common_mode import (
     movement_of_books,
 )
 from vision.deformation.creep import (
+    AR1Noise,
     Creep,
-    ErrorModel,
     LateSlips,
-    Noise,
     StickFrames,
+    coefficient_errors,
     correct_pixel_locking,
     find_late_slips,
     fit_creep,
@@ -36,7 +37,7 @@ from vision.deformation.creep import (
 )
 from vision.deformation.settings import DeformationSettings
 from vision.errors import InputError
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, nan_median
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, nan_median
 
 LEAST_STEADY = 5  # sticks needed to measure how steady the pull is
 
@@ -132,10 +133,8 @@ def horizontal_deformation(
     start, stop = (events[name].to_numpy(float) for name in ("t_v_s", "t_p_s"))
     every = frames_of_sticks(time, start, stop, margin_s=0.0, interval_s=interval)
     frames = frames_of_sticks(time, start, stop, margin_s=margin, interval_s=interval)
-    sheets = _Sheets.of(tracks)
-    x_px = np.asarray(tracks["x_px"].values, float)[frames.frame]
-    found = _measure(x_px, frames, sheets, common_mode, settings)
-    motion = _dataset(events, found, pixel, settings).assign_coords(sheet=tracks["sheet"].values)
+    motion, noise, movement = _measure(tracks, events, frames, pixel, common_mode, settings)
+    motion = motion.assign_coords(sheet=tracks["sheet"].values)
     for name in ("side", "n"):
         motion = motion.assign_coords({name: ("sheet", tracks[name].values, MOTION[name].attrs)})
     motion["frames_left_out"] = "event", every.counts - frames.counts, MOTION["frames_left_out"].attrs
@@ -144,9 +143,9 @@ def horizontal_deformation(
         pixel_size_um=pixel,
         margin_s=margin,
         interval_s=interval,
-        noise_share=found.noise.correlation.share,
-        noise_rho=found.noise.correlation.rho,
-        camera_movement=found.camera_movement,
+        noise_share=noise.share,
+        noise_rho=noise.rho,
+        camera_movement=movement,
         warnings=warnings,
     )
     return record(
@@ -270,92 +269,88 @@ def _uninterrupted(
     return events.loc[whole], [line + "the machine moved more slowly in them than in those around"]
 
 
-@dataclass(frozen=True)
-class _Sheets:
-    """Properties of the sheets, (sheet,)."""
-
-    side: Ints
-    n: Ints
-    locking: Floats  # pixel-locking slope
-    pictured: bool  # whether the positions were measured in a picture, with the errors of unequal pixels
-
-    @classmethod
-    def of(cls, tracks: xr.Dataset) -> _Sheets:
-        x_px = np.asarray(tracks["x_px"].values, float)
-        fit, locking = TrackMetadata.of(tracks).fit, np.zeros(x_px.shape[1])
-        if fit == "paper" and "x_err_px" in tracks:
-            locking = pixel_locking_slope(x_px, np.asarray(tracks["x_err_px"].values, float))
-        return cls(tracks["side"].values, tracks["n"].values, locking, fit != "unknown")
-
-
 # --- measurement --------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class _Deformation:
-    """Creep of every sheet in every stick, (stick, sheet), px; NaN where `good` is False."""
-
-    rms_px: Floats  # RMS displacement in the usable frames as measured
-    signed_px: Floats  # RMS of the fitted creep over the whole stick, positive inwards
-    error_px: Floats  # standard error of signed_px
-    sweep_px: Floats  # inward movement over the stick
-    middle_px: Floats  # mean position over the stick, x̂
-    count: Ints  # positions used
-    good: Bools
-    uneven: Bools  # whether the residuals exceed the noise
-    effective_frames: Floats  # number of frames with independent noise, (stick,)
-    drift_px: Floats  # (stick,)
-    drift_err_px: Floats  # (stick,)
-    end_slope: Floats  # relative difference of the speed at the ends of a stick from the mean, (stick,)
-    noise: Noise
-    camera_movement: str  # which parts of it were subtracted
-
-
 def _measure(
-    x_px: Floats, frames: StickFrames, sheets: _Sheets, common_mode: bool, settings: DeformationSettings
-) -> _Deformation:
-    """Measure the creep from the positions in usable frames, px, (F, sheet), NaN where there is none."""
+    tracks: xr.Dataset,
+    events: pd.DataFrame,
+    frames: StickFrames,
+    pixel_um: float,
+    common_mode: bool,
+    settings: DeformationSettings,
+) -> tuple[xr.Dataset, AR1Noise, str]:
+    """Deformation in the usable frames, the noise's correlation, and the camera movement subtracted."""
+    all_px, side = np.asarray(tracks["x_px"].values, float), tracks["side"].values
+    x_px, fit = all_px[frames.frame], TrackMetadata.of(tracks).fit
     terms = 4 if np.median(frames.counts) >= settings.cubic_frames else 3
-    unlocked = correct_pixel_locking(x_px, sheets.locking, frames, terms, settings)
-    vibration, factor = np.zeros(len(x_px)), np.ones(x_px.shape[1])
-    if common_mode and len(unlocked):
-        unlocked = unlocked - camera_pushes(unlocked, frames, settings)[:, None]
-        residual = unlocked - fit_creep(unlocked, frames, terms, settings).at(frames)
+    steady = x_px
+    if fit == "paper" and "x_err_px" in tracks:
+        locking = pixel_locking_slope(all_px, np.asarray(tracks["x_err_px"].values, float))
+        steady = correct_pixel_locking(x_px, locking, frames, terms, settings)
+    vibration, factor = np.zeros(len(x_px)), np.ones(side.size)
+    if common_mode and len(x_px):
+        steady = steady - camera_pushes(steady, frames, settings)[:, None]
+        residual = steady - fit_creep(steady, frames, terms, settings).at(frames)
         vibration = common_mode_motion(residual, settings)
         factor = common_mode_noise_factor(residual, settings)
-    steady = unlocked - vibration[:, None]
+    steady = steady - vibration[:, None]
     slips = find_late_slips(steady, frames, settings)
     steady = np.where(slips.outside, np.nan, steady)
     noise = measure_noise(steady, frames, terms, settings)
     line, parabola, close = (fit_creep(steady, frames, k, settings, noise.correlation) for k in (2, 3, terms))
     noise = replace(noise, noise_px=noise.noise_px * np.sqrt(factor))
-    errors = ErrorModel(noise, np.zeros(sheets.n.size))
-    if sheets.pictured:
-        pattern = fixed_pattern_px(close, errors.of(close), noise, settings)
-        errors = ErrorModel(noise, pattern, settings.scale_error)
-    camera = drift_model(line, sheets.side, sheets.n, frames, vibration, settings) if common_mode else None
+    pattern, scale = np.zeros(side.size), 0.0
+    if fit != "unknown":  # the positions were measured in a picture, with the errors of unequal pixels
+        pattern = fixed_pattern_px(close, coefficient_errors(close, noise), noise, settings)
+        scale = settings.scale_error
+    errors = [coefficient_errors(part, noise, pattern, scale) for part in (line, parabola)]
+    camera = drift_model(line, side, tracks["n"].values, frames, vibration, settings) if common_mode else None
     # The share of independent frames is the ratio of the sweep's variances for white and correlated noise.
     white = fit_creep(steady, frames, 2, settings)
     independent = nan_median(white.inverse[..., 1, 1] / line.inverse[..., 1, 1], axis=1)
     curve = _Curve.of(line, parabola, errors, camera, settings).shortened(slips)
     books_px = movement_of_books(curve.straight, frames.length_s)
     curve = replace(curve, slope_err=np.hypot(curve.slope_err, books_px[:, None]))
-    return _Deformation(
-        rms_px=np.where(line.good, _rms(x_px, frames), np.nan),
-        signed_px=np.asarray(-sheets.side * np.sign(curve.slope) * np.sqrt(curve.mean_square), float),
-        error_px=curve.rms_err,
-        sweep_px=-2 * sheets.side * curve.straight,
-        middle_px=curve.middle,
-        count=line.count,
-        good=line.good,
-        uneven=noise.excess > 1,
-        effective_frames=np.where(np.isfinite(independent), frames.counts * independent, frames.counts),
-        drift_px=2 * curve.drift,
-        drift_err_px=2 * curve.drift_err,
-        end_slope=curve.end_slope,
-        noise=noise,
-        camera_movement=camera.movement if camera else "not subtracted",
+    length = events["stick_length_um"].to_numpy(float)[:, None]
+    length = np.where(length > 0, length, np.nan)
+    sigma_length_err, length_err = _length_errors(events, curve.end_slope)
+    signed = -side * np.sign(curve.slope) * np.sqrt(curve.mean_square) * pixel_um  # positive inwards
+    error = curve.rms_err * pixel_um
+    outward = signed < -settings.outward_errors * error
+    size = np.where(outward, -signed, np.maximum(signed, 0))
+    flags = {
+        "few": ~line.good,
+        "no_length": np.broadcast_to(np.isnan(length), line.good.shape),
+        "outward": outward,
+        "uneven": noise.excess > 1,
+        "below_noise": signed < 0,
+    }
+    values = {
+        "sigma_x_um": np.where(line.good, _rms(x_px, frames), np.nan) * pixel_um,
+        "sigma_x_corrected_um": size,
+        "sigma_x_err_um": np.hypot(error, size * sigma_length_err[:, None]),
+        "sweep_um": -2 * side * curve.straight * pixel_um,
+        "ratio": size / length,
+        "ratio_err": np.hypot(error / length, size / length * length_err[:, None]),
+        "ratio_signed": signed / length,
+        "frames": line.count,
+        "x_hat_px": curve.middle,
+        "flag": np.select(list(flags.values()), list(flags), default="ok"),
+        "stick_length_um": length[:, 0],
+        "length_err": length_err,
+        "effective_frames": frames.counts * np.where(np.isfinite(independent), independent, 1),
+        "drift_um": 2 * curve.drift * pixel_um,
+        "drift_err_um": 2 * curve.drift_err * pixel_um,
+        "noise_um": noise.noise_px * pixel_um,
+    }
+    ends = [name for name in ("t_v_s", "t_p_s", "d_v_mm", "d_p_mm") if name in events]
+    motion = xr.Dataset(
+        {name: (MOTION[name].dims, value, MOTION[name].attrs) for name, value in values.items()},
+        {"event": events["event"].to_numpy()}
+        | {name: ("event", events[name].to_numpy(float), MOTION[name].attrs) for name in ends},
     )
+    return motion, noise.correlation, camera.movement if camera else "not subtracted"
 
 
 def _rms(x_px: Floats, frames: StickFrames) -> Floats:
@@ -389,12 +384,15 @@ class _Curve:
         cls,
         line: Creep,
         parabola: Creep,
-        errors: ErrorModel,
+        errors: Sequence[Floats],
         camera: BothSides | OneSide | None,
         settings: DeformationSettings,
     ) -> _Curve:
-        """Choose line or parabola for each sheet and stick, and subtract the drift of the camera."""
-        parabola_err, line_err = errors.of(parabola), errors.of(line)
+        """Choose line or parabola for each sheet and stick, and subtract the drift of the camera.
+
+        errors: standard errors of the coefficients of the line and of the parabola.
+        """
+        line_err, parabola_err = errors
         bend, bend_err, _ = _without_drift(
             camera, parabola.coefficient[..., 2], parabola_err[..., 2], slow=False
         )
@@ -451,7 +449,7 @@ def _without_drift(
     return value - drift.value[:, None], drift.error_without(error), drift
 
 
-# --- output -------------------------------------------------------------------------------------------------
+# --- errors of the stick length -----------------------------------------------------------------------------
 
 
 def _length_errors(events: pd.DataFrame, end_slope: Floats) -> tuple[Floats, Floats]:
@@ -476,48 +474,3 @@ def _lengths(events: pd.DataFrame) -> tuple[Floats, Floats]:
     length = events["stick_length_um"].to_numpy(float)
     error = events["stick_length_err_um"] if "stick_length_err_um" in events else np.zeros(length.shape)
     return length, np.asarray(error, float)
-
-
-def _dataset(
-    events: pd.DataFrame, found: _Deformation, pixel_size_um: float, settings: DeformationSettings
-) -> xr.Dataset:
-    """Deformation in µm, its ratio to the stick length, and flags; negative values that are not significant
-    become 0."""
-    length = events["stick_length_um"].to_numpy(float)[:, None]
-    length = np.where(length > 0, length, np.nan)
-    sigma_length_err, length_err = _length_errors(events, found.end_slope)
-    signed, error = found.signed_px * pixel_size_um, found.error_px * pixel_size_um
-    outward = signed < -settings.outward_errors * error
-    size = np.where(outward, -signed, np.maximum(signed, 0))
-    flags = {
-        "few": ~found.good,
-        "no_length": np.broadcast_to(np.isnan(length), found.good.shape),
-        "outward": outward,
-        "uneven": found.uneven,
-        "below_noise": signed < 0,
-    }
-    ratio = size / length
-    values = {
-        "sigma_x_um": found.rms_px * pixel_size_um,
-        "sigma_x_corrected_um": size,
-        "sigma_x_err_um": np.hypot(error, size * sigma_length_err[:, None]),
-        "sweep_um": found.sweep_px * pixel_size_um,
-        "ratio": ratio,
-        "ratio_err": np.hypot(error / length, ratio * length_err[:, None]),
-        "ratio_signed": signed / length,
-        "frames": found.count,
-        "x_hat_px": found.middle_px,
-        "flag": np.select(list(flags.values()), list(flags), default="ok"),
-        "stick_length_um": length[:, 0],
-        "length_err": length_err,
-        "effective_frames": found.effective_frames,
-        "drift_um": found.drift_px * pixel_size_um,
-        "drift_err_um": found.drift_err_px * pixel_size_um,
-        "noise_um": found.noise.noise_px * pixel_size_um,
-    }
-    ends = [name for name in ("t_v_s", "t_p_s", "d_v_mm", "d_p_mm") if name in events]
-    return xr.Dataset(
-        {name: (MOTION[name].dims, value, MOTION[name].attrs) for name, value in values.items()},
-        {"event": events["event"].to_numpy()}
-        | {name: ("event", events[name].to_numpy(float), MOTION[name].attrs) for name in ends},
-    )
