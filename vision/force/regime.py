@@ -10,7 +10,7 @@ import pandas as pd
 from numpy.lib.stride_tricks import sliding_window_view
 
 from vision.force.corners import Extremes
-from vision.force.lines import flat_ranges
+from vision.force.lines import fit_lines, flat_ranges
 from vision.force.settings import ForceSettings
 from vision.force.slips import Slips, upward_share
 from vision.force.sticks import Signal
@@ -56,14 +56,12 @@ def _roundness(y: Floats, start: Floats, stop: Floats) -> float:
     """Return the median ratio of the squared residuals of a line to those of half a cosine."""
     row, index = flat_ranges(start.astype(np.int64), stop.astype(np.int64) + 1)
     u = (index - start[row]) / (stop - start)[row]
-    residual = []
-    for shape in (u, 0.5 * (1 - np.cos(np.pi * u))):
-        count = np.bincount(row).astype(float)
-        dx = shape - (np.bincount(row, shape) / count)[row]
-        dy = y[index] - (np.bincount(row, y[index]) / count)[row]
-        slope = np.bincount(row, dx * dy) / np.maximum(np.bincount(row, dx * dx), 1e-300)
-        residual.append(np.bincount(row, (dy - slope[row] * dx) ** 2))
-    return float(np.median(residual[0] / np.maximum(residual[1], 1e-300)))
+    first = np.searchsorted(row, np.arange(start.size + 1))
+    line, cosine = (
+        fit_lines(shape, y[index], first[:-1], first[1:]).squares
+        for shape in (u, 0.5 * (1 - np.cos(np.pi * u)))
+    )
+    return float(np.median(line / np.maximum(cosine, 1e-300)))
 
 
 def is_unloading(travel: Floats, extremes: Extremes) -> Bools:
