@@ -6,13 +6,11 @@ from scipy.integrate import solve_ivp
 
 from vision.errors import InputError
 from vision.models.spring_block import (
-    RateState,
     SpringBlock,
     critical_stiffness_N_per_mm,
     integrate_motion,
     onset_period_s,
     slow_speed_limit_mm_s,
-    slow_stick_slip,
     stick_slip,
 )
 
@@ -54,14 +52,14 @@ def test_the_block_rests_in_sticks_and_moves_forwards_in_slips() -> None:
 def test_how_short_the_slow_limit_is(ratio: float, percent: int) -> None:
     """6 % short at v/v_c = 0.1, 33 % at 1, 47 % at 5."""
     speed = ratio * BLOCK.critical_speed_mm_s
-    short = 1 - slow_stick_slip(BLOCK, speed).slip_time_s / stick_slip(BLOCK, speed).slip_time_s
+    short = 1 - stick_slip(BLOCK, speed, slow=True).slip_time_s / stick_slip(BLOCK, speed).slip_time_s
     assert round(100 * float(short)) == percent
 
 
 def test_only_the_slip_time_depends_on_the_limit() -> None:
     """u0, Δf and t_st are exact at every speed: the slow limit must have the same."""
     speeds = BLOCK.critical_speed_mm_s * np.array([0.01, 1.0, 5.0])
-    exact, slow = stick_slip(BLOCK, speeds), slow_stick_slip(BLOCK, speeds)
+    exact, slow = stick_slip(BLOCK, speeds), stick_slip(BLOCK, speeds, slow=True)
     for name in ("stick_time_s", "lowest_elongation_mm", "highest_elongation_mm", "force_drop_N"):
         np.testing.assert_array_equal(getattr(exact, name), getattr(slow, name))
     assert (exact.slip_time_s > slow.slip_time_s).all()
@@ -71,7 +69,7 @@ def test_only_the_slip_time_depends_on_the_limit() -> None:
 def test_the_speed_at_which_the_limit_fails(tolerance: float) -> None:
     """A failure means the stated speed is not where the slip time is short by the tolerance."""
     speed = slow_speed_limit_mm_s(BLOCK, tolerance=tolerance)
-    short = 1 - slow_stick_slip(BLOCK, speed).slip_time_s / stick_slip(BLOCK, speed).slip_time_s
+    short = 1 - stick_slip(BLOCK, speed, slow=True).slip_time_s / stick_slip(BLOCK, speed).slip_time_s
     assert short == pytest.approx(tolerance, rel=1e-9)
 
 
@@ -133,12 +131,12 @@ def oscillation(stiffness_N_per_mm: float, mass_kg: float) -> tuple[float, float
 @pytest.mark.parametrize("inertia", [0.01, 1.0], ids=["light", "heavy"])
 def test_steady_sliding_turns_unstable_at_the_critical_stiffness(inertia: float) -> None:
     """Growth changes sign at k_c with its period; where m V² = a N D_c, k_c without inertia is half of it."""
-    friction = RateState(a=0.01, b=0.015, critical_length_um=10.0)
+    friction = {"a": 0.01, "b": 0.015, "critical_length_um": 10.0}
     mass = inertia * 0.01 * 20.0 * 10e-6 / 1e-4**2
-    critical = critical_stiffness_N_per_mm(friction, load_N=20.0, speed_mm_s=0.1, mass_kg=mass)
+    critical = critical_stiffness_N_per_mm(**friction, load_N=20.0, speed_mm_s=0.1, mass_kg=mass)
     assert critical == pytest.approx(10.0 * (1 + inertia))
     assert oscillation(1.02 * critical, mass)[0] < 0 < oscillation(0.98 * critical, mass)[0]
     period = oscillation(critical, mass)[1]
-    assert period == pytest.approx(onset_period_s(friction, speed_mm_s=0.1), rel=0.01)
+    assert period == pytest.approx(onset_period_s(**friction, speed_mm_s=0.1), rel=0.01)
     with pytest.raises(InputError, match="`b`"):
-        RateState(a=0.01, b=0.01, critical_length_um=10.0)
+        onset_period_s(a=0.01, b=0.01, critical_length_um=10.0, speed_mm_s=0.1)

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy
@@ -22,7 +23,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from vision.errors import InputError, check_positive
-from vision.numeric import Bools, Floats
+from vision.numeric import Floats
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,8 +80,8 @@ class StickSlipCycle:
     force_drop_N: Floats  # Δf = 2 (μ_s − μ_d) w
 
 
-def stick_slip(block: SpringBlock, speed_mm_s: ArrayLike) -> StickSlipCycle:
-    r"""Stationary cycle, exact at every pulling speed v, mm/s.
+def stick_slip(block: SpringBlock, speed_mm_s: ArrayLike, *, slow: bool = False) -> StickSlipCycle:
+    r"""Stationary cycle at the pulling speed v, mm/s: exact, or as printed for slow pulling.
 
     Raises
     ------
@@ -93,22 +94,24 @@ def stick_slip(block: SpringBlock, speed_mm_s: ArrayLike) -> StickSlipCycle:
               t_{sl} = 2\sqrt{\frac{m}{k}}\left[\pi - \arctan\frac{(\mu_s-\mu_d)w}{v\sqrt{mk}}\right],
               \quad \Lambda_{sl} = v\,t_{sl}
 
-    t_st, u0 and Δf are those of slow pulling; only the slip lasts longer, up to twice as long at high speeds.
+    The slow limit differs only in t_sl = π √(m/k), which is too short by 6 % at v = 0.1 v_c, 33 % at v_c and
+    47 % at 5 v_c; `slow_speed_limit_mm_s` gives the speed up to which it is accurate.
     """
     speed = _speeds(speed_mm_s)
-    angle = np.pi - np.arctan(block.critical_speed_mm_s / speed)
-    return _cycle(block, speed, 2 * math.sqrt(block.mass_kg / block.stiffness_N_per_m) * angle)
-
-
-def slow_stick_slip(block: SpringBlock, speed_mm_s: ArrayLike) -> StickSlipCycle:
-    r"""Cycle in the limit of slow pulling, as printed in the publication: t_sl = π √(m/k).
-
-    Its slip time is too short by 6 % at v = 0.1 v_c, 33 % at v_c and 47 % at 5 v_c; `slow_speed_limit_mm_s`
-    gives the speed up to which it is accurate. Arguments and errors are those of `stick_slip`.
-    """
-    speed = _speeds(speed_mm_s)
-    slip = np.full(speed.shape, math.pi * math.sqrt(block.mass_kg / block.stiffness_N_per_m))
-    return _cycle(block, speed, slip)
+    angle = (
+        0.5 * np.pi * np.ones_like(speed) if slow else np.pi - np.arctan(block.critical_speed_mm_s / speed)
+    )
+    slip_s = 2 * math.sqrt(block.mass_kg / block.stiffness_N_per_m) * angle
+    k, w, ones = block.stiffness_N_per_mm, block.load_N, np.ones_like(speed)
+    drop = 2 * (block.mu_static - block.mu_dynamic) * w
+    return StickSlipCycle(
+        stick_time_s=drop / (k * speed),
+        slip_time_s=slip_s,
+        slip_length_mm=speed * slip_s,
+        lowest_elongation_mm=(2 * block.mu_dynamic - block.mu_static) * w / k * ones,
+        highest_elongation_mm=block.mu_static * w / k * ones,
+        force_drop_N=drop * ones,
+    )
 
 
 def _speeds(speed_mm_s: ArrayLike) -> Floats:
@@ -117,21 +120,6 @@ def _speeds(speed_mm_s: ArrayLike) -> Floats:
     if not (np.isfinite(speed) & (speed > 0)).all():
         raise InputError("`speed_mm_s`", "positive speeds", f"{speed_mm_s!r}")
     return speed
-
-
-def _cycle(block: SpringBlock, speed: Floats, slip_time_s: Floats) -> StickSlipCycle:
-    """Cycle with this slip time; the other fields are those of slow pulling."""
-    k, w = block.stiffness_N_per_mm, block.load_N
-    drop = 2 * (block.mu_static - block.mu_dynamic) * w
-    ones = np.ones_like(speed)
-    return StickSlipCycle(
-        stick_time_s=drop / (k * speed),
-        slip_time_s=slip_time_s,
-        slip_length_mm=speed * slip_time_s,
-        lowest_elongation_mm=(2 * block.mu_dynamic - block.mu_static) * w / k * ones,
-        highest_elongation_mm=block.mu_static * w / k * ones,
-        force_drop_N=drop * ones,
-    )
 
 
 def slow_speed_limit_mm_s(block: SpringBlock, *, tolerance: float = 0.05) -> float:
@@ -186,38 +174,37 @@ def integrate_motion(
     """
     speed = float(_speeds(speed_mm_s)) / 1000
     if cycles < 1 or samples_per_phase < 2:
-        raise InputError(
-            "`cycles`, `samples_per_phase`", "at least 1 and 2", f"{cycles}, {samples_per_phase}"
-        )
-    time, state = 0.0, np.array([0.0, speed])
-    parts: list[tuple[Floats, Floats, Bools]] = []
-    slips: list[tuple[float, float, float, float]] = []
-    for _ in range(cycles):
-        start, stuck = _phase(block, speed, time, state, sliding=False, samples=samples_per_phase)
-        stop, slid = _phase(block, speed, start[-1], stuck[:, -1], sliding=True, samples=samples_per_phase)
-        parts += [(start, stuck, np.zeros(start.size, bool)), (stop, slid, np.ones(stop.size, bool))]
-        slips.append((float(start[-1]), float(stop[-1]), float(stuck[0, -1]), float(slid[0, -1])))
-        time, state = float(stop[-1]), slid[:, -1]
-    times, states, sliding = (np.concatenate([part[k] for part in parts], axis=-1) for k in range(3))
-    begin, end, high, low = np.array(slips).T
-    k = block.stiffness_N_per_mm
+        found = f"{cycles}, {samples_per_phase}"
+        raise InputError("`cycles`, `samples_per_phase`", "at least 1 and 2", found)
+    parts = [(np.zeros(1), np.array([[0.0], [speed]]))]
+    for phase in range(2 * cycles):
+        time, state = parts[-1]
+        parts.append(_phase(block, speed, time[-1], state[:, -1], phase % 2 == 1, samples_per_phase))
+    parts = parts[1:]
+    times, states = (np.concatenate([part[k] for part in parts], axis=-1) for k in range(2))
+    ends = np.array([time[-1] for time, _ in parts]).reshape(cycles, 2)
+    stretch = 1000 * np.array([state[0, -1] for _, state in parts]).reshape(cycles, 2)
     return xr.Dataset(
         {
             "elongation_mm": ("time_s", 1000 * states[0], {"units": "mm", "long_name": "elongation"}),
             "block_speed_mm_s": ("time_s", 1000 * (speed - states[1]), {"units": "mm/s"}),
-            "force_N": ("time_s", 1000 * k * states[0], {"units": "N", "long_name": "spring force"}),
-            "sliding": ("time_s", sliding),
-            "slip_start_s": ("slip", begin, {"units": "s"}),
-            "slip_end_s": ("slip", end, {"units": "s"}),
-            "highest_elongation_mm": ("slip", 1000 * high, {"units": "mm"}),
-            "lowest_elongation_mm": ("slip", 1000 * low, {"units": "mm"}),
+            "force_N": (
+                "time_s",
+                block.stiffness_N_per_m * states[0],
+                {"units": "N", "long_name": "spring force"},
+            ),
+            "sliding": ("time_s", np.repeat(np.arange(2 * cycles) % 2 == 1, samples_per_phase)),
+            "slip_start_s": ("slip", ends[:, 0], {"units": "s"}),
+            "slip_end_s": ("slip", ends[:, 1], {"units": "s"}),
+            "highest_elongation_mm": ("slip", stretch[:, 0], {"units": "mm"}),
+            "lowest_elongation_mm": ("slip", stretch[:, 1], {"units": "mm"}),
         },
         coords={"time_s": ("time_s", times, {"units": "s", "long_name": "time"})},
     )
 
 
 def _phase(
-    block: SpringBlock, speed: float, time: float, state: Floats, *, sliding: bool, samples: int
+    block: SpringBlock, speed: float, time: float, state: Floats, sliding: bool, samples: int
 ) -> tuple[Floats, Floats]:
     """Times, (samples,), and (u, u̇), (2, samples), of one stick or one slip, including its end; SI units."""
     m, k = block.mass_kg, block.stiffness_N_per_m
@@ -232,7 +219,7 @@ def _phase(
     ends.terminal, ends.direction = True, 1.0  # type: ignore[attr-defined]
     # A slip lasts at most a period of the free oscillation, a stick until the spring reaches the threshold.
     longest = 2.1 * math.pi * math.sqrt(m / k) if sliding else 1.1 * (static / k - state[0]) / speed
-    found = scipy.integrate.solve_ivp(
+    found: Any = scipy.integrate.solve_ivp(
         motion,
         (time, time + longest),
         [state[0], speed],
@@ -243,11 +230,7 @@ def _phase(
         max_step=longest / 20,
         dense_output=True,
     )
-    assert found.sol is not None
-    assert found.t_events is not None
-    assert found.y_events is not None
-    last = float(found.t_events[0][-1])
-    times = np.linspace(time, last, samples)
+    times = np.linspace(time, float(found.t_events[0][-1]), samples)
     states = np.asarray(found.sol(times), float)
     states[:, -1] = found.y_events[0][-1]
     return times, states
@@ -256,54 +239,52 @@ def _phase(
 # --- rate-and-state friction --------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
-class RateState:
-    r"""Friction that depends on the speed V and on the age θ of the contacts.
+def critical_stiffness_N_per_mm(
+    *, a: float, b: float, critical_length_um: float, load_N: float, speed_mm_s: float, mass_kg: float = 0.0
+) -> float:
+    r"""Stiffness of the spring below which steady sliding is unstable and stick-slip begins.
+
+    The friction depends on the speed V and on the age θ of the contacts:
 
     .. math:: \mu = \mu_0 + a \ln\frac{V}{V_0} + b \ln\frac{V_0 \theta}{D_c}, \qquad
-        \dot\theta = 1 - \frac{V \theta}{D_c}
+        \dot\theta = 1 - \frac{V \theta}{D_c}, \qquad
+        k_c = \frac{(b - a) N}{D_c} \left[1 + \frac{m V^2}{a N D_c}\right]
 
     Parameters
     ----------
     a, b
-        Direct effect of the speed, and effect of the age; steady sliding can be unstable if b > a.
+        Direct effect of the speed, and effect of the age.
     critical_length_um
         Sliding distance D_c over which contacts are renewed.
+    load_N, speed_mm_s, mass_kg
+        N, V and m.
 
     Raises
     ------
     InputError
         If a number is not positive and finite, or b ≤ a, where steady sliding is always stable.
-    """
 
-    a: float
-    b: float
-    critical_length_um: float
-
-    def __post_init__(self) -> None:
-        check_positive(**vars(self))
-        if self.b <= self.a:
-            raise InputError("`b`", f"more than a = {self.a:g}", f"{self.b:g}")
-
-
-def critical_stiffness_N_per_mm(
-    friction: RateState, *, load_N: float, speed_mm_s: float, mass_kg: float = 0.0
-) -> float:
-    r"""Stiffness of the spring below which steady sliding at this speed is unstable and stick-slip begins.
-
-    .. math:: k_c = \frac{(b - a) N}{D_c} \left[1 + \frac{m V^2}{a N D_c}\right]
-
+    Notes
+    -----
     It follows from the linear stability of steady sliding (Rice and Ruina 1983).
     """
-    length = 1e-6 * friction.critical_length_um
-    inertia = mass_kg * (1e-3 * speed_mm_s) ** 2 / (friction.a * load_N * length)
-    return 1e-3 * (friction.b - friction.a) * load_N / length * (1 + inertia)
+    _check_rate_state(a, b, critical_length_um)
+    length = 1e-6 * critical_length_um
+    inertia = mass_kg * (1e-3 * speed_mm_s) ** 2 / (a * load_N * length)
+    return 1e-3 * (b - a) * load_N / length * (1 + inertia)
 
 
-def onset_period_s(friction: RateState, *, speed_mm_s: float) -> float:
-    r"""Period of the oscillation at the onset of instability of steady sliding, for any mass.
+def onset_period_s(*, a: float, b: float, critical_length_um: float, speed_mm_s: float) -> float:
+    r"""Period of the oscillation at the onset of this instability, for any mass.
 
     .. math:: 2 \pi \frac{D_c}{V} \sqrt{\frac{a}{b - a}}
     """
-    time = 1e-3 * friction.critical_length_um / speed_mm_s
-    return 2 * math.pi * time * math.sqrt(friction.a / (friction.b - friction.a))
+    _check_rate_state(a, b, critical_length_um)
+    return 2e-3 * math.pi * critical_length_um / speed_mm_s * math.sqrt(a / (b - a))
+
+
+def _check_rate_state(a: float, b: float, critical_length_um: float) -> None:
+    """Raise InputError if steady sliding is always stable, or a number is not positive."""
+    check_positive(a=a, b=b, critical_length_um=critical_length_um)
+    if b <= a:
+        raise InputError("`b`", f"more than a = {a:g}", f"{b:g}")

@@ -12,7 +12,7 @@ import scipy
 import xarray as xr
 
 from vision.data import MOTION, STIFF_BELOW, record
-from vision.errors import InputError
+from vision.errors import check_positive
 from vision.numeric import Bools, Floats, Floats32, Ints
 
 
@@ -81,7 +81,7 @@ def classify_sheets(
         If the threshold is not above 0.
     """
     MOTION.check(motion)
-    _check(threshold)
+    check_positive(threshold=threshold)
     certainty = settings.certainty
     value, error = motion["ratio_signed"].to_numpy(), np.maximum(motion["ratio_err"].to_numpy(), LEAST_ERROR)
     p = scipy.special.ndtr((threshold - value) / error) - scipy.special.ndtr((-threshold - value) / error)
@@ -161,7 +161,7 @@ def classify_shells(
     Source: paper, shaded region of the deformation figure.
     """
     MOTION.check(motion)
-    _check(threshold)
+    check_positive(threshold=threshold)
     sides = [Side.of(motion, side) for side in np.unique(motion["side"].to_numpy())]
     table = pd.concat([_side_table(side, motion, threshold, settings) for side in sides])
     table = table.sort_values(["event", "side"], ignore_index=True)
@@ -194,12 +194,6 @@ def _side_table(side: Side, motion: xr.Dataset, threshold: float, settings: Shel
             "sheets_known": known,
         }
     )
-
-
-def _check(threshold: float) -> None:
-    """Raise InputError unless the threshold is above 0."""
-    if not (np.isfinite(threshold) and threshold > 0):
-        raise InputError("`threshold`", "a number above 0", f"{threshold:g}", "0.1 is the publication's")
 
 
 # --- the sheets of one side ---------------------------------------------------------------------------------
