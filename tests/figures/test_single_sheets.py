@@ -7,7 +7,7 @@ from tests.scenes.single_sheets import CyclesTest, DiscTest, write_cycles, write
 from vision.figures import load_figures, save_figures
 from vision.figures.single_sheets import friction_figure, modulus_figure
 from vision.force.recording import read_force
-from vision.models.friction import fit_static_friction, friction_of_disc
+from vision.models.friction import FrictionSettings, fit_static_friction, friction_of_disc
 from vision.models.modulus import STRIP, measure_cycles
 from vision.models.rheometer import read_rheometer
 
@@ -16,15 +16,16 @@ def test_friction_shows_what_was_measured(tmp_path):
     """A failure means that a coefficient is drawn at another load, or that the figure is lost when kept."""
     write_rheocompass(tmp_path / "r.csv", DiscTest(loads_N=(0.1, 0.5, 2.0)))
     measured = [friction_of_disc(one) for one in read_rheometer(tmp_path / "r.csv")]
+    dynamic_deg = FrictionSettings().dynamic_deg
     law = fit_static_friction([m.N_N for m in measured], [m.mu_s for m in measured])
-    figure = friction_figure(measured, law)
+    figure = friction_figure(measured, law, mu=0.89, dynamic_deg=dynamic_deg)
     static = figure.panels[1].series[0]
     np.testing.assert_allclose(static.y, [m.mu_s for m in sorted(measured, key=lambda m: m.N_N)])
     assert figure.panels[2].series[2].x[0] == pytest.approx(law.crossing_N(0.89))
     assert figure.panels[0].bands[0].of_x
     kept = load_figures(save_figures(tmp_path / "f.npz", [figure]))[0]
     assert kept.png() == figure.png()
-    without = friction_figure(measured, None)
+    without = friction_figure(measured, None, mu=0.89, dynamic_deg=dynamic_deg)
     assert "published" in without.panels[2].series[1].label
 
 

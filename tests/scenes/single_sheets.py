@@ -18,7 +18,7 @@ from vision.experiment.mechanics import random_stream
 from vision.experiment.settings import ForceFile
 from vision.experiment.simulate import write_force
 from vision.models.equations import sheet_stiffness
-from vision.models.friction import PUBLISHED_FRICTION, RADIUS_MM, StaticFriction
+from vision.models.friction import PUBLISHED_FRICTION, RADIUS_MM, FrictionSettings, StaticFriction
 from vision.models.modulus import STRIP
 from vision.numeric import Floats
 from vision.sample import Sample
@@ -65,8 +65,8 @@ class DiscTest:
         return np.arange(0, self.fine_s, 1 / self.fine_Hz), coarse
 
     def truth(self) -> pd.DataFrame:
-        """Return N_N, mu_s and mu_d (exact mean over 0.3° to 120°) of each measurement."""
-        angle = np.linspace(0.3, 120.0, 400_001)
+        """Return N_N, mu_s and mu_d (exact mean over the range of angles) of each measurement."""
+        angle = np.linspace(*FrictionSettings().dynamic_deg, 400_001)
         mean = [float(np.trapezoid(self.friction(load, angle)) / (angle.size - 1)) for load in self.loads_N]
         rows = [
             {"N_N": load, "mu_s": float(self.law.mu_s(load)), "mu_d": mu_d}

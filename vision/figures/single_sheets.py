@@ -17,7 +17,6 @@ from vision.models.friction import (
     DiscFriction,
     StaticFriction,
     friction_table,
-    threshold_curves,
 )
 from vision.models.modulus import CyclesMetadata, clamp_distance, mean_over_cycles
 from vision.numeric import Floats
@@ -30,8 +29,8 @@ def friction_figure(
     measured: Sequence[DiscFriction],
     law: StaticFriction | None,
     *,
-    mu: float = 0.89,
-    dynamic_deg: tuple[float, float] = (0.3, 120.0),
+    mu: float,
+    dynamic_deg: tuple[float, float],
 ) -> Figure:
     """Return μ(φ) with its maxima, μ_s and μ_d against N, and the threshold forces.
 
@@ -117,14 +116,11 @@ def _coefficient_panel(measured: Sequence[DiscFriction], law: StaticFriction | N
 
 def _threshold_panel(law: StaticFriction | None, mu: float) -> Panel:
     shown = law or PUBLISHED_FRICTION
-    table = threshold_curves(mu=mu, law=shown)
-    load = table["N_N"].to_numpy(float)
+    load = np.geomspace(0.0034, 6.4, 200)  # N in the blocks: from T*/μ to that on the axis at d = 13.5 mm
     name = "a(N + b)" if law is not None else "a(N + b), published"
     series = [
-        Series(
-            label=f"μN, μ = {mu:g}", x=load, y=table["constant_N"].to_numpy(float), ink=QUIET, dashed=True
-        ),
-        Series(label=name, x=load, y=table["law_N"].to_numpy(float), ink=MODEL),
+        Series(label=f"μN, μ = {mu:g}", x=load, y=mu * load, ink=QUIET, dashed=True),
+        Series(label=name, x=load, y=shown.threshold_N(load), ink=MODEL),
     ]
     crossing = shown.crossing_N(mu)
     if np.isfinite(crossing):

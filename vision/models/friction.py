@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import scipy
 from numpy.typing import ArrayLike
 
 from vision.errors import InputError, check_positive
@@ -257,9 +258,8 @@ def _mean_over_angle(angle: Floats, mu: Floats, settings: FrictionSettings) -> t
     """Mean of μ over the angle, and its standard error from the means of blocks of equal length."""
     edges = np.linspace(angle[0], angle[-1], settings.blocks + 1)
     order = np.argsort(angle, kind="stable")
-    phi, height = angle[order], mu[order]
-    area = np.concatenate([[0.0], np.cumsum(0.5 * (height[1:] + height[:-1]) * np.diff(phi))])
-    means = np.diff(np.interp(edges, phi, area)) / np.diff(edges)
+    area = scipy.integrate.cumulative_trapezoid(mu[order], angle[order], initial=0)
+    means = np.diff(np.interp(edges, angle[order], area)) / np.diff(edges)
     return float(means.mean()), float(means.std(ddof=1) / math.sqrt(means.size))
 
 
@@ -295,17 +295,13 @@ def _peak_height(mu: Floats, peak: int, noise: float) -> tuple[float, float]:
 
 def _parabola(mu: Floats, peak: int, half: int, noise: float) -> tuple[float, float, bool]:
     """Height and error of the parabola through 2 half + 1 samples, and whether it fits within the noise."""
-    values = mu[peak - half : peak + half + 1]
-    u = np.arange(-half, half + 1) / half
-    design = np.stack([np.ones_like(u), u, u * u], axis=1)
-    covariance = np.linalg.inv(design.T @ design)
-    solution = covariance @ design.T @ values
-    residual = values - design @ solution
-    free = 2 * half - 2
-    good = float(residual @ residual) <= free * noise**2 * (1 + 2 * math.sqrt(2 / free)) and solution[2] < 0
-    at = float(np.clip(-solution[1] / (2 * solution[2]), -1, 1)) if solution[2] else 0.0
-    row = np.array([1.0, at, at * at])
-    return float(row @ solution), noise * math.sqrt(float(row @ covariance @ row)), bool(good)
+    values, u = mu[peak - half : peak + half + 1], np.arange(-half, half + 1) / half
+    curve, covariance = np.polyfit(u, values, 2, cov="unscaled")
+    squares, free = float(np.sum((values - np.polyval(curve, u)) ** 2)), 2 * half - 2
+    good = squares <= free * noise**2 * (1 + 2 * math.sqrt(2 / free)) and curve[0] < 0
+    at = float(np.clip(-curve[1] / (2 * curve[0]), -1, 1)) if curve[0] else 0.0
+    row = np.array([at * at, at, 1.0])
+    return float(row @ curve), noise * math.sqrt(float(row @ covariance @ row)), bool(good)
 
 
 def friction_table(measured: Iterable[DiscFriction]) -> pd.DataFrame:
@@ -401,12 +397,9 @@ def fit_static_friction(N_N: ArrayLike, mu_s: ArrayLike, mu_s_err: ArrayLike | N
         raise InputError("the law μ_s = a(1 + b/N)", "two different normal forces with a μ_s", found)
     weighted = bool((error > 0).all())
     sigma = error if weighted else np.ones_like(mu)
-    design = np.stack([np.ones_like(load), 1 / load], axis=1) / sigma[:, np.newaxis]
-    covariance = np.linalg.inv(design.T @ design)
-    a, c = (float(value) for value in covariance @ design.T @ (mu / sigma))
-    residual = mu / sigma - design @ np.array([a, c])
+    (c, a), covariance = np.polyfit(1 / load, mu, 1, w=1 / sigma, cov="unscaled")
     free = load.size - 2
-    chi2_dof = float(residual @ residual) / free if free else math.nan
+    chi2_dof = float(np.sum(((mu - a - c / load) / sigma) ** 2)) / free if free else math.nan
     if a <= 0:
         raise InputError("the law μ_s = a(1 + b/N)", "a positive a", f"{a:.3g}", "measure at larger loads")
     if not weighted:
@@ -415,35 +408,15 @@ def fit_static_friction(N_N: ArrayLike, mu_s: ArrayLike, mu_s_err: ArrayLike | N
     elif free and chi2_dof > 1:
         covariance = covariance * chi2_dof
     b = c / a
-    jacobian = np.array([[1.0, 0.0], [-b / a, 1 / a]])  # of (a, b) by (a, c)
+    jacobian = np.array([[0.0, 1.0], [1 / a, -b / a]])  # of (a, b) by (c, a)
     covariance = jacobian @ covariance @ jacobian.T
     a_err, b_err = (float(value) for value in np.sqrt(np.diag(covariance)))
     return StaticFriction(
-        a=a,
-        b_N=b,
+        a=float(a),
+        b_N=float(b),
         a_err=a_err,
         b_err_N=b_err,
         correlation=float(covariance[0, 1] / (a_err * b_err)) if a_err * b_err > 0 else math.nan,
         chi2_dof=chi2_dof,
         points=int(load.size),
     )
-
-
-def threshold_curves(*, mu: float = 0.89, law: StaticFriction = PUBLISHED_FRICTION) -> pd.DataFrame:
-    """Static friction force of a constant coefficient and of the law, over the loads in the blocks.
-
-    Parameters
-    ----------
-    mu
-        The constant coefficient.
-    law
-        Result of `fit_static_friction`.
-
-    Returns
-    -------
-    pandas.DataFrame
-        Columns ``N_N``, from 0.0034 N (T*/μ) to 6.4 N (on the axis at d = 13.5 mm), ``constant_N`` = μN and
-        ``law_N`` = a(N + b). They cross at ``law.crossing_N(mu)``.
-    """
-    load = np.geomspace(0.0034, 6.4, 200)
-    return pd.DataFrame({"N_N": load, "constant_N": mu * load, "law_N": law.threshold_N(load)})
