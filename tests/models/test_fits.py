@@ -17,6 +17,7 @@ from tests.scenes.sawtooth import recording
 from vision.command.options import option_names
 from vision.errors import InputError, with_options
 from vision.models import ModelFits, equations, fit_models
+from vision.run.folder import plain
 from vision.sample import PUBLISHED, Sample
 
 TRUTH = {"mu": 0.89, "t0_N": 4.0, "amplitude": 0.34, "n_hat_N": 0.57, "modulus_GPa": 3.8}
@@ -101,7 +102,7 @@ def test_freeing_t_star_says_that_it_is_degenerate() -> None:
 
 def test_models_json_has_the_agreed_form() -> None:
     """A failure means a script that reads models.json breaks, or it is no valid JSON."""
-    content = json.loads(json.dumps(fit(events()).to_json(), allow_nan=False))
+    content = json.loads(json.dumps(plain(fit(events()).to_json()), allow_nan=False))
     for name in ("mu", "T0_N", "A", "N_hat_N", "Y_eff_GPa", "Lambda_hat_mm"):
         assert set(content[name]) == {"value", "error", "systematic_error"}
         assert content[name]["systematic_error"] >= 0
@@ -255,7 +256,7 @@ def test_strange_events_are_fitted_or_refused(columns: dict[str, list[float]], f
     except InputError as error:
         assert "\n" not in str(error)
     else:
-        json.dumps(fits.to_json(), allow_nan=False)
+        json.dumps(plain(fits.to_json()), allow_nan=False)
         assert np.isfinite([fits.mu.error, fits.n_hat_N.error, fits.modulus_GPa.error]).all()
 
 

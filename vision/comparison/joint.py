@@ -327,28 +327,14 @@ def weighted_mean(parts: Sequence[Estimate]) -> Estimate:
 # --- one μ for several tests --------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _PeakLoads:
-    """Peak forces of one test with the standard deviation of each."""
-
-    d_mm: Floats
-    force_N: Floats
-    scatter_N: Floats
-    sample: Sample
-
-    def residuals(self, mu: float, limit_N: float) -> tuple[Floats, float]:
-        """Return residuals of Eq. 1 with the best offset 𝒯0, in standard deviations, and that offset."""
-        difference = self.force_N - equations.traction(self.d_mm, mu=mu, sample=self.sample)
-        t0 = float(np.clip(np.average(difference, weights=self.scatter_N**-2), -limit_N, limit_N))
-        return (difference - t0) / self.scatter_N, t0
-
-
-def _peaks(test: TractionTest, fit: TestFit) -> _PeakLoads:
+def _residuals(test: TractionTest, fit: TestFit, mu: float, limit_N: float) -> tuple[Floats, float]:
+    """Return residuals of the peaks from Eq. 1 with the best offset 𝒯0, in standard deviations, and 𝒯0."""
     d, force = test.column("d_p_mm")[fit.used], test.column("F_p_N")[fit.used]
-    model = equations.traction(d, mu=fit.mu.value, sample=test.sample) + fit.values["T0_N"].value
+    fitted, wanted = (equations.traction(d, mu=m, sample=test.sample) for m in (fit.mu.value, mu))
     floor = 1e-3 * float(np.abs(force).max()) or 1.0
-    scatter = fit.peak_scatter * np.maximum(np.abs(model), floor)
-    return _PeakLoads(d_mm=d, force_N=force, scatter_N=scatter, sample=test.sample)
+    scatter = fit.peak_scatter * np.maximum(np.abs(fitted + fit.values["T0_N"].value), floor)
+    t0 = float(np.clip(np.average(force - wanted, weights=scatter**-2), -limit_N, limit_N))
+    return (force - wanted - t0) / scatter, t0
 
 
 def fit_joint(
@@ -362,22 +348,24 @@ def fit_joint(
     tests, fits: the tests and the fit of each.  sample: name of their sample.
     """
     limit, step = settings.t0_limit_N, 1e-5  # step: difference of μ for numerical derivatives
-    peaks = [_peaks(test, fit) for test, fit in zip(tests, fits, strict=True)]
+
+    def residuals(mu: float) -> list[tuple[Floats, float]]:
+        return [_residuals(test, fit, mu, limit) for test, fit in zip(tests, fits, strict=True)]
 
     def misfit(mu: float) -> float:
-        return sum(float(np.sum(one.residuals(mu, limit)[0] ** 2)) for one in peaks)
+        return sum(float(np.sum(residual**2)) for residual, _ in residuals(mu))
 
     individual = np.array([fit.mu.value for fit in fits])
     bounds = 0.9 * individual.min(), 1.1 * individual.max()
     mu = float(
         scipy.optimize.minimize_scalar(misfit, bounds=bounds, method="bounded", options={"xatol": 1e-9}).x
     )
-    offsets = {test.run: one.residuals(mu, limit)[1] for test, one in zip(tests, peaks, strict=True)}
+    offsets = {test.run: t0 for test, (_, t0) in zip(tests, residuals(mu), strict=True)}
     # Fisher information on μ in each test, with its offset fitted as well
-    changes = [one.residuals(mu + step, limit)[0] - one.residuals(mu - step, limit)[0] for one in peaks]
-    information = np.array([np.sum(change**2) / (2 * step) ** 2 for change in changes])
+    pairs = zip(residuals(mu + step), residuals(mu - step), strict=True)
+    information = np.array([np.sum((more - less) ** 2) / (2 * step) ** 2 for (more, _), (less, _) in pairs])
     slow = [fit.values["A"] for test, fit in zip(tests, fits, strict=True) if settings.slow(test)]
-    free = max(sum(one.d_mm.size for one in peaks) - len(peaks) - 1, 1)
+    free = max(sum(int(fit.used.sum()) for fit in fits) - len(fits) - 1, 1)
     chi2 = misfit(mu) / free  # relative: residuals are in units of the scatter about the individual curves
     errors = np.array([fit.individual_error("mu") for fit in fits])
     return JointFriction(

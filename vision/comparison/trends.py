@@ -111,34 +111,27 @@ def _trend(
         return Trend(**about, reason=f"{predictor} never changes")
     rng = np.random.default_rng(settings.seed)
     shifts = np.zeros((0, y.size)) if shared is None else np.nan_to_num(shared)
-    line, covariance, scatter = weighted_fit(_design(x[known]), y[known], error[known])
+
+    def slope(design: Floats) -> tuple[Floats, dict[str, Any], float]:
+        """Line or plane through the known tests, its first slope with both errors, and the scatter."""
+        line, covariance, scatter = weighted_fit(design, y[known], error[known])
+        systematic = _slope_shift(design, error[known], scatter, covariance, shifts[:, known])
+        names = {"slope": line[1], "slope_err": np.sqrt(covariance[1, 1]), "slope_systematic": systematic}
+        return line, {name: float(value) for name, value in names.items()}, scatter
+
+    line, found, scatter = slope(_design(x[known]))
     rho, p = spearman(x[known], y[known], rng, settings.draws)
-    found = Trend(
-        **about,
-        slope=float(line[1]),
-        slope_err=float(np.sqrt(covariance[1, 1])),
-        slope_systematic=_slope_shift(_design(x[known]), error[known], scatter, covariance, shifts[:, known]),
-        intercept=float(line[0]),
-        scatter=scatter,
-        spearman=rho,
-        p=p,
-    )
+    trend = Trend(**about, **found, intercept=float(line[0]), scatter=scatter, spearman=rho, p=p)
     z = table[PREDICTORS[1 - PREDICTORS.index(predictor)]].to_numpy(float)
     known &= np.isfinite(z)
-    x, z, y, error = (part[known] for part in (x, z, y, error))
-    if known.sum() < LEAST_TESTS + 1 or not (np.ptp(z) > 0 and np.ptp(x) > 0):
-        return found
-    if abs(np.corrcoef(x, z)[0, 1]) > 0.999:
-        return found  # the predictors are collinear, so neither can be held fixed
-    design = _design(x, z)
-    plane, covariance, scatter = weighted_fit(design, y, error)
-    return replace(
-        found,
-        partial_slope=float(plane[1]),
-        partial_slope_err=float(np.sqrt(covariance[1, 1])),
-        partial_slope_systematic=_slope_shift(design, error, scatter, covariance, shifts[:, known]),
-        partial_p=_partial_p(design, y, 1 / np.hypot(error, scatter), rng, settings.draws),
-    )
+    if known.sum() < LEAST_TESTS + 1 or not (np.ptp(z[known]) > 0 and np.ptp(x[known]) > 0):
+        return trend
+    if abs(np.corrcoef(x[known], z[known])[0, 1]) > 0.999:
+        return trend  # the predictors are collinear, so neither can be held fixed
+    design = _design(x[known], z[known])
+    _, found, scatter = slope(design)
+    partial_p = _partial_p(design, y[known], 1 / np.hypot(error[known], scatter), rng, settings.draws)
+    return replace(trend, partial_p=partial_p, **{f"partial_{name}": value for name, value in found.items()})
 
 
 def _design(*columns: Floats) -> Floats:

@@ -117,8 +117,7 @@ def fit_models(
         if not all(np.isfinite((one.value, one.error)).all() for one in fits.named().values()):
             raise _undetermined("values or errors that are not finite", unit_doubt)
         left_out = {"flagged": len(sticks) - len(complete)} | left_out
-        lowpass = {name: float(sticks.attrs.get(name, 0.0)) for name in _LOWPASS}
-        fits = _with_systematics(fits, force, events, free_t_star, held, errors, lowpass)
+        fits = _with_systematics(fits, force, events, free_t_star, held, errors)
         misread = _misread_lengths(fits, complete, held, force)
         if abs(fits.t0_N.value) > float(events["F_p_N"].abs().max()):
             reason = f"an offset 𝒯0 of {fits.t0_N.value:.2g} N, larger than the peaks"
@@ -428,8 +427,6 @@ def _derived(
 
 # --- systematic errors --------------------------------------------------------------------------------------
 
-_LOWPASS = ("lowpass_dF_share", "lowpass_K_share")
-
 
 def _with_systematics(
     fits: ModelFits,
@@ -438,7 +435,6 @@ def _with_systematics(
     free_t_star: bool,
     held: Mapping[str, float],
     geometry: Mapping[str, float],
-    lowpass: Mapping[str, float],
 ) -> ModelFits:
     """Add a budget of systematic errors, by repeating the fits with each source changed by its error."""
     d0_err = ForceMetadata.of(force).d0_err_mm
@@ -469,7 +465,7 @@ def _with_systematics(
         budget["d0"] = half_difference(refit(shifted(d0_err)), refit(shifted(-d0_err)))
     by_drift = half_difference(refit(drifted(drift)), refit(drifted(-drift)))
     budget["load_drift"] = by_drift | {"T0_N": drift}
-    budget |= _unresolved_valleys(fits, force, events, lowpass)
+    budget |= _unresolved_valleys(fits, force, events)
     for name, error in geometry.items():
         value = getattr(fits.sample, name)
         larger, smaller = (replace(fits.sample, **{name: value + by}) for by in (error, -error))
@@ -484,18 +480,19 @@ def _with_systematics(
 
 
 def _unresolved_valleys(
-    fits: ModelFits, force: xr.Dataset, events: pd.DataFrame, lowpass: Mapping[str, float]
+    fits: ModelFits, force: xr.Dataset, events: pd.DataFrame
 ) -> dict[str, dict[str, float | None]]:
     """Part of the budget from valleys that the low-pass and the sampling make too shallow."""
     none: dict[str, float | None] = dict.fromkeys((*PARAMETERS, "K_N_per_mm"), 0.0)
     by_sampling = _drop_lost_by_sampling(force, events)
-    if not any(lowpass.values()):
+    of_drop, of_k = (abs(events.attrs.get(f"lowpass_{name}_share", 0.0)) for name in ("dF", "K"))
+    if not (of_drop or of_k):
         return {"sampling": none | {"A": abs(fits.amplitude.value * by_sampling)}} if by_sampling else {}
     # Both make the valleys too shallow, so the errors add linearly.
     by_lowpass = none | {
-        "A": abs(fits.amplitude.value) * (abs(lowpass["lowpass_dF_share"]) + abs(by_sampling)),
-        "Y_eff_GPa": abs(fits.modulus_GPa.value * lowpass["lowpass_K_share"]),
-        "K_N_per_mm": abs(float(events["K_N_per_mm"].median()) * lowpass["lowpass_K_share"]),
+        "A": abs(fits.amplitude.value) * (of_drop + abs(by_sampling)),
+        "Y_eff_GPa": abs(fits.modulus_GPa.value) * of_k,
+        "K_N_per_mm": abs(float(events["K_N_per_mm"].median())) * of_k,
     }
     return {"low_pass": by_lowpass}
 

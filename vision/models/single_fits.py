@@ -154,11 +154,11 @@ class ModelFits:
         return html_table("models fitted to the force recording", rows)
 
     def to_json(self) -> dict[str, Any]:
-        """Return the content of models.json: values with errors, goodness of fit and sample, without NaN."""
+        """Return the content of models.json: values with errors, goodness of fit and sample."""
         named = self.named() | {"bending_length_mm": self.bending_mm}
         if np.isfinite(self.t_star_N.error):
             named["T_star_N"] = self.t_star_N
-        content = {
+        return {
             **{name: asdict(estimate) for name, estimate in named.items()},
             "events_used": self.goodness["peaks"].points,
             "fit_range_mm": self.d_mm,
@@ -176,16 +176,6 @@ class ModelFits:
             "notes": self.notes,
             "warnings": self.warnings,
         }
-        return {key: _without_nan(item) for key, item in content.items()}
-
-
-def _without_nan(value: Any) -> Any:
-    """The value with None in place of each float that is not finite."""
-    if isinstance(value, dict):
-        return {key: _without_nan(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_without_nan(item) for item in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 # --- single fits --------------------------------------------------------------------------------------------
