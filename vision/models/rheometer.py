@@ -136,11 +136,9 @@ def read_rheometer(path: str | Path) -> list[pd.DataFrame]:
     results = [k for k, line in enumerate(lines) if _mark(line) == "Result:"]
     starts = [k for k, line in enumerate(lines) if _mark(line) == "Interval and data points:"]
     blocks = _intervals(lines, starts, results) if starts else [_plain_table(path, lines)]
-    if len(blocks) == 1 and not blocks[0].problem:
-        _convert(path, blocks[0])
-    else:
-        for block in blocks:
-            _try_convert(path, block)
+    for block in blocks:
+        if not block.problem:
+            _convert(path, block)
     rotations = _measurements(blocks)
     if not rotations:
         problems = list(dict.fromkeys(block.problem for block in blocks if block.problem))
@@ -289,28 +287,18 @@ def _unit(text: str) -> str:
     return "µ" + plain[1:] if plain[:1] == "u" and plain[1:] in ("Nm", "N", "rad") else plain
 
 
-def _try_convert(path: Path, block: _Block) -> None:
-    """Convert one of several intervals; an unknown unit becomes its problem, without an error."""
-    if block.problem:
-        return
-    try:
-        _convert(path, block)
-    except InputError as error:
-        block.problem = str(error).removeprefix(f"{path}: expected ").replace("; found ", ", but ", 1)
-
-
 def _convert(path: Path, block: _Block) -> None:
     """Set the values of an interval in SI units, or the problem for which it is not a rotation."""
-    found = {q.column: column for q in _QUANTITIES if (column := _column(path, block, q)) is not None}
-    if "torque_N_m" not in found:
-        block.problem = f"no torque (columns: {', '.join(filter(None, block.names))})"
+    try:
+        found = {q.column: column for q in _QUANTITIES if (column := _column(path, block, q)) is not None}
+    except InputError as error:
+        block.problem = str(error).removeprefix(f"{path}: expected ").replace("; found ", ", but ", 1)
         return
-    values = pd.DataFrame(found)
-    if "time_s" not in values:
-        values["time_s"] = np.nan
-    if "angle_rad" not in values:
-        block.problem = f"no deflection angle (columns: {', '.join(filter(None, block.names))})"
-        return
+    for name, what in (("torque_N_m", "torque"), ("angle_rad", "deflection angle")):
+        if name not in found:
+            block.problem = f"no {what} (columns: {', '.join(filter(None, block.names))})"
+            return
+    values = pd.DataFrame({"time_s": np.nan} | found)
     known = values[["torque_N_m", "angle_rad"]].notna().all(axis=1)
     if int((~known).sum()):
         block.warnings.append(f"{block.name}: {int((~known).sum())} of {len(values)} points without numbers")
