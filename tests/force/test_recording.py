@@ -1,4 +1,4 @@
-"""Columns found by name or given, quality flags, notes and warnings of a recording, and its noise."""
+"""Columns found by name or given, quality flags, notes and warnings of a recording."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import pytest
 from tests.scenes.machine_files import LAYOUTS, LOAD, PULL, TIME, rows, written
 from vision.errors import InputError
 from vision.force import ForceSettings, good_samples, parse_columns, read_force
-from vision.force.recording import find_spikes, noise_sigma
 
 
 def test_bad_samples_are_flagged_and_kept(tmp_path: Path) -> None:
@@ -113,33 +112,6 @@ def test_settings_reach_the_flags_and_are_recorded(tmp_path: Path) -> None:
     (entry,) = strict.attrs["operations"]
     assert entry["operation"] == "read_force"
     assert entry["parameters"]["settings"] == {"gap_intervals": 3}
-
-
-@pytest.mark.parametrize("sigma", [0.3, 2.0])
-def test_noise_of_a_sawtooth_is_that_of_its_samples(sigma: float) -> None:
-    """A failure means rises or drops count as noise, and with it thresholds and errors are wrong."""
-    rng = np.random.default_rng(0)
-    saw = 50 * (np.arange(20_000) % 200) / 200
-    assert noise_sigma(saw + sigma * rng.standard_normal(saw.size)) == pytest.approx(sigma, rel=0.03)
-
-
-def test_noise_is_never_below_the_quantum() -> None:
-    """A failure means a coarse load cell, whose samples repeat, counts as free of noise."""
-    steps = np.repeat(np.arange(100.0), 50) * 0.5
-    assert noise_sigma(steps) == pytest.approx(0.5 / np.sqrt(12))
-
-
-def test_spikes_are_found_and_corners_are_not() -> None:
-    """A failure means spikes stay in the load, or peaks of a sawtooth are cut off."""
-    rng = np.random.default_rng(1)
-    saw = 50 * (np.arange(2000) % 40) / 40 + 0.2 * rng.standard_normal(2000)
-    hit = np.arange(17, 2000, 40)
-    spiky = saw.copy()
-    spiky[hit] += 10
-    found, clean = find_spikes(spiky, 0.2)
-    np.testing.assert_array_equal(np.flatnonzero(found), hit)
-    assert np.abs(clean - saw).max() < 5
-    assert not find_spikes(saw, 0.2)[0].any()
 
 
 def crosshead_file(folder: Path, crosshead: np.ndarray) -> Path:

@@ -17,9 +17,9 @@ from vision.force.lowpass import Lowpass, find_lowpass
 from vision.force.recording import is_compression
 from vision.force.regime import Regime, doubts, find_regime, is_unloading
 from vision.force.settings import ForceSettings
+from vision.force.signal import Signal, SlowNoise, with_slow_noise
 from vision.force.slips import Slips, find_slips, size_gap, stick_drops, stick_lines, stick_middles
-from vision.force.slow_noise import SlowNoise
-from vision.force.sticks import Signal, measure_sticks, with_slow_noise
+from vision.force.sticks import measure_sticks
 from vision.numeric import Bools, Floats, Ints, nan_median
 
 

@@ -11,8 +11,8 @@ import scipy
 from vision.force.corners import Corners, SlipTransients, find_corners
 from vision.force.lines import lagged_hinge
 from vision.force.settings import ForceSettings
+from vision.force.signal import Signal
 from vision.force.slips import Slips
-from vision.force.sticks import Signal
 from vision.numeric import Bools, Floats
 
 

@@ -15,13 +15,12 @@ from typing import Literal, get_args
 
 import numpy as np
 import xarray as xr
-from numpy.lib.stride_tricks import sliding_window_view
 
 from vision.data import FORCE, ForceMetadata, record
 from vision.errors import InputError
 from vision.force.files import TIME_OF_DAY, Dimension, Table, Unit, read_tables, unit_of
 from vision.force.settings import ForceSettings
-from vision.numeric import Bools, Floats, Strings, mad_sigma
+from vision.numeric import Bools, Floats, Strings
 from vision.signals import running_median
 
 Role = Literal["time", "load", "displacement", "video_time"]
@@ -518,65 +517,3 @@ def _saturated(load: Floats, least: int) -> Bools:
 def usable(flags: Strings) -> Bools:
     """Return which samples are fit for measuring: good ones and those after a gap."""
     return np.isin(flags, ("ok", "gap"))
-
-
-# --- noise --------------------------------------------------------------------------------------------------
-
-
-def noise_sigma(y: Floats) -> float:
-    """Estimate the standard deviation of white noise on slow rises with sudden drops, from three samples on.
-
-    The median absolute second difference depends neither on the rises nor on the few drops. The result is at
-    least the noise that the quantum q of the recording causes, and never zero:
-
-    .. math:: \\sigma = \\max(\\mathrm{MAD}(\\Delta^2 y) / (0.674\\,\\sqrt 6),\\; q / \\sqrt{12})
-    """
-    second = np.diff(y, 2)
-    spread = float(mad_sigma(second)) / np.sqrt(6.0)
-    range_ = float(np.ptp(y))
-    steps = np.diff(np.unique(y))
-    steps = steps[steps > 1e-6 * range_]  # smaller ones are rounding errors
-    quantum = float(steps.min()) if steps.size else 0.0
-    return float(max(spread, quantum / np.sqrt(12.0), 1e-9 * range_, np.finfo(float).tiny))
-
-
-def noise_levels(y: Floats, settings: ForceSettings) -> Floats:
-    """Return `noise_sigma` at every sample: of all unless its parts differ by `noise_ratio`."""
-    whole = noise_sigma(y)
-    parts = np.array_split(y, min(y.size // 500 + 1, 32))
-    level = np.maximum(running_median(np.array([noise_sigma(part) for part in parts]), 3), 0.05 * whole)
-    if level.max() < settings.noise_ratio * level.min():
-        return np.full(y.shape, whole)
-    level = np.max(sliding_window_view(np.pad(level, 1, "edge"), 3), axis=1)  # a change lies within a part
-    return np.repeat(level, [part.size for part in parts])
-
-
-def find_spikes(
-    y: Floats, sigma: Floats | float, *, settings: ForceSettings = ForceSettings()
-) -> tuple[Bools, Floats]:
-    """Return which samples belong to spikes, and the signal with their neighbours' level in place of spikes.
-
-    A spike of one or two samples differs by `spike_sigmas` from the median of the five samples around it,
-    which follows the slips and corners of a sawtooth. A spike of three to five samples jumps away and back.
-    """
-    middle = running_median(y, 5)
-    off = np.abs(y - middle) - settings.spike_sigmas * sigma
-    # The corner of a steep sawtooth also differs from the median, by at most two rises between samples: those
-    # of the whole recording, or those nearby where a part was sampled more slowly.
-    rise = np.abs(np.diff(middle, append=middle[-1:]))
-    suspect = np.flatnonzero(off > 2.0 * np.median(rise))
-    around, is_spike = sliding_window_view(np.pad(rise, 50, "edge"), 101), np.zeros(y.size, np.bool_)
-    for some in np.array_split(suspect, suspect.size // 65_536 + 1):  # so that memory does not grow with them
-        is_spike[some] = off[some] > 2.0 * np.median(around[some], axis=1)
-    clean = np.where(is_spike, middle, y)
-    jump = np.diff(clean)
-    high = np.flatnonzero(np.abs(jump) > settings.pulse_sigmas * np.broadcast_to(sigma, y.shape)[1:])
-    high = high[np.abs(jump[high]) > 4.0 * np.median(around[high], axis=1)]
-    for width in (3, 4, 5):
-        away = high[np.isin(high + width, high)]
-        least = np.minimum(np.abs(jump[away]), np.abs(jump[away + width]))
-        back = np.abs(clean[away + width + 1] - clean[away]) < 0.3 * least
-        for before in away[back & (jump[away] * jump[away + width] < 0)]:
-            inside, ends = np.arange(before + 1, before + width + 1), [before, before + width + 1]
-            is_spike[inside], clean[inside] = True, np.interp(inside, ends, clean[ends])
-    return is_spike, clean

@@ -12,8 +12,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 from vision.force.corners import Extremes
 from vision.force.lines import fit_lines, flat_ranges
 from vision.force.settings import ForceSettings
+from vision.force.signal import Signal
 from vision.force.slips import Slips, upward_share
-from vision.force.sticks import Signal
 from vision.numeric import Bools, Floats, nan_median
 
 

@@ -99,29 +99,24 @@ class ForceSettings:
 
     lowpass_accepted: float = 5.0
     """Decrease of the squared residuals, over chance, that a low-pass must reach when corners are corrected
-    for it. Lower finds
-    low-passes in noise, higher leaves the drops of fast pulls too small; shown by sawteeth with and without
-    one."""
+    for it. Lower finds low-passes in noise, higher leaves the drops of fast pulls too small."""
 
     lowpass_same: float = 0.2
-    """Relative difference within which the time constants from large and small slips, and from those after
-    long and short sticks, must agree for a low-pass to be proven. Larger believes transients that follow the
-    slips themselves; shown by recordings of paper on paper, which must give none."""
+    """Relative difference within which the time constants after large and small slips, and after long and
+    short sticks, must agree to prove a low-pass. Larger finds one in paper on paper, which has none."""
 
     slow_slip: float = 0.2
     """Length of a slip over that of a neighbouring stick from which it is slow: measured at the recorded
     extremes and flagged. Extrapolated stick lines read half cosines 0.4 % too large at 0.33 and 20 % at 1."""
 
     extreme_sigmas: float = 4.0
-    """Noise by which the smallest or largest of many samples may differ from the load itself. Larger leaves
-    F_v of steep sticks too high, smaller takes single samples of noise for valleys; shown by preset
-    ``sheets`` (test_sheet_film) and by straight sticks in noise (test_events)."""
+    """Noise by which the extreme of many samples may differ from the load. Larger leaves F_v of steep sticks
+    too high (test_sheet_film), smaller takes single samples of noise for valleys (test_events)."""
 
     ringing_share: float = 0.2
-    """Height of the load cell's second swing after a slip over that of its first from which it rings, so that
-    the stick line, not the recorded valley, is F_v. Larger takes F_v from the swing of a damped load cell,
-    smaller from the line where sticks begin steeply; shown by ringing sticks (test_events) and by preset
-    ``sheets`` (test_sheet_film)."""
+    """Second swing of the load cell after a slip, over its first, from which it rings and the stick line, not
+    the recorded valley, is F_v. Larger takes F_v from the swing of a damped load cell, smaller from the line
+    where sticks begin steeply (test_events: ringing sticks; test_sheet_film)."""
 
     between_samples: float = 0.03
     """Share of the drop by which a stick's line may begin below the lowest sample, since a fast slip may end
@@ -134,9 +129,8 @@ class ForceSettings:
 
     upward_share: float = 0.4
     """Upward jump within a stick over the median drop from which the drops beside it may be no slips; where
-    the median jump reaches it the recording shows noise. Smaller flags slips recorded in two or three steps
-    of a coarse load cell (0.31), larger passes noise; shown by pink, brown, filtered (0.43 to 13) and
-    telegraph noise."""
+    the median jump reaches it the recording shows noise. Smaller flags slips in two or three steps of a
+    coarse load cell (0.31), larger passes noise (pink, brown, telegraph and filtered: 0.43 to 13)."""
 
     equal_share: float = 0.5
     """Duration of falls over that of rises (or its inverse) from which the two count as equally long. Slow
@@ -147,10 +141,9 @@ class ForceSettings:
     curvature of the ends; the columns K30 and K70 show how much it matters."""
 
     alike_sigmas: float = 6.0
-    """Excess variance of the means of quarters of the sticks, in units of 1 over the root of the number of
-    sticks, beyond which noise counts as slow; likewise of their curvatures, beyond which each bends by its
-    own amount. Smaller widens the errors in white noise by chance, larger leaves those in slow noise, or of
-    sticks that differ, too small; shown by all three."""
+    """Excess variance of the means of quarters of the sticks, in units of 1 over the root of their number,
+    beyond which noise counts as slow; of their curvatures, beyond which each stick bends by its own amount.
+    Smaller widens errors by chance, larger leaves those in slow noise, or of unlike sticks, too small."""
 
     contrasts: int = 4
     """Independent values per stick that a time scale counts for at most in the fit of slow noise. More give

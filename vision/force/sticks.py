@@ -3,151 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 import pandas as pd
-import xarray as xr
-from numpy.lib.stride_tricks import sliding_window_view
 
 from vision.force.corners import Corners, Extremes, Shape, find_extremes, is_slow, without_lowpass
 from vision.force.lines import BrokenLines, fit_broken_lines, fit_lines
-from vision.force.recording import find_spikes, noise_levels, noise_sigma, usable
 from vision.force.settings import ForceSettings
-from vision.force.slips import Slips, stick_middles
-from vision.force.slow_noise import SlowNoise, fit_slow_noise
+from vision.force.signal import Signal
 from vision.numeric import Bools, Floats, Ints
-
-
-@dataclass(frozen=True)
-class Signal:
-    """The good samples of a force recording."""
-
-    time: Floats  # s
-    travel: Floats  # separation, mm
-    load: Floats  # as recorded, N
-    clean: Floats  # load with spikes replaced by their neighbours, N
-    is_spike: Bools  # samples that are spikes
-    is_missing: Bools  # samples put in where the recording lost one
-    sigma: float  # standard deviation of the load's white noise, N
-    noise: Floats  # the same at every sample
-    damage: dict[str, Ints]  # by kind, the number of bad samples before each good one
-    alike: float = 1.0  # number of neighbouring samples whose noise is common: 1 for white noise
-    wander: float = 0.0  # standard deviation, N, of noise so slow that it moves a stick as a whole
-    slow: SlowNoise | None = None  # noise that is not white
-
-    @classmethod
-    def of(cls, force: xr.Dataset, settings: ForceSettings) -> Signal:
-        """Select the good samples of a recording from `vision.force.read_force`."""
-        count = force.sizes["time_s"]
-        flags = np.asarray(force["flag"].values, dtype=str) if "flag" in force else np.full(count, "ok")
-        good = usable(flags)
-        # A few lost samples leave a stick whole: more of them in a row, and those at the limit, do not.
-        run = np.cumsum(good)
-        many = np.bincount(run, ~good)[run] >= settings.gap_intervals
-        good[np.flatnonzero(good)[_filled_in(force["load_N"].to_numpy()[good].astype(float))]] = False
-        time, travel, load = (force[k].to_numpy()[good].astype(float) for k in ("time_s", "d_mm", "load_N"))
-        sigma, noise = noise_sigma(load), noise_levels(load, settings)
-        is_spike, clean = find_spikes(load, noise, settings=settings)
-        kinds = ("gap", "nan", "saturated", "repeated", "backwards")
-        bad = {kind: (flags == kind) & (many | (kind in {"gap", "saturated"})) for kind in kinds}
-        damage = {kind: np.cumsum(at)[good] for kind, at in bad.items() if at.any()}
-        none = np.zeros_like(is_spike)
-        return cls(time, travel, load, clean, is_spike, none, sigma, noise, damage)._even(settings)
-
-    def _even(self, settings: ForceSettings) -> Signal:
-        """Return the signal with the samples that the recording lost put in by interpolation.
-
-        All that follows counts samples, which else ran unevenly. Unchanged unless all times are multiples of
-        one interval, and where the rate itself changes; gaps stay.
-        """
-        steps = np.diff(self.time)
-        steps = steps / np.median(steps[steps < 1.5 * np.quantile(steps, 0.1)])
-        count = np.rint(steps)
-        lost = (count > 1) & (count <= settings.gap_intervals)
-        slower = sliding_window_view(count, min(100, count.size)).min(axis=1) > 1
-        if not lost.any() or slower.any() or np.mean(np.abs(steps - count) < 0.1) < 0.99:
-            return self
-        count = np.where(lost, count, 1)
-        place = np.r_[0.0, np.cumsum(count)]
-        every = np.arange(place[-1] + 1)
-        before = np.searchsorted(place, every, side="right") - 1
-        new = place[before] != every
-        return replace(
-            self,
-            time=np.interp(every, place, self.time),
-            travel=np.interp(every, place, self.travel),
-            load=np.interp(every, place, self.load),
-            clean=np.interp(every, place, self.clean),
-            is_spike=self.is_spike[before] & ~new,
-            is_missing=new,
-            noise=self.noise[before],
-            damage={kind: counted[before] for kind, counted in self.damage.items()},
-        )
-
-    @cached_property
-    def interval_s(self) -> float:
-        """Median sampling interval."""
-        return float(np.median(np.diff(self.time)))
-
-    def interval_at(self, position: Floats) -> Floats:
-        """Return the sampling interval at each position (samples), since it may change within a recording."""
-        earlier = np.clip(np.floor(position).astype(np.int64), 0, self.time.size - 2)
-        return self.time[earlier + 1] - self.time[earlier]
-
-    @cached_property
-    def spikeless(self) -> Floats:
-        """Load with NaN in place of spikes and lost samples, so that fits leave them out."""
-        return np.where(self.is_spike | self.is_missing, np.nan, self.load)
-
-
-def _filled_in(load: Floats) -> Bools:
-    """Return which samples were filled in because the file is written at a higher rate than the load cell's.
-
-    They repeat the sample before, or lie on a straight line from one measured value to the next. Then nearly
-    all runs of equal values, or of equal differences, have the same length, unlike the steps of a coarse
-    load. Where the ends of a line lie between samples, the first sample after each counts as measured. Fewer
-    than ten runs show no rule.
-    """
-    steps = np.diff(np.unique(load[:20_000]))  # enough to find the last digit written
-    rounding = 3 * float(np.min(steps, where=steps > 1e-9 * np.ptp(load), initial=np.inf))
-    repeats = np.diff(load, prepend=np.nan) == 0
-    bends = np.r_[True, np.abs(np.diff(load, 2)) > rounding, True]
-    bends[1:] &= ~bends[:-1]
-    for measured, most in ((~repeats, load.size), (bends, 25)):
-        length = np.diff(np.append(np.flatnonzero(measured), load.size))
-        usual = np.median(length)
-        even = np.abs(length - usual * np.rint(length / usual)) <= (usual >= 4 and measured is bends)
-        if 1 < usual <= most and length.size >= 10 and np.mean(even) > 0.9:
-            return np.asarray(~measured, np.bool_)
-    return np.zeros_like(repeats)
-
-
-def with_slow_noise(signal: Signal, slips: Slips, settings: ForceSettings) -> Signal:
-    """Return the signal with `alike`, `wander` and `slow` of noise that is not white."""
-    start, stop = (at[1:-1] for at in stick_middles(slips.edge, signal.clean.size, settings))
-    some = np.flatnonzero(stop - start >= 2 * settings.few_samples)
-    white = replace(signal, alike=1.0, wander=0.0, slow=None)
-    if some.size < 8:
-        return white
-    some = some[:: some.size // 400 + 1]  # enough for a median
-    start, stop = start[some], stop[some]
-    lines = fit_lines(np.arange(signal.clean.size, dtype=float), signal.spikeless, start, stop)
-    rise = lines.slope * (stop - start)
-    rise = np.maximum(rise, 0.1 * np.median(np.abs(rise)) + np.finfo(float).tiny)
-    spread = float(np.median(lines.spread))
-    # A sample beside lost ones, which are interpolated, counts more than once.
-    known = np.flatnonzero(~signal.is_missing)
-    more = float(np.mean((known[2:] - known[:-2]) ** 2 / 4) * known.size / signal.time.size)
-    slow = fit_slow_noise(signal.clean, start, stop, rise, spread * float(np.sqrt(more)), settings)
-    if slow is None:
-        return white
-    length = int(np.median(stop - start))
-    mean, half_rise = slow.of_line(length)
-    alike = max(half_rise * length / (3 * spread**2), 1.0)
-    wander = float(np.sqrt(max(mean - alike * spread**2 / length, 0.0)))
-    wander = min(wander, float(np.std(lines.at(stop.astype(float)))))  # noise moves no stick further than all
-    return replace(signal, alike=alike, wander=wander, slow=slow)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,316 @@
+"""The good samples of a recording: lost and filled-in ones, spikes, and noise, white and slow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import scipy
+import xarray as xr
+from numpy.lib.stride_tricks import sliding_window_view
+
+from vision.force.lines import fit_lines
+from vision.force.recording import usable
+from vision.force.settings import ForceSettings
+from vision.force.slips import Slips, stick_middles
+from vision.numeric import Bools, Floats, Ints, mad_sigma, nan_median
+from vision.signals import running_median
+
+_WITHIN = 0.683  # share of normally distributed values within one standard deviation
+
+
+@dataclass(frozen=True)
+class Signal:
+    """The good samples of a force recording."""
+
+    time: Floats  # s
+    travel: Floats  # separation, mm
+    load: Floats  # as recorded, N
+    clean: Floats  # load with spikes replaced by their neighbours, N
+    is_spike: Bools  # samples that are spikes
+    is_missing: Bools  # samples put in where the recording lost one
+    sigma: float  # standard deviation of the load's white noise, N
+    noise: Floats  # the same at every sample
+    damage: dict[str, Ints]  # by kind, the number of bad samples before each good one
+    alike: float = 1.0  # number of neighbouring samples whose noise is common: 1 for white noise
+    wander: float = 0.0  # standard deviation, N, of noise so slow that it moves a stick as a whole
+    slow: SlowNoise | None = None  # noise that is not white
+
+    @classmethod
+    def of(cls, force: xr.Dataset, settings: ForceSettings) -> Signal:
+        """Select the good samples of a recording from `vision.force.read_force`."""
+        count = force.sizes["time_s"]
+        flags = np.asarray(force["flag"].values, dtype=str) if "flag" in force else np.full(count, "ok")
+        good = usable(flags)
+        # A few lost samples leave a stick whole: more of them in a row, and those at the limit, do not.
+        run = np.cumsum(good)
+        many = np.bincount(run, ~good)[run] >= settings.gap_intervals
+        good[np.flatnonzero(good)[_filled_in(force["load_N"].to_numpy()[good].astype(float))]] = False
+        time, travel, load = (force[k].to_numpy()[good].astype(float) for k in ("time_s", "d_mm", "load_N"))
+        sigma, noise = noise_sigma(load), noise_levels(load, settings)
+        is_spike, clean = find_spikes(load, noise, settings=settings)
+        kinds = ("gap", "nan", "saturated", "repeated", "backwards")
+        bad = {kind: (flags == kind) & (many | (kind in {"gap", "saturated"})) for kind in kinds}
+        damage = {kind: np.cumsum(at)[good] for kind, at in bad.items() if at.any()}
+        none = np.zeros_like(is_spike)
+        return cls(time, travel, load, clean, is_spike, none, sigma, noise, damage)._even(settings)
+
+    def _even(self, settings: ForceSettings) -> Signal:
+        """Return the signal with the samples that the recording lost put in by interpolation.
+
+        All that follows counts samples, which else ran unevenly. Unchanged unless all times are multiples of
+        one interval, and where the rate itself changes; gaps stay.
+        """
+        steps = np.diff(self.time)
+        steps = steps / np.median(steps[steps < 1.5 * np.quantile(steps, 0.1)])
+        count = np.rint(steps)
+        lost = (count > 1) & (count <= settings.gap_intervals)
+        slower = sliding_window_view(count, min(100, count.size)).min(axis=1) > 1
+        if not lost.any() or slower.any() or np.mean(np.abs(steps - count) < 0.1) < 0.99:
+            return self
+        count = np.where(lost, count, 1)
+        place = np.r_[0.0, np.cumsum(count)]
+        every = np.arange(place[-1] + 1)
+        before = np.searchsorted(place, every, side="right") - 1
+        new = place[before] != every
+        return replace(
+            self,
+            time=np.interp(every, place, self.time),
+            travel=np.interp(every, place, self.travel),
+            load=np.interp(every, place, self.load),
+            clean=np.interp(every, place, self.clean),
+            is_spike=self.is_spike[before] & ~new,
+            is_missing=new,
+            noise=self.noise[before],
+            damage={kind: counted[before] for kind, counted in self.damage.items()},
+        )
+
+    @cached_property
+    def interval_s(self) -> float:
+        """Median sampling interval."""
+        return float(np.median(np.diff(self.time)))
+
+    def interval_at(self, position: Floats) -> Floats:
+        """Return the sampling interval at each position (samples), since it may change within a recording."""
+        earlier = np.clip(np.floor(position).astype(np.int64), 0, self.time.size - 2)
+        return self.time[earlier + 1] - self.time[earlier]
+
+    @cached_property
+    def spikeless(self) -> Floats:
+        """Load with NaN in place of spikes and lost samples, so that fits leave them out."""
+        return np.where(self.is_spike | self.is_missing, np.nan, self.load)
+
+
+def _filled_in(load: Floats) -> Bools:
+    """Return which samples were filled in because the file is written at a higher rate than the load cell's.
+
+    They repeat the sample before, or lie on a straight line from one measured value to the next. Then nearly
+    all runs of equal values, or of equal differences, have the same length, unlike the steps of a coarse
+    load. Where the ends of a line lie between samples, the first sample after each counts as measured. Fewer
+    than ten runs show no rule.
+    """
+    steps = np.diff(np.unique(load[:20_000]))  # enough to find the last digit written
+    rounding = 3 * float(np.min(steps, where=steps > 1e-9 * np.ptp(load), initial=np.inf))
+    repeats = np.diff(load, prepend=np.nan) == 0
+    bends = np.r_[True, np.abs(np.diff(load, 2)) > rounding, True]
+    bends[1:] &= ~bends[:-1]
+    for measured, most in ((~repeats, load.size), (bends, 25)):
+        length = np.diff(np.append(np.flatnonzero(measured), load.size))
+        usual = np.median(length)
+        even = np.abs(length - usual * np.rint(length / usual)) <= (usual >= 4 and measured is bends)
+        if 1 < usual <= most and length.size >= 10 and np.mean(even) > 0.9:
+            return np.asarray(~measured, np.bool_)
+    return np.zeros_like(repeats)
+
+
+# --- white noise and spikes ---------------------------------------------------------------------------------
+
+
+def noise_sigma(y: Floats) -> float:
+    """Estimate the standard deviation of white noise on slow rises with sudden drops, from three samples on.
+
+    The median absolute second difference depends neither on the rises nor on the few drops. The result is at
+    least the noise that the quantum q of the recording causes, and never zero:
+
+    .. math:: \\sigma = \\max(\\mathrm{MAD}(\\Delta^2 y) / (0.674\\,\\sqrt 6),\\; q / \\sqrt{12})
+    """
+    second = np.diff(y, 2)
+    spread = float(mad_sigma(second)) / np.sqrt(6.0)
+    range_ = float(np.ptp(y))
+    steps = np.diff(np.unique(y))
+    steps = steps[steps > 1e-6 * range_]  # smaller ones are rounding errors
+    quantum = float(steps.min()) if steps.size else 0.0
+    return float(max(spread, quantum / np.sqrt(12.0), 1e-9 * range_, np.finfo(float).tiny))
+
+
+def noise_levels(y: Floats, settings: ForceSettings) -> Floats:
+    """Return `noise_sigma` at every sample: of all unless its parts differ by `noise_ratio`."""
+    whole = noise_sigma(y)
+    parts = np.array_split(y, min(y.size // 500 + 1, 32))
+    level = np.maximum(running_median(np.array([noise_sigma(part) for part in parts]), 3), 0.05 * whole)
+    if level.max() < settings.noise_ratio * level.min():
+        return np.full(y.shape, whole)
+    level = np.max(sliding_window_view(np.pad(level, 1, "edge"), 3), axis=1)  # a change lies within a part
+    return np.repeat(level, [part.size for part in parts])
+
+
+def find_spikes(
+    y: Floats, sigma: Floats | float, *, settings: ForceSettings = ForceSettings()
+) -> tuple[Bools, Floats]:
+    """Return which samples belong to spikes, and the signal with their neighbours' level in place of spikes.
+
+    A spike of one or two samples differs by `spike_sigmas` from the median of the five samples around it,
+    which follows the slips and corners of a sawtooth. A spike of three to five samples jumps away and back.
+    """
+    middle = running_median(y, 5)
+    off = np.abs(y - middle) - settings.spike_sigmas * sigma
+    # The corner of a steep sawtooth also differs from the median, by at most two rises between samples: those
+    # of the whole recording, or those nearby where a part was sampled more slowly.
+    rise = np.abs(np.diff(middle, append=middle[-1:]))
+    suspect = np.flatnonzero(off > 2.0 * np.median(rise))
+    around, is_spike = sliding_window_view(np.pad(rise, 50, "edge"), 101), np.zeros(y.size, np.bool_)
+    for some in np.array_split(suspect, suspect.size // 65_536 + 1):  # so that memory does not grow with them
+        is_spike[some] = off[some] > 2.0 * np.median(around[some], axis=1)
+    clean = np.where(is_spike, middle, y)
+    jump = np.diff(clean)
+    high = np.flatnonzero(np.abs(jump) > settings.pulse_sigmas * np.broadcast_to(sigma, y.shape)[1:])
+    high = high[np.abs(jump[high]) > 4.0 * np.median(around[high], axis=1)]
+    for width in (3, 4, 5):
+        away = high[np.isin(high + width, high)]
+        least = np.minimum(np.abs(jump[away]), np.abs(jump[away + width]))
+        back = np.abs(clean[away + width + 1] - clean[away]) < 0.3 * least
+        for before in away[back & (jump[away] * jump[away + width] < 0)]:
+            inside, ends = np.arange(before + 1, before + width + 1), [before, before + width + 1]
+            is_spike[inside], clean[inside] = True, np.interp(inside, ends, clean[ends])
+    return is_spike, clean
+
+
+# --- slow noise ---------------------------------------------------------------------------------------------
+
+
+def with_slow_noise(signal: Signal, slips: Slips, settings: ForceSettings) -> Signal:
+    """Return the signal with `alike`, `wander` and `slow` of noise that is not white."""
+    start, stop = (at[1:-1] for at in stick_middles(slips.edge, signal.clean.size, settings))
+    some = np.flatnonzero(stop - start >= 2 * settings.few_samples)
+    white = replace(signal, alike=1.0, wander=0.0, slow=None)
+    if some.size < 8:
+        return white
+    some = some[:: some.size // 400 + 1]  # enough for a median
+    start, stop = start[some], stop[some]
+    lines = fit_lines(np.arange(signal.clean.size, dtype=float), signal.spikeless, start, stop)
+    rise = lines.slope * (stop - start)
+    rise = np.maximum(rise, 0.1 * np.median(np.abs(rise)) + np.finfo(float).tiny)
+    spread = float(np.median(lines.spread))
+    # A sample beside lost ones, which are interpolated, counts more than once.
+    known = np.flatnonzero(~signal.is_missing)
+    more = float(np.mean((known[2:] - known[:-2]) ** 2 / 4) * known.size / signal.time.size)
+    slow = fit_slow_noise(signal.clean, start, stop, rise, spread * float(np.sqrt(more)), settings)
+    if slow is None:
+        return white
+    length = int(np.median(stop - start))
+    mean, half_rise = slow.of_line(length)
+    alike = max(half_rise * length / (3 * spread**2), 1.0)
+    wander = float(np.sqrt(max(mean - alike * spread**2 / length, 0.0)))
+    wander = min(wander, float(np.std(lines.at(stop.astype(float)))))  # noise moves no stick further than all
+    return replace(signal, alike=alike, wander=wander, slow=slow)
+
+
+@dataclass(frozen=True)
+class SlowNoise:
+    """Noise that is white noise plus slow noise."""
+
+    white: float  # variance of the white part
+    f: Floats  # frequencies, per sample
+    slow: Floats  # variance of the slow part at each of them
+
+    def of_line(self, length: int) -> tuple[float, float]:
+        """Return the variances of the level and of half the rise of a line through so many samples."""
+        mean, rise, _ = self._responses(length)
+        white = self.white / length
+        return white + float(mean**2 @ self.slow), 3 * white + float(rise**2 @ self.slow)
+
+    def of_drop(self, length: float, reach: float) -> float:
+        """Return the variance of the difference between two such lines, each extended towards the other.
+
+        They meet at `reach` half lengths from the middle of either.
+        """
+        mean, rise, phase = self._responses(length)
+        drop = 2 * (mean * np.sin(reach * phase) - reach * rise * np.cos(reach * phase))
+        return (2 + 6 * reach**2) * self.white / length + float(drop**2 @ self.slow)
+
+    def _responses(self, length: float) -> tuple[Floats, Floats, Floats]:
+        """Return how level and half the rise respond to each frequency, and the phase at the line's end."""
+        phase = np.pi * self.f * length
+        mean = np.sin(phase) / (length * np.sin(np.pi * self.f))
+        return mean, 3 * (np.sin(phase) / phase - np.cos(phase)) / phase, phase
+
+
+def fit_slow_noise(
+    y: Floats, start: Ints, stop: Ints, rise_N: Floats, white_N: float, settings: ForceSettings
+) -> SlowNoise | None:
+    """Return the noise within the sticks [start, stop) if it is not white; None if it is.
+
+    `rise_N` is how far each stick rises, `white_N` the noise if it is white.
+
+    White noise and one kind of slow noise are fitted to the variance of a contrast at time scales of m = 1,
+    2, 4 … samples: of four neighbouring means of m samples the outer two minus the inner two, which is 0 on a
+    line. What all sticks have in common there, in proportion to their rises, is their curvature, and is no
+    noise; nor is a curvature of each stick's own, where white noise and the m⁴ by which that grows fit best.
+    Slow noise has the spectrum of a time constant (autoregressive noise) or a power law between the frequency
+    to the power -0.5 and -2 (pink noise, random walk). The best fit counts. Power laws continue to a sixth of
+    the lowest frequency of the recording: between random walks about their mean, and those that begin at 0
+    with the recording.
+    """
+    if white_N == 0:  # a load without any noise: calculated or heavily smoothed
+        return None
+    length = int(np.median(stop - start))
+    scales = 2 ** np.arange(int(np.log2(length // 4)) + 1)
+    total, bend = np.r_[0.0, np.cumsum(y - y.mean())], rise_N / (stop - start) ** 2
+    found = [_contrasts(total, start, stop, bend, int(m), length) for m in scales]
+    variance = np.array([np.quantile(np.abs(values), _WITHIN) ** 2 for values in found])
+    variance = np.maximum(variance, 1e-3 * white_N**2 / scales)  # coarse loads do not change at short scales
+    beyond = 1 + settings.alike_sigmas / np.sqrt(found[-1].size)
+    if variance[-1] <= beyond * 4 * white_N**2 / scales[-1]:
+        return None
+    # The variance of the logarithm of such a quantile's square is 3.7 over the number of values.
+    weight = np.minimum([values.size for values in found], settings.contrasts * start.size) / 3.7
+    f = np.geomspace(1 / (6 * y.size), 0.5, 400)
+    sine, width = np.sin(np.pi * f), 2 * np.gradient(f)
+    phase = np.pi * f * scales[:, np.newaxis]
+    contrast = (8 * np.sin(phase) ** 3 * np.cos(phase) / (scales[:, np.newaxis] * sine)) ** 2
+    corners = 2 * np.pi * 0.5 ** np.arange(2, np.log2(y.size))
+    kinds = [(power, 0.0) for power in np.arange(0.5, 2.01, 0.25)] + [(2.0, corner) for corner in corners]
+    root = np.sqrt(weight)[:, np.newaxis]
+
+    def fit(other: Floats) -> tuple[Floats, float]:
+        """Return the shares of white noise and of the other part, and the misfit."""
+        parts = np.stack([4 / scales, other], axis=1) / variance[:, np.newaxis]
+        share, _ = scipy.optimize.nnls(parts * root, root[:, 0])
+        return share, float(weight @ np.log(np.maximum(parts @ share, 1e-9)) ** 2)
+
+    best, least = None, fit((scales / scales[-1]) ** 4.0)[1] + 4  # in doubt it is slow noise
+    for power, corner in kinds:
+        density = (4 * sine**2 + corner**2) ** (-power / 2)
+        share, misfit = fit(contrast @ (density * width))
+        misfit += 0.5 * (corner > 0)
+        if misfit < least:
+            least = misfit
+            best = SlowNoise(float(share[0]), f, share[1] * density * width)
+    return best
+
+
+def _contrasts(total: Floats, start: Ints, stop: Ints, bend: Floats, m: int, length: int) -> Floats:
+    """Return the contrasts of means of m samples at up to 64 places along each stick, less their medians.
+
+    `total` holds the sums of the load up to each sample, `bend` what the contrast of a common curvature is
+    proportional to.
+    """
+    places = np.linspace(0, 1, min(length // (4 * m), 64)) if length >= 8 * m else np.array([0.5])
+    long = stop - start >= 4 * m
+    first, room = start[long, np.newaxis], (stop - start)[long, np.newaxis] - 4 * m
+    at = first + np.rint(places * room).astype(np.int64)
+    ends = [total[at + k * m] for k in range(5)]
+    values = (ends[4] - 2 * ends[3] + 2 * ends[1] - ends[0]) / m
+    usual = bend[long, np.newaxis]
+    return np.asarray(values - usual * nan_median(values / usual, axis=0), np.float64).ravel()
