@@ -82,8 +82,7 @@ class ClockSettings:
     """Fewest matched slips for which an alignment may be unambiguous."""
     least_likelihood: float = 14.0
     """Log-likelihood, without that of sizes, below which an alignment may be a coincidence. Larger → short
-    clips are ambiguous (at 28 a quarter fewer of the hard alignments pass); smaller → hardly any more pass,
-    because the other tests reject them."""
+    clips are ambiguous (at 28 a quarter fewer of the hard ones pass); smaller → hardly any more pass."""
     clear_likelihood: float = 20.0
     """Log-likelihood below which the required leads are doubled. Larger → more clocks are ambiguous (at 20 a
     tenth fewer of the hard alignments pass than at 14)."""
@@ -92,20 +91,17 @@ class ClockSettings:
     ambiguous; smaller → wrong ones pass. `test_a_wrong_alignment_is_never_believed`."""
     largest_wander: float = 3.0
     """Correlation of neighbouring residuals, in standard errors, above which the clocks differ by more than
-    an offset and a rate. Without this test, 18 of 24 recordings with an unreported lost frame were accepted,
-    in place of 4; `test_unreported_lost_frames_are_not_believed_blindly`."""
+    an offset and a rate. Without it 18 of 24 recordings with an unreported lost frame pass, else 4."""
     paired_by_chance: float = 0.15
     """Share of the slips that are paired where the alignment is wrong. Larger → a jump of a clock is
     overlooked where few slips follow it; smaller → it is overlooked once slips after it pair by chance.
     `test_clocks_that_jump_are_not_believed`."""
     usual_drift_ppm: float = 500.0
-    """Difference of the clocks' rates that must be exceeded by two standard errors for a warning about the
-    frame rate. Larger → a rate that is wrong by a thousandth passes; smaller → poor but correct clocks get a
-    warning. `test_a_wrong_frame_rate_is_said`."""
+    """Difference of the clocks' rates that two standard errors must exceed for a warning about the frame
+    rate. Larger → a rate wrong by a thousandth passes; smaller → poor but correct clocks get a warning."""
     unmatched_share: float = 0.2
-    """Share of the slips of the film, or of the drops of the force, without a partner above which a warning
-    is given. Larger → recordings that contradict each other pass; smaller → a warning for each missed slip.
-    `test_slips_of_one_recording_alone_are_said`."""
+    """Share of the slips of film or force without a partner above which a warning is given. Larger →
+    recordings that contradict each other pass; smaller → a warning for each missed slip."""
     contradiction_sigma: float = 3.0
     """Difference, in standard errors, between a given clock and that of the slips above which a warning is
     given."""

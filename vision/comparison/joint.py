@@ -46,17 +46,14 @@ class CompareSettings:
     slow_mm_min: float = 1.0
     """Velocity up to which the publication's models of A, N̂ and Y_eff hold. Y_eff comes from such tests."""
     smooth_events: int = 15
-    """Window of the running scatter of ΔF. A shorter one is noisier, a longer one blurs the position of a
-    change; the scatter of a test without a change must stay level."""
+    """Window of the running scatter of ΔF. Shorter is noisier, longer blurs the position of a change."""
     joint_misfit: float = 2.0
-    """No single μ fits if χ²/dof of the peaks about the joint curve exceeds that about the individual curves
-    by this factor. A smaller value warns of tests that differ by less than the scatter of single events; a
-    larger one accepts curves that miss the points. Tests with μ of 0.890 to 0.894 give 1.2, those with 0.89
-    and 0.91 give 8."""
+    """Ratio of χ²/dof of the peaks about the joint curve and about the individual ones from which no single μ
+    fits. Smaller warns of less than the scatter of events, larger accepts curves that miss the points. Tests
+    with μ of 0.890 to 0.894 give 1.2, those with 0.89 and 0.91 give 8."""
     test_misfit: float = 3.0
-    """χ²/dof of the fits of one test above which it gets a warning. Events that follow the models give 1. A
-    smaller value warns of chance in tests with few events, a larger one accepts a wrong modulus
-    (`test_a_wrong_modulus_shows`)."""
+    """χ²/dof of the fits of one test above which it gets a warning; 1 is expected. Smaller warns of chance in
+    tests with few events, larger accepts a wrong modulus (`test_a_wrong_modulus_shows`)."""
     change_p: float = 0.01
     """Largest p value of a change of the scatter. A larger value claims changes in even scatter
     (`test_regular_sticks_have_no_change`), a smaller one misses late changes."""

@@ -10,9 +10,9 @@ class DeformationSettings:
     """Tunable constants of `horizontal_deformation`; the tests named are in tests/deformation."""
 
     slip_near_end: float = 0.15
-    """Fraction of a stick, from either end, in which a slip of the film that matches none of the force may
-    be the one that ends or begins the stick.  Larger measures sticks in which the sheets slip; smaller leaves
-    out all sticks if the given clock is slightly wrong (test_motion)."""
+    """Fraction of a stick, from either end, in which an unmatched slip of the film may be the one that ends
+    or begins it.  Larger measures sticks in which the sheets slip; smaller leaves out all sticks if the given
+    clock is slightly wrong (test_motion)."""
 
     least_speed: float = 0.8
     """Speed of the machine in a stick, as a fraction of that in the neighbouring ones, below which it paused
@@ -82,9 +82,8 @@ class DeformationSettings:
     view.  More average over a changing profile; fewer leave more noise (test_common_mode)."""
 
     jump_spreads: float = 6.0
-    """Median sizes of common movement, in a stick or between sticks, beyond which the camera was pushed, with
-    one side in view.  Larger counts pushes as drift of the neighbouring sticks; smaller leaves out sticks
-    with fast drift (test_common_mode: a camera that is pushed)."""
+    """Median sizes of common movement beyond which the camera was pushed.  Larger counts pushes as drift;
+    smaller leaves out sticks with fast drift (test_common_mode: a camera that is pushed)."""
 
     one_side_contrast: float = 25.0
     """Variance of the creep over the sheets, in units of its noise, above which drift is measured with one
