@@ -206,11 +206,11 @@ class Irregularity:
     speed_mm_min: float
     d_mm: Floats = field(repr=False)  # separation of each event
     variation: Floats = field(repr=False)  # running coefficient of variation there
-    change_mm: float  # separation at which it rises; NaN if there is no change
-    change_err_mm: float
-    before: float  # coefficient of variation on either side; the same on both if there is no change
-    after: float
-    p: float  # probability that a test without a change shows one as large
+    change_mm: float = np.nan  # separation at which it rises; NaN if there is no change
+    change_err_mm: float = np.nan
+    before: float = np.nan  # coefficient of variation on either side; the same if there is no change
+    after: float = np.nan
+    p: float = np.nan  # probability that a test without a change shows one as large
     reason: str  # why there is no change point; "" if there is one
 
 
@@ -224,13 +224,11 @@ def find_irregular(test: TractionTest, settings: CompareSettings = CompareSettin
     constant noise over a falling ΔF. Its error is the spread over 200 bootstrap draws within the two parts.
     """
     d, drop = test.column("d_v_mm"), test.column("dF_N")
-    nan = float("nan")
     about: dict[str, Any] = {"run": test.run, "speed_mm_min": test.speed_mm_min, "d_mm": d}
     window = settings.smooth_events | 1
     if d.size < max(2 * window, 2 * LEAST_SIDE + 1):
-        unknown: dict[str, Any] = dict.fromkeys(("change_mm", "change_err_mm", "before", "after", "p"), nan)
         reason = f"{d.size} events, at least {2 * window} needed"
-        return Irregularity(**about, **unknown, variation=np.full(d.size, nan), reason=reason)
+        return Irregularity(**about, variation=np.full(d.size, np.nan), reason=reason)
     r = drop / np.maximum(scipy.signal.savgol_filter(drop, window, 2), 1e-3 * float(drop.max())) - 1
     weight = scipy.signal.savgol_coeffs(window, 2)[window // 2]  # weight of an event in its smoothed value
     r *= 1 / np.sqrt(1 - weight)  # the smoothed course follows part of the scatter
@@ -245,7 +243,7 @@ def find_irregular(test: TractionTest, settings: CompareSettings = CompareSettin
     before, after = (rms(part) for part in (r[:at], r[at:]))
     both = rms(r)
     reason = _reason_against(p, before, after, _smooth_rise_is_better(level, d, at), settings)
-    error = nan
+    error = np.nan
     if not reason:
         parts = [rng.choice(part, (200, part.size)) for part in (level[:at], level[at:])]
         splits = _splits(np.concatenate(parts, axis=1))
@@ -253,7 +251,7 @@ def find_irregular(test: TractionTest, settings: CompareSettings = CompareSettin
     return Irregularity(
         **about,
         variation=np.sqrt(square / count),
-        change_mm=nan if reason else float((d[at - 1] + d[at]) / 2),
+        change_mm=np.nan if reason else float((d[at - 1] + d[at]) / 2),
         change_err_mm=error,
         before=both if reason else before,
         after=both if reason else after,

@@ -171,6 +171,13 @@ def _dataset(
     if found["load"].unit == "1":
         force["load_N"].attrs["units"] = "1"
     measured = _speed(time[good], travel[good])
+    warnings = _restart_warnings(restart, time.size, blocks)
+    warnings += _warnings(flags, load[good], source, speed_mm_min, measured)
+    if abs(start) > 0.05 * max(float(np.ptp(travel[good])), 1e-9):  # zeros are set manually
+        warnings.append(
+            f"the crosshead starts at {start:.4g} mm: `d0_mm` {d0_mm:g} is added to its change since then; "
+            "`d0_mm` 0 takes the column for the separation itself"
+        )
     metadata = ForceMetadata(
         source=str(path),
         separation_from=source,
@@ -178,9 +185,7 @@ def _dataset(
         d0_mm=float("nan") if d0_mm is None else d0_mm,
         columns="; ".join(f"{role} = {c.name} [{c.unit}]" for role, c in found.items()),
         notes=_notes(found, source, d0_mm),
-        warnings=_restart_warnings(restart, time.size, blocks)
-        + _warnings(flags, load[good], source, speed_mm_min, measured)
-        + (_start_warnings(start, travel[good], d0_mm) if source == "displacement" else []),
+        warnings=warnings,
         **facts,  # type: ignore[arg-type]
     )
     return force.assign_attrs(metadata.attrs())
@@ -211,16 +216,6 @@ def _restart_warnings(restart: int, rows: int, blocks: list[Table]) -> list[str]
     return [
         f"the time starts again at {place}: the file seems to hold two recordings or more, and only the "
         "first is used; save each in a file of its own"
-    ]
-
-
-def _start_warnings(start: float, travel: Floats, d0_mm: float | None) -> list[str]:
-    """Return a warning for a crosshead that does not start near 0, as it may be the separation itself."""
-    if not d0_mm or abs(start) <= 0.05 * max(float(np.ptp(travel)), 1e-9):  # zeros are set manually
-        return []
-    return [
-        f"the crosshead starts at {start:.4g} mm: `d0_mm` {d0_mm:g} is added to its change since then; "
-        "`d0_mm` 0 takes the column for the separation itself"
     ]
 
 
