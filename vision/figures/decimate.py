@@ -47,27 +47,6 @@ def _extremes(y: NDArray[np.floating], step: int, intervals: int) -> Floats:
     return np.take_along_axis(blocks, order, axis=1).reshape(2 * intervals, -1)
 
 
-def minmax_by_x(x: Floats, y: Floats, *, bins: int) -> tuple[Floats, Floats]:
-    """Return the minimum and maximum of y in equal bins of x, for points in any order.
-
-    This suits curves whose x jitters or does not change, such as a separation that is recorded in steps. Bins
-    without points are left out.
-    """
-    good = np.isfinite(x) & np.isfinite(y)
-    x, y = x[good], y[good]
-    if len(x) == 0 or x.max() <= x.min():
-        return np.empty(0), np.empty(0)
-    width = (x.max() - x.min()) / bins
-    bin_of = np.minimum((x - x.min()) / width, bins - 1).astype(np.int64)
-    order = np.argsort(bin_of, kind="stable")
-    filled, first = np.unique(bin_of[order], return_index=True)
-    low, high = (op.reduceat(y[order], first) for op in (np.minimum, np.maximum))
-    centre = x.min() + (filled + 0.5) * width
-    both = np.stack([low, high], axis=1)
-    both[1::2] = both[1::2, ::-1]  # up, then down, so that no long line joins two bins
-    return np.repeat(centre, 2) + np.tile([-0.25, 0.25], len(centre)) * width, both.ravel()
-
-
 def time_rows(values: NDArray[np.floating], time: Floats, *, most: int) -> tuple[Floats32, Floats]:
     """Return rows of an image at equal steps of time, each the mean of its frames.
 
