@@ -411,8 +411,13 @@ def _fitted(positions: Positions, start_px: Floats, rows: Ints, diagram: Diagram
 
 
 def _renumbered(positions: Positions) -> Positions:
-    facts = positions.track_facts
-    numbering = number_sheets(median_positions(positions)[None], axis_px=facts.axis_px)
+    """Number the sheets from the axis; one without any position lies between its neighbours."""
+    facts, x_px = positions.track_facts, median_positions(positions)
+    known = np.flatnonzero(np.isfinite(x_px))
+    if not known.size:
+        raise InputError("the decision", "a sheet with a position that remains", "none")
+    x_px = np.interp(np.arange(len(x_px)), known, x_px[known])
+    numbering = number_sheets(x_px[None], axis_px=facts.axis_px)
     unseen = 0 if facts.axis_how == "given" else numbering.n.min() - 1
     return replace(positions, side=numbering.side, n=numbering.n - unseen)
 
