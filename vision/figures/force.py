@@ -95,10 +95,11 @@ def clocks_figure(
     scale, unit = displacement_unit(pixel_size_um)
     t_video, opened = minmax_decimate(time, outward_px(tracks) * scale, most=MOST_SAMPLES)
     good = good_samples(force)
+    t_force, load = good["time_s"].to_numpy(), good["load_N"].to_numpy()
     margin = 0.1 * float(time[-1] - time[0])
-    near = (good["time_s"] > time[0] - margin) & (good["time_s"] < time[-1] + margin)
-    part = good.isel(time_s=np.flatnonzero(near.to_numpy())) if near.any() else good
-    t_force, load = minmax_decimate(part["time_s"].to_numpy(), part["load_N"].to_numpy(), most=MOST_SAMPLES)
+    near = (t_force > time[0] - margin) & (t_force < time[-1] + margin)
+    near |= not near.any()
+    t_force, load = minmax_decimate(t_force[near], load[near], most=MOST_SAMPLES)
     panel = Panel(
         x_label="t (s, force clock)",
         first_view=_some_sticks(t_video, sticks),
@@ -341,32 +342,24 @@ def stiffness_residuals_figure(sticks: pd.DataFrame, fits: ModelFits, *, unit: s
 
 def force_overview_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFits | None = None) -> Figure:
     """Return the whole recording, a few events with their lines, amplitude and stiffness as one figure."""
-    unit = load_unit(force)
+    unit, facts = load_unit(force), StickMetadata.of(sticks)
     whole = force_figure(force, sticks, fits).panel
     drops, stiffness = (make(sticks, fits, unit=unit) for make in (force_drop_figure, stiffness_figure))
-    facts = StickMetadata.of(sticks)
-    threshold, kind = facts.threshold_N, "" if facts.regime == "stick-slip" else f" ({facts.regime})"
-    found = (
-        f"{len(sticks)} events{kind}, drops above {threshold:.3g} {'of the weight' if unit == '1' else unit}"
-    )
+    kind = "" if facts.regime == "stick-slip" else f" ({facts.regime})"
+    size = f"{facts.threshold_N:.3g} {'of the weight' if unit == '1' else unit}"
+    found = f"{len(sticks)} events{kind}, drops above {size}"
     start = max(len(sticks) // 2 - 3, 0)
-    title = "A few events, with the lines from valley to peak"
-    if facts.lowpass_s:
-        title += (
-            f"\n(corrected for the load cell's low-pass of {1e3 * facts.lowpass_s:.2g} ms; F as recorded)"
-        )
+    title, lowpass_ms = "A few events, with the lines from valley to peak", 1e3 * facts.lowpass_s
+    if lowpass_ms:
+        title += f"\n(corrected for the load cell's low-pass of {lowpass_ms:.2g} ms; F as recorded)"
     some = _events_panel(force, sticks.iloc[start : start + 6], title, against_d=False)
-    panels = (replace(whole, title=found), some, drops.panel, stiffness.panel)
-    shown = panels[:1] + tuple(panel for panel in panels[1:] if not panel.empty)
-    return Figure(
-        name="force_overview",
-        title="The force recording and its stick-slip events",
-        caption=(
-            "The whole recording, a few events in its middle, and the amplitude and stiffness of every "
-            "event, as far as they are known."
-        ),
-        panels=tuple(replace(panel, aspect=0.6) for panel in shown),
-        columns=2,
+    shown = [panel for panel in (some, drops.panel, stiffness.panel) if not panel.empty]
+    return _four_panels(
+        "force_overview",
+        "The force recording and its stick-slip events",
+        "The whole recording, a few events in its middle, and the amplitude and stiffness of every event, as "
+        "far as they are known.",
+        [replace(whole, title=found), *shown],
         width_in=13.0,
     )
 
@@ -385,17 +378,20 @@ def force_insets_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFits
         start = int(share * len(usable))
         some = usable.iloc[start : start + SHOWN_STICKS]
         panels.append(_events_panel(force, some, title, against_d=True))
-    return Figure(
-        name="force_insets",
-        title="Traction force and stages of the test",
-        caption=(
-            "Traction force against separation with the fit of Eq. 1 to the peaks; the first rise of the "
-            "force; and events of an early and a late stage of the test (peaks filled, valleys hollow)."
-        ),
-        panels=tuple(replace(panel, aspect=0.6) for panel in panels),
-        columns=2,
+    return _four_panels(
+        "force_insets",
+        "Traction force and stages of the test",
+        "Traction force against separation with the fit of Eq. 1 to the peaks; the first rise of the force; "
+        "and events of an early and a late stage of the test (peaks filled, valleys hollow).",
+        panels,
         width_in=8.0,
     )
+
+
+def _four_panels(name: str, title: str, caption: str, panels: list[Panel], *, width_in: float) -> Figure:
+    """Return panels of one shape, two side by side."""
+    shown = tuple(replace(panel, aspect=0.6) for panel in panels)
+    return Figure(name=name, title=title, caption=caption, panels=shown, columns=2, width_in=width_in)
 
 
 def _events_panel(force: xr.Dataset, events: pd.DataFrame, title: str, *, against_d: bool) -> Panel:

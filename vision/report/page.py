@@ -41,23 +41,9 @@ def write_report(
 ) -> Path:
     """Write the page: one file of less than 3 MB that opens offline and needs no other file.
 
-    Parameters
-    ----------
-    path
-        The file to write.
-    results
-        Results of the run. Long records are shown as the minimum and maximum of short intervals.
-    facts
-        The content of run.json: command, parameters, inputs, versions, warnings; entries may be missing.
-    figures
-        The figures of `figures_of(results)`, if they exist already.
-    options
-        Option that replaces each argument of the library in messages.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written.
+    facts: the content of run.json (command, parameters, inputs, versions, warnings); entries may be missing.
+    figures: those of `figures_of(results)`, if they exist already.  options: the option that replaces each
+    argument of the library in messages.  Raises: OSError if the file cannot be written.
     """
     figures = figures_of(results) if figures is None else figures
     named = dict(options or {})
