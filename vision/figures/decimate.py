@@ -22,17 +22,15 @@ def minmax_decimate(x: Floats, y: NDArray[np.floating], *, most: int) -> tuple[F
     """
     if len(x) <= most:
         return np.asarray(x, np.float64), np.asarray(y, np.float64)
-    if y.ndim == 1:
-        at, extremes = minmax_decimate(x, y[:, None], most=most)
-        return at, extremes[:, 0]
+    columns = y.reshape(len(y), -1)
     step = -(-2 * len(x) // most)
     intervals = -(-len(x) // step)
     rows = np.minimum(np.arange(intervals)[:, None] * step + [0, min(step - 1, step // 2)], len(x) - 1)
-    extremes = np.empty((2 * intervals, y.shape[1]))
-    for start in range(0, y.shape[1], 16):  # limits the memory to a few copies of 16 columns
+    extremes = np.empty((2 * intervals, columns.shape[1]))
+    for start in range(0, columns.shape[1], 16):  # limits the memory to a few copies of 16 columns
         part = slice(start, start + 16)
-        extremes[:, part] = _extremes(y[:, part], step, intervals)
-    return np.asarray(x, np.float64)[rows.ravel()], extremes
+        extremes[:, part] = _extremes(columns[:, part], step, intervals)
+    return np.asarray(x, np.float64)[rows.ravel()], extremes.reshape(-1, *y.shape[1:])
 
 
 def _extremes(y: NDArray[np.floating], step: int, intervals: int) -> Floats:

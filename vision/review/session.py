@@ -93,7 +93,7 @@ class Session:
         self.stored = StoredRun.of(self.folder)
         self.events, self.saved_clock = self.stored.events, self.stored.clock
         columns = self.settings.columns
-        first = 0 if columns is None else columns.start or 0
+        first = (columns.start or 0) if columns else 0
         self.diagram = Diagram(self.folder / "kymograph.tif", first, self.settings.tuning.tracking)
         try:
             self._load_tracks(tracks)
