@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -204,8 +203,7 @@ class Tiles:
     ) -> None:
         self.diagram, self.bright, self.settings = diagram, bright, settings
         self.low, self.high = grey_limits(diagram.sample(settings.sampled_rows))
-        self._kept: list[Grey] = []  # levels from `first_kept` on
-        self._building = Lock()
+        self._kept = self._coarse_levels()
 
     @property
     def levels(self) -> int:
@@ -215,33 +213,19 @@ class Tiles:
             frames, levels = -(-frames // self.settings.factor), levels + 1
         return levels
 
-    def build(self) -> None:
-        """Build the levels held in memory, which otherwise happens when the first of them is needed."""
-        with self._building:
-            step = self.settings.factor**self.settings.first_kept
-            if self._kept or self.levels <= self.settings.first_kept:
-                return
-            level = self._first_level(step)
-            kept = [self._grey(level)]
-            while len(kept) < self.levels - self.settings.first_kept:
-                level = _extremes(level, self.settings.factor, bright=self.bright)
-                kept.append(self._grey(level))
-            self._kept = kept
-
-    def _first_level(self, step: int) -> Floats32:
-        """Return the extremes of every `step` frames, read in parts by two threads."""
-        frames, columns = self.diagram.frames, self.diagram.columns
-        out = np.empty((-(-frames // step), columns), np.float32)
-        block = max(1, PART_VALUES // (step * columns))
-
-        def work(rows: range) -> None:
-            for row in rows:
-                part = self.diagram.rows(row * step, (row + block) * step)
-                out[row : row + block] = _extremes(part, step, bright=self.bright)
-
-        with ThreadPoolExecutor(2) as pool:
-            list(pool.map(work, [range(k * block, len(out), 2 * block) for k in range(2)]))
-        return out
+    def _coarse_levels(self) -> list[Grey]:
+        """Return the levels held in memory, from `first_kept` on."""
+        step, wanted = self.settings.factor**self.settings.first_kept, self.levels - self.settings.first_kept
+        if wanted <= 0:
+            return []
+        frames, block = self.diagram.frames, step * max(1, PART_VALUES // (step * self.diagram.columns))
+        parts = (self.diagram.rows(start, start + block) for start in range(0, frames, block))
+        level = np.concatenate([_extremes(part, step, bright=self.bright) for part in parts])
+        kept = [self._grey(level)]
+        while len(kept) < wanted:
+            level = _extremes(level, self.settings.factor, bright=self.bright)
+            kept.append(self._grey(level))
+        return kept
 
     def _grey(self, values: Floats32) -> Grey:
         """Convert to 8 bits, with lost frames mid-grey; in parts, since the conversion needs more memory."""
@@ -261,7 +245,6 @@ class Tiles:
             raise InputError("the tile", f"one of {self.levels} levels", f"{level}/{x}/{y}")
         across = slice(x * columns, (x + 1) * columns)
         if level >= self.settings.first_kept:
-            self.build()
             return self._kept[level - self.settings.first_kept][y * rows : (y + 1) * rows, across]
         part = self.diagram.shared_rows(y * rows * step, (y + 1) * rows * step)[:, across]
         return self._grey(part if level == 0 else _extremes(part, step, bright=self.bright))

@@ -105,12 +105,11 @@ class Session:
     def _load_tracks(self, tracks: Future[StoredTracks] | None) -> None:
         """Read the positions; meanwhile build the tiles of the diagram."""
         ridges = self.stored.facts.get("found", {}).get("ridges", {}).get("polarity", "bright")
-        self.tiles = Tiles(self.diagram, bright=ridges == "bright")
         with ThreadPoolExecutor(1) as pool:
-            built = pool.submit(self.tiles.build)
+            tiles = pool.submit(Tiles, self.diagram, bright=ridges == "bright")
             stored = tracks.result() if tracks else read_tracks(self.folder / "tracks.nc")
             self.positions = positions_of(stored)
-            built.result()
+            self.tiles = tiles.result()
         if len(self.positions.frame) != self.diagram.frames:
             frames = f"{len(self.positions.frame)} rows, one per frame of tracks.nc"
             raise InputError(self.diagram.path, frames, f"{self.diagram.frames}", AGAIN)
