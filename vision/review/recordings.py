@@ -218,9 +218,12 @@ class Tiles:
         step, wanted = self.settings.factor**self.settings.first_kept, self.levels - self.settings.first_kept
         if wanted <= 0:
             return []
-        frames, block = self.diagram.frames, step * max(1, PART_VALUES // (step * self.diagram.columns))
-        parts = (self.diagram.rows(start, start + block) for start in range(0, frames, block))
-        level = np.concatenate([_extremes(part, step, bright=self.bright) for part in parts])
+        frames, columns = self.diagram.frames, self.diagram.columns
+        level = np.empty((-(-frames // step), columns), np.float32)
+        block = max(1, PART_VALUES // (step * columns))
+        for row in range(0, len(level), block):
+            part = self.diagram.rows(row * step, (row + block) * step)
+            level[row : row + block] = _extremes(part, step, bright=self.bright)
         kept = [self._grey(level)]
         while len(kept) < wanted:
             level = _extremes(level, self.settings.factor, bright=self.bright)
