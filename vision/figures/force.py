@@ -98,7 +98,8 @@ def clocks_figure(
     t_force, load = good["time_s"].to_numpy(), good["load_N"].to_numpy()
     margin = 0.1 * float(time[-1] - time[0])
     near = (t_force > time[0] - margin) & (t_force < time[-1] + margin)
-    near |= not near.any()
+    if not near.any():  # the whole force, which shows that they do not overlap
+        near[:] = True
     t_force, load = minmax_decimate(t_force[near], load[near], most=MOST_SAMPLES)
     panel = Panel(
         x_label="t (s, force clock)",
@@ -349,12 +350,13 @@ def force_overview_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFi
     size = f"{facts.threshold_N:.3g} {'of the weight' if unit == '1' else unit}"
     found = f"{len(sticks)} events{kind}, drops above {size}"
     start = max(len(sticks) // 2 - 3, 0)
-    title, lowpass_ms = "A few events, with the lines from valley to peak", 1e3 * facts.lowpass_s
-    if lowpass_ms:
-        title += f"\n(corrected for the load cell's low-pass of {lowpass_ms:.2g} ms; F as recorded)"
+    title = "A few events, with the lines from valley to peak"
+    if facts.lowpass_s:
+        lowpass = f"{1e3 * facts.lowpass_s:.2g} ms"
+        title += f"\n(corrected for the load cell's low-pass of {lowpass}; F as recorded)"
     some = _events_panel(force, sticks.iloc[start : start + 6], title, against_d=False)
     shown = [panel for panel in (some, drops.panel, stiffness.panel) if not panel.empty]
-    return _four_panels(
+    return _in_two_columns(
         "force_overview",
         "The force recording and its stick-slip events",
         "The whole recording, a few events in its middle, and the amplitude and stiffness of every event, as "
@@ -378,7 +380,7 @@ def force_insets_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFits
         start = int(share * len(usable))
         some = usable.iloc[start : start + SHOWN_STICKS]
         panels.append(_events_panel(force, some, title, against_d=True))
-    return _four_panels(
+    return _in_two_columns(
         "force_insets",
         "Traction force and stages of the test",
         "Traction force against separation with the fit of Eq. 1 to the peaks; the first rise of the force; "
@@ -388,7 +390,7 @@ def force_insets_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFits
     )
 
 
-def _four_panels(name: str, title: str, caption: str, panels: list[Panel], *, width_in: float) -> Figure:
+def _in_two_columns(name: str, title: str, caption: str, panels: list[Panel], *, width_in: float) -> Figure:
     """Return panels of one shape, two side by side."""
     shown = tuple(replace(panel, aspect=0.6) for panel in panels)
     return Figure(name=name, title=title, caption=caption, panels=shown, columns=2, width_in=width_in)
