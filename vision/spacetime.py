@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,15 +15,6 @@ from vision.numeric import Bools, Floats, Floats32, Ints
 Sheet = tuple[str, int] | int  # ("right", 23), or the index counted from the left
 
 SIDES = {"left": -1, "right": 1}
-
-
-@dataclass(frozen=True)
-class _SheetTrack:
-    """Index, name and positions of one sheet: px in every frame, NaN if unknown."""
-
-    index: int
-    name: str
-    x_px: Floats
 
 
 def space_time(
@@ -99,16 +89,16 @@ def space_time(
             raise InputError("the window", "a sheet to centre it on", "none", advice)
         return record(part.assign_attrs(attrs), "space_time", **given)
     TRACKS.check(around)
-    track = _find(around, sheet, part)
+    index, name, x_px = _find(around, sheet, part)
     width = _width(width_um, width_px, pixel_size_um, part)
-    centre = float(np.nanmedian(track.x_px))
-    values, x = _following(part, track.x_px, width) if follow else _fixed(part, centre, width)
+    centre = float(np.nanmedian(x_px))
+    values, x = _following(part, x_px, width) if follow else _fixed(part, centre, width)
     diagram = part.isel(x=slice(0, 1)).drop_vars("x").squeeze("x")  # only the coordinates along time
-    attrs |= {"sheet": track.name, "sheet_index": track.index, "centre_px": centre, "follow": int(follow)}
+    attrs |= {"sheet": name, "sheet_index": index, "centre_px": centre, "follow": int(follow)}
     diagram = (
         diagram.expand_dims(x=x, axis=1)
         .copy(data=values)
-        .assign_coords(x_sheet_px=("frame", track.x_px, {"units": "px", "long_name": "the sheet"}))
+        .assign_coords(x_sheet_px=("frame", x_px, {"units": "px", "long_name": "the sheet"}))
         .assign_attrs(attrs)
     )
     return record(diagram, "space_time", **given)
@@ -141,8 +131,8 @@ def _within(values: NDArray[Any], start: float | None, stop: float | None) -> Bo
     return np.asarray((values >= low) & (values < high))
 
 
-def _find(tracks: xr.Dataset, sheet: Sheet, part: xr.DataArray) -> _SheetTrack:
-    """Return the requested sheet in the frames of the part."""
+def _find(tracks: xr.Dataset, sheet: Sheet, part: xr.DataArray) -> tuple[int, str, Floats]:
+    """Return index and name of the requested sheet, and its positions in the frames of the part, px."""
     side, n = np.asarray(tracks["side"].values), np.asarray(tracks["n"].values)
     if isinstance(sheet, tuple):
         match = np.flatnonzero((side == SIDES.get(sheet[0], 0)) & (n == sheet[1]))
@@ -158,7 +148,7 @@ def _find(tracks: xr.Dataset, sheet: Sheet, part: xr.DataArray) -> _SheetTrack:
     name = f"{'left' if side[index] < 0 else 'right'}:{n[index]}"
     if not np.isfinite(x).any():
         raise InputError(f"sheet {name}", "a position in at least one frame shown", "none")
-    return _SheetTrack(index, name, x)
+    return index, name, x
 
 
 def _sheets_there(side: NDArray[Any], n: NDArray[Any]) -> str:

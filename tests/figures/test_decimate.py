@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vision.figures.decimate import grey_levels, minmax_by_x, minmax_decimate, time_rows
+from vision.figures.decimate import grey_levels, minmax_decimate, time_rows
 
 
 def test_a_slip_of_one_frame_keeps_its_full_height():
@@ -57,25 +57,6 @@ def test_unknown_stretches_stay_unknown():
     assert np.isnan(shown[inside, 0]).all()
     assert np.isfinite(shown[~((x > 980) & (x < 2020)), 0]).all()
     assert np.isfinite(shown[:, 1]).all()
-
-
-def test_curves_over_a_jittering_x_keep_their_extremes():
-    """A failure means that F(d) loses peaks where the crosshead stands still or steps back."""
-    rng = np.random.default_rng(1)
-    d = 13 + np.linspace(0, 5, 50_000) + rng.normal(0, 1e-4, 50_000)
-    load = rng.normal(100, 1, 50_000)
-    load[25_000] = 400.0
-    x, y = minmax_by_x(d, load, bins=1000)
-    assert (np.diff(x) >= 0).all()
-    assert y.max() == 400.0
-    assert y.min() == load.min()
-    assert abs(x[np.argmax(y)] - d[25_000]) < 0.01
-
-
-def test_nothing_to_draw_gives_nothing():
-    """A failure means that a recording without displacement breaks the report."""
-    x, y = minmax_by_x(np.full(10, np.nan), np.arange(10.0), bins=5)
-    assert len(x) == len(y) == 0
 
 
 def test_picture_rows_are_means_of_their_frames():

@@ -48,6 +48,18 @@ def test_peaks_lie_on_the_force_curve_and_eq_1(pulled):
     assert f"with T* = {1000 * pulled.fits.t_star_N.value:g} mN and" in figure.caption
 
 
+def test_force_keeps_its_extremes_where_the_crosshead_jitters(pulled):
+    """A failure means that F(d) loses peaks where the crosshead stands still or steps back."""
+    rng = np.random.default_rng(1)
+    force = pulled.force.copy(deep=True)
+    force["d_mm"].values[:] += rng.normal(0, 1e-3, force.sizes["time_s"])
+    force["load_N"].values[1000] = 400.0
+    curve = by_label(force_figure(force))["F"]
+    assert (np.diff(curve.x) >= 0).all()
+    assert curve.y.max() == 400.0
+    assert curve.x[curve.y.argmax()] == pytest.approx(force["d_mm"].values[1000], abs=0.01)
+
+
 def test_single_sticks_start_at_zero_and_rise_with_their_stiffness(pulled):
     """A failure means that F − F_v against d − d_v is cut or shifted."""
     first = sticks_figure(pulled.force, pulled.sticks).panel.series[0]

@@ -148,6 +148,17 @@ def test_a_disk_that_is_full_while_saving_leaves_the_run(session):
     assert [path.name for path in session.folder.parent.iterdir() if path.suffix == ".part"] == []
 
 
+def test_nothing_beside_the_data_is_executed(session, tmp_path, monkeypatch):
+    """A failure means that a pickle.py in the working directory runs when decisions are saved."""
+    (tmp_path / "pickle.py").write_text("open('executed', 'w').close()")
+    monkeypatch.chdir(tmp_path)
+    session.undo()
+    session.save()
+    session.saver.wait()
+    assert session.saver.error == ""
+    assert not (tmp_path / "executed").exists()
+
+
 def test_a_film_that_is_moved_away_meanwhile(run, tmp_path):
     """A failure means that the review ends with the film, or that it says nothing."""
     film = shutil.copy(VIDEO, tmp_path / "moved.avi")

@@ -1,6 +1,7 @@
 """Decisions: what they change, that they can be taken back, and that none is lost."""
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -11,10 +12,11 @@ from tests.scenes.reviewed import PLANTED, SETTINGS, clean, remedies, truth
 from vision.command.settings import settings_of_run
 from vision.errors import InputError
 from vision.review import effects, saving
-from vision.review.positions import CELLS, FLAGS
+from vision.review.positions import CELLS, FLAGS, apply
 from vision.review.saving import save_run
 from vision.review.session import Session
 from vision.run import folder, read_run
+from vision.sheets.corrections import correction_of
 
 EVERY_KIND = [
     {"kind": "swap", "sheets": [20, 22], "frames": "30:"},
@@ -176,6 +178,23 @@ def test_what_does_not_fit_is_refused_and_not_kept(watched, decision, says):
         watched.decide(decision)
     assert_same(before, held(watched.positions))
     assert len(watched.decisions) == len(PLANTED)
+
+
+def test_a_sheet_without_any_position_is_numbered_between_its_neighbours(session):
+    """A failure means that the axis cannot be moved where a sheet is doubtful in every frame."""
+    session.positions.x_px[:, 5] = np.nan
+    side, n = session.positions.side.copy(), session.positions.n.copy()
+    session.decide({"kind": "axis", "x_px": session.positions.track_facts.axis_px})
+    np.testing.assert_array_equal(session.positions.side, side)
+    np.testing.assert_array_equal(session.positions.n, n)
+
+
+def test_the_only_sheet_is_not_deleted(watched):
+    """A failure means an answer with an internal error."""
+    part = watched.positions
+    one = {name: getattr(part, name)[:, :1] for name in CELLS} | {"side": part.side[:1], "n": part.n[:1]}
+    with pytest.raises(InputError, match="that remains"):
+        apply(replace(part, **one), correction_of("delete", {"sheet": 0}), watched.diagram)
 
 
 def test_a_ridge_is_not_given_twice(watched):

@@ -32,7 +32,8 @@ from vision.comparison import write_comparison
 from vision.comparison.comparison import MARK, answers
 from vision.data import StripMetadata, TrackMetadata, warnings_of
 from vision.errors import InputError
-from vision.figures import Results, kymograph_figure, load_figures, preview_figure, sides_known, slip_times
+from vision.figures import Results, kymograph_figure, load_figures, preview_figure
+from vision.figures.camera import sides_known, slip_times
 from vision.figures.style import counted
 from vision.files import AGAIN
 from vision.files import reading as reading_of

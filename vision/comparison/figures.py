@@ -136,6 +136,12 @@ def stiffnesses_figure(found: Comparison, events: pd.DataFrame) -> Figure:
     )
 
 
+def _span(events: pd.DataFrame, column: str) -> Floats:
+    """Return values over the range of the used events, for a curve."""
+    used = events.loc[events["used"], column]
+    return np.linspace(float(used.min()), float(used.max()), 300)
+
+
 def _velocity_name(speed_mm_min: float) -> str:
     return "V unknown" if np.isnan(speed_mm_min) else f"V = {velocity(speed_mm_min):g} mm/min"
 
@@ -158,28 +164,26 @@ def _points(found: Comparison, events: pd.DataFrame, x: str, y: str) -> tuple[Se
 
 def sticks_figures(found: Comparison) -> list[Figure]:
     """Return F − F_v against d − d_v: one figure per velocity, and one with all of them."""
-    panels = [(v, figure.panel) for v, figure in _sticks(found.tests)]
+    panels = _stick_panels(found.tests)
     caption = (
         "Force above the valley against separation beyond it as recorded, for events from the beginning to "
         "the end of the test with most events at this velocity. Dots: the central part, whose slope is K. "
         "Arrows: ΔF and Λ_st of the first event."
     )
-    figures = [
-        Figure.of(
-            f"sticks_V{v:g}".replace(".", "p"), panel, caption, title=f"Stick-slip events at V = {v:g} mm/min"
-        )
-        for v, panel in panels
-    ]
+    figures = []
+    for v, panel in panels.items():
+        name, title = f"sticks_V{v:g}".replace(".", "p"), f"Stick-slip events at V = {v:g} mm/min"
+        figures.append(Figure.of(name, panel, caption, title=title))
     if len(panels) > 1:
-        parts = tuple(replace(panel, title=f"V = {v:g} mm/min") for v, panel in panels)
+        parts = tuple(replace(panel, title=f"V = {v:g} mm/min") for v, panel in panels.items())
         title = "Single stick-slip events at several velocities"
         figures.append(_page("sticks", title, caption, parts))
     return figures
 
 
-def _sticks(tests: Sequence[TractionTest]) -> tuple[tuple[float, Figure], ...]:
-    """Return (V, figure of single stick phases) of one test per velocity, if its run has it."""
-    chosen: dict[float, Figure] = {}
+def _stick_panels(tests: Sequence[TractionTest]) -> dict[float, Panel]:
+    """Return the panel of single stick phases of one test per velocity, if its run has it."""
+    chosen: dict[float, Panel] = {}
     for test in sorted(tests, key=lambda t: -len(t.events)):
         path = test.folder / "figures.npz"
         speed = velocity(test.speed_mm_min)  # measured ones differ in their last digits
@@ -190,8 +194,8 @@ def _sticks(tests: Sequence[TractionTest]) -> tuple[tuple[float, Figure], ...]:
         except (InputError, OSError):
             continue  # only this figure is missing, no result
         if "sticks" in named:
-            chosen[speed] = named["sticks"]
-    return tuple(sorted(chosen.items(), key=lambda item: item[0]))
+            chosen[speed] = named["sticks"].panel
+    return dict(sorted(chosen.items()))
 
 
 def _page(name: str, title: str, caption: str, panels: tuple[Panel, ...]) -> Figure:
@@ -210,13 +214,10 @@ def collapse_figure(found: Comparison, events: pd.DataFrame) -> Figure | None:
     stiffness = events.loc[events["used"], ["run", "sample", "V_mm_min", "d_v_mm", "K_N_per_mm"]]
     d_hat = np.linspace(min(0.999, float(named["d_hat"].min())), 1.0, 300)
     blocks = sorted(named["sheets_per_block"].unique())
-    several = len(blocks) > 1
-    masters = tuple(
-        Series.model(
-            f"M √(1 − d̂), M = {m:g}" if several else "M √(1 − d̂)", d_hat, m * np.sqrt(1 - d_hat), MODEL
-        )
-        for m in blocks
-    )
+    masters = []
+    for m in blocks:
+        label = "M √(1 − d̂)" + f", M = {m:g}" * (len(blocks) > 1)
+        masters.append(Series.model(label, d_hat, m * np.sqrt(1 - d_hat), MODEL))
     inset = Panel(
         x_label="d_v (mm)",
         y_label="K (N/mm)",
@@ -303,16 +304,17 @@ def irregular_figure(found: Comparison) -> Figure | None:
 def trends_figures(found: Comparison) -> list[Figure]:
     """Return μ and N̂, and Λ̂, against previous tests and humidity: one figure each, and one with all."""
     figures = []
-    for quantities, title in ((("N_hat_N", "mu"), "N̂ and μ"), (("Lambda_hat_mm",), "Λ̂")):
+    shown = (("fits", ("N_hat_N", "mu"), "N̂ and μ"), ("scale", ("Lambda_hat_mm",), "Λ̂"))
+    for name, quantities, title in shown:
         for predictor, what in SHOWN_TRENDS.items():
             panel = _trend_panel(found, quantities, predictor, what)
             if panel is not None:
-                results = " ".join(
-                    _trend_text(_trend_of(found, quantity, predictor)) for quantity in quantities
+                results = [_trend_text(_trend_of(found, quantity, predictor)) for quantity in quantities]
+                caption = (
+                    f"Values of every test with standard errors, and weighted lines. {' '.join(results)}"
                 )
-                caption = f"Values of every test with standard errors, and weighted lines. {results}"
-                name = f"trend_{'scale' if len(quantities) == 1 else 'fits'}_{predictor.partition('_')[0]}"
-                figures.append(Figure.of(name, panel, caption, title=f"{title} against {what}"))
+                file = f"trend_{name}_{predictor.partition('_')[0]}"
+                figures.append(Figure.of(file, panel, caption, title=f"{title} against {what}"))
     if len(figures) > 1:
         parts = tuple(replace(figure.panel, title=figure.title) for figure in figures)
         caption = " ".join(f"({figure.title}) {figure.caption}" for figure in figures)
@@ -358,11 +360,3 @@ def _trend_text(trend: Trend) -> str:
         text += f", with the other predictor fixed {partial} (p = {trend.partial_p:.2g})"
     claim = "a trend (solid line)" if trend.claimed else "no trend (dashed line)"
     return f"{text}; {claim}.".replace("-", "−")
-
-
-# --- parts --------------------------------------------------------------------------------------------------
-
-
-def _span(events: pd.DataFrame, column: str) -> Floats:
-    used = events.loc[events["used"], column]
-    return np.linspace(float(used.min()), float(used.max()), 300)

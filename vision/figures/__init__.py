@@ -4,8 +4,6 @@ from vision.figures.camera import (
     frame_figure,
     kymograph_figure,
     preview_figure,
-    sides_known,
-    slip_times,
     space_time_figure,
 )
 from vision.figures.catalogue import (
@@ -59,8 +57,6 @@ __all__ = [
     "save_figures",
     "sections_of",
     "shells_figure",
-    "sides_known",
-    "slip_times",
     "space_time_figure",
     "tracks_figure",
 ]

@@ -213,20 +213,19 @@ def intensity_figure(strip: xr.DataArray, tracks: xr.Dataset, slips_s: Floats | 
     start = frames[0] if frames and frames[0] in measured else int(measured[0])
     time, label = time_axis(tracks)
     when = f"frame {time[start]:.4g}" if label == "frame" else f"t = {time[start]:.4g} s"
-    panels = [_profile_panel(strip, tracks, start, f"Profile at {when}")]
-    sheet = _ridge_sheet(tracks, frames)
-    ridge = ""
-    if frames and sheet is not None:
-        panels.append(_ridge_panel(strip, tracks, frames, sheet))
-        ridge = (
+    profile = _profile_panel(strip, tracks, start, f"Profile at {when}")
+    ridge = _ridge_panel(strip, tracks, frames) if frames else None
+    caption = "Intensity averaged over the strip's rows against the column, with the positions."
+    if ridge is not None:
+        caption += (
             " Below: one ridge at the beginning and at the end of a stick phase and after the slip; vertical "
             "lines are its positions. It moves inwards during the stick phase and back in the slip."
         )
     return Figure(
         name="intensity",
         title="Intensity profile and one ridge in three frames",
-        caption=f"Intensity averaged over the strip's rows against the column, with the positions.{ridge}",
-        panels=tuple(panels),
+        caption=caption,
+        panels=(profile,) if ridge is None else (profile, ridge),
     )
 
 
@@ -264,27 +263,21 @@ def _stick_frames(tracks: xr.Dataset, slips_s: Floats | None) -> tuple[int, int,
     return (start, end, after) if start < end < after < time.size else None
 
 
-def _ridge_sheet(tracks: xr.Dataset, frames: tuple[int, int, int] | None) -> int | None:
-    """Return the rightmost sheet that has a position in each of the three frames."""
-    if frames is None:
+def _ridge_panel(strip: xr.DataArray, tracks: xr.Dataset, frames: tuple[int, int, int]) -> Panel | None:
+    """Return profiles and positions, in three frames, of the rightmost sheet that all of them show."""
+    x_px = tracks["x_px"].values[list(frames)]
+    measured = np.isfinite(x_px).all(axis=0)
+    if not measured.any():
         return None
-    measured = np.isfinite(tracks["x_px"].values[list(frames)]).all(axis=0)
-    outwards = np.where(measured, tracks["side"].values * tracks["n"].values, -np.inf)
-    return int(outwards.argmax()) if measured.any() else None
-
-
-def _ridge_panel(strip: xr.DataArray, tracks: xr.Dataset, frames: tuple[int, int, int], sheet: int) -> Panel:
-    """Return the profiles of one ridge in three frames, with its positions."""
-    columns = np.asarray(strip["x"].values, np.float64)
-    positions = tracks["x_px"].values[list(frames), sheet]
+    sheet = int(np.where(measured, tracks["side"].values * tracks["n"].values, -np.inf).argmax())
+    columns, positions = np.asarray(strip["x"].values, np.float64), x_px[:, sheet]
     pitch = TrackMetadata.of(tracks).pitch_px
     reach = 0.9 * pitch if math.isfinite(pitch) else 20.0
     near = np.flatnonzero(np.abs(columns - positions.mean()) <= reach)
     series: list[Series] = []
-    names = ("stick begins", "stick ends", "after the slip")
-    for name, ink, frame, at in zip(names, (DATA, PEAK, MODEL), frames, positions, strict=True):
+    named = (("stick begins", DATA, False), ("stick ends", PEAK, False), ("after the slip", MODEL, True))
+    for (name, ink, hollow), frame, at in zip(named, frames, positions, strict=True):
         values = np.asarray(strip.values[frame, near], np.float64)
-        hollow = name == names[2]
         series.append(Series(label=name, x=columns[near], y=values, ink=ink, look="both", hollow=hollow))
         ends = np.array([values.min(), values.max()])
         series.append(Series(label="", x=np.array([at, at]), y=ends, ink=ink, dashed=True, width=1.0))
@@ -347,15 +340,16 @@ def space_time_figure(
             for series in sheet_series(tracks, at, x_px * scale, inks=inks, width=min(1.0, 50 / len(inks)))
         ),
         title="Space-time diagram with the tracks",
-        marks=slips_s,
-        marks_label=f"orange: slips, from {slips_from}",
+        slips_s=slips_s,
+        slips_from=slips_from,
     )
-    panel = replace(panel, y_range=_comb_range(tracks, panel, scale))
-    rows = 1 if panel.image is None else len(panel.image.pixels)
-    averaged = strip.sizes["frame"] / rows
+    image, marks = panel.image, panel.marks
+    assert image is not None
+    assert marks is not None
+    panel = replace(panel, y_range=_comb_range(tracks, image, scale))
+    averaged = strip.sizes["frame"] / len(image.pixels)
     means = f" Each row is the mean of about {averaged:.0f} frames." if averaged > 1.5 else ""
-    count = 0 if panel.marks is None else panel.marks.size
-    marked = f" Orange ticks: {count} slips, from {slips_from}." if count else ""
+    marked = f" Orange ticks: {marks.size} slips, from {slips_from}." if marks.size else ""
     return Figure.of(
         "space_time",
         panel,
@@ -365,15 +359,13 @@ def space_time_figure(
     )
 
 
-def _comb_range(tracks: xr.Dataset, panel: Panel, scale: float) -> Range | None:
+def _comb_range(tracks: xr.Dataset, image: Image, scale: float) -> Range:
     """Return the range of the sheets and two pitches beside them, within the image."""
-    x = tracks["x_px"].values
-    if panel.image is None or not np.isfinite(x).any():
-        return panel.y_range
-    margin = 2 * TrackMetadata.of(tracks).pitch_px
-    margin = margin if np.isfinite(margin) else x.size
-    low, high = (np.nanmin(x) - margin) * scale, (np.nanmax(x) + margin) * scale
-    return max(panel.image.left, float(low)), min(panel.image.right, float(high))
+    x, pitch = tracks["x_px"].values, TrackMetadata.of(tracks).pitch_px
+    if not (np.isfinite(pitch) and np.isfinite(x).any()):
+        return image.left, image.right
+    low, high = (np.nanmin(x) - 2 * pitch) * scale, (np.nanmax(x) + 2 * pitch) * scale
+    return max(image.left, float(low)), min(image.right, float(high))
 
 
 def kymograph_figure(
@@ -401,8 +393,8 @@ def kymograph_figure(
             pixel_size_um=diagram.attrs.get("pixel_size_um"),
             limits=limits,
             title=_window_title(diagram),
-            marks=slips_s,
-            marks_label=f"orange: slips, from {slips_from}",
+            slips_s=slips_s,
+            slips_from=slips_from,
             with_time=k == 0,
             aspect=height / (2.1 if windows else 12),
         )
@@ -424,10 +416,10 @@ def _diagram_panel(
     *,
     pixel_size_um: float | None,
     limits: Range,
+    title: str,
     series: tuple[Series, ...] = (),
-    title: str = "",
-    marks: Floats | None = None,
-    marks_label: str = "",
+    slips_s: Floats | None,
+    slips_from: str,
     with_time: bool = True,
     aspect: float = 0.5,
 ) -> Panel:
@@ -437,8 +429,9 @@ def _diagram_panel(
     thin = max(1, -(-diagram.shape[1] // (2 * MOST_ROWS)))
     rows, edges = time_rows(np.asarray(diagram.values)[:, ::thin], time, most=MOST_ROWS)
     missing = ~np.isfinite(rows)
-    if marks is not None:
-        marks = None if time_label == "frame" else marks[(marks >= edges[0]) & (marks <= edges[-1])]
+    marks = np.empty(0)
+    if slips_s is not None and time_label != "frame":
+        marks = slips_s[(slips_s >= edges[0]) & (slips_s <= edges[-1])]
     return Panel(
         title=title,
         x_label=time_label if with_time else "",
@@ -455,7 +448,7 @@ def _diagram_panel(
             white=limits[1],
         ),
         marks=marks,
-        marks_label=marks_label if marks is not None and marks.size else "",
+        marks_label=f"orange: slips, from {slips_from}" if marks.size else "",
         x_range=(float(edges[0]), float(edges[-1])),
         y_range=(float(edges_x[0]), float(edges_x[-1])),
         time_down=True,

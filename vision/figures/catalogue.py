@@ -97,25 +97,14 @@ class Results:
 
 @dataclass(frozen=True)
 class CatalogueEntry:
-    """How one figure is made.
+    """How one figure is made."""
 
-    Parameters
-    ----------
-    section
-        Heading in the report; "" for figures that the report lacks, as it shows their panels individually.
-    build
-        Makes the figure, or None if there is nothing to show. Its parameters have the names of parts of the
-        results; those without a default are needed.
-    needs
-        What else the figure needs (see `_has`).
-    paper
-        Number of the corresponding figure of the publication, or "".
-    """
-
-    section: str
+    section: str  # heading in the report; "" for figures that the report lacks
+    # Makes the figure, or None if there is nothing to show. Its parameters have the names of parts of the
+    # results; those without a default are needed.
     build: Callable[..., Figure | None]
-    needs: str = ""
-    paper: str = ""
+    needs: str = ""  # what else the figure needs (see `_has`)
+    paper: str = ""  # number of the corresponding figure of the publication
 
     def make(self, results: Results) -> Figure | None:
         """Return the figure, with the publication's number in its caption; None without its data."""

@@ -22,17 +22,15 @@ def minmax_decimate(x: Floats, y: NDArray[np.floating], *, most: int) -> tuple[F
     """
     if len(x) <= most:
         return np.asarray(x, np.float64), np.asarray(y, np.float64)
-    if y.ndim == 1:
-        at, extremes = minmax_decimate(x, y[:, None], most=most)
-        return at, extremes[:, 0]
+    columns = y.reshape(len(y), -1)
     step = -(-2 * len(x) // most)
     intervals = -(-len(x) // step)
     rows = np.minimum(np.arange(intervals)[:, None] * step + [0, min(step - 1, step // 2)], len(x) - 1)
-    extremes = np.empty((2 * intervals, y.shape[1]))
-    for start in range(0, y.shape[1], 16):  # limits the memory to a few copies of 16 columns
+    extremes = np.empty((2 * intervals, columns.shape[1]))
+    for start in range(0, columns.shape[1], 16):  # limits the memory to a few copies of 16 columns
         part = slice(start, start + 16)
-        extremes[:, part] = _extremes(y[:, part], step, intervals)
-    return np.asarray(x, np.float64)[rows.ravel()], extremes
+        extremes[:, part] = _extremes(columns[:, part], step, intervals)
+    return np.asarray(x, np.float64)[rows.ravel()], extremes.reshape(-1, *y.shape[1:])
 
 
 def _extremes(y: NDArray[np.floating], step: int, intervals: int) -> Floats:
@@ -45,27 +43,6 @@ def _extremes(y: NDArray[np.floating], step: int, intervals: int) -> Floats:
     high = np.where(unknown, -np.inf, blocks).argmax(axis=1)
     order = np.sort(np.stack([low, high], axis=1), axis=1)
     return np.take_along_axis(blocks, order, axis=1).reshape(2 * intervals, -1)
-
-
-def minmax_by_x(x: Floats, y: Floats, *, bins: int) -> tuple[Floats, Floats]:
-    """Return the minimum and maximum of y in equal bins of x, for points in any order.
-
-    This suits curves whose x jitters or does not change, such as a separation that is recorded in steps. Bins
-    without points are left out.
-    """
-    good = np.isfinite(x) & np.isfinite(y)
-    x, y = x[good], y[good]
-    if len(x) == 0 or x.max() <= x.min():
-        return np.empty(0), np.empty(0)
-    width = (x.max() - x.min()) / bins
-    bin_of = np.minimum((x - x.min()) / width, bins - 1).astype(np.int64)
-    order = np.argsort(bin_of, kind="stable")
-    filled, first = np.unique(bin_of[order], return_index=True)
-    low, high = (op.reduceat(y[order], first) for op in (np.minimum, np.maximum))
-    centre = x.min() + (filled + 0.5) * width
-    both = np.stack([low, high], axis=1)
-    both[1::2] = both[1::2, ::-1]  # up, then down, so that no long line joins two bins
-    return np.repeat(centre, 2) + np.tile([-0.25, 0.25], len(centre)) * width, both.ravel()
 
 
 def time_rows(values: NDArray[np.floating], time: Floats, *, most: int) -> tuple[Floats32, Floats]:

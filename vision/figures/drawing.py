@@ -107,7 +107,7 @@ def _page(figure: Figure, *, interactive: bool = False) -> Page:
     notebook = interactive and "ipykernel" in sys.modules
     pyplot = sys.modules.get("matplotlib.pyplot") if notebook else None
     page: Page = pyplot.figure(figsize=size) if pyplot else Page(figsize=size)
-    for panel, (left, bottom, width, height) in zip(figure.panels, boxes, strict=True):
+    for k, (panel, (left, bottom, width, height)) in enumerate(zip(figure.panels, boxes, strict=True)):
         box = left / size[0], bottom / size[1], width / size[0], height / size[1]
         ax = page.add_axes(box)
         draw_panel(ax, panel)
@@ -119,12 +119,11 @@ def _page(figure: Figure, *, interactive: bool = False) -> Page:
         ax.yaxis.set_label_coords(-_Inches.Y_LABEL / width, 0.5)
         if panel.y2_label:
             page.axes[-1].yaxis.set_label_coords(1 + _Inches.Y_LABEL / width, 0.5)
-        if figure.panel_titles or len(figure.panels) > 1:
+        if figure.shows_titles:
             top = bottom + height + 0.06 + _head(panel, width)[1]
             page.text(box[0], top / size[1], to_mathtext(_title(panel, width)), fontsize=11)
         if not _labelled(panel):
             ax.tick_params(labelleft=False)
-    for k, ((left, bottom, width, _), panel) in enumerate(zip(boxes, figure.panels, strict=True)):
         following = figure.panels[k + 1].foot if k + 1 < len(boxes) and boxes[k + 1][1] == bottom else ""
         if panel.foot != following:  # once for panels side by side
             below = (left + width) / size[0], (bottom - _Inches.BOTTOM) / size[1]
@@ -134,14 +133,13 @@ def _page(figure: Figure, *, interactive: bool = False) -> Page:
 
 def write(figure: Figure, path: Path, *, dpi: float | None = None) -> None:
     """Write a PNG, PDF or SVG, by the path's suffix; equal figures give equal files."""
-    kind = path.suffix.lower().removeprefix(".")
-    if kind == "png":
+    kind = path.suffix.lower()
+    if kind == ".png":
         write_png(render(figure, dpi=dpi), path)
         return
-    stamp: dict[str, Any] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}[kind]
+    undated = {"CreationDate" if kind == ".pdf" else "Date": None}
     with picture_style():
-        page = _page(figure)
-        page.savefig(path, format=kind, dpi=300 if dpi is None else dpi, metadata=stamp)
+        _page(figure).savefig(path, dpi=300 if dpi is None else dpi, metadata=undated)
 
 
 def render(figure: Figure, *, dpi: float | None = None) -> NDArray[np.uint8]:
@@ -468,7 +466,7 @@ def _layout(figure: Figure) -> tuple[list[Box], tuple[float, float]]:
 def _top(figure: Figure, panel: Panel, width_in: float) -> float:
     """Return the height of title and legend above a panel, inches."""
     legend, below = _head(panel, width_in)
-    if len(figure.panels) == 1 and not figure.panel_titles:
+    if not figure.shows_titles:
         return legend
     return max(_Inches.TITLE * (1 + _title(panel, width_in).count("\n")) + below, legend)
 

@@ -7,7 +7,6 @@ table (`Figure.table`) or stored in a file (`save_figures`, `load_figures`).
 from __future__ import annotations
 
 import json
-import math
 import re
 import zipfile
 from collections.abc import Callable, Iterable
@@ -75,13 +74,13 @@ class Image:
     top: float
     bottom: float
     missing: Bools | None = None  # True where nothing was recorded, (row, column); None if nowhere
-    black: float = math.nan  # grey level of the recording that is drawn black; NaN without a grey scale
-    white: float = math.nan  # grey level that is drawn white
+    black: float | None = None  # grey level of the recording that is drawn black; None without a grey scale
+    white: float | None = None  # grey level that is drawn white
 
     @property
     def scale(self) -> str:
         """The grey scale in words; "" without one."""
-        if not (math.isfinite(self.black) and math.isfinite(self.white)):
+        if self.black is None or self.white is None:
             return ""
         black, white = (
             f"{level:.3g}" if abs(level) < 1000 else f"{level:.0f}" for level in (self.black, self.white)
@@ -150,8 +149,8 @@ class Panel:
 
     @property
     def common_x(self) -> bool:
-        """Whether all series share one x."""
-        return all(series.x is self.series[0].x for series in self.series)
+        """Whether there are series, and all share one x."""
+        return len({id(series.x) for series in self.series}) == 1
 
     @property
     def empty(self) -> bool:
@@ -188,7 +187,7 @@ class Figure:
     panels: tuple[Panel, ...]  # in reading order
     columns: int = 1  # number of panels side by side
     width_in: float = 6.0  # width of the saved figure, inches
-    panel_titles: bool = False  # whether a single panel has its title, too
+    panel_titles: bool = False  # whether a single panel has its title, too (several always have)
     notes: tuple[str, ...] = ()  # warnings about the figure
 
     @classmethod
@@ -200,6 +199,11 @@ class Figure:
     def panel(self) -> Panel:
         """The first panel, the only one of most figures."""
         return self.panels[0]
+
+    @property
+    def shows_titles(self) -> bool:
+        """Whether the titles of the panels are drawn."""
+        return self.panel_titles or len(self.panels) > 1
 
     def table(self) -> pd.DataFrame:
         """Return the drawn numbers without images; of several panels one row per point, with its panel."""
@@ -339,16 +343,10 @@ def _encode(value: Any, store: Callable[[NDArray[Any]], Any]) -> Any:
         content = {
             one.name: _encode(item, store)
             for one in fields(value)
-            if not _is_default(item := getattr(value, one.name), one.default)
+            if (item := getattr(value, one.name)) is not one.default
         }
         return {"class": type(value).__name__} | content
     return [_encode(item, store) for item in value] if isinstance(value, tuple) else value
-
-
-def _is_default(value: Any, default: Any) -> bool:
-    """Tell whether a field can be left out. NaN, which JSON lacks, occurs only as a default."""
-    numbers = isinstance(value, float) and isinstance(default, float)
-    return value is default or (numbers and math.isnan(value) and math.isnan(default))
 
 
 def load_figures(path: str | Path) -> list[Figure]:

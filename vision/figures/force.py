@@ -11,7 +11,7 @@ import xarray as xr
 from vision.clock import Clock, force_slips, video_slips
 from vision.data import StickMetadata
 from vision.errors import InputError
-from vision.figures.decimate import minmax_by_x, minmax_decimate
+from vision.figures.decimate import minmax_decimate
 from vision.figures.figure import Arrow, Figure, Ink, Panel, Range, Series
 from vision.figures.positions import outward_px
 from vision.figures.style import (
@@ -49,14 +49,10 @@ def force_figure(
 ) -> Figure:
     """Return F(d) with the peaks and valleys of the stick phases and the fitted Eq. 1.
 
-    If the separation is not known, F is drawn against time. The curve is the minimum and maximum of the force
-    in each of 4000 steps of d, so that every slip is visible.
+    If the separation is not known, F is drawn against time.
     """
-    good = good_samples(force)
-    d, time = good["d_mm"].to_numpy(), good["time_s"].to_numpy()
-    known = bool(np.isfinite(d).any())
-    x, y = minmax_by_x(d if known else time, good["load_N"].to_numpy(), bins=4000)
-    series = [Series(label="F", x=x, y=y, ink=QUIET, width=0.8)]
+    known = bool(np.isfinite(good_samples(force)["d_mm"]).any())
+    series = [_force_curve(force, against_d=known)]
     if sticks is not None and len(sticks):
         at_p, at_v = ("d_p_mm", "d_v_mm") if known else ("t_p_s", "t_v_s")
         series.append(_points(sticks, at_p, "F_p_N", "peaks", PEAK))
@@ -99,10 +95,12 @@ def clocks_figure(
     scale, unit = displacement_unit(pixel_size_um)
     t_video, opened = minmax_decimate(time, outward_px(tracks) * scale, most=MOST_SAMPLES)
     good = good_samples(force)
+    t_force, load = good["time_s"].to_numpy(), good["load_N"].to_numpy()
     margin = 0.1 * float(time[-1] - time[0])
-    near = (good["time_s"] > time[0] - margin) & (good["time_s"] < time[-1] + margin)
-    part = good.isel(time_s=np.flatnonzero(near.to_numpy())) if near.any() else good
-    t_force, load = minmax_decimate(part["time_s"].to_numpy(), part["load_N"].to_numpy(), most=MOST_SAMPLES)
+    near = (t_force > time[0] - margin) & (t_force < time[-1] + margin)
+    if not near.any():  # the whole force, which shows that they do not overlap
+        near[:] = True
+    t_force, load = minmax_decimate(t_force[near], load[near], most=MOST_SAMPLES)
     panel = Panel(
         x_label="t (s, force clock)",
         first_view=_some_sticks(t_video, sticks),
@@ -136,8 +134,7 @@ def clock_residuals_figure(
     if not len(steps) or len(drops) < 2:
         return None
     camera, machine = clock.to_force_s(steps["time_s"].to_numpy()), drops["time_s"].to_numpy()
-    difference = camera[:, None] - machine
-    residual = np.take_along_axis(difference, np.abs(difference).argmin(axis=1)[:, None], axis=1)[:, 0]
+    residual = camera - machine[np.abs(camera[:, None] - machine).argmin(axis=1)]
     same = np.abs(residual) < SAME_SLIP * float(np.median(np.diff(machine)))
     error = 1000 * steps["error_s"].to_numpy()[same]
     at, residual = camera[same], 1000 * residual[same]
@@ -346,32 +343,25 @@ def stiffness_residuals_figure(sticks: pd.DataFrame, fits: ModelFits, *, unit: s
 
 def force_overview_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFits | None = None) -> Figure:
     """Return the whole recording, a few events with their lines, amplitude and stiffness as one figure."""
-    unit = load_unit(force)
+    unit, facts = load_unit(force), StickMetadata.of(sticks)
     whole = force_figure(force, sticks, fits).panel
     drops, stiffness = (make(sticks, fits, unit=unit) for make in (force_drop_figure, stiffness_figure))
-    facts = StickMetadata.of(sticks)
-    threshold, kind = facts.threshold_N, "" if facts.regime == "stick-slip" else f" ({facts.regime})"
-    found = (
-        f"{len(sticks)} events{kind}, drops above {threshold:.3g} {'of the weight' if unit == '1' else unit}"
-    )
+    kind = "" if facts.regime == "stick-slip" else f" ({facts.regime})"
+    size = f"{facts.threshold_N:.3g} {'of the weight' if unit == '1' else unit}"
+    found = f"{len(sticks)} events{kind}, drops above {size}"
     start = max(len(sticks) // 2 - 3, 0)
     title = "A few events, with the lines from valley to peak"
     if facts.lowpass_s:
-        title += (
-            f"\n(corrected for the load cell's low-pass of {1e3 * facts.lowpass_s:.2g} ms; F as recorded)"
-        )
+        lowpass = f"{1e3 * facts.lowpass_s:.2g} ms"
+        title += f"\n(corrected for the load cell's low-pass of {lowpass}; F as recorded)"
     some = _events_panel(force, sticks.iloc[start : start + 6], title, against_d=False)
-    panels = (replace(whole, title=found), some, drops.panel, stiffness.panel)
-    shown = panels[:1] + tuple(panel for panel in panels[1:] if not panel.empty)
-    return Figure(
-        name="force_overview",
-        title="The force recording and its stick-slip events",
-        caption=(
-            "The whole recording, a few events in its middle, and the amplitude and stiffness of every "
-            "event, as far as they are known."
-        ),
-        panels=tuple(replace(panel, aspect=0.6) for panel in shown),
-        columns=2,
+    shown = [panel for panel in (some, drops.panel, stiffness.panel) if not panel.empty]
+    return _in_two_columns(
+        "force_overview",
+        "The force recording and its stick-slip events",
+        "The whole recording, a few events in its middle, and the amplitude and stiffness of every event, as "
+        "far as they are known.",
+        [replace(whole, title=found), *shown],
         width_in=13.0,
     )
 
@@ -381,7 +371,7 @@ def force_insets_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFits
     whole = force_figure(force, sticks, fits).panel
     usable = sticks[sticks["d_v_mm"].notna()]
     rise = float(usable["t_p_s"].iloc[0]) if len(usable) else np.inf  # to the first slip
-    first = (_part(force, (-np.inf, rise), against_d=True),)
+    first = (_force_curve(force, (-np.inf, rise), against_d=True),)
     panels = [
         replace(whole, title="Whole test"),
         _force_panel(force, "Initial response", first, against_d=True),
@@ -390,17 +380,20 @@ def force_insets_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFits
         start = int(share * len(usable))
         some = usable.iloc[start : start + SHOWN_STICKS]
         panels.append(_events_panel(force, some, title, against_d=True))
-    return Figure(
-        name="force_insets",
-        title="Traction force and stages of the test",
-        caption=(
-            "Traction force against separation with the fit of Eq. 1 to the peaks; the first rise of the "
-            "force; and events of an early and a late stage of the test (peaks filled, valleys hollow)."
-        ),
-        panels=tuple(replace(panel, aspect=0.6) for panel in panels),
-        columns=2,
+    return _in_two_columns(
+        "force_insets",
+        "Traction force and stages of the test",
+        "Traction force against separation with the fit of Eq. 1 to the peaks; the first rise of the force; "
+        "and events of an early and a late stage of the test (peaks filled, valleys hollow).",
+        panels,
         width_in=8.0,
     )
+
+
+def _in_two_columns(name: str, title: str, caption: str, panels: list[Panel], *, width_in: float) -> Figure:
+    """Return panels of one shape, two side by side."""
+    shown = tuple(replace(panel, aspect=0.6) for panel in panels)
+    return Figure(name=name, title=title, caption=caption, panels=shown, columns=2, width_in=width_in)
 
 
 def _events_panel(force: xr.Dataset, events: pd.DataFrame, title: str, *, against_d: bool) -> Panel:
@@ -413,7 +406,7 @@ def _events_panel(force: xr.Dataset, events: pd.DataFrame, title: str, *, agains
         margin, gap = 0.15 * (t_p[-1] - t_v[0]), np.full(len(events), np.nan)
         lines_x, lines_f = (np.stack(parts, axis=1).ravel() for parts in ((x_v, x_p, x_p), (f_v, f_p, gap)))
         series = (
-            _part(force, (t_v[0] - margin, t_p[-1] + margin), against_d=against_d),
+            _force_curve(force, (t_v[0] - margin, t_p[-1] + margin), against_d=against_d),
             Series(label="stick phases", x=lines_x, y=lines_f, ink=MODEL),
             Series.points("peaks", x_p, f_p, PEAK),
             Series.points("valleys", x_v, f_v, VALLEY, hollow=True),
@@ -421,15 +414,15 @@ def _events_panel(force: xr.Dataset, events: pd.DataFrame, title: str, *, agains
     return _force_panel(force, title, series, against_d=against_d)
 
 
-def _part(force: xr.Dataset, time_s: Range, *, against_d: bool) -> Series:
-    """Return F of a part of the recording, against d or time."""
+def _force_curve(force: xr.Dataset, time_s: Range = (-np.inf, np.inf), *, against_d: bool) -> Series:
+    """Return F against d or time, as the minimum and maximum of up to 4000 intervals, to show every slip."""
     good = good_samples(force)
     time = good["time_s"].to_numpy()
-    inside = (time >= time_s[0]) & (time <= time_s[1])
-    # The separation is recorded in steps, and may go back by one.
-    x = np.maximum.accumulate(good["d_mm"].to_numpy()[inside]) if against_d else time[inside]
-    at, load = minmax_decimate(x, good["load_N"].to_numpy()[inside], most=4000)
-    return Series(label="F", x=at, y=load, ink=QUIET, width=0.8)
+    x, load = good["d_mm"].to_numpy() if against_d else time, good["load_N"].to_numpy()
+    part = np.flatnonzero((time >= time_s[0]) & (time <= time_s[1]) & np.isfinite(x))
+    part = part[np.argsort(x[part], kind="stable")]  # d is recorded in steps, and may go back
+    at, extremes = minmax_decimate(x[part], load[part], most=8000)
+    return Series(label="F", x=at, y=extremes, ink=QUIET, width=0.8)
 
 
 def _force_panel(force: xr.Dataset, title: str, series: tuple[Series, ...], *, against_d: bool) -> Panel:

@@ -228,15 +228,12 @@ def sheet_series(
 # --- deformation --------------------------------------------------------------------------------------------
 
 
-def stick_figure(tracks: xr.Dataset, motion: xr.Dataset, clock: Clock, *, event: int | None = None) -> Figure:
-    """Return the displacement of all sheets in one stick phase, by default the one with most frames.
+def stick_figure(tracks: xr.Dataset, motion: xr.Dataset, clock: Clock) -> Figure:
+    """Return the displacement of all sheets in the stick phase with most frames.
 
     motion: as returned by `horizontal_deformation`.
-
-    Raises: InputError for an event that is not in `motion`.
     """
-    if event is None:
-        event = int(motion["event"].values[int(np.argmax(motion["frames"].to_numpy().sum(axis=1)))])
+    event = int(motion["event"].values[int(np.argmax(motion["frames"].to_numpy().sum(axis=1)))])
     delta = stick_displacement(tracks, motion, clock, event=event)
     stick = motion.sel(event=event)
     series = sheet_series(tracks, delta["since_s"].to_numpy(), delta.to_numpy(), inks=sheet_inks(tracks))

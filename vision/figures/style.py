@@ -110,11 +110,9 @@ def plus_minus(estimate: Estimate) -> str:
 def both_errors(estimate: Estimate) -> str:
     """Return a value with its statistical and, if known, its systematic error."""
     systematic = estimate.systematic_error
-    if not math.isfinite(systematic) or systematic == 0:
+    if not (math.isfinite(systematic) and systematic > 0):
         return plus_minus(estimate)
-    smallest = min([e for e in (estimate.error, systematic) if math.isfinite(e) and e > 0], default=math.nan)
-    if not math.isfinite(smallest):
-        return f"{plus_minus(estimate)} (stat.) ± {systematic:.2g} (syst.)"
+    smallest = min(e for e in (estimate.error, systematic) if math.isfinite(e) and e > 0)
     digits = max(0, 1 - math.floor(math.log10(smallest)))
     error = f"{estimate.error:.{digits}f}" if math.isfinite(estimate.error) else "?"
     text = f"{estimate.value:.{digits}f} ± {error} (stat.) ± {systematic:.{digits}f} (syst.)"

@@ -41,23 +41,9 @@ def write_report(
 ) -> Path:
     """Write the page: one file of less than 3 MB that opens offline and needs no other file.
 
-    Parameters
-    ----------
-    path
-        The file to write.
-    results
-        Results of the run. Long records are shown as the minimum and maximum of short intervals.
-    facts
-        The content of run.json: command, parameters, inputs, versions, warnings; entries may be missing.
-    figures
-        The figures of `figures_of(results)`, if they exist already.
-    options
-        Option that replaces each argument of the library in messages.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written.
+    facts: the content of run.json (command, parameters, inputs, versions, warnings); entries may be missing.
+    figures: those of `figures_of(results)`, if they exist already.  options: the option that replaces each
+    argument of the library in messages.  Raises: OSError if the file cannot be written.
     """
     figures = figures_of(results) if figures is None else figures
     named = dict(options or {})
@@ -164,27 +150,18 @@ def _panel_data(name: str, panel: Panel, store: ArrayStore) -> dict[str, Any]:
     if (image := panel.image) is not None:
         picture = {edge: getattr(image, edge) for edge in ("left", "right", "top", "bottom")}
         picture["uri"] = image_uri(image, most_bytes=450_000)
+    labels = ("x_label", "y_label", "y2_label")
+    same = ("x_lines", "x_range", "y_range", "first_view", "downwards", "time_down", "whole_numbers")
     return {
         "name": name,
-        "xLabel": panel.x_label,
-        "yLabel": panel.y_label,
-        "y2Label": panel.y2_label,
-        "axisLabels": [to_unicode(label) for label in (panel.x_label, panel.y_label, panel.y2_label)],
+        **{one: getattr(panel, one) for one in (*labels, *same, "switchable", "common_x")},
+        "axis_labels": [to_unicode(getattr(panel, one)) for one in labels],
         "series": [_series_data(series, index_of) for series in panel.series],
         "arrays": arrays,
-        "switchable": panel.switchable,
-        "wholeNumbers": panel.whole_numbers,
-        "commonX": panel.common_x if panel.series else False,
         "picture": picture,
-        "bands": [{"low": b.low, "high": b.high, "outline": b.outline} for b in panel.bands],
+        "bands": [vars(band) for band in panel.bands],
         "marks": [] if panel.marks is None else [float(f"{t:.8g}") for t in panel.marks.tolist()],
-        "arrows": [{"x": a.x, "y": a.y, "label": to_unicode(a.label)} for a in panel.arrows],
-        "xLines": panel.x_lines,
-        "xRange": panel.x_range,
-        "yRange": panel.y_range,
-        "firstView": panel.first_view,
-        "downwards": panel.downwards,
-        "timeDown": panel.time_down,
+        "arrows": [vars(arrow) | {"label": to_unicode(arrow.label)} for arrow in panel.arrows],
         "aspect": 0.75 if panel.time_down else panel.aspect,
     }
 

@@ -71,15 +71,14 @@ def _sheets(results: Results) -> Answer | None:
 def _sticks(results: Results) -> Answer | None:
     if results.force is None or results.sticks is None:
         return None
-    good = int((results.sticks["flag"] == "ok").sum())
+    found, good = len(results.sticks), f"{(results.sticks['flag'] == 'ok').sum()} of them without a flag"
     if results.strip is None:
-        return Answer("stick phases", str(len(results.sticks)), f"{good} of them without a flag")
+        return Answer("stick phases", str(found), good)
+    what, detail = "stick phases in the video", f"{found} in the force recording, {good}"
     if results.motion is None and results.clock is not None and results.clock.status == "ambiguous":
-        detail = f"{len(results.sticks)} in the force recording, {good} of them without a flag"
-        return Answer("stick phases in the video", "not known (clocks ambiguous)", detail, doubt=True)
+        return Answer(what, "not known (clocks ambiguous)", detail, doubt=True)
     inside = 0 if results.motion is None else results.motion.sizes["event"]
-    detail = f"of {len(results.sticks)} in the force recording, {good} of them without a flag"
-    return Answer("stick phases in the video", str(inside), detail, doubt=inside == 0)
+    return Answer(what, str(inside), f"of {detail}", doubt=inside == 0)
 
 
 def _shell(results: Results) -> Answer | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,8 +15,8 @@ import pandas as pd
 from vision.clock import Clock
 from vision.deformation import horizontal_deformation
 from vision.errors import InputError, with_options
-from vision.numeric import Floats, Floats32, Ints, Pixels
-from vision.review.positions import Positions, apply, median_positions, positions_of
+from vision.numeric import Ints, Pixels
+from vision.review.positions import Positions, apply, median_positions, nearest_ridges, positions_of
 from vision.review.recordings import decided_clock
 from vision.review.tracks_file import read_tracks
 from vision.sheets.corrections import OF_STRETCHES, Correction
@@ -41,8 +42,8 @@ class Effects:
 
     def __init__(self, run: Session) -> None:
         self.run = run
-        self._around: tuple[int, list[Pixels], int] = (-1, [], 0)  # cache of `_pictures`
-        self._known: tuple[int, dict[int, dict[str, Any]]] = (-1, {})  # cache of `_current`
+        self._pictures = lru_cache(1)(self._read_pictures)
+        self._at_revision = lru_cache(200)(lambda event, revision: self._by_clock(event))
 
     def preview(self, request: Mapping[str, Any], frame: Any = None) -> dict[str, Any]:
         """Return what a decision would change: positions near a frame, numbering, σ_x/Λ_st.
@@ -56,37 +57,31 @@ class Effects:
                 return {"text": decision.text(), **self.clock_preview(decision.offset_s, decision.drift_ppm)}
             at = self._row_shown(decision, frame)
             near, rows = self._rows_for(decision, at)
-            before = self.run.positions.copied(rows)
-            clipped = _clipped(decision, before)
-            after, _ = apply(self.run.positions.copied(rows), clipped, self.run.diagram)
-            shown = _rows_around(at - rows.start)
-            stick_before = stick_after = None
-            if near is not None:
-                stick_before = stick_after = self._current(near.event)
-                if _changes_stick(before, after, near.since(rows.start)):
-                    stick_after = self._measured(after, near.since(rows.start))
-            return {
-                "text": decision.text(),
-                "frames": before.frame[shown],
-                "before": _shown(before, shown),
-                "after": _shown(after, shown),
-                "event": near and near.event,
-                "stick_before": stick_before,
-                "stick_after": stick_after,
-            }
+            part = self.run.positions.copied(rows)
+            after, _ = apply(part, _clipped(decision, part), self.run.diagram)
+            return {"text": decision.text(), **self._compared(after, at, near, rows)}
 
     def preview_of(self, tracks: Path, frame: int) -> dict[str, Any]:
         """Return what another run's tracks.nc would change: positions near a frame, numbering, the stick."""
         at = self.run.positions.row_of(frame)
         near, rows = self._rows_for(Correction(kind="strip"), at)
-        after = positions_of(read_tracks(tracks, rows))
-        shown = _rows_around(at - rows.start)
+        return self._compared(positions_of(read_tracks(tracks, rows)), at, near, rows)
+
+    def _compared(
+        self, after: Positions, at: int, near: StickAndNeighbours | None, rows: slice
+    ) -> dict[str, Any]:
+        """Return the current and other positions of some rows near one of them, and the stick phase there."""
+        before, shown = self.run.positions.copied(rows), _rows_around(at - rows.start)
+        stick_before = stick_after = near and self._current(near.event)
+        if near and _changes_stick(before, after, near.since(rows.start)):
+            stick_after = self._measured(after, near.since(rows.start))
         return {
-            "frames": after.frame[shown],
+            "frames": before.frame[shown],
+            "before": _shown(before, shown),
             "after": _shown(after, shown),
             "event": near and near.event,
-            "stick_before": near and self._current(near.event),
-            "stick_after": near and self._measured(after, near.since(rows.start)),
+            "stick_before": stick_before,
+            "stick_after": stick_after,
         }
 
     def _row_shown(self, decision: Correction, frame: Any) -> int:
@@ -154,7 +149,8 @@ class Effects:
         seen = find_ridges(profile, comb, settings=self.run.settings.tuning.tracking)
         window = self.run.positions.track_facts.window_px
         bright = comb.bright(profile)
-        start = _nearest(seen.x_px, median_positions(self.run.positions) - first, 0.5 * comb.pitch_px)
+        usual = np.tile(median_positions(self.run.positions) - first, (len(profile), 1))
+        start = nearest_ridges(seen.x_px, usual, 0.5 * comb.pitch_px)
         x, _ = fit_sheets(bright, start, fit="sliding", window_px=window, comb=comb)
         known = np.isfinite(seen.x_px[here])
         return {
@@ -169,19 +165,17 @@ class Effects:
             "sheets_seen": int(np.isfinite(x[here]).sum()),
         }
 
-    def _pictures(self, row: int) -> tuple[list[Pixels], int]:
+    def _read_pictures(self, row: int) -> tuple[list[Pixels], int]:
         """Return the readable frames around a row, and the index of its own frame among them."""
         with self.run.lock:
-            if self._around[0] != row:
-                film, positions = self.run.recordings.film(), self.run.positions
-                first = max(0, min(row - NOISE_FRAMES // 2, len(positions.frame) - NOISE_FRAMES))
-                rows = range(first, min(first + NOISE_FRAMES, len(positions.frame)))
-                found = {k: film.picture(int(positions.frame[k]), float(positions.time_s[k])) for k in rows}
-                pictures = {k: picture for k, picture in found.items() if picture is not None}
-                if row not in pictures:
-                    raise InputError("the frame", "one that can be read", f"{positions.frame[row]}")
-                self._around = row, list(pictures.values()), list(pictures).index(row)
-            return self._around[1], self._around[2]
+            film, positions = self.run.recordings.film(), self.run.positions
+            first = max(0, min(row - NOISE_FRAMES // 2, len(positions.frame) - NOISE_FRAMES))
+            rows = range(first, min(first + NOISE_FRAMES, len(positions.frame)))
+            found = {k: film.picture(int(positions.frame[k]), float(positions.time_s[k])) for k in rows}
+            pictures = {k: picture for k, picture in found.items() if picture is not None}
+            if row not in pictures:
+                raise InputError("the frame", "one that can be read", f"{positions.frame[row]}")
+            return list(pictures.values()), list(pictures).index(row)
 
     # --- deformation ----------------------------------------------------------------------------------------
 
@@ -192,11 +186,7 @@ class Effects:
 
     def _current(self, event: int) -> dict[str, Any]:
         """Return the deformation with the current positions and clock, cached until they change."""
-        if self._known[0] != self.run.revision:
-            self._known = self.run.revision, {}
-        if event not in self._known[1]:
-            self._known[1][event] = self._by_clock(event)
-        return self._known[1][event]
+        return self._at_revision(event, self.run.revision)
 
     def _by_clock(self, event: int, clock: Clock | None = None) -> dict[str, Any]:
         """Return the deformation with the current positions and the run's clock or another."""
@@ -302,12 +292,3 @@ def _shown(positions: Positions, rows: slice) -> dict[str, Any]:
         "n": positions.n,
         "axis_px": positions.track_facts.axis_px,
     }
-
-
-def _nearest(x: Floats32, targets: Floats, reach: float) -> Floats:
-    """Return the candidate of each frame nearest to each target, (frame, target); NaN if beyond `reach`."""
-    distance = np.abs(x[:, :, None] - targets[None, None, :])
-    distance = np.where(np.isfinite(distance), distance, np.inf)
-    best = distance.argmin(axis=1)
-    found = np.take_along_axis(x, best, axis=1).astype(float)
-    return np.where(distance.min(axis=1) <= reach, found, np.nan)

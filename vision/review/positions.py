@@ -6,7 +6,7 @@ A test of 100 000 frames and 50 sheets takes 70 MB.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from vision.clock import video_slips
 from vision.data import TRACKS, StripMetadata, TrackMetadata
 from vision.errors import InputError
-from vision.numeric import Bools, Floats, Floats32, Ints, nan_median
+from vision.numeric import Bools, Floats, Floats32, Ints, nan_median, nearest
 from vision.review.recordings import Diagram
 from vision.review.tracks_file import StoredTracks
 from vision.run.tables import attrs_of_netcdf
@@ -177,16 +177,34 @@ _EMPTY: Mapping[str, Any] = {"flag": FLAGS.index("missing"), "why": 0}
 
 @dataclass(frozen=True, kw_only=True)
 class UndoStep:
-    """What is needed to undo a decision: the values that it replaced."""
+    """What is needed to undo a decision: the values that it replaced, and the earlier numbering."""
 
-    how: str  # "swap", "cells" (of one sheet), "deleted", "added", "numbering" or "nothing"
-    first: int = 0  # row
-    stop: int = 0  # row
-    sheets: tuple[int, ...] = ()  # columns
-    arrays: Mapping[str, NDArray[Any]] = field(default_factory=dict)  # earlier values by name
+    how: str  # "cells" (were replaced), "deleted" or "added" (a sheet), "numbered"
+    first: int  # row
+    stop: int  # row
+    sheets: tuple[int, ...]  # columns
+    arrays: Mapping[str, NDArray[Any]]  # earlier values by name: side, n and, unless a sheet was added, cells
     # earlier axis
-    axis_px: float = np.nan
-    axis_how: str = ""
+    axis_px: float
+    axis_how: str
+
+
+def _step(
+    positions: Positions, how: str, sheets: tuple[int, ...] = (), rows: slice = slice(0, 0)
+) -> UndoStep:
+    """Return the step that undoes a change of these cells, or of the numbering."""
+    facts, columns = positions.track_facts, sheets[0] if how == "deleted" else list(sheets)
+    cells = CELLS if how in ("cells", "deleted") else ()
+    return UndoStep(
+        how=how,
+        first=rows.start,
+        stop=rows.stop,
+        sheets=sheets,
+        arrays={name: getattr(positions, name)[rows, columns].copy() for name in cells}
+        | {"side": positions.side, "n": positions.n},
+        axis_px=facts.axis_px,
+        axis_how=facts.axis_how,
+    )
 
 
 def median_positions(positions: Positions) -> Floats:
@@ -209,59 +227,42 @@ def apply(positions: Positions, decision: Correction, diagram: Diagram) -> tuple
     Raises: InputError if the decision is not valid for the positions, which are not changed then.
     """
     if decision.kind == "axis":
-        return _with_axis(positions, float(decision.x_px or 0.0))
+        attrs = dict(positions.attrs) | {"axis_px": float(decision.x_px or 0.0), "axis_how": "given"}
+        return _renumbered(replace(positions, attrs=attrs)), _step(positions, "numbered")
     if decision.kind not in OF_SHEETS:
-        return positions, UndoStep(how="nothing")
+        return positions, _step(positions, "numbered")
     stop = np.inf if decision.stop is None else decision.stop
     rows = np.flatnonzero((positions.frame >= decision.first) & (positions.frame < stop))
     check_there(decision, rows, positions.frame, positions.sheets)
-    first, last = int(rows[0]), int(rows[-1]) + 1
-    match decision.kind:
-        case "delete":
-            return _without(positions, decision.sheets[0])
-        case "add":
-            return _with_sheet(positions, decision, diagram)
-        case "swap":
-            _swap(positions, slice(first, last), decision.sheets)
-            return positions, UndoStep(how="swap", first=first, stop=last, sheets=decision.sheets)
-    part, sheet = slice(first, last), decision.sheets[0]
-    if decision.kind == "leave_out":
-        x, flag = np.full(last - first, np.nan), np.full(last - first, FLAGS.index("left_out"))
-    elif decision.kind == "accept":
-        x, flag = _accepted(positions, decision, part, diagram)
+    if decision.kind == "add":
+        return _with_sheet(positions, decision, diagram)
+    if decision.kind == "delete":
+        before = _step(positions, "deleted", decision.sheets, slice(0, len(positions.frame)))
+        return _renumbered(_removed(positions, decision.sheets[0])), before
+    part = slice(int(rows[0]), int(rows[-1]) + 1)
+    before = _step(positions, "cells", decision.sheets, part)
+    if decision.kind == "swap":
+        for name in CELLS:
+            getattr(positions, name)[part, list(decision.sheets)] = before.arrays[name][:, ::-1]
     else:
-        x, flag = _assigned(positions, decision, part, diagram)
-    before = {name: getattr(positions, name)[part, sheet].copy() for name in CELLS}
-    _put(positions, part, sheet, x, flag)
-    return positions, UndoStep(how="cells", first=first, stop=last, sheets=(sheet,), arrays=before)
+        find = {"leave_out": _left_out, "accept": _accepted, "assign": _assigned}[decision.kind]
+        _put(positions, part, decision.sheets[0], *find(positions, decision, part, diagram))
+    return positions, before
 
 
 def undo(positions: Positions, step: UndoStep) -> Positions:
     """Undo the last decision and return the earlier positions."""
-    rows, arrays = slice(step.first, step.stop), step.arrays
+    arrays = step.arrays
     match step.how:
-        case "swap":
-            _swap(positions, rows, step.sheets)
-            return positions
         case "cells":
             for name in CELLS:
-                getattr(positions, name)[rows, step.sheets[0]] = arrays[name]
-            return positions
+                getattr(positions, name)[step.first : step.stop, list(step.sheets)] = arrays[name]
         case "deleted":
-            return replace(_inserted(positions, step.sheets[0], arrays), side=arrays["side"], n=arrays["n"])
+            positions = _inserted(positions, step.sheets[0], arrays)
         case "added":
-            return replace(_removed(positions, step.sheets[0]), side=arrays["side"], n=arrays["n"])
-        case "numbering":
-            attrs = dict(positions.attrs) | {"axis_px": step.axis_px, "axis_how": step.axis_how}
-            return replace(positions, side=arrays["side"], n=arrays["n"], attrs=attrs)
-    return positions
-
-
-def _swap(positions: Positions, rows: slice, sheets: tuple[int, ...]) -> None:
-    one, other = sheets
-    for name in CELLS:
-        values = getattr(positions, name)
-        values[rows, [one, other]] = values[rows, [other, one]]
+            positions = _removed(positions, step.sheets[0])
+    attrs = dict(positions.attrs) | {"axis_px": step.axis_px, "axis_how": step.axis_how}
+    return replace(positions, side=arrays["side"], n=arrays["n"], attrs=attrs)
 
 
 def _put(positions: Positions, rows: slice, sheet: int, x: Floats, flag: NDArray[Any]) -> None:
@@ -277,6 +278,14 @@ def _put(positions: Positions, rows: slice, sheet: int, x: Floats, flag: NDArray
 
 
 # --- ridges that are assigned to a sheet --------------------------------------------------------------------
+
+
+def _left_out(
+    positions: Positions, decision: Correction, part: slice, diagram: Diagram
+) -> tuple[Floats, NDArray[Any]]:
+    """Return no positions for these rows."""
+    rows = part.stop - part.start
+    return np.full(rows, np.nan), np.full(rows, FLAGS.index("left_out"))
 
 
 def _accepted(
@@ -322,8 +331,7 @@ def _with_sheet(positions: Positions, decision: Correction, diagram: Diagram) ->
     wider = _inserted(positions, sheet, _EMPTY)
     more = replace(wider, side=np.insert(positions.side, sheet, 1), n=np.insert(positions.n, sheet, 1))
     _put(more, slice(0, frames), sheet, x, _flags(start, x))
-    before = UndoStep(how="added", sheets=(sheet,), arrays={"side": positions.side, "n": positions.n})
-    return _renumbered(more), before
+    return _renumbered(more), _step(positions, "added", (sheet,))
 
 
 def _flags(start: Floats, x: Floats) -> NDArray[Any]:
@@ -353,7 +361,9 @@ def _followed(
         first, stop = (at + 1 - BLOCK, at + 1) if back else (at, at + BLOCK)
         rows = slice(max(part.start, first), min(part.stop, stop))
         ridges = positions.ridges(diagram, rows)
-        owned = _whole_pixels(positions.x_px[rows] - np.float64(origin), ridges)
+        x_px = positions.x_px[rows] - np.float64(origin)
+        fitted_from = nearest_ridges(ridges.x_px, x_px, SAME_RIDGE_PX)
+        owned = np.where(np.isfinite(fitted_from), fitted_from, np.rint(x_px))
         if without is not None:
             owned[:, without] = np.nan
         order = np.arange(rows.stop - rows.start)[:: -1 if back else 1]
@@ -373,14 +383,12 @@ def _followed(
         at, wanted = rows.start + last, replace(decision, x_px=float(found[last]) + origin)
 
 
-def _whole_pixels(x_px: Floats, ridges: Ridges) -> Floats:
-    """Return the candidate from which each position was fitted; the rounded position if none is near."""
-    out, least = np.rint(x_px), np.full(x_px.shape, SAME_RIDGE_PX)
-    for k in range(ridges.x_px.shape[1]):  # one candidate at a time needs the memory of one (frame, sheet)
-        distance = np.abs(x_px - ridges.x_px[:, k : k + 1])
-        nearer = distance <= least
-        out[nearer] = np.broadcast_to(ridges.x_px[:, k : k + 1], out.shape)[nearer]
-        least = np.where(nearer, distance, least)
+def nearest_ridges(ridges_px: NDArray[np.floating], targets: Floats, reach: float) -> Floats:
+    """Return the candidate nearest to each target (frame, target) in its frame; NaN if none is in reach."""
+    out = np.full(targets.shape, np.nan)
+    for k, at in enumerate(targets.T):  # one at a time needs little memory
+        best, distance = nearest(ridges_px, at)
+        out[:, k] = np.where(distance <= reach, ridges_px[np.arange(len(at)), best], np.nan)
     return out
 
 
@@ -403,30 +411,15 @@ def _fitted(positions: Positions, start_px: Floats, rows: Ints, diagram: Diagram
 
 
 def _renumbered(positions: Positions) -> Positions:
-    facts = positions.track_facts
-    numbering = number_sheets(median_positions(positions)[None], axis_px=facts.axis_px)
+    """Number the sheets from the axis; one without any position lies between its neighbours."""
+    facts, x_px = positions.track_facts, median_positions(positions)
+    known = np.flatnonzero(np.isfinite(x_px))
+    if not known.size:
+        raise InputError("the decision", "a sheet with a position that remains", "none")
+    x_px = np.interp(np.arange(len(x_px)), known, x_px[known])
+    numbering = number_sheets(x_px[None], axis_px=facts.axis_px)
     unseen = 0 if facts.axis_how == "given" else numbering.n.min() - 1
     return replace(positions, side=numbering.side, n=numbering.n - unseen)
-
-
-def _with_axis(positions: Positions, axis_px: float) -> tuple[Positions, UndoStep]:
-    facts = positions.track_facts
-    before = UndoStep(
-        how="numbering",
-        arrays={"side": positions.side, "n": positions.n},
-        axis_px=facts.axis_px,
-        axis_how=facts.axis_how,
-    )
-    attrs = dict(positions.attrs) | {"axis_px": axis_px, "axis_how": "given"}
-    return _renumbered(replace(positions, attrs=attrs)), before
-
-
-def _without(positions: Positions, sheet: int) -> tuple[Positions, UndoStep]:
-    arrays = {name: getattr(positions, name)[:, sheet].copy() for name in CELLS}
-    arrays |= {"side": positions.side, "n": positions.n}
-    fewer = _removed(positions, sheet)
-    before = UndoStep(how="deleted", sheets=(sheet,), arrays=arrays)
-    return _renumbered(fewer), before
 
 
 def _removed(positions: Positions, sheet: int) -> Positions:

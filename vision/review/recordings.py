@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -23,7 +22,7 @@ from numpy.typing import NDArray
 from vision.clock import Clock
 from vision.errors import InputError
 from vision.figures.decimate import grey_levels, grey_limits, minmax_decimate
-from vision.files import AGAIN
+from vision.files import AGAIN, Stamp
 from vision.numeric import Floats, Floats32, Pixels
 from vision.pipeline import Settings, open_force, open_recording
 from vision.run.folder import RUN_JSON, lock_open_file, unwritable
@@ -43,16 +42,16 @@ COLUMNS = ("event", "t_v_s", "t_p_s", "stick_length_um")
 class StoredRun(RunFolder):
     """The run folder that is reviewed."""
 
-    stamp: tuple[int, int, int]  # identity of run.json, to notice that another run has replaced this one
+    stamp: Stamp  # of run.json, to notice that another run has replaced this one
 
     @classmethod
     def of(cls, folder: Path) -> StoredRun:
         """Open a run folder.  Raises: InputError if its run.json is damaged."""
-        return cls(folder, read_json(folder / RUN_JSON), _stamp(folder))
+        return cls(folder, read_json(folder / RUN_JSON), Stamp.of(folder / RUN_JSON))
 
     def check_there(self) -> None:
         """Check that the folder still holds this run.  Raises: InputError if not."""
-        if _stamp(self.folder) != self.stamp:
+        if self.stamp.change(self.folder / RUN_JSON):
             found, advice = "none, or another one", "nothing was changed; end the review and start it again"
             raise InputError(self.folder, "the run that is reviewed", found, advice)
 
@@ -76,15 +75,6 @@ class StoredRun(RunFolder):
     def applied(self) -> list[Correction]:
         """Decisions that are already applied in the tables of the run."""
         return [correction_of(one["kind"], _as_entry(one)) for one in self.facts.get("corrections") or []]
-
-
-def _stamp(folder: Path) -> tuple[int, int, int]:
-    """Return inode, size and time of run.json; zeros if there is none."""
-    try:
-        facts = (folder / RUN_JSON).stat()
-    except OSError:
-        return 0, 0, 0
-    return facts.st_ino, facts.st_size, facts.st_mtime_ns
 
 
 def _as_entry(facts: Mapping[str, Any]) -> dict[str, Any]:
@@ -148,21 +138,10 @@ Grey = NDArray[np.uint8]
 
 
 class Diagram:
-    """I(x, t) on disk. It is read in parts, not mapped, so only the part in use takes memory.
+    """I(x, t) of kymograph.tif. It is read in parts, not mapped, so only the part in use takes memory.
 
-    Parameters
-    ----------
-    path
-        kymograph.tif.
-    first_column
-        Column of the picture at which the diagram begins.
-    settings
-        Settings of the tracking, with which ridges are found again.
-
-    Raises
-    ------
-    InputError
-        If the file is missing or damaged.
+    first_column: column of the picture at which the diagram begins.  settings: those of the tracking, with
+    which ridges are found again.  Raises: InputError if the file is missing or damaged.
     """
 
     def __init__(self, path: Path, first_column: int, settings: TrackingSettings) -> None:
@@ -175,22 +154,13 @@ class Diagram:
 
     def rows(self, start: int, stop: int) -> Floats32:
         """Return frames in grey levels, (frame, x); lost frames are NaN."""
-        count = max(0, min(stop, self.frames) - start)
-        return self._read(start, np.empty((count, self.columns), self._dtype))
-
-    def parts(self, frames: int, first: range) -> Iterator[Floats32]:
-        """Yield `frames` frames from each start in `first`; the yielded memory is reused, which is faster."""
-        space = np.empty((min(frames, self.frames), self.columns), self._dtype)
-        for start in first:
-            yield self._read(start, space[: self.frames - start])
-
-    def _read(self, start: int, space: NDArray[Any]) -> Floats32:
+        values = np.empty((max(0, min(stop, self.frames) - start), self.columns), self._dtype)
         with self._lock:
             self._file.seek(self._offset + start * self.columns * self._dtype.itemsize)
-            done = self._file.readinto(space.reshape(-1).view(np.uint8).data)
-        if done < space.nbytes:
+            done = self._file.readinto(values.reshape(-1).view(np.uint8).data)
+        if done < values.nbytes:
             raise InputError(self.path, f"{self.frames} frames", "a file that was cut short", AGAIN)
-        return np.asarray(space, np.float32)
+        return np.asarray(values, np.float32)
 
     def sample(self, count: int) -> Floats32:
         """Return frames spread over the run."""
@@ -233,8 +203,7 @@ class Tiles:
     ) -> None:
         self.diagram, self.bright, self.settings = diagram, bright, settings
         self.low, self.high = grey_limits(diagram.sample(settings.sampled_rows))
-        self._kept: list[Grey] = []  # levels from `first_kept` on
-        self._building = Lock()
+        self._kept = self._coarse_levels()
 
     @property
     def levels(self) -> int:
@@ -244,33 +213,22 @@ class Tiles:
             frames, levels = -(-frames // self.settings.factor), levels + 1
         return levels
 
-    def build(self) -> None:
-        """Build the levels held in memory, which otherwise happens when the first of them is needed."""
-        with self._building:
-            step = self.settings.factor**self.settings.first_kept
-            if self._kept or self.levels <= self.settings.first_kept:
-                return
-            level = self._first_level(step)
-            kept = [self._grey(level)]
-            while len(kept) < self.levels - self.settings.first_kept:
-                level = _extremes(level, self.settings.factor, bright=self.bright)
-                kept.append(self._grey(level))
-            self._kept = kept
-
-    def _first_level(self, step: int) -> Floats32:
-        """Return the extremes of every `step` frames, read in parts by two threads."""
+    def _coarse_levels(self) -> list[Grey]:
+        """Return the levels held in memory, from `first_kept` on."""
+        step, wanted = self.settings.factor**self.settings.first_kept, self.levels - self.settings.first_kept
+        if wanted <= 0:
+            return []
         frames, columns = self.diagram.frames, self.diagram.columns
-        out = np.empty((-(-frames // step), columns), np.float32)
+        level = np.empty((-(-frames // step), columns), np.float32)
         block = max(1, PART_VALUES // (step * columns))
-
-        def work(rows: range) -> None:
-            parts = self.diagram.parts(block * step, range(rows.start * step, frames, rows.step * step))
-            for row, part in zip(rows, parts, strict=True):
-                out[row : row + block] = _extremes(part, step, bright=self.bright)
-
-        with ThreadPoolExecutor(2) as pool:
-            list(pool.map(work, [range(k * block, len(out), 2 * block) for k in range(2)]))
-        return out
+        for row in range(0, len(level), block):
+            part = self.diagram.rows(row * step, (row + block) * step)
+            level[row : row + block] = _extremes(part, step, bright=self.bright)
+        kept = [self._grey(level)]
+        while len(kept) < wanted:
+            level = _extremes(level, self.settings.factor, bright=self.bright)
+            kept.append(self._grey(level))
+        return kept
 
     def _grey(self, values: Floats32) -> Grey:
         """Convert to 8 bits, with lost frames mid-grey; in parts, since the conversion needs more memory."""
@@ -290,7 +248,6 @@ class Tiles:
             raise InputError("the tile", f"one of {self.levels} levels", f"{level}/{x}/{y}")
         across = slice(x * columns, (x + 1) * columns)
         if level >= self.settings.first_kept:
-            self.build()
             return self._kept[level - self.settings.first_kept][y * rows : (y + 1) * rows, across]
         part = self.diagram.shared_rows(y * rows * step, (y + 1) * rows * step)[:, across]
         return self._grey(part if level == 0 else _extremes(part, step, bright=self.bright))
@@ -376,7 +333,7 @@ class Recordings:
     def __init__(self, stored: StoredRun, settings: Settings, moved: Path | None) -> None:
         self.stored, self.settings, self.moved = stored, settings, moved
         self._lock = Lock()
-        self._film: Film | InputError | None = None
+        self._film: Film | None = None
         self._force: xr.Dataset | None = None
         self._grey: tuple[float, float] | None = None
 
@@ -388,9 +345,7 @@ class Recordings:
                     path = self.stored.input("film", self.moved)
                     self._film = Film(open_recording(path, self.settings))
                 except InputError as error:
-                    self._film = error
-            if isinstance(self._film, InputError):
-                raise InputError("the film", "the one that was tracked", str(self._film))
+                    raise InputError("the film", "the one that was tracked", str(error)) from error
             return self._film
 
     def picture(self, frame: int, time_s: float) -> Grey:

@@ -13,7 +13,7 @@ import sys
 import zipfile
 import zlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING, Any
@@ -52,10 +52,9 @@ class SaveJob:
     settings: Settings  # settings of the run, without corrections
     decisions: Decisions  # decisions that are to be applied
     # path of the film if it has been moved; without the film, anything but another strip can be saved
-    film: Path | None = None
-    extra_files: Mapping[str, bytes] | None = None  # of the review, to be stored in the run: content by name
-    # the command-line option that the report shows in place of each argument's name
-    options: Mapping[str, str] = field(default_factory=dict)
+    film: Path | None
+    extra_files: Mapping[str, bytes]  # of the review, to be stored in the run: content by name
+    options: Mapping[str, str]  # the one that the report shows in place of each argument's name
     into: Path | None = None  # where to write the run if it must not replace the old one
 
 
@@ -164,7 +163,7 @@ class Saver:
         found: Mapping[str, Any] = {}
         error = "the process that tracks ended without a message; the run is unchanged"
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
-        with subprocess.Popen([sys.executable, "-c", _CHILD], **pipes) as child:  # type: ignore[call-overload]
+        with subprocess.Popen([sys.executable, "-I", "-c", _CHILD], **pipes) as child:  # type: ignore[call-overload]
             self._child = child
             if self._cancelled:
                 child.kill()
@@ -405,8 +404,7 @@ def _positions_differ(before: Positions, after: Positions, old: Ints, new: Ints)
 
 def pack(steps: Sequence[UndoStep | None]) -> bytes:
     """Return the steps that undo decisions, in order, as the content of an .npz file."""
-    names = ("how", "first", "stop", "sheets", "axis_px", "axis_how")
-    facts = [step and {name: getattr(step, name) for name in names} for step in steps]
+    facts = [step and {name: one for name, one in vars(step).items() if name != "arrays"} for step in steps]
     arrays: dict[str, Any] = {
         f"{k}.{name}": values
         for k, step in enumerate(steps)
@@ -427,11 +425,13 @@ def unpack(path: Path) -> list[UndoStep | None]:
         with np.load(path, allow_pickle=False) as file:
             facts = json.loads(file["facts"].tobytes())
             arrays = {name: file[name] for name in file.files}
+        return [None if one is None else _step(k, one, arrays) for k, one in enumerate(facts)]
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
         return []
-    return [None if one is None else _step(k, one, arrays) for k, one in enumerate(facts)]
 
 
 def _step(k: int, facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> UndoStep:
     own = {name.partition(".")[2]: values for name, values in arrays.items() if name.startswith(f"{k}.")}
+    if not {"side", "n"} <= own.keys():
+        raise KeyError("the numbering")
     return UndoStep(**{**facts, "sheets": tuple(facts["sheets"])}, arrays=own)

@@ -198,22 +198,12 @@ def serve(
 ) -> None:
     """Serve the page on the loopback address until the server is stopped.
 
-    Parameters
-    ----------
-    opening
-        Reads the run in a thread and returns the application that answers requests about it. Its argument is
-        a function that stops the server.
-    opened
-        Called with the address, including the token, when the server is ready.
-    port
-        Port; 0 selects a free one.
-    kept
-        Stored answers by address. The run is read at the first request that is not among them.
+    opening: reads the run in a thread and returns the application that answers requests about it; its
+    argument is a function that stops the server.  opened: called with the address, including the token, when
+    the server is ready.  port: 0 selects a free one.  kept: stored answers by address; the run is read at the
+    first request that is not among them.
 
-    Raises
-    ------
-    InputError
-        If the port is in use or does not exist, or the run cannot be read.
+    Raises: InputError if the port is in use or does not exist, or the run cannot be read.
     """
     listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     with contextlib.closing(listening), ThreadPoolExecutor(1) as reader:

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
+from functools import lru_cache
 from pathlib import Path
 from threading import RLock
 from typing import Any, Self
@@ -55,18 +56,9 @@ class Session:
     Every decision is written to corrections.toml before the call that makes it returns. The run's tables
     change when it is saved.
 
-    Parameters
-    ----------
-    folder
-        The run folder.
-    settings
-        Settings of the run, except for the corrections, which are read from the folder.
-    film
-        Path of the film, if it has been moved since it was tracked.
-    options
-        The command-line option that the report shows in place of each argument's name.
-    tracks
-        The run's tracks, if they are being read already.
+    settings: those of the run; its corrections are read from the folder.  film: its path, if it has been
+    moved since it was tracked.  options: the command-line option that the report shows in place of each
+    argument's name.  tracks: the run's tracks, if they are being read already.
     """
 
     def __init__(
@@ -84,7 +76,9 @@ class Session:
         self.revision = 0
         self._claim = claim(folder)
         self.trial.sweep()  # remove what a killed review left
-        self._film_slips: tuple[int, list[int]] = (-1, [])
+        self._slips_at_revision = lru_cache(1)(
+            lambda revision: np.unique(self._frames_at(self.positions.slips_s()))
+        )
         try:
             with reading(folder, "a run folder as track writes it", AGAIN):
                 self._load(tracks)
@@ -99,7 +93,7 @@ class Session:
         self.stored = StoredRun.of(self.folder)
         self.events, self.saved_clock = self.stored.events, self.stored.clock
         columns = self.settings.columns
-        first = 0 if columns is None else columns.start or 0
+        first = (columns.start or 0) if columns else 0
         self.diagram = Diagram(self.folder / "kymograph.tif", first, self.settings.tuning.tracking)
         try:
             self._load_tracks(tracks)
@@ -111,12 +105,11 @@ class Session:
     def _load_tracks(self, tracks: Future[StoredTracks] | None) -> None:
         """Read the positions; meanwhile build the tiles of the diagram."""
         ridges = self.stored.facts.get("found", {}).get("ridges", {}).get("polarity", "bright")
-        self.tiles = Tiles(self.diagram, bright=ridges == "bright")
         with ThreadPoolExecutor(1) as pool:
-            built = pool.submit(self.tiles.build)
+            tiles = pool.submit(Tiles, self.diagram, bright=ridges == "bright")
             stored = tracks.result() if tracks else read_tracks(self.folder / "tracks.nc")
             self.positions = positions_of(stored)
-            built.result()
+            self.tiles = tiles.result()
         if len(self.positions.frame) != self.diagram.frames:
             frames = f"{len(self.positions.frame)} rows, one per frame of tracks.nc"
             raise InputError(self.diagram.path, frames, f"{self.diagram.frames}", AGAIN)
@@ -378,21 +371,17 @@ class Session:
         inside = (stop > np.nanmin(time_s)) & (start < np.nanmax(time_s))
         return events[["event", "stick_length_um"]].assign(**frames)[inside].to_dict("records")
 
-    def slips(self, clock: Clock | None = None) -> list[int]:
+    def slips(self, clock: Clock | None = None) -> Ints:
         """Return the first frames after the slips of the force or, without a clock, of the sheets."""
         clock, time_s = clock or self.clock, self.positions.time_s
         if clock is None or self.events is None or clock.status == "ambiguous":
             return self.film_slips()
         at = clock.to_video_s(self.events["t_p_s"].to_numpy(float))
-        at = at[(at > np.nanmin(time_s)) & (at < np.nanmax(time_s))]
-        return sorted({int(frame) for frame in self._frames_at(at)})
+        return np.unique(self._frames_at(at[(at > np.nanmin(time_s)) & (at < np.nanmax(time_s))]))
 
-    def film_slips(self) -> list[int]:
+    def film_slips(self) -> Ints:
         """Return the first frames after the outward steps of the sheets."""
-        if self._film_slips[0] != self.revision:  # cached, since a long film takes a second
-            frames = self._frames_at(self.positions.slips_s())
-            self._film_slips = self.revision, sorted({int(frame) for frame in frames})
-        return self._film_slips[1]
+        return self._slips_at_revision(self.revision)  # cached, since a long film takes a second
 
     def _frames_at(self, seconds: Floats) -> Ints:
         """Return the number of the next frame after each time on the camera's clock."""

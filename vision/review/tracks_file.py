@@ -31,34 +31,21 @@ NEEDED = ("x_px", "x_err_px", "flag", "time_s", "side", "n", "frame")
 
 @dataclass(frozen=True, kw_only=True)
 class StoredTracks:
-    """Content of a tracks.nc.
+    """Content of a tracks.nc."""
 
-    Parameters
-    ----------
-    arrays
-        Arrays by name; words are stored as indices in `words`.
-    words
-        For each array of words, those that occur.
-    attrs
-        Attributes of the file.
-    """
-
-    arrays: Mapping[str, NDArray[Any]]
-    words: Mapping[str, list[str]]
+    arrays: Mapping[str, NDArray[Any]]  # by name; words as indices in `words`
+    words: Mapping[str, list[str]]  # those that occur in each array of words
     attrs: Mapping[str, Any]
 
 
 def read_tracks(path: Path, rows: slice = slice(None)) -> StoredTracks:
     """Read the file, or some of its frames.
 
-    Raises
-    ------
-    InputError
-        If the file is missing, damaged or not a file of tracks.
+    Raises: InputError if the file is missing, damaged or not a file of tracks.
     """
     with TemporaryDirectory() as folder:
-        begin, end = rows.start or 0, -1 if rows.stop is None else rows.stop
-        unpacking = f"from vision.review.tracks_file import unpack; unpack(path, {folder!r}, {begin}, {end})"
+        ends = f"{rows.start}, {rows.stop}"
+        unpacking = f"from vision.review.tracks_file import unpack; unpack(path, {folder!r}, slice({ends}))"
         try_out(path, unpacking, WANTED)
         facts = json.loads(Path(folder, "facts.json").read_text(encoding="utf-8"))
         if facts["absent"]:
@@ -67,25 +54,14 @@ def read_tracks(path: Path, rows: slice = slice(None)) -> StoredTracks:
     return StoredTracks(arrays=arrays, words=facts["words"], attrs=facts["attrs"])
 
 
-def unpack(path: str, folder: str, begin: int, end: int) -> None:
-    """Write an .npy file per array and facts.json into a folder; called in the separate process.
-
-    Parameters
-    ----------
-    path
-        The file.
-    folder
-        The folder.
-    begin, end
-        Range of frames; an end of -1 means all.
-    """
+def unpack(path: str, folder: str, rows: slice) -> None:
+    """Write an .npy file per array and facts.json into a folder; called in the separate process."""
     facts: dict[str, Any] = {"words": {}, "attrs": {}}
     with h5py.File(path, "r") as file:
         facts["absent"] = [name for name in NEEDED if name not in file]
         if not facts["absent"] and file["x_px"].ndim != 2:
             facts["absent"] = ["x(n, t)"]
         if not facts["absent"]:
-            rows = slice(begin, None if end < 0 else end)
             for name in filter(file.__contains__, (*CELLS, *WORDS, *AXES)):
                 one = file[name]
                 if name in CELLS:

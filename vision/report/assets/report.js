@@ -24,7 +24,7 @@
   /* One grid for all series: shared as it is, else every point a row of its own, sorted by x. */
   function grid(chart, arrays) {
     const all = chart.series.map((s) => [s.shift ? arrays[s.x].map((x) => x + s.shift) : arrays[s.x], arrays[s.y]]);
-    if (chart.commonX) return { data: [all[0][0], ...all.map((p) => p[1])], rows: null };
+    if (chart.common_x) return { data: [all[0][0], ...all.map((p) => p[1])], rows: null };
     const rows = [];
     all.forEach(([xs], s) => xs.forEach((x, i) => rows.push([x, s, i])));
     rows.sort((a, b) => a[0] - b[0] || a[1] - b[1] || a[2] - b[2]);
@@ -36,7 +36,7 @@
 
   /* ---- what uPlot does not draw by itself ---- */
   function underlay(u, chart, image) {
-    const c = u.ctx, timeDown = chart.timeDown, box = u.bbox;
+    const c = u.ctx, timeDown = chart.time_down, box = u.bbox;
     const place = (v, key) => u.valToPos(v, key, true);
     c.save(); c.beginPath(); c.rect(box.left, box.top, box.width, box.height); c.clip();
     if (image) {
@@ -49,7 +49,7 @@
     for (const band of chart.bands) {
       const y0 = place(band.high, "y"), y1 = place(band.low, "y");
       if (band.outline) {
-        const [l, r] = chart.xRange, x0 = place(l, "x"), x1 = place(r, "x");
+        const [l, r] = chart.x_range, x0 = place(l, "x"), x1 = place(r, "x");
         c.strokeStyle = "#e06a10"; c.lineWidth = 2 * devicePixelRatio;
         c.strokeRect(x0, Math.min(y0, y1), x1 - x0, Math.abs(y1 - y0));
       } else {
@@ -57,10 +57,10 @@
         c.fillRect(box.left, Math.min(y0, y1), box.width, Math.abs(y1 - y0));
       }
     }
-    if (chart.picture && chart.switchable && chart.commonX) casing(u, chart);
+    if (chart.picture && chart.switchable && chart.common_x) casing(u, chart);
     c.strokeStyle = chart.picture ? "#fff" : css("--soft"); c.lineWidth = 1.4 * devicePixelRatio;
     c.setLineDash([6 * devicePixelRatio, 4 * devicePixelRatio]);
-    for (const x of chart.xLines) {
+    for (const x of chart.x_lines) {
       const at = place(x, "x");
       c.beginPath(); c.moveTo(at, box.top); c.lineTo(at, box.top + box.height); c.stroke();
     }
@@ -76,7 +76,7 @@
       let pen = false;
       u.data[k + 1].forEach((v, i) => {
         if (v == null) { pen = false; return; }
-        const across = u.valToPos(v, "y", true), p = chart.timeDown ? [across, along[i]] : [along[i], across];
+        const across = u.valToPos(v, "y", true), p = chart.time_down ? [across, along[i]] : [along[i], across];
         c[pen ? "lineTo" : "moveTo"](...p); pen = true;
       });
       c.stroke();
@@ -165,10 +165,10 @@
     const colour = () => (chart.picture ? s.ink[1] : ink(s.ink));
     const out = {
       label: s.label, class: s.label ? undefined : "unnamed", scale: s.axis === "right" ? "y2" : "y", stroke: colour, width: s.width,
-      dash: s.dashed ? [5, 3] : undefined, spanGaps: !chart.commonX, value: (u, v) => short(v), pxAlign: 0,
+      dash: s.dashed ? [5, 3] : undefined, spanGaps: !chart.common_x, value: (u, v) => short(v), pxAlign: 0,
       points: { show: points, size: (s.hollow ? 9 : 5) * (crowded(s, chart) ? 0.75 : 1), width: 1.3, stroke: colour, fill: s.hollow ? "transparent" : colour },
     };
-    if (s.look === "line" && chart.commonX) out.points.filter = singles;
+    if (s.look === "line" && chart.common_x) out.points.filter = singles;
     if (s.look === "steps") {
       out.paths = uPlot.paths.bars({ size: [1, Infinity], align: 0 });
       out.fill = () => ink(s.ink) + "80";
@@ -195,10 +195,10 @@
     const fixed = (range) => (range ? (u, low, high) => (u.zoomed ? [low, high] : range) : undefined);
     const x = { time: false, range: xRange(chart) };
     const y = {};
-    if (chart.yRange) y.range = fixed(chart.yRange);
-    if (chart.timeDown) { x.ori = 1; x.dir = -1; y.ori = 0; y.range = fixed(chart.yRange); }
+    if (chart.y_range) y.range = fixed(chart.y_range);
+    if (chart.time_down) { x.ori = 1; x.dir = -1; y.ori = 0; y.range = fixed(chart.y_range); }
     if (chart.downwards) y.dir = -1;
-    if (!chart.y2Label) {
+    if (!chart.y2_label) {
       if (!y.range && chart.series.some((s) => s.low !== undefined)) y.range = withBars(chart, arrays, "left", 0.05, 0.05);
       return { x, y };
     }
@@ -225,7 +225,7 @@
   function xRange(chart) {
     return (u, low, high) => {
       if (u.zoomed) return [low, high];
-      if (chart.xRange) return chart.xRange;
+      if (chart.x_range) return chart.x_range;
       if (low == null) return [0, 1];
       const edge = chart.series.every((s) => s.look === "line") ? 0 : 0.03;
       const pad = (high - low) * edge || (high === low ? 0.5 : 0);
@@ -234,7 +234,7 @@
   }
   function sizeOf(chart, holder) {
     let width = Math.max(260, Math.floor(holder.clientWidth));
-    if (chart.picture && !chart.timeDown) { /* the plotted area has the stated shape; the rest are the axes */
+    if (chart.picture && !chart.time_down) { /* the plotted area has the stated shape; the rest are the axes */
       const across = 62, along = 56;
       if ((width - across) * chart.aspect > 560) width = Math.max(260, Math.floor(560 / chart.aspect) + across);
       return { width, height: Math.round((width - across) * chart.aspect) + along };
@@ -246,13 +246,13 @@
   function options(chart, holder, arrays, image, readout) {
     const both = Boolean(chart.picture);
     const side = { size: (u, values) => 26 + 7.5 * Math.max(2, ...(values || []).map((v) => v.length)) };
-    const below = { size: 34 }, [xLabel, yLabel, y2Label] = chart.axisLabels;
-    const axes = chart.timeDown
+    const below = { size: 34 }, [xLabel, yLabel, y2Label] = chart.axis_labels;
+    const axes = chart.time_down
       ? [axis(xLabel, Object.assign({ side: 3 }, side)), axis(yLabel, Object.assign({ side: 2, space: 70 }, below))]
       : [axis(xLabel, Object.assign({ space: 60 }, below)), axis(yLabel, side)];
-    if (chart.wholeNumbers) axes[0].incrs = [1, 2, 5, 10, 20, 50, 100, 200, 500];
+    if (chart.whole_numbers) axes[0].incrs = [1, 2, 5, 10, 20, 50, 100, 200, 500];
     if (both) axes.forEach((a) => { a.grid = { show: false }; });
-    if (chart.y2Label) axes.push(axis(y2Label, Object.assign({ scale: "y2", side: 1, grid: { show: false } }, side)));
+    if (chart.y2_label) axes.push(axis(y2Label, Object.assign({ scale: "y2", side: 1, grid: { show: false } }, side)));
     return Object.assign(sizeOf(chart, holder), {
       scales: scalesOf(chart, arrays), axes,
       series: [{ label: xLabel, value: (u, v) => short(v) }, ...chart.series.map((s) => seriesOf(s, chart))],
@@ -274,10 +274,10 @@
     if (at == null) { readout.textContent = ""; return; }
     const near = chart.nearest;
     const which = near ? `${u.series[near].label}: ${short(u.data[near][at])}` : "";
-    readout.textContent = `${chart.axisLabels[0]} ${short(u.data[0][at])}   ${which}`;
+    readout.textContent = `${chart.axis_labels[0]} ${short(u.data[0][at])}   ${which}`;
   }
   function select(u, chart) {
-    const s = u.select, timeDown = chart.timeDown;
+    const s = u.select, timeDown = chart.time_down;
     if (s.width < 4 && s.height < 4) return;
     u.zoomed = true;
     const pick = (key, vertical) => {
@@ -316,14 +316,14 @@
   function table(chart, arrays) {
     const cell = (v) => (v == null ? "" : v), lines = [];
     const plain = chart.series.every((s) => s.low === undefined && !s.text);
-    if (chart.commonX && plain) {
-      lines.push([chart.xLabel, ...chart.series.map((s) => s.label)].map(quote).join(","));
+    if (chart.common_x && plain) {
+      lines.push([chart.x_label, ...chart.series.map((s) => s.label)].map(quote).join(","));
       const xs = arrays[chart.series[0].x], ys = chart.series.map((s) => arrays[s.y]);
       xs.forEach((x, i) => lines.push([x, ...ys.map((y) => cell(y[i]))].map((v) => (typeof v === "number" ? +v.toPrecision(8) : v)).join(",")));
     } else {
-      lines.push(["series", "quantity", chart.xLabel, "y", "low", "high", "text"].map(quote).join(","));
+      lines.push(["series", "quantity", chart.x_label, "y", "low", "high", "text"].map(quote).join(","));
       for (const s of chart.series) {
-        const label = s.axis === "right" ? chart.y2Label : chart.yLabel;
+        const label = s.axis === "right" ? chart.y2_label : chart.y_label;
         arrays[s.x].forEach((x, i) => {
           const row = [s.label, label, x, arrays[s.y][i], ...(s.low === undefined ? ["", ""] : [arrays[s.low][i], arrays[s.high][i]])];
           lines.push([...row.map(cell), s.text ? s.text[i] : ""].map(quote).join(","));
@@ -503,18 +503,18 @@
     const arrays = chart.arrays.map(decode), holder = figure.querySelector(".plot");
     const readout = figure.querySelector(".readout");
     const u = new uPlot(options(chart, holder, arrays, image, readout), grid(chart, arrays).data, holder);
-    u.shared = Boolean(chart.picture) && !chart.timeDown;
+    u.shared = Boolean(chart.picture) && !chart.time_down;
     const tools = figure.querySelector(".buttons");
     if (chart.switchable) u.hooks.setSeries = [(self, k) => { chart.nearest = k; }];
     u.over.addEventListener("dblclick", () => reset(u));
     tools.append(button("+", "zoom in", () => zoom(u, 0.5, 0)), button("−", "zoom out", () => zoom(u, 2, 0)),
-      button(chart.timeDown ? "▲" : "◀", "earlier", () => zoom(u, 1, -0.5)), button(chart.timeDown ? "▼" : "▶", "later", () => zoom(u, 1, 0.5)),
+      button(chart.time_down ? "▲" : "◀", "earlier", () => zoom(u, 1, -0.5)), button(chart.time_down ? "▼" : "▶", "later", () => zoom(u, 1, 0.5)),
       button("whole", "show the whole range (double click)", () => reset(u)),
       button("CSV", "download this figure's numbers", () => download(`${chart.name}.csv`, new Blob([table(chart, arrays)], { type: "text/csv" }))),
       button("SVG", "download this figure as SVG", async () => download(`${chart.name}.svg`, new Blob([await figure.svg()], { type: "image/svg+xml" }))),
       button("PNG", "download this figure as PNG", async () => download(`${chart.name}.png`, await png(await figure.svg()))));
     figure.svg = () => vector(u, chart, arrays, image);
-    if (chart.firstView) { u.zoomed = true; u.setScale("x", { min: chart.firstView[0], max: chart.firstView[1] }); }
+    if (chart.first_view) { u.zoomed = true; u.setScale("x", { min: chart.first_view[0], max: chart.first_view[1] }); }
     if (chart.switchable) switches(figure, chart, u);
     else if (legendOf(chart)) figure.tint = () => key(figure, chart);
     if (figure.tint) figure.tint();
