@@ -12,7 +12,7 @@ import pytest
 from tests.scenes.comb_video import write_video
 from vision.command.main import run
 from vision.errors import InputError
-from vision.run.folder import run_folder
+from vision.folder import run_folder
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
 

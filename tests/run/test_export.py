@@ -13,6 +13,7 @@ import tifffile
 import xarray as xr
 
 from vision.errors import InputError
+from vision.folder import write_json
 from vision.run import export
 from vision.run.export import (
     ENDINGS,
@@ -23,7 +24,6 @@ from vision.run.export import (
     write_kymograph_tif,
     write_space_time_tif,
 )
-from vision.run.folder import write_json
 from vision.run.provenance import Parameter
 from vision.run.reading import read_run, stored_kymograph
 from vision.run.tables import sheets_table, write_tracks_nc

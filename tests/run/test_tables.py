@@ -42,6 +42,13 @@ def test_tracks_nc_is_read_back_with_its_text_and_gaps(found, tmp_path):
         assert file["flag"].dims[2][0].name == "/flag_length"
 
 
+def test_attributes_come_back_from_netcdf_as_they_were():
+    """A failure means that a film called [1].avi makes a run that cannot be read."""
+    attrs = {"source": "[1].avi", "note": '"quoted"', "list": [1, "a"], "plain": "x", "number": 2.0}
+    assert tables.attrs_of_netcdf(tables.netcdf_attrs(attrs)) == attrs
+    assert tables.netcdf_attrs({"source": "a\udcff.avi"}) == {"source": "a?.avi"}
+
+
 def test_after_ctrl_c_nothing_waits_for_the_whole_table(found, tmp_path, monkeypatch):
     """A failure means that an interrupted run of hours of film goes on writing text for seconds."""
     begun, told = threading.Event(), []

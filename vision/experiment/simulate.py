@@ -7,7 +7,6 @@ n-th of that. Grey level = e / gain, rounded and clipped.
 from __future__ import annotations
 
 import os
-import shutil
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from fractions import Fraction
@@ -30,6 +29,7 @@ from vision.experiment.mechanics import Pull, random_stream
 from vision.experiment.scene import FrameTimes, Scene, camera_time, make_scene, strip_slice, truth_of
 from vision.experiment.settings import Camera, Experiment, ForceFile
 from vision.files import Progress, in_threads
+from vision.folder import TRUTH, run_folder
 from vision.numeric import Floats, Floats32, Ints, Pixels
 
 # --- sensor -------------------------------------------------------------------------------------------------
@@ -294,24 +294,13 @@ def simulate(
     """
     folder = Path(out_dir)
     check_container(container, experiment.camera)
-    _check_folder(folder, overwrite=overwrite)
-    part = folder.with_name(f".{folder.name}.part")
-    try:
-        shutil.rmtree(part, ignore_errors=True)
-        part.mkdir(parents=True)
+    with run_folder(folder, overwrite=overwrite, mark=TRUTH) as part:
         scene = make_scene(experiment)
         made = _write(scene, part, container, progress)
-        if folder.exists():
-            shutil.rmtree(folder)
-        part.rename(folder)
-    except OSError as error:
-        raise InputError(folder, "a folder that can be written", error.strerror or str(error)) from error
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
     return SimulatedTest(
         video=folder / made.name,
         force=folder / "force.txt",
-        truth=folder / "truth.nc",
+        truth=folder / TRUTH,
         timestamps=folder / "timestamps.txt",
         frames=len(scene.times.camera_s),
         frames_lost=scene.times.lost,
@@ -325,7 +314,7 @@ def _write(scene: Scene, folder: Path, container: str, progress: Progress | None
     (folder / "timestamps.txt").write_text("".join(f"{t:.6f}\n" for t in times.stamp_s), "utf-8")
     truth = truth_of(scene)
     packed = {name: {"zlib": True, "shuffle": True} for name in truth.data_vars}
-    truth.to_netcdf(folder / "truth.nc", engine="h5netcdf", encoding=packed)
+    truth.to_netcdf(folder / TRUTH, engine="h5netcdf", encoding=packed)
 
     def blocks() -> Iterator[Pixels]:
         done = 0
@@ -336,20 +325,6 @@ def _write(scene: Scene, folder: Path, container: str, progress: Progress | None
                 progress(done, len(times.camera_s))
 
     return write_video(folder, blocks(), experiment.camera, times, container=container)
-
-
-def _check_folder(folder: Path, *, overwrite: bool) -> None:
-    """Raise InputError if a folder must not be replaced."""
-    if not folder.exists():
-        return
-    if not folder.is_dir():
-        raise InputError(folder, "a folder", "a file", "choose another name")
-    if not any(folder.iterdir()):
-        return
-    if not (folder / "truth.nc").exists():
-        raise InputError(folder, "a new folder or an earlier synthetic test", "a folder of other things")
-    if not overwrite:
-        raise InputError(folder, "a new folder", "an earlier synthetic test", "replace it with `overwrite`")
 
 
 # --- force.txt ----------------------------------------------------------------------------------------------

@@ -23,9 +23,9 @@ from vision.errors import InputError
 from vision.figures.decimate import grey_limits
 from vision.figures.style import HIGHLIGHT, LEFT_ON_GREY, RIGHT_ON_GREY, rgb
 from vision.files import AGAIN, Progress, harmless, harmless_table, reading
+from vision.folder import check_new, check_target, run_folder, whole_file, write_json
 from vision.numeric import Floats, Ints, Pixels
 from vision.report.page import flattened
-from vision.run.folder import check_new, check_target, run_folder, whole_file, write_json
 from vision.run.reading import RunFolder, check_mark, read_json
 from vision.run.tables import sheets_table, tracks_table
 from vision.video import Video, open_video

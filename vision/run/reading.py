@@ -26,8 +26,8 @@ from vision.clock import Candidate, Clock
 from vision.data import TRACKS, StripMetadata, TrackMetadata
 from vision.errors import InputError
 from vision.files import AGAIN, READ_HDF5, check_regular, reading, shortened, try_out
+from vision.folder import RUN_JSON, existing_parent, lock_folder, plain, reading_folder, write_json
 from vision.numeric import Floats32
-from vision.run.folder import RUN_JSON, existing_parent, lock_folder, plain, reading_folder, write_json
 from vision.run.provenance import Parameter, describe_input
 from vision.run.tables import attrs_of_netcdf
 from vision.video import FramesRead, FrameStore, Video, VideoSettings, video_files

@@ -23,10 +23,10 @@ from vision.figures import (
     publication_figures_of,
     save_figures,
 )
+from vision.folder import run_folder, write_json
 from vision.pipeline import Analysis
 from vision.report import write_report
 from vision.run.export import write_kymograph_tif
-from vision.run.folder import run_folder, write_json
 from vision.run.provenance import Origin
 from vision.run.tables import sheets_table, write_table, write_tracks_csv, write_tracks_nc
 from vision.sample import PUBLISHED
