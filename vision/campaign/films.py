@@ -230,7 +230,7 @@ def _row(
     film, problems = _film(given.get("film", ""), base)
     if may_come_later(film):
         problems = []
-    facts, wrong = _facts(given)
+    facts, wrong = _conditions(given)
     problems += wrong
     options = {name: text for name, text in given.items() if name not in ("film", "name", *FACTS)}
     for name in PATHS:
@@ -263,7 +263,7 @@ def _film(text: str, base: Path) -> tuple[str, list[tuple[str, str]]]:
     return film, [("film", f"{shortened(film)}: expected a film; found no such file")]
 
 
-def _facts(given: Mapping[str, str]) -> tuple[dict[str, Any], list[tuple[str, str]]]:
+def _conditions(given: Mapping[str, str]) -> tuple[dict[str, Any], list[tuple[str, str]]]:
     facts: dict[str, Any] = {name: given[name] for name in ("sample", "notes") if name in given}
     problems = []
     for name, (low, high) in LIMITS.items():

@@ -332,7 +332,7 @@ class Checkpoint:
     def begin(self, video: Video, rows: slice, columns: slice) -> Iterator[FramesRead]:
         """Start, and yield the frames that an interrupted run stored, part by part."""
         self._began = time.monotonic()
-        self._facts = partial(_facts, video, rows, columns)
+        self._facts = partial(_film_and_settings, video, rows, columns)
         width = columns.stop - columns.start
         self._record = np.dtype([("status", "u1"), ("time_s", "<f8"), ("intensity", "<f4", width)])
         if not (self._own and (self._place / FACTS).is_file()):
@@ -392,7 +392,7 @@ class Checkpoint:
                 raise InputError(self._target, f"{about}, to resume", found, RESTART)
 
 
-def _facts(video: Video, rows: slice, columns: slice) -> dict[str, Any]:
+def _film_and_settings(video: Video, rows: slice, columns: slice) -> dict[str, Any]:
     """Return everything that I(x, t) depends on."""
     given = video.given_times_s
     return {
