@@ -50,7 +50,9 @@ from vision.run import (
     whole_file,
     write_json,
 )
-from vision.run.export import Format, frame_step_s, unevenness_s, write_overlay, write_space_time_tif
+from vision.run.diagrams import frame_step_s, unevenness_s, write_space_time_tif
+from vision.run.export import Format
+from vision.run.overlay import write_overlay
 from vision.sheets import pixel_size_from_pitch
 from vision.sheets.ridges import describe_ridges, find_ridges
 from vision.sheets.tracks import LOSSY

@@ -27,7 +27,8 @@ from vision.files import AGAIN
 from vision.folder import RUN_JSON, lock_open_file, unwritable
 from vision.numeric import Floats, Floats32, Pixels
 from vision.pipeline import Settings, open_force, open_recording
-from vision.run.reading import RunFolder, read_json, stored_kymograph
+from vision.run.diagrams import stored_kymograph
+from vision.run.reading import RunFolder, read_json
 from vision.sheets.corrections import Correction, correction_of
 from vision.sheets.settings import TrackingSettings
 from vision.video import Video

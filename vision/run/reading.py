@@ -17,7 +17,6 @@ from typing import Any, BinaryIO, Literal, Self
 
 import numpy as np
 import pandas as pd
-import tifffile
 import xarray as xr
 from numpy.typing import NDArray
 
@@ -25,15 +24,12 @@ import vision
 from vision.clock import Candidate, Clock
 from vision.data import TRACKS, StripMetadata, TrackMetadata
 from vision.errors import InputError
-from vision.files import AGAIN, READ_HDF5, check_regular, reading, shortened, try_out
+from vision.files import AGAIN, READ_HDF5, reading, shortened, try_out
 from vision.folder import RUN_JSON, existing_parent, lock_folder, plain, reading_folder, write_json
-from vision.numeric import Floats32
+from vision.run.diagrams import read_kymograph_tif
 from vision.run.provenance import Parameter, describe_input
 from vision.run.tables import attrs_of_netcdf
 from vision.video import FramesRead, FrameStore, Video, VideoSettings, video_files
-from vision.video.frames import ProfileStore
-from vision.video.reader import read_fully
-from vision.video.stacks import check_tiff
 
 
 @dataclass(frozen=True)
@@ -172,7 +168,7 @@ def read_strip(run: RunFolder) -> xr.DataArray:
     Raises: InputError if the file is missing or damaged, or does not fit the tracks.
     """
     tracks = run.tracks
-    values = _read_tif(run.folder / "kymograph.tif", tracks.sizes["frame"])
+    values = read_kymograph_tif(run.folder / "kymograph.tif", tracks.sizes["frame"])
     start = str(run.value("columns") or "").partition(":")[0].strip()
     first = int(start) if start.isdigit() else 0
     flags = tracks["flag"].values[:, 0]
@@ -216,46 +212,6 @@ def _read_tracks(path: Path) -> xr.Dataset:
         if odd:
             raise InputError(path, wanted, f"no numbers in {', '.join(odd)}", AGAIN)
     return tracks
-
-
-def stored_kymograph(path: Path) -> tuple[int, np.dtype[Any], tuple[int, int]]:
-    """Return the byte at which the values of a space-time diagram begin, their type and shape (frame, x).
-
-    Callers read the file in parts rather than mapping it, as a mapped file that becomes shorter kills the
-    process.
-
-    Raises: InputError for a damaged file.
-    """
-    wanted = "a space-time diagram as track writes it"
-    check_regular(path, wanted)
-    check_tiff(path)
-    with reading(path, wanted, AGAIN):
-        with tifffile.TiffFile(path) as tif:
-            page = tif.pages.first
-            shape, dtype, start = page.shape, page.dtype, page.dataoffsets[0]
-            plain = page.is_contiguous and dtype is not None and dtype.newbyteorder("=") == np.float32
-            order = tif.byteorder
-        if len(shape) != 2 or not plain:
-            raise InputError(path, wanted, f"{dtype} of shape {shape}", AGAIN)
-        return start, np.dtype(np.float32).newbyteorder(order), (shape[0], shape[1])
-
-
-def _read_tif(path: Path, frames: int) -> Floats32:
-    """Read a space-time diagram, (frames, x).  Raises: InputError."""
-    start, stored, shape = stored_kymograph(path)
-    if shape[0] != frames:
-        raise InputError(path, f"{frames} rows, one per frame of tracks.nc", f"shape {shape}", AGAIN)
-    rows = ProfileStore(shape[1], expected=frames)
-    with (
-        reading(path, "a space-time diagram as track writes it", AGAIN),
-        path.open("rb", buffering=0) as file,
-    ):
-        file.seek(start)
-        for first in range(0, frames, 4096):
-            part = np.empty((min(4096, frames - first), shape[1]), stored)
-            read_fully(file, part.data.cast("B"), path)
-            rows.append(part.astype(np.float32, copy=False))
-    return rows.rows()
 
 
 # --- checkpoint of an interrupted run -----------------------------------------------------------------------

@@ -26,7 +26,7 @@ from vision.figures import (
 from vision.folder import run_folder, write_json
 from vision.pipeline import Analysis
 from vision.report import write_report
-from vision.run.export import write_kymograph_tif
+from vision.run.diagrams import write_kymograph_tif
 from vision.run.provenance import Origin
 from vision.run.tables import sheets_table, write_table, write_tracks_csv, write_tracks_nc
 from vision.sample import PUBLISHED
