@@ -284,7 +284,7 @@ def test_a_film_that_is_gone_or_of_another_codec_is_not_encoded_again(tmp_path):
 
 
 def test_texture_of_the_paper_moves_with_the_sheets(tmp_path):
-    """On 64 rows, of which each shows other grains: 1.26 times too much where grains stand still on the
+    """On 64 rows, of which each shows other grains: 0.9 of the error, and 1.12 where grains stand still on the
     film while sheets move through them, since no block is then as predicted from the one before, moved."""
     changes = {
         **SCENE,
@@ -302,24 +302,23 @@ def test_texture_of_the_paper_moves_with_the_sheets(tmp_path):
     strip = strip_profile(open_video(path))
     tracks = track_sheets(strip)
     encoder = read_encoder(path, (tracks.attrs["strip_z0"], tracks.attrs["strip_z1"]), (0, 490))
-    found = certify(strip, tracks, encoder=encoder, settings=ONE_FILM)
-    error = moved(tracks.x_px.values - scene.seen_px(slice(0, FRAMES)))
-    assert 0.85 < found.error_px / rms(error) < 1.15
     middle = certify(strip, tracks, encoder=encoder, settings=replace(ONE_FILM, most_frames=60))
-    assert 0.85 < middle.error_px / rms(moved(error[30:90])) < 1.15
+    error = moved(tracks.x_px.values[30:90] - scene.seen_px(slice(30, 90)))
+    assert 0.85 < middle.error_px / rms(error) < 1.05
 
 
 def test_noise_is_found_from_the_bits(tmp_path):
     """Twice the noise takes more bits at the same quantiser: what is found must follow. A linear camera's
     noise grows with the light; added noise that is alike everywhere does not."""
     found = []
+    middle = clean(41).pixels[:, :, 140:460]
     for noise in (0.0, 3.0):
-        pixels = clean(41).pixels + np.random.default_rng(1).normal(0, noise, clean(41).pixels.shape)
+        pixels = middle + np.random.default_rng(1).normal(0, noise, middle.shape)
         path = CODECS["H.264 crf 12"](tmp_path, np.clip(np.rint(pixels), 0, 255).astype(np.uint8))
         strip = strip_profile(open_video(path))
         like = learn(strip, track_sheets(strip), CertifySettings())
         drawn, shown = like.film(like.motion_px, number=None).values, like.shown_px(like.motion_px)
-        encoder = read_encoder(path, (strip.attrs["strip_z0"], strip.attrs["strip_z1"]), (0, 600))
+        encoder = read_encoder(path, (strip.attrs["strip_z0"], strip.attrs["strip_z1"]), (0, 320))
         found.append(encoder.fitted(drawn, shown, strip.values))
     assert 0.5 < found[0].noise_grey < 2.5 < found[1].noise_grey < 5
     assert found[0].shot_noise and not found[1].shot_noise
