@@ -80,24 +80,36 @@ def run_folder(target: Path, *, overwrite: bool = False, mark: str = RUN_JSON) -
     """
     clean_up(target)
     check_target(target, overwrite=overwrite, mark=mark)
-    # The name is known before the folder exists, so that it is removed after an interrupt at any time.
-    temporary = target.parent / f".{target.name}.{secrets.token_hex(4)}{PART}"
-    lock, missing = None, _missing_parents(target)
+    lock = None
     try:
-        temporary.mkdir(parents=True)
-        lock = lock_folder(temporary)
-        yield temporary
-        put_in_place(temporary, target, overwrite=overwrite, mark=mark)
+        with _temporary_folder(target, PART) as temporary:
+            lock = lock_folder(temporary)
+            yield temporary
+            put_in_place(temporary, target, overwrite=overwrite, mark=mark)
     except OSError as error:
         raise unwritable(target, error) from error
+    finally:
+        if lock is not None:
+            os.close(lock)
+
+
+@contextmanager
+def _temporary_folder(target: Path, suffix: str = "") -> Iterator[Path]:
+    """Yield a new hidden folder beside `target`, and remove it and the empty folders above it at the end."""
+    # The name is known before the folder exists, so that it is removed after an interrupt at any time.
+    temporary = target.parent / f".{target.name}.{secrets.token_hex(4)}{suffix}"
+    missing = [parent for parent in target.absolute().parents if not parent.exists()]
+    try:
+        temporary.mkdir(parents=True)
+        yield temporary
     finally:
         try:
             shutil.rmtree(temporary, ignore_errors=True)
         finally:  # again, as an interrupt may have ended it
             shutil.rmtree(temporary, ignore_errors=True)
-            if lock is not None:
-                os.close(lock)
-            _remove_empty(missing)
+            for parent in missing:
+                with suppress(OSError):  # not empty
+                    parent.rmdir()
 
 
 def reading_folder(target: Path) -> Path:
@@ -201,25 +213,16 @@ def whole_file(target: Path, *, durable: bool = False) -> Iterator[Path]:
 
     Raises: InputError if it cannot be written; an earlier file is then unchanged.
     """
-    # The name is known before the folder exists, so that it is removed after an interrupt at any time.
-    temporary = target.parent / f".{target.name}.{secrets.token_hex(4)}"
-    missing = _missing_parents(target)
     try:
-        temporary.mkdir(parents=True)
-        yield temporary / target.name
-        if durable:
-            _to_disk(temporary / target.name)
-        (temporary / target.name).replace(target)
-        if durable:
-            _to_disk(target.parent)
+        with _temporary_folder(target) as temporary:
+            yield temporary / target.name
+            if durable:
+                _to_disk(temporary / target.name)
+            (temporary / target.name).replace(target)
+            if durable:
+                _to_disk(target.parent)
     except OSError as error:
         raise unwritable(target, error, "nothing was written") from error
-    finally:
-        try:
-            shutil.rmtree(temporary, ignore_errors=True)
-        finally:  # again, as an interrupt may have ended it
-            shutil.rmtree(temporary, ignore_errors=True)
-            _remove_empty(missing)
 
 
 def _to_disk(path: Path) -> None:
@@ -231,18 +234,6 @@ def _to_disk(path: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-def _missing_parents(path: Path) -> list[Path]:
-    """Return the folders above a path that do not exist, the nearest first."""
-    return [parent for parent in path.absolute().parents if not parent.exists()]
-
-
-def _remove_empty(folders: list[Path]) -> None:
-    """Remove those of the folders that are empty."""
-    for folder in folders:
-        with suppress(OSError):  # not empty
-            folder.rmdir()
 
 
 def existing_parent(path: Path) -> Path:
