@@ -284,8 +284,8 @@ def test_a_film_that_is_gone_or_of_another_codec_is_not_encoded_again(tmp_path):
 
 
 def test_texture_of_the_paper_moves_with_the_sheets(tmp_path):
-    """On 64 rows, of which each shows other grains: 0.9 of the error, and 1.12 where grains stand still on the
-    film while sheets move through them, since no block is then as predicted from the one before, moved."""
+    """On 64 rows, of which each shows other grains: 0.9 of the error, and 1.12 where grains stand still on
+    the film while sheets move through them: no block is then as predicted from the one before, moved."""
     changes = {
         **SCENE,
         "camera.width": 490,

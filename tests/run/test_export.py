@@ -297,17 +297,16 @@ def test_a_package_that_is_not_there_is_named(run, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("cell", ['=HYPERLINK("http://x")', "+1+1", "-x", "@SUM(A1)", " =1", "\t=1", "\r=1"])
-def test_text_that_a_spreadsheet_would_run_is_quoted(cell, tmp_path):
+def test_text_that_a_spreadsheet_would_run_is_quoted(cell, run, monkeypatch):
     """A failure means that the name of a film becomes a live formula in someone's spreadsheet."""
     openpyxl = pytest.importorskip("openpyxl")
     table = pd.DataFrame({"name": [cell, "-1.5", "plain"], "x_px": [-1.0, 2.0, 3.0]})
-    export.write_csv({"settings": table}, tmp_path)
-    back = pd.read_csv(tmp_path / "settings.csv", dtype=str)
+    monkeypatch.setattr(export, "all_tables", lambda run: {"settings": table})
+    back = pd.read_csv(export_run(run, "csv").target / "settings.csv", dtype=str)
     assert back["name"][0].startswith("'")
     assert back["name"].tolist()[1:] == ["-1.5", "plain"]
     assert back["x_px"].astype(float).tolist() == [-1, 2, 3]
-    export.write_xlsx({"settings": table}, tmp_path / "a.xlsx")
-    rows = list(openpyxl.load_workbook(tmp_path / "a.xlsx")["settings"].rows)
+    rows = list(openpyxl.load_workbook(export_run(run, "xlsx").target)["settings"].rows)
     assert rows[1][0].data_type == "s"
     assert str(rows[1][0].value).startswith("'")
     assert rows[1][1].value == -1

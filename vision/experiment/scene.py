@@ -139,11 +139,6 @@ class Geometry:
     distortion: float
 
     @property
-    def straight(self) -> bool:
-        """Whether all rows show the same positions."""
-        return self.tilt == 0 and self.bow_px == 0 and self.distortion == 0
-
-    @property
     def zeta_px(self) -> Floats:
         """ζ of every row."""
         return np.arange(self.height, dtype=float) - (self.height - 1) / 2
@@ -299,9 +294,9 @@ class Scene:
     @cached_property
     def line(self) -> Line:
         """Line of cells, wider than the frame by the largest shift due to tilt, bow and distortion."""
-        if self.geometry.straight:
-            return Line(start_px=-0.5, per_px=1, cells=self.geometry.width)
         g = self.geometry
+        if not (g.tilt or g.bow_px or g.distortion):  # all rows show the same positions
+            return Line(start_px=-0.5, per_px=1, cells=g.width)
         largest_shift = abs(g.tilt) * g.height / 2 + 2.25 * abs(g.bow_px) + abs(g.distortion) * g.width
         margin = int(np.ceil(largest_shift)) + 3
         cells = (g.width + 2 * margin) * _CELLS_PER_PX

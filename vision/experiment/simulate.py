@@ -135,7 +135,7 @@ def _cell_of(scene: Scene, x_px: Floats) -> Floats:
     """Return the position on the line of cells, (row, column), of pixel coordinates x_px in every row."""
     line = scene.line
     at = (scene.geometry.source_px(x_px, scene.geometry.zeta_px[:, None]) - line.start_px) * line.per_px
-    return np.asarray(np.clip(at, 0, line.cells - 1e-6))
+    return np.asarray(np.clip(at, 0, line.cells - 1e-9))
 
 
 def _owners(scene: Scene, frames: slice) -> Ints:
@@ -172,26 +172,19 @@ def profiles(experiment: Experiment) -> tuple[xr.DataArray, xr.Dataset]:
     Rows are averaged before noise is added, so the noise is that of the mean. Structure along the rows
     (shapes of dust, texture inside a bowed ridge) is averaged as well.
     """
-    scene = make_scene(experiment)
-    total, width = len(scene.times.camera_s), experiment.camera.width
-    intensity = np.empty((total, width), np.float32)
-    average = _row_average(scene)
+    scene, rows, camera = make_scene(experiment), strip_slice(experiment), experiment.camera
+    total, average = len(scene.times.camera_s), _row_average(scene)
+    intensity = np.empty((total, camera.width), np.float32)
     for first in range(0, total, 32):
         frames = slice(first, min(first + 32, total))
-        intensity[frames] = _strip_block(scene, average, frames)
+        texture = np.asarray(1 + scene.texture(frames)[:, rows].mean(axis=1))
+        light = scene.base + scene.ridge_light(frames, texture)
+        up_to = np.cumsum(light, axis=1)
+        seen = (average @ np.pad(up_to, ((0, 0), (1, 0))).T).T
+        seen *= scene.response[rows].mean(axis=0) * scene.flicker(frames)[:, None]
+        rng = random_stream(experiment.seed, "profile noise", first)
+        intensity[frames] = mean_of_rows(seen, camera, rows.stop - rows.start, rng)
     return _as_strip(intensity, scene), truth_of(scene)
-
-
-def _strip_block(scene: Scene, average: csr_array, frames: slice) -> Floats32:
-    """Return I(x, t) of some frames."""
-    experiment, rows = scene.experiment, strip_slice(scene.experiment)
-    texture = np.asarray(1 + scene.texture(frames)[:, rows].mean(axis=1))
-    light = scene.base + scene.ridge_light(frames, texture)
-    up_to = np.cumsum(light, axis=1)
-    seen = (average @ np.pad(up_to, ((0, 0), (1, 0))).T).T
-    seen *= scene.response[rows].mean(axis=0) * scene.flicker(frames)[:, None]
-    rng = random_stream(experiment.seed, "profile noise", frames.start)
-    return mean_of_rows(seen, experiment.camera, rows.stop - rows.start, rng)
 
 
 def _row_average(scene: Scene) -> csr_array:
@@ -200,17 +193,15 @@ def _row_average(scene: Scene) -> csr_array:
     The light of a pixel is the cumulative light at its right edge minus that at its left edge, interpolated
     between cell edges in each row. Rows are weighted with their light.
     """
-    line, rows = scene.line, strip_slice(scene.experiment)
+    rows, edges = strip_slice(scene.experiment), np.arange(scene.geometry.width + 1, dtype=np.float64)
     weight = scene.row_light[rows]
-    zeta = scene.geometry.zeta_px[rows][:, None]
-    edges = scene.geometry.source_px(np.arange(scene.geometry.width + 1, dtype=float) - 0.5, zeta)
-    at = np.clip((edges - line.start_px) * line.per_px, 0, line.cells - 1e-9)
+    at = _cell_of(scene, edges - 0.5)[rows]
     cell = np.floor(at).astype(np.int64)
     share, w = at - cell, np.broadcast_to((weight / weight.sum())[:, None], at.shape)
-    edge = np.broadcast_to(np.arange(edges.shape[1]), at.shape)
+    edge = np.broadcast_to(np.arange(edges.size), at.shape)
     values = np.concatenate([(w * (1 - share)).ravel(), (w * share).ravel()])
     where = np.tile(edge.ravel(), 2), np.concatenate([cell.ravel(), cell.ravel() + 1])
-    reading = coo_array((values, where), shape=(edges.shape[1], line.cells + 1)).tocsr()
+    reading = coo_array((values, where), shape=(edges.size, scene.line.cells + 1)).tocsr()
     return csr_array(reading[1:] - reading[:-1])
 
 

@@ -72,7 +72,11 @@ def _write_folder(run: RunFolder, to: Format, target: Path, *, overwrite: bool) 
     rows = {name: len(table) for name, table in tables.items()}
     facts = {**run.facts, MARK: {"to": to, "from": str(run.folder), "rows": rows}}
     with run_folder(target, overwrite=overwrite) as folder:
-        (write_csv if to == "csv" else write_parquet)(tables, folder)
+        for name, table in tables.items():
+            if to == "csv":
+                harmless_table(table).to_csv(folder / f"{name}.csv", index=False, lineterminator="\n")
+            else:
+                table.to_parquet(folder / f"{name}.parquet", engine="pyarrow", index=False)
         write_json(facts, folder / "run.json")
 
 
@@ -163,18 +167,6 @@ def settings_table(run: RunFolder) -> pd.DataFrame:
         for name, value in flattened(facts, ".")
     ]
     return pd.DataFrame(pairs, columns=["name", "value"], dtype=str)
-
-
-def write_csv(tables: Mapping[str, pd.DataFrame], folder: Path) -> None:
-    """Write one CSV file per table, as in the run folder."""
-    for name, table in tables.items():
-        harmless_table(table).to_csv(folder / f"{name}.csv", index=False, lineterminator="\n")
-
-
-def write_parquet(tables: Mapping[str, pd.DataFrame], folder: Path) -> None:
-    """Write one Parquet file per table."""
-    for name, table in tables.items():
-        table.to_parquet(folder / f"{name}.parquet", engine="pyarrow", index=False)
 
 
 def write_xlsx(tables: Mapping[str, pd.DataFrame], path: Path) -> list[str]:

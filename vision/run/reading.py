@@ -112,7 +112,9 @@ class RunFolder:
         known: Mapping[str, Any] = inputs[0 if which == "film" else -1]
         named = Path(str(known["path"]))
         candidates = [named, self.folder.absolute().parent / named] if moved is None else [moved]
-        path = next((candidate for candidate in candidates if _exists(candidate)), None)
+        # A pattern has no file of its own name, and may be absolute.
+        there = (path for path in candidates if path.exists() or glob.glob(str(path)))  # noqa: PTH207
+        path = next(there, None)
         if path is None:
             advice = "give its new path (`film`)" if which == "film" else "put it back there"
             raise InputError(candidates[0], f"an input of {self.folder}", "no such file", advice)
@@ -184,11 +186,6 @@ def read_strip(run: RunFolder) -> xr.DataArray:
         name="intensity",
         attrs=tracks.attrs | {"units": "grey level", "long_name": "mean intensity of the strip"},
     )
-
-
-def _exists(path: Path) -> bool:
-    """Tell whether a file, or a file that matches a pattern, exists."""
-    return path.exists() or bool(glob.glob(str(path)))  # noqa: PTH207  # may be absolute
 
 
 def _read_tracks(path: Path) -> xr.Dataset:
