@@ -434,17 +434,9 @@ _MEANING = {
 def truth_of(scene: Scene) -> xr.Dataset:
     """Return the truth of a synthetic test, the content of truth.nc.
 
-    Parameters
-    ----------
-    scene
-        From `make_scene`.
-
-    Returns
-    -------
-    Dataset
-        Dimensions frame, sheet, event and slip. Events have the columns of `events.csv` (force clock) and
-        M_eff, without the initial loading. Attributes: every setting as JSON, the rows of the default strip,
-        the clocks, the axis.
+    Its dimensions are frame, sheet, event and slip. Events have the columns of `events.csv` (force clock) and
+    M_eff, without the initial loading. Attributes: every setting as JSON, the rows of the default strip, the
+    clocks, the axis.
     """
     comb, ridges, e, rows = scene.comb, scene.ridges, scene.experiment, strip_slice(scene.experiment)
     sheets = {"side": comb.side, "n": comb.n, "fwhm_px": ridges.fwhm_px, "height": ridges.height}

@@ -155,10 +155,8 @@ def _owners(scene: Scene, frames: slice) -> Ints:
 def profiles(experiment: Experiment) -> tuple[xr.DataArray, xr.Dataset]:
     """Draw I(x, t) of the default strip directly: a thousand frames in a second or two.
 
-    Parameters
-    ----------
-    experiment
-        The experiment.
+    Rows are averaged before noise is added, so the noise is that of the mean. Structure along the rows
+    (shapes of dust, texture inside a bowed ridge) is averaged as well.
 
     Returns
     -------
@@ -166,11 +164,6 @@ def profiles(experiment: Experiment) -> tuple[xr.DataArray, xr.Dataset]:
         intensity (frame, x), float32 grey levels, as `strip_profile` gives it for this experiment's video.
     truth : Dataset
         As in truth.nc, see `truth_of`.
-
-    Notes
-    -----
-    Rows are averaged before noise is added, so the noise is that of the mean. Structure along the rows
-    (shapes of dust, texture inside a bowed ridge) is averaged as well.
     """
     scene, rows, camera = make_scene(experiment), strip_slice(experiment), experiment.camera
     total, average = len(scene.times.camera_s), _row_average(scene)
@@ -265,10 +258,6 @@ def simulate(
 
     Parameters
     ----------
-    experiment
-        The experiment.
-    out_dir
-        Folder to create.
     container
         ``"raw"``, ``"mjpeg"``, ``"h264"``, ``"ffv1"``, ``"tiff"`` or ``"png"``, see
         `vision.experiment.simulate.write_video`.

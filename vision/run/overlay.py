@@ -42,27 +42,13 @@ def write_overlay(
 ) -> Overlay:
     """Write a film with marks at every sheet: strokes at both ends of the strip, and the number n above.
 
-    Parameters
-    ----------
-    run, film
-        As returned by `read_run` and its method `input`.
-    target
-        The MP4 to write.
-    frames
-        Half-open range of frame numbers; all of the run by default.
-    progress
-        Called with (frames done, total frames or None).
-
-    Raises
-    ------
-    InputError
-        If the film cannot be read, or holds none of these frames.
-
-    Notes
-    -----
     One frame is in memory at a time. The same grey levels are black and white in all frames. Sheets left of
     the axis are blue, right ones orange; positions with a flag other than "ok" are white. Frames without a
     picture are black and show their status.
+
+    film: as `RunFolder.input` returns it.  frames: half-open range of frame numbers; all by default.
+    progress: called with (frames done, total frames or None).
+    Raises: InputError if the film cannot be read, or holds none of these frames.
     """
     import av  # 30 ms that no other export needs
 
