@@ -54,9 +54,10 @@ LOCKING = {"narrow and bright": {"optics.fwhm_px": 6, "camera.full_well_e": 2000
 
 @pytest.fixture(autouse=True)
 def fewer_frames_tried(monkeypatch):
-    """A third of the frames that the program encodes to find the noise: a third of the time, and the noise
-    is the same within 0.05 grey levels."""
+    """A third of the frames that the program encodes to find the noise, and a third of the accuracy: a
+    quarter of the time, and the noise is the same within 0.1 grey levels."""
     monkeypatch.setattr(encoder, "TRIED_FRAMES", 20)
+    monkeypatch.setattr(encoder, "NOISE_ERROR", 0.1)
 
 
 @cache
@@ -242,7 +243,7 @@ def encoded_film(crf, folder, seed=41):
     return path, strip, tracks, moved(tracks.x_px.values - film.truth_px)
 
 
-@pytest.mark.parametrize("crf", [12, 23, 28])
+@pytest.mark.parametrize("crf", [12, 28])
 def test_films_encoded_again_have_the_errors_of_the_recording(crf, tmp_path):
     """Within 15 %, where residuals put in again fail: H.264 holds sheets still while they creep."""
     path, strip, tracks, error = encoded_film(crf, tmp_path)
