@@ -24,7 +24,7 @@ import xarray as xr
 from scipy.sparse import coo_array, csr_array
 
 from vision.data import STRIP, StripMetadata, record
-from vision.errors import InputError
+from vision.errors import InputError, known_as
 from vision.experiment.mechanics import Pull, random_stream
 from vision.experiment.scene import FrameTimes, Scene, camera_time, make_scene, strip_slice, truth_of
 from vision.experiment.settings import Camera, Experiment, ForceFile
@@ -274,7 +274,7 @@ def simulate(
     """
     folder = Path(out_dir)
     check_container(container, experiment.camera)
-    with run_folder(folder, overwrite=overwrite, mark=TRUTH) as part:
+    with known_as(out="out_dir"), run_folder(folder, overwrite=overwrite, mark=TRUTH) as part:
         scene = make_scene(experiment)
         made = _write(scene, part, container, progress)
     return SimulatedTest(

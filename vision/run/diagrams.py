@@ -18,7 +18,7 @@ from vision.video.frames import ProfileStore
 from vision.video.reader import read_fully
 from vision.video.stacks import check_tiff
 
-ROWS = 4096  # written at once, so that memory does not grow with the recording
+ROWS = 4096  # written or read at once, so that memory does not grow with the recording
 IMAGEJ_BYTES = (1 << 32) - (1 << 20)  # ImageJ's TIFF holds less than 4 GiB
 
 
@@ -158,8 +158,8 @@ def read_kymograph_tif(path: Path, frames: int) -> Floats32:
         path.open("rb", buffering=0) as file,
     ):
         file.seek(start)
-        for first in range(0, frames, 4096):
-            part = np.empty((min(4096, frames - first), shape[1]), stored)
+        for first in range(0, frames, ROWS):
+            part = np.empty((min(ROWS, frames - first), shape[1]), stored)
             read_fully(file, part.data.cast("B"), path)
             rows.append(part.astype(np.float32, copy=False))
     return rows.rows()
