@@ -237,10 +237,10 @@ def test_too_few_frames():
 def encoded_film(crf, folder, seed=41):
     """A film through H.264: the path, strip, tracks, and errors of displacements."""
     film = clean(seed)
-    path = CODECS[f"H.264 crf {crf}"](folder, film.pixels)
+    path = CODECS[f"H.264 crf {crf}"](folder, film.pixels[:80])
     strip = strip_profile(open_video(path))
     tracks = track_sheets(strip)
-    return path, strip, tracks, moved(tracks.x_px.values - film.truth_px)
+    return path, strip, tracks, moved(tracks.x_px.values - film.truth_px[:80])
 
 
 @pytest.mark.parametrize("crf", [12, 28])
@@ -386,9 +386,9 @@ def test_other_codecs_are_encoded_again_too(codec, ending, options, tmp_path):
     """Within 20 % for one film: their quantisers are known less well than that of H.264."""
     film = clean(42)
     path = tmp_path / f"film.{ending}"
-    write_encoded(path, film.pixels, codec=codec, pix_fmt="yuv420p", source="gray", fps=FPS, options=options)
+    write_encoded(path, film.pixels[:80], codec=codec, pix_fmt="yuv420p", source="gray", fps=FPS, options=options)
     strip = strip_profile(open_video(path))
     tracks = track_sheets(strip)
     encoder = read_encoder(path, (tracks.attrs["strip_z0"], tracks.attrs["strip_z1"]), (0, 600))
     certificate = certify(strip, tracks, encoder=encoder, settings=ONE_FILM)
-    assert 0.8 < certificate.error_px / rms(moved(tracks.x_px.values - film.truth_px)) < 1.2
+    assert 0.8 < certificate.error_px / rms(moved(tracks.x_px.values - film.truth_px[:80])) < 1.2
