@@ -386,7 +386,9 @@ def test_other_codecs_are_encoded_again_too(codec, ending, options, tmp_path):
     """Within 20 % for one film: their quantisers are known less well than that of H.264."""
     film = clean(42)
     path = tmp_path / f"film.{ending}"
-    write_encoded(path, film.pixels[:80], codec=codec, pix_fmt="yuv420p", source="gray", fps=FPS, options=options)
+    write_encoded(
+        path, film.pixels[:80], codec=codec, pix_fmt="yuv420p", source="gray", fps=FPS, options=options
+    )
     strip = strip_profile(open_video(path))
     tracks = track_sheets(strip)
     encoder = read_encoder(path, (tracks.attrs["strip_z0"], tracks.attrs["strip_z1"]), (0, 600))
