@@ -10,6 +10,7 @@ LAYERS = (
     "numeric",
     "signals",
     "files",
+    "folder",
     "data",
     "sample",
     "video",

@@ -91,6 +91,14 @@ def test_a_text_in_place_of_a_number_is_named(name):
     assert Settings(window_px="auto", force_lowpass_s="auto").window_px == "auto"
 
 
+@pytest.mark.parametrize("name", ["d0_mm", "d0_err_mm"])
+@pytest.mark.parametrize("value", [-1.0, float("nan")])
+def test_a_separation_that_cannot_be_is_refused_at_once(name, value):
+    """A failure means that a film is read for an hour before its fits refuse the separation."""
+    with pytest.raises(InputError, match=f"`{name}`: expected a number of mm from 0"):
+        Settings(**{name: value})
+
+
 def test_an_unforeseen_error_in_a_late_stage_costs_only_that_stage(monkeypatch, tmp_path, capsys):
     """A failure means that hours of tracking are lost to a defect of the fits."""
     monkeypatch.setattr(pipeline, "fit_models", broken)

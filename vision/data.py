@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from typing import Any, Literal, Self, TypeVar
 
 import pandas as pd
@@ -59,8 +59,6 @@ class Schema:
         The function that returns the dataset.
     variables
         Every variable, coordinate and column with its declaration.
-    metadata
-        The class that declares the facts in ``attrs``; None if later stages need none.
     needs
         Variables that every later stage needs; None for all.
     """
@@ -68,14 +66,13 @@ class Schema:
     name: str
     made_by: str
     variables: Mapping[str, Variable]
-    metadata: type[Metadata] | None = None
     needs: Sequence[str] | None = None
 
     def __getitem__(self, name: str) -> Variable:
         return self.variables[name]
 
     def check(self, data: Data, needs: Sequence[str] | None = None) -> None:
-        """Check that the data have the declared variables, dimensions and metadata.
+        """Check that the data have the declared variables and dimensions.
 
         Parameters
         ----------
@@ -85,13 +82,11 @@ class Schema:
         Raises
         ------
         InputError
-            If anything is not as declared. One message names every such variable and fact.
+            If anything is not as declared. One message names every such variable.
         """
         if isinstance(data, Data):
             needed = needs or self.needs or list(self.variables)
             problems = [_problem(data, name, made, name in needed) for name, made in self.variables.items()]
-            missing = [] if self.metadata is None else self.metadata.missing(data)
-            problems += [f"attrs['{name}'] is missing" for name in missing]
         else:  # a path, None or the result of another stage
             problems = [f"the type {type(data).__name__}"]
         if found := ", ".join(filter(None, problems)):
@@ -116,25 +111,8 @@ class Metadata:
 
     @classmethod
     def of(cls, data: Data) -> Self:
-        """Read the metadata from the ``attrs`` of a dataset.
-
-        Raises
-        ------
-        InputError
-            If a field without a default is missing.
-        """
-        if missing := cls.missing(data):
-            found = ", ".join(f"no attrs['{name}']" for name in missing)
-            raise InputError(
-                "the data", f"the facts of a {cls.__name__}", found, "pass stages' results on unchanged"
-            )
+        """Read the metadata from the ``attrs`` of a dataset; what is not there has its default."""
         return cls(**{part.name: data.attrs[part.name] for part in fields(cls) if part.name in data.attrs})
-
-    @classmethod
-    def missing(cls, data: Data) -> list[str]:
-        """Return the names of fields that have no default and are not in the data."""
-        needed = [f.name for f in fields(cls) if f.default is MISSING and f.default_factory is MISSING]
-        return [name for name in needed if name not in data.attrs]
 
     def attrs(self) -> dict[str, Any]:
         """Return the fields as a dictionary for ``assign_attrs``; the values are not copied."""
@@ -235,7 +213,6 @@ STRIP = Schema(
         "time_s": Variable(("frame",), "s", "time of the frame"),
         "status": Variable(("frame",), "", "ok, blank, corrupt or lost"),
     },
-    StripMetadata,
     needs=("frame", "x", "time_s"),
 )
 
@@ -346,7 +323,6 @@ TRACKS = Schema(
         "side": Variable(_SHEET, "", "-1 left, +1 right of the axis"),
         "n": Variable(_SHEET, "", "sheet number, counted from the centre outwards"),
     },
-    TrackMetadata,
     needs=("x_px", "x_err_px", "flag", "time_s", "side", "n"),
 )
 
@@ -399,7 +375,6 @@ FORCE = Schema(
         "crosshead_mm": Variable(_TIME, "mm", "crosshead displacement"),
         "video_time_s": Variable(_TIME, "s", "camera's clock"),
     },
-    ForceMetadata,
     needs=("load_N", "d_mm", "time_s"),
 )
 
@@ -498,7 +473,6 @@ STICKS = Schema(
         "samples": Variable(_EVENT, "", "samples in the stick phase"),
         "flag": Variable(_EVENT, "", "ok, or what is wrong within the stick phase"),
     },
-    StickMetadata,
     needs=("event", "t_v_s", "t_p_s", "d_v_mm", "d_p_mm", "F_v_N", "F_p_N", "dF_N", "stick_length_um"),
 )
 
@@ -570,7 +544,6 @@ MOTION = Schema(
         **{name: STICKS[name] for name in ("event", "t_v_s", "t_p_s", "d_v_mm", "d_p_mm")},
         **{name: TRACKS[name] for name in ("side", "n")},
     },
-    MotionMetadata,
     needs=("ratio", "ratio_err", "ratio_signed", "event", "side", "n"),
 )
 

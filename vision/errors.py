@@ -26,11 +26,17 @@ class InputError(ValueError):
         What the input should be, and what it is.
     advice
         What the user can do; may be empty.
+
+    Attributes
+    ----------
+    problem
+        The message without the file or argument.
     """
 
     def __init__(self, about: str | os.PathLike[str], expected: str, found: str, advice: str = "") -> None:
-        parts = f"{os.fspath(about)}: expected {expected}; found {found}"
-        super().__init__(" ".join(f"{parts}; {advice}".split()) if advice else " ".join(parts.split()))
+        parts = f"expected {expected}; found {found}" + (f"; {advice}" if advice else "")
+        self.problem = " ".join(parts.split())
+        super().__init__(" ".join(f"{os.fspath(about)}: {parts}".split()))
 
 
 def check_positive(**values: float | None) -> None:

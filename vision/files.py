@@ -167,13 +167,7 @@ LEAVE_S = 0.5  # longest wait for a thread that is no longer needed: Ctrl-C ends
 
 
 def answered(work: Callable[[], Result], path: Path, answer_s: float = ANSWER_S) -> Result:
-    """Return the result of `work`, which reads a recording.
-
-    Raises
-    ------
-    InputError
-        As `prefetch`, and as `work` itself.
-    """
+    """Return the result of `work`, which reads a recording.  Raises: InputError as `prefetch`."""
     return begun(work, path, answer_s)()
 
 
@@ -191,19 +185,8 @@ def prefetch(items: Iterator[Item], path: Path, answer_s: float = ANSWER_S) -> G
     `items` is raised here, in its turn. Abandoning the iterator stops the thread, or abandons it if
     it is busy or blocked.
 
-    Parameters
-    ----------
-    items
-        Blocks or frames of a recording.
-    path
-        Path of the recording, for the message.
-    answer_s
-        Seconds to wait.
-
-    Raises
-    ------
-    InputError
-        If there is no item and no computation for `answer_s`.
+    path: the recording, for the message.
+    Raises: InputError if there is no item and no computation for `answer_s` seconds.
     """
     ready: Made[Item] = queue.Queue(maxsize=2)
     abandoned = threading.Event()
@@ -337,21 +320,10 @@ def try_out(path: Path, parser: str, wanted: str, *, seconds: float | None = Non
     The process finds the same packages as this one, but none in the working directory or beside the data. It
     ends with this process.
 
-    Parameters
-    ----------
-    path
-        The file.
-    parser
-        Python code, such as `READ_HDF5`, in which ``path`` is the path of the file.
-    wanted
-        What the file should be, for the message.
-    seconds
-        Largest computing time; by default it follows from the file's size.
-
-    Raises
-    ------
-    InputError
-        If it is not a regular file, or the parser raises, crashes, or takes longer.
+    parser: Python code, such as `READ_HDF5`, in which ``path`` is the path of the file.
+    wanted: what the file should be, for the message.
+    seconds: largest computing time; by default it follows from the file's size.
+    Raises: InputError if it is not a regular file, or the parser raises, crashes, or takes longer.
     """
     size = check_regular(path, wanted).st_size
     # Usual recordings take less than one second, mostly for starting the process.

@@ -168,6 +168,10 @@ class Settings:
             value, kind = getattr(self, one.name), str(one.type)
             if isinstance(value, str) and kind.startswith(("float", "int")) and repr(value) not in kind:
                 raise InputError(f"`{one.name}`", "a number", f"the text {value!r}")
+        for name in ("d0_mm", "d0_err_mm"):
+            value = getattr(self, name)
+            if value is not None and not 0 <= value < math.inf:
+                raise InputError(f"`{name}`", "a number of mm from 0", f"{value:g}")
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

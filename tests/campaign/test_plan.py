@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 
 import pytest
 
@@ -165,12 +166,15 @@ def test_dry_run_says_what_would_run_and_writes_nothing(tmp_path, capsys):
     paths, out = films(tmp_path, 3), tmp_path / "out"
     finish(planned(out, paths, fps=20.0), "t0")
     # the same settings through the command's own defaults are other settings: nothing counts as done
-    (tmp_path / "t.csv").write_text("film,fps\n" + "".join(f"{path.name},20\n" for path in paths))
+    (tmp_path / "bad.avi").write_bytes(b"no film")
+    names = [*(path.name for path in paths), "bad.avi"]
+    (tmp_path / "t.csv").write_text("film,fps\n" + "".join(f"{name},20\n" for name in names))
     before = sorted(out.rglob("*"))
     assert run(["campaign", str(tmp_path / "t.csv"), "--out", str(out), "--dry-run"]) == 0
     said = capsys.readouterr().out
     assert "30 frames x 180 px" in said
-    assert "3 of 3 films would run" in said
+    assert "3 of 4 films would run" in said
+    assert re.search(r"bad +would fail  .*bad\.avi: expected", said)
     assert "nothing was written" in said
     assert sorted(out.rglob("*")) == before
 

@@ -54,9 +54,10 @@ LOCKING = {"narrow and bright": {"optics.fwhm_px": 6, "camera.full_well_e": 2000
 
 @pytest.fixture(autouse=True)
 def fewer_frames_tried(monkeypatch):
-    """A third of the frames that the program encodes to find the noise: a third of the time, and the noise
-    is the same within 0.05 grey levels."""
+    """A third of the frames that the program encodes to find the noise, and a third of the accuracy: a
+    quarter of the time, and the noise is the same within 0.1 grey levels."""
     monkeypatch.setattr(encoder, "TRIED_FRAMES", 20)
+    monkeypatch.setattr(encoder, "NOISE_ERROR", 0.1)
 
 
 @cache
@@ -236,13 +237,13 @@ def test_too_few_frames():
 def encoded_film(crf, folder, seed=41):
     """A film through H.264: the path, strip, tracks, and errors of displacements."""
     film = clean(seed)
-    path = CODECS[f"H.264 crf {crf}"](folder, film.pixels)
+    path = CODECS[f"H.264 crf {crf}"](folder, film.pixels[:80])
     strip = strip_profile(open_video(path))
     tracks = track_sheets(strip)
-    return path, strip, tracks, moved(tracks.x_px.values - film.truth_px)
+    return path, strip, tracks, moved(tracks.x_px.values - film.truth_px[:80])
 
 
-@pytest.mark.parametrize("crf", [12, 23, 28])
+@pytest.mark.parametrize("crf", [12, 28])
 def test_films_encoded_again_have_the_errors_of_the_recording(crf, tmp_path):
     """Within 15 %, where residuals put in again fail: H.264 holds sheets still while they creep."""
     path, strip, tracks, error = encoded_film(crf, tmp_path)
@@ -284,8 +285,8 @@ def test_a_film_that_is_gone_or_of_another_codec_is_not_encoded_again(tmp_path):
 
 
 def test_texture_of_the_paper_moves_with_the_sheets(tmp_path):
-    """On 64 rows, of which each shows other grains: 1.26 times too much where grains stand still on the
-    film while sheets move through them, since no block is then as predicted from the one before, moved."""
+    """On 64 rows, of which each shows other grains: 0.9 of the error, and 1.12 where grains stand still on
+    the film while sheets move through them: no block is then as predicted from the one before, moved."""
     changes = {
         **SCENE,
         "camera.width": 490,
@@ -302,24 +303,23 @@ def test_texture_of_the_paper_moves_with_the_sheets(tmp_path):
     strip = strip_profile(open_video(path))
     tracks = track_sheets(strip)
     encoder = read_encoder(path, (tracks.attrs["strip_z0"], tracks.attrs["strip_z1"]), (0, 490))
-    found = certify(strip, tracks, encoder=encoder, settings=ONE_FILM)
-    error = moved(tracks.x_px.values - scene.seen_px(slice(0, FRAMES)))
-    assert 0.85 < found.error_px / rms(error) < 1.15
     middle = certify(strip, tracks, encoder=encoder, settings=replace(ONE_FILM, most_frames=60))
-    assert 0.85 < middle.error_px / rms(moved(error[30:90])) < 1.15
+    error = moved(tracks.x_px.values[30:90] - scene.seen_px(slice(30, 90)))
+    assert 0.85 < middle.error_px / rms(error) < 1.05
 
 
 def test_noise_is_found_from_the_bits(tmp_path):
     """Twice the noise takes more bits at the same quantiser: what is found must follow. A linear camera's
     noise grows with the light; added noise that is alike everywhere does not."""
     found = []
+    middle = clean(41).pixels[:, :, 140:460]
     for noise in (0.0, 3.0):
-        pixels = clean(41).pixels + np.random.default_rng(1).normal(0, noise, clean(41).pixels.shape)
+        pixels = middle + np.random.default_rng(1).normal(0, noise, middle.shape)
         path = CODECS["H.264 crf 12"](tmp_path, np.clip(np.rint(pixels), 0, 255).astype(np.uint8))
         strip = strip_profile(open_video(path))
         like = learn(strip, track_sheets(strip), CertifySettings())
         drawn, shown = like.film(like.motion_px, number=None).values, like.shown_px(like.motion_px)
-        encoder = read_encoder(path, (strip.attrs["strip_z0"], strip.attrs["strip_z1"]), (0, 600))
+        encoder = read_encoder(path, (strip.attrs["strip_z0"], strip.attrs["strip_z1"]), (0, 320))
         found.append(encoder.fitted(drawn, shown, strip.values))
     assert 0.5 < found[0].noise_grey < 2.5 < found[1].noise_grey < 5
     assert found[0].shot_noise and not found[1].shot_noise
@@ -386,9 +386,11 @@ def test_other_codecs_are_encoded_again_too(codec, ending, options, tmp_path):
     """Within 20 % for one film: their quantisers are known less well than that of H.264."""
     film = clean(42)
     path = tmp_path / f"film.{ending}"
-    write_encoded(path, film.pixels, codec=codec, pix_fmt="yuv420p", source="gray", fps=FPS, options=options)
+    write_encoded(
+        path, film.pixels[:80], codec=codec, pix_fmt="yuv420p", source="gray", fps=FPS, options=options
+    )
     strip = strip_profile(open_video(path))
     tracks = track_sheets(strip)
     encoder = read_encoder(path, (tracks.attrs["strip_z0"], tracks.attrs["strip_z1"]), (0, 600))
     certificate = certify(strip, tracks, encoder=encoder, settings=ONE_FILM)
-    assert 0.8 < certificate.error_px / rms(moved(tracks.x_px.values - film.truth_px)) < 1.2
+    assert 0.8 < certificate.error_px / rms(moved(tracks.x_px.values - film.truth_px[:80])) < 1.2

@@ -12,7 +12,7 @@ import pytest
 from tests.scenes.comb_video import write_video
 from vision.command.main import run
 from vision.errors import InputError
-from vision.run.folder import run_folder
+from vision.folder import run_folder
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
 
@@ -103,7 +103,7 @@ import sys
 from pathlib import Path
 import numpy as np
 import xarray as xr
-from vision.run.export import write_space_time_tif
+from vision.run.diagrams import write_space_time_tif
 coords = {"frame": np.arange(9000), "x": np.arange(400), "time_s": ("frame", np.arange(9000) / 60)}
 diagram = xr.DataArray(np.ones((9000, 400), np.float32), dims=("frame", "x"), coords=coords)
 try:

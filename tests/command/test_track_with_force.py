@@ -129,7 +129,7 @@ def test_a_recording_that_cannot_be_read_is_said_before_the_work(capsys):
 
 def test_a_video_with_more_ridges_than_sheets_says_so(truth, capsys):
     """A failure means that a sample of 30 sheets is fitted as one of 20, or as the assumed 25, in silence."""
-    options = ("--offset", str(truth.attrs["offset_s"]), "--overwrite")
+    options = ("--offset", str(truth.attrs["offset_s"]), "--frames", "0:120", "--overwrite")
     assert run([*VIDEO, *FORCE, *options, "--sheets-per-block", "20"]) == 1
     assert (
         "20 sheets per block and side given, but n reaches 25: check --sheets-per-block"

@@ -73,6 +73,15 @@ def test_overwrite_replaces_only_when_asked(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["t"]
 
 
+def test_only_synthetic_tests_are_overwritten(tmp_path):
+    """A failure means that `overwrite` deletes the run folder of a real test."""
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "run.json").touch()
+    with pytest.raises(InputError, match=r"a synthetic test to overwrite; .*no truth\.nc"):
+        simulate(SMALL, tmp_path / "run", overwrite=True)
+    assert (tmp_path / "run" / "run.json").exists()
+
+
 def test_an_interrupted_run_leaves_nothing(tmp_path):
     """No half-written folder after Ctrl-C."""
 

@@ -24,8 +24,8 @@ from tests.scenes.films import write_avi
 from tests.scenes.undrawn import undraw
 from vision.command.main import main as track
 from vision.command.main import run
+from vision.folder import reading_folder
 from vision.run import Checkpoint
-from vision.run.folder import reading_folder
 
 FRAMES = {"old": 150, "new": 200}
 SHEETS = 8

@@ -9,13 +9,14 @@ import pytest
 
 from tests.scenes import doubted as scene
 from tests.scenes.reviewed import PLANTED, SETTINGS, clean, remedies, truth
+from vision import folder
 from vision.command.settings import settings_of_run
 from vision.errors import InputError
 from vision.review import effects, saving
 from vision.review.positions import CELLS, FLAGS, apply
 from vision.review.saving import save_run
 from vision.review.session import Session
-from vision.run import folder, read_run
+from vision.run import read_run
 from vision.sheets.corrections import correction_of
 
 EVERY_KIND = [

@@ -142,7 +142,7 @@ def read_campaign(
     awaited: Path | None = None,
     settings: CampaignSettings = CampaignSettings(),
 ) -> tuple[tuple[Row, ...], tuple[Problem, ...]]:
-    """Read a table of films and find every problem in it.
+    """Read a table of films; return the rows without problems, and the problems in order of the rows.
 
     Parameters
     ----------
@@ -150,20 +150,12 @@ def read_campaign(
         CSV with commas, semicolons or tabs. The column ``film`` is required; ``force``, ``name``, every
         option of `track` and ``sample, V_mm_min, n_test, RH_percent, T_C, notes`` are optional. Paths in it
         are relative to the table.
-    options
-        Names of the options.
-    check
-        Converts the options of one row into values, as the command line does.
+    options, check
+        Names of the options; function that converts those of one row into values.
     name_of
         Returns the default name of a film.
     awaited
         A watched folder. Films in it, and their other files, need not exist yet.
-    settings
-        Tunable constants.
-
-    Returns
-    -------
-    The rows without problems, and the problems in order of the rows.
 
     Raises
     ------
@@ -230,7 +222,7 @@ def _row(
     film, problems = _film(given.get("film", ""), base)
     if may_come_later(film):
         problems = []
-    facts, wrong = _facts(given)
+    facts, wrong = _conditions(given)
     problems += wrong
     options = {name: text for name, text in given.items() if name not in ("film", "name", *FACTS)}
     for name in PATHS:
@@ -263,7 +255,7 @@ def _film(text: str, base: Path) -> tuple[str, list[tuple[str, str]]]:
     return film, [("film", f"{shortened(film)}: expected a film; found no such file")]
 
 
-def _facts(given: Mapping[str, str]) -> tuple[dict[str, Any], list[tuple[str, str]]]:
+def _conditions(given: Mapping[str, str]) -> tuple[dict[str, Any], list[tuple[str, str]]]:
     facts: dict[str, Any] = {name: given[name] for name in ("sample", "notes") if name in given}
     problems = []
     for name, (low, high) in LIMITS.items():

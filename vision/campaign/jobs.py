@@ -30,8 +30,8 @@ from vision.campaign.plan import PLAN, Plan, PlannedFilm, State, Word, inputs_of
 from vision.campaign.results import page_age, write_page, write_partitions
 from vision.errors import InputError
 from vision.files import answered, prefetch, shortened
+from vision.folder import lock_open_file, unwritable
 from vision.pipeline import Analysis
-from vision.run.folder import lock_open_file, unwritable
 
 # --- Snakemake, a process -----------------------------------------------------------------------------------
 

@@ -166,14 +166,10 @@ def make_plan(
 
     Parameters
     ----------
-    rows
-        Rows of the table.
     out, config, stage, report
         As in `Plan`; the folder need not exist.
     cores
         Number of jobs that run at a time.
-    settings
-        Tunable constants.
     keep
         Whether the fingerprints are stored for the next time; if False nothing is written.
 

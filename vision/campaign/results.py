@@ -276,7 +276,7 @@ def pool(plan: Plan, *, command: str = "", options: Mapping[str, str] | None = N
     warnings of the comparison, or why there is none.  Raises: InputError if the folder cannot be written.
     """
     done = [(film, state) for film in plan.films if (state := plan.finished(film))]
-    write_tests(plan.out, {film.name: _facts(plan, film, state) for film, state in done})
+    write_tests(plan.out, {film.name: _test_row(plan, film, state) for film, state in done})
     close_tables(plan.out, [film.name for film, _ in done])
     tests = [film for film, _ in done if (plan.run_of(film.name) / "events.csv").is_file()]
     if not tests:
@@ -292,7 +292,7 @@ def pool(plan: Plan, *, command: str = "", options: Mapping[str, str] | None = N
     return [*found.failures, *found.warnings]
 
 
-def _facts(plan: Plan, film: PlannedFilm, state: State) -> dict[str, Any]:
+def _test_row(plan: Plan, film: PlannedFilm, state: State) -> dict[str, Any]:
     """Return a film's row of the table of tests."""
     frames = read_json(plan.run_of(film.name) / "run.json").get("frames") or {}
     return {

@@ -156,8 +156,9 @@ class Encoder:
         tried: dict[float, tuple[Floats32, float]] = {}
 
         def too_many(noise: float) -> float:
-            values, bits = replace(self, noise_grey=noise)._encode(part, shown, seed=0)
-            tried[noise] = values, float(np.log(bits / self.bits_per_pixel))
+            if noise not in tried:  # the search begins with both ends again
+                values, bits = replace(self, noise_grey=noise)._encode(part, shown, seed=0)
+                tried[noise] = values, float(np.log(bits / self.bits_per_pixel))
             return tried[noise][1]
 
         if too_many(0.0) < 0 < too_many(NOISE_GREY):

@@ -107,19 +107,19 @@ def _checker(config: Path | None) -> Check:
         read_config(config)  # its errors are reported once, not for every row
 
     @cache
-    def one_option(name: str, text: str) -> tuple[Any, str]:
-        """Return the value and "", or None and the problem."""
-        try:
-            value = parse_option(Path("table"), name, text)
-            settings_of(_merged({name: value}))
-        except InputError as error:
-            return None, str(error).partition(": ")[2]
-        return value, ""
+    def one_option(name: str, text: str) -> Any:
+        value = parse_option(Path("table"), name, text)
+        settings_of(_merged({name: value}))
+        return value
 
     def check(options: Mapping[str, str]) -> Checked:
-        found = {name: one_option(name, text) for name, text in options.items()}
-        problems = [(name, why) for name, (_, why) in found.items() if why]
-        values = {name: value for name, (value, why) in found.items() if not why}
+        values: dict[str, Any] = {}
+        problems: list[tuple[str, str]] = []
+        for name, text in options.items():
+            try:
+                values[name] = one_option(name, text)
+            except InputError as error:
+                problems.append((name, error.problem))
         try:
             parameters = _merged(values, config)
             settings_of(parameters)
@@ -158,18 +158,22 @@ def _read(table: Path, check: Check, awaited: Path | None) -> list[Row]:
 def _dry_run(plan: Plan, cores: int) -> int:
     """Print what would run and how long it would take."""
     waiting = {name for job in plan.jobs.values() for name in job.films}
-    lines = []
+    running, lines = 0, []
     for film in plan.films:
-        what = "would run" if film.name in waiting else f"is {plan.state(film).state}"
-        size = film.doubt or f"{film.frames} frames x {film.columns} px, about {duration(film.seconds)}"
-        lines.append((film.name, what, size if film.name in waiting else ""))
+        what, size = f"is {plan.state(film).state}", ""
+        if film.name in waiting:
+            fails = film.doubt and not is_remote(film.film)
+            what = "would fail" if fails else "would run"
+            size = film.doubt or f"{film.frames} frames x {film.columns} px, about {duration(film.seconds)}"
+            running += not fails
+        lines.append((film.name, what, size))
     say(in_columns(lines, "<<"))
     seconds = [job.seconds for job in plan.jobs.values()]
     memory = max((job.memory_mb for job in plan.jobs.values()), default=0)
     total, longest = sum(seconds), max(seconds, default=0.0)
     films, jobs_ = counted(len(plan.films), "film"), counted(len(plan.jobs), "job")
     line = (
-        f"{len(waiting)} of {films} would run in {jobs_}: about "
+        f"{running} of {films} would run in {jobs_}: about "
         f"{duration(total)} of computing, {duration(max(total / cores, longest))} with "
         f"{cores} at a time, up to {memory / 1000:.1f} GB for each; nothing was written"
     )

@@ -316,6 +316,7 @@ _ALSO: Mapping[str, str] = {
     "width_um": "--width",
     "width_px": "--width",
     "runs": "RUN…",
+    "out_dir": "DIRECTORY",
 }
 _OF_ONE_COMMAND = ("preset", "sheet", "film", "port", "table", "main_sample", "executor", "profile", "watch")
 

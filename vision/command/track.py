@@ -55,21 +55,7 @@ REFUSED = ("sticks", "clock", "motion", "shells")  # stages whose unusable input
 def track(videos: Sequence[Path], groups: Sequence[Any], run: RunOptions, config: Path | None) -> int:
     """Track one video or several, and return the exit status.
 
-    Parameters
-    ----------
-    videos
-        Paths or patterns as typed.
-    groups
-        Options of the video, the test, the force recording and the sample.
-    run
-        Options of the run folder.
-    config
-        TOML file of options.
-
-    Raises
-    ------
-    InputError
-        For options or a video that cannot be used.
+    groups: options of the video, the test, the force recording and the sample.
     """
     parameters = merged(*groups, config=config)
     videos = [film for video in videos for film in films_of(video)]

@@ -51,7 +51,9 @@ from vision.run import (
     whole_file,
     write_json,
 )
-from vision.run.export import Format, frame_step_s, unevenness_s, write_overlay, write_space_time_tif
+from vision.run.diagrams import frame_step_s, unevenness_s, write_space_time_tif
+from vision.run.export import Format
+from vision.run.overlay import write_overlay
 from vision.sheets import pixel_size_from_pitch
 from vision.sheets.ridges import describe_ridges, find_ridges
 from vision.sheets.tracks import LOSSY
@@ -201,7 +203,7 @@ def kymograph(
     warnings = [*data.warnings, *_warnings(diagrams)]
     slips, chosen = _slips_shown(data, diagrams[0]), parameters | parameters_given(vars(window))
     origin = origin_of(data.files, chosen)
-    facts = origin.facts() | {DIAGRAMS: list(map(_facts, diagrams)), "slips": slips}
+    facts = origin.facts() | {DIAGRAMS: list(map(_diagram_facts, diagrams)), "slips": slips}
     facts["warnings"] = origin.named(warnings)
     names = [f"kymograph_{d.attrs.get('sheet', 'strip').replace(':', '')}.tif" for d in diagrams]
     figure = kymograph_figure(diagrams, slips_s=data.slips_s, slips_from=data.slips_from)
@@ -317,7 +319,7 @@ def _warnings(diagrams: list[xr.DataArray]) -> list[str]:
     return lines
 
 
-def _facts(diagram: xr.DataArray) -> dict[str, Any]:
+def _diagram_facts(diagram: xr.DataArray) -> dict[str, Any]:
     """Return what run.json says of one diagram."""
     names = ("sheet", "sheet_index", "centre_px", "follow", "pixel_size_um")
     frame, x = diagram["frame"].values, diagram["x"].values

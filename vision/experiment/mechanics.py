@@ -131,17 +131,6 @@ class Pull:
 def simulate_pull(m: Mechanics, *, seed: int, sample: Sample = PUBLISHED) -> Pull:
     r"""Simulate the whole test, event by event.
 
-    Parameters
-    ----------
-    m
-        Friction, stiffness and the pull.
-    seed
-        Seed of the scatter.
-    sample
-        M, the dimensions of the sheets, and T*.
-
-    Notes
-    -----
     An event that starts at d has
 
     .. math:: \Delta F = A\,N(d), \qquad K = M_\mathrm{eff}(d)\,K_\mathrm{eff},

@@ -139,11 +139,6 @@ class Geometry:
     distortion: float
 
     @property
-    def straight(self) -> bool:
-        """Whether all rows show the same positions."""
-        return self.tilt == 0 and self.bow_px == 0 and self.distortion == 0
-
-    @property
     def zeta_px(self) -> Floats:
         """ζ of every row."""
         return np.arange(self.height, dtype=float) - (self.height - 1) / 2
@@ -299,9 +294,9 @@ class Scene:
     @cached_property
     def line(self) -> Line:
         """Line of cells, wider than the frame by the largest shift due to tilt, bow and distortion."""
-        if self.geometry.straight:
-            return Line(start_px=-0.5, per_px=1, cells=self.geometry.width)
         g = self.geometry
+        if not (g.tilt or g.bow_px or g.distortion):  # all rows show the same positions
+            return Line(start_px=-0.5, per_px=1, cells=g.width)
         largest_shift = abs(g.tilt) * g.height / 2 + 2.25 * abs(g.bow_px) + abs(g.distortion) * g.width
         margin = int(np.ceil(largest_shift)) + 3
         cells = (g.width + 2 * margin) * _CELLS_PER_PX
@@ -439,17 +434,9 @@ _MEANING = {
 def truth_of(scene: Scene) -> xr.Dataset:
     """Return the truth of a synthetic test, the content of truth.nc.
 
-    Parameters
-    ----------
-    scene
-        From `make_scene`.
-
-    Returns
-    -------
-    Dataset
-        Dimensions frame, sheet, event and slip. Events have the columns of `events.csv` (force clock) and
-        M_eff, without the initial loading. Attributes: every setting as JSON, the rows of the default strip,
-        the clocks, the axis.
+    Its dimensions are frame, sheet, event and slip. Events have the columns of `events.csv` (force clock) and
+    M_eff, without the initial loading. Attributes: every setting as JSON, the rows of the default strip, the
+    clocks, the axis.
     """
     comb, ridges, e, rows = scene.comb, scene.ridges, scene.experiment, strip_slice(scene.experiment)
     sheets = {"side": comb.side, "n": comb.n, "fwhm_px": ridges.fwhm_px, "height": ridges.height}

@@ -278,18 +278,8 @@ class Experiment:
 def with_settings(experiment: Experiment, changes: Mapping[str, Any]) -> Experiment:
     """Return a copy of the experiment with some settings changed.
 
-    Parameters
-    ----------
-    experiment
-        The experiment, which is not modified.
-    changes
-        New values by name, such as ``{"camera.fps": 25, "seed": 3}``. Strings are converted to the type of
-        the setting.
-
-    Raises
-    ------
-    InputError
-        For an unknown name or an invalid value.
+    changes: new values by name, such as ``{"camera.fps": 25, "seed": 3}``. Strings are converted to the type
+    of the setting.  Raises: InputError for an unknown name or an invalid value.
     """
     groups: dict[str, dict[str, Any]] = {}
     top: dict[str, Any] = {}
@@ -307,15 +297,8 @@ def with_settings(experiment: Experiment, changes: Mapping[str, Any]) -> Experim
 def settings_from_toml(path: Path) -> dict[str, Any]:
     """Read settings by name, as `with_settings` takes them, from a TOML file.
 
-    Parameters
-    ----------
-    path
-        A file with tables [sample], [mechanics], [sheets], [optics], [camera], [clocks] …
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read or is not TOML.
+    path: a file with tables [sample], [mechanics], [sheets], [optics], [camera], [clocks] …
+    Raises: InputError if it cannot be read or is not TOML.
     """
     content = read_toml(path, "a TOML file of settings", "write lines like: fps = 60 under [camera]")
     flat: dict[str, Any] = {}
@@ -438,8 +421,6 @@ def preset(name: str, *, seed: int = 0) -> Experiment:
         - ``"fresh"``: a new sample with 600 N peaks, jumps over half a pitch.
         - ``"hostile"``: every disturbance at once.
         - ``"sheets"``: 2M springs determine which sheets stick, with the publication's numbers.
-    seed
-        Seed of all random numbers.
 
     Raises
     ------

@@ -7,7 +7,6 @@ n-th of that. Grey level = e / gain, rounded and clipped.
 from __future__ import annotations
 
 import os
-import shutil
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from fractions import Fraction
@@ -25,11 +24,12 @@ import xarray as xr
 from scipy.sparse import coo_array, csr_array
 
 from vision.data import STRIP, StripMetadata, record
-from vision.errors import InputError
+from vision.errors import InputError, known_as
 from vision.experiment.mechanics import Pull, random_stream
 from vision.experiment.scene import FrameTimes, Scene, camera_time, make_scene, strip_slice, truth_of
 from vision.experiment.settings import Camera, Experiment, ForceFile
 from vision.files import Progress, in_threads
+from vision.folder import TRUTH, run_folder
 from vision.numeric import Floats, Floats32, Ints, Pixels
 
 # --- sensor -------------------------------------------------------------------------------------------------
@@ -135,7 +135,7 @@ def _cell_of(scene: Scene, x_px: Floats) -> Floats:
     """Return the position on the line of cells, (row, column), of pixel coordinates x_px in every row."""
     line = scene.line
     at = (scene.geometry.source_px(x_px, scene.geometry.zeta_px[:, None]) - line.start_px) * line.per_px
-    return np.asarray(np.clip(at, 0, line.cells - 1e-6))
+    return np.asarray(np.clip(at, 0, line.cells - 1e-9))
 
 
 def _owners(scene: Scene, frames: slice) -> Ints:
@@ -155,10 +155,8 @@ def _owners(scene: Scene, frames: slice) -> Ints:
 def profiles(experiment: Experiment) -> tuple[xr.DataArray, xr.Dataset]:
     """Draw I(x, t) of the default strip directly: a thousand frames in a second or two.
 
-    Parameters
-    ----------
-    experiment
-        The experiment.
+    Rows are averaged before noise is added, so the noise is that of the mean. Structure along the rows
+    (shapes of dust, texture inside a bowed ridge) is averaged as well.
 
     Returns
     -------
@@ -166,32 +164,20 @@ def profiles(experiment: Experiment) -> tuple[xr.DataArray, xr.Dataset]:
         intensity (frame, x), float32 grey levels, as `strip_profile` gives it for this experiment's video.
     truth : Dataset
         As in truth.nc, see `truth_of`.
-
-    Notes
-    -----
-    Rows are averaged before noise is added, so the noise is that of the mean. Structure along the rows
-    (shapes of dust, texture inside a bowed ridge) is averaged as well.
     """
-    scene = make_scene(experiment)
-    total, width = len(scene.times.camera_s), experiment.camera.width
-    intensity = np.empty((total, width), np.float32)
-    average = _row_average(scene)
+    scene, rows, camera = make_scene(experiment), strip_slice(experiment), experiment.camera
+    total, average = len(scene.times.camera_s), _row_average(scene)
+    intensity = np.empty((total, camera.width), np.float32)
     for first in range(0, total, 32):
         frames = slice(first, min(first + 32, total))
-        intensity[frames] = _strip_block(scene, average, frames)
+        texture = np.asarray(1 + scene.texture(frames)[:, rows].mean(axis=1))
+        light = scene.base + scene.ridge_light(frames, texture)
+        up_to = np.cumsum(light, axis=1)
+        seen = (average @ np.pad(up_to, ((0, 0), (1, 0))).T).T
+        seen *= scene.response[rows].mean(axis=0) * scene.flicker(frames)[:, None]
+        rng = random_stream(experiment.seed, "profile noise", first)
+        intensity[frames] = mean_of_rows(seen, camera, rows.stop - rows.start, rng)
     return _as_strip(intensity, scene), truth_of(scene)
-
-
-def _strip_block(scene: Scene, average: csr_array, frames: slice) -> Floats32:
-    """Return I(x, t) of some frames."""
-    experiment, rows = scene.experiment, strip_slice(scene.experiment)
-    texture = np.asarray(1 + scene.texture(frames)[:, rows].mean(axis=1))
-    light = scene.base + scene.ridge_light(frames, texture)
-    up_to = np.cumsum(light, axis=1)
-    seen = (average @ np.pad(up_to, ((0, 0), (1, 0))).T).T
-    seen *= scene.response[rows].mean(axis=0) * scene.flicker(frames)[:, None]
-    rng = random_stream(experiment.seed, "profile noise", frames.start)
-    return mean_of_rows(seen, experiment.camera, rows.stop - rows.start, rng)
 
 
 def _row_average(scene: Scene) -> csr_array:
@@ -200,17 +186,15 @@ def _row_average(scene: Scene) -> csr_array:
     The light of a pixel is the cumulative light at its right edge minus that at its left edge, interpolated
     between cell edges in each row. Rows are weighted with their light.
     """
-    line, rows = scene.line, strip_slice(scene.experiment)
+    rows, edges = strip_slice(scene.experiment), np.arange(scene.geometry.width + 1, dtype=np.float64)
     weight = scene.row_light[rows]
-    zeta = scene.geometry.zeta_px[rows][:, None]
-    edges = scene.geometry.source_px(np.arange(scene.geometry.width + 1, dtype=float) - 0.5, zeta)
-    at = np.clip((edges - line.start_px) * line.per_px, 0, line.cells - 1e-9)
+    at = _cell_of(scene, edges - 0.5)[rows]
     cell = np.floor(at).astype(np.int64)
     share, w = at - cell, np.broadcast_to((weight / weight.sum())[:, None], at.shape)
-    edge = np.broadcast_to(np.arange(edges.shape[1]), at.shape)
+    edge = np.broadcast_to(np.arange(edges.size), at.shape)
     values = np.concatenate([(w * (1 - share)).ravel(), (w * share).ravel()])
     where = np.tile(edge.ravel(), 2), np.concatenate([cell.ravel(), cell.ravel() + 1])
-    reading = coo_array((values, where), shape=(edges.shape[1], line.cells + 1)).tocsr()
+    reading = coo_array((values, where), shape=(edges.size, scene.line.cells + 1)).tocsr()
     return csr_array(reading[1:] - reading[:-1])
 
 
@@ -274,10 +258,6 @@ def simulate(
 
     Parameters
     ----------
-    experiment
-        The experiment.
-    out_dir
-        Folder to create.
     container
         ``"raw"``, ``"mjpeg"``, ``"h264"``, ``"ffv1"``, ``"tiff"`` or ``"png"``, see
         `vision.experiment.simulate.write_video`.
@@ -294,24 +274,13 @@ def simulate(
     """
     folder = Path(out_dir)
     check_container(container, experiment.camera)
-    _check_folder(folder, overwrite=overwrite)
-    part = folder.with_name(f".{folder.name}.part")
-    try:
-        shutil.rmtree(part, ignore_errors=True)
-        part.mkdir(parents=True)
+    with known_as(out="out_dir"), run_folder(folder, overwrite=overwrite, mark=TRUTH) as part:
         scene = make_scene(experiment)
         made = _write(scene, part, container, progress)
-        if folder.exists():
-            shutil.rmtree(folder)
-        part.rename(folder)
-    except OSError as error:
-        raise InputError(folder, "a folder that can be written", error.strerror or str(error)) from error
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
     return SimulatedTest(
         video=folder / made.name,
         force=folder / "force.txt",
-        truth=folder / "truth.nc",
+        truth=folder / TRUTH,
         timestamps=folder / "timestamps.txt",
         frames=len(scene.times.camera_s),
         frames_lost=scene.times.lost,
@@ -325,7 +294,7 @@ def _write(scene: Scene, folder: Path, container: str, progress: Progress | None
     (folder / "timestamps.txt").write_text("".join(f"{t:.6f}\n" for t in times.stamp_s), "utf-8")
     truth = truth_of(scene)
     packed = {name: {"zlib": True, "shuffle": True} for name in truth.data_vars}
-    truth.to_netcdf(folder / "truth.nc", engine="h5netcdf", encoding=packed)
+    truth.to_netcdf(folder / TRUTH, engine="h5netcdf", encoding=packed)
 
     def blocks() -> Iterator[Pixels]:
         done = 0
@@ -336,20 +305,6 @@ def _write(scene: Scene, folder: Path, container: str, progress: Progress | None
                 progress(done, len(times.camera_s))
 
     return write_video(folder, blocks(), experiment.camera, times, container=container)
-
-
-def _check_folder(folder: Path, *, overwrite: bool) -> None:
-    """Raise InputError if a folder must not be replaced."""
-    if not folder.exists():
-        return
-    if not folder.is_dir():
-        raise InputError(folder, "a folder", "a file", "choose another name")
-    if not any(folder.iterdir()):
-        return
-    if not (folder / "truth.nc").exists():
-        raise InputError(folder, "a new folder or an earlier synthetic test", "a folder of other things")
-    if not overwrite:
-        raise InputError(folder, "a new folder", "an earlier synthetic test", "replace it with `overwrite`")
 
 
 # --- force.txt ----------------------------------------------------------------------------------------------

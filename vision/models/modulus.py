@@ -98,7 +98,6 @@ CYCLES = Schema(
         "F_max_N": Variable(_CYCLE, "N", "largest force of the branch"),
         "samples": Variable(_CYCLE, "", "samples fitted"),
     },
-    CyclesMetadata,
 )
 
 # --- turning points -----------------------------------------------------------------------------------------

@@ -50,7 +50,6 @@ ROTATION = Schema(
         "torque_N_m": Variable(_ROW, "N m", "torque"),
         "normal_force_N": Variable(_ROW, "N", "normal force"),
     },
-    RotationMetadata,
     needs=("time_s", "angle_rad", "torque_N_m"),
 )
 

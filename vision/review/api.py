@@ -20,10 +20,10 @@ from starlette.routing import Route
 from starlette.types import ASGIApp, Message
 
 from vision.errors import InputError, with_options
+from vision.folder import plain, whole_file
 from vision.review.recordings import Grey
 from vision.review.server import FIRST_VIEW, failed, read_first_view, refused, write_first_view
 from vision.review.session import Session
-from vision.run.folder import plain, whole_file
 
 MAX_POINTS = 20_000  # points of one curve
 MAX_THREADS = 4

@@ -23,10 +23,11 @@ from vision.clock import Clock
 from vision.errors import InputError
 from vision.figures.decimate import grey_levels, grey_limits, minmax_decimate
 from vision.files import AGAIN, Stamp
+from vision.folder import RUN_JSON, lock_open_file, unwritable
 from vision.numeric import Floats, Floats32, Pixels
 from vision.pipeline import Settings, open_force, open_recording
-from vision.run.folder import RUN_JSON, lock_open_file, unwritable
-from vision.run.reading import RunFolder, read_json, stored_kymograph
+from vision.run.diagrams import stored_kymograph
+from vision.run.reading import RunFolder, read_json
 from vision.sheets.corrections import Correction, correction_of
 from vision.sheets.settings import TrackingSettings
 from vision.video import Video

@@ -23,12 +23,12 @@ from numpy.typing import NDArray
 
 from vision.errors import InputError
 from vision.files import PACKAGES
+from vision.folder import clean_up, plain, put_in_place, unwritable
 from vision.numeric import Floats, Ints
 from vision.pipeline import Analysis, Settings, analyse, open_recording
 from vision.review.positions import Positions, UndoStep, median_positions, positions_of
 from vision.review.recordings import StoredRun
 from vision.review.tracks_file import read_tracks
-from vision.run.folder import clean_up, plain, put_in_place, unwritable
 from vision.run.provenance import Origin, Parameter
 from vision.run.reading import read_run, read_strip
 from vision.run.writing import write_run

@@ -17,6 +17,7 @@ from vision.clock import Clock
 from vision.errors import InputError
 from vision.figures.decimate import minmax_decimate
 from vision.files import AGAIN, reading
+from vision.folder import plain, whole_file
 from vision.numeric import Floats, Floats32, Ints, nearest
 from vision.pipeline import Settings
 from vision.review.effects import Effects
@@ -33,7 +34,6 @@ from vision.review.positions import (
 from vision.review.recordings import Diagram, Grey, Recordings, StoredRun, Tiles, claim, decided_clock
 from vision.review.saving import SaveJob, Saver, Trial, pack, unpack
 from vision.review.tracks_file import StoredTracks, read_tracks
-from vision.run.folder import plain, whole_file
 from vision.run.writing import CORRECTIONS
 from vision.sheets.corrections import (
     KEYS,

@@ -1,7 +1,7 @@
-"""The run folder: written completely or not at all, read back, exported."""
+"""The run folder: written, read back, exported."""
 
+from vision.folder import check_new, check_target, plain, run_folder, whole_file, write_json
 from vision.run.export import export_run
-from vision.run.folder import check_new, check_target, plain, run_folder, whole_file, write_json
 from vision.run.provenance import Checksums, Origin, Parameter, describe_input
 from vision.run.reading import (
     Checkpoint,

@@ -1,34 +1,25 @@
-"""Export a run: tables in other formats, I(x, t) for Fiji, and the film with its tracks as MP4."""
+"""Export the tables of a run in the formats of other programs."""
 
 from __future__ import annotations
 
 import importlib.util
 import json
-import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from fractions import Fraction
 from pathlib import Path
 from typing import Any, Literal
 
-import cv2
 import numpy as np
 import pandas as pd
-import tifffile
 import xarray as xr
-from numpy.typing import NDArray
 
 from vision.data import MEASURED, StripMetadata
 from vision.errors import InputError
-from vision.figures.decimate import grey_limits
-from vision.figures.style import HIGHLIGHT, LEFT_ON_GREY, RIGHT_ON_GREY, rgb
-from vision.files import AGAIN, Progress, harmless, harmless_table, reading
-from vision.numeric import Floats, Ints, Pixels
+from vision.files import AGAIN, harmless, harmless_table, reading
+from vision.folder import check_new, check_target, run_folder, whole_file, write_json
 from vision.report.page import flattened
-from vision.run.folder import check_new, check_target, run_folder, whole_file, write_json
 from vision.run.reading import RunFolder, check_mark, read_json
 from vision.run.tables import sheets_table, tracks_table
-from vision.video import Video, open_video
 
 Format = Literal["csv", "xlsx", "parquet", "mat", "trackpy", "napari"]
 ENDINGS = {"xlsx": ".xlsx", "mat": ".mat", "trackpy": "_trackpy.csv", "napari": "_napari.csv"}
@@ -81,7 +72,11 @@ def _write_folder(run: RunFolder, to: Format, target: Path, *, overwrite: bool) 
     rows = {name: len(table) for name, table in tables.items()}
     facts = {**run.facts, MARK: {"to": to, "from": str(run.folder), "rows": rows}}
     with run_folder(target, overwrite=overwrite) as folder:
-        (write_csv if to == "csv" else write_parquet)(tables, folder)
+        for name, table in tables.items():
+            if to == "csv":
+                harmless_table(table).to_csv(folder / f"{name}.csv", index=False, lineterminator="\n")
+            else:
+                table.to_parquet(folder / f"{name}.parquet", engine="pyarrow", index=False)
         write_json(facts, folder / "run.json")
 
 
@@ -172,18 +167,6 @@ def settings_table(run: RunFolder) -> pd.DataFrame:
         for name, value in flattened(facts, ".")
     ]
     return pd.DataFrame(pairs, columns=["name", "value"], dtype=str)
-
-
-def write_csv(tables: Mapping[str, pd.DataFrame], folder: Path) -> None:
-    """Write one CSV file per table, as in the run folder."""
-    for name, table in tables.items():
-        harmless_table(table).to_csv(folder / f"{name}.csv", index=False, lineterminator="\n")
-
-
-def write_parquet(tables: Mapping[str, pd.DataFrame], folder: Path) -> None:
-    """Write one Parquet file per table."""
-    for name, table in tables.items():
-        table.to_parquet(folder / f"{name}.parquet", engine="pyarrow", index=False)
 
 
 def write_xlsx(tables: Mapping[str, pd.DataFrame], path: Path) -> list[str]:
@@ -292,298 +275,3 @@ def _struct(table: pd.DataFrame) -> dict[str, Any]:
         )
         for name, column in table.items()
     }
-
-
-# --- I(x, t) for Fiji, with µm and s per pixel --------------------------------------------------------------
-
-
-ROWS = 4096  # written at once, so that memory does not grow with the recording
-IMAGEJ_BYTES = (1 << 32) - (1 << 20)  # ImageJ's TIFF holds less than 4 GiB
-
-
-def write_kymograph_tif(strip: xr.DataArray, path: Path, *, pixel_size_um: float | None) -> None:
-    """Write I(x, t) as 32-bit grey levels: rows are frames, columns x; NaN for frames without a picture.
-
-    ImageJ metadata hold the size of a pixel: µm (or "pixel") along x and seconds along t. Above 4 GiB the
-    file is a plain BigTIFF without them.
-    """
-    values = np.asarray(strip.values, np.float32)
-    if values.nbytes > IMAGEJ_BYTES:
-        tifffile.imwrite(path, values, bigtiff=True)
-        return
-    tifffile.imwrite(path, values, imagej=True, **_calibration(strip, pixel_size_um))
-
-
-def write_space_time_tif(diagram: xr.DataArray, path: Path, *, pixel_size_um: float | None) -> None:
-    """Write a space-time diagram with 16 bits: rows are frames, columns x; 0 is a frame without a picture.
-
-    1 is black (grey level 0, or the smallest value of a float recording) and 65535 white (the camera's
-    largest grey level, or the largest value). ImageJ metadata convert the numbers to grey levels, and hold
-    the size of a pixel, µm (or "pixel") along x and seconds along t, and the origin of x and t. Each row is a
-    frame, so that Fiji's time axis is wrong if frame times are uneven (`unevenness_s`).
-
-    Raises: InputError for more than 4 GiB, the limit of ImageJ's TIFF.
-    """
-    size = 2 * diagram.size
-    if size > IMAGEJ_BYTES:
-        raise InputError(
-            path, "at most 4 GiB, what Fiji's TIFF holds", f"{size >> 20} MiB", "take a part of it (`time_s`)"
-        )
-    low, step = _levels(diagram)
-    facts = _calibration(diagram, pixel_size_um)
-    facts["metadata"] |= {"cf": 0, "c0": low - step, "c1": step, "vunit": "grey level"}
-    facts["metadata"] |= _display(diagram, low, step)
-    pixels = tifffile.memmap(path, shape=diagram.shape, dtype=np.uint16, imagej=True, **facts)
-    if hasattr(os, "posix_fallocate"):  # writing to a mapped file on a full disk would kill the process
-        with path.open("r+b") as file:
-            os.posix_fallocate(file.fileno(), 0, path.stat().st_size)
-    for start in range(0, len(diagram), ROWS):
-        rows = np.asarray(diagram[start : start + ROWS].values, np.float64)
-        grey = np.clip(np.rint((rows - low) / step) + 1, 1, 65535)
-        pixels[start : start + ROWS] = np.where(np.isfinite(rows), grey, 0)
-    pixels.flush()
-
-
-def frame_step_s(times_s: Floats) -> float:
-    """Return the mean time between frames without gaps, s; 1 without a clock.
-
-    The median would be wrong by up to half a millisecond for times rounded to whole milliseconds.
-    """
-    steps = np.diff(times_s[np.isfinite(times_s)])
-    median = float(np.median(steps)) if len(steps) else 0.0
-    if median <= 0:
-        return 1.0
-    return float(steps[np.abs(steps - median) <= median / 2].mean())
-
-
-def unevenness_s(times_s: Floats) -> float:
-    """Return the largest error of an even time axis from the first frame, s; 0 if below half a frame."""
-    known = np.flatnonzero(np.isfinite(times_s))
-    if known.size < 2:
-        return 0.0
-    step = frame_step_s(times_s)
-    even = times_s[known[0]] + step * (known - known[0])
-    off = float(np.abs(times_s[known] - even).max())
-    return off if off > step / 2 else 0.0
-
-
-def _calibration(strip: xr.DataArray, pixel_size_um: float | None) -> dict[str, Any]:
-    """Return the size of a pixel and the origin as `tifffile` writes them for ImageJ."""
-    times = np.asarray(strip["time_s"].values, np.float64)
-    step_s = frame_step_s(times)
-    first_s = float(times[0]) if np.isfinite(times[:1]).all() else float(strip["frame"].values[0])
-    return {
-        "resolution": (1.0 if pixel_size_um is None else 1.0 / pixel_size_um, 1.0 / step_s),
-        "metadata": {
-            "axes": "YX",
-            "unit": "pixel" if pixel_size_um is None else "micron",
-            "yunit": "sec" if np.isfinite(times).any() else "frame",
-            "xorigin": -float(strip["x"].values[0]),
-            "yorigin": -first_s / step_s,
-        },
-    }
-
-
-def _levels(diagram: xr.DataArray) -> tuple[float, float]:
-    """Return the grey level of the pixel value 1, and grey levels per pixel value."""
-    bits = int(diagram.attrs.get("depth_bits", 32))
-    if bits <= 16:
-        low, high = 0.0, float((1 << bits) - 1)
-    else:
-        known = diagram.values[np.isfinite(diagram.values)]
-        low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
-    return low, (high - low) / 65534 or 1.0
-
-
-def _display(diagram: xr.DataArray, low: float, step: float) -> dict[str, float]:
-    """Return the range of pixel values that Fiji displays at first (`grey_limits`)."""
-    sample = diagram.values[:: max(1, len(diagram) // 4096)]
-    if not np.isfinite(sample).any():
-        return {}
-    dark, bright = grey_limits(sample)
-    return {"min": (dark - low) / step + 1, "max": (bright - low) / step + 1}
-
-
-# --- the film with its tracks drawn on it -------------------------------------------------------------------
-
-
-Colour = NDArray[np.uint8]
-
-MARGIN = 22  # px above the picture for the numbers, and below it for frame and time
-LETTER_WIDTH = 9.0  # px of a digit at the size in use
-_WHITE = (235, 235, 235)
-
-
-@dataclass(frozen=True)
-class Overlay:
-    """The film that was written: number of frames, shape (rows, columns), and frames per second."""
-
-    frames: int
-    shape: tuple[int, int]
-    fps: float
-
-
-def write_overlay(
-    run: RunFolder, film: Path, target: Path, *, frames: slice | None = None, progress: Progress | None = None
-) -> Overlay:
-    """Write a film with marks at every sheet: strokes at both ends of the strip, and the number n above.
-
-    Parameters
-    ----------
-    run, film
-        As returned by `read_run` and its method `input`.
-    target
-        The MP4 to write.
-    frames
-        Half-open range of frame numbers; all of the run by default.
-    progress
-        Called with (frames done, total frames or None).
-
-    Raises
-    ------
-    InputError
-        If the film cannot be read, or holds none of these frames.
-
-    Notes
-    -----
-    One frame is in memory at a time. The same grey levels are black and white in all frames. Sheets left of
-    the axis are blue, right ones orange; positions with a flag other than "ok" are white. Frames without a
-    picture are black and show their status.
-    """
-    import av  # 30 ms that no other export needs
-
-    tracks = run.tracks
-    video = open_video(film, rotate=StripMetadata.of(tracks).rotate, frames=_within(tracks, frames, run))
-    canvas = _Canvas.of(video, tracks)
-    row_of = {int(number): row for row, number in enumerate(tracks["frame"].values)}
-    # A high-speed film is played in slow motion, a time lapse faster than it was recorded.
-    shown = float(np.clip(np.nan_to_num(StripMetadata.of(tracks).fps, nan=25.0), 5.0, 50.0))
-    fps = Fraction(shown).limit_denominator(1000)
-    quality = {"crf": "23", "preset": "veryfast", "maxrate": "8M", "bufsize": "16M"}
-    done = 0
-    with av.open(str(target), "w", format="mp4") as file:
-        stream: Any = file.add_stream("libx264", rate=fps, options=quality)
-        stream.height, stream.width = canvas.shape
-        stream.pix_fmt = "yuv420p"
-        for block in video.blocks():
-            for k, status in enumerate(block.status):
-                row = row_of.get(block.start + k)
-                if row is None:
-                    continue
-                picture = canvas.draw(block.pixels[k] if status == "ok" else None, row)
-                file.mux(stream.encode(av.VideoFrame.from_ndarray(picture, "rgb24")))
-                done += 1
-            if progress is not None:
-                progress(done, video.estimated)
-        if done:
-            file.mux(stream.encode(None))
-    if not done:
-        raise InputError(film, "frames within `frames`", "none of the run's")
-    return Overlay(done, canvas.shape, float(fps))
-
-
-def _within(tracks: xr.Dataset, frames: slice | None, run: RunFolder) -> slice:
-    """Return the frames of the run that are to be drawn.  Raises: InputError if there are none."""
-    numbers = tracks["frame"].values
-    first, last = int(numbers[0]), int(numbers[-1]) + 1
-    start, stop = (frames.start or first, frames.stop or last) if frames else (first, last)
-    part = slice(max(start, first), min(stop, last))
-    if part.start >= part.stop:
-        raise InputError("`frames`", f"a part of {first}:{last}, those of {run.folder}", f"{start}:{stop}")
-    return part
-
-
-@dataclass(frozen=True)
-class _Canvas:
-    """Geometry and grey levels of the frames of an overlay."""
-
-    tracks: xr.Dataset
-    x_px: Floats  # (frame, sheet)
-    scale: float  # pixels of the MP4 per pixel of the film
-    picture: tuple[int, int]  # rows and columns of the film in the MP4
-    low: float  # grey levels that are drawn black and white
-    high: float
-
-    @classmethod
-    def of(cls, video: Video, tracks: xr.Dataset) -> _Canvas:
-        rows, columns = video.shape
-        scale = min(1.0, 1920 / columns, 1080 / rows)  # players show no more pixels
-        if max(rows, columns) < 480:  # enlarge by a whole factor, or the numbers cover the picture
-            scale = float(-(-480 // max(rows, columns)))
-        low, high = grey_limits(*(np.asarray(frame, np.float32) for frame in video.sample(8)))
-        picture = (max(2, round(rows * scale)), max(2, round(columns * scale)))
-        x_px = np.asarray(tracks["x_px"].values, np.float64)
-        return cls(tracks, x_px, scale, picture, low, high)
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """(rows, columns) of the MP4, both even as libx264 demands."""
-        height, width = self.picture
-        height, width = height + 2 * MARGIN, max(width, 240)  # room for the line of text below
-        return height + height % 2, width + width % 2
-
-    def draw(self, pixels: Pixels | None, row: int) -> Colour:
-        """Return a frame with all marks, RGB; `row` is its row in the tracks."""
-        canvas = np.zeros((*self.shape, 3), np.uint8)
-        height, width = self.picture
-        flag = np.asarray(self.tracks["flag"].values[row])
-        state = ""
-        if pixels is None:
-            state = f" {flag[0]}"
-        else:
-            grey = (np.asarray(pixels, np.float32) - self.low) * (255 / (self.high - self.low))
-            grey = np.clip(np.nan_to_num(grey), 0, 255).astype(np.uint8)
-            how = cv2.INTER_AREA if self.scale < 1 else cv2.INTER_NEAREST
-            shown = cv2.resize(grey, (width, height), interpolation=how)
-            canvas[MARGIN : MARGIN + height, :width] = shown[..., None]
-            self._mark(canvas, row, flag)
-        time_s = float(self.tracks["time_s"].values[row])
-        when = f"{time_s:.4g} s  " if np.isfinite(time_s) else ""
-        found = f"{(flag == 'ok').sum()} of {flag.size} sheets{state}"
-        _write(canvas, f"frame {self.tracks['frame'].values[row]}  {when}{found}", 4, canvas.shape[0] - 6)
-        return canvas
-
-    def _mark(self, canvas: Colour, row: int, flag: NDArray[np.str_]) -> None:
-        """Draw the edges of the strip, strokes at them, and the numbers above the picture."""
-        strip = StripMetadata.of(self.tracks)
-        top, bottom = self._y(strip.strip_z0 - 0.5), self._y(strip.strip_z1 - 0.5)
-        for edge in (top, bottom):
-            self._line(canvas, (0.0, edge), (self.picture[1] - 1.0, edge), rgb(HIGHLIGHT))
-        stroke = max(3.0, (bottom - top) / 4)  # leaves the middle of the ridge visible
-        side, n = self.tracks["side"].values, self.tracks["n"].values
-        seen, numbered = np.flatnonzero(np.isfinite(self.x_px[row])), set(self._numbered(n))
-        for k in seen:
-            x = self._x(self.x_px[row, k])
-            own = rgb((LEFT_ON_GREY if side[k] < 0 else RIGHT_ON_GREY)[0])
-            ink = own if flag[k] == "ok" else _WHITE
-            self._line(canvas, (x, top), (x, top + stroke), ink)
-            self._line(canvas, (x, bottom), (x, bottom - stroke), ink)
-            if k in numbered:
-                text = str(n[k])
-                _write(canvas, text, x - LETTER_WIDTH * len(text) / 2, MARGIN - 7, own)
-
-    def _numbered(self, n: Ints) -> Ints:
-        """Return the sheets that get a number: all, or every second, fifth, …, so that none overlap."""
-        middle = np.nanmedian(self.x_px, axis=0) if self.x_px.size else np.empty(0)
-        gaps = np.diff(middle[np.isfinite(middle)]) * self.scale
-        room = float(np.percentile(gaps, 10)) if gaps.size else np.inf
-        needed = LETTER_WIDTH * (len(str(int(n.max(initial=1)))) + 0.6)
-        every = next((step for step in (1, 2, 5, 10, 20, 50) if step * room >= needed), 100)
-        return np.flatnonzero(n % every == 0) if every > 1 else np.arange(n.size)
-
-    def _x(self, x_px: float) -> float:
-        """Return the column in the MP4; pixel centres are at integers in both."""
-        return float((x_px + 0.5) * self.scale - 0.5)
-
-    def _y(self, z_px: float) -> float:
-        return float((z_px + 0.5) * self.scale - 0.5 + MARGIN)
-
-    @staticmethod
-    def _line(canvas: Colour, start: tuple[float, float], end: tuple[float, float], ink: Any) -> None:
-        bits = 4  # fractional bits of OpenCV's coordinates: strokes are positioned to 1/16 px
-        fixed = [tuple(round(v * (1 << bits)) for v in point) for point in (start, end)]
-        cv2.line(canvas, fixed[0], fixed[1], ink, 1, cv2.LINE_AA, bits)
-
-
-def _write(canvas: Colour, text: str, x: float, y: float, ink: tuple[int, int, int] = _WHITE) -> None:
-    cv2.putText(canvas, text, (round(x), round(y)), cv2.FONT_HERSHEY_SIMPLEX, 0.42, ink, 1, cv2.LINE_AA)

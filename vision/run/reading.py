@@ -17,7 +17,6 @@ from typing import Any, BinaryIO, Literal, Self
 
 import numpy as np
 import pandas as pd
-import tifffile
 import xarray as xr
 from numpy.typing import NDArray
 
@@ -25,15 +24,12 @@ import vision
 from vision.clock import Candidate, Clock
 from vision.data import TRACKS, StripMetadata, TrackMetadata
 from vision.errors import InputError
-from vision.files import AGAIN, READ_HDF5, check_regular, reading, shortened, try_out
-from vision.numeric import Floats32
-from vision.run.folder import RUN_JSON, existing_parent, lock_folder, plain, reading_folder, write_json
+from vision.files import AGAIN, READ_HDF5, reading, shortened, try_out
+from vision.folder import RUN_JSON, existing_parent, lock_folder, plain, reading_folder, write_json
+from vision.run.diagrams import read_kymograph_tif
 from vision.run.provenance import Parameter, describe_input
 from vision.run.tables import attrs_of_netcdf
 from vision.video import FramesRead, FrameStore, Video, VideoSettings, video_files
-from vision.video.frames import ProfileStore
-from vision.video.reader import read_fully
-from vision.video.stacks import check_tiff
 
 
 @dataclass(frozen=True)
@@ -116,7 +112,9 @@ class RunFolder:
         known: Mapping[str, Any] = inputs[0 if which == "film" else -1]
         named = Path(str(known["path"]))
         candidates = [named, self.folder.absolute().parent / named] if moved is None else [moved]
-        path = next((candidate for candidate in candidates if _exists(candidate)), None)
+        # A pattern has no file of its own name, and may be absolute.
+        there = (path for path in candidates if path.exists() or glob.glob(str(path)))  # noqa: PTH207
+        path = next(there, None)
         if path is None:
             advice = "give its new path (`film`)" if which == "film" else "put it back there"
             raise InputError(candidates[0], f"an input of {self.folder}", "no such file", advice)
@@ -172,7 +170,7 @@ def read_strip(run: RunFolder) -> xr.DataArray:
     Raises: InputError if the file is missing or damaged, or does not fit the tracks.
     """
     tracks = run.tracks
-    values = _read_tif(run.folder / "kymograph.tif", tracks.sizes["frame"])
+    values = read_kymograph_tif(run.folder / "kymograph.tif", tracks.sizes["frame"])
     start = str(run.value("columns") or "").partition(":")[0].strip()
     first = int(start) if start.isdigit() else 0
     flags = tracks["flag"].values[:, 0]
@@ -188,11 +186,6 @@ def read_strip(run: RunFolder) -> xr.DataArray:
         name="intensity",
         attrs=tracks.attrs | {"units": "grey level", "long_name": "mean intensity of the strip"},
     )
-
-
-def _exists(path: Path) -> bool:
-    """Tell whether a file, or a file that matches a pattern, exists."""
-    return path.exists() or bool(glob.glob(str(path)))  # noqa: PTH207  # may be absolute
 
 
 def _read_tracks(path: Path) -> xr.Dataset:
@@ -216,46 +209,6 @@ def _read_tracks(path: Path) -> xr.Dataset:
         if odd:
             raise InputError(path, wanted, f"no numbers in {', '.join(odd)}", AGAIN)
     return tracks
-
-
-def stored_kymograph(path: Path) -> tuple[int, np.dtype[Any], tuple[int, int]]:
-    """Return the byte at which the values of a space-time diagram begin, their type and shape (frame, x).
-
-    Callers read the file in parts rather than mapping it, as a mapped file that becomes shorter kills the
-    process.
-
-    Raises: InputError for a damaged file.
-    """
-    wanted = "a space-time diagram as track writes it"
-    check_regular(path, wanted)
-    check_tiff(path)
-    with reading(path, wanted, AGAIN):
-        with tifffile.TiffFile(path) as tif:
-            page = tif.pages.first
-            shape, dtype, start = page.shape, page.dtype, page.dataoffsets[0]
-            plain = page.is_contiguous and dtype is not None and dtype.newbyteorder("=") == np.float32
-            order = tif.byteorder
-        if len(shape) != 2 or not plain:
-            raise InputError(path, wanted, f"{dtype} of shape {shape}", AGAIN)
-        return start, np.dtype(np.float32).newbyteorder(order), (shape[0], shape[1])
-
-
-def _read_tif(path: Path, frames: int) -> Floats32:
-    """Read a space-time diagram, (frames, x).  Raises: InputError."""
-    start, stored, shape = stored_kymograph(path)
-    if shape[0] != frames:
-        raise InputError(path, f"{frames} rows, one per frame of tracks.nc", f"shape {shape}", AGAIN)
-    rows = ProfileStore(shape[1], expected=frames)
-    with (
-        reading(path, "a space-time diagram as track writes it", AGAIN),
-        path.open("rb", buffering=0) as file,
-    ):
-        file.seek(start)
-        for first in range(0, frames, 4096):
-            part = np.empty((min(4096, frames - first), shape[1]), stored)
-            read_fully(file, part.data.cast("B"), path)
-            rows.append(part.astype(np.float32, copy=False))
-    return rows.rows()
 
 
 # --- checkpoint of an interrupted run -----------------------------------------------------------------------
@@ -332,7 +285,7 @@ class Checkpoint:
     def begin(self, video: Video, rows: slice, columns: slice) -> Iterator[FramesRead]:
         """Start, and yield the frames that an interrupted run stored, part by part."""
         self._began = time.monotonic()
-        self._facts = partial(_facts, video, rows, columns)
+        self._facts = partial(_film_and_settings, video, rows, columns)
         width = columns.stop - columns.start
         self._record = np.dtype([("status", "u1"), ("time_s", "<f8"), ("intensity", "<f4", width)])
         if not (self._own and (self._place / FACTS).is_file()):
@@ -392,7 +345,7 @@ class Checkpoint:
                 raise InputError(self._target, f"{about}, to resume", found, RESTART)
 
 
-def _facts(video: Video, rows: slice, columns: slice) -> dict[str, Any]:
+def _film_and_settings(video: Video, rows: slice, columns: slice) -> dict[str, Any]:
     """Return everything that I(x, t) depends on."""
     given = video.given_times_s
     return {

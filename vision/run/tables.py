@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 import pandas as pd
 import pyarrow as pa
@@ -95,61 +94,19 @@ def write_tracks_nc(
         about = {"long_name": "position of the sheet", "units": "um"}
         data = data.assign(x_um=(("frame", "sheet"), data["x_px"].values * pixel_size_um, about))
     data.attrs = {"Conventions": "CF-1.11", "title": "positions of sheets, x(n,t)"} | netcdf_attrs(data.attrs)
-    path.write_bytes(_netcdf(data))
-
-
-def _netcdf(data: xr.Dataset) -> bytes:
-    """Return a dataset as netCDF-4 with CF attributes, as `to_netcdf` writes it in four times the time.
-
-    A dimension is a numbered HDF5 dimension scale. Text is an array of characters with one more dimension.
-    """
-    dimensions = dict.fromkeys(str(name) for name in data.sizes)
-    coordinates = sorted(str(name) for name in data.coords if name not in dimensions)
-    numbers = {name: number for number, name in enumerate(dimensions)}
-    scales: dict[str, h5py.Dataset] = {}
-    with h5py.File("tracks", "w", driver="core", backing_store=False, block_size=1 << 20) as file:
-        _set_attrs(file, {"_NCProperties": np.bytes_(f"version=2,h5py={h5py.__version__}")} | data.attrs)
-        for name in (*dimensions, *(str(name) for name in data.variables if name not in dimensions)):
-            variable = data.variables[name]
-            values, attrs = variable.values, dict(variable.attrs)
-            along = [str(part) for part in variable.dims]
-            if values.dtype.kind in "UO":
-                text = _as_bytes(values)
-                values = text[..., None].view("S1")
-                along.append(f"{name}_length")
-                numbers[along[-1]] = len(numbers)
-                scale = scales[along[-1]] = file.create_dataset(along[-1], values.shape[-1:], ">f4")
-                scale.make_scale(f"This is a netCDF dimension but not a netCDF variable.{len(scale):10d}")
-                scale.attrs["_Netcdf4Dimid"] = np.int32(numbers[along[-1]])
-                attrs["_Encoding"] = "utf-8"
-            if values.dtype.kind == "f":
-                attrs["_FillValue"] = np.nan
-            if name in data.data_vars:
-                own = [part for part in coordinates if set(data[part].dims) <= set(variable.dims)]
-                attrs |= {"coordinates": " ".join(own)} if own else {}
-            packed = {"compression": 1, "shuffle": True} if values.ndim >= 2 else {}
-            blank = np.nan if values.dtype.kind == "f" else None
-            stored = file.create_dataset(name, data=values, fillvalue=blank, track_order=True, **packed)
-            if name in dimensions:
-                stored.make_scale(name)
-                scales[name] = stored
-            else:
-                for axis, part in enumerate(along):
-                    stored.dims[axis].attach_scale(scales[part])
-            order = np.array([numbers[part] for part in along], np.int32)
-            _set_attrs(stored, {"_Netcdf4Coordinates": order, "_Netcdf4Dimid": order[0]} | attrs)
-        file.flush()
-        return bytes(file.id.get_file_image())
-
-
-def _set_attrs(target: h5py.File | h5py.Dataset, attrs: Mapping[str, Any]) -> None:
-    """Set attributes; netCDF stores numbers as arrays of length one."""
-    for name, value in attrs.items():
-        target.attrs[name] = value if isinstance(value, str | np.generic) else np.atleast_1d(value)
+    encoding: dict[str, dict[str, Any]] = {}
+    for name, variable in data.variables.items():
+        packed = {"zlib": True, "complevel": 1, "shuffle": True} if variable.ndim >= 2 else {}
+        encoding[str(name)] = packed
+        if variable.dtype.kind in "UO":
+            encoding[str(name)] = packed | {"char_dim_name": f"{name}_length"}
+            attrs = variable.attrs | {"_Encoding": "utf-8"}
+            data[name] = (variable.dims, _as_bytes(variable.values), attrs)
+    path.write_bytes(data.to_netcdf(engine="h5netcdf", encoding=encoding))
 
 
 def _as_bytes(text: NDArray[Any]) -> NDArray[np.bytes_]:
-    """Encode ASCII text, as wide as the longest one; vectorised, unlike NumPy's own encoding."""
+    """Encode ASCII text, as wide as the longest one, ten times as fast as xarray does."""
     wide = np.ascontiguousarray(text, np.str_)
     width = max(1, int(np.strings.str_len(wide).max(initial=1)))
     codes = wide.view(np.uint32).reshape(*wide.shape, -1)[..., :width]  # of the characters

@@ -23,10 +23,10 @@ from vision.figures import (
     publication_figures_of,
     save_figures,
 )
+from vision.folder import run_folder, write_json
 from vision.pipeline import Analysis
 from vision.report import write_report
-from vision.run.export import write_kymograph_tif
-from vision.run.folder import run_folder, write_json
+from vision.run.diagrams import write_kymograph_tif
 from vision.run.provenance import Origin
 from vision.run.tables import sheets_table, write_table, write_tracks_csv, write_tracks_nc
 from vision.sample import PUBLISHED
@@ -52,26 +52,18 @@ def write_run(
     decisions: Decisions | None = None,
     extra_files: Mapping[str, bytes] | None = None,
 ) -> dict[str, Any]:
-    """Write tables, pictures, report.html and run.json of a run.
+    """Write tables, pictures, report.html and run.json of a run, and return the content of run.json.
 
     Parameters
     ----------
-    analysis
-        Results of a video, with or without a force recording, or of a force recording alone.
     target, overwrite
         The run folder, and whether an earlier one is replaced.
     origin, facts
         Provenance and further entries of run.json.
-    report
-        Whether report.html is written.
     decisions
         Decisions for corrections.toml, by default ``analysis.settings.corrections``.
     extra_files
         Further files: content by name.
-
-    Returns
-    -------
-    The content of run.json.
 
     Raises
     ------

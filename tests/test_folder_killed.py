@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from vision.run import folder
-from vision.run.folder import clean_up, run_folder
+from vision import folder
+from vision.folder import clean_up, run_folder
 
 FILES = ("run.json", "tracks.csv", "tracks.nc")
 MOST_STEPS = 400

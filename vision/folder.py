@@ -24,19 +24,22 @@ try:
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
-RUN_JSON = "run.json"  # the file that makes a folder a run folder
+RUN_JSON = "run.json"
+TRUTH = "truth.nc"
+MARKS = {RUN_JSON: "a run folder", TRUTH: "a synthetic test"}  # what a folder is, by a file in it
 PART, OLD = ".part", ".old"  # suffixes of a run that is being written, and of one that was moved aside
 READING = ".reading"  # suffix of the folder that holds the frames read so far
 
 
-def check_target(target: Path, *, overwrite: bool) -> None:
-    """Check that a run folder can be written, before anything is computed.
+def check_target(target: Path, *, overwrite: bool, mark: str = RUN_JSON) -> None:
+    """Check that a folder can be written, before anything is computed.
 
-    Raises: InputError if it exists (with `overwrite`: is no run folder), or the disk refuses.
+    mark: the file that an earlier folder must hold to be replaced, one of `MARKS`.
+    Raises: InputError if it exists (with `overwrite`: without the mark), or the disk refuses.
     """
     try:
         if target.exists():
-            _check_earlier(target, overwrite=overwrite)
+            _check_earlier(target, overwrite=overwrite, mark=mark)
         parent = existing_parent(target)
     except OSError as error:
         raise unwritable(target, error) from error
@@ -50,15 +53,15 @@ def check_new(target: Path, *, overwrite: bool, kind: str = "file") -> None:
         raise InputError(target, f"a new {kind}", "one that exists", "give `overwrite` or another `out`")
 
 
-def _check_earlier(target: Path, *, overwrite: bool) -> None:
-    """Check that an existing folder may be replaced: a writable run folder, if asked for.
+def _check_earlier(target: Path, *, overwrite: bool, mark: str) -> None:
+    """Check that an existing folder may be replaced: a writable one with the mark, if asked for.
 
     Raises: InputError.
     """
     check_new(target, overwrite=overwrite, kind="folder")
-    wanted = "a run folder to overwrite"
-    if not (target.is_dir() and (not any(target.iterdir()) or (target / RUN_JSON).is_file())):
-        raise InputError(target, wanted, "something else (no run.json in it)", "give another `out`")
+    wanted = f"{MARKS[mark]} to overwrite"
+    if not (target.is_dir() and (not any(target.iterdir()) or (target / mark).is_file())):
+        raise InputError(target, wanted, f"something else (no {mark} in it)", "give another `out`")
     if target.samefile(Path.cwd()):
         raise InputError(target, wanted, "the working directory", "go one folder up")
     if not os.access(target, os.W_OK | os.X_OK):
@@ -66,34 +69,47 @@ def _check_earlier(target: Path, *, overwrite: bool) -> None:
 
 
 @contextmanager
-def run_folder(target: Path, *, overwrite: bool = False) -> Iterator[Path]:
+def run_folder(target: Path, *, overwrite: bool = False, mark: str = RUN_JSON) -> Iterator[Path]:
     """Yield a temporary folder beside `target`; replace `target` by it at the end.
 
     After an error or an interrupt the temporary folder is removed and an earlier run is unchanged. What a
     killed process left behind is first removed or restored (`clean_up`).
 
+    mark: as for `check_target`.
     Raises: InputError if the target exists or cannot be written, or the disk is full.
     """
     clean_up(target)
-    check_target(target, overwrite=overwrite)
-    # The name is known before the folder exists, so that it is removed after an interrupt at any time.
-    temporary = target.parent / f".{target.name}.{secrets.token_hex(4)}{PART}"
-    lock, missing = None, _missing_parents(target)
+    check_target(target, overwrite=overwrite, mark=mark)
+    lock = None
     try:
-        temporary.mkdir(parents=True)
-        lock = lock_folder(temporary)
-        yield temporary
-        put_in_place(temporary, target, overwrite=overwrite)
+        with _temporary_folder(target, PART) as temporary:
+            lock = lock_folder(temporary)
+            yield temporary
+            put_in_place(temporary, target, overwrite=overwrite, mark=mark)
     except OSError as error:
         raise unwritable(target, error) from error
+    finally:
+        if lock is not None:
+            os.close(lock)
+
+
+@contextmanager
+def _temporary_folder(target: Path, suffix: str = "") -> Iterator[Path]:
+    """Yield a new hidden folder beside `target`, and remove it and the empty folders above it at the end."""
+    # The name is known before the folder exists, so that it is removed after an interrupt at any time.
+    temporary = target.parent / f".{target.name}.{secrets.token_hex(4)}{suffix}"
+    missing = [parent for parent in target.absolute().parents if not parent.exists()]
+    try:
+        temporary.mkdir(parents=True)
+        yield temporary
     finally:
         try:
             shutil.rmtree(temporary, ignore_errors=True)
         finally:  # again, as an interrupt may have ended it
             shutil.rmtree(temporary, ignore_errors=True)
-            if lock is not None:
-                os.close(lock)
-            _remove_empty(missing)
+            for parent in missing:
+                with suppress(OSError):  # not empty
+                    parent.rmdir()
 
 
 def reading_folder(target: Path) -> Path:
@@ -143,7 +159,7 @@ def lock_open_file(handle: int) -> None:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
-def put_in_place(made: Path, target: Path, *, overwrite: bool) -> None:
+def put_in_place(made: Path, target: Path, *, overwrite: bool, mark: str = RUN_JSON) -> None:
     """Rename `made` to `target`; an earlier run there may get the name `made`, and the caller removes it.
 
     If the file system can exchange two names in one step, the target is at any time the old run or the new
@@ -154,7 +170,7 @@ def put_in_place(made: Path, target: Path, *, overwrite: bool) -> None:
     if not target.exists():
         made.rename(target)
         return
-    _check_earlier(target, overwrite=overwrite)
+    _check_earlier(target, overwrite=overwrite, mark=mark)
     if _exchange(made, target):
         return
     old = target.parent / f".{target.name}.{secrets.token_hex(4)}{OLD}"
@@ -197,25 +213,16 @@ def whole_file(target: Path, *, durable: bool = False) -> Iterator[Path]:
 
     Raises: InputError if it cannot be written; an earlier file is then unchanged.
     """
-    # The name is known before the folder exists, so that it is removed after an interrupt at any time.
-    temporary = target.parent / f".{target.name}.{secrets.token_hex(4)}"
-    missing = _missing_parents(target)
     try:
-        temporary.mkdir(parents=True)
-        yield temporary / target.name
-        if durable:
-            _to_disk(temporary / target.name)
-        (temporary / target.name).replace(target)
-        if durable:
-            _to_disk(target.parent)
+        with _temporary_folder(target) as temporary:
+            yield temporary / target.name
+            if durable:
+                _to_disk(temporary / target.name)
+            (temporary / target.name).replace(target)
+            if durable:
+                _to_disk(target.parent)
     except OSError as error:
         raise unwritable(target, error, "nothing was written") from error
-    finally:
-        try:
-            shutil.rmtree(temporary, ignore_errors=True)
-        finally:  # again, as an interrupt may have ended it
-            shutil.rmtree(temporary, ignore_errors=True)
-            _remove_empty(missing)
 
 
 def _to_disk(path: Path) -> None:
@@ -227,18 +234,6 @@ def _to_disk(path: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-def _missing_parents(path: Path) -> list[Path]:
-    """Return the folders above a path that do not exist, the nearest first."""
-    return [parent for parent in path.absolute().parents if not parent.exists()]
-
-
-def _remove_empty(folders: list[Path]) -> None:
-    """Remove those of the folders that are empty."""
-    for folder in folders:
-        with suppress(OSError):  # not empty
-            folder.rmdir()
 
 
 def existing_parent(path: Path) -> Path:
