@@ -92,17 +92,16 @@ def test_predicted_error_is_the_actual_one(name, fit):
 
 @pytest.mark.parametrize("name", OTHERS)
 def test_other_films_are_certified_by_the_fit_of_their_run(name):
-    """Within 15 %, also where a film would choose another fit. Where each sheet slips by itself motion counts
-    for noise, which is said; 2.3 times too large once."""
+    """Within 15 %, also where a film would choose another fit. Where each sheet slips by itself, some motion
+    counts for noise; 1.8 times too large with a cubic for the motion between slips."""
     strip, tracks, error = drawn(name, "auto", 72)
     certificate = certify(strip, tracks, settings=ONE_FILM)
     alone = name == "each sheet slips by itself"
-    assert 0.85 < certificate.error_px / rms(error) < (1.8 if alone else 1.15)
-    assert certificate.uncertain or not alone
+    assert 0.85 < certificate.error_px / rms(error) < (1.3 if alone else 1.15)
     assert certificate.fit == tracks.attrs["fit"]
 
 
-def slipping_alone(seed, known_less_well=()):
+def slipping_alone(seed, known_less_well=(), during=slice(None)):
     """Strip, tracks and errors where six sheets also slip once by themselves, under a camera that shakes."""
     rng = np.random.default_rng(seed)
     x = comb(150, per_side=12, axis_px=300) + rng.normal(0, 0.05, (150, 1))
@@ -111,19 +110,20 @@ def slipping_alone(seed, known_less_well=()):
     picture = strip(ridges(x, width=600), snr=100, seed=seed)
     tracks = track_sheets(picture)
     error = np.where(tracks.flag.values == "ok", tracks.x_px.values - x, np.nan)
-    tracks.x_err_px[:, list(known_less_well)] *= 3.0
+    tracks.x_err_px[during, list(known_less_well)] *= 3.0
     return picture, tracks, moved(error)
 
 
+@pytest.mark.parametrize("during", [slice(None), slice(40, 80)])
 @pytest.mark.parametrize("known_less_well", [(), (3, 9, 14)])
 @pytest.mark.parametrize("seed", [1, 2])
-def test_sheets_that_slip_by_themselves(seed, known_less_well):
+def test_sheets_that_slip_by_themselves(seed, known_less_well, during):
     """Their motion is their own: 1.2 to 2.2 times the error where the motion of sheets with a larger stated
-    error was taken from their neighbours."""
-    picture, tracks, error = slipping_alone(seed, known_less_well)
+    error, always or for some time, was taken from their neighbours."""
+    picture, tracks, error = slipping_alone(seed, known_less_well, during)
     certificate = certify(picture, tracks, settings=ONE_FILM)
     assert 0.85 < certificate.error_px / rms(error) < 1.15
-    assert not certificate.uncertain
+    assert certificate.uncertain == bool(known_less_well and during.stop)  # for some time: as dirt would
 
 
 def test_the_certificate_compares_its_films_with_the_recording():
@@ -309,8 +309,7 @@ def test_texture_of_the_paper_moves_with_the_sheets(tmp_path):
 
 
 def test_noise_is_found_from_the_bits(tmp_path):
-    """Twice the noise takes more bits at the same quantiser: what is found must follow. A linear camera's
-    noise grows with the light; added noise that is alike everywhere does not."""
+    """Twice the noise takes more bits at the same quantiser: what is found must follow."""
     found = []
     middle = clean(41).pixels[:, :, 140:460]
     for noise in (0.0, 3.0):
@@ -322,7 +321,6 @@ def test_noise_is_found_from_the_bits(tmp_path):
         encoder = read_encoder(path, (strip.attrs["strip_z0"], strip.attrs["strip_z1"]), (0, 320))
         found.append(encoder.fitted(drawn, shown, strip.values))
     assert 0.5 < found[0].noise_grey < 2.5 < found[1].noise_grey < 5
-    assert found[0].shot_noise and not found[1].shot_noise
 
 
 def damaged(name, folder, seed=36):

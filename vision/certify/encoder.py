@@ -79,9 +79,7 @@ class Encoder:
     preset
         Preset of x264; medium if the film does not state it.
     noise_grey
-        Standard deviation of the pixel noise before encoding, at the mean brightness.
-    shot_noise
-        Whether the noise grows with the square root of the brightness.
+        Standard deviation of the pixel noise before encoding.
     """
 
     codec: str
@@ -95,16 +93,14 @@ class Encoder:
     b_frames: bool = True
     preset: str = "medium"
     noise_grey: float = 0.0
-    shot_noise: bool = False
 
     @property
     def described(self) -> str:
         """The encoding as text, for the certificate."""
         known = "the quantiser" if self.quantiser_known else "a rate factor of"
-        more = " (more where it is bright)" if self.shot_noise else ""
         return (
             f"{self.codec} at {known} {self.quantiser}, with pixel "
-            f"noise of {self.noise_grey:g} grey levels{more}, with which a film takes the recording's "
+            f"noise of {self.noise_grey:g} grey levels, with which a film takes the recording's "
             f"{self.bits_per_pixel:.2g} bits per pixel"
             + ("" if self.quantiser_known else " and changes as much from frame to frame")
         )
@@ -136,20 +132,16 @@ class Encoder:
         """Return this encoder with the noise for which a part of this film takes as many bits as recorded.
 
         If the quantiser is not known, it is chosen so that I(x, t) also changes as much from frame to frame
-        as recorded. The noise is constant, as with a gamma of 0.45, or grows with the square root of the
-        brightness, as of a linear camera: whichever better reproduces how much more bright columns change
-        from frame to frame than dark ones.
+        as recorded.
         """
         part, recorded = profile[:TRIED_FRAMES], recorded[:TRIED_FRAMES, : self.width]
-        best, chosen, values = np.inf, self, recorded
+        best, chosen = np.inf, self
         for quantiser in (self.quantiser,) if self.quantiser_known else QUANTISERS[self.codec]:
             tried, found, off = replace(self, quantiser=quantiser)._with_noise(part, shown)
             off += abs(float(np.log(_change(found) / _change(recorded))))
             if off < best:
-                best, chosen, values = off, tried, found
-        growing, found, _ = replace(chosen, shot_noise=True)._with_noise(part, shown)
-        even, shot = (abs(np.log(_contrast(v) / _contrast(recorded))) for v in (values, found))
-        return growing if shot < even else chosen
+                best, chosen = off, tried
+        return chosen
 
     def _with_noise(self, part: Floats32, shown: Floats) -> tuple[Encoder, Floats32, float]:
         """Return this encoder with the noise that takes the recorded bits, I(x, t), and |log(bits ratio)|."""
@@ -176,8 +168,7 @@ class Encoder:
             first = np.clip(column.astype(int), 0, self.width - 2)
             share = np.clip(column - first, 0, 1)
             frame[:, left:right] = line + (1 - share) * detail[:, first] + share * detail[:, first + 1]
-            light = np.sqrt(np.maximum(frame, 0.0) / self.picture.mean()) if self.shot_noise else 1.0
-            frame += self.noise_grey * light * rng.standard_normal(frame.shape)
+            frame += self.noise_grey * rng.standard_normal(frame.shape)
             yield np.clip(np.rint(frame), 0, 255).astype(np.uint8)
 
     def _options(self) -> dict[str, str]:
@@ -227,20 +218,6 @@ def _change(values: Floats32) -> float:
     """Return the median over frames of the mean change from frame to frame, grey levels."""
     change = np.abs(np.diff(values, axis=0)).mean(axis=1)
     return max(float(np.median(change)), 1e-3)
-
-
-def _contrast(values: Floats32) -> float:
-    """Return how much more the brightest quarter of the columns changes from frame to frame than the darkest.
-
-    The tenth of the frames that changes most, such as at slips, is left out.
-    """
-    typical = np.median(values, axis=0)
-    dark, bright = np.quantile(typical, (0.25, 0.75))
-    change = np.abs(np.diff(values, axis=0))
-    mean = change.mean(axis=1)
-    change = change[mean <= np.quantile(mean, 0.9)]
-    of_dark, of_bright = (float(change[:, which].mean()) for which in (typical <= dark, typical >= bright))
-    return max(of_bright, 1e-3) / max(of_dark, 1e-3)
 
 
 def read_encoder(

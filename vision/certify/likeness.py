@@ -308,9 +308,8 @@ def _distorted(
 ) -> Bools:
     """Return which positions, (frame, sheet), are distorted: of large error, or blurred without a slip.
 
-    The error is large compared with the sheet's own in frames before and after, or it is larger than that of
-    most sheets and than the error with which neighbours predict a position: sheets that are known less well
-    than others, or slip by themselves, are not distorted.
+    The error is large compared with the sheet's own in frames before and after, or with that of most sheets;
+    and it is larger than the error with which neighbours predict a position, which replaces it.
     """
     own = nan_median(err_px)
     with np.errstate(invalid="ignore"):
@@ -319,11 +318,11 @@ def _distorted(
         usual = np.where(large | lasting, np.nan, x_px)
         off = usual - predicted_by_neighbours(usual)
         known = off[np.isfinite(off)]
-        lasting &= err_px > settings.neighbour_errors * (mad_sigma(known) if known.size else 0.0)
+        seen = err_px > settings.neighbour_errors * (mad_sigma(known) if known.size else 0.0)
     clear = ~large & np.isfinite(x_px)
     before, after = np.logical_or.accumulate(clear), np.logical_or.accumulate(clear[::-1])[::-1]
-    passing = large & before & after
-    return np.asarray(((passing | lasting) & (flag == "ok")) | ((flag == "blurred") & ~beside[:, None]))
+    pulled = seen & ((large & before & after) | lasting)
+    return np.asarray((pulled & (flag == "ok")) | ((flag == "blurred") & ~beside[:, None]))
 
 
 def _around(which: Bools, motion: Floats, width: int) -> Bools:
@@ -413,8 +412,8 @@ def smooth_motion(
 ) -> tuple[Floats, Floats, Floats]:
     """Fit smooth positions between slips.
 
-    The motion of each sheet is a cubic (a parabola in short pieces) over as many frames as it fits, plus the
-    common motion of all sheets in each frame. The cubic is one in the sheets' own time (`own_time`). If none
+    The motion of each sheet is a parabola over as many frames as it fits, plus the common motion of all
+    sheets in each frame. The parabola is one in the sheets' own time (`own_time`). If none
     fits, the motion is as measured. With codecs that predict frames (`chained`), all fits are used, as steps
     about them are no motion. At `pulled`, that is distorted positions, a sheet moves like its neighbours.
 
@@ -463,9 +462,8 @@ def _smoothed(
 ) -> tuple[Floats, Floats]:
     """Return polynomials through the frames `inner` of a piece at all its frames, (frame, which), and their
     leverage at `inner`."""
-    degree = 3 if piece.size >= 2 * settings.least_piece else 2
     span = max(time[piece[-1]] - time[piece[0]], 1.0)
-    basis = np.polynomial.legendre.legvander(2 * (time[piece] - time[piece[0]]) / span - 1, degree)
+    basis = np.polynomial.legendre.legvander(2 * (time[piece] - time[piece[0]]) / span - 1, 2)
     at_inner = basis[np.isin(piece, inner)]
     coefficients = np.linalg.lstsq(at_inner, x_px[np.ix_(inner, which)], rcond=None)[0]
     return basis @ coefficients, np.asarray((np.linalg.qr(at_inner)[0] ** 2).sum(axis=1))

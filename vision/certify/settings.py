@@ -25,8 +25,8 @@ class CertifySettings:
     stretches.  Larger leaves less to stretch; smaller deforms the flanks that determine positions."""
 
     longest_piece: int = 40
-    """Number of frames over which the motion is a cubic.  Longer pieces treat motion as noise; shorter ones
-    treat noise as motion (corrected for by the degrees of freedom, unless they are few)."""
+    """Number of frames over which the motion is a parabola.  Longer pieces treat motion as noise; shorter
+    ones treat noise as motion (corrected for by the degrees of freedom, unless they are few)."""
 
     misfit: float = 1.6
     """Scatter of a sheet about its smooth motion, over that from frame to frame, from which its piece is
@@ -68,8 +68,7 @@ class CertifySettings:
     above_noise: float = 1.25
     """Ratio of the films' errors to the recording's noise from frame to frame from which the certificate says
     that they may contain motion.  Smaller doubts films of grained paper, whose errors are larger than their
-    noise; larger trusts films in which each sheet slips by itself (1.15 to 1.35; errors up to 1.6 times too
-    large)."""
+    noise; larger trusts films under a lamp that moves (errors up to twice too small)."""
 
     most_hidden: float = 4.0
     """Largest common motion of the sheets of films that are encoded again, relative to what the recording
