@@ -16,8 +16,8 @@ from tests.scenes.event_tables import PARAMETERS, build_up_of, pulls
 from tests.scenes.sawtooth import recording
 from vision.command.options import option_names
 from vision.errors import InputError, with_options
+from vision.folder import plain
 from vision.models import ModelFits, equations, fit_models
-from vision.run.folder import plain
 from vision.sample import PUBLISHED, Sample
 
 TRUTH = {"mu": 0.89, "t0_N": 4.0, "amplitude": 0.34, "n_hat_N": 0.57, "modulus_GPa": 3.8}
