@@ -10,7 +10,7 @@ from vision.sheets.neighbours import anchored, hops, neighbour_residual
 from vision.sheets.ridges import RidgeComb
 
 PITCH = 20.0
-COMB = RidgeComb("bright", 7.0, PITCH, 60.0, 0.6, 50.0)
+COMB = RidgeComb("bright", 7.0, PITCH, 60.0, 0.6, 50.0, width_px=1100)
 FRAMES = 200
 
 

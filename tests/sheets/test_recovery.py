@@ -76,7 +76,7 @@ def test_a_sheet_hidden_in_its_neighbour_s_ridge_is_merged_with_it(away_px, flag
     profile = strip(ridges(x, width=WIDTH)).values
     described = describe_ridges(profile)
     found = find_ridges(profile, described)
-    identities = identify_sheets(found, described, width_px=WIDTH)
+    identities = identify_sheets(found, described)
     one_more = Identities(
         np.insert(identities.match, 6, -1, axis=1),
         np.insert(identities.margin, 6, np.nan, axis=1),
@@ -121,7 +121,7 @@ def test_a_numbering_that_leaves_out_a_ridge_at_the_end_is_doubtful(way):
     profile = strip(ridges(x, width=WIDTH)).values
     described = describe_ridges(profile)
     found = find_ridges(profile, described)
-    identities = identify_sheets(found, described, width_px=WIDTH)
+    identities = identify_sheets(found, described)
     right = np.tile(np.arange(16), (FRAMES, 1))
     wrong = right.copy()
     wrong[jumped] = [-1, *range(15)] if way > 0 else [*range(1, 16), -1]

@@ -63,7 +63,6 @@ from vision.files import read_toml
 from vision.numeric import Floats, Ints, nan_median, nearest
 from vision.sheets.recovery import Detections
 from vision.sheets.ridges import RidgeComb, Ridges
-from vision.sheets.settings import DEFAULT, TrackingSettings
 
 KEYS: Mapping[str, tuple[str, ...]] = {
     "accept": ("sheet", "frames"),
@@ -359,7 +358,6 @@ def apply_corrections(
     *,
     frames: Ints,
     origin_px: float = 0.0,
-    settings: TrackingSettings = DEFAULT,
 ) -> Detections:
     """Return the detections with the manual corrections applied.
 
@@ -375,8 +373,6 @@ def apply_corrections(
         Frame numbers in the film, (frame,).
     origin_px
         Column of the profile's first pixel in the picture.
-    settings
-        `faint_reach`: largest distance of a ridge from the column given for it.
 
     Raises
     ------
@@ -391,13 +387,13 @@ def apply_corrections(
         rows = np.flatnonzero((frames >= correction.first) & (frames < (correction.stop or np.inf)))
         check_there(correction, rows, frames, arrays["start_px"].shape[1])
         if correction.kind in OF_STRETCHES:
-            _apply_to_stretch(correction, rows, arrays, ridges, comb, origin_px, settings)
+            _apply_to_stretch(correction, rows, arrays, ridges, comb, origin_px)
         elif correction.kind == "delete":
             arrays = {
                 name: np.delete(values, correction.sheets[0], axis=1) for name, values in arrays.items()
             }
         else:
-            arrays = _added(correction, int(rows[0]), arrays, ridges, comb, origin_px, settings)
+            arrays = _added(correction, int(rows[0]), arrays, ridges, comb, origin_px)
     return replace(detections, **arrays)
 
 
@@ -408,7 +404,6 @@ def _apply_to_stretch(
     ridges: Ridges,
     comb: RidgeComb,
     origin_px: float,
-    settings: TrackingSettings,
 ) -> None:
     """Apply a correction of one stretch of frames to the arrays, in place."""
     sheet = correction.sheets[0]
@@ -425,7 +420,7 @@ def _apply_to_stretch(
         _put(arrays, doubted, sheet, arrays["withheld_px"][doubted, sheet], ridges, "missing")
     else:
         others = np.delete(arrays["start_px"], sheet, axis=1)
-        x = follow_ridge(correction, rows, others, ridges, comb, origin_px=origin_px, settings=settings)
+        x = follow_ridge(correction, rows, others, ridges, comb, origin_px=origin_px)
         shared = np.argwhere(others[rows] == x[:, None])
         if len(shared):
             row, other = (int(place) for place in shared[0])
@@ -440,7 +435,6 @@ def _added(
     ridges: Ridges,
     comb: RidgeComb,
     origin_px: float,
-    settings: TrackingSettings,
 ) -> dict[str, Any]:
     """Return the arrays with one more sheet at its position among the others.
 
@@ -450,7 +444,7 @@ def _added(
     frames = len(others)
     x = np.full(frames, np.nan)
     for rows in (np.arange(row, frames), np.arange(row, -1, -1)):
-        x[rows] = follow_ridge(correction, rows, others, ridges, comb, origin_px=origin_px, settings=settings)
+        x[rows] = follow_ridge(correction, rows, others, ridges, comb, origin_px=origin_px)
     shared = others == x[:, None]
     if shared[row].any():
         raise not_taken(correction, correction.first, int(shared[row].argmax()))
@@ -512,7 +506,6 @@ def follow_ridge(
     comb: RidgeComb,
     *,
     origin_px: float = 0.0,
-    settings: TrackingSettings = DEFAULT,
 ) -> Floats:
     """Follow a ridge from row to row, with the motion of the other sheets.
 
@@ -527,7 +520,7 @@ def follow_ridge(
         Rows of `others` and `ridges`, in the order in which the ridge is followed.
     others
         Whole pixels of the other sheets, (frame, sheet).
-    ridges, comb, origin_px, settings
+    ridges, comb, origin_px
         As for `apply_corrections`.
 
     Returns
@@ -540,7 +533,7 @@ def follow_ridge(
         If no ridge is near the column in the first row.
     """
     moved = np.nan_to_num(nan_median(np.diff(others[rows], axis=0), axis=1))
-    reach = settings.faint_reach * comb.pitch_px
+    reach = comb.settings.faint_reach * comb.pitch_px
     travelled = np.concatenate([[0.0], np.cumsum(moved)])
     relative = ridges.x_px[rows] - travelled[:, None]  # relative to the other sheets
     x = np.full(len(rows), np.nan)

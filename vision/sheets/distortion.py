@@ -12,15 +12,13 @@ import numpy as np
 
 from vision.numeric import FWHM, NORMAL_MEDIAN, Bools, Floats, Floats32, nan_median
 from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb
-from vision.sheets.settings import DEFAULT, TrackingSettings
+from vision.sheets.settings import TrackingSettings
 from vision.sheets.subpixel import Starts, gather, position_noise
 
 ENOUGH = 5  # sheets of which neighbours show what is usual; ridges of fewer are checked at any width
 
 
-def not_one_ridge(
-    bright: Floats32, x_px: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT
-) -> Bools:
+def not_one_ridge(bright: Floats32, x_px: Floats, comb: RidgeComb) -> Bools:
     """Return which sheets are not a single ridge, (N,): their mean profile differs from the comb's.
 
     Several sheets side by side, far thinner than most, appear as one hump to the search for ridges, and the
@@ -36,7 +34,7 @@ def not_one_ridge(
     own -= own.mean(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         likeness = (shape - shape.mean()) @ own / np.linalg.norm(own, axis=0) / np.std(shape)
-    return np.asarray(likeness / np.sqrt(len(shape)) < settings.least_likeness, bool)
+    return np.asarray(likeness / np.sqrt(len(shape)) < comb.settings.least_likeness, bool)
 
 
 def _sampled_profiles(bright: Floats32, x_px: Floats, half: int) -> tuple[Floats, Floats]:
@@ -57,14 +55,7 @@ class Distortion(NamedTuple):
     lasting_px: Floats
 
 
-def distortion(
-    bright: Floats32,
-    x_px: Floats,
-    err_px: Floats,
-    blurred: Bools,
-    comb: RidgeComb,
-    settings: TrackingSettings = DEFAULT,
-) -> Distortion:
+def distortion(bright: Floats32, x_px: Floats, err_px: Floats, blurred: Bools, comb: RidgeComb) -> Distortion:
     r"""Return how far dirt, reflections, neighbours or light may shift each position.
 
     Parameters
@@ -77,8 +68,6 @@ def distortion(
         Ridges blurred by motion (frame, N), which are lopsided for that reason: 0.
     comb
         Width and pitch of the ridges.
-    settings
-        The fields `distortion_…`.
 
     Notes
     -----
@@ -95,6 +84,7 @@ def distortion(
 
     Light that falls off over a ridge hardly changes its shape; it shows in the heights (`_shift_by_light`).
     """
+    settings = comb.settings
     none = Distortion(np.zeros_like(x_px), np.zeros(x_px.shape[1]))
     narrow = comb.fwhm_px < settings.distortion_least_px
     if narrow and x_px.shape[1] >= ENOUGH:
@@ -116,8 +106,11 @@ def distortion(
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(fit, (slice(i, i + FRAMES_PER_BLOCK) for i in range(0, len(bright), FRAMES_PER_BLOCK))))
     height[blurred], apart[blurred], sloping[blurred] = np.nan, np.nan, np.nan
-    size = _shift_by_light(x_px, height, comb, settings)
-    for differs, usual, k in ((apart, settings.distortion_error, 3), (sloping, settings.distortion_slope, 5)):
+    size = _shift_by_light(x_px, height, comb)
+    for differs, usual, k in (
+        (apart, settings.distortion_error, 3),
+        (sloping, settings.distortion_slope, 5),
+    ):
         noise = err_px * float(np.linalg.norm(fits[k] - fits[1]) / np.linalg.norm(fits[1]))
         seen = _significant(differs - nan_median(differs), noise, settings)
         size = np.fmax(size, _error_over(differs, usual, x_px, settings) * seen)
@@ -212,7 +205,7 @@ def _around(bright: Floats32, x_px: Floats, half: int) -> Floats:
     return np.asarray(around, np.float64)
 
 
-def _shift_by_light(x_px: Floats, height: Floats, comb: RidgeComb, settings: TrackingSettings) -> Floats:
+def _shift_by_light(x_px: Floats, height: Floats, comb: RidgeComb) -> Floats:
     r"""Return the shift of each ridge due to light L that falls off over it, px, (frame, N).
 
     A Gaussian in such light remains a Gaussian, shifted by :math:`\sigma_r^2 L'/L`, so that only heights
@@ -220,6 +213,7 @@ def _shift_by_light(x_px: Floats, height: Floats, comb: RidgeComb, settings: Tra
     neighbours on both sides, beyond the scatter of single sheets. Fewer than five sheets do not show that
     scatter: every change of the slope between two sheets, beyond its noise in time, then counts as light.
     """
+    settings = comb.settings
     with np.errstate(divide="ignore", invalid="ignore"):
         light = np.log(np.where(height > 0, height, np.nan))
     light -= nan_median(light)

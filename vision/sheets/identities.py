@@ -73,13 +73,7 @@ class Identities:
 
 
 def identify_sheets(
-    ridges: Ridges,
-    comb: RidgeComb,
-    *,
-    width_px: int,
-    sheets: int | None = None,
-    source: str = "the strip",
-    settings: TrackingSettings = DEFAULT,
+    ridges: Ridges, comb: RidgeComb, *, sheets: int | None = None, source: str = "the strip"
 ) -> Identities:
     """Pair the candidates of all frames with the sheets.
 
@@ -91,57 +85,51 @@ def identify_sheets(
     ----------
     ridges, comb
         Candidates of every frame; width, pitch and contrast of the ridges.
-    width_px
-        Width of the profile.
     sheets
         Number of sheets, if known.
     source
         Name of the recording in messages.
-    settings
-        Costs and thresholds.
 
     Raises
     ------
     InputError
         If there are no ridges, or fewer than `sheets`.
     """
-    squeeze = comb_squeeze(ridges, settings)
+    squeeze = comb_squeeze(ridges, comb.settings)
     ridges = replace(ridges, x_px=squeeze.undone(ridges.x_px).astype(np.float32))
-    segments = split_segments(ridges, comb, width_px=width_px, settings=settings)
-    displacement = comb_displacement(ridges, comb, settings)
+    segments = split_segments(ridges, comb)
+    displacement = comb_displacement(ridges, comb)
     reference = build_reference(
         segments.candidates,
         segments.length,
         displacement[segments.middle],
         comb,
-        width_px=width_px,
         sheets=sheets,
         source=source,
-        settings=settings,
     )
 
     def align_all(reference: ReferenceComb, rest: Floats) -> Pairing:
         middle = rest[segments.middle]
         counted = sheets is not None
-        expected = reference.expected(middle, comb, width_px, counted=counted, settings=settings)
+        expected = reference.expected(middle, comb, counted=counted)
         return align(segments.candidates, expected)
 
     rest = reference.x_px + displacement[:, None]
     match = segments.in_frames(align_all(reference, rest).match, ridges.count)
     if sheets is None:
         x = values_of(match, ridges.x_px)
-        moved = x - _rest_over_time(x, reference, comb, settings)
-        real = ~static_ridges(moved, reference.x_px, settings=settings)
-        real &= ~faint_ends(reference, moved, settings=settings)
+        moved = x - _rest_over_time(x, reference, comb)
+        real = ~static_ridges(moved, reference.x_px, settings=comb.settings)
+        real &= ~faint_ends(reference, moved, settings=comb.settings)
         reference, match = reference.only(np.flatnonzero(real)), match[:, real]
     for _ in range(2):  # with each sheet expected where it was found around that time
-        rest = _rest_over_time(values_of(match, ridges.x_px), reference, comb, settings)
+        rest = _rest_over_time(values_of(match, ridges.x_px), reference, comb)
         pairing = align_all(reference, rest)
         before, match = match, segments.in_frames(pairing.match, ridges.count)
         if np.array_equal(before, match):
             break
     margin = np.where(match >= 0, pairing.margin[segments.of_frames()], np.nan)
-    match, margin = _undo_false_jumps(match, margin, ridges, comb, settings)
+    match, margin = _undo_false_jumps(match, margin, ridges, comb)
     return Identities(match, margin, squeeze.inverse().undone(rest), reference, squeeze)
 
 
@@ -175,7 +163,7 @@ def comb_squeeze(ridges: Ridges, settings: TrackingSettings = DEFAULT) -> Squeez
     return Squeeze(scale if squeezed else still, middle)
 
 
-def comb_displacement(ridges: Ridges, comb: RidgeComb, settings: TrackingSettings = DEFAULT) -> Floats:
+def comb_displacement(ridges: Ridges, comb: RidgeComb) -> Floats:
     """Return the displacement of the whole comb since the first frame, px, (frame,).
 
     It is the sum of mean steps from each ridge to the nearest ridge of the next frame. Only steps within a
@@ -193,28 +181,26 @@ def comb_displacement(ridges: Ridges, comb: RidgeComb, settings: TrackingSetting
     after = np.searchsorted(row, np.nan_to_num(same))
     near = np.stack([row[np.clip(after - 1, 0, len(row) - 1)], row[np.clip(after, 0, len(row) - 1)]]) - same
     step = np.where(np.abs(near[0]) < np.abs(near[1]), near[0], near[1])
-    small = np.abs(step) < settings.step_fraction * comb.pitch_px
+    small = np.abs(step) < comb.settings.step_fraction * comb.pitch_px
     followed = small.sum(axis=1) > 0.5 * ridges.count[:-1]
     small &= np.abs(step - nan_median(np.where(small, step, np.nan), axis=1)[:, None]) <= 1.0
     moved = np.where(small, step, 0.0).sum(axis=1) / np.maximum(small.sum(axis=1), 1)
     return np.concatenate([[0.0], np.cumsum(np.where(followed, moved, 0.0))])
 
 
-def _rest_over_time(
-    x_px: Floats, reference: ReferenceComb, comb: RidgeComb, settings: TrackingSettings
-) -> Floats:
+def _rest_over_time(x_px: Floats, reference: ReferenceComb, comb: RidgeComb) -> Floats:
     """Return the median position of each sheet over about thirty frames, at every frame, (frame, N).
 
     Gaps are filled from neighbouring sheets, then from other times. Frames in which neighbours moved far
     apart, which no slip does, are left out.
     """
     frames = len(x_px)
-    blocks = max(1, round(frames / settings.frames_per_rest))
+    blocks = max(1, round(frames / comb.settings.frames_per_rest))
     edges = np.linspace(0, frames, blocks + 1).astype(int)
     size = int(np.diff(edges).max())
     index = np.minimum(edges[:-1, None] + np.arange(size), edges[1:, None] - 1)
     moved = x_px - reference.x_px
-    moved[torn(moved, comb, settings).any(axis=1)] = np.nan
+    moved[torn(moved, comb).any(axis=1)] = np.nan
     moved = moved[index]
     rare = np.isfinite(moved).mean(axis=1) < 0.25
     moved = np.where(rare, np.nan, nan_median(moved, axis=1))
@@ -250,9 +236,7 @@ RENUMBERED = np.arange(-2, 3)  # sheets by which the frames between two jumps ma
 CHANGES = np.arange(2 * RENUMBERED[0], 2 * RENUMBERED[-1] + 1)  # by which the numbering may change at a jump
 
 
-def _undo_false_jumps(
-    match: Ints, margin: Floats, ridges: Ridges, comb: RidgeComb, settings: TrackingSettings
-) -> tuple[Ints, Floats]:
+def _undo_false_jumps(match: Ints, margin: Floats, ridges: Ridges, comb: RidgeComb) -> tuple[Ints, Floats]:
     r"""Renumber the frames between two jumps of the comb if it did not jump; return match and margin.
 
     A comb that contracts, or whose ends fade, may fit the reference best with every sheet taken for the next
@@ -275,6 +259,7 @@ def _undo_false_jumps(
     `anchor_nats` and `sheet_nats` for each sheet, it is subtracted from the margins of the run that has the
     smaller ones. The first term does not enter, since margins include the cost of a displacement.
     """
+    settings = comb.settings
     seen = np.flatnonzero((match >= 0).any(axis=1))
     x = values_of(match[seen], ridges.x_px[seen])
     jump = np.abs(nan_median(np.diff(x, axis=0), axis=1)) > settings.tear_fraction * comb.pitch_px
@@ -390,13 +375,7 @@ class Segments:
         return np.where((in_segment >= 0) & (number >= 0) & (number < count[:, None]), number, -1)
 
 
-def split_segments(
-    ridges: Ridges,
-    comb: RidgeComb,
-    *,
-    width_px: int,
-    settings: TrackingSettings = DEFAULT,
-) -> Segments:
+def split_segments(ridges: Ridges, comb: RidgeComb) -> Segments:
     """Cut the recording where a candidate comes, goes or jumps, except where sheets cross the picture's edge.
 
     Within a segment every candidate of a frame is also in the next, or crosses the edge there, and every step
@@ -404,7 +383,7 @@ def split_segments(
     whole pitch, so that one sheet leaves the picture as another enters, seems not to move; but its
     brightnesses change, and so the recording is cut there.
     """
-    joints = _joints(ridges, comb, width_px, settings)
+    joints = _joints(ridges, comb)
     start = np.r_[0, 1 + np.flatnonzero(~joints.continues)].astype(np.int64)
     length = np.diff(np.r_[start, len(ridges.x_px)])
     of_frame = np.repeat(np.arange(len(start)), length)
@@ -425,17 +404,17 @@ class _Joints(NamedTuple):
     moved_px: Floats
 
 
-def _joints(ridges: Ridges, comb: RidgeComb, width_px: int, settings: TrackingSettings) -> _Joints:
+def _joints(ridges: Ridges, comb: RidgeComb) -> _Joints:
     """Compare consecutive frames, first with no sheet crossing the edge, then with one."""
     frames = len(ridges.x_px)
-    pairs = _pairs(ridges, np.arange(frames - 1), 0, comb, width_px, settings)
+    pairs = _pairs(ridges, np.arange(frames - 1), 0, comb)
     usual = float(np.median(pairs.change)) if frames > 1 else 0.0
-    most = max(settings.least_change, 5.0 * usual)
+    most = max(comb.settings.least_change, 5.0 * usual)
     continues, moved = pairs.continues & (pairs.change <= most), pairs.moved_px
     came = np.zeros(frames - 1, np.int64)
     for number in (1, -1):
         rows = np.flatnonzero(~continues)
-        pairs = _pairs(ridges, rows, number, comb, width_px, settings)
+        pairs = _pairs(ridges, rows, number, comb)
         good = pairs.continues & (pairs.change <= most)
         continues[rows[good]], came[rows[good]], moved[rows[good]] = True, number, pairs.moved_px[good]
     return _Joints(continues, came, np.where(continues, moved, 0.0))
@@ -449,20 +428,18 @@ class _FramePairs(NamedTuple):
     change: Floats
 
 
-def _pairs(
-    ridges: Ridges, rows: Ints, came: int, comb: RidgeComb, width_px: int, settings: TrackingSettings
-) -> _FramePairs:
+def _pairs(ridges: Ridges, rows: Ints, came: int, comb: RidgeComb) -> _FramePairs:
     """Compare frames `rows` with the next ones, assuming that `came` candidates entered on the left (or left
     there, if negative)."""
     before, after = ridges.x_px[rows], shifted(ridges.x_px[rows + 1], came)
     paired = np.isfinite(before) & np.isfinite(after)
     step = np.where(paired, after - before, 0.0)
     spacing = np.fmin(np.fmin(_spacing(before), _spacing(after)), comb.pitch_px)
-    small = (np.abs(step) < settings.step_fraction * spacing) | ~paired
-    edge = comb.fwhm_px + settings.step_fraction * comb.pitch_px
+    small = (np.abs(step) < comb.settings.step_fraction * spacing) | ~paired
+    edge = comb.fwhm_px + comb.settings.step_fraction * comb.pitch_px
     entered = ridges.x_px[rows + 1, : max(came, 0)]
     single = [np.where(paired, np.nan, before), np.where(paired, np.nan, after), entered]
-    crossing = [np.isnan(x) | (x < edge) | (x > width_px - 1 - edge) for x in single]
+    crossing = [np.isnan(x) | (x < edge) | (x > comb.width_px - 1 - edge) for x in single]
     count = paired.sum(axis=1)
     unpaired = ridges.count[rows] + ridges.count[rows + 1] - 2 * count
     continues = small.all(axis=1) & np.hstack(crossing).all(axis=1) & (unpaired <= count)

@@ -112,7 +112,7 @@ def _between(moved: Floats, rest: Floats, k: int) -> Floats:
     return predicted
 
 
-def torn(moved: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT) -> Bools:
+def torn(moved: Floats, comb: RidgeComb) -> Bools:
     """Return which sheets are displaced very differently from their neighbours in a frame, (frame, N).
 
     A slip moves neighbours alike, however far. Where the displacements `moved` of neighbours differ by more
@@ -122,7 +122,7 @@ def torn(moved: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT) -
     frames, sheets = moved.shape
     seen = np.isfinite(moved)
     before = np.hstack([np.full((frames, 1), np.nan), last_seen(moved)[:, :-1]])
-    group = np.cumsum(np.abs(moved - before) > settings.tear_fraction * comb.pitch_px, axis=1)
+    group = np.cumsum(np.abs(moved - before) > comb.settings.tear_fraction * comb.pitch_px, axis=1)
     key = (group + sheets * np.arange(frames)[:, None])[seen]
     size = np.bincount(key, minlength=frames * sheets).reshape(frames, sheets)
     own_size = np.take_along_axis(size, group, axis=1)
@@ -135,7 +135,7 @@ def last_seen(values: Floats) -> Floats:
     return np.asarray(np.take_along_axis(values, np.maximum.accumulate(number, axis=1), axis=1), np.float64)
 
 
-def hops(residual: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT) -> Bools:
+def hops(residual: Floats, comb: RidgeComb) -> Bools:
     """Return which sheets are on another ridge, judged by their `neighbour_residual`, (frame, N).
 
     The residual must exceed several times the sheet's own scatter, the width of a ridge (nearer ridges are
@@ -144,7 +144,7 @@ def hops(residual: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT
     spoils the prediction for the others.
     """
     size = np.abs(residual)
-    least = settings.leave_sigmas * nan_median(size) / NORMAL_MEDIAN
+    least = comb.settings.leave_sigmas * nan_median(size) / NORMAL_MEDIAN
     found = np.asarray(size > np.fmax(least, comb.fwhm_px), bool)
     rows = np.flatnonzero(found.any(axis=1))  # most films have none
     some = size[rows]
@@ -154,14 +154,7 @@ def hops(residual: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT
     return found
 
 
-def anchored(
-    x_px: Floats,
-    log_contrast: Floats,
-    log_width: Floats,
-    trusted: Bools,
-    comb: RidgeComb,
-    settings: TrackingSettings = DEFAULT,
-) -> Bools:
+def anchored(x_px: Floats, log_contrast: Floats, log_width: Floats, trusted: Bools, comb: RidgeComb) -> Bools:
     """Return which identities are confirmed by a pattern that fits no other numbering, (frame, N).
 
     Parameters
@@ -172,8 +165,6 @@ def anchored(
         Identities from which the pattern is learned (frame, N).
     comb
         Pitch of the ridges.
-    settings
-        `anchor_fit`, `anchor_nats`.
 
     Returns
     -------
@@ -205,10 +196,10 @@ def anchored(
         terms += np.isfinite(cost[0]).sum(axis=1)
         # only features that both numberings explain
         excess += np.stack([np.nansum(other - cost[0], axis=1) for other in cost[1:]])
-    fits = own_cost < settings.anchor_fit * np.maximum(terms, 1)
+    fits = own_cost < comb.settings.anchor_fit * np.maximum(terms, 1)
     usual_gap = _feature_costs(gap, both, 0.01 * comb.pitch_px)[0] < TERM_LIMIT / 2
     beside = usual_gap | np.hstack([np.zeros((len(gap), 1), bool), usual_gap[:, :-1]])
-    return np.asarray((fits & (excess.min(axis=0) > settings.anchor_nats))[:, None] & beside, bool)
+    return np.asarray((fits & (excess.min(axis=0) > comb.settings.anchor_nats))[:, None] & beside, bool)
 
 
 def pattern_shift(log_contrast: Floats, log_width: Floats, settings: TrackingSettings = DEFAULT) -> Ints:
@@ -256,26 +247,15 @@ def pattern_shift(log_contrast: Floats, log_width: Floats, settings: TrackingSet
     return shift
 
 
-def sheets_alike(
-    x_px: Floats,
-    contrast: Floats,
-    fwhm_px: Floats,
-    width_px: int,
-    comb: RidgeComb,
-    settings: TrackingSettings = DEFAULT,
-) -> bool:
+def sheets_alike(x_px: Floats, contrast: Floats, fwhm_px: Floats, comb: RidgeComb) -> bool:
     """Return whether the sheets look so alike that a picture does not show which sheets it contains.
 
     Parameters
     ----------
     x_px, contrast, fwhm_px
         Positions, heights and widths of the sheets (frame, N), NaN where missing.
-    width_px
-        Width of the profile.
     comb
         Pitch of the ridges.
-    settings
-        `edge_pitches`, `alike_scatter`, `spacing_spread`.
 
     Notes
     -----
@@ -285,16 +265,16 @@ def sheets_alike(
     fewer than five sheets.
     """
     rest = rest_positions(x_px)
-    reach = settings.edge_pitches * comb.pitch_px
-    if len(rest) < 5 or rest[0] > reach or rest[-1] < width_px - 1 - reach:
+    reach = comb.settings.edge_pitches * comb.pitch_px
+    if len(rest) < 5 or rest[0] > reach or rest[-1] < comb.width_px - 1 - reach:
         return False
-    alike = nan_median(np.abs(_bend(rest))) < settings.spacing_spread * comb.pitch_px
+    alike = nan_median(np.abs(_bend(rest))) < comb.settings.spacing_spread * comb.pitch_px
     with np.errstate(divide="ignore", invalid="ignore"):
         patterns = [_without_common_change(np.log(values)) for values in (contrast, fwhm_px)]
     for pattern in patterns:
         mean = nan_median(pattern)
         within = nan_median(nan_median(np.abs(pattern - mean)))
-        alike &= nan_median(np.abs(_bend(mean))) < settings.alike_scatter * within
+        alike &= nan_median(np.abs(_bend(mean))) < comb.settings.alike_scatter * within
     return bool(alike)
 
 

@@ -81,9 +81,7 @@ class Blur(NamedTuple):
     err_px: Floats
 
 
-def motion_blur(
-    x_px: Floats, contrast: Floats, fwhm_px: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT
-) -> Blur:
+def motion_blur(x_px: Floats, contrast: Floats, fwhm_px: Floats, comb: RidgeComb) -> Blur:
     r"""Find ridges that are smeared by their motion during one exposure.
 
     Parameters
@@ -92,8 +90,6 @@ def motion_blur(
         Position, height and width of the ridges (frame, N), NaN where missing.
     comb
         Width and pitch of the ridges.
-    settings
-        The fields `blur_…`.
 
     Notes
     -----
@@ -107,6 +103,7 @@ def motion_blur(
     the signs of most such sheets: its own may be hidden by a background that varies, or, after a jump of
     about one pitch, by the image of its neighbour, which fills the gap that its own leaves.
     """
+    settings = comb.settings
     near = _frames_around(x_px, BLUR_FRAMES)
     moved = np.nan_to_num(np.fmax.reduce(near) - np.fmin.reduce(near))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -294,9 +291,7 @@ class SceneChange(NamedTuple):
     brightness: float
 
 
-def scene_changes(
-    x_px: Floats, contrast: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT
-) -> list[SceneChange]:
+def scene_changes(x_px: Floats, contrast: Floats, comb: RidgeComb) -> list[SceneChange]:
     """Find where the film was cut, or the camera or the light was moved: identities may change there.
 
     Parameters
@@ -305,8 +300,6 @@ def scene_changes(
         Positions and heights of the ridges (frame, N), NaN where missing.
     comb
         Pitch of the ridges.
-    settings
-        `cut_pitches`, `cut_brightness`, `cut_ratio`.
 
     Returns
     -------
@@ -319,6 +312,7 @@ def scene_changes(
     they are displaced against each other, or where their relative brightnesses change. Such a change must be
     several times the usual one, happen once, and persist: a camera that was knocked swings back.
     """
+    settings = comb.settings
     frames, sheets = x_px.shape
     if frames < 4 * SCENE_FRAMES or sheets < 3:
         return []

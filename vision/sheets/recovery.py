@@ -26,7 +26,7 @@ from vision.sheets.neighbours import (
     torn,
 )
 from vision.sheets.ridges import RidgeComb, Ridges, find_ridges
-from vision.sheets.settings import DEFAULT, TrackingSettings
+from vision.sheets.settings import TrackingSettings
 
 LIKE_ITSELF = 0.7
 """Change of log contrast up to which a ridge may be the sheet that is expected there: a factor of two."""
@@ -59,12 +59,7 @@ class Detections:
 
 
 def assign_detections(
-    profile: Floats32,
-    ridges: Ridges,
-    identities: Identities,
-    comb: RidgeComb,
-    *,
-    settings: TrackingSettings = DEFAULT,
+    profile: Floats32, ridges: Ridges, identities: Identities, comb: RidgeComb
 ) -> Detections:
     """Return one ridge for each sheet in each frame, or the reason why there is none.
 
@@ -80,28 +75,26 @@ def assign_detections(
         Candidates of every frame, and which candidate is which sheet.
     comb
         Width, pitch and contrast of the ridges.
-    settings
-        Thresholds.
     """
     candidates = np.stack([ridges.x_px, ridges.contrast, ridges.fwhm_px])
     paired = np.stack([values_of(identities.match, values) for values in candidates])
     usual = np.stack([identities.squeeze.undone(paired[0]), *paired[1:]])
-    why = _doubts(usual[0], usual[1], identities, comb, profile.shape[1], settings)
-    why = _settle_by_pattern(why, usual, comb, settings)
-    why[_numbered_off_the_end(candidates[:2], paired[:2], comb, settings)] = "end"
-    why[_shifted_pattern(np.where(why == "", paired, np.nan), settings)] = "pattern"
-    paired, why = _reassign_hops(candidates, paired, why, comb, settings)
+    why = _doubts(usual[0], usual[1], identities, comb)
+    why = _settle_by_pattern(why, usual, comb)
+    why[_numbered_off_the_end(candidates[:2], paired[:2], comb)] = "end"
+    why[_shifted_pattern(np.where(why == "", paired, np.nan), comb.settings)] = "pattern"
+    paired, why = _reassign_hops(candidates, paired, why, comb)
     doubtful = why != ""
     withheld = np.where(doubtful, paired[0], np.nan)
     found = np.where(doubtful, np.nan, paired)
     expected = _expected(found[0], identities.rest_px)
-    rows, sheet, faint = _faint_ridges(profile, found, expected, doubtful, comb, settings)
+    rows, sheet, faint = _faint_ridges(profile, found, expected, doubtful, comb)
     if len(rows):  # some of these may be ridges that are near by chance
         found[:, rows, sheet] = faint
-        found[:, hops(neighbour_residual(found[0]), comb, settings) & np.isnan(paired[0])] = np.nan
+        found[:, hops(neighbour_residual(found[0]), comb) & np.isnan(paired[0])] = np.nan
     flag = np.where(np.isfinite(found[0]), "ok", "missing").astype("<U8")
-    flag[_merged(found, expected, comb, settings)] = "merged"
-    flag[_hidden(found[0], doubtful, comb, settings)] = "merged"
+    flag[_merged(found, expected, comb)] = "merged"
+    flag[_hidden(found[0], doubtful, comb)] = "merged"
     half = comb.fwhm_px / 2
     outside = (expected < half) | (expected > profile.shape[1] - 1 - half)
     flag[(flag != "ok") & outside] = "edge"
@@ -123,27 +116,18 @@ DOUBTS = {
 """Meaning of each `Detections.why`."""
 
 
-def _doubts(
-    x: Floats,
-    contrast: Floats,
-    identities: Identities,
-    comb: RidgeComb,
-    width_px: int,
-    settings: TrackingSettings,
-) -> Strings:
+def _doubts(x: Floats, contrast: Floats, identities: Identities, comb: RidgeComb) -> Strings:
     """Return why the identity of each paired ridge is doubtful (margin, jump, tear) or "", (frame, N)."""
     why = np.full(x.shape, "", "<U9")
-    why[~(identities.margin >= settings.doubt)] = "margin"
+    why[~(identities.margin >= comb.settings.doubt)] = "margin"
     displaced = x - rest_positions(x)
-    why[_unproved_jumps(x, displaced, contrast, identities, comb, width_px, settings)] = "jump"
-    why[torn(displaced, comb, settings)] = "tear"
+    why[_unproved_jumps(x, displaced, contrast, identities, comb)] = "jump"
+    why[torn(displaced, comb)] = "tear"
     why[np.isnan(x)] = ""
     return why
 
 
-def _numbered_off_the_end(
-    candidates: Floats32, paired: Floats, comb: RidgeComb, settings: TrackingSettings
-) -> Bools:
+def _numbered_off_the_end(candidates: Floats32, paired: Floats, comb: RidgeComb) -> Bools:
     """Return where a displaced comb leaves out a ridge at one end while its other end is missing, (frame, N).
 
     If the ridge beyond the end is like the sheets, the frame has as many ridges as the comb has sheets, and
@@ -153,7 +137,7 @@ def _numbered_off_the_end(
     """
     x, contrast = paired
     moved = nan_median(x - rest_positions(x), axis=1)
-    rows = np.flatnonzero(np.abs(moved) > 0.5 * settings.jump_fraction * comb.pitch_px)
+    rows = np.flatnonzero(np.abs(moved) > 0.5 * comb.settings.jump_fraction * comb.pitch_px)
     ridge, height = candidates[:, rows].astype(np.float64)
     alike = np.abs(np.log(height / nan_median(contrast[rows], axis=1)[:, None])) < LIKE_ITSELF
     off = np.zeros(len(x), bool)
@@ -182,7 +166,7 @@ def _shifted_pattern(certain: Floats, settings: TrackingSettings) -> Bools:
     return away
 
 
-def _settle_by_pattern(why: Strings, paired: Floats, comb: RidgeComb, settings: TrackingSettings) -> Strings:
+def _settle_by_pattern(why: Strings, paired: Floats, comb: RidgeComb) -> Strings:
     """Return the doubts that remain where the pattern confirms identities whose margin was too small."""
     unsettled = why == "margin"
     if not unsettled.any():
@@ -192,12 +176,12 @@ def _settle_by_pattern(why: Strings, paired: Floats, comb: RidgeComb, settings: 
         log_contrast, log_width = np.log(contrast), np.log(fwhm)
     known = np.where(why == "tear", np.nan, x)
     trusted = np.isfinite(known) & (why == "")
-    confirmed = anchored(known, log_contrast, log_width, trusted, comb, settings)
+    confirmed = anchored(known, log_contrast, log_width, trusted, comb)
     return np.where(confirmed & unsettled, "", why)
 
 
 def _reassign_hops(
-    candidates: Floats32, paired: Floats, why: Strings, comb: RidgeComb, settings: TrackingSettings
+    candidates: Floats32, paired: Floats, why: Strings, comb: RidgeComb
 ) -> tuple[Floats, Strings]:
     """Give each sheet that hopped to another ridge the ridge at its predicted position, or doubt it.
 
@@ -207,13 +191,13 @@ def _reassign_hops(
     for _ in range(4):  # each pass finds the largest residual among neighbours and sets that sheet aside
         x = np.where(why == "", paired[0], np.nan)
         residual = neighbour_residual(x)
-        off = hops(residual, comb, settings)
+        off = hops(residual, comb)
         if not off.any():
             break
         frame, sheet = np.nonzero(off)
         best, distance = nearest(candidates[0, frame], (x - residual)[off])
         there, height = candidates[:2, frame, best].astype(np.float64)
-        accept = (distance <= settings.faint_reach * comb.pitch_px) & (there != x[off])
+        accept = (distance <= comb.settings.faint_reach * comb.pitch_px) & (there != x[off])
         usual = nan_median(np.log(np.where(why == "", paired[1], np.nan)))[sheet]
         accept &= np.abs(np.log(height) - usual) < LIKE_ITSELF
         accept &= ~(np.where(off, np.nan, paired[0])[frame] == there[:, None]).any(axis=1)
@@ -225,13 +209,7 @@ def _reassign_hops(
 
 
 def _unproved_jumps(
-    x: Floats,
-    displaced: Floats,
-    contrast: Floats,
-    identities: Identities,
-    comb: RidgeComb,
-    width_px: int,
-    settings: TrackingSettings,
+    x: Floats, displaced: Floats, contrast: Floats, identities: Identities, comb: RidgeComb
 ) -> Bools:
     """Return where the comb is displaced by a jump that could be one of whole pitches, (frame, N).
 
@@ -242,6 +220,7 @@ def _unproved_jumps(
     ones, and the margin required grows by the ratio of the squares: the overdispersion of a quasi-likelihood
     (McCullagh & Nelder 1989, chapter 9). `displaced` is x less the rest positions.
     """
+    settings = comb.settings
     seen = np.isfinite(x).any(axis=1)
     step = np.nan_to_num(nan_median(np.diff(x[seen], axis=0), axis=1))
     run = np.zeros(len(x), np.int64)
@@ -255,7 +234,7 @@ def _unproved_jumps(
         return np.zeros(x.shape, bool)
     reach = settings.edge_pitches * comb.pitch_px
     rest = identities.rest_px
-    no_end_in_view = (rest[:, 0] < reach) & (rest[:, -1] > width_px - 1 - reach)
+    no_end_in_view = (rest[:, 0] < reach) & (rest[:, -1] > comb.width_px - 1 - reach)
     least = settings.stay_cost + 1.0 + np.where(no_end_in_view, 2 * settings.crossing_cost, 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         off = np.log(contrast) - identities.reference.log_contrast
@@ -286,12 +265,7 @@ def _expected(start: Floats, rest: Floats) -> Floats:
 
 
 def _faint_ridges(
-    profile: Floats32,
-    found: Floats,
-    expected: Floats,
-    doubtful: Bools,
-    comb: RidgeComb,
-    settings: TrackingSettings,
+    profile: Floats32, found: Floats, expected: Floats, doubtful: Bools, comb: RidgeComb
 ) -> tuple[Ints, Ints, Floats]:
     """Return faint ridges at the expected positions of missing sheets: frame, sheet, and position, contrast
     and width (3, ridges). `found` holds these for the sheets already detected, (3, frame, N)."""
@@ -299,13 +273,15 @@ def _faint_ridges(
     rows = np.flatnonzero(wanted.any(axis=1))
     if not len(rows):
         return rows, rows, np.zeros((3, 0))
-    faint = find_ridges(profile[rows], replace(comb, contrast=0.0), settings=settings)
+    faint = find_ridges(profile[rows], replace(comb, contrast=0.0))
     row, sheet = np.nonzero(wanted[rows])
     frame = rows[row]
     best, distance = nearest(faint.x_px[row], expected[frame, sheet])
     there = np.stack([faint.x_px, faint.contrast, faint.fwhm_px])[:, row, best].astype(np.float64)
     usual = np.nan_to_num(nan_median(found[1]))[sheet]
-    keep = (distance <= settings.faint_reach * comb.pitch_px) & (there[1] >= settings.faint_contrast * usual)
+    keep = (distance <= comb.settings.faint_reach * comb.pitch_px) & (
+        there[1] >= comb.settings.faint_contrast * usual
+    )
     keep &= nearest(found[0, frame], there[0])[1] > 0.5 * comb.fwhm_px
     keep &= _unshared(frame, there[0], keep)
     return frame[keep], sheet[keep], there[:, keep]
@@ -322,7 +298,7 @@ def _unshared(frame: Ints, x: Floats, keep: Bools) -> Bools:
     return unshared
 
 
-def _merged(found: Floats, expected: Floats, comb: RidgeComb, settings: TrackingSettings) -> Bools:
+def _merged(found: Floats, expected: Floats, comb: RidgeComb) -> Bools:
     """Return which missing sheets form one ridge with a detected neighbour, and these neighbours, (frame, N).
 
     Their expected positions are within a ridge's width of each other, or the neighbour is as high or as wide
@@ -339,19 +315,19 @@ def _merged(found: Floats, expected: Floats, comb: RidgeComb, settings: Tracking
     usual = nan_median(alone, axis=1)
     size = found[1:] / np.where(np.isfinite(usual), usual, nan_median(found[1:], axis=1))[:, None]
     size /= nan_median(size, axis=2)[..., None]  # exposure, focus
-    double = (size[0] > settings.merged_height) | (size[1] > settings.merged_width)
-    pair = (apart < settings.merged_widths * comb.fwhm_px) | double[:, 1:] | double[:, :-1]
+    double = (size[0] > comb.settings.merged_height) | (size[1] > comb.settings.merged_width)
+    pair = (apart < comb.settings.merged_widths * comb.fwhm_px) | double[:, 1:] | double[:, :-1]
     return _both(pair & (missing[:, 1:] ^ missing[:, :-1]))
 
 
-def _hidden(start: Floats, doubtful: Bools, comb: RidgeComb, settings: TrackingSettings) -> Bools:
+def _hidden(start: Floats, doubtful: Bools, comb: RidgeComb) -> Bools:
     """Return which missing sheets were near a detected neighbour just before or after, and these neighbours.
 
     One lies behind the other, so that the ridge is no higher than usual, and it is unknown which is seen.
     """
     gap = np.diff(start, axis=1)
     around = np.fmin(last_seen(gap.T).T, last_seen(gap[::-1].T).T[::-1])
-    near = min(settings.touching_widths * comb.fwhm_px, settings.touching_pitches * comb.pitch_px)
+    near = min(comb.settings.touching_widths * comb.fwhm_px, comb.settings.touching_pitches * comb.pitch_px)
     seen = np.isfinite(start)
     missing = ~seen & ~doubtful  # a doubtful sheet does have a ridge
     return _both((around < near) & (missing[:, 1:] & seen[:, :-1] | seen[:, 1:] & missing[:, :-1]))

@@ -59,27 +59,19 @@ class ReferenceComb:
             self.x_px[kept], self.log_contrast[kept], self.log_width[kept], self.found[kept], dropped=fewer
         )
 
-    def expected(
-        self,
-        x_px: Floats,
-        comb: RidgeComb,
-        width_px: int,
-        *,
-        counted: bool = False,
-        settings: TrackingSettings = DEFAULT,
-    ) -> ExpectedSheets:
+    def expected(self, x_px: Floats, comb: RidgeComb, *, counted: bool = False) -> ExpectedSheets:
         """Return this comb with its sheets expected at x_px (lists, N).
 
         Unless the number of sheets was `counted`, more sheets may lie beyond an end near the picture's edge.
         """
         unseen = -np.log(np.clip(1 - self.found, 1e-3, 1))
-        missing = np.clip(unseen, 1.0, settings.missing_cost)
+        missing = np.clip(unseen, 1.0, comb.settings.missing_cost)
         half = comb.fwhm_px / 2
-        view = (half, width_px - 1 - half)
-        near = settings.edge_pitches * comb.pitch_px
+        view = (half, comb.width_px - 1 - half)
+        near = comb.settings.edge_pitches * comb.pitch_px
         ends = x_px[:, 0].min() < view[0] + near, x_px[:, -1].max() > view[1] - near
         open_ends = (False, False) if counted else (bool(ends[0]), bool(ends[1]))
-        return ExpectedSheets(x_px, self.log_contrast, missing, comb.pitch_px, view, open_ends, settings)
+        return ExpectedSheets(x_px, self.log_contrast, missing, comb.pitch_px, view, open_ends, comb.settings)
 
 
 def build_reference(
@@ -88,10 +80,8 @@ def build_reference(
     displacement_px: Floats,
     comb: RidgeComb,
     *,
-    width_px: int,
     sheets: int | None,
     source: str,
-    settings: TrackingSettings = DEFAULT,
 ) -> ReferenceComb:
     """Return the comb that most frames agree on.
 
@@ -104,14 +94,12 @@ def build_reference(
     candidates, frames, displacement_px
         Lists of candidates, one for each segment of frames; number of frames of each, and displacement of the
         whole comb at that time, (lists,).
-    comb, width_px
-        Width, pitch and contrast of the ridges; width of the profile.
+    comb
+        Width, pitch and contrast of the ridges.
     sheets
         Number of sheets, if known: the best comb of exactly that many is chosen.
     source
         Name of the recording in messages.
-    settings
-        Costs and thresholds.
 
     Raises
     ------
@@ -119,6 +107,7 @@ def build_reference(
         For fewer ridges than `sheets`, not counting specks far outside the comb, or if no ridge is in most
         frames.
     """
+    settings = comb.settings
     spread = np.linspace(0, len(frames) - 1, 192).astype(int)
     longest = np.argsort(-frames, kind="stable")[:192]
     chosen = np.unique(np.r_[longest, spread])
@@ -126,7 +115,7 @@ def build_reference(
     reference = _seed(candidates, frames, displacement_px, comb.pitch_px)
     for _ in range(4):  # two revisions usually suffice
         filled = _fill_gaps(reference, comb.pitch_px)
-        revised = _revise(filled, some, weight, moved, comb, width_px, settings)
+        revised = _revise(filled, some, weight, moved, comb)
         if not revised.sheets:
             advice = "check `rows` and `rotate`; one picture may be a title among few frames"
             raise InputError(source, "ridges that most frames show", "none that lasts", advice)
@@ -218,20 +207,14 @@ def _fill_gaps(known: ReferenceComb, pitch_px: float) -> ReferenceComb:
 
 
 def _revise(
-    reference: ReferenceComb,
-    candidates: Candidates,
-    weight: Floats,
-    displacement_px: Floats,
-    comb: RidgeComb,
-    width_px: int,
-    settings: TrackingSettings,
+    reference: ReferenceComb, candidates: Candidates, weight: Floats, displacement_px: Floats, comb: RidgeComb
 ) -> ReferenceComb:
     """Add ridges that many lists show, remove those that few show, and measure all again.
 
     weight: number of frames of each list.
     """
     rest = reference.x_px + displacement_px[:, None]
-    match = align(candidates, reference.expected(rest, comb, width_px, settings=settings)).match
+    match = align(candidates, reference.expected(rest, comb)).match
     tables = (candidates.x_px, candidates.log_contrast, candidates.log_width)
     x, log_contrast, log_width = (values_of(match, values) for values in tables)
     moved = x - rest
@@ -244,9 +227,9 @@ def _revise(
     everything = ReferenceComb(columns[0], columns[1], columns[2], columns[3]).only(np.argsort(columns[0]))
     position = everything.x_px + (displacement_px + np.nan_to_num(common))[:, None]
     margin = 0.5 * comb.pitch_px  # a sheet near the picture's edge is seen half of the time
-    in_view = weight @ ((position > margin) & (position < width_px - 1 - margin))
+    in_view = weight @ ((position > margin) & (position < comb.width_px - 1 - margin))
     share = everything.found * weight.sum() / np.maximum(in_view, LEAST_IN_VIEW * weight.sum())
-    return replace(everything.only(np.flatnonzero(share >= settings.present_inside)), dropped=0)
+    return replace(everything.only(np.flatnonzero(share >= comb.settings.present_inside)), dropped=0)
 
 
 def _unmatched(
@@ -466,9 +449,7 @@ def faint_ends(reference: ReferenceComb, moved_px: Floats, *, settings: Tracking
     return none
 
 
-def marks(
-    x_px: Floats, err_px: Floats, usual_px: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT
-) -> Bools:
+def marks(x_px: Floats, err_px: Floats, usual_px: Floats, comb: RidgeComb) -> Bools:
     """Return which sheets are marks or lie under one, (N,): the measured position is not the sheet's.
 
     A mark belongs to a ruler beside the comb, or it is usually distorted and shows a second sign. The sign is
@@ -484,9 +465,8 @@ def marks(
         Usual distortion of each sheet, px, (N,).
     comb
         Width and pitch of the ridges.
-    settings
-        The fields `mark_…` and `odd_spacing`.
     """
+    settings = comb.settings
     rest = rest_positions(x_px)
     least = 5.0 * float(nan_median(err_px.ravel()))
     sensitive = replace(settings, moving_px=least, static_fraction=settings.mark_motion)

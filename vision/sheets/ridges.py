@@ -29,7 +29,7 @@ FRAMES_PER_BLOCK = 128  # processed at once, so that intermediate arrays fit int
 
 @dataclass(frozen=True)
 class RidgeComb:
-    """Appearance of the ridges, measured once per recording.
+    """Appearance of the ridges, measured once per recording, and the thresholds that apply to them.
 
     Parameters
     ----------
@@ -43,6 +43,10 @@ class RidgeComb:
         Standard deviation of the profile's noise, grey levels.
     count
         Number of main ridges in a frame.
+    width_px
+        Width of the profile.
+    settings
+        Thresholds and costs of the tracking.
     """
 
     polarity: Polarity
@@ -51,9 +55,11 @@ class RidgeComb:
     contrast: float
     noise: float
     count: float
+    width_px: int
+    settings: TrackingSettings = DEFAULT
 
     @classmethod
-    def of(cls, found: TrackMetadata) -> RidgeComb:
+    def of(cls, found: TrackMetadata, width_px: int, settings: TrackingSettings = DEFAULT) -> RidgeComb:
         """Return the comb as the tracking measured it."""
         return cls(
             "dark" if found.ridges == "dark" else "bright",
@@ -62,6 +68,8 @@ class RidgeComb:
             found.contrast,
             found.profile_noise,
             float(found.sheets),
+            width_px,
+            settings,
         )
 
     def bright(self, profile: Floats32) -> Floats32:
@@ -254,7 +262,8 @@ def _measure_within(
     pitch = float(np.median(gaps)) if len(gaps) else float(sample.shape[1])
     counts = np.bincount(frame[main], minlength=len(sample))
     contrast, ends = float(np.median(prominence[main])), np.cumsum(counts)[:-1]
-    comb = RidgeComb(polarity, fwhm, pitch, contrast, noise, float(np.median(counts)))
+    count, width_px = float(np.median(counts)), sample.shape[1]
+    comb = RidgeComb(polarity, fwhm, pitch, contrast, noise, count, width_px, settings)
     x = at[main] % walled.shape[1] - 1  # without the wall
     return _MainRidges(comb, Stripes(np.split(x, ends), np.split(widths[main], ends)))
 
@@ -287,7 +296,7 @@ def _strongest(strength: Floats, frame: Ints, most: int) -> Bools:
 # --- candidates in each frame -------------------------------------------------------------------------------
 
 
-def find_ridges(profile: Floats32, comb: RidgeComb, *, settings: TrackingSettings = DEFAULT) -> Ridges:
+def find_ridges(profile: Floats32, comb: RidgeComb) -> Ridges:
     """Return the candidate ridges of every frame.
 
     A candidate is a local maximum of the lightly smoothed profile (a minimum for dark ridges) whose
@@ -300,8 +309,6 @@ def find_ridges(profile: Floats32, comb: RidgeComb, *, settings: TrackingSetting
         Grey levels (frame, x); frames of NaN have no candidates.
     comb
         From `describe_ridges`. Its noise and contrast set the threshold; with `contrast` 0, its noise alone.
-    settings
-        Thresholds.
 
     Notes
     -----
@@ -310,7 +317,7 @@ def find_ridges(profile: Floats32, comb: RidgeComb, *, settings: TrackingSetting
     starts = range(0, len(profile), FRAMES_PER_BLOCK)
 
     def find(start: int) -> _Peaks:
-        return _find_block(profile[start : start + FRAMES_PER_BLOCK], start, comb, settings)
+        return _find_block(profile[start : start + FRAMES_PER_BLOCK], start, comb)
 
     with ThreadPoolExecutor(2) as pool:
         parts = list(pool.map(find, starts))
@@ -326,10 +333,12 @@ class _Peaks(NamedTuple):
     fwhm: Floats
 
 
-def _find_block(profile: Floats32, start: int, comb: RidgeComb, settings: TrackingSettings) -> _Peaks:
+def _find_block(profile: Floats32, start: int, comb: RidgeComb) -> _Peaks:
     """Find the ridges of a block of frames, searched as one long line with walls between the frames."""
+    settings = comb.settings
     smoothing_px = max(0.5, settings.smoothing_widths * comb.fwhm_px)
-    threshold = max(_noise_floor(comb.noise, smoothing_px, settings), settings.faint_fraction * comb.contrast)
+    least = _noise_floor(comb.noise, smoothing_px, settings)
+    threshold = max(least, settings.faint_fraction * comb.contrast)
     reach_px = max(4, round(settings.surroundings_widths * comb.fwhm_px))
     walled = _smoothed(comb.bright(profile), smoothing_px, wall_px=1)
     walled[:, [0, -1]] = walled[:, [1, -2]] + 1  # a wall is no ridge, nor is a slope up to it
@@ -343,9 +352,8 @@ def _find_block(profile: Floats32, start: int, comb: RidgeComb, settings: Tracki
     widths = half_widths(walled.ravel(), maxima)
     frame, x = np.divmod(at, walled.shape[1])
     fwhm = np.sqrt(np.maximum(widths**2 - (FWHM * smoothing_px) ** 2, 0.25))
-    keep = (fwhm >= settings.narrowest_widths * comb.fwhm_px) & (
-        fwhm <= settings.widest_widths * comb.fwhm_px
-    )
+    relative = fwhm / comb.fwhm_px
+    keep = (relative >= settings.narrowest_widths) & (relative <= settings.widest_widths)
     keep &= (x > 0) & (x < walled.shape[1] - 1)
     flattened = np.hypot(1, FWHM * smoothing_px / comb.fwhm_px)  # height a Gaussian loses to the smoothing
     return _Peaks(frame[keep] + start, x[keep] - 1, prominence[keep] * flattened, fwhm[keep])

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from vision.errors import InputError
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, Ints, nan_median
 from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb
-from vision.sheets.settings import DEFAULT, TrackingSettings
 
 FitName = Literal["sliding", "paper", "template"]
 FitChoice = Literal["auto", "sliding", "paper", "template"]
@@ -346,12 +345,7 @@ def _gauss_newton(pixels: Floats, mean: Floats, rise: Floats) -> tuple[Floats, F
 # --- all sheets of all frames -------------------------------------------------------------------------------
 
 
-def choose_window(
-    comb: RidgeComb,
-    asked: int | Literal["auto"] | None,
-    *,
-    settings: TrackingSettings = DEFAULT,
-) -> int:
+def choose_window(comb: RidgeComb, asked: int | Literal["auto"] | None) -> int:
     """Return the width of the fit window, px, odd.
 
     Parameters
@@ -361,8 +355,6 @@ def choose_window(
     asked
         A given width; "auto" for a width that follows that of the ridges; None for the publication's width if
         it suits the ridges, else as for "auto".
-    settings
-        `standard_window_px`, `standard_widths_px`, `window_per_width`.
 
     Raises
     ------
@@ -378,11 +370,11 @@ def choose_window(
             near = f"a window no wider than the ridges' spacing, {comb.pitch_px:.0f} px"
             raise InputError("`window_px`", near, str(asked), "try `window_px` auto")
         return asked
-    narrow, wide = settings.standard_widths_px
+    narrow, wide = comb.settings.standard_widths_px
     if asked is None and narrow <= comb.fwhm_px <= wide:
-        return settings.standard_window_px
+        return comb.settings.standard_window_px
     widest = max(5.0, 0.9 * comb.pitch_px)
-    return 2 * round((min(max(5.0, settings.window_per_width * comb.fwhm_px), widest) - 1) / 2) + 1
+    return 2 * round((min(max(5.0, comb.settings.window_per_width * comb.fwhm_px), widest) - 1) / 2) + 1
 
 
 def fit_sheets(
@@ -420,7 +412,7 @@ def fit_sheets(
 
 
 def learned_template(
-    bright: Floats32, x_px: Floats, err: Floats, comb: RidgeComb, *, settings: TrackingSettings = DEFAULT
+    bright: Floats32, x_px: Floats, err: Floats, comb: RidgeComb
 ) -> tuple[Floats, Floats, Bools]:
     """Return template positions for sheets whose mean shape is learned well, and the given ones for others.
 
@@ -432,8 +424,6 @@ def learned_template(
         Positions and errors per grey level by the sliding window (frame, N).
     comb
         Width and pitch of the ridges.
-    settings
-        The fields `template_…`.
 
     Returns
     -------
@@ -447,6 +437,7 @@ def learned_template(
     and if it scatters less from frame to frame. It is used for no sheet if it fails for most, or if the film
     is too long.
     """
+    settings = comb.settings
     none = np.zeros(x_px.shape[1], bool)
     seen = np.isfinite(x_px)
     enough = seen.sum(axis=0) >= settings.template_frames

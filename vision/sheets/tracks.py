@@ -124,12 +124,12 @@ def track_sheets(
     axis_px = axis_px if axis_decision is None else axis_decision.x_px
     _check_axis(axis_px, origin_px, float(strip["x"].values[-1]))
     comb = describe_ridges(profile, polarity=ridges, sheets=sheets, source=facts.source, settings=settings)
-    window = choose_window(comb, window_px, settings=settings)
-    identities, detections = _detect(strip, profile, comb, sheets, corrections, settings)
+    window = choose_window(comb, window_px)
+    identities, detections = _detect(strip, profile, comb, sheets, corrections)
     frozen = repeated_frames(profile, settings)
-    fitted = _fit(profile, detections.start_px, comb, fit, window, frozen, settings)
+    fitted = _fit(profile, detections.start_px, comb, fit, window, frozen)
     errors = _errors(fitted, frozen, facts.codec, settings)
-    assessed = _assess_ridges(comb.bright(profile), fitted.x_px, errors, detections, frozen, comb, settings)
+    assessed = _assess_ridges(comb.bright(profile), fitted.x_px, errors, detections, frozen, comb)
     axis = None if axis_px is None else axis_px - origin_px
     found = _Tracked(
         comb=comb,
@@ -147,10 +147,8 @@ def track_sheets(
         origin_px=origin_px,
     )
     number = strip["frame"].values
-    changes = scene_changes(detections.start_px, detections.contrast, comb, settings)
-    alike = sheets_alike(
-        assessed.x_px, detections.contrast, detections.fwhm_px, profile.shape[1], comb, settings
-    )
+    changes = scene_changes(detections.start_px, detections.contrast, comb)
+    alike = sheets_alike(assessed.x_px, detections.contrast, detections.fwhm_px, comb)
     step = np.abs(nan_median(np.diff(assessed.x_px, axis=0), axis=1))
     large = number[1:][step > settings.step_fraction * comb.pitch_px]
     metadata = replace(
@@ -180,24 +178,20 @@ def _detect(
     comb: RidgeComb,
     sheets: int | None,
     corrections: Sequence[Correction],
-    settings: TrackingSettings,
 ) -> tuple[Identities, Detections]:
     """Find candidates, assign them to sheets and apply the manual corrections."""
     source = StripMetadata.of(strip).source
-    candidates = find_ridges(profile, comb, settings=settings)
+    candidates = find_ridges(profile, comb)
     if not candidates.count.any():
         raise no_ridges(profile, source)
-    identities = identify_sheets(
-        candidates, comb, width_px=profile.shape[1], sheets=sheets, source=source, settings=settings
-    )
+    identities = identify_sheets(candidates, comb, sheets=sheets, source=source)
     detections = apply_corrections(
-        assign_detections(profile, candidates, identities, comb, settings=settings),
+        assign_detections(profile, candidates, identities, comb),
         candidates,
         corrections,
         comb,
         frames=strip["frame"].values,
         origin_px=float(strip["x"].values[0]),
-        settings=settings,
     )
     return identities, detections
 
@@ -215,33 +209,27 @@ class _Assessed(NamedTuple):
 
 
 def _assess_ridges(
-    bright: Floats32,
-    x_px: Floats,
-    errors: _Errors,
-    detections: Detections,
-    frozen: Bools,
-    comb: RidgeComb,
-    settings: TrackingSettings,
+    bright: Floats32, x_px: Floats, errors: _Errors, detections: Detections, frozen: Bools, comb: RidgeComb
 ) -> _Assessed:
     """Find ridges that are blurred, cut or distorted, and those that are not the ridge of one sheet.
 
     What positions scatter beyond all these errors is added to them (`noise_excess`).
     """
     changing = np.where(frozen[:, None], np.nan, x_px)
-    blur = motion_blur(changing, detections.contrast, detections.fwhm_px, comb, settings)
+    blur = motion_blur(changing, detections.contrast, detections.fwhm_px, comb)
     smeared = (blur.err_px > 0) | blur.blurred
     x_px = np.where(smeared & beside_missing(detections.flag), np.nan, x_px)
-    distorted = distortion(bright, x_px, errors.err_px, smeared, comb, settings)
+    distorted = distortion(bright, x_px, errors.err_px, smeared, comb)
     usual_px = np.hypot(distorted.lasting_px, nan_median(distorted.err_px))
-    not_a_sheet = not_one_ridge(bright, x_px, comb, settings)
-    not_a_sheet |= distorted.lasting_px > settings.most_distorted * comb.fwhm_px
-    not_a_sheet |= marks(x_px, errors.err_px, usual_px, comb, settings)
+    not_a_sheet = not_one_ridge(bright, x_px, comb)
+    not_a_sheet |= distorted.lasting_px > comb.settings.most_distorted * comb.fwhm_px
+    not_a_sheet |= marks(x_px, errors.err_px, usual_px, comb)
     flag = np.where((detections.flag == "ok") & not_a_sheet, "merged", detections.flag)
     err = np.sqrt(errors.err_px**2 + blur.err_px**2 + distorted.err_px**2)
     usual = nan_median(np.where(np.isfinite(x_px), err, np.nan))
-    excess = noise_excess(BetweenSlips(np.where(frozen[:, None], np.nan, x_px)), err, settings)
+    excess = noise_excess(BetweenSlips(np.where(frozen[:, None], np.nan, x_px)), err, comb.settings)
     err = np.hypot(err, np.nan_to_num(usual) * np.sqrt(np.fmax(excess**2 - 1.0, 0.0)))
-    is_distorted = distorted.err_px > np.fmax(errors.err_px, settings.distortion_floor)
+    is_distorted = distorted.err_px > np.fmax(errors.err_px, comb.settings.distortion_floor)
     return _Assessed(x_px, flag, err, blur.blurred, is_distorted, distorted.lasting_px)
 
 
@@ -338,13 +326,7 @@ class _Fitted(NamedTuple):
 
 
 def _fit(
-    profile: Floats32,
-    start_px: Floats,
-    comb: RidgeComb,
-    fit: FitChoice,
-    window_px: int,
-    frozen: Bools,
-    settings: TrackingSettings,
+    profile: Floats32, start_px: Floats, comb: RidgeComb, fit: FitChoice, window_px: int, frozen: Bools
 ) -> _Fitted:
     """Fit all ridges, and measure the noise of the profile around them."""
     bright = comb.bright(profile)
@@ -354,9 +336,7 @@ def _fit(
     noise = intensity_noise(profile[new], x[new], half_px=window_px // 2, fallback=comb.noise)
     if fit == "auto":
         usable = np.where(frozen[:, None], np.nan, x)
-        matched, matched_per_grey, learned = learned_template(
-            bright, usable, per_grey, comb, settings=settings
-        )
+        matched, matched_per_grey, learned = learned_template(bright, usable, per_grey, comb)
         if learned.any():
             used, x, per_grey = "template", matched, matched_per_grey
     err = per_grey * noise
@@ -486,14 +466,14 @@ def with_heights(
     if not np.array_equal(tracks["frame"].values, parts["frame"].values):
         raise InputError("the parts of the strip", "the tracks' frames", "others", "use those of one reading")
     facts = TrackMetadata.of(tracks)
-    comb = RidgeComb.of(facts)
+    comb = RidgeComb.of(facts, parts.sizes["x"], settings)
     start = np.rint(tracks["x_px"].values - float(parts["x"].values[0]))
     fit: FitChoice = "auto" if facts.fit == "template" else "paper" if facts.fit == "paper" else "sliding"
     x = np.empty((*start.shape, parts.sizes["z"]))
     err = np.empty_like(x)
     for k, part in enumerate(np.asarray(parts.values, np.float32)):
         frozen = repeated_frames(part, settings)
-        fitted = _fit(part, start, comb, fit, facts.window_px, frozen, settings)
+        fitted = _fit(part, start, comb, fit, facts.window_px, frozen)
         x[..., k], err[..., k] = fitted.x_px, fitted.err_px
     if "x_predicted_px" in tracks:
         stated = nan_median(tracks["x_err_px"].values) / tracks["x_predicted_px"].values
