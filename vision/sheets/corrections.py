@@ -49,6 +49,7 @@ effect.
 from __future__ import annotations
 
 import json
+from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -538,34 +539,18 @@ def follow_ridge(
     relative = ridges.x_px[rows] - travelled[:, None]  # relative to the other sheets
     x = np.full(len(rows), np.nan)
     at = float(correction.x_px or 0.0) - origin_px
-    begin = 0
-    while begin < len(rows):
-        block = relative[begin : begin + 256]  # the result does not depend on this number
-        guess, distance = nearest(block, np.full(len(block), at))
-        near = distance <= reach
-        if begin == 0 and not near[0]:
+    for k, row in enumerate(values.tolist() for values in relative):  # ascending, NaN last
+        after = bisect_left(row, at)
+        beside = range(max(0, after - 1), min(after + 1, len(row)))
+        best = min(beside, key=lambda i: abs(row[i] - at))
+        if abs(row[best] - at) <= reach:
+            at, x[k] = row[best], ridges.x_px[rows[k], best]
+        elif k == 0:
             seen = ridges.x_px[rows[0]][np.isfinite(ridges.x_px[rows[0]])]
             close = np.sort(seen[np.argsort(np.abs(seen - at))[:2]] + origin_px)
             found = f"the nearest at {' and '.join(f'{x_px:.0f}' for x_px in close)}" * bool(close.size)
             raise InputError(correction.name, f"a ridge near x_px = {correction.x_px:g}", found or "none")
-        before = _last_before(np.where(near, block[np.arange(len(block)), guess], np.nan), at)
-        best, distance = nearest(block, before)  # from its position in the row before
-        close = distance <= reach
-        wrong = np.flatnonzero((best != guess) | (close != near))
-        done = slice(0, int(wrong[0]) + 1 if len(wrong) else len(block))  # `before` is right up to there
-        followed = np.flatnonzero(close[done])
-        x[begin + followed] = ridges.x_px[rows[begin + followed], best[followed]]
-        if len(followed):
-            at = float(block[followed[-1], best[followed[-1]]])
-        begin += done.stop
     return x
-
-
-def _last_before(values: Floats, first: float) -> Floats:
-    """Return the last known value before each entry; `first` if there is none."""
-    earlier = np.concatenate([[first], values[:-1]])
-    number = np.maximum.accumulate(np.where(np.isfinite(earlier), np.arange(len(earlier)), 0))
-    return np.asarray(earlier[number], np.float64)
 
 
 def not_taken(correction: Correction, frame: int, sheet: int) -> InputError:

@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from vision.data import TrackMetadata
 from vision.errors import InputError
 from vision.numeric import FWHM, NORMAL_MEDIAN, Bools, Floats, Floats32, Ints
-from vision.sheets.polarity import Stripes, choose_polarity
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.signals import find_maxima, half_widths
 
 Polarity = Literal["bright", "dark"]
 SEARCH_SIGMA_PX = 1.0  # standard deviation of the smoothing with which a comb is described
+NEAREST = 3  # stripes whose levels stand for the comb's end
 FRAMES_PER_BLOCK = 128  # processed at once, so that intermediate arrays fit into a core's cache
 
 
@@ -122,7 +122,7 @@ def describe_ridges(
     profile
         Grey levels (frame, x), at least one frame without NaN.
     polarity
-        "auto" chooses as `choose_polarity` does; where that is undecided, the narrower stripes.
+        "auto" finds which stripes are the sheets, and which the gaps between them.
     sheets
         Number of ridges in view, if known.
     source
@@ -190,23 +190,6 @@ def _noise_floor(noise: float, smoothing_px: float, settings: TrackingSettings) 
     return max(1e-6, float(settings.noise_factor * smoothed_noise))
 
 
-class _MainRidges(NamedTuple):
-    """The main ridges of one polarity in a sample of frames."""
-
-    comb: RidgeComb
-    stripes: Stripes
-
-
-def _likelier(
-    sample: Floats32, bright: _MainRidges, dark: _MainRidges, settings: TrackingSettings
-) -> _MainRidges:
-    """Return the likelier of two polarities of the same stripes."""
-    polarity = choose_polarity(_smoothed(sample, SEARCH_SIGMA_PX), bright.stripes, dark.stripes, settings)
-    if polarity is None:
-        return dark if dark.comb.fwhm_px < settings.dark_width_ratio * bright.comb.fwhm_px else bright
-    return bright if polarity == "bright" else dark
-
-
 def _sample(profile: Floats32) -> Floats32:
     """Return frames spread over the recording, without those that contain NaN."""
     good = np.flatnonzero(np.isfinite(profile[:, :1]).all(axis=1))
@@ -265,7 +248,7 @@ def _measure_within(
     count, width_px = float(np.median(counts)), sample.shape[1]
     comb = RidgeComb(polarity, fwhm, pitch, contrast, noise, count, width_px, settings)
     x = at[main] % walled.shape[1] - 1  # without the wall
-    return _MainRidges(comb, Stripes(np.split(x, ends), np.split(widths[main], ends)))
+    return _MainRidges(comb, np.split(x, ends), np.split(widths[main], ends))
 
 
 def _commonest_width(
@@ -291,6 +274,105 @@ def _strongest(strength: Floats, frame: Ints, most: int) -> Bools:
     strongest = np.zeros(len(frame), bool)
     strongest[order] = np.arange(len(frame)) - first < most
     return strongest
+
+
+# --- bright or dark: which stripes of a comb are the sheets, and which the gaps between them ----------------
+
+
+class _MainRidges(NamedTuple):
+    """The main ridges of one polarity in a sample of frames: the comb that they form, and for each frame
+    their positions, whole pixels in ascending order, and their widths, px."""
+
+    comb: RidgeComb
+    x: list[Ints]
+    width: list[Floats]
+
+    @property
+    def spacing(self) -> Ints:
+        """All distances between neighbours."""
+        return np.concatenate([np.diff(x) for x in self.x])
+
+
+def _likelier(
+    sample: Floats32, bright: _MainRidges, dark: _MainRidges, settings: TrackingSettings
+) -> _MainRidges:
+    """Return the polarity that is the sheets: the narrower stripes if nothing else tells sheets from gaps."""
+    evidence = _evidence_for_bright(_smoothed(sample, SEARCH_SIGMA_PX), bright, dark, settings)
+    if evidence == 0:
+        return dark if dark.comb.fwhm_px < settings.dark_width_ratio * bright.comb.fwhm_px else bright
+    return bright if evidence > 0 else dark
+
+
+def _evidence_for_bright(
+    line: Floats32, bright: _MainRidges, dark: _MainRidges, settings: TrackingSettings
+) -> float:
+    """Return a positive number if the bright stripes are the sheets, a negative one if the dark ones are, 0
+    if nothing tells.
+
+    The background beside the comb is also what shows between the sheets. If no end of the comb is clearly in
+    view, sheets and gaps of an even comb differ in two ways. Sheets keep their widths, while gaps change. And
+    two sheets differ in brightness, while two gaps show the same background. `line` is the sample, lightly
+    smoothed.
+    """
+    spacings = bright.spacing, dark.spacing
+    if not all(len(spacing) for spacing in spacings):
+        return 0.0
+    pitch = float(np.median(np.concatenate(spacings)))
+    background = _background(line, bright, dark, pitch, settings.background_margin)
+    if abs(background) > 1 / 3:
+        return background
+    quartiles = np.array([np.quantile(spacing, [0.25, 0.75]) for spacing in spacings])
+    changes = [_width_change(stripes, pitch) for stripes in (bright, dark)]
+    differences = [_height_difference(line, stripes) for stripes in (bright, dark)]
+    uneven = (quartiles[:, 1] > settings.even_spacing * quartiles[:, 0]).any()
+    if uneven or not min(*changes, *differences) > 0:
+        return 0.0
+    evidence = float(np.log(changes[1] / changes[0] * differences[0] / differences[1]))
+    return evidence if abs(evidence) >= settings.polarity_evidence else 0.0
+
+
+def _background(line: Floats32, bright: _MainRidges, dark: _MainRidges, pitch: float, margin: float) -> float:
+    """Return +1 if the background beside the comb is as dark as the dark stripes near by, -1 if as bright as
+    the bright ones.
+
+    It is the mean over both ends and all frames in which more than a pitch is in view there: 0 where the
+    background is neither, and 0 if these are less than a tenth of all.
+    """
+    sides = []
+    for row, up, down in zip(line, bright.x, dark.x, strict=True):
+        if min(len(up), len(down)) < NEAREST:
+            continue
+        last = len(row) - 1
+        for at, ups, downs in ((row, up, down), (row[::-1], last - up[::-1], last - down[::-1])):
+            end = min(ups[0], downs[0])
+            if end > 1.3 * pitch:
+                beside = at[max(0, int(end - 2.3 * pitch)) : int(end - 0.7 * pitch) + 1]
+                high, low = at[ups[:NEAREST]].mean(), at[downs[:NEAREST]].mean()
+                level = (np.quantile(beside, [0.1, 0.9]) - low) / (high - low) - 0.5
+                sides.append(float(level[1] < -margin) - float(level[0] > margin))
+    return float(np.mean(sides)) if len(sides) > 0.1 * 2 * len(line) else 0.0
+
+
+def _width_change(stripes: _MainRidges, pitch: float) -> float:
+    """Return by how much the width of a stripe changes from one frame of the sample to the next, px."""
+    changes = [np.zeros(0)]
+    for x, width, later, width_later in zip(
+        stripes.x, stripes.width, stripes.x[1:], stripes.width[1:], strict=False
+    ):
+        if len(x) and len(later):
+            away = np.abs(later - x[:, None])
+            next_ = away.argmin(axis=1)
+            same = (away.argmin(axis=0)[next_] == np.arange(len(x))) & (away.min(axis=1) < 0.5 * pitch)
+            changes.append(np.abs(width_later[next_] - width)[same])
+    found = np.concatenate(changes)
+    return float(found.mean()) if len(found) else 0.0
+
+
+def _height_difference(line: Floats32, stripes: _MainRidges) -> float:
+    """Return by how much the level of a stripe typically differs from the mean of both its neighbours."""
+    bends = [np.abs(np.diff(row[x], 2)) for row, x in zip(line, stripes.x, strict=True)]
+    found = np.concatenate(bends)
+    return float(np.median(found)) / 2 if len(found) else 0.0
 
 
 # --- candidates in each frame -------------------------------------------------------------------------------
