@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
 
 import numpy as np
 
@@ -47,15 +46,9 @@ def _sampled_profiles(bright: Floats32, x_px: Floats, half: int) -> tuple[Floats
     return level, nan_median(level.swapaxes(1, 2).reshape(-1, level.shape[1]))
 
 
-class Distortion(NamedTuple):
-    """What pulls ridges aside: the error of each displacement because of it, (frame, N), 0 without a sign;
-    and how far each sheet is usually pulled, compared with the other sheets, (N,)."""
-
-    err_px: Floats
-    lasting_px: Floats
-
-
-def distortion(bright: Floats32, x_px: Floats, err_px: Floats, blurred: Bools, comb: RidgeComb) -> Distortion:
+def distortion(
+    bright: Floats32, x_px: Floats, err_px: Floats, blurred: Bools, comb: RidgeComb
+) -> tuple[Floats, Floats]:
     r"""Return how far dirt, reflections, neighbours or light may shift each position.
 
     Parameters
@@ -68,6 +61,12 @@ def distortion(bright: Floats32, x_px: Floats, err_px: Floats, blurred: Bools, c
         Ridges blurred by motion (frame, N), which are lopsided for that reason: 0.
     comb
         Width and pitch of the ridges.
+
+    Returns
+    -------
+    err_px, lasting_px
+        Error of each displacement because of what pulls the ridge aside, (frame, N), 0 without a sign; how
+        far each sheet is usually pulled, compared with the other sheets, (N,).
 
     Notes
     -----
@@ -85,7 +84,7 @@ def distortion(bright: Floats32, x_px: Floats, err_px: Floats, blurred: Bools, c
     Light that falls off over a ridge hardly changes its shape; it shows in the heights (`_shift_by_light`).
     """
     settings = comb.settings
-    none = Distortion(np.zeros_like(x_px), np.zeros(x_px.shape[1]))
+    none = np.zeros_like(x_px), np.zeros(x_px.shape[1])
     narrow = comb.fwhm_px < settings.distortion_least_px
     if narrow and x_px.shape[1] >= ENOUGH:
         return none
@@ -119,7 +118,7 @@ def distortion(bright: Floats32, x_px: Floats, err_px: Floats, blurred: Bools, c
     pull = np.abs(pull - nan_median(pull))
     least = np.fmax(settings.distortion_sigmas * nan_median(pull) / NORMAL_MEDIAN, settings.distortion_floor)
     lasting = settings.distortion_error * _if_above(pull, least)
-    return Distortion(np.where(np.isfinite(apart), size, 0.0), none.lasting_px if narrow else lasting)
+    return np.where(np.isfinite(apart), size, 0.0), none[1] if narrow else lasting
 
 
 def _fit_matrix(shape: Floats, top: int) -> Floats:

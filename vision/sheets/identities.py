@@ -8,7 +8,6 @@ the comb then seems to jump by whole pitches, the frames before and after must a
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -383,54 +382,33 @@ def split_segments(ridges: Ridges, comb: RidgeComb) -> Segments:
     whole pitch, so that one sheet leaves the picture as another enters, seems not to move; but its
     brightnesses change, and so the recording is cut there.
     """
-    joints = _joints(ridges, comb)
-    start = np.r_[0, 1 + np.flatnonzero(~joints.continues)].astype(np.int64)
-    length = np.diff(np.r_[start, len(ridges.x_px)])
+    frames = len(ridges.x_px)
+    continues, moved, change = _compared(ridges, np.arange(frames - 1), 0, comb)
+    most = max(comb.settings.least_change, 5.0 * float(np.median(change)) if frames > 1 else 0.0)
+    continues &= change <= most
+    came = np.zeros(frames - 1, np.int64)
+    for number in (1, -1):  # a sheet enters on the left, or leaves there
+        rows = np.flatnonzero(~continues)
+        follows, step, change = _compared(ridges, rows, number, comb)
+        good = follows & (change <= most)
+        continues[rows[good]], came[rows[good]], moved[rows[good]] = True, number, step[good]
+    start = np.r_[0, 1 + np.flatnonzero(~continues)].astype(np.int64)
+    length = np.diff(np.r_[start, frames])
     of_frame = np.repeat(np.arange(len(start)), length)
-    place = np.r_[0, -np.cumsum(joints.came)]
+    place = np.r_[0, -np.cumsum(came)]
     place -= np.minimum.reduceat(place, start)[of_frame]
-    drift = np.r_[0.0, np.cumsum(joints.moved_px)]
+    drift = np.r_[0.0, np.cumsum(np.where(continues, moved, 0.0))]
     drift -= drift[start + length // 2][of_frame]
     features = np.stack([ridges.x_px - drift[:, None], np.log(ridges.contrast), np.log(ridges.fwhm_px)])
     return Segments(start, length, place, Candidates(*_means(features, of_frame, place)))
 
 
-class _Joints(NamedTuple):
-    """How each frame continues the one before, (frame − 1,): whether it does, how many candidates entered on
-    the left, and the mean step of the candidates in both, px."""
+def _compared(ridges: Ridges, rows: Ints, came: int, comb: RidgeComb) -> tuple[Bools, Floats, Floats]:
+    """Return whether the next frames continue frames `rows`, the mean steps of the candidates, px, and the
+    rms changes of their log brightness.
 
-    continues: Bools
-    came: Ints
-    moved_px: Floats
-
-
-def _joints(ridges: Ridges, comb: RidgeComb) -> _Joints:
-    """Compare consecutive frames, first with no sheet crossing the edge, then with one."""
-    frames = len(ridges.x_px)
-    pairs = _pairs(ridges, np.arange(frames - 1), 0, comb)
-    usual = float(np.median(pairs.change)) if frames > 1 else 0.0
-    most = max(comb.settings.least_change, 5.0 * usual)
-    continues, moved = pairs.continues & (pairs.change <= most), pairs.moved_px
-    came = np.zeros(frames - 1, np.int64)
-    for number in (1, -1):
-        rows = np.flatnonzero(~continues)
-        pairs = _pairs(ridges, rows, number, comb)
-        good = pairs.continues & (pairs.change <= most)
-        continues[rows[good]], came[rows[good]], moved[rows[good]] = True, number, pairs.moved_px[good]
-    return _Joints(continues, came, np.where(continues, moved, 0.0))
-
-
-class _FramePairs(NamedTuple):
-    """Whether a frame continues another; mean step, px; rms change of log brightness."""
-
-    continues: Bools
-    moved_px: Floats
-    change: Floats
-
-
-def _pairs(ridges: Ridges, rows: Ints, came: int, comb: RidgeComb) -> _FramePairs:
-    """Compare frames `rows` with the next ones, assuming that `came` candidates entered on the left (or left
-    there, if negative)."""
+    It is assumed that `came` candidates entered on the left, or left there, if negative.
+    """
     before, after = ridges.x_px[rows], shifted(ridges.x_px[rows + 1], came)
     paired = np.isfinite(before) & np.isfinite(after)
     step = np.where(paired, after - before, 0.0)
@@ -446,7 +424,7 @@ def _pairs(ridges: Ridges, rows: Ints, came: int, comb: RidgeComb) -> _FramePair
     bright_before, bright_after = np.log(ridges.contrast[rows]), np.log(ridges.contrast[rows + 1])
     change = np.where(paired, shifted(bright_after, came) - bright_before, 0.0)
     total = np.maximum(count, 1)
-    return _FramePairs(continues, step.sum(axis=1) / total, np.sqrt((change**2).sum(axis=1) / total))
+    return continues, step.sum(axis=1) / total, np.sqrt((change**2).sum(axis=1) / total)
 
 
 def _spacing(x: Floats32) -> Floats32:

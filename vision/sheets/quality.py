@@ -66,22 +66,7 @@ def repeated_frames(profile: Floats32, settings: TrackingSettings = DEFAULT) -> 
     return frozen
 
 
-class Blur(NamedTuple):
-    """Motion blur of each ridge, both (frame, N).
-
-    Parameters
-    ----------
-    blurred
-        Whether the ridge moved while the shutter was open.
-    err_px
-        How far this may shift it; 0 where there is no sign of blur.
-    """
-
-    blurred: Bools
-    err_px: Floats
-
-
-def motion_blur(x_px: Floats, contrast: Floats, fwhm_px: Floats, comb: RidgeComb) -> Blur:
+def motion_blur(x_px: Floats, contrast: Floats, fwhm_px: Floats, comb: RidgeComb) -> tuple[Bools, Floats]:
     r"""Find ridges that are smeared by their motion during one exposure.
 
     Parameters
@@ -90,6 +75,12 @@ def motion_blur(x_px: Floats, contrast: Floats, fwhm_px: Floats, comb: RidgeComb
         Position, height and width of the ridges (frame, N), NaN where missing.
     comb
         Width and pitch of the ridges.
+
+    Returns
+    -------
+    blurred, err_px
+        Whether each ridge moved while the shutter was open, and how far this may shift it, 0 where there is
+        no sign of blur; both (frame, N).
 
     Notes
     -----
@@ -123,7 +114,7 @@ def motion_blur(x_px: Floats, contrast: Floats, fwhm_px: Floats, comb: RidgeComb
     suspect = fast & (excess > 0.5 * settings.blur_sigmas)  # not flagged, but with a larger error
     merged = np.minimum(0.8, apart)  # images nearer than a width merge, and the fit finds their middle
     err = np.where(suspect, settings.blur_error * loss * moved * merged, 0.0)
-    return Blur(fast & (excess > settings.blur_sigmas), err)
+    return fast & (excess > settings.blur_sigmas), err
 
 
 def _frames_around(values: Floats, frames: int) -> list[Floats]:
