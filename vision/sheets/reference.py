@@ -127,8 +127,7 @@ def build_reference(
         gaps = ", ".join(f"{x:.0f} px" for x in wide_spacings(reference.x_px, settings=settings)[0])
         found = f"{reference.sheets}" + (f", and none that stands out in the gaps at {gaps}" if gaps else "")
         raise InputError(source, f"{sheets} ridges (`sheets`)", found, "give the number that is in view")
-    score = _sheet_score(reference, settings)
-    best = reference.only(_choose_sheets(reference.x_px, score, comb.pitch_px, sheets, settings))
+    best = reference.only(_choose_sheets(reference, comb, sheets))
     if sheets is None:
         return best
     _check_ends(best.x_px, sheets, source, settings)
@@ -244,7 +243,9 @@ def _unmatched(
     rows, sheet = np.nonzero(match >= 0)
     taken[rows, match[rows, sheet]] = True
     list_, column = np.nonzero(np.isfinite(x) & ~taken)
-    rest = _at_rest(x[list_, column], values_of(match, x)[list_], reference.x_px)
+    paired, at = values_of(match, x), x[list_, column]
+    moved = (paired - reference.x_px)[list_, nearest(paired[list_], at)[0]]  # of the nearest sheet found
+    rest = at - np.nan_to_num(moved)
     interval = np.searchsorted(reference.x_px, rest)
     outside = np.rint((reference.x_px[0] - rest) / pitch_px), np.rint((rest - reference.x_px[-1]) / pitch_px)
     interval -= np.maximum(outside[0] - 1, 0).astype(np.int64)
@@ -252,107 +253,64 @@ def _unmatched(
     intervals, which = np.unique(interval, return_inverse=True)
     share = np.bincount(which, weights=weight[list_], minlength=len(intervals)) / weight.sum()
     groups = [which == i for i in np.flatnonzero(share >= 0.3 * LEAST_IN_VIEW)]
-    contrast, width = candidates.log_contrast[list_, column], candidates.log_width[list_, column]
     found = np.array([weight[np.unique(list_[group])].sum() for group in groups]) / weight.sum()
-    return _medians(rest, groups), _medians(contrast, groups), _medians(width, groups), found
-
-
-def _medians(values: Floats, groups: list[Bools]) -> Floats:
-    return np.array([np.median(values[group]) for group in groups])
-
-
-def _at_rest(x: Floats, sheet_x: Floats, rest_px: Floats) -> Floats:
-    """Return positions x less the displacement of the nearest sheet that is found, (points,)."""
-    shift = (sheet_x - rest_px)[np.arange(len(x)), nearest(sheet_x, x)[0]]
-    return np.asarray(x - np.nan_to_num(shift), np.float64)
+    features = rest, candidates.log_contrast[list_, column], candidates.log_width[list_, column]
+    medians = [np.array([np.median(values[group]) for group in groups]) for values in features]
+    return medians[0], medians[1], medians[2], found
 
 
 # --- which persistent ridges form a comb --------------------------------------------------------------------
 
 
-def _sheet_score(reference: ReferenceComb, settings: TrackingSettings) -> Floats:
-    """Return a score for each entry to be a sheet, (entries,), from its presence, contrast and width."""
+def _choose_sheets(reference: ReferenceComb, comb: RidgeComb, sheets: int | None) -> Ints:
+    """Return the indices of the entries that form the best comb, of exactly `sheets` entries if given.
+
+    Each entry adds a score from its presence, contrast and width, and each spacing costs its departure from
+    the local pitch, less in an uneven comb. A faint sheet at its position is retained, since without it the
+    spacing is double; dust between two sheets is not.
+    """
+    settings, x_px = comb.settings, reference.x_px
     width, contrast = reference.log_width, reference.log_contrast
     odd = np.maximum(np.abs(width - np.median(width)) - 0.35, 0)
     faint = np.maximum(contrast - np.median(contrast), -2.5)
     score = 1 + 1.5 * reference.found + settings.contrast_score * faint - settings.odd_width_cost * odd
-    return np.asarray(np.maximum(score, 0.3), np.float64)
-
-
-def _choose_sheets(
-    x_px: Floats, score: Floats, pitch_px: float, sheets: int | None, settings: TrackingSettings
-) -> Ints:
-    """Return the indices of the entries that form the best comb, of exactly `sheets` entries if given.
-
-    Each entry adds its score, and each spacing costs its departure from the local pitch. A dynamic programme
-    over the entries in order finds the best chain. A faint sheet at its position is retained, since without
-    it the spacing is double; dust between two sheets is not.
-    """
-    if sheets is None:
-        local = _local_pitch(x_px, pitch_px, settings)
-        uneven = _uneven_cost(x_px, local, settings) / _unevenness(x_px, local, settings)
-        return _best_chain(score, uneven)
-    # the pitch was measured on that many ridges, so no other entries affect it
-    uneven = _uneven_cost(x_px, np.full(len(x_px), pitch_px), settings)
-    return _best_chain_of(sheets, score, uneven)
-
-
-def _unevenness(x_px: Floats, local: Floats, settings: TrackingSettings) -> float:
-    """Return the scatter of the spacings over that of an even comb, at least 1; it reduces their weight."""
-    if len(x_px) < 6:
-        return 1.0
-    off = np.abs(np.log(np.maximum(np.diff(x_px), 1e-3) / local[:-1]))
-    return max(1.0, float(np.median(off)) / NORMAL_MEDIAN / settings.even_spread)
-
-
-def _uneven_cost(x_px: Floats, local: Floats, settings: TrackingSettings) -> Floats:
-    """Return the cost of entry j following entry i, (i, j); inf where j is not to the right of i."""
+    # with a given number, the pitch was measured on that many ridges, so no other entries affect it
+    local = _local_pitch(x_px, comb) if sheets is None else np.full(len(x_px), comb.pitch_px)
     gap = x_px[None, :] - x_px[:, None]
-    local = (local[None, :] + local[:, None]) / 2
-    off = np.abs(np.log(np.where(gap > 0, gap, 1.0) / local))
-    return np.where(gap > 0, settings.uneven_cost * off, np.inf)
+    off = np.abs(np.log(np.where(gap > 0, gap, 1.0) / ((local[None, :] + local[:, None]) / 2)))
+    cost = np.where(gap > 0, settings.uneven_cost * off, np.inf)  # of entry j following entry i
+    if sheets is None and len(x_px) >= 6:
+        scatter = np.median(np.abs(np.log(np.maximum(np.diff(x_px), 1e-3) / local[:-1]))) / NORMAL_MEDIAN
+        cost /= max(1.0, float(scatter) / settings.even_spread)
+    return _best_chain(np.maximum(score, 0.3), cost, sheets)
 
 
-def _local_pitch(x_px: Floats, pitch_px: float, settings: TrackingSettings) -> Floats:
+def _local_pitch(x_px: Floats, comb: RidgeComb) -> Floats:
     """Return the median of the nine spacings around each entry.
 
     It is limited to within a quarter of the pitch, because dust changes it abruptly, unless it changes
     gradually along the comb, as it does in films at an angle.
     """
     if len(x_px) < 6:
-        return np.full(len(x_px), pitch_px)
+        return np.full(len(x_px), comb.pitch_px)
     smooth = running_median(np.diff(x_px), 9)
     smooth = np.r_[smooth, smooth[-1]]
-    near = np.clip(smooth, 0.75 * pitch_px, 1.25 * pitch_px)
-    gradual = np.abs(np.diff(np.log(smooth))).max() < settings.even_spread
-    typical = float(np.median(smooth))
-    at_an_angle = gradual and typical == float(np.median(near))
+    near = np.clip(smooth, 0.75 * comb.pitch_px, 1.25 * comb.pitch_px)
+    gradual = np.abs(np.diff(np.log(smooth))).max() < comb.settings.even_spread
+    at_an_angle = gradual and np.median(smooth) == np.median(near)
     return np.asarray(smooth if at_an_angle else near, np.float64)
 
 
-def _best_chain(score: Floats, cost: Floats) -> Ints:
-    """Return the chain of entries with the largest score less cost."""
-    best, origin = np.array(score), np.full(len(score), -1)
-    for i in range(1, len(score)):
-        before = best[:i] - cost[:i, i]
-        if before.max() > 0:
-            origin[i] = int(np.argmax(before))
-            best[i] += before.max()
-    chain = [int(np.argmax(best))]
-    while origin[chain[-1]] >= 0:
-        chain.append(int(origin[chain[-1]]))
-    return np.array(chain[::-1], np.int64)
-
-
-def _best_chain_of(sheets: int, score: Floats, cost: Floats) -> Ints:
-    """Return the best chain of exactly `sheets` entries."""
-    best, origin = score, []
-    for _ in range(sheets - 1):
-        total = best[:, None] - cost
-        origin.append(np.argmax(total, axis=0))
-        best = total.max(axis=0) + score
-    chain = [int(np.argmax(best))]
-    for step in reversed(origin):
+def _best_chain(score: Floats, cost: Floats, sheets: int | None) -> Ints:
+    """Return the chain with the largest score less cost, of exactly `sheets` entries if given."""
+    best, origin = [score], []  # of the chains of each length that end with each entry
+    for _ in range((sheets or len(score)) - 1):
+        total = best[-1][:, None] - cost
+        origin.append(total.argmax(axis=0))
+        best.append(total.max(axis=0) + score)
+    length = len(best) if sheets else 1 + int(np.argmax([ends.max() for ends in best]))
+    chain = [int(best[length - 1].argmax())]
+    for step in reversed(origin[: length - 1]):
         chain.append(int(step[chain[-1]]))
     return np.array(chain[::-1], np.int64)
 
