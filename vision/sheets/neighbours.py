@@ -269,9 +269,7 @@ def sheets_alike(x_px: Floats, contrast: Floats, fwhm_px: Floats, comb: RidgeCom
     if len(rest) < 5 or rest[0] > reach or rest[-1] < comb.width_px - 1 - reach:
         return False
     alike = nan_median(np.abs(_bend(rest))) < comb.settings.spacing_spread * comb.pitch_px
-    with np.errstate(divide="ignore", invalid="ignore"):
-        patterns = [_without_common_change(np.log(values)) for values in (contrast, fwhm_px)]
-    for pattern in patterns:
+    for pattern in (_without_common_change(np.log(values)) for values in (contrast, fwhm_px)):
         mean = nan_median(pattern)
         within = nan_median(nan_median(np.abs(pattern - mean)))
         alike &= nan_median(np.abs(_bend(mean))) < comb.settings.alike_scatter * within

@@ -97,8 +97,7 @@ def motion_blur(x_px: Floats, contrast: Floats, fwhm_px: Floats, comb: RidgeComb
     settings = comb.settings
     near = _frames_around(x_px, BLUR_FRAMES)
     moved = np.nan_to_num(np.fmax.reduce(near) - np.fmin.reduce(near))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        lower, wider = -np.log(contrast), np.log(fwhm_px)
+    lower, wider = -np.log(contrast), np.log(fwhm_px)
     lower = lower - np.fmax(nan_median(lower), np.fmin.reduce(_frames_around(lower, LIGHT_FRAMES)))
     fast = (moved > settings.blur_fraction * comb.fwhm_px) & np.isfinite(x_px)
     sampled = 0.7 / comb.fwhm_px**2  # height that a ridge between two pixels loses

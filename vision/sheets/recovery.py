@@ -79,8 +79,7 @@ def assign_detections(
     candidates = np.stack([ridges.x_px, ridges.contrast, ridges.fwhm_px])
     paired = np.stack([values_of(identities.match, values) for values in candidates])
     usual = np.stack([identities.squeeze.undone(paired[0]), *paired[1:]])
-    why = _doubts(usual[0], usual[1], identities, comb)
-    why = _settle_by_pattern(why, usual, comb)
+    why = _doubts(usual, identities, comb)
     why[_numbered_off_the_end(candidates[:2], paired[:2], comb)] = "end"
     why[_shifted_pattern(np.where(why == "", paired, np.nan), comb.settings)] = "pattern"
     paired, why = _reassign_hops(candidates, paired, why, comb)
@@ -116,14 +115,24 @@ DOUBTS = {
 """Meaning of each `Detections.why`."""
 
 
-def _doubts(x: Floats, contrast: Floats, identities: Identities, comb: RidgeComb) -> Strings:
-    """Return why the identity of each paired ridge is doubtful (margin, jump, tear) or "", (frame, N)."""
+def _doubts(paired: Floats, identities: Identities, comb: RidgeComb) -> Strings:
+    """Return why the identity of each paired ridge is doubtful (margin, jump, tear) or "", (frame, N).
+
+    A margin that is too small is no doubt where the pattern confirms the identity. `paired` holds positions,
+    contrasts and widths, (3, frame, N).
+    """
+    x, contrast, fwhm = paired
     why = np.full(x.shape, "", "<U9")
     why[~(identities.margin >= comb.settings.doubt)] = "margin"
     displaced = x - rest_positions(x)
     why[_unproved_jumps(x, displaced, contrast, identities, comb)] = "jump"
     why[torn(displaced, comb)] = "tear"
     why[np.isnan(x)] = ""
+    unsettled = why == "margin"
+    if unsettled.any():
+        known = np.where(why == "tear", np.nan, x)
+        trusted = np.isfinite(known) & (why == "")
+        why[unsettled & anchored(known, np.log(contrast), np.log(fwhm), trusted, comb)] = ""
     return why
 
 
@@ -158,26 +167,10 @@ def _shifted_pattern(certain: Floats, settings: TrackingSettings) -> Bools:
     rows = np.flatnonzero(seen.mean(axis=1) > 0.5)
     away = np.zeros(seen.shape, bool)
     if len(rows):
-        with np.errstate(divide="ignore", invalid="ignore"):
-            log_contrast, log_width = np.log(certain[1:, rows])
-            shift = pattern_shift(log_contrast, log_width, settings)
+        shift = pattern_shift(*np.log(certain[1:, rows]), settings)
         shifts, counts = np.unique(shift, return_counts=True)
         away[rows] = seen[rows] & (shift != shifts[counts.argmax()])[:, None]
     return away
-
-
-def _settle_by_pattern(why: Strings, paired: Floats, comb: RidgeComb) -> Strings:
-    """Return the doubts that remain where the pattern confirms identities whose margin was too small."""
-    unsettled = why == "margin"
-    if not unsettled.any():
-        return why
-    x, contrast, fwhm = paired
-    with np.errstate(divide="ignore", invalid="ignore"):
-        log_contrast, log_width = np.log(contrast), np.log(fwhm)
-    known = np.where(why == "tear", np.nan, x)
-    trusted = np.isfinite(known) & (why == "")
-    confirmed = anchored(known, log_contrast, log_width, trusted, comb)
-    return np.where(confirmed & unsettled, "", why)
 
 
 def _reassign_hops(
@@ -236,8 +229,7 @@ def _unproved_jumps(
     rest = identities.rest_px
     no_end_in_view = (rest[:, 0] < reach) & (rest[:, -1] > comb.width_px - 1 - reach)
     least = settings.stay_cost + 1.0 + np.where(no_end_in_view, 2 * settings.crossing_cost, 0.0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        off = np.log(contrast) - identities.reference.log_contrast
+    off = np.log(contrast) - identities.reference.log_contrast
     off -= nan_median(off, axis=1)[:, None]  # flicker
     misfit = np.minimum(np.nan_to_num(off) ** 2, LIKE_ITSELF**2).sum(axis=1)
     misfit /= np.maximum(np.isfinite(off).sum(axis=1), 1)

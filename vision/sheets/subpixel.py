@@ -362,13 +362,11 @@ def choose_window(comb: RidgeComb, asked: int | Literal["auto"] | None) -> int:
         For an even window, one below 3 px, or one wider than the ridges' spacing.
     """
     if isinstance(asked, int):
-        if asked < 3 or asked % 2 == 0:
-            raise InputError(
-                "`window_px`", "an odd number of pixels, 3 or more", str(asked), "try `window_px` auto"
-            )
-        if asked > comb.pitch_px:
-            near = f"a window no wider than the ridges' spacing, {comb.pitch_px:.0f} px"
-            raise InputError("`window_px`", near, str(asked), "try `window_px` auto")
+        odd = asked >= 3 and asked % 2 == 1
+        if not odd or asked > comb.pitch_px:
+            narrower = f"a window no wider than the ridges' spacing, {comb.pitch_px:.0f} px"
+            wanted = narrower if odd else "an odd number of pixels, 3 or more"
+            raise InputError("`window_px`", wanted, str(asked), "try `window_px` auto")
         return asked
     narrow, wide = comb.settings.standard_widths_px
     if asked is None and narrow <= comb.fwhm_px <= wide:
@@ -463,18 +461,6 @@ def learned_template(
     return np.where(use, matched, x_px), np.where(use, matched_err, err), learned
 
 
-def locking_error(
-    x_px: Floats, bright: Floats32, start_px: Floats, window_px: int, comb: RidgeComb
-) -> Floats:
-    """Return the distance of the paper fit's positions from those of the sliding window, px, (frame, N).
-
-    The paper fit locks to whole pixels by more than the noise; this measures that error in the recording
-    itself. 0 where it is unknown.
-    """
-    free, _ = fit_sheets(bright, start_px, fit="sliding", window_px=window_px, comb=comb)
-    return np.nan_to_num(np.abs(x_px - free), nan=0.0)
-
-
 def _match_all(bright: Floats32, x: Floats, comb: RidgeComb) -> tuple[Floats, Floats]:
     """Match all sheets to their mean shapes, starting at positions x of the sliding window."""
     known = np.isfinite(x)
@@ -517,7 +503,8 @@ def intensity_noise(profile: NDArray[np.floating], x_px: Floats, *, half_px: int
 
     def around(step: int) -> Floats:
         """Return the pixels around the ridges, `step` frames after the middle frames."""
-        column = centre + _common_steps(x_px, middle, step)[:, None]
+        common = np.nan_to_num(nan_median(x_px[middle + step] - x_px[middle], axis=1))
+        column = centre + np.rint(common).astype(np.int64)[:, None]
         return gather(profile, Starts(np.repeat(middle + step, x_px.shape[1]), column.ravel()), offsets)
 
     before, now, after = around(-1), around(0), around(1)
@@ -526,12 +513,6 @@ def intensity_noise(profile: NDArray[np.floating], x_px: Floats, *, half_px: int
     known = np.isfinite(variance).sum(axis=0) >= LEAST_TRIPLES
     typical = nan_median(variance, axis=0)
     return np.asarray(np.where(known, np.sqrt(typical), fallback), np.float64)
-
-
-def _common_steps(x_px: Floats, middle: Ints, step: int) -> Ints:
-    """Return the common motion of all sheets from frames `middle` to those `step` later, whole pixels."""
-    moved = nan_median(x_px[middle + step] - x_px[middle], axis=1)
-    return np.asarray(np.rint(np.nan_to_num(moved)), np.int64)
 
 
 def position_noise(x_px: Floats) -> Floats:

@@ -38,7 +38,6 @@ from vision.sheets.subpixel import (
     fit_sheets,
     intensity_noise,
     learned_template,
-    locking_error,
     position_noise,
 )
 
@@ -297,8 +296,9 @@ def _fit(
         if learned.any():
             used, x, per_grey = "template", matched, matched_per_grey
     err = per_grey * noise
-    if fit == "paper":
-        err = np.hypot(err, locking_error(x, bright, start_px, window_px, comb))
+    if fit == "paper":  # it locks to whole pixels by more than the noise, as the sliding window shows
+        free, _ = fit_sheets(bright, start_px, fit="sliding", window_px=window_px, comb=comb)
+        err = np.hypot(err, np.nan_to_num(np.abs(x - free)))
     return _Fitted(x, err, noise, used)
 
 
