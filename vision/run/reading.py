@@ -31,7 +31,6 @@ from vision.run.folder import RUN_JSON, existing_parent, lock_folder, plain, rea
 from vision.run.provenance import Parameter, describe_input
 from vision.run.tables import attrs_of_netcdf
 from vision.video import FramesRead, FrameStore, Video, VideoSettings, video_files
-from vision.video.frames import ProfileStore
 from vision.video.reader import read_fully
 from vision.video.stacks import check_tiff
 
@@ -245,7 +244,7 @@ def _read_tif(path: Path, frames: int) -> Floats32:
     start, stored, shape = stored_kymograph(path)
     if shape[0] != frames:
         raise InputError(path, f"{frames} rows, one per frame of tracks.nc", f"shape {shape}", AGAIN)
-    rows = ProfileStore(shape[1], expected=frames)
+    rows = FrameStore(shape[1], expected=frames)
     with (
         reading(path, "a space-time diagram as track writes it", AGAIN),
         path.open("rb", buffering=0) as file,

@@ -167,7 +167,8 @@ def _shifted_pattern(certain: Floats, settings: TrackingSettings) -> Bools:
     rows = np.flatnonzero(seen.mean(axis=1) > 0.5)
     away = np.zeros(seen.shape, bool)
     if len(rows):
-        shift = pattern_shift(*np.log(certain[1:, rows]), settings)
+        log_contrast, log_width = np.log(certain[1:, rows])
+        shift = pattern_shift(log_contrast, log_width, settings)
         shifts, counts = np.unique(shift, return_counts=True)
         away[rows] = seen[rows] & (shift != shifts[counts.argmax()])[:, None]
     return away

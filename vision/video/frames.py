@@ -34,8 +34,9 @@ class FramesRead:
     times_s: Floats
 
 
-class ProfileStore:
-    """Growing storage of I(x, t): rows of float32, in memory or in a temporary file.
+class FrameStore:
+    """Growing storage of I(x, t): rows of float32, in memory or in a temporary file, each with its status and
+    time.
 
     Parameters
     ----------
@@ -65,6 +66,7 @@ class ProfileStore:
         self._columns = columns
         self._folder = folder
         self._spill_bytes = spill_bytes
+        self._marks = np.zeros(1024, [("status", STATUS_TYPE), ("time_s", np.float64)])
         self.count = 0
         """Number of rows so far."""
         most = max(1, 2 * spill_bytes // (4 * columns))  # a damaged header may state any number
@@ -80,9 +82,29 @@ class ProfileStore:
         self._rows[self.count : needed] = rows
         self.count = needed
 
+    def add(self, frames: FramesRead) -> None:
+        """Add frames at the end."""
+        needed = self.count + frames.status.size
+        if needed > self._marks.size:
+            more = np.zeros(max(needed, self._marks.size), self._marks.dtype)
+            self._marks = np.concatenate([self._marks, more])
+        new = self._marks[self.count : needed]
+        new["status"], new["time_s"] = frames.status, frames.times_s
+        self.append(frames.intensity)
+
     def rows(self) -> Floats32:
         """Return all rows so far, (n, columns), not copied."""
         return self._rows[: self.count]
+
+    def part(self, start: int, stop: int) -> FramesRead:
+        """Return frames `start` to before `stop`; the intensity is not copied."""
+        marks = self._marks[start:stop].copy()
+        return FramesRead(self.rows()[start:stop], marks["status"], marks["time_s"])
+
+    def copy(self, start: int, stop: int) -> FramesRead:
+        """Return frames `start` to before `stop`, copied."""
+        part = self.part(start, stop)
+        return replace(part, intensity=part.intensity.copy())
 
     def _allocate(self, capacity: int) -> Floats32:
         size = capacity * self._columns * 4
@@ -102,36 +124,6 @@ class ProfileStore:
                 )
                 raise InputError(self._folder or tempfile.gettempdir(), wanted, found, advice) from error
             return np.memmap(file, np.float32, "r+", shape=(capacity, self._columns))
-
-
-class FrameStore(ProfileStore):
-    """All frames read so far, in order: `ProfileStore` with the status and time of each frame."""
-
-    def __init__(
-        self, columns: int, *, expected: int | None, spill_bytes: int, folder: Path | None = None
-    ) -> None:
-        super().__init__(columns, expected=expected, spill_bytes=spill_bytes, folder=folder)
-        self._marks = np.zeros(1024, [("status", STATUS_TYPE), ("time_s", np.float64)])
-
-    def add(self, frames: FramesRead) -> None:
-        """Add frames at the end."""
-        needed = self.count + frames.status.size
-        if needed > self._marks.size:
-            more = np.zeros(max(needed, self._marks.size), self._marks.dtype)
-            self._marks = np.concatenate([self._marks, more])
-        new = self._marks[self.count : needed]
-        new["status"], new["time_s"] = frames.status, frames.times_s
-        self.append(frames.intensity)
-
-    def part(self, start: int, stop: int) -> FramesRead:
-        """Return frames `start` to before `stop`; the intensity is not copied."""
-        marks = self._marks[start:stop].copy()
-        return FramesRead(self.rows()[start:stop], marks["status"], marks["time_s"])
-
-    def copy(self, start: int, stop: int) -> FramesRead:
-        """Return frames `start` to before `stop`, copied."""
-        part = self.part(start, stop)
-        return replace(part, intensity=part.intensity.copy())
 
 
 # --- blank frames -------------------------------------------------------------------------------------------
@@ -190,26 +182,13 @@ def is_blank(
 # --- lost frames --------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class FrameCounts:
-    """Numbers of frames expected and read; blank frames are among those read, corrupt ones are not.
-
-    warnings: one line for each kind of unusable frame.
-    """
-
-    expected: int
-    read: int
-    blank: int
-    corrupt: int
-    warnings: tuple[str, ...]
-
-
-def count_frames(
+def expected_frames(
     video: Video, status: Strings, times_s: Floats, *, settings: VideoSettings = DEFAULT
-) -> FrameCounts:
-    """Count the frames expected and read, from their number, the file's duration and gaps in its times.
+) -> tuple[int, list[str]]:
+    """Return the number of frames expected, and one line for each kind of unusable or missing frame.
 
-    Frames lost between time stamps, or before the end that the file states, have no row but are counted.
+    It follows from the number of frames, the file's duration and gaps in its times. Frames lost between time
+    stamps, or before the end that the file states, have no row but are counted.
 
     Parameters
     ----------
@@ -250,13 +229,7 @@ def count_frames(
             warnings.append(
                 f"{name}: {stated}; its last {missing_s:.3f} s are missing, about {beyond} frames"
             )
-    return FrameCounts(
-        expected=max(status.size, video.expected or 0) + between + beyond,
-        read=int(np.isin(status, ("ok", "blank")).sum()),
-        blank=int((status == "blank").sum()),
-        corrupt=int((status == "corrupt").sum()),
-        warnings=tuple(warnings),
-    )
+    return max(status.size, video.expected or 0) + between + beyond, warnings
 
 
 def lost_between(times_s: Floats, *, settings: VideoSettings = DEFAULT) -> tuple[int, int]:
