@@ -49,27 +49,13 @@ def _sampled_profiles(bright: Floats32, x_px: Floats, half: int) -> tuple[Floats
 def distortion(
     bright: Floats32, x_px: Floats, err_px: Floats, blurred: Bools, comb: RidgeComb
 ) -> tuple[Floats, Floats]:
-    r"""Return how far dirt, reflections, neighbours or light may shift each position.
+    r"""Return how far dirt, reflections, neighbours or light may shift positions, px.
 
-    Parameters
-    ----------
-    bright
-        Profile with bright ridges (frame, x).
-    x_px, err_px
-        Positions and their errors from noise (frame, N), NaN where missing.
-    blurred
-        Ridges blurred by motion (frame, N), which are lopsided for that reason: 0.
-    comb
-        Width and pitch of the ridges.
+    The first result is the error of each displacement, (frame, N), 0 without a sign; the second how far each
+    sheet is usually pulled aside, compared with the other sheets, (N,). x_px, err_px: positions and their
+    errors from noise (frame, N), NaN where missing. Ridges blurred by motion (frame, N) are lopsided for that
+    reason and have 0.
 
-    Returns
-    -------
-    err_px, lasting_px
-        Error of each displacement because of what pulls the ridge aside, (frame, N), 0 without a sign; how
-        far each sheet is usually pulled, compared with the other sheets, (N,).
-
-    Notes
-    -----
     The comb's mean shape :math:`S` is fitted to the pixels around each position with level a, height b and
     shift s:
 

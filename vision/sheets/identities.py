@@ -25,12 +25,8 @@ from vision.signals import running_median
 class Squeeze:
     """Mean spacing of the ridges in each frame over that of the film.
 
-    Parameters
-    ----------
-    scale
-        The ratio, (frame,); 1 in all frames of a film in which it hardly changes.
-    middle_px
-        The point from which distances are measured, about the middle of the comb.
+    scale: the ratio, (frame,); 1 in all frames of a film in which it hardly changes. middle_px: the point
+    from which distances are measured, about the middle of the comb.
     """
 
     scale: Floats
@@ -50,18 +46,10 @@ class Squeeze:
 class Identities:
     """Which candidate is which sheet.
 
-    Parameters
-    ----------
-    match
-        Candidate of each sheet in each frame, −1 where missing, (frame, N).
-    margin
-        Log-likelihood, nats, by which this identity exceeds the next best, (frame, N), NaN where missing.
-    rest_px
-        Rest position of each sheet around the time of the frame, (frame, N).
-    reference
-        The reference comb.
-    squeeze
-        How much the whole comb is squeezed in each frame.
+    match: candidate of each sheet in each frame, −1 where missing. margin: log-likelihood, nats, by which
+    this identity exceeds the next best, NaN where missing. rest_px: rest position of each sheet around the
+    time of the frame; all (frame, N). reference: the reference comb. squeeze: how much the whole comb is
+    squeezed in each frame.
     """
 
     match: Ints
@@ -74,25 +62,16 @@ class Identities:
 def identify_sheets(
     ridges: Ridges, comb: RidgeComb, *, sheets: int | None = None, source: str = "the strip"
 ) -> Identities:
-    """Pair the candidates of all frames with the sheets.
+    """Pair the candidates of all frames with the sheets, of which there are `sheets` if that is known.
 
     Frames are joined to segments in which candidates cannot be confused, and a reference comb is found that
     most of the recording agrees on. All segments are aligned with that comb, and aligned again with each
     sheet expected where it was found around that time. All of this is done at the comb's usual spacing.
 
-    Parameters
-    ----------
-    ridges, comb
-        Candidates of every frame; width, pitch and contrast of the ridges.
-    sheets
-        Number of sheets, if known.
-    source
-        Name of the recording in messages.
-
     Raises
     ------
     InputError
-        If there are no ridges, or fewer than `sheets`.
+        If there are no ridges, or fewer than `sheets`; the message names `source`.
     """
     squeeze = comb_squeeze(ridges, comb.settings)
     ridges = replace(ridges, x_px=squeeze.undone(ridges.x_px).astype(np.float32))
@@ -340,14 +319,9 @@ class Segments:
     """Runs of frames in which candidates move little between frames, and come and go only at the picture's
     edges.
 
-    Parameters
-    ----------
-    start, length
-        First frame and number of frames, (segments,).
-    place
-        Index in the segment's list of candidates at which the list of each frame begins, (frame,).
-    candidates
-        Mean position (moved to the middle frame), log contrast and log width of each, (segments, K).
+    start, length: first frame and number of frames, (segments,). place: index in the segment's list of
+    candidates at which the list of each frame begins, (frame,). candidates: mean position (moved to the
+    middle frame), log contrast and log width of each, (segments, K).
     """
 
     start: Ints

@@ -28,18 +28,9 @@ TERM_LIMIT = 4.0  # nats: no single spacing, brightness or width decides a numbe
 def neighbour_residual(x_px: Floats) -> Floats:
     r"""Return the distance of each sheet from the position that its neighbours predict, px, (frame, N).
 
-    Parameters
-    ----------
-    x_px
-        Positions (frame, N), NaN where missing.
+    x_px: positions (frame, N), NaN where missing. The median residual of each sheet is subtracted. NaN where
+    the sheet or all its neighbours are missing, and for fewer than three sheets.
 
-    Returns
-    -------
-    Residuals less each sheet's median residual. NaN where the sheet or all its neighbours are missing, and
-    for fewer than three sheets.
-
-    Notes
-    -----
     With the displacement :math:`u_n` from the rest position, the neighbours predict
 
     .. math:: \hat u_n = \operatorname{median}_{k \le 3}
@@ -157,26 +148,14 @@ def hops(residual: Floats, comb: RidgeComb) -> Bools:
 def anchored(x_px: Floats, log_contrast: Floats, log_width: Floats, trusted: Bools, comb: RidgeComb) -> Bools:
     """Return which identities are confirmed by a pattern that fits no other numbering, (frame, N).
 
-    Parameters
-    ----------
-    x_px, log_contrast, log_width
-        Position, log contrast and log width of the ridge paired with each sheet (frame, N), NaN where none.
-    trusted
-        Identities from which the pattern is learned (frame, N).
-    comb
-        Pitch of the ridges.
+    The pattern is the spacings, brightnesses and widths of the sheets (positions, log contrasts and log
+    widths of the ridges paired with them, (frame, N), NaN where none); the median and scatter of each are
+    measured over the trusted identities (frame, N). The cost of a numbering is the sum of squared deviations
+    over twice the variance, each at most `TERM_LIMIT`. A frame is anchored if every numbering shifted by one
+    or two sheets costs `anchor_nats` more. An even comb of equal sheets is never anchored.
 
-    Returns
-    -------
-    (frame, N). False where fewer than a tenth of the frames are trusted, and for sheets without a neighbour
-    at the usual spacing: the rest of the frame does not constrain these.
-
-    Notes
-    -----
-    The pattern is the spacings, brightnesses and widths of the sheets; the median and scatter of each are
-    measured over the trusted frames. The cost of a numbering is the sum of squared deviations over twice the
-    variance, each at most `TERM_LIMIT`. A frame is anchored if every numbering shifted by one or two sheets
-    costs `anchor_nats` more. An even comb of equal sheets is never anchored.
+    False where fewer than a tenth of the frames are trusted, and for sheets without a neighbour at the usual
+    spacing: the rest of the frame does not constrain these.
     """
     if x_px.shape[1] < 3 or trusted.any(axis=1).mean() < 0.1:
         return np.zeros(x_px.shape, bool)
@@ -205,21 +184,12 @@ def anchored(x_px: Floats, log_contrast: Floats, log_width: Floats, trusted: Boo
 def pattern_shift(log_contrast: Floats, log_width: Floats, settings: TrackingSettings = DEFAULT) -> Ints:
     """Return by how many sheets the pattern has shifted along the comb since the first frame, (frame,).
 
-    Parameters
-    ----------
-    log_contrast, log_width
-        Log contrast and log width of the ridge paired with each sheet (frame, N), NaN where there is none or
-        its identity is doubtful.
-    settings
-        The fields `pattern_…`.
-
-    Notes
-    -----
-    The pattern is each sheet's brightness and width. An even comb of nearly equal sheets with no end in view
-    looks alike after a jump by one pitch, but its pattern jumps. Medians over `pattern_frames` frames before
-    and after each frame are compared. At a jump the sheets' change is `pattern_change` times the usual one,
-    and `pattern_ratio` times the change relative to another sheet; a change of light does not shift the
-    pattern. 0 for fewer than `pattern_sheets` sheets.
+    The pattern is each sheet's brightness and width: log contrast and log width (frame, N), NaN where missing
+    or doubtful. An even comb of nearly equal sheets with no end in view looks alike after a jump by one
+    pitch, but its pattern jumps. Medians over `pattern_frames` frames before and after each frame are
+    compared. At a jump the sheets' change is `pattern_change` times the usual one, and `pattern_ratio` times
+    the change relative to another sheet; a change of light does not shift the pattern. 0 for fewer than
+    `pattern_sheets` sheets.
     """
     frames, sheets = log_contrast.shape
     span, shift = settings.pattern_frames, np.zeros(frames, np.int64)
@@ -250,19 +220,10 @@ def pattern_shift(log_contrast: Floats, log_width: Floats, settings: TrackingSet
 def sheets_alike(x_px: Floats, contrast: Floats, fwhm_px: Floats, comb: RidgeComb) -> bool:
     """Return whether the sheets look so alike that a picture does not show which sheets it contains.
 
-    Parameters
-    ----------
-    x_px, contrast, fwhm_px
-        Positions, heights and widths of the sheets (frame, N), NaN where missing.
-    comb
-        Pitch of the ridges.
-
-    Notes
-    -----
     Neither end of the comb is in view, and brightness, width and spacing differ from the mean of both
     neighbours by no more than they change with time, or than slips change spacings. A jump of such a comb by
     its pitch is invisible. Light that falls off along the comb is not a pattern of the sheets. False for
-    fewer than five sheets.
+    fewer than five sheets. Positions, contrasts and widths are (frame, N), NaN where missing.
     """
     rest = rest_positions(x_px)
     reach = comb.settings.edge_pitches * comb.pitch_px

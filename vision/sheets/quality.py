@@ -33,17 +33,8 @@ sheets, and stick phases must be longer than two lags."""
 
 
 def repeated_frames(profile: Floats32, settings: TrackingSettings = DEFAULT) -> Bools:
-    """Return which frames repeat the strip of the frame before, (frame,).
+    """Return which frames of a profile (frame, x) repeat the strip of the frame before, (frame,).
 
-    Parameters
-    ----------
-    profile
-        Grey levels (frame, x).
-    settings
-        `frozen_fraction`.
-
-    Notes
-    -----
     The measure is the root mean square change from the frame before. Noise alone makes frames differ by √2 of
     its standard deviation, within a few per cent. A frame is repeated if its change is less than noise and is
     separated by a clear gap from the changes of the other quiet frames (the quietest tenth). Without such a
@@ -67,23 +58,10 @@ def repeated_frames(profile: Floats32, settings: TrackingSettings = DEFAULT) -> 
 
 
 def motion_blur(x_px: Floats, contrast: Floats, fwhm_px: Floats, comb: RidgeComb) -> tuple[Bools, Floats]:
-    r"""Find ridges that are smeared by their motion during one exposure.
+    r"""Return whether each ridge moved during the exposure, and how far this may shift it, px; (frame, N).
 
-    Parameters
-    ----------
-    x_px, contrast, fwhm_px
-        Position, height and width of the ridges (frame, N), NaN where missing.
-    comb
-        Width and pitch of the ridges.
+    x_px, contrast, fwhm_px: position, height and width of the ridges (frame, N), NaN where missing.
 
-    Returns
-    -------
-    blurred, err_px
-        Whether each ridge moved while the shutter was open, and how far this may shift it, 0 where there is
-        no sign of blur; both (frame, N).
-
-    Notes
-    -----
     A ridge that jumps by D after a fraction p of the exposure appears twice, with heights p and 1 − p. The
     fit follows the higher image. Its error is up to :math:`\min(p, 1-p)\,D`: the loss of height times the
     motion over `BLUR_FRAMES` frames before and after. It is smaller where both images merge into one wider
@@ -140,15 +118,7 @@ def beside_missing(flag: Strings) -> Bools:
 
 
 def comb_is_stationary(tracks: xr.Dataset, settings: TrackingSettings = DEFAULT) -> bool:
-    """Return whether hardly any sheet moves relative to the comb; False for fewer than three sheets.
-
-    Parameters
-    ----------
-    tracks
-        From `vision.track_sheets`.
-    settings
-        `still_sigmas`, `still_share`.
-    """
+    """Return whether hardly any sheet moves relative to the comb; False for fewer than three sheets."""
     x = tracks["x_px"].values
     moved = x - nan_median(x)
     moved = np.abs(moved - nan_median(moved, axis=1)[:, None])
@@ -214,31 +184,16 @@ def spatial_scatter(positions: BetweenSlips, *, between_frames: bool) -> Floats:
 
 
 def noise_excess(positions: BetweenSlips, err_px: Floats, settings: TrackingSettings = DEFAULT) -> Floats:
-    r"""Return how much more positions scatter than their errors say, as a factor, (N,).
+    r"""Return how much more positions scatter than their errors (frame, N) say, as a factor, (N,).
 
-    Parameters
-    ----------
-    positions
-        Positions of the sheets in all frames, NaN where missing or repeated.
-    err_px
-        Their errors (frame, N).
-    settings
-        `own_excess`.
-
-    Returns
-    -------
-    Floats
-        1 for fewer than five sheets, and where slips leave too few frames between them.
-
-    Notes
-    -----
     Turbulent air, flicker that differs between rows, and a camera that shakes along leaning sheets shift each
     ridge by another amount, and leave its shape unchanged. This shows in second differences of positions in
     time, between slips. The motion that all sheets share is subtracted, and with ten sheets or more what
     is linear in n (a camera that vibrates or breathes). Sizes at several lags are averaged as squares, since
     at one lag an error that lasts or repeats itself may cancel. A size is the one within which 68 % of the
     frames lie, which leaves out slips of single sheets. Vibration of most sheets during the whole film cannot
-    be distinguished from such errors, and counts as one.
+    be distinguished from such errors, and counts as one. 1 for fewer than five sheets, and where slips leave
+    too few frames between them.
     """
     sheets = err_px.shape[1]
     variance = err_px[positions.seen] ** 2
@@ -266,14 +221,8 @@ def noise_excess(positions: BetweenSlips, err_px: Floats, settings: TrackingSett
 class SceneChange(NamedTuple):
     """A permanent change of the sheets' positions or brightnesses.
 
-    Parameters
-    ----------
-    frame
-        First frame of the new scene.
-    moved_px
-        Displacement that all sheets share.
-    brightness
-        Change of the logarithm of brightness, rms over the sheets, without the common change.
+    frame: first frame of the new scene. moved_px: displacement that all sheets share. brightness: change of
+    the logarithm of brightness, rms over the sheets, without the common change.
     """
 
     frame: int
@@ -284,19 +233,9 @@ class SceneChange(NamedTuple):
 def scene_changes(x_px: Floats, contrast: Floats, comb: RidgeComb) -> list[SceneChange]:
     """Find where the film was cut, or the camera or the light was moved: identities may change there.
 
-    Parameters
-    ----------
-    x_px, contrast
-        Positions and heights of the ridges (frame, N), NaN where missing.
-    comb
-        Pitch of the ridges.
+    x_px, contrast: positions and heights of the ridges (frame, N), NaN where missing. Changes are in order of
+    time; there are none where such changes are usual in the film.
 
-    Returns
-    -------
-    Changes in order of time; none where such changes are usual in the film.
-
-    Notes
-    -----
     Means over five frames before and after are compared. In a slip the sides of the comb move against each
     other, and every sheet keeps its brightness. The scene changes where all sheets are displaced by more than
     they are displaced against each other, or where their relative brightnesses change. Such a change must be
@@ -364,19 +303,9 @@ def _sums(values: Floats) -> Floats:
 def shared_error(positions: BetweenSlips) -> float:
     r"""Return the error that neighbouring sheets share where a codec predicts frames from others, px.
 
-    Parameters
-    ----------
-    positions
-        Positions of the sheets in all frames.
+    It is to be added in quadrature to `spatial_scatter`, which does not include it. 0 for fewer than eight
+    sheets or sixteen frames.
 
-    Returns
-    -------
-    float
-        To be added in quadrature to `spatial_scatter`, which does not include it. 0 for fewer than eight
-        sheets or sixteen frames.
-
-    Notes
-    -----
     Blocks of the codec are wider than a sheet's spacing, and predicted frames move them by quarter pixels.
 
     1. Sheets in one block share an error. Second differences of positions in time, without the motion that

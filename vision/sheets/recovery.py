@@ -36,18 +36,9 @@ LIKE_ITSELF = 0.7
 class Detections:
     """One ridge per sheet and frame, all (frame, N).
 
-    Parameters
-    ----------
-    start_px
-        Whole pixel of the ridge, NaN where flag is not "ok".
-    contrast, fwhm_px
-        Prominence of the ridge, grey levels, and its width.
-    flag
-        "ok", "missing", "merged", "edge" or "doubtful".
-    why
-        Reason for a doubtful identity, a key of `DOUBTS`; "" elsewhere.
-    withheld_px
-        Whole pixel of a doubtful ridge, NaN elsewhere.
+    start_px: whole pixel of the ridge, NaN where flag is not "ok". contrast, fwhm_px: its prominence, grey
+    levels, and its width. flag: "ok", "missing", "merged", "edge" or "doubtful". why: reason for a doubtful
+    identity, a key of `DOUBTS`; "" elsewhere. withheld_px: whole pixel of a doubtful ridge, NaN elsewhere.
     """
 
     start_px: Floats
@@ -61,20 +52,12 @@ class Detections:
 def assign_detections(
     profile: Floats32, ridges: Ridges, identities: Identities, comb: RidgeComb
 ) -> Detections:
-    """Return one ridge for each sheet in each frame, or the reason why there is none.
+    """Return one ridge for each sheet in each frame of the profile (frame, x), or the reason why there is
+    none.
 
     The expected position of a missing sheet follows from the displacement of its neighbours in the same
     frame. A ridge there that was too faint for the first search is accepted if it reaches a fraction of the
     sheet's usual contrast. Positions of uncertain identity (`DOUBTS`) are flagged "doubtful" and withheld.
-
-    Parameters
-    ----------
-    profile
-        Grey levels (frame, x).
-    ridges, identities
-        Candidates of every frame, and which candidate is which sheet.
-    comb
-        Width, pitch and contrast of the ridges.
     """
     candidates = np.stack([ridges.x_px, ridges.contrast, ridges.fwhm_px])
     paired = np.stack([values_of(identities.match, values) for values in candidates])

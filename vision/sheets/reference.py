@@ -26,18 +26,9 @@ LEAST_IN_VIEW = 0.13  # fraction of the frames in which a sheet must be in view 
 class ReferenceComb:
     """The sheets, from left to right; all (N,).
 
-    Parameters
-    ----------
-    x_px
-        Rest positions.
-    log_contrast, log_width
-        Logarithms of contrast and width.
-    found
-        Fraction of the frames in which each is found.
-    dropped
-        Number of persistent ridges that are not part of the comb.
-    beyond
-        Number of these that continue the comb, if the number of sheets was given.
+    x_px: rest positions. log_contrast, log_width: logarithms of contrast and width. found: fraction of the
+    frames in which each is found. dropped: number of persistent ridges that are not part of the comb. beyond:
+    number of these that continue the comb, if the number of sheets was given.
     """
 
     x_px: Floats
@@ -87,25 +78,17 @@ def build_reference(
 
     All candidates of one long list are first taken for sheets, and lists from the whole recording are aligned
     with them. Candidates that many frames show and the comb lacks are added; sheets that few frames show are
-    removed. Of the result, the entries that together form the most even comb are the sheets.
+    removed. Of the result, the entries that together form the most even comb are the sheets: exactly `sheets`
+    entries, if that number is given.
 
-    Parameters
-    ----------
-    candidates, frames, displacement_px
-        Lists of candidates, one for each segment of frames; number of frames of each, and displacement of the
-        whole comb at that time, (lists,).
-    comb
-        Width, pitch and contrast of the ridges.
-    sheets
-        Number of sheets, if known: the best comb of exactly that many is chosen.
-    source
-        Name of the recording in messages.
+    There is one list of candidates for each segment of frames; `frames` is its number of frames and
+    `displacement_px` the displacement of the whole comb at that time, (lists,).
 
     Raises
     ------
     InputError
         For fewer ridges than `sheets`, not counting specks far outside the comb, or if no ridge is in most
-        frames.
+        frames; the message names `source`.
     """
     settings = comb.settings
     spread = np.linspace(0, len(frames) - 1, 192).astype(int)
@@ -327,12 +310,7 @@ def static_ridges(moved_px: Floats, rest_px: Floats, *, settings: TrackingSettin
     the comb, which hardly moves, and at its ends only where their spacing is not the comb's. A row of marks
     beside the comb, whose marks have stationary neighbours, is found by its position and spacing.
 
-    Parameters
-    ----------
-    moved_px, rest_px
-        Displacement from the rest position (frame, N), NaN where missing; rest positions (N,).
-    settings
-        `moving_px`, `static_fraction`, `odd_spacing`.
+    moved_px: displacement from the rest positions rest_px (N,), (frame, N), NaN where missing.
     """
     left, right = _beside(moved_px), _beside(moved_px[:, ::-1])[:, ::-1]
     gap = np.diff(rest_px)
@@ -385,14 +363,8 @@ def faint_ends(reference: ReferenceComb, moved_px: Floats, *, settings: Tracking
 
     The signs are presence in few frames, an unusual width, and less motion than the entry beside it, although
     motion grows outwards. Specks on the lens leave such bumps of the background beside a comb. One sign is
-    not enough: sheets may be faint, and if one side of the comb is in view, one end is stationary.
-
-    Parameters
-    ----------
-    reference, moved_px
-        The comb; displacement from its rest positions (frame, N), NaN where missing.
-    settings
-        `faint_end`, `slow_end`, `odd_width`.
+    not enough: sheets may be faint, and if one side of the comb is in view, one end is stationary. moved_px:
+    displacement from the rest positions (frame, N), NaN where missing.
     """
     none = np.zeros(reference.sheets, bool)
     if reference.sheets < 5:
@@ -415,14 +387,8 @@ def marks(x_px: Floats, err_px: Floats, usual_px: Floats, comb: RidgeComb) -> Bo
     spacing. One sign is not enough: dirt distorts sheets, combs are uneven, and sheets of the stiff centre
     hardly move.
 
-    Parameters
-    ----------
-    x_px, err_px
-        Positions and their errors from noise (frame, N), NaN where missing.
-    usual_px
-        Usual distortion of each sheet, px, (N,).
-    comb
-        Width and pitch of the ridges.
+    x_px, err_px: positions and their errors from noise (frame, N), NaN where missing. usual_px: usual
+    distortion of each sheet, px, (N,).
     """
     settings = comb.settings
     rest = rest_positions(x_px)

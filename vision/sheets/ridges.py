@@ -81,14 +81,8 @@ class RidgeComb:
 class Ridges:
     """Candidates of each frame, left to right, padded with NaN to the largest count K; all (frame, K).
 
-    Parameters
-    ----------
-    x_px
-        Position, whole pixels.
-    contrast
-        Prominence, grey levels.
-    fwhm_px
-        Width at half prominence, corrected for the smoothing.
+    x_px: position, whole pixels. contrast: prominence, grey levels. fwhm_px: width at half prominence,
+    corrected for the smoothing.
     """
 
     x_px: Floats32
@@ -379,22 +373,12 @@ def _height_difference(line: Floats32, stripes: _MainRidges) -> float:
 
 
 def find_ridges(profile: Floats32, comb: RidgeComb) -> Ridges:
-    """Return the candidate ridges of every frame.
+    """Return the candidate ridges of every frame of a profile (frame, x); frames of NaN have none.
 
     A candidate is a local maximum of the lightly smoothed profile (a minimum for dark ridges) whose
-    prominence within its surroundings reaches a threshold that faint sheets reach, too. Shoulders have no
-    prominence; maxima much narrower than a ridge are hot pixels.
-
-    Parameters
-    ----------
-    profile
-        Grey levels (frame, x); frames of NaN have no candidates.
-    comb
-        From `describe_ridges`. Its noise and contrast set the threshold; with `contrast` 0, its noise alone.
-
-    Notes
-    -----
-    Source: paper, appendix B (local maxima of I(x)).
+    prominence within its surroundings reaches a threshold that faint sheets reach, too. The comb's noise and
+    contrast set the threshold; with `contrast` 0, its noise alone. Shoulders have no prominence; maxima much
+    narrower than a ridge are hot pixels. Source: paper, appendix B (local maxima of I(x)).
     """
     starts = range(0, len(profile), FRAMES_PER_BLOCK)
 

@@ -380,16 +380,7 @@ def fit_sheets(
 ) -> tuple[Floats, Floats]:
     """Return positions and their error per grey level of noise, both (frame, N), NaN where start_px is.
 
-    Parameters
-    ----------
-    bright
-        Profile with bright ridges (frame, x).
-    start_px
-        Whole pixels (frame, N), NaN for none.
-    fit, window_px
-        Name of the fit and width of its window.
-    comb
-        Width and pitch of the ridges.
+    bright: profile with bright ridges (frame, x). start_px: whole pixels (frame, N), NaN for none.
     """
     x, err = np.full(start_px.shape, np.nan), np.full(start_px.shape, np.nan)
     search_px = max(2, round(comb.fwhm_px / 2))
@@ -414,22 +405,9 @@ def learned_template(
 ) -> tuple[Floats, Floats, Bools]:
     """Return template positions for sheets whose mean shape is learned well, and the given ones for others.
 
-    Parameters
-    ----------
-    bright
-        Profile with bright ridges (frame, x).
-    x_px, err
-        Positions and errors per grey level by the sliding window (frame, N).
-    comb
-        Width and pitch of the ridges.
+    x_px and err are positions and errors per grey level by the sliding window (frame, N); both are returned,
+    and whether those of a sheet are from the template, (N,).
 
-    Returns
-    -------
-    x_px, err, learned
-        Positions and errors (frame, N); whether those of a sheet are from the template, (N,).
-
-    Notes
-    -----
     A mean shape is known between pixels only if its sheet moved over them in enough frames. The template is
     used for a sheet if it has a position wherever the sliding window has, if both measure the same motion,
     and if it scatters less from frame to frame. It is used for no sheet if it fails for most, or if the film
@@ -485,14 +463,8 @@ def intensity_noise(profile: NDArray[np.floating], x_px: Floats, *, half_px: int
     first and second derivative of the ridge) are subtracted. Hence neither the texture of the paper nor
     vibration counts as noise. The median over groups of three frames ignores slips.
 
-    Parameters
-    ----------
-    profile, x_px
-        Grey levels (frame, x); positions (frame, N), NaN where missing.
-    half_px
-        Half-width of the window, px; at least 5 are used.
-    fallback
-        Noise of sheets seen in fewer than eight groups of three frames.
+    profile, x_px: grey levels (frame, x); positions (frame, N), NaN where missing. half_px: half-width of the
+    window; at least 5 are used. fallback: noise of sheets seen in fewer than eight groups of three frames.
     """
     half = max(half_px, 5)
     middle = _triples(x_px)
