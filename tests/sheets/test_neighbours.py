@@ -6,7 +6,7 @@ import pytest
 from tests.scenes.combs import comb, ridges, strip
 from tests.scenes.identity_cases import brightness
 from vision.sheets import track_sheets
-from vision.sheets.neighbours import anchored, hops, neighbour_residual
+from vision.sheets.recovery import anchored, hops, neighbour_residual
 from vision.sheets.ridges import RidgeComb
 
 PITCH = 20.0

@@ -21,9 +21,8 @@ from vision.review.recordings import Diagram
 from vision.review.tracks_file import StoredTracks
 from vision.run.tables import attrs_of_netcdf
 from vision.sheets.corrections import OF_SHEETS, Correction, check_there, follow_ridge, not_taken
-from vision.sheets.neighbours import predicted_by_neighbours
 from vision.sheets.numbering import number_sheets
-from vision.sheets.recovery import DOUBTS
+from vision.sheets.recovery import DOUBTS, predicted_by_neighbours
 from vision.sheets.ridges import RidgeComb, Ridges, find_ridges
 from vision.sheets.subpixel import FitName, fit_sheets
 

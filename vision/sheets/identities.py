@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, Ints, nan_median, shifted
 from vision.sheets.alignment import Candidates, Pairing, align, values_of
-from vision.sheets.neighbours import torn
 from vision.sheets.reference import ReferenceComb, build_reference, faint_ends, static_ridges
 from vision.sheets.ridges import RidgeComb, Ridges
 from vision.sheets.settings import DEFAULT, TrackingSettings
@@ -185,6 +184,29 @@ def _rest_over_time(x_px: Floats, reference: ReferenceComb, comb: RidgeComb) -> 
     moved = fill_rows(fill_rows(moved, reference.x_px).T, np.arange(blocks, dtype=np.float64)).T
     at = np.searchsorted(edges[1:], np.arange(frames), side="right")
     return np.asarray(reference.x_px + np.nan_to_num(moved)[np.minimum(at, blocks - 1)], np.float64)
+
+
+def torn(moved: Floats, comb: RidgeComb) -> Bools:
+    """Return which sheets are displaced very differently from their neighbours in a frame, (frame, N).
+
+    A slip moves neighbours alike, however far. Where the displacements `moved` of neighbours differ by more
+    than `tear_fraction` pitches, one of the identities is wrong. Such tears divide the sheets of a frame into
+    groups; all groups but the largest are doubtful.
+    """
+    frames, sheets = moved.shape
+    seen = np.isfinite(moved)
+    before = np.hstack([np.full((frames, 1), np.nan), last_seen(moved)[:, :-1]])
+    group = np.cumsum(np.abs(moved - before) > comb.settings.tear_fraction * comb.pitch_px, axis=1)
+    key = (group + sheets * np.arange(frames)[:, None])[seen]
+    size = np.bincount(key, minlength=frames * sheets).reshape(frames, sheets)
+    own_size = np.take_along_axis(size, group, axis=1)
+    return np.asarray(seen & (own_size < size.max(axis=1, keepdims=True)), bool)
+
+
+def last_seen(values: Floats) -> Floats:
+    """Replace each NaN by the last value before it in its row."""
+    number = np.where(np.isfinite(values), np.arange(values.shape[1]), 0)
+    return np.asarray(np.take_along_axis(values, np.maximum.accumulate(number, axis=1), axis=1), np.float64)
 
 
 def fill_rows(values: Floats, at: Floats) -> Floats:

@@ -14,7 +14,6 @@ import numpy as np
 from vision.errors import InputError
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, mad_sigma, nan_median, nearest
 from vision.sheets.alignment import Candidates, ExpectedSheets, align, values_of
-from vision.sheets.neighbours import rest_positions
 from vision.sheets.ridges import RidgeComb
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.signals import running_median
@@ -299,6 +298,17 @@ def _best_chain(score: Floats, cost: Floats, sheets: int | None) -> Ints:
 
 
 # --- marks and gaps -----------------------------------------------------------------------------------------
+
+
+def rest_positions(x_px: Floats) -> Floats:
+    """Return each sheet's median position after removing the comb's common motion, (N,).
+
+    This is also right for sheets that are in view only while the comb is displaced.
+    """
+    rest = nan_median(x_px)
+    for _ in range(3):
+        rest = nan_median(x_px - nan_median(x_px - rest, axis=1)[:, None])
+    return rest
 
 
 def static_ridges(moved_px: Floats, rest_px: Floats, *, settings: TrackingSettings = DEFAULT) -> Bools:

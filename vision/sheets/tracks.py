@@ -13,21 +13,21 @@ from vision.data import STRIP, STRIP_PARTS, TRACKS, StripMetadata, TrackMetadata
 from vision.errors import InputError
 from vision.numeric import Bools, Floats, Floats32, Strings, nan_median
 from vision.sheets.corrections import Correction, apply_corrections, last_of
-from vision.sheets.distortion import distortion, not_one_ridge
 from vision.sheets.identities import Identities, identify_sheets
-from vision.sheets.neighbours import predicted_by_neighbours, sheets_alike
 from vision.sheets.numbering import Numbering, number_sheets
 from vision.sheets.quality import (
     BetweenSlips,
     beside_missing,
+    distortion,
     motion_blur,
     noise_excess,
+    not_one_ridge,
     repeated_frames,
     scene_changes,
     shared_error,
     spatial_scatter,
 )
-from vision.sheets.recovery import Detections, assign_detections
+from vision.sheets.recovery import Detections, assign_detections, predicted_by_neighbours, sheets_alike
 from vision.sheets.reference import marks, wide_spacings
 from vision.sheets.ridges import RidgeComb, describe_ridges, find_ridges, no_ridges
 from vision.sheets.settings import DEFAULT, TrackingSettings
@@ -110,7 +110,7 @@ def track_sheets(
     x_err_px is the noise of the profile times the fit's error per grey level. It is larger where positions
     scatter by more (`vision.sheets.quality.noise_excess`), where the ridge moves during the exposure
     (`vision.sheets.quality.motion_blur`), and where the ridge is distorted
-    (`vision.sheets.distortion.distortion`). With ``fit="paper"`` it includes the locking to whole pixels. For
+    (`vision.sheets.quality.distortion`). With ``fit="paper"`` it includes the locking to whole pixels. For
     lossy video it is the scatter between sheets, since compression hides the noise and adds its own
     artefacts. It does not include errors that are the same in all frames (uneven light, the choice of rows).
     """
