@@ -10,35 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, Ints, nan_median, shifted
 from vision.sheets.alignment import Candidates, Pairing, align, values_of
 from vision.sheets.reference import ReferenceComb, build_reference, faint_ends, static_ridges
 from vision.sheets.ridges import RidgeComb, Ridges
-from vision.sheets.settings import DEFAULT, TrackingSettings
+from vision.sheets.settings import TrackingSettings
 from vision.signals import running_median
-
-
-@dataclass(frozen=True)
-class Squeeze:
-    """Mean spacing of the ridges in each frame over that of the film.
-
-    scale: the ratio, (frame,); 1 in all frames of a film in which it hardly changes. middle_px: the point
-    from which distances are measured, about the middle of the comb.
-    """
-
-    scale: Floats
-    middle_px: float
-
-    def undone(self, x_px: NDArray[np.floating]) -> Floats:
-        """Return positions (frame, any) at the usual spacing."""
-        x = np.asarray(x_px, np.float64)
-        return x if (self.scale == 1).all() else self.middle_px + (x - self.middle_px) / self.scale[:, None]
-
-    def inverse(self) -> Squeeze:
-        """Return what turns positions at the usual spacing into those of the film."""
-        return replace(self, scale=1 / self.scale)
 
 
 @dataclass(frozen=True)
@@ -47,15 +25,15 @@ class Identities:
 
     match: candidate of each sheet in each frame, −1 where missing. margin: log-likelihood, nats, by which
     this identity exceeds the next best, NaN where missing. rest_px: rest position of each sheet around the
-    time of the frame; all (frame, N). reference: the reference comb. squeeze: how much the whole comb is
-    squeezed in each frame.
+    time of the frame. usual_px: position of each sheet at the comb's usual spacing, NaN where missing; all
+    (frame, N). reference: the reference comb.
     """
 
     match: Ints
     margin: Floats
     rest_px: Floats
+    usual_px: Floats
     reference: ReferenceComb
-    squeeze: Squeeze
 
 
 def identify_sheets(
@@ -72,8 +50,8 @@ def identify_sheets(
     InputError
         If there are no ridges, or fewer than `sheets`; the message names `source`.
     """
-    squeeze = comb_squeeze(ridges, comb.settings)
-    ridges = replace(ridges, x_px=squeeze.undone(ridges.x_px).astype(np.float32))
+    scale, middle_px = comb_squeeze(ridges, comb.settings)
+    ridges = replace(ridges, x_px=(middle_px + (ridges.x_px - middle_px) / scale).astype(np.float32))
     segments = split_segments(ridges, comb)
     displacement = comb_displacement(ridges, comb)
     reference = build_reference(
@@ -86,9 +64,7 @@ def identify_sheets(
     )
 
     def align_all(reference: ReferenceComb, rest: Floats) -> Pairing:
-        middle = rest[segments.middle]
-        counted = sheets is not None
-        expected = reference.expected(middle, comb, counted=counted)
+        expected = reference.expected(rest[segments.middle], comb, counted=sheets is not None)
         return align(segments.candidates, expected)
 
     rest = reference.x_px + displacement[:, None]
@@ -107,24 +83,26 @@ def identify_sheets(
             break
     margin = np.where(match >= 0, pairing.margin[segments.of_frames()], np.nan)
     match, margin = _undo_false_jumps(match, margin, ridges, comb)
-    return Identities(match, margin, squeeze.inverse().undone(rest), reference, squeeze)
+    rest_px, usual_px = middle_px + (rest - middle_px) * scale, values_of(match, ridges.x_px)
+    return Identities(match, margin, rest_px, usual_px, reference)
 
 
-def comb_squeeze(ridges: Ridges, settings: TrackingSettings = DEFAULT) -> Squeeze:
-    """Measure how much the whole comb is squeezed in each frame.
+def comb_squeeze(ridges: Ridges, settings: TrackingSettings) -> tuple[Floats, float]:
+    """Return the mean spacing in each frame over that of the film, (frame, 1), and the comb's middle, px.
 
+    The ratio is 1 in all frames of a film in which it hardly changes.
     The quantiles of the spacings are compared with their usual values, since spacings may be of several
     kinds; those of a missing sheet or a false detection are beyond the quantiles. A squeeze changes all of
     them alike: `squeeze_share` of the variance of their logarithms must be common.
     """
-    middle, still = float(nan_median(ridges.x_px.ravel())), np.ones(len(ridges.x_px))
+    middle_px, still = float(nan_median(ridges.x_px.ravel())), np.ones((len(ridges.x_px), 1))
     gap = np.diff(ridges.x_px.astype(np.float64), axis=1)
     sheets = 1 + np.isfinite(gap).sum(axis=1)
     usual = np.median(sheets)
     # Without frames in which many are covered, or in which two frames share an image and many are seen twice.
     rows = np.flatnonzero((2 * sheets >= usual) & (4 * sheets <= 5 * usual) & (sheets > 1))
     if not len(rows):
-        return Squeeze(still, middle)
+        return still, middle_px
     gap = np.sort(gap[rows], axis=1)  # NaN last; nanquantile takes forty times as long
     last = sheets[rows, None] - 2
     at = np.linspace(0.1, 0.9, 17) * last
@@ -137,7 +115,7 @@ def comb_squeeze(ridges: Ridges, settings: TrackingSettings = DEFAULT) -> Squeez
     least, most = np.quantile(scale, (0.02, 0.98))
     squeezed = (most / least - 1) * usual / 2 >= settings.least_squeeze
     squeezed &= common.var() >= settings.squeeze_share * change.var()
-    return Squeeze(scale if squeezed else still, middle)
+    return scale[:, None] if squeezed else still, middle_px
 
 
 def comb_displacement(ridges: Ridges, comb: RidgeComb) -> Floats:

@@ -71,7 +71,7 @@ def assign_detections(
     """
     candidates = np.stack([ridges.x_px, ridges.contrast, ridges.fwhm_px])
     paired = np.stack([values_of(identities.match, values) for values in candidates])
-    usual = np.stack([identities.squeeze.undone(paired[0]), *paired[1:]])
+    usual = np.stack([identities.usual_px, *paired[1:]])
     why = _doubts(usual, identities, comb)
     why[_numbered_off_the_end(candidates[:2], paired[:2], comb)] = "end"
     why[_shifted_pattern(np.where(why == "", paired, np.nan), comb.settings)] = "pattern"
