@@ -11,7 +11,6 @@ share, and `noise_excess` what all stated errors leave out.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
@@ -28,7 +27,7 @@ from vision.numeric import (
     nan_median,
     nan_quantile,
 )
-from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb, profile_noise
+from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb, in_blocks, profile_noise
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.sheets.subpixel import Starts, gather, position_noise
 
@@ -209,8 +208,7 @@ def distortion(
         height[rows] = found[:, 0]
         apart[rows], sloping[rows] = shift[:, 1] - shift[:, 0], shift[:, 2] - shift[:, 0]
 
-    with ThreadPoolExecutor(2) as pool:
-        list(pool.map(fit, (slice(i, i + FRAMES_PER_BLOCK) for i in range(0, len(bright), FRAMES_PER_BLOCK))))
+    in_blocks(fit, len(bright))
     height[blurred], apart[blurred], sloping[blurred] = np.nan, np.nan, np.nan
     size = _shift_by_light(x_px, height, comb)
     for differs, usual, k in (

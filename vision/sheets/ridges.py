@@ -6,14 +6,14 @@ the candidates of every frame. Which candidate is which sheet is decided later, 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, TypeVar
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from vision.data import TrackMetadata
 from vision.errors import InputError
@@ -22,6 +22,7 @@ from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.signals import find_maxima, half_widths
 
 Polarity = Literal["bright", "dark"]
+Result = TypeVar("Result")
 SEARCH_SIGMA_PX = 1.0  # standard deviation of the smoothing with which a comb is described
 NEAREST = 3  # stripes whose levels stand for the comb's end
 FRAMES_PER_BLOCK = 128  # processed at once, so that intermediate arrays fit into a core's cache
@@ -380,27 +381,28 @@ def find_ridges(profile: Floats32, comb: RidgeComb) -> Ridges:
     contrast set the threshold; with `contrast` 0, its noise alone. Shoulders have no prominence; maxima much
     narrower than a ridge are hot pixels. Source: paper, appendix B (local maxima of I(x)).
     """
-    starts = range(0, len(profile), FRAMES_PER_BLOCK)
+    parts = in_blocks(lambda rows: _find_block(profile[rows], rows.start, comb), len(profile))
+    frame, *found = (np.concatenate(column) for column in zip(*parts, strict=True))
+    counts = np.bincount(frame, minlength=len(profile))
+    rank = np.arange(len(frame)) - np.repeat(np.cumsum(counts) - counts, counts)
+    tables = np.full((3, len(profile), max(1, int(counts.max(initial=0)))), np.nan, np.float32)
+    for table, values in zip(tables, found, strict=True):  # one row per frame
+        table[frame, rank] = values
+    return Ridges(*tables)
 
-    def find(start: int) -> _Peaks:
-        return _find_block(profile[start : start + FRAMES_PER_BLOCK], start, comb)
 
+def in_blocks(work: Callable[[slice], Result], frames: int) -> list[Result]:
+    """Return the results of `work` for consecutive blocks of frames, found in two threads."""
+    blocks = (slice(i, i + FRAMES_PER_BLOCK) for i in range(0, frames, FRAMES_PER_BLOCK))
     with ThreadPoolExecutor(2) as pool:
-        parts = list(pool.map(find, starts))
-    return _padded(parts, len(profile))
+        return list(pool.map(work, blocks))
 
 
-class _Peaks(NamedTuple):
-    """Candidates of several frames, in one list."""
+def _find_block(profile: Floats32, start: int, comb: RidgeComb) -> tuple[Ints, Ints, Floats, Floats]:
+    """Return frame, position, contrast and width of the ridges in a block of frames that begins at `start`.
 
-    frame: Ints
-    x: Ints
-    contrast: Floats
-    fwhm: Floats
-
-
-def _find_block(profile: Floats32, start: int, comb: RidgeComb) -> _Peaks:
-    """Find the ridges of a block of frames, searched as one long line with walls between the frames."""
+    The block is searched as one long line with walls between the frames.
+    """
     settings = comb.settings
     smoothing_px = max(0.5, settings.smoothing_widths * comb.fwhm_px)
     least = _noise_floor(comb.noise, smoothing_px, settings)
@@ -422,20 +424,4 @@ def _find_block(profile: Floats32, start: int, comb: RidgeComb) -> _Peaks:
     keep = (relative >= settings.narrowest_widths) & (relative <= settings.widest_widths)
     keep &= (x > 0) & (x < walled.shape[1] - 1)
     flattened = np.hypot(1, FWHM * smoothing_px / comb.fwhm_px)  # height a Gaussian loses to the smoothing
-    return _Peaks(frame[keep] + start, x[keep] - 1, prominence[keep] * flattened, fwhm[keep])
-
-
-def _padded(parts: list[_Peaks], frames: int) -> Ridges:
-    """Arrange the candidates in one row per frame."""
-    frame, x, contrast, fwhm = (np.concatenate(column) for column in zip(*parts, strict=True))
-    counts = np.bincount(frame, minlength=frames)
-    rank = np.arange(len(frame)) - np.repeat(np.cumsum(counts) - counts, counts)
-    width = max(1, int(counts.max(initial=0)))
-    cell = frame * width + rank
-
-    def spread(values: NDArray[np.generic]) -> Floats32:
-        table = np.full(frames * width, np.nan, np.float32)
-        table[cell] = values
-        return table.reshape(frames, width)
-
-    return Ridges(spread(x), spread(contrast), spread(fwhm))
+    return frame[keep] + start, x[keep] - 1, prominence[keep] * flattened, fwhm[keep]

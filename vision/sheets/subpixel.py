@@ -8,7 +8,6 @@ pass the negative profile for dark ones. `fit_sheets` fits all sheets in all fra
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from typing import Literal, NamedTuple
 
 import cv2
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 
 from vision.errors import InputError
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, Ints, nan_median
-from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb
+from vision.sheets.ridges import RidgeComb, in_blocks
 
 FitName = Literal["sliding", "paper", "template"]
 FitChoice = Literal["auto", "sliding", "paper", "template"]
@@ -395,8 +394,7 @@ def fit_sheets(
             done = sliding_vertex(bright[rows], starts, window_px=window_px)
         x[rows][frame, sheet], err[rows][frame, sheet] = done
 
-    with ThreadPoolExecutor(2) as pool:
-        list(pool.map(run, [slice(i, i + FRAMES_PER_BLOCK) for i in range(0, len(bright), FRAMES_PER_BLOCK)]))
+    in_blocks(run, len(bright))
     return _match_all(bright, x, comb) if fit == "template" else (x, err)
 
 
