@@ -193,19 +193,11 @@ def fill_rows(values: Floats, at: Floats) -> Floats:
     Beyond the first and last known value these are repeated; rows of NaN stay NaN. `at` is the ascending
     abscissa of the columns.
     """
-    known = np.isfinite(values)
-    number = np.arange(values.shape[1])
-    left = np.maximum.accumulate(np.where(known, number, -1), axis=1)
-    right = np.minimum.accumulate(np.where(known, number, len(number))[:, ::-1], axis=1)[:, ::-1]
-    lower = np.where(left < 0, right, left)
-    upper = np.where(right >= len(number), left, right)
-    usable = (lower >= 0) & (lower < len(number)) & (upper >= 0)
-    lower, upper = np.where(usable, lower, 0), np.where(usable, upper, 0)
-    span = at[upper] - at[lower]
-    fraction = np.where(span > 0, (at - at[lower]) / np.where(span > 0, span, 1), 0.0)
-    low = np.take_along_axis(values, lower, axis=1)
-    filled = low + fraction * (np.take_along_axis(values, upper, axis=1) - low)
-    return np.where(usable, filled, np.nan)
+    filled, known = values.copy(), np.isfinite(values)
+    for row in np.flatnonzero(known.any(axis=1) & ~known.all(axis=1)):
+        here = known[row]
+        filled[row, ~here] = np.interp(at[~here], at[here], values[row, here])
+    return filled
 
 
 # --- jumps --------------------------------------------------------------------------------------------------
