@@ -83,7 +83,8 @@ def assign_detections(
     rows, sheet, faint = _faint_ridges(profile, found, expected, doubtful, comb)
     if len(rows):  # some of these may be ridges that are near by chance
         found[:, rows, sheet] = faint
-        found[:, hops(neighbour_residual(found[0]), comb) & np.isnan(paired[0])] = np.nan
+        off = hops(found[0] - predicted_by_neighbours(found[0]), comb)
+        found[:, off & np.isnan(paired[0])] = np.nan
     flag = np.where(np.isfinite(found[0]), "ok", "missing").astype("<U8")
     flag[_merged(found, expected, comb)] = "merged"
     flag[_hidden(found[0], doubtful, comb)] = "merged"
@@ -177,7 +178,7 @@ def _reassign_hops(
     """
     for _ in range(4):  # each pass finds the largest residual among neighbours and sets that sheet aside
         x = np.where(why == "", paired[0], np.nan)
-        residual = neighbour_residual(x)
+        residual = x - predicted_by_neighbours(x)
         off = hops(residual, comb)
         if not off.any():
             break
@@ -239,11 +240,11 @@ def _unproved_jumps(
 # --- predictions by neighbouring sheets ---------------------------------------------------------------------
 
 
-def neighbour_residual(x_px: Floats) -> Floats:
-    r"""Return the distance of each sheet from the position that its neighbours predict, px, (frame, N).
+def predicted_by_neighbours(x_px: Floats) -> Floats:
+    r"""Return the position of each sheet predicted by its neighbours, px, (frame, N).
 
-    x_px: positions (frame, N), NaN where missing. The median residual of each sheet is subtracted. NaN where
-    the sheet or all its neighbours are missing, and for fewer than three sheets.
+    x_px: positions (frame, N), NaN where missing. Missing sheets have a prediction, too. The median
+    difference of each sheet is added. NaN where all neighbours are missing, and for fewer than three sheets.
 
     With the displacement :math:`u_n` from the rest position, the neighbours predict
 
@@ -253,15 +254,6 @@ def neighbour_residual(x_px: Floats) -> Floats:
     where d are distances at rest: displacements are linear between the sheets of each pair, whatever the
     mechanics. Near the ends of the comb pairs are lacking; there, lines through two sheets on one side are
     used as well. The median over the pairs tolerates one wrong neighbour.
-    """
-    return np.asarray(x_px - predicted_by_neighbours(x_px), np.float64)
-
-
-def predicted_by_neighbours(x_px: Floats) -> Floats:
-    """Return the position of each sheet predicted by its neighbours, px, (frame, N).
-
-    Missing sheets have one, too. NaN where all neighbours are missing, and for fewer than three sheets; see
-    `neighbour_residual`.
     """
     sheets = x_px.shape[1]
     if sheets < 3:
@@ -307,12 +299,12 @@ def _between(moved: Floats, rest: Floats, k: int) -> Floats:
 
 
 def hops(residual: Floats, comb: RidgeComb) -> Bools:
-    """Return which sheets are on another ridge, judged by their `neighbour_residual`, (frame, N).
+    """Return which sheets are on another ridge, (frame, N).
 
-    The residual must exceed several times the sheet's own scatter, the width of a ridge (nearer ridges are
-    not resolved), and by far the residuals of most sheets in the frame, since many residuals grow at once in
-    an avalanche or in a blurred frame. Among adjacent sheets only the largest residual counts: that sheet
-    spoils the prediction for the others.
+    The residual is the distance from the position that the neighbours predict. It must exceed several times
+    the sheet's own scatter, the width of a ridge (nearer ridges are not resolved), and by far the residuals
+    of most sheets in the frame, since many residuals grow at once in an avalanche or in a blurred frame.
+    Among adjacent sheets only the largest residual counts: that sheet spoils the prediction for the others.
     """
     size = np.abs(residual)
     least = comb.settings.leave_sigmas * nan_median(size) / NORMAL_MEDIAN
