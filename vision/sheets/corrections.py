@@ -171,14 +171,8 @@ class Correction:
 class Decisions:
     """Content of a file of corrections.
 
-    Parameters
-    ----------
-    corrections
-        Decisions in the order of application.
-    undone
-        Decisions that were undone, the last one last; they have no effect.
-    film
-        SHA-256 or fingerprint of the film that they belong to; "" if not stated.
+    corrections: decisions in the order of application. undone: decisions that were undone, the last one last;
+    they have no effect. film: SHA-256 or fingerprint of the film that they belong to; "" if not stated.
     """
 
     corrections: tuple[Correction, ...] = ()
@@ -360,20 +354,10 @@ def apply_corrections(
     frames: Ints,
     origin_px: float = 0.0,
 ) -> Detections:
-    """Return the detections with the manual corrections applied.
+    """Return the detections with the manual corrections applied, in the order of `ordered`.
 
-    Parameters
-    ----------
-    detections
-        Detections as found; not changed.
-    ridges, comb
-        Candidates of every frame, and their pitch.
-    corrections
-        Decisions; they are applied in the order of `ordered`.
-    frames
-        Frame numbers in the film, (frame,).
-    origin_px
-        Column of the profile's first pixel in the picture.
+    frames: frame numbers in the film, (frame,). origin_px: column of the profile's first pixel in the
+    picture. ridges: candidates of every frame.
 
     Raises
     ------
@@ -472,12 +456,8 @@ def _check_unique(corrections: Sequence[Correction]) -> None:
 
 
 def check_there(correction: Correction, rows: Ints, frames: Ints, sheets: int) -> None:
-    """Refuse a sheet or frames that do not exist; `rows` are those of the correction among `frames`.
-
-    Raises
-    ------
-    InputError
-        For such a correction.
+    """Refuse a sheet or frames that do not exist (InputError); `rows` are those of the correction among
+    `frames`.
     """
     if max(correction.sheets, default=0) >= sheets:
         raise InputError(correction.name, f"a sheet from 0 to {sheets - 1}", str(max(correction.sheets)))
@@ -510,23 +490,10 @@ def follow_ridge(
 ) -> Floats:
     """Follow a ridge from row to row, with the motion of the other sheets.
 
-    In the first row it is the ridge nearest to a given column, then the one nearest to where that motion
-    moves it.
-
-    Parameters
-    ----------
-    correction
-        Its x_px is the column in the picture.
-    rows
-        Rows of `others` and `ridges`, in the order in which the ridge is followed.
-    others
-        Whole pixels of the other sheets, (frame, sheet).
-    ridges, comb, origin_px
-        As for `apply_corrections`.
-
-    Returns
-    -------
-    Whole pixels, one per row; NaN where no ridge is near.
+    In the first row it is the ridge nearest to the correction's x_px, a column of the picture, then the one
+    nearest to where that motion moves it. Return whole pixels, one per row; NaN where no ridge is near. rows:
+    rows of `others` and `ridges`, in the order in which the ridge is followed. others: whole pixels of the
+    other sheets, (frame, sheet).
 
     Raises
     ------

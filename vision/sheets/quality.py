@@ -211,10 +211,7 @@ def distortion(
     in_blocks(fit, len(bright))
     height[blurred], apart[blurred], sloping[blurred] = np.nan, np.nan, np.nan
     size = _shift_by_light(x_px, height, comb)
-    for differs, usual, k in (
-        (apart, settings.distortion_error, 3),
-        (sloping, settings.distortion_slope, 5),
-    ):
+    for differs, usual, k in ((apart, settings.distortion_error, 3), (sloping, settings.distortion_slope, 5)):
         noise = err_px * float(np.linalg.norm(fits[k] - fits[1]) / np.linalg.norm(fits[1]))
         seen = _significant(differs - nan_median(differs), noise, settings)
         size = np.fmax(size, _error_over(differs, usual, x_px, settings) * seen)
