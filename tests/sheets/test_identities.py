@@ -19,7 +19,7 @@ def candidates(truth, *, width=WIDTH, contrast=1.0):
 
 def starts(truth, *, width=WIDTH, contrast=1.0):
     found, described = candidates(truth, width=width, contrast=contrast)
-    return split_segments(found, described, width_px=width).start
+    return split_segments(found, described).start
 
 
 def small(slip):
@@ -36,7 +36,7 @@ def test_sheets_that_cross_the_picture_s_edge_do_not_cut():
     """A failure means that a drifting comb falls into segments too short to be told apart."""
     drift = np.linspace(0, 60, FRAMES)[:, None]
     found, described = candidates(comb(FRAMES, slip=0.0, axis_px=480) + drift, width=960)
-    segments = split_segments(found, described, width_px=960)
+    segments = split_segments(found, described)
     assert len(segments.start) == 1
     assert len(np.unique(found.count)) > 1
     assert segments.place[-1] != segments.place[0]
@@ -53,7 +53,7 @@ def test_an_identity_that_leaves_no_other_has_a_large_margin():
     """A failure means that sound recordings are flagged as doubtful."""
     truth = small(0.4)
     found, described = candidates(truth)
-    identities = identify_sheets(found, described, width_px=WIDTH)
+    identities = identify_sheets(found, described)
     assert identities.match.shape == truth.shape
     assert (identities.match == np.arange(16)).all()
     assert identities.margin.min() > 5

@@ -6,12 +6,16 @@ import pytest
 from tests.scenes.combs import comb, ridges, strip
 from tests.scenes.identity_cases import brightness
 from vision.sheets import track_sheets
-from vision.sheets.neighbours import anchored, hops, neighbour_residual
+from vision.sheets.recovery import anchored, hops, predicted_by_neighbours
 from vision.sheets.ridges import RidgeComb
 
 PITCH = 20.0
-COMB = RidgeComb("bright", 7.0, PITCH, 60.0, 0.6, 50.0)
+COMB = RidgeComb("bright", 7.0, PITCH, 60.0, 0.6, 50.0, width_px=1100)
 FRAMES = 200
+
+
+def residual_of(x):
+    return x - predicted_by_neighbours(x)
 
 
 def moving(frames=FRAMES):
@@ -21,7 +25,7 @@ def moving(frames=FRAMES):
 
 def test_a_slip_leaves_no_residual():
     """A failure means the motion of the sheets themselves is taken for wrong identities."""
-    residual = neighbour_residual(moving())
+    residual = residual_of(moving())
     assert np.isfinite(residual).all()
     assert np.quantile(np.abs(residual), 0.999) < 0.5
     assert not hops(residual, COMB).any()
@@ -32,7 +36,7 @@ def test_one_sheet_that_leaves_its_neighbours_is_named(sheet):
     """A failure means a hop to another ridge passes, or its neighbours are accused in its place."""
     x = moving()
     x[50:81, sheet] += 12
-    off = hops(neighbour_residual(x), COMB)
+    off = hops(residual_of(x), COMB)
     assert off[50:81, sheet].all()
     assert off.sum() == 31
 
@@ -41,7 +45,7 @@ def test_a_smaller_departure_is_motion():
     """Half a ridge's width is no other ridge: sheets may move by themselves."""
     x = moving()
     x[50:81, 12] += 3.5
-    assert not hops(neighbour_residual(x), COMB).any()
+    assert not hops(residual_of(x), COMB).any()
 
 
 def looks(contrast):

@@ -7,6 +7,7 @@ import pytest
 
 from tests.scenes.combs import comb, ridges, strip
 from vision.sheets import TrackingSettings, track_sheets
+from vision.sheets.alignment import values_of
 from vision.sheets.identities import Identities, identify_sheets
 from vision.sheets.recovery import assign_detections
 from vision.sheets.ridges import describe_ridges, find_ridges
@@ -76,13 +77,13 @@ def test_a_sheet_hidden_in_its_neighbour_s_ridge_is_merged_with_it(away_px, flag
     profile = strip(ridges(x, width=WIDTH)).values
     described = describe_ridges(profile)
     found = find_ridges(profile, described)
-    identities = identify_sheets(found, described, width_px=WIDTH)
+    identities = identify_sheets(found, described)
     one_more = Identities(
         np.insert(identities.match, 6, -1, axis=1),
         np.insert(identities.margin, 6, np.nan, axis=1),
         hidden,
+        np.insert(identities.usual_px, 6, np.nan, axis=1),
         identities.reference,
-        identities.squeeze,
     )
     got = assign_detections(profile, found, one_more, described).flag
     assert (got[:, 6] == flag).all()
@@ -121,13 +122,14 @@ def test_a_numbering_that_leaves_out_a_ridge_at_the_end_is_doubtful(way):
     profile = strip(ridges(x, width=WIDTH)).values
     described = describe_ridges(profile)
     found = find_ridges(profile, described)
-    identities = identify_sheets(found, described, width_px=WIDTH)
+    identities = identify_sheets(found, described)
     right = np.tile(np.arange(16), (FRAMES, 1))
     wrong = right.copy()
     wrong[jumped] = [-1, *range(15)] if way > 0 else [*range(1, 16), -1]
     for match, seen in ((right, "ok"), (wrong, "doubtful")):
         margin = np.where(match >= 0, 9.0, np.nan)
-        numbered = replace(identities, match=match, margin=margin, rest_px=truth(slip=0.0))
+        usual = values_of(match, found.x_px)
+        numbered = replace(identities, match=match, margin=margin, rest_px=truth(slip=0.0), usual_px=usual)
         got = assign_detections(profile, found, numbered, described).flag
         assert (got[~jumped] == "ok").all()
         assert (got[jumped][match[jumped] >= 0] == seen).all()

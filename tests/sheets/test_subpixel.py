@@ -81,7 +81,7 @@ def test_without_a_ridge_there_is_no_position():
 @pytest.mark.parametrize(("fwhm", "expected"), [(3, 5), (6, 9), (9, 9), (14, 9), (20, 29)])
 def test_the_window_follows_the_width_outside_6_to_14_px(fwhm, expected):
     """A failure means the publication's window is used where it does not fit, or not where it does."""
-    comb = RidgeComb("bright", fwhm, pitch_px=60.0, contrast=50.0, noise=1.0, count=10.0)
+    comb = RidgeComb("bright", fwhm, pitch_px=60.0, contrast=50.0, noise=1.0, count=10.0, width_px=600)
     assert choose_window(comb, None) == expected
 
 

@@ -10,7 +10,7 @@ from tests.scenes.films import comb, write_avi, write_encoded
 from vision.data import STRIP, StripMetadata
 from vision.errors import InputError
 from vision.video import VideoSettings, open_video, reference_frame, strip_profile
-from vision.video.frames import ProfileStore, is_blank, lost_between
+from vision.video.frames import FrameStore, is_blank, lost_between
 from vision.video.strip import row_means
 
 
@@ -70,7 +70,7 @@ def test_spilled_profile_is_the_same(tmp_path):
 @pytest.mark.parametrize("expected", [None, 3, 5000])
 def test_store_grows(expected, spill_bytes):
     """Failure: rows are lost when a file holds more or fewer frames than expected."""
-    store = ProfileStore(4, expected=expected, spill_bytes=spill_bytes)
+    store = FrameStore(4, expected=expected, spill_bytes=spill_bytes)
     rows = np.arange(8000, dtype=np.float32).reshape(-1, 4)
     for part in np.array_split(rows, 13):
         store.append(part)
@@ -162,12 +162,12 @@ def test_a_full_disk_for_a_long_recording_is_reported(monkeypatch):
 
     monkeypatch.setattr(os, "posix_fallocate", full, raising=False)
     with pytest.raises(InputError, match=r"GiB for I\(x, t\).*no space left"):
-        ProfileStore(100, expected=1000, spill_bytes=1000)
+        FrameStore(100, expected=1000, spill_bytes=1000)
 
 
 def test_an_absurd_frame_count_takes_no_memory():
     """Failure: a damaged header that announces 4 thousand million frames ends as out of memory."""
-    store = ProfileStore(1920, expected=2**32 - 1, spill_bytes=1 << 16)
+    store = FrameStore(1920, expected=2**32 - 1, spill_bytes=1 << 16)
     for n in range(20):
         store.append(np.full((8, 1920), n, np.float32))
     assert store.rows().nbytes == 20 * 8 * 1920 * 4

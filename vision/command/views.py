@@ -121,7 +121,7 @@ def make_preview(path: Path, settings: Settings) -> Preview:
     spread = list(film.sample(12)) or list(itertools.islice(film.frames(), 12))
     profile = row_means(np.stack([frame[rows, columns] for frame in spread]))
     comb = describe_ridges(profile, polarity=tracks.attrs["ridges"], settings=settings.tuning.tracking)
-    ridges = find_ridges(profile, comb, settings=settings.tuning.tracking)
+    ridges = find_ridges(profile, comb)
     frame = reference_frame(few)
     warnings = [*film.warnings, *chosen.warnings, *warnings_of(tracks)]
     warnings += [*overexposure(frame, rows, strip_settings), *tracking_warnings(tracks)]

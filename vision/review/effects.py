@@ -145,8 +145,12 @@ class Effects:
         first = self.run.diagram.first_column
         across = slice(first, first + self.run.diagram.columns)
         profile = np.stack([row_means(one[None, top:bottom, across])[0] for one in pictures])
-        comb = describe_ridges(profile, polarity=self.run.positions.comb.polarity, source="the strip")
-        seen = find_ridges(profile, comb, settings=self.run.settings.tuning.tracking)
+        comb = describe_ridges(
+            profile,
+            polarity=self.run.positions.comb(self.run.diagram).polarity,
+            settings=self.run.diagram.settings,
+        )
+        seen = find_ridges(profile, comb)
         window = self.run.positions.track_facts.window_px
         bright = comb.bright(profile)
         usual = np.tile(median_positions(self.run.positions) - first, (len(profile), 1))

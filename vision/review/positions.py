@@ -21,9 +21,8 @@ from vision.review.recordings import Diagram
 from vision.review.tracks_file import StoredTracks
 from vision.run.tables import attrs_of_netcdf
 from vision.sheets.corrections import OF_SHEETS, Correction, check_there, follow_ridge, not_taken
-from vision.sheets.neighbours import predicted_by_neighbours
 from vision.sheets.numbering import number_sheets
-from vision.sheets.recovery import DOUBTS
+from vision.sheets.recovery import DOUBTS, predicted_by_neighbours
 from vision.sheets.ridges import RidgeComb, Ridges, find_ridges
 from vision.sheets.subpixel import FitName, fit_sheets
 
@@ -77,10 +76,9 @@ class Positions:
         """How the strip was read."""
         return StripMetadata.of(xr.Dataset(attrs=self.attrs))
 
-    @property
-    def comb(self) -> RidgeComb:
-        """Appearance of the ridges, as the tracking measured it."""
-        return RidgeComb.of(self.track_facts)
+    def comb(self, diagram: Diagram) -> RidgeComb:
+        """Return the appearance of the ridges, as the tracking measured it."""
+        return RidgeComb.of(self.track_facts, diagram.columns, diagram.settings)
 
     def expected_px(self, rows: Ints) -> Floats:
         """Return the position of each sheet predicted from its neighbours, in these rows."""
@@ -123,7 +121,7 @@ class Positions:
     def ridges(self, diagram: Diagram, rows: slice) -> Ridges:
         """Find the ridges in these rows as the tracking does; x counts from the diagram's first column."""
         profile = diagram.rows(self.first_row + rows.start, self.first_row + rows.stop)
-        return find_ridges(profile, self.comb, settings=diagram.settings)
+        return find_ridges(profile, self.comb(diagram))
 
     def copied(self, rows: slice) -> Positions:
         """Return a copy of some rows that can be changed independently."""
@@ -354,7 +352,7 @@ def _followed(
     Return its whole pixels, NaN where it is lost, and the sheet that has this ridge already, -1 if none. A
     block of rows starts where the ridge was last seen. `without`: sheet to ignore. `back`: backwards in time.
     """
-    comb, origin = positions.comb, float(diagram.first_column)
+    comb, origin = positions.comb(diagram), float(diagram.first_column)
     start, other = np.full(len(positions.frame), np.nan), np.full(len(positions.frame), -1)
     at, wanted = (part.stop - 1 if back else part.start), decision
     while True:
@@ -368,9 +366,7 @@ def _followed(
             owned[:, without] = np.nan
         order = np.arange(rows.stop - rows.start)[:: -1 if back else 1]
         found = np.empty(len(order))
-        found[order] = follow_ridge(
-            wanted, order, owned, ridges, comb, origin_px=origin, settings=diagram.settings
-        )
+        found[order] = follow_ridge(wanted, order, owned, ridges, comb, origin_px=origin)
         start[rows] = found
         shared = owned == found[:, None]
         other[rows] = np.where(shared.any(axis=1), shared.argmax(axis=1), -1)
@@ -394,7 +390,7 @@ def nearest_ridges(ridges_px: NDArray[np.floating], targets: Floats, reach: floa
 
 def _fitted(positions: Positions, start_px: Floats, rows: Ints, diagram: Diagram) -> Floats:
     """Fit subpixel positions, in columns of the picture, to ridges at whole pixels in these rows."""
-    comb, facts = positions.comb, positions.track_facts
+    comb, facts = positions.comb(diagram), positions.track_facts
     fit: FitName = "paper" if facts.fit == "paper" else "sliding"
     x = np.full(len(rows), np.nan)
     for begin in range(0, len(rows), BLOCK):

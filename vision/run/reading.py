@@ -230,8 +230,8 @@ class Checkpoint:
 
     With `resume` a run continues where an interrupted one of the same film with the same settings ended; if
     nothing was stored, at the first frame. Without `resume`, what an earlier run left is removed. As frames
-    are numbered without gaps (`vision.video.Reader`), and each row is computed from its frame alone, the
-    result is the same bit for bit. If the disk is full, the run continues without a checkpoint.
+    are numbered without gaps (`vision.video.reader.Reader`), and each row is computed from its frame alone,
+    the result is the same bit for bit. If the disk is full, the run continues without a checkpoint.
 
     Raises
     ------

@@ -27,22 +27,11 @@ MOST_CROSSING = 3  # largest number of sheets that cross an edge of the picture 
 class ExpectedSheets:
     """The comb with which candidates are aligned.
 
-    Parameters
-    ----------
-    x_px
-        Expected positions, (lists, N).
-    log_contrast
-        Logarithm of each sheet's contrast, (N,).
-    missing_cost
-        Cost of not finding a sheet, (N,), nats; small for sheets that are often unseen.
-    pitch_px
-        Typical spacing.
-    view_px
-        Left and right end of the picture; sheets expected outside it are missing at hardly any cost.
-    open_ends
-        Whether there may be more sheets beyond the first and beyond the last.
-    settings
-        Costs.
+    x_px: expected positions, (lists, N). log_contrast: logarithm of each sheet's contrast, (N,).
+    missing_cost: cost of not finding a sheet, (N,), nats; small for sheets that are often unseen. pitch_px:
+    typical spacing. view_px: left and right end of the picture; sheets expected outside it are missing at
+    hardly any cost. open_ends: whether there may be more sheets beyond the first and beyond the last.
+    settings: costs.
     """
 
     x_px: Floats
@@ -68,14 +57,8 @@ class ExpectedSheets:
 
 @dataclass(frozen=True)
 class Candidates:
-    """Candidate lists, (lists, K), each row ascending in x and padded with NaN.
-
-    Parameters
-    ----------
-    x_px
-        Positions.
-    log_contrast, log_width
-        Logarithms of contrast and width.
+    """Candidate lists, (lists, K), each row ascending in x and padded with NaN: positions, and logarithms of
+    contrast and width.
     """
 
     x_px: Floats
@@ -95,13 +78,8 @@ class Candidates:
 class Pairing:
     """Result of an alignment, both (lists, N).
 
-    Parameters
-    ----------
-    match
-        Candidate of each sheet, −1 where missing.
-    margin
-        Extra cost, nats, of the cheapest alignment that pairs this sheet or this candidate otherwise; inf
-        where there is none, NaN where the sheet is missing.
+    match: candidate of each sheet, −1 where missing. margin: extra cost, nats, of the cheapest alignment that
+    pairs this sheet or this candidate otherwise; inf where there is none, NaN where the sheet is missing.
     """
 
     match: Ints
@@ -117,19 +95,8 @@ def values_of(match: Ints, values: NDArray[np.floating]) -> Floats:
 def align(candidates: Candidates, expected: ExpectedSheets) -> Pairing:
     r"""Find the cheapest order-preserving pairing of each candidate list with the sheets, and its margins.
 
-    Parameters
-    ----------
-    candidates
-        Candidate lists; they are independent of each other.
-    expected
-        The comb, one row of expected positions per list.
+    The lists are independent of each other; there is one row of expected positions for each.
 
-    Returns
-    -------
-    Pairing
-
-    Notes
-    -----
     With the cost :math:`p_{nk}` of pairing sheet n with candidate k (less the cost of leaving both unpaired),
     the cheapest alignment that ends with this pair costs
 

@@ -49,6 +49,7 @@ effect.
 from __future__ import annotations
 
 import json
+from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -63,7 +64,6 @@ from vision.files import read_toml
 from vision.numeric import Floats, Ints, nan_median, nearest
 from vision.sheets.recovery import Detections
 from vision.sheets.ridges import RidgeComb, Ridges
-from vision.sheets.settings import DEFAULT, TrackingSettings
 
 KEYS: Mapping[str, tuple[str, ...]] = {
     "accept": ("sheet", "frames"),
@@ -171,14 +171,8 @@ class Correction:
 class Decisions:
     """Content of a file of corrections.
 
-    Parameters
-    ----------
-    corrections
-        Decisions in the order of application.
-    undone
-        Decisions that were undone, the last one last; they have no effect.
-    film
-        SHA-256 or fingerprint of the film that they belong to; "" if not stated.
+    corrections: decisions in the order of application. undone: decisions that were undone, the last one last;
+    they have no effect. film: SHA-256 or fingerprint of the film that they belong to; "" if not stated.
     """
 
     corrections: tuple[Correction, ...] = ()
@@ -359,24 +353,11 @@ def apply_corrections(
     *,
     frames: Ints,
     origin_px: float = 0.0,
-    settings: TrackingSettings = DEFAULT,
 ) -> Detections:
-    """Return the detections with the manual corrections applied.
+    """Return the detections with the manual corrections applied, in the order of `ordered`.
 
-    Parameters
-    ----------
-    detections
-        Detections as found; not changed.
-    ridges, comb
-        Candidates of every frame, and their pitch.
-    corrections
-        Decisions; they are applied in the order of `ordered`.
-    frames
-        Frame numbers in the film, (frame,).
-    origin_px
-        Column of the profile's first pixel in the picture.
-    settings
-        `faint_reach`: largest distance of a ridge from the column given for it.
+    frames: frame numbers in the film, (frame,). origin_px: column of the profile's first pixel in the
+    picture. ridges: candidates of every frame.
 
     Raises
     ------
@@ -391,13 +372,13 @@ def apply_corrections(
         rows = np.flatnonzero((frames >= correction.first) & (frames < (correction.stop or np.inf)))
         check_there(correction, rows, frames, arrays["start_px"].shape[1])
         if correction.kind in OF_STRETCHES:
-            _apply_to_stretch(correction, rows, arrays, ridges, comb, origin_px, settings)
+            _apply_to_stretch(correction, rows, arrays, ridges, comb, origin_px)
         elif correction.kind == "delete":
             arrays = {
                 name: np.delete(values, correction.sheets[0], axis=1) for name, values in arrays.items()
             }
         else:
-            arrays = _added(correction, int(rows[0]), arrays, ridges, comb, origin_px, settings)
+            arrays = _added(correction, int(rows[0]), arrays, ridges, comb, origin_px)
     return replace(detections, **arrays)
 
 
@@ -408,7 +389,6 @@ def _apply_to_stretch(
     ridges: Ridges,
     comb: RidgeComb,
     origin_px: float,
-    settings: TrackingSettings,
 ) -> None:
     """Apply a correction of one stretch of frames to the arrays, in place."""
     sheet = correction.sheets[0]
@@ -425,7 +405,7 @@ def _apply_to_stretch(
         _put(arrays, doubted, sheet, arrays["withheld_px"][doubted, sheet], ridges, "missing")
     else:
         others = np.delete(arrays["start_px"], sheet, axis=1)
-        x = follow_ridge(correction, rows, others, ridges, comb, origin_px=origin_px, settings=settings)
+        x = follow_ridge(correction, rows, others, ridges, comb, origin_px=origin_px)
         shared = np.argwhere(others[rows] == x[:, None])
         if len(shared):
             row, other = (int(place) for place in shared[0])
@@ -440,7 +420,6 @@ def _added(
     ridges: Ridges,
     comb: RidgeComb,
     origin_px: float,
-    settings: TrackingSettings,
 ) -> dict[str, Any]:
     """Return the arrays with one more sheet at its position among the others.
 
@@ -450,7 +429,7 @@ def _added(
     frames = len(others)
     x = np.full(frames, np.nan)
     for rows in (np.arange(row, frames), np.arange(row, -1, -1)):
-        x[rows] = follow_ridge(correction, rows, others, ridges, comb, origin_px=origin_px, settings=settings)
+        x[rows] = follow_ridge(correction, rows, others, ridges, comb, origin_px=origin_px)
     shared = others == x[:, None]
     if shared[row].any():
         raise not_taken(correction, correction.first, int(shared[row].argmax()))
@@ -477,12 +456,8 @@ def _check_unique(corrections: Sequence[Correction]) -> None:
 
 
 def check_there(correction: Correction, rows: Ints, frames: Ints, sheets: int) -> None:
-    """Refuse a sheet or frames that do not exist; `rows` are those of the correction among `frames`.
-
-    Raises
-    ------
-    InputError
-        For such a correction.
+    """Refuse a sheet or frames that do not exist (InputError); `rows` are those of the correction among
+    `frames`.
     """
     if max(correction.sheets, default=0) >= sheets:
         raise InputError(correction.name, f"a sheet from 0 to {sheets - 1}", str(max(correction.sheets)))
@@ -512,27 +487,13 @@ def follow_ridge(
     comb: RidgeComb,
     *,
     origin_px: float = 0.0,
-    settings: TrackingSettings = DEFAULT,
 ) -> Floats:
     """Follow a ridge from row to row, with the motion of the other sheets.
 
-    In the first row it is the ridge nearest to a given column, then the one nearest to where that motion
-    moves it.
-
-    Parameters
-    ----------
-    correction
-        Its x_px is the column in the picture.
-    rows
-        Rows of `others` and `ridges`, in the order in which the ridge is followed.
-    others
-        Whole pixels of the other sheets, (frame, sheet).
-    ridges, comb, origin_px, settings
-        As for `apply_corrections`.
-
-    Returns
-    -------
-    Whole pixels, one per row; NaN where no ridge is near.
+    In the first row it is the ridge nearest to the correction's x_px, a column of the picture, then the one
+    nearest to where that motion moves it. Return whole pixels, one per row; NaN where no ridge is near. rows:
+    rows of `others` and `ridges`, in the order in which the ridge is followed. others: whole pixels of the
+    other sheets, (frame, sheet).
 
     Raises
     ------
@@ -540,39 +501,23 @@ def follow_ridge(
         If no ridge is near the column in the first row.
     """
     moved = np.nan_to_num(nan_median(np.diff(others[rows], axis=0), axis=1))
-    reach = settings.faint_reach * comb.pitch_px
+    reach = comb.settings.faint_reach * comb.pitch_px
     travelled = np.concatenate([[0.0], np.cumsum(moved)])
     relative = ridges.x_px[rows] - travelled[:, None]  # relative to the other sheets
     x = np.full(len(rows), np.nan)
     at = float(correction.x_px or 0.0) - origin_px
-    begin = 0
-    while begin < len(rows):
-        block = relative[begin : begin + 256]  # the result does not depend on this number
-        guess, distance = nearest(block, np.full(len(block), at))
-        near = distance <= reach
-        if begin == 0 and not near[0]:
+    for k, row in enumerate(values.tolist() for values in relative):  # ascending, NaN last
+        after = bisect_left(row, at)
+        beside = range(max(0, after - 1), min(after + 1, len(row)))
+        best = min(beside, key=lambda i: abs(row[i] - at))
+        if abs(row[best] - at) <= reach:
+            at, x[k] = row[best], ridges.x_px[rows[k], best]
+        elif k == 0:
             seen = ridges.x_px[rows[0]][np.isfinite(ridges.x_px[rows[0]])]
             close = np.sort(seen[np.argsort(np.abs(seen - at))[:2]] + origin_px)
             found = f"the nearest at {' and '.join(f'{x_px:.0f}' for x_px in close)}" * bool(close.size)
             raise InputError(correction.name, f"a ridge near x_px = {correction.x_px:g}", found or "none")
-        before = _last_before(np.where(near, block[np.arange(len(block)), guess], np.nan), at)
-        best, distance = nearest(block, before)  # from its position in the row before
-        close = distance <= reach
-        wrong = np.flatnonzero((best != guess) | (close != near))
-        done = slice(0, int(wrong[0]) + 1 if len(wrong) else len(block))  # `before` is right up to there
-        followed = np.flatnonzero(close[done])
-        x[begin + followed] = ridges.x_px[rows[begin + followed], best[followed]]
-        if len(followed):
-            at = float(block[followed[-1], best[followed[-1]]])
-        begin += done.stop
     return x
-
-
-def _last_before(values: Floats, first: float) -> Floats:
-    """Return the last known value before each entry; `first` if there is none."""
-    earlier = np.concatenate([[first], values[:-1]])
-    number = np.maximum.accumulate(np.where(np.isfinite(earlier), np.arange(len(earlier)), 0))
-    return np.asarray(earlier[number], np.float64)
 
 
 def not_taken(correction: Correction, frame: int, sheet: int) -> InputError:

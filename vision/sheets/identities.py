@@ -8,158 +8,101 @@ the comb then seems to jump by whole pitches, the frames before and after must a
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, Ints, nan_median, shifted
 from vision.sheets.alignment import Candidates, Pairing, align, values_of
-from vision.sheets.neighbours import torn
 from vision.sheets.reference import ReferenceComb, build_reference, faint_ends, static_ridges
 from vision.sheets.ridges import RidgeComb, Ridges
-from vision.sheets.settings import DEFAULT, TrackingSettings
+from vision.sheets.settings import TrackingSettings
 from vision.signals import running_median
-
-
-@dataclass(frozen=True)
-class Squeeze:
-    """Mean spacing of the ridges in each frame over that of the film.
-
-    Parameters
-    ----------
-    scale
-        The ratio, (frame,); 1 in all frames of a film in which it hardly changes.
-    middle_px
-        The point from which distances are measured, about the middle of the comb.
-    """
-
-    scale: Floats
-    middle_px: float
-
-    def undone(self, x_px: NDArray[np.floating]) -> Floats:
-        """Return positions (frame, any) at the usual spacing."""
-        x = np.asarray(x_px, np.float64)
-        return x if (self.scale == 1).all() else self.middle_px + (x - self.middle_px) / self.scale[:, None]
-
-    def inverse(self) -> Squeeze:
-        """Return what turns positions at the usual spacing into those of the film."""
-        return replace(self, scale=1 / self.scale)
 
 
 @dataclass(frozen=True)
 class Identities:
     """Which candidate is which sheet.
 
-    Parameters
-    ----------
-    match
-        Candidate of each sheet in each frame, −1 where missing, (frame, N).
-    margin
-        Log-likelihood, nats, by which this identity exceeds the next best, (frame, N), NaN where missing.
-    rest_px
-        Rest position of each sheet around the time of the frame, (frame, N).
-    reference
-        The reference comb.
-    squeeze
-        How much the whole comb is squeezed in each frame.
+    match: candidate of each sheet in each frame, −1 where missing. margin: log-likelihood, nats, by which
+    this identity exceeds the next best, NaN where missing. rest_px: rest position of each sheet around the
+    time of the frame. usual_px: position of each sheet at the comb's usual spacing, NaN where missing; all
+    (frame, N). reference: the reference comb.
     """
 
     match: Ints
     margin: Floats
     rest_px: Floats
+    usual_px: Floats
     reference: ReferenceComb
-    squeeze: Squeeze
 
 
 def identify_sheets(
-    ridges: Ridges,
-    comb: RidgeComb,
-    *,
-    width_px: int,
-    sheets: int | None = None,
-    source: str = "the strip",
-    settings: TrackingSettings = DEFAULT,
+    ridges: Ridges, comb: RidgeComb, *, sheets: int | None = None, source: str = "the strip"
 ) -> Identities:
-    """Pair the candidates of all frames with the sheets.
+    """Pair the candidates of all frames with the sheets, of which there are `sheets` if that is known.
 
     Frames are joined to segments in which candidates cannot be confused, and a reference comb is found that
     most of the recording agrees on. All segments are aligned with that comb, and aligned again with each
     sheet expected where it was found around that time. All of this is done at the comb's usual spacing.
 
-    Parameters
-    ----------
-    ridges, comb
-        Candidates of every frame; width, pitch and contrast of the ridges.
-    width_px
-        Width of the profile.
-    sheets
-        Number of sheets, if known.
-    source
-        Name of the recording in messages.
-    settings
-        Costs and thresholds.
-
     Raises
     ------
     InputError
-        If there are no ridges, or fewer than `sheets`.
+        If there are no ridges, or fewer than `sheets`; the message names `source`.
     """
-    squeeze = comb_squeeze(ridges, settings)
-    ridges = replace(ridges, x_px=squeeze.undone(ridges.x_px).astype(np.float32))
-    segments = split_segments(ridges, comb, width_px=width_px, settings=settings)
-    displacement = comb_displacement(ridges, comb, settings)
+    scale, middle_px = comb_squeeze(ridges, comb.settings)
+    ridges = replace(ridges, x_px=(middle_px + (ridges.x_px - middle_px) / scale).astype(np.float32))
+    segments = split_segments(ridges, comb)
+    displacement = comb_displacement(ridges, comb)
     reference = build_reference(
         segments.candidates,
         segments.length,
         displacement[segments.middle],
         comb,
-        width_px=width_px,
         sheets=sheets,
         source=source,
-        settings=settings,
     )
 
     def align_all(reference: ReferenceComb, rest: Floats) -> Pairing:
-        middle = rest[segments.middle]
-        counted = sheets is not None
-        expected = reference.expected(middle, comb, width_px, counted=counted, settings=settings)
+        expected = reference.expected(rest[segments.middle], comb, counted=sheets is not None)
         return align(segments.candidates, expected)
 
     rest = reference.x_px + displacement[:, None]
     match = segments.in_frames(align_all(reference, rest).match, ridges.count)
     if sheets is None:
         x = values_of(match, ridges.x_px)
-        moved = x - _rest_over_time(x, reference, comb, settings)
-        real = ~static_ridges(moved, reference.x_px, settings=settings)
-        real &= ~faint_ends(reference, moved, settings=settings)
+        moved = x - _rest_over_time(x, reference, comb)
+        real = ~static_ridges(moved, reference.x_px, settings=comb.settings)
+        real &= ~faint_ends(reference, moved, settings=comb.settings)
         reference, match = reference.only(np.flatnonzero(real)), match[:, real]
     for _ in range(2):  # with each sheet expected where it was found around that time
-        rest = _rest_over_time(values_of(match, ridges.x_px), reference, comb, settings)
+        rest = _rest_over_time(values_of(match, ridges.x_px), reference, comb)
         pairing = align_all(reference, rest)
         before, match = match, segments.in_frames(pairing.match, ridges.count)
         if np.array_equal(before, match):
             break
     margin = np.where(match >= 0, pairing.margin[segments.of_frames()], np.nan)
-    match, margin = _undo_false_jumps(match, margin, ridges, comb, settings)
-    return Identities(match, margin, squeeze.inverse().undone(rest), reference, squeeze)
+    match, margin = _undo_false_jumps(match, margin, ridges, comb)
+    rest_px, usual_px = middle_px + (rest - middle_px) * scale, values_of(match, ridges.x_px)
+    return Identities(match, margin, rest_px, usual_px, reference)
 
 
-def comb_squeeze(ridges: Ridges, settings: TrackingSettings = DEFAULT) -> Squeeze:
-    """Measure how much the whole comb is squeezed in each frame.
+def comb_squeeze(ridges: Ridges, settings: TrackingSettings) -> tuple[Floats, float]:
+    """Return the mean spacing in each frame over that of the film, (frame, 1), and the comb's middle, px.
 
+    The ratio is 1 in all frames of a film in which it hardly changes.
     The quantiles of the spacings are compared with their usual values, since spacings may be of several
     kinds; those of a missing sheet or a false detection are beyond the quantiles. A squeeze changes all of
     them alike: `squeeze_share` of the variance of their logarithms must be common.
     """
-    middle, still = float(nan_median(ridges.x_px.ravel())), np.ones(len(ridges.x_px))
+    middle_px, still = float(nan_median(ridges.x_px.ravel())), np.ones((len(ridges.x_px), 1))
     gap = np.diff(ridges.x_px.astype(np.float64), axis=1)
     sheets = 1 + np.isfinite(gap).sum(axis=1)
     usual = np.median(sheets)
     # Without frames in which many are covered, or in which two frames share an image and many are seen twice.
     rows = np.flatnonzero((2 * sheets >= usual) & (4 * sheets <= 5 * usual) & (sheets > 1))
     if not len(rows):
-        return Squeeze(still, middle)
+        return still, middle_px
     gap = np.sort(gap[rows], axis=1)  # NaN last; nanquantile takes forty times as long
     last = sheets[rows, None] - 2
     at = np.linspace(0.1, 0.9, 17) * last
@@ -172,10 +115,10 @@ def comb_squeeze(ridges: Ridges, settings: TrackingSettings = DEFAULT) -> Squeez
     least, most = np.quantile(scale, (0.02, 0.98))
     squeezed = (most / least - 1) * usual / 2 >= settings.least_squeeze
     squeezed &= common.var() >= settings.squeeze_share * change.var()
-    return Squeeze(scale if squeezed else still, middle)
+    return scale[:, None] if squeezed else still, middle_px
 
 
-def comb_displacement(ridges: Ridges, comb: RidgeComb, settings: TrackingSettings = DEFAULT) -> Floats:
+def comb_displacement(ridges: Ridges, comb: RidgeComb) -> Floats:
     """Return the displacement of the whole comb since the first frame, px, (frame,).
 
     It is the sum of mean steps from each ridge to the nearest ridge of the next frame. Only steps within a
@@ -193,28 +136,26 @@ def comb_displacement(ridges: Ridges, comb: RidgeComb, settings: TrackingSetting
     after = np.searchsorted(row, np.nan_to_num(same))
     near = np.stack([row[np.clip(after - 1, 0, len(row) - 1)], row[np.clip(after, 0, len(row) - 1)]]) - same
     step = np.where(np.abs(near[0]) < np.abs(near[1]), near[0], near[1])
-    small = np.abs(step) < settings.step_fraction * comb.pitch_px
+    small = np.abs(step) < comb.settings.step_fraction * comb.pitch_px
     followed = small.sum(axis=1) > 0.5 * ridges.count[:-1]
     small &= np.abs(step - nan_median(np.where(small, step, np.nan), axis=1)[:, None]) <= 1.0
     moved = np.where(small, step, 0.0).sum(axis=1) / np.maximum(small.sum(axis=1), 1)
     return np.concatenate([[0.0], np.cumsum(np.where(followed, moved, 0.0))])
 
 
-def _rest_over_time(
-    x_px: Floats, reference: ReferenceComb, comb: RidgeComb, settings: TrackingSettings
-) -> Floats:
+def _rest_over_time(x_px: Floats, reference: ReferenceComb, comb: RidgeComb) -> Floats:
     """Return the median position of each sheet over about thirty frames, at every frame, (frame, N).
 
     Gaps are filled from neighbouring sheets, then from other times. Frames in which neighbours moved far
     apart, which no slip does, are left out.
     """
     frames = len(x_px)
-    blocks = max(1, round(frames / settings.frames_per_rest))
+    blocks = max(1, round(frames / comb.settings.frames_per_rest))
     edges = np.linspace(0, frames, blocks + 1).astype(int)
     size = int(np.diff(edges).max())
     index = np.minimum(edges[:-1, None] + np.arange(size), edges[1:, None] - 1)
     moved = x_px - reference.x_px
-    moved[torn(moved, comb, settings).any(axis=1)] = np.nan
+    moved[torn(moved, comb).any(axis=1)] = np.nan
     moved = moved[index]
     rare = np.isfinite(moved).mean(axis=1) < 0.25
     moved = np.where(rare, np.nan, nan_median(moved, axis=1))
@@ -223,25 +164,40 @@ def _rest_over_time(
     return np.asarray(reference.x_px + np.nan_to_num(moved)[np.minimum(at, blocks - 1)], np.float64)
 
 
+def torn(moved: Floats, comb: RidgeComb) -> Bools:
+    """Return which sheets are displaced very differently from their neighbours in a frame, (frame, N).
+
+    A slip moves neighbours alike, however far. Where the displacements `moved` of neighbours differ by more
+    than `tear_fraction` pitches, one of the identities is wrong. Such tears divide the sheets of a frame into
+    groups; all groups but the largest are doubtful.
+    """
+    frames, sheets = moved.shape
+    seen = np.isfinite(moved)
+    before = np.hstack([np.full((frames, 1), np.nan), last_seen(moved)[:, :-1]])
+    group = np.cumsum(np.abs(moved - before) > comb.settings.tear_fraction * comb.pitch_px, axis=1)
+    key = (group + sheets * np.arange(frames)[:, None])[seen]
+    size = np.bincount(key, minlength=frames * sheets).reshape(frames, sheets)
+    own_size = np.take_along_axis(size, group, axis=1)
+    return np.asarray(seen & (own_size < size.max(axis=1, keepdims=True)), bool)
+
+
+def last_seen(values: Floats) -> Floats:
+    """Replace each NaN by the last value before it in its row."""
+    number = np.where(np.isfinite(values), np.arange(values.shape[1]), 0)
+    return np.asarray(np.take_along_axis(values, np.maximum.accumulate(number, axis=1), axis=1), np.float64)
+
+
 def fill_rows(values: Floats, at: Floats) -> Floats:
     """Replace NaN in values (rows, columns) by linear interpolation along each row.
 
     Beyond the first and last known value these are repeated; rows of NaN stay NaN. `at` is the ascending
     abscissa of the columns.
     """
-    known = np.isfinite(values)
-    number = np.arange(values.shape[1])
-    left = np.maximum.accumulate(np.where(known, number, -1), axis=1)
-    right = np.minimum.accumulate(np.where(known, number, len(number))[:, ::-1], axis=1)[:, ::-1]
-    lower = np.where(left < 0, right, left)
-    upper = np.where(right >= len(number), left, right)
-    usable = (lower >= 0) & (lower < len(number)) & (upper >= 0)
-    lower, upper = np.where(usable, lower, 0), np.where(usable, upper, 0)
-    span = at[upper] - at[lower]
-    fraction = np.where(span > 0, (at - at[lower]) / np.where(span > 0, span, 1), 0.0)
-    low = np.take_along_axis(values, lower, axis=1)
-    filled = low + fraction * (np.take_along_axis(values, upper, axis=1) - low)
-    return np.where(usable, filled, np.nan)
+    filled, known = values.copy(), np.isfinite(values)
+    for row in np.flatnonzero(known.any(axis=1) & ~known.all(axis=1)):
+        here = known[row]
+        filled[row, ~here] = np.interp(at[~here], at[here], values[row, here])
+    return filled
 
 
 # --- jumps --------------------------------------------------------------------------------------------------
@@ -250,9 +206,7 @@ RENUMBERED = np.arange(-2, 3)  # sheets by which the frames between two jumps ma
 CHANGES = np.arange(2 * RENUMBERED[0], 2 * RENUMBERED[-1] + 1)  # by which the numbering may change at a jump
 
 
-def _undo_false_jumps(
-    match: Ints, margin: Floats, ridges: Ridges, comb: RidgeComb, settings: TrackingSettings
-) -> tuple[Ints, Floats]:
+def _undo_false_jumps(match: Ints, margin: Floats, ridges: Ridges, comb: RidgeComb) -> tuple[Ints, Floats]:
     r"""Renumber the frames between two jumps of the comb if it did not jump; return match and margin.
 
     A comb that contracts, or whose ends fade, may fit the reference best with every sheet taken for the next
@@ -275,6 +229,7 @@ def _undo_false_jumps(
     `anchor_nats` and `sheet_nats` for each sheet, it is subtracted from the margins of the run that has the
     smaller ones. The first term does not enter, since margins include the cost of a displacement.
     """
+    settings = comb.settings
     seen = np.flatnonzero((match >= 0).any(axis=1))
     x = values_of(match[seen], ridges.x_px[seen])
     jump = np.abs(nan_median(np.diff(x, axis=0), axis=1)) > settings.tear_fraction * comb.pitch_px
@@ -356,14 +311,9 @@ class Segments:
     """Runs of frames in which candidates move little between frames, and come and go only at the picture's
     edges.
 
-    Parameters
-    ----------
-    start, length
-        First frame and number of frames, (segments,).
-    place
-        Index in the segment's list of candidates at which the list of each frame begins, (frame,).
-    candidates
-        Mean position (moved to the middle frame), log contrast and log width of each, (segments, K).
+    start, length: first frame and number of frames, (segments,). place: index in the segment's list of
+    candidates at which the list of each frame begins, (frame,). candidates: mean position (moved to the
+    middle frame), log contrast and log width of each, (segments, K).
     """
 
     start: Ints
@@ -390,13 +340,7 @@ class Segments:
         return np.where((in_segment >= 0) & (number >= 0) & (number < count[:, None]), number, -1)
 
 
-def split_segments(
-    ridges: Ridges,
-    comb: RidgeComb,
-    *,
-    width_px: int,
-    settings: TrackingSettings = DEFAULT,
-) -> Segments:
+def split_segments(ridges: Ridges, comb: RidgeComb) -> Segments:
     """Cut the recording where a candidate comes, goes or jumps, except where sheets cross the picture's edge.
 
     Within a segment every candidate of a frame is also in the next, or crosses the edge there, and every step
@@ -404,72 +348,49 @@ def split_segments(
     whole pitch, so that one sheet leaves the picture as another enters, seems not to move; but its
     brightnesses change, and so the recording is cut there.
     """
-    joints = _joints(ridges, comb, width_px, settings)
-    start = np.r_[0, 1 + np.flatnonzero(~joints.continues)].astype(np.int64)
-    length = np.diff(np.r_[start, len(ridges.x_px)])
+    frames = len(ridges.x_px)
+    continues, moved, change = _compared(ridges, np.arange(frames - 1), 0, comb)
+    most = max(comb.settings.least_change, 5.0 * float(np.median(change)) if frames > 1 else 0.0)
+    continues &= change <= most
+    came = np.zeros(frames - 1, np.int64)
+    for number in (1, -1):  # a sheet enters on the left, or leaves there
+        rows = np.flatnonzero(~continues)
+        follows, step, change = _compared(ridges, rows, number, comb)
+        good = follows & (change <= most)
+        continues[rows[good]], came[rows[good]], moved[rows[good]] = True, number, step[good]
+    start = np.r_[0, 1 + np.flatnonzero(~continues)].astype(np.int64)
+    length = np.diff(np.r_[start, frames])
     of_frame = np.repeat(np.arange(len(start)), length)
-    place = np.r_[0, -np.cumsum(joints.came)]
+    place = np.r_[0, -np.cumsum(came)]
     place -= np.minimum.reduceat(place, start)[of_frame]
-    drift = np.r_[0.0, np.cumsum(joints.moved_px)]
+    drift = np.r_[0.0, np.cumsum(np.where(continues, moved, 0.0))]
     drift -= drift[start + length // 2][of_frame]
     features = np.stack([ridges.x_px - drift[:, None], np.log(ridges.contrast), np.log(ridges.fwhm_px)])
     return Segments(start, length, place, Candidates(*_means(features, of_frame, place)))
 
 
-class _Joints(NamedTuple):
-    """How each frame continues the one before, (frame − 1,): whether it does, how many candidates entered on
-    the left, and the mean step of the candidates in both, px."""
+def _compared(ridges: Ridges, rows: Ints, came: int, comb: RidgeComb) -> tuple[Bools, Floats, Floats]:
+    """Return whether the next frames continue frames `rows`, the mean steps of the candidates, px, and the
+    rms changes of their log brightness.
 
-    continues: Bools
-    came: Ints
-    moved_px: Floats
-
-
-def _joints(ridges: Ridges, comb: RidgeComb, width_px: int, settings: TrackingSettings) -> _Joints:
-    """Compare consecutive frames, first with no sheet crossing the edge, then with one."""
-    frames = len(ridges.x_px)
-    pairs = _pairs(ridges, np.arange(frames - 1), 0, comb, width_px, settings)
-    usual = float(np.median(pairs.change)) if frames > 1 else 0.0
-    most = max(settings.least_change, 5.0 * usual)
-    continues, moved = pairs.continues & (pairs.change <= most), pairs.moved_px
-    came = np.zeros(frames - 1, np.int64)
-    for number in (1, -1):
-        rows = np.flatnonzero(~continues)
-        pairs = _pairs(ridges, rows, number, comb, width_px, settings)
-        good = pairs.continues & (pairs.change <= most)
-        continues[rows[good]], came[rows[good]], moved[rows[good]] = True, number, pairs.moved_px[good]
-    return _Joints(continues, came, np.where(continues, moved, 0.0))
-
-
-class _FramePairs(NamedTuple):
-    """Whether a frame continues another; mean step, px; rms change of log brightness."""
-
-    continues: Bools
-    moved_px: Floats
-    change: Floats
-
-
-def _pairs(
-    ridges: Ridges, rows: Ints, came: int, comb: RidgeComb, width_px: int, settings: TrackingSettings
-) -> _FramePairs:
-    """Compare frames `rows` with the next ones, assuming that `came` candidates entered on the left (or left
-    there, if negative)."""
+    It is assumed that `came` candidates entered on the left, or left there, if negative.
+    """
     before, after = ridges.x_px[rows], shifted(ridges.x_px[rows + 1], came)
     paired = np.isfinite(before) & np.isfinite(after)
     step = np.where(paired, after - before, 0.0)
     spacing = np.fmin(np.fmin(_spacing(before), _spacing(after)), comb.pitch_px)
-    small = (np.abs(step) < settings.step_fraction * spacing) | ~paired
-    edge = comb.fwhm_px + settings.step_fraction * comb.pitch_px
+    small = (np.abs(step) < comb.settings.step_fraction * spacing) | ~paired
+    edge = comb.fwhm_px + comb.settings.step_fraction * comb.pitch_px
     entered = ridges.x_px[rows + 1, : max(came, 0)]
     single = [np.where(paired, np.nan, before), np.where(paired, np.nan, after), entered]
-    crossing = [np.isnan(x) | (x < edge) | (x > width_px - 1 - edge) for x in single]
+    crossing = [np.isnan(x) | (x < edge) | (x > comb.width_px - 1 - edge) for x in single]
     count = paired.sum(axis=1)
     unpaired = ridges.count[rows] + ridges.count[rows + 1] - 2 * count
     continues = small.all(axis=1) & np.hstack(crossing).all(axis=1) & (unpaired <= count)
     bright_before, bright_after = np.log(ridges.contrast[rows]), np.log(ridges.contrast[rows + 1])
     change = np.where(paired, shifted(bright_after, came) - bright_before, 0.0)
     total = np.maximum(count, 1)
-    return _FramePairs(continues, step.sum(axis=1) / total, np.sqrt((change**2).sum(axis=1) / total))
+    return continues, step.sum(axis=1) / total, np.sqrt((change**2).sum(axis=1) / total)
 
 
 def _spacing(x: Floats32) -> Floats32:

@@ -18,18 +18,9 @@ AxisHow = Literal["given", "motion", "geometry"]
 class Numbering:
     """Side and number of every sheet.
 
-    Parameters
-    ----------
-    axis_px
-        The symmetry axis.
-    how
-        "given", or found from "motion", or from "geometry": the middle of the comb.
-    side
-        −1 left, +1 right of the axis, (N,).
-    n
-        From the centre outwards, from 1, (N,).
-    low_px, high_px
-        Limits that the motion sets to the axis; NaN where it sets none.
+    axis_px: the symmetry axis. how: "given", or found from "motion", or from "geometry": the middle of the
+    comb. side: −1 left, +1 right of the axis; n: from the centre outwards, from 1; both (N,). low_px,
+    high_px: limits that the motion sets to the axis; NaN where it sets none.
     """
 
     axis_px: float
@@ -51,23 +42,10 @@ def number_sheets(
     motion, else in the middle of these positions. With one side in view all sheets move alike, and the axis
     lies beyond the end that moves least. A sheet on the axis (odd number) is the first on the right.
 
-    Parameters
-    ----------
-    x_px
-        Positions (frame, N), NaN where missing, sheets in order.
-    axis_px
-        The axis, if known.
-    settings
-        `axis_slack`, `knock_ratio`, `vibration_sigmas`, `decided_sheets`.
+    With one side in view, n counts from the sheet nearest to the axis, unless the axis is given as axis_px:
+    then the sheets that fit between both at the comb's median spacing count as well. x_px: positions
+    (frame, N), NaN where missing, sheets in order.
 
-    Returns
-    -------
-    Numbering
-        With one side in view, n counts from the sheet nearest to the axis, unless the axis is given: then
-        the sheets that fit between both at the comb's median spacing count as well.
-
-    Notes
-    -----
     With :math:`s_n` the step of sheet n per step by which the comb's ends move apart, the split k (sheets
     left of the axis) maximises
 

@@ -1,9 +1,11 @@
-"""Effects of the recording on positions, beyond pixel noise: repeated frames, motion blur, cuts and codecs.
+"""Effects of the recording on positions, beyond pixel noise.
 
-`repeated_frames` finds frames that the codec or the recorder repeated. `motion_blur` finds ridges that moved
-while the shutter was open. `scene_changes` finds where the picture changes permanently. `comb_is_stationary`
-distinguishes a comb from a fixed pattern. `spatial_scatter` measures errors that persist from frame to frame,
-`shared_error` those that neighbours share, and `noise_excess` what all stated errors leave out.
+`repeated_frames` finds frames that the codec or the recorder repeated, and `motion_blur` ridges that moved
+while the shutter was open. `distortion` estimates the error of ridges distorted by specks, reflections, the
+edge of a hand or uneven light, and `not_one_ridge` finds ridges of several sheets. `scene_changes` finds
+where the picture changes permanently. `comb_is_stationary` distinguishes a comb from a fixed pattern.
+`spatial_scatter` measures errors that persist from frame to frame, `shared_error` those that neighbours
+share, and `noise_excess` what all stated errors leave out.
 """
 
 from __future__ import annotations
@@ -14,12 +16,24 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, Ints, Strings, nan_median, nan_quantile
-from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb, profile_noise
+from vision.numeric import (
+    FWHM,
+    NORMAL_MEDIAN,
+    Bools,
+    Floats,
+    Floats32,
+    Ints,
+    Strings,
+    nan_median,
+    nan_quantile,
+)
+from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb, in_blocks, profile_noise
 from vision.sheets.settings import DEFAULT, TrackingSettings
+from vision.sheets.subpixel import Starts, gather, position_noise
 
 FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 LEAST_FRAMES = 8
+ENOUGH = 5  # sheets of which neighbours show what is usual; ridges of fewer are checked at any width
 BLUR_FRAMES = 2  # before and after a blurred one: two may show the same one of two images
 LIGHT_FRAMES = 5  # before and after, in at least one of which a ridge is as high as its light permits
 SCENE_FRAMES = 5  # compared before and after a change of scene
@@ -32,18 +46,12 @@ all others. Content that a codec keeps unchanged shows at longer lags; but so do
 sheets, and stick phases must be longer than two lags."""
 
 
+# --- frames and blur ----------------------------------------------------------------------------------------
+
+
 def repeated_frames(profile: Floats32, settings: TrackingSettings = DEFAULT) -> Bools:
-    """Return which frames repeat the strip of the frame before, (frame,).
+    """Return which frames of a profile (frame, x) repeat the strip of the frame before, (frame,).
 
-    Parameters
-    ----------
-    profile
-        Grey levels (frame, x).
-    settings
-        `frozen_fraction`.
-
-    Notes
-    -----
     The measure is the root mean square change from the frame before. Noise alone makes frames differ by √2 of
     its standard deviation, within a few per cent. A frame is repeated if its change is less than noise and is
     separated by a clear gap from the changes of the other quiet frames (the quietest tenth). Without such a
@@ -66,37 +74,11 @@ def repeated_frames(profile: Floats32, settings: TrackingSettings = DEFAULT) -> 
     return frozen
 
 
-class Blur(NamedTuple):
-    """Motion blur of each ridge, both (frame, N).
+def motion_blur(x_px: Floats, contrast: Floats, fwhm_px: Floats, comb: RidgeComb) -> tuple[Bools, Floats]:
+    r"""Return whether each ridge moved during the exposure, and how far this may shift it, px; (frame, N).
 
-    Parameters
-    ----------
-    blurred
-        Whether the ridge moved while the shutter was open.
-    err_px
-        How far this may shift it; 0 where there is no sign of blur.
-    """
+    x_px, contrast, fwhm_px: position, height and width of the ridges (frame, N), NaN where missing.
 
-    blurred: Bools
-    err_px: Floats
-
-
-def motion_blur(
-    x_px: Floats, contrast: Floats, fwhm_px: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT
-) -> Blur:
-    r"""Find ridges that are smeared by their motion during one exposure.
-
-    Parameters
-    ----------
-    x_px, contrast, fwhm_px
-        Position, height and width of the ridges (frame, N), NaN where missing.
-    comb
-        Width and pitch of the ridges.
-    settings
-        The fields `blur_…`.
-
-    Notes
-    -----
     A ridge that jumps by D after a fraction p of the exposure appears twice, with heights p and 1 − p. The
     fit follows the higher image. Its error is up to :math:`\min(p, 1-p)\,D`: the loss of height times the
     motion over `BLUR_FRAMES` frames before and after. It is smaller where both images merge into one wider
@@ -107,10 +89,10 @@ def motion_blur(
     the signs of most such sheets: its own may be hidden by a background that varies, or, after a jump of
     about one pitch, by the image of its neighbour, which fills the gap that its own leaves.
     """
+    settings = comb.settings
     near = _frames_around(x_px, BLUR_FRAMES)
     moved = np.nan_to_num(np.fmax.reduce(near) - np.fmin.reduce(near))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        lower, wider = -np.log(contrast), np.log(fwhm_px)
+    lower, wider = -np.log(contrast), np.log(fwhm_px)
     lower = lower - np.fmax(nan_median(lower), np.fmin.reduce(_frames_around(lower, LIGHT_FRAMES)))
     fast = (moved > settings.blur_fraction * comb.fwhm_px) & np.isfinite(x_px)
     sampled = 0.7 / comb.fwhm_px**2  # height that a ridge between two pixels loses
@@ -126,7 +108,7 @@ def motion_blur(
     suspect = fast & (excess > 0.5 * settings.blur_sigmas)  # not flagged, but with a larger error
     merged = np.minimum(0.8, apart)  # images nearer than a width merge, and the fit finds their middle
     err = np.where(suspect, settings.blur_error * loss * moved * merged, 0.0)
-    return Blur(fast & (excess > settings.blur_sigmas), err)
+    return fast & (excess > settings.blur_sigmas), err
 
 
 def _frames_around(values: Floats, frames: int) -> list[Floats]:
@@ -152,22 +134,324 @@ def beside_missing(flag: Strings) -> Bools:
     return np.asarray(missing[:, :-2] | missing[:, 2:], bool)
 
 
-def comb_is_stationary(tracks: xr.Dataset, settings: TrackingSettings = DEFAULT) -> bool:
-    """Return whether hardly any sheet moves relative to the comb; False for fewer than three sheets.
+# --- distorted ridges ---------------------------------------------------------------------------------------
 
-    Parameters
-    ----------
-    tracks
-        From `vision.track_sheets`.
-    settings
-        `still_sigmas`, `still_share`.
+
+def not_one_ridge(bright: Floats32, x_px: Floats, comb: RidgeComb) -> Bools:
+    """Return which sheets are not a single ridge, (N,): their mean profile differs from the comb's.
+
+    Several sheets side by side, far thinner than most, appear as one hump to the search for ridges, and the
+    position lies between them. A sheet's mean profile, over 0.6 ridge widths on either side of its positions
+    x_px (frame, N), correlates with that of all sheets by less than `least_likeness`. Always False for fewer
+    than five sheets.
     """
+    if x_px.shape[1] < ENOUGH:
+        return np.zeros(x_px.shape[1], bool)
+    half = max(3, round(min(0.6 * comb.fwhm_px, 0.5 * comb.pitch_px)))
+    profiles, shape = _sampled_profiles(bright, x_px, half)
+    own = nan_median(profiles)
+    own -= own.mean(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        likeness = (shape - shape.mean()) @ own / np.linalg.norm(own, axis=0) / np.std(shape)
+    return np.asarray(likeness / np.sqrt(len(shape)) < comb.settings.least_likeness, bool)
+
+
+def _sampled_profiles(bright: Floats32, x_px: Floats, half: int) -> tuple[Floats, Floats]:
+    """Return the pixels at offsets u from the positions in some frames, with mean 0 and standard deviation 1,
+    (frame, u, N), and their median over all sheets and frames, (u,)."""
+    sample = np.unique(np.linspace(0, len(bright) - 1, 200).astype(int))
+    level = _around(bright[sample], x_px[sample], half)
+    level -= level.mean(axis=1, keepdims=True)
+    level /= level.std(axis=1, keepdims=True)
+    return level, nan_median(level.swapaxes(1, 2).reshape(-1, level.shape[1]))
+
+
+def distortion(
+    bright: Floats32, x_px: Floats, err_px: Floats, blurred: Bools, comb: RidgeComb
+) -> tuple[Floats, Floats]:
+    r"""Return how far dirt, reflections, neighbours or light may shift positions, px.
+
+    The first result is the error of each displacement, (frame, N), 0 without a sign; the second how far each
+    sheet is usually pulled aside, compared with the other sheets, (N,). x_px, err_px: positions and their
+    errors from noise (frame, N), NaN where missing. Ridges blurred by motion (frame, N) are lopsided for that
+    reason and have 0.
+
+    The comb's mean shape :math:`S` is fitted to the pixels around each position with level a, height b and
+    shift s:
+
+    .. math:: I(x + u) = a + b\,(S(u) - s\,S'(u)) .
+
+    It is fitted three times: over the whole ridge, over its top alone, and over the whole ridge with a slope
+    of the background. Whatever is not a shift of the ridge shifts these fits by different amounts. The
+    differences from the first fit, times `_error_over`, are the error where they exceed their noise
+    (`_significant`). The mean difference of a sheet shifts all its positions alike, and is no error of
+    displacements.
+
+    Light that falls off over a ridge hardly changes its shape; it shows in the heights (`_shift_by_light`).
+    """
+    settings = comb.settings
+    none = np.zeros_like(x_px), np.zeros(x_px.shape[1])
+    narrow = comb.fwhm_px < settings.distortion_least_px
+    if narrow and x_px.shape[1] >= ENOUGH:
+        return none
+    half = max(3, round(min(0.9 * comb.fwhm_px, 0.5 * comb.pitch_px)))
+    shape = _sampled_profiles(bright, x_px, half)[1]
+    if not np.isfinite(shape).all():
+        return none
+    fits = _fit_matrix(shape, min(max(2, round(0.5 * comb.fwhm_px)), half - 1))
+    height, apart, sloping = np.empty((3, *x_px.shape))
+
+    def fit(rows: slice) -> None:
+        found = fits @ _around(bright[rows], x_px[rows], half)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            shift = found[:, 1::2] / found[:, ::2]
+        height[rows] = found[:, 0]
+        apart[rows], sloping[rows] = shift[:, 1] - shift[:, 0], shift[:, 2] - shift[:, 0]
+
+    in_blocks(fit, len(bright))
+    height[blurred], apart[blurred], sloping[blurred] = np.nan, np.nan, np.nan
+    size = _shift_by_light(x_px, height, comb)
+    for differs, usual, k in ((apart, settings.distortion_error, 3), (sloping, settings.distortion_slope, 5)):
+        noise = err_px * float(np.linalg.norm(fits[k] - fits[1]) / np.linalg.norm(fits[1]))
+        seen = _significant(differs - nan_median(differs), noise, settings)
+        size = np.fmax(size, _error_over(differs, usual, x_px, settings) * seen)
+    size = np.minimum(size, comb.fwhm_px)  # what is fitted lies within the ridge
+    pull = nan_median(apart)
+    pull = np.abs(pull - nan_median(pull))
+    least = np.fmax(settings.distortion_sigmas * nan_median(pull) / NORMAL_MEDIAN, settings.distortion_floor)
+    lasting = settings.distortion_error * _if_above(pull, least)
+    return np.where(np.isfinite(apart), size, 0.0), none[1] if narrow else lasting
+
+
+def _fit_matrix(shape: Floats, top: int) -> Floats:
+    """Return the matrix from pixels to height and shift of the mean shape, (6, u): fitted to all pixels, to
+    those up to `top` from the middle, and to all with a sloping background."""
+    basis = np.stack([np.ones_like(shape), shape, np.gradient(shape)], axis=1)
+    inner = slice(len(shape) // 2 - top, len(shape) // 2 + top + 1)
+    fits = np.zeros((6, len(shape)))
+    fits[:2] = np.linalg.pinv(basis)[1:]
+    fits[2:4, inner] = np.linalg.pinv(basis[inner])[1:]
+    fits[4:] = np.linalg.pinv(np.column_stack([basis, np.arange(len(shape)) - len(shape) // 2]))[1:3]
+    return fits
+
+
+def _error_over(values: Floats, usual: float, x_px: Floats, settings: TrackingSettings) -> float:
+    r"""Return the error of a position over the size of `values` (frame, N): `usual`, or what the film shows.
+
+    Where a distortion changes, position and value change together. Changes over `distortion_frames` are taken
+    relative to both neighbours, and k is the median of their ratios, weighted by the change of the value, so
+    that slips do not enter. With q the share by which they change in the same direction more often than in
+    opposite ones, the result is :math:`\sqrt{q k^2 + (1 - q^2) u^2}`, u being the usual one.
+    """
+
+    def change(of: Floats) -> Floats:
+        mean = _mean_over(of, settings.distortion_frames)
+        relative = mean[:, 1:-1] - (mean[:, :-2] + mean[:, 2:]) / 2
+        return relative[settings.distortion_frames :] - relative[: -settings.distortion_frames]
+
+    moved, changed = change(x_px), change(values)
+    weight = np.where(np.isfinite(moved * changed), np.abs(changed), 0.0)
+    known, total = weight > 0, weight.sum(axis=0)
+    if not known.any():
+        return usual
+    along = np.where(known, np.copysign(weight, moved * changed), 0.0).sum(axis=0)
+    share = abs(float(np.mean(along[total > 0] / total[total > 0])))
+    ratio, weight = moved[known] / changed[known], weight[known]
+    order = np.argsort(ratio)
+    median = ratio[order][np.searchsorted(np.cumsum(weight[order]), weight.sum() / 2)]
+    return float(np.sqrt(share * median**2 + (1 - share**2) * usual**2))
+
+
+def _significant(values: Floats, noise: Floats, settings: TrackingSettings) -> Floats:
+    """Return the size of values (frame, N) in a frame, over some frames, or usually; 0 where it is noise.
+
+    The largest of three significant sizes counts: the value itself, the mean over `distortion_frames` around
+    it, and the usual size of that mean in the whole film. noise: standard deviation of a single value,
+    (frame, N), independent from frame to frame.
+    """
+    frames = settings.distortion_frames
+    single, mean = np.abs(values), np.abs(_mean_over(values, frames))
+    noise = np.fmax(noise, position_noise(values))  # also where tops are clipped, or a codec adds its own
+    noise_of_mean = noise / np.sqrt(frames)
+    usual, usual_noise = nan_median(mean) / NORMAL_MEDIAN, nan_median(noise_of_mean)
+    chance = 1 + 2 * np.sqrt(2 * frames / len(values))  # of so many means of noise
+    excess = np.sqrt(np.where(usual**2 > chance * usual_noise**2, np.abs(usual**2 - usual_noise**2), 0.0))
+    above = _if_above(single, settings.distortion_sigmas * noise)
+    return np.fmax(excess, np.fmax(above, _if_above(mean, settings.distortion_sigmas * noise_of_mean)))
+
+
+def _if_above(size: Floats, least: Floats) -> Floats:
+    """Return sizes that exceed `least`, and 0 for the others."""
+    return np.where(size > least, size, 0.0)
+
+
+def _around(bright: Floats32, x_px: Floats, half: int) -> Floats:
+    """Return grey levels at whole pixels from each position, (frame, u, N), by cubics through four pixels."""
+    frames, sheets = x_px.shape
+    left = np.floor(np.nan_to_num(x_px, nan=-10.0 * half)).astype(np.int64)
+    starts = Starts(np.repeat(np.arange(frames), sheets), left.ravel())
+    pixels = gather(bright, starts, np.arange(-half - 1, half + 3))
+    pixels = pixels.reshape(frames, sheets, -1).swapaxes(1, 2).copy()
+    t = (x_px - left)[:, None]
+    weights = (
+        -t * (t - 1) * (t - 2) / 6,
+        (t + 1) * (t - 1) * (t - 2) / 2,
+        -(t + 1) * t * (t - 2) / 2,
+        (t + 1) * t * (t - 1) / 6,
+    )
+    width = 2 * half + 1
+    around = weights[0] * pixels[:, :width]
+    for i in (1, 2, 3):
+        around += weights[i] * pixels[:, i : i + width]
+    return np.asarray(around, np.float64)
+
+
+def _shift_by_light(x_px: Floats, height: Floats, comb: RidgeComb) -> Floats:
+    r"""Return the shift of each ridge due to light L that falls off over it, px, (frame, N).
+
+    A Gaussian in such light remains a Gaussian, shifted by :math:`\sigma_r^2 L'/L`, so that only heights
+    reveal the shift. A lamp that moves, or the edge of a shadow, shows as a slope between a sheet and its
+    neighbours on both sides, beyond the scatter of single sheets. Fewer than five sheets do not show that
+    scatter: every change of the slope between two sheets, beyond its noise in time, then counts as light.
+    """
+    settings = comb.settings
+    with np.errstate(divide="ignore", invalid="ignore"):
+        light = np.log(np.where(height > 0, height, np.nan))
+    light -= nan_median(light)
+    light -= nan_median(light, axis=1)[:, None]  # exposure
+    if light.shape[1] >= ENOUGH:
+        means = (_mean_over(light, frames) for frames in (1, settings.distortion_frames))
+        across = [_slope_across(mean, x_px, settings) for mean in means]
+    else:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            slope = np.diff(light, axis=1) / np.diff(nan_median(x_px))
+        slope = _significant(slope, np.zeros_like(slope), settings)
+        across = [np.pad(slope, ((0, 0), (1, 0))), np.pad(slope, ((0, 0), (0, 1)))]
+    return settings.distortion_light * (comb.fwhm_px / FWHM) ** 2 * np.fmax(*across)
+
+
+def _slope_across(light: Floats, x_px: Floats, settings: TrackingSettings) -> Floats:
+    """Return the slope of the light from sheet to sheet, per px, (frame, N); 0 where it is scatter.
+
+    It is the smaller of the slopes to both neighbours if these have the same sign, and its scatter is that of
+    single sheets against the mean of their neighbours. The first and last sheet have that of their neighbour.
+    """
+    apart = np.diff(nan_median(x_px))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slope = np.diff(light, axis=1) / np.where(apart > 0, apart, np.nan)
+    bend = light[:, 1:-1] - (light[:, :-2] + light[:, 2:]) / 2
+    scatter = float(nan_median(np.abs(bend).ravel())) / NORMAL_MEDIAN / np.sqrt(1.5)
+    left, right = slope[:, :-1], slope[:, 1:]
+    smaller = np.where(left * right > 0, np.fmin(np.abs(left), np.abs(right)), 0.0)
+    found = _if_above(smaller, settings.distortion_sigmas * np.sqrt(2) * scatter / float(nan_median(apart)))
+    return np.pad(found, ((0, 0), (1, 1)), "edge")
+
+
+def _mean_over(values: Floats, frames: int) -> Floats:
+    """Return the mean of values (frame, N) over the `frames` frames around each, NaN where the value is."""
+    at = np.arange(len(values))
+    first, last = np.maximum(at - frames // 2, 0), np.minimum(at + frames // 2 + 1, len(values))
+    total, count = (sums[last] - sums[first] for sums in _sums_of_known(values))
+    return np.where(np.isfinite(values), total / np.maximum(count, 1), np.nan)
+
+
+def _sums_of_known(values: Floats) -> list[Floats]:
+    """Return the sum and the number of known values before each frame, both (frame + 1, N)."""
+    known = np.isfinite(values)
+    parts = np.where(known, values, 0.0), known.astype(np.float64)
+    return [np.cumsum(np.pad(part, ((1, 0), (0, 0))), axis=0) for part in parts]
+
+
+# --- changes of the scene -----------------------------------------------------------------------------------
+
+
+class SceneChange(NamedTuple):
+    """A permanent change of the sheets' positions or brightnesses.
+
+    frame: first frame of the new scene. moved_px: displacement that all sheets share. brightness: change of
+    the logarithm of brightness, rms over the sheets, without the common change.
+    """
+
+    frame: int
+    moved_px: float
+    brightness: float
+
+
+def scene_changes(x_px: Floats, contrast: Floats, comb: RidgeComb) -> list[SceneChange]:
+    """Find where the film was cut, or the camera or the light was moved: identities may change there.
+
+    x_px, contrast: positions and heights of the ridges (frame, N), NaN where missing. Changes are in order of
+    time; there are none where such changes are usual in the film.
+
+    Means over five frames before and after are compared. In a slip the sides of the comb move against each
+    other, and every sheet keeps its brightness. The scene changes where all sheets are displaced by more than
+    they are displaced against each other, or where their relative brightnesses change. Such a change must be
+    several times the usual one, happen once, and persist: a camera that was knocked swings back.
+    """
+    settings = comb.settings
+    frames, sheets = x_px.shape
+    if frames < 4 * SCENE_FRAMES or sheets < 3:
+        return []
+    bright = np.log(contrast)
+    bright -= nan_median(bright, axis=1)[:, None]
+    moved, brightened = (_after_less_before(values) for values in (x_px, bright))
+    together = nan_median(moved, axis=1)
+    apart = np.abs(moved - together[:, None])
+    rigid = np.abs(together) > 2.0 * np.nan_to_num(nan_median(apart, axis=1), nan=np.inf)
+    displaced = np.where(rigid, np.abs(np.nan_to_num(together)) / comb.pitch_px / settings.cut_pitches, 0.0)
+    known = np.isfinite(brightened)
+    change = np.sqrt((np.where(known, brightened, 0.0) ** 2).sum(axis=1) / np.maximum(known.sum(axis=1), 1))
+    change[known.sum(axis=1) < max(3, sheets / 2)] = 0.0
+    events = []
+    at = _single_peak(displaced, 1.0, settings)
+    if at is not None and _persists(x_px, at + SCENE_FRAMES, together[at]):
+        events.append(at)
+    at = _single_peak(change, settings.cut_brightness, settings)
+    if at is not None and _persists(bright, at + SCENE_FRAMES, change[at]):
+        events.append(at)
+    if len(events) == 2 and abs(events[0] - events[1]) <= SCENE_FRAMES:
+        events = events[:1]  # one cut, seen in both
+    return [
+        SceneChange(at + SCENE_FRAMES, float(np.nan_to_num(together[at])), float(change[at]))
+        for at in sorted(events)
+    ]
+
+
+def _single_peak(values: Floats, limit: float, settings: TrackingSettings) -> int | None:
+    """Return the position of a peak far above the usual values and twice as high as all others, if any."""
+    least = max(limit, settings.cut_ratio * float(np.median(values)))
+    at = int(np.argmax(values))
+    others = np.abs(np.arange(len(values)) - at) > 2 * SCENE_FRAMES
+    return at if values[at] >= least and (values[others] < values[at] / 2).all() else None
+
+
+def _persists(values: Floats, frame: int, change: float) -> bool:
+    """Return whether half of a change of values (frame, N) remains three times SCENE_FRAMES after a frame."""
+    later = values[frame + 3 * SCENE_FRAMES :][:SCENE_FRAMES]
+    remaining = nan_median(later) - nan_median(values[:frame][-4 * SCENE_FRAMES :])
+    remaining = remaining[np.isfinite(remaining)]
+    return not len(remaining) or bool(np.sqrt((remaining**2).mean()) >= abs(change) / 2)
+
+
+def _after_less_before(values: Floats) -> Floats:
+    """Return means over SCENE_FRAMES frames less those before, (frame − 2 SCENE_FRAMES + 1, N)."""
+    total, count = (sums[SCENE_FRAMES:] - sums[:-SCENE_FRAMES] for sums in _sums_of_known(values))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        means = total / count
+    return np.asarray(means[SCENE_FRAMES:] - means[:-SCENE_FRAMES], np.float64)
+
+
+def comb_is_stationary(tracks: xr.Dataset, settings: TrackingSettings = DEFAULT) -> bool:
+    """Return whether hardly any sheet moves relative to the comb; False for fewer than three sheets."""
     x = tracks["x_px"].values
     moved = x - nan_median(x)
     moved = np.abs(moved - nan_median(moved, axis=1)[:, None])
     noise = np.fmax(tracks["x_noise_px"].values, nan_median(tracks["x_err_px"].values))
     moving = nan_quantile(moved, 0.95) > settings.still_sigmas * noise
     return bool(moving.mean() < settings.still_share) and x.shape[1] >= 3
+
+
+# --- scatter of positions -----------------------------------------------------------------------------------
 
 
 class BetweenSlips:
@@ -227,31 +511,16 @@ def spatial_scatter(positions: BetweenSlips, *, between_frames: bool) -> Floats:
 
 
 def noise_excess(positions: BetweenSlips, err_px: Floats, settings: TrackingSettings = DEFAULT) -> Floats:
-    r"""Return how much more positions scatter than their errors say, as a factor, (N,).
+    r"""Return how much more positions scatter than their errors (frame, N) say, as a factor, (N,).
 
-    Parameters
-    ----------
-    positions
-        Positions of the sheets in all frames, NaN where missing or repeated.
-    err_px
-        Their errors (frame, N).
-    settings
-        `own_excess`.
-
-    Returns
-    -------
-    Floats
-        1 for fewer than five sheets, and where slips leave too few frames between them.
-
-    Notes
-    -----
     Turbulent air, flicker that differs between rows, and a camera that shakes along leaning sheets shift each
     ridge by another amount, and leave its shape unchanged. This shows in second differences of positions in
     time, between slips. The motion that all sheets share is subtracted, and with ten sheets or more what
     is linear in n (a camera that vibrates or breathes). Sizes at several lags are averaged as squares, since
     at one lag an error that lasts or repeats itself may cancel. A size is the one within which 68 % of the
     frames lie, which leaves out slips of single sheets. Vibration of most sheets during the whole film cannot
-    be distinguished from such errors, and counts as one.
+    be distinguished from such errors, and counts as one. 1 for fewer than five sheets, and where slips leave
+    too few frames between them.
     """
     sheets = err_px.shape[1]
     variance = err_px[positions.seen] ** 2
@@ -276,123 +545,12 @@ def noise_excess(positions: BetweenSlips, err_px: Floats, settings: TrackingSett
     return np.fmin(own, settings.own_excess[1] * usual)
 
 
-class SceneChange(NamedTuple):
-    """A permanent change of the sheets' positions or brightnesses.
-
-    Parameters
-    ----------
-    frame
-        First frame of the new scene.
-    moved_px
-        Displacement that all sheets share.
-    brightness
-        Change of the logarithm of brightness, rms over the sheets, without the common change.
-    """
-
-    frame: int
-    moved_px: float
-    brightness: float
-
-
-def scene_changes(
-    x_px: Floats, contrast: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT
-) -> list[SceneChange]:
-    """Find where the film was cut, or the camera or the light was moved: identities may change there.
-
-    Parameters
-    ----------
-    x_px, contrast
-        Positions and heights of the ridges (frame, N), NaN where missing.
-    comb
-        Pitch of the ridges.
-    settings
-        `cut_pitches`, `cut_brightness`, `cut_ratio`.
-
-    Returns
-    -------
-    Changes in order of time; none where such changes are usual in the film.
-
-    Notes
-    -----
-    Means over five frames before and after are compared. In a slip the sides of the comb move against each
-    other, and every sheet keeps its brightness. The scene changes where all sheets are displaced by more than
-    they are displaced against each other, or where their relative brightnesses change. Such a change must be
-    several times the usual one, happen once, and persist: a camera that was knocked swings back.
-    """
-    frames, sheets = x_px.shape
-    if frames < 4 * SCENE_FRAMES or sheets < 3:
-        return []
-    bright = np.log(contrast)
-    bright -= nan_median(bright, axis=1)[:, None]
-    moved, brightened = (_after_less_before(values) for values in (x_px, bright))
-    together = nan_median(moved, axis=1)
-    apart = np.abs(moved - together[:, None])
-    rigid = np.abs(together) > 2.0 * np.nan_to_num(nan_median(apart, axis=1), nan=np.inf)
-    displaced = np.where(rigid, np.abs(np.nan_to_num(together)) / comb.pitch_px / settings.cut_pitches, 0.0)
-    known = np.isfinite(brightened)
-    change = np.sqrt((np.where(known, brightened, 0.0) ** 2).sum(axis=1) / np.maximum(known.sum(axis=1), 1))
-    change[known.sum(axis=1) < max(3, sheets / 2)] = 0.0
-    events = []
-    at = _single_peak(displaced, 1.0, settings)
-    if at is not None and _persists(x_px, at + SCENE_FRAMES, together[at]):
-        events.append(at)
-    at = _single_peak(change, settings.cut_brightness, settings)
-    if at is not None and _persists(bright, at + SCENE_FRAMES, change[at]):
-        events.append(at)
-    if len(events) == 2 and abs(events[0] - events[1]) <= SCENE_FRAMES:
-        events = events[:1]  # one cut, seen in both
-    return [
-        SceneChange(at + SCENE_FRAMES, float(np.nan_to_num(together[at])), float(change[at]))
-        for at in sorted(events)
-    ]
-
-
-def _single_peak(values: Floats, limit: float, settings: TrackingSettings) -> int | None:
-    """Return the position of a peak far above the usual values and twice as high as all others, if any."""
-    least = max(limit, settings.cut_ratio * float(np.median(values)))
-    at = int(np.argmax(values))
-    others = np.abs(np.arange(len(values)) - at) > 2 * SCENE_FRAMES
-    return at if values[at] >= least and (values[others] < values[at] / 2).all() else None
-
-
-def _persists(values: Floats, frame: int, change: float) -> bool:
-    """Return whether half of a change of values (frame, N) remains three times SCENE_FRAMES after a frame."""
-    later = values[frame + 3 * SCENE_FRAMES :][:SCENE_FRAMES]
-    remaining = nan_median(later) - nan_median(values[:frame][-4 * SCENE_FRAMES :])
-    remaining = remaining[np.isfinite(remaining)]
-    return not len(remaining) or bool(np.sqrt((remaining**2).mean()) >= abs(change) / 2)
-
-
-def _after_less_before(values: Floats) -> Floats:
-    """Return means over SCENE_FRAMES frames less those before, (frame − 2 SCENE_FRAMES + 1, N)."""
-    known = np.isfinite(values)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        means = _sums(np.where(known, values, 0.0)) / _sums(known.astype(np.float64))
-    return np.asarray(means[SCENE_FRAMES:] - means[:-SCENE_FRAMES], np.float64)
-
-
-def _sums(values: Floats) -> Floats:
-    """Return running sums over SCENE_FRAMES frames."""
-    total = np.vstack([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
-    return np.asarray(total[SCENE_FRAMES:] - total[:-SCENE_FRAMES], np.float64)
-
-
 def shared_error(positions: BetweenSlips) -> float:
     r"""Return the error that neighbouring sheets share where a codec predicts frames from others, px.
 
-    Parameters
-    ----------
-    positions
-        Positions of the sheets in all frames.
+    It is to be added in quadrature to `spatial_scatter`, which does not include it. 0 for fewer than eight
+    sheets or sixteen frames.
 
-    Returns
-    -------
-    float
-        To be added in quadrature to `spatial_scatter`, which does not include it. 0 for fewer than eight
-        sheets or sixteen frames.
-
-    Notes
-    -----
     Blocks of the codec are wider than a sheet's spacing, and predicted frames move them by quarter pixels.
 
     1. Sheets in one block share an error. Second differences of positions in time, without the motion that

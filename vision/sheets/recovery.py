@@ -1,33 +1,43 @@
 """Detections: one ridge per sheet and frame, or the reason why there is none.
 
 `assign_detections` takes the pairs from `identify_sheets`, withholds those that are doubtful, and searches
-again with a lower threshold where a sheet is missing.
+again with a lower threshold where a sheet is missing. Doubts follow from what the alignment did not use: the
+positions that neighbouring sheets predict, and the pattern of spacings, brightnesses and widths.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import xarray as xr
+from numpy.typing import NDArray
 
-from vision.numeric import Bools, Floats, Floats32, Ints, Strings, nan_median, nearest
-from vision.sheets.alignment import values_of
-from vision.sheets.identities import Identities, fill_rows
-from vision.sheets.neighbours import (
-    anchored,
-    hops,
-    last_seen,
-    neighbour_residual,
-    pattern_shift,
-    rest_positions,
-    torn,
+from vision.numeric import (
+    NORMAL_MEDIAN,
+    Bools,
+    Floats,
+    Floats32,
+    Ints,
+    Strings,
+    nan_median,
+    nan_quantile,
+    nearest,
+    shifted,
 )
+from vision.sheets.alignment import values_of
+from vision.sheets.identities import Identities, fill_rows, last_seen, torn
+from vision.sheets.reference import rest_positions
 from vision.sheets.ridges import RidgeComb, Ridges, find_ridges
-from vision.sheets.settings import DEFAULT, TrackingSettings
+from vision.sheets.settings import TrackingSettings
 
+PAIRS = 3  # neighbours on each side that predict a sheet's position
+LINES = ((1, 2), (1, 3), (2, 3), (2, 4), (3, 4))  # distances of two neighbours on one side that a line joins
+SHIFTS = (-2, -1, 1, 2)  # alternative numberings that the pattern must exclude
+TERM_LIMIT = 4.0  # nats: no single spacing, brightness or width decides a numbering
 LIKE_ITSELF = 0.7
 """Change of log contrast up to which a ridge may be the sheet that is expected there: a factor of two."""
 
@@ -36,18 +46,9 @@ LIKE_ITSELF = 0.7
 class Detections:
     """One ridge per sheet and frame, all (frame, N).
 
-    Parameters
-    ----------
-    start_px
-        Whole pixel of the ridge, NaN where flag is not "ok".
-    contrast, fwhm_px
-        Prominence of the ridge, grey levels, and its width.
-    flag
-        "ok", "missing", "merged", "edge" or "doubtful".
-    why
-        Reason for a doubtful identity, a key of `DOUBTS`; "" elsewhere.
-    withheld_px
-        Whole pixel of a doubtful ridge, NaN elsewhere.
+    start_px: whole pixel of the ridge, NaN where flag is not "ok". contrast, fwhm_px: its prominence, grey
+    levels, and its width. flag: "ok", "missing", "merged", "edge" or "doubtful". why: reason for a doubtful
+    identity, a key of `DOUBTS`; "" elsewhere. withheld_px: whole pixel of a doubtful ridge, NaN elsewhere.
     """
 
     start_px: Floats
@@ -59,49 +60,34 @@ class Detections:
 
 
 def assign_detections(
-    profile: Floats32,
-    ridges: Ridges,
-    identities: Identities,
-    comb: RidgeComb,
-    *,
-    settings: TrackingSettings = DEFAULT,
+    profile: Floats32, ridges: Ridges, identities: Identities, comb: RidgeComb
 ) -> Detections:
-    """Return one ridge for each sheet in each frame, or the reason why there is none.
+    """Return one ridge for each sheet in each frame of the profile (frame, x), or the reason why there is
+    none.
 
     The expected position of a missing sheet follows from the displacement of its neighbours in the same
     frame. A ridge there that was too faint for the first search is accepted if it reaches a fraction of the
     sheet's usual contrast. Positions of uncertain identity (`DOUBTS`) are flagged "doubtful" and withheld.
-
-    Parameters
-    ----------
-    profile
-        Grey levels (frame, x).
-    ridges, identities
-        Candidates of every frame, and which candidate is which sheet.
-    comb
-        Width, pitch and contrast of the ridges.
-    settings
-        Thresholds.
     """
     candidates = np.stack([ridges.x_px, ridges.contrast, ridges.fwhm_px])
     paired = np.stack([values_of(identities.match, values) for values in candidates])
-    usual = np.stack([identities.squeeze.undone(paired[0]), *paired[1:]])
-    why = _doubts(usual[0], usual[1], identities, comb, profile.shape[1], settings)
-    why = _settle_by_pattern(why, usual, comb, settings)
-    why[_numbered_off_the_end(candidates[:2], paired[:2], comb, settings)] = "end"
-    why[_shifted_pattern(np.where(why == "", paired, np.nan), settings)] = "pattern"
-    paired, why = _reassign_hops(candidates, paired, why, comb, settings)
+    usual = np.stack([identities.usual_px, *paired[1:]])
+    why = _doubts(usual, identities, comb)
+    why[_numbered_off_the_end(candidates[:2], paired[:2], comb)] = "end"
+    why[_shifted_pattern(np.where(why == "", paired, np.nan), comb.settings)] = "pattern"
+    paired, why = _reassign_hops(candidates, paired, why, comb)
     doubtful = why != ""
     withheld = np.where(doubtful, paired[0], np.nan)
     found = np.where(doubtful, np.nan, paired)
     expected = _expected(found[0], identities.rest_px)
-    rows, sheet, faint = _faint_ridges(profile, found, expected, doubtful, comb, settings)
+    rows, sheet, faint = _faint_ridges(profile, found, expected, doubtful, comb)
     if len(rows):  # some of these may be ridges that are near by chance
         found[:, rows, sheet] = faint
-        found[:, hops(neighbour_residual(found[0]), comb, settings) & np.isnan(paired[0])] = np.nan
+        off = hops(found[0] - predicted_by_neighbours(found[0]), comb)
+        found[:, off & np.isnan(paired[0])] = np.nan
     flag = np.where(np.isfinite(found[0]), "ok", "missing").astype("<U8")
-    flag[_merged(found, expected, comb, settings)] = "merged"
-    flag[_hidden(found[0], doubtful, comb, settings)] = "merged"
+    flag[_merged(found, expected, comb)] = "merged"
+    flag[_hidden(found[0], doubtful, comb)] = "merged"
     half = comb.fwhm_px / 2
     outside = (expected < half) | (expected > profile.shape[1] - 1 - half)
     flag[(flag != "ok") & outside] = "edge"
@@ -123,27 +109,28 @@ DOUBTS = {
 """Meaning of each `Detections.why`."""
 
 
-def _doubts(
-    x: Floats,
-    contrast: Floats,
-    identities: Identities,
-    comb: RidgeComb,
-    width_px: int,
-    settings: TrackingSettings,
-) -> Strings:
-    """Return why the identity of each paired ridge is doubtful (margin, jump, tear) or "", (frame, N)."""
+def _doubts(paired: Floats, identities: Identities, comb: RidgeComb) -> Strings:
+    """Return why the identity of each paired ridge is doubtful (margin, jump, tear) or "", (frame, N).
+
+    A margin that is too small is no doubt where the pattern confirms the identity. `paired` holds positions,
+    contrasts and widths, (3, frame, N).
+    """
+    x, contrast, fwhm = paired
     why = np.full(x.shape, "", "<U9")
-    why[~(identities.margin >= settings.doubt)] = "margin"
+    why[~(identities.margin >= comb.settings.doubt)] = "margin"
     displaced = x - rest_positions(x)
-    why[_unproved_jumps(x, displaced, contrast, identities, comb, width_px, settings)] = "jump"
-    why[torn(displaced, comb, settings)] = "tear"
+    why[_unproved_jumps(x, displaced, contrast, identities, comb)] = "jump"
+    why[torn(displaced, comb)] = "tear"
     why[np.isnan(x)] = ""
+    unsettled = why == "margin"
+    if unsettled.any():
+        known = np.where(why == "tear", np.nan, x)
+        trusted = np.isfinite(known) & (why == "")
+        why[unsettled & anchored(known, np.log(contrast), np.log(fwhm), trusted, comb)] = ""
     return why
 
 
-def _numbered_off_the_end(
-    candidates: Floats32, paired: Floats, comb: RidgeComb, settings: TrackingSettings
-) -> Bools:
+def _numbered_off_the_end(candidates: Floats32, paired: Floats, comb: RidgeComb) -> Bools:
     """Return where a displaced comb leaves out a ridge at one end while its other end is missing, (frame, N).
 
     If the ridge beyond the end is like the sheets, the frame has as many ridges as the comb has sheets, and
@@ -153,7 +140,7 @@ def _numbered_off_the_end(
     """
     x, contrast = paired
     moved = nan_median(x - rest_positions(x), axis=1)
-    rows = np.flatnonzero(np.abs(moved) > 0.5 * settings.jump_fraction * comb.pitch_px)
+    rows = np.flatnonzero(np.abs(moved) > 0.5 * comb.settings.jump_fraction * comb.pitch_px)
     ridge, height = candidates[:, rows].astype(np.float64)
     alike = np.abs(np.log(height / nan_median(contrast[rows], axis=1)[:, None])) < LIKE_ITSELF
     off = np.zeros(len(x), bool)
@@ -174,30 +161,15 @@ def _shifted_pattern(certain: Floats, settings: TrackingSettings) -> Bools:
     rows = np.flatnonzero(seen.mean(axis=1) > 0.5)
     away = np.zeros(seen.shape, bool)
     if len(rows):
-        with np.errstate(divide="ignore", invalid="ignore"):
-            log_contrast, log_width = np.log(certain[1:, rows])
-            shift = pattern_shift(log_contrast, log_width, settings)
+        log_contrast, log_width = np.log(certain[1:, rows])
+        shift = pattern_shift(log_contrast, log_width, settings)
         shifts, counts = np.unique(shift, return_counts=True)
         away[rows] = seen[rows] & (shift != shifts[counts.argmax()])[:, None]
     return away
 
 
-def _settle_by_pattern(why: Strings, paired: Floats, comb: RidgeComb, settings: TrackingSettings) -> Strings:
-    """Return the doubts that remain where the pattern confirms identities whose margin was too small."""
-    unsettled = why == "margin"
-    if not unsettled.any():
-        return why
-    x, contrast, fwhm = paired
-    with np.errstate(divide="ignore", invalid="ignore"):
-        log_contrast, log_width = np.log(contrast), np.log(fwhm)
-    known = np.where(why == "tear", np.nan, x)
-    trusted = np.isfinite(known) & (why == "")
-    confirmed = anchored(known, log_contrast, log_width, trusted, comb, settings)
-    return np.where(confirmed & unsettled, "", why)
-
-
 def _reassign_hops(
-    candidates: Floats32, paired: Floats, why: Strings, comb: RidgeComb, settings: TrackingSettings
+    candidates: Floats32, paired: Floats, why: Strings, comb: RidgeComb
 ) -> tuple[Floats, Strings]:
     """Give each sheet that hopped to another ridge the ridge at its predicted position, or doubt it.
 
@@ -206,14 +178,14 @@ def _reassign_hops(
     """
     for _ in range(4):  # each pass finds the largest residual among neighbours and sets that sheet aside
         x = np.where(why == "", paired[0], np.nan)
-        residual = neighbour_residual(x)
-        off = hops(residual, comb, settings)
+        residual = x - predicted_by_neighbours(x)
+        off = hops(residual, comb)
         if not off.any():
             break
         frame, sheet = np.nonzero(off)
         best, distance = nearest(candidates[0, frame], (x - residual)[off])
         there, height = candidates[:2, frame, best].astype(np.float64)
-        accept = (distance <= settings.faint_reach * comb.pitch_px) & (there != x[off])
+        accept = (distance <= comb.settings.faint_reach * comb.pitch_px) & (there != x[off])
         usual = nan_median(np.log(np.where(why == "", paired[1], np.nan)))[sheet]
         accept &= np.abs(np.log(height) - usual) < LIKE_ITSELF
         accept &= ~(np.where(off, np.nan, paired[0])[frame] == there[:, None]).any(axis=1)
@@ -225,13 +197,7 @@ def _reassign_hops(
 
 
 def _unproved_jumps(
-    x: Floats,
-    displaced: Floats,
-    contrast: Floats,
-    identities: Identities,
-    comb: RidgeComb,
-    width_px: int,
-    settings: TrackingSettings,
+    x: Floats, displaced: Floats, contrast: Floats, identities: Identities, comb: RidgeComb
 ) -> Bools:
     """Return where the comb is displaced by a jump that could be one of whole pitches, (frame, N).
 
@@ -242,6 +208,7 @@ def _unproved_jumps(
     ones, and the margin required grows by the ratio of the squares: the overdispersion of a quasi-likelihood
     (McCullagh & Nelder 1989, chapter 9). `displaced` is x less the rest positions.
     """
+    settings = comb.settings
     seen = np.isfinite(x).any(axis=1)
     step = np.nan_to_num(nan_median(np.diff(x[seen], axis=0), axis=1))
     run = np.zeros(len(x), np.int64)
@@ -255,10 +222,9 @@ def _unproved_jumps(
         return np.zeros(x.shape, bool)
     reach = settings.edge_pitches * comb.pitch_px
     rest = identities.rest_px
-    no_end_in_view = (rest[:, 0] < reach) & (rest[:, -1] > width_px - 1 - reach)
+    no_end_in_view = (rest[:, 0] < reach) & (rest[:, -1] > comb.width_px - 1 - reach)
     least = settings.stay_cost + 1.0 + np.where(no_end_in_view, 2 * settings.crossing_cost, 0.0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        off = np.log(contrast) - identities.reference.log_contrast
+    off = np.log(contrast) - identities.reference.log_contrast
     off -= nan_median(off, axis=1)[:, None]  # flicker
     misfit = np.minimum(np.nan_to_num(off) ** 2, LIKE_ITSELF**2).sum(axis=1)
     misfit /= np.maximum(np.isfinite(off).sum(axis=1), 1)
@@ -269,6 +235,220 @@ def _unproved_jumps(
     given, wanted = (np.array([nan_median(part[one]) for one in runs]) for part in (margin, least * worse))
     unproved = away & (given < wanted)[run]
     return np.asarray(unproved[:, None] & np.isfinite(x), bool)
+
+
+# --- predictions by neighbouring sheets ---------------------------------------------------------------------
+
+
+def predicted_by_neighbours(x_px: Floats) -> Floats:
+    r"""Return the position of each sheet predicted by its neighbours, px, (frame, N).
+
+    x_px: positions (frame, N), NaN where missing. Missing sheets have a prediction, too. The median
+    difference of each sheet is added. NaN where all neighbours are missing, and for fewer than three sheets.
+
+    With the displacement :math:`u_n` from the rest position, the neighbours predict
+
+    .. math:: \hat u_n = \operatorname{median}_{k \le 3}
+              \frac{u_{n-k}\,d_{n+k} + u_{n+k}\,d_{n-k}}{d_{n-k} + d_{n+k}},
+
+    where d are distances at rest: displacements are linear between the sheets of each pair, whatever the
+    mechanics. Near the ends of the comb pairs are lacking; there, lines through two sheets on one side are
+    used as well. The median over the pairs tolerates one wrong neighbour.
+    """
+    sheets = x_px.shape[1]
+    if sheets < 3:
+        return np.full(x_px.shape, np.nan)
+    rest = rest_positions(x_px)
+    moved = x_px - rest
+    first, second, third = pairs = [_between(moved, rest, k) for k in range(1, PAIRS + 1)]
+    low, high = np.minimum(first, second), np.maximum(first, second)
+    predicted = np.maximum(low, np.minimum(high, third))  # their median; NaN where one is missing
+    lacking = np.isnan(predicted)
+    known_pairs = np.stack([pair[lacking] for pair in pairs])
+    predicted[lacking] = _predicted_by_fewer(moved, known_pairs, *np.nonzero(lacking))
+    return np.asarray(rest + predicted + nan_median(moved - predicted), np.float64)
+
+
+def _predicted_by_fewer(moved: Floats, pairs: Floats, frame: Ints, sheet: Ints) -> Floats:
+    """Return displacements predicted where fewer than three pairs (3, points) are known.
+
+    Where fewer than two are known, as near the ends of the comb, lines through two sheets on one side are
+    used as well, so that one wrong sheet never has the majority.
+    """
+    few = np.isfinite(pairs).sum(axis=0) < 2
+    frame, sheet = frame[few], sheet[few]
+    furthest = max(max(line) for line in LINES)
+    padded = np.pad(moved, ((0, 0), (furthest, furthest)), constant_values=np.nan)
+    extrapolated = np.full((2 * len(LINES), len(few)), np.nan)
+    for values, (step, (near, far)) in zip(extrapolated, product((1, -1), LINES), strict=True):
+        close, remote = (padded[frame, sheet + furthest + step * k] for k in (near, far))
+        values[few] = close + (close - remote) * near / (far - near)
+    return nan_median(np.concatenate([pairs, extrapolated]))
+
+
+def _between(moved: Floats, rest: Floats, k: int) -> Floats:
+    """Return displacements interpolated between the k-th neighbours; NaN where either is missing."""
+    predicted = np.full_like(moved, np.nan)
+    if moved.shape[1] <= 2 * k:
+        return predicted
+    to_left, to_right = rest[k:-k] - rest[: -2 * k], rest[2 * k :] - rest[k:-k]
+    apart = to_left + to_right
+    apart = np.where(apart > 0, apart, np.nan)  # two sheets at one position predict nothing
+    predicted[:, k:-k] = (moved[:, : -2 * k] * to_right + moved[:, 2 * k :] * to_left) / apart
+    return predicted
+
+
+def hops(residual: Floats, comb: RidgeComb) -> Bools:
+    """Return which sheets are on another ridge, (frame, N).
+
+    The residual is the distance from the position that the neighbours predict. It must exceed several times
+    the sheet's own scatter, the width of a ridge (nearer ridges are not resolved), and by far the residuals
+    of most sheets in the frame, since many residuals grow at once in an avalanche or in a blurred frame.
+    Among adjacent sheets only the largest residual counts: that sheet spoils the prediction for the others.
+    """
+    size = np.abs(residual)
+    least = comb.settings.leave_sigmas * nan_median(size) / NORMAL_MEDIAN
+    found = np.asarray(size > np.fmax(least, comb.fwhm_px), bool)
+    rows = np.flatnonzero(found.any(axis=1))  # most films have none
+    some = size[rows]
+    padded = np.pad(some, ((0, 0), (PAIRS, PAIRS)), constant_values=np.nan)
+    around = [padded[:, i : i + size.shape[1]] for i in range(2 * PAIRS + 1)]
+    found[rows] &= (some > 3.0 * nan_quantile(some, 0.75, axis=1)[:, None]) & (some >= np.fmax.reduce(around))
+    return found
+
+
+# --- the comb's own pattern ---------------------------------------------------------------------------------
+
+
+def anchored(x_px: Floats, log_contrast: Floats, log_width: Floats, trusted: Bools, comb: RidgeComb) -> Bools:
+    """Return which identities are confirmed by a pattern that fits no other numbering, (frame, N).
+
+    The pattern is the spacings, brightnesses and widths of the sheets (positions, log contrasts and log
+    widths of the ridges paired with them, (frame, N), NaN where none); the median and scatter of each are
+    measured over the trusted identities (frame, N). The cost of a numbering is the sum of squared deviations
+    over twice the variance, each at most `TERM_LIMIT`. A frame is anchored if every numbering shifted by one
+    or two sheets costs `anchor_nats` more. An even comb of equal sheets is never anchored.
+
+    False where fewer than a tenth of the frames are trusted, and for sheets without a neighbour at the usual
+    spacing: the rest of the frame does not constrain these.
+    """
+    if x_px.shape[1] < 3 or trusted.any(axis=1).mean() < 0.1:
+        return np.zeros(x_px.shape, bool)
+    gap = np.diff(x_px, axis=1, append=np.nan)
+    both = trusted & np.hstack([trusted[:, 1:], np.zeros((len(trusted), 1), bool)])
+    features = (
+        (gap, both, 0.01 * comb.pitch_px),
+        (_without_common_change(log_contrast), trusted, 0.05),
+        (_without_common_change(log_width), trusted, 0.05),
+    )
+    own_cost = np.zeros(len(x_px))
+    terms = np.zeros(len(x_px))
+    excess = np.zeros((len(SHIFTS), len(x_px)))
+    for values, learned, floor in features:
+        cost = _feature_costs(values, learned, floor)
+        own_cost += np.nansum(cost[0], axis=1)
+        terms += np.isfinite(cost[0]).sum(axis=1)
+        # only features that both numberings explain
+        excess += np.stack([np.nansum(other - cost[0], axis=1) for other in cost[1:]])
+    fits = own_cost < comb.settings.anchor_fit * np.maximum(terms, 1)
+    usual_gap = _feature_costs(gap, both, 0.01 * comb.pitch_px)[0] < TERM_LIMIT / 2
+    beside = usual_gap | np.hstack([np.zeros((len(gap), 1), bool), usual_gap[:, :-1]])
+    return np.asarray((fits & (excess.min(axis=0) > comb.settings.anchor_nats))[:, None] & beside, bool)
+
+
+def pattern_shift(log_contrast: Floats, log_width: Floats, settings: TrackingSettings) -> Ints:
+    """Return by how many sheets the pattern has shifted along the comb since the first frame, (frame,).
+
+    The pattern is each sheet's brightness and width: log contrast and log width (frame, N), NaN where missing
+    or doubtful. An even comb of nearly equal sheets with no end in view looks alike after a jump by one
+    pitch, but its pattern jumps. Medians over `pattern_frames` frames before and after each frame are
+    compared. At a jump the sheets' change is `pattern_change` times the usual one, and `pattern_ratio` times
+    the change relative to another sheet; a change of light does not shift the pattern. 0 for fewer than
+    `pattern_sheets` sheets.
+    """
+    frames, sheets = log_contrast.shape
+    span, shift = settings.pattern_frames, np.zeros(frames, np.int64)
+    if frames < 4 * span or sheets < settings.pattern_sheets:
+        return shift
+    features = np.stack([_without_common_change(log_contrast), _without_common_change(log_width)])
+    medians = nan_median(np.lib.stride_tricks.sliding_window_view(features, span, axis=1), axis=-1)
+    before, after = medians[:, :-span], medians[:, span:]
+    own = _feature_change(before, after, 0, settings)
+    others = np.stack([_feature_change(before, after, by, settings) for by in SHIFTS])
+    own, usual = np.where(own < np.inf, own, 0.0), np.median(own)
+    least = others.min(axis=0)
+    found = np.flatnonzero((least < own / settings.pattern_ratio) & (own > settings.pattern_change * usual))
+    events: list[int] = []
+    for frame in found[np.argsort(least[found] / own[found])].tolist():
+        if all(abs(frame - other) >= span for other in events):
+            events.append(frame)
+    for event in events:  # medians date the jump to about two frames; the single frames decide the rest
+        first, last = event + span // 2 + 1, event + span + span // 2
+        near = features[:, first:last]
+        as_before = np.broadcast_to(before[:, [event]], near.shape)
+        each = np.stack([_feature_change(as_before, near, by, settings) for by in (0, *SHIFTS)])
+        shift[first:last] += np.array((0, *SHIFTS))[each.argmin(axis=0)]
+        shift[last:] += SHIFTS[int(np.argmin(others[:, event]))]
+    return shift
+
+
+def sheets_alike(x_px: Floats, contrast: Floats, fwhm_px: Floats, comb: RidgeComb) -> bool:
+    """Return whether the sheets look so alike that a picture does not show which sheets it contains.
+
+    Neither end of the comb is in view, and brightness, width and spacing differ from the mean of both
+    neighbours by no more than they change with time, or than slips change spacings. A jump of such a comb by
+    its pitch is invisible. Light that falls off along the comb is not a pattern of the sheets. False for
+    fewer than five sheets. Positions, contrasts and widths are (frame, N), NaN where missing.
+    """
+    rest = rest_positions(x_px)
+    reach = comb.settings.edge_pitches * comb.pitch_px
+    if len(rest) < 5 or rest[0] > reach or rest[-1] < comb.width_px - 1 - reach:
+        return False
+    alike = nan_median(np.abs(_bend(rest))) < comb.settings.spacing_spread * comb.pitch_px
+    for pattern in (_without_common_change(np.log(values)) for values in (contrast, fwhm_px)):
+        mean = nan_median(pattern)
+        within = nan_median(nan_median(np.abs(pattern - mean)))
+        alike &= nan_median(np.abs(_bend(mean))) < comb.settings.alike_scatter * within
+    return bool(alike)
+
+
+def _bend(values: Floats) -> Floats:
+    """Return values (N,) minus the means of their neighbours, (N − 2,)."""
+    return np.asarray(values[1:-1] - (values[2:] + values[:-2]) / 2)
+
+
+def _feature_change(before: Floats, after: Floats, by: int, settings: TrackingSettings) -> Floats:
+    """Return the change of features (kinds, frame, N) relative to those of the sheet `by` further, (frame,).
+
+    Three quarters of the sheets change by no more than this; inf where too few sheets are known.
+    """
+    step = after - np.stack([shifted(part, by) for part in before])
+    size = nan_quantile(np.abs(step - nan_median(step, axis=2)[..., None]), 0.75, axis=2)
+    enough = np.isfinite(step).all(axis=0).sum(axis=1) >= settings.pattern_sheets
+    return np.where(enough, np.hypot(*size), np.inf)
+
+
+def _without_common_change(values: Floats) -> Floats:
+    """Remove from each frame the change that all sheets share (flicker, focus)."""
+    off = values - nan_median(values)
+    return np.asarray(values - nan_median(off, axis=1)[:, None])
+
+
+def _feature_costs(values: Floats, learned: Bools, floor: float) -> list[NDArray[np.float64]]:
+    """Return the cost of each value for its own sheet, then for each sheet of SHIFTS; (frame, N), NaN where
+    unknown."""
+    seen = np.where(learned, values, np.nan)
+    middle = nan_median(seen)
+    spread = nan_median(np.abs(seen - middle)) / NORMAL_MEDIAN
+    spread = np.maximum(spread, floor)
+    costs = []
+    for shift in (0, *SHIFTS):
+        expected = shifted(middle[None], shift)
+        # the wider of both scatters, so that a single noisy sheet does not exclude a numbering
+        sigma = np.fmax(shifted(spread[None], shift), spread[None])
+        limit = np.where(np.isfinite(expected), TERM_LIMIT, np.nan)
+        costs.append(np.fmin((values - expected) ** 2 / (2 * sigma**2), limit))
+    return [np.where(np.isfinite(values), cost, np.nan) for cost in costs]
 
 
 # --- the second search --------------------------------------------------------------------------------------
@@ -286,12 +466,7 @@ def _expected(start: Floats, rest: Floats) -> Floats:
 
 
 def _faint_ridges(
-    profile: Floats32,
-    found: Floats,
-    expected: Floats,
-    doubtful: Bools,
-    comb: RidgeComb,
-    settings: TrackingSettings,
+    profile: Floats32, found: Floats, expected: Floats, doubtful: Bools, comb: RidgeComb
 ) -> tuple[Ints, Ints, Floats]:
     """Return faint ridges at the expected positions of missing sheets: frame, sheet, and position, contrast
     and width (3, ridges). `found` holds these for the sheets already detected, (3, frame, N)."""
@@ -299,13 +474,15 @@ def _faint_ridges(
     rows = np.flatnonzero(wanted.any(axis=1))
     if not len(rows):
         return rows, rows, np.zeros((3, 0))
-    faint = find_ridges(profile[rows], replace(comb, contrast=0.0), settings=settings)
+    faint = find_ridges(profile[rows], replace(comb, contrast=0.0))
     row, sheet = np.nonzero(wanted[rows])
     frame = rows[row]
     best, distance = nearest(faint.x_px[row], expected[frame, sheet])
     there = np.stack([faint.x_px, faint.contrast, faint.fwhm_px])[:, row, best].astype(np.float64)
     usual = np.nan_to_num(nan_median(found[1]))[sheet]
-    keep = (distance <= settings.faint_reach * comb.pitch_px) & (there[1] >= settings.faint_contrast * usual)
+    keep = (distance <= comb.settings.faint_reach * comb.pitch_px) & (
+        there[1] >= comb.settings.faint_contrast * usual
+    )
     keep &= nearest(found[0, frame], there[0])[1] > 0.5 * comb.fwhm_px
     keep &= _unshared(frame, there[0], keep)
     return frame[keep], sheet[keep], there[:, keep]
@@ -322,7 +499,7 @@ def _unshared(frame: Ints, x: Floats, keep: Bools) -> Bools:
     return unshared
 
 
-def _merged(found: Floats, expected: Floats, comb: RidgeComb, settings: TrackingSettings) -> Bools:
+def _merged(found: Floats, expected: Floats, comb: RidgeComb) -> Bools:
     """Return which missing sheets form one ridge with a detected neighbour, and these neighbours, (frame, N).
 
     Their expected positions are within a ridge's width of each other, or the neighbour is as high or as wide
@@ -339,19 +516,19 @@ def _merged(found: Floats, expected: Floats, comb: RidgeComb, settings: Tracking
     usual = nan_median(alone, axis=1)
     size = found[1:] / np.where(np.isfinite(usual), usual, nan_median(found[1:], axis=1))[:, None]
     size /= nan_median(size, axis=2)[..., None]  # exposure, focus
-    double = (size[0] > settings.merged_height) | (size[1] > settings.merged_width)
-    pair = (apart < settings.merged_widths * comb.fwhm_px) | double[:, 1:] | double[:, :-1]
+    double = (size[0] > comb.settings.merged_height) | (size[1] > comb.settings.merged_width)
+    pair = (apart < comb.settings.merged_widths * comb.fwhm_px) | double[:, 1:] | double[:, :-1]
     return _both(pair & (missing[:, 1:] ^ missing[:, :-1]))
 
 
-def _hidden(start: Floats, doubtful: Bools, comb: RidgeComb, settings: TrackingSettings) -> Bools:
+def _hidden(start: Floats, doubtful: Bools, comb: RidgeComb) -> Bools:
     """Return which missing sheets were near a detected neighbour just before or after, and these neighbours.
 
     One lies behind the other, so that the ridge is no higher than usual, and it is unknown which is seen.
     """
     gap = np.diff(start, axis=1)
     around = np.fmin(last_seen(gap.T).T, last_seen(gap[::-1].T).T[::-1])
-    near = min(settings.touching_widths * comb.fwhm_px, settings.touching_pitches * comb.pitch_px)
+    near = min(comb.settings.touching_widths * comb.fwhm_px, comb.settings.touching_pitches * comb.pitch_px)
     seen = np.isfinite(start)
     missing = ~seen & ~doubtful  # a doubtful sheet does have a ridge
     return _both((around < near) & (missing[:, 1:] & seen[:, :-1] | seen[:, 1:] & missing[:, :-1]))

@@ -14,7 +14,6 @@ import numpy as np
 from vision.errors import InputError
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, mad_sigma, nan_median, nearest
 from vision.sheets.alignment import Candidates, ExpectedSheets, align, values_of
-from vision.sheets.neighbours import rest_positions
 from vision.sheets.ridges import RidgeComb
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.signals import running_median
@@ -26,18 +25,9 @@ LEAST_IN_VIEW = 0.13  # fraction of the frames in which a sheet must be in view 
 class ReferenceComb:
     """The sheets, from left to right; all (N,).
 
-    Parameters
-    ----------
-    x_px
-        Rest positions.
-    log_contrast, log_width
-        Logarithms of contrast and width.
-    found
-        Fraction of the frames in which each is found.
-    dropped
-        Number of persistent ridges that are not part of the comb.
-    beyond
-        Number of these that continue the comb, if the number of sheets was given.
+    x_px: rest positions. log_contrast, log_width: logarithms of contrast and width. found: fraction of the
+    frames in which each is found. dropped: number of persistent ridges that are not part of the comb. beyond:
+    number of these that continue the comb, if the number of sheets was given.
     """
 
     x_px: Floats
@@ -59,27 +49,19 @@ class ReferenceComb:
             self.x_px[kept], self.log_contrast[kept], self.log_width[kept], self.found[kept], dropped=fewer
         )
 
-    def expected(
-        self,
-        x_px: Floats,
-        comb: RidgeComb,
-        width_px: int,
-        *,
-        counted: bool = False,
-        settings: TrackingSettings = DEFAULT,
-    ) -> ExpectedSheets:
+    def expected(self, x_px: Floats, comb: RidgeComb, *, counted: bool = False) -> ExpectedSheets:
         """Return this comb with its sheets expected at x_px (lists, N).
 
         Unless the number of sheets was `counted`, more sheets may lie beyond an end near the picture's edge.
         """
         unseen = -np.log(np.clip(1 - self.found, 1e-3, 1))
-        missing = np.clip(unseen, 1.0, settings.missing_cost)
+        missing = np.clip(unseen, 1.0, comb.settings.missing_cost)
         half = comb.fwhm_px / 2
-        view = (half, width_px - 1 - half)
-        near = settings.edge_pitches * comb.pitch_px
+        view = (half, comb.width_px - 1 - half)
+        near = comb.settings.edge_pitches * comb.pitch_px
         ends = x_px[:, 0].min() < view[0] + near, x_px[:, -1].max() > view[1] - near
         open_ends = (False, False) if counted else (bool(ends[0]), bool(ends[1]))
-        return ExpectedSheets(x_px, self.log_contrast, missing, comb.pitch_px, view, open_ends, settings)
+        return ExpectedSheets(x_px, self.log_contrast, missing, comb.pitch_px, view, open_ends, comb.settings)
 
 
 def build_reference(
@@ -88,37 +70,26 @@ def build_reference(
     displacement_px: Floats,
     comb: RidgeComb,
     *,
-    width_px: int,
     sheets: int | None,
     source: str,
-    settings: TrackingSettings = DEFAULT,
 ) -> ReferenceComb:
     """Return the comb that most frames agree on.
 
     All candidates of one long list are first taken for sheets, and lists from the whole recording are aligned
     with them. Candidates that many frames show and the comb lacks are added; sheets that few frames show are
-    removed. Of the result, the entries that together form the most even comb are the sheets.
+    removed. Of the result, the entries that together form the most even comb are the sheets: exactly `sheets`
+    entries, if that number is given.
 
-    Parameters
-    ----------
-    candidates, frames, displacement_px
-        Lists of candidates, one for each segment of frames; number of frames of each, and displacement of the
-        whole comb at that time, (lists,).
-    comb, width_px
-        Width, pitch and contrast of the ridges; width of the profile.
-    sheets
-        Number of sheets, if known: the best comb of exactly that many is chosen.
-    source
-        Name of the recording in messages.
-    settings
-        Costs and thresholds.
+    There is one list of candidates for each segment of frames; `frames` is its number of frames and
+    `displacement_px` the displacement of the whole comb at that time, (lists,).
 
     Raises
     ------
     InputError
         For fewer ridges than `sheets`, not counting specks far outside the comb, or if no ridge is in most
-        frames.
+        frames; the message names `source`.
     """
+    settings = comb.settings
     spread = np.linspace(0, len(frames) - 1, 192).astype(int)
     longest = np.argsort(-frames, kind="stable")[:192]
     chosen = np.unique(np.r_[longest, spread])
@@ -126,7 +97,7 @@ def build_reference(
     reference = _seed(candidates, frames, displacement_px, comb.pitch_px)
     for _ in range(4):  # two revisions usually suffice
         filled = _fill_gaps(reference, comb.pitch_px)
-        revised = _revise(filled, some, weight, moved, comb, width_px, settings)
+        revised = _revise(filled, some, weight, moved, comb)
         if not revised.sheets:
             advice = "check `rows` and `rotate`; one picture may be a title among few frames"
             raise InputError(source, "ridges that most frames show", "none that lasts", advice)
@@ -138,8 +109,7 @@ def build_reference(
         gaps = ", ".join(f"{x:.0f} px" for x in wide_spacings(reference.x_px, settings=settings)[0])
         found = f"{reference.sheets}" + (f", and none that stands out in the gaps at {gaps}" if gaps else "")
         raise InputError(source, f"{sheets} ridges (`sheets`)", found, "give the number that is in view")
-    score = _sheet_score(reference, settings)
-    best = reference.only(_choose_sheets(reference.x_px, score, comb.pitch_px, sheets, settings))
+    best = reference.only(_choose_sheets(reference, comb, sheets))
     if sheets is None:
         return best
     _check_ends(best.x_px, sheets, source, settings)
@@ -218,20 +188,14 @@ def _fill_gaps(known: ReferenceComb, pitch_px: float) -> ReferenceComb:
 
 
 def _revise(
-    reference: ReferenceComb,
-    candidates: Candidates,
-    weight: Floats,
-    displacement_px: Floats,
-    comb: RidgeComb,
-    width_px: int,
-    settings: TrackingSettings,
+    reference: ReferenceComb, candidates: Candidates, weight: Floats, displacement_px: Floats, comb: RidgeComb
 ) -> ReferenceComb:
     """Add ridges that many lists show, remove those that few show, and measure all again.
 
     weight: number of frames of each list.
     """
     rest = reference.x_px + displacement_px[:, None]
-    match = align(candidates, reference.expected(rest, comb, width_px, settings=settings)).match
+    match = align(candidates, reference.expected(rest, comb)).match
     tables = (candidates.x_px, candidates.log_contrast, candidates.log_width)
     x, log_contrast, log_width = (values_of(match, values) for values in tables)
     moved = x - rest
@@ -244,9 +208,9 @@ def _revise(
     everything = ReferenceComb(columns[0], columns[1], columns[2], columns[3]).only(np.argsort(columns[0]))
     position = everything.x_px + (displacement_px + np.nan_to_num(common))[:, None]
     margin = 0.5 * comb.pitch_px  # a sheet near the picture's edge is seen half of the time
-    in_view = weight @ ((position > margin) & (position < width_px - 1 - margin))
+    in_view = weight @ ((position > margin) & (position < comb.width_px - 1 - margin))
     share = everything.found * weight.sum() / np.maximum(in_view, LEAST_IN_VIEW * weight.sum())
-    return replace(everything.only(np.flatnonzero(share >= settings.present_inside)), dropped=0)
+    return replace(everything.only(np.flatnonzero(share >= comb.settings.present_inside)), dropped=0)
 
 
 def _unmatched(
@@ -261,7 +225,9 @@ def _unmatched(
     rows, sheet = np.nonzero(match >= 0)
     taken[rows, match[rows, sheet]] = True
     list_, column = np.nonzero(np.isfinite(x) & ~taken)
-    rest = _at_rest(x[list_, column], values_of(match, x)[list_], reference.x_px)
+    paired, at = values_of(match, x), x[list_, column]
+    moved = (paired - reference.x_px)[list_, nearest(paired[list_], at)[0]]  # of the nearest sheet found
+    rest = at - np.nan_to_num(moved)
     interval = np.searchsorted(reference.x_px, rest)
     outside = np.rint((reference.x_px[0] - rest) / pitch_px), np.rint((rest - reference.x_px[-1]) / pitch_px)
     interval -= np.maximum(outside[0] - 1, 0).astype(np.int64)
@@ -269,112 +235,80 @@ def _unmatched(
     intervals, which = np.unique(interval, return_inverse=True)
     share = np.bincount(which, weights=weight[list_], minlength=len(intervals)) / weight.sum()
     groups = [which == i for i in np.flatnonzero(share >= 0.3 * LEAST_IN_VIEW)]
-    contrast, width = candidates.log_contrast[list_, column], candidates.log_width[list_, column]
     found = np.array([weight[np.unique(list_[group])].sum() for group in groups]) / weight.sum()
-    return _medians(rest, groups), _medians(contrast, groups), _medians(width, groups), found
-
-
-def _medians(values: Floats, groups: list[Bools]) -> Floats:
-    return np.array([np.median(values[group]) for group in groups])
-
-
-def _at_rest(x: Floats, sheet_x: Floats, rest_px: Floats) -> Floats:
-    """Return positions x less the displacement of the nearest sheet that is found, (points,)."""
-    shift = (sheet_x - rest_px)[np.arange(len(x)), nearest(sheet_x, x)[0]]
-    return np.asarray(x - np.nan_to_num(shift), np.float64)
+    features = rest, candidates.log_contrast[list_, column], candidates.log_width[list_, column]
+    medians = [np.array([np.median(values[group]) for group in groups]) for values in features]
+    return medians[0], medians[1], medians[2], found
 
 
 # --- which persistent ridges form a comb --------------------------------------------------------------------
 
 
-def _sheet_score(reference: ReferenceComb, settings: TrackingSettings) -> Floats:
-    """Return a score for each entry to be a sheet, (entries,), from its presence, contrast and width."""
+def _choose_sheets(reference: ReferenceComb, comb: RidgeComb, sheets: int | None) -> Ints:
+    """Return the indices of the entries that form the best comb, of exactly `sheets` entries if given.
+
+    Each entry adds a score from its presence, contrast and width, and each spacing costs its departure from
+    the local pitch, less in an uneven comb. A faint sheet at its position is retained, since without it the
+    spacing is double; dust between two sheets is not.
+    """
+    settings, x_px = comb.settings, reference.x_px
     width, contrast = reference.log_width, reference.log_contrast
     odd = np.maximum(np.abs(width - np.median(width)) - 0.35, 0)
     faint = np.maximum(contrast - np.median(contrast), -2.5)
     score = 1 + 1.5 * reference.found + settings.contrast_score * faint - settings.odd_width_cost * odd
-    return np.asarray(np.maximum(score, 0.3), np.float64)
-
-
-def _choose_sheets(
-    x_px: Floats, score: Floats, pitch_px: float, sheets: int | None, settings: TrackingSettings
-) -> Ints:
-    """Return the indices of the entries that form the best comb, of exactly `sheets` entries if given.
-
-    Each entry adds its score, and each spacing costs its departure from the local pitch. A dynamic programme
-    over the entries in order finds the best chain. A faint sheet at its position is retained, since without
-    it the spacing is double; dust between two sheets is not.
-    """
-    if sheets is None:
-        local = _local_pitch(x_px, pitch_px, settings)
-        uneven = _uneven_cost(x_px, local, settings) / _unevenness(x_px, local, settings)
-        return _best_chain(score, uneven)
-    # the pitch was measured on that many ridges, so no other entries affect it
-    uneven = _uneven_cost(x_px, np.full(len(x_px), pitch_px), settings)
-    return _best_chain_of(sheets, score, uneven)
-
-
-def _unevenness(x_px: Floats, local: Floats, settings: TrackingSettings) -> float:
-    """Return the scatter of the spacings over that of an even comb, at least 1; it reduces their weight."""
-    if len(x_px) < 6:
-        return 1.0
-    off = np.abs(np.log(np.maximum(np.diff(x_px), 1e-3) / local[:-1]))
-    return max(1.0, float(np.median(off)) / NORMAL_MEDIAN / settings.even_spread)
-
-
-def _uneven_cost(x_px: Floats, local: Floats, settings: TrackingSettings) -> Floats:
-    """Return the cost of entry j following entry i, (i, j); inf where j is not to the right of i."""
+    # with a given number, the pitch was measured on that many ridges, so no other entries affect it
+    local = _local_pitch(x_px, comb) if sheets is None else np.full(len(x_px), comb.pitch_px)
     gap = x_px[None, :] - x_px[:, None]
-    local = (local[None, :] + local[:, None]) / 2
-    off = np.abs(np.log(np.where(gap > 0, gap, 1.0) / local))
-    return np.where(gap > 0, settings.uneven_cost * off, np.inf)
+    off = np.abs(np.log(np.where(gap > 0, gap, 1.0) / ((local[None, :] + local[:, None]) / 2)))
+    cost = np.where(gap > 0, settings.uneven_cost * off, np.inf)  # of entry j following entry i
+    if sheets is None and len(x_px) >= 6:
+        scatter = np.median(np.abs(np.log(np.maximum(np.diff(x_px), 1e-3) / local[:-1]))) / NORMAL_MEDIAN
+        cost /= max(1.0, float(scatter) / settings.even_spread)
+    return _best_chain(np.maximum(score, 0.3), cost, sheets)
 
 
-def _local_pitch(x_px: Floats, pitch_px: float, settings: TrackingSettings) -> Floats:
+def _local_pitch(x_px: Floats, comb: RidgeComb) -> Floats:
     """Return the median of the nine spacings around each entry.
 
     It is limited to within a quarter of the pitch, because dust changes it abruptly, unless it changes
     gradually along the comb, as it does in films at an angle.
     """
     if len(x_px) < 6:
-        return np.full(len(x_px), pitch_px)
+        return np.full(len(x_px), comb.pitch_px)
     smooth = running_median(np.diff(x_px), 9)
     smooth = np.r_[smooth, smooth[-1]]
-    near = np.clip(smooth, 0.75 * pitch_px, 1.25 * pitch_px)
-    gradual = np.abs(np.diff(np.log(smooth))).max() < settings.even_spread
-    typical = float(np.median(smooth))
-    at_an_angle = gradual and typical == float(np.median(near))
+    near = np.clip(smooth, 0.75 * comb.pitch_px, 1.25 * comb.pitch_px)
+    gradual = np.abs(np.diff(np.log(smooth))).max() < comb.settings.even_spread
+    at_an_angle = gradual and np.median(smooth) == np.median(near)
     return np.asarray(smooth if at_an_angle else near, np.float64)
 
 
-def _best_chain(score: Floats, cost: Floats) -> Ints:
-    """Return the chain of entries with the largest score less cost."""
-    best, origin = np.array(score), np.full(len(score), -1)
-    for i in range(1, len(score)):
-        before = best[:i] - cost[:i, i]
-        if before.max() > 0:
-            origin[i] = int(np.argmax(before))
-            best[i] += before.max()
-    chain = [int(np.argmax(best))]
-    while origin[chain[-1]] >= 0:
-        chain.append(int(origin[chain[-1]]))
-    return np.array(chain[::-1], np.int64)
-
-
-def _best_chain_of(sheets: int, score: Floats, cost: Floats) -> Ints:
-    """Return the best chain of exactly `sheets` entries."""
-    best, origin = score, []
-    for _ in range(sheets - 1):
-        total = best[:, None] - cost
-        origin.append(np.argmax(total, axis=0))
-        best = total.max(axis=0) + score
-    chain = [int(np.argmax(best))]
-    for step in reversed(origin):
+def _best_chain(score: Floats, cost: Floats, sheets: int | None) -> Ints:
+    """Return the chain with the largest score less cost, of exactly `sheets` entries if given."""
+    best, origin = [score], []  # of the chains of each length that end with each entry
+    for _ in range((sheets or len(score)) - 1):
+        total = best[-1][:, None] - cost
+        origin.append(total.argmax(axis=0))
+        best.append(total.max(axis=0) + score)
+    length = len(best) if sheets else 1 + int(np.argmax([ends.max() for ends in best]))
+    chain = [int(best[length - 1].argmax())]
+    for step in reversed(origin[: length - 1]):
         chain.append(int(step[chain[-1]]))
     return np.array(chain[::-1], np.int64)
 
 
 # --- marks and gaps -----------------------------------------------------------------------------------------
+
+
+def rest_positions(x_px: Floats) -> Floats:
+    """Return each sheet's median position after removing the comb's common motion, (N,).
+
+    This is also right for sheets that are in view only while the comb is displaced.
+    """
+    rest = nan_median(x_px)
+    for _ in range(3):
+        rest = nan_median(x_px - nan_median(x_px - rest, axis=1)[:, None])
+    return rest
 
 
 def static_ridges(moved_px: Floats, rest_px: Floats, *, settings: TrackingSettings = DEFAULT) -> Bools:
@@ -386,12 +320,7 @@ def static_ridges(moved_px: Floats, rest_px: Floats, *, settings: TrackingSettin
     the comb, which hardly moves, and at its ends only where their spacing is not the comb's. A row of marks
     beside the comb, whose marks have stationary neighbours, is found by its position and spacing.
 
-    Parameters
-    ----------
-    moved_px, rest_px
-        Displacement from the rest position (frame, N), NaN where missing; rest positions (N,).
-    settings
-        `moving_px`, `static_fraction`, `odd_spacing`.
+    moved_px: displacement from the rest positions rest_px (N,), (frame, N), NaN where missing.
     """
     left, right = _beside(moved_px), _beside(moved_px[:, ::-1])[:, ::-1]
     gap = np.diff(rest_px)
@@ -444,14 +373,8 @@ def faint_ends(reference: ReferenceComb, moved_px: Floats, *, settings: Tracking
 
     The signs are presence in few frames, an unusual width, and less motion than the entry beside it, although
     motion grows outwards. Specks on the lens leave such bumps of the background beside a comb. One sign is
-    not enough: sheets may be faint, and if one side of the comb is in view, one end is stationary.
-
-    Parameters
-    ----------
-    reference, moved_px
-        The comb; displacement from its rest positions (frame, N), NaN where missing.
-    settings
-        `faint_end`, `slow_end`, `odd_width`.
+    not enough: sheets may be faint, and if one side of the comb is in view, one end is stationary. moved_px:
+    displacement from the rest positions (frame, N), NaN where missing.
     """
     none = np.zeros(reference.sheets, bool)
     if reference.sheets < 5:
@@ -466,9 +389,7 @@ def faint_ends(reference: ReferenceComb, moved_px: Floats, *, settings: Tracking
     return none
 
 
-def marks(
-    x_px: Floats, err_px: Floats, usual_px: Floats, comb: RidgeComb, settings: TrackingSettings = DEFAULT
-) -> Bools:
+def marks(x_px: Floats, err_px: Floats, usual_px: Floats, comb: RidgeComb) -> Bools:
     """Return which sheets are marks or lie under one, (N,): the measured position is not the sheet's.
 
     A mark belongs to a ruler beside the comb, or it is usually distorted and shows a second sign. The sign is
@@ -476,17 +397,10 @@ def marks(
     spacing. One sign is not enough: dirt distorts sheets, combs are uneven, and sheets of the stiff centre
     hardly move.
 
-    Parameters
-    ----------
-    x_px, err_px
-        Positions and their errors from noise (frame, N), NaN where missing.
-    usual_px
-        Usual distortion of each sheet, px, (N,).
-    comb
-        Width and pitch of the ridges.
-    settings
-        The fields `mark_…` and `odd_spacing`.
+    x_px, err_px: positions and their errors from noise (frame, N), NaN where missing. usual_px: usual
+    distortion of each sheet, px, (N,).
     """
+    settings = comb.settings
     rest = rest_positions(x_px)
     least = 5.0 * float(nan_median(err_px.ravel()))
     sensitive = replace(settings, moving_px=least, static_fraction=settings.mark_motion)

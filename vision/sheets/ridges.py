@@ -6,30 +6,31 @@ the candidates of every frame. Which candidate is which sheet is decided later, 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, TypeVar
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from vision.data import TrackMetadata
 from vision.errors import InputError
 from vision.numeric import FWHM, NORMAL_MEDIAN, Bools, Floats, Floats32, Ints
-from vision.sheets.polarity import Stripes, choose_polarity
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.signals import find_maxima, half_widths
 
 Polarity = Literal["bright", "dark"]
+Result = TypeVar("Result")
 SEARCH_SIGMA_PX = 1.0  # standard deviation of the smoothing with which a comb is described
+NEAREST = 3  # stripes whose levels stand for the comb's end
 FRAMES_PER_BLOCK = 128  # processed at once, so that intermediate arrays fit into a core's cache
 
 
 @dataclass(frozen=True)
 class RidgeComb:
-    """Appearance of the ridges, measured once per recording.
+    """Appearance of the ridges, measured once per recording, and the thresholds that apply to them.
 
     Parameters
     ----------
@@ -43,6 +44,10 @@ class RidgeComb:
         Standard deviation of the profile's noise, grey levels.
     count
         Number of main ridges in a frame.
+    width_px
+        Width of the profile.
+    settings
+        Thresholds and costs of the tracking.
     """
 
     polarity: Polarity
@@ -51,9 +56,11 @@ class RidgeComb:
     contrast: float
     noise: float
     count: float
+    width_px: int
+    settings: TrackingSettings = DEFAULT
 
     @classmethod
-    def of(cls, found: TrackMetadata) -> RidgeComb:
+    def of(cls, found: TrackMetadata, width_px: int, settings: TrackingSettings = DEFAULT) -> RidgeComb:
         """Return the comb as the tracking measured it."""
         return cls(
             "dark" if found.ridges == "dark" else "bright",
@@ -62,6 +69,8 @@ class RidgeComb:
             found.contrast,
             found.profile_noise,
             float(found.sheets),
+            width_px,
+            settings,
         )
 
     def bright(self, profile: Floats32) -> Floats32:
@@ -73,14 +82,8 @@ class RidgeComb:
 class Ridges:
     """Candidates of each frame, left to right, padded with NaN to the largest count K; all (frame, K).
 
-    Parameters
-    ----------
-    x_px
-        Position, whole pixels.
-    contrast
-        Prominence, grey levels.
-    fwhm_px
-        Width at half prominence, corrected for the smoothing.
+    x_px: position, whole pixels. contrast: prominence, grey levels. fwhm_px: width at half prominence,
+    corrected for the smoothing.
     """
 
     x_px: Floats32
@@ -114,7 +117,7 @@ def describe_ridges(
     profile
         Grey levels (frame, x), at least one frame without NaN.
     polarity
-        "auto" chooses as `choose_polarity` does; where that is undecided, the narrower stripes.
+        "auto" finds which stripes are the sheets, and which the gaps between them.
     sheets
         Number of ridges in view, if known.
     source
@@ -182,23 +185,6 @@ def _noise_floor(noise: float, smoothing_px: float, settings: TrackingSettings) 
     return max(1e-6, float(settings.noise_factor * smoothed_noise))
 
 
-class _MainRidges(NamedTuple):
-    """The main ridges of one polarity in a sample of frames."""
-
-    comb: RidgeComb
-    stripes: Stripes
-
-
-def _likelier(
-    sample: Floats32, bright: _MainRidges, dark: _MainRidges, settings: TrackingSettings
-) -> _MainRidges:
-    """Return the likelier of two polarities of the same stripes."""
-    polarity = choose_polarity(_smoothed(sample, SEARCH_SIGMA_PX), bright.stripes, dark.stripes, settings)
-    if polarity is None:
-        return dark if dark.comb.fwhm_px < settings.dark_width_ratio * bright.comb.fwhm_px else bright
-    return bright if polarity == "bright" else dark
-
-
 def _sample(profile: Floats32) -> Floats32:
     """Return frames spread over the recording, without those that contain NaN."""
     good = np.flatnonzero(np.isfinite(profile[:, :1]).all(axis=1))
@@ -254,9 +240,10 @@ def _measure_within(
     pitch = float(np.median(gaps)) if len(gaps) else float(sample.shape[1])
     counts = np.bincount(frame[main], minlength=len(sample))
     contrast, ends = float(np.median(prominence[main])), np.cumsum(counts)[:-1]
-    comb = RidgeComb(polarity, fwhm, pitch, contrast, noise, float(np.median(counts)))
+    count, width_px = float(np.median(counts)), sample.shape[1]
+    comb = RidgeComb(polarity, fwhm, pitch, contrast, noise, count, width_px, settings)
     x = at[main] % walled.shape[1] - 1  # without the wall
-    return _MainRidges(comb, Stripes(np.split(x, ends), np.split(widths[main], ends)))
+    return _MainRidges(comb, np.split(x, ends), np.split(widths[main], ends))
 
 
 def _commonest_width(
@@ -284,52 +271,142 @@ def _strongest(strength: Floats, frame: Ints, most: int) -> Bools:
     return strongest
 
 
+# --- bright or dark: which stripes of a comb are the sheets, and which the gaps between them ----------------
+
+
+class _MainRidges(NamedTuple):
+    """The main ridges of one polarity in a sample of frames: the comb that they form, and for each frame
+    their positions, whole pixels in ascending order, and their widths, px."""
+
+    comb: RidgeComb
+    x: list[Ints]
+    width: list[Floats]
+
+    @property
+    def spacing(self) -> Ints:
+        """All distances between neighbours."""
+        return np.concatenate([np.diff(x) for x in self.x])
+
+
+def _likelier(
+    sample: Floats32, bright: _MainRidges, dark: _MainRidges, settings: TrackingSettings
+) -> _MainRidges:
+    """Return the polarity that is the sheets: the narrower stripes if nothing else tells sheets from gaps."""
+    evidence = _evidence_for_bright(_smoothed(sample, SEARCH_SIGMA_PX), bright, dark, settings)
+    if evidence == 0:
+        return dark if dark.comb.fwhm_px < settings.dark_width_ratio * bright.comb.fwhm_px else bright
+    return bright if evidence > 0 else dark
+
+
+def _evidence_for_bright(
+    line: Floats32, bright: _MainRidges, dark: _MainRidges, settings: TrackingSettings
+) -> float:
+    """Return a positive number if the bright stripes are the sheets, a negative one if the dark ones are, 0
+    if nothing tells.
+
+    The background beside the comb is also what shows between the sheets. If no end of the comb is clearly in
+    view, sheets and gaps of an even comb differ in two ways. Sheets keep their widths, while gaps change. And
+    two sheets differ in brightness, while two gaps show the same background. `line` is the sample, lightly
+    smoothed.
+    """
+    spacings = bright.spacing, dark.spacing
+    if not all(len(spacing) for spacing in spacings):
+        return 0.0
+    pitch = float(np.median(np.concatenate(spacings)))
+    background = _background(line, bright, dark, pitch, settings.background_margin)
+    if abs(background) > 1 / 3:
+        return background
+    quartiles = np.array([np.quantile(spacing, [0.25, 0.75]) for spacing in spacings])
+    changes = [_width_change(stripes, pitch) for stripes in (bright, dark)]
+    differences = [_height_difference(line, stripes) for stripes in (bright, dark)]
+    uneven = (quartiles[:, 1] > settings.even_spacing * quartiles[:, 0]).any()
+    if uneven or not min(*changes, *differences) > 0:
+        return 0.0
+    evidence = float(np.log(changes[1] / changes[0] * differences[0] / differences[1]))
+    return evidence if abs(evidence) >= settings.polarity_evidence else 0.0
+
+
+def _background(line: Floats32, bright: _MainRidges, dark: _MainRidges, pitch: float, margin: float) -> float:
+    """Return +1 if the background beside the comb is as dark as the dark stripes near by, -1 if as bright as
+    the bright ones.
+
+    It is the mean over both ends and all frames in which more than a pitch is in view there: 0 where the
+    background is neither, and 0 if these are less than a tenth of all.
+    """
+    sides = []
+    for row, up, down in zip(line, bright.x, dark.x, strict=True):
+        if min(len(up), len(down)) < NEAREST:
+            continue
+        last = len(row) - 1
+        for at, ups, downs in ((row, up, down), (row[::-1], last - up[::-1], last - down[::-1])):
+            end = min(ups[0], downs[0])
+            if end > 1.3 * pitch:
+                beside = at[max(0, int(end - 2.3 * pitch)) : int(end - 0.7 * pitch) + 1]
+                high, low = at[ups[:NEAREST]].mean(), at[downs[:NEAREST]].mean()
+                level = (np.quantile(beside, [0.1, 0.9]) - low) / (high - low) - 0.5
+                sides.append(float(level[1] < -margin) - float(level[0] > margin))
+    return float(np.mean(sides)) if len(sides) > 0.1 * 2 * len(line) else 0.0
+
+
+def _width_change(stripes: _MainRidges, pitch: float) -> float:
+    """Return by how much the width of a stripe changes from one frame of the sample to the next, px."""
+    changes = [np.zeros(0)]
+    for x, width, later, width_later in zip(
+        stripes.x, stripes.width, stripes.x[1:], stripes.width[1:], strict=False
+    ):
+        if len(x) and len(later):
+            away = np.abs(later - x[:, None])
+            next_ = away.argmin(axis=1)
+            same = (away.argmin(axis=0)[next_] == np.arange(len(x))) & (away.min(axis=1) < 0.5 * pitch)
+            changes.append(np.abs(width_later[next_] - width)[same])
+    found = np.concatenate(changes)
+    return float(found.mean()) if len(found) else 0.0
+
+
+def _height_difference(line: Floats32, stripes: _MainRidges) -> float:
+    """Return by how much the level of a stripe typically differs from the mean of both its neighbours."""
+    bends = [np.abs(np.diff(row[x], 2)) for row, x in zip(line, stripes.x, strict=True)]
+    found = np.concatenate(bends)
+    return float(np.median(found)) / 2 if len(found) else 0.0
+
+
 # --- candidates in each frame -------------------------------------------------------------------------------
 
 
-def find_ridges(profile: Floats32, comb: RidgeComb, *, settings: TrackingSettings = DEFAULT) -> Ridges:
-    """Return the candidate ridges of every frame.
+def find_ridges(profile: Floats32, comb: RidgeComb) -> Ridges:
+    """Return the candidate ridges of every frame of a profile (frame, x); frames of NaN have none.
 
     A candidate is a local maximum of the lightly smoothed profile (a minimum for dark ridges) whose
-    prominence within its surroundings reaches a threshold that faint sheets reach, too. Shoulders have no
-    prominence; maxima much narrower than a ridge are hot pixels.
-
-    Parameters
-    ----------
-    profile
-        Grey levels (frame, x); frames of NaN have no candidates.
-    comb
-        From `describe_ridges`. Its noise and contrast set the threshold; with `contrast` 0, its noise alone.
-    settings
-        Thresholds.
-
-    Notes
-    -----
-    Source: paper, appendix B (local maxima of I(x)).
+    prominence within its surroundings reaches a threshold that faint sheets reach, too. The comb's noise and
+    contrast set the threshold; with `contrast` 0, its noise alone. Shoulders have no prominence; maxima much
+    narrower than a ridge are hot pixels. Source: paper, appendix B (local maxima of I(x)).
     """
-    starts = range(0, len(profile), FRAMES_PER_BLOCK)
+    parts = in_blocks(lambda rows: _find_block(profile[rows], rows.start, comb), len(profile))
+    frame, *found = (np.concatenate(column) for column in zip(*parts, strict=True))
+    counts = np.bincount(frame, minlength=len(profile))
+    rank = np.arange(len(frame)) - np.repeat(np.cumsum(counts) - counts, counts)
+    tables = np.full((3, len(profile), max(1, int(counts.max(initial=0)))), np.nan, np.float32)
+    for table, values in zip(tables, found, strict=True):  # one row per frame
+        table[frame, rank] = values
+    return Ridges(*tables)
 
-    def find(start: int) -> _Peaks:
-        return _find_block(profile[start : start + FRAMES_PER_BLOCK], start, comb, settings)
 
+def in_blocks(work: Callable[[slice], Result], frames: int) -> list[Result]:
+    """Return the results of `work` for consecutive blocks of frames, found in two threads."""
+    blocks = (slice(i, i + FRAMES_PER_BLOCK) for i in range(0, frames, FRAMES_PER_BLOCK))
     with ThreadPoolExecutor(2) as pool:
-        parts = list(pool.map(find, starts))
-    return _padded(parts, len(profile))
+        return list(pool.map(work, blocks))
 
 
-class _Peaks(NamedTuple):
-    """Candidates of several frames, in one list."""
+def _find_block(profile: Floats32, start: int, comb: RidgeComb) -> tuple[Ints, Ints, Floats, Floats]:
+    """Return frame, position, contrast and width of the ridges in a block of frames that begins at `start`.
 
-    frame: Ints
-    x: Ints
-    contrast: Floats
-    fwhm: Floats
-
-
-def _find_block(profile: Floats32, start: int, comb: RidgeComb, settings: TrackingSettings) -> _Peaks:
-    """Find the ridges of a block of frames, searched as one long line with walls between the frames."""
+    The block is searched as one long line with walls between the frames.
+    """
+    settings = comb.settings
     smoothing_px = max(0.5, settings.smoothing_widths * comb.fwhm_px)
-    threshold = max(_noise_floor(comb.noise, smoothing_px, settings), settings.faint_fraction * comb.contrast)
+    least = _noise_floor(comb.noise, smoothing_px, settings)
+    threshold = max(least, settings.faint_fraction * comb.contrast)
     reach_px = max(4, round(settings.surroundings_widths * comb.fwhm_px))
     walled = _smoothed(comb.bright(profile), smoothing_px, wall_px=1)
     walled[:, [0, -1]] = walled[:, [1, -2]] + 1  # a wall is no ridge, nor is a slope up to it
@@ -343,25 +420,8 @@ def _find_block(profile: Floats32, start: int, comb: RidgeComb, settings: Tracki
     widths = half_widths(walled.ravel(), maxima)
     frame, x = np.divmod(at, walled.shape[1])
     fwhm = np.sqrt(np.maximum(widths**2 - (FWHM * smoothing_px) ** 2, 0.25))
-    keep = (fwhm >= settings.narrowest_widths * comb.fwhm_px) & (
-        fwhm <= settings.widest_widths * comb.fwhm_px
-    )
+    relative = fwhm / comb.fwhm_px
+    keep = (relative >= settings.narrowest_widths) & (relative <= settings.widest_widths)
     keep &= (x > 0) & (x < walled.shape[1] - 1)
     flattened = np.hypot(1, FWHM * smoothing_px / comb.fwhm_px)  # height a Gaussian loses to the smoothing
-    return _Peaks(frame[keep] + start, x[keep] - 1, prominence[keep] * flattened, fwhm[keep])
-
-
-def _padded(parts: list[_Peaks], frames: int) -> Ridges:
-    """Arrange the candidates in one row per frame."""
-    frame, x, contrast, fwhm = (np.concatenate(column) for column in zip(*parts, strict=True))
-    counts = np.bincount(frame, minlength=frames)
-    rank = np.arange(len(frame)) - np.repeat(np.cumsum(counts) - counts, counts)
-    width = max(1, int(counts.max(initial=0)))
-    cell = frame * width + rank
-
-    def spread(values: NDArray[np.generic]) -> Floats32:
-        table = np.full(frames * width, np.nan, np.float32)
-        table[cell] = values
-        return table.reshape(frames, width)
-
-    return Ridges(spread(x), spread(contrast), spread(fwhm))
+    return frame[keep] + start, x[keep] - 1, prominence[keep] * flattened, fwhm[keep]

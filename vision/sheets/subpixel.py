@@ -8,7 +8,6 @@ pass the negative profile for dark ones. `fit_sheets` fits all sheets in all fra
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from typing import Literal, NamedTuple
 
 import cv2
@@ -18,8 +17,7 @@ from numpy.typing import NDArray
 
 from vision.errors import InputError
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, Ints, nan_median
-from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb
-from vision.sheets.settings import DEFAULT, TrackingSettings
+from vision.sheets.ridges import RidgeComb, in_blocks
 
 FitName = Literal["sliding", "paper", "template"]
 FitChoice = Literal["auto", "sliding", "paper", "template"]
@@ -346,12 +344,7 @@ def _gauss_newton(pixels: Floats, mean: Floats, rise: Floats) -> tuple[Floats, F
 # --- all sheets of all frames -------------------------------------------------------------------------------
 
 
-def choose_window(
-    comb: RidgeComb,
-    asked: int | Literal["auto"] | None,
-    *,
-    settings: TrackingSettings = DEFAULT,
-) -> int:
+def choose_window(comb: RidgeComb, asked: int | Literal["auto"] | None) -> int:
     """Return the width of the fit window, px, odd.
 
     Parameters
@@ -361,8 +354,6 @@ def choose_window(
     asked
         A given width; "auto" for a width that follows that of the ridges; None for the publication's width if
         it suits the ridges, else as for "auto".
-    settings
-        `standard_window_px`, `standard_widths_px`, `window_per_width`.
 
     Raises
     ------
@@ -370,19 +361,17 @@ def choose_window(
         For an even window, one below 3 px, or one wider than the ridges' spacing.
     """
     if isinstance(asked, int):
-        if asked < 3 or asked % 2 == 0:
-            raise InputError(
-                "`window_px`", "an odd number of pixels, 3 or more", str(asked), "try `window_px` auto"
-            )
-        if asked > comb.pitch_px:
-            near = f"a window no wider than the ridges' spacing, {comb.pitch_px:.0f} px"
-            raise InputError("`window_px`", near, str(asked), "try `window_px` auto")
+        odd = asked >= 3 and asked % 2 == 1
+        if not odd or asked > comb.pitch_px:
+            narrower = f"a window no wider than the ridges' spacing, {comb.pitch_px:.0f} px"
+            wanted = narrower if odd else "an odd number of pixels, 3 or more"
+            raise InputError("`window_px`", wanted, str(asked), "try `window_px` auto")
         return asked
-    narrow, wide = settings.standard_widths_px
+    narrow, wide = comb.settings.standard_widths_px
     if asked is None and narrow <= comb.fwhm_px <= wide:
-        return settings.standard_window_px
+        return comb.settings.standard_window_px
     widest = max(5.0, 0.9 * comb.pitch_px)
-    return 2 * round((min(max(5.0, settings.window_per_width * comb.fwhm_px), widest) - 1) / 2) + 1
+    return 2 * round((min(max(5.0, comb.settings.window_per_width * comb.fwhm_px), widest) - 1) / 2) + 1
 
 
 def fit_sheets(
@@ -390,16 +379,7 @@ def fit_sheets(
 ) -> tuple[Floats, Floats]:
     """Return positions and their error per grey level of noise, both (frame, N), NaN where start_px is.
 
-    Parameters
-    ----------
-    bright
-        Profile with bright ridges (frame, x).
-    start_px
-        Whole pixels (frame, N), NaN for none.
-    fit, window_px
-        Name of the fit and width of its window.
-    comb
-        Width and pitch of the ridges.
+    bright: profile with bright ridges (frame, x). start_px: whole pixels (frame, N), NaN for none.
     """
     x, err = np.full(start_px.shape, np.nan), np.full(start_px.shape, np.nan)
     search_px = max(2, round(comb.fwhm_px / 2))
@@ -414,39 +394,24 @@ def fit_sheets(
             done = sliding_vertex(bright[rows], starts, window_px=window_px)
         x[rows][frame, sheet], err[rows][frame, sheet] = done
 
-    with ThreadPoolExecutor(2) as pool:
-        list(pool.map(run, [slice(i, i + FRAMES_PER_BLOCK) for i in range(0, len(bright), FRAMES_PER_BLOCK)]))
+    in_blocks(run, len(bright))
     return _match_all(bright, x, comb) if fit == "template" else (x, err)
 
 
 def learned_template(
-    bright: Floats32, x_px: Floats, err: Floats, comb: RidgeComb, *, settings: TrackingSettings = DEFAULT
+    bright: Floats32, x_px: Floats, err: Floats, comb: RidgeComb
 ) -> tuple[Floats, Floats, Bools]:
     """Return template positions for sheets whose mean shape is learned well, and the given ones for others.
 
-    Parameters
-    ----------
-    bright
-        Profile with bright ridges (frame, x).
-    x_px, err
-        Positions and errors per grey level by the sliding window (frame, N).
-    comb
-        Width and pitch of the ridges.
-    settings
-        The fields `template_…`.
+    x_px and err are positions and errors per grey level by the sliding window (frame, N); both are returned,
+    and whether those of a sheet are from the template, (N,).
 
-    Returns
-    -------
-    x_px, err, learned
-        Positions and errors (frame, N); whether those of a sheet are from the template, (N,).
-
-    Notes
-    -----
     A mean shape is known between pixels only if its sheet moved over them in enough frames. The template is
     used for a sheet if it has a position wherever the sliding window has, if both measure the same motion,
     and if it scatters less from frame to frame. It is used for no sheet if it fails for most, or if the film
     is too long.
     """
+    settings = comb.settings
     none = np.zeros(x_px.shape[1], bool)
     seen = np.isfinite(x_px)
     enough = seen.sum(axis=0) >= settings.template_frames
@@ -470,18 +435,6 @@ def learned_template(
         return x_px, err, none
     use = learned & np.isfinite(matched)
     return np.where(use, matched, x_px), np.where(use, matched_err, err), learned
-
-
-def locking_error(
-    x_px: Floats, bright: Floats32, start_px: Floats, window_px: int, comb: RidgeComb
-) -> Floats:
-    """Return the distance of the paper fit's positions from those of the sliding window, px, (frame, N).
-
-    The paper fit locks to whole pixels by more than the noise; this measures that error in the recording
-    itself. 0 where it is unknown.
-    """
-    free, _ = fit_sheets(bright, start_px, fit="sliding", window_px=window_px, comb=comb)
-    return np.nan_to_num(np.abs(x_px - free), nan=0.0)
 
 
 def _match_all(bright: Floats32, x: Floats, comb: RidgeComb) -> tuple[Floats, Floats]:
@@ -508,14 +461,8 @@ def intensity_noise(profile: NDArray[np.floating], x_px: Floats, *, half_px: int
     first and second derivative of the ridge) are subtracted. Hence neither the texture of the paper nor
     vibration counts as noise. The median over groups of three frames ignores slips.
 
-    Parameters
-    ----------
-    profile, x_px
-        Grey levels (frame, x); positions (frame, N), NaN where missing.
-    half_px
-        Half-width of the window, px; at least 5 are used.
-    fallback
-        Noise of sheets seen in fewer than eight groups of three frames.
+    profile, x_px: grey levels (frame, x); positions (frame, N), NaN where missing. half_px: half-width of the
+    window; at least 5 are used. fallback: noise of sheets seen in fewer than eight groups of three frames.
     """
     half = max(half_px, 5)
     middle = _triples(x_px)
@@ -526,7 +473,8 @@ def intensity_noise(profile: NDArray[np.floating], x_px: Floats, *, half_px: int
 
     def around(step: int) -> Floats:
         """Return the pixels around the ridges, `step` frames after the middle frames."""
-        column = centre + _common_steps(x_px, middle, step)[:, None]
+        common = np.nan_to_num(nan_median(x_px[middle + step] - x_px[middle], axis=1))
+        column = centre + np.rint(common).astype(np.int64)[:, None]
         return gather(profile, Starts(np.repeat(middle + step, x_px.shape[1]), column.ravel()), offsets)
 
     before, now, after = around(-1), around(0), around(1)
@@ -535,12 +483,6 @@ def intensity_noise(profile: NDArray[np.floating], x_px: Floats, *, half_px: int
     known = np.isfinite(variance).sum(axis=0) >= LEAST_TRIPLES
     typical = nan_median(variance, axis=0)
     return np.asarray(np.where(known, np.sqrt(typical), fallback), np.float64)
-
-
-def _common_steps(x_px: Floats, middle: Ints, step: int) -> Ints:
-    """Return the common motion of all sheets from frames `middle` to those `step` later, whole pixels."""
-    moved = nan_median(x_px[middle + step] - x_px[middle], axis=1)
-    return np.asarray(np.rint(np.nan_to_num(moved)), np.int64)
 
 
 def position_noise(x_px: Floats) -> Floats:

@@ -13,21 +13,21 @@ from vision.data import STRIP, STRIP_PARTS, TRACKS, StripMetadata, TrackMetadata
 from vision.errors import InputError
 from vision.numeric import Bools, Floats, Floats32, Strings, nan_median
 from vision.sheets.corrections import Correction, apply_corrections, last_of
-from vision.sheets.distortion import distortion, not_one_ridge
 from vision.sheets.identities import Identities, identify_sheets
-from vision.sheets.neighbours import predicted_by_neighbours, sheets_alike
 from vision.sheets.numbering import Numbering, number_sheets
 from vision.sheets.quality import (
     BetweenSlips,
     beside_missing,
+    distortion,
     motion_blur,
     noise_excess,
+    not_one_ridge,
     repeated_frames,
     scene_changes,
     shared_error,
     spatial_scatter,
 )
-from vision.sheets.recovery import Detections, assign_detections
+from vision.sheets.recovery import Detections, assign_detections, predicted_by_neighbours, sheets_alike
 from vision.sheets.reference import marks, wide_spacings
 from vision.sheets.ridges import RidgeComb, describe_ridges, find_ridges, no_ridges
 from vision.sheets.settings import DEFAULT, TrackingSettings
@@ -38,7 +38,6 @@ from vision.sheets.subpixel import (
     fit_sheets,
     intensity_noise,
     learned_template,
-    locking_error,
     position_noise,
 )
 
@@ -111,50 +110,42 @@ def track_sheets(
     x_err_px is the noise of the profile times the fit's error per grey level. It is larger where positions
     scatter by more (`vision.sheets.quality.noise_excess`), where the ridge moves during the exposure
     (`vision.sheets.quality.motion_blur`), and where the ridge is distorted
-    (`vision.sheets.distortion.distortion`). With ``fit="paper"`` it includes the locking to whole pixels. For
+    (`vision.sheets.quality.distortion`). With ``fit="paper"`` it includes the locking to whole pixels. For
     lossy video it is the scatter between sheets, since compression hides the noise and adds its own
     artefacts. It does not include errors that are the same in all frames (uneven light, the choice of rows).
     """
     STRIP.check(strip)
     facts = StripMetadata.of(strip)
     profile = np.asarray(strip.values, np.float32)
-    _check(profile, facts.source)
-    origin_px = float(strip["x"].values[0])
+    first_px, last_px = (float(x) for x in strip["x"].values[[0, -1]])
     axis_decision = last_of(corrections, "axis")
     axis_px = axis_px if axis_decision is None else axis_decision.x_px
-    _check_axis(axis_px, origin_px, float(strip["x"].values[-1]))
+    _check(profile, facts.source, axis_px, first_px, last_px)
     comb = describe_ridges(profile, polarity=ridges, sheets=sheets, source=facts.source, settings=settings)
-    window = choose_window(comb, window_px, settings=settings)
-    identities, detections = _detect(strip, profile, comb, sheets, corrections, settings)
-    frozen = repeated_frames(profile, settings)
-    fitted = _fit(profile, detections.start_px, comb, fit, window, frozen, settings)
-    errors = _errors(fitted, frozen, facts.codec, settings)
-    assessed = _assess_ridges(comb.bright(profile), fitted.x_px, errors, detections, frozen, comb, settings)
-    axis = None if axis_px is None else axis_px - origin_px
-    found = _Tracked(
-        comb=comb,
-        identities=identities,
-        detections=replace(detections, flag=assessed.flag),
-        numbering=number_sheets(assessed.x_px, axis_px=axis, settings=settings),
-        x_px=assessed.x_px,
-        err_px=assessed.err_px,
-        noise=fitted.noise,
-        errors=errors,
-        frozen=frozen,
-        blurred=assessed.blurred,
-        distorted=assessed.distorted,
-        lasting_px=assessed.lasting_px,
-        origin_px=origin_px,
-    )
+    window = choose_window(comb, window_px)
+    candidates = find_ridges(profile, comb)
+    if not candidates.count.any():
+        raise no_ridges(profile, facts.source)
+    identities = identify_sheets(candidates, comb, sheets=sheets, source=facts.source)
     number = strip["frame"].values
-    changes = scene_changes(detections.start_px, detections.contrast, comb, settings)
-    alike = sheets_alike(
-        assessed.x_px, detections.contrast, detections.fwhm_px, profile.shape[1], comb, settings
+    detections = assign_detections(profile, candidates, identities, comb)
+    detections = apply_corrections(
+        detections, candidates, corrections, comb, frames=number, origin_px=first_px
     )
+    frozen = repeated_frames(profile, settings)
+    fitted = _fit(profile, detections.start_px, comb, fit, window, frozen)
+    errors = _errors(fitted, frozen, facts.codec, settings)
+    assessed = _assess_ridges(comb.bright(profile), fitted.x_px, errors, detections, frozen, comb)
+    axis = None if axis_px is None else axis_px - first_px
+    numbering = number_sheets(assessed.x_px, axis_px=axis, settings=settings)
+    found = _Tracked(comb, detections, numbering, fitted, errors, assessed, frozen, first_px)
+    alike = sheets_alike(assessed.x_px, detections.contrast, detections.fwhm_px, comb)
     step = np.abs(nan_median(np.diff(assessed.x_px, axis=0), axis=1))
     large = number[1:][step > settings.step_fraction * comb.pitch_px]
+    changes = scene_changes(detections.start_px, detections.contrast, comb)
     metadata = replace(
-        found.metadata(fitted.fit, window, settings, count_given=sheets is not None),
+        found.metadata(identities, count_given=sheets is not None),
+        window_px=window,
         fit_asked=fit,
         corrections_applied=len(corrections),
         sheets_alike="yes" if alike else "no",
@@ -174,34 +165,6 @@ def track_sheets(
     )
 
 
-def _detect(
-    strip: xr.DataArray,
-    profile: Floats32,
-    comb: RidgeComb,
-    sheets: int | None,
-    corrections: Sequence[Correction],
-    settings: TrackingSettings,
-) -> tuple[Identities, Detections]:
-    """Find candidates, assign them to sheets and apply the manual corrections."""
-    source = StripMetadata.of(strip).source
-    candidates = find_ridges(profile, comb, settings=settings)
-    if not candidates.count.any():
-        raise no_ridges(profile, source)
-    identities = identify_sheets(
-        candidates, comb, width_px=profile.shape[1], sheets=sheets, source=source, settings=settings
-    )
-    detections = apply_corrections(
-        assign_detections(profile, candidates, identities, comb, settings=settings),
-        candidates,
-        corrections,
-        comb,
-        frames=strip["frame"].values,
-        origin_px=float(strip["x"].values[0]),
-        settings=settings,
-    )
-    return identities, detections
-
-
 class _Assessed(NamedTuple):
     """Positions, flags and errors once blur, distortion and cut ridges are known, (frame, N), and the shift
     of all positions of a sheet by a distortion that lasts, (N,)."""
@@ -215,34 +178,28 @@ class _Assessed(NamedTuple):
 
 
 def _assess_ridges(
-    bright: Floats32,
-    x_px: Floats,
-    errors: _Errors,
-    detections: Detections,
-    frozen: Bools,
-    comb: RidgeComb,
-    settings: TrackingSettings,
+    bright: Floats32, x_px: Floats, errors: _Errors, detections: Detections, frozen: Bools, comb: RidgeComb
 ) -> _Assessed:
     """Find ridges that are blurred, cut or distorted, and those that are not the ridge of one sheet.
 
     What positions scatter beyond all these errors is added to them (`noise_excess`).
     """
     changing = np.where(frozen[:, None], np.nan, x_px)
-    blur = motion_blur(changing, detections.contrast, detections.fwhm_px, comb, settings)
-    smeared = (blur.err_px > 0) | blur.blurred
+    blurred, blur_px = motion_blur(changing, detections.contrast, detections.fwhm_px, comb)
+    smeared = (blur_px > 0) | blurred
     x_px = np.where(smeared & beside_missing(detections.flag), np.nan, x_px)
-    distorted = distortion(bright, x_px, errors.err_px, smeared, comb, settings)
-    usual_px = np.hypot(distorted.lasting_px, nan_median(distorted.err_px))
-    not_a_sheet = not_one_ridge(bright, x_px, comb, settings)
-    not_a_sheet |= distorted.lasting_px > settings.most_distorted * comb.fwhm_px
-    not_a_sheet |= marks(x_px, errors.err_px, usual_px, comb, settings)
+    distorted_px, lasting_px = distortion(bright, x_px, errors.err_px, smeared, comb)
+    usual_px = np.hypot(lasting_px, nan_median(distorted_px))
+    not_a_sheet = not_one_ridge(bright, x_px, comb)
+    not_a_sheet |= lasting_px > comb.settings.most_distorted * comb.fwhm_px
+    not_a_sheet |= marks(x_px, errors.err_px, usual_px, comb)
     flag = np.where((detections.flag == "ok") & not_a_sheet, "merged", detections.flag)
-    err = np.sqrt(errors.err_px**2 + blur.err_px**2 + distorted.err_px**2)
+    err = np.sqrt(errors.err_px**2 + blur_px**2 + distorted_px**2)
     usual = nan_median(np.where(np.isfinite(x_px), err, np.nan))
-    excess = noise_excess(BetweenSlips(np.where(frozen[:, None], np.nan, x_px)), err, settings)
+    excess = noise_excess(BetweenSlips(np.where(frozen[:, None], np.nan, x_px)), err, comb.settings)
     err = np.hypot(err, np.nan_to_num(usual) * np.sqrt(np.fmax(excess**2 - 1.0, 0.0)))
-    is_distorted = distorted.err_px > np.fmax(errors.err_px, settings.distortion_floor)
-    return _Assessed(x_px, flag, err, blur.blurred, is_distorted, distorted.lasting_px)
+    is_distorted = distorted_px > np.fmax(errors.err_px, comb.settings.distortion_floor)
+    return _Assessed(x_px, flag, err, blurred, is_distorted, lasting_px)
 
 
 class _Errors(NamedTuple):
@@ -255,41 +212,29 @@ class _Errors(NamedTuple):
     predicted_px: Floats
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class _Tracked:
-    """Everything that the Dataset is made of, with positions relative to the strip's first column.
-
-    frozen is (frame,); noise, grey levels, and lasting_px are (N,); x_px, err_px, blurred and distorted are
-    (frame, N).
-    """
+    """Everything that the Dataset is made of, with positions relative to the strip's first column."""
 
     comb: RidgeComb
-    identities: Identities
     detections: Detections
     numbering: Numbering
-    x_px: Floats
-    err_px: Floats
-    noise: Floats
+    fitted: _Fitted
     errors: _Errors
+    assessed: _Assessed
     frozen: Bools
-    blurred: Bools
-    distorted: Bools
-    lasting_px: Floats
     origin_px: float
 
-    def metadata(
-        self, fit: FitName, window_px: int, settings: TrackingSettings, *, count_given: bool
-    ) -> TrackMetadata:
+    def metadata(self, identities: Identities, *, count_given: bool) -> TrackMetadata:
         """Return what later stages need to know, with columns as in the picture."""
-        comb, numbering, reference = self.comb, self.numbering, self.identities.reference
-        unedited = len(reference.x_px) == self.x_px.shape[1]  # no sheet was added or deleted manually
+        comb, numbering, reference = self.comb, self.numbering, identities.reference
+        unedited = len(reference.x_px) == len(numbering.n)  # no sheet was added or deleted manually
         # manual corrections may also have swapped sheets: sort
-        positions = reference.x_px if unedited else np.sort(nan_median(self.x_px))
-        gaps = [] if count_given else zip(*wide_spacings(positions, settings=settings), strict=True)
-        least_margin = np.nanmin(self.identities.margin, initial=np.inf)
+        positions = reference.x_px if unedited else np.sort(nan_median(self.assessed.x_px))
+        gaps = [] if count_given else zip(*wide_spacings(positions, settings=comb.settings), strict=True)
+        least_margin = np.nanmin(identities.margin, initial=np.inf)
         return TrackMetadata(
-            fit=fit,
-            window_px=window_px,
+            fit=self.fitted.fit,
             ridges=comb.polarity,
             sheets=len(numbering.n),
             ridge_fwhm_px=comb.fwhm_px,
@@ -307,8 +252,12 @@ class _Tracked:
         )
 
 
-def _check(profile: Floats32, source: str) -> None:
-    """Refuse a profile without usable frames, with too few columns, or without any contrast."""
+def _check(profile: Floats32, source: str, axis_px: float | None, first_px: float, last_px: float) -> None:
+    """Refuse a profile without usable frames, with too few columns, or without any contrast.
+
+    Also refuse an axis further outside the picture than the picture is wide; with one side in view it does
+    lie outside.
+    """
     good = np.flatnonzero(np.isfinite(profile).all(axis=1))
     if not len(good):
         raise InputError(source, "at least one usable frame", "none", "look at the frames' status")
@@ -316,11 +265,6 @@ def _check(profile: Floats32, source: str) -> None:
         raise InputError(source, "at least 8 columns", f"{profile.shape[1]}", "check `columns` and `rotate`")
     if all(np.ptp(profile[frame]) == 0 for frame in good):  # most films have contrast in the first frame
         raise InputError(source, "a picture with ridges", "a constant one", "check `rows` and `columns`")
-
-
-def _check_axis(axis_px: float | None, first_px: float, last_px: float) -> None:
-    """Refuse an axis further outside the picture than the picture is wide; with one side in view it does lie
-    outside."""
     width = last_px - first_px
     if axis_px is not None and not first_px - width <= axis_px <= last_px + width:
         near = f"a column near the picture ({first_px:.0f} to {last_px:.0f} px)"
@@ -338,13 +282,7 @@ class _Fitted(NamedTuple):
 
 
 def _fit(
-    profile: Floats32,
-    start_px: Floats,
-    comb: RidgeComb,
-    fit: FitChoice,
-    window_px: int,
-    frozen: Bools,
-    settings: TrackingSettings,
+    profile: Floats32, start_px: Floats, comb: RidgeComb, fit: FitChoice, window_px: int, frozen: Bools
 ) -> _Fitted:
     """Fit all ridges, and measure the noise of the profile around them."""
     bright = comb.bright(profile)
@@ -354,14 +292,13 @@ def _fit(
     noise = intensity_noise(profile[new], x[new], half_px=window_px // 2, fallback=comb.noise)
     if fit == "auto":
         usable = np.where(frozen[:, None], np.nan, x)
-        matched, matched_per_grey, learned = learned_template(
-            bright, usable, per_grey, comb, settings=settings
-        )
+        matched, matched_per_grey, learned = learned_template(bright, usable, per_grey, comb)
         if learned.any():
             used, x, per_grey = "template", matched, matched_per_grey
     err = per_grey * noise
-    if fit == "paper":
-        err = np.hypot(err, locking_error(x, bright, start_px, window_px, comb))
+    if fit == "paper":  # it locks to whole pixels by more than the noise, as the sliding window shows
+        free, _ = fit_sheets(bright, start_px, fit="sliding", window_px=window_px, comb=comb)
+        err = np.hypot(err, np.nan_to_num(np.abs(x - free)))
     return _Fitted(x, err, noise, used)
 
 
@@ -403,26 +340,27 @@ def _errors(fitted: _Fitted, frozen: Bools, codec: str, settings: TrackingSettin
 
 def _dataset(strip: xr.DataArray, found: _Tracked, metadata: TrackMetadata) -> xr.Dataset:
     """Assemble the Dataset that `track_sheets` returns."""
+    detections, errors, assessed = found.detections, found.errors, found.assessed
     flag = _flags(strip, found)
     ok = (flag == "ok") | (flag == "blurred")
-    x = np.where(ok, found.x_px, np.nan) + found.origin_px
-    contrast = np.where(ok, found.detections.contrast, np.nan)
+    x = np.where(ok, assessed.x_px, np.nan) + found.origin_px
+    contrast = np.where(ok, detections.contrast, np.nan)
     values: dict[str, Any] = {
         "x_px": x,
-        "x_err_px": np.where(ok, found.err_px, np.nan),
+        "x_err_px": np.where(ok, assessed.err_px, np.nan),
         "flag": flag,
-        "why": np.where(flag == "doubtful", found.detections.why, ""),
-        "x_withheld_px": found.detections.withheld_px + found.origin_px,
+        "why": np.where(flag == "doubtful", detections.why, ""),
+        "x_withheld_px": detections.withheld_px + found.origin_px,
         "x_expected_px": predicted_by_neighbours(x),
         "x_mean_px": nan_median(x),
         "found": ok.mean(axis=0),
-        "fwhm_px": nan_median(np.where(ok, found.detections.fwhm_px, np.nan)),
-        "snr": nan_median(contrast) / np.maximum(found.noise, 1e-12),
-        "distorted": (found.distorted & ok).sum(axis=0) / np.maximum(ok.sum(axis=0), 1),
-        "x_lasting_px": found.lasting_px,
-        "x_noise_px": found.errors.noise_px,
-        "x_scatter_px": found.errors.scatter_px,
-        "x_predicted_px": found.errors.predicted_px,
+        "fwhm_px": nan_median(np.where(ok, detections.fwhm_px, np.nan)),
+        "snr": nan_median(contrast) / np.maximum(found.fitted.noise, 1e-12),
+        "distorted": (assessed.distorted & ok).sum(axis=0) / np.maximum(ok.sum(axis=0), 1),
+        "x_lasting_px": assessed.lasting_px,
+        "x_noise_px": errors.noise_px,
+        "x_scatter_px": errors.scatter_px,
+        "x_predicted_px": errors.predicted_px,
         "time_s": strip["time_s"].values,
         "side": found.numbering.side,
         "n": found.numbering.n,
@@ -440,9 +378,9 @@ def _flags(strip: xr.DataArray, found: _Tracked) -> Strings:
         status = np.asarray(strip["status"].values).astype("<U8")
     else:
         status = np.where(np.isfinite(strip.values).all(axis=1), "ok", "blank").astype("<U8")
-    flag = found.detections.flag.copy()
-    flag[(flag == "ok") & ~np.isfinite(found.x_px)] = "unfit"
-    flag[(flag == "ok") & found.blurred] = "blurred"
+    flag = found.assessed.flag.copy()
+    flag[(flag == "ok") & ~np.isfinite(found.assessed.x_px)] = "unfit"
+    flag[(flag == "ok") & found.assessed.blurred] = "blurred"
     flag[found.frozen] = "frozen"
     return np.where(status[:, None] != "ok", status[:, None], flag)
 
@@ -486,14 +424,14 @@ def with_heights(
     if not np.array_equal(tracks["frame"].values, parts["frame"].values):
         raise InputError("the parts of the strip", "the tracks' frames", "others", "use those of one reading")
     facts = TrackMetadata.of(tracks)
-    comb = RidgeComb.of(facts)
+    comb = RidgeComb.of(facts, parts.sizes["x"], settings)
     start = np.rint(tracks["x_px"].values - float(parts["x"].values[0]))
     fit: FitChoice = "auto" if facts.fit == "template" else "paper" if facts.fit == "paper" else "sliding"
     x = np.empty((*start.shape, parts.sizes["z"]))
     err = np.empty_like(x)
     for k, part in enumerate(np.asarray(parts.values, np.float32)):
         frozen = repeated_frames(part, settings)
-        fitted = _fit(part, start, comb, fit, facts.window_px, frozen, settings)
+        fitted = _fit(part, start, comb, fit, facts.window_px, frozen)
         x[..., k], err[..., k] = fitted.x_px, fitted.err_px
     if "x_predicted_px" in tracks:
         stated = nan_median(tracks["x_err_px"].values) / tracks["x_predicted_px"].values

@@ -1,22 +1,16 @@
 """Read a film and reduce it to I(x, t)."""
 
 from vision.video.frames import Follow, FramesRead, FrameStore, await_video
-from vision.video.reader import Block, Facts, Reader
 from vision.video.settings import VideoSettings
 from vision.video.strip import ReadingLog, reference_frame, strip_profile, strip_profiles
-from vision.video.strip_find import Strip, find_strip, measure_strip
-from vision.video.video import FrameClock, Video, open_video, read_timestamps, video_files
+from vision.video.strip_find import find_strip, measure_strip
+from vision.video.video import Video, open_video, read_timestamps, video_files
 
 __all__ = [
-    "Block",
-    "Facts",
     "Follow",
-    "FrameClock",
     "FrameStore",
     "FramesRead",
-    "Reader",
     "ReadingLog",
-    "Strip",
     "Video",
     "VideoSettings",
     "await_video",

@@ -34,24 +34,12 @@ class FramesRead:
     times_s: Floats
 
 
-class ProfileStore:
-    """Growing storage of I(x, t): rows of float32, in memory or in a temporary file.
+class FrameStore:
+    """Growing storage of I(x, t): rows of float32, in memory or in a temporary file, each with its status and
+    time.
 
-    Parameters
-    ----------
-    columns
-        Number of values in a row.
-    expected
-        Expected number of rows; the actual number may differ.
-    spill_bytes
-        Size above which the rows are stored in a temporary file.
-    folder
-        Folder of that file; by default that of the system's temporary files.
-
-    Raises
-    ------
-    InputError
-        If the disk is full.
+    A row has `columns` values, and about `expected` rows will come. Above `spill_bytes` they are stored in a
+    temporary file in `folder`, by default the system's; InputError if that disk is full.
     """
 
     def __init__(
@@ -65,6 +53,7 @@ class ProfileStore:
         self._columns = columns
         self._folder = folder
         self._spill_bytes = spill_bytes
+        self._marks = np.zeros(1024, [("status", STATUS_TYPE), ("time_s", np.float64)])
         self.count = 0
         """Number of rows so far."""
         most = max(1, 2 * spill_bytes // (4 * columns))  # a damaged header may state any number
@@ -80,9 +69,29 @@ class ProfileStore:
         self._rows[self.count : needed] = rows
         self.count = needed
 
+    def add(self, frames: FramesRead) -> None:
+        """Add frames at the end."""
+        needed = self.count + frames.status.size
+        if needed > self._marks.size:
+            more = np.zeros(max(needed, self._marks.size), self._marks.dtype)
+            self._marks = np.concatenate([self._marks, more])
+        new = self._marks[self.count : needed]
+        new["status"], new["time_s"] = frames.status, frames.times_s
+        self.append(frames.intensity)
+
     def rows(self) -> Floats32:
         """Return all rows so far, (n, columns), not copied."""
         return self._rows[: self.count]
+
+    def part(self, start: int, stop: int) -> FramesRead:
+        """Return frames `start` to before `stop`; the intensity is not copied."""
+        marks = self._marks[start:stop].copy()
+        return FramesRead(self.rows()[start:stop], marks["status"], marks["time_s"])
+
+    def copy(self, start: int, stop: int) -> FramesRead:
+        """Return frames `start` to before `stop`, copied."""
+        part = self.part(start, stop)
+        return replace(part, intensity=part.intensity.copy())
 
     def _allocate(self, capacity: int) -> Floats32:
         size = capacity * self._columns * 4
@@ -104,36 +113,6 @@ class ProfileStore:
             return np.memmap(file, np.float32, "r+", shape=(capacity, self._columns))
 
 
-class FrameStore(ProfileStore):
-    """All frames read so far, in order: `ProfileStore` with the status and time of each frame."""
-
-    def __init__(
-        self, columns: int, *, expected: int | None, spill_bytes: int, folder: Path | None = None
-    ) -> None:
-        super().__init__(columns, expected=expected, spill_bytes=spill_bytes, folder=folder)
-        self._marks = np.zeros(1024, [("status", STATUS_TYPE), ("time_s", np.float64)])
-
-    def add(self, frames: FramesRead) -> None:
-        """Add frames at the end."""
-        needed = self.count + frames.status.size
-        if needed > self._marks.size:
-            more = np.zeros(max(needed, self._marks.size), self._marks.dtype)
-            self._marks = np.concatenate([self._marks, more])
-        new = self._marks[self.count : needed]
-        new["status"], new["time_s"] = frames.status, frames.times_s
-        self.append(frames.intensity)
-
-    def part(self, start: int, stop: int) -> FramesRead:
-        """Return frames `start` to before `stop`; the intensity is not copied."""
-        marks = self._marks[start:stop].copy()
-        return FramesRead(self.rows()[start:stop], marks["status"], marks["time_s"])
-
-    def copy(self, start: int, stop: int) -> FramesRead:
-        """Return frames `start` to before `stop`, copied."""
-        part = self.part(start, stop)
-        return replace(part, intensity=part.intensity.copy())
-
-
 # --- blank frames -------------------------------------------------------------------------------------------
 
 
@@ -144,29 +123,14 @@ def is_blank(
     saturation_level: float | None = None,
     settings: VideoSettings = DEFAULT,
 ) -> Bools:
-    """Return which readable frames do not show the scene.
+    """Return which readable frames do not show the scene, (frame), from their intensity (frame, x).
 
     A frame is blank if its profile is constant or saturated throughout, if its contrast (standard deviation
     along x) is below `settings.blank_contrast` of the recording's median contrast, or if the frame is
     brighter than usual and its contrast, relative to its level, is below `settings.bright_contrast` of the
     median. Dim frames keep their relative contrast, and motion blur preserves the gradient of the light and
-    the edges of the comb.
-
-    Parameters
-    ----------
-    profiles
-        Intensity (frame, x), grey levels.
-    readable
-        Whether each frame was decoded, (frame).
-    saturation_level
-        Grey level of a saturated pixel; None for float.
-    settings
-        See `VideoSettings`.
-
-    Returns
-    -------
-    (frame), False where not readable. If more than half of a recording is blank, only constant and saturated
-    frames are found.
+    the edges of the comb. If more than half of a recording is blank, only constant and saturated frames are
+    found; saturation_level is None for float.
     """
     level, contrast, darkest = np.empty((3, len(profiles)))
     for start in range(0, len(profiles), 256):  # parts that fit into the processor's cache
@@ -190,35 +154,14 @@ def is_blank(
 # --- lost frames --------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class FrameCounts:
-    """Numbers of frames expected and read; blank frames are among those read, corrupt ones are not.
-
-    warnings: one line for each kind of unusable frame.
-    """
-
-    expected: int
-    read: int
-    blank: int
-    corrupt: int
-    warnings: tuple[str, ...]
-
-
-def count_frames(
+def expected_frames(
     video: Video, status: Strings, times_s: Floats, *, settings: VideoSettings = DEFAULT
-) -> FrameCounts:
-    """Count the frames expected and read, from their number, the file's duration and gaps in its times.
+) -> tuple[int, list[str]]:
+    """Return the number of frames expected, and one line for each kind of unusable or missing frame.
 
-    Frames lost between time stamps, or before the end that the file states, have no row but are counted.
-
-    Parameters
-    ----------
-    video
-        The recording.
-    status, times_s
-        Status and time, s, of each frame in the file (frame).
-    settings
-        See `VideoSettings`.
+    It follows from the number of frames, the file's duration and gaps in its times. Frames lost between time
+    stamps, or before the end that the file states, have no row but are counted. status, times_s: status and
+    time of each frame in the file (frame).
     """
     name, warnings = video.path.name, []
     if video.expected is not None and status.size < video.expected:
@@ -250,13 +193,7 @@ def count_frames(
             warnings.append(
                 f"{name}: {stated}; its last {missing_s:.3f} s are missing, about {beyond} frames"
             )
-    return FrameCounts(
-        expected=max(status.size, video.expected or 0) + between + beyond,
-        read=int(np.isin(status, ("ok", "blank")).sum()),
-        blank=int((status == "blank").sum()),
-        corrupt=int((status == "corrupt").sum()),
-        warnings=tuple(warnings),
-    )
+    return max(status.size, video.expected or 0) + between + beyond, warnings
 
 
 def lost_between(times_s: Floats, *, settings: VideoSettings = DEFAULT) -> tuple[int, int]:
@@ -265,18 +202,7 @@ def lost_between(times_s: Floats, *, settings: VideoSettings = DEFAULT) -> tuple
     A step of more than `settings.gap_steps` usual steps is a gap if the frames after it remain late against
     the usual rate: a frame that is merely late is followed by short steps. If the camera changes its rate,
     the usual step is that of the frames around (`_local_step_s`). If more than a fifth is lost, too few are
-    counted.
-
-    Parameters
-    ----------
-    times_s
-        Times, s (frame), NaN where unknown.
-    settings
-        See `VideoSettings`.
-
-    Returns
-    -------
-    (0, 0) for none, or fewer than three known times.
+    counted. (0, 0) for none, or fewer than three known times (frame), NaN where unknown.
     """
     places = np.flatnonzero(np.isfinite(times_s))
     known = times_s[places]
@@ -384,14 +310,7 @@ def await_video(
 ) -> Video:
     """Wait until a recording has enough frames to find the strip, or no longer grows, and open it.
 
-    Parameters
-    ----------
-    path
-        Path of the recording, which need not exist yet.
-    opened
-        Function that opens it.
-    follow, settings
-        See `Follow` and `VideoSettings`.
+    `path` need not exist yet; `opened` opens it.
 
     Raises
     ------

@@ -158,16 +158,8 @@ def gather_blocks(
 class ImagesReader:
     """A `Reader` of frames that are stored and decoded one by one: compressed TIFF pages, image files.
 
-    Parameters
-    ----------
-    facts
-        See `Facts`.
-    dtype
-        Type of the decoded pixels.
-    count
-        Frame numbers in the file.
-    decode
-        Function that yields the frames of given numbers, in that order.
+    dtype: type of the decoded pixels. count: frame numbers in the file. decode: function that yields the
+    frames of given numbers, in that order.
     """
 
     facts: Facts
@@ -194,20 +186,11 @@ class MappedReader:
 
     The file is not mapped into memory: a mapped file that becomes shorter kills the process.
 
-    Parameters
-    ----------
-    path, facts
-        The file, and the facts from its headers.
-    offsets
-        Byte at which the first stored row of each frame begins, -1 for a frame that the camera lost.
-    row_bytes
-        From one stored row to the next; 0 for 12-bit pixels packed two in three bytes without padding.
-    dtype, channels
-        Type of one channel; 1, or 3 or 4 for colour.
-    blue_first, bottom_up
-        Whether colour is BGR; whether the lowest row is stored first.
-    grey_levels
-        Grey value of each stored 8-bit index of a palette; None without a palette.
+    offsets: byte at which the first stored row of each frame begins, -1 for a frame that the camera lost.
+    row_bytes: from one stored row to the next; 0 for 12-bit pixels packed two in three bytes without padding.
+    dtype, channels: type of one channel; 1, or 3 or 4 for colour. blue_first: whether colour is BGR.
+    bottom_up: whether the lowest row is stored first. grey_levels: grey value of each stored 8-bit index of a
+    palette.
     """
 
     path: Path
@@ -242,13 +225,7 @@ class MappedReader:
         return Block(pixels, first, tuple(status))
 
     def _stored(self, first: int, last: int, rows: slice) -> Pixels:
-        """Return frames first..last cut to rows, (k, rows, columns) or with channels last, top row first.
-
-        Raises
-        ------
-        InputError
-            If the file has become shorter.
-        """
+        """Return frames first..last cut to rows, (k, rows, columns) or with channels last, top row first."""
         height, width = self.facts.shape
         top, stop = (height - rows.stop, height - rows.start) if self.bottom_up else (rows.start, rows.stop)
         if not self.row_bytes:
@@ -303,21 +280,8 @@ class MappedReader:
 
 
 def read_fully(file: BinaryIO, buffer: memoryview, path: Path) -> None:
-    """Read until the buffer is full.
-
-    Parameters
-    ----------
-    file
-        An unbuffered file, at the position to read from.
-    buffer
-        Buffer to be filled.
-    path
-        Path for the message.
-
-    Raises
-    ------
-    InputError
-        If the file ends before the buffer is full.
+    """Read from an unbuffered file until the buffer is full; InputError, which names `path`, if it ends
+    before.
     """
     done = 0
     while done < len(buffer):

@@ -23,7 +23,7 @@ from vision.video.frames import (
     Follow,
     FramesRead,
     FrameStore,
-    count_frames,
+    expected_frames,
     growth,
     held_back,
     is_blank,
@@ -352,7 +352,9 @@ def _nothing_to_see(video: Video, status: Strings) -> InputError:
 
 def _metadata(video: Video, strip: Strip, read: FramesRead, settings: VideoSettings) -> StripMetadata:
     facts, clock = video.facts, video.clock
-    counts = count_frames(video, read.status, read.times_s, settings=settings)
+    status = read.status
+    expected, warnings = expected_frames(video, status, read.times_s, settings=settings)
+    usable = int(np.isin(status, ("ok", "blank")).sum())
     return StripMetadata(
         source=str(video.path),
         container=facts.container,
@@ -373,10 +375,10 @@ def _metadata(video: Video, strip: Strip, read: FramesRead, settings: VideoSetti
         strip_err_px=strip.errors.error_px,
         clock_kind=clock.kind,
         fps=math.nan if clock.fps is None else clock.fps,
-        frames_expected=counts.expected,
-        frames_read=counts.read,
-        frames_lost=counts.expected - counts.read,
-        frames_blank=counts.blank,
-        frames_corrupt=counts.corrupt,
-        warnings=[*video.warnings, *video.changes, *strip.warnings, *counts.warnings],
+        frames_expected=expected,
+        frames_read=usable,
+        frames_lost=expected - usable,
+        frames_blank=int((status == "blank").sum()),
+        frames_corrupt=int((status == "corrupt").sum()),
+        warnings=[*video.warnings, *video.changes, *strip.warnings, *warnings],
     )

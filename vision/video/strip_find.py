@@ -69,7 +69,7 @@ class _Slopes:
 
     mean, difference: mean of odd and even rows, and half their difference, which is noise, (frame, band, x).
     along_z, along_x: mean square steps of the grey level over 2 px, of every second row. picture: mean of the
-    frames, every second row and column.
+    frames, every second row and column. settings: those with which they are measured and judged.
     """
 
     mean: Floats32
@@ -78,6 +78,12 @@ class _Slopes:
     along_z: Floats
     along_x: Floats
     picture: Floats32
+    settings: VideoSettings
+
+    @property
+    def starts(self) -> Ints:
+        """First column of each segment along x."""
+        return segment_starts(self.mean.shape[-1], self.settings.segment_px)
 
     def part(self, first: int, last: int) -> _Slopes:
         """Return the slopes of some bands."""
@@ -142,26 +148,24 @@ def find_strip(video: Video, *, columns: slice | None = None, settings: VideoSet
     if height < 2 * band_rows:
         return Strip(slice(0, height), "all rows")
     slopes = _measure_slopes(video, slice(0, height), x, band_rows, settings)
-    best = _best_run(slopes, settings)
+    best = _best_run(slopes)
     if best is None:
         whole = slice(0, height)
-        return _warn_if_level(Strip(whole, "all rows"), slopes, whole, video, settings)
-    best = _prefer_moving(slopes, best, settings)
+        return _warn_if_level(Strip(whole, "all rows"), slopes, whole, video)
+    best = _prefer_moving(slopes, best)
     tilt = tilt_px(slopes.mean[:, best[0] : best[1]])
-    first, last = _without_text(slopes, *_agreeing(slopes, *best, tilt, settings), settings)
+    first, last = _without_text(slopes, *_agreeing(slopes, *best, tilt))
     bottom = height if last == slopes.mean.shape[1] else last * band_rows
     rows = slice(first * band_rows, bottom)
     bands = slopes.mean[:, first:last]
     if strip_errors(row_shifts(bands, tilt, settings), settings).bow_px > settings.edge_bow_px:
         rows = _without_edges(rows, height, settings)
     first, last = -(-rows.start // band_rows), max(rows.stop // band_rows, first + 1)
-    strip = _described(slopes, min(first, last - 1), last, Strip(rows, "found"), settings, tilt)
-    return _warn_if_level(strip, slopes, slice(best[0] * band_rows, best[1] * band_rows), video, settings)
+    strip = _described(slopes, min(first, last - 1), last, Strip(rows, "found"), tilt)
+    return _warn_if_level(strip, slopes, slice(best[0] * band_rows, best[1] * band_rows), video)
 
 
-def _warn_if_level(
-    strip: Strip, slopes: _Slopes, rows: slice, video: Video, settings: VideoSettings
-) -> Strip:
+def _warn_if_level(strip: Strip, slopes: _Slopes, rows: slice, video: Video) -> Strip:
     """Add a warning if grey levels in these rows change along z rather than along x.
 
     They must do so both from pixel to pixel and over the whole height: the texture of wide sheets does only
@@ -170,7 +174,7 @@ def _warn_if_level(
     rows = slice(rows.start // 2, rows.stop // 2)
     along_z, along_x = float(slopes.along_z[rows].mean()), float(slopes.along_x[rows].mean())
     level, upright = (np.ptp(np.quantile(slopes.picture.mean(axis=axis), (0.1, 0.9))) for axis in (1, 0))
-    if along_z <= settings.max_level * along_x or not along_x or 2 * level < upright:
+    if along_z <= slopes.settings.max_level * along_x or not along_x or 2 * level < upright:
         return strip
     warning = (
         f"grey levels change {math.sqrt(along_z / along_x):.1f} times as much from row to row as along the "
@@ -206,33 +210,31 @@ def measure_strip(
     if count < 4:
         return Strip(z, "given", clarity=math.nan)
     slopes = _measure_slopes(video, z, x, max(2, round(count / settings.bands)), settings)
-    return _described(slopes, 0, slopes.mean.shape[1], Strip(z, "given"), settings)
+    return _described(slopes, 0, slopes.mean.shape[1], Strip(z, "given"))
 
 
-def _described(
-    slopes: _Slopes, first: int, last: int, strip: Strip, settings: VideoSettings, tilt: float | None = None
-) -> Strip:
+def _described(slopes: _Slopes, first: int, last: int, strip: Strip, tilt: float | None = None) -> Strip:
     """Return the strip with tilt, clarity, and warnings of strongly tilted ridges and unequal rows.
 
     tilt: shift from band to band, px, if it is known from more rows than those of the strip.
     """
     bands = slopes.mean[:, first:last]
     clarity = _clarity(slopes, first, last)
-    if clarity < settings.min_clarity:
+    if clarity < slopes.settings.min_clarity:
         return replace(strip, clarity=clarity)
     height = strip.rows.stop - strip.rows.start
     per_band = tilt_px(bands) if tilt is None else tilt
     per_row = per_band / slopes.band_rows
     smear, ridge = abs(per_row) * height, ridge_width_px(bands.mean(axis=1))
     tilt_deg = float(np.degrees(np.arctan(per_row)))
-    errors = strip_errors(row_shifts(bands, per_band, settings), settings)
+    errors = strip_errors(row_shifts(bands, per_band, slopes.settings), slopes.settings)
     warnings = []
-    if smear > settings.max_smear * ridge:
+    if smear > slopes.settings.max_smear * ridge:
         warnings.append(
             f"ridges are tilted by {tilt_deg:+.2f}°, {smear:.1f} px over the {height} rows of the strip, and "
             f"are about {ridge:.0f} px wide: turn the camera, or choose fewer rows (`rows`)"
         )
-    if errors.error_px > settings.strip_warning_px:
+    if errors.error_px > slopes.settings.strip_warning_px:
         warnings.append(
             f"positions depend on the rows averaged: {errors.error_px:.2f} px with a fifth of them left out, "
             f"{errors.halves_px:.2f} px between the strip's upper and lower half, {errors.bow_px:.2f} px "
@@ -242,43 +244,41 @@ def _described(
     return Strip(strip.rows, strip.how, tilt_deg, clarity, tuple(warnings), errors)
 
 
-def _agreeing(
-    slopes: _Slopes, first: int, last: int, tilt: float, settings: VideoSettings
-) -> tuple[int, int]:
+def _agreeing(slopes: _Slopes, first: int, last: int, tilt: float) -> tuple[int, int]:
     """Return the part of a run of bands in which ridges agree in position, if that reduces the error."""
     bands = slopes.mean[:, first:last]
     width_px = ridge_width_px(bands.mean(axis=1))
     if not width_px > 0:
         return first, last
-    ridges, whole = max(1.0, 2 * settings.segment_px / (2.5 * width_px)), (0, last - first)
+    ridges, whole = max(1.0, 2 * slopes.settings.segment_px / (2.5 * width_px)), (0, last - first)
     for _ in range(2):  # displaced rows also spoil the tilt: repeat with that of the other rows
-        shifts = row_shifts(bands, tilt, settings)
-        begin, end = whole if shifts is None else best_rows(shifts, ridges, settings)
+        shifts = row_shifts(bands, tilt, slopes.settings)
+        begin, end = whole if shifts is None else best_rows(shifts, ridges, slopes.settings)
         if (begin, end) == whole:
             break
         tilt = tilt_px(bands[:, begin:end])
     return first + begin, first + end
 
 
-def _without_text(slopes: _Slopes, first: int, last: int, settings: VideoSettings) -> tuple[int, int]:
+def _without_text(slopes: _Slopes, first: int, last: int) -> tuple[int, int]:
     """Return the longest part of a run of bands without text over the picture, or the run if that is short.
 
     Text is far steeper than ridges, in a few bands and in several segments along x.
     """
     bands = slopes.mean[:, first:last]
-    starts = segment_starts(bands.shape[-1], settings.segment_px)
+    starts = slopes.starts
     usual = np.median(bands, axis=1, keepdims=True)
     ridges = np.median(np.add.reduceat(usual[:, 0] ** 2, starts, axis=-1), axis=0)
     unusual = np.median(np.add.reduceat((bands - usual) ** 2, starts, axis=-1), axis=0)
-    power = np.quantile(ridges[_shows_ridges(slopes, starts, settings)], settings.segment_cap)
-    segments = (unusual - np.median(unusual, axis=0) > settings.label_power * power).sum(axis=1)
+    power = np.quantile(ridges[_shows_ridges(slopes)], slopes.settings.segment_cap)
+    segments = (unusual - np.median(unusual, axis=0) > slopes.settings.label_power * power).sum(axis=1)
     text = (segments >= 2) & (segments <= starts.size / 2)
     text[1:] |= text[:-1]  # text may end within the next band
     text[:-1] |= text[1:]
     ends = np.concatenate([[-1], np.flatnonzero(text), [last - first]])
     longest = int(np.argmax(np.diff(ends)))
     begin, end = int(ends[longest]) + 1, int(ends[longest + 1])
-    enough = end - begin >= settings.label_least_rows * (last - first)
+    enough = end - begin >= slopes.settings.label_least_rows * (last - first)
     return (first + begin, first + end) if enough else (first, last)
 
 
@@ -297,7 +297,7 @@ def _measure_slopes(
     thinned = [_known(frame[rows, columns][::2, ::2]) for frame in frames]
     along_z, along_x = np.mean([_steps(pixels) for pixels in thinned], axis=0)
     picture = np.mean(thinned, axis=0)
-    return _Slopes((odd + even) * half, (odd - even) * half, band_rows, along_z, along_x, picture)
+    return _Slopes((odd + even) * half, (odd - even) * half, band_rows, along_z, along_x, picture, settings)
 
 
 def _steps(pixels: Floats32) -> Floats:
@@ -341,14 +341,13 @@ def _slope(bands: Floats32, sigma_px: float) -> Floats32:
     return slope.astype(np.float32)
 
 
-def _best_run(slopes: _Slopes, settings: VideoSettings) -> tuple[int, int] | None:
+def _best_run(slopes: _Slopes) -> tuple[int, int] | None:
     """Return the half-open run of bands with the highest score; None if no score is above zero."""
-    bands, width = slopes.mean.shape[1:]
-    starts = segment_starts(width, settings.segment_px)
+    bands, starts = slopes.mean.shape[1], slopes.starts
     sums = np.concatenate([np.zeros_like(slopes.mean[:, :1]), np.cumsum(slopes.mean, axis=1)], axis=1)
     noise = np.add.reduceat((slopes.difference**2).sum(axis=0), starts, axis=-1)
     noise_sums = np.concatenate([np.zeros_like(noise[:1]), np.cumsum(noise, axis=0)])
-    with_ridges = _shows_ridges(slopes, starts, settings)
+    with_ridges = _shows_ridges(slopes)
     best, score = None, 0.0
     if not with_ridges.any():
         return None
@@ -357,28 +356,27 @@ def _best_run(slopes: _Slopes, settings: VideoSettings) -> tuple[int, int] | Non
         total = ((sums[:, first + 1 :] - sums[:, first : first + 1]) ** 2).sum(axis=0)
         power = np.add.reduceat(total, starts, axis=-1) - (noise_sums[first + 1 :] - noise_sums[first])
         each = np.maximum(power / count**2, 0.0)
-        cap = np.quantile(each[:, with_ridges], settings.segment_cap, axis=1, keepdims=True)
-        scores = np.minimum(each, cap).mean(axis=1) * count[:, 0] ** settings.height_power
+        cap = np.quantile(each[:, with_ridges], slopes.settings.segment_cap, axis=1, keepdims=True)
+        scores = np.minimum(each, cap).mean(axis=1) * count[:, 0] ** slopes.settings.height_power
         last = first + int(np.argmax(scores)) + 1
         highest = float(scores[last - first - 1])
-        if highest > score and _clarity(slopes, first, last) >= settings.min_clarity:
+        if highest > score and _clarity(slopes, first, last) >= slopes.settings.min_clarity:
             best, score = (first, last), highest
     return best
 
 
-def _prefer_moving(slopes: _Slopes, best: tuple[int, int], settings: VideoSettings) -> tuple[int, int]:
+def _prefer_moving(slopes: _Slopes, best: tuple[int, int]) -> tuple[int, int]:
     """Return the best run above or below this one if it moves and this one is stationary, like a ruler.
 
     A run with ridges in far fewer segments along x, such as text that changes, is no comb.
     """
     bands = slopes.mean.shape[1]
-    starts = segment_starts(slopes.mean.shape[-1], settings.segment_px)
-    own, wide = _change(slopes, *best), _shows_ridges(slopes.part(*best), starts, settings).sum()
-    moves, chosen = max(settings.moving_change, settings.moving_ratio * own), best
+    own, wide = _change(slopes, *best), _shows_ridges(slopes.part(*best)).sum()
+    moves, chosen = max(slopes.settings.moving_change, slopes.settings.moving_ratio * own), best
     for first, last in ((0, best[0]), (best[1], bands)):
         part = slopes.part(first, last)
-        run = _best_run(part, settings) if last > first else None
-        if run is None or _shows_ridges(part.part(*run), starts, settings).sum() < wide / 2:
+        run = _best_run(part) if last > first else None
+        if run is None or _shows_ridges(part.part(*run)).sum() < wide / 2:
             continue
         if (change := _change(part, *run)) > moves:
             moves, chosen = change, (first + run[0], first + run[1])
@@ -393,11 +391,11 @@ def _change(slopes: _Slopes, first: int, last: int) -> float:
     return max(0.0, float(mean.var(axis=0, ddof=min(1, len(mean) - 1)).sum() - (noise**2).sum(axis=1).mean()))
 
 
-def _shows_ridges(slopes: _Slopes, starts: Ints, settings: VideoSettings) -> Bools:
+def _shows_ridges(slopes: _Slopes) -> Bools:
     """Return which segments show ridges in many rows."""
-    power = np.add.reduceat((slopes.mean**2 - slopes.difference**2).sum(axis=0), starts, axis=-1)
-    usual = np.quantile(power, settings.ridge_rows, axis=0)
-    return np.asarray(usual >= settings.ridge_share * np.sort(usual)[-min(3, usual.size)], bool)
+    power = np.add.reduceat((slopes.mean**2 - slopes.difference**2).sum(axis=0), slopes.starts, axis=-1)
+    usual = np.quantile(power, slopes.settings.ridge_rows, axis=0)
+    return np.asarray(usual >= slopes.settings.ridge_share * np.sort(usual)[-min(3, usual.size)], bool)
 
 
 def _clarity(slopes: _Slopes, first: int, last: int) -> float:

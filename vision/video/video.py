@@ -286,7 +286,14 @@ def open_video(
         raise InputError("`fps`", "a positive number of frames per second", str(fps))
     if fps is not None and timestamps is not None:
         raise InputError("`fps` and `timestamps`", "one of the two", "both")
-    reader, stamp, pixels = answered(lambda: _opened(where), where, answer_s)
+
+    def opened() -> tuple[Reader, Stamp, Path]:
+        pixels = pixels_file(where)
+        stamp = Stamp.of(pixels)  # before the file is opened
+        with reading(where, "a recording"):
+            return _open_reader(where), stamp, pixels
+
+    reader, stamp, pixels = answered(opened, where, answer_s)
     facts = reader.facts
     check_pixels(where, *facts.shape)
     first, stop = _frame_range(frames, facts.declared_frames, where)
@@ -316,14 +323,6 @@ def open_video(
         pixels=pixels,
         answer_s=answer_s,
     )
-
-
-def _opened(path: Path) -> tuple[Reader, Stamp, Path]:
-    """Return the reader, the stamp of the file with the pixels before it was opened, and that file."""
-    pixels = pixels_file(path)
-    stamp = Stamp.of(pixels)
-    with reading(path, "a recording"):
-        return _open_reader(path), stamp, pixels
 
 
 def video_files(path: Path) -> tuple[Path, ...]:
@@ -399,18 +398,10 @@ def cut(wanted: slice | None, size: int, *, what: str) -> slice:
 
 def _before_rotation(rows: slice, columns: slice, shape: tuple[int, int], rotate: int) -> tuple[slice, slice]:
     """Return the file's rows and columns that become `rows` and `columns` after rotation."""
-    height, width = shape
-    if rotate == 90:
-        return _mirror(columns, height), rows
-    if rotate == 180:
-        return _mirror(rows, height), _mirror(columns, width)
-    if rotate == 270:
-        return columns, _mirror(rows, width)
+    for turn in reversed(range(rotate // 90)):  # quarter turns are undone, the last one first
+        size = shape[turn % 2]
+        rows, columns = slice(size - columns.stop, size - columns.start), rows
     return rows, columns
-
-
-def _mirror(span: slice, size: int) -> slice:
-    return slice(size - span.stop, size - span.start)
 
 
 def _median_rate(times_s: Floats) -> float | None:
