@@ -14,7 +14,7 @@ from vision.errors import InputError
 from vision.figures.decimate import grey_limits
 from vision.files import AGAIN, check_regular, reading
 from vision.numeric import Floats, Floats32
-from vision.video.frames import ProfileStore
+from vision.video.frames import FrameStore
 from vision.video.reader import read_fully
 from vision.video.stacks import check_tiff
 
@@ -152,7 +152,7 @@ def read_kymograph_tif(path: Path, frames: int) -> Floats32:
     start, stored, shape = stored_kymograph(path)
     if shape[0] != frames:
         raise InputError(path, f"{frames} rows, one per frame of tracks.nc", f"shape {shape}", AGAIN)
-    rows = ProfileStore(shape[1], expected=frames)
+    rows = FrameStore(shape[1], expected=frames)
     with (
         reading(path, "a space-time diagram as track writes it", AGAIN),
         path.open("rb", buffering=0) as file,
