@@ -221,7 +221,7 @@ def certify(
         drawn, shown_px = like.film(like.motion_px, number=None).values, like.shown_px(like.motion_px)
         like = replace(like, encoder=encoder.fitted(drawn, shown_px, like.strip.values))
     imitated = tracks.isel(frame=like.frames)
-    recorded_px = _scatter(np.asarray(imitated["x_px"].values, float), like.chained)
+    recorded_px = _scatter(np.asarray(imitated["x_px"].values, float), like.residuals.chained)
     track = _tracker(tracks)
     if encoder is not None:
         like = _with_hidden_motion(like, track, settings)
@@ -360,7 +360,7 @@ def _measure(like: Likeness, truth_px: Floats, found: xr.Dataset) -> _Measured:
         wrong += int(far.sum())
         error[:, n] = np.where(far, np.nan, off)
         stated[:, n] = found["x_err_px"].values[:, k]
-    return _Measured(error, stated, wrong, _scatter(error, like.chained))
+    return _Measured(error, stated, wrong, _scatter(error, like.residuals.chained))
 
 
 def _scatter(x_px: Floats, chained: bool) -> float:
@@ -371,7 +371,7 @@ def _scatter(x_px: Floats, chained: bool) -> float:
 
 
 def _pitch(like: Likeness) -> float:
-    return float(np.median(np.diff(like.rest_px))) if like.rest_px.size > 1 else 20.0
+    return float(np.median(np.diff(like.picture.rest_px))) if like.picture.rest_px.size > 1 else 20.0
 
 
 def _columns(values: Floats, work: Callable[[Floats], Any]) -> Floats:
@@ -382,7 +382,7 @@ def _columns(values: Floats, work: Callable[[Floats], Any]) -> Floats:
 
 def _locking(like: Likeness, track: Tracker) -> Floats:
     """Return the peak-to-peak error without noise while all sheets cross one pixel, (sheet,)."""
-    motion = like.rest_px + np.linspace(0, 1, 41)[:, None]
+    motion = like.picture.rest_px + np.linspace(0, 1, 41)[:, None]
     error = _measure(like, motion, track(like.film(motion, number=None))).error_px
     return _columns(error, np.ptp)
 
@@ -402,7 +402,7 @@ def _sweep_errors(
     """Return the RMS error of a line's sweep over a stick phase, (sheet,), and its median frames."""
     pieces = _pieces(like)
     if not pieces:
-        return np.full(like.rest_px.size, np.nan), math.nan
+        return np.full(like.picture.rest_px.size, np.nan), math.nan
     frames = int(np.median([piece.size for piece in pieces]))
     found = []
     for piece in pieces:
@@ -455,7 +455,9 @@ def _at_threshold(
 ) -> Threshold | None:
     """Analyse films in which every sheet creeps by √12 × threshold × Λ_st in every stick phase."""
     time = np.asarray(clock.to_force_s(np.asarray(like.strip["time_s"].values, float)), float)
-    side = np.where(like.rest_px < TrackMetadata.of(tracks).axis_px - float(like.strip["x"].values[0]), -1, 1)
+    side = np.where(
+        like.picture.rest_px < TrackMetadata.of(tracks).axis_px - float(like.strip["x"].values[0]), -1, 1
+    )
     length = sticks["stick_length_um"].to_numpy(float)
     start, stop = sticks["t_v_s"].to_numpy(float), sticks["t_p_s"].to_numpy(float)
     inward = np.zeros(time.size)
@@ -463,7 +465,7 @@ def _at_threshold(
         inside = (time >= begin) & (time <= end)
         share = (time[inside] - begin) / max(end - begin, 1e-9) - 0.5
         inward[inside] = share * np.sqrt(12) * threshold * np.nan_to_num(long) / pixel_size_um
-    motion = like.rest_px - side * inward[:, None]
+    motion = like.picture.rest_px - side * inward[:, None]
     tracked = (track(like.film(motion, number=number)) for number in range(films))
     try:
         moved = [horizontal_deformation(one, sticks, clock, pixel_size_um=pixel_size_um) for one in tracked]
@@ -497,7 +499,7 @@ def _sheet_table(
     errors_resolved: float,
 ) -> pd.DataFrame:
     """Return the table of the sheets that are in the films, one row per sheet."""
-    x_px = like.rest_px + float(like.strip["x"].values[0])
+    x_px = like.picture.rest_px + float(like.strip["x"].values[0])
     in_run = nan_median(tracks["x_px"].values)
     nearest = np.argmin(np.abs(np.nan_to_num(in_run, nan=np.inf)[:, None] - x_px), axis=0)
     within = np.where(np.isfinite(error), np.abs(error) <= stated, np.nan)
@@ -566,7 +568,7 @@ def _doubts(
 
 def _gaps(like: Likeness, tracks: xr.Dataset, known: Bools, no_threshold: bool) -> list[str]:
     """Return warnings about what the certificate does not cover."""
-    lines, left_out_sheets = [], tracks.sizes["sheet"] - like.rest_px.size
+    lines, left_out_sheets = [], tracks.sizes["sheet"] - like.picture.rest_px.size
     if left_out_sheets:
         lines.append(f"{left_out_sheets} sheets left out, which are found in fewer than half of the frames")
     if known.mean() < 0.95:

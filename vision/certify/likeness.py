@@ -13,7 +13,7 @@ that of the neighbouring sheets.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -34,45 +34,103 @@ LEAST_SHARING = 5  # smallest number of sheets whose common motion can be separa
 
 
 @dataclass(frozen=True)
-class Likeness:
-    """Everything that is needed to make films like a recording.
+class MeanPicture:
+    """M(ξ), the mean picture in the coordinate of the sheets at rest.
 
     Parameters
     ----------
-    picture
-        M on the grid `first_px`, `first_px` + 1/`per_px` …, grey levels, as spline coefficients.
+    coefficients
+        Spline coefficients of M, grey levels, on the grid `first_px`, `first_px` + 1/`per_px` …
     first_px, per_px
         First point of the grid, in columns of the strip, and points per pixel.
     rest_px
         Positions of the sheets in M, (sheet,).
     rigid_px
         Half width of the part of M that moves with each sheet, (sheet,).
-    start_px
-        Positions of the sheets in the run's first frame, (sheet,).
+    """
+
+    coefficients: Floats
+    first_px: float
+    per_px: int
+    rest_px: Floats
+    rigid_px: Floats
+
+    def shown(self, columns: Floats, at_px: Floats) -> Floats:
+        """Return M at these columns when the sheets are at `at_px` (sheet,)."""
+        material = _material(columns, at_px, self.rest_px, self.rigid_px)
+        index = (material - self.first_px) * self.per_px
+        return np.asarray(_spline(self.coefficients, index))
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """R(x, t), what the mean picture does not explain.
+
+    Parameters
+    ----------
+    values, slow
+        R of the usable frames, (usable frame, x), without its slow part, (frame, x). The slow part is not
+        exchanged between frames: it contains the grain of paper that moves along the strip, which changes the
+        height of ridges, and would be an error of the position in another frame.
+    usable
+        Frames with residuals.
+    part
+        Number of the part of constant brightness to which each frame belongs, (frame,).
+    reach
+        Number of frames within which residuals are exchanged.
+    chained
+        Whether the codec predicts frames from others, and so carries errors from frame to frame.
+    """
+
+    values: Floats32
+    slow: Floats32
+    usable: Ints
+    part: Ints
+    reach: int
+    chained: bool
+
+    def exchanged(self, number: int) -> Floats32:
+        """Return for each frame the residual of another one, (frame, x), of the same brightness if possible.
+
+        The order is random, differs with `number`, and stays within `reach`, as the light may change. With a
+        codec that predicts frames, residuals keep their order and begin at another frame.
+        """
+        count = len(self.usable)
+        if self.chained:
+            golden = 0.382  # makes any number of films begin at different frames
+            rolled = np.roll(np.arange(count), -round(count * ((1 + number) * golden % 1)))
+            return self.values[np.resize(rolled, len(self.part))]
+        later = np.arange(count) + np.random.default_rng(number).uniform(0, self.reach, count)
+        sources = np.zeros(len(self.part), np.int64)
+        for part in np.unique(self.part):
+            frames = np.flatnonzero(self.part == part)
+            rows = np.flatnonzero(self.part[self.usable] == part)
+            rows = rows if rows.size else np.arange(count)
+            rows = rows[np.argsort(later[rows])]
+            sources[frames] = rows[np.arange(frames.size) * rows.size // frames.size]
+        return self.values[sources]
+
+
+@dataclass(frozen=True)
+class Likeness:
+    """Everything that is needed to make films like a recording.
+
+    Parameters
+    ----------
+    strip, frames
+        The part of the recording that is imitated, and its frames in the run.
+    picture, gain, residuals
+        M, brightness g of each frame, (frame,), and R.
     motion_px
         Smooth positions, (frame, sheet), columns of the strip; the truth of films.
     smooth
         Whether they are smooth, (frame, sheet), and not as measured.
     common_px
         Common motion of all sheets in single frames, which is part of `motion_px`, (frame,).
-    gain
-        Brightness of each frame, (frame,).
-    residual, slow
-        R of the usable frames, (usable frame, x), without its slow part, (frame, x). The slow part is not
-        exchanged between frames: it contains the grain of paper that moves along the strip, which changes the
-        height of ridges, and would be an error of the position in another frame.
-    reach
-        Number of frames within which residuals are exchanged.
-    chained
-        Whether the codec predicts frames from others, and so carries errors from frame to frame.
+    start_px
+        Positions of the sheets in the run's first frame, (sheet,).
     slips
         Frames before which the sheets jump.
-    strip, frames
-        The part of the recording that is imitated, and its frames in the run.
-    usable
-        Frames with residuals.
-    part
-        Number of the part of constant brightness to which each frame belongs, (frame,).
     frozen
         Frames that repeat the one before, (frame,).
     disturbed
@@ -83,25 +141,16 @@ class Likeness:
         Encoder that films pass through instead of getting residuals; None to use residuals.
     """
 
-    picture: Floats
-    first_px: float
-    per_px: int
-    rest_px: Floats
-    rigid_px: Floats
-    start_px: Floats
+    strip: xr.DataArray
+    frames: slice
+    picture: MeanPicture
+    gain: Floats
+    residuals: Residuals
     motion_px: Floats
     smooth: Bools
     common_px: Floats
-    gain: Floats
-    residual: Floats32
-    slow: Floats32
-    reach: int
-    chained: bool
+    start_px: Floats
     slips: Ints
-    strip: xr.DataArray
-    frames: slice
-    usable: Ints
-    part: Ints
     frozen: Bools
     disturbed: Bools
     ceiling: float
@@ -110,11 +159,9 @@ class Likeness:
     def film(self, motion_px: Floats, *, number: int | None) -> xr.DataArray:
         """Return a strip with these true positions (frame, sheet) and the residuals of other frames.
 
-        The residuals are in random order, which differs with `number`, and come from nearby frames, as the
-        light may change. With a codec that predicts frames they keep their order and begin at another frame.
-        With an encoder the film is encoded instead, with pixel noise that differs with `number`. Without a
-        number the film has neither. With the recording's own motion, it also has the recording's frozen and
-        lost frames and disturbed pixels.
+        `number` chooses the residuals, see `Residuals.exchanged`. With an encoder the film is encoded
+        instead, with pixel noise that differs with `number`. Without a number the film has neither. With the
+        recording's own motion, it also has the recording's frozen and lost frames and disturbed pixels.
         """
         frames, own = len(motion_px), motion_px is self.motion_px and number is not None
         columns = np.arange(self.strip.sizes["x"], dtype=float)
@@ -122,12 +169,11 @@ class Likeness:
         gain = np.resize(self.gain, frames)
         values = np.empty((frames, columns.size), np.float32)
         for t in range(frames):
-            values[t] = np.minimum(gain[t] * self._shown(columns, motion_px[t]), self.ceiling)
-        noisy = number is not None and self.encoder is None
-        if noisy and number is not None:
-            values += self.residual[np.resize(self._sources(number), frames)]
-        if own and noisy:
-            values += self.slow
+            values[t] = np.minimum(gain[t] * self.picture.shown(columns, motion_px[t]), self.ceiling)
+        if number is not None and self.encoder is None:
+            values += np.resize(self.residuals.exchanged(number), values.shape)
+            if own:
+                values += self.residuals.slow
         values = np.minimum(values, self.ceiling)
         if own:
             values[self.disturbed] = recorded[self.disturbed]
@@ -149,25 +195,8 @@ class Likeness:
 
     def shown_px(self, motion_px: Floats) -> Floats:
         """Return the column of the run's first frame that each column shows, for positions (frame, sheet)."""
-        columns = np.arange(self.strip.sizes["x"], dtype=float)
-        return np.array([_material(columns, at, self.start_px, self.rigid_px) for at in motion_px])
-
-    def _sources(self, number: int) -> Ints:
-        """Return the row of the residuals for each frame, (frame,), of the same brightness if possible."""
-        count = len(self.usable)
-        if self.chained:
-            golden = 0.382  # makes any number of films begin at different frames
-            rolled = np.roll(np.arange(count), -round(count * ((1 + number) * golden % 1)))
-            return np.resize(rolled, len(self.part))
-        later = np.arange(count) + np.random.default_rng(number).uniform(0, self.reach, count)
-        sources = np.zeros(len(self.part), np.int64)
-        for part in np.unique(self.part):
-            frames = np.flatnonzero(self.part == part)
-            rows = np.flatnonzero(self.part[self.usable] == part)
-            rows = rows if rows.size else np.arange(count)
-            rows = rows[np.argsort(later[rows])]
-            sources[frames] = rows[np.arange(frames.size) * rows.size // frames.size]
-        return sources
+        columns, rigid = np.arange(self.strip.sizes["x"], dtype=float), self.picture.rigid_px
+        return np.array([_material(columns, at, self.start_px, rigid) for at in motion_px])
 
     def _times_s(self, frames: int) -> Floats:
         times = np.asarray(self.strip["time_s"].values, float)
@@ -175,13 +204,17 @@ class Likeness:
             return times[:frames]
         return np.asarray(times[0] + np.arange(frames) * float(np.median(np.diff(times))))
 
-    def _shown(self, columns: Floats, at_px: Floats) -> Floats:
-        """Return M at these columns when the sheets are at `at_px` (sheet,)."""
-        material = _material(columns, at_px, self.rest_px, self.rigid_px)
-        index = (material - self.first_px) * self.per_px
-        return np.asarray(
-            scipy.ndimage.map_coordinates(self.picture, index[None], order=3, mode="nearest", prefilter=False)
-        )
+
+def _spline(coefficients: Floats, index: Floats) -> Floats:
+    """Return the cubic spline with these coefficients at fractional indices, its end values beyond."""
+    return np.asarray(
+        scipy.ndimage.map_coordinates(coefficients, index[None], order=3, mode="nearest", prefilter=False)
+    )
+
+
+def _coefficients(values: Floats) -> Floats:
+    """Return the coefficients of the cubic spline through these values."""
+    return np.asarray(scipy.ndimage.spline_filter1d(values.astype(float), order=3, mode="nearest"))
 
 
 def _material(columns: Floats, at_px: Floats, rest_px: Floats, rigid_px: Floats) -> Floats:
@@ -215,92 +248,94 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
     """
     part, start = _middle(tracks.sizes["frame"], settings.most_frames), np.asarray(tracks["x_px"].values[0])
     strip, tracks = strip.isel(frame=part), tracks.isel(frame=part)
+    values, first_px = np.asarray(strip.values, np.float32), float(strip["x"].values[0])
     order = np.argsort(nan_median(tracks["x_px"].values))
-    x_px = np.asarray(tracks["x_px"].values, float)[:, order] - float(strip["x"].values[0])
-    values = np.asarray(strip.values, np.float32)
-    seen = np.isfinite(x_px).mean(axis=1)
-    least = min(settings.least_ok, float(np.median(seen)))
-    whole = (seen >= least) & (seen > 0) & np.isfinite(values).all(axis=1)
-    if whole.sum() < LEAST_FRAMES:
-        raise InputError(
-            "the run",
-            f"{LEAST_FRAMES} frames that show the sheets",
-            f"{int(whole.sum())}",
-            "take a longer part",
-        )
-    flag, err = tracks["flag"].values[:, order], np.asarray(tracks["x_err_px"].values, float)[:, order]
+    x_px, err_px, flag = (tracks[name].values[:, order] for name in ("x_px", "x_err_px", "flag"))
+    x_px = np.asarray(x_px, float) - first_px
+    whole = _whole(x_px, values, settings)
     often = np.isfinite(x_px[whole]).mean(axis=0) > 0.5
-    x_px, err, frozen = x_px[:, often], err[:, often], (flag == "frozen").all(axis=1)
-    start = start[order][often] - float(strip["x"].values[0])
+    x_px, err_px, frozen = x_px[:, often], err_px[:, often], (flag == "frozen").all(axis=1)
     slips = find_slips(x_px, settings)
-    pulled = _distorted(x_px, err, flag[:, often], _beside(slips, len(x_px)), settings)
+    beside = _beside(slips, len(x_px))
+    pulled = _distorted(x_px, err_px, flag[:, often], beside, settings)
     chained = StripMetadata.of(strip).codec in BETWEEN_FRAMES
     motion, common, left = smooth_motion(x_px, slips, settings, chained=chained, pulled=pulled)
-    usable = whole & ~_beside(slips, len(x_px))
+    usable = whole & ~beside
     if usable.sum() < LEAST_FRAMES:
         usable = whole
-    rest = nan_median(motion)
-    # Displacement in the first frame of sheets that have no position there.
-    offset = float(np.nan_to_num(nan_median(start - rest)))
-    spacing = np.diff(rest)
-    near = np.minimum(np.append(spacing, np.inf), np.insert(spacing, 0, np.inf))
-    rigid = settings.rigid_share * np.where(np.isfinite(near), near, 20.0)
-    width, per_px = values.shape[1], settings.grid_per_px
-    margin = float(np.ceil(np.abs(motion - rest).max())) + 4
-    grid = -margin + np.arange(int((width + 2 * margin) * per_px)) / per_px
-    disturbed = _around(pulled | (~np.isfinite(x_px) & ~frozen[:, None]), motion, width)
+    disturbed = _around(pulled | (~np.isfinite(x_px) & ~frozen[:, None]), motion, values.shape[1])
     disturbed[~np.isfinite(values).all(axis=1)] = False
     ceiling = float(np.nanmax(values))
     clipped = values > ceiling - 0.5
     excluded = disturbed | clipped if clipped.mean() > 1e-3 else disturbed
     gain = _gain(values, excluded, usable)
-    picture = _mean_picture(values, excluded, gain, motion, np.flatnonzero(usable), grid, rest, rigid)
-    likeness = Likeness(
-        picture=np.asarray(scipy.ndimage.spline_filter1d(picture, order=3, mode="nearest")),
-        first_px=float(grid[0]),
-        per_px=per_px,
-        rest_px=rest,
-        rigid_px=rigid,
-        start_px=np.where(np.isfinite(start), start, rest + offset),
+    picture = _mean_picture(values, excluded, gain, motion, np.flatnonzero(usable), settings)
+    columns, kept = np.arange(values.shape[1], dtype=float), np.flatnonzero(usable)
+    shown = np.array([gain[t] * picture.shown(columns, motion[t]) for t in kept])
+    residual = np.asarray(values[kept] - np.minimum(shown, ceiling), np.float32)
+    as_measured = _around(left == 0, motion, values.shape[1])  # the noise of positions is in the motion there
+    start = start[order][often] - first_px
+    # Displacement in the first frame of sheets that have no position there.
+    offset = float(np.nan_to_num(nan_median(start - picture.rest_px)))
+    return Likeness(
+        strip=strip,
+        frames=part,
+        picture=picture,
+        gain=gain,
+        residuals=_residuals(
+            residual, kept, _parts(gain, settings), slips, disturbed | as_measured, left, chained, settings
+        ),
         motion_px=motion,
         smooth=left > 0,
         common_px=common,
-        gain=gain,
-        residual=np.zeros((1, width), np.float32),
-        slow=np.zeros(values.shape, np.float32),
-        reach=settings.longest_piece,
-        chained=chained,
+        start_px=np.where(np.isfinite(start), start, picture.rest_px + offset),
         slips=slips,
-        strip=strip,
-        frames=part,
-        usable=np.flatnonzero(usable),
-        part=_parts(gain, settings),
         frozen=frozen,
         disturbed=disturbed,
         ceiling=ceiling,
     )
-    return _with_residuals(likeness, values, left, settings)
 
 
-def _with_residuals(like: Likeness, values: Floats32, left: Floats, settings: CertifySettings) -> Likeness:
-    """Return the likeness with the residuals of `values` (frame, x).
+def _whole(x_px: Floats, values: Floats32, settings: CertifySettings) -> Bools:
+    """Return which frames show all but a few sheets, (frame,).  Raises: InputError for fewer than 30."""
+    seen = np.isfinite(x_px).mean(axis=1)
+    least = min(settings.least_ok, float(np.median(seen)))
+    whole = np.asarray((seen >= least) & (seen > 0) & np.isfinite(values).all(axis=1))
+    if whole.sum() < LEAST_FRAMES:
+        expected, found = f"{LEAST_FRAMES} frames that show the sheets", f"{int(whole.sum())}"
+        raise InputError("the run", expected, found, "take a longer part")
+    return whole
 
-    left: share of the noise's variance that is not in the motion, (frame, sheet).
+
+def _residuals(
+    residual: Floats32,
+    usable: Ints,
+    part: Ints,
+    slips: Ints,
+    excluded: Bools,
+    left: Floats,
+    chained: bool,
+    settings: CertifySettings,
+) -> Residuals:
+    """Return residuals that may be exchanged, from those of the usable frames, (usable frame, x).
+
+    excluded: pixels that have none, (frame, x). left: share of the noise's variance that is not in the
+    motion, (frame, sheet).
     """
-    frame, width = like.usable, values.shape[1]
-    columns = np.arange(width, dtype=float)
-    residual = np.empty((len(frame), width), np.float32)
-    for row, t in enumerate(frame):
-        shown = like.gain[t] * like._shown(columns, like.motion_px[t])
-        residual[row] = values[t] - np.minimum(shown, like.ceiling)
-    edges = np.union1d(like.slips, 1 + np.flatnonzero(np.diff(like.part)))
-    slow = _slow_part(residual, frame, edges, len(values), settings.slow_frames)
-    as_measured = _around(left == 0, like.motion_px, width)  # the noise of positions is in the motion there
-    residual = _undisturbed(residual - slow[frame], (like.disturbed | as_measured)[frame])
+    edges = np.union1d(slips, 1 + np.flatnonzero(np.diff(part)))
+    slow = _slow_part(residual, usable, edges, len(part), settings.slow_frames)
+    residual = _undisturbed(residual - slow[usable], excluded[usable])
     # The smooth motion and the mean picture contain the rest of the noise.
-    smooth = left[frame][left[frame] > 0]
-    share = float(smooth.mean()) * (1 - 1 / len(frame)) if smooth.size else 0.2
-    return replace(like, residual=residual / np.float32(np.sqrt(share)), slow=slow)
+    smooth = left[usable][left[usable] > 0]
+    share = float(smooth.mean()) * (1 - 1 / len(usable)) if smooth.size else 0.2
+    return Residuals(
+        values=residual / np.float32(np.sqrt(share)),
+        slow=slow,
+        usable=usable,
+        part=part,
+        reach=settings.longest_piece,
+        chained=chained,
+    )
 
 
 def _distorted(
@@ -522,30 +557,23 @@ def _filled(x_px: Floats, raw_px: Floats) -> Floats:
 
 
 def _mean_picture(
-    values: Floats32,
-    disturbed: Bools,
-    gain: Floats,
-    motion: Floats,
-    usable: Ints,
-    grid: Floats,
-    rest: Floats,
-    rigid: Floats,
-) -> Floats:
-    """Return M on the grid, from undisturbed pixels if a point has any."""
-    total, weights = np.zeros((2, grid.size)), np.zeros((2, grid.size))
+    values: Floats32, excluded: Bools, gain: Floats, motion: Floats, usable: Ints, settings: CertifySettings
+) -> MeanPicture:
+    """Return M from the usable frames, from pixels that are not excluded if a point has any."""
+    rest, per_px = nan_median(motion), settings.grid_per_px
+    spacing = np.diff(rest)
+    near = np.minimum(np.append(spacing, np.inf), np.insert(spacing, 0, np.inf))
+    rigid = settings.rigid_share * np.where(np.isfinite(near), near, 20.0)
+    margin = float(np.ceil(np.abs(motion - rest).max())) + 4
     column = np.arange(values.shape[1])
+    grid = -margin + np.arange(int((column.size + 2 * margin) * per_px)) / per_px
+    total, weights = np.zeros((2, grid.size)), np.zeros((2, grid.size))
     for t in usable:
         column_of = _material(grid, rest, motion[t], rigid)  # column that shows each point of M
-        coefficients = scipy.ndimage.spline_filter1d(values[t].astype(float), order=3, mode="nearest")
-        shown = (
-            scipy.ndimage.map_coordinates(
-                coefficients, column_of[None], order=3, mode="nearest", prefilter=False
-            )
-            / gain[t]
-        )
-        clear = 1.0 - np.interp(column_of, column, disturbed[t].astype(float))
+        shown = _spline(_coefficients(values[t]), column_of) / gain[t]
+        clear = 1.0 - np.interp(column_of, column, excluded[t].astype(float))
         for k, weight in enumerate((clear, np.ones_like(clear))):
             total[k] += weight * shown
             weights[k] += weight
     mean = np.where(weights[0] > 1, total[0] / np.maximum(weights[0], 1e-9), total[1] / weights[1])
-    return np.asarray(mean, np.float64)
+    return MeanPicture(_coefficients(mean), float(grid[0]), per_px, rest, rigid)
