@@ -24,7 +24,7 @@ from vision.numeric import Bools, Floats, Ints, nan_median, rms
 from vision.run import RunFolder, read_strip
 from vision.sheets import TrackingSettings, track_sheets
 from vision.sheets.quality import BetweenSlips, spatial_scatter
-from vision.sheets.subpixel import position_noise
+from vision.sheets.subpixel import FitChoice, position_noise
 from vision.sheets.tracks import BETWEEN_FRAMES
 
 Tracker = Callable[[xr.DataArray], xr.Dataset]  # `track_sheets` with the parameters of a run
@@ -222,7 +222,7 @@ def certify(
         like = replace(like, encoder=encoder.fitted(drawn, shown_px, like.strip.values))
     imitated = tracks.isel(frame=like.frames)
     recorded_px = _scatter(np.asarray(imitated["x_px"].values, float), like.residuals.chained)
-    track = _tracker(tracks)
+    track = _tracker(tracks, like, recorded_px)
     if encoder is not None:
         like = _with_hidden_motion(like, track, settings)
     scales = [scale for scale in (1.5, 2.0, 3.0, 4.0) if scale <= settings.largest_jump]
@@ -311,15 +311,30 @@ def _with_hidden_motion(like: Likeness, track: Tracker, settings: CertifySetting
     return moved(float(np.clip(1 + (1 - once) / slope, 1.0, most)) if slope > 0 else most)
 
 
-def _tracker(tracks: xr.Dataset) -> Tracker:
-    """Return `track_sheets` with the run's parameters and the fit that the run chose.
+def _tracker(tracks: xr.Dataset, like: Likeness, recorded_px: float) -> Tracker:
+    """Return `track_sheets` with the run's parameters.
 
-    It does not search for false sheets and marks again, as the recording has shown which they are.
+    It does not search for false sheets and marks again, as the recording has shown which they are. If the run
+    chose its fit itself, this choice, which is one for each sheet, may come out differently on a film: either
+    the film's own choice or the same fit for all sheets is used, whichever gives a scatter more like the
+    recording's, `recorded_px`.
     """
     parameters, known = _parameters(tracks)
-    parameters["fit"] = TrackMetadata.of(tracks).fit
     settings = TrackingSettings(**known | {"mark_distorted": math.inf, "most_distorted": math.inf})
-    return lambda film: track_sheets(film, **parameters, settings=settings)
+    used: FitChoice = TrackMetadata.of(tracks).fit  # type: ignore[assignment]
+    asked = parameters.pop("fit", used)
+
+    def with_fit(fit: FitChoice) -> Tracker:
+        return lambda film: track_sheets(film, **parameters, fit=fit, settings=settings)
+
+    if asked != "auto" or used == "sliding":
+        return with_fit(used)
+    film, choices = like.film(like.motion_px, number=0), (used, asked)
+
+    def unlike(track: Tracker) -> float:
+        return abs(math.log(_measure(like, like.motion_px, track(film)).scatter_px / recorded_px))
+
+    return min((with_fit(fit) for fit in choices), key=unlike)
 
 
 def _parameters(tracks: xr.Dataset) -> tuple[dict[str, Any], dict[str, Any]]:
