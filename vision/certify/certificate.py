@@ -239,7 +239,7 @@ def certify(
     error = np.concatenate([film.error_px - _columns(film.error_px, np.mean) for film in measured])
     stated = np.concatenate([film.stated_px for film in measured])
     locking = _locking(like, track)
-    sweeps, stick_frames = _sweep_errors(like, measured, settings)
+    sweeps, stick_frames = _sweep_errors(like, measured)
     margin, tried = _identity_margin(like, track, measured, scales)
     at_threshold = pulled and _at_threshold(like, track, settings.films, *pulled, threshold, tracks)
     metadata, facts = TrackMetadata.of(tracks), StripMetadata.of(strip)
@@ -396,9 +396,7 @@ def _pieces(like: Likeness) -> list[Ints]:
     return [piece for piece in pieces if piece.size >= 5]
 
 
-def _sweep_errors(
-    like: Likeness, measured: list[_Measured], settings: CertifySettings
-) -> tuple[Floats, float]:
+def _sweep_errors(like: Likeness, measured: list[_Measured]) -> tuple[Floats, float]:
     """Return the RMS error of a line's sweep over a stick phase, (sheet,), and its median frames."""
     pieces = _pieces(like)
     if not pieces:
