@@ -552,7 +552,7 @@ def _doubts(
     stated = np.where(tracks["flag"].values == "ok", tracks["x_err_px"].values, np.nan)
     large = (stated > settings.pulled_errors * nan_median(stated)) | (tracks["distorted"].values > 0)
     at_distorted = float(np.nansum(stated[large] ** 2) / np.nansum(stated**2))
-    if disturbed > 0.02 or at_distorted > 0.2:
+    if disturbed > settings.most_disturbed or at_distorted > settings.most_pulled:
         lines.append(
             f"something distorts or hides ridges in {100 * disturbed:.1f} % of the film (dirt, a highlight, "
             f"a hand), and positions that it distorts have {100 * at_distorted:.0f} % of the squared stated "
