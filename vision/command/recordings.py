@@ -27,6 +27,7 @@ from vision.experiment import simulate as make_test
 from vision.figures import Figure, plus_minus, save_figures
 from vision.figures.single_sheets import friction_figure, modulus_figure
 from vision.figures.style import counted
+from vision.folder import check_target, run_folder, write_json
 from vision.force import detection_limit, parse_columns, read_force
 from vision.models import Estimate
 from vision.models.friction import (
@@ -41,7 +42,7 @@ from vision.models.friction import (
 from vision.models.modulus import STRIP, ModulusSettings, measure_cycles, summarise_modulus
 from vision.models.rheometer import read_rheometer
 from vision.pipeline import analyse
-from vision.run import check_target, run_folder, write_json, write_run
+from vision.run import write_run
 from vision.run.tables import write_table
 from vision.sample import Sample
 

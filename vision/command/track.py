@@ -26,18 +26,9 @@ from vision.data import MEASURED, StripMetadata
 from vision.errors import InputError
 from vision.figures.style import counted
 from vision.files import answered
+from vision.folder import check_target
 from vision.pipeline import Analysis, Settings, analyse, track_strip
-from vision.run import (
-    FAILURES,
-    Checkpoint,
-    Checksums,
-    Origin,
-    Parameter,
-    check_target,
-    describe_input,
-    is_run,
-    write_run,
-)
+from vision.run import FAILURES, Checkpoint, Checksums, Origin, Parameter, describe_input, is_run, write_run
 from vision.sheets.corrections import read_decisions
 from vision.summary import findings, flag_counts, noise_figures
 from vision.video import Follow, open_video, video_files
