@@ -218,16 +218,7 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
     order = np.argsort(nan_median(tracks["x_px"].values))
     x_px = np.asarray(tracks["x_px"].values, float)[:, order] - float(strip["x"].values[0])
     values = np.asarray(strip.values, np.float32)
-    seen = np.isfinite(x_px).mean(axis=1)
-    least = min(settings.least_ok, float(np.median(seen)))
-    whole = (seen >= least) & (seen > 0) & np.isfinite(values).all(axis=1)
-    if whole.sum() < LEAST_FRAMES:
-        raise InputError(
-            "the run",
-            f"{LEAST_FRAMES} frames that show the sheets",
-            f"{int(whole.sum())}",
-            "take a longer part",
-        )
+    whole = _whole_frames(x_px, values, settings)
     flag, err = tracks["flag"].values[:, order], np.asarray(tracks["x_err_px"].values, float)[:, order]
     often = np.isfinite(x_px[whole]).mean(axis=0) > 0.5
     x_px, err, frozen = x_px[:, often], err[:, often], (flag == "frozen").all(axis=1)
@@ -242,9 +233,9 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
     rest = nan_median(motion)
     # Displacement in the first frame of sheets that have no position there.
     offset = float(np.nan_to_num(nan_median(start - rest)))
-    spacing = np.diff(rest)
-    near = np.minimum(np.append(spacing, np.inf), np.insert(spacing, 0, np.inf))
-    rigid = settings.rigid_share * np.where(np.isfinite(near), near, 20.0)
+    to_left, to_right = np.diff(rest, prepend=-np.inf), np.diff(rest, append=np.inf)
+    nearest = np.minimum(to_left, to_right)
+    rigid = settings.rigid_share * np.where(np.isfinite(nearest), nearest, 20.0)
     width, per_px = values.shape[1], settings.grid_per_px
     margin = float(np.ceil(np.abs(motion - rest).max())) + 4
     grid = -margin + np.arange(int((width + 2 * margin) * per_px)) / per_px
@@ -280,6 +271,20 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
         ceiling=ceiling,
     )
     return _with_residuals(likeness, values, left, settings)
+
+
+def _whole_frames(x_px: Floats, values: Floats32, settings: CertifySettings) -> Bools:
+    """Return which frames have a picture and show all but a few sheets, (frame,).
+
+    Raises: InputError for fewer than 30.
+    """
+    seen = np.isfinite(x_px).mean(axis=1)
+    least = min(settings.least_ok, float(np.median(seen)))
+    whole = (seen >= least) & (seen > 0) & np.isfinite(values).all(axis=1)
+    if whole.sum() < LEAST_FRAMES:
+        wanted = f"{LEAST_FRAMES} frames that show the sheets"
+        raise InputError("the run", wanted, f"{int(whole.sum())}", "take a longer part")
+    return np.asarray(whole, bool)
 
 
 def _with_residuals(like: Likeness, values: Floats32, left: Floats, settings: CertifySettings) -> Likeness:
