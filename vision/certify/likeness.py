@@ -218,7 +218,16 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
     order = np.argsort(nan_median(tracks["x_px"].values))
     x_px = np.asarray(tracks["x_px"].values, float)[:, order] - float(strip["x"].values[0])
     values = np.asarray(strip.values, np.float32)
-    whole = _whole_frames(x_px, values, settings)
+    seen = np.isfinite(x_px).mean(axis=1)
+    least = min(settings.least_ok, float(np.median(seen)))
+    whole = (seen >= least) & (seen > 0) & np.isfinite(values).all(axis=1)
+    if whole.sum() < LEAST_FRAMES:
+        raise InputError(
+            "the run",
+            f"{LEAST_FRAMES} frames that show the sheets",
+            f"{int(whole.sum())}",
+            "take a longer part",
+        )
     flag, err = tracks["flag"].values[:, order], np.asarray(tracks["x_err_px"].values, float)[:, order]
     often = np.isfinite(x_px[whole]).mean(axis=0) > 0.5
     x_px, err, frozen = x_px[:, often], err[:, often], (flag == "frozen").all(axis=1)
@@ -233,9 +242,9 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
     rest = nan_median(motion)
     # Displacement in the first frame of sheets that have no position there.
     offset = float(np.nan_to_num(nan_median(start - rest)))
-    to_left, to_right = np.diff(rest, prepend=-np.inf), np.diff(rest, append=np.inf)
-    nearest = np.minimum(to_left, to_right)
-    rigid = settings.rigid_share * np.where(np.isfinite(nearest), nearest, 20.0)
+    spacing = np.diff(rest)
+    near = np.minimum(np.append(spacing, np.inf), np.insert(spacing, 0, np.inf))
+    rigid = settings.rigid_share * np.where(np.isfinite(near), near, 20.0)
     width, per_px = values.shape[1], settings.grid_per_px
     margin = float(np.ceil(np.abs(motion - rest).max())) + 4
     grid = -margin + np.arange(int((width + 2 * margin) * per_px)) / per_px
@@ -271,20 +280,6 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
         ceiling=ceiling,
     )
     return _with_residuals(likeness, values, left, settings)
-
-
-def _whole_frames(x_px: Floats, values: Floats32, settings: CertifySettings) -> Bools:
-    """Return which frames have a picture and show all but a few sheets, (frame,).
-
-    Raises: InputError for fewer than 30.
-    """
-    seen = np.isfinite(x_px).mean(axis=1)
-    least = min(settings.least_ok, float(np.median(seen)))
-    whole = (seen >= least) & (seen > 0) & np.isfinite(values).all(axis=1)
-    if whole.sum() < LEAST_FRAMES:
-        wanted = f"{LEAST_FRAMES} frames that show the sheets"
-        raise InputError("the run", wanted, f"{int(whole.sum())}", "take a longer part")
-    return np.asarray(whole, bool)
 
 
 def _with_residuals(like: Likeness, values: Floats32, left: Floats, settings: CertifySettings) -> Likeness:
@@ -442,7 +437,7 @@ def smooth_motion(
     for piece, which in waiting if sheets >= LEAST_SHARING else ():
         inner = piece[~blurred[piece]]
         if piece.size >= settings.least_piece:
-            off = filled[inner] - _smoothed(time, piece, inner, filled, which)[0][~blurred[piece]]
+            off = filled[inner] - _smoothed(time, piece, inner, filled, which, settings)[0][~blurred[piece]]
             common[inner] = np.median(off, axis=1)
     steady = filled - common[:, None]
     while waiting:
@@ -450,7 +445,7 @@ def smooth_motion(
         inner = piece[~blurred[piece]]
         if piece.size < settings.least_piece or not which.size:
             continue
-        fitted, leverage = _smoothed(time, piece, inner, steady, which)
+        fitted, leverage = _smoothed(time, piece, inner, steady, which, settings)
         off = (steady[np.ix_(piece, which)] - fitted)[~blurred[piece]]
         fits = chained | (np.sqrt((off**2).mean(axis=0)) < settings.misfit * noise[which])
         motion[np.ix_(piece, which[fits])] = fitted[:, fits]
@@ -462,8 +457,10 @@ def smooth_motion(
     return motion, common, left * shared
 
 
-def _smoothed(time: Floats, piece: Ints, inner: Ints, x_px: Floats, which: Ints) -> tuple[Floats, Floats]:
-    """Return parabolas through the frames `inner` of a piece at all its frames, (frame, which), and their
+def _smoothed(
+    time: Floats, piece: Ints, inner: Ints, x_px: Floats, which: Ints, settings: CertifySettings
+) -> tuple[Floats, Floats]:
+    """Return polynomials through the frames `inner` of a piece at all its frames, (frame, which), and their
     leverage at `inner`."""
     span = max(time[piece[-1]] - time[piece[0]], 1.0)
     basis = np.polynomial.legendre.legvander(2 * (time[piece] - time[piece[0]]) / span - 1, 2)
