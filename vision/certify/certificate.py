@@ -441,17 +441,6 @@ def _identity_margin(
     return margin, tried
 
 
-def _creep_at_threshold(time_s: Floats, sticks: pd.DataFrame, threshold: float) -> Floats:
-    """Return a movement at constant speed in every stick, (frame,), µm, whose RMS is threshold × Λ_st."""
-    inward_um = np.zeros(time_s.size)
-    columns = (sticks[name].to_numpy(float) for name in ("t_v_s", "t_p_s", "stick_length_um"))
-    for begin, end, length_um in zip(*columns, strict=True):
-        inside = (time_s >= begin) & (time_s <= end)
-        share = (time_s[inside] - begin) / max(end - begin, 1e-9) - 0.5
-        inward_um[inside] = share * np.sqrt(12) * threshold * np.nan_to_num(length_um)
-    return inward_um
-
-
 def _at_threshold(
     like: Likeness,
     track: Tracker,
@@ -464,9 +453,15 @@ def _at_threshold(
 ) -> Threshold | None:
     """Analyse films in which every sheet creeps by √12 × threshold × Λ_st in every stick phase."""
     time = np.asarray(clock.to_force_s(np.asarray(like.strip["time_s"].values, float)), float)
-    axis_px = TrackMetadata.of(tracks).axis_px - float(like.strip["x"].values[0])
-    inward_px = _creep_at_threshold(time, sticks, threshold) / pixel_size_um
-    motion = like.rest_px + np.where(like.rest_px < axis_px, 1, -1) * inward_px[:, None]
+    side = np.where(like.rest_px < TrackMetadata.of(tracks).axis_px - float(like.strip["x"].values[0]), -1, 1)
+    length = sticks["stick_length_um"].to_numpy(float)
+    start, stop = sticks["t_v_s"].to_numpy(float), sticks["t_p_s"].to_numpy(float)
+    inward = np.zeros(time.size)
+    for begin, end, long in zip(start, stop, length, strict=True):
+        inside = (time >= begin) & (time <= end)
+        share = (time[inside] - begin) / max(end - begin, 1e-9) - 0.5
+        inward[inside] = share * np.sqrt(12) * threshold * np.nan_to_num(long) / pixel_size_um
+    motion = like.rest_px - side * inward[:, None]
     tracked = (track(like.film(motion, number=number)) for number in range(films))
     try:
         moved = [horizontal_deformation(one, sticks, clock, pixel_size_um=pixel_size_um) for one in tracked]
