@@ -61,6 +61,15 @@ def test_only_run_folders_are_ever_overwritten(tmp_path):
         pass
 
 
+def test_an_empty_folder_is_used_without_being_asked(tmp_path):
+    """A failure means that a folder made for the results must be deleted first."""
+    (tmp_path / "out").mkdir()
+    with run_folder(tmp_path / "out") as folder:
+        write_run(folder)
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"run.json", "tracks.csv"}
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+
+
 def test_folders_made_for_a_run_that_failed_are_gone(tmp_path):
     """A failure means that empty folders stay where nothing was written."""
     with pytest.raises(ValueError, match="x"), run_folder(tmp_path / "a" / "b" / "out"):

@@ -35,7 +35,7 @@ def check_target(target: Path, *, overwrite: bool, mark: str = RUN_JSON) -> None
     """Check that a folder can be written, before anything is computed.
 
     mark: the file that an earlier folder must hold to be replaced, one of `MARKS`.
-    Raises: InputError if it exists (with `overwrite`: without the mark), or the disk refuses.
+    Raises: InputError if it exists, not empty (with `overwrite`: without the mark), or the disk refuses.
     """
     try:
         if target.exists():
@@ -54,13 +54,14 @@ def check_new(target: Path, *, overwrite: bool, kind: str = "file") -> None:
 
 
 def _check_earlier(target: Path, *, overwrite: bool, mark: str) -> None:
-    """Check that an existing folder may be replaced: a writable one with the mark, if asked for.
+    """Check that an existing folder may be replaced: an empty one, or one with the mark, if asked for.
 
-    Raises: InputError.
+    Raises: InputError if not, or if it cannot be written.
     """
-    check_new(target, overwrite=overwrite, kind="folder")
+    empty = target.is_dir() and not any(target.iterdir())
+    check_new(target, overwrite=overwrite or empty, kind="folder")
     wanted = f"{MARKS[mark]} to overwrite"
-    if not (target.is_dir() and (not any(target.iterdir()) or (target / mark).is_file())):
+    if not (empty or (target.is_dir() and (target / mark).is_file())):
         raise InputError(target, wanted, f"something else (no {mark} in it)", "give another `out`")
     if target.samefile(Path.cwd()):
         raise InputError(target, wanted, "the working directory", "go one folder up")

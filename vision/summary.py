@@ -236,15 +236,7 @@ def consistency_warnings(
             f"{len(weak)} of {found.sheets} sheets (index {which}) may be something else (little contrast, or"
             " found in few frames): restrict `columns` or give `sheets`"
         )
-    # The axis lies between two sheets, half a pitch from both; sheets may be unevenly spaced.
-    slack = 0.75 * found.pitch_px
-    x_px = nan_median(tracks["x_px"].values)
-    known = math.isfinite(found.axis_low_px) and math.isfinite(found.axis_high_px)
-    # With one side in view, the axis may lie anywhere beyond its end.
-    first, last = np.nanmin(x_px, initial=math.inf), np.nanmax(x_px, initial=-math.inf)
-    low = -math.inf if found.axis_high_px <= first else found.axis_low_px - slack
-    high = math.inf if found.axis_low_px >= last else found.axis_high_px + slack
-    if known and not low <= found.axis_px <= high:
+    if not _motion_allows_axis(tracks, found):
         lines.append(
             f"the axis at {found.axis_px:.0f} px is outside the range that the motion allows"
             f" ({found.axis_low_px:.0f} to {found.axis_high_px:.0f} px): check `axis_px`, and whether both"
@@ -273,6 +265,21 @@ def consistency_warnings(
             " `sheets_per_block`, `axis_px` and `sheets`"
         )
     return lines
+
+
+def _motion_allows_axis(tracks: xr.Dataset, found: TrackMetadata) -> bool:
+    """Return whether the axis is where the motion of the sheets allows it, or nothing is known of that.
+
+    It lies between two sheets, half a pitch from both, and sheets may be unevenly spaced. With one side in
+    view, it may lie anywhere beyond its end.
+    """
+    if not (math.isfinite(found.axis_low_px) and math.isfinite(found.axis_high_px)):
+        return True
+    slack, x_px = 0.75 * found.pitch_px, nan_median(tracks["x_px"].values)
+    first, last = np.nanmin(x_px, initial=math.inf), np.nanmax(x_px, initial=-math.inf)
+    low = -math.inf if found.axis_high_px <= first else found.axis_low_px - slack
+    high = math.inf if found.axis_low_px >= last else found.axis_high_px + slack
+    return bool(low <= found.axis_px <= high)
 
 
 def shells_against_fits(

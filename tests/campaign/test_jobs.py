@@ -15,7 +15,7 @@ from tests.campaign.scenes import films, planned
 from vision.campaign.jobs import Outcome, close_states, run_job
 from vision.campaign.results import open_tables, write_page
 from vision.errors import InputError
-from vision.run import run_folder
+from vision.folder import run_folder
 from vision.sheets import track_sheets  # noqa: F401  # imported once, before the job forks
 
 

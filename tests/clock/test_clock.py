@@ -12,9 +12,9 @@ from vision.clock import Clock, force_slips, synchronise, video_slips
 from vision.errors import InputError
 from vision.experiment import force_recording, preset, truth_of, with_settings, write_force
 from vision.experiment.scene import make_scene
+from vision.folder import plain
 from vision.force import find_stick_slip
 from vision.force.recording import read_force
-from vision.run import plain
 
 STOP_S, OFFSET_S, FRAME_S = 120.0, 31.25, 0.05
 

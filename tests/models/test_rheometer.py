@@ -72,6 +72,8 @@ def _write(path: Path, head: str, rows: str = "0,0,0\n1,1,10\n2,2,20\n") -> Path
         "Time [s],Torque [µN·m],Angle [mrad]",
         "time_s,torque_µNm,angle_mrad",
         "t,Drehmoment in uN.m,Winkel (mrad)",
+        "time_s,torque_µN_m,angle_mrad",
+        "Time in s,Torque in µN m,Angle in mrad",
     ],
 )
 def test_names_and_units_of_plain_tables(tmp_path: Path, head: str) -> None:
@@ -94,7 +96,7 @@ def test_a_cut_export_says_so(tmp_path: Path) -> None:
     ("head", "rows", "message"),
     [
         ("Time [s],Force [N],Angle [mrad]", "0,0,0\n1,1,1\n", "a torque column"),
-        ("Time [s],Torque,Angle [mrad]", "0,0,0\n1,1,100\n2,2,200\n", "no unit"),
+        ("Time [s],Torque,Angle [mrad]", "0,0,0\n1,1,100\n2,2,200\n", "found no unit; write it"),
         ("Time [s],Torque [lbf],Angle [mrad]", "0,0,0\n1,1,100\n2,2,200\n", '"\\[?lbf'),
         ("Time [s],Torque [mN·m],Speed", "0,0,0\n1,1,100\n2,2,200\n", "no deflection angle"),
         ("Time [s],Torque [mN·m],Angle [mrad]", "0,1,5\n1,1,5\n2,1,5\n", "no rotation"),

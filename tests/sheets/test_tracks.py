@@ -202,7 +202,8 @@ def test_no_usable_frame():
 
 def test_too_few_columns():
     """A failure means a strip cut too narrow ends in a traceback."""
-    assert "at least 8 columns" in refusal(as_strip(grey(80, columns=5)))
+    for columns in (0, 5):
+        assert "at least 8 columns" in refusal(as_strip(grey(80, columns=columns)))
 
 
 def test_axis_outside_the_picture_on_the_wrong_scale():

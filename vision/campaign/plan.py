@@ -22,7 +22,8 @@ import vision
 from vision.campaign.films import PATHS, CampaignSettings, Check, Row, is_remote
 from vision.errors import InputError
 from vision.files import Stamp, answered, reading, shortened
-from vision.run import describe_input, plain, whole_file, write_json
+from vision.folder import plain, whole_file, write_json
+from vision.run import describe_input
 from vision.run.reading import read_json
 from vision.video import open_video, video_files
 

@@ -25,8 +25,9 @@ from vision.comparison.runs import COLUMNS, LIMITS, number
 from vision.errors import InputError
 from vision.figures.style import counted
 from vision.files import reading
+from vision.folder import whole_file, write_json
 from vision.pipeline import Analysis
-from vision.run import Origin, whole_file, write_json
+from vision.run import Origin
 from vision.run.reading import read_json
 from vision.run.tables import ROWS_PER_CHUNK, sheets_table, tracks_table, write_table
 from vision.shells import deformation_table

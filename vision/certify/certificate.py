@@ -239,7 +239,7 @@ def certify(
     error = np.concatenate([film.error_px - _columns(film.error_px, np.mean) for film in measured])
     stated = np.concatenate([film.stated_px for film in measured])
     locking = _locking(like, track)
-    sweeps, stick_frames = _sweep_errors(like, measured, settings)
+    sweeps, stick_frames = _sweep_errors(like, measured)
     margin, tried = _identity_margin(like, track, measured, scales)
     at_threshold = pulled and _at_threshold(like, track, settings.films, *pulled, threshold, tracks)
     metadata, facts = TrackMetadata.of(tracks), StripMetadata.of(strip)
@@ -411,9 +411,7 @@ def _pieces(like: Likeness) -> list[Ints]:
     return [piece for piece in pieces if piece.size >= 5]
 
 
-def _sweep_errors(
-    like: Likeness, measured: list[_Measured], settings: CertifySettings
-) -> tuple[Floats, float]:
+def _sweep_errors(like: Likeness, measured: list[_Measured]) -> tuple[Floats, float]:
     """Return the RMS error of a line's sweep over a stick phase, (sheet,), and its median frames."""
     pieces = _pieces(like)
     if not pieces:
@@ -571,7 +569,7 @@ def _doubts(
     stated = np.where(tracks["flag"].values == "ok", tracks["x_err_px"].values, np.nan)
     large = (stated > settings.pulled_errors * nan_median(stated)) | (tracks["distorted"].values > 0)
     at_distorted = float(np.nansum(stated[large] ** 2) / np.nansum(stated**2))
-    if disturbed > 0.02 or at_distorted > 0.2:
+    if disturbed > settings.most_disturbed or at_distorted > settings.most_pulled:
         lines.append(
             f"something distorts or hides ridges in {100 * disturbed:.1f} % of the film (dirt, a highlight, "
             f"a hand), and positions that it distorts have {100 * at_distorted:.0f} % of the squared stated "

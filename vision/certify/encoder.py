@@ -268,20 +268,11 @@ def read_encoder(
         return None
     if codec == "hevc" and (crf := _setting(header, b"x265", b"crf")) is not None:
         quantisers = [crf]
-    effort = _setting(header, b"x264", b"subme")
-    if (
-        not (quantisers or codec in QUANTISERS)
-        or not decoded
-        or picture.ndim != 2
-        or picture.dtype != np.uint8
-    ):
+    is_grey = picture.ndim == 2 and picture.dtype == np.uint8
+    if not (is_grey and decoded and (quantisers or codec in QUANTISERS)):
         return None
-    even = picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2].astype(np.float64)
-    # Large frames are cropped, so that a film for finding the noise has at most 60 million pixels.
-    most = 60_000_000 // (TRIED_FRAMES * even.shape[1])
-    top = max(0, min(rows[0], (rows[0] + rows[1] - most) // 2)) // 2 * 2 if len(even) > most else 0
-    even = even[top : top + max(most, rows[1] - top)] if len(even) > most else even
-    even = even[: len(even) // 2 * 2]
+    effort = _setting(header, b"x264", b"subme")
+    even, top = _part_to_encode(picture, rows)
     return Encoder(
         codec=codec,
         quantiser=round(float(np.median(quantisers))) if quantisers else QUANTISERS[codec][0],
@@ -294,6 +285,21 @@ def read_encoder(
         rows=(rows[0] - top, min(rows[1] - top, len(even))),
         columns=(columns[0], min(columns[1], even.shape[1])),
     )
+
+
+def _part_to_encode(picture: Pixels, rows: tuple[int, int]) -> tuple[Floats, int]:
+    """Return the part of a picture around the strip that films are encoded with, and its first row.
+
+    Encoders demand even numbers. Large pictures are cropped to fewer rows, so that a film for finding the
+    noise has at most 60 million pixels, unless the strip itself has more.
+    """
+    even = picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2].astype(np.float64)
+    most = 60_000_000 // (TRIED_FRAMES * even.shape[1])
+    if len(even) <= most:
+        return even, 0
+    top = max(0, min(rows[0], (rows[0] + rows[1] - most) // 2)) // 2 * 2
+    part = even[top : top + max(most, rows[1] - top)]
+    return part[: len(part) // 2 * 2], top
 
 
 def _setting(text: bytes, encoder: bytes, name: bytes) -> float | None:

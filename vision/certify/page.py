@@ -8,9 +8,9 @@ from pathlib import Path
 from vision.certify.certificate import Certificate
 from vision.figures import Figure, Panel, Series
 from vision.figures.style import DATA, PEAK, VALLEY, from_zero
+from vision.folder import whole_file, write_json
 from vision.report.page import render_page
 from vision.report.text import ANALYSED_WITH, Answer, citation
-from vision.run import whole_file, write_json
 
 # How films were made, and what the certificate does not include.
 _RESIDUALS = (

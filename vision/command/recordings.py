@@ -27,6 +27,7 @@ from vision.experiment import simulate as make_test
 from vision.figures import Figure, plus_minus, save_figures
 from vision.figures.single_sheets import friction_figure, modulus_figure
 from vision.figures.style import counted
+from vision.folder import check_target, run_folder, write_json
 from vision.force import detection_limit, parse_columns, read_force
 from vision.models import Estimate
 from vision.models.friction import (
@@ -38,10 +39,10 @@ from vision.models.friction import (
     friction_of_disc,
     friction_table,
 )
-from vision.models.modulus import STRIP, ModulusSettings, measure_cycles, summarise_modulus
+from vision.models.modulus import STRIP, MeanValue, ModulusSettings, measure_cycles, summarise_modulus
 from vision.models.rheometer import read_rheometer
 from vision.pipeline import analyse
-from vision.run import check_target, run_folder, write_json, write_run
+from vision.run import write_run
 from vision.run.tables import write_table
 from vision.sample import Sample
 
@@ -121,19 +122,24 @@ def modulus(file: Path, options: ModulusOptions, output: OutputOptions) -> int:
     figure = modulus_figure(force, cycles, clamp_distance_mm=options.clamp_distance)
     _write(target, output, "cycles", cycles, figure, content, facts)
     if not output.quiet:
-        lines = [f"{len(cycles)} loading branches -> {target}/"]
-        for name, key in (("Y_p = |F0|/(εW)", "Y_p_GPa"), ("kL/(εW)", "Y_slope_GPa")):
-            mean = means[key]
-            scatter = f", scatter {mean.scatter:.2g} GPa" if len(cycles) > 1 else ""
-            lines.append(f"{name} {plus_minus(Estimate(mean.value, mean.error))} GPa{scatter}")
-        lines.append(
-            f"peak {means['F_max_N'].value:.4g} N, drifting by {means['drift_N'].value:.2g} N a cycle; "
-            f"tangent K {means['K_tangent_N_per_mm'].value:.4g} N/mm; loop {means['loop_mJ'].value:.3g} mJ"
-        )
-        say([*lines, *notes])
+        say([f"{len(cycles)} loading branches -> {target}/", *_modulus_lines(means, len(cycles)), *notes])
     for line in warnings:
         complain(f"{file.name}: {line}")
     return 1 if warnings else 0
+
+
+def _modulus_lines(means: Mapping[str, MeanValue], cycles: int) -> list[str]:
+    """Return the moduli, forces and losses as text."""
+    lines = []
+    for name, key in (("Y_p = |F0|/(εW)", "Y_p_GPa"), ("kL/(εW)", "Y_slope_GPa")):
+        mean = means[key]
+        scatter = f", scatter {mean.scatter:.2g} GPa" if cycles > 1 else ""
+        lines.append(f"{name} {plus_minus(Estimate(mean.value, mean.error))} GPa{scatter}")
+    lines.append(
+        f"peak {means['F_max_N'].value:.4g} N, drifting by {means['drift_N'].value:.2g} N a cycle; "
+        f"tangent K {means['K_tangent_N_per_mm'].value:.4g} N/mm; loop {means['loop_mJ'].value:.3g} mJ"
+    )
+    return lines
 
 
 def friction(files: Sequence[Path], options: FrictionOptions, output: OutputOptions) -> int:

@@ -26,18 +26,9 @@ from vision.data import MEASURED, StripMetadata
 from vision.errors import InputError
 from vision.figures.style import counted
 from vision.files import answered
+from vision.folder import check_target
 from vision.pipeline import Analysis, Settings, analyse, track_strip
-from vision.run import (
-    FAILURES,
-    Checkpoint,
-    Checksums,
-    Origin,
-    Parameter,
-    check_target,
-    describe_input,
-    is_run,
-    write_run,
-)
+from vision.run import FAILURES, Checkpoint, Checksums, Origin, Parameter, describe_input, is_run, write_run
 from vision.sheets.corrections import read_decisions
 from vision.summary import findings, flag_counts, noise_figures
 from vision.video import Follow, open_video, video_files
@@ -126,18 +117,9 @@ def track_one(
     printed only if `run.verbose`, as a table of all films follows.  copy: copy of the film, which is read
     instead, if there is one.  config: file from which options were taken, recorded as an input.
     """
-    # The signatures and help texts of matplotlib's artists take nearly half of the time of its import.
-    matplotlib.artist.kwdoc = lambda artist: ""
-    matplotlib.artist.Artist._update_set_signature_and_docstring = lambda: None  # type: ignore[attr-defined]
-    if run.follow and run.resume:
-        raise InputError("`follow` and `resume`", "one of the two", "both")
-    if is_run(video):
-        found, advice = "a run folder", "track review, figures and export take it"
-        raise InputError(video, "a video or a folder of images", found, advice)
     settings, force = settings_of(parameters), parameters["force"].value
-    check_target(target, overwrite=run.overwrite)
-    if run.resume and settings.strips != 1:
-        raise InputError("`resume` and `strips`", "one of the two", "both", "leave `resume` out")
+    _check_run(video, target, run, settings)
+    _import_matplotlib_faster()
     along = run.checksum and not run.follow and copy is None and video.exists()
     checkpoint, sums = Checkpoint(target, resume=run.resume), Checksums(video_files(video) if along else ())
     with checkpoint, sums, _resumable(checkpoint):
@@ -169,6 +151,24 @@ def track_one(
         about=f"{video.name}: " if one_of_many else "",
     )
     return status, analysis
+
+
+def _check_run(video: Path, target: Path, run: RunOptions, settings: Settings) -> None:
+    """Refuse options that exclude each other, a run folder in place of a film, and a folder that is kept."""
+    if run.follow and run.resume:
+        raise InputError("`follow` and `resume`", "one of the two", "both")
+    if run.resume and settings.strips != 1:
+        raise InputError("`resume` and `strips`", "one of the two", "both", "leave `resume` out")
+    if is_run(video):
+        found, advice = "a run folder", "track review, figures and export take it"
+        raise InputError(video, "a video or a folder of images", found, advice)
+    check_target(target, overwrite=run.overwrite)
+
+
+def _import_matplotlib_faster() -> None:
+    """Leave out signatures and help texts of its artists, which take nearly half of its import time."""
+    matplotlib.artist.kwdoc = lambda artist: ""
+    matplotlib.artist.Artist._update_set_signature_and_docstring = lambda: None  # type: ignore[attr-defined]
 
 
 def _warn_of_other_film(analysis: Analysis, corrections: Path | None, film: Path) -> Analysis:

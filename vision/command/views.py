@@ -37,20 +37,10 @@ from vision.figures.camera import sides_known, slip_times
 from vision.figures.style import counted
 from vision.files import AGAIN
 from vision.files import reading as reading_of
+from vision.folder import check_new, check_target, run_folder, whole_file, write_json
 from vision.numeric import Floats, Ints, Pixels
 from vision.pipeline import Settings, analyse, open_recording, track_strip
-from vision.run import (
-    check_mark,
-    check_new,
-    check_target,
-    export_run,
-    is_run,
-    read_run,
-    read_strip,
-    run_folder,
-    whole_file,
-    write_json,
-)
+from vision.run import check_mark, export_run, is_run, read_run, read_strip
 from vision.run.diagrams import frame_step_s, unevenness_s, write_space_time_tif
 from vision.run.export import Format
 from vision.run.overlay import write_overlay

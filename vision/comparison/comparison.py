@@ -31,10 +31,11 @@ from vision.comparison.trends import SYMBOLS, Irregularity, Trend, find_irregula
 from vision.errors import InputError
 from vision.figures import Figure, both_errors, plus_minus, save_figures
 from vision.figures.style import counted
+from vision.folder import run_folder, write_json
 from vision.models import Estimate
 from vision.report.page import render_page
 from vision.report.text import ANALYSED_WITH, Answer, citation
-from vision.run import Origin, run_folder, write_json
+from vision.run import Origin
 from vision.run.tables import write_table
 
 MARK = "compare"  # key in run.json that distinguishes a comparison from a run

@@ -281,20 +281,16 @@ def _measure(
     settings: DeformationSettings,
 ) -> tuple[xr.Dataset, AR1Noise, str]:
     """Deformation in the usable frames, the noise's correlation, and the camera movement subtracted."""
-    all_px, side = np.asarray(tracks["x_px"].values, float), tracks["side"].values
-    x_px, fit = all_px[frames.frame], TrackMetadata.of(tracks).fit
+    x_px, side = np.asarray(tracks["x_px"].values, float)[frames.frame], tracks["side"].values
+    fit = TrackMetadata.of(tracks).fit
     terms = 4 if np.median(frames.counts) >= settings.cubic_frames else 3
     steady = x_px
     if fit == "paper" and "x_err_px" in tracks:
-        locking = pixel_locking_slope(all_px, np.asarray(tracks["x_err_px"].values, float))
+        locking = pixel_locking_slope(*(np.asarray(tracks[of].values, float) for of in ("x_px", "x_err_px")))
         steady = correct_pixel_locking(x_px, locking, frames, terms, settings)
     vibration, factor = np.zeros(len(x_px)), np.ones(side.size)
     if common_mode and len(x_px):
-        steady = steady - camera_pushes(steady, frames, settings)[:, None]
-        residual = steady - fit_creep(steady, frames, terms, settings).at(frames)
-        vibration = common_mode_motion(residual, settings)
-        factor = common_mode_noise_factor(residual, settings)
-    steady = steady - vibration[:, None]
+        steady, vibration, factor = _without_vibration(steady, frames, terms, settings)
     slips = find_late_slips(steady, frames, settings)
     steady = np.where(slips.outside, np.nan, steady)
     noise = measure_noise(steady, frames, terms, settings)
@@ -312,6 +308,7 @@ def _measure(
     curve = _Curve.of(line, parabola, errors, camera, settings).shortened(slips)
     books_px = movement_of_books(curve.straight, frames.length_s)
     curve = replace(curve, slope_err=np.hypot(curve.slope_err, books_px[:, None]))
+    # From here on in µm, relative to the stick length; a negative size that is not significant becomes 0.
     length = events["stick_length_um"].to_numpy(float)[:, None]
     length = np.where(length > 0, length, np.nan)
     sigma_length_err, length_err = _length_errors(events, curve.end_slope)
@@ -351,6 +348,17 @@ def _measure(
         | {name: ("event", events[name].to_numpy(float), MOTION[name].attrs) for name in ends},
     )
     return motion, noise.correlation, camera.movement if camera else "not subtracted"
+
+
+def _without_vibration(
+    x_px: Floats, frames: StickFrames, terms: int, settings: DeformationSettings
+) -> tuple[Floats, Floats, Floats]:
+    """Positions without the pushes and the vibration of the camera; this vibration in each usable frame, px;
+    and the factor on each sheet's noise variance that restores what the subtraction removed."""
+    unpushed = x_px - camera_pushes(x_px, frames, settings)[:, None]
+    residual = unpushed - fit_creep(unpushed, frames, terms, settings).at(frames)
+    vibration = common_mode_motion(residual, settings)
+    return unpushed - vibration[:, None], vibration, common_mode_noise_factor(residual, settings)
 
 
 def _rms(x_px: Floats, frames: StickFrames) -> Floats:

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vision.data import FORCE, ForceMetadata
+from vision.data import FORCE, ForceMetadata, StickMetadata
 from vision.errors import InputError, check_positive
 from vision.models import equations
 from vision.models.single_fits import (
@@ -485,7 +485,8 @@ def _unresolved_valleys(
     """Part of the budget from valleys that the low-pass and the sampling make too shallow."""
     none: dict[str, float | None] = dict.fromkeys((*PARAMETERS, "K_N_per_mm"), 0.0)
     by_sampling = _drop_lost_by_sampling(force, events)
-    of_drop, of_k = (abs(events.attrs.get(f"lowpass_{name}_share", 0.0)) for name in ("dF", "K"))
+    facts = StickMetadata.of(events)
+    of_drop, of_k = abs(facts.lowpass_dF_share), abs(facts.lowpass_K_share)
     if not (of_drop or of_k):
         return {"sampling": none | {"A": abs(fits.amplitude.value * by_sampling)}} if by_sampling else {}
     # Both make the valleys too shallow, so the errors add linearly.

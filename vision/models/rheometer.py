@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -136,8 +137,14 @@ def read_rheometer(path: str | Path) -> list[pd.DataFrame]:
     starts = [k for k, line in enumerate(lines) if _mark(line) == "Interval and data points:"]
     blocks = _intervals(lines, starts, results) if starts else [_plain_table(path, lines)]
     for block in blocks:
-        if not block.problem:
+        if block.problem:
+            continue
+        try:
             _convert(path, block)
+        except InputError as error:
+            if len(blocks) == 1:
+                raise
+            block.problem = error.problem.removeprefix("expected ").replace("; found ", ", but ", 1)
     rotations = _measurements(blocks)
     if not rotations:
         problems = list(dict.fromkeys(block.problem for block in blocks if block.problem))
@@ -252,7 +259,9 @@ def _plain_table(path: Path, lines: list[str]) -> _Block:
         raise InputError(path, "a torque column", f"the first line '{shown}'", "name it: Torque [mN·m]")
     cells = _cells(lines[header:], _separator(lines[header])).map(str.strip)
     known = {unit for quantity in _QUANTITIES for unit in quantity.units}
-    split = [split_name(str(cell).lstrip("#% "), lambda text: _unit(text) in known) for cell in cells.iloc[0]]
+    # "torque_N_m" and "Torque in mN m": a unit of two words
+    headers = [re.sub("N[ _](?=mm?$)", "N", str(cell).lstrip("#% ")) for cell in cells.iloc[0]]
+    split = [split_name(header, lambda text: _unit(text) in known) for header in headers]
     names, units = [name.replace("_", " ") for name, _ in split], [unit for _, unit in split]
     first = 1
     if len(cells) > 1 and not any(units) and not any(_is_number(str(cell)) for cell in cells.iloc[1]):
@@ -287,12 +296,11 @@ def _unit(text: str) -> str:
 
 
 def _convert(path: Path, block: _Block) -> None:
-    """Set the values of an interval in SI units, or the problem for which it is not a rotation."""
-    try:
-        found = {q.column: column for q in _QUANTITIES if (column := _column(path, block, q)) is not None}
-    except InputError as error:
-        block.problem = str(error).removeprefix(f"{path}: expected ").replace("; found ", ", but ", 1)
-        return
+    """Set the values of an interval in SI units, or the problem for which it is not a rotation.
+
+    Raises: InputError for an unknown unit.
+    """
+    found = {q.column: column for q in _QUANTITIES if (column := _column(path, block, q)) is not None}
     for name, what in (("torque_N_m", "torque"), ("angle_rad", "deflection angle")):
         if name not in found:
             block.problem = f"no {what} (columns: {', '.join(filter(None, block.names))})"

@@ -1,6 +1,5 @@
 """The run folder: written, read back, exported."""
 
-from vision.folder import check_new, check_target, plain, run_folder, whole_file, write_json
 from vision.run.export import export_run
 from vision.run.provenance import Checksums, Origin, Parameter, describe_input
 from vision.run.reading import (
@@ -21,16 +20,10 @@ __all__ = [
     "Parameter",
     "RunFolder",
     "check_mark",
-    "check_new",
-    "check_target",
     "describe_input",
     "export_run",
     "is_run",
-    "plain",
     "read_run",
     "read_strip",
-    "run_folder",
-    "whole_file",
-    "write_json",
     "write_run",
 ]

@@ -117,10 +117,11 @@ def track_sheets(
     STRIP.check(strip)
     facts = StripMetadata.of(strip)
     profile = np.asarray(strip.values, np.float32)
-    first_px, last_px = (float(x) for x in strip["x"].values[[0, -1]])
     axis_decision = last_of(corrections, "axis")
     axis_px = axis_px if axis_decision is None else axis_decision.x_px
-    _check(profile, facts.source, axis_px, first_px, last_px)
+    _check(profile, facts.source)
+    first_px, last_px = (float(x) for x in strip["x"].values[[0, -1]])
+    _check_axis(axis_px, first_px, last_px)
     comb = describe_ridges(profile, polarity=ridges, sheets=sheets, source=facts.source, settings=settings)
     window = choose_window(comb, window_px)
     candidates = find_ridges(profile, comb)
@@ -252,12 +253,8 @@ class _Tracked:
         )
 
 
-def _check(profile: Floats32, source: str, axis_px: float | None, first_px: float, last_px: float) -> None:
-    """Refuse a profile without usable frames, with too few columns, or without any contrast.
-
-    Also refuse an axis further outside the picture than the picture is wide; with one side in view it does
-    lie outside.
-    """
+def _check(profile: Floats32, source: str) -> None:
+    """Refuse a profile without usable frames, with too few columns, or without any contrast."""
     good = np.flatnonzero(np.isfinite(profile).all(axis=1))
     if not len(good):
         raise InputError(source, "at least one usable frame", "none", "look at the frames' status")
@@ -265,6 +262,11 @@ def _check(profile: Floats32, source: str, axis_px: float | None, first_px: floa
         raise InputError(source, "at least 8 columns", f"{profile.shape[1]}", "check `columns` and `rotate`")
     if all(np.ptp(profile[frame]) == 0 for frame in good):  # most films have contrast in the first frame
         raise InputError(source, "a picture with ridges", "a constant one", "check `rows` and `columns`")
+
+
+def _check_axis(axis_px: float | None, first_px: float, last_px: float) -> None:
+    """Refuse an axis further outside the picture than the picture is wide; with one side in view it does lie
+    outside."""
     width = last_px - first_px
     if axis_px is not None and not first_px - width <= axis_px <= last_px + width:
         near = f"a column near the picture ({first_px:.0f} to {last_px:.0f} px)"

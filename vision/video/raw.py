@@ -141,12 +141,7 @@ def _open_avi(path: Path) -> MappedReader | None:
         raise InputError(path, "at least one whole frame", "none", advice)
     frame_bytes, shape = int(np.median(held)), (abs(height), width)
     packed = width * channels * (1 if bits == 8 else 2)
-    padded = (packed + 3) // 4 * 4
-    row_bytes = next((row for row in (padded, packed) if frame_bytes == row * shape[0]), None)
-    if row_bytes is None:
-        wanted = f"{padded * shape[0]} bytes a frame for {shape_text(shape)}, {name}"
-        advice = "packed depths are not read; export as FFV1 or TIFF"
-        raise InputError(path, wanted, f"{frame_bytes} bytes", advice)
+    row_bytes = _row_bytes(path, packed, frame_bytes, shape, name)
     if (held < row_bytes * (shape[0] - 1) + packed).any():
         found = f"one of {int(held.min())}"
         raise InputError(path, f"frames of {frame_bytes} bytes", found, "a damaged recording")
@@ -176,6 +171,17 @@ def _open_avi(path: Path) -> MappedReader | None:
         bottom_up=plain and height > 0,
         grey_levels=_grey_levels(header.strf[40 : 40 + 4 * (used or 256)]) if has_palette else None,
     )
+
+
+def _row_bytes(path: Path, packed: int, frame_bytes: int, shape: tuple[int, int], name: str) -> int:
+    """Return the bytes from one row to the next: the `packed` pixels, usually padded to a multiple of 4."""
+    padded = (packed + 3) // 4 * 4
+    for row in (padded, packed):
+        if frame_bytes == row * shape[0]:
+            return row
+    wanted = f"{padded * shape[0]} bytes a frame for {shape_text(shape)}, {name}"
+    advice = "packed depths are not read; export as FFV1 or TIFF"
+    raise InputError(path, wanted, f"{frame_bytes} bytes", advice)
 
 
 def _pixel_format(path: Path, fourcc: bytes, stored: int) -> tuple[int, int, str]:

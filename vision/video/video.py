@@ -457,13 +457,7 @@ def read_timestamps(path: Path) -> tuple[Floats, tuple[str, ...]]:
     if len(widths) > 1:
         raise InputError(path, "the same number of columns in every line", f"{min(widths)} to {max(widths)}")
     width = widths.pop()
-    header = lines[first - 1].lstrip("# ") if first else ""
-    mark = next((mark for mark in (separator, *";\t,") if mark and mark in header), None)
-    header = header if mark else re.sub(r"\s+(?=[(\[])", "_", header)  # "time (ms)" is one name
-    names = [name.strip() for name in header.split(mark)] if width > 1 else [header]
-    column = next((n for n, name in enumerate(names[:width]) if _TIME_NAME.search(name)), width - 1)
-    unit = _UNIT.search(names[column] if column < len(names) else header)
-    unit_s = SECONDS[unit.group(1).lower()] if unit else 1.0
+    column, unit_s = _time_column(lines[first - 1].lstrip("# ") if first else "", separator, width)
     times_s = np.array([row[column] for row in rows[first:]]) * unit_s
     if not np.isfinite(times_s).all():
         raise InputError(path, "a time for every frame", "NaN or infinity")
@@ -472,6 +466,16 @@ def read_timestamps(path: Path) -> tuple[Floats, tuple[str, ...]]:
         return times_s, ()
     where = f"the first at frame {backwards[0] + 1}"
     return times_s, (f"{path.name}: {backwards.size} time(s) do not increase, {where}",)
+
+
+def _time_column(header: str, separator: str | None, width: int) -> tuple[int, float]:
+    """Return which of `width` columns the header names as the time, else the last, and its unit in s."""
+    mark = next((mark for mark in (separator, *";\t,") if mark and mark in header), None)
+    header = header if mark else re.sub(r"\s+(?=[(\[])", "_", header)  # "time (ms)" is one name
+    names = [name.strip() for name in header.split(mark)] if width > 1 else [header]
+    column = next((n for n, name in enumerate(names[:width]) if _TIME_NAME.search(name)), width - 1)
+    unit = _UNIT.search(names[column] if column < len(names) else header)
+    return column, SECONDS[unit.group(1).lower()] if unit else 1.0
 
 
 def _numbers(cells: list[str], *, decimal_comma: bool) -> list[float]:
