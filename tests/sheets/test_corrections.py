@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.scenes.combs import ridges, strip
-from tests.sheets.test_neighbours import marked_comb
+from tests.sheets.test_doubts import marked_comb
 from vision.errors import InputError
 from vision.sheets import doubtful_stretches, read_corrections, track_sheets
 from vision.sheets.corrections import corrections_text, last_of, read_decisions

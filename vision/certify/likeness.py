@@ -472,7 +472,7 @@ def smooth_motion(
     for piece, which in waiting if sheets >= LEAST_SHARING else ():
         inner = piece[~blurred[piece]]
         if piece.size >= settings.least_piece:
-            off = filled[inner] - _smoothed(time, piece, inner, filled, which, settings)[0][~blurred[piece]]
+            off = filled[inner] - _smoothed(time, piece, inner, filled, which)[0][~blurred[piece]]
             common[inner] = np.median(off, axis=1)
     steady = filled - common[:, None]
     while waiting:
@@ -480,7 +480,7 @@ def smooth_motion(
         inner = piece[~blurred[piece]]
         if piece.size < settings.least_piece or not which.size:
             continue
-        fitted, leverage = _smoothed(time, piece, inner, steady, which, settings)
+        fitted, leverage = _smoothed(time, piece, inner, steady, which)
         off = (steady[np.ix_(piece, which)] - fitted)[~blurred[piece]]
         fits = chained | (np.sqrt((off**2).mean(axis=0)) < settings.misfit * noise[which])
         motion[np.ix_(piece, which[fits])] = fitted[:, fits]
@@ -492,10 +492,8 @@ def smooth_motion(
     return motion, common, left * shared
 
 
-def _smoothed(
-    time: Floats, piece: Ints, inner: Ints, x_px: Floats, which: Ints, settings: CertifySettings
-) -> tuple[Floats, Floats]:
-    """Return polynomials through the frames `inner` of a piece at all its frames, (frame, which), and their
+def _smoothed(time: Floats, piece: Ints, inner: Ints, x_px: Floats, which: Ints) -> tuple[Floats, Floats]:
+    """Return parabolas through the frames `inner` of a piece at all its frames, (frame, which), and their
     leverage at `inner`."""
     span = max(time[piece[-1]] - time[piece[0]], 1.0)
     basis = np.polynomial.legendre.legvander(2 * (time[piece] - time[piece[0]]) / span - 1, 2)
