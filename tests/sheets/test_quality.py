@@ -111,6 +111,21 @@ def test_slips_are_seen_while_the_camera_shakes():
     assert np.median(noise_excess(BetweenSlips(x), np.full(x.shape, 0.02))) == pytest.approx(1, abs=0.1)
 
 
+@pytest.mark.parametrize("period", [8, 20])
+def test_slips_of_a_few_outer_sheets_are_no_noise(period):
+    """On one side at a time, with creep between them.  A failure means that the slips of a third of the
+    sheets enlarge the errors of all, ten times and more."""
+    rng = np.random.default_rng(6)
+    slips = np.arange(200) % period == period - 1
+    x = 20 * np.arange(30) + rng.normal(0, 0.02, (200, 30))
+    for side, outer in enumerate((slice(0, 5), slice(25, 30))):
+        own = slips & (np.cumsum(slips) % 2 == side)
+        x[:, outer] += (2 * np.cumsum(own) - own.mean() * 2 * np.arange(200))[:, None]
+    excess = noise_excess(BetweenSlips(x), np.full(x.shape, 0.02))
+    assert np.median(excess) == pytest.approx(1, abs=0.15)
+    assert excess.max() < 1.5
+
+
 def test_a_scatter_needs_frames_between_slips():
     """A comb that slips in every other frame leaves none to compare: nothing is stated, and nothing fails."""
     slips = np.cumsum(np.where(np.arange(30) % 2, 0.01, 5.0))[:, None] * np.linspace(0.5, 1, 12)
