@@ -403,7 +403,7 @@ class TrackingSettings:
 
     slip_sigmas: float = 5.0
     """Step of a sheet, over the scatter of its steps, from which it is a slip and no noise. Larger takes the
-    slips of a few sheets for noise, smaller leaves out noise (test_quality.py)."""
+    slips of a few sheets for noise (test_quality.py at 20), smaller leaves out noise (there at 1.5)."""
 
     # --- symmetry axis (numbering.py) ---
 
