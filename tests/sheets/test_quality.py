@@ -111,6 +111,21 @@ def test_slips_are_seen_while_the_camera_shakes():
     assert np.median(noise_excess(BetweenSlips(x), np.full(x.shape, 0.02))) == pytest.approx(1, abs=0.1)
 
 
+@pytest.mark.parametrize(("period", "size"), [(8, 2.0), (20, 2.0), (20, 0.25)])
+def test_slips_of_a_few_outer_sheets_are_no_noise(period, size):
+    """On one side at a time, with creep between them.  A failure means that the slips of a third of the
+    sheets enlarge the errors of all, five times and more."""
+    slips = np.arange(200) % period == period - 1
+    x = np.tile(60 + 20.0 * np.arange(30), (200, 1))
+    for side, outer in enumerate((slice(0, 5), slice(25, 30))):
+        own = slips & (np.cumsum(slips) % 2 == side)
+        x[:, outer] += size * (np.cumsum(own) - own.mean() * np.arange(200))[:, None]
+    tracks = track_sheets(strip(ridges(x, width=700)))
+    off = tracks.x_px.values - x
+    off = np.abs(off - np.mean(off, axis=0))
+    assert 0.62 < (off < tracks.x_err_px.values).mean() < 0.74
+
+
 def test_a_scatter_needs_frames_between_slips():
     """A comb that slips in every other frame leaves none to compare: nothing is stated, and nothing fails."""
     slips = np.cumsum(np.where(np.arange(30) % 2, 0.01, 5.0))[:, None] * np.linspace(0.5, 1, 12)

@@ -515,22 +515,26 @@ def noise_excess(positions: BetweenSlips, err_px: Floats, settings: TrackingSett
 
     Turbulent air, flicker that differs between rows, and a camera that shakes along leaning sheets shift each
     ridge by another amount, and leave its shape unchanged. This shows in second differences of positions in
-    time, between slips. The motion that all sheets share is subtracted, and with ten sheets or more what
-    is linear in n (a camera that vibrates or breathes). Sizes at several lags are averaged as squares, since
-    at one lag an error that lasts or repeats itself may cancel. A size is the one within which 68 % of the
-    frames lie, which leaves out slips of single sheets. Vibration of most sheets during the whole film cannot
-    be distinguished from such errors, and counts as one. 1 for fewer than five sheets, and where slips leave
-    too few frames between them.
+    time, between slips: those of the film, and those of the sheet itself, since often only the outer sheets
+    of one side slip. The motion that all sheets share is subtracted, and with ten sheets or more what is
+    linear in n (a camera that vibrates or breathes). Sizes at several lags are averaged as squares, since at
+    one lag an error that lasts or repeats itself may cancel; a size is the one within which 68 % of the
+    frames lie. Vibration of most sheets during the whole film counts as an error. 1 for fewer than five
+    sheets, and where slips leave too few frames between them.
     """
-    sheets = err_px.shape[1]
-    variance = err_px[positions.seen] ** 2
+    sheets, variance = err_px.shape[1], err_px[positions.seen] ** 2
     third, line = sheets // 3, sheets >= 10
     along = (np.arange(sheets) - (sheets - 1) / 2) / (sheets - third)
+    step = np.diff(positions.x_px, axis=0)
+    step -= nan_median(step, axis=1)[:, None]
+    step = np.abs(step - nan_median(step))
+    slip = step > settings.slip_sigmas * nan_median(step) / NORMAL_MEDIAN
+    slips = np.cumsum(np.pad(slip, ((1, 0), (0, 0))), axis=0)
     sizes = []
     for lag in NOISE_LAGS if sheets >= len(FOURTH) else ():
         first = positions.without_slip(2 * lag)
         if len(first) >= 2 * LEAST_FRAMES:
-            second = positions.second((lag,))
+            second = np.where(slips[first + 2 * lag] == slips[first], positions.second((lag,)), np.nan)
             if line:
                 low, high = (nan_median(part, axis=1) for part in (second[:, :third], second[:, -third:]))
                 second = second - np.nan_to_num(high - low)[:, None] * along
@@ -539,8 +543,9 @@ def noise_excess(positions: BetweenSlips, err_px: Floats, settings: TrackingSett
             sizes.append(nan_quantile(np.abs(second) / np.sqrt(expected), ONE_SIGMA))
     if not sizes:
         return np.ones(sheets)
-    excess = np.sqrt(np.mean(np.square(sizes), axis=0) / (1 - FITTED[line] / sheets))
-    usual = nan_median(excess)
+    total, count = (sums[-1] for sums in _sums_of_known(np.square(sizes)))
+    excess = np.sqrt(total / np.where(count, count, np.nan) / (1 - FITTED[line] / sheets))
+    usual = np.nan_to_num(nan_median(excess), nan=1.0)
     own = np.where(excess > settings.own_excess[0] * usual, excess, usual)
     return np.fmin(own, settings.own_excess[1] * usual)
 

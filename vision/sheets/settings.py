@@ -401,6 +401,10 @@ class TrackingSettings:
     motion of a single sheet for noise, and a smaller one understates errors where flicker shifts some sheets
     by far more than others (test_quality.py)."""
 
+    slip_sigmas: float = 5.0
+    """Step of a sheet, over the scatter of its steps, from which it is a slip and no noise. Larger takes the
+    slips of a few sheets for noise (test_quality.py at 20), smaller leaves out noise (there at 1.5)."""
+
     # --- symmetry axis (numbering.py) ---
 
     axis_slack: float = 0.02
