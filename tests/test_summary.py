@@ -74,6 +74,19 @@ def test_an_axis_that_motion_allows_is_not_doubted(picture, pitches):
     assert consistency_warnings(track_sheets(picture, axis_px=AXIS + pitches * PITCH)) == []
 
 
+@pytest.mark.parametrize(
+    ("high_px", "said"),
+    [(192.9, "the motion allows no other gap between sheets"), (240.0, "the motion allows 193 to 240 px")],
+)
+def test_an_axis_between_two_sheets_is_given_no_empty_range(picture, high_px, said):
+    """A failure means "192.5 px (the motion allows 193 to 193 px)", which contradicts itself."""
+    found = {"axis_px": 192.5, "axis_how": "motion", "axis_low_px": 192.9, "axis_high_px": high_px}
+    (line,) = [
+        one for one in _tracking_lines(track_sheets(picture).assign_attrs(**found), None) if "axis " in one
+    ]
+    assert line == f"axis       192.5 px (found from motion; {said})"
+
+
 @pytest.mark.parametrize("told", [40, 44])
 def test_fewer_sheets_told_than_seen(picture, told):
     """`sheets` 40 on a film of 50 renumbers all of them: the ten left out are like the others."""

@@ -401,6 +401,8 @@ class StickMetadata(Metadata):
         slips of different size and spacing agree on it. Its effect is part of the errors.
     lowpass_dF_share, lowpass_K_share
         Median relative change of ΔF and K that this correction would cause.
+    lowpass_peak_mm
+        Median travel in which a stick rises by as much as this correction would raise its peak.
     two_slopes, bend_share
         Whether stick phases were fitted with a knee; correction of the lines at the valley for the curvature
         common to all sticks, over their rise (negative: sticks begin steeply).
@@ -427,6 +429,7 @@ class StickMetadata(Metadata):
     lowpass_proven: bool = False
     lowpass_dF_share: float = 0.0
     lowpass_K_share: float = 0.0
+    lowpass_peak_mm: float = 0.0
     two_slopes: bool = False
     bend_share: float = 0.0
     regime: str = "stick-slip"

@@ -524,6 +524,8 @@ def _axis(found: TrackMetadata, innermost: int) -> str:
     how = {"motion": "found from motion", "geometry": "the middle of the ridges in view"}[found.axis_how]
     if not math.isfinite(found.axis_low_px):
         return f"{how}; the motion does not show the axis"
+    if found.axis_high_px == found.axis_low_px:
+        return f"{how}; the motion allows no other gap between sheets"
     return f"{how}; the motion allows {found.axis_low_px:.0f} to {found.axis_high_px:.0f} px"
 
 

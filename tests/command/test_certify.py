@@ -43,6 +43,18 @@ def test_the_certificate_of_a_run(made, tmp_path, capsys, monkeypatch):
     assert "--overwrite" in capsys.readouterr().err
 
 
+def test_a_run_without_a_force_recording(made, tmp_path, capsys, monkeypatch):
+    """A failure means exit status 1, as after a warning that matters, for every film without a force."""
+    monkeypatch.chdir(tmp_path)
+    target = tmp_path / "film_tracks"
+    film = str(made[0].parent / "sim/video.avi")
+    assert run([film, "--fps", "60", "--quiet", "--out", str(target)]) == 0
+    assert run(["certify", str(target), "--films", "1"]) == 0
+    printed = capsys.readouterr()
+    assert "not known" in next(line for line in printed.out.splitlines() if line.startswith("σ_x/Λ_st"))
+    assert not printed.err
+
+
 def test_every_film_is_progress(made):
     """A failure means a bar that stands still, or ends early, while films at the threshold are tracked."""
     seen = []

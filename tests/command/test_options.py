@@ -125,6 +125,12 @@ def test_a_file_of_options_is_checked_as_the_command_line_is(text, tmp_path):
     assert len(str(caught.value)) < 1000
 
 
+def test_what_must_be_positive_is_said_so(capsys):
+    """A failure means "expected a number from 1e-09", which nobody reads as above 0."""
+    assert run(["film.avi", "--fps=0"]) == 2
+    assert "--fps: expected a number above 0; found" in capsys.readouterr().err
+
+
 def test_a_file_of_options_gives_what_it_says(tmp_path):
     """A failure means that the checks refuse what is right."""
     (tmp_path / "a.toml").write_text(

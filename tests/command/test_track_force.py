@@ -65,6 +65,17 @@ def test_events_of_a_recording_give_back_the_models(test: Test) -> None:
     assert fits.modulus_GPa.value == pytest.approx(3.8, rel=0.02)
 
 
+def test_what_the_low_pass_takes_from_the_peaks_is_in_the_errors() -> None:
+    """A low-pass of 3 ms moves μ by more than its other errors: a failure means that none of them says so."""
+    made = realistic(d1=18, noise=0.05).force
+    recorded, corrected = (fit_models(made, find_stick_slip(made, lowpass_s=how)) for how in (0.0, "auto"))
+    for name in ("mu", "T0_N", "N_hat_N"):
+        moved = abs(corrected.named()[name].value - recorded.named()[name].value)
+        assert moved > 0.9 * recorded.named()[name].error
+        assert recorded.budget["low_pass"][name] == pytest.approx(moved, rel=0.3)
+    assert "low_pass" not in corrected.budget
+
+
 def test_a_run_folder_is_complete_and_kept(
     file: Path, test: Test, capsys: pytest.CaptureFixture[str]
 ) -> None:

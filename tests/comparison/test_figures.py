@@ -1,6 +1,7 @@
 """What the figures of several tests show, and what is said beside them."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import vision
@@ -74,3 +75,12 @@ def test_systematic_errors_of_the_runs_are_taken_over(tmp_path):
         0.035, rel=0.2
     )  # half of the weight is its own
     assert np.isnan(vision.compare(folders[1:]).table["mu_systematic"].iloc[0])
+
+
+def test_numbers_of_previous_tests_are_whole(tmp_path):
+    """A failure means an axis that counts 1.5 tests."""
+    folders = [write_run(tmp_path / f"r{k}", events(seed=k)) for k in range(3)]
+    table = pd.DataFrame({"run": [folder.name for folder in folders], "n_test": [0, 1, 2]})
+    (trend,) = [one for one in vision.compare(folders, table=table).figures() if one.name == "trends"]
+    assert trend.panels
+    assert all(panel.whole_numbers for panel in trend.panels)

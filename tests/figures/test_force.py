@@ -17,6 +17,7 @@ from vision.figures.force import (
     stiffness_residuals_figure,
 )
 from vision.figures.positions import outward_px
+from vision.models import Estimate
 from vision.report.text import methods
 
 
@@ -46,6 +47,16 @@ def test_peaks_lie_on_the_force_curve_and_eq_1(pulled):
     assert np.median(np.abs(np.interp(peaks.x, model.x, model.y) / peaks.y - 1)) < 0.03
     assert 0.001 < pulled.fits.t_star_N.value < 0.01
     assert f"with T* = {1000 * pulled.fits.t_star_N.value:g} mN and" in figure.caption
+
+
+def test_captions_state_both_errors_of_the_fits(pulled):
+    """A failure means a caption whose ± is the smaller part of the error that the answers above state."""
+    mu, known = replace(pulled.fits.mu, systematic_error=0.02), {"error": 0.005, "systematic_error": 0.02}
+    names = ("amplitude", "n_hat_N", "modulus_GPa")
+    fits = replace(pulled.fits, mu=mu, **{name: Estimate(value=0.3, **known) for name in names})
+    figures = {figure.name: figure for figure in figures_of(replace(pulled, fits=fits))}
+    for name, estimates in (("force", 1), ("force_drop", 1), ("stiffness", 2)):
+        assert figures[name].caption.count("(syst.)") >= estimates
 
 
 def test_force_keeps_its_extremes_where_the_crosshead_jitters(pulled):

@@ -123,6 +123,15 @@ def test_small_slips_below_a_gap_are_told() -> None:
     assert events.attrs["warnings"] == []
 
 
+def test_doubts_about_a_force_over_a_weight_are_in_no_newton() -> None:
+    """A failure means that the same number is newtons in a warning and a share of the weight beside it."""
+    test = plain(sticks=40, snr=50)
+    load = (np.round(test.force["load_N"] / 25) * 25).assign_attrs(units="1")
+    lines = find_stick_slip(test.force.assign(load_N=load)).attrs["warnings"]
+    assert any("the load has steps of 25 of the weight, sticks are" in line for line in lines)
+    assert not any(re.search(r"\d N\b", line) for line in lines)
+
+
 def test_a_coarse_load_is_told() -> None:
     """A failure means drops of two steps of the load cell pass for measured ones."""
     test = plain(sticks=40, snr=50)

@@ -266,7 +266,7 @@ def certify(
         identity_margin=margin,
         identity_tried=tried,
         threshold=at_threshold,
-        warnings=(*doubts, *_gaps(like, tracks, known, at_threshold is None)),
+        warnings=(*doubts, *_gaps(like, tracks, known)),
         encoding="" if like.encoder is None else like.encoder.described,
         uncertain=bool(doubts),
     )
@@ -579,13 +579,11 @@ def _doubts(
     return lines
 
 
-def _gaps(like: Likeness, tracks: xr.Dataset, known: Bools, no_threshold: bool) -> list[str]:
+def _gaps(like: Likeness, tracks: xr.Dataset, known: Bools) -> list[str]:
     """Return warnings about what the certificate does not cover."""
     lines, left_out_sheets = [], tracks.sizes["sheet"] - like.picture.rest_px.size
     if left_out_sheets:
         lines.append(f"{left_out_sheets} sheets left out, which are found in fewer than half of the frames")
     if known.mean() < 0.95:
         lines.append(f"only {100 * known.mean():.0f} % of the positions of the films were found")
-    if no_threshold:
-        lines.append("no results on σ_x/Λ_st, which need a force recording, a clock and the pixel size")
     return lines

@@ -113,17 +113,17 @@ def statements(certificate: Certificate) -> list[Answer]:
             doubt=c.identity_margin < 1,
         ),
     ]
-    if (t := c.threshold) is not None:
-        answers.append(
-            Answer(
-                f"σ_x/Λ_st at {t.ratio:g}",
-                f"bias {_signed_percent(t.bias)}",
-                f"(uncorrected {_signed_percent(t.raw_bias)}), single measurements scatter by "
-                f"{100 * t.scatter:.1f} %, stated {100 * t.stated:.1f} %; {100 * t.called_stiff:.0f} % "
-                "called stiff (50 % without bias)",
-            )
-        )
-    return answers
+    if (t := c.threshold) is None:
+        needed = "as it needs a force recording, a clock and the pixel size"
+        return [*answers, Answer("σ_x/Λ_st", "not known", needed)]
+    at_threshold = Answer(
+        f"σ_x/Λ_st at {t.ratio:g}",
+        f"bias {_signed_percent(t.bias)}",
+        f"(uncorrected {_signed_percent(t.raw_bias)}), single measurements scatter by "
+        f"{100 * t.scatter:.1f} %, stated {100 * t.stated:.1f} %; {100 * t.called_stiff:.0f} % "
+        "called stiff (50 % without bias)",
+    )
+    return [*answers, at_threshold]
 
 
 def _margin(c: Certificate) -> str:

@@ -191,7 +191,8 @@ def parse_window(text: str, option: str) -> int | Literal["auto"]:
 def at_least(value: float, option: str, least: float, kind: str = "a number") -> float:
     """Return the number unchanged if it is finite and not below `least`.  Raises: InputError."""
     if not (least <= value < math.inf):
-        raise InputError(option, f"{kind} from {least:g}", f"'{value}'")
+        wanted = f"{kind} above 0" if 0 < least < 1e-6 else f"{kind} from {least:g}"
+        raise InputError(option, wanted, f"'{value}'")
     return value
 
 

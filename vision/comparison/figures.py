@@ -15,7 +15,17 @@ from vision.comparison.trends import SYMBOLS, Trend
 from vision.errors import InputError
 from vision.figures.figure import Figure, Panel, Series, load_figures
 from vision.figures.force import amplitude_curve, stiffness_curves
-from vision.figures.style import DATA, MODEL, PEAK, QUIET, VALLEY, from_zero, ordered_inks, plus_minus
+from vision.figures.style import (
+    DATA,
+    MODEL,
+    PEAK,
+    QUIET,
+    VALLEY,
+    both_errors,
+    from_zero,
+    ordered_inks,
+    plus_minus,
+)
 from vision.models import Estimate, equations
 from vision.numeric import Floats
 
@@ -87,7 +97,7 @@ def peaks_figure(found: Comparison, events: pd.DataFrame) -> Figure:
         series = (*series, eq1)
         whose = f"fitted jointly to {joint.sample or 'all tests'}" if joint else "of the first test"
         t_star = f"T* = {1000 * sample.t_star_N:g} mN"
-        model = f"Dashed: Eq. 1 with μ = {plus_minus(mu)}, {whose}, {t_star}."
+        model = f"Dashed: Eq. 1 with μ = {both_errors(mu)}, {whose}, {t_star}."
     return Figure.of(
         "peaks",
         Panel(x_label="d_p (mm)", y_label="F_p − T_0 (N)", series=series),
@@ -103,7 +113,7 @@ def drops_figure(found: Comparison, events: pd.DataFrame) -> Figure:
     if np.isfinite(amplitude.value) and (joint is None or joint.fits):
         curve = amplitude_curve(_span(events, "d_v_mm"), found.mu, amplitude, found.tests[0].sample)
         series = (*series, curve)
-        model = f" Dashed: A times the total normal force, A = {plus_minus(amplitude)} (slow tests)."
+        model = f" Dashed: A times the total normal force, A = {both_errors(amplitude)} (slow tests)."
     return Figure.of(
         "drops",
         Panel(
@@ -341,7 +351,14 @@ def _trend_panel(found: Comparison, quantities: Sequence[str], predictor: str, w
     if not series or (len(quantities) > 1 and not any(s.axis == "right" for s in series)):
         return None
     first, second = [*(SYMBOLS[quantity] + _UNITS.get(quantity, "") for quantity in quantities), ""][:2]
-    return Panel(x_label=what, y_label=first, y2_label=second, series=tuple(series), aspect=0.6)
+    return Panel(
+        x_label=what,
+        y_label=first,
+        y2_label=second,
+        series=tuple(series),
+        aspect=0.6,
+        whole_numbers=predictor == "n_test",
+    )
 
 
 def _trend_of(found: Comparison, quantity: str, predictor: str) -> Trend:

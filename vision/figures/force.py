@@ -21,6 +21,7 @@ from vision.figures.style import (
     PEAK,
     QUIET,
     VALLEY,
+    both_errors,
     displacement_unit,
     drift_text,
     from_zero,
@@ -28,7 +29,6 @@ from vision.figures.style import (
     load_unit,
     offset_text,
     ordered_inks,
-    plus_minus,
     time_axis,
 )
 from vision.force import good_samples
@@ -62,8 +62,8 @@ def force_figure(
         d_model = np.linspace(*fits.d_mm, CURVE_POINTS)
         series.append(Series.model("Eq. 1 + T_0", d_model, fits.peak_force_N(d_model), MODEL))
         model = (
-            f" Dashed: Eq. 1 fitted to the peaks, μ = {plus_minus(fits.mu)} with T* "
-            f"= {1000 * fits.t_star_N.value:g} mN and an offset T_0 = {plus_minus(fits.t0_N)} N."
+            f" Dashed: Eq. 1 fitted to the peaks, μ = {both_errors(fits.mu)} with T* "
+            f"= {1000 * fits.t_star_N.value:g} mN and an offset T_0 = {both_errors(fits.t0_N)} N."
         )
     title = "Force against separation" if known else "Force against time"
     panel = _force_panel(force, title, tuple(series), against_d=known)
@@ -266,7 +266,7 @@ def force_drop_figure(sticks: pd.DataFrame, fits: ModelFits | None = None, *, un
         d = np.linspace(*fits.d_mm, CURVE_POINTS)
         sample = replace(fits.sample, t_star_N=fits.t_star_N.value)
         series.append(amplitude_curve(d, fits.mu, fits.amplitude, sample))
-        amplitude = plus_minus(fits.amplitude)
+        amplitude = both_errors(fits.amplitude)
         model = f" Dashed: A times the normal force summed over the sheets (Eq. 2), A = {amplitude}."
     panel = Panel(
         title="Stick-slip amplitude",
@@ -292,8 +292,8 @@ def stiffness_figure(sticks: pd.DataFrame, fits: ModelFits | None = None, *, uni
         d = np.linspace(*fits.d_mm, CURVE_POINTS)
         series += stiffness_curves("M_eff K_eff", d, fits.stiffness_N_per_mm(d), fits.sample)
         model = (
-            f" Dashed: M_eff K_eff with N̂ = {plus_minus(fits.n_hat_N)} N and "
-            f"Y_eff = {plus_minus(fits.modulus_GPa)} GPa. Solid: (L + d)⁻¹ "
+            f" Dashed: M_eff K_eff with N̂ = {both_errors(fits.n_hat_N)} N and "
+            f"Y_eff = {both_errors(fits.modulus_GPa)} GPa. Solid: (L + d)⁻¹ "
             "from the same start, the effect of lengthening alone."
         )
     panel = Panel(

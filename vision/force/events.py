@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -121,6 +122,9 @@ def find_stick_slip(
     )
     first_peak = analysis.corners.peak[0]
     first, last = np.interp(analysis.corners.peak[[0, -1]], np.arange(signal.time.size), signal.time)
+    warnings = doubts(events, regime, signal, slips)
+    if force["load_N"].attrs.get("units") == "1":
+        warnings = [re.sub(r"(?<=\d) N\b", " of the weight", line) for line in warnings]
     events.attrs |= StickMetadata(
         noise_N=signal.sigma,
         threshold_N=slips.threshold,
@@ -133,11 +137,12 @@ def find_stick_slip(
         lowpass_proven=found.proven,
         lowpass_dF_share=events.attrs.get("lowpass_dF_share", 0.0),
         lowpass_K_share=events.attrs.get("lowpass_K_share", 0.0),
+        lowpass_peak_mm=events.attrs.get("lowpass_peak_mm", 0.0),
         two_slopes=bool(analysis.bent),
         bend_share=analysis.corners.shape.begin,
         regime=regime.name,
         fall_over_rise=regime.fall_over_rise,
-        warnings=doubts(events, regime, signal, slips),
+        warnings=warnings,
         first_slip_s=float(first),
         first_slip_N=float(signal.clean[int(first_peak)]),
         last_slip_s=float(last),
@@ -363,10 +368,13 @@ def _with_bias(
     # The bias is the same in each event, so it is added linearly, not in squares.
     bias = {error: (other[value] - events[value]).abs().fillna(0.0) for value, error in pairs}
     biased = events.assign(**{error: events[error] + added for error, added in bias.items()})
-    for name, value in (("dF", "dF_N"), ("K", "K_N_per_mm")):
-        ratio = (other[value] / events[value] - 1).to_numpy(float)
-        share = float(nan_median(np.where(np.isfinite(ratio), ratio, np.nan)))
-        biased.attrs[f"lowpass_{name}_share"] = share if np.isfinite(share) else 0.0
+    for name, change in (
+        ("dF_share", other["dF_N"] / events["dF_N"] - 1),
+        ("K_share", other["K_N_per_mm"] / events["K_N_per_mm"] - 1),
+        ("peak_mm", (other["F_p_N"] - events["F_p_N"]) / events["K_N_per_mm"]),
+    ):
+        usual = float(nan_median(np.where(np.isfinite(change), change, np.nan)))
+        biased.attrs[f"lowpass_{name}"] = usual if np.isfinite(usual) else 0.0
     return biased
 
 

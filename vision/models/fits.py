@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -465,7 +465,7 @@ def _with_systematics(
         budget["d0"] = half_difference(refit(shifted(d0_err)), refit(shifted(-d0_err)))
     by_drift = half_difference(refit(drifted(drift)), refit(drifted(-drift)))
     budget["load_drift"] = by_drift | {"T0_N": drift}
-    budget |= _unresolved_valleys(fits, force, events)
+    budget |= _unresolved_corners(fits, force, events, refit)
     for name, error in geometry.items():
         value = getattr(fits.sample, name)
         larger, smaller = (replace(fits.sample, **{name: value + by}) for by in (error, -error))
@@ -479,10 +479,13 @@ def _with_systematics(
     return replace(fits, budget=budget, **changed)  # type: ignore[arg-type]
 
 
-def _unresolved_valleys(
-    fits: ModelFits, force: xr.Dataset, events: pd.DataFrame
+def _unresolved_corners(
+    fits: ModelFits,
+    force: xr.Dataset,
+    events: pd.DataFrame,
+    refit: Callable[[pd.DataFrame], dict[str, float]],
 ) -> dict[str, dict[str, float | None]]:
-    """Part of the budget from valleys that the low-pass and the sampling make too shallow."""
+    """Part of the budget from valleys and peaks that the low-pass and the sampling round off."""
     none: dict[str, float | None] = dict.fromkeys((*PARAMETERS, "K_N_per_mm"), 0.0)
     by_sampling = _drop_lost_by_sampling(force, events)
     facts = StickMetadata.of(events)
@@ -490,7 +493,10 @@ def _unresolved_valleys(
     if not (of_drop or of_k):
         return {"sampling": none | {"A": abs(fits.amplitude.value * by_sampling)}} if by_sampling else {}
     # Both make the valleys too shallow, so the errors add linearly.
-    by_lowpass = none | {
+    lost_N = events["K_N_per_mm"].fillna(0.0) * events.attrs.get("lowpass_peak_mm", 0.0)
+    values, of_peaks = fits.named(), refit(events.assign(F_p_N=events["F_p_N"] + lost_N))
+    by_lowpass = none | {name: abs(of_peaks[name] - values[name].value) for name in ("mu", "T0_N", "N_hat_N")}
+    by_lowpass |= {
         "A": abs(fits.amplitude.value) * (of_drop + abs(by_sampling)),
         "Y_eff_GPa": abs(fits.modulus_GPa.value) * of_k,
         "K_N_per_mm": abs(float(events["K_N_per_mm"].median())) * of_k,
