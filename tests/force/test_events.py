@@ -515,6 +515,26 @@ def test_a_machine_that_averages_its_samples(averaged: int, softening: float) ->
         assert np.mean(np.abs(right[name] - truth[name]) < 1.5 * right[error]) > 0.8, name
 
 
+def test_single_slow_slips_among_sudden_ones() -> None:
+    """A failure means that the load's slow fall counts as sudden: the stick before it ends, and the one after
+    it begins, in the middle of the fall, so that both lengths are a third too large and called ok."""
+    rng = np.random.default_rng(8)
+    rise = 100 * (1 + 0.05 * rng.standard_normal(60))
+    fall = np.where(np.arange(60) % 9 == 5, 60.0, 0.2)
+    knots = np.cumsum(np.stack([rise, fall], axis=1))
+    index = np.arange(knots[-1])
+    at = np.searchsorted(knots, index, side="right")
+    begin = np.r_[0.0, knots][at]
+    u = (index - begin) / np.stack([rise, fall], axis=1).ravel()[at]
+    load = np.where(at % 2 == 0, 50 + 10 * u, 55 + 5 * np.cos(np.pi * u)) + 0.1 * rng.standard_normal(u.size)
+    events = find_stick_slip(recording(0.01 * index, load, 13 + index / 6000, 1.0))
+    assert len(events) == 58
+    assert np.allclose(events["stick_length_um"], rise[1:-1] / 6, rtol=0.1)
+    beside = (fall[:-2] > 1) | (fall[1:-1] > 1)
+    assert np.array_equal(events["flag"] == "slow", beside)
+    assert np.allclose(events["dF_N"], 10, atol=0.4)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_samples_that_are_means_since_the_one_before(seed: int) -> None:
     """A failure means that drops and lengths are 2 to 4 % too small with errors that a tenth of them hold."""
