@@ -506,17 +506,42 @@ def test_forces_at_the_ends_of_curved_sticks(power: float, snr: float, largest: 
 
 
 @pytest.mark.parametrize("averaged", [3, 5, 9])
-def test_a_machine_that_averages_its_samples(averaged: int) -> None:
+@pytest.mark.parametrize("softening", [0.0, 0.3])
+def test_a_machine_that_averages_its_samples(averaged: int, softening: float) -> None:
     """A failure means that slips which the machine's running mean has made longer are taken for as long, with
-    drops and lengths too small by many times their errors."""
+    drops and lengths too small by many times their errors; or that a curvature of the sticks hides this."""
     test = plain(sticks=60, samples=100, snr=40, jitter=0.1)
-    padded = np.pad(test.force["load_N"].to_numpy(), averaged // 2, "edge")
+    start, stop = (test.truth[name].to_numpy() for name in ("t_v_s", "t_p_s"))
+    time = test.force["time_s"].to_numpy()
+    u = np.clip((time[:, np.newaxis] - start) / (stop - start), 0, 1)
+    bend = softening * np.sum(test.truth["dF_N"].to_numpy() * u * (1 - u), axis=1)
+    padded = np.pad(test.force["load_N"].to_numpy() + bend, averaged // 2, "edge")
     load = np.convolve(padded, np.full(averaged, 1 / averaged), "valid")
     events = find_stick_slip(test.force.assign(load_N=("time_s", load)))
     right, truth = matched(events, test.truth)
     assert len(events) == len(right) == len(test.truth)
     for name, error in (("dF_N", "dF_err_N"), ("stick_length_um", "stick_length_err_um")):
         assert np.mean(np.abs(right[name] - truth[name]) < 1.5 * right[error]) > 0.8, name
+
+
+def test_single_slow_slips_among_sudden_ones() -> None:
+    """A failure means that the load's slow fall counts as sudden: the stick before it ends, and the one after
+    it begins, in the middle of the fall, so that both lengths are a third too large and called ok."""
+    rng = np.random.default_rng(8)
+    rise = 100 * (1 + 0.05 * rng.standard_normal(60))
+    fall = np.where(np.arange(60) % 9 == 5, 60.0, 0.2)
+    knots = np.cumsum(np.stack([rise, fall], axis=1))
+    index = np.arange(knots[-1])
+    at = np.searchsorted(knots, index, side="right")
+    begin = np.r_[0.0, knots][at]
+    u = (index - begin) / np.stack([rise, fall], axis=1).ravel()[at]
+    load = np.where(at % 2 == 0, 50 + 10 * u, 55 + 5 * np.cos(np.pi * u)) + 0.1 * rng.standard_normal(u.size)
+    events = find_stick_slip(recording(0.01 * index, load, 13 + index / 6000, 1.0))
+    assert len(events) == 58
+    assert np.allclose(events["stick_length_um"], rise[1:-1] / 6, rtol=0.1)
+    beside = (fall[:-2] > 1) | (fall[1:-1] > 1)
+    assert np.array_equal(events["flag"] == "slow", beside)
+    assert np.allclose(events["dF_N"], 10, atol=0.4)
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -10,7 +10,7 @@ import scipy
 import xarray as xr
 from numpy.lib.stride_tricks import sliding_window_view
 
-from vision.force.lines import fit_lines
+from vision.force.lines import fit_lines, fit_polynomials
 from vision.force.recording import usable
 from vision.force.settings import ForceSettings
 from vision.force.slips import Slips, stick_middles
@@ -201,7 +201,9 @@ def with_slow_noise(signal: Signal, slips: Slips, settings: ForceSettings) -> Si
     lines = fit_lines(np.arange(signal.clean.size, dtype=float), signal.spikeless, start, stop)
     rise = lines.slope * (stop - start)
     rise = np.maximum(rise, 0.1 * np.median(np.abs(rise)) + np.finfo(float).tiny)
-    spread = float(np.median(lines.spread))
+    # The curvature of the sticks is no noise: it would hide a filter whose noise is smaller.
+    bend = fit_polynomials(signal.clean, start, stop, degree=2)[0][:, 2]
+    spread = float(np.median(np.sqrt(np.maximum(lines.spread**2 - bend**2 / 5, 0))))
     # A sample beside lost ones, which are interpolated, counts more than once.
     known = np.flatnonzero(~signal.is_missing)
     more = float(np.mean((known[2:] - known[:-2]) ** 2 / 4) * known.size / signal.time.size)
