@@ -9,7 +9,8 @@ import pytest
 import tifffile
 
 from vision.errors import InputError
-from vision.review.recordings import Diagram, Film, Tiles, TileSettings
+from vision.pipeline import Settings
+from vision.review.recordings import Diagram, Film, Recordings, Tiles, TileSettings
 from vision.sheets import TrackingSettings
 from vision.video import open_video, strip_profile
 
@@ -157,3 +158,19 @@ def test_a_frame_behind_the_end_is_none(name):
     """A failure means that the last frame is shown for frames that the film does not have."""
     film = Film(open_video(FIXTURES / name))
     assert film.picture(100_000, np.nan) is None
+
+
+def test_a_film_that_cannot_be_opened_is_tried_once():
+    """A disk that does not answer takes seconds; each picture of the page would wait for it again."""
+    tried = []
+
+    class Stored:
+        def input(self, *of):
+            tried.append(of)
+            raise InputError("film.avi", "a disk that answers", "nothing for 10 s")
+
+    recordings = Recordings(Stored(), Settings(), None)
+    for _ in range(2):
+        with pytest.raises(InputError, match=r"nothing for 10 s"):
+            recordings.film()
+    assert len(tried) == 1

@@ -334,19 +334,24 @@ class Recordings:
     def __init__(self, stored: StoredRun, settings: Settings, moved: Path | None) -> None:
         self.stored, self.settings, self.moved = stored, settings, moved
         self._lock = Lock()
-        self._film: Film | None = None
+        self._film: Film | InputError | None = None
         self._force: xr.Dataset | None = None
         self._grey: tuple[float, float] | None = None
 
     def film(self) -> Film:
-        """Open the film.  Raises: InputError if it is missing or another one."""
+        """Open the film, once: a disk that does not answer delays one request, not all.
+
+        Raises: InputError if it is missing or another one.
+        """
         with self._lock:
             if self._film is None:
                 try:
                     path = self.stored.input("film", self.moved)
                     self._film = Film(open_recording(path, self.settings))
                 except InputError as error:
-                    raise InputError("the film", "the one that was tracked", str(error)) from error
+                    self._film = error
+            if isinstance(self._film, InputError):
+                raise InputError("the film", "the one that was tracked", str(self._film))
             return self._film
 
     def picture(self, frame: int, time_s: float) -> Grey:
