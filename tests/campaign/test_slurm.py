@@ -90,23 +90,24 @@ def cluster(tmp_path_factory):
 
 
 def at_work(out):
-    """SLURM's number of a running job that is in the middle of a good film, "" for none."""
+    """SLURM's number of a running job that has just begun a good film, "" for none."""
     plan = json.loads((out / "plan.json").read_text())["jobs"] if (out / "plan.json").exists() else {}
     for line in command("squeue", "-h", "-t", "running", "-o", "%i %k").splitlines():
         number, _, comment = line.partition(" ")
         names = next((job["films"] for key, job in plan.items() if key in comment), [])
         states = [out / "states" / f"{name}.json" for name in names]
-        busy = any('"running"' in file.read_text() for file in states if file.exists())
-        if busy and "t7" not in names:
+        begun = [file for file in states if file.exists() and '"running"' in file.read_text()]
+        if any(time.time() - file.stat().st_mtime < 1 for file in begun) and "t7" not in names:
             return number
     return ""
 
 
 def until(ready, seconds=300):
     end = time.monotonic() + seconds
-    while not ready():
+    while not (found := ready()):
         assert time.monotonic() < end, "it never came"
         time.sleep(0.5)
+    return found
 
 
 def test_forty_films_one_killed_job_one_drained_node_one_bad_film(cluster, tmp_path):
@@ -125,8 +126,7 @@ def test_forty_films_one_killed_job_one_drained_node_one_bad_film(cluster, tmp_p
         env=environment(HERE), cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     try:
-        until(lambda: len(list(out.glob("runs/*/run.json"))) >= 2 and at_work(out))
-        killed = at_work(out)
+        killed = until(lambda: len(list(out.glob("runs/*/run.json"))) >= 2 and at_work(out))
         subprocess.run(["scancel", "--full", "--signal=KILL", killed], check=True)
         name = command("sinfo", "-h", "-o", "%n").split()[0]
         subprocess.run(["scontrol", "update", f"nodename={name}", "state=drain", "reason=test"], check=True)
