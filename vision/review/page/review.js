@@ -414,7 +414,8 @@ class Page {
       return;
     }
     try {
-      await post("api/quit");
+      // The program's end may overtake its answer.
+      await post("api/quit").catch((error) => { if (!(error instanceof Gone)) throw error; });
       this.ended = true;
       this.notice("The review has ended; this window can be closed.");
       this.buttons();
