@@ -568,7 +568,7 @@ def _doubts(
     disturbed = max(float(like.disturbed.mean()), float(tracks["distorted"].mean()))
     stated = np.where(tracks["flag"].values == "ok", tracks["x_err_px"].values, np.nan)
     large = (stated > settings.pulled_errors * nan_median(stated)) | (tracks["distorted"].values > 0)
-    at_distorted = float(np.nansum(stated[large] ** 2) / np.nansum(stated**2))
+    at_distorted = float(np.nansum(stated[large] ** 2) / max(np.nansum(stated**2), 1e-12))
     if disturbed > settings.most_disturbed or at_distorted > settings.most_pulled:
         lines.append(
             f"something distorts or hides ridges in {100 * disturbed:.1f} % of the film (dirt, a highlight, "

@@ -59,7 +59,7 @@ class MeanPicture:
         """Return M at these columns when the sheets are at `at_px` (sheet,)."""
         material = _material(columns, at_px, self.rest_px, self.rigid_px)
         index = (material - self.first_px) * self.per_px
-        return np.asarray(_spline(self.coefficients, index))
+        return _spline(self.coefficients, index)
 
 
 @dataclass(frozen=True)

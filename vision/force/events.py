@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -122,9 +121,7 @@ def find_stick_slip(
     )
     first_peak = analysis.corners.peak[0]
     first, last = np.interp(analysis.corners.peak[[0, -1]], np.arange(signal.time.size), signal.time)
-    warnings = doubts(events, regime, signal, slips)
-    if force["load_N"].attrs.get("units") == "1":
-        warnings = [re.sub(r"(?<=\d) N\b", " of the weight", line) for line in warnings]
+    unit = "of the weight" if force["load_N"].attrs.get("units") == "1" else "N"
     events.attrs |= StickMetadata(
         noise_N=signal.sigma,
         threshold_N=slips.threshold,
@@ -142,7 +139,7 @@ def find_stick_slip(
         bend_share=analysis.corners.shape.begin,
         regime=regime.name,
         fall_over_rise=regime.fall_over_rise,
-        warnings=warnings,
+        warnings=doubts(events, regime, signal, slips, unit),
         first_slip_s=float(first),
         first_slip_N=float(signal.clean[int(first_peak)]),
         last_slip_s=float(last),

@@ -75,8 +75,8 @@ def is_unloading(travel: Floats, extremes: Extremes) -> Bools:
     return np.asarray((at_peak - at_valley) > np.maximum(0.2 * forward, 1e-12))
 
 
-def doubts(events: pd.DataFrame, regime: Regime, signal: Signal, slips: Slips) -> list[str]:
-    """Return why the recording, or a part of its events, may not be stick-slip."""
+def doubts(events: pd.DataFrame, regime: Regime, signal: Signal, slips: Slips, unit: str) -> list[str]:
+    """Return why the recording, or a part of its events, may not be stick-slip; unit: of the load."""
     lines = []
     if regime.name == "oscillation":
         lines.append(
@@ -94,15 +94,17 @@ def doubts(events: pd.DataFrame, regime: Regime, signal: Signal, slips: Slips) -
             f"{regime.upward_share:.2g} times the median drop, as noise does, so all events are flagged "
             "noise; a larger `threshold_N` leaves out the smaller drops"
         )
-    for column, values, what, unit in (
+    for column, values, what, unit_of_steps in (
         ("stick_length_um", 1e3 * signal.travel, "lengths and K are not resolved: the displacement", "µm"),
-        ("dF_N", signal.load, "drops and K are not resolved: the load", "N"),
+        ("dF_N", signal.load, "drops and K are not resolved: the load", unit),
     ):
         step, stick = _resolution(values), float(nan_median(events[column].to_numpy(float)))
         if step > 0.3 * stick:  # about three steps in a stick, or fewer
-            lines.append(f"{what} has steps of {step:.3g} {unit}, sticks are {stick:.3g} {unit}")
-    lines += slips.warnings() + _load_warnings(signal, slips, events)
-    lines += _fall_warnings(signal, slips, events)
+            lines.append(
+                f"{what} has steps of {step:.3g} {unit_of_steps}, sticks are {stick:.3g} {unit_of_steps}"
+            )
+    lines += slips.warnings(unit) + _load_warnings(signal, slips, events, unit)
+    lines += _fall_warnings(signal, slips, events, unit)
     flags = events["flag"].str.split("+")
     for word, meaning in (
         ("unloading", "lie beside a fall while the crosshead went back"),
@@ -119,7 +121,7 @@ def doubts(events: pd.DataFrame, regime: Regime, signal: Signal, slips: Slips) -
     return lines
 
 
-def _fall_warnings(signal: Signal, slips: Slips, events: pd.DataFrame) -> list[str]:
+def _fall_warnings(signal: Signal, slips: Slips, events: pd.DataFrame, unit: str) -> list[str]:
     """Return which falls may be no slips: five times as far as those around, or twice and not made up for.
 
     Then the ten peaks after the fall are lower than the five before by half of its excess or more.
@@ -132,14 +134,14 @@ def _fall_warnings(signal: Signal, slips: Slips, events: pd.DataFrame) -> list[s
         large = slips.drop[k] > 5 * around[k] or lost > 0.5 * (slips.drop[k] - around[k])
         if large and k < slips.drop.size - 1:  # the last one may be the end of the test
             lines.append(
-                f"the load falls by {slips.drop[k]:.3g} N at {signal.time[slips.edge[k]]:.4g} s, "
+                f"the load falls by {slips.drop[k]:.3g} {unit} at {signal.time[slips.edge[k]]:.4g} s, "
                 f"{slips.drop[k] / around[k]:.2g} times as far as at the slips around: a change of range "
                 "or zero, or a part that broke"
             )
     return lines[:5]
 
 
-def _load_warnings(signal: Signal, slips: Slips, events: pd.DataFrame) -> list[str]:
+def _load_warnings(signal: Signal, slips: Slips, events: pd.DataFrame, unit: str) -> list[str]:
     """Return that the noise changes, and that the load at rest is not 0.
 
     The load rests in the first or last period of the slips if it changes there by a tenth of itself at most.
@@ -148,8 +150,8 @@ def _load_warnings(signal: Signal, slips: Slips, events: pd.DataFrame) -> list[s
     quiet, loud = signal.noise.min(), signal.noise.max()
     if quiet < loud:
         lines.append(
-            f"the noise changes between {quiet:.2g} and {loud:.2g} N within the recording: a change of the "
-            "amplifier's range, whose forces then differ by a factor, or of what disturbs the load cell"
+            f"the noise changes between {quiet:.2g} and {loud:.2g} {unit} within the recording: a change of "
+            "the amplifier's range, whose forces then differ by a factor, or of what disturbs the load cell"
         )
     peak, part = float(events["F_p_N"].median()), max(int(slips.period), 8)
     for load, when in (
@@ -161,8 +163,8 @@ def _load_warnings(signal: Signal, slips: Slips, events: pd.DataFrame) -> list[s
         rests = abs(last - first) < 0.1 * abs(level) and level < 0.2 * abs(peak)
         if rests and abs(level) > 0.005 * abs(peak):
             lines.append(
-                f"the load rests at {level:.3g} N {when}, {100 * level / peak:.1f} % of the usual peak: if "
-                "nothing was pulled then, the load cell's zero is wrong by as much, and with it 𝒯0 and μ"
+                f"the load rests at {level:.3g} {unit} {when}, {100 * level / peak:.1f} % of the usual peak: "
+                "if nothing was pulled then, the load cell's zero is wrong by as much, and with it 𝒯0 and μ"
             )
     return lines
 

@@ -62,8 +62,8 @@ class Slips:
         large &= self.jump > settings.upward_share * usual
         return np.searchsorted(self.edge, self.jump_edge[large])
 
-    def warnings(self) -> list[str]:
-        """Return which slips may have been left out, and how many of the drops may be none."""
+    def warnings(self, unit: str) -> list[str]:
+        """Return which slips may have been left out, and how many of the drops, in `unit`, may be none."""
         lines = []
         if self.left_out.size:
             low, high = self.left_out.min(), self.left_out.max()
@@ -73,14 +73,14 @@ class Slips:
                 "noise": "are no larger than four errors, since the noise is slow,",
             }[self.threshold_how]
             lines.append(
-                f"{self.left_out.size} drops of {low:.3g} to {high:.3g} N {why} and are not counted: "
+                f"{self.left_out.size} drops of {low:.3g} to {high:.3g} {unit} {why} and are not counted: "
                 f"`threshold_N` {0.9 * low:.2g} counts them"
             )
         usual = float(np.median(self.drop))
         if self.threshold_how == "noise" and self.threshold > 0.5 * usual:
             lines.append(
-                f"drops below {self.threshold:.3g} N are not told from the noise: slips may be missed, since "
-                f"the median drop is {usual:.3g} N"
+                f"drops below {self.threshold:.3g} {unit} are not told from the noise: slips may be missed, "
+                f"since the median drop is {usual:.3g} {unit}"
             )
         return lines
 

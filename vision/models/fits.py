@@ -493,7 +493,7 @@ def _unresolved_corners(
     if not (of_drop or of_k):
         return {"sampling": none | {"A": abs(fits.amplitude.value * by_sampling)}} if by_sampling else {}
     # Both make the valleys too shallow, so the errors add linearly.
-    lost_N = events["K_N_per_mm"].fillna(0.0) * events.attrs.get("lowpass_peak_mm", 0.0)
+    lost_N = events["K_N_per_mm"].fillna(0.0) * facts.lowpass_peak_mm
     values, of_peaks = fits.named(), refit(events.assign(F_p_N=events["F_p_N"] + lost_N))
     by_lowpass = none | {name: abs(of_peaks[name] - values[name].value) for name in ("mu", "T0_N", "N_hat_N")}
     by_lowpass |= {
