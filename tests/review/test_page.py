@@ -641,3 +641,20 @@ def test_the_page_could_not_ask_the_network_if_it_tried(browser, pulled_page):
     visit = ReviewVisit(browser, pulled_page)
     assert_shut_in(visit)
     visit.context.close()
+
+
+def test_a_late_answer_does_not_hide_the_end(browser, run):
+    """A failure means that a page asked for news, was told to end the review, and then said nothing of that."""
+    with served(run, settings_of_run(run)) as here:
+        visit = ReviewVisit(browser, here)
+        page, waiting = visit.page, []
+        state = page.evaluate("review.state")
+        with page.expect_request("**/api/state"):
+            page.route("**/api/state", lambda route: waiting.append(route))
+        page.click("#close")
+        visit.reads("notice", "The review has ended")
+        waiting[0].fulfill(json=state | {"other_windows": 2})
+        page.evaluate("() => new Promise((done) => { setTimeout(done, 200); })")  # for the page to read it
+        assert "The review has ended" in visit.text("notice")
+        here.ended()
+        visit.context.close()

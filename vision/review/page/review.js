@@ -398,7 +398,11 @@ class Page {
     else if (by("notice").textContent.startsWith("Undone, but")) this.notice("");
   }
 
-  notice(text) { by("notice").textContent = text; by("notice").hidden = !text; }
+  /** The end is the last notice: a late answer does not replace it. */
+  notice(text) {
+    if (this.ended) return;
+    by("notice").textContent = text; by("notice").hidden = !text;
+  }
 
   gone() {
     if (this.lost || this.ended) return;
@@ -416,8 +420,8 @@ class Page {
     try {
       // The program's end may overtake its answer.
       await post("api/quit").catch((error) => { if (!(error instanceof Gone)) throw error; });
-      this.ended = true;
       this.notice("The review has ended; this window can be closed.");
+      this.ended = true;
       this.buttons();
     } catch (error) { this.failed(error); }
   }
