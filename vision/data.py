@@ -153,6 +153,8 @@ class StripMetadata(Metadata):
     container, pixel_format, decoder, grey
         Kind of file, how a pixel is stored, which program decoded it ("none" if none was needed), and how
         grey values follow from pixels.
+    file_pixel_size_um
+        µm per pixel that the file states; NaN without.
     rotate
         Degrees clockwise by which the frames were rotated.
     depth_bits, saturation_level
@@ -182,6 +184,7 @@ class StripMetadata(Metadata):
     pixel_format: str = ""
     decoder: str = ""
     grey: str = ""
+    file_pixel_size_um: float = math.nan
     rotate: int = 0
     depth_bits: int = 32
     saturation_level: float = math.nan

@@ -36,7 +36,7 @@ from vision.sheets import (
     Correction,
     FitChoice,
     TrackingSettings,
-    pixel_size_from_pitch,
+    pixel_size_of,
     track_sheets,
     with_heights,
 )
@@ -104,7 +104,7 @@ class Settings:
         Manual corrections from `vision.sheets.read_corrections`. Those of the strip, the axis and the clock
         take precedence over `rows`, `axis_px` and `offset_s`.
     pixel_size_um
-        µm per pixel. Without it there are no lengths in µm and no deformation.
+        µm per pixel (None: as the film's file states). Without it: no lengths in µm and no deformation.
     pitch_um
         Mean distance between neighbouring sheets, from which the pixel size is computed.
     speed_mm_min, d0_mm, d0_err_mm, force_columns
@@ -395,8 +395,9 @@ def _read_and_track(
     if strip is not None and tracks is None:
         track = partial(track_strip, strip, chosen, parts)
         tracks = stages.required("tracking", _suggesting_rotation, film, chosen, track)
-    if tracks is not None and chosen.pitch_um is not None:
-        chosen = replace(chosen, pixel_size_um=pixel_size_from_pitch(tracks, chosen.pitch_um))
+    if tracks is not None:
+        size = pixel_size_of(tracks, pixel_size_um=chosen.pixel_size_um, pitch_um=chosen.pitch_um)
+        chosen = replace(chosen, pixel_size_um=size)
     return replace(reused, settings=chosen, video=film, frame=frame, strip=strip, tracks=tracks)
 
 

@@ -473,7 +473,7 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> list[str
         ridges_line(found),
         f"axis       {axis if math.isfinite(found.axis_px) else 'not known'}",
         f"clock      {frame_times(strip)}",
-        scale_line(pixel_size_um),
+        scale_line(pixel_size_um, strip),
     ]
 
 
@@ -483,10 +483,15 @@ def ridges_line(found: TrackMetadata) -> str:
     return f"ridges     {size}; {found.fit} fit over {found.window_px} px"
 
 
-def scale_line(pixel_size_um: float | None) -> str:
+def scale_line(pixel_size_um: float | None, strip: StripMetadata) -> str:
     """Return the pixel size."""
-    unknown = "px: give `pixel_size_um` for µm"
-    return f"scale      {unknown if pixel_size_um is None else f'{pixel_size_um:g} µm per px'}"
+    if pixel_size_um is None:
+        return "scale      px: give `pixel_size_um` for µm"
+    stated, how = strip.file_pixel_size_um, ""
+    if math.isfinite(stated):
+        source = "from the film's file" if stated == pixel_size_um else f"the film's file states {stated:g}"
+        how = f" ({source})"
+    return f"scale      {pixel_size_um:g} µm per px{how}"
 
 
 def other_flags(flags: Mapping[str, int]) -> str:

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
+import tifffile
 
 from tests.scenes.comb_video import frames_of, positions, write_video
 from vision.command.main import run
@@ -143,3 +144,22 @@ def test_the_sheets_themselves_are_the_ruler(films):
     assert size["value"] == pytest.approx(200 / true_px, rel=5e-4)  # half a pixel in 20 would be 2.5e-2
     table = pd.read_csv("t0_tracks/tracks.csv")
     assert np.allclose(table["x_um"], size["value"] * table["x_px"], rtol=1e-4)
+
+
+def test_the_scale_of_the_film_is_used_and_said(tmp_path, monkeypatch, capsys):
+    """A failure means that a scale set in Fiji is ignored, hides one that was given, or is not shown."""
+    monkeypatch.chdir(tmp_path)
+    frames = frames_of(positions(30))
+    scale = {"resolution": (0.1, 0.1), "metadata": {"unit": "micron", "axes": "TYX", "finterval": 0.05}}
+    tifffile.imwrite("fiji.tif", frames, imagej=True, **scale)
+    assert run(["fiji.tif", "--no-report"]) == 0
+    assert "scale      10 µm per px (from the film's file)" in capsys.readouterr().out
+    assert json.loads(Path("fiji_tracks/run.json").read_text())["parameters"]["pixel_size"] == {
+        "value": 10.0,
+        "how": "found",
+    }
+    table = pd.read_csv("fiji_tracks/tracks.csv")
+    assert np.allclose(table["x_um"], 10 * table["x_px"], rtol=1e-4)
+    assert run(["kymograph", "fiji.tif", "--sheet", "right:1", "--width", "0.2mm"]) == 0
+    assert run(["fiji.tif", "--no-report", "--overwrite", "--pixel-size", "12"]) == 0
+    assert "scale      12 µm per px (the film's file states 10)" in capsys.readouterr().out

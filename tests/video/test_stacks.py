@@ -344,3 +344,21 @@ def test_jpeg_counts_as_lossy_wherever_it_stands(tmp_path, kind):
     tifffile.imwrite(tmp_path / "c.tif", frames)
     tifffile.imwrite(tmp_path / "d.tif", frames[0], rowsperstrip=3)
     assert {open_video(tmp_path / name).facts.codec for name in ("c.tif", "d.tif")} == {"uncompressed"}
+
+
+def test_pixel_size_of_stacks(tmp_path):
+    """Failure: Fiji's and OME's scale is ignored or misread, or that of a print (72 dpi) is believed."""
+
+    def stated(unit, across=0.1, down=0.1):
+        metadata, resolution = {"unit": unit, "axes": "TYX"}, (across, down)
+        tifffile.imwrite(tmp_path / "ij.tif", comb(), imagej=True, resolution=resolution, metadata=metadata)
+        return open_video(tmp_path / "ij.tif").facts.pixel_size_um
+
+    assert stated("micron") == stated("um") == stated("\\u00B5m") == pytest.approx(10.0)
+    assert stated("mm", 100.0, 100.0) == pytest.approx(10.0)
+    assert stated("pixel") is stated("inch", 72.0, 72.0) is stated("micron", 0.1, 0.2) is None
+    ome = {"axes": "TYX", "PhysicalSizeX": 0.01, "PhysicalSizeXUnit": "mm", "PhysicalSizeY": 10.0}
+    tifffile.imwrite(tmp_path / "a.ome.tif", comb(), metadata=ome)
+    assert open_video(tmp_path / "a.ome.tif").facts.pixel_size_um == pytest.approx(10.0)
+    tifffile.imwrite(tmp_path / "none.tif", comb())
+    assert open_video(tmp_path / "none.tif").facts.pixel_size_um is None

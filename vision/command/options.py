@@ -55,7 +55,7 @@ class VideoOptions:
     corrections: Path | None = None
     """TOML file of manual decisions: accept, leave_out, swap, assign, add, delete, axis, strip, clock."""
     pixel_size: str | None = _sets("pixel_size_um")
-    """µm per pixel, also as 10um or 0.01mm; without it lengths are in px."""
+    """µm per pixel, also as 10um or 0.01mm; else the scale stored by ImageJ or OME, or lengths in px."""
     scale: str | None = None
     """Pixel size from a known length, such as 1mm=103px."""
     pitch: str | None = _sets("pitch_um")

@@ -133,7 +133,7 @@ def track_one(
         # A review expects the film first and the force recording last.
         files = (parameters["timestamps"].value, config, parameters["corrections"].value, force)
         inputs = (*video_files(video), *(file for file in files if file is not None))
-        if settings.pitch_um is not None:
+        if analysis.pixel_size_um != settings.pixel_size_um:
             parameters = {**parameters, "pixel_size": Parameter(analysis.pixel_size_um, "found")}
         analysis = _warn_of_other_film(analysis, parameters["corrections"].value, inputs[0])
         origin = origin_of(inputs, parameters, checksum=run.checksum, described=sums.found())

@@ -44,7 +44,7 @@ from vision.run import check_mark, export_run, is_run, read_run, read_strip
 from vision.run.diagrams import frame_step_s, unevenness_s, write_space_time_tif
 from vision.run.export import Format
 from vision.run.overlay import write_overlay
-from vision.sheets import pixel_size_from_pitch
+from vision.sheets import pixel_size_of
 from vision.sheets.ridges import describe_ridges, find_ridges
 from vision.sheets.tracks import LOSSY
 from vision.spacetime import space_time
@@ -87,9 +87,7 @@ def preview(video: Path, reading: VideoOptions, config: Path | None, output: Out
     if output.out is not None:
         check_new(target, overwrite=output.overwrite)
     found = make_preview(video, settings)
-    size = settings.pixel_size_um
-    if settings.pitch_um is not None:
-        size = pixel_size_from_pitch(found.tracks, settings.pitch_um)
+    size = pixel_size_of(found.tracks, pixel_size_um=settings.pixel_size_um, pitch_um=settings.pitch_um)
     with whole_file(target) as path:
         preview_figure(found.frame, found.strip, found.tracks, pixel_size_um=size).save(path)
     summary = [*preview_summary(found, size), f"picture    {target}"]
@@ -146,7 +144,7 @@ def preview_summary(found: Preview, pixel_size_um: float | None) -> list[str]:
         f"positions  {flags.get('ok', 0)} in the first {frames} frames; {other_flags(flags)}",
         f"noise      x_err_px {noise['stated_px']:.4f} px{length}; {noise['measured_px']:.4f} px scatter "
         f"between {frames} frames{hidden}",
-        scale_line(pixel_size_um),
+        scale_line(pixel_size_um, strip),
     ]
 
 
@@ -183,6 +181,9 @@ def kymograph(
         options["frames"] = parse_range(reading.frames, "--frames")
     else:
         wanted, settings = bool(options["sheets"]), settings_of(parameters)
+        if settings.pixel_size_um is None and settings.pitch_um is None:
+            stated = open_recording(video_or_run, settings).facts.pixel_size_um
+            settings = replace(settings, pixel_size_um=stated)
         if "width_um" in options["width"] and settings.pixel_size_um is None and settings.pitch_um is None:
             needed = "a pixel size (mm needs --pixel-size)"
             raise InputError(f"--width {window.width}", needed, "none", "or give the width as 20px")

@@ -13,7 +13,7 @@ from vision.sheets.subpixel import (
     sliding_vertex,
     template_shift,
 )
-from vision.sheets.tracks import pixel_size_from_pitch, track_sheets, with_heights
+from vision.sheets.tracks import pixel_size_from_pitch, pixel_size_of, track_sheets, with_heights
 
 __all__ = [
     "Correction",
@@ -25,6 +25,7 @@ __all__ = [
     "doubtful_stretches",
     "paper_vertex",
     "pixel_size_from_pitch",
+    "pixel_size_of",
     "read_corrections",
     "sliding_vertex",
     "template_shift",

@@ -473,3 +473,11 @@ def pixel_size_from_pitch(tracks: xr.Dataset, pitch_um: float) -> float:
     if not near.size:
         raise InputError("`pitch_um`", "at least two neighbouring sheets", f"{tracks.sizes['sheet']} in view")
     return float(pitch_um / near.mean())
+
+
+def pixel_size_of(tracks: xr.Dataset, *, pixel_size_um: float | None, pitch_um: float | None) -> float | None:
+    """Return µm per pixel: from the pitch, as given, or as the film's file states it; None without."""
+    if pitch_um is not None:
+        return pixel_size_from_pitch(tracks, pitch_um)
+    stated = StripMetadata.of(tracks).file_pixel_size_um
+    return pixel_size_um or (stated if np.isfinite(stated) else None)

@@ -46,6 +46,8 @@ class Facts:
         The recording's own time of each frame (frame), if the headers contain them.
     times_in_blocks
         Whether these times come with the blocks instead.
+    pixel_size_um
+        µm per pixel that the file states; None without.
     turned_deg
         Clockwise rotation for display that the file states (films of phones), degrees.
     container, codec, pixel_format, decoder, grey
@@ -69,6 +71,7 @@ class Facts:
     camera_fps: float | None = None
     times_s: Floats | None = None
     times_in_blocks: bool = False
+    pixel_size_um: float | None = None
     turned_deg: int = 0
     warnings: tuple[str, ...] = ()
 

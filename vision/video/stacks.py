@@ -38,6 +38,8 @@ from vision.video.reader import (
 
 IMAGES = {".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp"}
 _JPEG = {"jpg", "jpeg", "ojpeg", "jpeg_lossy"}
+_UM_PER = {"nm": 1e-3, "micron": 1.0, "microns": 1.0, "um": 1.0, "µm": 1.0, "μm": 1.0, "mm": 1e3, "m": 1e6}
+"""µm per unit of length. Inch and cm are left out: mostly they give the size of a print, such as 72 dpi."""
 
 Pillow.MAX_IMAGE_PIXELS = None  # its warning; `check_pixels` bounds what is decoded
 
@@ -224,6 +226,7 @@ def _stack_facts(tif: tifffile.TiffFile, held: int, indexed: int, path: Path, *,
         decoder=decoder,
         grey=LUMA_RULE if first.samplesperpixel > 1 and not _leads_with_grey(first) else AS_STORED,
         times_s=_own_times(tif, declared),
+        pixel_size_um=_own_pixel_size_um(tif),
     )
 
 
@@ -282,6 +285,24 @@ def _own_times(tif: tifffile.TiffFile, frames: int) -> Floats | None:
         step, unit = float(found.group(1)) if found else 0.0, named.group(1) if named else "s"
     seconds = step * SECONDS.get(unit.strip().lower(), 0.0)
     return np.arange(frames, dtype=np.float64) * seconds if seconds > 0 else None
+
+
+def _own_pixel_size_um(tif: tifffile.TiffFile) -> float | None:
+    """Return the size of a square pixel from ImageJ's or OME's calibration, µm; None without."""
+    across, down, unit, unit_down = 0.0, 0.0, "", ""
+    if tif.is_imagej:
+        unit = unit_down = str((tif.imagej_metadata or {}).get("unit", "")).replace("\\u00B5", "µ")
+        tags = tif.pages.first.tags
+        if "XResolution" in tags and "YResolution" in tags:
+            (pixels, across), (pixels_down, down) = tags["XResolution"].value, tags["YResolution"].value
+            across, down = across / max(pixels, 1), down / max(pixels_down, 1)
+    elif tif.is_ome:
+        given = dict(re.findall(r'\bPhysicalSize([XY](?:Unit)?)="([^"]+)"', _first_pixels(tif)))
+        across, down = float(given.get("X", 0.0)), float(given.get("Y", 0.0))
+        unit, unit_down = given.get("XUnit", "µm"), given.get("YUnit", "µm")
+    size = across * _UM_PER.get(unit.strip().lower(), 0.0)
+    is_square = math.isclose(size, down * _UM_PER.get(unit_down.strip().lower(), 0.0), rel_tol=1e-3)
+    return size if 0 < size < math.inf and is_square else None
 
 
 def _first_pixels(tif: tifffile.TiffFile) -> str:
