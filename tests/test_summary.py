@@ -324,17 +324,28 @@ def test_frames_without_positions_are_not_called_equal(picture):
     assert "all frames are equal" not in " ".join(tracking_warnings(tracks))
 
 
-@pytest.mark.parametrize(("apart_px", "said"), [(11.0, True), (19.0, False)])
-def test_two_edges_of_every_sheet_are_said_to_be_pairs(apart_px, said):
-    """Light from both sides draws two lines for each sheet.  A failure means that twice as many sheets as
-    there are pass, or are said to lack some; or that an uneven comb is called one of pairs."""
+@pytest.mark.parametrize(
+    ("apart_px", "how"),
+    [(11.0, "spacings of 11 and 29 px alternate"), (19.0, "only every second spacing changes")],
+)
+def test_two_edges_of_every_sheet_are_said_to_be_pairs(apart_px, how):
+    """Light from both sides draws two lines for each sheet, which keep their distance.  A failure means that
+    twice as many sheets as there are pass, or are said to lack some."""
     edge = comb(60, per_side=8, axis_px=330)[:, :, None] * 2 - 330
     both = (edge + np.array([0.0, apart_px])).reshape(60, 32)
     picture = strip(ridges(both, width=700, fwhm_px=5.0))
     lines = tracking_warnings(track_sheets(picture))
     assert [line for line in lines if "sheets may be missing" in line] == []
-    assert sum("form pairs: spacings of 11 and 29 px" in line for line in lines) == said
+    assert sum(f"form pairs: {how}" in line for line in lines) == 1
     assert not any("form pairs" in line for line in tracking_warnings(track_sheets(picture, sheets=32)))
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_an_uneven_comb_has_no_pairs(seed):
+    """A failure means that sheets at uneven distances, which all change, are called edges."""
+    uneven = comb(60, per_side=16, axis_px=350, uneven=0.2, seed=seed)
+    lines = tracking_warnings(track_sheets(strip(ridges(uneven, width=700, fwhm_px=5.0))))
+    assert not any("form pairs" in line for line in lines)
 
 
 def test_a_change_for_good_is_said_with_its_size():

@@ -40,6 +40,10 @@ PAIR_TAIL, PAIR_RATIO = 0.1, 1.5
 """Ridges form pairs if this quantile of the wide spacings exceeds the same quantile from above of the
 narrow ones by this ratio. A smaller ratio calls an uneven comb one of pairs, a larger one misses the edges of
 thick sheets (`test_two_edges_of_every_sheet_are_said_to_be_pairs`)."""
+PAIR_MOTION = 4.0
+"""Ridges also form pairs if the spacings beside every second one change by this factor more than that does,
+in the median. On 590 films of single sheets the factor is at most 1.2; on films that show two edges of every
+sheet it is 12 to 87. A smaller factor calls noise pairs, a larger one misses edges in noisy films."""
 UNLIKELY_SPACING = 10.0
 """Ratio of the sheets' spacing to two thicknesses, or its inverse, above which the pixel size is questioned.
 A wrong unit changes the ratio by 1000; sheets that bulge, or of which only every second one is seen, by 2
@@ -168,17 +172,24 @@ def overexposure(frame: Pixels, rows: slice, settings: VideoSettings) -> list[st
 
 
 def _spacing_warning(tracks: xr.Dataset) -> list[str]:
-    """Warn of ridges in pairs, whose narrow and wide spacings alternate along the whole comb, or of missing
-    sheets; no pairs are reported if the number of sheets was given."""
+    """Warn of ridges in pairs, which keep their distance or whose narrow and wide spacings alternate, or of
+    missing sheets; no pairs are reported if the number of sheets was given."""
     counted = any(step["parameters"].get("sheets") for step in tracks.attrs.get("operations", ()))
-    spacing = np.diff(np.sort(nan_median(tracks["x_px"].values)))
-    if len(spacing) >= PAIR_SPACINGS and np.isfinite(spacing).all() and not counted:
-        narrow, wide = sorted((spacing[0::2], spacing[1::2]), key=np.median)
-        if np.quantile(wide, PAIR_TAIL) > PAIR_RATIO * np.quantile(narrow, 1 - PAIR_TAIL):
+    apart = np.diff(tracks["x_px"].values, axis=1)
+    spacing = nan_median(apart)
+    if np.isfinite(spacing).sum() >= PAIR_SPACINGS and not counted:
+        least = nan_median(tracks["x_err_px"].values.ravel())
+        change = np.fmax(np.sqrt(nan_median((apart - spacing) ** 2)), least)
+        beside = np.pad(change, 1, constant_values=np.nan)
+        ratio = np.fmin(beside[:-2], beside[2:]) / change
+        keep_distance = max(nan_median(ratio[k::2]) for k in (0, 1)) > PAIR_MOTION
+        narrow, wide = sorted((spacing[0::2], spacing[1::2]), key=nan_median)
+        alternate = np.nanquantile(wide, PAIR_TAIL) > PAIR_RATIO * np.nanquantile(narrow, 1 - PAIR_TAIL)
+        if alternate or keep_distance:
+            how = f"spacings of {nan_median(narrow):.0f} and {nan_median(wide):.0f} px alternate"
             return [
-                f"the ridges form pairs: spacings of {np.median(narrow):.0f} and {np.median(wide):.0f} px"
-                " alternate; if each pair is the two edges of one sheet, give `sheets` as"
-                f" {(len(spacing) + 1) // 2}"
+                f"the ridges form pairs: {how if alternate else 'only every second spacing changes'}; if each"
+                f" pair is the two edges of one sheet, give `sheets` as {(len(spacing) + 1) // 2}"
             ]
     if places := TrackMetadata.of(tracks).wide_spacings:
         return [
