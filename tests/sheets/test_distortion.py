@@ -95,7 +95,7 @@ def test_a_lamp_that_moves_is_in_the_error():
     slope = 0.5 * np.sin(np.arange(200) / 40)[:, None] * np.linspace(-1, 1, 400)
     picture = strip(ridges(x, width=400))
     picture.values[:] = picture.values * (1 + slope)
-    assert off_in_errors(picture, x) < 1.3
+    assert off_in_errors(picture, x) < 1.4
     assert off_in_errors(picture, x, distortion_least_px=np.inf) > 2
 
 
@@ -224,7 +224,21 @@ def test_how_far_distortions_move_ridges_is_measured_in_the_film(moving, period)
     phase = np.arange(640) / 13.7 - moving * np.arange(180)[:, None] / 19
     light = ridges(x, width=640, fwhm_px=8.0, contrast=brightness(30, 3))
     picture = strip(light * (1 + 0.17 * np.sin(2 * np.pi * phase)))
-    assert 0.7 < off_in_errors(picture, x) < 1.2
+    assert 0.7 < off_in_errors(picture, x) < 1.25
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_slight_differences_between_sheets_are_no_distortion(seed):
+    """Sheets of several widths in uneven light and unequal pixels. A failure means that errors are stated too
+    large: that what hardly exceeds its noise counts with a factor for dirt, which the film does not show."""
+    random = np.random.default_rng(seed)
+    x = comb(160, per_side=14, pitch_px=17, axis_px=300, slip=0.25, uneven=0.08, seed=seed)
+    width, height = 10 * random.normal(1, 0.08, 28), 4 * random.uniform(0.6, 1.3, 28)
+    light = (1 + 0.005 * random.normal(size=600)) * (1 - 0.3 * np.linspace(-1, 1, 600) ** 2)
+    tracks = track_sheets(strip(ridges(x, width=600, fwhm_px=width, contrast=height) * light, snr=60))
+    off = tracks.x_px.values - x
+    within = np.abs(off - off.mean(axis=0)) <= tracks.x_err_px.values
+    assert 0.62 < within.mean() < 0.72
 
 
 def few_ridges(what, count, fwhm_px, snr):

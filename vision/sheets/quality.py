@@ -184,8 +184,8 @@ def distortion(
     It is fitted three times: over the whole ridge, over its top alone, and over the whole ridge with a slope
     of the background. Whatever is not a shift of the ridge shifts these fits by different amounts. The
     differences from the first fit, times `_error_over`, are the error where they exceed their noise
-    (`_significant`). The mean difference of a sheet shifts all its positions alike, and is no error of
-    displacements.
+    (`_significant`): clearly, unless the film shows that positions change with them. The mean difference of a
+    sheet shifts all its positions alike, and is no error of displacements.
 
     Light that falls off over a ridge hardly changes its shape; it shows in the heights (`_shift_by_light`).
     """
@@ -213,8 +213,9 @@ def distortion(
     size = _shift_by_light(x_px, height, comb)
     for differs, usual, k in ((apart, settings.distortion_error, 3), (sloping, settings.distortion_slope, 5)):
         noise = err_px * float(np.linalg.norm(fits[k] - fits[1]) / np.linalg.norm(fits[1]))
-        seen = _significant(differs - nan_median(differs), noise, settings)
-        size = np.fmax(size, _error_over(differs, usual, x_px, settings) * seen)
+        confirmed, assumed = _error_over(differs, usual, x_px, settings)
+        certain, likely = _significant(differs - nan_median(differs), noise, settings)
+        size = np.fmax(size, np.hypot(assumed * certain, confirmed * likely))
     size = np.minimum(size, comb.fwhm_px)  # what is fitted lies within the ridge
     pull = nan_median(apart)
     pull = np.abs(pull - nan_median(pull))
@@ -235,13 +236,15 @@ def _fit_matrix(shape: Floats, top: int) -> Floats:
     return fits
 
 
-def _error_over(values: Floats, usual: float, x_px: Floats, settings: TrackingSettings) -> float:
-    r"""Return the error of a position over the size of `values` (frame, N): `usual`, or what the film shows.
+def _error_over(
+    values: Floats, usual: float, x_px: Floats, settings: TrackingSettings
+) -> tuple[float, float]:
+    r"""Return the error of a position over the size of `values` (frame, N), as the film shows and as assumed.
 
     Where a distortion changes, position and value change together. Changes over `distortion_frames` are taken
     relative to both neighbours, and k is the median of their ratios, weighted by the change of the value, so
     that slips do not enter. With q the share by which they change in the same direction more often than in
-    opposite ones, the result is :math:`\sqrt{q k^2 + (1 - q^2) u^2}`, u being the usual one.
+    opposite ones, the results are :math:`\sqrt{q}\,|k|` and :math:`\sqrt{1 - q^2}\,u`, u being the usual one.
     """
 
     def change(of: Floats) -> Floats:
@@ -253,31 +256,34 @@ def _error_over(values: Floats, usual: float, x_px: Floats, settings: TrackingSe
     weight = np.where(np.isfinite(moved * changed), np.abs(changed), 0.0)
     known, total = weight > 0, weight.sum(axis=0)
     if not known.any():
-        return usual
+        return 0.0, usual
     along = np.where(known, np.copysign(weight, moved * changed), 0.0).sum(axis=0)
     share = abs(float(np.mean(along[total > 0] / total[total > 0])))
     ratio, weight = moved[known] / changed[known], weight[known]
     order = np.argsort(ratio)
     median = ratio[order][np.searchsorted(np.cumsum(weight[order]), weight.sum() / 2)]
-    return float(np.sqrt(share * median**2 + (1 - share**2) * usual**2))
+    return float(np.sqrt(share) * abs(median)), float(np.sqrt(1 - share**2) * usual)
 
 
-def _significant(values: Floats, noise: Floats, settings: TrackingSettings) -> Floats:
+def _significant(values: Floats, noise: Floats, settings: TrackingSettings) -> tuple[Floats, Floats]:
     """Return the size of values (frame, N) in a frame, over some frames, or usually; 0 where it is noise.
 
-    The largest of three significant sizes counts: the value itself, the mean over `distortion_frames` around
-    it, and the usual size of that mean in the whole film. noise: standard deviation of a single value,
-    (frame, N), independent from frame to frame.
+    The largest of three sizes counts: the value itself, the mean over `distortion_frames` around it, and the
+    usual size of that mean in the whole film, if they exceed `distortion_sigmas` times their noise. In the
+    second result the usual size, less noise, counts as soon as chance does not explain it. noise: standard
+    deviation of a single value, (frame, N), independent from frame to frame.
     """
     frames = settings.distortion_frames
     single, mean = np.abs(values), np.abs(_mean_over(values, frames))
     noise = np.fmax(noise, position_noise(values))  # also where tops are clipped, or a codec adds its own
-    noise_of_mean = noise / np.sqrt(frames)
-    usual, usual_noise = nan_median(mean) / NORMAL_MEDIAN, nan_median(noise_of_mean)
+    least = settings.distortion_sigmas * noise
+    of_mean = least / np.sqrt(frames)
+    above = np.fmax(_if_above(single, least), _if_above(mean, of_mean))
+    usual, usual_noise = nan_median(mean) / NORMAL_MEDIAN, nan_median(noise) / np.sqrt(frames)
     chance = 1 + 2 * np.sqrt(2 * frames / len(values))  # of so many means of noise
     excess = np.sqrt(np.where(usual**2 > chance * usual_noise**2, np.abs(usual**2 - usual_noise**2), 0.0))
-    above = _if_above(single, settings.distortion_sigmas * noise)
-    return np.fmax(excess, np.fmax(above, _if_above(mean, settings.distortion_sigmas * noise_of_mean)))
+    certain = _if_above(usual, settings.distortion_sigmas * usual_noise)
+    return np.fmax(certain, above), np.fmax(excess, above)
 
 
 def _if_above(size: Floats, least: Floats) -> Floats:
@@ -325,7 +331,7 @@ def _shift_by_light(x_px: Floats, height: Floats, comb: RidgeComb) -> Floats:
     else:
         with np.errstate(divide="ignore", invalid="ignore"):
             slope = np.diff(light, axis=1) / np.diff(nan_median(x_px))
-        slope = _significant(slope, np.zeros_like(slope), settings)
+        slope = _significant(slope, np.zeros_like(slope), settings)[1]
         across = [np.pad(slope, ((0, 0), (1, 0))), np.pad(slope, ((0, 0), (0, 1)))]
     return settings.distortion_light * (comb.fwhm_px / FWHM) ** 2 * np.fmax(*across)
 
