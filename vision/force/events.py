@@ -62,8 +62,9 @@ def find_stick_slip(
     they are the recorded extremes. K is the slope of the central half, K1 and K2 those before and after a
     knee. Lengths and stiffness are NaN where d is unknown.
     ``flag`` is "ok" or, joined by "+", what is wrong within the stick (gap, nan, saturated, repeated,
-    backwards, few (samples), falling, unloading), or within it or the one next to it (jump: an upward jump as
-    large as slips), what the instrument cannot give (short, negative), or how it was measured (slow);
+    backwards, few (samples), falling, unloading), or within it or beside it (jump: an upward jump as large as
+    slips; still: the displacement stands still), what the instrument cannot give (short, negative), or how it
+    was measured (slow);
     "oscillation", "cycles" and "noise" are those of the whole recording. Attributes are described in
     `vision.data.StickMetadata`.
 

@@ -10,7 +10,7 @@ import pandas as pd
 from vision.force.corners import Corners, Extremes, Shape, find_extremes, is_slow, without_lowpass
 from vision.force.lines import BrokenLines, fit_broken_lines, fit_lines
 from vision.force.settings import ForceSettings
-from vision.force.signal import Signal
+from vision.force.signal import Signal, step_between
 from vision.numeric import Bools, Floats, Ints
 
 
@@ -91,13 +91,16 @@ def measure_sticks(
     averaged = (length > 0.5) & (length < 2.5) & ~signal.is_missing.any()
     lengthened = averaged | (signal.alike > 1) | (known[after] - known[after - 1] > 2)
     position_error = np.hypot(position_error, np.where(lengthened, length / np.sqrt(2), 0))
+    # d is read at the first and the last sample within the stick: on the sample it jumps during slips.
+    pace = fit_lines(signal.time, signal.travel, *_between(v, p))
+    begin, end = (np.rint(np.clip(at, 0, index[-1])).astype(np.int64) for at in (v + 1, p - 1))
     # The machine's stretch is subtracted at the corners only: at every sample it would add the load's noise.
-    d_v = np.interp(v, index, signal.travel) - compliance * f_v
-    d_p = np.interp(p, index, signal.travel) - compliance * f_p
+    d_v = signal.travel[begin] + pace.slope * (t_v - signal.time[begin]) - compliance * f_v
+    d_p = signal.travel[end] + pace.slope * (t_p - signal.time[end]) - compliance * f_p
     last = np.interp(v_next[-1:], index, signal.travel) - compliance * signal.clean[int(v_next[-1])]
     relative = np.hypot(position_error[:-1], position_error[1:]) / (p - v)
     # Each end of a stick is read from single samples of d, with their noise and steps.
-    travel_noise = np.nan_to_num(fit_lines(signal.time, signal.travel, *_between(v, p)).spread)
+    travel_noise = np.nan_to_num(pace.spread)
     # At the extreme of a slow slip the load is level, so the position of the corner does not matter.
     corner_v = np.where(recorded[:-1], 0, rises[0] * position_error[:-1])
     corner_p = np.where(recorded[1:], 0, rises[1] * position_error[1:])
@@ -129,7 +132,12 @@ def measure_sticks(
             "samples": (p - v).astype(int),
         }
     )
-    return table.assign(flag=_event_flags(signal, sticks, corners, ends.slope > 0, slow[:-1] | slow[1:]))
+    marks = {
+        "falling": ~(ends.slope > 0),
+        "slow": slow[:-1] | slow[1:],
+        "still": _beside_standstill(signal, valley, peak, settings),
+    }
+    return table.assign(flag=_event_flags(signal, sticks, corners, marks))
 
 
 def _forces_without_lowpass(
@@ -267,12 +275,39 @@ def _stiffness(signal: Signal, sticks: _Sticks, two_slopes: bool, compliance: fl
     )
 
 
-def _event_flags(signal: Signal, sticks: _Sticks, corners: Corners, rising: Bools, slow: Bools) -> list[str]:
-    """Return what is wrong within each stick, joined by "+", or "ok"."""
+def _beside_standstill(signal: Signal, valley: Floats, peak: Floats, settings: ForceSettings) -> Bools:
+    """Return which sticks lie in or beside a rise or a fall of the load in which d stands still.
+
+    In such a rise the pull has ended, or d is at the end of its range; a stick beside it that is slower than
+    usual contains the end. Such a fall is the relaxation of the load while the machine is held. Where the
+    error of the speed exceeds a tenth of the usual one, nothing is told. `peak` and `valley` are those of
+    each slip, in samples.
+    """
+
+    def pace(start: Floats, stop: Floats) -> tuple[Floats, Floats]:
+        """Return the speed between two positions and its error."""
+        line = fit_lines(signal.time, signal.travel, *_between(start, stop))
+        step = step_between(signal.travel) / np.maximum(stop - start, 1) / signal.interval_s
+        return line.slope, np.hypot(line.slope_error, step)
+
+    sticks, falls = pace(valley[:-1], peak[1:]), pace(peak, valley)
+    known = sticks[0][np.isfinite(sticks[0])]
+    usual = float(np.quantile(known, 0.9)) if known.size else float("nan")
+    stick, fall = (
+        (error < 0.1 * usual) & (speed < settings.still_share * usual + 3 * error)
+        for speed, error in (sticks, falls)
+    )
+    around = np.r_[False, stick, False]
+    beside = (around[:-2] | around[2:]) & (sticks[0] < 0.9 * usual)
+    return np.asarray(stick | beside | fall[:-1] | fall[1:], np.bool_)
+
+
+def _event_flags(signal: Signal, sticks: _Sticks, corners: Corners, found: dict[str, Bools]) -> list[str]:
+    """Return what is wrong within each stick, `found` included, joined by "+", or "ok"."""
     v, p, last = sticks.v, sticks.p, signal.time.size - 1
     # Both neighbouring slips count: bad samples in them hide how high or low the load was.
     begin, end = np.fmin(corners.peak[:-1], v), np.fmax(corners.valley[1:], p)
     first, final = (np.clip(at, 0, last).astype(int) for at in (np.floor(begin), np.ceil(end)))
     marks = {kind: count[final] > count[first] for kind, count in signal.damage.items()}
-    marks |= {"few": p - v < sticks.settings.few_samples, "falling": ~rising, "slow": slow}
+    marks |= {"few": p - v < sticks.settings.few_samples} | found
     return ["+".join(word for word, mark in marks.items() if mark[k]) or "ok" for k in range(v.size)]
