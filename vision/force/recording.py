@@ -240,8 +240,8 @@ def _notes(found: dict[Role, Column], source: str, d0_mm: float | None, on_sampl
         notes.append("`d0_mm` not given: d counts from the crosshead's zero")
     if on_sample:
         notes.append(
-            "the displacement jumps where the load falls, as between two points of the sample: Λ_st and K are "
-            "without the machine's stretch, which need not be corrected"
+            "the displacement jumps where the load falls, as between two points of the sample: Λ_st and K "
+            "do not contain the machine's stretch, which need not be corrected"
         )
     return notes
 
