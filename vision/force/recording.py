@@ -457,7 +457,7 @@ def _column(path: Path, table: Table, role: Role, k: int, given: str) -> Column:
     unit = unit_of(written) if written else Unit(_BASE[role], _DIMENSION[role], 1.0)
     allowed = (_DIMENSION[role], "ratio") if role == "load" else (_DIMENSION[role],)
     if unit is None or unit.dimension not in allowed:
-        advice = f"state it with `columns` {role}={name}:{_BASE[role]} (or another unit)"
+        advice = f"convert the values, or state the unit: `columns` {role}={name}:{_BASE[role]}"
         raise InputError(path, f'a unit of {_DIMENSION[role]} for "{name}"', f'"{written}"', advice)
     shown = "1" if unit.dimension == "ratio" else unit.text
     return Column(name, shown, assumed=not written, values=table.numbers[:, k] * unit.factor)

@@ -579,8 +579,8 @@ def _remarks(
         warnings.append("K does not fall with d as M_eff does: Λ̂, N̂ and Y_eff are not determined")
     scatter = fits.goodness["drops"].scatter
     warnings += [
-        f"the drops scatter by {100 * scatter:.0f} % about A 𝒩, as small slips among large ones do: A describes "
-        "the mean of both; `threshold_N` leaves the small ones out"
+        f"the drops scatter by {100 * scatter:.0f} % about A 𝒩, as small slips among large ones do: A is the "
+        "mean of both; `threshold_N` leaves the small ones out"
     ] * (scatter > _UNLIKE_DROPS)
     facts = ForceMetadata.of(force)
     if facts.speed_mm_min > 1.05:
