@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from vision.force.corners import Corners, Extremes, Shape, find_extremes, is_slow, without_lowpass
-from vision.force.lines import BrokenLines, fit_broken_lines, fit_lines
+from vision.force.lines import BrokenLines, Lines, fit_broken_lines, fit_lines
 from vision.force.settings import ForceSettings
 from vision.force.signal import Signal, step_between
 from vision.numeric import Bools, Floats, Ints
@@ -91,12 +91,10 @@ def measure_sticks(
     averaged = (length > 0.5) & (length < 2.5) & ~signal.is_missing.any()
     lengthened = averaged | (signal.alike > 1) | (known[after] - known[after - 1] > 2)
     position_error = np.hypot(position_error, np.where(lengthened, length / np.sqrt(2), 0))
-    # d is read at the first and the last sample within the stick: on the sample it jumps during slips.
     pace = fit_lines(signal.time, signal.travel, *_between(v, p))
-    begin, end = (np.rint(np.clip(at, 0, index[-1])).astype(np.int64) for at in (v + 1, p - 1))
     # The machine's stretch is subtracted at the corners only: at every sample it would add the load's noise.
-    d_v = signal.travel[begin] + pace.slope * (t_v - signal.time[begin]) - compliance * f_v
-    d_p = signal.travel[end] + pace.slope * (t_p - signal.time[end]) - compliance * f_p
+    d_v = _travel_at(signal, v, v + 1, pace) - compliance * f_v
+    d_p = _travel_at(signal, p, p - 1, pace) - compliance * f_p
     last = np.interp(v_next[-1:], index, signal.travel) - compliance * signal.clean[int(v_next[-1])]
     relative = np.hypot(position_error[:-1], position_error[1:]) / (p - v)
     # Each end of a stick is read from single samples of d, with their noise and steps.
@@ -138,6 +136,20 @@ def measure_sticks(
         "still": _beside_standstill(signal, valley, peak, settings),
     }
     return table.assign(flag=_event_flags(signal, sticks, corners, marks))
+
+
+def _travel_at(signal: Signal, corner: Floats, inside: Floats, pace: Lines) -> Floats:
+    """Return d at one corner of each stick; all positions in samples.
+
+    A displacement of the sample jumps during the slip. Where it does, it is read from the sample `inside` the
+    stick next to the corner.
+    """
+    index = np.arange(signal.time.size)
+    near = np.interp(corner, index, signal.travel)
+    first = np.rint(np.clip(inside, 0, index[-1])).astype(np.int64)
+    within = signal.travel[first] + pace.slope * (np.interp(corner, index, signal.time) - signal.time[first])
+    usual = np.fmax(4 * pace.spread, np.abs(pace.slope) * signal.interval_s)
+    return np.where(np.abs(near - within) > usual, within, near)
 
 
 def _forces_without_lowpass(
