@@ -174,6 +174,7 @@ def _dataset(
     on_sample = crosshead is not None and _at_slips(_jumps(crosshead, flags == "nan", settings), load)
     warnings = _restart_warnings(restart, time.size, blocks)
     warnings += _warnings(flags, load[good], source, speed_mm_min, measured)
+    warnings += _gap_warnings(flags == "gap", time, travel)
     if abs(start) > 0.05 * max(float(np.ptp(travel[good])), 1e-9):  # zeros are set manually
         warnings.append(
             f"the crosshead starts at {start:.4g} mm: `d0_mm` {d0_mm:g} is added to its change since then; "
@@ -263,11 +264,24 @@ def _warnings(
     warnings += [
         f"{k} of {flags.size} samples flagged {word} and left out" for word, k in counts.items() if k
     ]
-    if count := int(np.sum(flags == "gap")):
-        warnings.append(f"{count} gaps in time")
     if is_compression(load):
         warnings.append("the load is negative: a recording in compression, or tension counted negative")
     return warnings
+
+
+def _gap_warnings(gap: Bools, time: Floats, travel: Floats) -> list[str]:
+    """Return how many gaps there are in time, and where the displacement jumps while the time goes on."""
+    step = np.diff(time, prepend=np.nan)
+    jump = np.flatnonzero(gap & (step < 2 * np.nanmedian(step)))
+    lines = [f"{count} gaps in time"] if (count := int(gap.sum()) - jump.size) else []
+    if jump.size:
+        first, more = jump[0], f" and {jump.size - 1} times later" if jump.size > 1 else ""
+        lines.append(
+            f"the displacement jumps by {np.diff(travel)[first - 1]:.3g} mm at {time[first]:.4g} s{more}: samples "
+            "were lost while the clock stood still, or a counter was set to 0 or wrapped, and d is wrong from "
+            "there on"
+        )
+    return lines
 
 
 def is_compression(load: Floats) -> bool:
