@@ -196,6 +196,7 @@ def test_one_column_with_units_in_each_line(tmp_path: Path) -> None:
         (("sec", 1), ("lbf", 4.4482216), ("in", 25.4)),
         (("seconds", 1), ("kgf", 9.80665), ("ft", 304.8)),
         (("msec", 1e-3), ("gf", 9.80665e-3), ("inches", 25.4)),
+        (("Sekunden", 1), ("Kilonewton", 1e3), ("millimètre", 1)),
     ],
 )
 def test_units_become_s_N_and_mm(time, load, length, tmp_path: Path) -> None:

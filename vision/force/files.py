@@ -105,6 +105,7 @@ TIME_OF_DAY = "time of day"  # unit of a column of clock times, which are read a
 _FACTORS: dict[Dimension, dict[str, float]] = {
     "time": {
         **dict.fromkeys(("s", "sec", "secs", "second", "seconds", "sek", "seg", TIME_OF_DAY), 1.0),
+        **dict.fromkeys(("Sekunde", "Sekunden", "seconde", "secondes", "segundo", "segundos"), 1.0),
         **dict.fromkeys(("ms", "msec", "millisecond", "milliseconds"), 1e-3),
         **dict.fromkeys(("µs", "us"), 1e-6),
         **dict.fromkeys(("min", "minute", "minutes", "Minuten"), 60.0),
@@ -112,7 +113,8 @@ _FACTORS: dict[Dimension, dict[str, float]] = {
     },
     "force": {
         **dict.fromkeys(("N", "newton", "newtons"), 1.0),
-        **{"kN": 1e3, "MN": 1e6, "daN": 10.0, "mN": 1e-3, "µN": 1e-6, "uN": 1e-6},
+        **dict.fromkeys(("kN", "kilonewton", "kilonewtons"), 1e3),
+        **{"MN": 1e6, "daN": 10.0, "mN": 1e-3, "µN": 1e-6, "uN": 1e-6},
         **dict.fromkeys(("lbf", "lb", "lbs"), 4.4482216152605),
         **dict.fromkeys(("kgf", "kp", "kg"), 9.80665),
         **dict.fromkeys(("gf", "g"), 9.80665e-3),
@@ -120,6 +122,7 @@ _FACTORS: dict[Dimension, dict[str, float]] = {
     "length": {
         **{"mm": 1.0, "cm": 10.0, "m": 1000.0, "µm": 1e-3, "um": 1e-3, "nm": 1e-6},
         **dict.fromkeys(("millimeter", "millimeters", "millimetre", "millimetres"), 1.0),
+        **dict.fromkeys(("millimètre", "millimètres", "milímetro", "milímetros"), 1.0),
         **dict.fromkeys(("meter", "meters", "metre", "metres"), 1000.0),
         **dict.fromkeys(("micron", "microns", "micrometer", "micrometers"), 1e-3),
         **dict.fromkeys(("in", "inch", "inches", '"'), 25.4),

@@ -278,8 +278,8 @@ def _gap_warnings(gap: Bools, time: Floats, travel: Floats) -> list[str]:
         first, more = jump[0], f" and {jump.size - 1} times later" if jump.size > 1 else ""
         by = np.diff(travel)[first - 1]
         lines.append(
-            f"the displacement jumps by {by:.3g} mm at {time[first]:.4g} s{more}: samples were lost while the "
-            "clock stood still, or a counter was set to 0 or wrapped, and d is wrong from there on"
+            f"the displacement jumps by {by:.3g} mm at {time[first]:.4g} s{more}: samples were lost while "
+            "the clock stood still, or a counter was set to 0 or wrapped, and d is wrong from there on"
         )
     return lines
 
