@@ -506,8 +506,8 @@ def test_forces_at_the_ends_of_curved_sticks(power: float, snr: float, largest: 
 
 
 @pytest.mark.parametrize("averaged", [3, 5, 9])
-@pytest.mark.parametrize("softening", [0.0, 0.3])
-def test_a_machine_that_averages_its_samples(averaged: int, softening: float) -> None:
+@pytest.mark.parametrize(("softening", "noise_after"), [(0.0, 0.0), (0.3, 0.0), (0.0, 1.0)])
+def test_a_machine_that_averages_its_samples(averaged: int, softening: float, noise_after: float) -> None:
     """A failure means that slips which the machine's running mean has made longer are taken for as long, with
     drops and lengths too small by many times their errors; or that a curvature of the sticks hides this."""
     test = plain(sticks=60, samples=100, snr=40, jitter=0.1)
@@ -517,6 +517,7 @@ def test_a_machine_that_averages_its_samples(averaged: int, softening: float) ->
     bend = softening * np.sum(test.truth["dF_N"].to_numpy() * u * (1 - u), axis=1)
     padded = np.pad(test.force["load_N"].to_numpy() + bend, averaged // 2, "edge")
     load = np.convolve(padded, np.full(averaged, 1 / averaged), "valid")
+    load += noise_after * np.random.default_rng(9).standard_normal(load.size)
     events = find_stick_slip(test.force.assign(load_N=("time_s", load)))
     right, truth = matched(events, test.truth)
     assert len(events) == len(right) == len(test.truth)

@@ -78,7 +78,7 @@ def find_stick_slip(
     Notes
     -----
     Errors of forces and lengths contain the noise, the position error of the corners, that of the curvature
-    of the sticks, what was recorded beyond the lines, the length of slips where the noise shows a filter, and
+    of the sticks, what was recorded beyond the lines, the length of slips of half a sample or more, and
     the effect of a low-pass that was found but not corrected. Source: paper, section on stick-slip features.
     """
     FORCE.check(force)

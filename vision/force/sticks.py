@@ -83,13 +83,11 @@ def measure_sticks(
     known = np.flatnonzero(~signal.is_missing)
     after = np.clip(np.searchsorted(known, corners.middle), 1, known.size - 1)
     position_error = corners.error * (known[after] - known[after - 1])
-    # A sudden slip appears shorter than half a sample. It appears longer, up to 2.5 samples, where each is
-    # the mean since the one before, and where a filter makes the noise of neighbouring samples common. The
-    # two corners of a stick are then together off by its length. So they are where two samples or more in a
-    # row were lost at the slip, since the load between them is interpolated.
+    # A sudden slip appears shorter than half a sample. One that appears longer may be as long, or lengthened
+    # by a filter of the machine, and the two corners of a stick are then together off by its length. Among
+    # lost samples, between which the load is interpolated, this is known only of two or more in a row.
     length = corners.valley - corners.peak
-    averaged = (length > 0.5) & (length < 2.5) & ~signal.is_missing.any()
-    lengthened = averaged | (signal.alike > 1) | (known[after] - known[after - 1] > 2)
+    lengthened = known[after] - known[after - 1] > 2 if signal.is_missing.any() else length > 0.5
     position_error = np.hypot(position_error, np.where(lengthened, length / np.sqrt(2), 0))
     pace = fit_lines(signal.time, signal.travel, *_between(v, p))
     # The machine's stretch is subtracted at the corners only: at every sample it would add the load's noise.
