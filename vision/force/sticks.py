@@ -11,7 +11,7 @@ from vision.force.corners import Corners, Extremes, Shape, find_extremes, is_slo
 from vision.force.lines import BrokenLines, Lines, fit_broken_lines, fit_lines
 from vision.force.settings import ForceSettings
 from vision.force.signal import Signal, step_between
-from vision.numeric import Bools, Floats, Ints
+from vision.numeric import Bools, Floats, Ints, nan_median
 
 
 @dataclass(frozen=True)
@@ -301,8 +301,7 @@ def _beside_standstill(signal: Signal, valley: Floats, peak: Floats, settings: F
         return line.slope, np.hypot(line.slope_error, step)
 
     sticks, falls = pace(valley[:-1], peak[1:]), pace(peak, valley)
-    known = sticks[0][np.isfinite(sticks[0])]
-    usual = float(np.quantile(known, 0.9)) if known.size else float("nan")
+    usual = float(nan_median(sticks[0][sticks[1] < 0.1 * sticks[0]]))
     stick, fall = (
         (error < 0.1 * usual) & (speed < settings.still_share * usual + 3 * error)
         for speed, error in (sticks, falls)
