@@ -104,7 +104,14 @@ def find_stick_slip(
         )
     compliance = 1 / (machine_stiffness_N_per_mm or np.inf)
     events = measure_sticks(
-        signal, analysis.corners, analysis.extremes, tau, analysis.bent, compliance, settings
+        signal,
+        analysis.corners,
+        analysis.extremes,
+        tau,
+        analysis.bent,
+        compliance,
+        settings,
+        filter_known=bool(tau or found.samples),
     )
     stick_length = float(nan_median(events["stick_length_um"].to_numpy(float)))
     if stick_length < 0:

@@ -56,12 +56,15 @@ def measure_sticks(
     two_slopes: bool,
     compliance: float,
     settings: ForceSettings,
+    *,
+    filter_known: bool = True,
 ) -> pd.DataFrame:
     """Return the columns of `vision.data.STICKS` that are measured on each stick.
 
     One row per stick, from the valley after slip j to the peak before slip j + 1. `corners` and `extremes`
     are in samples: peak[j] begins slip j, valley[j] ends it. `lag` is the time constant of the low-pass that
-    is corrected for, in samples, 0 for none; `compliance` is that of the machine, mm/N.
+    is corrected for, in samples, 0 for none; `compliance` is that of the machine, mm/N. `filter_known`: the
+    low-pass of the load is known, so that longer slips are not due to another filter.
     """
     index = np.arange(signal.time.size, dtype=float)
     slow = is_slow(corners, settings)
@@ -83,11 +86,14 @@ def measure_sticks(
     known = np.flatnonzero(~signal.is_missing)
     after = np.clip(np.searchsorted(known, corners.middle), 1, known.size - 1)
     position_error = corners.error * (known[after] - known[after - 1])
-    # A sudden slip appears shorter than half a sample. One that appears longer may be as long, or lengthened
-    # by a filter of the machine, and the two corners of a stick are then together off by its length. Among
-    # lost samples, between which the load is interpolated, this is known only of two or more in a row.
+    # A sudden slip appears shorter than half a sample. One that appears longer may be as long, or lengthened:
+    # up to 2.5 samples where each is the mean since the one before, further by a filter of the machine, in
+    # which the noise of neighbouring samples is common unless it arose later. The two corners of a stick are
+    # then together off by its length. So they are where two samples or more in a row were lost at the slip,
+    # since the load between them is interpolated.
     length = corners.valley - corners.peak
-    lengthened = known[after] - known[after - 1] > 2 if signal.is_missing.any() else length > 0.5
+    lengthened = (length > 0.5) & ((length < 2.5) | (not filter_known)) & ~signal.is_missing.any()
+    lengthened = lengthened | (signal.alike > 1) | (known[after] - known[after - 1] > 2)
     position_error = np.hypot(position_error, np.where(lengthened, length / np.sqrt(2), 0))
     pace = fit_lines(signal.time, signal.travel, *_between(v, p))
     # The machine's stretch is subtracted at the corners only: at every sample it would add the load's noise.
