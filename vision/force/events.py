@@ -111,7 +111,7 @@ def find_stick_slip(
         analysis.bent,
         compliance,
         settings,
-        filter_known=bool(tau or found.samples),
+        filter_known=bool(tau or found.proven),
     )
     stick_length = float(nan_median(events["stick_length_um"].to_numpy(float)))
     if stick_length < 0:
