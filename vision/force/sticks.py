@@ -299,12 +299,13 @@ def _beside_standstill(signal: Signal, valley: Floats, peak: Floats, settings: F
     error of the speed exceeds a tenth of the usual one, nothing is told. `peak` and `valley` are those of
     each slip, in samples.
     """
+    step = step_between(signal.travel)
 
     def pace(start: Floats, stop: Floats) -> tuple[Floats, Floats]:
         """Return the speed between two positions and its error."""
         line = fit_lines(signal.time, signal.travel, *_between(start, stop))
-        step = step_between(signal.travel) / np.maximum(stop - start, 1) / signal.interval_s
-        return line.slope, np.hypot(line.slope_error, step)
+        duration = np.maximum(stop - start, 1) * signal.interval_s
+        return line.slope, np.hypot(line.slope_error, step / duration)
 
     sticks, falls = pace(valley[:-1], peak[1:]), pace(peak, valley)
     usual = float(nan_median(sticks[0][sticks[1] < 0.1 * sticks[0]]))
