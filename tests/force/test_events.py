@@ -739,6 +739,14 @@ def test_a_displacement_that_ends_while_the_load_goes_on(noise_mm: float) -> Non
     assert any("does not change" in line for line in events.attrs["warnings"])
 
 
+def test_a_noisy_displacement_is_no_unloading() -> None:
+    """A failure means that sticks are lost because d, by its noise, goes back during slips."""
+    test = plain(sticks=60, samples=200, snr=40, jitter=0.1)
+    noise = np.random.default_rng(5).normal(0, 4e-3, test.force.sizes["time_s"])  # sticks are 33 µm long
+    events = find_stick_slip(test.force.assign(d_mm=test.force["d_mm"] + noise))
+    assert (events["flag"] == "ok").all()
+
+
 def test_a_load_that_relaxes_while_the_machine_is_held_is_no_slip() -> None:
     """A failure means that the relaxation in a hold is a slow slip that the fits use."""
     test = plain(sticks=60, samples=200, snr=100, jitter=0.1)

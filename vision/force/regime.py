@@ -12,7 +12,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from vision.force.corners import Extremes
 from vision.force.lines import fit_lines, flat_ranges
 from vision.force.settings import ForceSettings
-from vision.force.signal import Signal, step_between
+from vision.force.signal import Signal, noise_sigma, step_between
 from vision.force.slips import Slips, upward_share
 from vision.numeric import Bools, Floats, nan_median
 
@@ -65,14 +65,15 @@ def _roundness(y: Floats, start: Floats, stop: Floats) -> float:
 
 
 def is_unloading(travel: Floats, extremes: Extremes) -> Bools:
-    """Return whether the crosshead goes back during each fall, by more than a fifth of its last advance.
+    """Return whether the crosshead goes back during each fall, by more than a fifth of its last advance and
+    four errors of the difference of two samples.
 
     travel: separation at each sample; where it is NaN, no fall counts as unloading.
     """
     index = np.arange(travel.size)
     at_peak, at_valley = (np.interp(at, index, travel) for at in (extremes.peak, extremes.valley))
     forward = np.abs(at_peak - np.r_[travel[0], at_valley[:-1]])
-    return np.asarray((at_peak - at_valley) > np.maximum(0.2 * forward, 1e-12))
+    return np.asarray((at_peak - at_valley) > np.maximum(0.2 * forward, 4 * np.sqrt(2) * noise_sigma(travel)))
 
 
 def doubts(events: pd.DataFrame, regime: Regime, signal: Signal, slips: Slips, unit: str) -> list[str]:
