@@ -130,6 +130,16 @@ def test_a_stick_in_which_the_machine_pauses_is_left_out():
     assert 4 in measure(replace(made, sticks=made.sticks.assign(stick_length_um=slower)))["event"]
 
 
+def test_sticks_in_which_the_displacement_stands_still_are_left_out():
+    """A failure means σ_x over a Λ_st of 0, where the displacement ended before the load."""
+    made = make(uniform(1.0, 20.0), frames=20)
+    ended = made.sticks["event"] > 3
+    length = made.sticks["stick_length_um"].where(~ended, 0)
+    sticks = made.sticks.assign(stick_length_um=length, flag=np.where(ended, "falling+still", "ok"))
+    motion = measure(replace(made, sticks=sticks))
+    assert motion["event"].to_numpy().max() == 3
+
+
 def test_an_uncertain_clock_keeps_more_frames_away():
     """A failure means that the clock's error is ignored when frames next to a slip are left out."""
     made = make(uniform(1.0, 20.0), frames=20)

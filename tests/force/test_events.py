@@ -506,8 +506,8 @@ def test_forces_at_the_ends_of_curved_sticks(power: float, snr: float, largest: 
 
 
 @pytest.mark.parametrize("averaged", [3, 5, 9])
-@pytest.mark.parametrize("softening", [0.0, 0.3])
-def test_a_machine_that_averages_its_samples(averaged: int, softening: float) -> None:
+@pytest.mark.parametrize(("softening", "noise_after"), [(0.0, 0.0), (0.3, 0.0), (0.0, 1.0)])
+def test_a_machine_that_averages_its_samples(averaged: int, softening: float, noise_after: float) -> None:
     """A failure means that slips which the machine's running mean has made longer are taken for as long, with
     drops and lengths too small by many times their errors; or that a curvature of the sticks hides this."""
     test = plain(sticks=60, samples=100, snr=40, jitter=0.1)
@@ -517,6 +517,7 @@ def test_a_machine_that_averages_its_samples(averaged: int, softening: float) ->
     bend = softening * np.sum(test.truth["dF_N"].to_numpy() * u * (1 - u), axis=1)
     padded = np.pad(test.force["load_N"].to_numpy() + bend, averaged // 2, "edge")
     load = np.convolve(padded, np.full(averaged, 1 / averaged), "valid")
+    load += noise_after * np.random.default_rng(9).standard_normal(load.size)
     events = find_stick_slip(test.force.assign(load_N=("time_s", load)))
     right, truth = matched(events, test.truth)
     assert len(events) == len(right) == len(test.truth)
@@ -705,6 +706,69 @@ def test_samples_lost_while_the_clock_stood_still_are_a_gap() -> None:
     columns = (force[name].to_numpy() for name in ("time_s", "load_N", "d_mm"))
     flags = sample_flags(*columns)
     assert set(np.flatnonzero(flags == "gap")) == set(np.flatnonzero(np.diff(kept) > 1) + 1)
+
+
+def test_a_displacement_on_the_sample_jumps_at_slips() -> None:
+    """A failure means that such jumps are taken for lost samples, or enter Λ_st."""
+    test = plain(sticks=40, samples=200, snr=400, jitter=0.1)
+    load, d = (test.force[name].to_numpy() for name in ("load_N", "d_mm"))
+    stretch = 2e-5  # mm/N: 8 µm in a slip, while the crosshead moves by 33 µm in a stick
+    columns = {"load_N": ("time_s", load + 1000), "d_mm": ("time_s", d - stretch * load)}
+    force = test.force.assign(columns)
+    flags = sample_flags(*(force[name].to_numpy() for name in ("time_s", "load_N", "d_mm")))
+    events = find_stick_slip(force.assign(flag=("time_s", flags)))
+    right, truth = matched(events[events["flag"] == "ok"], test.truth)
+    assert len(right) == len(test.truth)
+    expected = truth["stick_length_um"] - 1e3 * stretch * truth["dF_N"]
+    assert np.mean(np.abs(right["stick_length_um"] - expected) < right["stick_length_err_um"]) > 0.6
+
+
+@pytest.mark.parametrize("noise_mm", [0.0, 2e-4])
+def test_a_displacement_that_ends_while_the_load_goes_on(noise_mm: float) -> None:
+    """A failure means sticks called ok whose Λ_st is 0, or sticks of a slow part of the test left out."""
+    test = plain(sticks=90, samples=80, snr=40, jitter=0.1)
+    index = np.arange(test.force.sizes["time_s"])
+    # Twenty sticks at a tenth of the speed, forty at the usual one; then the sensor is at its end.
+    d = 13 + np.interp(index, [0, 1600, 4800, index[-1]], [0, 0.0267, 0.56, 0.56])
+    d += noise_mm * np.random.default_rng(4).standard_normal(d.size)
+    events = find_stick_slip(test.force.assign(d_mm=("time_s", d)))
+    still = events["flag"].str.contains("still")
+    ended = events["t_p_s"] > 48
+    assert still[ended].all()
+    assert still[~ended].sum() <= 1
+    assert any("does not change" in line for line in events.attrs["warnings"])
+
+
+def test_a_noisy_displacement_is_no_unloading() -> None:
+    """A failure means that sticks are lost because d, by its noise, goes back during slips."""
+    test = plain(sticks=60, samples=200, snr=40, jitter=0.1)
+    noise = np.random.default_rng(5).normal(0, 4e-3, test.force.sizes["time_s"])  # sticks are 33 µm long
+    events = find_stick_slip(test.force.assign(d_mm=test.force["d_mm"] + noise))
+    assert (events["flag"] == "ok").all()
+
+
+def test_a_load_that_relaxes_while_the_machine_is_held_is_no_slip() -> None:
+    """A failure means that the relaxation in a hold is a slow slip that the fits use."""
+    test = plain(sticks=60, samples=200, snr=100, jitter=0.1)
+    load, d = (test.force[name].to_numpy() for name in ("load_N", "d_mm"))
+    held = [(test.truth["t_v_s"][k] + test.truth["t_p_s"][k]) / 2 for k in (15, 30, 45)]
+    at, hold = np.rint(np.array(held) / 0.01).astype(int), 400
+    fall = -40 * np.log1p(np.arange(hold) / 20) / np.log1p(hold / 20)
+    rows = np.insert(np.arange(load.size), np.repeat(at, hold), np.repeat(at, hold))
+    load, d = load[rows], d[rows]
+    noise = np.random.default_rng(7).standard_normal(load.size)
+    for start in at + hold * np.arange(3):
+        load[start : start + hold] += fall + noise[start : start + hold]
+        # The machine goes on from the relaxed load, and the stick ends at the same load as without the hold.
+        load[start + hold : start + hold + 60] += np.linspace(-40, 0, 60)
+    time = 0.01 * np.arange(load.size)
+    events = find_stick_slip(recording(time, load, d, 1.0))
+    start, stop = (events[name].to_numpy()[:, np.newaxis] for name in ("t_v_s", "t_p_s"))
+    holds = time[at + hold * np.arange(3)] + 0.01 * hold / 2
+    beside = ((start < holds + 2.1) & (stop > holds - 2.1)).any(axis=1)
+    still = events["flag"].str.contains("still|falling")
+    assert still[beside].all()
+    assert not still[~beside].any()
 
 
 def test_a_load_cell_that_rings_is_an_oscillation() -> None:

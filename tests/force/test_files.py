@@ -35,6 +35,7 @@ CLOCKS = {
     "iso": ("timestamp", lambda t: "2022-01-10T" + clock(45000 + t)),
     "noon": ("Time", lambda t: f"1/10/2022 {clock(43198 + t if t < 2 else t - 2, 12)} {'AP'[int(t >= 2)]}M"),
     "minutes": ("Time", lambda t: clock(3598 + t)[3:]),
+    "durations": ("Time", lambda t: f"{t / 60:.9f} min"),
 }
 
 

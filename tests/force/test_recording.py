@@ -29,6 +29,23 @@ def test_bad_samples_are_flagged_and_kept(tmp_path: Path) -> None:
     assert "1 of 40 samples flagged backwards and left out" in force.attrs["warnings"]
 
 
+@pytest.mark.parametrize(
+    ("row", "step_s", "told"), [(150, 0.0, "displacement jumps by -14.9 mm at 15 s"), (90, 5.0, "1 gaps")]
+)
+def test_a_displacement_that_starts_again_is_told_from_a_gap(
+    row: int, step_s: float, told: str, tmp_path: Path
+) -> None:
+    """A failure means that d is wrong from a row on, and only a gap in time is told."""
+    index = np.arange(200)
+    time, d = 0.1 * index, 0.1 * (index if step_s else index % row)
+    time[row:] += step_s
+    d[row:] += step_s
+    text = "Time (s),Load (N),Extension (mm)\n"
+    text += "".join(f"{t:.1f},{k % 7},{x:.2f}\n" for k, t, x in zip(index, time, d, strict=True))
+    warnings = read_force(written(tmp_path, text), d0_mm=13).attrs["warnings"]
+    assert [told in line for line in warnings] == [True]
+
+
 @pytest.mark.parametrize("heading", ["", "Time (s),Load (N),Extension (mm)\n"])
 @pytest.mark.parametrize("rows", [40, 90])
 def test_a_second_recording_in_the_file_is_named(rows: int, heading: str, tmp_path: Path) -> None:
@@ -179,6 +196,7 @@ def test_one_column_with_units_in_each_line(tmp_path: Path) -> None:
         (("sec", 1), ("lbf", 4.4482216), ("in", 25.4)),
         (("seconds", 1), ("kgf", 9.80665), ("ft", 304.8)),
         (("msec", 1e-3), ("gf", 9.80665e-3), ("inches", 25.4)),
+        (("Sekunden", 1), ("Kilonewton", 1e3), ("millimètre", 1)),
     ],
 )
 def test_units_become_s_N_and_mm(time, load, length, tmp_path: Path) -> None:

@@ -132,6 +132,16 @@ def test_flagged_events_do_not_count() -> None:
     assert abs(fit(spoiled).mu.value - 0.89) > 0.02
 
 
+def test_small_slips_among_large_ones_are_told() -> None:
+    """A failure means that A is the mean of unlike slips, without a word."""
+    made = events()
+    drops = made["dF_N"].where(made.index % 2 > 0, 0.05 * made["dF_N"])
+    fits = fit(made.assign(dF_N=drops))
+    assert fits.amplitude.value < 0.7 * fit(made).amplitude.value
+    assert any("small slips among large ones" in line for line in fits.warnings)
+    assert not any("small slips" in line for line in fit(made).warnings)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

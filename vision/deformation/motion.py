@@ -257,7 +257,8 @@ def _uninterrupted(
     length, length_err = _lengths(events)
     fastest = (length + 3 * np.nan_to_num(length_err)) / (stop - start)[:, 0]
     usual = pd.Series(length / (stop - start)[:, 0]).rolling(5, center=True, min_periods=1).median()
-    paused = whole & (fastest < settings.least_speed * usual.to_numpy())  # not where a length is unknown
+    still = "flag" in events and events["flag"].astype(str).str.contains("still").to_numpy()
+    paused = whole & (still | (fastest < settings.least_speed * usual.to_numpy()))  # not if length is unknown
     whole &= ~paused
     if not whole.any():
         found = "slips of the film within all of them"

@@ -62,8 +62,9 @@ def find_stick_slip(
     they are the recorded extremes. K is the slope of the central half, K1 and K2 those before and after a
     knee. Lengths and stiffness are NaN where d is unknown.
     ``flag`` is "ok" or, joined by "+", what is wrong within the stick (gap, nan, saturated, repeated,
-    backwards, few (samples), falling, unloading), or within it or the one next to it (jump: an upward jump as
-    large as slips), what the instrument cannot give (short, negative), or how it was measured (slow);
+    backwards, few (samples), falling, unloading), or within it or beside it (jump: an upward jump as large as
+    slips; still: the displacement stands still), what the instrument cannot give (short, negative), or how it
+    was measured (slow);
     "oscillation", "cycles" and "noise" are those of the whole recording. Attributes are described in
     `vision.data.StickMetadata`.
 
@@ -77,7 +78,7 @@ def find_stick_slip(
     Notes
     -----
     Errors of forces and lengths contain the noise, the position error of the corners, that of the curvature
-    of the sticks, what was recorded beyond the lines, the length of slips where the noise shows a filter, and
+    of the sticks, what was recorded beyond the lines, the length of slips of half a sample or more, and
     the effect of a low-pass that was found but not corrected. Source: paper, section on stick-slip features.
     """
     FORCE.check(force)
@@ -103,7 +104,14 @@ def find_stick_slip(
         )
     compliance = 1 / (machine_stiffness_N_per_mm or np.inf)
     events = measure_sticks(
-        signal, analysis.corners, analysis.extremes, tau, analysis.bent, compliance, settings
+        signal,
+        analysis.corners,
+        analysis.extremes,
+        tau,
+        analysis.bent,
+        compliance,
+        settings,
+        filter_known=bool(tau or found.proven),
     )
     stick_length = float(nan_median(events["stick_length_um"].to_numpy(float)))
     if stick_length < 0:

@@ -65,8 +65,8 @@ def read_tables(path: Path) -> list[Table]:
     ----------
     path
         Text as MTS TestSuite (text and CSV), MTS 793, Instron Bluehill, Zwick TRA, Shimadzu Trapezium
-        and LabVIEW (.lvm) write it, plain tables with or without a header, one column with a unit in each
-        line; or a MATLAB .mat file, v4 to v7.3.
+        and LabVIEW (.lvm) write it, plain tables with or without a header, units in the cells, one column
+        with a unit in each line; or a MATLAB .mat file, v4 to v7.3.
 
     Returns
     -------
@@ -105,6 +105,7 @@ TIME_OF_DAY = "time of day"  # unit of a column of clock times, which are read a
 _FACTORS: dict[Dimension, dict[str, float]] = {
     "time": {
         **dict.fromkeys(("s", "sec", "secs", "second", "seconds", "sek", "seg", TIME_OF_DAY), 1.0),
+        **dict.fromkeys(("Sekunde", "Sekunden", "seconde", "secondes", "segundo", "segundos"), 1.0),
         **dict.fromkeys(("ms", "msec", "millisecond", "milliseconds"), 1e-3),
         **dict.fromkeys(("µs", "us"), 1e-6),
         **dict.fromkeys(("min", "minute", "minutes", "Minuten"), 60.0),
@@ -112,7 +113,8 @@ _FACTORS: dict[Dimension, dict[str, float]] = {
     },
     "force": {
         **dict.fromkeys(("N", "newton", "newtons"), 1.0),
-        **{"kN": 1e3, "MN": 1e6, "daN": 10.0, "mN": 1e-3, "µN": 1e-6, "uN": 1e-6},
+        **dict.fromkeys(("kN", "kilonewton", "kilonewtons"), 1e3),
+        **{"MN": 1e6, "daN": 10.0, "mN": 1e-3, "µN": 1e-6, "uN": 1e-6},
         **dict.fromkeys(("lbf", "lb", "lbs"), 4.4482216152605),
         **dict.fromkeys(("kgf", "kp", "kg"), 9.80665),
         **dict.fromkeys(("gf", "g"), 9.80665e-3),
@@ -120,6 +122,7 @@ _FACTORS: dict[Dimension, dict[str, float]] = {
     "length": {
         **{"mm": 1.0, "cm": 10.0, "m": 1000.0, "µm": 1e-3, "um": 1e-3, "nm": 1e-6},
         **dict.fromkeys(("millimeter", "millimeters", "millimetre", "millimetres"), 1.0),
+        **dict.fromkeys(("millimètre", "millimètres", "milímetro", "milímetros"), 1.0),
         **dict.fromkeys(("meter", "meters", "metre", "metres"), 1000.0),
         **dict.fromkeys(("micron", "microns", "micrometer", "micrometers"), 1e-3),
         **dict.fromkeys(("in", "inch", "inches", '"'), 25.4),
@@ -357,9 +360,9 @@ def _read_blocks(path: Path, lines: list[str], style: _Style, facts: dict[str, s
     tables: list[Table] = []
     header_from = 0
     for start, stop in _runs(lines, style):
-        values, clocks = _numbers(path, [line for line in lines[start:stop] if line.strip()], style)
+        values, written = _numbers(path, [line for line in lines[start:stop] if line.strip()], style)
         names, units = _header(lines[header_from:start], style, values.shape[1])
-        units = tuple(TIME_OF_DAY if clock else unit for unit, clock in zip(units, clocks, strict=True))
+        units = tuple(of_cells or unit for unit, of_cells in zip(units, written, strict=True))
         if tables and not any(names) and values.shape[1] == tables[-1].numbers.shape[1]:
             # A remark between two runs of numbers is not a header: the columns stay the same.
             names, units = tables[-1].names, tables[-1].units
@@ -411,26 +414,32 @@ def _parsed(source: str | io.StringIO, style: _Style, width: int, **more: Any) -
     return frame
 
 
-def _numbers(path: Path, lines: list[str], style: _Style) -> tuple[Floats, list[bool]]:
-    """Return lines of numbers as an array, NaN for other cells, and which columns are clock times."""
+def _numbers(path: Path, lines: list[str], style: _Style) -> tuple[Floats, list[str]]:
+    """Return lines of numbers as an array, NaN for other cells, and the units in the cells of each column."""
     width, text = _width(lines, style, path), io.StringIO("\n".join(lines))
     frame = _parsed(text, style, width, skip_blank_lines=False, low_memory=False)
     columns = [_as_floats(frame[column], style.decimal) for column in frame.columns]
-    return np.column_stack([values for values, _ in columns]), [clock for _, clock in columns]
+    return np.column_stack([values for values, _ in columns]), [unit for _, unit in columns]
 
 
-def _as_floats(series: pd.Series[Any], decimal: str) -> tuple[Floats, bool]:
-    """Return the values of a column, and whether they are times of the day."""
+def _as_floats(series: pd.Series[Any], decimal: str) -> tuple[Floats, str]:
+    """Return the values of a column, and the unit written in most cells, as in "0.005 sec"; "" for none."""
     if pd.api.types.is_numeric_dtype(series):
-        return series.to_numpy(dtype=float), False
+        return series.to_numpy(dtype=float), ""
     text = series.astype(str).str.strip()
     clock = text.str.extract(_CLOCK_PARTS)
     if clock[1].notna().mean() > 0.5:
-        return _clock_seconds(clock), True
+        return _clock_seconds(clock), TIME_OF_DAY
     thousands = rf"(?<=[0-9])[{'.' if decimal == ',' else ','}'\u2019\u00a0\u202f ](?=[0-9]{{3}}(?![0-9]))"
     grouped = text.str.match(rf"[-+]?[1-9][0-9]{{0,2}}(?:{thousands}[0-9]{{3}})+(?![0-9])")
     text = text.mask(grouped, text.str.replace(thousands, "", regex=True)).str.replace(decimal, ".")
-    return pd.to_numeric(text, errors="coerce").to_numpy(dtype=float), False
+    cells = text.str.extract(_SUFFIXED)
+    unit = str(cells["unit"].mode().get(0, ""))
+    if unit_of(unit) and (cells["unit"] == unit).mean() > 0.5:
+        text = cells["number"].where(cells["unit"] == unit)
+    else:
+        unit = ""
+    return pd.to_numeric(text, errors="coerce").to_numpy(dtype=float), unit
 
 
 def _clock_seconds(parts: pd.DataFrame) -> Floats:

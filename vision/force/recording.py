@@ -171,8 +171,10 @@ def _dataset(
     if found["load"].unit == "1":
         force["load_N"].attrs["units"] = "1"
     measured = _speed(time[good], travel[good])
+    on_sample = crosshead is not None and _at_slips(_jumps(crosshead, flags == "nan", settings), load)
     warnings = _restart_warnings(restart, time.size, blocks)
     warnings += _warnings(flags, load[good], source, speed_mm_min, measured)
+    warnings += _gap_warnings(flags == "gap", time, travel)
     if abs(start) > 0.05 * max(float(np.ptp(travel[good])), 1e-9):  # zeros are set manually
         warnings.append(
             f"the crosshead starts at {start:.4g} mm: `d0_mm` {d0_mm:g} is added to its change since then; "
@@ -184,7 +186,7 @@ def _dataset(
         speed_mm_min=measured if source == "displacement" else speed_mm_min or float("nan"),
         d0_mm=float("nan") if d0_mm is None else d0_mm,
         columns="; ".join(f"{role} = {c.name} [{c.unit}]" for role, c in found.items()),
-        notes=_notes(found, source, d0_mm),
+        notes=_notes(found, source, d0_mm, on_sample),
         warnings=warnings,
         **facts,  # type: ignore[arg-type]
     )
@@ -228,7 +230,7 @@ def _speed(time: Floats, travel: Floats) -> float:
     return float(np.median(np.diff(travel[knots]) / steps) * 60.0)
 
 
-def _notes(found: dict[Role, Column], source: str, d0_mm: float | None) -> list[str]:
+def _notes(found: dict[Role, Column], source: str, d0_mm: float | None, on_sample: bool) -> list[str]:
     """Return what was assumed."""
     notes = [f'"{c.name}" has no unit: {role} assumed in {c.unit}' for role, c in found.items() if c.assumed]
     if found["load"].unit == "1":
@@ -237,6 +239,11 @@ def _notes(found: dict[Role, Column], source: str, d0_mm: float | None) -> list[
         notes.append("no displacement recorded: d = d0 + V t with the speed given")
     elif source == "displacement" and d0_mm is None:
         notes.append("`d0_mm` not given: d counts from the crosshead's zero")
+    if on_sample:
+        notes.append(
+            "the displacement jumps where the load falls, as between two points of the sample: Λ_st and K "
+            "do not contain the machine's stretch, which need not be corrected"
+        )
     return notes
 
 
@@ -257,11 +264,24 @@ def _warnings(
     warnings += [
         f"{k} of {flags.size} samples flagged {word} and left out" for word, k in counts.items() if k
     ]
-    if count := int(np.sum(flags == "gap")):
-        warnings.append(f"{count} gaps in time")
     if is_compression(load):
         warnings.append("the load is negative: a recording in compression, or tension counted negative")
     return warnings
+
+
+def _gap_warnings(gap: Bools, time: Floats, travel: Floats) -> list[str]:
+    """Return how many gaps there are in time, and where the displacement jumps while the time goes on."""
+    step = np.diff(time, prepend=np.nan)
+    jump = np.flatnonzero(gap & (step < 2 * np.nanmedian(step)))
+    lines = [f"{count} gaps in time"] if (count := int(gap.sum()) - jump.size) else []
+    if jump.size:
+        first, more = jump[0], f" and {jump.size - 1} times later" if jump.size > 1 else ""
+        by = np.diff(travel)[first - 1]
+        lines.append(
+            f"the displacement jumps by {by:.3g} mm at {time[first]:.4g} s{more}: samples were lost while "
+            "the clock stood still, or a counter was set to 0 or wrapped, and d is wrong from there on"
+        )
+    return lines
 
 
 def is_compression(load: Floats) -> bool:
@@ -451,7 +471,7 @@ def _column(path: Path, table: Table, role: Role, k: int, given: str) -> Column:
     unit = unit_of(written) if written else Unit(_BASE[role], _DIMENSION[role], 1.0)
     allowed = (_DIMENSION[role], "ratio") if role == "load" else (_DIMENSION[role],)
     if unit is None or unit.dimension not in allowed:
-        advice = f"state it with `columns` {role}={name}:{_BASE[role]} (or another unit)"
+        advice = f"convert the values, or state the unit: `columns` {role}={name}:{_BASE[role]}"
         raise InputError(path, f'a unit of {_DIMENSION[role]} for "{name}"', f'"{written}"', advice)
     shown = "1" if unit.dimension == "ratio" else unit.text
     return Column(name, shown, assumed=not written, values=table.numbers[:, k] * unit.factor)
@@ -482,15 +502,29 @@ def sample_flags(
         usual[np.isfinite(step) & (step > 0)] = running_median(forward, 101)  # the rate may change
         flags[step > settings.gap_intervals * usual] = "gap"
     if displacement is not None:  # the clock may stand still during a loss, but the crosshead goes on
-        way = np.abs(np.diff(displacement, prepend=displacement[:1]))
-        moves = way[~bad & (way > 0)]
-        if moves.size:
-            flags[way > settings.gap_intervals * np.quantile(moves, 0.99)] = "gap"
+        jumps = _jumps(displacement, bad, settings)
+        flags[jumps & (not _at_slips(jumps, load))] = "gap"
     flags[_saturated(load, settings.saturated_run)] = "saturated"
     flags[step == 0] = "repeated"
     flags[step < 0] = "backwards"
     flags[bad] = "nan"
     return flags
+
+
+def _jumps(displacement: Floats, bad: Bools, settings: ForceSettings) -> Bools:
+    """Return the samples before which the displacement moves several times as far as it usually does."""
+    way = np.abs(np.diff(displacement, prepend=displacement[:1]))
+    moves = way[~bad & (way > 0)]
+    return way > settings.gap_intervals * np.quantile(moves, 0.99) if moves.size else np.zeros_like(bad)
+
+
+def _at_slips(jumps: Bools, load: Floats) -> bool:
+    """Return whether the displacement jumps where the load falls, as that of a sensor on the sample does.
+
+    Over lost samples the load falls or rises. Five jumps are needed to tell.
+    """
+    falls = np.diff(load, prepend=load[:1])[jumps] < 0
+    return bool(falls.size >= 5 and falls.mean() > 0.9)
 
 
 def _saturated(load: Floats, least: int) -> Bools:

@@ -12,7 +12,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from vision.force.corners import Extremes
 from vision.force.lines import fit_lines, flat_ranges
 from vision.force.settings import ForceSettings
-from vision.force.signal import Signal
+from vision.force.signal import Signal, noise_sigma, step_between
 from vision.force.slips import Slips, upward_share
 from vision.numeric import Bools, Floats, nan_median
 
@@ -65,14 +65,15 @@ def _roundness(y: Floats, start: Floats, stop: Floats) -> float:
 
 
 def is_unloading(travel: Floats, extremes: Extremes) -> Bools:
-    """Return whether the crosshead goes back during each fall, by more than a fifth of its last advance.
+    """Return whether the crosshead goes back during each fall, by more than a fifth of its last advance and
+    four errors of the difference of two samples.
 
     travel: separation at each sample; where it is NaN, no fall counts as unloading.
     """
     index = np.arange(travel.size)
     at_peak, at_valley = (np.interp(at, index, travel) for at in (extremes.peak, extremes.valley))
     forward = np.abs(at_peak - np.r_[travel[0], at_valley[:-1]])
-    return np.asarray((at_peak - at_valley) > np.maximum(0.2 * forward, 1e-12))
+    return np.asarray((at_peak - at_valley) > np.maximum(0.2 * forward, 4 * np.sqrt(2) * noise_sigma(travel)))
 
 
 def doubts(events: pd.DataFrame, regime: Regime, signal: Signal, slips: Slips, unit: str) -> list[str]:
@@ -98,7 +99,7 @@ def doubts(events: pd.DataFrame, regime: Regime, signal: Signal, slips: Slips, u
         ("stick_length_um", 1e3 * signal.travel, "lengths and K are not resolved: the displacement", "µm"),
         ("dF_N", signal.load, "drops and K are not resolved: the load", unit),
     ):
-        step, stick = _resolution(values), float(nan_median(events[column].to_numpy(float)))
+        step, stick = step_between(values), float(nan_median(events[column].to_numpy(float)))
         if step > 0.3 * stick:  # about three steps in a stick, or fewer
             lines.append(
                 f"{what} has steps of {step:.3g} {unit_of_steps}, sticks are {stick:.3g} {unit_of_steps}"
@@ -112,6 +113,11 @@ def doubts(events: pd.DataFrame, regime: Regime, signal: Signal, slips: Slips, u
             "jump",
             "contain or adjoin an upward jump of the load, as large as slips: noise, knocks, ringing, a "
             "loose cable or a change of range",
+        ),
+        (
+            "still",
+            "lie in or beside a stretch in which the displacement does not change: the pull had ended or was "
+            "held, or the sensor is at the end of its range",
         ),
         ("short", "are shorter than the load cell's own response allows"),
         ("negative", "have a negative friction force: check the load cell's zero"),
@@ -167,9 +173,3 @@ def _load_warnings(signal: Signal, slips: Slips, events: pd.DataFrame, unit: str
                 "if nothing was pulled then, the load cell's zero is wrong by as much, and with it 𝒯0 and μ"
             )
     return lines
-
-
-def _resolution(values: Floats) -> float:
-    """Return the median step between the values that occur; 0 where nearly all values differ."""
-    different = np.unique(values[np.isfinite(values)])
-    return float(np.median(np.diff(different))) if 2 < different.size < 0.2 * values.size else 0.0

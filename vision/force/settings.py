@@ -150,6 +150,10 @@ class ForceSettings:
     the shortest scales, where hum and digits disturb, more weight; fewer tell time constants from random
     walks less well."""
 
+    still_share: float = 0.003
+    """Speed of the crosshead in a stick, over the usual one, below which it stands still. Smaller overlooks a
+    sensor that creeps at the end of its range, larger flags the slow part of a test whose speed changes."""
+
     few_samples: int = 10
     """Sticks of fewer samples are flagged "few", and the model fits leave them out."""
 

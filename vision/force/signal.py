@@ -186,6 +186,12 @@ def find_spikes(
     return is_spike, clean
 
 
+def step_between(values: Floats) -> float:
+    """Return the median step between the values that occur; 0 where nearly all values differ."""
+    different = np.unique(values[np.isfinite(values)])
+    return float(np.median(np.diff(different))) if 2 < different.size < 0.2 * values.size else 0.0
+
+
 # --- slow noise ---------------------------------------------------------------------------------------------
 
 

@@ -8,10 +8,10 @@ import numpy as np
 import pandas as pd
 
 from vision.force.corners import Corners, Extremes, Shape, find_extremes, is_slow, without_lowpass
-from vision.force.lines import BrokenLines, fit_broken_lines, fit_lines
+from vision.force.lines import BrokenLines, Lines, fit_broken_lines, fit_lines
 from vision.force.settings import ForceSettings
-from vision.force.signal import Signal
-from vision.numeric import Bools, Floats, Ints
+from vision.force.signal import Signal, step_between
+from vision.numeric import Bools, Floats, Ints, nan_median
 
 
 @dataclass(frozen=True)
@@ -56,12 +56,15 @@ def measure_sticks(
     two_slopes: bool,
     compliance: float,
     settings: ForceSettings,
+    *,
+    filter_known: bool = True,
 ) -> pd.DataFrame:
     """Return the columns of `vision.data.STICKS` that are measured on each stick.
 
     One row per stick, from the valley after slip j to the peak before slip j + 1. `corners` and `extremes`
     are in samples: peak[j] begins slip j, valley[j] ends it. `lag` is the time constant of the low-pass that
-    is corrected for, in samples, 0 for none; `compliance` is that of the machine, mm/N.
+    is corrected for, in samples, 0 for none; `compliance` is that of the machine, mm/N. `filter_known`: the
+    low-pass of the load is known, so that longer slips are not due to another filter.
     """
     index = np.arange(signal.time.size, dtype=float)
     slow = is_slow(corners, settings)
@@ -83,21 +86,23 @@ def measure_sticks(
     known = np.flatnonzero(~signal.is_missing)
     after = np.clip(np.searchsorted(known, corners.middle), 1, known.size - 1)
     position_error = corners.error * (known[after] - known[after - 1])
-    # A sudden slip appears shorter than half a sample. It appears longer, up to 2.5 samples, where each is
-    # the mean since the one before, and where a filter makes the noise of neighbouring samples common. The
-    # two corners of a stick are then together off by its length. So they are where two samples or more in a
-    # row were lost at the slip, since the load between them is interpolated.
+    # A sudden slip appears shorter than half a sample. One that appears longer may be as long, or lengthened:
+    # up to 2.5 samples where each is the mean since the one before, further by a filter of the machine, in
+    # which the noise of neighbouring samples is common unless it arose later. The two corners of a stick are
+    # then together off by its length. So they are where two samples or more in a row were lost at the slip,
+    # since the load between them is interpolated.
     length = corners.valley - corners.peak
-    averaged = (length > 0.5) & (length < 2.5) & ~signal.is_missing.any()
-    lengthened = averaged | (signal.alike > 1) | (known[after] - known[after - 1] > 2)
+    lengthened = (length > 0.5) & ((length < 2.5) | (not filter_known)) & ~signal.is_missing.any()
+    lengthened = lengthened | (signal.alike > 1) | (known[after] - known[after - 1] > 2)
     position_error = np.hypot(position_error, np.where(lengthened, length / np.sqrt(2), 0))
+    pace = fit_lines(signal.time, signal.travel, *_between(v, p))
     # The machine's stretch is subtracted at the corners only: at every sample it would add the load's noise.
-    d_v = np.interp(v, index, signal.travel) - compliance * f_v
-    d_p = np.interp(p, index, signal.travel) - compliance * f_p
+    d_v = _travel_at(signal, v, v + 1, pace) - compliance * f_v
+    d_p = _travel_at(signal, p, p - 1, pace) - compliance * f_p
     last = np.interp(v_next[-1:], index, signal.travel) - compliance * signal.clean[int(v_next[-1])]
     relative = np.hypot(position_error[:-1], position_error[1:]) / (p - v)
     # Each end of a stick is read from single samples of d, with their noise and steps.
-    travel_noise = np.nan_to_num(fit_lines(signal.time, signal.travel, *_between(v, p)).spread)
+    travel_noise = np.nan_to_num(pace.spread)
     # At the extreme of a slow slip the load is level, so the position of the corner does not matter.
     corner_v = np.where(recorded[:-1], 0, rises[0] * position_error[:-1])
     corner_p = np.where(recorded[1:], 0, rises[1] * position_error[1:])
@@ -129,7 +134,26 @@ def measure_sticks(
             "samples": (p - v).astype(int),
         }
     )
-    return table.assign(flag=_event_flags(signal, sticks, corners, ends.slope > 0, slow[:-1] | slow[1:]))
+    marks = {
+        "falling": ~(ends.slope > 0),
+        "slow": slow[:-1] | slow[1:],
+        "still": _beside_standstill(signal, valley, peak, settings),
+    }
+    return table.assign(flag=_event_flags(signal, sticks, corners, marks))
+
+
+def _travel_at(signal: Signal, corner: Floats, inside: Floats, pace: Lines) -> Floats:
+    """Return d at one corner of each stick; all positions in samples.
+
+    A displacement of the sample jumps during the slip. Where it does, it is read from the sample `inside` the
+    stick next to the corner.
+    """
+    index = np.arange(signal.time.size)
+    near = np.interp(corner, index, signal.travel)
+    first = np.rint(np.clip(inside, 0, index[-1])).astype(np.int64)
+    within = signal.travel[first] + pace.slope * (np.interp(corner, index, signal.time) - signal.time[first])
+    usual = np.fmax(4 * pace.spread, np.abs(pace.slope) * signal.interval_s)
+    return np.where(np.abs(near - within) > usual, within, near)
 
 
 def _forces_without_lowpass(
@@ -267,12 +291,39 @@ def _stiffness(signal: Signal, sticks: _Sticks, two_slopes: bool, compliance: fl
     )
 
 
-def _event_flags(signal: Signal, sticks: _Sticks, corners: Corners, rising: Bools, slow: Bools) -> list[str]:
-    """Return what is wrong within each stick, joined by "+", or "ok"."""
+def _beside_standstill(signal: Signal, valley: Floats, peak: Floats, settings: ForceSettings) -> Bools:
+    """Return which sticks lie in or beside a rise or a fall of the load in which d stands still.
+
+    In such a rise the pull has ended, or d is at the end of its range; a stick beside it that is slower than
+    usual contains the end. Such a fall is the relaxation of the load while the machine is held. Where the
+    error of the speed exceeds a tenth of the usual one, nothing is told. `peak` and `valley` are those of
+    each slip, in samples.
+    """
+    step = step_between(signal.travel)
+
+    def pace(start: Floats, stop: Floats) -> tuple[Floats, Floats]:
+        """Return the speed between two positions and its error."""
+        line = fit_lines(signal.time, signal.travel, *_between(start, stop))
+        duration = np.maximum(stop - start, 1) * signal.interval_s
+        return line.slope, np.hypot(line.slope_error, step / duration)
+
+    sticks, falls = pace(valley[:-1], peak[1:]), pace(peak, valley)
+    usual = float(nan_median(sticks[0][sticks[1] < 0.1 * sticks[0]]))
+    stick, fall = (
+        (error < 0.1 * usual) & (speed < settings.still_share * usual + 3 * error)
+        for speed, error in (sticks, falls)
+    )
+    around = np.r_[False, stick, False]
+    beside = (around[:-2] | around[2:]) & (sticks[0] < 0.9 * usual)
+    return np.asarray(stick | beside | fall[:-1] | fall[1:], np.bool_)
+
+
+def _event_flags(signal: Signal, sticks: _Sticks, corners: Corners, found: dict[str, Bools]) -> list[str]:
+    """Return what is wrong within each stick, `found` included, joined by "+", or "ok"."""
     v, p, last = sticks.v, sticks.p, signal.time.size - 1
     # Both neighbouring slips count: bad samples in them hide how high or low the load was.
     begin, end = np.fmin(corners.peak[:-1], v), np.fmax(corners.valley[1:], p)
     first, final = (np.clip(at, 0, last).astype(int) for at in (np.floor(begin), np.ceil(end)))
     marks = {kind: count[final] > count[first] for kind, count in signal.damage.items()}
-    marks |= {"few": p - v < sticks.settings.few_samples, "falling": ~rising, "slow": slow}
+    marks |= {"few": p - v < sticks.settings.few_samples} | found
     return ["+".join(word for word, mark in marks.items() if mark[k]) or "ok" for k in range(v.size)]

@@ -34,6 +34,9 @@ _LEAST_EVENTS = 6
 _MEASURED = frozenset({"ok", "slow", "negative"})  # flags of complete events
 _LARGEST_OFFSET_N = 10.0  # limit of |T0| in the publication: the largest error of a load cell's zero
 _CLEAR_OFFSET = 5.0  # T0 over its error above which it differs significantly from 0
+_UNLIKE_DROPS = (
+    0.4  # relative scatter of the drops: 0.05 to 0.2 in a test, 0.5 with as many small as large ones
+)
 _CONTRADICTS = 3.0  # χ²/dof above which a model contradicts its points
 _GEOMETRY = ("thickness_mm", "width_mm", "length_mm", "t_star_N")
 
@@ -574,6 +577,11 @@ def _remarks(
         )
     if fits.scale_mm.value > 0.999 * LARGEST_SCALE * fits.d_mm[1]:
         warnings.append("K does not fall with d as M_eff does: Λ̂, N̂ and Y_eff are not determined")
+    scatter = fits.goodness["drops"].scatter
+    warnings += [
+        f"the drops scatter by {100 * scatter:.0f} % about A 𝒩, as small slips among large ones do: A is the "
+        "mean of both; `threshold_N` leaves the small ones out"
+    ] * (scatter > _UNLIKE_DROPS)
     facts = ForceMetadata.of(force)
     if facts.speed_mm_min > 1.05:
         notes.append(
