@@ -27,7 +27,7 @@ from vision.data import FORCE, STICKS, TRACKS, ForceMetadata, StripMetadata
 from vision.errors import InputError
 from vision.files import html_table
 from vision.force.recording import good_samples
-from vision.numeric import NORMAL_MEDIAN, Floats, nan_median
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, nan_median
 
 Status = Literal["ok", "ambiguous", "given"]
 How = Literal["given", "video time column", "events"]
@@ -322,16 +322,29 @@ def _silent_drops(tracks: xr.Dataset, drops: pd.DataFrame, found: Alignments) ->
     paired = np.isin(np.arange(len(drop_s)), pairs)
     # In small drops the sheets may move too little.
     filmed &= paired | ~(size < 0.5 * nan_median(size[pairs]))
-    by_chance, silent = settings.paired_by_chance, 0
-    for match in (paired[filmed], paired[filmed][::-1]):
-        # The log-likelihood of the first drops if they pair by chance, minus that if they pair as the others.
-        number, matched = np.arange(1, match.size + 1), np.cumsum(match)
-        missed = (match.size - match.sum() - (number - matched) + 1) / (match.size - number + 2)
-        lead = (number - matched) * np.log((1 - by_chance) / missed)
-        lead += matched * np.log(by_chance**2 / (1 - missed))  # the film's slips pair by chance, too
-        if lead.max(initial=0.0) > settings.least_margin:
-            silent += int((number - matched)[np.argmax(lead)])
-    return silent
+    alone_s = found.clocks.map(found.trains.video_s)[0][fits.partner[0] < 0]
+    alone_s = alone_s[(alone_s > drop_s[0]) & (alone_s < drop_s[-1])]
+    forward = _silent_from(drop_s[filmed], paired[filmed], alone_s, settings)
+    return forward + _silent_from(-drop_s[filmed][::-1], paired[filmed][::-1], -alone_s[::-1], settings)
+
+
+def _silent_from(drop_s: Floats, paired: Bools, alone_s: Floats, settings: ClockSettings) -> int:
+    """Number of unpaired drops before the one from which on they are paired far more often; 0 without one.
+
+    drop_s, paired: times of the drops, and whether each is paired.  alone_s: times of the film's slips that
+    match no drop; they count up to the number of the drops that match none, because a film also shows slips
+    that leave the force unchanged.
+    """
+    number, matched = np.arange(1, paired.size + 1), np.cumsum(paired)
+    silent, rest = number - matched, paired.size - number
+    alone = np.minimum(np.searchsorted(alone_s, np.append(drop_s, np.inf)[1:]), silent)
+    # The log-likelihood of the first slips if they pair by chance, minus that if they pair as the later ones.
+    by_chance = settings.paired_by_chance
+    missed = (silent.max(initial=0) - silent + 1) / (rest + 2)
+    false = (alone_s.size - alone + 1) / (rest + alone_s.size - alone + 2)
+    lead = silent * np.log((1 - by_chance) / missed) + alone * np.log(np.maximum((1 - by_chance) / false, 1))
+    lead += matched * np.log(by_chance**2 / (1 - missed))  # both a drop and a slip of the film
+    return int(silent[np.argmax(lead)]) if lead.max(initial=0.0) > settings.least_margin else 0
 
 
 def _if_backwards(tracks: xr.Dataset, drops: pd.DataFrame, settings: ClockSettings) -> str:

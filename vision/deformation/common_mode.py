@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from vision.deformation.creep import Creep, StickFrames
+from vision.deformation.creep import Creep, Noise, StickFrames, without_common_part
 from vision.deformation.settings import DeformationSettings
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, nan_median
 
@@ -94,12 +94,8 @@ def drift_model(
     vibration_px: result of `common_mode_motion`, (F,).
     """
     middle_px, slope_px = line.coefficient[..., 0], line.coefficient[..., 1]
-    unpushed_px = middle_px - _pushed_between(middle_px, frames.middle_s, settings)[:, None]
-    # Distant sticks are compared, since sheets that miss some slips move randomly between adjacent sticks.
-    apart = max(frames.sticks // 4, 1)  # so few pairs of sticks contain the single jump of a sheet
-    elapsed_s = (frames.middle_s[apart:] - frames.middle_s[:-apart])[:, None]
-    rate = nan_median((unpushed_px[apart:] - unpushed_px[:-apart]) / elapsed_s)
-    slow_px = rate * frames.length_s[:, None] / 2
+    unpushed_px = _without_pushes_between(middle_px, frames, settings)
+    slow_px = _net_rate(unpushed_px, frames)[0] * frames.length_s[:, None] / 2
     both = BothSides.of(side, n, middle_px, slope_px, slow_px, settings)
     return both if both.enough else OneSide.of(slope_px, unpushed_px, n, frames, vibration_px, settings)
 
@@ -360,15 +356,15 @@ class OneSide:
         )
 
 
-def _pushed_between(middle_px: Floats, middle_s: Floats, settings: DeformationSettings) -> Floats:
-    """Displacement by pushes of the camera between sticks since the first one, px, (stick,)."""
+def _without_pushes_between(middle_px: Floats, frames: StickFrames, settings: DeformationSettings) -> Floats:
+    """Mean positions (stick, sheet) without pushes of the camera between sticks, px."""
     known = np.flatnonzero(np.isfinite(middle_px).any(axis=1))
-    between_s = np.diff(middle_s[known])[:, None]
+    between_s = np.diff(frames.middle_s[known])[:, None]
     shift_px = np.diff(middle_px[known], axis=0)
     common_px = nan_median(shift_px - nan_median(shift_px / between_s) * between_s, axis=1)
     pushed_px = np.zeros(len(middle_px))
     pushed_px[known[1:]] = np.where(_is_jump(common_px, settings), common_px, 0.0)
-    return np.cumsum(pushed_px)
+    return np.asarray(middle_px - np.cumsum(pushed_px)[:, None])
 
 
 def _random_walk_step(position_px: Floats) -> float:
@@ -426,21 +422,54 @@ def _at_axis(rate: Floats, weight: Floats, n: Ints, profile: Floats) -> Floats:
     return np.linalg.solve(matrix, right[..., None])[:, 0, 0]
 
 
-# --- books --------------------------------------------------------------------------------------------------
+# --- movement that slips do not return ----------------------------------------------------------------------
 
 
-def movement_of_books(slope_px: Floats, length_s: Floats) -> Floats:
-    """Steady movement of every second sheet against the others: each sheet's half in a stick, px, (stick,).
+def own_movement(
+    middle_px: Floats, slope_px: Floats, frames: StickFrames, settings: DeformationSettings
+) -> Floats:
+    """Half the steady movement of each sheet in a stick that slips do not return, px, (stick, sheet).
 
-    Such sheets are those of one book, which slides. The size is the one that nine tenths of the sheets reach
-    in the same direction; 0 for fewer than eight.  slope_px: half the movement to the right, without drift,
-    (stick, sheet), sheets in order of position.
+    Paper that settles moves so, and a book or a side that slides; it cannot be told whether the pull causes
+    it.  What all sheets share does not count, nor what is proportional to their creep: slips may return a
+    little more or less than it.  middle_px: mean positions; slope_px: half the movement to the right, px,
+    (stick, sheet).
     """
-    rate = nan_median(slope_px / length_s[:, None])
-    rate = rate * (-1.0) ** np.arange(rate.size)
-    apart = (rate[:-3] + 3 * rate[1:-2] + 3 * rate[2:-1] + rate[3:]) / 8  # without any parabola in n
-    apart = apart[np.isfinite(apart)]
-    if apart.size < 8:
-        return np.zeros(len(length_s))
-    low, high = np.quantile(apart, (0.1, 0.9))
-    return np.asarray(max(low, -high, 0.0) * length_s, np.float64)
+    rate, error = _net_rate(_without_pushes_between(middle_px, frames, settings), frames)
+    own = rate - nan_median(rate)
+    creep = nan_median(2 * slope_px / frames.length_s[:, None])
+    own = own - creep * np.nansum(own * creep) / max(np.nansum(creep**2), 1e-300)
+    return _beyond(own, error, settings) * frames.length_s[:, None] / 2
+
+
+def repeated_bends(creep: Creep, noise: Noise, settings: DeformationSettings) -> Floats:
+    """Size of the bends of the creep that a sheet repeats in most sticks, and others do not, px, (sheet,).
+
+    Sheets that slip in the middle of the others' sticks bend so.  creep: with at least three terms.
+    """
+    used = (creep.good & (noise.excess <= 1))[..., None]
+    known = np.where(used, creep.coefficient, 0.0)
+    bend = np.where(used, without_common_part(known[..., 2:], known[..., 1:2], used), np.nan)
+    usual = nan_median(bend)
+    scatter = nan_median(np.abs(bend - usual)) / NORMAL_MEDIAN
+    error = scatter * np.sqrt(np.pi / 2 / np.maximum(used.sum(axis=0), 1))  # of a median
+    return np.asarray(np.sqrt((_beyond(usual, error, settings) ** 2).sum(axis=-1)))
+
+
+def _net_rate(middle_px: Floats, frames: StickFrames) -> tuple[Floats, Floats]:
+    """Rate at which the mean positions (stick, sheet) move, px/s, and its standard error, (sheet,).
+
+    Distant sticks are compared, since sheets that miss some slips move randomly between adjacent sticks.
+    """
+    apart = max(frames.sticks // 4, 1)  # so few pairs of sticks contain the single jump of a sheet
+    elapsed_s = (frames.middle_s[apart:] - frames.middle_s[:-apart])[:, None]
+    rates = (middle_px[apart:] - middle_px[:-apart]) / elapsed_s
+    rate = nan_median(rates)
+    scatter = nan_median(np.abs(rates - rate)) / NORMAL_MEDIAN
+    return rate, scatter / np.sqrt(max(len(rates) / apart, 1.0))  # pairs that have no stick in common
+
+
+def _beyond(value: Floats, error: Floats, settings: DeformationSettings) -> Floats:
+    """Size of the values beyond `own_errors` of their standard errors; 0 where unknown."""
+    beyond = value**2 - (settings.own_errors * error) ** 2
+    return np.sqrt(np.maximum(np.nan_to_num(beyond), 0.0))

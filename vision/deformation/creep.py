@@ -500,7 +500,7 @@ def fixed_pattern_px(creep: Creep, error: Floats, noise: Noise, settings: Deform
     gain = fixed_pattern_gain(creep.coefficient[..., 1], error.shape[2])
     coefficient, error, gain = (np.where(used, values, 0.0) for values in (creep.coefficient, error, gain))
     unit_px = noise.noise_px[:, None]
-    bend = _without_common_part(coefficient[..., 2:], coefficient[..., 1:2], used)
+    bend = without_common_part(coefficient[..., 2:], coefficient[..., 1:2], used)
     observed, expected = _repeated(bend / unit_px), _repeated(gain[..., 2:])
     chance = ((error[..., 2:] / unit_px) ** 2).sum(axis=0)
     prior = settings.fixed_pattern**2
@@ -511,7 +511,7 @@ def fixed_pattern_px(creep: Creep, error: Floats, noise: Noise, settings: Deform
     return np.asarray(np.sqrt(each) * noise.noise_px)
 
 
-def _without_common_part(bend: Floats, slope: Floats, used: Bools) -> Floats:
+def without_common_part(bend: Floats, slope: Floats, used: Bools) -> Floats:
     """Bends (stick, sheet, ...) minus what the sheets of a stick share: a constant, a part of the slope."""
     count = np.maximum(used.sum(axis=1, keepdims=True), 1)
     bend, slope = (np.where(used, v - v.sum(axis=1, keepdims=True) / count, 0.0) for v in (bend, slope))

@@ -19,7 +19,8 @@ from vision.deformation.common_mode import (
     common_mode_motion,
     common_mode_noise_factor,
     drift_model,
-    movement_of_books,
+    own_movement,
+    repeated_bends,
 )
 from vision.deformation.creep import (
     AR1Noise,
@@ -112,7 +113,9 @@ def horizontal_deformation(
 
     Errors follow from the residuals of each sheet and their autocorrelation.  For positions measured in a
     picture they include unequal pixels and unequal magnification, and positions of the publication's fit are
-    first corrected for pixel locking, except in ``sigma_x_um``.  The errors exclude that of the pixel size.
+    first corrected for pixel locking, except in ``sigma_x_um``.  They include what a sheet does by itself in
+    every stick: steady movement that slips do not return, of which it cannot be told whether the pull causes
+    it, and bends that other sheets do not show.  The errors exclude that of the pixel size.
     An error of the ends of a stick, if `sticks` states it, changes σ_x and Λ_st by the same factor. The error
     of their ratio contains only the part that results from an unsteady pull or creep.
 
@@ -133,7 +136,7 @@ def horizontal_deformation(
     start, stop = (events[name].to_numpy(float) for name in ("t_v_s", "t_p_s"))
     every = frames_of_sticks(time, start, stop, margin_s=0.0, interval_s=interval)
     frames = frames_of_sticks(time, start, stop, margin_s=margin, interval_s=interval)
-    motion, noise, movement = _measure(tracks, events, frames, pixel, common_mode, settings)
+    motion, noise, movement, moving = _measure(tracks, events, frames, pixel, common_mode, settings)
     motion = motion.assign_coords(sheet=tracks["sheet"].values)
     for name in ("side", "n"):
         motion = motion.assign_coords({name: ("sheet", tracks[name].values, MOTION[name].attrs)})
@@ -146,7 +149,7 @@ def horizontal_deformation(
         noise_share=noise.share,
         noise_rho=noise.rho,
         camera_movement=movement,
-        warnings=warnings,
+        warnings=[*warnings, *moving],
     )
     return record(
         motion.assign_attrs(facts.attrs()),
@@ -280,8 +283,8 @@ def _measure(
     pixel_um: float,
     common_mode: bool,
     settings: DeformationSettings,
-) -> tuple[xr.Dataset, AR1Noise, str]:
-    """Deformation in the usable frames, the noise's correlation, and the camera movement subtracted."""
+) -> tuple[xr.Dataset, AR1Noise, str, list[str]]:
+    """Deformation in the usable frames, the noise's correlation, the camera movement subtracted, warnings."""
     x_px, side = np.asarray(tracks["x_px"].values, float)[frames.frame], tracks["side"].values
     fit = TrackMetadata.of(tracks).fit
     terms = 4 if np.median(frames.counts) >= settings.cubic_frames else 3
@@ -307,8 +310,10 @@ def _measure(
     white = fit_creep(steady, frames, 2, settings)
     independent = nan_median(white.inverse[..., 1, 1] / line.inverse[..., 1, 1], axis=1)
     curve = _Curve.of(line, parabola, errors, camera, settings).shortened(slips)
-    books_px = movement_of_books(curve.straight, frames.length_s)
-    curve = replace(curve, slope_err=np.hypot(curve.slope_err, books_px[:, None]))
+    own_px = own_movement(curve.middle, curve.straight, frames, settings)
+    bends_px = repeated_bends(close, noise, settings)
+    warnings = _own_warnings(own_px, bends_px, curve.slope_err)
+    curve = replace(curve, slope_err=np.sqrt(curve.slope_err**2 + own_px**2 + bends_px**2))
     # From here on in µm, relative to the stick length; a negative size that is not significant becomes 0.
     length = events["stick_length_um"].to_numpy(float)[:, None]
     length = np.where(length > 0, length, np.nan)
@@ -348,7 +353,24 @@ def _measure(
         {"event": events["event"].to_numpy()}
         | {name: ("event", events[name].to_numpy(float), MOTION[name].attrs) for name in ends},
     )
-    return motion, noise.correlation, camera.movement if camera else "not subtracted"
+    return motion, noise.correlation, camera.movement if camera else "not subtracted", warnings
+
+
+def _own_warnings(own_px: Floats, bends_px: Floats, error_px: Floats) -> list[str]:
+    """Warnings of movement of their own, beyond the other errors, in at least a fifth of the sheets."""
+    causes = {
+        "move steadily, though slips return the others (paper that settles, a book or a side that slides):"
+        " let the sample rest before the test": nan_median(own_px),
+        "bend alike in every stick, as sheets do that slip in turn: see the slips in the space-time diagram,"
+        " and check the clocks": bends_px,
+    }
+    usual = nan_median(error_px)
+    lines = []
+    for cause, size_px in causes.items():
+        found = int((size_px > usual).sum())
+        if found >= 0.2 * size_px.size:
+            lines.append(f"{found} of {size_px.size} sheets {cause}; the error of σ_x/Λ_st contains it")
+    return lines
 
 
 def _without_vibration(
