@@ -72,15 +72,15 @@ def _of_lanes(work: Callable[[NDArray[np.floating]], Floats], lanes: NDArray[np.
         return np.concatenate(list(pool.map(work, parts)), axis=along)
 
 
-def _medians(lanes: NDArray[np.floating]) -> Floats:
-    lanes = np.array(lanes, np.float64, order="C")
+def _medians(values: NDArray[np.floating]) -> Floats:
+    lanes = np.array(values, np.float64, order="C")
     size = lanes.shape[-1]
     if size == 0:
         return np.full(lanes.shape[:-1], np.nan)
     if size < 1000:
         lanes.sort(axis=-1)  # NaN comes last
         if _complete(lanes):
-            return (lanes[..., (size - 1) // 2] + lanes[..., size // 2]) / 2
+            return np.asarray(lanes[..., (size - 1) // 2] + lanes[..., size // 2]) / 2
     count = np.isfinite(lanes).sum(axis=-1)
     last = np.maximum(count - 1, 0)
     low, high = last // 2, np.minimum(count // 2, last)
@@ -95,8 +95,8 @@ def _medians(lanes: NDArray[np.floating]) -> Floats:
     return np.where(count > 0, pair / 2, np.nan)
 
 
-def _quantiles(fraction: float, lanes: NDArray[np.floating]) -> Floats:
-    ordered = np.array(lanes, np.float64, order="C")
+def _quantiles(fraction: float, values: NDArray[np.floating]) -> Floats:
+    ordered = np.array(values, np.float64, order="C")
     ordered.sort(axis=-1)  # NaN comes last
     size = ordered.shape[-1]
     if size == 0:

@@ -259,17 +259,13 @@ def predicted_by_neighbours(x_px: Floats) -> Floats:
     if sheets < 3:
         return np.full(x_px.shape, np.nan)
     rest = rest_positions(x_px)
-    predicted = np.empty_like(x_px)
-
-    def predict(rows: slice) -> None:
-        predicted[rows] = _displacements(x_px[rows] - rest, rest)
-
-    in_blocks(predict, len(x_px))
+    parts = in_blocks(lambda rows: _displacements(x_px[rows] - rest, rest), len(x_px))
+    predicted = np.concatenate(parts) if parts else np.empty_like(x_px)
     return np.asarray(rest + predicted + nan_median(x_px - rest - predicted), np.float64)
 
 
 def _displacements(moved: Floats, rest: Floats) -> Floats:
-    """Return the displacements that the neighbours predict from the displacements `moved`, both (frame, N)."""
+    """Return the displacements that neighbours predict from the displacements `moved`, both (frame, N)."""
     first, second, third = pairs = [_between(moved, rest, k) for k in range(1, PAIRS + 1)]
     low, high = np.minimum(first, second), np.maximum(first, second)
     predicted = np.maximum(low, np.minimum(high, third))  # their median; NaN where one is missing
@@ -381,15 +377,15 @@ def pattern_shift(log_contrast: Floats, log_width: Floats, settings: TrackingSet
     if frames < 4 * span or sheets < settings.pattern_sheets:
         return shift
     features = np.stack([_without_common_change(log_contrast), _without_common_change(log_width)])
-    windows = np.lib.stride_tricks.sliding_window_view(features, span, axis=1)
-    parts = in_blocks(lambda rows: nan_median(windows[:, rows], axis=-1), windows.shape[1])
-    medians = np.concatenate(parts, axis=1)
+    medians = nan_median(np.lib.stride_tricks.sliding_window_view(features, span, axis=1), axis=-1)
     before, after = medians[:, :-span], medians[:, span:]
     own = _feature_change(before, after, 0, settings)
     own, usual = np.where(own < np.inf, own, 0.0), np.median(own)
     changed = own > settings.pattern_change * usual
     others = np.full((len(SHIFTS), len(own)), np.inf)
-    others[:, changed] = [_feature_change(before[:, changed], after[:, changed], by, settings) for by in SHIFTS]
+    others[:, changed] = [
+        _feature_change(before[:, changed], after[:, changed], by, settings) for by in SHIFTS
+    ]
     least = others.min(axis=0)
     found = np.flatnonzero(least < own / settings.pattern_ratio)
     events: list[int] = []
