@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,9 +19,6 @@ FWHM = 2.3548
 NORMAL_MEDIAN = 0.6744897501960817
 """Median of the absolute value of a standard normal variable. The median absolute deviation (MAD) divided by
 it estimates the standard deviation."""
-
-VALUES_PER_PART = 1 << 16
-"""Values that are ordered at once for a robust statistic: half a megabyte, which fits into a core's cache."""
 
 
 def mad_sigma(values: NDArray[np.floating], axis: int | None = None) -> Any:
@@ -53,27 +47,7 @@ def rms(values: Floats) -> float:
 
 def nan_median(values: NDArray[np.floating], axis: int = 0) -> Floats:
     """Return the median along an axis, ignoring NaN; NaN, without a warning, if all values are NaN."""
-    return _of_lanes(_medians, np.moveaxis(np.asarray(values), axis, -1))
-
-
-def nan_quantile(values: NDArray[np.floating], fraction: float, axis: int = 0) -> Floats:
-    """Return a quantile along an axis, ignoring NaN, interpolated linearly; NaN if all values are NaN."""
-    return _of_lanes(partial(_quantiles, fraction), np.moveaxis(np.asarray(values), axis, -1))
-
-
-def _of_lanes(work: Callable[[NDArray[np.floating]], Floats], lanes: NDArray[np.floating]) -> Floats:
-    """Return one value for each lane along the last axis; many lanes in parts, by two threads."""
-    shape = lanes.shape[:-1]
-    if lanes.size < 2 * VALUES_PER_PART or max(shape, default=1) == 1:
-        return work(lanes)
-    along = int(np.argmax(shape))
-    parts = np.array_split(lanes, min(shape[along], lanes.size // VALUES_PER_PART), axis=along)
-    with ThreadPoolExecutor(2) as pool:
-        return np.concatenate(list(pool.map(work, parts)), axis=along)
-
-
-def _medians(values: NDArray[np.floating]) -> Floats:
-    lanes = np.array(values, np.float64, order="C")
+    lanes = np.array(np.moveaxis(np.asarray(values), axis, -1), np.float64, order="C")
     size = lanes.shape[-1]
     if size == 0:
         return np.full(lanes.shape[:-1], np.nan)
@@ -95,8 +69,9 @@ def _medians(values: NDArray[np.floating]) -> Floats:
     return np.where(count > 0, pair / 2, np.nan)
 
 
-def _quantiles(fraction: float, values: NDArray[np.floating]) -> Floats:
-    ordered = np.array(values, np.float64, order="C")
+def nan_quantile(values: NDArray[np.floating], fraction: float, axis: int = 0) -> Floats:
+    """Return a quantile along an axis, ignoring NaN, interpolated linearly; NaN if all values are NaN."""
+    ordered = np.array(np.moveaxis(np.asarray(values), axis, -1), np.float64, order="C")
     ordered.sort(axis=-1)  # NaN comes last
     size = ordered.shape[-1]
     if size == 0:
