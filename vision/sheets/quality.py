@@ -11,7 +11,6 @@ share, and `noise_excess` what all stated errors leave out.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from functools import reduce
 from typing import NamedTuple
 
@@ -538,8 +537,7 @@ def noise_excess(positions: BetweenSlips, err_px: Floats, settings: TrackingSett
         expected = (variance[: -2 * lag] + 4 * variance[lag:-lag] + variance[2 * lag :])[calm] / 6
         return nan_quantile(np.abs(second) / np.sqrt(expected), ONE_SIGMA)
 
-    with ThreadPoolExecutor(2) as pool:
-        sizes = np.array(list(pool.map(size, NOISE_LAGS)))
+    sizes = np.array([size(lag) for lag in NOISE_LAGS])
     total, count = np.nansum(sizes**2, axis=0), np.isfinite(sizes).sum(axis=0)
     excess = np.sqrt(total / np.where(count, count, np.nan) / (1 - FITTED[line] / sheets))
     usual = np.nan_to_num(nan_median(excess), nan=1.0)
