@@ -48,13 +48,17 @@ def rms(values: Floats) -> float:
 def nan_median(values: NDArray[np.floating], axis: int = 0) -> Floats:
     """Return the median along an axis, ignoring NaN; NaN, without a warning, if all values are NaN."""
     lanes = np.array(np.moveaxis(np.asarray(values), axis, -1), np.float64, order="C")
+    size = lanes.shape[-1]
+    if size == 0:
+        return np.full(lanes.shape[:-1], np.nan)
+    if size < 1000:
+        lanes.sort(axis=-1)  # NaN comes last
+        if _complete(lanes):
+            return np.asarray(lanes[..., (size - 1) // 2] + lanes[..., size // 2]) / 2
     count = np.isfinite(lanes).sum(axis=-1)
-    if lanes.shape[-1] == 0:
-        return np.full(count.shape, np.nan)
     last = np.maximum(count - 1, 0)
     low, high = last // 2, np.minimum(count // 2, last)
-    if lanes.shape[-1] < 1000:
-        lanes.sort(axis=-1)  # NaN comes last
+    if size < 1000:
         pair = _in_lanes(lanes, low) + _in_lanes(lanes, high)
     else:  # selecting the upper of the two middle values is faster than sorting all
         pair = np.empty(count.shape)
@@ -65,23 +69,33 @@ def nan_median(values: NDArray[np.floating], axis: int = 0) -> Floats:
     return np.where(count > 0, pair / 2, np.nan)
 
 
-def _in_lanes(lanes: Floats, index: Ints) -> Floats:
-    """Return the value at one index of each lane along the last axis."""
-    return np.take_along_axis(lanes, index[..., None], axis=-1)[..., 0]
-
-
 def nan_quantile(values: NDArray[np.floating], fraction: float, axis: int = 0) -> Floats:
     """Return a quantile along an axis, ignoring NaN, interpolated linearly; NaN if all values are NaN."""
     ordered = np.array(np.moveaxis(np.asarray(values), axis, -1), np.float64, order="C")
     ordered.sort(axis=-1)  # NaN comes last
+    size = ordered.shape[-1]
+    if size == 0:
+        return np.full(ordered.shape[:-1], np.nan)
+    if _complete(ordered):
+        place = fraction * (size - 1)
+        below, above = ordered[..., int(place)], ordered[..., min(int(place) + 1, size - 1)]
+        return np.asarray(below + (above - below) * (place - int(place)), np.float64)
     count = np.isfinite(ordered).sum(axis=-1)
-    if ordered.shape[-1] == 0:
-        return np.full(count.shape, np.nan)
     index = fraction * np.maximum(count - 1, 0)
     low = np.floor(index).astype(np.int64)
     high = np.minimum(low + 1, np.maximum(count - 1, 0))
     below, above = _in_lanes(ordered, low), _in_lanes(ordered, high)
     return np.where(count > 0, below + (above - below) * (index - low), np.nan)
+
+
+def _complete(ordered: Floats) -> bool:
+    """Return whether all values of ordered lanes are finite."""
+    return bool(np.isfinite(ordered[..., [0, -1]]).all())
+
+
+def _in_lanes(lanes: Floats, index: Ints) -> Floats:
+    """Return the value at one index of each lane along the last axis."""
+    return np.take_along_axis(lanes, index[..., None], axis=-1)[..., 0]
 
 
 def nearest(candidates: NDArray[np.floating], at: NDArray[np.floating]) -> tuple[Ints, Floats]:

@@ -20,6 +20,7 @@ from vision.files import harmless_table
 
 _JSON = ("[", "{", '"')  # first character of an attribute that is read back as JSON
 ROWS_PER_CHUNK = 500_000  # of tracks.csv, so that memory does not grow with the recording
+ROWS_PER_BATCH = 1 << 15  # formatted at once: Arrow's 1024 take a quarter longer
 
 
 def write_tracks_csv(
@@ -32,7 +33,7 @@ def write_tracks_csv(
     """
     sheets = max(1, tracks.sizes["sheet"])
     step = max(1, ROWS_PER_CHUNK // sheets)
-    style = csv.WriteOptions(include_header=False, quoting_style="none")
+    style = csv.WriteOptions(include_header=False, quoting_style="none", batch_size=ROWS_PER_BATCH)
     with path.open("wb") as file:
         for start in range(0, tracks.sizes["frame"], step):
             if stop is not None and stop.is_set():

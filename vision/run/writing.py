@@ -5,13 +5,12 @@ from __future__ import annotations
 import threading
 import time
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
-
-import xarray as xr
 
 from vision.data import ForceMetadata, StickMetadata, StripMetadata
 from vision.figures import (
@@ -72,7 +71,7 @@ def write_run(
     """
     started = time.perf_counter()
     seconds = dict(analysis.seconds)
-    with run_folder(target, overwrite=overwrite) as folder:
+    with run_folder(target, overwrite=overwrite) as folder, _tracks_csv_meanwhile(analysis, folder):
         inputs = origin.describe()
         _write_tables(analysis, folder, origin)
         seconds["tables"] = time.perf_counter() - started
@@ -178,7 +177,11 @@ def _video_facts(analysis: Analysis) -> dict[str, Any]:
 
 def _write_tables(analysis: Analysis, folder: Path, origin: Origin) -> None:
     if analysis.tracks is not None and analysis.strip is not None:
-        _write_tracks(analysis, analysis.tracks, analysis.strip, folder)
+        size, constant = analysis.pixel_size_um, systematic_budget(analysis).total("x_px")
+        path = folder / "tracks.nc"
+        write_tracks_nc(analysis.tracks, path, pixel_size_um=size, constant_error_px=constant)
+        sheets_table(analysis.tracks).to_csv(folder / "sheets.csv", index=False, lineterminator="\n")
+        write_kymograph_tif(analysis.strip, folder / "kymograph.tif", pixel_size_um=size)
     if analysis.sticks is not None:
         write_table(analysis.sticks, folder / "events.csv")
     if analysis.fits is not None:
@@ -197,17 +200,18 @@ def _write_tables(analysis: Analysis, folder: Path, origin: Origin) -> None:
         write_table(analysis.shells, folder / "shells.csv")
 
 
-def _write_tracks(analysis: Analysis, tracks: xr.Dataset, strip: xr.DataArray, folder: Path) -> None:
-    """Write tracks.csv in a thread, and meanwhile, in about the same time, the other files of the tracks."""
+@contextmanager
+def _tracks_csv_meanwhile(analysis: Analysis, folder: Path) -> Iterator[None]:
+    """Write tracks.csv, the largest text, in a thread while the other files are written."""
+    if analysis.tracks is None or analysis.strip is None:
+        yield
+        return
     size, stop = analysis.pixel_size_um, threading.Event()
     with ThreadPoolExecutor(1) as pool:
-        text = pool.submit(write_tracks_csv, tracks, folder / "tracks.csv", pixel_size_um=size, stop=stop)
+        path = folder / "tracks.csv"
+        text = pool.submit(write_tracks_csv, analysis.tracks, path, pixel_size_um=size, stop=stop)
         try:
-            constant = systematic_budget(analysis).total("x_px")
-            path = folder / "tracks.nc"
-            write_tracks_nc(tracks, path, pixel_size_um=size, constant_error_px=constant)
-            sheets_table(tracks).to_csv(folder / "sheets.csv", index=False, lineterminator="\n")
-            write_kymograph_tif(strip, folder / "kymograph.tif", pixel_size_um=size)
+            yield
             text.result()
         finally:
             stop.set()  # Ctrl-C does not wait for the complete table

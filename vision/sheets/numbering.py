@@ -136,7 +136,8 @@ def _slips(x_px: Floats, settings: TrackingSettings) -> tuple[Floats, Floats, Fl
     apart = np.where(np.abs(apart) > 5 * noise[[0, -1]].max(), apart, 0.0)  # only slips, not noise
     apart = np.where(np.abs(common) < settings.knock_ratio * np.abs(apart), apart, 0.0)
     beside = np.pad(step, ((0, 0), (1, 1)), "edge")
-    step = np.median([beside[:, :-2], step, beside[:, 2:]], axis=0)  # removes a single sheet that was covered
+    low, high = np.minimum(beside[:, :-2], beside[:, 2:]), np.maximum(beside[:, :-2], beside[:, 2:])
+    step = np.clip(step, low, high)  # the median of three removes a single sheet that was covered
     return step, apart, noise
 
 

@@ -11,22 +11,14 @@ share, and `noise_excess` what all stated errors leave out.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import reduce
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 import xarray as xr
 
-from vision.numeric import (
-    FWHM,
-    NORMAL_MEDIAN,
-    Bools,
-    Floats,
-    Floats32,
-    Ints,
-    Strings,
-    nan_median,
-    nan_quantile,
-)
+from vision.numeric import FWHM, NORMAL_MEDIAN, Bools, Floats, Floats32, Strings, nan_median, nan_quantile
 from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb, in_blocks, profile_noise
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.sheets.subpixel import Starts, gather, position_noise
@@ -91,9 +83,9 @@ def motion_blur(x_px: Floats, contrast: Floats, fwhm_px: Floats, comb: RidgeComb
     """
     settings = comb.settings
     near = _frames_around(x_px, BLUR_FRAMES)
-    moved = np.nan_to_num(np.fmax.reduce(near) - np.fmin.reduce(near))
+    moved = np.nan_to_num(reduce(np.fmax, near) - reduce(np.fmin, near))
     lower, wider = -np.log(contrast), np.log(fwhm_px)
-    lower = lower - np.fmax(nan_median(lower), np.fmin.reduce(_frames_around(lower, LIGHT_FRAMES)))
+    lower = lower - np.fmax(nan_median(lower), reduce(np.fmin, _frames_around(lower, LIGHT_FRAMES)))
     fast = (moved > settings.blur_fraction * comb.fwhm_px) & np.isfinite(x_px)
     sampled = 0.7 / comb.fwhm_px**2  # height that a ridge between two pixels loses
     excess = np.maximum(_excess(lower, sampled), _excess(wider, sampled))
@@ -326,7 +318,7 @@ def _shift_by_light(x_px: Floats, height: Floats, comb: RidgeComb) -> Floats:
     light -= nan_median(light)
     light -= nan_median(light, axis=1)[:, None]  # exposure
     if light.shape[1] >= ENOUGH:
-        means = (_mean_over(light, frames) for frames in (1, settings.distortion_frames))
+        means = (light, _mean_over(light, settings.distortion_frames))
         across = [_slope_across(mean, x_px, settings) for mean in means]
     else:
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -355,17 +347,16 @@ def _slope_across(light: Floats, x_px: Floats, settings: TrackingSettings) -> Fl
 
 def _mean_over(values: Floats, frames: int) -> Floats:
     """Return the mean of values (frame, N) over the `frames` frames around each, NaN where the value is."""
-    at = np.arange(len(values))
-    first, last = np.maximum(at - frames // 2, 0), np.minimum(at + frames // 2 + 1, len(values))
-    total, count = (sums[last] - sums[first] for sums in _sums_of_known(values))
+    total, count = _sums_around(values, frames // 2)
     return np.where(np.isfinite(values), total / np.maximum(count, 1), np.nan)
 
 
-def _sums_of_known(values: Floats) -> list[Floats]:
-    """Return the sum and the number of known values before each frame, both (frame + 1, N)."""
-    known = np.isfinite(values)
-    parts = np.where(known, values, 0.0), known.astype(np.float64)
-    return [np.cumsum(np.pad(part, ((1, 0), (0, 0))), axis=0) for part in parts]
+def _sums_around(values: Floats, reach: int) -> Floats:
+    """Return sum and number of known values up to `reach` frames before and after each, (2, frame, N)."""
+    sums = np.stack([np.nan_to_num(values, posinf=0.0, neginf=0.0), np.isfinite(values)])
+    for part in sums if values.size else ():
+        cv2.boxFilter(part, -1, (1, 2 * reach + 1), part, normalize=False, borderType=cv2.BORDER_CONSTANT)
+    return sums
 
 
 # --- changes of the scene -----------------------------------------------------------------------------------
@@ -441,9 +432,9 @@ def _persists(values: Floats, frame: int, change: float) -> bool:
 
 def _after_less_before(values: Floats) -> Floats:
     """Return means over SCENE_FRAMES frames less those before, (frame − 2 SCENE_FRAMES + 1, N)."""
-    total, count = (sums[SCENE_FRAMES:] - sums[:-SCENE_FRAMES] for sums in _sums_of_known(values))
+    reach = SCENE_FRAMES // 2
     with np.errstate(divide="ignore", invalid="ignore"):
-        means = total / count
+        means = np.divide(*_sums_around(values, reach)[:, reach:-reach])
     return np.asarray(means[SCENE_FRAMES:] - means[:-SCENE_FRAMES], np.float64)
 
 
@@ -491,14 +482,14 @@ class BetweenSlips:
         """
         x = self.x_px if values is None else values
         for lag in lags:
-            first = self.without_slip(2 * lag)
-            if len(first) >= LEAST_FRAMES:
-                return np.asarray((x[first] - 2 * x[first + lag] + x[first + 2 * lag]) / np.sqrt(6))
+            calm = self.without_slip(2 * lag)
+            if calm.sum() >= LEAST_FRAMES:
+                return np.asarray((x[: -2 * lag] - 2 * x[lag:-lag] + x[2 * lag :])[calm] / np.sqrt(6))
         return x[:0]
 
-    def without_slip(self, frames: int) -> Ints:
-        """Return from which frames on this many frames follow without a slip."""
-        return np.flatnonzero(self.slips[frames:] == self.slips[:-frames])
+    def without_slip(self, frames: int) -> Bools:
+        """Return whether this many frames follow each frame without a slip, for all but the last of them."""
+        return np.asarray(self.slips[frames:] == self.slips[:-frames], bool)
 
 
 def spatial_scatter(positions: BetweenSlips, *, between_frames: bool) -> Floats:
@@ -529,6 +520,8 @@ def noise_excess(positions: BetweenSlips, err_px: Floats, settings: TrackingSett
     sheets, and where slips leave too few frames between them.
     """
     sheets, variance = err_px.shape[1], err_px[positions.seen] ** 2
+    if sheets < len(FOURTH):
+        return np.ones(sheets)
     third, line = sheets // 3, sheets >= 10
     along = (np.arange(sheets) - (sheets - 1) / 2) / (sheets - third)
     step = np.diff(positions.x_px, axis=0)
@@ -536,20 +529,22 @@ def noise_excess(positions: BetweenSlips, err_px: Floats, settings: TrackingSett
     step = np.abs(step - nan_median(step))
     slip = step > settings.slip_sigmas * nan_median(step) / NORMAL_MEDIAN
     slips = np.cumsum(np.pad(slip, ((1, 0), (0, 0))), axis=0)
-    sizes = []
-    for lag in NOISE_LAGS if sheets >= len(FOURTH) else ():
-        first = positions.without_slip(2 * lag)
-        if len(first) >= 2 * LEAST_FRAMES:
-            second = np.where(slips[first + 2 * lag] == slips[first], positions.second((lag,)), np.nan)
-            if line:
-                low, high = (nan_median(part, axis=1) for part in (second[:, :third], second[:, -third:]))
-                second = second - np.nan_to_num(high - low)[:, None] * along
-            second = second - nan_median(second, axis=1)[:, None]
-            expected = (variance[first] + 4 * variance[first + lag] + variance[first + 2 * lag]) / 6
-            sizes.append(nan_quantile(np.abs(second) / np.sqrt(expected), ONE_SIGMA))
-    if not sizes:
-        return np.ones(sheets)
-    total, count = (sums[-1] for sums in _sums_of_known(np.square(sizes)))
+
+    def size(lag: int) -> Floats:
+        calm = positions.without_slip(2 * lag)
+        if calm.sum() < 2 * LEAST_FRAMES:
+            return np.full(sheets, np.nan)
+        same = (slips[2 * lag :] == slips[: -2 * lag])[calm]
+        second = np.where(same, positions.second((lag,)), np.nan)
+        if line:
+            low, high = (nan_median(part, axis=1) for part in (second[:, :third], second[:, -third:]))
+            second -= np.nan_to_num(high - low)[:, None] * along
+        second -= nan_median(second, axis=1)[:, None]
+        expected = (variance[: -2 * lag] + 4 * variance[lag:-lag] + variance[2 * lag :])[calm] / 6
+        return nan_quantile(np.abs(second) / np.sqrt(expected), ONE_SIGMA)
+
+    sizes = np.array([size(lag) for lag in NOISE_LAGS])
+    total, count = np.nansum(sizes**2, axis=0), np.isfinite(sizes).sum(axis=0)
     excess = np.sqrt(total / np.where(count, count, np.nan) / (1 - FITTED[line] / sheets))
     usual = np.nan_to_num(nan_median(excess), nan=1.0)
     own = np.where(excess > settings.own_excess[0] * usual, excess, usual)

@@ -31,7 +31,7 @@ from vision.numeric import (
 from vision.sheets.alignment import values_of
 from vision.sheets.identities import Identities, fill_rows, last_seen, torn
 from vision.sheets.reference import rest_positions
-from vision.sheets.ridges import RidgeComb, Ridges, find_ridges
+from vision.sheets.ridges import RidgeComb, Ridges, find_ridges, in_blocks
 from vision.sheets.settings import TrackingSettings
 
 PAIRS = 3  # neighbours on each side that predict a sheet's position
@@ -259,14 +259,20 @@ def predicted_by_neighbours(x_px: Floats) -> Floats:
     if sheets < 3:
         return np.full(x_px.shape, np.nan)
     rest = rest_positions(x_px)
-    moved = x_px - rest
+    parts = in_blocks(lambda rows: _displacements(x_px[rows] - rest, rest), len(x_px))
+    predicted = np.concatenate(parts) if parts else np.empty_like(x_px)
+    return np.asarray(rest + predicted + nan_median(x_px - rest - predicted), np.float64)
+
+
+def _displacements(moved: Floats, rest: Floats) -> Floats:
+    """Return the displacements that neighbours predict from the displacements `moved`, both (frame, N)."""
     first, second, third = pairs = [_between(moved, rest, k) for k in range(1, PAIRS + 1)]
     low, high = np.minimum(first, second), np.maximum(first, second)
     predicted = np.maximum(low, np.minimum(high, third))  # their median; NaN where one is missing
     lacking = np.isnan(predicted)
     known_pairs = np.stack([pair[lacking] for pair in pairs])
     predicted[lacking] = _predicted_by_fewer(moved, known_pairs, *np.nonzero(lacking))
-    return np.asarray(rest + predicted + nan_median(moved - predicted), np.float64)
+    return predicted
 
 
 def _predicted_by_fewer(moved: Floats, pairs: Floats, frame: Ints, sheet: Ints) -> Floats:
@@ -374,10 +380,14 @@ def pattern_shift(log_contrast: Floats, log_width: Floats, settings: TrackingSet
     medians = nan_median(np.lib.stride_tricks.sliding_window_view(features, span, axis=1), axis=-1)
     before, after = medians[:, :-span], medians[:, span:]
     own = _feature_change(before, after, 0, settings)
-    others = np.stack([_feature_change(before, after, by, settings) for by in SHIFTS])
     own, usual = np.where(own < np.inf, own, 0.0), np.median(own)
+    changed = own > settings.pattern_change * usual
+    others = np.full((len(SHIFTS), len(own)), np.inf)
+    others[:, changed] = [
+        _feature_change(before[:, changed], after[:, changed], by, settings) for by in SHIFTS
+    ]
     least = others.min(axis=0)
-    found = np.flatnonzero((least < own / settings.pattern_ratio) & (own > settings.pattern_change * usual))
+    found = np.flatnonzero(least < own / settings.pattern_ratio)
     events: list[int] = []
     for frame in found[np.argsort(least[found] / own[found])].tolist():
         if all(abs(frame - other) >= span for other in events):

@@ -307,7 +307,9 @@ def rest_positions(x_px: Floats) -> Floats:
     """
     rest = nan_median(x_px)
     for _ in range(3):
-        rest = nan_median(x_px - nan_median(x_px - rest, axis=1)[:, None])
+        before, rest = rest, nan_median(x_px - nan_median(x_px - rest, axis=1)[:, None])
+        if np.array_equal(before, rest, equal_nan=True):  # the usual case for whole pixels
+            break
     return rest
 
 

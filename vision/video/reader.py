@@ -260,7 +260,7 @@ class MappedReader:
     def _fill(self, raw: NDArray[np.uint8], first: int, start: int) -> None:
         """Read one row of `raw` per frame from `first` on, from byte `start` of each frame."""
         with self.path.open("rb", buffering=0) as file:
-            for place, frame in zip(self.offsets[first:].tolist(), raw, strict=False):
+            for place, frame in zip(self.offsets[first : first + len(raw)].tolist(), raw, strict=True):
                 if place < 0:
                     frame[:] = 0
                 else:
