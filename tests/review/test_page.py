@@ -644,13 +644,13 @@ def test_the_page_could_not_ask_the_network_if_it_tried(browser, pulled_page):
 
 
 def test_a_late_answer_does_not_hide_the_end(browser, run):
-    """A failure means that a page asked for news, was told to end the review, and then said nothing of that."""
+    """A failure means that a page asked for news, was told to end the review, and then said nothing."""
     with served(run, settings_of_run(run)) as here:
         visit = ReviewVisit(browser, here)
         page, waiting = visit.page, []
         state = page.evaluate("review.state")
         with page.expect_request("**/api/state"):
-            page.route("**/api/state", lambda route: waiting.append(route))
+            page.route("**/api/state", waiting.append)
         page.click("#close")
         visit.reads("notice", "The review has ended")
         waiting[0].fulfill(json=state | {"other_windows": 2})

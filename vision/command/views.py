@@ -15,7 +15,7 @@ import xarray as xr
 
 from vision.certify import CertifySettings, certify_run, statements, write_certificate
 from vision.command.console import complain, conclude, frame_progress, in_columns, say
-from vision.command.options import OutputOptions, VideoOptions, WindowOptions, flag_of
+from vision.command.options import OutputOptions, VideoOptions, WindowOptions, flag_of, names_given
 from vision.command.settings import (
     merged,
     parameters_given,
@@ -191,7 +191,7 @@ def kymograph(
         data = _from_video(video_or_run, settings, files, track=wanted, quiet=output.quiet)
     diagrams = _diagrams(data, **options)
     warnings = [*data.warnings, *_warnings(diagrams)]
-    slips, chosen = _slips_shown(data, diagrams[0]), parameters | parameters_given(vars(window))
+    slips, chosen = _slips_shown(data, diagrams[0]), parameters | parameters_given(window)
     origin = origin_of(data.files, chosen)
     facts = origin.facts() | {DIAGRAMS: list(map(_diagram_facts, diagrams)), "slips": slips}
     facts["warnings"] = origin.named(warnings)
@@ -234,8 +234,7 @@ def _from_run(folder: Path, reading: VideoOptions) -> DiagramData:
     Raises: InputError for options that only a video takes, columns that the run lacks, and a damaged run.
     """
     accepted = ("columns", "frames", "pixel_size")
-    given = [name for name, value in vars(reading).items() if value is not None and name not in accepted]
-    if given:
+    if given := [name for name in names_given(reading) if name not in accepted]:
         found = ", ".join(map(flag_of, given))
         raise InputError(folder, "options that a run takes", found, "give the video, or run track again")
     run = read_run(folder)
@@ -426,7 +425,7 @@ def compare(
     check_mark(target, MARK)
     found = compare_runs(runs, table, main_sample=main_sample, modulus_GPa=fix_yeff)
     inputs = [*(test.folder / "events.csv" for test in found.tests), *([table] if table else [])]
-    given = parameters_given({"table": table, "main_sample": main_sample, "fix_yeff": fix_yeff})
+    given = parameters_given(table=table, main_sample=main_sample, fix_yeff=fix_yeff)
     origin = origin_of(inputs, given)
     write_comparison(found, target, origin, overwrite=output.overwrite, report=report)
     for line in (*found.failures, *found.warnings):
