@@ -3,6 +3,8 @@
 import json
 import os
 import re
+import shutil
+from pathlib import Path
 
 import pytest
 
@@ -128,6 +130,26 @@ def test_estimates_grow_with_frames_and_columns(tmp_path):
     assert not (tmp_path / "o" / "plan.json").exists()
 
 
+def test_a_force_recording_takes_its_time(tmp_path):
+    """A failure means that a dry run states half of the time of short films with their recordings."""
+    path, tuning = films(tmp_path, 1)[0], CampaignSettings()
+    (tmp_path / "pull.txt").write_text("its content is looked at when it is read")
+    alone, pulled = (
+        make_plan(rows([path], **more), tmp_path / "o").films[0].seconds
+        for more in ({}, {"force": str(tmp_path / "pull.txt")})
+    )
+    assert pulled - alone == pytest.approx(tuning.force_seconds)
+
+
+def test_copies_of_one_film_are_jobs_of_their_own(tmp_path):
+    """A failure means that jobs of the same content stand for each other, and one of them never runs."""
+    path = films(tmp_path, 1)[0]
+    copies = [Path(shutil.copy(path, tmp_path / f"c{k}.tif")) for k in range(4)]
+    plan = make_plan(rows(copies), tmp_path / "out", cores=2)
+    assert len(plan.jobs) == 2
+    assert waiting(plan) == ["c0", "c1", "c2", "c3"]
+
+
 def test_a_film_that_cannot_be_opened_is_tried_all_the_same(tmp_path):
     """A failure means that one bad film stops the whole campaign, or is silently left out."""
     path = tmp_path / "bad.tif"
@@ -203,9 +225,9 @@ def test_planning_again_reads_no_film(tmp_path, monkeypatch):
 
 
 def test_a_batch_system_is_asked_for_minutes(tmp_path):
-    """A film of ten minutes, doubled for safety, and five minutes for a slow start: 25 minutes.  A failure
-    means that jobs are cut off, or wait for hours in a queue."""
-    tuning = CampaignSettings(base_seconds=599.5, margin=2.0, spare_minutes=5)
+    """A film of ten minutes with the start of its process, doubled for safety, and five minutes for a slow
+    start: 25 minutes.  A failure means that jobs are cut off, or wait for hours in a queue."""
+    tuning = CampaignSettings(base_seconds=590.0, start_seconds=9.5, margin=2.0, spare_minutes=5)
     (job,) = make_plan(rows(films(tmp_path, 1)), tmp_path / "out", settings=tuning).jobs.values()
     assert job.seconds == pytest.approx(599.5, abs=0.1)
     assert job.minutes == 25

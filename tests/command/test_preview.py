@@ -29,12 +29,12 @@ def found(film):
 
 def test_sheets_positions_and_noise_are_the_scene_s(found):
     """Failure: the preview promises other sheets or another noise than the film has."""
-    x = found.tracks["x_px"].values
+    x = found.start.tracks["x_px"].values
     error = x - positions(FRAMES)[: len(x)]
     assert x.shape == (24, 8)
     assert np.abs(error).max() < 0.1
     scatter = np.std(error - error.mean(axis=0))
-    stated = np.median(found.tracks["x_err_px"].values)
+    stated = np.median(found.start.tracks["x_err_px"].values)
     assert stated == pytest.approx(scatter, rel=0.2)
     assert (found.ridge_counts == 8).all()
     assert found.ridge_counts.size == 12
@@ -70,11 +70,13 @@ def test_ten_lines_and_a_picture(film, tmp_path, monkeypatch, capsys):
 
 def test_the_picture_shows_the_measured_numbers(found):
     """Failure: the picture shows other positions or another noise than the lines say."""
-    frame, profile, noise = preview_figure(found.frame, found.strip, found.tracks, pixel_size_um=10).panels
+    frame, profile, noise = preview_figure(
+        found.start.frame, found.start.strip, found.start.tracks, pixel_size_um=10
+    ).panels
     assert np.allclose(profile.series[1].x, positions(FRAMES)[0], atol=0.1)
-    assert np.array_equal(profile.series[0].y, found.strip.values[0])
+    assert np.array_equal(profile.series[0].y, found.start.strip.values[0])
     assert "µm" in noise.y_label
-    assert np.allclose(noise.series[1].y, 10 * np.median(found.tracks["x_err_px"].values, axis=0))
+    assert np.allclose(noise.series[1].y, 10 * np.median(found.start.tracks["x_err_px"].values, axis=0))
     assert frame.image is not None
 
 
@@ -83,13 +85,13 @@ def test_without_an_axis_sheets_are_numbered_from_the_left():
     failure means a picture with an axis that is only the middle of the comb, and sheets numbered from it."""
     film = Path(__file__).parents[2] / "fixtures" / "paper" / "video.avi"
     found = make_preview(film, settings_of(merged(VideoOptions())))
-    frame = preview_figure(found.frame, found.strip, found.tracks).panels[0]
+    frame = preview_figure(found.start.frame, found.start.strip, found.start.tracks).panels[0]
     assert frame.x_lines == ()
     (strokes,) = frame.series
     assert strokes.text == tuple(str(k) for k in range(50))
     assert "index from the left (axis not known)" in frame.title
     told = make_preview(film, settings_of(merged(VideoOptions(axis=959.5))))
-    frame = preview_figure(told.frame, told.strip, told.tracks).panels[0]
+    frame = preview_figure(told.start.frame, told.start.strip, told.start.tracks).panels[0]
     assert frame.x_lines == (959.5,)
     assert [series.text[0] for series in frame.series] == ["25", "1"]
     assert "sheet numbers n" in frame.title

@@ -275,6 +275,17 @@ def test_a_recording_without_clock_counts_frames(tracks):
     assert "playback" in tracks_figure(playback).panel.x_label
 
 
+def test_the_outline_encloses_the_columns_of_the_strip(tracks):
+    """A failure means that a picture shows as evaluated what `--columns` left out."""
+    frame, strip = np.zeros((60, 220)), diagram_of(frames=2, columns=15)
+    (band,) = frame_figure(frame, tracks, strip=strip).panel.bands
+    assert band.across == (199.5, 214.5)
+    (outline,) = frame_figure(frame, tracks, strip=strip).plot().patches
+    assert (outline.get_x(), outline.get_width()) == (199.5, 15.0)
+    (whole,) = frame_figure(frame, tracks).plot().patches
+    assert (whole.get_x(), whole.get_width()) == (-0.5, 220.0)
+
+
 @pytest.mark.parametrize(("rows", "square"), [(4, False), (200, True), (900, False)])
 def test_a_frame_keeps_its_shape_unless_nothing_could_be_seen(tracks, rows, square):
     """A failure means a frame that is stretched without a word, or one too flat or too narrow to see."""

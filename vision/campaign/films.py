@@ -36,6 +36,12 @@ class CampaignSettings:
     finished films of the same campaign correct it."""
     seconds_per_gigapixel: float = 3.0
     """Time for reading and decoding, 1 to 4 s depending on the codec. It dominates if frames are tall."""
+    force_seconds: float = 0.6
+    """Time for a force recording: events, fits, clock, deformation, figures. Those of an hour take more; the
+    measured times of finished films correct it."""
+    start_seconds: float = 2.2
+    """Time for starting a job's process and loading the libraries, before its first film. Without it a plan
+    of many jobs of short films states half of its time (`reports/campaign.md`)."""
     base_memory_mb: float = 600.0
     """Memory for libraries, figures and report."""
     memory_mb_per_megasample: float = 40.0

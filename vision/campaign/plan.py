@@ -191,7 +191,7 @@ def make_plan(
     factor = _time_correction(plan)
     waiting = [film for film in films if plan.finished(film) is None]
     jobs = {
-        _digest([film.key for film in job])[:12]: _job(job, factor, settings)
+        _digest([(film.name, film.key) for film in job])[:12]: _job(job, factor, settings)
         for job in share(waiting, factor, cores, settings)
     }
     return replace(plan, jobs=jobs)
@@ -279,13 +279,14 @@ def _film(row: Row, known: dict[str, Any], settings: CampaignSettings) -> Planne
     megasamples = facts.get("frames", 0) * facts.get("columns", 0) / 1e6
     per_megasample = settings.seconds_per_megasample
     per_megasample += facts.get("rows", 0) / 1000 * settings.seconds_per_gigapixel
+    fixed = settings.base_seconds + settings.force_seconds * (row.values.get("force") is not None)
     return PlannedFilm(
         name=row.name,
         film=row.film,
         options=dict(row.options),
         facts=dict(row.facts),
         key=_digest([LAYOUT, row.film if remote else "", contents, values]),
-        seconds=round(settings.base_seconds + megasamples * per_megasample, 2),
+        seconds=round(fixed + megasamples * per_megasample, 2),
         memory_mb=math.ceil(settings.base_memory_mb + megasamples * settings.memory_mb_per_megasample),
         **facts,
     )
@@ -372,7 +373,7 @@ def share(
 
 
 def _job(films: Sequence[PlannedFilm], factor: float, settings: CampaignSettings) -> Job:
-    seconds = factor * sum(film.seconds for film in films)
+    seconds = settings.start_seconds + factor * sum(film.seconds for film in films)
     return Job(
         films=tuple(film.name for film in films),
         seconds=round(seconds, 1),

@@ -1,7 +1,7 @@
 """Measure what a recording can resolve, from similar films with known truth and the same analysis."""
 
-from vision.certify.certificate import Certificate, certify, certify_run
+from vision.certify.certificate import certify, certify_run
 from vision.certify.page import statements, write_certificate
 from vision.certify.settings import CertifySettings
 
-__all__ = ["Certificate", "CertifySettings", "certify", "certify_run", "statements", "write_certificate"]
+__all__ = ["CertifySettings", "certify", "certify_run", "statements", "write_certificate"]

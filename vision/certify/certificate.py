@@ -216,15 +216,7 @@ def certify(
     sheet's position, which displacements do not have, nor errors that last as long as a stick phase, which
     look like motion; codecs that predict frames from others make such errors.
     """
-    like = learn(strip, _without_locking(strip, tracks), settings)
-    if encoder is not None:
-        drawn, shown_px = like.film(like.motion_px, number=None).values, like.shown_px(like.motion_px)
-        like = replace(like, encoder=encoder.fitted(drawn, shown_px, like.strip.values))
-    imitated = tracks.isel(frame=like.frames)
-    recorded_px = _scatter(np.asarray(imitated["x_px"].values, float), like.residuals.chained)
-    track = _tracker(tracks, like, recorded_px)
-    if encoder is not None:
-        like = _with_hidden_motion(like, track, settings)
+    like, track, recorded_px = _imitated(strip, tracks, encoder, settings)
     scales = [scale for scale in (1.5, 2.0, 3.0, 4.0) if scale <= settings.largest_jump]
     pulled = None
     if sticks is not None and clock is not None and pixel_size_um is not None:
@@ -243,6 +235,7 @@ def certify(
     margin, tried = _identity_margin(like, track, measured, scales)
     at_threshold = pulled and _at_threshold(like, track, settings.films, *pulled, threshold, tracks)
     metadata, facts = TrackMetadata.of(tracks), StripMetadata.of(strip)
+    imitated = tracks.isel(frame=like.frames)
     sheets = _sheet_table(like, tracks, error, stated, locking, sweeps, settings.errors_resolved)
     known = np.isfinite(error)
     scatter_px = float(np.median([film.scatter_px for film in measured]))
@@ -270,6 +263,20 @@ def certify(
         encoding="" if like.encoder is None else like.encoder.described,
         uncertain=bool(doubts),
     )
+
+
+def _imitated(
+    strip: xr.DataArray, tracks: xr.Dataset, encoder: Encoder | None, settings: CertifySettings
+) -> tuple[Likeness, Tracker, float]:
+    """Return what films are made of, how they are tracked, and the scatter of recorded positions, px."""
+    like = learn(strip, _without_locking(strip, tracks), settings)
+    if encoder is not None:
+        drawn, shown_px = like.film(like.motion_px, number=None).values, like.shown_px(like.motion_px)
+        like = replace(like, encoder=encoder.fitted(drawn, shown_px, like.strip.values))
+    x_px = np.asarray(tracks["x_px"].values[like.frames], float)
+    recorded_px = _scatter(x_px, like.residuals.chained)
+    track = _tracker(tracks, like, recorded_px)
+    return like if encoder is None else _with_hidden_motion(like, track, settings), track, recorded_px
 
 
 def _counting(track: Tracker, progress: Progress, total: int) -> Tracker:

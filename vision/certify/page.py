@@ -7,7 +7,7 @@ from pathlib import Path
 
 from vision.certify.certificate import Certificate
 from vision.figures import Figure, Panel, Series
-from vision.figures.style import DATA, PEAK, VALLEY, from_zero
+from vision.figures.style import DATA, PEAK, VALLEY, from_zero, with_minus
 from vision.folder import whole_file, write_json
 from vision.report.page import render_page
 from vision.report.text import ANALYSED_WITH, Answer, citation
@@ -139,7 +139,7 @@ def _margin(c: Certificate) -> str:
 
 
 def _signed_percent(share: float) -> str:
-    return f"{100 * share:+.1f} %".replace("-", "−")
+    return with_minus(f"{100 * share:+.1f} %")
 
 
 def _length(px: float, c: Certificate) -> str:

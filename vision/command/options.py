@@ -321,6 +321,12 @@ _ALSO: Mapping[str, str] = {
 _OF_ONE_COMMAND = ("preset", "sheet", "film", "port", "table", "main_sample", "executor", "profile", "watch")
 
 
+def names_given(*groups: Any) -> list[str]:
+    """Return the names of the options of these groups that differ from their defaults."""
+    pairs = ((group, one) for group in groups for one in fields(group))
+    return [one.name for group, one in pairs if getattr(group, one.name) != one.default]
+
+
 def flag_of(name: str) -> str:
     """Return the option of a group's field: --pixel-size for pixel_size."""
     return f"--{name.replace('_', '-')}"

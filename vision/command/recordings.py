@@ -16,6 +16,7 @@ from vision.command.options import (
     ModulusOptions,
     OutputOptions,
     SimulateOptions,
+    names_given,
 )
 from vision.command.settings import merged, parameters_given, parse_pair, settings_of
 from vision.command.track import finish, origin_of
@@ -65,7 +66,7 @@ def force(
     target = output.out or Path(f"{file.stem}_force")
     check_target(target, overwrite=output.overwrite)
     analysis = analyse(None, file, replace(settings_of(parameters), t_star_fitted=free_t_star))
-    parameters |= parameters_given({"free_t_star": free_t_star})
+    parameters |= parameters_given(free_t_star=free_t_star)
     inputs = (file,) if config is None else (file, config)
     found = None
     if limit and analysis.force is not None and analysis.sticks is not None:
@@ -111,7 +112,7 @@ def modulus(file: Path, options: ModulusOptions, output: OutputOptions) -> int:
         "machine_stiffness_N_per_mm": options.machine_stiffness,
         "notes": notes,
     }
-    origin = origin_of([file], parameters_given(vars(options), vars(ModulusOptions())))
+    origin = origin_of([file], parameters_given(options))
     facts = {
         **origin.facts(),
         "cycles": len(cycles),
@@ -167,7 +168,7 @@ def friction(files: Sequence[Path], options: FrictionOptions, output: OutputOpti
         "caveat": RIM_CAVEAT,
         "notes": notes,
     }
-    parameters = parameters_given(vars(options), vars(FrictionOptions()))
+    parameters = parameters_given(options)
     origin = origin_of([file for file in files if file.is_file()], parameters)
     facts = {
         **origin.facts(),
@@ -312,10 +313,11 @@ def simulate(
 
 def _given(options: SimulateOptions) -> dict[str, Any]:
     """Return the given options by the names of their settings; milliseconds become seconds."""
-    given = {one.metadata["setting"]: getattr(options, one.name) for one in fields(options)}
+    setting_of = {one.name: one.metadata["setting"] for one in fields(options)}
+    given = {setting_of[name]: getattr(options, name) for name in names_given(options)}
     if options.exposure is not None:
         given["camera.exposure_s"] = options.exposure / 1000
-    return {setting: value for setting, value in given.items() if value is not None}
+    return given
 
 
 def _pair(text: str) -> tuple[str, str]:

@@ -11,12 +11,12 @@ import webbrowser
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vision.command.console import say
-from vision.command.options import RunOptions, flag_of, option_names
+from vision.command.options import RunOptions, flag_of, names_given, option_names
 from vision.errors import InputError
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def review(
         status = track([run_or_video], groups, replace(run, out=folder), config)
         if status > 1:
             return status
-    elif given := [*_given(*groups, run), *(["--config"] if config else [])]:
+    elif given := [*map(flag_of, names_given(*groups, run)), *(["--config"] if config else [])]:
         wanted, advice = "a run without further options", "give the video, or run track again"
         raise InputError(folder, wanted, ", ".join(given), advice)
     from vision.review.server import read_first_view, serve
@@ -68,12 +68,6 @@ def review(
         except KeyboardInterrupt:
             raise KeyboardInterrupt("the review has ended, and its decisions are stored") from None
     return 0
-
-
-def _given(*groups: Any) -> list[str]:
-    """Return the options of these groups that differ from their defaults."""
-    pairs = [(group, one) for group in groups for one in fields(group)]
-    return [flag_of(one.name) for group, one in pairs if getattr(group, one.name) != one.default]
 
 
 def _open_app(folder: Path, film: Path | None, cleanup: ExitStack, stop: Callable[[], None]) -> ASGIApp:

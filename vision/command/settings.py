@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from cyclopts import App, CycloptsError
 
-from vision.command.options import GROUPS, SETTINGS, flag_of
+from vision.command.options import GROUPS, SETTINGS, flag_of, names_given
 from vision.errors import InputError
 from vision.files import AGAIN, read_toml, reading, shortened
 from vision.force import parse_columns
@@ -38,16 +38,14 @@ DEFAULTS: Mapping[str, Any] = {
 """Values that run.json holds for options that are not given, as they would be typed; None if not listed."""
 
 
-def parameters_given(
-    typed: Mapping[str, Any], defaults: Mapping[str, Any] | None = None
-) -> dict[str, Parameter]:
-    """Return a command's options for run.json, marked as given where they differ from their default.
+def parameters_given(*groups: Any, **others: Any) -> dict[str, Parameter]:
+    """Return a command's options for run.json, marked as given or default.
 
-    An option that `defaults` lacks counts as given if it is not empty, None or False.
+    groups: as in `vision.command.options`.  others: options outside them, given unless empty, None or False.
     """
-    known = defaults or {}
-    same = {name: value == known[name] if name in known else not value for name, value in typed.items()}
-    return {name: Parameter(value, "default" if same[name] else "given") for name, value in typed.items()}
+    typed = {name: value for group in groups for name, value in vars(group).items()} | others
+    given = {*names_given(*groups), *(name for name, value in others.items() if value)}
+    return {name: Parameter(value, "given" if name in given else "default") for name, value in typed.items()}
 
 
 def merged(*groups: Any, config: Path | None = None) -> dict[str, Parameter]:

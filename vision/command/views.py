@@ -15,7 +15,7 @@ import xarray as xr
 
 from vision.certify import CertifySettings, certify_run, statements, write_certificate
 from vision.command.console import complain, conclude, frame_progress, in_columns, say
-from vision.command.options import OutputOptions, VideoOptions, WindowOptions, flag_of
+from vision.command.options import OutputOptions, VideoOptions, WindowOptions, flag_of, names_given
 from vision.command.settings import (
     merged,
     parameters_given,
@@ -32,19 +32,18 @@ from vision.comparison import write_comparison
 from vision.comparison.comparison import MARK, answers
 from vision.data import StripMetadata, TrackMetadata, warnings_of
 from vision.errors import InputError
-from vision.figures import Results, kymograph_figure, load_figures, preview_figure
-from vision.figures.camera import sides_known, slip_times
+from vision.figures import kymograph_figure, load_figures, preview_figure
+from vision.figures.camera import sides_known
 from vision.figures.style import counted
 from vision.files import AGAIN
 from vision.files import reading as reading_of
 from vision.folder import check_new, check_target, run_folder, whole_file, write_json
-from vision.numeric import Floats, Ints, Pixels
-from vision.pipeline import Settings, analyse, open_recording, track_strip
+from vision.numeric import Ints
+from vision.pipeline import Analysis, Settings, analyse, open_recording
 from vision.run import check_mark, export_run, is_run, read_run, read_strip
 from vision.run.diagrams import frame_step_s, unevenness_s, write_space_time_tif
 from vision.run.export import Format
 from vision.run.overlay import write_overlay
-from vision.sheets import pixel_size_of
 from vision.sheets.ridges import describe_ridges, find_ridges
 from vision.sheets.tracks import LOSSY
 from vision.spacetime import space_time
@@ -53,12 +52,10 @@ from vision.summary import (
     frame_times,
     noise_figures,
     other_flags,
-    overexposure,
     ridges_line,
     scale_line,
-    tracking_warnings,
 )
-from vision.video import Video, reference_frame, strip_profile, video_files
+from vision.video import Video, strip_profile, video_files
 from vision.video.strip import row_means
 from vision.video.strip_find import choose_strip
 
@@ -70,12 +67,10 @@ DIAGRAMS = "diagrams"  # key in run.json that distinguishes a folder of diagrams
 
 @dataclass(frozen=True)
 class Preview:
-    """Results of tracking a few consecutive frames of a film, and ridges counted over all of it."""
+    """The analysis of a few consecutive frames of a film, and ridges counted over all of it."""
 
-    video: Video  # the whole film
-    frame: Pixels  # the first of the tracked frames that is not blank
-    strip: xr.DataArray  # of the tracked frames
-    tracks: xr.Dataset
+    film: Video  # the whole film
+    start: Analysis  # of the first frames
     ridge_counts: Ints  # in each of some frames spread over the film
     warnings: tuple[str, ...]
 
@@ -87,50 +82,51 @@ def preview(video: Path, reading: VideoOptions, config: Path | None, output: Out
     if output.out is not None:
         check_new(target, overwrite=output.overwrite)
     found = make_preview(video, settings)
-    size = pixel_size_of(found.tracks, pixel_size_um=settings.pixel_size_um, pitch_um=settings.pitch_um)
+    start = found.start
+    assert start.frame is not None and start.strip is not None and start.tracks is not None
     with whole_file(target) as path:
-        preview_figure(found.frame, found.strip, found.tracks, pixel_size_um=size).save(path)
-    summary = [*preview_summary(found, size), f"picture    {target}"]
+        figure = preview_figure(start.frame, start.strip, start.tracks, pixel_size_um=start.pixel_size_um)
+        figure.save(path)
+    summary = [*preview_summary(found), f"picture    {target}"]
     return conclude(summary, found.warnings, quiet=output.quiet)
 
 
 def make_preview(path: Path, settings: Settings) -> Preview:
-    """Track the first frames of a film and count ridges in others.  Raises: InputError as `track` does."""
+    """Analyse the first frames of a film and count ridges in others.  Raises: InputError as `track` does."""
     film = open_recording(path, settings)
-    strip_settings = settings.tuning.video
-    chosen = choose_strip(film, settings.rows, columns=settings.columns, settings=strip_settings)
-    rows = chosen.rows
+    chosen = choose_strip(film, settings.rows, columns=settings.columns, settings=settings.tuning.video)
     count = min(24, film.estimated or 24)  # 24 frames give the scatter of a position to one seventh
-    few = open_recording(path, replace(settings, frames=slice(film.first, film.first + count)))
-    strip = strip_profile(few, rows, columns=settings.columns, settings=strip_settings)
+    first = slice(film.first, film.first + count)
     # Corrections are about frames that are not tracked here.
-    tracks = track_strip(strip, replace(settings, corrections=()))
-    columns = slice(int(strip["x"].values[0]), int(strip["x"].values[-1]) + 1)
+    few = replace(settings, rows=chosen.rows, strips=1, frames=first, corrections=())
+    start = analyse(path, None, few)
+    assert start.strip is not None and start.tracks is not None
+    x = start.strip["x"].values
     spread = list(film.sample(12)) or list(itertools.islice(film.frames(), 12))
-    profile = row_means(np.stack([frame[rows, columns] for frame in spread]))
-    comb = describe_ridges(profile, polarity=tracks.attrs["ridges"], settings=settings.tuning.tracking)
-    ridges = find_ridges(profile, comb)
-    frame = reference_frame(few)
-    warnings = [*film.warnings, *chosen.warnings, *warnings_of(tracks)]
-    warnings += [*overexposure(frame, rows, strip_settings), *tracking_warnings(tracks)]
-    return Preview(film, frame, strip, tracks, ridges.count, tuple(dict.fromkeys(warnings)))
+    profile = row_means(np.stack([frame[chosen.rows, int(x[0]) : int(x[-1]) + 1] for frame in spread]))
+    polarity, tuning = start.tracks.attrs["ridges"], settings.tuning.tracking
+    ridges = find_ridges(profile, describe_ridges(profile, polarity=polarity, settings=tuning))
+    warnings = dict.fromkeys((*film.warnings, *chosen.warnings, *start.warnings))
+    return Preview(film, start, ridges.count, tuple(warnings))
 
 
-def preview_summary(found: Preview, pixel_size_um: float | None) -> list[str]:
+def preview_summary(found: Preview) -> list[str]:
     """Return what the frames show, in nine lines."""
-    strip, comb, film = StripMetadata.of(found.strip), TrackMetadata.of(found.tracks), found.video
+    tracks, film, pixel_size_um = found.start.tracks, found.film, found.start.pixel_size_um
+    assert tracks is not None
+    strip, comb = StripMetadata.of(tracks), TrackMetadata.of(tracks)
     rows, columns = film.shape
     count = "an unknown number of" if film.estimated is None else f"{film.estimated}"
     if film.expected is None and film.estimated is not None:
         count = f"about {count}"
-    noise = noise_figures(found.tracks, pixel_size_um)
+    noise = noise_figures(tracks, pixel_size_um)
     length = "" if pixel_size_um is None else f" = {noise['stated_um']:.3f} µm"
     tilt = "tilt not measured" if math.isnan(strip.tilt_deg) else f"tilt {strip.tilt_deg:+.2f}°"
-    flags = flag_counts(found.tracks)
+    flags = flag_counts(tracks)
     low, high = int(found.ridge_counts.min()), int(found.ridge_counts.max())
     seen = f"{low}" if low == high else f"{low} to {high}"
-    frames, left = found.tracks.sizes["frame"], int((found.tracks["side"] < 0).sum())
-    sides = f" ({left} left, {comb.sheets - left} right)" if sides_known(found.tracks) else ""
+    frames, left = tracks.sizes["frame"], int((tracks["side"] < 0).sum())
+    sides = f" ({left} left, {comb.sheets - left} right)" if sides_known(tracks) else ""
     hidden = f" (not independent: {strip.codec} hides the noise of the pixels)" * (strip.codec in LOSSY)
     return [
         f"film       {count} frames of {columns} x {rows} px, {film.depth_bits} bit, {strip.codec}",
@@ -151,19 +147,6 @@ def preview_summary(found: Preview, pixel_size_um: float | None) -> list[str]:
 # --- kymograph ----------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class DiagramData:
-    """Data of a run or a video from which space-time diagrams are made."""
-
-    strip: xr.DataArray
-    tracks: xr.Dataset | None  # None if only the strip was read
-    slips_s: Floats | None  # times on the video's clock; None if not known
-    slips_from: str  # what the times were found from
-    pixel_size_um: float | None
-    files: tuple[Path, ...]  # inputs
-    warnings: tuple[str, ...] = ()
-
-
 def kymograph(
     video_or_run: Path, window: WindowOptions, reading: VideoOptions, picture: str, output: OutputOptions
 ) -> int:
@@ -177,7 +160,7 @@ def kymograph(
     parameters = merged(reading)
     if is_run(video_or_run):
         with reading_of(video_or_run, "a run folder as track writes it", AGAIN):
-            data = _from_run(video_or_run, reading)
+            data, files = _from_run(video_or_run, reading)
         options["frames"] = parse_range(reading.frames, "--frames")
     else:
         wanted, settings = bool(options["sheets"]), settings_of(parameters)
@@ -188,12 +171,12 @@ def kymograph(
             needed = "a pixel size (mm needs --pixel-size)"
             raise InputError(f"--width {window.width}", needed, "none", "or give the width as 20px")
         given = (parameters[name].value for name in ("timestamps", "corrections"))
-        files = (*video_files(video_or_run), *(file for file in given if file is not None))
-        data = _from_video(video_or_run, settings, files, track=wanted, quiet=output.quiet)
+        files = [*video_files(video_or_run), *(file for file in given if file is not None)]
+        data = _from_video(video_or_run, settings, track=wanted, quiet=output.quiet)
     diagrams = _diagrams(data, **options)
     warnings = [*data.warnings, *_warnings(diagrams)]
-    slips, chosen = _slips_shown(data, diagrams[0]), parameters | parameters_given(vars(window))
-    origin = origin_of(data.files, chosen)
+    slips, chosen = _slips_shown(data, diagrams[0]), parameters | parameters_given(window)
+    origin = origin_of(files, chosen)
     facts = origin.facts() | {DIAGRAMS: list(map(_diagram_facts, diagrams)), "slips": slips}
     facts["warnings"] = origin.named(warnings)
     names = [f"kymograph_{d.attrs.get('sheet', 'strip').replace(':', '')}.tif" for d in diagrams]
@@ -229,29 +212,26 @@ def _space_time_options(window: WindowOptions) -> dict[str, Any]:
     }
 
 
-def _from_run(folder: Path, reading: VideoOptions) -> DiagramData:
-    """Read a run's kymograph.tif, tracks and slips; a given pixel size overrides that of the run.
+def _from_run(folder: Path, reading: VideoOptions) -> tuple[Analysis, list[Path]]:
+    """Read a run's kymograph.tif, tracks and slips, and return their files; a given pixel size overrides its.
 
     Raises: InputError for options that only a video takes, columns that the run lacks, and a damaged run.
     """
     accepted = ("columns", "frames", "pixel_size")
-    given = [name for name, value in vars(reading).items() if value is not None and name not in accepted]
-    if given:
+    if given := [name for name in names_given(reading) if name not in accepted]:
         found = ", ".join(map(flag_of, given))
         raise InputError(folder, "options that a run takes", found, "give the video, or run track again")
-    run = read_run(folder)
-    strip = read_strip(run)
-    columns, size = parse_range(reading.columns, "--columns"), parse_pixel_size(reading.pixel_size)
-    files = ("kymograph.tif", "tracks.nc", "events.csv", "clock.json")
-    slips_s, slips_from = Results(tracks=run.tracks, sticks=run.table("events"), clock=run.clock).slips
-    return DiagramData(
-        strip=_cut(strip, columns or slice(None), folder),
+    run, size = read_run(folder), parse_pixel_size(reading.pixel_size)
+    columns = parse_range(reading.columns, "--columns") or slice(None)
+    files = [folder / name for name in ("kymograph.tif", "tracks.nc", "events.csv", "clock.json")]
+    data = Analysis(
+        settings=Settings(pixel_size_um=run.pixel_size_um if size is None else size),
+        strip=_cut(read_strip(run), columns, folder),
         tracks=run.tracks,
-        slips_s=slips_s,
-        slips_from=slips_from,
-        pixel_size_um=run.pixel_size_um if size is None else size,
-        files=tuple(folder / name for name in files if (folder / name).exists()),
+        sticks=run.table("events"),
+        clock=run.clock,
     )
+    return data, [file for file in files if file.exists()]
 
 
 def _cut(strip: xr.DataArray, columns: slice, folder: Path) -> xr.DataArray:
@@ -265,28 +245,22 @@ def _cut(strip: xr.DataArray, columns: slice, folder: Path) -> xr.DataArray:
     return strip.isel(x=slice(first, first + int(keep.sum())))
 
 
-def _from_video(
-    path: Path, settings: Settings, files: tuple[Path, ...], *, track: bool, quiet: bool
-) -> DiagramData:
-    """Read a video's strip and, with `track` or a pitch, track its sheets; `files` are its inputs."""
+def _from_video(path: Path, settings: Settings, *, track: bool, quiet: bool) -> Analysis:
+    """Read a video's strip and, with `track` or a pitch, track its sheets."""
     with frame_progress("reading", quiet=quiet) as progress:
         if track or settings.pitch_um is not None:
-            analysis = analyse(path, None, settings, progress=progress)
-            strip, tracks, warnings = analysis.strip, analysis.tracks, analysis.warnings
-            settings = analysis.settings
-        else:
-            video = open_recording(path, settings)
-            strip = strip_profile(video, settings.rows, columns=settings.columns, progress=progress)
-            tracks, warnings = None, tuple(warnings_of(strip))
-    assert strip is not None
-    return DiagramData(strip, tracks, *slip_times(tracks), settings.pixel_size_um, files, warnings)
+            return analyse(path, None, settings, progress=progress)
+        video = open_recording(path, settings)
+        strip = strip_profile(video, settings.rows, columns=settings.columns, progress=progress)
+        return Analysis(settings=settings, strip=strip, warnings=tuple(warnings_of(strip)))
 
 
 def _diagrams(
-    data: DiagramData, *, sheets: list[Any], width: dict[str, Any], follow: bool, **part: Any
+    data: Analysis, *, sheets: list[Any], width: dict[str, Any], follow: bool, **part: Any
 ) -> list[xr.DataArray]:
     """Return one diagram per sheet, or one of the whole strip if no sheet is asked for."""
     size = data.pixel_size_um
+    assert data.strip is not None
     if not sheets or data.tracks is None:
         return [space_time(data.strip, pixel_size_um=size, **part)]
     pitch = min(TrackMetadata.of(data.tracks).pitch_px, float(data.strip.sizes["x"]))
@@ -322,7 +296,7 @@ def _diagram_facts(diagram: xr.DataArray) -> dict[str, Any]:
     }
 
 
-def _slips_shown(data: DiagramData, diagram: xr.DataArray) -> str:
+def _slips_shown(data: Analysis, diagram: xr.DataArray) -> str:
     """Return how many slips are marked and what they were found from, or why none is marked."""
     if data.slips_s is None:
         return "not known: without a force recording, tracked sheets and a symmetry axis are needed"
@@ -427,7 +401,7 @@ def compare(
     check_mark(target, MARK)
     found = compare_runs(runs, table, main_sample=main_sample, modulus_GPa=fix_yeff)
     inputs = [*(test.folder / "events.csv" for test in found.tests), *([table] if table else [])]
-    given = parameters_given({"table": table, "main_sample": main_sample, "fix_yeff": fix_yeff})
+    given = parameters_given(table=table, main_sample=main_sample, fix_yeff=fix_yeff)
     origin = origin_of(inputs, given)
     write_comparison(found, target, origin, overwrite=output.overwrite, report=report)
     for line in (*found.failures, *found.warnings):

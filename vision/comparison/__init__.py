@@ -2,6 +2,5 @@
 
 from vision.comparison.comparison import Comparison, compare, write_comparison
 from vision.comparison.joint import CompareSettings
-from vision.comparison.runs import read_tests
 
-__all__ = ["CompareSettings", "Comparison", "compare", "read_tests", "write_comparison"]
+__all__ = ["CompareSettings", "Comparison", "compare", "write_comparison"]

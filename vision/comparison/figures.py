@@ -25,6 +25,7 @@ from vision.figures.style import (
     from_zero,
     ordered_inks,
     plus_minus,
+    with_minus,
 )
 from vision.models import Estimate, equations
 from vision.numeric import Floats
@@ -376,4 +377,4 @@ def _trend_text(trend: Trend) -> str:
         partial = plus_minus(Estimate(trend.partial_slope, trend.partial_slope_err))
         text += f", with the other predictor fixed {partial} (p = {trend.partial_p:.2g})"
     claim = "a trend (solid line)" if trend.claimed else "no trend (dashed line)"
-    return f"{text}; {claim}.".replace("-", "−")
+    return with_minus(f"{text}; {claim}.")

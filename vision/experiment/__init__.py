@@ -1,13 +1,11 @@
 """Synthetic traction tests with known truth: mechanics, sheets, optics, camera, clocks."""
 
-from vision.experiment.mechanics import Pull, simulate_pull
-from vision.experiment.scene import Scene, make_scene, truth_of
+from vision.experiment.mechanics import simulate_pull
+from vision.experiment.scene import make_scene, truth_of
 from vision.experiment.settings import (
     Camera,
     Clocks,
     Experiment,
-    ForceFile,
-    LoadCell,
     Mechanics,
     Optics,
     Sheets,
@@ -16,7 +14,6 @@ from vision.experiment.settings import (
     with_settings,
 )
 from vision.experiment.simulate import (
-    SimulatedTest,
     force_recording,
     frame_blocks,
     profiles,
@@ -28,14 +25,9 @@ __all__ = [
     "Camera",
     "Clocks",
     "Experiment",
-    "ForceFile",
-    "LoadCell",
     "Mechanics",
     "Optics",
-    "Pull",
-    "Scene",
     "Sheets",
-    "SimulatedTest",
     "force_recording",
     "frame_blocks",
     "make_scene",

@@ -32,6 +32,7 @@ from __future__ import annotations
 
 import zlib
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import pandas as pd
@@ -390,8 +391,10 @@ class _Assembly:
         given = np.ones(2 * count) if threshold_factor is None else threshold_factor
         self.factor = np.stack([given[:count][::-1], given[count:]])
         self.load = np.zeros((2, count))
+        # A step needs those of its two ends, several times.
+        self.thresholds = lru_cache(2)(self._thresholds)
 
-    def thresholds(self, d: float) -> tuple[Floats, Floats]:
+    def _thresholds(self, d: float) -> tuple[Floats, Floats]:
         """Return T_s and T_d at a separation, (2, M)."""
         normal = normal_N(d, self.m, self.sample)
         top = 2 * self.m.mu * normal + self.sample.t_star_N

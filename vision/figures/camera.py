@@ -53,18 +53,24 @@ def sides_known(tracks: xr.Dataset) -> bool:
     return found.axis_how == "given" or bool(limited and (side < 0).any() and (side > 0).any())
 
 
-def frame_figure(frame: Pixels, tracks: xr.Dataset, *, axis: bool = True) -> Figure:
+def frame_figure(
+    frame: Pixels, tracks: xr.Dataset, *, strip: xr.DataArray | None = None, axis: bool = True
+) -> Figure:
     """Return one whole frame with the averaged rows outlined, the sheets' numbers n and the symmetry axis.
 
-    Without an axis the numbers are the index from the left. Pixels are square, unless the frame is so flat
-    or narrow that it must be stretched, as title and caption then say.
+    With the strip, the outline encloses only its columns. Without an axis the numbers are the index from the
+    left. Pixels are square, unless the frame is so flat or narrow that it must be stretched, as title and
+    caption then say.
     """
     rows, columns = frame.shape
     step = max(1, -(-rows // MOST_ROWS), -(-columns // (2 * MOST_ROWS)))
     grey = np.asarray(frame, np.float32)[::step, ::step]
     low, high = grey_limits(grey)
-    strip = StripMetadata.of(tracks)
-    z0, z1 = float(strip.strip_z0), float(strip.strip_z1)
+    facts = StripMetadata.of(tracks)
+    z0, z1 = float(facts.strip_z0), float(facts.strip_z1)
+    across = (
+        None if strip is None else (float(strip["x"].values[0]) - 0.5, float(strip["x"].values[-1]) + 0.5)
+    )
     axis_px = TrackMetadata.of(tracks).axis_px if axis else math.nan
     numbers = "sheet numbers n, symmetry axis (dashed)" if axis else "index from the left (axis not known)"
     # The range includes the numbers above the strip.
@@ -88,7 +94,7 @@ def frame_figure(frame: Pixels, tracks: xr.Dataset, *, axis: bool = True) -> Fig
             black=low,
             white=high,
         ),
-        bands=(Band(low=z0 - 0.5, high=z1 - 0.5, label="strip", outline=True),),
+        bands=(Band(low=z0 - 0.5, high=z1 - 0.5, label="strip", outline=True, across=across),),
         x_lines=(axis_px,) if np.isfinite(axis_px) else (),
         x_range=(-0.5, columns - 0.5),
         y_range=z_range,
@@ -180,7 +186,7 @@ def preview_figure(
         aspect=0.2,
         placeholder="no positions",
     )
-    picture = frame_figure(frame, tracks, axis=sides_known(tracks)).panel
+    picture = frame_figure(frame, tracks, strip=strip, axis=sides_known(tracks)).panel
     return Figure(
         name="preview",
         title="Preview",

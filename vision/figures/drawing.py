@@ -189,7 +189,7 @@ def _draw_image(ax: Axes, panel: Panel, image: Image) -> None:
 def _draw_bands(ax: Axes, panel: Panel) -> None:
     for band in panel.bands:
         if band.outline:
-            low, high = panel.x_range or ax.get_xlim()
+            low, high = band.across or panel.x_range or ax.get_xlim()
             size = high - low, band.high - band.low
             ax.add_patch(Rectangle((low, band.low), *size, fill=False, ec=HIGHLIGHT, lw=1.5))
         else:

@@ -97,6 +97,7 @@ class Band:
     label: str
     outline: bool = False
     of_x: bool = False
+    across: Range | None = None  # ends of an outline along x; by default those of the panel
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -98,13 +98,18 @@ def to_mathtext(text: str) -> str:
 # --- numbers ------------------------------------------------------------------------------------------------
 
 
+def with_minus(text: str) -> str:
+    """Return text of numbers with minus signs instead of hyphens."""
+    return text.replace("-", "−")
+
+
 def plus_minus(estimate: Estimate) -> str:
     """Return a value ± its standard error, to two digits of the error; four digits without an error."""
     value, error = estimate.value, estimate.error
     if not math.isfinite(error) or error <= 0:
-        return f"{value:.4g}".replace("-", "−")
+        return with_minus(f"{value:.4g}")
     digits = max(0, 1 - math.floor(math.log10(error)))
-    return f"{value:.{digits}f} ± {error:.{digits}f}".replace("-", "−")
+    return with_minus(f"{value:.{digits}f} ± {error:.{digits}f}")
 
 
 def both_errors(estimate: Estimate) -> str:
@@ -115,8 +120,7 @@ def both_errors(estimate: Estimate) -> str:
     smallest = min(e for e in (estimate.error, systematic) if math.isfinite(e) and e > 0)
     digits = max(0, 1 - math.floor(math.log10(smallest)))
     error = f"{estimate.error:.{digits}f}" if math.isfinite(estimate.error) else "?"
-    text = f"{estimate.value:.{digits}f} ± {error} (stat.) ± {systematic:.{digits}f} (syst.)"
-    return text.replace("-", "−")
+    return with_minus(f"{estimate.value:.{digits}f} ± {error} (stat.) ± {systematic:.{digits}f} (syst.)")
 
 
 def counted(count: int, noun: str) -> str:
@@ -132,7 +136,7 @@ def percent(fraction: float) -> str:
 def offset_text(clock: Clock) -> str:
     """Return a clock's offset, with its error if known."""
     if not clock.offset_err_s > 0:
-        return f"{clock.offset_s:.4f} s".replace("-", "−")
+        return with_minus(f"{clock.offset_s:.4f} s")
     return f"{plus_minus(Estimate(clock.offset_s, clock.offset_err_s))} s"
 
 
@@ -140,7 +144,7 @@ def drift_text(clock: Clock) -> str:
     """Return a clock's drift, with its error if known."""
     error = clock.drift_err_ppm
     if not error > 0:
-        return f"{clock.drift_ppm:+.0f} ppm".replace("-", "−")
+        return with_minus(f"{clock.drift_ppm:+.0f} ppm")
     sign = "+" if clock.drift_ppm > 0 else ""
     return f"{sign}{plus_minus(Estimate(clock.drift_ppm, error))} ppm"
 
@@ -148,7 +152,7 @@ def drift_text(clock: Clock) -> str:
 def candidates_text(clock: Clock) -> str:
     """Return the offsets of the best three alignments with their log-likelihoods."""
     best = [f"{one.offset_s:.3f} s ({one.log_likelihood:.1f})" for one in clock.candidates[:3]]
-    return ", ".join(best).replace("-", "−")
+    return with_minus(", ".join(best))
 
 
 # --- units and axes -----------------------------------------------------------------------------------------

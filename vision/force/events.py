@@ -121,8 +121,10 @@ def find_stick_slip(
             f"one that goes back, by {-stick_length:.3g} µm in a stick",
             "if the displacement counts the other way give `columns` displacement=-NAME",
         )
+    shares: dict[str, float] = {}
     if found.samples and not tau:
-        events = _with_bias(events, signal, slips, analysis.bent, compliance, found.samples, settings)
+        other = _without_lowpass(signal, slips, analysis.bent, compliance, found.samples, settings)
+        events, shares = _with_bias(events, other), _lowpass_shares(events, other)
     response = tau or (found.samples if found.proven else 0.0)
     events = events.assign(
         flag=_all_flags(events, regime.name, unloading, response * signal.interval_s, signal, slips, settings)
@@ -140,9 +142,7 @@ def find_stick_slip(
         lowpass_how=analysis.how,
         lowpass_proposed_s=found.samples * signal.interval_s if found.samples and not tau else float("nan"),
         lowpass_proven=found.proven,
-        lowpass_dF_share=events.attrs.get("lowpass_dF_share", 0.0),
-        lowpass_K_share=events.attrs.get("lowpass_K_share", 0.0),
-        lowpass_peak_mm=events.attrs.get("lowpass_peak_mm", 0.0),
+        **shares,
         two_slopes=bool(analysis.bent),
         bend_share=analysis.corners.shape.begin,
         regime=regime.name,
@@ -355,8 +355,7 @@ def _have_knees(signal: Signal, slips: Slips, lag: float, settings: ForceSetting
     return float(np.median(broken.gain[known])) > settings.knee_gain and ratio > settings.knee_ratio
 
 
-def _with_bias(
-    events: pd.DataFrame,
+def _without_lowpass(
     signal: Signal,
     slips: Slips,
     two_slopes: bool,
@@ -364,23 +363,29 @@ def _with_bias(
     tau: float,
     settings: ForceSettings,
 ) -> pd.DataFrame:
-    """Add to the errors of each event what correcting for a low-pass of tau samples would change."""
+    """Return the events as they are measured with a correction for a low-pass of tau samples."""
     corners = _corners(signal, slips, two_slopes, tau, settings)
     extremes = find_extremes(signal.clean, corners.middle, corners.valley - corners.peak)
-    other = measure_sticks(signal, corners, extremes, tau, two_slopes, compliance, settings)
+    return measure_sticks(signal, corners, extremes, tau, two_slopes, compliance, settings)
+
+
+def _with_bias(events: pd.DataFrame, other: pd.DataFrame) -> pd.DataFrame:
+    """Add the difference of the `other` events to the errors; the same in each event, it is not squared."""
     pairs = [(f"{name}_N", f"{name}_err_N") for name in ("F_v", "F_p", "dF")]
     pairs += [("stick_length_um", "stick_length_err_um"), ("K_N_per_mm", "K_err_N_per_mm")]
-    # The bias is the same in each event, so it is added linearly, not in squares.
     bias = {error: (other[value] - events[value]).abs().fillna(0.0) for value, error in pairs}
-    biased = events.assign(**{error: events[error] + added for error, added in bias.items()})
-    for name, change in (
-        ("dF_share", other["dF_N"] / events["dF_N"] - 1),
-        ("K_share", other["K_N_per_mm"] / events["K_N_per_mm"] - 1),
-        ("peak_mm", (other["F_p_N"] - events["F_p_N"]) / events["K_N_per_mm"]),
-    ):
-        usual = float(nan_median(np.where(np.isfinite(change), change, np.nan)))
-        biased.attrs[f"lowpass_{name}"] = usual if np.isfinite(usual) else 0.0
-    return biased
+    return events.assign(**{error: events[error] + added for error, added in bias.items()})
+
+
+def _lowpass_shares(events: pd.DataFrame, other: pd.DataFrame) -> dict[str, float]:
+    """Return the fields of `StickMetadata` that say what a correction, which `other` has, would change."""
+    changes = {
+        "lowpass_dF_share": other["dF_N"] / events["dF_N"] - 1,
+        "lowpass_K_share": other["K_N_per_mm"] / events["K_N_per_mm"] - 1,
+        "lowpass_peak_mm": (other["F_p_N"] - events["F_p_N"]) / events["K_N_per_mm"],
+    }
+    finite = {name: change[np.isfinite(change)] for name, change in changes.items()}
+    return {name: float(change.median()) for name, change in finite.items() if len(change)}
 
 
 def _all_flags(

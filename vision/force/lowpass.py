@@ -180,45 +180,73 @@ class _Blocks:
 
         tau in blocks, 0 for no transient; knee as a share of the stick.
         """
-        directions, length = _orthonormal(self._columns(tau, knee))
-        along = [_dot(direction, self.load) for direction in directions]
-        residual = float(np.sum(self.load**2) - np.sum(np.square(along)))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return residual, along[-1] / length
+        return self._fit_knee(self._without_knee(tau), knee)
 
     def over_knees(self, tau: float) -> list[float]:
         """Return the squared residuals for each of the knees."""
-        return [self.fit(tau, knee)[0] for knee in self.knees]
+        common = self._without_knee(tau)
+        return [self._fit_knee(common, knee)[0] for knee in self.knees]
 
-    def _columns(self, tau: float, knee: float) -> list[Floats]:
-        """Return the columns of the fit, 0 in unknown blocks: parabola, hinge at the knee, transient."""
+    def _without_knee(self, tau: float) -> _Common:
+        """Return what fits with all knees share: the parabola and the transient, 0 in unknown blocks."""
         t = np.arange(float(self.load.shape[1]))
         # The low-pass delays the end of the slip by its time constant.
         begin = self.valley - (tau - self.corrected / self.size)
         rise = self.peak - begin
         u = (t - begin[:, None]) / rise[:, None]
-        hinge = [lagged_hinge(t - (begin + knee * rise)[:, None], tau) * self.known] if knee < 1 else []
-        transient = [np.exp(-t / tau) * self.known] if tau else []
         one = self.known.astype(np.float64)
-        return [one, u * one, u**2 * one, *hinge, *transient]
+        parabola: list[Floats] = []
+        for column in (one, u * one, u**2 * one):
+            parabola.append(_normalised(_without(column, parabola), column)[0])
+        transient = np.exp(-t / tau) * self.known if tau else None
+        rest = transient if transient is None else _without(transient, parabola)
+        along = [_dot(direction, self.load) for direction in parabola]
+        return _Common(tau, begin, rise, parabola, along, transient, rest)
+
+    def _fit_knee(self, common: _Common, knee: float) -> tuple[float, Floats]:
+        """Return squared residuals and heights as `fit`; the columns are a parabola, hinge and transient."""
+        hinges: list[Floats] = []
+        if knee < 1:
+            since = np.arange(float(self.load.shape[1])) - (common.begin + knee * common.rise)[:, None]
+            hinge = lagged_hinge(since, common.tau) * self.known
+            hinges = [_normalised(_without(hinge, common.parabola), hinge)[0]]
+        along, heights = [*common.along, *(_dot(hinge, self.load) for hinge in hinges)], np.zeros(0)
+        if common.transient is not None and common.rest is not None:
+            direction, length = _normalised(_without(common.rest, hinges), common.transient)
+            along.append(_dot(direction, self.load))
+            with np.errstate(divide="ignore", invalid="ignore"):
+                heights = along[-1] / length
+        return float(np.sum(self.load**2) - np.sum(np.square(along))), heights
 
 
-def _orthonormal(columns: Sequence[Floats]) -> tuple[list[Floats], Floats]:
-    """Orthonormalise columns within each row.
+@dataclass(frozen=True)
+class _Common:
+    """What fits with one time constant share, whatever the knee."""
 
-    Returns the orthonormal columns, and the norm of the last one before normalisation. Modified Gram-Schmidt
-    treats all rows at once; LAPACK's QR of each small matrix takes three times as long.
+    tau: float  # blocks
+    begin: Floats  # valley of each stick, delayed by the low-pass, and blocks from there to the peak
+    rise: Floats
+    parabola: list[Floats]  # orthonormal columns
+    along: list[Floats]  # the load along them
+    transient: Floats | None  # None without a low-pass
+    rest: Floats | None  # what of it the parabola leaves
+
+
+def _without(column: Floats, directions: Sequence[Floats]) -> Floats:
+    """Return what orthonormal directions leave of a column, within each row.
+
+    Modified Gram-Schmidt treats all rows at once; LAPACK's QR of each small matrix takes three times as long.
     """
-    directions: list[Floats] = []
-    length = np.zeros(0)
-    for column in columns:
-        rest = column
-        for direction in directions:
-            rest = rest - _dot(direction, rest)[:, None] * direction
-        length = np.sqrt(_dot(rest, rest))
-        independent = length > 1e-6 * np.sqrt(_dot(column, column))  # less is rounding, magnified
-        directions.append(rest * np.divide(1, length, out=np.zeros_like(length), where=independent)[:, None])
-    return directions, length
+    for direction in directions:
+        column = column - _dot(direction, column)[:, None] * direction
+    return column
+
+
+def _normalised(rest: Floats, column: Floats) -> tuple[Floats, Floats]:
+    """Return the direction of what is left of a column, 0 if that is only rounding, and its norm."""
+    length = np.sqrt(_dot(rest, rest))
+    independent = length > 1e-6 * np.sqrt(_dot(column, column))  # less is rounding, magnified
+    return rest * np.divide(1, length, out=np.zeros_like(length), where=independent)[:, None], length
 
 
 def _dot(one: Floats, other: Floats) -> Floats:

@@ -22,7 +22,7 @@ from PIL import Image as Pillow
 from vision.data import ForceMetadata, StripMetadata
 from vision.errors import with_options
 from vision.figures import Figure, Image, Panel, Results, Series, figures_of, missing_parts, sections_of
-from vision.figures.style import MISSING, rgb, to_html, to_unicode
+from vision.figures.style import MISSING, rgb, to_html, to_unicode, with_minus
 from vision.numeric import Floats
 from vision.report.text import answers, citation, methods, subtitle
 from vision.sheets import doubtful_stretches
@@ -309,7 +309,7 @@ def _frames(first: int, last: int) -> str:
 def _digits(value: float | None, *, places: int | None = None) -> str:
     if value is None or not np.isfinite(value):
         return "—"
-    return (f"{value:.4g}" if places is None else f"{value:.{places}f}").replace("-", "−")
+    return with_minus(f"{value:.4g}" if places is None else f"{value:.{places}f}")
 
 
 def _two_digits(error: float | None, unknown: str = "—") -> str:

@@ -49,7 +49,7 @@
     for (const band of chart.bands) {
       const y0 = place(band.high, "y"), y1 = place(band.low, "y");
       if (band.outline) {
-        const [l, r] = chart.x_range, x0 = place(l, "x"), x1 = place(r, "x");
+        const [l, r] = band.across || chart.x_range, x0 = place(l, "x"), x1 = place(r, "x");
         c.strokeStyle = "#e06a10"; c.lineWidth = 2 * devicePixelRatio;
         c.strokeRect(x0, Math.min(y0, y1), x1 - x0, Math.abs(y1 - y0));
       } else {
