@@ -158,15 +158,20 @@ def _sampled_profiles(bright: Floats32, x_px: Floats, half: int) -> tuple[Floats
     return level, nan_median(level.swapaxes(1, 2).reshape(-1, level.shape[1]))
 
 
-def distortion(
-    bright: Floats32, x_px: Floats, err_px: Floats, blurred: Bools, comb: RidgeComb
-) -> tuple[Floats, Floats]:
-    r"""Return how far dirt, reflections, neighbours or light may shift positions, px.
+class Distortion(NamedTuple):
+    """Error of each displacement, (frame, N), 0 without a sign; the usual distortion of each sheet, slight
+    signs included, (N,); how far each is pulled aside in all frames, against the others, (N,). All px."""
 
-    The first result is the error of each displacement, (frame, N), 0 without a sign; the second how far each
-    sheet is usually pulled aside, compared with the other sheets, (N,). x_px, err_px: positions and their
-    errors from noise (frame, N), NaN where missing. Ridges blurred by motion (frame, N) are lopsided for that
-    reason and have 0.
+    error_px: Floats
+    usual_px: Floats
+    lasting_px: Floats
+
+
+def distortion(bright: Floats32, x_px: Floats, err_px: Floats, blurred: Bools, comb: RidgeComb) -> Distortion:
+    r"""Return how far dirt, reflections, neighbours or light may shift positions.
+
+    x_px, err_px: positions and their errors from noise (frame, N), NaN where missing. Ridges blurred by
+    motion (frame, N) are lopsided for that reason and have no error.
 
     The comb's mean shape :math:`S` is fitted to the pixels around each position with level a, height b and
     shift s:
@@ -182,7 +187,7 @@ def distortion(
     Light that falls off over a ridge hardly changes its shape; it shows in the heights (`_shift_by_light`).
     """
     settings = comb.settings
-    none = np.zeros_like(x_px), np.zeros(x_px.shape[1])
+    none = Distortion(np.zeros_like(x_px), *np.zeros((2, x_px.shape[1])))
     narrow = comb.fwhm_px < settings.distortion_least_px
     if narrow and x_px.shape[1] >= ENOUGH:
         return none
@@ -202,18 +207,20 @@ def distortion(
 
     in_blocks(fit, len(bright))
     height[blurred], apart[blurred], sloping[blurred] = np.nan, np.nan, np.nan
-    size = _shift_by_light(x_px, height, comb)
+    size = slight = _shift_by_light(x_px, height, comb)
     for differs, usual, k in ((apart, settings.distortion_error, 3), (sloping, settings.distortion_slope, 5)):
         noise = err_px * float(np.linalg.norm(fits[k] - fits[1]) / np.linalg.norm(fits[1]))
         confirmed, assumed = _error_over(differs, usual, x_px, settings)
         certain, likely = _significant(differs - nan_median(differs), noise, settings)
         size = np.fmax(size, np.hypot(assumed * certain, confirmed * likely))
-    size = np.minimum(size, comb.fwhm_px)  # what is fitted lies within the ridge
+        slight = np.fmax(slight, np.hypot(assumed, confirmed) * likely)
+    within = np.where(np.isfinite(apart), comb.fwhm_px, 0.0)  # what is fitted lies within the ridge
+    size, slight = np.fmin(size, within), np.fmin(slight, within)
     pull = nan_median(apart)
     pull = np.abs(pull - nan_median(pull))
     least = np.fmax(settings.distortion_sigmas * nan_median(pull) / NORMAL_MEDIAN, settings.distortion_floor)
     lasting = settings.distortion_error * _if_above(pull, least)
-    return np.where(np.isfinite(apart), size, 0.0), none[1] if narrow else lasting
+    return Distortion(size, nan_median(slight), none.lasting_px if narrow else lasting)
 
 
 def _fit_matrix(shape: Floats, top: int) -> Floats:

@@ -189,11 +189,10 @@ def _assess_ridges(
     blurred, blur_px = motion_blur(changing, detections.contrast, detections.fwhm_px, comb)
     smeared = (blur_px > 0) | blurred
     x_px = np.where(smeared & beside_missing(detections.flag), np.nan, x_px)
-    distorted_px, lasting_px = distortion(bright, x_px, errors.err_px, smeared, comb)
-    usual_px = np.hypot(lasting_px, nan_median(distorted_px))
+    distorted_px, usual_px, lasting_px = distortion(bright, x_px, errors.err_px, smeared, comb)
     not_a_sheet = not_one_ridge(bright, x_px, comb)
     not_a_sheet |= lasting_px > comb.settings.most_distorted * comb.fwhm_px
-    not_a_sheet |= marks(x_px, errors.err_px, usual_px, comb)
+    not_a_sheet |= marks(x_px, errors.err_px, np.hypot(lasting_px, usual_px), comb)
     flag = np.where((detections.flag == "ok") & not_a_sheet, "merged", detections.flag)
     err = np.sqrt(errors.err_px**2 + blur_px**2 + distorted_px**2)
     usual = nan_median(np.where(np.isfinite(x_px), err, np.nan))
