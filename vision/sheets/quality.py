@@ -440,8 +440,8 @@ def _persists(values: Floats, frame: int, change: float) -> bool:
 def _after_less_before(values: Floats) -> Floats:
     """Return means over SCENE_FRAMES frames less those before, (frame − 2 SCENE_FRAMES + 1, N)."""
     reach = SCENE_FRAMES // 2
-    with np.errstate(divide="ignore", invalid="ignore"):
-        means = np.divide(*_sums_around(values, reach)[:, reach:-reach])
+    total, count = _sums_around(values, reach)[:, reach:-reach]
+    means = np.where(count > 0, total / np.maximum(count, 1), np.nan)  # moving sums leave a rest beside gaps
     return np.asarray(means[SCENE_FRAMES:] - means[:-SCENE_FRAMES], np.float64)
 
 
