@@ -265,6 +265,8 @@ def _uninterrupted(
     whole &= ~paused
     if not whole.any():
         found = "slips of the film within all of them"
+        if paused.any():
+            found = f"{paused.sum()} of {len(events)} in which the machine stands still or pauses"
         raise InputError(source, "stick phases in which the sheets do not slip", found, "check `offset_s`")
     if not paused.any():
         return events.loc[whole], []
