@@ -272,7 +272,8 @@ def _uninterrupted(
         return events.loc[whole], []
     numbers = ", ".join(events.loc[paused, "event"].astype(str)[:5]) + (", …" if paused.sum() > 5 else "")
     line = f"{paused.sum()} of {len(events)} stick phases are left out of σ_x/Λ_st (events {numbers}): "
-    return events.loc[whole], [line + "the machine moved more slowly in them than in those around"]
+    line += "the machine moved more slowly in them than in those around, or its displacement stands still"
+    return events.loc[whole], [line]
 
 
 # --- measurement --------------------------------------------------------------------------------------------
