@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.scenes.creeping import PIXEL_UM, Clock, errors, make, measure, profile, uniform
+from vision.data import warnings_of
 from vision.deformation import DeformationSettings, horizontal_deformation
 from vision.deformation.common_mode import BothSides, common_mode_motion, common_mode_noise_factor
 from vision.shells import classify_shells
@@ -41,6 +42,16 @@ def one_side(made, **options):
     right = made.tracks.isel(sheet=slice(half, None))
     motion = horizontal_deformation(right, made.sticks, Clock(), pixel_size_um=PIXEL_UM, **options)
     return motion["ratio"].to_numpy() - made.ratio[:, half:], motion["ratio_err"].to_numpy(), motion
+
+
+@pytest.mark.parametrize("events", [1, 2, 3])
+def test_few_sticks_do_not_tell_what_sheets_repeat(events):
+    """A failure means errors twice as large in a film of one stick, and sheets that "slip in turn" there."""
+    made = [make(profile(np.full(events, 6.0)), stick_um=10.0, noise_px=0.02, seed=k) for k in range(4)]
+    motions = [measure(one) for one in made]
+    off = [errors(one, motion) for one, motion in zip(made, motions, strict=True)]
+    assert 0.60 < np.mean([np.abs(wrong) < stated for wrong, stated in off]) < 0.75
+    assert not any(warnings_of(motion) for motion in motions)
 
 
 def test_one_side_in_view_tells_drift_from_creep():

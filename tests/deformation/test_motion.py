@@ -138,6 +138,8 @@ def test_sticks_in_which_the_displacement_stands_still_are_left_out():
     sticks = made.sticks.assign(stick_length_um=length, flag=np.where(ended, "falling+still", "ok"))
     motion = measure(replace(made, sticks=sticks))
     assert motion["event"].to_numpy().max() == 3
+    with pytest.raises(InputError, match="in which the machine stands still"):
+        measure(replace(made, sticks=sticks.assign(flag="still")))
 
 
 def test_an_uncertain_clock_keeps_more_frames_away():

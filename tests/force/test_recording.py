@@ -29,6 +29,15 @@ def test_bad_samples_are_flagged_and_kept(tmp_path: Path) -> None:
     assert "1 of 40 samples flagged backwards and left out" in force.attrs["warnings"]
 
 
+def test_a_gap_where_samples_are_dense_is_one_in_time(tmp_path: Path) -> None:
+    """A failure means that a loss during fast sampling is said to make every later d wrong."""
+    time = np.r_[np.arange(0, 300, 0.1), 300 + np.arange(0, 10, 0.005)]
+    time[-1000:] += 0.05
+    table = rows(time, 50 + np.sin(time), time / 60, sep=",")
+    force = read_force(written(tmp_path, "time (s),load (N),crosshead (mm)\n" + table))
+    assert force.attrs["warnings"] == ["1 gaps in time"]
+
+
 @pytest.mark.parametrize(
     ("row", "step_s", "told"), [(150, 0.0, "displacement jumps by -14.9 mm at 15 s"), (90, 5.0, "1 gaps")]
 )

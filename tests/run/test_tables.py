@@ -96,6 +96,30 @@ def test_a_full_disk_under_the_text_fails_the_run(found, tmp_path, monkeypatch):
     assert not (tmp_path / "run").exists()
 
 
+def test_the_times_of_a_run_contain_its_text(found, tmp_path, monkeypatch):
+    """A failure means a total in run.json that leaves out what a long tracks.csv takes."""
+    drawn, order, draw, write = threading.Event(), [], writing._write_figures_and_page, writing.write_json
+
+    def text(tracks, path, *, pixel_size_um, stop):
+        assert drawn.wait(20)
+        stop.wait(0.3)
+        order.append(path.name)
+
+    def figures(*arguments, **options):
+        draw(*arguments, **options)
+        drawn.set()
+
+    def facts(content, path):
+        order.append(path.name)
+        write(content, path)
+
+    monkeypatch.setattr(writing, "write_tracks_csv", text)
+    monkeypatch.setattr(writing, "_write_figures_and_page", figures)
+    monkeypatch.setattr(writing, "write_json", facts)
+    write_run(found, tmp_path / "run", Origin(command="track"), report=False)
+    assert order.index("tracks.csv") < order.index("run.json")
+
+
 def test_inputs_are_read_while_tables_are_written(found, tmp_path, monkeypatch):
     """A failure means that a run stands still for the fingerprint of its film."""
     read = threading.Event()

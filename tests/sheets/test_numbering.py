@@ -5,7 +5,7 @@ import pytest
 
 from tests.scenes.combs import comb, ridges, strip
 from vision.errors import InputError
-from vision.sheets import pixel_size_from_pitch, track_sheets
+from vision.sheets import pixel_size_of, track_sheets
 from vision.sheets.numbering import number_sheets
 
 PITCH = 20.0
@@ -173,11 +173,20 @@ def test_the_pixel_size_follows_from_the_mean_pitch():
     sheet is not seen. A failure means that lengths in µm are off by the comb's unevenness."""
     rest = 50 + np.r_[0, np.cumsum(np.tile([18.0, 18.0, 24.0], 6))]
     whole = tracked(np.broadcast_to(rest, (60, rest.size)), width=460)
-    assert pixel_size_from_pitch(whole, 200.0) == pytest.approx(10.0, rel=1e-3)
+    assert pixel_size_of(whole, pitch_um=200.0) == pytest.approx(10.0, rel=1e-3)
     seen = np.delete(rest, 7)  # 36 px between those beside it are no spacing of neighbours
     gap = tracked(np.broadcast_to(seen, (60, seen.size)), width=460)
     assert gap.sizes["sheet"] == seen.size
     near = np.delete(np.diff(rest), [6, 7])
-    assert pixel_size_from_pitch(gap, 200.0) == pytest.approx(200 / near.mean(), rel=1e-3)
+    assert pixel_size_of(gap, pitch_um=200.0) == pytest.approx(200 / near.mean(), rel=1e-3)
     with pytest.raises(InputError, match="pitch_um"):
-        pixel_size_from_pitch(whole, 0.0)
+        pixel_size_of(whole, pitch_um=0.0)
+
+
+def test_a_given_pixel_size_is_not_replaced_by_that_of_the_file():
+    """A failure means that a wrong size, such as 0, is not reported but silently replaced."""
+    rest = 50 + 20.0 * np.arange(12)
+    stated = tracked(np.broadcast_to(rest, (30, 12)), width=320).assign_attrs(file_pixel_size_um=12.0)
+    assert pixel_size_of(stated) == 12.0
+    assert pixel_size_of(stated, pixel_size_um=0.0) == 0.0
+    assert pixel_size_of(stated.assign_attrs(file_pixel_size_um=np.nan)) is None

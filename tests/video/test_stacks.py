@@ -357,8 +357,12 @@ def test_pixel_size_of_stacks(tmp_path):
     assert stated("micron") == stated("um") == stated("\\u00B5m") == pytest.approx(10.0)
     assert stated("mm", 100.0, 100.0) == pytest.approx(10.0)
     assert stated("pixel") is stated("inch", 72.0, 72.0) is stated("micron", 0.1, 0.2) is None
+    assert stated("micron", 0, 0) is None
     ome = {"axes": "TYX", "PhysicalSizeX": 0.01, "PhysicalSizeXUnit": "mm", "PhysicalSizeY": 10.0}
     tifffile.imwrite(tmp_path / "a.ome.tif", comb(), metadata=ome)
     assert open_video(tmp_path / "a.ome.tif").facts.pixel_size_um == pytest.approx(10.0)
+    ome |= {"PhysicalSizeX": "0,01"}
+    tifffile.imwrite(tmp_path / "b.ome.tif", comb(), metadata=ome)
+    assert open_video(tmp_path / "b.ome.tif").facts.pixel_size_um is None
     tifffile.imwrite(tmp_path / "none.tif", comb())
     assert open_video(tmp_path / "none.tif").facts.pixel_size_um is None

@@ -16,6 +16,8 @@ from vision.deformation.creep import Creep, Noise, StickFrames, without_common_p
 from vision.deformation.settings import DeformationSettings
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, nan_median
 
+LEAST_REPEATS = 5  # values from which a sheet's own movement is told: fewer do not show their scatter
+
 # --- vibration ----------------------------------------------------------------------------------------------
 
 
@@ -453,6 +455,7 @@ def repeated_bends(creep: Creep, noise: Noise, settings: DeformationSettings) ->
     usual = nan_median(bend)
     scatter = nan_median(np.abs(bend - usual)) / NORMAL_MEDIAN
     error = scatter * np.sqrt(np.pi / 2 / np.maximum(used.sum(axis=0), 1))  # of a median
+    error[used.sum(axis=0)[:, 0] < LEAST_REPEATS] = np.inf
     return np.asarray(np.sqrt((_beyond(usual, error, settings) ** 2).sum(axis=-1)))
 
 
@@ -466,7 +469,8 @@ def _net_rate(middle_px: Floats, frames: StickFrames) -> tuple[Floats, Floats]:
     rates = (middle_px[apart:] - middle_px[:-apart]) / elapsed_s
     rate = nan_median(rates)
     scatter = nan_median(np.abs(rates - rate)) / NORMAL_MEDIAN
-    return rate, scatter / np.sqrt(max(len(rates) / apart, 1.0))  # pairs that have no stick in common
+    error = scatter / np.sqrt(max(len(rates) / apart, 1.0))  # pairs that have no stick in common
+    return rate, np.where(np.isfinite(rates).sum(axis=0) < LEAST_REPEATS, np.inf, error)
 
 
 def _beyond(value: Floats, error: Floats, settings: DeformationSettings) -> Floats:

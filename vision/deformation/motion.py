@@ -265,12 +265,15 @@ def _uninterrupted(
     whole &= ~paused
     if not whole.any():
         found = "slips of the film within all of them"
+        if paused.any():
+            found = f"{paused.sum()} of {len(events)} in which the machine stands still or pauses"
         raise InputError(source, "stick phases in which the sheets do not slip", found, "check `offset_s`")
     if not paused.any():
         return events.loc[whole], []
     numbers = ", ".join(events.loc[paused, "event"].astype(str)[:5]) + (", …" if paused.sum() > 5 else "")
     line = f"{paused.sum()} of {len(events)} stick phases are left out of σ_x/Λ_st (events {numbers}): "
-    return events.loc[whole], [line + "the machine moved more slowly in them than in those around"]
+    line += "the machine moved more slowly in them than in those around, or its displacement stands still"
+    return events.loc[whole], [line]
 
 
 # --- measurement --------------------------------------------------------------------------------------------

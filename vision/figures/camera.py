@@ -68,9 +68,8 @@ def frame_figure(
     low, high = grey_limits(grey)
     facts = StripMetadata.of(tracks)
     z0, z1 = float(facts.strip_z0), float(facts.strip_z1)
-    across = (
-        None if strip is None else (float(strip["x"].values[0]) - 0.5, float(strip["x"].values[-1]) + 0.5)
-    )
+    x = None if strip is None else strip["x"].values
+    across = None if x is None else (float(x[0]) - 0.5, float(x[-1]) + 0.5)
     axis_px = TrackMetadata.of(tracks).axis_px if axis else math.nan
     numbers = "sheet numbers n, symmetry axis (dashed)" if axis else "index from the left (axis not known)"
     # The range includes the numbers above the strip.

@@ -171,10 +171,10 @@ def _dataset(
     if found["load"].unit == "1":
         force["load_N"].attrs["units"] = "1"
     measured = _speed(time[good], travel[good])
-    on_sample = crosshead is not None and _at_slips(_jumps(crosshead, flags == "nan", settings), load)
+    jumps = np.zeros_like(good) if crosshead is None else _jumps(crosshead, flags == "nan", settings)
     warnings = _restart_warnings(restart, time.size, blocks)
     warnings += _warnings(flags, load[good], source, speed_mm_min, measured)
-    warnings += _gap_warnings(flags == "gap", time, travel)
+    warnings += _gap_warnings(flags == "gap", jumps, time, travel)
     if abs(start) > 0.05 * max(float(np.ptp(travel[good])), 1e-9):  # zeros are set manually
         warnings.append(
             f"the crosshead starts at {start:.4g} mm: `d0_mm` {d0_mm:g} is added to its change since then; "
@@ -186,7 +186,7 @@ def _dataset(
         speed_mm_min=measured if source == "displacement" else speed_mm_min or float("nan"),
         d0_mm=float("nan") if d0_mm is None else d0_mm,
         columns="; ".join(f"{role} = {c.name} [{c.unit}]" for role, c in found.items()),
-        notes=_notes(found, source, d0_mm, on_sample),
+        notes=_notes(found, source, d0_mm, _at_slips(jumps, load)),
         warnings=warnings,
         **facts,  # type: ignore[arg-type]
     )
@@ -269,10 +269,10 @@ def _warnings(
     return warnings
 
 
-def _gap_warnings(gap: Bools, time: Floats, travel: Floats) -> list[str]:
+def _gap_warnings(gap: Bools, jumps: Bools, time: Floats, travel: Floats) -> list[str]:
     """Return how many gaps there are in time, and where the displacement jumps while the time goes on."""
     step = np.diff(time, prepend=np.nan)
-    jump = np.flatnonzero(gap & (step < 2 * np.nanmedian(step)))
+    jump = np.flatnonzero(gap & jumps & (step < 2 * np.nanmedian(step)))
     lines = [f"{count} gaps in time"] if (count := int(gap.sum()) - jump.size) else []
     if jump.size:
         first, more = jump[0], f" and {jump.size - 1} times later" if jump.size > 1 else ""

@@ -34,9 +34,7 @@ _LEAST_EVENTS = 6
 _MEASURED = frozenset({"ok", "slow", "negative"})  # flags of complete events
 _LARGEST_OFFSET_N = 10.0  # limit of |T0| in the publication: the largest error of a load cell's zero
 _CLEAR_OFFSET = 5.0  # T0 over its error above which it differs significantly from 0
-_UNLIKE_DROPS = (
-    0.4  # relative scatter of the drops: 0.05 to 0.2 in a test, 0.5 with as many small as large ones
-)
+_UNLIKE_DROPS = 0.4  # relative scatter of drops: 0.05 to 0.2 in a test, 0.5 if half of them are small
 _CONTRADICTS = 3.0  # χ²/dof above which a model contradicts its points
 _GEOMETRY = ("thickness_mm", "width_mm", "length_mm", "t_star_N")
 

@@ -71,23 +71,24 @@ def write_run(
     """
     started = time.perf_counter()
     seconds = dict(analysis.seconds)
-    with run_folder(target, overwrite=overwrite) as folder, _tracks_csv_meanwhile(analysis, folder):
-        inputs = origin.describe()
-        _write_tables(analysis, folder, origin)
-        seconds["tables"] = time.perf_counter() - started
-        content = {**run_facts(analysis, origin, inputs), **(facts or {})}
-        _write_decisions(analysis, folder, content, decisions)
-        for name, data in (extra_files or {}).items():
-            (folder / name).write_bytes(data)
-        seconds["run facts"] = time.perf_counter() - started - seconds["tables"]
-        drawn = time.perf_counter()
+    with run_folder(target, overwrite=overwrite) as folder:
         failures = dict(analysis.failures)
-        _write_figures_and_page(analysis, folder, content, failures, origin, report=report)
+        with _tracks_csv_meanwhile(analysis, folder):
+            inputs = origin.describe()
+            _write_tables(analysis, folder, origin)
+            seconds["tables"] = time.perf_counter() - started
+            content = {**run_facts(analysis, origin, inputs), **(facts or {})}
+            _write_decisions(analysis, folder, content, decisions)
+            for name, data in (extra_files or {}).items():
+                (folder / name).write_bytes(data)
+            seconds["run facts"] = time.perf_counter() - started - seconds["tables"]
+            drawn = time.perf_counter()
+            _write_figures_and_page(analysis, folder, content, failures, origin, report=report)
+            seconds["pictures and report"] = time.perf_counter() - drawn
         if failures:
             text = "\n\n".join(f"{name}\n{details}" for name, details in failures.items())
             (folder / FAILURES).write_text(text, encoding="utf-8", errors="replace")
             content["failures"] = list(failures)
-        seconds["pictures and report"] = time.perf_counter() - drawn
         seconds["total"] = sum(analysis.seconds.values()) + time.perf_counter() - started
         content["seconds"] = seconds
         write_json(content, folder / "run.json")

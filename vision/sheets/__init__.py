@@ -13,7 +13,7 @@ from vision.sheets.subpixel import (
     sliding_vertex,
     template_shift,
 )
-from vision.sheets.tracks import pixel_size_from_pitch, pixel_size_of, track_sheets, with_heights
+from vision.sheets.tracks import pixel_size_of, track_sheets, with_heights
 
 __all__ = [
     "Correction",
@@ -24,7 +24,6 @@ __all__ = [
     "choose_window",
     "doubtful_stretches",
     "paper_vertex",
-    "pixel_size_from_pitch",
     "pixel_size_of",
     "read_corrections",
     "sliding_vertex",

@@ -442,28 +442,23 @@ def with_heights(
     return record(tracks.assign(variables).assign_coords(z=parts["z"]), "with_heights")
 
 
-def pixel_size_from_pitch(tracks: xr.Dataset, pitch_um: float) -> float:
-    r"""Return the µm per pixel that follow from a known mean distance between neighbouring sheets.
+def pixel_size_of(
+    tracks: xr.Dataset, *, pixel_size_um: float | None = None, pitch_um: float | None = None
+) -> float | None:
+    """Return µm per pixel: as given, from the pitch, or as the film's file states it; None without.
 
-    Parameters
-    ----------
-    tracks
-        From `track_sheets`.
-    pitch_um
-        Mean distance between neighbouring sheets at rest, µm.
+    The pitch is the mean distance between neighbouring sheets at rest. It is divided by the mean spacing of
+    the median positions, without spacings wider than 1.5 median ones. The mean is used, not the median: mean
+    spacings add up to the width of the comb, in which the errors of single positions cancel.
 
     Raises
     ------
     InputError
         For a pitch that is not positive, or fewer than two neighbouring sheets.
-
-    Notes
-    -----
-    :math:`p / \langle \Delta x \rangle`, with the mean over the spacings of the sheets' median positions.
-    Spacings wider than 1.5 median spacings are left out. The mean is used, not the median: mean spacings add
-    up to the width of the comb, in which the errors of single positions cancel.
     """
-    TRACKS.check(tracks)
+    if pitch_um is None:
+        stated = StripMetadata.of(tracks).file_pixel_size_um
+        return pixel_size_um if pixel_size_um is not None or np.isnan(stated) else stated
     if not 0 < pitch_um < np.inf:
         raise InputError("`pitch_um`", "a positive length in µm", f"{pitch_um:g}")
     spacing = np.diff(nan_median(tracks["x_px"].values))
@@ -472,11 +467,3 @@ def pixel_size_from_pitch(tracks: xr.Dataset, pitch_um: float) -> float:
     if not near.size:
         raise InputError("`pitch_um`", "at least two neighbouring sheets", f"{tracks.sizes['sheet']} in view")
     return float(pitch_um / near.mean())
-
-
-def pixel_size_of(tracks: xr.Dataset, *, pixel_size_um: float | None, pitch_um: float | None) -> float | None:
-    """Return µm per pixel: from the pitch, as given, or as the film's file states it; None without."""
-    if pitch_um is not None:
-        return pixel_size_from_pitch(tracks, pitch_um)
-    stated = StripMetadata.of(tracks).file_pixel_size_um
-    return pixel_size_um or (stated if np.isfinite(stated) else None)

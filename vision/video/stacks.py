@@ -8,6 +8,7 @@ import re
 import struct
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -295,10 +296,11 @@ def _own_pixel_size_um(tif: tifffile.TiffFile) -> float | None:
         tags = tif.pages.first.tags
         if "XResolution" in tags and "YResolution" in tags:
             (pixels, across), (pixels_down, down) = tags["XResolution"].value, tags["YResolution"].value
-            across, down = across / max(pixels, 1), down / max(pixels_down, 1)
+            across, down = (across / pixels, down / pixels_down) if pixels and pixels_down else (0.0, 0.0)
     elif tif.is_ome:
         given = dict(re.findall(r'\bPhysicalSize([XY](?:Unit)?)="([^"]+)"', _first_pixels(tif)))
-        across, down = float(given.get("X", 0.0)), float(given.get("Y", 0.0))
+        with suppress(ValueError):  # a value that is no number does not make the film unreadable
+            across, down = float(given.get("X", 0.0)), float(given.get("Y", 0.0))
         unit, unit_down = given.get("XUnit", "µm"), given.get("YUnit", "µm")
     size = across * _UM_PER.get(unit.strip().lower(), 0.0)
     is_square = math.isclose(size, down * _UM_PER.get(unit_down.strip().lower(), 0.0), rel_tol=1e-3)

@@ -28,19 +28,12 @@ _TIME_NAME = re.compile(r"time|stamp|zeit|temps", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class FrameClock:
-    """Source of the frame times.
+    """Source of the frame times."""
 
-    Parameters
-    ----------
-    kind
-        "file" (time stamps or rate of the recording itself), "given" (`fps` or `timestamps`) or "playback" (a
-        container's rate, which need not be the camera's).
-    fps
-        Frames per second; None if unknown.
-    """
-
+    # "file" (time stamps or rate of the recording itself), "given" (`fps` or `timestamps`) or "playback" (a
+    # container's rate, which need not be the camera's)
     kind: Literal["file", "given", "playback"]
-    fps: float | None
+    fps: float | None  # frames per second; None if unknown
 
 
 @dataclass(repr=False, frozen=True, kw_only=True)
