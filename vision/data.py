@@ -25,11 +25,21 @@ AnyData = TypeVar("AnyData", xr.DataArray, xr.Dataset, pd.DataFrame)
 
 @dataclass(frozen=True)
 class Variable:
-    """One variable, coordinate or column."""
+    """One variable, coordinate or column.
 
-    dims: tuple[str, ...]  # names of its dimensions; ``("event",)`` for a column of a table of events
-    units: str  # as in ``attrs["units"]``; "" for text and flags, "1" for a ratio
-    long_name: str  # description, used for axis labels and in netCDF files
+    Parameters
+    ----------
+    dims
+        Names of its dimensions; ``("event",)`` for a column of a table of events.
+    units
+        As in ``attrs["units"]``; "" for text and flags, "1" for a ratio.
+    long_name
+        Description, used for axis labels and in netCDF files.
+    """
+
+    dims: tuple[str, ...]
+    units: str
+    long_name: str
 
     @property
     def attrs(self) -> dict[str, str]:
@@ -39,12 +49,24 @@ class Variable:
 
 @dataclass(frozen=True)
 class Schema:
-    """The declared variables of one dataset."""
+    """The declared variables of one dataset.
 
-    name: str  # name of the dataset in messages
-    made_by: str  # the function that returns the dataset
-    variables: Mapping[str, Variable]  # every variable, coordinate and column with its declaration
-    needs: Sequence[str] | None = None  # variables that every later stage needs; None for all
+    Parameters
+    ----------
+    name
+        Name of the dataset in messages.
+    made_by
+        The function that returns the dataset.
+    variables
+        Every variable, coordinate and column with its declaration.
+    needs
+        Variables that every later stage needs; None for all.
+    """
+
+    name: str
+    made_by: str
+    variables: Mapping[str, Variable]
+    needs: Sequence[str] | None = None
 
     def __getitem__(self, name: str) -> Variable:
         return self.variables[name]

@@ -48,11 +48,18 @@ def running_mean(values: NDArray[np.floating], size: int) -> Floats:
 
 
 class Maxima(NamedTuple):
-    """Local maxima from left to right, all (K,)."""
+    """Local maxima from left to right, all (K,).
 
-    at: Ints  # index; for a plateau the index of its middle, rounded down
-    # height above a base: the higher of the minima on the two sides, each searched within `reach` and as far
-    # as the next higher value
+    Parameters
+    ----------
+    at
+        Index; for a plateau the index of its middle, rounded down.
+    prominence
+        Height above a base: the higher of the minima on the two sides, each searched within `reach` and as
+        far as the next higher value.
+    """
+
+    at: Ints
     prominence: Floats
 
 

@@ -13,11 +13,11 @@ import xarray as xr
 from vision.data import StickMetadata, StripMetadata, TrackMetadata
 from vision.figures.style import both_errors, candidates_text, drift_text, offset_text
 from vision.models.equations import effective_sheets
-from vision.numeric import Pixels, nan_median, nan_quantile
+from vision.numeric import Pixels, nan_median
 from vision.sample import Sample
 from vision.sheets import doubtful_stretches
+from vision.sheets.quality import comb_is_stationary
 from vision.sheets.recovery import stretches
-from vision.sheets.settings import DEFAULT
 from vision.sheets.tracks import LOSSY
 from vision.systematics import QUANTITIES, SOURCES, Budget, systematic_budget
 from vision.video import VideoSettings
@@ -123,7 +123,7 @@ def tracking_warnings(tracks: xr.Dataset) -> list[str]:
     still = "ok" in flags and not (tracks["x_noise_px"].values > 0).any()
     if tracks.sizes["frame"] >= 10 and still:
         lines.append("all frames are equal: neither motion nor noise can be measured")
-    elif tracks.sizes["frame"] >= 20 and _is_stationary(tracks):
+    elif tracks.sizes["frame"] >= 20 and comb_is_stationary(tracks):
         lines.append(
             "the sheets do not move relative to each other by more than the noise: if they should, the comb"
             " may be a pattern in the background (`rows`, `columns`), or the pull is in other `frames`"
@@ -139,16 +139,6 @@ def tracking_warnings(tracks: xr.Dataset) -> list[str]:
     lines += _alike_warning(TrackMetadata.of(tracks))
     lines += _spacing_warning(tracks)
     return lines
-
-
-def _is_stationary(tracks: xr.Dataset) -> bool:
-    """Return whether hardly any sheet moves relative to the comb; False for fewer than three sheets."""
-    x = tracks["x_px"].values
-    moved = x - nan_median(x)
-    moved = np.abs(moved - nan_median(moved, axis=1)[:, None])
-    noise = np.fmax(tracks["x_noise_px"].values, nan_median(tracks["x_err_px"].values))
-    moving = nan_quantile(moved, 0.95) > DEFAULT.still_sigmas * noise
-    return bool(moving.mean() < DEFAULT.still_share) and x.shape[1] >= 3
 
 
 def _alike_warning(facts: TrackMetadata) -> list[str]:

@@ -32,54 +32,85 @@ Tracker = Callable[[xr.DataArray], xr.Dataset]  # `track_sheets` with the parame
 
 @dataclass(frozen=True, kw_only=True)
 class Threshold:
-    """Measured σ_x/Λ_st of films in which its true value is the threshold for every sheet."""
+    """Measured σ_x/Λ_st of films in which its true value is the threshold for every sheet.
 
-    ratio: float  # the threshold
-    # bias, raw_bias: mean of the measured ratio over the true one, less 1, with and without noise correction
+    Parameters
+    ----------
+    ratio
+        The threshold.
+    bias, raw_bias
+        Mean of the measured ratio over the true one, less 1, with and without noise correction.
+    scatter
+        Standard deviation of single measurements over the true ratio.
+    stated
+        Median stated error over the true ratio.
+    called_stiff
+        Share of the sheets called stiff, one half without a bias.
+    """
+
+    ratio: float
     bias: float
     raw_bias: float
-    scatter: float  # standard deviation of single measurements over the true ratio
-    stated: float  # median stated error over the true ratio
-    called_stiff: float  # share of the sheets called stiff, one half without a bias
+    scatter: float
+    stated: float
+    called_stiff: float
 
 
 @dataclass(frozen=True, kw_only=True)
 class Certificate:
-    """What a recording can resolve."""
+    """What a recording can resolve.
 
-    # source, codec, fit: the video, its codec, and the subpixel fit used
+    Parameters
+    ----------
+    source, codec, fit
+        The video, its codec, and the subpixel fit used.
+    frames, films, pixel_size_um
+        Number of frames of a film, number of films, and the pixel size if known.
+    sheets
+        One row per sheet: index, side, n, x_px, error_px (RMS error of a displacement), stated_px (median
+        x_err_px), within_error (share of positions within it), found, locking_px (peak to peak),
+        sweep_error_px and smallest_sweep_px (in a stick phase).
+    error_px, within_error, found, wrong
+        RMS error over all sheets; shares of positions within their error and found; number of positions
+        called ok that are wrong by more than half a pitch.
+    locking_px
+        Error that repeats with the fraction of a pixel, peak to peak, median over sheets.
+    smallest_sweep_px, stick_frames
+        Median over sheets, and number of frames of a stick phase; NaN if slips are too frequent.
+    largest_jump_pitches, identity_margin, identity_tried
+        Largest jump of a sheet from frame to frame; largest multiple of the recording's motion that was
+        tracked without a wrong identity; and largest multiple that was tested.
+    threshold
+        Results at the stiffness threshold; None without stick phases or pixel size.
+    warnings
+        What the certificate does not cover.
+    encoding
+        How films were encoded again; "" if they have the recording's residuals.
+    uncertain
+        Whether the recording contains something that the films do not reproduce well.
+    """
+
     source: str
     codec: str
     fit: str
-    # frames, films, pixel_size_um: number of frames of a film, number of films, and the pixel size if known
     frames: int
     films: int
     pixel_size_um: float | None
-    # one row per sheet: index, side, n, x_px, error_px (RMS error of a displacement), stated_px (median
-    # x_err_px), within_error (share of positions within it), found, locking_px (peak to peak), sweep_error_px
-    # and smallest_sweep_px (in a stick phase)
     sheets: pd.DataFrame
-    # error_px, within_error, found, wrong: RMS error over all sheets; shares of positions within their error
-    # and found; number of positions called ok that are wrong by more than half a pitch
     error_px: float
     within_error: float
     found: float
     wrong: int
-    locking_px: float  # error that repeats with the fraction of a pixel, peak to peak, median over sheets
-    # smallest_sweep_px, stick_frames: median over sheets, and number of frames of a stick phase; NaN if slips
-    # are too frequent
+    locking_px: float
     smallest_sweep_px: float
     stick_frames: float
-    # largest_jump_pitches, identity_margin, identity_tried: largest jump of a sheet from frame to frame;
-    # largest multiple of the recording's motion that was tracked without a wrong identity; and largest
-    # multiple that was tested
     largest_jump_pitches: float
     identity_margin: float
     identity_tried: float
-    threshold: Threshold | None  # results at the stiffness threshold; None without stick phases or pixel size
-    warnings: tuple[str, ...]  # what the certificate does not cover
-    encoding: str = ""  # how films were encoded again; "" if they have the recording's residuals
-    uncertain: bool = False  # whether the recording contains something that the films do not reproduce well
+    threshold: Threshold | None
+    warnings: tuple[str, ...]
+    encoding: str = ""
+    uncertain: bool = False
 
     @property
     def facts(self) -> dict[str, Any]:

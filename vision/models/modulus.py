@@ -47,15 +47,26 @@ class ModulusSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class CyclesMetadata(Metadata):
-    """How the cycles were measured."""
+    """How the cycles were measured.
 
-    source: str = "the recording"  # the recording's path
-    sheet: Sequence[float] = (math.nan,) * 3  # ε, W and L of the sheet in mm
-    # "given", "column" (the recording contains Δ) or "length" (Δ = L + crosshead)
+    Parameters
+    ----------
+    source
+        The recording's path.
+    sheet
+        ε, W and L of the sheet in mm.
+    clamp_distance_from
+        "given", "column" (the recording contains Δ) or "length" (Δ = L + crosshead).
+    machine_stiffness_N_per_mm
+        Stiffness for which Δ was corrected; NaN without correction.
+    notes, warnings
+        Assumptions, and possible errors of the numbers.
+    """
+
+    source: str = "the recording"
+    sheet: Sequence[float] = (math.nan,) * 3
     clamp_distance_from: str = "given"
-    # stiffness for which Δ was corrected; NaN without correction
     machine_stiffness_N_per_mm: float = math.nan
-    # notes, warnings: assumptions, and possible errors of the numbers
     notes: Sequence[str] = field(default_factory=list)
     warnings: Sequence[str] = field(default_factory=list)
 

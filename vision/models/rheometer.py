@@ -20,14 +20,24 @@ from vision.force.files import decode_text, split_name
 
 @dataclass(frozen=True, kw_only=True)
 class RotationMetadata(Metadata):
-    """Metadata of the table of one rotation."""
+    """Metadata of the table of one rotation.
 
-    source: str = "the rheometer's file"  # path of the file
-    measurement: str = "1"  # result and interval, unique within the file
-    # notes, warnings: assumptions, and possible errors of the numbers
+    Parameters
+    ----------
+    source
+        Path of the file.
+    measurement
+        Result and interval, unique within the file.
+    notes, warnings
+        Assumptions, and possible errors of the numbers.
+    left_out
+        Results and intervals of the same file without a usable measurement, each with the reason.
+    """
+
+    source: str = "the rheometer's file"
+    measurement: str = "1"
     notes: Sequence[str] = field(default_factory=list)
     warnings: Sequence[str] = field(default_factory=list)
-    # results and intervals of the same file without a usable measurement, each with the reason
     left_out: Sequence[str] = field(default_factory=list)
 
 

@@ -86,22 +86,38 @@ OF_SHEETS = (*OF_STRETCHES, "add", "delete")
 
 @dataclass(frozen=True, kw_only=True)
 class Correction:
-    """One manual decision."""
+    """One manual decision.
 
-    kind: str  # one of `KEYS`
-    sheets: tuple[int, ...] = ()  # index from the left; two for "swap", none for kinds that concern no sheet
-    # first, stop: frames, half-open, as numbered in the film; stop None is the end. For "add" the frame of
-    # x_px alone.
+    Parameters
+    ----------
+    kind
+        One of `KEYS`.
+    sheets
+        Index from the left; two for "swap", none for kinds that concern no sheet.
+    first, stop
+        Frames, half-open, as numbered in the film; stop None is the end. For "add" the frame of x_px alone.
+    x_px
+        Column of the ridge in the first frame, for "assign" and "add"; column of the axis.
+    rows
+        Rows of the strip, half-open.
+    offset_s, drift_ppm
+        Offset and drift of the clock.
+    date
+        Time of the decision, ISO 8601; "" if not stated.
+    name
+        Name of the entry in messages.
+    """
+
+    kind: str
+    sheets: tuple[int, ...] = ()
     first: int = 0
     stop: int | None = None
-    # column of the ridge in the first frame, for "assign" and "add"; column of the axis
     x_px: float | None = None
-    rows: tuple[int, int] | None = None  # rows of the strip, half-open
-    # offset_s, drift_ppm: offset and drift of the clock
+    rows: tuple[int, int] | None = None
     offset_s: float | None = None
     drift_ppm: float = 0.0
-    date: str = ""  # time of the decision, ISO 8601; "" if not stated
-    name: str = "the correction"  # name of the entry in messages
+    date: str = ""
+    name: str = "the correction"
 
     def text(self) -> str:
         """Return the decision in words, for the report and the list of decisions."""

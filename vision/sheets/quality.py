@@ -3,8 +3,9 @@
 `repeated_frames` finds frames that the codec or the recorder repeated, and `motion_blur` ridges that moved
 while the shutter was open. `distortion` estimates the error of ridges distorted by specks, reflections, the
 edge of a hand or uneven light, and `not_one_ridge` finds ridges of several sheets. `scene_changes` finds
-where the picture changes permanently. `spatial_scatter` measures errors that persist from frame to frame,
-`shared_error` those that neighbours share, and `noise_excess` what all stated errors leave out.
+where the picture changes permanently. `comb_is_stationary` distinguishes a comb from a fixed pattern.
+`spatial_scatter` measures errors that persist from frame to frame, `shared_error` those that neighbours
+share, and `noise_excess` what all stated errors leave out.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+import xarray as xr
 
 from vision.numeric import FWHM, NORMAL_MEDIAN, Bools, Floats, Floats32, Strings, nan_median, nan_quantile
 from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb, in_blocks, profile_noise
@@ -441,6 +443,16 @@ def _after_less_before(values: Floats) -> Floats:
     total, count = _sums_around(values, reach)[:, reach:-reach]
     means = np.where(count > 0, total / np.maximum(count, 1), np.nan)  # moving sums leave a rest beside gaps
     return np.asarray(means[SCENE_FRAMES:] - means[:-SCENE_FRAMES], np.float64)
+
+
+def comb_is_stationary(tracks: xr.Dataset, settings: TrackingSettings = DEFAULT) -> bool:
+    """Return whether hardly any sheet moves relative to the comb; False for fewer than three sheets."""
+    x = tracks["x_px"].values
+    moved = x - nan_median(x)
+    moved = np.abs(moved - nan_median(moved, axis=1)[:, None])
+    noise = np.fmax(tracks["x_noise_px"].values, nan_median(tracks["x_err_px"].values))
+    moving = nan_quantile(moved, 0.95) > settings.still_sigmas * noise
+    return bool(moving.mean() < settings.still_share) and x.shape[1] >= 3
 
 
 # --- scatter of positions -----------------------------------------------------------------------------------

@@ -24,44 +24,78 @@ SECONDS |= {"min": 60.0, "h": 3600.0}
 
 @dataclass(frozen=True, kw_only=True)
 class Facts:
-    """Facts from the headers of a file, in the file's own orientation."""
+    """Facts from the headers of a file, in the file's own orientation.
 
-    shape: tuple[int, int]  # (rows, columns)
-    # depth_bits, saturation_level: significant bits per pixel, 32 for float; value of a saturated pixel, None
-    # for float
+    Parameters
+    ----------
+    shape
+        (rows, columns).
+    depth_bits, saturation_level
+        Significant bits per pixel, 32 for float; value of a saturated pixel, None for float.
+    declared_frames
+        Number of frames that the file states; None without.
+    estimated_frames
+        Number of frames from duration and rate, if none is declared.
+    duration_s
+        Duration that the file states, if frames carry times.
+    playback_fps
+        The container's rate, which need not be the camera's.
+    camera_fps
+        The rate at which the camera recorded according to its header, if frames carry no times.
+    times_s
+        The recording's own time of each frame (frame), if the headers contain them.
+    times_in_blocks
+        Whether these times come with the blocks instead.
+    pixel_size_um
+        µm per pixel that the file states; None without.
+    turned_deg
+        Clockwise rotation for display that the file states (films of phones), degrees.
+    container, codec, pixel_format, decoder, grey
+        How pixels are stored, which program decodes them, and what a grey value means.
+    warnings
+        Conditions that may spoil the results.
+    """
+
+    shape: tuple[int, int]
     depth_bits: int
     saturation_level: float | None
-    declared_frames: int | None  # number of frames that the file states; None without
-    # container, codec, pixel_format, decoder, grey: how pixels are stored, which program decodes them, and
-    # what a grey value means
+    declared_frames: int | None
     container: str
     codec: str
     pixel_format: str
     decoder: str
     grey: str
-    estimated_frames: int | None = None  # number of frames from duration and rate, if none is declared
-    duration_s: float | None = None  # duration that the file states, if frames carry times
-    playback_fps: float | None = None  # the container's rate, which need not be the camera's
-    # the rate at which the camera recorded according to its header, if frames carry no times
+    estimated_frames: int | None = None
+    duration_s: float | None = None
+    playback_fps: float | None = None
     camera_fps: float | None = None
-    # the recording's own time of each frame (frame), if the headers contain them
     times_s: Floats | None = None
-    times_in_blocks: bool = False  # whether these times come with the blocks instead
-    pixel_size_um: float | None = None  # µm per pixel that the file states; None without
-    turned_deg: int = 0  # clockwise rotation for display that the file states (films of phones), degrees
-    warnings: tuple[str, ...] = ()  # conditions that may spoil the results
+    times_in_blocks: bool = False
+    pixel_size_um: float | None = None
+    turned_deg: int = 0
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Block:
-    """Consecutive frames, cut to the rows and columns asked for."""
+    """Consecutive frames, cut to the rows and columns asked for.
 
-    # (k, rows, columns), grey, in the file's own unsigned type or float32; read only. Pixels of a frame that
-    # is not "ok" have no meaning.
+    Parameters
+    ----------
+    pixels
+        (k, rows, columns), grey, in the file's own unsigned type or float32; read only. Pixels of a frame
+        that is not "ok" have no meaning.
+    start
+        Number of the first frame, counted from 0 at the start of the file.
+    status
+        One entry per frame.
+    times_s
+        The recording's own time of each frame, s, if it is known only as frames are read.
+    """
+
     pixels: Pixels
-    start: int  # number of the first frame, counted from 0 at the start of the file
-    status: tuple[Status, ...]  # one entry per frame
-    # the recording's own time of each frame, s, if it is known only as frames are read
+    start: int
+    status: tuple[Status, ...]
     times_s: Floats | None = None
 
 

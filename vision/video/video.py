@@ -28,12 +28,19 @@ _TIME_NAME = re.compile(r"time|stamp|zeit|temps", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class FrameClock:
-    """Source of the frame times."""
+    """Source of the frame times.
 
-    # "file" (time stamps or rate of the recording itself), "given" (`fps` or `timestamps`) or "playback" (a
-    # container's rate, which need not be the camera's)
+    Parameters
+    ----------
+    kind
+        "file" (time stamps or rate of the recording itself), "given" (`fps` or `timestamps`) or "playback" (a
+        container's rate, which need not be the camera's).
+    fps
+        Frames per second; None if unknown.
+    """
+
     kind: Literal["file", "given", "playback"]
-    fps: float | None  # frames per second; None if unknown
+    fps: float | None
 
 
 @dataclass(repr=False, frozen=True, kw_only=True)
