@@ -56,43 +56,20 @@ NOISE_GREY, NOISE_ERROR = 12.0, 0.03
 
 @dataclass(frozen=True)
 class Encoder:
-    """How a recording was encoded, and the picture on which films like it are drawn.
+    """How a recording was encoded, and the picture on which films like it are drawn."""
 
-    Parameters
-    ----------
-    codec
-        FFmpeg's name of the codec.
-    quantiser
-        Median of the frames' quantisers, or, for HEVC and AV1, the rate factor.
-    keyframes
-        Number of frames from keyframe to keyframe; 0 if there is only one.
-    bits_per_pixel
-        Mean over the recording.
-    picture
-        One frame (rows, columns), grey levels, turned as in the run.
-    rows, columns
-        The strip in the picture, half-open.
-    quantiser_known
-        Whether the film states its quantiser.
-    b_frames
-        Whether there are B frames, which are predicted from earlier and later ones.
-    preset
-        Preset of x264; medium if the film does not state it.
-    noise_grey
-        Standard deviation of the pixel noise before encoding.
-    """
-
-    codec: str
-    quantiser: int
-    keyframes: int
-    bits_per_pixel: float
-    picture: Floats
+    codec: str  # FFmpeg's name of the codec
+    quantiser: int  # median of the frames' quantisers, or, for HEVC and AV1, the rate factor
+    keyframes: int  # number of frames from keyframe to keyframe; 0 if there is only one
+    bits_per_pixel: float  # mean over the recording
+    picture: Floats  # one frame (rows, columns), grey levels, turned as in the run
+    # rows, columns: the strip in the picture, half-open
     rows: tuple[int, int]
     columns: tuple[int, int]
-    quantiser_known: bool = True
-    b_frames: bool = True
-    preset: str = "medium"
-    noise_grey: float = 0.0
+    quantiser_known: bool = True  # whether the film states its quantiser
+    b_frames: bool = True  # whether there are B frames, which are predicted from earlier and later ones
+    preset: str = "medium"  # preset of x264; medium if the film does not state it
+    noise_grey: float = 0.0  # standard deviation of the pixel noise before encoding
 
     @property
     def described(self) -> str:

@@ -35,25 +35,15 @@ LEAST_SHARING = 5  # smallest number of sheets whose common motion can be separa
 
 @dataclass(frozen=True)
 class MeanPicture:
-    """M(ξ), the mean picture in the coordinate of the sheets at rest.
+    """M(ξ), the mean picture in the coordinate of the sheets at rest."""
 
-    Parameters
-    ----------
-    coefficients
-        Spline coefficients of M, grey levels, on the grid `first_px`, `first_px` + 1/`per_px` …
-    first_px, per_px
-        First point of the grid, in columns of the strip, and points per pixel.
-    rest_px
-        Positions of the sheets in M, (sheet,).
-    rigid_px
-        Half width of the part of M that moves with each sheet, (sheet,).
-    """
-
+    # spline coefficients of M, grey levels, on the grid `first_px`, `first_px` + 1/`per_px` …
     coefficients: Floats
+    # first_px, per_px: first point of the grid, in columns of the strip, and points per pixel
     first_px: float
     per_px: int
-    rest_px: Floats
-    rigid_px: Floats
+    rest_px: Floats  # positions of the sheets in M, (sheet,)
+    rigid_px: Floats  # half width of the part of M that moves with each sheet, (sheet,)
 
     def shown(self, columns: Floats, at_px: Floats) -> Floats:
         """Return M at these columns when the sheets are at `at_px` (sheet,)."""
@@ -64,30 +54,17 @@ class MeanPicture:
 
 @dataclass(frozen=True)
 class Residuals:
-    """R(x, t), what the mean picture does not explain.
+    """R(x, t), what the mean picture does not explain."""
 
-    Parameters
-    ----------
-    values, slow
-        R of the usable frames, (usable frame, x), without its slow part, (frame, x). The slow part is not
-        exchanged between frames: it contains the grain of paper that moves along the strip, which changes the
-        height of ridges, and would be an error of the position in another frame.
-    usable
-        Frames with residuals.
-    part
-        Number of the part of constant brightness to which each frame belongs, (frame,).
-    reach
-        Number of frames within which residuals are exchanged.
-    chained
-        Whether the codec predicts frames from others, and so carries errors from frame to frame.
-    """
-
+    # values, slow: R of the usable frames, (usable frame, x), without its slow part, (frame, x). The slow
+    # part is not exchanged between frames: it contains the grain of paper that moves along the strip, which
+    # changes the height of ridges, and would be an error of the position in another frame.
     values: Floats32
     slow: Floats32
-    usable: Ints
-    part: Ints
-    reach: int
-    chained: bool
+    usable: Ints  # frames with residuals
+    part: Ints  # number of the part of constant brightness to which each frame belongs, (frame,)
+    reach: int  # number of frames within which residuals are exchanged
+    chained: bool  # whether the codec predicts frames from others, and so carries errors from frame to frame
 
     def exchanged(self, number: int) -> Floats32:
         """Return for each frame the residual of another one, (frame, x), of the same brightness if possible.
@@ -113,47 +90,24 @@ class Residuals:
 
 @dataclass(frozen=True)
 class Likeness:
-    """Everything that is needed to make films like a recording.
+    """Everything that is needed to make films like a recording."""
 
-    Parameters
-    ----------
-    strip, frames
-        The part of the recording that is imitated, and its frames in the run.
-    picture, gain, residuals
-        M, brightness g of each frame, (frame,), and R.
-    motion_px
-        Smooth positions, (frame, sheet), columns of the strip; the truth of films.
-    smooth
-        Whether they are smooth, (frame, sheet), and not as measured.
-    common_px
-        Common motion of all sheets in single frames, which is part of `motion_px`, (frame,).
-    start_px
-        Positions of the sheets in the run's first frame, (sheet,).
-    slips
-        Frames before which the sheets jump.
-    frozen
-        Frames that repeat the one before, (frame,).
-    disturbed
-        Pixels around ridges that are distorted or hidden, (frame, x).
-    ceiling
-        Brightest pixel, at which the camera may have clipped.
-    encoder
-        Encoder that films pass through instead of getting residuals; None to use residuals.
-    """
-
+    # strip, frames: the part of the recording that is imitated, and its frames in the run
     strip: xr.DataArray
     frames: slice
+    # picture, gain, residuals: M, brightness g of each frame, (frame,), and R
     picture: MeanPicture
     gain: Floats
     residuals: Residuals
-    motion_px: Floats
-    smooth: Bools
-    common_px: Floats
-    start_px: Floats
-    slips: Ints
-    frozen: Bools
-    disturbed: Bools
-    ceiling: float
+    motion_px: Floats  # smooth positions, (frame, sheet), columns of the strip; the truth of films
+    smooth: Bools  # whether they are smooth, (frame, sheet), and not as measured
+    common_px: Floats  # common motion of all sheets in single frames, which is part of `motion_px`, (frame,)
+    start_px: Floats  # positions of the sheets in the run's first frame, (sheet,)
+    slips: Ints  # frames before which the sheets jump
+    frozen: Bools  # frames that repeat the one before, (frame,)
+    disturbed: Bools  # pixels around ridges that are distorted or hidden, (frame, x)
+    ceiling: float  # brightest pixel, at which the camera may have clipped
+    # encoder that films pass through instead of getting residuals; None to use residuals
     encoder: Encoder | None = None
 
     def film(self, motion_px: Floats, *, number: int | None) -> xr.DataArray:

@@ -30,34 +30,17 @@ FRAMES_PER_BLOCK = 128  # processed at once, so that intermediate arrays fit int
 
 @dataclass(frozen=True)
 class RidgeComb:
-    """Appearance of the ridges, measured once per recording, and the thresholds that apply to them.
+    """Appearance of the ridges, measured once per recording, and the thresholds that apply to them."""
 
-    Parameters
-    ----------
-    polarity
-        Bright or dark ridges.
-    fwhm_px, pitch_px
-        Typical width and spacing.
-    contrast
-        Typical prominence, grey levels.
-    noise
-        Standard deviation of the profile's noise, grey levels.
-    count
-        Number of main ridges in a frame.
-    width_px
-        Width of the profile.
-    settings
-        Thresholds and costs of the tracking.
-    """
-
-    polarity: Polarity
+    polarity: Polarity  # bright or dark ridges
+    # fwhm_px, pitch_px: typical width and spacing
     fwhm_px: float
     pitch_px: float
-    contrast: float
-    noise: float
-    count: float
-    width_px: int
-    settings: TrackingSettings = DEFAULT
+    contrast: float  # typical prominence, grey levels
+    noise: float  # standard deviation of the profile's noise, grey levels
+    count: float  # number of main ridges in a frame
+    width_px: int  # width of the profile
+    settings: TrackingSettings = DEFAULT  # thresholds and costs of the tracking
 
     @classmethod
     def of(cls, found: TrackMetadata, width_px: int, settings: TrackingSettings = DEFAULT) -> RidgeComb:

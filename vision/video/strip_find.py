@@ -37,29 +37,15 @@ class StripErrors(NamedTuple):
 
 @dataclass(frozen=True)
 class Strip:
-    """The rows to average, and properties of their ridges.
+    """The rows to average, and properties of their ridges."""
 
-    Parameters
-    ----------
-    rows
-        Half-open, after rotation.
-    how
-        "given", "found" or "all rows" (no ridges were found).
-    tilt_deg
-        Tilt of the ridges in degrees, positive if x grows downwards; NaN if no ridges are visible.
-    clarity
-        Correlation of the mean slopes of odd and even rows, 0 (noise) to 1.
-    warnings
-        Conditions that may spoil the results.
-    errors
-        How much positions depend on the choice of rows.
-    """
-
-    rows: slice
-    how: Literal["given", "found", "all rows"]
+    rows: slice  # half-open, after rotation
+    how: Literal["given", "found", "all rows"]  # "all rows": no ridges were found
+    # tilt of the ridges in degrees, positive if x grows downwards; NaN if no ridges are visible
     tilt_deg: float = math.nan
-    clarity: float = 0.0
-    warnings: tuple[str, ...] = ()
+    clarity: float = 0.0  # correlation of the mean slopes of odd and even rows, 0 (noise) to 1
+    warnings: tuple[str, ...] = ()  # conditions that may spoil the results
+    # how much positions depend on the choice of rows
     errors: StripErrors = field(default_factory=StripErrors)
 
 
