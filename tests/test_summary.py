@@ -373,6 +373,7 @@ def test_a_change_for_good_is_said_with_its_size():
         ({}, "forces as recorded"),
         ({"lowpass_s": 0.012, "lowpass_how": "given"}, "low-pass of 12 ms (given)"),
         ({"lowpass_proposed_s": 0.0034, "lowpass_proven": True}, "the slips show a low-pass of 3.4 ms"),
+        ({"lowpass_proposed_s": 0.176, "lowpass_proven": True}, "the slips show a low-pass of 176 ms"),
         ({"lowpass_proposed_s": 0.0034}, "may show (they differ) a low-pass of 3.4 ms"),
     ],
 )
