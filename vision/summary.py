@@ -189,7 +189,8 @@ def _spacing_warning(tracks: xr.Dataset) -> list[str]:
             how = f"spacings of {nan_median(narrow):.0f} and {nan_median(wide):.0f} px alternate"
             return [
                 f"the ridges form pairs: {how if alternate else 'only every second spacing changes'}; if each"
-                f" pair is the two edges of one sheet, give `sheets` as {(len(spacing) + 1) // 2}"
+                " pair is the two edges of one sheet, n and the stiff shell count edges, two for each sheet;"
+                f" if not, give `sheets` as {len(spacing) + 1}"
             ]
     if places := TrackMetadata.of(tracks).wide_spacings:
         return [
