@@ -337,6 +337,8 @@ def test_two_edges_of_every_sheet_are_said_to_be_pairs(apart_px, how):
     lines = tracking_warnings(track_sheets(picture))
     assert [line for line in lines if "sheets may be missing" in line] == []
     assert sum(f"form pairs: {how}" in line for line in lines) == 1
+    # With half the number, the middle half of the edges or none would be tracked.
+    assert any("count edges" in line and "`sheets` as 32" in line for line in lines)
     assert not any("form pairs" in line for line in tracking_warnings(track_sheets(picture, sheets=32)))
 
 
@@ -373,6 +375,7 @@ def test_a_change_for_good_is_said_with_its_size():
         ({}, "forces as recorded"),
         ({"lowpass_s": 0.012, "lowpass_how": "given"}, "low-pass of 12 ms (given)"),
         ({"lowpass_proposed_s": 0.0034, "lowpass_proven": True}, "the slips show a low-pass of 3.4 ms"),
+        ({"lowpass_proposed_s": 0.176, "lowpass_proven": True}, "the slips show a low-pass of 176 ms"),
         ({"lowpass_proposed_s": 0.0034}, "may show (they differ) a low-pass of 3.4 ms"),
     ],
 )

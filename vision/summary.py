@@ -189,7 +189,8 @@ def _spacing_warning(tracks: xr.Dataset) -> list[str]:
             how = f"spacings of {nan_median(narrow):.0f} and {nan_median(wide):.0f} px alternate"
             return [
                 f"the ridges form pairs: {how if alternate else 'only every second spacing changes'}; if each"
-                f" pair is the two edges of one sheet, give `sheets` as {(len(spacing) + 1) // 2}"
+                " pair is the two edges of one sheet, n and the stiff shell count edges, two for each sheet;"
+                f" if not, give `sheets` as {len(spacing) + 1}"
             ]
     if places := TrackMetadata.of(tracks).wide_spacings:
         return [
@@ -446,11 +447,16 @@ def lowpass_correction(sticks: pd.DataFrame) -> str:
         if math.isfinite(facts.lowpass_proposed_s):
             proven = "show" if facts.lowpass_proven else "may show (they differ)"
             proposal = (
-                f"; the slips {proven} a low-pass of {1e3 * facts.lowpass_proposed_s:.2g} ms, which "
+                f"; the slips {proven} a low-pass of {_ms(facts.lowpass_proposed_s)}, which "
                 "`lowpass_s` can correct"
             )
         return f"forces as recorded{proposal}"
-    return f"corrected for a low-pass of {1e3 * facts.lowpass_s:.2g} ms ({facts.lowpass_how})"
+    return f"corrected for a low-pass of {_ms(facts.lowpass_s)} ({facts.lowpass_how})"
+
+
+def _ms(seconds: float) -> str:
+    """Return a time in ms with two digits, or all digits before the point."""
+    return f"{1e3 * seconds:.2g} ms" if seconds < 0.1 else f"{1e3 * seconds:.0f} ms"
 
 
 def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> list[str]:

@@ -69,7 +69,7 @@ def test_every_problem_of_every_row_in_one_table(tmp_path, capsys, monkeypatch):
         (3, "force", "no.txt"),
         (3, "strip", "A:B"),
         (5, "strip", "A:B"),
-        (6, "film", "also in row 2, with another fit, window"),
+        (6, "film", "also in row 2, with another fit, window; give it in another table"),
         (7, "film", "an empty cell"),
     ]:
         wanted = [line for line in said if line.split()[1:3] == [str(row), column]]

@@ -4,6 +4,7 @@ import errno
 import math
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -19,6 +20,7 @@ from vision.certify.likeness import find_slips, learn, own_time
 from vision.certify.page import certificate_figure
 from vision.errors import InputError
 from vision.experiment import frame_blocks, make_scene, preset, profiles, with_settings
+from vision.pipeline import Settings, analyse
 from vision.run.reading import read_json
 from vision.sheets import track_sheets
 from vision.video import open_video, strip_profile
@@ -198,6 +200,17 @@ def test_identities_fail_where_jumps_are_too_large():
     certificate = certify(strip, tracks, settings=CertifySettings(films=1))
     assert 1 <= certificate.identity_margin <= certificate.identity_tried <= 4
     assert 0.05 < certificate.largest_jump_pitches < 0.5
+
+
+def test_one_side_in_view_keeps_its_axis():
+    """A failure means that the film in which all sheets creep alike is numbered from its middle, so that the
+    creep passes for motion of the camera and its bias is -100 %."""
+    deep = Path(__file__).parents[2] / "fixtures/deep"
+    settings = Settings(fps=20, pixel_size_um=10, d0_mm=13, offset_s=36.0)
+    found = analyse(deep / "video.tif", deep / "force.txt", settings)
+    pulled = {"sticks": found.sticks, "clock": found.clock, "pixel_size_um": 10}
+    certificate = certify(found.strip, found.tracks, **pulled, settings=ONE_FILM)
+    assert abs(certificate.threshold.bias) < 0.05
 
 
 def test_files(tmp_path, monkeypatch):

@@ -71,10 +71,20 @@ def test_an_offset_that_is_given_decides_and_is_compared(recorded):
 def test_a_given_offset_needs_no_slips(recorded):
     """A failure means that a video of one stick cannot be used with a trigger."""
     seen, force, sticks = recorded
-    clock = synchronise(seen.isel(frame=slice(0, 20)), force, sticks, offset_s=OFFSET_S)
+    clock = synchronise(seen.isel(frame=slice(5, 13)), force, sticks, offset_s=OFFSET_S)
     assert clock.status == "given"
     assert clock.matched == 0
     assert np.isnan(clock.residual_ms)
+
+
+def test_a_given_offset_is_compared_with_few_slips(recorded):
+    """A failure means that no slip of a short film is said to match the force at the right offset."""
+    seen, force, sticks = recorded
+    short = seen.isel(frame=slice(0, 40))  # 2 s, three or four slips
+    right, wrong = (synchronise(short, force, sticks, offset_s=OFFSET_S + by) for by in (0.0, 0.25))
+    assert 1 <= right.matched < 4
+    assert right.unmatched_video == 0
+    assert wrong.matched == 0
 
 
 def test_a_film_that_is_played_backwards_is_said(recorded):

@@ -9,6 +9,7 @@ from vision.figures.style import (
     MODEL,
     PEAK,
     VALLEY,
+    both_errors,
     counted,
     ordered_inks,
     percent,
@@ -84,6 +85,19 @@ def test_symbols_are_set_as_in_print(text, small, markup, figure):
 def test_values_have_as_many_digits_as_their_error(value, error, text):
     """A failure means digits that mean nothing, or too few of them."""
     assert plus_minus(Estimate(value, error)) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "systematic", "text"),
+    [
+        (0.89113, 0.0019, 0.0059, "0.8911 ± 0.0019 (stat.) ± 0.0059 (syst.)"),
+        (3.80137, 0.01511, 0.00055, "3.8014 ± 0.0151 (stat.) ± 0.0006 (syst.)"),
+        (0.6803, 0.0017, 1.2, "0.680 ± 0.002 (stat.) ± 1.200 (syst.)"),
+    ],
+)
+def test_the_larger_error_limits_the_digits(value, error, systematic, text):
+    """A failure means that a small error gives the value digits that the large one takes from it."""
+    assert both_errors(Estimate(value, error, systematic)) == text
 
 
 def test_percentages_do_not_round_up_to_all():

@@ -86,12 +86,22 @@ def test_the_page_could_not_ask_the_network_if_it_tried(visit):
     assert_shut_in(visit)
 
 
+NUMBERS_ON_TWO_LINES = """
+  [...document.querySelectorAll("td")].filter((cell) => {
+    const within = document.createRange();
+    within.selectNodeContents(cell);
+    return /^[−.0-9]+$/.test(cell.textContent) && within.getClientRects().length > 1;
+  }).map((cell) => cell.textContent)
+"""
+
+
 @pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "dark")])
 def test_the_page_fits_its_window(browser, report, width, scheme):
     """A failure means that a phone shows a page cut off at the right, or in the wrong colours."""
     visit = ReportVisit(browser, report, viewport={"width": width, "height": 900}, color_scheme=scheme)
     assert visit.page.evaluate("document.documentElement.scrollWidth") <= width
     assert visit.page.evaluate("document.documentElement.dataset.theme") == scheme
+    assert visit.page.evaluate(NUMBERS_ON_TWO_LINES) == []
     assert visit.complaints == []
     if folder := os.environ.get("SHEETVISION_SCREENSHOTS"):
         visit.page.screenshot(path=f"{folder}/report_{width}_{scheme}.png", full_page=True)

@@ -9,7 +9,9 @@ from tests.scenes.identity_cases import brightness
 from vision.data import TrackMetadata
 from vision.sheets import track_sheets
 from vision.sheets.quality import (
+    SCENE_FRAMES,
     BetweenSlips,
+    after_less_before,
     noise_excess,
     repeated_frames,
     shared_error,
@@ -384,6 +386,15 @@ def cut_at_60(kind):
     if kind == "light dimmed":
         level[60:] *= 0.7
     return strip(ridges(x, width=1300, contrast=level), snr=60)
+
+
+def test_sheets_missing_for_long_have_no_mean_position():
+    """A failure means that rounding over no frames at all is an infinite position, and NumPy warns."""
+    x_px = np.random.default_rng(0).normal(500, 1, (120, 24))
+    x_px[30:60, ::3] = np.nan
+    step = after_less_before(x_px)
+    assert np.isnan(step[30 + SCENE_FRAMES : 40, ::3]).all()
+    assert not np.isinf(step).any()
 
 
 @pytest.mark.parametrize("kind", ["camera moved", "mirrored"])

@@ -251,7 +251,7 @@ def test_level_ridges(noise):
     """Failure: sheets that move along y are measured as if they stood upright, and nothing is said; or ridges
     that stand upright, with a clamp and a label, are said to lie level."""
     upright = scene(noise=noise)
-    level = Scene(upright.pixels.transpose(0, 2, 1), rotate=270)
+    level = Scene(upright.pixels.transpose(0, 2, 1), rotate=90)
     assert find_strip(upright).warnings == ()
     assert "give `rotate` 0" in find_strip(level).warnings[-1]
     quiet = VideoSettings(max_level=1e9)

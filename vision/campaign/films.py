@@ -299,7 +299,9 @@ def _clashes(rows: Iterable[Row]) -> list[Problem]:
 def _twice(row: Row, first: Row) -> str:
     names = sorted({*row.options, *first.options})
     differ = [name for name in names if row.options.get(name) != first.options.get(name)]
-    how = f"with another {', '.join(differ)}" if differ else "with the same settings"
+    how = "with the same settings"
+    if differ:
+        how = f"with another {', '.join(differ)}; give it in another table"
     return f"expected each film once; found {Path(row.film).name} also in row {first.row}, {how}"
 
 

@@ -319,7 +319,7 @@ def _with_hidden_motion(like: Likeness, track: Tracker, settings: CertifySetting
 
 
 def _tracker(tracks: xr.Dataset, like: Likeness, recorded_px: float) -> Tracker:
-    """Return `track_sheets` with the run's parameters.
+    """Return `track_sheets` with the run's parameters and axis, which films of another motion may not show.
 
     It does not search for false sheets and marks again, as the recording has shown which they are. If the run
     chose its fit itself, this choice, which is one for each sheet, may come out differently on a film: either
@@ -330,6 +330,7 @@ def _tracker(tracks: xr.Dataset, like: Likeness, recorded_px: float) -> Tracker:
     settings = TrackingSettings(**known | {"mark_distorted": math.inf, "most_distorted": math.inf})
     used: FitChoice = TrackMetadata.of(tracks).fit  # type: ignore[assignment]
     asked = parameters.pop("fit", used)
+    parameters["axis_px"] = TrackMetadata.of(tracks).axis_px
 
     def with_fit(fit: FitChoice) -> Tracker:
         return lambda film: track_sheets(film, **parameters, fit=fit, settings=settings)

@@ -84,7 +84,7 @@ class SlipTrains:
     @property
     def period_s(self) -> float:
         """Mean time between slips in the denser of the two trains."""
-        return float(min(np.ptp(t) / (len(t) - 1) for t in (self.video_s, self.force_s)))
+        return float(min(np.ptp(t) / (len(t) - 1) for t in (self.video_s, self.force_s) if len(t) > 1))
 
     @property
     def typical_error_s(self) -> float:

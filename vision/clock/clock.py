@@ -431,20 +431,22 @@ def _given(
 ) -> Clock:
     """A given clock, with warnings where the slips contradict it."""
     seen, drops = video_slips(tracks, settings=settings), force_slips(force, sticks, settings=settings)
-    if min(len(seen), len(drops)) < settings.least_slips:
-        backwards = _if_backwards(tracks, drops, settings)
-        return Clock(
+    if len(seen) and len(drops) > 1:
+        trains = _slip_trains(seen, drops, settings)
+        clocks = CandidateClocks(np.array([line[0]]), np.array([1e-6 * line[1]]), np.zeros(1))
+        given = _clock_of(trains, clocks, fit_clocks(trains, clocks, settings), how)
+    else:
+        given = Clock(
             offset_s=line[0],
             drift_ppm=line[1],
             unmatched_video=len(seen),
             unmatched_force=len(drops),
             status="given",
             how=how,
-            warnings=(backwards,) if backwards else (),
         )
-    trains = _slip_trains(seen, drops, settings)
-    clocks = CandidateClocks(np.array([line[0]]), np.array([1e-6 * line[1]]), np.zeros(1))
-    given = _clock_of(trains, clocks, fit_clocks(trains, clocks, settings), how)
+    if min(len(seen), len(drops)) < settings.least_slips:  # too few for an alignment of their own
+        backwards = _if_backwards(tracks, drops, settings)
+        return replace(given, warnings=(backwards,) if backwards else ())
     return replace(given, warnings=_contradiction(given, align(trains, settings)))
 
 

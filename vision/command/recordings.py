@@ -27,7 +27,7 @@ from vision.experiment import settings_from_toml, with_settings
 from vision.experiment import simulate as make_test
 from vision.figures import Figure, plus_minus, save_figures
 from vision.figures.single_sheets import friction_figure, modulus_figure
-from vision.figures.style import counted
+from vision.figures.style import counted, with_minus
 from vision.folder import check_target, run_folder, write_json
 from vision.force import detection_limit, parse_columns, read_force
 from vision.models import Estimate
@@ -136,8 +136,9 @@ def _modulus_lines(means: Mapping[str, MeanValue], cycles: int) -> list[str]:
         mean = means[key]
         scatter = f", scatter {mean.scatter:.2g} GPa" if cycles > 1 else ""
         lines.append(f"{name} {plus_minus(Estimate(mean.value, mean.error))} GPa{scatter}")
+    drift_N = means["drift_N"].value
     lines.append(
-        f"peak {means['F_max_N'].value:.4g} N, drifting by {means['drift_N'].value:.2g} N a cycle; "
+        f"peak {means['F_max_N'].value:.4g} N, drifting by {with_minus(f'{drift_N:.2g}')} N a cycle; "
         f"tangent K {means['K_tangent_N_per_mm'].value:.4g} N/mm; loop {means['loop_mJ'].value:.3g} mJ"
     )
     return lines

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from vision.deformation.creep import Creep, Noise, StickFrames, without_common_part
+from vision.deformation.creep import Creep, Noise, StickFrames, coefficient_errors, without_common_part
 from vision.deformation.settings import DeformationSettings
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, nan_median
 
@@ -447,13 +447,15 @@ def own_movement(
 def repeated_bends(creep: Creep, noise: Noise, settings: DeformationSettings) -> Floats:
     """Size of the bends of the creep that a sheet repeats in most sticks, and others do not, px, (sheet,).
 
-    Sheets that slip in the middle of the others' sticks bend so.  creep: with at least three terms.
+    Sheets that slip in the middle of the others' sticks bend so.  creep: with at least three terms.  The
+    scatter of a few sticks may be small by chance, so the noise sets the least error.
     """
     used = (creep.good & (noise.excess <= 1))[..., None]
     known = np.where(used, creep.coefficient, 0.0)
     bend = np.where(used, without_common_part(known[..., 2:], known[..., 1:2], used), np.nan)
     usual = nan_median(bend)
     scatter = nan_median(np.abs(bend - usual)) / NORMAL_MEDIAN
+    scatter = np.fmax(scatter, nan_median(np.where(used, coefficient_errors(creep, noise), np.nan)[..., 2:]))
     error = scatter * np.sqrt(np.pi / 2 / np.maximum(used.sum(axis=0), 1))  # of a median
     error[used.sum(axis=0)[:, 0] < LEAST_REPEATS] = np.inf
     return np.asarray(np.sqrt((_beyond(usual, error, settings) ** 2).sum(axis=-1)))

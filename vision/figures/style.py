@@ -113,12 +113,16 @@ def plus_minus(estimate: Estimate) -> str:
 
 
 def both_errors(estimate: Estimate) -> str:
-    """Return a value with its statistical and, if known, its systematic error."""
+    """Return a value with its statistical and, if known, its systematic error.
+
+    The smaller error has two digits, or one where the larger would have more than three.
+    """
     systematic = estimate.systematic_error
     if not (math.isfinite(systematic) and systematic > 0):
         return plus_minus(estimate)
-    smallest = min(e for e in (estimate.error, systematic) if math.isfinite(e) and e > 0)
-    digits = max(0, 1 - math.floor(math.log10(smallest)))
+    known = [e for e in (estimate.error, systematic) if math.isfinite(e) and e > 0]
+    least, most = (math.floor(math.log10(e)) for e in (min(known), max(known)))
+    digits = max(0, -least, min(1 - least, 2 - most))
     error = f"{estimate.error:.{digits}f}" if math.isfinite(estimate.error) else "?"
     return with_minus(f"{estimate.value:.{digits}f} ± {error} (stat.) ± {systematic:.{digits}f} (syst.)")
 

@@ -270,8 +270,9 @@ def _stiffness(signal: Signal, sticks: _Sticks, two_slopes: bool, compliance: fl
         """Return K and its error from slopes against time, since noise of d would lower slopes against d."""
         rise = fit_lines(time, load, start, stop, lag=sticks.lag)
         pace = fit_lines(time, travel, start, stop, lag=sticks.lag)
+        stands = np.abs(pace.slope) < 1e-9 * np.abs(nan_median(pace.slope))  # but for rounding
         with np.errstate(divide="ignore", invalid="ignore"):
-            slope = np.where(pace.slope == 0, np.nan, rise.slope / pace.slope)
+            slope = np.where(stands | (pace.slope == 0), np.nan, rise.slope / pace.slope)
             error = np.hypot(wider * rise.slope_error, slope * pace.slope_error) / np.abs(pace.slope)
             return of_sample(slope), error * (of_sample(slope) / slope) ** 2
 

@@ -398,7 +398,7 @@ def scene_changes(x_px: Floats, contrast: Floats, comb: RidgeComb) -> list[Scene
         return []
     bright = np.log(contrast)
     bright -= nan_median(bright, axis=1)[:, None]
-    moved, brightened = (_after_less_before(values) for values in (x_px, bright))
+    moved, brightened = (after_less_before(values) for values in (x_px, bright))
     together = nan_median(moved, axis=1)
     apart = np.abs(moved - together[:, None])
     rigid = np.abs(together) > 2.0 * np.nan_to_num(nan_median(apart, axis=1), nan=np.inf)
@@ -437,11 +437,11 @@ def _persists(values: Floats, frame: int, change: float) -> bool:
     return not len(remaining) or bool(np.sqrt((remaining**2).mean()) >= abs(change) / 2)
 
 
-def _after_less_before(values: Floats) -> Floats:
+def after_less_before(values: Floats) -> Floats:
     """Return means over SCENE_FRAMES frames less those before, (frame − 2 SCENE_FRAMES + 1, N)."""
     reach = SCENE_FRAMES // 2
     total, count = _sums_around(values, reach)[:, reach:-reach]
-    means = np.where(count > 0, total / np.maximum(count, 1), np.nan)  # moving sums leave a rest beside gaps
+    means = np.where(count > 0, total, np.nan) / np.maximum(count, 1)  # a running sum does not return to 0
     return np.asarray(means[SCENE_FRAMES:] - means[:-SCENE_FRAMES], np.float64)
 
 

@@ -165,7 +165,7 @@ def _warn_if_level(strip: Strip, slopes: _Slopes, rows: slice, video: Video) -> 
     warning = (
         f"grey levels change {math.sqrt(along_z / along_x):.1f} times as much from row to row as along the "
         "rows: the ridges may be horizontal, one above the other; if so, give `rotate` "
-        f"{(video.rotate + 90) % 360}"
+        f"{(video.rotate + 90) % 180}"
     )
     return replace(strip, warnings=(*strip.warnings, warning))
 
