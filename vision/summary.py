@@ -16,9 +16,8 @@ from vision.models.equations import effective_sheets
 from vision.numeric import Pixels, nan_median
 from vision.sample import Sample
 from vision.sheets import doubtful_stretches
-from vision.sheets.quality import comb_is_stationary
 from vision.sheets.recovery import stretches
-from vision.sheets.tracks import LOSSY
+from vision.sheets.tracks import LOSSY, comb_is_stationary
 from vision.systematics import QUANTITIES, SOURCES, Budget, systematic_budget
 from vision.video import VideoSettings
 
