@@ -287,8 +287,8 @@ def _motion_allows_axis(tracks: xr.Dataset, found: TrackMetadata) -> bool:
         return True
     slack, x_px = 0.75 * found.pitch_px, nan_median(tracks["x_px"].values)
     first, last = np.nanmin(x_px, initial=math.inf), np.nanmax(x_px, initial=-math.inf)
-    low = -math.inf if found.axis_high_px <= first else found.axis_low_px - slack
-    high = math.inf if found.axis_low_px >= last else found.axis_high_px + slack
+    low = -math.inf if found.axis_low_px <= first else found.axis_low_px - slack
+    high = math.inf if found.axis_high_px >= last else found.axis_high_px + slack
     return bool(low <= found.axis_px <= high)
 
 

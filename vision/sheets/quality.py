@@ -235,7 +235,7 @@ def _error_over(
     """
 
     def change(of: Floats) -> Floats:
-        mean = _mean_over(of, settings.distortion_frames)
+        mean = mean_over(of, settings.distortion_frames)
         relative = mean[:, 1:-1] - (mean[:, :-2] + mean[:, 2:]) / 2
         return relative[settings.distortion_frames :] - relative[: -settings.distortion_frames]
 
@@ -261,7 +261,7 @@ def _significant(values: Floats, noise: Floats, settings: TrackingSettings) -> t
     deviation of a single value, (frame, N), independent from frame to frame.
     """
     frames = settings.distortion_frames
-    single, mean = np.abs(values), np.abs(_mean_over(values, frames))
+    single, mean = np.abs(values), np.abs(mean_over(values, frames))
     noise = np.fmax(noise, position_noise(values))  # also where tops are clipped, or a codec adds its own
     least = settings.distortion_sigmas * noise
     of_mean = least / np.sqrt(frames)
@@ -313,7 +313,7 @@ def _shift_by_light(x_px: Floats, height: Floats, comb: RidgeComb) -> Floats:
     light -= nan_median(light)
     light -= nan_median(light, axis=1)[:, None]  # exposure
     if light.shape[1] >= ENOUGH:
-        means = (light, _mean_over(light, settings.distortion_frames))
+        means = (light, mean_over(light, settings.distortion_frames))
         across = [_slope_across(mean, x_px, settings) for mean in means]
     else:
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -340,7 +340,7 @@ def _slope_across(light: Floats, x_px: Floats, settings: TrackingSettings) -> Fl
     return np.pad(found, ((0, 0), (1, 1)), "edge")
 
 
-def _mean_over(values: Floats, frames: int) -> Floats:
+def mean_over(values: Floats, frames: int) -> Floats:
     """Return the mean of values (frame, N) over the `frames` frames around each, NaN where the value is."""
     total, count = _sums_around(values, frames // 2)
     return np.where(np.isfinite(values), total / np.maximum(count, 1), np.nan)

@@ -398,6 +398,16 @@ def _flags(strip: xr.DataArray, found: _Tracked) -> Strings:
 # --- from tracks to more ------------------------------------------------------------------------------------
 
 
+def comb_is_stationary(tracks: xr.Dataset, settings: TrackingSettings = DEFAULT) -> bool:
+    """Return whether hardly any sheet moves relative to the comb; False for fewer than three sheets."""
+    x = tracks["x_px"].values
+    moved = x - nan_median(x)
+    moved = np.abs(moved - nan_median(moved, axis=1)[:, None])
+    noise = np.fmax(tracks["x_noise_px"].values, nan_median(tracks["x_err_px"].values))
+    moving = nan_quantile(moved, 0.95) > settings.still_sigmas * noise
+    return bool(moving.mean() < settings.still_share) and x.shape[1] >= 3
+
+
 def with_heights(
     tracks: xr.Dataset, parts: xr.DataArray, *, settings: TrackingSettings = DEFAULT
 ) -> xr.Dataset:
@@ -449,16 +459,6 @@ def with_heights(
     found = {"x_z_px": x + float(parts["x"].values[0]), "x_z_err_px": err}
     variables = {name: (TRACKS[name].dims, data, TRACKS[name].attrs) for name, data in found.items()}
     return record(tracks.assign(variables).assign_coords(z=parts["z"]), "with_heights")
-
-
-def comb_is_stationary(tracks: xr.Dataset, settings: TrackingSettings = DEFAULT) -> bool:
-    """Return whether hardly any sheet moves relative to the comb; False for fewer than three sheets."""
-    x = tracks["x_px"].values
-    moved = x - nan_median(x)
-    moved = np.abs(moved - nan_median(moved, axis=1)[:, None])
-    noise = np.fmax(tracks["x_noise_px"].values, nan_median(tracks["x_err_px"].values))
-    moving = nan_quantile(moved, 0.95) > settings.still_sigmas * noise
-    return bool(moving.mean() < settings.still_share) and x.shape[1] >= 3
 
 
 def pixel_size_from_pitch(tracks: xr.Dataset, pitch_um: float) -> float:
