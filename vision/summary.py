@@ -16,9 +16,8 @@ from vision.models.equations import effective_sheets
 from vision.numeric import Pixels, nan_median
 from vision.sample import Sample
 from vision.sheets import doubtful_stretches
-from vision.sheets.quality import comb_is_stationary
 from vision.sheets.recovery import stretches
-from vision.sheets.tracks import LOSSY
+from vision.sheets.tracks import LOSSY, comb_is_stationary
 from vision.systematics import QUANTITIES, SOURCES, Budget, systematic_budget
 from vision.video import VideoSettings
 
@@ -289,8 +288,8 @@ def _motion_allows_axis(tracks: xr.Dataset, found: TrackMetadata) -> bool:
         return True
     slack, x_px = 0.75 * found.pitch_px, nan_median(tracks["x_px"].values)
     first, last = np.nanmin(x_px, initial=math.inf), np.nanmax(x_px, initial=-math.inf)
-    low = -math.inf if found.axis_high_px <= first else found.axis_low_px - slack
-    high = math.inf if found.axis_low_px >= last else found.axis_high_px + slack
+    low = -math.inf if found.axis_low_px <= first else found.axis_low_px - slack
+    high = math.inf if found.axis_high_px >= last else found.axis_high_px + slack
     return bool(low <= found.axis_px <= high)
 
 

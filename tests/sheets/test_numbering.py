@@ -78,6 +78,27 @@ def test_vibration_is_said_to_leave_the_axis_open():
     assert attrs["axis_high_px"] - attrs["axis_low_px"] > 2 * PITCH
 
 
+@pytest.mark.parametrize("drift_px", [0.0, 4.0])
+@pytest.mark.parametrize("centre_px", [100, 300, 1100])
+def test_a_zoom_without_slips_does_not_place_the_axis(centre_px, drift_px):
+    """The camera zooms by 2 %, and drifts, in sixty frames. A failure means that the point that stands still
+    in the picture is given as the axis, as certain."""
+    rest, time = comb(1)[0], np.linspace(0, 1, 60)[:, None]
+    truth = rest + (0.02 * (rest - centre_px) + drift_px) * time
+    truth[20, [0, -1]] = np.nan
+    numbering = number_sheets(truth + np.random.default_rng(1).normal(0, 0.02, truth.shape))
+    assert numbering.how == "geometry"
+    np.testing.assert_array_equal(numbering.n, numbered(25, 25))
+
+
+def test_slips_of_one_side_leave_the_axis_open():
+    """The other side stands still. A failure means that the axis is sought among a part of its sheets."""
+    truth = comb(100, slip=0.3)
+    truth[:, :25] = truth[0, :25]
+    numbering = number_sheets(truth + np.random.default_rng(1).normal(0, 0.02, truth.shape))
+    assert numbering.low_px < 600 < numbering.high_px
+
+
 def test_odd_number():
     """A failure means one sheet too many or too few changes every n of a side."""
     truth = comb(200, slip=0.6)[:, 1:]

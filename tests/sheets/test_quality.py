@@ -128,6 +128,21 @@ def test_slips_of_a_few_outer_sheets_are_no_noise(period, size):
     assert 0.62 < (off < tracks.x_err_px.values).mean() < 0.74
 
 
+@pytest.mark.parametrize(("period", "lasts"), [(2, 0.5), (12, 3), (30, 4)])
+def test_slow_slips_are_no_noise(period, lasts):
+    """Slips that last several frames, and one in every other frame.  A failure means that the motion of the
+    outer sheets counts as an error of all, which is then twice to nine times too large."""
+    frame, n = np.arange(200)[:, None], np.r_[np.arange(15, 0, -1), np.arange(1, 16)]
+    since = np.clip(frame - np.arange(period / 2, 200, period), 0, None)
+    slipped = (1 - np.exp(-since / lasts)).sum(axis=1) - np.arange(200) / period
+    outwards = (n - 0.5) * 20 + 8 * (n / 15) ** 2.3 * slipped[:, None]
+    x = 400 + np.repeat([-1, 1], 15) * outwards
+    tracks = track_sheets(strip(ridges(x, width=800)))
+    off = tracks.x_px.values - x
+    off = np.abs(off - np.mean(off, axis=0))
+    assert 0.62 < (off < tracks.x_err_px.values).mean() < 0.85
+
+
 def test_a_scatter_needs_frames_between_slips():
     """A comb that slips in every other frame leaves none to compare: nothing is stated, and nothing fails."""
     slips = np.cumsum(np.where(np.arange(30) % 2, 0.01, 5.0))[:, None] * np.linspace(0.5, 1, 12)
@@ -315,7 +330,12 @@ def flickering(rng, x):
     return lean * np.sin(2 * np.pi * 0.37 * np.arange(len(x)))[:, None]
 
 
-@pytest.mark.parametrize("shifts", [turbulent, flickering])
+def swaying(rng, x):
+    """Shifts of leaning sheets by a camera that nods slowly, px, (frame, N)."""
+    return rng.normal(0, 0.1, x.shape[1]) * np.sin(2 * np.pi * 0.05 * np.arange(len(x)))[:, None]
+
+
+@pytest.mark.parametrize("shifts", [turbulent, flickering, swaying])
 @pytest.mark.parametrize("seed", range(3))
 def test_shifts_that_leave_no_trace_in_a_ridge_are_in_the_errors(shifts, seed):
     """A failure means that turbulent air, or flicker that differs between rows, moves sheets by ten stated

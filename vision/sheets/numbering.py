@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from vision.numeric import NORMAL_MEDIAN, Floats, Ints, nan_median
+from vision.sheets.quality import mean_over
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.sheets.subpixel import position_noise
 
@@ -39,8 +40,8 @@ def number_sheets(
     Both sides move inwards in a stick phase and outwards in a slip; the axis is where the motion changes
     sign. The stiff centre hardly moves, so that several positions are equally good, and more if the camera
     vibrates. The axis is in the middle of the comb if that is one of them, or if there is no significant
-    motion, else in the middle of these positions. With one side in view all sheets move alike, and the axis
-    lies beyond the end that moves least. A sheet on the axis (odd number) is the first on the right.
+    motion or no slip, else in the middle of these positions. With one side in view all sheets move alike, and
+    the axis lies beyond the end that moves least. A sheet on the axis (odd number) is the first on the right.
 
     With one side in view, n counts from the sheet nearest to the axis, unless the axis is given as axis_px:
     then the sheets that fit between both at the comb's median spacing count as well. x_px: positions
@@ -110,7 +111,7 @@ def _split_by_motion(
     outside = good[(good == 0) | (good == sheets)]  # all sheets move alike: one side is in view
     if len(outside):
         beyond = int(outside[0])
-        return beyond, "motion", (min(low, beyond), max(high, beyond))
+        return beyond, "motion", (float(possible[0]), float(possible[-1]))
     return int(np.floor(middle) if middle > even else np.ceil(middle)), "motion", (low, high)
 
 
@@ -121,19 +122,23 @@ def _contrast(step: Floats) -> Floats:
 
 
 def _slips(x_px: Floats, settings: TrackingSettings) -> tuple[Floats, Floats, Floats]:
-    """Return the step of each sheet, (frame − 1, N), the step of the comb's ends away from each other in
-    slips, 0 elsewhere, (frame − 1,), and the noise of a step, (N,).
+    """Return the step of each sheet, (frame − 1, N), the step of the comb's ends away from each other, 0 for
+    noise, (frame − 1,), and the noise of a step, (N,).
 
-    A camera that vibrates or drifts does not change the distance between the ends. After a knock or a cut all
+    Sticks count as well as slips, but not in a film without slips: a camera that zooms, or turns, also moves
+    the ends apart, evenly, from any point. One that vibrates or drifts does not. After a knock or a cut all
     sheets move together by more than the ends move apart; such steps are not used.
     """
     step = np.diff(x_px, axis=0)
     known = np.isfinite(step)
     common = np.nan_to_num(nan_median(step, axis=1))
+    apart = step[:, -1] - step[:, 0]
     step = np.where(known, step, 0.0)
-    apart = np.where(known[:, 0] & known[:, -1], step[:, -1] - step[:, 0], 0.0)
     noise = np.nan_to_num(position_noise(x_px), nan=1.0) * np.sqrt(2)
-    apart = np.where(np.abs(apart) > 5 * noise[[0, -1]].max(), apart, 0.0)  # only slips, not noise
+    least = 5 * noise[[0, -1]].max()
+    even = mean_over(apart[:, None], settings.axis_frames)[:, 0]
+    slips = bool((np.abs(apart - even) > least).any())
+    apart = np.where(slips & (np.abs(apart) > least), apart, 0.0)
     apart = np.where(np.abs(common) < settings.knock_ratio * np.abs(apart), apart, 0.0)
     beside = np.pad(step, ((0, 0), (1, 1)), "edge")
     low, high = np.minimum(beside[:, :-2], beside[:, 2:]), np.maximum(beside[:, :-2], beside[:, 2:])

@@ -3,9 +3,8 @@
 `repeated_frames` finds frames that the codec or the recorder repeated, and `motion_blur` ridges that moved
 while the shutter was open. `distortion` estimates the error of ridges distorted by specks, reflections, the
 edge of a hand or uneven light, and `not_one_ridge` finds ridges of several sheets. `scene_changes` finds
-where the picture changes permanently. `comb_is_stationary` distinguishes a comb from a fixed pattern.
-`spatial_scatter` measures errors that persist from frame to frame, `shared_error` those that neighbours
-share, and `noise_excess` what all stated errors leave out.
+where the picture changes permanently. `spatial_scatter` measures errors that persist from frame to frame,
+`shared_error` those that neighbours share, and `noise_excess` what all stated errors leave out.
 """
 
 from __future__ import annotations
@@ -16,9 +15,8 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-import xarray as xr
 
-from vision.numeric import FWHM, NORMAL_MEDIAN, Bools, Floats, Floats32, Strings, nan_median, nan_quantile
+from vision.numeric import FWHM, NORMAL_MEDIAN, Bools, Floats, Floats32, nan_median, nan_quantile
 from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb, in_blocks, profile_noise
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.sheets.subpixel import Starts, gather, position_noise
@@ -114,16 +112,6 @@ def _excess(values: Floats, least: float) -> Floats:
     off = values - nan_median(values)
     spread = nan_median(np.abs(off)) / NORMAL_MEDIAN
     return np.nan_to_num(np.maximum(off - least, 0.0) / np.maximum(spread, 0.004))
-
-
-def beside_missing(flag: Strings) -> Bools:
-    """Return which positions are next to a sheet that is missing in that frame, (frame, N).
-
-    An object that covers a sheet also cuts the next ridge, which then jumps and changes its shape as if it
-    were blurred, and may be off by half of its width.
-    """
-    missing = np.pad(flag == "missing", ((0, 0), (1, 1)))
-    return np.asarray(missing[:, :-2] | missing[:, 2:], bool)
 
 
 # --- distorted ridges ---------------------------------------------------------------------------------------
@@ -247,7 +235,7 @@ def _error_over(
     """
 
     def change(of: Floats) -> Floats:
-        mean = _mean_over(of, settings.distortion_frames)
+        mean = mean_over(of, settings.distortion_frames)
         relative = mean[:, 1:-1] - (mean[:, :-2] + mean[:, 2:]) / 2
         return relative[settings.distortion_frames :] - relative[: -settings.distortion_frames]
 
@@ -273,7 +261,7 @@ def _significant(values: Floats, noise: Floats, settings: TrackingSettings) -> t
     deviation of a single value, (frame, N), independent from frame to frame.
     """
     frames = settings.distortion_frames
-    single, mean = np.abs(values), np.abs(_mean_over(values, frames))
+    single, mean = np.abs(values), np.abs(mean_over(values, frames))
     noise = np.fmax(noise, position_noise(values))  # also where tops are clipped, or a codec adds its own
     least = settings.distortion_sigmas * noise
     of_mean = least / np.sqrt(frames)
@@ -325,7 +313,7 @@ def _shift_by_light(x_px: Floats, height: Floats, comb: RidgeComb) -> Floats:
     light -= nan_median(light)
     light -= nan_median(light, axis=1)[:, None]  # exposure
     if light.shape[1] >= ENOUGH:
-        means = (light, _mean_over(light, settings.distortion_frames))
+        means = (light, mean_over(light, settings.distortion_frames))
         across = [_slope_across(mean, x_px, settings) for mean in means]
     else:
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -352,7 +340,7 @@ def _slope_across(light: Floats, x_px: Floats, settings: TrackingSettings) -> Fl
     return np.pad(found, ((0, 0), (1, 1)), "edge")
 
 
-def _mean_over(values: Floats, frames: int) -> Floats:
+def mean_over(values: Floats, frames: int) -> Floats:
     """Return the mean of values (frame, N) over the `frames` frames around each, NaN where the value is."""
     total, count = _sums_around(values, frames // 2)
     return np.where(np.isfinite(values), total / np.maximum(count, 1), np.nan)
@@ -445,16 +433,6 @@ def after_less_before(values: Floats) -> Floats:
     return np.asarray(means[SCENE_FRAMES:] - means[:-SCENE_FRAMES], np.float64)
 
 
-def comb_is_stationary(tracks: xr.Dataset, settings: TrackingSettings = DEFAULT) -> bool:
-    """Return whether hardly any sheet moves relative to the comb; False for fewer than three sheets."""
-    x = tracks["x_px"].values
-    moved = x - nan_median(x)
-    moved = np.abs(moved - nan_median(moved, axis=1)[:, None])
-    noise = np.fmax(tracks["x_noise_px"].values, nan_median(tracks["x_err_px"].values))
-    moving = nan_quantile(moved, 0.95) > settings.still_sigmas * noise
-    return bool(moving.mean() < settings.still_share) and x.shape[1] >= 3
-
-
 # --- scatter of positions -----------------------------------------------------------------------------------
 
 
@@ -520,11 +498,13 @@ def noise_excess(positions: BetweenSlips, err_px: Floats, settings: TrackingSett
     Turbulent air, flicker that differs between rows, and a camera that shakes along leaning sheets shift each
     ridge by another amount, and leave its shape unchanged. This shows in second differences of positions in
     time, between slips: those of the film, and those of the sheet itself, since often only the outer sheets
-    of one side slip. The motion that all sheets share is subtracted, and with ten sheets or more what is
-    linear in n (a camera that vibrates or breathes). Sizes at several lags are averaged as squares, since at
-    one lag an error that lasts or repeats itself may cancel; a size is the one within which 68 % of the
-    frames lie. Vibration of most sheets during the whole film counts as an error. 1 for fewer than five
-    sheets, and where slips leave too few frames between them.
+    of one side slip. The motion that all sheets share is subtracted. With ten sheets or more, so is a share
+    in the opening of the comb, the motion of its outer thirds against each other: either one linear in n (a
+    camera that vibrates or breathes), or that of the sheets beside, which move alike when slips are slow or
+    come in every frame, whichever leaves less. Sizes at several lags are averaged as squares, since at one
+    lag an error that lasts or repeats itself may cancel; a size is the one within which 68 % of the frames
+    lie. Vibration of most sheets during the whole film counts as an error. 1 for fewer than five sheets, and
+    where slips leave too few frames between them.
     """
     sheets, variance = err_px.shape[1], err_px[positions.seen] ** 2
     if sheets < len(FOURTH):
@@ -543,12 +523,18 @@ def noise_excess(positions: BetweenSlips, err_px: Floats, settings: TrackingSett
             return np.full(sheets, np.nan)
         same = (slips[2 * lag :] == slips[: -2 * lag])[calm]
         second = np.where(same, positions.second((lag,)), np.nan)
+        second -= nan_median(second, axis=1)[:, None]
+        scatter = [second]
         if line:
             low, high = (nan_median(part, axis=1) for part in (second[:, :third], second[:, -third:]))
-            second -= np.nan_to_num(high - low)[:, None] * along
-        second -= nan_median(second, axis=1)[:, None]
+            opening = np.where(np.isfinite(second), np.nan_to_num(high - low)[:, None], 0.0)
+            power = np.maximum((opening**2).sum(axis=0), np.finfo(float).tiny)
+            share = (opening * np.nan_to_num(second)).sum(axis=0) / power
+            beside = np.pad(share, 1, "reflect", reflect_type="odd")
+            scatter = [second - opening * of for of in (along, (beside[:-2] + beside[2:]) / 2)]
         expected = (variance[: -2 * lag] + 4 * variance[lag:-lag] + variance[2 * lag :])[calm] / 6
-        return nan_quantile(np.abs(second) / np.sqrt(expected), ONE_SIGMA)
+        sizes = [nan_quantile(np.abs(values) / np.sqrt(expected), ONE_SIGMA) for values in scatter]
+        return min(sizes, key=lambda of_sheets: float(nan_median(of_sheets)))
 
     sizes = np.array([size(lag) for lag in NOISE_LAGS])
     total, count = np.nansum(sizes**2, axis=0), np.isfinite(sizes).sum(axis=0)

@@ -411,6 +411,10 @@ class TrackingSettings:
     """Fraction of all motion by which positions of the axis may differ and still be equally good; larger
     widens the choice in the stiff centre."""
 
+    axis_frames: int = 9
+    """Frames whose mean opening that of a slip must exceed, beyond noise. More take a zoom that changes for a
+    slip, fewer miss slips that last several frames (test_numbering.py)."""
+
     knock_ratio: float = 2.0
     """Step of all sheets together, over the opening of the comb's ends, above which a step is the camera's.
     Larger lets one knock place the axis, smaller drops slips of films with vibration."""

@@ -11,13 +11,12 @@ import xarray as xr
 
 from vision.data import STRIP, STRIP_PARTS, TRACKS, StripMetadata, TrackMetadata, record
 from vision.errors import InputError
-from vision.numeric import Bools, Floats, Floats32, Strings, nan_median
+from vision.numeric import Bools, Floats, Floats32, Strings, nan_median, nan_quantile
 from vision.sheets.corrections import Correction, apply_corrections, last_of
 from vision.sheets.identities import Identities, identify_sheets
 from vision.sheets.numbering import Numbering, number_sheets
 from vision.sheets.quality import (
     BetweenSlips,
-    beside_missing,
     distortion,
     motion_blur,
     noise_excess,
@@ -188,7 +187,7 @@ def _assess_ridges(
     changing = np.where(frozen[:, None], np.nan, x_px)
     blurred, blur_px = motion_blur(changing, detections.contrast, detections.fwhm_px, comb)
     smeared = (blur_px > 0) | blurred
-    x_px = np.where(smeared & beside_missing(detections.flag), np.nan, x_px)
+    x_px = np.where(smeared & _beside_missing(detections.flag), np.nan, x_px)
     distorted_px, usual_px, lasting_px = distortion(bright, x_px, errors.err_px, smeared, comb)
     not_a_sheet = not_one_ridge(bright, x_px, comb)
     not_a_sheet |= lasting_px > comb.settings.most_distorted * comb.fwhm_px
@@ -200,6 +199,16 @@ def _assess_ridges(
     err = np.hypot(err, np.nan_to_num(usual) * np.sqrt(np.fmax(excess**2 - 1.0, 0.0)))
     is_distorted = distorted_px > np.fmax(errors.err_px, comb.settings.distortion_floor)
     return _Assessed(x_px, flag, err, blurred, is_distorted, lasting_px)
+
+
+def _beside_missing(flag: Strings) -> Bools:
+    """Return which positions are next to a sheet that is missing in that frame, (frame, N).
+
+    An object that covers a sheet also cuts the next ridge, which then jumps and changes its shape as if it
+    were blurred, and may be off by half of its width.
+    """
+    missing = np.pad(flag == "missing", ((0, 0), (1, 1)))
+    return np.asarray(missing[:, :-2] | missing[:, 2:], bool)
 
 
 class _Errors(NamedTuple):
@@ -387,6 +396,16 @@ def _flags(strip: xr.DataArray, found: _Tracked) -> Strings:
 
 
 # --- from tracks to more ------------------------------------------------------------------------------------
+
+
+def comb_is_stationary(tracks: xr.Dataset, settings: TrackingSettings = DEFAULT) -> bool:
+    """Return whether hardly any sheet moves relative to the comb; False for fewer than three sheets."""
+    x = tracks["x_px"].values
+    moved = x - nan_median(x)
+    moved = np.abs(moved - nan_median(moved, axis=1)[:, None])
+    noise = np.fmax(tracks["x_noise_px"].values, nan_median(tracks["x_err_px"].values))
+    moving = nan_quantile(moved, 0.95) > settings.still_sigmas * noise
+    return bool(moving.mean() < settings.still_share) and x.shape[1] >= 3
 
 
 def with_heights(
