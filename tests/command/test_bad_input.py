@@ -281,7 +281,8 @@ from vision.run import writing
 
 def wait(*_):
     print("writing", flush=True)
-    time.sleep(600)
+    while True:  # a signal just before a single long sleep would be seen only after it
+        time.sleep(0.05)
 
 writing._write_tables = wait
 main(sys.argv[1:])
@@ -302,6 +303,33 @@ def test_an_interrupted_run_leaves_nothing(sent, place, video):
     assert process.returncode == 130
     assert (out, err.count("\n")) == ("", 1)
     assert "interrupted" in err
+    assert [p.name for p in place.iterdir()] == ["comb.tif"]
+
+
+INTERRUPTED_IN_A_DESTRUCTOR = """
+import os, signal, sys, time
+from vision.command.main import main
+from vision.run import writing
+
+class Closes:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0)
+
+def write(*_):
+    Closes()
+    time.sleep(1)
+    print("went on", flush=True)
+
+writing._write_tables = write
+main(sys.argv[1:])
+"""
+
+
+def test_an_interruption_in_a_destructor_is_not_lost(place, video):
+    """A failure means that Ctrl-C does nothing if it comes at a bad moment: Python ignores errors there."""
+    status, out, err = finish(video, command=[sys.executable, "-c", INTERRUPTED_IN_A_DESTRUCTOR])
+    assert (status, out, err.count("\n")) == (130, "", 1)
     assert [p.name for p in place.iterdir()] == ["comb.tif"]
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import _thread
 import atexit
 import gc
 import logging
 import os
 import signal
 import sys
+import threading
 import warnings
 from collections.abc import Sequence
 from typing import Any
@@ -111,16 +113,27 @@ def _isolate_environment() -> None:
     # Matplotlib does without it, 20 ms sooner: no figure here has axes in space.
     sys.modules["mpl_toolkits.mplot3d"] = None  # type: ignore[assignment]
     warnings.simplefilter("ignore")  # the run has its own warnings for what a user should know
-    sys.unraisablehook = lambda _: None  # libraries that close files after an error that is reported
+    sys.unraisablehook = _unraisable
 
 
 _interrupted: list[int] = []  # numbers of the signals received
 
 
 def _interrupt(number: int, frame: Any) -> None:
-    """Raise KeyboardInterrupt, and record the signal: in a library's callback Python ignores exceptions."""
+    """Raise KeyboardInterrupt, and record the signal."""
     _interrupted.append(number)
     raise KeyboardInterrupt
+
+
+def _unraisable(ignored: sys.UnraisableHookArgs) -> None:
+    """Repeat an interruption that Python ignored, in a destructor or in a library's callback.
+
+    Other errors there are of libraries that close their files after an error that is reported.
+    """
+    if issubclass(ignored.exc_type, KeyboardInterrupt):
+        again = threading.Timer(0.02, _thread.interrupt_main)  # at once, it would be ignored here as well
+        again.daemon = True
+        again.start()
 
 
 def run(arguments: Sequence[str]) -> int:
