@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import re
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -27,7 +28,7 @@ def matched(events: pd.DataFrame, truth: pd.DataFrame) -> tuple[pd.DataFrame, pd
     return events[near].reset_index(drop=True), truth.iloc[nearest[near]].reset_index(drop=True)
 
 
-def median_ratio(test: Test, column: str, **options: float) -> float:
+def median_ratio(test: Test, column: str, **options: Any) -> float:
     events, truth = matched(find_stick_slip(test.force, **options), test.truth)
     return float((events[column] / truth[column]).median())
 
@@ -273,6 +274,13 @@ def test_detection_limit_lies_where_detection_fails() -> None:
     assert 2 <= limit.attrs["limit_N"] / 0.5 <= 7
     assert limit["recall"].iloc[0] < 0.2
     assert limit["recall"].iloc[-1] == 1
+
+
+def test_drops_whose_end_lies_between_two_samples() -> None:
+    """A failure means drops at 200 Hz 2 % too small, since the lowest sample is not yet the valley."""
+    test = realistic(noise=0.05, d1=14.0)
+    assert median_ratio(test, "dF_N") == pytest.approx(1, abs=0.015)
+    assert median_ratio(test, "dF_N", settings=ForceSettings(between_samples=0.0)) < 0.985
 
 
 @pytest.mark.parametrize("settings", [FAST | {"tau": 0.003}, {"rate": 200.0}, {"rate": 100.0, "tau": 0.01}])
