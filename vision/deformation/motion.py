@@ -41,6 +41,7 @@ from vision.errors import InputError
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, nan_median
 
 LEAST_STEADY = 5  # sticks needed to measure how steady the pull is
+ENDS = ("t_v_s", "t_p_s", "d_v_mm", "d_p_mm")  # of a stick, as far as they are known
 
 
 def horizontal_deformation(
@@ -137,9 +138,6 @@ def horizontal_deformation(
     every = frames_of_sticks(time, start, stop, margin_s=0.0, interval_s=interval)
     frames = frames_of_sticks(time, start, stop, margin_s=margin, interval_s=interval)
     motion, noise, movement, moving = _measure(tracks, events, frames, pixel, common_mode, settings)
-    motion = motion.assign_coords(sheet=tracks["sheet"].values)
-    for name in ("side", "n"):
-        motion = motion.assign_coords({name: ("sheet", tracks[name].values, MOTION[name].attrs)})
     motion["frames_left_out"] = "event", every.counts - frames.counts, MOTION["frames_left_out"].attrs
     facts = MotionMetadata(
         source=source,
@@ -350,12 +348,13 @@ def _measure(
         "drift_err_um": 2 * curve.drift_err * pixel_um,
         "noise_um": noise.noise_px * pixel_um,
     }
-    ends = [name for name in ("t_v_s", "t_p_s", "d_v_mm", "d_p_mm") if name in events]
-    motion = xr.Dataset(
-        {name: (MOTION[name].dims, value, MOTION[name].attrs) for name, value in values.items()},
-        {"event": events["event"].to_numpy()}
-        | {name: ("event", events[name].to_numpy(float), MOTION[name].attrs) for name in ends},
-    )
+    coords = {name: events[name].to_numpy(float) for name in ENDS if name in events}
+    coords |= {name: tracks[name].values for name in ("side", "n")}
+    declared = {
+        name: (MOTION[name].dims, data, MOTION[name].attrs) for name, data in (values | coords).items()
+    }
+    index = {"event": events["event"].to_numpy(), "sheet": tracks["sheet"].values}
+    motion = xr.Dataset(declared, index).set_coords(list(coords))
     return motion, noise.correlation, camera.movement if camera else "not subtracted", warnings
 
 
