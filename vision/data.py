@@ -130,6 +130,11 @@ def record(data: AnyData, operation: str, **parameters: Any) -> AnyData:
     return data.assign_attrs(operations=done)
 
 
+def load_unit(force: xr.Dataset) -> str:
+    """Return the unit of a recording's load: "N", or "1" for a force over a weight."""
+    return str(force["load_N"].attrs.get("units", "N"))
+
+
 def warnings_of(*parts: Data | None) -> list[str]:
     """Return the warnings of several stages in order, without repetition."""
     lines = [line for part in parts if part is not None for line in part.attrs.get("warnings", ())]

@@ -23,7 +23,7 @@ import pandas as pd
 import xarray as xr
 
 from vision.clock import Clock, ClockSettings, synchronise
-from vision.data import STIFF_BELOW, ForceMetadata, StripMetadata, warnings_of
+from vision.data import STIFF_BELOW, ForceMetadata, StripMetadata, load_unit, warnings_of
 from vision.deformation import DeformationSettings, horizontal_deformation
 from vision.errors import InputError, known_as
 from vision.figures.catalogue import Plots, Results, figure_named
@@ -590,7 +590,7 @@ def _warnings(found: Analysis, reasons: Mapping[str, str]) -> tuple[str, ...]:
         lines += filter(None, [cycles_seen(found.force)])
         # The models need d0 and a force in newtons; without them, no fits are expected.
         has_d0 = math.isfinite(ForceMetadata.of(found.force).d0_mm)
-        if "fits" in reasons and has_d0 and found.force["load_N"].attrs["units"] == "N":
+        if "fits" in reasons and has_d0 and load_unit(found.force) == "N":
             lines.append(f"no model fits: {reasons['fits']}")
     lines += found.fits.warnings if found.fits else ()
     lines += found.clock.warnings if found.clock else ()

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vision.data import StickMetadata, StripMetadata, TrackMetadata
+from vision.data import StickMetadata, StripMetadata, TrackMetadata, load_unit
 from vision.figures.style import both_errors, candidates_text, drift_text, offset_text
 from vision.models.equations import effective_sheets
 from vision.numeric import Pixels, nan_median
@@ -430,8 +430,7 @@ def findings(tracks: xr.Dataset) -> dict[str, Any]:
 def event_sizes(force: xr.Dataset, sticks: pd.DataFrame) -> str:
     """Return the medians of ΔF, Λ_st and K as text, in the unit of the load."""
     middle = sticks.median(numeric_only=True)
-    over_weight = force["load_N"].attrs["units"] == "1"
-    drop, slope = (" of the weight", "/mm") if over_weight else (" N", " N/mm")
+    drop, slope = (" of the weight", "/mm") if load_unit(force) == "1" else (" N", " N/mm")
     sizes = f"median ΔF {middle['dF_N']:.3g}{drop}"
     if math.isnan(middle["stick_length_um"]):
         return f"{sizes}; lengths and K are unknown without the separation"

@@ -40,8 +40,15 @@ from vision.models.friction import (
     friction_of_disc,
     friction_table,
 )
-from vision.models.modulus import STRIP, MeanValue, ModulusSettings, measure_cycles, summarise_modulus
-from vision.models.rheometer import read_rheometer
+from vision.models.modulus import (
+    STRIP,
+    CyclesMetadata,
+    MeanValue,
+    ModulusSettings,
+    measure_cycles,
+    summarise_modulus,
+)
+from vision.models.rheometer import RotationMetadata, read_rheometer
 from vision.pipeline import analyse
 from vision.run import write_run
 from vision.run.tables import write_table
@@ -101,14 +108,15 @@ def modulus(file: Path, options: ModulusOptions, output: OutputOptions) -> int:
         settings=ModulusSettings(part=shares),
     )
     means = summarise_modulus(cycles)
-    notes, warnings = list(cycles.attrs["notes"]), list(cycles.attrs["warnings"])
+    measured = CyclesMetadata.of(cycles)
+    notes, warnings = list(measured.notes), measured.warnings
     if sheet == STRIP:
         notes.append("the sheet has the publication's size: ε = 0.1, W = 45, L = 16.8 mm")
     content = {
         **means,
         "cycles": len(cycles),
         "sheet": {name: getattr(sheet, name) for name in ("thickness_mm", "width_mm", "length_mm")},
-        "clamp_distance_from": cycles.attrs["clamp_distance_from"],
+        "clamp_distance_from": measured.clamp_distance_from,
         "machine_stiffness_N_per_mm": options.machine_stiffness,
         "notes": notes,
     }
@@ -233,9 +241,9 @@ def _measure(
         except (InputError, OSError) as error:
             found.failures.append(one_line(error))
             continue
-        found.failures += [f"{file}: {line}" for line in rotations[0].attrs["left_out"]]
+        found.failures += [f"{file}: {line}" for line in RotationMetadata.of(rotations[0]).left_out]
         for rotation in rotations:
-            found.notes += [f"{file.name}: {line}" for line in rotation.attrs["notes"]]
+            found.notes += [f"{file.name}: {line}" for line in RotationMetadata.of(rotation).notes]
             try:
                 one = friction_of_disc(rotation, radius_mm=radius_mm, normal_force_N=load, settings=settings)
                 found.measured.append(one)

@@ -12,11 +12,10 @@ import pandas as pd
 import xarray as xr
 
 from vision.clock import Clock
-from vision.data import STIFF_BELOW
+from vision.data import STIFF_BELOW, load_unit
 from vision.errors import InputError
 from vision.figures import camera, force, positions
 from vision.figures.figure import Figure
-from vision.figures.style import load_unit
 from vision.models import ModelFits
 from vision.numeric import Floats, Pixels
 

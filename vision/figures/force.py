@@ -9,7 +9,7 @@ import pandas as pd
 import xarray as xr
 
 from vision.clock import Clock, force_slips, video_slips
-from vision.data import StickMetadata
+from vision.data import StickMetadata, load_unit
 from vision.errors import InputError
 from vision.figures.decimate import minmax_decimate
 from vision.figures.figure import Arrow, Figure, Ink, Panel, Range, Series
@@ -26,7 +26,6 @@ from vision.figures.style import (
     drift_text,
     from_zero,
     load_label,
-    load_unit,
     offset_text,
     ordered_inks,
     time_axis,

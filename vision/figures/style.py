@@ -199,11 +199,6 @@ def from_zero(*values: Floats, share: float = 1.0) -> tuple[float, float] | None
     return (0.0, top) if top > 0 else None
 
 
-def load_unit(force: xr.Dataset) -> str:
-    """Return the load's unit: "N", or "1" for a force over a weight."""
-    return str(force["load_N"].attrs.get("units", "N"))
-
-
 def load_label(name: str, unit: str) -> str:
     """Return the label of an axis of force."""
     return f"{name} / weight" if unit == "1" else f"{name} ({unit})"

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vision.data import FORCE, STICKS, ForceMetadata, StickMetadata, record
+from vision.data import FORCE, STICKS, ForceMetadata, StickMetadata, load_unit, record
 from vision.errors import InputError
 from vision.force.corners import Corners, Extremes, find_corners, find_extremes, is_slow
 from vision.force.lines import fit_broken_lines, fit_lines, fit_polynomials
@@ -82,78 +82,29 @@ def find_stick_slip(
     the effect of a low-pass that was found but not corrected. Source: paper, section on stick-slip features.
     """
     FORCE.check(force)
-    metadata = ForceMetadata.of(force)
-    _check_times(force, metadata.source)
+    source = ForceMetadata.of(force).source
+    _check_times(force, source)
     signal = Signal.of(force, settings)
-    _check_load(signal, metadata.source, settings)
+    _check_load(signal, source, settings)
     slips = find_slips(signal.clean, signal.noise, threshold=threshold_N, settings=settings)
     if slips.edge.size < 2:
-        raise _too_few_slips(signal, slips, metadata.source)
-    _check_lowpass(lowpass_s, slips.period * signal.interval_s, metadata.source)
+        raise _too_few_slips(signal, slips, source)
+    _check_lowpass(lowpass_s, slips.period * signal.interval_s, source)
     signal = with_slow_noise(signal, slips, settings)
     if threshold_N is None:
         signal, slips = _above_other_noise(signal, slips, settings)
     analysis = _analyse_slips(signal, slips, lowpass_s, two_slopes, settings)
-    tau, found, regime = analysis.samples, analysis.found, analysis.regime
     unloading = is_unloading(signal.travel, analysis.extremes)
-    if unloading.all():
-        raise InputError(
-            metadata.source,
-            "stick-slip: the force falls while the crosshead goes on",
-            f"{unloading.size} falls, all while it goes back: push–pull cycles",
-        )
-    compliance = 1 / (machine_stiffness_N_per_mm or np.inf)
-    events = measure_sticks(
-        signal,
-        analysis.corners,
-        analysis.extremes,
-        tau,
-        analysis.bent,
-        compliance,
-        settings,
-        filter_known=bool(tau or found.proven),
-    )
-    stick_length = float(nan_median(events["stick_length_um"].to_numpy(float)))
-    if stick_length < 0:
-        raise InputError(
-            metadata.source,
-            "a crosshead that goes on while the load rises",
-            f"one that goes back, by {-stick_length:.3g} µm in a stick",
-            "if the displacement counts the other way give `columns` displacement=-NAME",
-        )
-    shares: dict[str, float] = {}
-    if found.samples and not tau:
-        other = _without_lowpass(signal, slips, analysis.bent, compliance, found.samples, settings)
-        events, shares = _with_bias(events, other), _lowpass_shares(events, other)
-    response = tau or (found.samples if found.proven else 0.0)
-    events = events.assign(
-        flag=_all_flags(events, regime.name, unloading, response * signal.interval_s, signal, slips, settings)
-    )
-    first_peak = analysis.corners.peak[0]
-    first, last = np.interp(analysis.corners.peak[[0, -1]], np.arange(signal.time.size), signal.time)
-    unit = "of the weight" if force["load_N"].attrs.get("units") == "1" else "N"
-    events.attrs |= StickMetadata(
-        noise_N=signal.sigma,
-        threshold_N=slips.threshold,
-        threshold_how=slips.threshold_how,
-        period_samples=slips.period,
-        spikes=int(signal.is_spike.sum()),
-        lowpass_s=tau * signal.interval_s,
-        lowpass_how=analysis.how,
-        lowpass_proposed_s=found.samples * signal.interval_s if found.samples and not tau else float("nan"),
-        lowpass_proven=found.proven,
-        **shares,
-        two_slopes=bool(analysis.bent),
-        bend_share=analysis.corners.shape.begin,
-        regime=regime.name,
-        fall_over_rise=regime.fall_over_rise,
-        warnings=doubts(events, regime, signal, slips, unit),
-        first_slip_s=float(first),
-        first_slip_N=float(signal.clean[int(first_peak)]),
-        last_slip_s=float(last),
+    events, shares = _measure(signal, slips, analysis, 1 / (machine_stiffness_N_per_mm or np.inf), settings)
+    _check_direction(events, unloading, source)
+    events = events.assign(flag=_all_flags(events, analysis, unloading, signal, slips, settings))
+    unit = "of the weight" if load_unit(force) == "1" else "N"
+    metadata = replace(
+        _metadata(signal, slips, analysis, shares, doubts(events, analysis.regime, signal, slips, unit)),
         machine_stiffness_N_per_mm=machine_stiffness_N_per_mm or float("nan"),
         central_part=settings.central_part,
-    ).attrs()
+    )
+    events.attrs |= metadata.attrs()
     return record(
         events,
         "find_stick_slip",
@@ -220,6 +171,24 @@ def _check_times(force: xr.Dataset, source: str) -> None:
             "a time for every sample",
             f"{100 * shared:.0f} % of the samples at the time of the one before: it is written too coarsely",
             "give the sampling rate in place of the time, such as `columns` time=100Hz",
+        )
+
+
+def _check_direction(events: pd.DataFrame, unloading: Bools, source: str) -> None:
+    """Raise InputError where the crosshead goes back in all falls of the load, or in the sticks."""
+    if unloading.all():
+        raise InputError(
+            source,
+            "stick-slip: the force falls while the crosshead goes on",
+            f"{unloading.size} falls, all while it goes back: push–pull cycles",
+        )
+    stick_length = float(nan_median(events["stick_length_um"].to_numpy(float)))
+    if stick_length < 0:
+        raise InputError(
+            source,
+            "a crosshead that goes on while the load rises",
+            f"one that goes back, by {-stick_length:.3g} µm in a stick",
+            "if the displacement counts the other way give `columns` displacement=-NAME",
         )
 
 
@@ -355,18 +324,30 @@ def _have_knees(signal: Signal, slips: Slips, lag: float, settings: ForceSetting
     return float(np.median(broken.gain[known])) > settings.knee_gain and ratio > settings.knee_ratio
 
 
-def _without_lowpass(
-    signal: Signal,
-    slips: Slips,
-    two_slopes: bool,
-    compliance: float,
-    tau: float,
-    settings: ForceSettings,
-) -> pd.DataFrame:
-    """Return the events as they are measured with a correction for a low-pass of tau samples."""
-    corners = _corners(signal, slips, two_slopes, tau, settings)
+def _measure(
+    signal: Signal, slips: Slips, analysis: _SlipAnalysis, compliance: float, settings: ForceSettings
+) -> tuple[pd.DataFrame, dict[str, float]]:
+    """Return the events; and, if a low-pass was found but not corrected, what the correction would change.
+
+    The errors then include it.
+    """
+    tau, found, bent = analysis.samples, analysis.found, analysis.bent
+    events = measure_sticks(
+        signal,
+        analysis.corners,
+        analysis.extremes,
+        tau,
+        bent,
+        compliance,
+        settings,
+        filter_known=bool(tau or found.proven),
+    )
+    if tau or not found.samples:
+        return events, {}
+    corners = _corners(signal, slips, bent, found.samples, settings)
     extremes = find_extremes(signal.clean, corners.middle, corners.valley - corners.peak)
-    return measure_sticks(signal, corners, extremes, tau, two_slopes, compliance, settings)
+    other = measure_sticks(signal, corners, extremes, found.samples, bent, compliance, settings)
+    return _with_bias(events, other), _lowpass_shares(events, other)
 
 
 def _with_bias(events: pd.DataFrame, other: pd.DataFrame) -> pd.DataFrame:
@@ -388,16 +369,49 @@ def _lowpass_shares(events: pd.DataFrame, other: pd.DataFrame) -> dict[str, floa
     return {name: float(change.median()) for name, change in finite.items() if len(change)}
 
 
+def _metadata(
+    signal: Signal,
+    slips: Slips,
+    analysis: _SlipAnalysis,
+    shares: dict[str, float],
+    warnings: list[str],
+) -> StickMetadata:
+    """Return what later stages need to know of the slips and of the low-pass."""
+    tau, found, peak = analysis.samples, analysis.found, analysis.corners.peak
+    first, last = signal.time_at(peak[[0, -1]])
+    return StickMetadata(
+        noise_N=signal.sigma,
+        threshold_N=slips.threshold,
+        threshold_how=slips.threshold_how,
+        period_samples=slips.period,
+        spikes=int(signal.is_spike.sum()),
+        lowpass_s=tau * signal.interval_s,
+        lowpass_how=analysis.how,
+        lowpass_proposed_s=found.samples * signal.interval_s if found.samples and not tau else float("nan"),
+        lowpass_proven=found.proven,
+        **shares,
+        two_slopes=bool(analysis.bent),
+        bend_share=analysis.corners.shape.begin,
+        regime=analysis.regime.name,
+        fall_over_rise=analysis.regime.fall_over_rise,
+        warnings=warnings,
+        first_slip_s=float(first),
+        first_slip_N=float(signal.clean[int(peak[0])]),
+        last_slip_s=float(last),
+    )
+
+
 def _all_flags(
     events: pd.DataFrame,
-    regime: str,
+    analysis: _SlipAnalysis,
     unloading: Bools,
-    response_s: float,
     signal: Signal,
     slips: Slips,
     settings: ForceSettings,
 ) -> list[str]:
     """Add flags for what contradicts stick-slip and for what the instrument cannot resolve."""
+    regime, found = analysis.regime.name, analysis.found
+    response_s = (analysis.samples or (found.samples if found.proven else 0.0)) * signal.interval_s
     duration = (events["t_p_s"] - events["t_v_s"]).to_numpy(float)
     # k + 1 slips lie before stick k. Where a jump reverses a drop, or a drop a jump, that drop is no slip,
     # but ends the stick with the jump and the one before or after it. Many jumps make all drops doubtful.

@@ -96,6 +96,10 @@ class Signal:
         earlier = np.clip(np.floor(position).astype(np.int64), 0, self.time.size - 2)
         return self.time[earlier + 1] - self.time[earlier]
 
+    def time_at(self, position: Floats) -> Floats:
+        """Return the time at each position (samples)."""
+        return np.interp(position, np.arange(self.time.size), self.time)
+
     @cached_property
     def spikeless(self) -> Floats:
         """Load with NaN in place of spikes and lost samples, so that fits leave them out."""

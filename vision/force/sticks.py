@@ -66,51 +66,22 @@ def measure_sticks(
     is corrected for, in samples, 0 for none; `compliance` is that of the machine, mm/N. `filter_known`: the
     low-pass of the load is known, so that longer slips are not due to another filter.
     """
-    index = np.arange(signal.time.size, dtype=float)
     slow = is_slow(corners, settings)
     recorded = slow if not lag else np.zeros_like(slow)
     valley = np.where(recorded, extremes.valley, corners.valley)
     peak = np.where(recorded, extremes.peak, corners.peak)
-    v, p, v_next = valley[:-1], peak[1:], valley[1:]
+    v, p = valley[:-1], peak[1:]
     sticks = _Sticks(v, p, corners.knee[1:-1], lag, settings)
-    t_v, t_p, t_next = (np.interp(at, index, signal.time) for at in (v, p, v_next))
+    t_v, t_p, t_next = (signal.time_at(position) for position in (v, p, valley[1:]))
     ends = _ends(signal, sticks, t_v, t_p, corners.shape)
-    rises = np.abs(ends.slope) * signal.interval_at(v), np.abs(ends.slope) * signal.interval_at(p)
-    if lag:
-        f_v, f_p = _forces_without_lowpass(signal, corners, sticks, ends, rises)
-    else:
-        f_v, f_p = _within_recorded(signal, extremes, ends, sticks, rises, settings)
-        f_v = np.where(recorded[:-1], extremes.low[:-1], f_v)
-        f_p = np.where(recorded[1:], extremes.high[1:], f_p)
-    # Corners lie between two samples; of lost ones the next known samples are further apart.
-    known = np.flatnonzero(~signal.is_missing)
-    after = np.clip(np.searchsorted(known, corners.middle), 1, known.size - 1)
-    position_error = corners.error * (known[after] - known[after - 1])
-    # A sudden slip appears shorter than half a sample. One that appears longer may be as long, or lengthened:
-    # up to 2.5 samples where each is the mean since the one before, further by a filter of the machine, in
-    # which the noise of neighbouring samples is common unless it arose later. The two corners of a stick are
-    # then together off by its length. So they are where two samples or more in a row were lost at the slip,
-    # since the load between them is interpolated.
-    length = corners.valley - corners.peak
-    lengthened = (length > 0.5) & ((length < 2.5) | (not filter_known)) & ~signal.is_missing.any()
-    lengthened = lengthened | (signal.alike > 1) | (known[after] - known[after - 1] > 2)
-    position_error = np.hypot(position_error, np.where(lengthened, length / np.sqrt(2), 0))
-    pace = fit_lines(signal.time, signal.travel, *_between(v, p))
-    # The machine's stretch is subtracted at the corners only: at every sample it would add the load's noise.
-    d_v = _travel_at(signal, v, v + 1, pace) - compliance * f_v
-    d_p = _travel_at(signal, p, p - 1, pace) - compliance * f_p
-    last = np.interp(v_next[-1:], index, signal.travel) - compliance * signal.clean[int(v_next[-1])]
-    relative = np.hypot(position_error[:-1], position_error[1:]) / (p - v)
-    # Each end of a stick is read from single samples of d, with their noise and steps.
-    travel_noise = np.nan_to_num(pace.spread)
-    # At the extreme of a slow slip the load is level, so the position of the corner does not matter.
-    corner_v = np.where(recorded[:-1], 0, rises[0] * position_error[:-1])
-    corner_p = np.where(recorded[1:], 0, rises[1] * position_error[1:])
-    # Ringing oscillates about the stick line, and a stick may bend too sharply for it: what was recorded
-    # beyond the line, noise aside, is part of the error.
-    noise = settings.extreme_sigmas * signal.sigma
-    corner_v = np.hypot(corner_v, np.maximum(f_v - extremes.lowest[:-1] - noise, 0))
-    corner_p = np.hypot(corner_p, np.maximum(extremes.highest[1:] - f_p - noise, 0))
+    f_v, f_p = _forces(signal, corners, extremes, sticks, ends, recorded)
+    d_v, d_p, d_next, noise_mm = _separations(signal, sticks, valley[-1], f_v, f_p, compliance)
+    # Of each corner, in samples; at the extreme of a slow slip the load is level, so that its force has none.
+    error = _position_errors(signal, corners, filter_known)
+    error_v, error_p = _corner_errors(
+        signal, extremes, ends, (f_v, f_p), np.where(recorded, 0, error), settings
+    )
+    relative = np.hypot(error[:-1], error[1:]) / (p - v)
     table = pd.DataFrame(
         {
             "event": np.arange(v.size),
@@ -122,14 +93,14 @@ def measure_sticks(
             "F_p_N": f_p,
             "dF_N": f_p - f_v,
             "stick_length_um": 1e3 * (d_p - d_v),
-            "slip_length_um": 1e3 * (np.r_[d_v[1:], last] - d_p),
+            "slip_length_um": 1e3 * (d_next - d_p),
             **_stiffness(signal, sticks, two_slopes, compliance),
             "F_v_raw_N": extremes.lowest[:-1],
             "F_p_raw_N": extremes.highest[1:],
-            "F_v_err_N": np.hypot(ends.error_v, corner_v),
-            "F_p_err_N": np.hypot(ends.error_p, corner_p),
-            "dF_err_N": np.hypot(ends.error_rise, np.hypot(corner_v, corner_p)),
-            "stick_length_err_um": 1e3 * np.hypot((d_p - d_v) * relative, np.sqrt(2) * travel_noise),
+            "F_v_err_N": np.hypot(ends.error_v, error_v),
+            "F_p_err_N": np.hypot(ends.error_p, error_p),
+            "dF_err_N": np.hypot(ends.error_rise, np.hypot(error_v, error_p)),
+            "stick_length_err_um": 1e3 * np.hypot((d_p - d_v) * relative, np.sqrt(2) * noise_mm),
             "slip_time_s": t_next - t_p,
             "samples": (p - v).astype(int),
         }
@@ -142,6 +113,61 @@ def measure_sticks(
     return table.assign(flag=_event_flags(signal, sticks, corners, marks))
 
 
+def _position_errors(signal: Signal, corners: Corners, filter_known: bool) -> Floats:
+    """Return the standard error of the position of both corners of each slip, in samples.
+
+    A sudden slip appears shorter than half a sample. One that appears longer may be as long, or lengthened:
+    up to 2.5 samples where each is the mean since the one before, further by a filter of the machine, in
+    which the noise of neighbouring samples is common unless it arose later. The two corners of a stick are
+    then together off by its length. So they are where two samples or more in a row were lost at the slip,
+    since the load between them is interpolated.
+    """
+    # Corners lie between two samples; of lost ones the next known samples are further apart.
+    known = np.flatnonzero(~signal.is_missing)
+    after = np.clip(np.searchsorted(known, corners.middle), 1, known.size - 1)
+    apart = known[after] - known[after - 1]
+    length = corners.valley - corners.peak
+    lengthened = (length > 0.5) & ((length < 2.5) | (not filter_known)) & ~signal.is_missing.any()
+    lengthened = lengthened | (signal.alike > 1) | (apart > 2)
+    return np.hypot(corners.error * apart, np.where(lengthened, length / np.sqrt(2), 0))
+
+
+def _corner_errors(
+    signal: Signal,
+    extremes: Extremes,
+    ends: _Ends,
+    forces: tuple[Floats, Floats],
+    position_error: Floats,
+    settings: ForceSettings,
+) -> tuple[Floats, Floats]:
+    """Return the errors of F_v and F_p (`forces`) from those of the corners' positions, in samples.
+
+    Ringing oscillates about the stick line, and a stick may bend too sharply for it: what was recorded
+    beyond the line, noise aside, is part of the error.
+    """
+    noise = settings.extreme_sigmas * signal.sigma
+    below, above = forces[0] - extremes.lowest[:-1] - noise, extremes.highest[1:] - forces[1] - noise
+    error_v, error_p = ends.rise_v * position_error[:-1], ends.rise_p * position_error[1:]
+    return np.hypot(error_v, np.maximum(below, 0)), np.hypot(error_p, np.maximum(above, 0))
+
+
+def _separations(
+    signal: Signal, sticks: _Sticks, last: float, f_v: Floats, f_p: Floats, compliance: float
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return d at the valley, the peak and the next valley of each stick, and the error of one sample of it.
+
+    `last`: position of the last valley. The error contains the noise and the steps of d.
+    """
+    pace = fit_lines(signal.time, signal.travel, *_between(sticks.v, sticks.p))
+    # The machine's stretch is subtracted at the corners only: at every sample it would add the load's noise.
+    d_v = _travel_at(signal, sticks.v, sticks.v + 1, pace) - compliance * f_v
+    d_p = _travel_at(signal, sticks.p, sticks.p - 1, pace) - compliance * f_p
+    d_last = (
+        np.interp(last, np.arange(signal.time.size), signal.travel) - compliance * signal.clean[int(last)]
+    )
+    return d_v, d_p, np.r_[d_v[1:], d_last], np.nan_to_num(pace.spread)
+
+
 def _travel_at(signal: Signal, corner: Floats, inside: Floats, pace: Lines) -> Floats:
     """Return d at one corner of each stick; all positions in samples.
 
@@ -151,49 +177,50 @@ def _travel_at(signal: Signal, corner: Floats, inside: Floats, pace: Lines) -> F
     index = np.arange(signal.time.size)
     near = np.interp(corner, index, signal.travel)
     first = np.rint(np.clip(inside, 0, index[-1])).astype(np.int64)
-    within = signal.travel[first] + pace.slope * (np.interp(corner, index, signal.time) - signal.time[first])
+    within = signal.travel[first] + pace.slope * (signal.time_at(corner) - signal.time[first])
     usual = np.fmax(4 * pace.spread, np.abs(pace.slope) * signal.interval_s)
     return np.where(np.abs(near - within) > usual, within, near)
 
 
-def _forces_without_lowpass(
-    signal: Signal, corners: Corners, sticks: _Sticks, ends: _Ends, rises: tuple[Floats, Floats]
+def _forces(
+    signal: Signal, corners: Corners, extremes: Extremes, sticks: _Sticks, ends: _Ends, recorded: Bools
 ) -> tuple[Floats, Floats]:
-    """Return F_v and F_p of a load corrected for a low-pass; those of sticks with a knee are limited."""
+    """Return F_v and F_p: the ends of the stick lines, limited to what was recorded.
+
+    Beside `recorded` slips they are the recorded extremes. Of a load that is corrected for a low-pass, only
+    those of sticks with a knee are limited.
+    """
+    if not sticks.lag:
+        f_v, f_p = _within_recorded(signal, extremes, ends, sticks)
+        return np.where(recorded[:-1], extremes.low[:-1], f_v), np.where(recorded[1:], extremes.high[1:], f_p)
     load, gain = without_lowpass(signal.clean, sticks.lag)
     noise = signal.sigma * float(np.sqrt(1 + 2 * gain * (1 + gain)))
     extremes = find_extremes(load, corners.middle, corners.valley - corners.peak)
-    corrected = replace(signal, clean=load, sigma=noise)
-    f_v, f_p = _within_recorded(corrected, extremes, ends, sticks, rises, sticks.settings)
+    f_v, f_p = _within_recorded(replace(signal, clean=load, sigma=noise), extremes, ends, sticks)
     bent = np.isfinite(sticks.knee)
     return np.where(bent, f_v, ends.f_v), np.where(bent, f_p, ends.f_p)
 
 
 def _within_recorded(
-    signal: Signal,
-    extremes: Extremes,
-    ends: _Ends,
-    sticks: _Sticks,
-    rises: tuple[Floats, Floats],
-    settings: ForceSettings,
+    signal: Signal, extremes: Extremes, ends: _Ends, sticks: _Sticks
 ) -> tuple[Floats, Floats]:
     """Return F_v and F_p of the stick lines, limited to what was recorded there.
 
-    A stick ends between two samples, so either force may exceed the recorded one by `rises`, the rise from
-    sample to sample at valley and peak. At valleys a small share of the drop is added, since the load cell
+    A stick ends between two samples, so either force may exceed the recorded one by the rise from
+    sample to sample there. At valleys a small share of the drop is added, since the load cell
     is late. The range of the whole recording is never exceeded.
     Lines cut the corners of sticks that begin steeply, or end with a small slip before the large one: the
     recorded peak and, unless the load rings, valley hold, except for the noise of single samples.
     """
     highest, lowest = extremes.highest[1:], extremes.lowest[:-1]
-    rise_v, rise_p = rises
-    margin = rise_v + settings.between_samples * np.maximum(highest - lowest, 0)
+    settings = sticks.settings
+    margin = ends.rise_v + settings.between_samples * np.maximum(highest - lowest, 0)
     f_v = np.fmax(ends.f_v, np.maximum(lowest - margin, signal.clean.min()))
-    f_p = np.fmin(ends.f_p, np.minimum(highest + rise_p, signal.clean.max()))
+    f_p = np.fmin(ends.f_p, np.minimum(highest + ends.rise_p, signal.clean.max()))
     noise = settings.extreme_sigmas * signal.sigma
     if not _rings(signal, ends, sticks):
         f_v = np.fmin(f_v, lowest + noise)
-    return f_v, np.fmax(f_p, np.fmin(highest - noise, highest + rise_p))
+    return f_v, np.fmax(f_p, np.fmin(highest - noise, highest + ends.rise_p))
 
 
 def _rings(signal: Signal, ends: _Ends, sticks: _Sticks) -> bool:
@@ -230,6 +257,8 @@ class _Ends:
     error_p: Floats
     error_rise: Floats  # of the difference of the two, whose errors are opposite
     slope: Floats  # N/s
+    rise_v: Floats  # from sample to sample, N
+    rise_p: Floats
 
 
 def _ends(signal: Signal, sticks: _Sticks, t_v: Floats, t_p: Floats, shape: Shape) -> _Ends:
@@ -254,6 +283,8 @@ def _ends(signal: Signal, sticks: _Sticks, t_v: Floats, t_p: Floats, shape: Shap
         error_p=np.hypot(np.hypot(noise * line.lever(t_p), shape_p), signal.wander),
         error_rise=np.hypot(noise / np.sqrt(line.sxx) * (t_p - t_v), shape.difference_error * rise),
         slope=line.slope,
+        rise_v=np.abs(line.slope) * signal.interval_at(sticks.v),
+        rise_p=np.abs(line.slope) * signal.interval_at(sticks.p),
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vision.data import FORCE, ForceMetadata, StickMetadata
+from vision.data import FORCE, ForceMetadata, StickMetadata, load_unit
 from vision.errors import InputError, check_positive
 from vision.models import equations
 from vision.models.single_fits import (
@@ -152,7 +152,7 @@ def _undetermined(reason: str, advice: str = "") -> InputError:
 
 def _check_force(force: xr.Dataset) -> None:
     """Raise InputError if the load is not a force or the initial separation is unknown."""
-    if force["load_N"].attrs.get("units") == "1":
+    if load_unit(force) == "1":
         raise InputError("the force recording", "a force in N", "a force over a weight")
     facts = ForceMetadata.of(force)
     if facts.separation_from != "none" and np.isnan(facts.d0_mm):
@@ -512,14 +512,14 @@ def _drop_lost_by_sampling(force: xr.Dataset, events: pd.DataFrame) -> float:
     lowest sample to the next. The rise before the recorded valley is lost: it lasts as long as the slip and
     the delay of the load cell, at least one sample, and cannot be recovered by a line through later samples.
     """
-    if not events.attrs.get("two_slopes") and not events.attrs.get("bend_share", 0.0) < 0:
+    facts = StickMetadata.of(events)
+    if not facts.two_slopes and not facts.bend_share < 0:
         return 0.0
     time, load = force["time_s"].values, force["load_N"].values
     near = np.searchsorted(time, events["t_v_s"].to_numpy(float))[:, np.newaxis] + np.arange(-3, 4)
     near = np.clip(near, 0, load.size - 2)
     lowest = np.take_along_axis(near, np.argmin(load[near], axis=1)[:, np.newaxis], axis=1)[:, 0]
-    delay_s = np.nan_to_num(events.attrs.get("lowpass_proposed_s", 0.0))
-    slip_s = events["slip_time_s"].to_numpy(float) + delay_s
+    slip_s = events["slip_time_s"].to_numpy(float) + np.nan_to_num(facts.lowpass_proposed_s)
     samples = np.maximum(slip_s / (time[lowest + 1] - time[lowest]), 1)
     rise = (load[lowest + 1] - load[lowest]) * samples
     share = float(np.nanmedian(rise / events["dF_N"].to_numpy(float)))

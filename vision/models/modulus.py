@@ -17,7 +17,7 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from vision.data import FORCE, Metadata, Schema, Variable, record
+from vision.data import FORCE, ForceMetadata, Metadata, Schema, Variable, load_unit, record
 from vision.errors import InputError, check_positive
 from vision.numeric import Floats, Ints
 from vision.sample import Sample
@@ -315,11 +315,11 @@ def _clean(
 ) -> tuple[_Cycles, CyclesMetadata]:
     """Usable samples with their turning points, and the metadata with source, origin of Δ and warnings."""
     FORCE.check(force)
-    source = str(force.attrs.get("path", force.attrs.get("source", "the recording")))
+    source = ForceMetadata.of(force).source
     if "crosshead_mm" not in force:
         raise InputError(source, "a displacement", "time and load only", "name its column")
-    if force["load_N"].attrs.get("units", "N") != "N":
-        raise InputError(source, "a load in N", f"units {force['load_N'].attrs['units']!r}")
+    if load_unit(force) != "N":
+        raise InputError(source, "a load in N", f"units {load_unit(force)!r}")
     time = force["time_s"].values.astype(float)
     crosshead, load = force["crosshead_mm"].values.astype(float), force["load_N"].values.astype(float)
     usable = np.isfinite(time) & np.isfinite(crosshead) & np.isfinite(load)

@@ -11,9 +11,17 @@ import xarray as xr
 
 import vision
 from vision.clock import Clock
-from vision.data import MEASURED, ForceMetadata, MotionMetadata, StickMetadata, StripMetadata, TrackMetadata
+from vision.data import (
+    MEASURED,
+    ForceMetadata,
+    MotionMetadata,
+    StickMetadata,
+    StripMetadata,
+    TrackMetadata,
+    load_unit,
+)
 from vision.figures import Results, both_errors, percent, plus_minus
-from vision.figures.style import candidates_text, drift_text, load_unit, offset_text
+from vision.figures.style import candidates_text, drift_text, offset_text
 from vision.models import Estimate, ModelFits
 from vision.sheets.tracks import LOSSY
 from vision.summary import DOUBTFUL, flag_counts, noise_figures, why_left_out
