@@ -6,6 +6,7 @@ import re
 import shutil
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from itertools import pairwise
 from pathlib import Path
 from threading import Event
 
@@ -507,6 +508,24 @@ def test_another_strip_is_tracked_again_before_it_is_kept(browser, planted, tmp_
         assert read_run(run).tracks.attrs["strip_z0"] == 10
         assert visit.complaints == []
         visit.context.close()
+
+
+@pytest.mark.parametrize("width", [600, 839])
+def test_a_narrow_window_shows_one_column(browser, pulled_page, width):
+    """A failure means that a narrow window cuts off the page or squeezes its pictures to nothing."""
+    visit = ReviewVisit(browser, pulled_page, viewport={"width": width, "height": 900})
+    visit.press("g")
+    visit.effect()
+    assert visit.page.evaluate("document.documentElement.scrollWidth") == width
+    boxes = [
+        visit.page.locator(f"#{name}").bounding_box()
+        for name in ("film", "diagram", "tracks", "force", "stick", "doubts", "keep", "history")
+    ]
+    assert all(box["x"] >= 0 and box["x"] + box["width"] <= width for box in boxes)
+    assert all(box["height"] > 100 for box in boxes[:5])
+    assert all(upper["y"] + upper["height"] <= lower["y"] for upper, lower in pairwise(boxes))
+    assert visit.complaints == []
+    visit.context.close()
 
 
 @pytest.mark.parametrize(("width", "height", "scheme"), [(1280, 800, "light"), (1920, 1080, "dark")])
