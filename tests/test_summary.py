@@ -129,9 +129,8 @@ def test_a_pixel_size_in_another_unit(picture, size_um, said):
     """A failure means that µm taken for mm are not noticed, or that a true pixel size is questioned."""
     lines = consistency_warnings(track_sheets(picture), assumed=PUBLISHED, pixel_size_um=size_um)
     assert sum("check `pixel_size_um`" in line for line in lines) == said
-    assert not consistency_warnings(
-        track_sheets(picture), pixel_size_um=size_um
-    )  # sheets of unknown thickness
+    unknown = consistency_warnings(track_sheets(picture), pixel_size_um=size_um)  # thickness of the sheets
+    assert sum("0.2 µm apart" in line for line in unknown) == len(unknown) == (size_um == 0.01)
 
 
 def test_a_part_of_one_side(picture):
@@ -285,11 +284,13 @@ def test_positions_are_left_out_for_the_reason_that_holds():
     tracks = with_force().tracks.copy(deep=True)
     total = tracks["flag"].size
     tracks["flag"][3:5, 0] = "merged"
-    assert tracking_warnings(tracks)[0].startswith(f"2 of {total} positions left out where it shares a ridge")
+    assert tracking_warnings(tracks)[0].startswith(
+        f"2 of {total} positions left out where a sheet shares a ridge"
+    )
     tracks["flag"][3:6, 1] = "doubtful"
     line = tracking_warnings(tracks)[0]
     assert line.startswith(f"5 of {total} positions left out: 3 where the identity of the sheet is")
-    assert ", 2 where it shares a ridge" in line
+    assert ", 2 where a sheet shares a ridge" in line
     tracks["flag"][:] = "merged"
     assert "overview.png" not in tracking_warnings(tracks)[0]  # a preview has none
 

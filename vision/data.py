@@ -158,8 +158,8 @@ class StripMetadata(Metadata):
     container, pixel_format, decoder, grey
         Kind of file, how a pixel is stored, which program decoded it ("none" if none was needed), and how
         grey values follow from pixels.
-    file_pixel_size_um
-        µm per pixel that the file states; NaN without.
+    file_pixel_size_um, file_scale_unused
+        µm per pixel that the file states, NaN without; a scale in it that is not used, and why.
     rotate
         Degrees clockwise by which the frames were rotated.
     depth_bits, saturation_level
@@ -190,6 +190,7 @@ class StripMetadata(Metadata):
     decoder: str = ""
     grey: str = ""
     file_pixel_size_um: float = math.nan
+    file_scale_unused: str = ""
     rotate: int = 0
     depth_bits: int = 32
     saturation_level: float = math.nan

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 DOUBTFUL = {
     "doubtful": "where the identity of the sheet is uncertain",
-    "merged": "where it shares a ridge with another sheet or a mark",
+    "merged": "where a sheet shares a ridge with another or a mark",
 }
 """Flags of positions that are left out because they may belong to another sheet, and why."""
 PAIR_SPACINGS = 9
@@ -47,6 +47,10 @@ UNLIKELY_SPACING = 10.0
 """Ratio of the sheets' spacing to two thicknesses, or its inverse, above which the pixel size is questioned.
 A wrong unit changes the ratio by 1000; sheets that bulge, or of which only every second one is seen, by 2
 to 4. A smaller ratio warns of the latter, a larger one overlooks factors of 10."""
+
+LEAST_SPACING_UM = 1.0
+"""Spacing below which the pixel size is questioned though the sheets' thickness is not known: mm taken for µm
+make the spacing of paper less than this, which light hardly resolves. Discs of a muscle are 1.8 µm apart."""
 
 
 def summary_lines(results: Results) -> list[str]:
@@ -262,8 +266,14 @@ def consistency_warnings(
             " innermost of them: if others lie between it and the axis, n and the stiff shell are too small"
             " by their number: give `axis_px`"
         )
-    if used is not None and pixel_size_um is not None:
-        spacing, thickness = found.pitch_px * pixel_size_um / 1000, used.thickness_mm
+    spacing = math.nan if pixel_size_um is None else found.pitch_px * pixel_size_um / 1000
+    if used is None and 1000 * spacing < LEAST_SPACING_UM:
+        lines.append(
+            f"with this pixel size, the sheets are {1000 * spacing:.2g} µm apart, closer than paper is thick:"
+            " check `pixel_size_um` (µm)"
+        )
+    if used is not None and math.isfinite(spacing):
+        thickness = used.thickness_mm
         if not 1 / UNLIKELY_SPACING < spacing / (2 * thickness) < UNLIKELY_SPACING:
             lines.append(
                 f"with this pixel size, sheets {thickness:g} mm thick are {spacing:.3g} mm apart: check"
@@ -499,10 +509,11 @@ def ridges_line(found: TrackMetadata) -> str:
 
 
 def scale_line(pixel_size_um: float | None, strip: StripMetadata) -> str:
-    """Return the pixel size."""
+    """Return the pixel size, and the scale in the film's file if it differs or is not used."""
+    stated, unused = strip.file_pixel_size_um, strip.file_scale_unused
+    how = f" (not used: the film's file states {unused})" if unused else ""
     if pixel_size_um is None:
-        return "scale      px: give `pixel_size_um` for µm"
-    stated, how = strip.file_pixel_size_um, ""
+        return f"scale      px: give `pixel_size_um` for µm{how}"
     if math.isfinite(stated):
         source = "from the film's file" if stated == pixel_size_um else f"the film's file states {stated:g}"
         how = f" ({source})"

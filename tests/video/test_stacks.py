@@ -349,15 +349,24 @@ def test_jpeg_counts_as_lossy_wherever_it_stands(tmp_path, kind):
 def test_pixel_size_of_stacks(tmp_path):
     """Failure: Fiji's and OME's scale is ignored or misread, or that of a print (72 dpi) is believed."""
 
-    def stated(unit, across=0.1, down=0.1):
+    def facts(unit, across=0.1, down=0.1):
         metadata, resolution = {"unit": unit, "axes": "TYX"}, (across, down)
         tifffile.imwrite(tmp_path / "ij.tif", comb(), imagej=True, resolution=resolution, metadata=metadata)
-        return open_video(tmp_path / "ij.tif").facts.pixel_size_um
+        return open_video(tmp_path / "ij.tif").facts
+
+    def stated(unit, across=0.1, down=0.1):
+        return facts(unit, across, down).pixel_size_um
 
     assert stated("micron") == stated("um") == stated("\\u00B5m") == pytest.approx(10.0)
     assert stated("mm", 100.0, 100.0) == pytest.approx(10.0)
     assert stated("pixel") is stated("inch", 72.0, 72.0) is stated("micron", 0.1, 0.2) is None
     assert stated("micron", 0, 0) is None
+    assert facts("inch", 72.0, 72.0).scale_unused == "72 px per inch, mostly the size of a print"
+    assert facts("micron", 0.1, 0.2).scale_unused == "10 x 5 µm per px, not square"
+    assert facts("micron").scale_unused == facts("pixel").scale_unused == ""
+    tifffile.imwrite(tmp_path / "cm.tif", comb(), resolution=(1000.0, 1000.0), resolutionunit="CENTIMETER")
+    plain = open_video(tmp_path / "cm.tif").facts
+    assert (plain.pixel_size_um, plain.scale_unused) == (None, "1000 px per cm, mostly the size of a print")
     ome = {"axes": "TYX", "PhysicalSizeX": 0.01, "PhysicalSizeXUnit": "mm", "PhysicalSizeY": 10.0}
     tifffile.imwrite(tmp_path / "a.ome.tif", comb(), metadata=ome)
     assert open_video(tmp_path / "a.ome.tif").facts.pixel_size_um == pytest.approx(10.0)
@@ -365,4 +374,5 @@ def test_pixel_size_of_stacks(tmp_path):
     tifffile.imwrite(tmp_path / "b.ome.tif", comb(), metadata=ome)
     assert open_video(tmp_path / "b.ome.tif").facts.pixel_size_um is None
     tifffile.imwrite(tmp_path / "none.tif", comb())
-    assert open_video(tmp_path / "none.tif").facts.pixel_size_um is None
+    none = open_video(tmp_path / "none.tif").facts
+    assert (none.pixel_size_um, none.scale_unused) == (None, "")

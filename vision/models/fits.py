@@ -247,7 +247,7 @@ def _complete_events(sticks: pd.DataFrame, sample: Sample, force: xr.Dataset) ->
         raise InputError(
             "the force recording",
             f"separations between 0 and {sample.length_mm:g} mm",
-            f"{low:.3g} to {high:.3g} mm{', as of a displacement that begins at 0' if from_zero else ''}",
+            f"{low:.5g} to {high:.5g} mm{', as of a displacement that begins at 0' if from_zero else ''}",
             f"give the initial separation with `d0_mm`, check `length_mm`, or {_read_as(force)}",
         )
     return events
@@ -533,9 +533,9 @@ def _degeneracies(fits: ModelFits) -> list[str]:
     """Notes on degenerate parameters and on the range of d."""
     notes = []
     if (correlation := fits.correlation.get("mu,T_star_N")) is not None:
-        notes.append(f"T* and mu are degenerate (correlation {correlation:.3f}): use them only together")
-    if abs(fits.correlation["Lambda_hat_mm,Y_eff_GPa"]) > 0.98:
-        notes.append("Λ̂ and Y_eff are nearly degenerate over this range of d")
+        notes.append(f"T* and μ are degenerate (correlation {correlation:.3f}): use them only together")
+    if abs(correlation := fits.correlation["Lambda_hat_mm,Y_eff_GPa"]) > 0.98:
+        notes.append(f"Λ̂ and Y_eff are degenerate (correlation {correlation:.3f}): use them only together")
     if fits.d_mm[1] > fits.scale_mm.value:
         notes.append(f"d goes beyond {fits.scale_mm.value:.2f} mm, where M_eff is 0")
     return notes

@@ -48,6 +48,8 @@ class Facts:
         Whether these times come with the blocks instead.
     pixel_size_um
         µm per pixel that the file states; None without.
+    scale_unused
+        A scale in the file that is not used, and why; "" without.
     turned_deg
         Clockwise rotation for display that the file states (films of phones), degrees.
     container, codec, pixel_format, decoder, grey
@@ -72,6 +74,7 @@ class Facts:
     times_s: Floats | None = None
     times_in_blocks: bool = False
     pixel_size_um: float | None = None
+    scale_unused: str = ""
     turned_deg: int = 0
     warnings: tuple[str, ...] = ()
 

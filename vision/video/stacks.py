@@ -41,6 +41,7 @@ IMAGES = {".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp"}
 _JPEG = {"jpg", "jpeg", "ojpeg", "jpeg_lossy"}
 _UM_PER = {"nm": 1e-3, "micron": 1.0, "microns": 1.0, "um": 1.0, "µm": 1.0, "μm": 1.0, "mm": 1e3, "m": 1e6}
 """µm per unit of length. Inch and cm are left out: mostly they give the size of a print, such as 72 dpi."""
+_OF_PRINTS = {"inch", "inches", "in", "cm"}
 
 Pillow.MAX_IMAGE_PIXELS = None  # its warning; `check_pixels` bounds what is decoded
 
@@ -216,6 +217,7 @@ def _stack_facts(tif: tifffile.TiffFile, held: int, indexed: int, path: Path, *,
     if not held:
         raise InputError(path, "at least one whole frame", "none", "the file was cut short; copy it again")
     declared = max(_possible(_declared_frames(tif), path), held, indexed)
+    size_um, unused = _own_pixel_size_um(tif)
     return Facts(
         shape=(first.imagelength, first.imagewidth),
         depth_bits=bits,
@@ -227,7 +229,8 @@ def _stack_facts(tif: tifffile.TiffFile, held: int, indexed: int, path: Path, *,
         decoder=decoder,
         grey=LUMA_RULE if first.samplesperpixel > 1 and not _leads_with_grey(first) else AS_STORED,
         times_s=_own_times(tif, declared),
-        pixel_size_um=_own_pixel_size_um(tif),
+        pixel_size_um=size_um,
+        scale_unused=unused,
     )
 
 
@@ -288,23 +291,37 @@ def _own_times(tif: tifffile.TiffFile, frames: int) -> Floats | None:
     return np.arange(frames, dtype=np.float64) * seconds if seconds > 0 else None
 
 
-def _own_pixel_size_um(tif: tifffile.TiffFile) -> float | None:
-    """Return the size of a square pixel from ImageJ's or OME's calibration, µm; None without."""
+def _own_pixel_size_um(tif: tifffile.TiffFile) -> tuple[float | None, str]:
+    """Return the size of a square pixel from ImageJ's or OME's calibration, µm, and a scale not used.
+
+    The size is None without a calibration. A size in inch or cm, also that of the TIFF itself, and one of
+    pixels that are not square are not used; they are returned as text.
+    """
     across, down, unit, unit_down = 0.0, 0.0, "", ""
-    if tif.is_imagej:
-        unit = unit_down = str((tif.imagej_metadata or {}).get("unit", "")).replace("\\u00B5", "µ")
+    if tif.is_imagej or not tif.is_ome:
         tags = tif.pages.first.tags
-        if "XResolution" in tags and "YResolution" in tags:
+        if tif.is_imagej:
+            unit = str((tif.imagej_metadata or {}).get("unit", "")).replace("\\u00B5", "µ")
+        elif "ResolutionUnit" in tags:
+            unit = {2: "inch", 3: "cm"}.get(tags["ResolutionUnit"].value, "")
+        unit_down = unit
+        with suppress(KeyError, TypeError, ValueError):  # no resolution, or a damaged one
             (pixels, across), (pixels_down, down) = tags["XResolution"].value, tags["YResolution"].value
             across, down = (across / pixels, down / pixels_down) if pixels and pixels_down else (0.0, 0.0)
-    elif tif.is_ome:
+    else:
         given = dict(re.findall(r'\bPhysicalSize([XY](?:Unit)?)="([^"]+)"', _first_pixels(tif)))
         with suppress(ValueError):  # a value that is no number does not make the film unreadable
             across, down = float(given.get("X", 0.0)), float(given.get("Y", 0.0))
         unit, unit_down = given.get("XUnit", "µm"), given.get("YUnit", "µm")
-    size = across * _UM_PER.get(unit.strip().lower(), 0.0)
-    is_square = math.isclose(size, down * _UM_PER.get(unit_down.strip().lower(), 0.0), rel_tol=1e-3)
-    return size if 0 < size < math.inf and is_square else None
+    unit, unit_down = unit.strip().lower(), unit_down.strip().lower()
+    size, height = across * _UM_PER.get(unit, 0.0), down * _UM_PER.get(unit_down, 0.0)
+    if 0 < size < math.inf and math.isclose(size, height, rel_tol=1e-3):
+        return size, ""
+    if 0 < size < math.inf and 0 < height < math.inf:
+        return None, f"{size:.4g} x {height:.4g} µm per px, not square"
+    if unit in _OF_PRINTS and 0 < across < math.inf:
+        return None, f"{1 / across:.4g} px per {unit.replace('inches', 'inch')}, mostly the size of a print"
+    return None, ""
 
 
 def _first_pixels(tif: tifffile.TiffFile) -> str:

@@ -363,6 +363,7 @@ def _metadata(video: Video, strip: Strip, read: FramesRead, settings: VideoSetti
         decoder=facts.decoder,
         grey=facts.grey,
         file_pixel_size_um=math.nan if facts.pixel_size_um is None else facts.pixel_size_um,
+        file_scale_unused=facts.scale_unused,
         rotate=video.rotate,
         depth_bits=video.depth_bits,
         saturation_level=math.nan if video.saturation_level is None else video.saturation_level,
