@@ -216,6 +216,17 @@ def test_both_errors_are_printed():
     assert models.count("(stat.)") == models.count("(syst.)") == 3
 
 
+def test_events_of_an_oscillation_are_not_called_stick_slip():
+    """A failure means a summary that contradicts the warning below it."""
+    found = with_force()
+    assert any("stick-slip events" in line for line in summary_lines(found))
+    sticks = found.sticks.copy()
+    sticks.attrs = {**sticks.attrs, "regime": "oscillation"}
+    lines = summary_lines(replace(found, sticks=sticks))
+    (line,) = (line for line in lines if line.startswith("events"))
+    assert f"{len(sticks)} events (oscillation, not stick-slip)" in line
+
+
 def test_systematic_errors_are_a_line_each():
     """A failure means numbers that nobody can find in one long line, or no word on what is missing."""
     lines = summary_lines(with_force())

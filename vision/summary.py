@@ -60,7 +60,9 @@ def summary_lines(results: Results) -> list[str]:
         lines += _tracking_lines(results.tracks, results.pixel_size_um)
     if results.force is not None and results.sticks is not None:
         sizes, lowpass = event_sizes(results.force, results.sticks), lowpass_correction(results.sticks)
-        lines.append(f"events     {len(results.sticks)} stick-slip events; {sizes}; {lowpass}")
+        regime = StickMetadata.of(results.sticks).regime
+        kind = "stick-slip events" if regime == "stick-slip" else f"events ({regime}, not stick-slip)"
+        lines.append(f"events     {len(results.sticks)} {kind}; {sizes}; {lowpass}")
     if (fits := results.fits) is not None:
         mu, a, n_hat = (both_errors(one) for one in (fits.mu, fits.amplitude, fits.n_hat_N))
         lines.append(f"models     μ {mu}, A {a}, N̂ {n_hat} N")

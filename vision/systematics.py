@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 QUANTITIES: Mapping[str, tuple[str, str]] = {
     "x_px": ("position of a sheet (not in x_err_px)", "px"),
     "mu": ("μ", ""),
-    "T0_N": ("𝒯0", "N"),
+    "T0_N": ("𝒯_0", "N"),
     "A": ("A", ""),
     "N_hat_N": ("N̂", "N"),
     "Y_eff_GPa": ("Y_eff", "GPa"),

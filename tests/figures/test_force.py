@@ -40,7 +40,7 @@ def test_peaks_lie_on_the_force_curve_and_eq_1(pulled):
     """A failure means that F(d), its peaks or the model are drawn against different separations."""
     figure = force_figure(pulled.force, pulled.sticks, pulled.fits)
     series = by_label(figure)
-    peaks, model = series["peaks"], series["Eq. 1 + T_0"]
+    peaks, model = series["peaks"], series["Eq. 1 + 𝒯_0"]
     near = np.abs(peaks.x[:, None] - series["F"].x) < 0.003
     highest = np.where(near, series["F"].y, -np.inf).max(axis=1)
     assert np.median(np.abs(highest - peaks.y) / peaks.y) < 0.02

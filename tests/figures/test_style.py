@@ -65,6 +65,7 @@ def test_sheets_are_blue_on_the_left_and_orange_on_the_right():
             "M<sub>eff</sub> K<sub>eff</sub>",
             r"$M_{\mathrm{eff}}$ $K_{\mathrm{eff}}$",
         ),
+        ("F_p − 𝒯_0", "Fₚ − 𝒯₀", "F<sub>p</sub> − 𝒯<sub>0</sub>", r"Fₚ − $\mathcal{T}_0$"),
         ("tracks_x.csv <b>", "tracks_x.csv <b>", "tracks_x.csv &lt;b&gt;", "tracks_x.csv <b>"),
     ],
 )

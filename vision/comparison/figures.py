@@ -101,8 +101,8 @@ def peaks_figure(found: Comparison, events: pd.DataFrame) -> Figure:
         model = f"Dashed: Eq. 1 with μ = {both_errors(mu)}, {whose}, {t_star}."
     return Figure.of(
         "peaks",
-        Panel(x_label="d_p (mm)", y_label="F_p − T_0 (N)", series=series),
-        f"Peak force of every event less its test's offset T_0. {model}",
+        Panel(x_label="d_p (mm)", y_label="F_p − 𝒯_0 (N)", series=series),
+        f"Peak force of every event less its test's offset 𝒯_0. {model}",
         title="Peak forces at all velocities",
     )
 

@@ -59,10 +59,10 @@ def force_figure(
     model = ""
     if fits is not None and known:
         d_model = np.linspace(*fits.d_mm, CURVE_POINTS)
-        series.append(Series.model("Eq. 1 + T_0", d_model, fits.peak_force_N(d_model), MODEL))
+        series.append(Series.model("Eq. 1 + 𝒯_0", d_model, fits.peak_force_N(d_model), MODEL))
         model = (
             f" Dashed: Eq. 1 fitted to the peaks, μ = {both_errors(fits.mu)} with T* "
-            f"= {1000 * fits.t_star_N.value:g} mN and an offset T_0 = {both_errors(fits.t0_N)} N."
+            f"= {1000 * fits.t_star_N.value:g} mN and an offset 𝒯_0 = {both_errors(fits.t0_N)} N."
         )
     title = "Force against separation" if known else "Force against time"
     panel = _force_panel(force, title, tuple(series), against_d=known)

@@ -71,7 +71,7 @@ def _along(colours: tuple[str, ...], shares: Floats) -> list[str]:
 
 # --- symbols: σ_x, Λ_st and M_eff are written so in the program and in tables -------------------------------
 
-_SYMBOL = re.compile(r"(?<![A-Za-z0-9_])([A-Za-zΔΛσδ])_(st|sl|eff|x|v|p|0)\b")
+_SYMBOL = re.compile(r"(?<![A-Za-z0-9_])([A-Za-zΔΛσδ𝒯])_(st|sl|eff|x|v|p|0)\b")
 _SMALL_LETTERS = str.maketrans("xvpst0", "ₓᵥₚₛₜ₀")
 
 
@@ -91,6 +91,7 @@ def to_mathtext(text: str) -> str:
     """Return text for matplotlib, with Unicode subscripts, or else mathtext, which is slower."""
     # A name may contain "$".
     plain = _SYMBOL.sub(r"$\1_{\\mathrm{\2}}$", to_unicode(text).replace("$", r"\$"))
+    plain = plain.replace("𝒯₀", r"$\mathcal{T}_0$")  # the font lacks this letter
     # Outside mathtext, a hat on a capital is cut off.
     return re.sub("(\\w)\u0302", r"$\\hat{\\mathrm{\1}}$", plain)
 
