@@ -5,7 +5,8 @@ import pytest
 
 from tests.scenes.combs import comb, ridges, strip
 from tests.scenes.identity_cases import brightness
-from vision.sheets import track_sheets
+from vision.sheets import TrackingSettings, track_sheets
+from vision.sheets.identities import exchanged
 from vision.sheets.recovery import anchored, hops, predicted_by_neighbours
 from vision.sheets.ridges import RidgeComb
 
@@ -46,6 +47,39 @@ def test_a_smaller_departure_is_motion():
     x = moving()
     x[50:81, 12] += 3.5
     assert not hops(residual_of(x), COMB).any()
+
+
+@pytest.mark.parametrize("other_ridge", [True, False])
+def test_a_sheet_on_the_ridge_of_the_next_is_doubted_and_one_that_slips_there_is_not(other_ridge):
+    """From frame 100 on the sheets 46 to 48 are where 47 to 49 were. With their own brightnesses they moved
+    there; with those of the ridges that were there before, nothing moved but the numbering. A failure means
+    that sheets beyond one that vanished pass for each other, or that an avalanche loses its sheets."""
+    x, contrast = moving(), np.tile(np.exp(0.3 * np.sin(2.5 * np.arange(50))), (FRAMES, 1))
+    x[100:, 46:49] = x[100:, 47:]
+    x[100:, 49] = np.nan if other_ridge else x[100:, 49] + PITCH
+    if other_ridge:
+        contrast[100:, 46:49] = contrast[100:, 47:]
+    margin = np.full(x.shape, 20.0)
+    margin[100:, 46:] = 12.0
+    doubtful = exchanged(x, contrast, margin, COMB)
+    assert doubtful[100:, 46:49].all() == other_ridge
+    assert doubtful.sum() == 300 * other_ridge
+    margin[:100] = 9.0  # the numbering before is the less certain one
+    assert exchanged(x, contrast, margin, COMB)[:100].sum() == 300 * other_ridge
+
+
+def test_sheets_that_draw_together_until_one_is_hidden_are_not_exchanged():
+    """The outer five draw together, and one is lost among them. A failure means that those beyond pass for
+    each other, as they do without this comparison."""
+    x = comb(FRAMES, per_side=8, axis_px=260, slip=0.1)
+    x[:, 12:] -= np.clip(np.arange(FRAMES) / 100 - 1, 0, 1)[:, None] * 0.6 * (x[0, 12:] - x[0, 11])
+    contrast = np.exp(0.2 * np.random.default_rng(4).normal(size=16))
+    picture = strip(ridges(x, width=520, fwhm_px=9, contrast=contrast))
+    for nats, honest in ((TrackingSettings().anchor_nats, True), (1e9, False)):
+        tracks = track_sheets(picture, settings=TrackingSettings(anchor_nats=nats))
+        given = np.isin(tracks.flag.values, ("ok", "blurred"))
+        assert (not (np.abs(tracks.x_px.values - x)[given] > 6).any()) is honest
+    assert given.mean() > 0.9
 
 
 def looks(contrast):

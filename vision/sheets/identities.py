@@ -18,6 +18,8 @@ from vision.sheets.ridges import RidgeComb, Ridges
 from vision.sheets.settings import TrackingSettings
 from vision.signals import running_median
 
+SHIFTS = (-2, -1, 1, 2)  # alternative numberings, which must be excluded
+
 
 @dataclass(frozen=True)
 class Identities:
@@ -164,21 +166,82 @@ def _rest_over_time(x_px: Floats, reference: ReferenceComb, comb: RidgeComb) -> 
     return np.asarray(reference.x_px + np.nan_to_num(moved)[np.minimum(at, blocks - 1)], np.float64)
 
 
-def torn(moved: Floats, comb: RidgeComb) -> Bools:
+def torn(moved: Floats, comb: RidgeComb, spacing_px: Floats | float | None = None) -> Bools:
     """Return which sheets are displaced very differently from their neighbours in a frame, (frame, N).
 
     A slip moves neighbours alike, however far. Where the displacements `moved` of neighbours differ by more
-    than `tear_fraction` pitches, one of the identities is wrong. Such tears divide the sheets of a frame into
-    groups; all groups but the largest are doubtful.
+    than `tear_fraction` pitches (or of `spacing_px`), one of the identities is wrong. Such tears divide the
+    sheets of a frame into groups; all groups but the largest are doubtful.
     """
     frames, sheets = moved.shape
     seen = np.isfinite(moved)
     before = np.hstack([np.full((frames, 1), np.nan), last_seen(moved)[:, :-1]])
-    group = np.cumsum(np.abs(moved - before) > comb.settings.tear_fraction * comb.pitch_px, axis=1)
+    least = comb.settings.tear_fraction * (comb.pitch_px if spacing_px is None else spacing_px)
+    group = np.cumsum(np.abs(moved - before) > least, axis=1)
     key = (group + sheets * np.arange(frames)[:, None])[seen]
     size = np.bincount(key, minlength=frames * sheets).reshape(frames, sheets)
     own_size = np.take_along_axis(size, group, axis=1)
     return np.asarray(seen & (own_size < size.max(axis=1, keepdims=True)), bool)
+
+
+def exchanged(x_px: Floats, contrast: Floats, margin: Floats, comb: RidgeComb) -> Bools:
+    r"""Return where a sheet may be on the ridge of the next sheet, (frame, N).
+
+    Where sheets draw together, a ridge that vanishes can shift the identities of those beyond it, although
+    their ridges stay. These sheets then part from the others by a spacing, to where other sheets were. Let u
+    be a sheet's step beyond that of the nearest sheets that do not part, and b the change of its log
+    brightness. Averaged over adjacent sheets that part,
+
+    .. math:: \ln\Big(1 + \frac{u^2}{2 \sigma_u^2}\Big) + \ln\Big(1 + \frac{b^2}{2 \sigma_b^2}\Big)
+
+    then exceeds by half of `anchor_nats` the same sum for u and b from the last position and brightness of
+    another sheet. Of the positions of a sheet before and after, those with the smaller margin are doubtful.
+    x_px, contrast and margin are (frame, N), NaN where missing.
+    """
+    sheets = x_px.shape[1]
+    moved, level = (
+        values - nan_median(values - nan_median(values), axis=1)[:, None]
+        for values in (x_px, np.log(contrast))
+    )
+    last, last_level = (last_seen(values[:-1].T).T for values in (moved, level))
+    step, brightened = moved[1:] - last, level[1:] - last_level
+    gap = np.diff(np.pad(last, ((0, 0), (1, 1)), constant_values=np.nan), axis=1)
+    off = torn(step, comb, np.fmin(np.fmin(gap[:, :-1], gap[:, 1:]), comb.pitch_px))
+    rows = np.flatnonzero(off.any(axis=1))
+    if not len(rows):
+        return np.zeros(x_px.shape, bool)
+    usual = [
+        least + float(np.nanmedian(np.abs(change))) / NORMAL_MEDIAN
+        for change, least in ((step, 0.5), (brightened, 0.02))  # whole pixels
+    ]
+    off = off[rows]
+    others = fill_rows(np.where(off, np.nan, step[rows]), np.arange(sheets, dtype=np.float64))
+    at, height = moved[1 + rows] - others, level[1 + rows]
+
+    def cost(by: int) -> Floats:
+        """Return the cost of a step from where the sheet `by` further was."""
+        u, b = at - shifted(last[rows], by), height - shifted(last_level[rows], by)
+        return np.asarray(np.log1p((u / usual[0]) ** 2 / 2) + np.log1p((b / usual[1]) ** 2 / 2))
+
+    gain = cost(0) - np.fmin.reduce([cost(by) for by in SHIFTS])
+    part = np.cumsum(np.diff(off, axis=1, prepend=False), axis=1)
+    part += (sheets + 1) * np.arange(len(rows))[:, None]
+    known = off & np.isfinite(gain)
+    count = np.bincount(part[known], minlength=part.max() + 1)
+    mean = np.bincount(part[known], gain[known], minlength=len(count)) / np.maximum(count, 1)
+    exchange = np.zeros(x_px.shape, np.int64)
+    exchange[1 + rows] = off & (mean > comb.settings.anchor_nats / 2)[part]
+
+    run, seen = np.cumsum(exchange, axis=0), np.isfinite(x_px)
+    most = int(run.max()) + 1
+    run += most * np.arange(sheets)
+    count = np.bincount(run[seen], minlength=most * sheets)
+    total = np.bincount(run[seen], np.nan_to_num(margin[seen], posinf=1e3), minlength=len(count))
+    nats = (total / np.maximum(count, 1)).reshape(sheets, most)
+    later, weaker = nats[:, 1:] <= nats[:, :-1], np.zeros(nats.shape, bool)
+    weaker[:, 1:] |= later
+    weaker[:, :-1] |= ~later
+    return np.asarray(seen & weaker.ravel()[run], bool)
 
 
 def last_seen(values: Floats) -> Floats:

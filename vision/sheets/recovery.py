@@ -29,14 +29,13 @@ from vision.numeric import (
     shifted,
 )
 from vision.sheets.alignment import values_of
-from vision.sheets.identities import Identities, fill_rows, last_seen, torn
+from vision.sheets.identities import SHIFTS, Identities, exchanged, fill_rows, last_seen, torn
 from vision.sheets.reference import rest_positions
 from vision.sheets.ridges import RidgeComb, Ridges, find_ridges, in_blocks
 from vision.sheets.settings import TrackingSettings
 
 PAIRS = 3  # neighbours on each side that predict a sheet's position
 LINES = ((1, 2), (1, 3), (2, 3), (2, 4), (3, 4))  # distances of two neighbours on one side that a line joins
-SHIFTS = (-2, -1, 1, 2)  # alternative numberings that the pattern must exclude
 TERM_LIMIT = 4.0  # nats: no single spacing, brightness or width decides a numbering
 LIKE_ITSELF = 0.7
 """Change of log contrast up to which a ridge may be the sheet that is expected there: a factor of two."""
@@ -75,6 +74,8 @@ def assign_detections(
     why = _doubts(usual, identities, comb)
     why[_numbered_off_the_end(candidates[:2], paired[:2], comb)] = "end"
     why[_shifted_pattern(np.where(why == "", paired, np.nan), comb.settings)] = "pattern"
+    certain = np.where(why == "", paired, np.nan)
+    why[exchanged(certain[0], certain[1], identities.margin, comb)] = "exchange"
     paired, why = _reassign_hops(candidates, paired, why, comb)
     doubtful = why != ""
     withheld = np.where(doubtful, paired[0], np.nan)
@@ -104,6 +105,7 @@ DOUBTS = {
     "end": "a ridge beyond the comb is like the sheets, while the sheet at the other end is missing",
     "jump": "displaced by a jump that could be one of whole pitches",
     "pattern": "brightnesses and widths fit another numbering: the comb may have jumped by whole pitches",
+    "exchange": "on the ridge that another sheet had in the frame before",
     "hop": "on another ridge, away from the position that the neighbours predict",
 }
 """Meaning of each `Detections.why`."""
