@@ -25,7 +25,7 @@ from vision.figures import (
 from vision.figures.decimate import grey_limits
 from vision.figures.drawing import MOST_LINES, new_figure
 from vision.figures.positions import MOST_POINTS
-from vision.figures.style import MISSING
+from vision.figures.style import LEFT_ON_GREY, MISSING, RIGHT_ON_GREY
 
 
 def draw_kymograph(ax, diagram, *, slips_s=None):
@@ -224,6 +224,7 @@ def test_the_frame_numbers_its_sheets(tracks):
     figure = frame_figure(np.arange(220 * 200).reshape(200, 220) % 255, tracks)
     left, right = figure.panel.series
     assert left.text == ("5", "4", "3", "2", "1")
+    assert (left.ink, right.ink) == (LEFT_ON_GREY, RIGHT_ON_GREY)
     assert right.text == ("1", "2", "3", "4", "5")
     np.testing.assert_allclose(right.x, tracks["x_px"].values[0, 5:])
     assert (figure.panel.bands[0].low, figure.panel.bands[0].high) == (59.5, 143.5)

@@ -108,6 +108,30 @@ def test_the_page_fits_its_window(browser, report, width, scheme):
     visit.context.close()
 
 
+def page_with(browser, folder, figures):
+    """Open a page of these figures and nothing else."""
+    words = dict.fromkeys(("title", "kind", "subtitle"), "")
+    lists = {name: [] for name in ("answers", "warnings", "missing", "methods", "citation", "tables")}
+    return ReportVisit(
+        browser, render_page(folder / "page.html", [("Section", figures)], {}, **words, **lists)
+    )
+
+
+def test_one_sheet_on_a_side_hides_no_number_of_the_other(browser, tmp_path):
+    """A failure means that sheets of a film with few of them have no number in the frame."""
+    left, right = (
+        Series(label=name, x=x, y=0 * x, low=0 * x - 1, high=0 * x + 1, text=text, ink=DATA, look="ticks")
+        for name, x, text in (
+            ("left", np.array([10.0]), ("1",)),
+            ("right", np.array([17.0, 24.0]), ("1", "77")),
+        )
+    )
+    panel = Panel(x_label="x", y_label="z", series=(left, right), x_range=(0.0, 30.0), y_range=(-2.0, 2.0))
+    visit = page_with(browser, tmp_path, [Figure.of("frame", panel, "Caption.", title="frame")])
+    assert ">77</text>" in visit.page.evaluate("document.getElementById('frame').svg()")
+    visit.context.close()
+
+
 def test_error_bars_lie_within_the_axes(browser, tmp_path):
     """A failure means that the largest errors are cut off, and look smaller than they are."""
     x, error = np.arange(4.0), np.array([0.1, 5.0, 0.1, 3.0])
@@ -118,10 +142,7 @@ def test_error_bars_lie_within_the_axes(browser, tmp_path):
         "double": Panel(x_label="n", y_label="a", y2_label="b", series=(left, right)),
     }
     figures = [Figure.of(name, panel, "Caption.", title=name) for name, panel in panels.items()]
-    words = dict.fromkeys(("title", "kind", "subtitle"), "")
-    lists = {name: [] for name in ("answers", "warnings", "missing", "methods", "citation", "tables")}
-    page = render_page(tmp_path / "page.html", [("Section", figures)], {}, **words, **lists)
-    visit = ReportVisit(browser, page)
+    visit = page_with(browser, tmp_path, figures)
     for name, scale in (("single", "y"), ("double", "y"), ("double", "y2")):
         low, high = visit.range_of(name, scale)
         assert low < -4 and high > 6, (name, scale)

@@ -77,6 +77,7 @@ def test_the_answers_are_the_run_s(pulled, tmp_path):
     assert "50 (25 left, 25 right)" in page
     assert f'<div class="value">{pulled.motion.sizes["event"]}</div>' in page
     assert "offset 36.0000 s" in page
+    assert f"x_err_px: {np.nanmedian(pulled.tracks['x_err_px']):.2g} px" in page
     assert re.search(r"μ = 0\.8[89]\d* ± 0\.0", page)
 
 

@@ -27,7 +27,6 @@ from vision.figures.style import (
     displacement_unit,
     from_zero,
     position_unit,
-    sheet_inks,
     time_axis,
 )
 from vision.numeric import Floats, Pixels, nan_median
@@ -132,10 +131,10 @@ def _strokes(tracks: xr.Dataset, z0: float, z1: float, *, axis: bool) -> tuple[S
     known, side = np.flatnonzero(np.isfinite(x)), tracks["side"].values
     groups = [("sheets", known, tracks["sheet"].values, PEAK)]
     if axis:
-        n, inks, names = tracks["n"].values, sheet_inks(tracks), {-1: "left", 1: "right"}
+        n, names = tracks["n"].values, {-1: ("left", LEFT_ON_GREY), 1: ("right", RIGHT_ON_GREY)}
         groups = [
-            (f"sheets {name} of the axis", mine, n, inks[mine[-1 if which > 0 else 0]])
-            for which, name in names.items()
+            (f"sheets {name} of the axis", mine, n, ink)
+            for which, (name, ink) in names.items()
             if len(mine := known[side[known] == which])
         ]
     return tuple(

@@ -530,8 +530,8 @@ def _at_slips(jumps: Bools, load: Floats) -> bool:
 def _saturated(load: Floats, least: int) -> Bools:
     """Return the samples in runs, of `least` or more, at the largest |load|; none if the load never changes.
 
-    A load in coarse steps has runs at every step, so these runs must also be twice as long as nine tenths of
-    the others.
+    A load in coarse steps has runs at every step, so these runs must also be twice as long as those in which
+    nine tenths of the other samples are; noise adds short runs between the steps.
     """
     finite = np.abs(load[np.isfinite(load)])
     if not finite.size or np.ptp(finite) == 0:
@@ -539,7 +539,8 @@ def _saturated(load: Floats, least: int) -> Bools:
     begins = np.flatnonzero(np.r_[True, load[1:] != load[:-1]])
     length = np.diff(np.append(begins, load.size))
     at_limit = np.abs(load[begins]) == finite.max()
-    steps = float(np.quantile(length[~at_limit], 0.9))
+    others = np.sort(length[~at_limit])
+    steps = others[np.searchsorted(np.cumsum(others), 0.9 * others.sum())]
     return np.repeat(at_limit & (length >= max(least, 2 * steps)), length)
 
 

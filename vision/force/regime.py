@@ -82,7 +82,8 @@ def doubts(events: pd.DataFrame, regime: Regime, signal: Signal, slips: Slips, u
     if regime.name == "oscillation":
         lines.append(
             f"an oscillation, not stick-slip: falls last {regime.fall_over_rise:.2g} times as long as rises, "
-            f"which are rounded, and the load varies by {np.ptp(np.percentile(signal.clean, [1, 99])):.3g}"
+            f"which are rounded, and the load varies by {np.ptp(np.percentile(signal.clean, [1, 99])):.3g} "
+            f"{unit}"
         )
     elif regime.name == "cycles":
         lines.append(

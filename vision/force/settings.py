@@ -67,6 +67,12 @@ class ForceSettings:
     them: hum or smoothed noise. Smaller cuts off small slow slips, larger takes hum for slips; shown by slow
     slips of lognormal sizes, and by hum of a tenth of the drop."""
 
+    uneven_parts: int = 8
+    """Parts of a stick whose means are compared with its line. Fewer overlook a small slip within a stick,
+    more compare parts of too few samples."""
+    uneven_excess: float = 1.7
+    """Ratio of that deviation to the noise from which it enters the errors. Smaller enlarges the errors of
+    sticks with white noise, of which 1 % exceed this; larger leaves out small slips."""
     line_part: float = 0.8
     """Central part of a stick through which its line is fitted; drops, F_v and F_p are extrapolated
     from it. Larger comes closer to the rounded ends, smaller extrapolates further."""

@@ -78,9 +78,7 @@ def measure_sticks(
     d_v, d_p, d_next, noise_mm = _separations(signal, sticks, valley[-1], f_v, f_p, compliance)
     # Of each corner, in samples; at the extreme of a slow slip the load is level, so that its force has none.
     error = _position_errors(signal, corners, filter_known)
-    error_v, error_p = _corner_errors(
-        signal, extremes, ends, (f_v, f_p), np.where(recorded, 0, error), settings
-    )
+    error_v, error_p = _corner_errors(signal, extremes, ends, (f_v, f_p), error, recorded, settings)
     relative = np.hypot(error[:-1], error[1:]) / (p - v)
     table = pd.DataFrame(
         {
@@ -138,17 +136,21 @@ def _corner_errors(
     ends: _Ends,
     forces: tuple[Floats, Floats],
     position_error: Floats,
+    recorded: Bools,
     settings: ForceSettings,
 ) -> tuple[Floats, Floats]:
     """Return the errors of F_v and F_p (`forces`) from those of the corners' positions, in samples.
 
-    Ringing oscillates about the stick line, and a stick may bend too sharply for it: what was recorded
-    beyond the line, noise aside, is part of the error.
+    Ringing oscillates about the stick line, a filter may overshoot it before the slip as well, a stick may
+    bend too sharply for it, and a coarse load ends below it: what was recorded beyond the line, noise aside,
+    is part of the error, and so is how far the force was moved from the line to what was recorded.
     """
+    line_v, line_p = np.where(recorded[:-1], forces[0], ends.f_v), np.where(recorded[1:], forces[1], ends.f_p)
     noise = settings.extreme_sigmas * signal.sigma
-    below, above = forces[0] - extremes.lowest[:-1] - noise, extremes.highest[1:] - forces[1] - noise
-    error_v, error_p = ends.rise_v * position_error[:-1], ends.rise_p * position_error[1:]
-    return np.hypot(error_v, np.maximum(below, 0)), np.hypot(error_p, np.maximum(above, 0))
+    beyond_v = np.fmax(line_v - extremes.lowest[:-1] - noise, np.abs(forces[0] - line_v))
+    beyond_p = np.fmax(extremes.highest[1:] - line_p - noise, np.abs(forces[1] - line_p))
+    position = np.where(recorded, 0, position_error)
+    return np.hypot(ends.rise_v * position[:-1], beyond_v), np.hypot(ends.rise_p * position[1:], beyond_p)
 
 
 def _separations(
@@ -275,6 +277,8 @@ def _ends(signal: Signal, sticks: _Sticks, t_v: Floats, t_p: Floats, shape: Shap
     # The common curvature is in the residuals of the lines, but is no noise.
     straight = np.sqrt(np.maximum(line.spread**2 - (shape.spread * rise) ** 2, 0))
     noise = np.sqrt(signal.alike) * np.fmax(straight, np.fmin(line.spread, signal.sigma))
+    if not sticks.lag:
+        noise = noise * np.where(bent, 1.0, _unevenness(signal, line, *central, noise, sticks.settings))
     shape_v, shape_p = shape.begin_error * rise, shape.end_error * rise
     return _Ends(
         f_v,
@@ -288,6 +292,32 @@ def _ends(signal: Signal, sticks: _Sticks, t_v: Floats, t_p: Floats, shape: Shap
     )
 
 
+def _unevenness(
+    signal: Signal, line: Lines, start: Ints, stop: Ints, noise: Floats, settings: ForceSettings
+) -> Floats:
+    """Return how many times more each stick leaves its line for a while than `noise` explains, at least 1.
+
+    Small slips within a stick and the steps of a coarse load do so. Each stick is divided into
+    `uneven_parts`, whose means deviate from the line by the noise over the square root of their samples, and
+    by what all sticks have in common in proportion to their rises, which is their curvature.
+    """
+    parts = settings.uneven_parts
+    edge = start + np.arange(parts + 1)[:, np.newaxis] * (stop - start) // parts
+    samples = np.diff(edge, axis=0)
+
+    def means(values: Floats) -> Floats:
+        total = np.r_[0.0, np.cumsum(values - values.mean())]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(np.diff(total[edge], axis=0) / samples + values.mean())
+
+    off = means(signal.clean) - line.at(means(signal.time))
+    rise = line.slope * (signal.time[stop - 1] - signal.time[start])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        off = off - rise * nan_median(off / rise, axis=1)[:, np.newaxis]
+        size = np.sqrt(np.sum(off**2 * samples, axis=0) / (parts - 2)) / noise
+    return np.where((size > settings.uneven_excess) & (noise > 0), size, 1.0)
+
+
 def _stiffness(signal: Signal, sticks: _Sticks, two_slopes: bool, compliance: float) -> dict[str, Floats]:
     """Return the columns of K: slopes of load against d, corrected for the machine's compliance in series."""
 
@@ -296,6 +326,7 @@ def _stiffness(signal: Signal, sticks: _Sticks, two_slopes: bool, compliance: fl
             return np.where(slope * compliance < 1, slope / (1 - slope * compliance), np.nan)
 
     time, travel, load, wider = signal.time, signal.travel, signal.spikeless, np.sqrt(signal.alike)
+    settings = sticks.settings
 
     def with_error(start: Ints, stop: Ints) -> tuple[Floats, Floats]:
         """Return K and its error from slopes against time, since noise of d would lower slopes against d."""
@@ -304,10 +335,14 @@ def _stiffness(signal: Signal, sticks: _Sticks, two_slopes: bool, compliance: fl
         stands = np.abs(pace.slope) < 1e-9 * np.abs(nan_median(pace.slope))  # but for rounding
         with np.errstate(divide="ignore", invalid="ignore"):
             slope = np.where(stands | (pace.slope == 0), np.nan, rise.slope / pace.slope)
-            error = np.hypot(wider * rise.slope_error, slope * pace.slope_error) / np.abs(pace.slope)
+            uneven = (
+                1.0 if sticks.lag else _unevenness(signal, rise, start, stop, wider * rise.spread, settings)
+            )
+            error = np.hypot(wider * uneven * rise.slope_error, slope * pace.slope_error)
+            error /= np.abs(pace.slope)
             return of_sample(slope), error * (of_sample(slope) / slope) ** 2
 
-    part = sticks.settings.central_part
+    part = settings.central_part
     (k, error), (narrow, _), (wide, _) = (with_error(*sticks.central(share)) for share in (part, 0.3, 0.7))
     columns = {"K_N_per_mm": k, "K_err_N_per_mm": error}
     columns |= {"K30_N_per_mm": narrow, "K70_N_per_mm": wide}

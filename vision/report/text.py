@@ -150,7 +150,8 @@ def _noise(results: Results) -> Answer | None:
     return Answer(
         what,
         f"{measured:.2g} px" + ("" if size is None else f" = {measured * size:.2g} µm"),
-        f"median of the sheets, from frame to frame; {check}; an error of displacements, not of positions",
+        f"median of the sheets, from frame to frame; {check}; stated error of displacements, x_err_px: "
+        f"{noise['stated_px']:.2g} px",
         doubt=bool(not hidden and measured > 3 * predicted),
     )
 
@@ -243,9 +244,10 @@ def _tracking(tracks: xr.Dataset) -> str:
         "paper": "as the vertex of a parabola fitted to {} pixels centred on the brightest pixel",
         "template": "by matching each ridge to its own mean shape over {} pixels",
     }[t.fit].format(t.window_px)
-    noise = float(tracks["x_noise_px"].median())
+    noise, error = float(tracks["x_noise_px"].median()), float(tracks["x_err_px"].median())
     scatter = (
-        f" The positions scatter by {noise:.2g} px from frame to frame (median of the sheets)."
+        f" The positions scatter by {noise:.2g} px from frame to frame (median of the sheets); the random"
+        f" error of one is {error:.2g} px (median)."
         if noise > 0
         else ""
     )

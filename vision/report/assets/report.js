@@ -118,9 +118,10 @@
   }
   /* Every how many-th sheet has room for its number: 1, 2, 5, 10, 20 … */
   function labelStep(u, c, xs, text) {
+    if (xs.length < 2) return 1;
     const wide = Math.max(...text.map((t) => c.measureText(t).width)) + 5 * devicePixelRatio;
     const span = Math.abs(u.valToPos(xs[xs.length - 1], "x", true) - u.valToPos(xs[0], "x", true));
-    const least = wide / Math.max(1, span / Math.max(1, xs.length - 1));
+    const least = wide / Math.max(1, span / (xs.length - 1));
     return [1, 2, 5, 10, 20, 50, 100, 200, 500].find((step) => step >= least) || 1000;
   }
   function bars(u, chart, arrays) {
