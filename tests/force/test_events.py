@@ -887,6 +887,17 @@ def test_a_coarse_load_widens_the_errors(steps: int) -> None:
         assert off[0] < 2 < off[1]
 
 
+def test_noise_that_grows_does_not_raise_the_forces() -> None:
+    """A failure means that the largest samples of a noisier part count as its peak forces."""
+    test = plain(sticks=60, samples=1000, snr=200, jitter=0.1)
+    load = test.force["load_N"].values
+    load[load.size // 2 :] += np.random.default_rng(1).normal(0, 16, load.size - load.size // 2)
+    load += 500
+    events, truth = matched(find_stick_slip(test.force), test.truth)
+    later = (events["dF_N"] - truth["dF_N"])[len(events) // 2 + 2 :]
+    assert abs(later.mean()) < 2  # of 200 N
+
+
 def test_a_filter_that_overshoots_enters_the_errors() -> None:
     """A failure means an F_p beyond the true one by the overshoot of a symmetrical filter, called exact."""
     test = plain(sticks=30, samples=4000, snr=200, jitter=0.1)

@@ -96,6 +96,10 @@ class Signal:
         earlier = np.clip(np.floor(position).astype(np.int64), 0, self.time.size - 2)
         return self.time[earlier + 1] - self.time[earlier]
 
+    def noise_at(self, position: Floats) -> Floats:
+        """Return the standard deviation of the white noise at each position (samples), N."""
+        return self.noise[np.clip(np.rint(position).astype(np.int64), 0, self.time.size - 1)]
+
     def time_at(self, position: Floats) -> Floats:
         """Return the time at each position (samples)."""
         return np.interp(position, np.arange(self.time.size), self.time)

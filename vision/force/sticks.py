@@ -78,7 +78,7 @@ def measure_sticks(
     d_v, d_p, d_next, noise_mm = _separations(signal, sticks, valley[-1], f_v, f_p, compliance)
     # Of each corner, in samples; at the extreme of a slow slip the load is level, so that its force has none.
     error = _position_errors(signal, corners, filter_known)
-    error_v, error_p = _corner_errors(signal, extremes, ends, (f_v, f_p), error, recorded, settings)
+    error_v, error_p = _corner_errors(signal, extremes, sticks, ends, (f_v, f_p), error, recorded, settings)
     relative = np.hypot(error[:-1], error[1:]) / (p - v)
     table = pd.DataFrame(
         {
@@ -133,6 +133,7 @@ def _position_errors(signal: Signal, corners: Corners, filter_known: bool) -> Fl
 def _corner_errors(
     signal: Signal,
     extremes: Extremes,
+    sticks: _Sticks,
     ends: _Ends,
     forces: tuple[Floats, Floats],
     position_error: Floats,
@@ -146,9 +147,9 @@ def _corner_errors(
     is part of the error, and so is how far the force was moved from the line to what was recorded.
     """
     line_v, line_p = np.where(recorded[:-1], forces[0], ends.f_v), np.where(recorded[1:], forces[1], ends.f_p)
-    noise = settings.extreme_sigmas * signal.sigma
-    beyond_v = np.fmax(line_v - extremes.lowest[:-1] - noise, np.abs(forces[0] - line_v))
-    beyond_p = np.fmax(extremes.highest[1:] - line_p - noise, np.abs(forces[1] - line_p))
+    noise_v, noise_p = (settings.extreme_sigmas * signal.noise_at(at) for at in (sticks.v, sticks.p))
+    beyond_v = np.fmax(line_v - extremes.lowest[:-1] - noise_v, np.abs(forces[0] - line_v))
+    beyond_p = np.fmax(extremes.highest[1:] - line_p - noise_p, np.abs(forces[1] - line_p))
     position = np.where(recorded, 0, position_error)
     return np.hypot(ends.rise_v * position[:-1], beyond_v), np.hypot(ends.rise_p * position[1:], beyond_p)
 
@@ -196,9 +197,9 @@ def _forces(
         f_v, f_p = _within_recorded(signal, extremes, ends, sticks)
         return np.where(recorded[:-1], extremes.low[:-1], f_v), np.where(recorded[1:], extremes.high[1:], f_p)
     load, gain = without_lowpass(signal.clean, sticks.lag)
-    noise = signal.sigma * float(np.sqrt(1 + 2 * gain * (1 + gain)))
+    noise = signal.noise * float(np.sqrt(1 + 2 * gain * (1 + gain)))
     extremes = find_extremes(load, corners.middle, corners.valley - corners.peak)
-    f_v, f_p = _within_recorded(replace(signal, clean=load, sigma=noise), extremes, ends, sticks)
+    f_v, f_p = _within_recorded(replace(signal, clean=load, noise=noise), extremes, ends, sticks)
     bent = np.isfinite(sticks.knee)
     return np.where(bent, f_v, ends.f_v), np.where(bent, f_p, ends.f_p)
 
@@ -219,10 +220,10 @@ def _within_recorded(
     margin = ends.rise_v + settings.between_samples * np.maximum(highest - lowest, 0)
     f_v = np.fmax(ends.f_v, np.maximum(lowest - margin, signal.clean.min()))
     f_p = np.fmin(ends.f_p, np.minimum(highest + ends.rise_p, signal.clean.max()))
-    noise = settings.extreme_sigmas * signal.sigma
+    noise_v, noise_p = (settings.extreme_sigmas * signal.noise_at(at) for at in (sticks.v, sticks.p))
     if not _rings(signal, ends, sticks):
-        f_v = np.fmin(f_v, lowest + noise)
-    return f_v, np.fmax(f_p, np.fmin(highest - noise, highest + ends.rise_p))
+        f_v = np.fmin(f_v, lowest + noise_v)
+    return f_v, np.fmax(f_p, np.fmin(highest - noise_p, highest + ends.rise_p))
 
 
 def _rings(signal: Signal, ends: _Ends, sticks: _Sticks) -> bool:
