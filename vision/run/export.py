@@ -215,7 +215,7 @@ def _cells(table: pd.DataFrame) -> Iterator[tuple[Any, ...]]:
 
 
 def _column(column: pd.Series[Any]) -> pd.Series[Any]:
-    """Convert NaN to None, infinity to text, and remove control characters from text."""
+    """Convert NaN and empty text to None, infinity to text, and remove control characters from text."""
     from openpyxl.cell.cell import ILLEGAL_CHARACTERS_RE
 
     cells = column.astype(object).where(column.notna(), None)
@@ -224,7 +224,7 @@ def _column(column: pd.Series[Any]) -> pd.Series[Any]:
     if column.dtype.kind in "iub":
         return cells
     return cells.map(
-        lambda text: harmless(ILLEGAL_CHARACTERS_RE.sub("", text)) if isinstance(text, str) else text
+        lambda text: harmless(ILLEGAL_CHARACTERS_RE.sub("", text)) or None if isinstance(text, str) else text
     )
 
 
