@@ -18,13 +18,11 @@ from vision.errors import InputError
 from vision.figures.decimate import minmax_decimate
 from vision.files import AGAIN, reading
 from vision.folder import plain, whole_file
-from vision.numeric import Floats, Floats32, Ints, nearest
+from vision.numeric import Floats, Floats32, Ints, nearest, stretches
 from vision.pipeline import Settings
 from vision.review.effects import Effects
 from vision.review.positions import (
-    FLAGS,
     SAME_RIDGE_PX,
-    WHYS,
     UndoStep,
     apply,
     median_positions,
@@ -45,7 +43,8 @@ from vision.sheets.corrections import (
     last_of,
     read_decisions,
 )
-from vision.sheets.recovery import DOUBTS, stretches
+from vision.sheets.identities import DOUBTS, WHYS
+from vision.sheets.recovery import FLAGS
 
 REPLACED = "corrections.npz"  # values that saved decisions replaced, so that they can be undone
 
