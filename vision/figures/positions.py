@@ -298,7 +298,7 @@ def mean_deformation_figure(motion: xr.Dataset, *, threshold: float = STIFF_BELO
         events = known[start : start + each]
         part = motion["ratio"].isel(event=events, sheet=order)
         value, spread = part.mean("event").to_numpy(), part.std("event", ddof=1).fillna(0).to_numpy()
-        label = f"mean and spread of {each} stick phases, d_v = {d_v[events].mean():.2f} mm"
+        label = f"d_v = {d_v[events].mean():.2f} mm, mean of {each}"
         low, high = np.maximum(value - spread, 0), value + spread
         series.append(Series(label=label, x=numbers, y=value, low=low, high=high, ink=ink, width=1.4))
     return Figure.of(
