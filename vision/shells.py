@@ -18,8 +18,7 @@ from vision.numeric import Bools, Floats, Floats32, Ints
 
 @dataclass(frozen=True, kw_only=True)
 class ShellSettings:
-    """Tunable constants of the statistics of shells, measured on the scenes of
-    `tests/shells/test_shells.py`."""
+    """Tunable constants of the statistics of shells, measured on the scenes of `tests/test_shells.py`."""
 
     sheet_scatters: tuple[float, ...] = (0.03, 0.08, 0.15, 0.25)
     """Possible relative scatters of the sheets about a smooth profile, of which the likeliest is used. The
