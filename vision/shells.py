@@ -128,14 +128,10 @@ def classify_shells(
 
     Parameters
     ----------
-    motion
-        From `horizontal_deformation`.
-    threshold
-        σ_x/Λ_st below which a sheet is stiff.
+    motion, threshold, settings
+        As in `classify_sheets`.
     effective_sheets
         M_eff according to the force as a function of d in mm, for example `ModelFits.effective_sheets`.
-    settings
-        See `ShellSettings`.
 
     Returns
     -------

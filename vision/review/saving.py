@@ -402,7 +402,7 @@ def _positions_differ(before: Positions, after: Positions, old: Ints, new: Ints)
 # --- undo steps in a file -----------------------------------------------------------------------------------
 
 
-def pack(steps: Sequence[UndoStep | None]) -> bytes:
+def pack_steps(steps: Sequence[UndoStep | None]) -> bytes:
     """Return the steps that undo decisions, in order, as the content of an .npz file."""
     facts = [step and {name: one for name, one in vars(step).items() if name != "arrays"} for step in steps]
     arrays: dict[str, Any] = {
@@ -416,8 +416,8 @@ def pack(steps: Sequence[UndoStep | None]) -> bytes:
     return stream.getvalue()
 
 
-def unpack(path: Path) -> list[UndoStep | None]:
-    """Read what `pack` returned from a file; an empty list if the file is missing or damaged.
+def read_steps(path: Path) -> list[UndoStep | None]:
+    """Read what `pack_steps` returned from a file; an empty list if the file is missing or damaged.
 
     Without it a decision can still be undone, but the effect is visible only when the run has been saved.
     """
