@@ -369,11 +369,7 @@ def force(
 
 
 def modulus(
-    file: Path,
-    /,
-    options: ModulusOptions = ModulusOptions(),
-    *,
-    output: OutputOptions = OutputOptions(),
+    file: Path, /, options: ModulusOptions = ModulusOptions(), *, output: OutputOptions = OutputOptions()
 ) -> int:
     """Measure Young's modulus of one sheet from push–pull cycles.
 

@@ -47,14 +47,7 @@ from vision.run.overlay import write_overlay
 from vision.sheets.ridges import describe_ridges, find_ridges
 from vision.sheets.tracks import LOSSY
 from vision.spacetime import space_time
-from vision.summary import (
-    flag_counts,
-    frame_times,
-    noise_figures,
-    other_flags,
-    ridges_line,
-    scale_line,
-)
+from vision.summary import flag_counts, frame_times, noise_figures, other_flags, ridges_line, scale_line
 from vision.video import Video, strip_profile, video_files
 from vision.video.strip import row_means
 from vision.video.strip_find import choose_strip

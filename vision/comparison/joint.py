@@ -246,10 +246,7 @@ def systematic_shifts(test: TractionTest, fit: TestFit, modulus: Estimate, main:
     used, shifts = test.events[fit.used], dict[str, dict[str, float]]()
 
     def refit(
-        source: str,
-        events: pd.DataFrame = used,
-        sample: Sample = test.sample,
-        y_GPa: float = modulus.value,
+        source: str, events: pd.DataFrame = used, sample: Sample = test.sample, y_GPa: float = modulus.value
     ) -> None:
         peaks_unchanged = source not in ("d0", "thickness_mm", "t_star_N")
         try:

@@ -21,15 +21,7 @@ from vision.folder import plain, whole_file
 from vision.numeric import Floats, Floats32, Ints, nearest
 from vision.pipeline import Settings
 from vision.review.effects import Effects
-from vision.review.positions import (
-    FLAGS,
-    SAME_RIDGE_PX,
-    WHYS,
-    apply,
-    median_positions,
-    positions_of,
-    undo,
-)
+from vision.review.positions import FLAGS, SAME_RIDGE_PX, WHYS, apply, median_positions, positions_of, undo
 from vision.review.recordings import Diagram, Grey, Recordings, StoredRun, Tiles, claim, decided_clock
 from vision.review.saving import SaveJob, Saver, Trial, pack_steps, read_steps
 from vision.review.tracks_file import StoredTracks, read_tracks
