@@ -15,7 +15,14 @@ import xarray as xr
 
 from vision.certify import CertifySettings, certify_run, statements, write_certificate
 from vision.command.console import complain, conclude, frame_progress, in_columns, say
-from vision.command.options import OutputOptions, VideoOptions, WindowOptions, flag_of, names_given
+from vision.command.options import (
+    CompareOptions,
+    OutputOptions,
+    VideoOptions,
+    WindowOptions,
+    flag_of,
+    names_given,
+)
 from vision.command.settings import (
     merged,
     parameters_given,
@@ -380,23 +387,17 @@ def certify(run: Path, films: int, most_frames: int, output: OutputOptions) -> i
     return conclude(lines, certificate.warnings, quiet=output.quiet)
 
 
-def compare(
-    runs: Sequence[Path],
-    table: Path | None,
-    main_sample: str | None,
-    fix_yeff: float | None,
-    report: bool,
-    output: OutputOptions,
-) -> int:
+def compare(runs: Sequence[Path], options: CompareOptions, output: OutputOptions) -> int:
     """Compare several runs, and return the exit status."""
     target = output.out or Path("comparison")
     check_target(target, overwrite=output.overwrite)
     check_mark(target, MARK)
+    table, main_sample, fix_yeff = options.table, options.main_sample, options.fix_yeff
     found = compare_runs(runs, table, main_sample=main_sample, modulus_GPa=fix_yeff)
     inputs = [*(test.folder / "events.csv" for test in found.tests), *([table] if table else [])]
     given = parameters_given(table=table, main_sample=main_sample, fix_yeff=fix_yeff)
     origin = origin_of(inputs, given)
-    write_comparison(found, target, origin, overwrite=output.overwrite, report=report)
+    write_comparison(found, target, origin, overwrite=output.overwrite, report=options.report)
     for line in (*found.failures, *found.warnings):
         complain(line)
     if not output.quiet:
