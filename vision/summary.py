@@ -501,7 +501,7 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> list[str
         *([heights_line(tracks)] if "x_z_px" in tracks else []),
         ridges_line(found),
         f"axis       {axis if math.isfinite(found.axis_px) else 'not known'}",
-        f"clock      {frame_times(strip)}",
+        f"clock      {frame_rate_text(strip)}",
         scale_line(pixel_size_um, strip),
     ]
 
@@ -564,7 +564,7 @@ def _axis(found: TrackMetadata, innermost: int) -> str:
     return f"{how}; the motion allows {found.axis_low_px:.0f} to {found.axis_high_px:.0f} px"
 
 
-def frame_times(strip: StripMetadata) -> str:
+def frame_rate_text(strip: StripMetadata) -> str:
     """Return the frame rate and its source as text."""
     if not math.isfinite(strip.fps) and strip.clock_kind == "playback":
         return "the file states no frame rate: give the camera's with `fps`"

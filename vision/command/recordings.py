@@ -35,7 +35,7 @@ from vision.models.friction import (
     friction_table,
 )
 from vision.models.modulus import (
-    STRIP,
+    PUBLISHED_SHEET,
     CyclesMetadata,
     MeanValue,
     ModulusSettings,
@@ -104,7 +104,7 @@ def modulus(file: Path, options: ModulusOptions, output: OutputOptions) -> int:
     means = summarise_modulus(cycles)
     measured = CyclesMetadata.of(cycles)
     notes, warnings = list(measured.notes), measured.warnings
-    if sheet == STRIP:
+    if sheet == PUBLISHED_SHEET:
         notes.append("the sheet has the publication's size: ε = 0.1, W = 45, L = 16.8 mm")
     content = {
         **means,

@@ -54,7 +54,7 @@ from vision.run.overlay import write_overlay
 from vision.sheets.ridges import describe_ridges, find_ridges
 from vision.sheets.tracks import LOSSY
 from vision.spacetime import space_time
-from vision.summary import flag_counts, frame_times, noise_figures, other_flags, ridges_line, scale_line
+from vision.summary import flag_counts, frame_rate_text, noise_figures, other_flags, ridges_line, scale_line
 from vision.video import Video, strip_profile, video_files
 from vision.video.strip import row_means
 from vision.video.strip_find import choose_strip
@@ -130,7 +130,7 @@ def preview_summary(found: Preview) -> list[str]:
     hidden = f" (not independent: {strip.codec} hides the noise of the pixels)" * (strip.codec in LOSSY)
     return [
         f"film       {count} frames of {columns} x {rows} px, {film.depth_bits} bit, {strip.codec}",
-        f"clock      {frame_times(strip)}",
+        f"clock      {frame_rate_text(strip)}",
         f"strip      rows {strip.strip_z0}:{strip.strip_z1}, clarity {strip.strip_clarity:.2f}, {tilt}, "
         f"{strip.strip_err_px:.3f} px error from the choice of rows",
         f"sheets     {comb.sheets} {comb.ridges} ridges{sides}; {seen} ridges, sheets or not, in "
