@@ -26,7 +26,7 @@ import tifffile
 
 from reports.writing import head, row, write_report
 from tests.scenes.comb_video import frames_of, positions
-from tests.scenes.films import avi_header, chunk
+from tests.scenes.films import avi_header
 from vision.numeric import Pixels
 
 ROWS, COLUMNS = 800, 1280
@@ -70,9 +70,8 @@ def raw_avi(path: Path, frames: int, shown: Pixels, *, repeated: bool = False) -
         start = out.tell()
         for n in range(frames):
             out.seek(start + n * (size + 8))
-            out.write(
-                chunk(b"00dc", shown[n].tobytes()) if n < len(shown) else b"00dc" + struct.pack("<I", size)
-            )
+            stored = shown[n % len(shown)].tobytes() if repeated or n < len(shown) else b""
+            out.write(b"00dc" + struct.pack("<I", size) + stored)
         out.truncate(start + frames * (size + 8))
 
 

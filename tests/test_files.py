@@ -12,7 +12,7 @@ import pytest
 from scipy.io import savemat
 
 from vision.errors import InputError
-from vision.files import READ_HDF5, READ_MATLAB, try_out
+from vision.files import READ_HDF5, READ_MATLAB, check_regular, try_out
 
 
 @pytest.fixture
@@ -95,3 +95,25 @@ def alive(pid):
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except FileNotFoundError:
         return False
+
+
+@pytest.mark.parametrize(
+    ("asked", "there", "advice"),
+    [
+        ("test.avi", "test.mkv", "did you mean test.mkv"),
+        ("Test.AVI", "test.avi", "did you mean test.avi"),
+        ("pull_13mn.csv", "pull_13mm.csv", "did you mean pull_13mm.csv"),
+        ("test.avi", "other.txt", "check the path"),
+    ],
+)
+def test_missing_files_suggest_a_similar_name(asked, there, advice, tmp_path):
+    """A failure means that a slip of the pen is not answered with the name of the file beside it."""
+    (tmp_path / there).touch()
+    with pytest.raises(InputError, match=f"found no such file; {advice}"):
+        check_regular(tmp_path / asked, "a video")
+
+
+def test_a_missing_file_in_a_missing_folder(tmp_path):
+    """A failure means a traceback where the folder does not exist, either."""
+    with pytest.raises(InputError, match="no such file; check the path"):
+        check_regular(tmp_path / "absent" / "test.avi", "a video")

@@ -9,6 +9,7 @@ file in a separate process (`try_out`).
 from __future__ import annotations
 
 import contextlib
+import difflib
 import glob
 import html
 import itertools
@@ -51,12 +52,29 @@ def check_regular(path: Path, wanted: str) -> os.stat_result:
     try:
         facts = path.stat()
     except (OSError, ValueError) as error:  # ValueError: a null byte in the name
+        if isinstance(error, FileNotFoundError):
+            raise no_such_file(path, wanted) from None
         found = (getattr(error, "strerror", None) or str(error)).lower()
         raise InputError(path, wanted, found, "check the path") from None
     if not stat.S_ISREG(facts.st_mode):
         kind = "a folder" if stat.S_ISDIR(facts.st_mode) else "a device, pipe or socket"
         raise InputError(path, wanted, kind, "give a file")
     return facts
+
+
+def no_such_file(path: Path, wanted: str) -> InputError:
+    """Return the error for a missing file, which names the file of its folder that may be meant.
+
+    That is a file with another extension or capitals, else the one with the most similar name.
+    """
+    names: list[str] = []
+    with contextlib.suppress(OSError, ValueError):
+        names = sorted(itertools.islice(os.listdir(path.parent), 10_000))  # noqa: PTH208 - names are enough
+    stem = path.stem.casefold()
+    alike = [name for name in names if Path(name).stem.casefold() == stem]
+    alike = alike or difflib.get_close_matches(path.name, names, n=1, cutoff=0.8)
+    advice = f"did you mean {alike[0]}?" if alike else "check the path, with quotes if it has spaces"
+    return InputError(path, wanted, "no such file", advice)
 
 
 def check_pixels(path: Path, rows: int, columns: int) -> None:

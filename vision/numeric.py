@@ -12,6 +12,7 @@ Floats32 = NDArray[np.float32]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 Strings = NDArray[np.str_]
+Codes = NDArray[np.uint8]  # members of an IntEnum
 Pixels = NDArray[Any]  # grey levels as the file stores them: unsigned integers or float32
 
 FWHM = 2.3548
@@ -117,3 +118,11 @@ def shifted(values: NDArray[Any], by: int) -> NDArray[Any]:
     elif 0 < -by < values.shape[1]:
         moved[:, -by:] = values[:, :by]
     return moved
+
+
+def stretches(marked: Bools) -> tuple[Ints, Ints, Ints]:
+    """Return the unbroken stretches of True in each column of (frame, sheet): sheet, first row, end row."""
+    edge = np.diff(np.pad(marked.astype(np.int8), ((1, 1), (0, 0))), axis=0)
+    sheet, first = np.nonzero((edge == 1).T)
+    _, stop = np.nonzero((edge == -1).T)
+    return sheet, first, stop

@@ -13,10 +13,9 @@ import xarray as xr
 from vision.data import StickMetadata, StripMetadata, TrackMetadata, load_unit
 from vision.figures.style import both_errors, candidates_text, drift_text, offset_text
 from vision.models.equations import effective_sheets
-from vision.numeric import Pixels, nan_median
+from vision.numeric import Pixels, nan_median, stretches
 from vision.sample import Sample
 from vision.sheets import doubtful_stretches
-from vision.sheets.recovery import stretches
 from vision.sheets.tracks import LOSSY, comb_is_stationary
 from vision.systematics import QUANTITIES, SOURCES, Budget, systematic_budget
 from vision.video import VideoSettings

@@ -13,11 +13,12 @@ from vision import folder
 from vision.command.settings import settings_of_run
 from vision.errors import InputError
 from vision.review import effects, saving
-from vision.review.positions import CELLS, FLAGS, apply
+from vision.review.positions import CELLS, apply
 from vision.review.saving import save_run
 from vision.review.session import Session
 from vision.run import read_run
 from vision.sheets.corrections import correction_of
+from vision.sheets.recovery import Flag
 
 EVERY_KIND = [
     {"kind": "swap", "sheets": [20, 22], "frames": "30:"},
@@ -229,7 +230,7 @@ def test_saved_decisions_can_be_taken_back_in_a_later_review(run):
         assert first.saver.error == ""
         assert not first.changed
     with Session(run, SETTINGS) as again:
-        assert FLAGS[again.positions.flag[5, 5]] == "left_out"
+        assert again.positions.flag[5, 5] == Flag.LEFT_OUT
         again.undo()
         np.testing.assert_allclose(again.positions.x_px[:, 5], before["x_px"][:, 5], atol=1e-3)
         assert again.unseen == []

@@ -9,7 +9,7 @@ from tests.scenes.combs import comb, ridges, strip
 from vision.sheets import TrackingSettings, track_sheets
 from vision.sheets.alignment import values_of
 from vision.sheets.identities import Identities, identify_sheets
-from vision.sheets.recovery import assign_detections
+from vision.sheets.recovery import Flag, assign_detections
 from vision.sheets.ridges import describe_ridges, find_ridges
 
 FRAMES, WIDTH = 120, 520
@@ -69,7 +69,7 @@ def test_a_sheet_behind_its_neighbour_is_not_given_as_the_other():
         assert (tracks.flag.values[:, :14] == "ok").all()
 
 
-@pytest.mark.parametrize(("away_px", "flag"), [(3.0, "merged"), (10.0, "missing")])
+@pytest.mark.parametrize(("away_px", "flag"), [(3.0, Flag.MERGED), (10.0, Flag.MISSING)])
 def test_a_sheet_hidden_in_its_neighbour_s_ridge_is_merged_with_it(away_px, flag):
     """A failure means that the middle between two sheets passes for the position of one."""
     x = truth(slip=0.0)
@@ -87,8 +87,8 @@ def test_a_sheet_hidden_in_its_neighbour_s_ridge_is_merged_with_it(away_px, flag
     )
     got = assign_detections(profile, found, one_more, described).flag
     assert (got[:, 6] == flag).all()
-    assert (got[:, 7] == ("merged" if flag == "merged" else "ok")).all()
-    assert (np.delete(got, (6, 7), axis=1) == "ok").all()
+    assert (got[:, 7] == (Flag.MERGED if flag == Flag.MERGED else Flag.OK)).all()
+    assert (np.delete(got, (6, 7), axis=1) == Flag.OK).all()
 
 
 def test_a_sheet_that_leaves_the_picture_is_at_the_edge():
@@ -126,10 +126,10 @@ def test_a_numbering_that_leaves_out_a_ridge_at_the_end_is_doubtful(way):
     right = np.tile(np.arange(16), (FRAMES, 1))
     wrong = right.copy()
     wrong[jumped] = [-1, *range(15)] if way > 0 else [*range(1, 16), -1]
-    for match, seen in ((right, "ok"), (wrong, "doubtful")):
+    for match, seen in ((right, Flag.OK), (wrong, Flag.DOUBTFUL)):
         margin = np.where(match >= 0, 9.0, np.nan)
         usual = values_of(match, found.x_px)
         numbered = replace(identities, match=match, margin=margin, rest_px=truth(slip=0.0), usual_px=usual)
         got = assign_detections(profile, found, numbered, described).flag
-        assert (got[~jumped] == "ok").all()
+        assert (got[~jumped] == Flag.OK).all()
         assert (got[jumped][match[jumped] >= 0] == seen).all()

@@ -27,6 +27,7 @@ from vision.command.options import (
     option_names,
 )
 from vision.errors import InputError
+from vision.files import no_such_file
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp
@@ -81,7 +82,7 @@ def review(
     folder = run_or_video
     if not (folder / "run.json").is_file():  # as `vision.run.is_run`, which takes a second to import
         if not run_or_video.exists() and not glob.has_magic(str(run_or_video)):
-            raise InputError(folder, "a run folder or a video", "no such file or folder", "check the path")
+            raise no_such_file(folder, "a run folder or a video")
         from vision.command.track import one_film, run_name, track
 
         run_or_video = one_film(run_or_video)

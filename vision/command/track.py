@@ -25,7 +25,7 @@ from vision.command.settings import merged, settings_of
 from vision.data import MEASURED, StripMetadata
 from vision.errors import InputError
 from vision.figures.style import counted
-from vision.files import answered
+from vision.files import answered, no_such_file
 from vision.folder import check_target
 from vision.pipeline import Analysis, Settings, analyse, track_strip
 from vision.run import FAILURES, Checkpoint, Checksums, Origin, Parameter, describe_input, is_run, write_run
@@ -259,7 +259,7 @@ def _targets_of(
         raise InputError("VIDEO", "a video file, a folder or a quoted glob of images", "none", advice)
     for video in videos:
         if not answered(video.exists, video) and not glob.has_magic(str(video)):
-            raise InputError(video, "a video", "no such file", "check the path, with quotes if it has spaces")
+            raise no_such_file(video, "a video")
     if all(_is_still(video) for video in videos):
         found = f"{len(videos)} still images"
         raise InputError(videos[0].parent, "films", found, "quote the glob: track 'frames/*.png'")

@@ -76,8 +76,6 @@ def read_force(
         \\quad\\text{or}\\quad d = d_0 + V (t - t_0)
     """
     path = Path(path)
-    if not path.is_file():
-        raise InputError(path, "a force recording", "a folder" if path.is_dir() else "no such file")
     with np.errstate(invalid="ignore"):
         found, facts, blocks = _joined(path, read_tables(path), columns)
         force = _dataset(path, found, facts, blocks, speed_mm_min, d0_mm, settings)

@@ -15,6 +15,7 @@ import pandas as pd
 
 from vision.data import Metadata, Schema, Variable, record
 from vision.errors import InputError
+from vision.files import check_regular
 from vision.force.files import decode_text, split_name
 
 
@@ -130,8 +131,7 @@ def read_rheometer(path: str | Path) -> list[pd.DataFrame]:
     (approach, waiting) are left out, with a note. A result that cannot be used does not affect the others.
     """
     path = Path(path)
-    if not path.is_file():
-        raise InputError(path, "a rheometer's file", "a folder" if path.is_dir() else "no such file")
+    check_regular(path, "a rheometer's file")
     lines = decode_text(path, path.read_bytes(), "a rheometer's file")[0].splitlines()
     results = [k for k, line in enumerate(lines) if _mark(line) == "Result:"]
     starts = [k for k, line in enumerate(lines) if _mark(line) == "Interval and data points:"]

@@ -16,25 +16,17 @@ from numpy.typing import NDArray
 from vision.clock import video_slips
 from vision.data import TRACKS, StripMetadata, TrackMetadata
 from vision.errors import InputError
-from vision.numeric import Bools, Floats, Floats32, Ints, nan_median, nearest
+from vision.numeric import Bools, Codes, Floats, Floats32, Ints, nan_median, nearest
 from vision.review.recordings import Diagram
 from vision.review.tracks_file import StoredTracks
 from vision.run.tables import attrs_of_netcdf
 from vision.sheets.corrections import OF_SHEETS, Correction, check_there, follow_ridge, not_taken
+from vision.sheets.identities import WHYS
 from vision.sheets.numbering import number_sheets
-from vision.sheets.recovery import DOUBTS, predicted_by_neighbours
+from vision.sheets.recovery import FLAGS, Flag, predicted_by_neighbours
 from vision.sheets.ridges import RidgeComb, Ridges, find_ridges
 from vision.sheets.subpixel import FitName, fit_sheets
 
-Codes = NDArray[np.uint8]
-
-FLAGS = (
-    "ok", "blurred", "edge", "missing", "merged", "unfit", "left_out", "frozen", "blank", "corrupt", "lost",
-    "doubtful",
-)  # fmt: skip
-"""Values of `flag`."""
-WHYS = ("", *DOUBTS)
-DOUBTFUL = FLAGS.index("doubtful")
 CELLS = ("x_px", "err_px", "withheld_px", "flag", "why")
 """Names of the arrays of (frame, sheet)."""
 SLIP_ROWS = 10_000
@@ -53,8 +45,8 @@ class Positions:
     x_px: Floats32
     err_px: Floats32  # standard error
     withheld_px: Floats32  # ridge whose identity is doubtful
-    flag: Codes  # index in `FLAGS`, (frame, sheet)
-    why: Codes  # index in `WHYS`, (frame, sheet)
+    flag: Codes  # a `Flag`, (frame, sheet)
+    why: Codes  # a `Doubt`, (frame, sheet)
     # numbering from the axis, (sheet,)
     side: Ints
     n: Ints
@@ -90,7 +82,7 @@ class Positions:
     @property
     def doubtful(self) -> Bools:
         """Whether each identity is doubtful, (frame, sheet)."""
-        return np.asarray(self.flag == DOUBTFUL, bool)
+        return np.asarray(self.flag == Flag.DOUBTFUL, bool)
 
     def tracks(self, rows: slice | Ints = slice(None)) -> xr.Dataset:
         """Return rows as `track_sheets` does, without the flags, which clock and deformation do not need."""
@@ -170,7 +162,7 @@ MEDIAN_ROWS = 2000  # frames from which the median position of a sheet is comput
 SAME_RIDGE_PX = 2.0
 """Distance within which a position and the whole pixel of a candidate are the same ridge: fits end this close
 to their start. A larger value would join neighbours that are 4 px apart."""
-_EMPTY: Mapping[str, Any] = {"flag": FLAGS.index("missing"), "why": 0}
+_EMPTY: Mapping[str, Any] = {"flag": Flag.MISSING, "why": 0}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -267,7 +259,7 @@ def _put(positions: Positions, rows: slice, sheet: int, x: Floats, flag: NDArray
     """Set positions and flags of one sheet, with its median error; clear the doubt where it is settled."""
     known = positions.err_px[:, sheet][np.isfinite(positions.err_px[:, sheet])]
     error = np.median(known) if known.size else np.nanmedian(_medians(positions.err_px))
-    settled = flag != DOUBTFUL
+    settled = flag != Flag.DOUBTFUL
     positions.x_px[rows, sheet] = x
     positions.err_px[rows, sheet] = np.where(np.isfinite(x), error, np.nan)
     positions.flag[rows, sheet] = flag
@@ -283,7 +275,7 @@ def _left_out(
 ) -> tuple[Floats, NDArray[Any]]:
     """Return no positions for these rows."""
     rows = part.stop - part.start
-    return np.full(rows, np.nan), np.full(rows, FLAGS.index("left_out"))
+    return np.full(rows, np.nan), np.full(rows, Flag.LEFT_OUT)
 
 
 def _accepted(
@@ -292,12 +284,12 @@ def _accepted(
     """Return positions and flags of these rows, with the doubtful ridges fitted."""
     sheet = decision.sheets[0]
     x, flag = positions.x_px[part, sheet].astype(np.float64), positions.flag[part, sheet].copy()
-    doubtful = np.flatnonzero(flag == DOUBTFUL)
+    doubtful = np.flatnonzero(flag == Flag.DOUBTFUL)
     if not len(doubtful):
         raise InputError(decision.name, "a doubtful stretch to accept", "none in these frames")
     withheld = positions.withheld_px[part, sheet][doubtful] - np.float64(diagram.first_column)
     x[doubtful] = _fitted(positions, np.rint(withheld), part.start + doubtful, diagram)
-    flag[doubtful] = np.where(np.isfinite(x[doubtful]), FLAGS.index("ok"), FLAGS.index("unfit"))
+    flag[doubtful] = np.where(np.isfinite(x[doubtful]), Flag.OK, Flag.UNFIT)
     return x, flag
 
 
@@ -334,8 +326,8 @@ def _with_sheet(positions: Positions, decision: Correction, diagram: Diagram) ->
 
 def _flags(start: Floats, x: Floats) -> NDArray[Any]:
     """Return the flags of a sheet with ridges `start` and fitted positions `x`."""
-    found = np.where(np.isfinite(x), FLAGS.index("ok"), FLAGS.index("unfit"))
-    return np.where(np.isfinite(start), found, FLAGS.index("missing"))
+    found = np.where(np.isfinite(x), Flag.OK, Flag.UNFIT)
+    return np.where(np.isfinite(start), found, Flag.MISSING)
 
 
 def _followed(

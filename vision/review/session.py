@@ -18,10 +18,10 @@ from vision.errors import InputError
 from vision.figures.decimate import minmax_decimate
 from vision.files import AGAIN, reading
 from vision.folder import plain, whole_file
-from vision.numeric import Floats, Floats32, Ints, nearest
+from vision.numeric import Floats, Floats32, Ints, nearest, stretches
 from vision.pipeline import Settings
 from vision.review.effects import Effects
-from vision.review.positions import FLAGS, SAME_RIDGE_PX, WHYS, apply, median_positions, positions_of, undo
+from vision.review.positions import SAME_RIDGE_PX, apply, median_positions, positions_of, undo
 from vision.review.recordings import Diagram, Grey, Recordings, StoredRun, Tiles, claim, decided_clock
 from vision.review.saving import SaveJob, Saver, Trial, pack_steps, read_steps
 from vision.review.tracks_file import StoredTracks, read_tracks
@@ -36,7 +36,8 @@ from vision.sheets.corrections import (
     last_of,
     read_decisions,
 )
-from vision.sheets.recovery import DOUBTS, stretches
+from vision.sheets.identities import DOUBTS, WHYS
+from vision.sheets.recovery import FLAGS
 
 REPLACED = "corrections.npz"  # values that saved decisions replaced, so that they can be undone
 

@@ -62,7 +62,8 @@ import numpy as np
 from vision.errors import InputError
 from vision.files import read_toml
 from vision.numeric import Floats, Ints, nan_median, nearest
-from vision.sheets.recovery import Detections
+from vision.sheets.identities import Doubt
+from vision.sheets.recovery import Detections, Flag
 from vision.sheets.ridges import RidgeComb, Ridges
 
 KEYS: Mapping[str, tuple[str, ...]] = {
@@ -397,12 +398,12 @@ def _apply_to_stretch(
             one, other = (values[rows, k].copy() for k in correction.sheets)
             values[rows, correction.sheets[0]], values[rows, correction.sheets[1]] = other, one
     elif correction.kind == "leave_out":
-        _put(arrays, rows, sheet, np.full(len(rows), np.nan), ridges, "left_out")
+        _put(arrays, rows, sheet, np.full(len(rows), np.nan), ridges, Flag.LEFT_OUT)
     elif correction.kind == "accept":
-        doubted = rows[arrays["flag"][rows, sheet] == "doubtful"]
+        doubted = rows[arrays["flag"][rows, sheet] == Flag.DOUBTFUL]
         if not len(doubted):
             raise InputError(correction.name, "a doubtful stretch to accept", "none in these frames")
-        _put(arrays, doubted, sheet, arrays["withheld_px"][doubted, sheet], ridges, "missing")
+        _put(arrays, doubted, sheet, arrays["withheld_px"][doubted, sheet], ridges, Flag.MISSING)
     else:
         others = np.delete(arrays["start_px"], sheet, axis=1)
         x = follow_ridge(correction, rows, others, ridges, comb, origin_px=origin_px)
@@ -410,7 +411,7 @@ def _apply_to_stretch(
         if len(shared):
             row, other = (int(place) for place in shared[0])
             raise not_taken(correction, correction.first + row, other + (other >= sheet))
-        _put(arrays, rows, sheet, x, ridges, "missing")
+        _put(arrays, rows, sheet, x, ridges, Flag.MISSING)
 
 
 def _added(
@@ -436,11 +437,11 @@ def _added(
     x[shared.any(axis=1)] = np.nan
     usual = np.where(np.isfinite(others[row]), others[row], nan_median(others, axis=0))
     sheet = int((usual < x[row]).sum())
-    empty = {"flag": "missing", "why": ""}
+    empty = {"flag": Flag.MISSING, "why": Doubt.NONE}
     wider = {
         name: np.insert(values, sheet, empty.get(name, np.nan), axis=1) for name, values in arrays.items()
     }
-    _put(wider, np.arange(frames), sheet, x, ridges, "missing")
+    _put(wider, np.arange(frames), sheet, x, ridges, Flag.MISSING)
     return wider
 
 
@@ -467,15 +468,15 @@ def check_there(correction: Correction, rows: Ints, frames: Ints, sheets: int) -
         raise InputError(correction.name, there, f"{correction.first}:{stop}")
 
 
-def _put(arrays: dict[str, Any], rows: Ints, sheet: int, x: Floats, ridges: Ridges, otherwise: str) -> None:
+def _put(arrays: dict[str, Any], rows: Ints, sheet: int, x: Floats, ridges: Ridges, otherwise: Flag) -> None:
     """Set the sheet's detection to x in these rows, and its flag to `otherwise` where x is NaN."""
     known = np.isfinite(x)
     best, _ = nearest(ridges.x_px[rows], x)
     arrays["start_px"][rows, sheet] = x
     arrays["contrast"][rows, sheet] = np.where(known, ridges.contrast[rows, best], np.nan)
     arrays["fwhm_px"][rows, sheet] = np.where(known, ridges.fwhm_px[rows, best], np.nan)
-    arrays["flag"][rows, sheet] = np.where(known, "ok", otherwise)
-    arrays["why"][rows, sheet] = ""
+    arrays["flag"][rows, sheet] = np.where(known, Flag.OK, otherwise)
+    arrays["why"][rows, sheet] = Doubt.NONE
     arrays["withheld_px"][rows, sheet] = np.nan
 
 

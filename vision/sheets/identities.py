@@ -8,6 +8,7 @@ the comb then seems to jump by whole pitches, the frames before and after must a
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from enum import IntEnum
 
 import numpy as np
 
@@ -18,6 +19,25 @@ from vision.sheets.ridges import RidgeComb, Ridges
 from vision.sheets.settings import TrackingSettings
 from vision.signals import running_median
 
+
+class Doubt(IntEnum):
+    """Why the identity of a ridge is doubtful; in one byte, as every sheet of every frame has one."""
+
+    NONE, MARGIN, TEAR, END, JUMP, PATTERN, EXCHANGE, HOP = range(8)
+
+
+WHYS = ("", *(doubt.name.lower() for doubt in Doubt if doubt))
+"""Name of each `Doubt`."""
+DOUBTS = {
+    "margin": "another numbering fits nearly as well",
+    "tear": "displaced differently from the largest group of sheets",
+    "end": "a ridge beyond the comb is like the sheets, while the sheet at the other end is missing",
+    "jump": "displaced by a jump that could be one of whole pitches",
+    "pattern": "brightnesses and widths fit another numbering: the comb may have jumped by whole pitches",
+    "exchange": "on the ridge that another sheet had in the frame before",
+    "hop": "on another ridge, away from the position that the neighbours predict",
+}
+"""Meaning of each of `WHYS`."""
 SHIFTS = (-2, -1, 1, 2)  # alternative numberings, which must be excluded
 
 

@@ -8,6 +8,7 @@ positions that neighbouring sheets predict, and the pattern of spacings, brightn
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from enum import IntEnum
 from itertools import product
 from typing import Any
 
@@ -19,17 +20,27 @@ from numpy.typing import NDArray
 from vision.numeric import (
     NORMAL_MEDIAN,
     Bools,
+    Codes,
     Floats,
     Floats32,
     Ints,
-    Strings,
     nan_median,
     nan_quantile,
     nearest,
     shifted,
+    stretches,
 )
 from vision.sheets.alignment import values_of
-from vision.sheets.identities import SHIFTS, Identities, exchanged, fill_rows, last_seen, torn
+from vision.sheets.identities import (
+    DOUBTS,
+    SHIFTS,
+    Doubt,
+    Identities,
+    exchanged,
+    fill_rows,
+    last_seen,
+    torn,
+)
 from vision.sheets.reference import rest_positions
 from vision.sheets.ridges import RidgeComb, Ridges, find_ridges, in_blocks
 from vision.sheets.settings import TrackingSettings
@@ -41,20 +52,30 @@ LIKE_ITSELF = 0.7
 """Change of log contrast up to which a ridge may be the sheet that is expected there: a factor of two."""
 
 
+class Flag(IntEnum):
+    """Why a sheet has a position in a frame, or none, in one byte; see `track_sheets`."""
+
+    OK, BLURRED, EDGE, MISSING, MERGED, UNFIT, LEFT_OUT, FROZEN, BLANK, CORRUPT, LOST, DOUBTFUL = range(12)
+
+
+FLAGS = tuple(flag.name.lower() for flag in Flag)
+"""Name of each `Flag`, as in tracks.csv."""
+
+
 @dataclass(frozen=True)
 class Detections:
     """One ridge per sheet and frame, all (frame, N).
 
-    start_px: whole pixel of the ridge, NaN where flag is not "ok". contrast, fwhm_px: its prominence, grey
-    levels, and its width. flag: "ok", "missing", "merged", "edge" or "doubtful". why: reason for a doubtful
-    identity, a key of `DOUBTS`; "" elsewhere. withheld_px: whole pixel of a doubtful ridge, NaN elsewhere.
+    start_px: whole pixel of the ridge, NaN where flag is not OK. contrast, fwhm_px: its prominence, grey
+    levels, and its width. flag: a `Flag`, OK, MISSING, MERGED, EDGE or DOUBTFUL. why: a `Doubt`.
+    withheld_px: whole pixel of a doubtful ridge, NaN elsewhere.
     """
 
     start_px: Floats
     contrast: Floats
     fwhm_px: Floats
-    flag: Strings
-    why: Strings
+    flag: Codes
+    why: Codes
     withheld_px: Floats
 
 
@@ -66,18 +87,18 @@ def assign_detections(
 
     The expected position of a missing sheet follows from the displacement of its neighbours in the same
     frame. A ridge there that was too faint for the first search is accepted if it reaches a fraction of the
-    sheet's usual contrast. Positions of uncertain identity (`DOUBTS`) are flagged "doubtful" and withheld.
+    sheet's usual contrast. Positions of uncertain identity (`Doubt`) are flagged DOUBTFUL and withheld.
     """
     candidates = np.stack([ridges.x_px, ridges.contrast, ridges.fwhm_px])
     paired = np.stack([values_of(identities.match, values) for values in candidates])
     usual = np.stack([identities.usual_px, *paired[1:]])
     why = _doubts(usual, identities, comb)
-    why[_numbered_off_the_end(candidates[:2], paired[:2], comb)] = "end"
-    why[_shifted_pattern(np.where(why == "", paired, np.nan), comb.settings)] = "pattern"
-    certain = np.where(why == "", paired, np.nan)
-    why[exchanged(certain[0], certain[1], identities.margin, comb)] = "exchange"
+    why[_numbered_off_the_end(candidates[:2], paired[:2], comb)] = Doubt.END
+    why[_shifted_pattern(np.where(why == Doubt.NONE, paired, np.nan), comb.settings)] = Doubt.PATTERN
+    certain = np.where(why == Doubt.NONE, paired, np.nan)
+    why[exchanged(certain[0], certain[1], identities.margin, comb)] = Doubt.EXCHANGE
     paired, why = _reassign_hops(candidates, paired, why, comb)
-    doubtful = why != ""
+    doubtful = why != Doubt.NONE
     withheld = np.where(doubtful, paired[0], np.nan)
     found = np.where(doubtful, np.nan, paired)
     expected = _expected(found[0], identities.rest_px)
@@ -86,49 +107,38 @@ def assign_detections(
         found[:, rows, sheet] = faint
         off = hops(found[0] - predicted_by_neighbours(found[0]), comb)
         found[:, off & np.isnan(paired[0])] = np.nan
-    flag = np.where(np.isfinite(found[0]), "ok", "missing").astype("<U8")
-    flag[_merged(found, expected, comb)] = "merged"
-    flag[_hidden(found[0], doubtful, comb)] = "merged"
+    flag = np.where(np.isfinite(found[0]), Flag.OK, Flag.MISSING).astype(np.uint8)
+    flag[_merged(found, expected, comb)] = Flag.MERGED
+    flag[_hidden(found[0], doubtful, comb)] = Flag.MERGED
     half = comb.fwhm_px / 2
     outside = (expected < half) | (expected > profile.shape[1] - 1 - half)
-    flag[(flag != "ok") & outside] = "edge"
-    flag[doubtful] = "doubtful"
-    start, contrast, fwhm = np.where(flag == "ok", found, np.nan)
+    flag[(flag != Flag.OK) & outside] = Flag.EDGE
+    flag[doubtful] = Flag.DOUBTFUL
+    start, contrast, fwhm = np.where(flag == Flag.OK, found, np.nan)
     return Detections(start, contrast, fwhm, flag, why, withheld)
 
 
 # --- doubt --------------------------------------------------------------------------------------------------
 
-DOUBTS = {
-    "margin": "another numbering fits nearly as well",
-    "tear": "displaced differently from the largest group of sheets",
-    "end": "a ridge beyond the comb is like the sheets, while the sheet at the other end is missing",
-    "jump": "displaced by a jump that could be one of whole pitches",
-    "pattern": "brightnesses and widths fit another numbering: the comb may have jumped by whole pitches",
-    "exchange": "on the ridge that another sheet had in the frame before",
-    "hop": "on another ridge, away from the position that the neighbours predict",
-}
-"""Meaning of each `Detections.why`."""
 
-
-def _doubts(paired: Floats, identities: Identities, comb: RidgeComb) -> Strings:
-    """Return why the identity of each paired ridge is doubtful (margin, jump, tear) or "", (frame, N).
+def _doubts(paired: Floats, identities: Identities, comb: RidgeComb) -> Codes:
+    """Return which identities of paired ridges are doubtful by margin, jump or tear, (frame, N).
 
     A margin that is too small is no doubt where the pattern confirms the identity. `paired` holds positions,
     contrasts and widths, (3, frame, N).
     """
     x, contrast, fwhm = paired
-    why = np.full(x.shape, "", "<U9")
-    why[~(identities.margin >= comb.settings.doubt)] = "margin"
+    why = np.full(x.shape, Doubt.NONE, np.uint8)
+    why[~(identities.margin >= comb.settings.doubt)] = Doubt.MARGIN
     displaced = x - rest_positions(x)
-    why[_unproved_jumps(x, displaced, contrast, identities, comb)] = "jump"
-    why[torn(displaced, comb)] = "tear"
-    why[np.isnan(x)] = ""
-    unsettled = why == "margin"
+    why[_unproved_jumps(x, displaced, contrast, identities, comb)] = Doubt.JUMP
+    why[torn(displaced, comb)] = Doubt.TEAR
+    why[np.isnan(x)] = Doubt.NONE
+    unsettled = why == Doubt.MARGIN
     if unsettled.any():
-        known = np.where(why == "tear", np.nan, x)
-        trusted = np.isfinite(known) & (why == "")
-        why[unsettled & anchored(known, np.log(contrast), np.log(fwhm), trusted, comb)] = ""
+        known = np.where(why == Doubt.TEAR, np.nan, x)
+        trusted = np.isfinite(known) & (why == Doubt.NONE)
+        why[unsettled & anchored(known, np.log(contrast), np.log(fwhm), trusted, comb)] = Doubt.NONE
     return why
 
 
@@ -170,16 +180,14 @@ def _shifted_pattern(certain: Floats, settings: TrackingSettings) -> Bools:
     return away
 
 
-def _reassign_hops(
-    candidates: Floats32, paired: Floats, why: Strings, comb: RidgeComb
-) -> tuple[Floats, Strings]:
+def _reassign_hops(candidates: Floats32, paired: Floats, why: Codes, comb: RidgeComb) -> tuple[Floats, Codes]:
     """Give each sheet that hopped to another ridge the ridge at its predicted position, or doubt it.
 
     A ridge that another sheet has is not given. candidates and paired hold positions, contrasts and widths,
     (3, frame, K) and (3, frame, N).
     """
     for _ in range(4):  # each pass finds the largest residual among neighbours and sets that sheet aside
-        x = np.where(why == "", paired[0], np.nan)
+        x = np.where(why == Doubt.NONE, paired[0], np.nan)
         residual = x - predicted_by_neighbours(x)
         off = hops(residual, comb)
         if not off.any():
@@ -188,12 +196,12 @@ def _reassign_hops(
         best, distance = nearest(candidates[0, frame], (x - residual)[off])
         there, height = candidates[:2, frame, best].astype(np.float64)
         accept = (distance <= comb.settings.faint_reach * comb.pitch_px) & (there != x[off])
-        usual = nan_median(np.log(np.where(why == "", paired[1], np.nan)))[sheet]
+        usual = nan_median(np.log(np.where(why == Doubt.NONE, paired[1], np.nan)))[sheet]
         accept &= np.abs(np.log(height) - usual) < LIKE_ITSELF
         accept &= ~(np.where(off, np.nan, paired[0])[frame] == there[:, None]).any(axis=1)
         accept &= _unshared(frame, there, accept)
         why, paired = why.copy(), paired.copy()
-        why[frame[~accept], sheet[~accept]] = "hop"
+        why[frame[~accept], sheet[~accept]] = Doubt.HOP
         paired[:, frame[accept], sheet[accept]] = candidates[:, frame[accept], best[accept]]
     return paired, why
 
@@ -589,11 +597,3 @@ def doubtful_stretches(tracks: xr.Dataset) -> pd.DataFrame:
         }
     )
     return table.sort_values("frames", ascending=False, kind="stable", ignore_index=True)
-
-
-def stretches(marked: Bools) -> tuple[Ints, Ints, Ints]:
-    """Return the unbroken stretches of True in each column of (frame, sheet): sheet, first row, end row."""
-    edge = np.diff(np.pad(marked.astype(np.int8), ((1, 1), (0, 0))), axis=0)
-    sheet, first = np.nonzero((edge == 1).T)
-    _, stop = np.nonzero((edge == -1).T)
-    return sheet, first, stop

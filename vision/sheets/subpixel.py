@@ -8,6 +8,7 @@ pass the negative profile for dark ones. `fit_sheets` fits all sheets in all fra
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import Literal, NamedTuple
 
 import cv2
@@ -180,13 +181,20 @@ def template_shift(
     """
     centre = np.rint(np.nan_to_num(x_px)).astype(np.int64)
     offsets = np.arange(-half_px, half_px + 1)
-    pixels = gather(profile, Starts(starts.frame, centre), offsets)
-    position, err = np.array(x_px, np.float64), np.full(len(x_px), np.nan)
-    usable = np.isfinite(position) & np.isfinite(pixels).all(axis=1)
-    for which in np.unique(shape[usable]):
+    position, err = np.full(len(x_px), np.nan), np.full(len(x_px), np.nan)
+    usable = np.isfinite(x_px)
+
+    def match(which: int) -> None:
+        """Fit one sheet, whose pixels alone are gathered: those of all sheets would take most memory."""
         mine = np.flatnonzero(usable & (shape == which))
-        fraction = position[mine] - centre[mine]
-        position[mine], err[mine] = _match(pixels[mine], fraction, centre[mine])
+        pixels = gather(profile, Starts(starts.frame[mine], centre[mine]), offsets)
+        inside = np.isfinite(pixels).all(axis=1)
+        mine, pixels = mine[inside], pixels[inside]
+        if len(mine):
+            position[mine], err[mine] = _match(pixels, x_px[mine] - centre[mine], centre[mine])
+
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(match, np.unique(shape[usable])))
     return FittedPositions(np.where(np.isfinite(err), position, np.nan), err)
 
 

@@ -11,9 +11,9 @@ import xarray as xr
 
 from vision.data import STRIP, STRIP_PARTS, TRACKS, StripMetadata, TrackMetadata, record
 from vision.errors import InputError
-from vision.numeric import Bools, Floats, Floats32, Strings, nan_median, nan_quantile
+from vision.numeric import Bools, Codes, Floats, Floats32, nan_median, nan_quantile
 from vision.sheets.corrections import Correction, apply_corrections, last_of
-from vision.sheets.identities import Identities, identify_sheets
+from vision.sheets.identities import WHYS, Doubt, Identities, identify_sheets
 from vision.sheets.numbering import Numbering, number_sheets
 from vision.sheets.quality import (
     BetweenSlips,
@@ -26,7 +26,14 @@ from vision.sheets.quality import (
     shared_error,
     spatial_scatter,
 )
-from vision.sheets.recovery import Detections, assign_detections, predicted_by_neighbours, sheets_alike
+from vision.sheets.recovery import (
+    FLAGS,
+    Detections,
+    Flag,
+    assign_detections,
+    predicted_by_neighbours,
+    sheets_alike,
+)
 from vision.sheets.reference import marks, wide_spacings
 from vision.sheets.ridges import RidgeComb, describe_ridges, find_ridges, no_ridges
 from vision.sheets.settings import DEFAULT, TrackingSettings
@@ -170,7 +177,7 @@ class _Assessed(NamedTuple):
     of all positions of a sheet by a distortion that lasts, (N,)."""
 
     x_px: Floats
-    flag: Strings
+    flag: Codes
     err_px: Floats
     blurred: Bools
     distorted: Bools
@@ -192,7 +199,7 @@ def _assess_ridges(
     not_a_sheet = not_one_ridge(bright, x_px, comb)
     not_a_sheet |= lasting_px > comb.settings.most_distorted * comb.fwhm_px
     not_a_sheet |= marks(x_px, errors.err_px, np.hypot(lasting_px, usual_px), comb)
-    flag = np.where((detections.flag == "ok") & not_a_sheet, "merged", detections.flag)
+    flag = np.where((detections.flag == Flag.OK) & not_a_sheet, np.uint8(Flag.MERGED), detections.flag)
     err = np.sqrt(errors.err_px**2 + blur_px**2 + distorted_px**2)
     usual = nan_median(np.where(np.isfinite(x_px), err, np.nan))
     excess = noise_excess(BetweenSlips(np.where(frozen[:, None], np.nan, x_px)), err, comb.settings)
@@ -201,13 +208,13 @@ def _assess_ridges(
     return _Assessed(x_px, flag, err, blurred, is_distorted, lasting_px)
 
 
-def _beside_missing(flag: Strings) -> Bools:
+def _beside_missing(flag: Codes) -> Bools:
     """Return which positions are next to a sheet that is missing in that frame, (frame, N).
 
     An object that covers a sheet also cuts the next ridge, which then jumps and changes its shape as if it
     were blurred, and may be off by half of its width.
     """
-    missing = np.pad(flag == "missing", ((0, 0), (1, 1)))
+    missing = np.pad(flag == Flag.MISSING, ((0, 0), (1, 1)))
     return np.asarray(missing[:, :-2] | missing[:, 2:], bool)
 
 
@@ -352,14 +359,14 @@ def _dataset(strip: xr.DataArray, found: _Tracked, metadata: TrackMetadata) -> x
     """Assemble the Dataset that `track_sheets` returns."""
     detections, errors, assessed = found.detections, found.errors, found.assessed
     flag = _flags(strip, found)
-    ok = (flag == "ok") | (flag == "blurred")
+    ok = (flag == Flag.OK) | (flag == Flag.BLURRED)
     x = np.where(ok, assessed.x_px, np.nan) + found.origin_px
     contrast = np.where(ok, detections.contrast, np.nan)
     values: dict[str, Any] = {
         "x_px": x,
         "x_err_px": np.where(ok, assessed.err_px, np.nan),
-        "flag": flag,
-        "why": np.where(flag == "doubtful", detections.why, ""),
+        "flag": np.array(FLAGS)[flag],
+        "why": np.array(WHYS)[np.where(flag == Flag.DOUBTFUL, detections.why, Doubt.NONE)],
         "x_withheld_px": detections.withheld_px + found.origin_px,
         "x_expected_px": predicted_by_neighbours(x),
         "x_mean_px": nan_median(x),
@@ -382,17 +389,18 @@ def _dataset(strip: xr.DataArray, found: _Tracked, metadata: TrackMetadata) -> x
     return xr.Dataset(variables, index | coords, of_film | metadata.attrs())
 
 
-def _flags(strip: xr.DataArray, found: _Tracked) -> Strings:
-    """Return "ok" or the reason why there is no position; the state of the frame takes precedence."""
-    if "status" in strip.coords:
-        status = np.asarray(strip["status"].values).astype("<U8")
-    else:
-        status = np.where(np.isfinite(strip.values).all(axis=1), "ok", "blank").astype("<U8")
+def _flags(strip: xr.DataArray, found: _Tracked) -> Codes:
+    """Return OK or the reason why there is no position; the state of the frame takes precedence."""
     flag = found.assessed.flag.copy()
-    flag[(flag == "ok") & ~np.isfinite(found.assessed.x_px)] = "unfit"
-    flag[(flag == "ok") & found.assessed.blurred] = "blurred"
-    flag[found.frozen] = "frozen"
-    return np.where(status[:, None] != "ok", status[:, None], flag)
+    flag[(flag == Flag.OK) & ~np.isfinite(found.assessed.x_px)] = Flag.UNFIT
+    flag[(flag == Flag.OK) & found.assessed.blurred] = Flag.BLURRED
+    flag[found.frozen] = Flag.FROZEN
+    if "status" in strip.coords:
+        for status in ("blank", "corrupt", "lost"):
+            flag[strip["status"].values == status] = FLAGS.index(status)
+    else:
+        flag[~np.isfinite(strip.values).all(axis=1)] = Flag.BLANK
+    return flag
 
 
 # --- from tracks to more ------------------------------------------------------------------------------------
