@@ -1,4 +1,4 @@
-"""Arguments and help of every command.
+"""Arguments and help of every command but `track review`, whose own module imports nothing slow.
 
 Each function imports the module that does the work only when it is called, so that `--help` is quick.
 """
