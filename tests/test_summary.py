@@ -230,13 +230,21 @@ def test_events_of_an_oscillation_are_not_called_stick_slip():
 def test_systematic_errors_are_a_line_each():
     """A failure means numbers that nobody can find in one long line, or no word on what is missing."""
     lines = summary_lines(with_force())
-    first = next(k for k, line in enumerate(lines) if line.startswith("systematic"))
-    place, scale, stiffness, rest = (line[11:] for line in lines[first:])
+    first = next(k for k, line in enumerate(lines) if line.startswith("errors"))
+    place, stiffness, rest = (line[11:] for line in lines[first:])
     assert place.startswith("position of a sheet") and place.count("±") == 1
-    assert scale.startswith("Λ̂ ±") and " mm" in scale
+    assert "systematic" in place and "statistical" in place
     assert stiffness.startswith("K ±") and "N/mm" in stiffness
     assert rest == "not included, since no error is known: compliance of the machine, pixel size, clock"
     assert sum("d0" in line for line in lines) == 1  # the note of the fits
+
+
+def test_every_fitted_value_and_the_ratio_are_printed():
+    """A failure means a result for which the user has to open a table."""
+    lines = summary_lines(with_force())
+    models = next(k for k, line in enumerate(lines) if line.startswith("models"))
+    assert all(f"{name} " in " ".join(lines[models : models + 2]) for name in ("μ", "A", "N̂", "Λ̂", "𝒯0"))
+    assert any("median σ_x/Λ_st of a sheet" in line for line in lines if line.startswith("shells"))
 
 
 def test_frozen_frames_are_counted_beside_the_others():

@@ -44,7 +44,9 @@ def check_target(target: Path, *, overwrite: bool, mark: str = RUN_JSON) -> None
     except OSError as error:
         raise unwritable(target, error) from error
     if not os.access(parent, os.W_OK | os.X_OK):
-        raise InputError(target, "a place that can be written", f"{parent} is not", "give another `out`")
+        raise InputError(
+            target, "a place that can be written", f"no right to write in {parent}", "give another `out`"
+        )
 
 
 def check_new(target: Path, *, overwrite: bool, kind: str = "file") -> None:

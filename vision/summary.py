@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vision.data import StickMetadata, StripMetadata, TrackMetadata, load_unit
+from vision.data import ForceMetadata, StickMetadata, StripMetadata, TrackMetadata, load_unit
 from vision.figures.style import both_errors, candidates_text, drift_text, offset_text
 from vision.models.equations import effective_sheets
 from vision.numeric import Pixels, nan_median, stretches
@@ -62,9 +62,12 @@ def summary_lines(results: Results) -> list[str]:
         regime = StickMetadata.of(results.sticks).regime
         kind = "stick-slip events" if regime == "stick-slip" else f"events ({regime}, not stick-slip)"
         lines.append(f"events     {len(results.sticks)} {kind}; {sizes}; {lowpass}")
+        lines += [f"           {note}" for note in ForceMetadata.of(results.force).notes]
     if (fits := results.fits) is not None:
         mu, a, n_hat = (both_errors(one) for one in (fits.mu, fits.amplitude, fits.n_hat_N))
+        scale, modulus, t0 = (both_errors(one) for one in (fits.scale_mm, fits.modulus_GPa, fits.t0_N))
         lines.append(f"models     μ {mu}, A {a}, N̂ {n_hat} N")
+        lines.append(f"           Λ̂ {scale} mm, Y_eff {modulus} GPa, 𝒯0 {t0} N")
         lines += [f"           {note}" for note in fits.notes]
     elif reason := results.reasons.get("fits"):
         lines.append(f"models     none: {reason}")
@@ -73,23 +76,24 @@ def summary_lines(results: Results) -> list[str]:
     if results.shells is not None and results.motion is not None:
         lines.append(f"shells     {_shells(results.motion, results.shells)}")
     for k, line in enumerate(_systematic(systematic_budget(results))):
-        lines.append(f"{'' if k else 'systematic':<10} {line}")
+        lines.append(f"{'' if k else 'errors':<10} {line}")
     return lines
 
 
 def _systematic(budget: Budget) -> list[str]:
     """Return the systematic errors that other lines lack, then the sources whose error is unknown."""
     lines: list[str] = []
-    unknown: dict[str, None] = {}
-    for quantity in ("x_px", "Lambda_hat_mm", "K_N_per_mm", "ratio"):
+    for quantity in ("x_px", "K_N_per_mm", "ratio"):
         name, unit = QUANTITIES[quantity]
         total = budget.total(quantity)
         if quantity in budget.values and math.isfinite(total) and total > 0:
             statistical = budget.statistical[quantity]
-            beside = f" (statistical {statistical:.2g})" if math.isfinite(statistical) else ""
-            lines.append(f"{name} ± {total:.2g} {unit}".rstrip() + beside)
-        if quantity != "x_px":  # its sources are measured: the user cannot give their errors
-            unknown |= dict.fromkeys(budget.unknown(quantity))
+            beside = f", {statistical:.2g} statistical" if math.isfinite(statistical) else ""
+            lines.append(f"{name} ± {total:.2g} {unit}".rstrip() + f" systematic{beside}")
+    # The sources of x_px are measured: the user cannot give their errors.
+    unknown = dict.fromkeys(
+        source for quantity in ("Lambda_hat_mm", "K_N_per_mm", "ratio") for source in budget.unknown(quantity)
+    )
     # The notes of the fits say that d0 has no error.
     if without := [SOURCES.get(one, one) for one in unknown if one != "d0"]:
         lines.append(f"not included, since no error is known: {', '.join(without)}")
@@ -114,8 +118,8 @@ def tracking_warnings(tracks: xr.Dataset) -> list[str]:
         line = f"{uncertain} of {total} positions left out{why_left_out(flags)}"
         # With 0.2 there is no advice if a hand always covers part of the comb and other positions are wrong.
         if uncertain > 0.1 * total:
-            line += "; with so many, other positions may also be wrong: check where the tracks lie, and"
-            line += " exclude what hides the comb with `frames` or `columns`"
+            line += "; with so many, other positions may also be wrong: check where the tracks lie, and "
+            line += "exclude what hides the comb with `frames` or `columns`"
         lines.append(line)
     missing = flags.get("missing", 0) + flags.get("edge", 0) + flags.get("unfit", 0)
     if missing > 0.01 * total:  # fewer are the usual gaps at the edges of the picture
@@ -123,7 +127,9 @@ def tracking_warnings(tracks: xr.Dataset) -> list[str]:
     if line := _frames_with_few_sheets(tracks):
         lines.append(line)
     still = "ok" in flags and not (tracks["x_noise_px"].values > 0).any()
-    if tracks.sizes["frame"] >= 10 and still:
+    if tracks.sizes["frame"] < 3:
+        lines.append(f"only {tracks.sizes['frame']} frame(s): neither motion nor noise can be measured")
+    elif tracks.sizes["frame"] >= 10 and still:
         lines.append("all frames are equal: neither motion nor noise can be measured")
     elif tracks.sizes["frame"] >= 20 and comb_is_stationary(tracks):
         lines.append(
@@ -590,4 +596,6 @@ def _clocks(clock: Clock) -> str:
 def _shells(motion: xr.Dataset, shells: pd.DataFrame) -> str:
     size = shells["stiff_sheets"].dropna().astype(float)
     found = f"{size.median():.0f} ({size.min():.0f} to {size.max():.0f})" if len(size) else "not known"
+    if (ratio := nan_median(motion["ratio"].values)).size and np.isfinite(ratio).any():  # of each sheet
+        found += f"; median σ_x/Λ_st of a sheet {np.nanmin(ratio):.2g} to {np.nanmax(ratio):.2g}"
     return f"{motion.sizes['event']} stick phases in the video; stiff sheets per side {found}"

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pandas as pd
 import pytest
 import tifffile
 
@@ -236,7 +237,7 @@ def test_frames_beyond_the_end_give_what_there_is(video, capsys):
 @pytest.mark.parametrize("name", ["a b [é](1).tif", "-1 €'$x.png", "one.avi"])
 def test_one_frame_and_any_name_will_do(name, place, frames, capsys):
     """A failure means that brackets are taken for a glob, that a space or accent stops the run, or that a
-    single picture, the first thing a user tries, cannot be measured.
+    single picture, the first thing a user tries, cannot be measured, or passes for a film that shows motion.
     """
     if name.endswith("png"):
         cv2.imwrite(name, frames[0])
@@ -244,15 +245,17 @@ def test_one_frame_and_any_name_will_do(name, place, frames, capsys):
         write_avi(place / name, frames[:1])
     else:
         write_video(place / name, frames[:1])
-    assert run([f"./{name}", "--quiet", "--out", "run"]) == 0
-    assert capsys.readouterr().err == ""
+    assert run([f"./{name}", "--quiet", "--out", "run"]) == 1
+    said = capsys.readouterr().err
+    assert said == "track: warning: only 1 frame(s): neither motion nor noise can be measured\n"
+    assert (pd.read_csv("run/tracks.csv")["flag"] == "ok").all()
 
 
 def test_results_may_lie_among_the_images(place, frames):
     """A failure means that a folder of images is spoilt as input by its own results."""
     (place / "images" / "earlier_tracks").mkdir(parents=True)
-    for name in ("a_0000.png", "a_0001.png", "earlier_tracks/overview.png"):
-        cv2.imwrite(str(place / "images" / name), frames[0])
+    for name in ("a_0000.png", "a_0001.png", "a_0002.png", "earlier_tracks/overview.png"):
+        cv2.imwrite(str(place / "images" / name), frames[int(name[5])] if name[0] == "a" else frames[0])
     assert run(["images", "--quiet", "--out", "images/run"]) == 0
 
 
@@ -359,7 +362,9 @@ def test_no_reader_at_all_is_no_failure(monkeypatch):
 def test_a_terminal_without_greek_letters_is_no_failure(place):
     """A failure means a traceback after the work is done, where output is piped in a narrow encoding."""
     force = Path(__file__).parents[2] / "fixtures" / "paper" / "force.txt"
-    status, out, err = finish("force", force, "--out", "run", env=PLACE | {"PYTHONIOENCODING": "ascii"})
+    status, out, err = finish(
+        "force", force, "--d0", "13", "--out", "run", env=PLACE | {"PYTHONIOENCODING": "ascii"}
+    )
     assert (status, "Traceback" in err) == (0, False), err
     assert "median ?F" in out
     assert Path("run/force.png").stat().st_size > 10_000

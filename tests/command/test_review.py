@@ -41,7 +41,7 @@ def test_without_the_extra_it_says_what_to_install(folder, monkeypatch, capsys):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "uvicorn" else found(name))
     assert run(["review", str(folder)]) == 2
     said = capsys.readouterr().err
-    assert "pip install '.[review]'" in said
+    assert "pip install -c constraints.txt '.[review]'" in said
     assert said.count("\n") == 1
 
 

@@ -35,7 +35,7 @@ FILES = {
     "run.json",
 }
 LINES = ["sheets", "frames", "positions", "noise", "strip", "ridges", "axis", "clock", "scale"]
-LINES += ["systematic", "results"]
+LINES += ["errors", "results"]
 
 
 pytestmark = pytest.mark.usefixtures("without_pictures")

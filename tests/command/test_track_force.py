@@ -113,10 +113,13 @@ def test_a_run_folder_is_complete_and_kept(
 
 def test_without_d0_there_are_events_and_no_models(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A failure means the models are fitted to separations that are not known."""
-    assert force(file) == 0
-    assert "models     none" in (said := capsys.readouterr().out)
-    assert "give --d0" in said
+    assert force(file) == 1
+    said, complained = capsys.readouterr()
+    assert "models     none" in said and "give --d0" in said
+    assert "warning: the initial separation is not known" in complained
     assert "mu" not in json.loads(Path("pull_force/models.json").read_text(encoding="utf-8"))
+    force(file, "--d0", "0", "--overwrite")  # the displacement is the separation itself
+    assert "initial separation is not known" not in capsys.readouterr().err
 
 
 def test_without_speed_or_displacement(file: Path, test: Test, capsys: pytest.CaptureFixture[str]) -> None:

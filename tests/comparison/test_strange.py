@@ -62,3 +62,24 @@ def test_random_events(tmp_path):
     assert len(found.failures) > 5
     found.to_json()
     found.figures()
+
+
+def test_one_recording_counts_once(tmp_path):
+    """A failure means errors that shrink because a test was tracked twice."""
+    runs = [write_run(tmp_path / name, events(seed=1)) for name in ("first", "again")]
+    other = write_run(tmp_path / "other", events(seed=2))
+    found = vision.compare([*runs, other])
+    assert found.table["run"].tolist() == ["first", "other"]
+    (line,) = found.failures
+    assert "that of first, which would count twice" in line
+
+
+def test_runs_without_an_initial_separation_are_refused(tmp_path):
+    """A failure means that the machine's travel is compared as if it were the separation, or a traceback."""
+    good = write_run(tmp_path / "good", events(seed=1))
+    travel = write_run(tmp_path / "travel", events(seed=2), d0_mm=None)
+    beyond = write_run(tmp_path / "beyond", events(seed=3).assign(d_v_mm=1616.0, d_p_mm=1616.01))
+    found = vision.compare([good, travel, beyond])
+    without, outside = found.failures
+    assert "found no `d0_mm`" in without
+    assert "between 0 and the length of the sheets, 57 mm; found d from 1616 to 1616 mm" in outside

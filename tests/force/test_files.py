@@ -152,3 +152,14 @@ def test_the_fast_way_gives_what_the_careful_one_does(separator, odd, tmp_path, 
     for one, other in zip(fast, slow, strict=True):
         assert (one.units, one.facts) == (other.units, other.facts)
         assert np.array_equal(one.numbers, other.numbers, equal_nan=True)
+
+
+def test_commas_between_columns_and_in_numbers_are_refused(tmp_path: Path) -> None:
+    """A failure means columns of halved numbers, and advice about a threshold."""
+    rows = "\n".join(f"{n // 10},{n % 10},{n % 7},5,0,{n:03d}" for n in range(40))
+    path = tmp_path / "pull.csv"
+    path.write_text(f"time (s),load (N),crosshead (mm)\n{rows}\n", encoding="utf-8")
+    with pytest.raises(InputError, match="3 names above 6 cells"):
+        read_force(path)
+    path.write_text(path.read_text(encoding="utf-8").replace(",5,", ".5,"), encoding="utf-8")
+    read_tables(path)  # a decimal point: these are columns without a name

@@ -337,7 +337,8 @@ def test_a_clock_is_accepted_by_sliding_the_force(browser, unsure, tmp_path):
     with served(run, PAPER_SETTINGS) as here:
         visit = ReviewVisit(browser, here)
         page = visit.page
-        visit.reads("force-facts", "ambiguous")
+        visit.reads("force-facts", "clocks ambiguous, drawn at the likeliest offset")
+        visit.reads("warnings", "clocks ambiguous")
         page.click("#decide-clock")
         visit.effect()
         wrong = str(fits.index(False))

@@ -1,5 +1,6 @@
 """Run folders of force recordings, made directly from the equations: every truth is known."""
 
+import hashlib
 import json
 from dataclasses import asdict
 
@@ -47,11 +48,15 @@ def events(
     )
 
 
-def write_run(folder, table, *, speed=1.0, sample=PUBLISHED, models=None):
+def write_run(folder, table, *, speed=1.0, sample=PUBLISHED, models=None, **facts_of_force):
     """A folder as `track force` leaves it, as far as compare reads it."""
     folder.mkdir(parents=True)
     table.to_csv(folder / "events.csv", index=False)
-    facts = {"force": {"speed_mm_min": speed}, "sample": asdict(sample)}
+    recording = {"source": f"{folder.name}.txt", "separation_from": "displacement", "d0_mm": 13.0}
+    recording |= {"speed_mm_min": speed} | facts_of_force
+    content = hashlib.sha256(table.to_csv().encode()).hexdigest()
+    inputs = [{"path": recording["source"], "sha256": content}]
+    facts = {"force": recording, "sample": asdict(sample), "inputs": inputs}
     (folder / "run.json").write_text(json.dumps(facts))
     (folder / "models.json").write_text(json.dumps({"sample": asdict(sample)} | (models or {})))
     return folder

@@ -49,7 +49,12 @@ def check_engine(executor: str, films: Iterable[str] = ()) -> None:
     Raises: InputError.
     """
     if importlib.util.find_spec("snakemake") is None:
-        raise InputError("track campaign", "Snakemake 9", "none", "pip install '.[campaign]'")
+        raise InputError(
+            "track campaign",
+            "Snakemake 9",
+            "none",
+            "in sheetvision's folder: pip install -c constraints.txt '.[campaign]'",
+        )
     if executor == "slurm" and shutil.which("sbatch") is None:
         raise InputError(
             "`executor`", "SLURM's commands on this machine", "no sbatch", "run it on a login node"

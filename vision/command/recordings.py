@@ -14,7 +14,6 @@ from vision.command.console import complain, conclude, frame_progress, one_line,
 from vision.command.options import FrictionOptions, ModulusOptions, OutputOptions, SimulateOptions
 from vision.command.settings import merged, parameters_given, parse_pair, settings_of
 from vision.command.track import finish, origin_of
-from vision.data import ForceMetadata
 from vision.errors import InputError, known_as
 from vision.experiment import preset as ready_made
 from vision.experiment import settings_from_toml, with_settings
@@ -75,9 +74,6 @@ def force(
         found = {"limit_N": table.attrs["limit_N"], "tried": table.to_dict("records")}
     origin = origin_of(inputs, parameters)
     write_run(analysis, target, origin, overwrite=output.overwrite, facts={"detection_limit": found})
-    if analysis.force is not None:
-        for note in ForceMetadata.of(analysis.force).notes:
-            complain(f"{file.name}: {note}")
     return finish(analysis, target, "force.png", quiet=output.quiet)
 
 
@@ -105,7 +101,7 @@ def modulus(file: Path, options: ModulusOptions, output: OutputOptions) -> int:
     measured = CyclesMetadata.of(cycles)
     notes, warnings = list(measured.notes), measured.warnings
     if sheet == PUBLISHED_SHEET:
-        notes.append("the sheet has the publication's size: ε = 0.1, W = 45, L = 16.8 mm")
+        notes.append("sheet of ε = 0.1, W = 45, L = 16.8 mm, the publication's size")
     content = {
         **means,
         "cycles": len(cycles),

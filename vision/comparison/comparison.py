@@ -290,7 +290,7 @@ def answers(found: Comparison) -> list[Answer]:
     boxes = [
         Answer(
             f"one μ of {one.sample or 'all tests'}",
-            both_errors(one.mu),
+            both_errors(one.mu) if one.fits else "none fits the tests",
             f"for {len(one.runs)} tests{_joint_detail(one)}",
             doubt=one.disagrees or bool(one.at_limit),
         )

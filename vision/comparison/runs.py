@@ -105,11 +105,14 @@ def read_tests(runs: Sequence[str | Path] = (), table: str | Path | pd.DataFrame
     row_of = _rows_of_runs(folders, rows, base, failures, warnings)
     names = [folder.resolve().name for folder in folders]
     tests: list[TractionTest] = []
+    recordings: dict[Any, str] = {}  # fingerprint of each force recording, and the run that has it
     for folder, name in zip(folders, names, strict=True):
         unique = name if names.count(name) == 1 else str(folder)
         try:
             with reading(folder, "a run as track writes it", AGAIN):
-                tests.append(_read_test(folder, unique, row_of.get(folder, {}), warnings))
+                run = read_run(folder)
+                _check_unique(run, unique, recordings)
+                tests.append(_read_test(run, unique, row_of.get(folder, {}), warnings))
         except InputError as error:
             failures.append(str(error))
     if not tests:
@@ -232,8 +235,25 @@ def _rows_of_runs(
 # --- one run ------------------------------------------------------------------------------------------------
 
 
-def _read_test(folder: Path, name: str, row: Row, warnings: list[str]) -> TractionTest:
-    made = read_run(folder)
+def _check_unique(run: RunFolder, name: str, recordings: dict[Any, str]) -> None:
+    """Refuse a second run of one force recording: it is no second measurement of μ.
+
+    recordings: name of the run of each fingerprint so far, to which this one is added.
+    """
+    source = (run.facts.get("force") or {}).get("source")
+    inputs = run.facts.get("inputs") or ()
+    marks = [one.get("sha256") or one.get("fingerprint") for one in inputs if one.get("path") == source]
+    if not marks or marks[0] is None:
+        return
+    other = recordings.setdefault(marks[0], name)
+    if other != name:
+        found = f"that of {other}, which would count twice"
+        raise InputError(run.folder, "a force recording that no other run has", found, "name one of the two")
+
+
+def _read_test(made: RunFolder, name: str, row: Row, warnings: list[str]) -> TractionTest:
+    _check_separation(made)
+    folder = made.folder
     models = read_json(folder / "models.json") if (folder / "models.json").is_file() else {}
     recorded = number((made.facts.get("force") or {}).get("speed_mm_min"))
     given = number(row.get("V_mm_min"))
@@ -268,6 +288,14 @@ def _read_test(folder: Path, name: str, row: Row, warnings: list[str]) -> Tracti
     )
 
 
+def _check_separation(run: RunFolder) -> None:
+    """Refuse a run in which d is how far the machine moved, not the separation of the blocks."""
+    facts = run.facts.get("force") or {}
+    if facts.get("separation_from", "none") != "none" and not math.isfinite(number(facts.get("d0_mm"))):
+        advice = "run track again with `d0_mm`"
+        raise InputError(run.folder, "a run whose initial separation is known", "no `d0_mm`", advice)
+
+
 INSTRUMENT = ("load_drift", "low_pass", "sampling")
 """Sources of systematic errors that lie in the force recording; their effect is known from the run alone."""
 
@@ -293,7 +321,13 @@ def _events(run: RunFolder, sample: Sample) -> pd.DataFrame:
     table = table.assign(**{name: pd.to_numeric(table[name], errors="coerce") for name in text})
     values = table[list(_NEEDED)].to_numpy(float)
     complete = np.isfinite(values).all(axis=1) & (values[:, 3:] > 0).all(axis=1)
-    complete &= (values[:, 0] > 0) & (values[:, 1] < sample.length_mm)
+    within = (values[:, 0] > 0) & (values[:, 1] < sample.length_mm)
+    if complete.any() and not within[complete].any():
+        low, high = values[complete, :2].min(), values[complete, :2].max()
+        wanted = f"separations between 0 and the length of the sheets, {sample.length_mm:g} mm"
+        advice = "run track again with the right `d0_mm` in mm"
+        raise InputError(path, wanted, f"d from {low:.4g} to {high:.4g} mm", advice)
+    complete &= within
     if "flag" in table:
         complete &= (table["flag"].fillna("ok") == "ok").to_numpy()
     if complete.sum() < 6:

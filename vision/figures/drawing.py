@@ -275,9 +275,9 @@ def _draw_ticks(ax: Axes, groups: list[Series]) -> None:
         stroke = 0.2 * (series.high - series.low)  # leaves the ridge visible between the two
         ax.vlines(series.x, series.low, series.low + stroke, color=series.ink[0], lw=0.9)
         ax.vlines(series.x, series.high - stroke, series.high, color=series.ink[0], lw=0.9)
-        width = _label_width(series, character)
         for x, y, text in zip(series.x, series.low, series.text, strict=True):
-            span = (x - width / 2, x + width / 2)
+            half = character * (0.6 + len(text)) / 2
+            span = (x - half, x + half)
             if (int(text) - 1) % step == 0 and not any(span[0] < b and a < span[1] for a, b in taken):
                 taken.append(span)
                 ax.annotate(text, (x, y), (0, 3), fontsize=7, **style)

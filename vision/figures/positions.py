@@ -54,9 +54,9 @@ def tracks_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> 
         else ""
     )
     panel = Panel(
-        title="Displacement of every sheet",
+        title="Displacement of every sheet from x₀, its median over the first frames",
         x_label=time_axis(tracks)[1],
-        y_label=f"x − x(start) ({unit})",
+        y_label=f"x − x₀ ({unit})",
         series=sheet_series(tracks, at, displacement, inks=sheet_inks(tracks)),
         placeholder="no positions",
         aspect=0.4,
@@ -64,9 +64,9 @@ def tracks_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> 
     return Figure.of(
         "tracks",
         panel,
-        "Position of each sheet less its median over the first frames in which most sheets were measured. "
-        "Left sheets are dashed and blue, right ones solid and orange; the tone changes from the centre "
-        f"outwards.{decimated}",
+        "Position of each sheet less x₀, its median over the first frames in which most sheets were "
+        "measured. Left sheets are dashed and blue, right ones solid and orange; the tone changes from the "
+        f"centre outwards.{decimated}",
         title="x(n,t): displacement of every sheet",
     )
 
@@ -298,7 +298,8 @@ def mean_deformation_figure(motion: xr.Dataset, *, threshold: float = STIFF_BELO
         events = known[start : start + each]
         part = motion["ratio"].isel(event=events, sheet=order)
         value, spread = part.mean("event").to_numpy(), part.std("event", ddof=1).fillna(0).to_numpy()
-        label, low, high = f"d_v = {d_v[events].mean():.2f} mm", np.maximum(value - spread, 0), value + spread
+        label = f"d_v = {d_v[events].mean():.2f} mm, mean of {each}"
+        low, high = np.maximum(value - spread, 0), value + spread
         series.append(Series(label=label, x=numbers, y=value, low=low, high=high, ink=ink, width=1.4))
     return Figure.of(
         "mean_deformation",

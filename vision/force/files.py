@@ -233,6 +233,7 @@ def _read_plain(path: Path) -> Table | None:
         return None
     if np.isnan(values[:, 1:]).all(axis=1).any() or len(values) < LEAST_ROWS:
         return None  # a remark, or the last line cut short
+    _check_commas(path, lines[:start], lines[start:], style, width)
     names, units = _header(lines[:start], style, width)
     return _drop_empty(Table(names, units, values, _facts(lines, style, encoding), start + 1))
 
@@ -361,6 +362,7 @@ def _read_blocks(path: Path, lines: list[str], style: _Style, facts: dict[str, s
     header_from = 0
     for start, stop in _runs(lines, style):
         values, written = _numbers(path, [line for line in lines[start:stop] if line.strip()], style)
+        _check_commas(path, lines[header_from:start], lines[start:stop], style, values.shape[1])
         names, units = _header(lines[header_from:start], style, values.shape[1])
         units = tuple(of_cells or unit for unit, of_cells in zip(units, written, strict=True))
         if tables and not any(names) and values.shape[1] == tables[-1].numbers.shape[1]:
@@ -455,6 +457,17 @@ def _clock_seconds(parts: pd.DataFrame) -> Floats:
     known = np.isfinite(seconds)
     seconds[known] = np.unwrap(seconds[known], period=period)
     return np.asarray(seconds, np.float64)
+
+
+def _check_commas(path: Path, header: list[str], rows: list[str], style: _Style, width: int) -> None:
+    """Refuse rows in which a comma separates columns and also is the decimal mark: more cells than names, and
+    no decimal point in any."""
+    above = [line for line in header if line.strip()]
+    names = len([cell for cell in style.cells(above[-1]) if cell]) if above else 0
+    if style.separator == "," and 1 < names < width and not any("." in row for row in rows[:1000]):
+        found = f"{names} names above {width} cells, none of which has a decimal point"
+        advice = "export it with decimal points, or with semicolons or tabs between the columns"
+        raise InputError(path, "commas either between columns or in numbers", found, advice)
 
 
 def _header(lines: list[str], style: _Style, width: int) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -125,6 +125,8 @@ def _friction(results: Results) -> Answer | None:
         return None
     n_hat, a, modulus = (_with_total(one) for one in (fits.n_hat_N, fits.amplitude, fits.modulus_GPa))
     detail = f"N̂ = {n_hat} N, A = {a}, Y_eff = {modulus} GPa (statistical and systematic error together)"
+    if "d0_mm" not in fits.input_errors:
+        detail += "; without the error of d0, which is not given"
     return Answer("friction coefficient", f"μ = {both_errors(fits.mu)}", detail)
 
 

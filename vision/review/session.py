@@ -314,6 +314,7 @@ class Session:
             "can_redo": bool(self.undone),
             "changed": self.changed,
             "unseen": [one.text() for one in self.unseen],
+            "warnings": [str(line) for line in self.stored.facts.get("warnings") or ()],
             "saving": self.saving(),
         }
 

@@ -49,7 +49,7 @@ def export_run(run: RunFolder, to: Format, *, out: Path | None = None, overwrite
     cannot be written; for a package that is not installed; or for a run without the data that are exported.
     """
     if to == "xlsx" and importlib.util.find_spec("openpyxl") is None:
-        advice = "install it: pip install '.[export]'"
+        advice = "in sheetvision's folder: pip install -c constraints.txt '.[export]'"
         raise InputError("the format xlsx", "the package openpyxl", "none", advice)
     target = out or Path(f"{run.folder.resolve().name}{ENDINGS.get(to, f'_{to}')}")
     if target.resolve().is_relative_to(run.folder.resolve()):

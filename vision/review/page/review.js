@@ -109,7 +109,7 @@ class Page {
     const others = this.views.tracks.sheets().filter((one) => one !== sheet);
     by("tracks-facts").textContent = `${name} (bold)${others.length > 4 ? ` and ${others.length} others` : others.map((one) => `, ${this.name(one)}`).join("")}`;
     const clock = this.clock();
-    if (clock) by("force-facts").textContent = `offset ${number(clock.offset_s, 3)} s, drift ${number(clock.drift_ppm, 0)} ppm · clocks ${clock.status}`;
+    if (clock) by("force-facts").textContent = `${clock.status === "ambiguous" ? "clocks ambiguous, drawn at the likeliest " : ""}offset ${number(clock.offset_s, 3)} s, drift ${number(clock.drift_ppm, 0)} ppm${clock.status === "ambiguous" ? "" : ` · clocks ${clock.status}`}`;
     const stick = this.stick(view.frame), ratio = stick?.sheets.find((one) => one.index === view.sheet)?.ratio;
     by("stick-facts").textContent = stick ? `stick ${stick.event}${this.shellText(stick)}` : "";
     by("film").setAttribute("aria-label", `Film, frame ${view.frame}, ${time} s, strip of rows ${z0} to ${z1}, ${state.sheets.length} sheets; ${name} is chosen, ${here}`);
@@ -181,7 +181,7 @@ class Page {
     this.view.sheets = this.columns();
     this.view.sheet = Math.max(0, Math.min(state.sheets.length - 1, this.view.sheet));
     if (other && this.decisions.open) this.decisions.cancel(true);
-    this.listDoubts(); this.listHistory(); this.buttons(); this.decisions.offer();
+    this.listWarnings(); this.listDoubts(); this.listHistory(); this.buttons(); this.decisions.offer();
     this.windows(state.other_windows);
     this.unseen(state.unseen ?? []);
     this.view.changed();
@@ -204,6 +204,13 @@ class Page {
             : ["saved", this.savedAt ? `Saved at ${this.savedAt}` : "Tables are up to date"];
     this.say("connection", text);
     by("connection").dataset.state = kind;
+  }
+
+  listWarnings() {
+    const { warnings } = this.state;
+    by("warnings-view").hidden = !warnings.length;
+    by("warnings-name").textContent = warnings.length === 1 ? "1 warning of the run" : `${warnings.length} warnings of the run`;
+    by("warnings").replaceChildren(...warnings.map((line) => element("li", {}, line)));
   }
 
   listDoubts() {
