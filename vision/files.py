@@ -296,7 +296,7 @@ def in_threads(
 
 # --- in a separate process ----------------------------------------------------------------------------------
 
-PACKAGES = tuple(folder for folder in sys.path if folder)
+PACKAGE_PATHS = tuple(folder for folder in sys.path if folder)
 """Search path of packages for the separate process. It is stored early, because OpenCV temporarily puts its
 own folders first while it is imported, and one of them contains a module `typing` that is not Python's."""
 
@@ -348,7 +348,7 @@ def try_out(path: Path, parser: str, wanted: str, *, seconds: float | None = Non
     seconds = 8 + 5e-8 * size if seconds is None else seconds
     wall_s = 5 * seconds  # on a busy machine a process gets only part of a core
     memory = (2 << 30) + 4 * size  # address space, of which the libraries reserve half a GiB
-    task = json.dumps([os.path.abspath(path), PACKAGES, int(seconds) + 1, memory, parser])  # noqa: PTH100
+    task = json.dumps([os.path.abspath(path), PACKAGE_PATHS, int(seconds) + 1, memory, parser])  # noqa: PTH100
     quiet = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}  # each thread would reserve memory
     child = subprocess.Popen(
         [sys.executable, "-I", "-c", _CHILD],

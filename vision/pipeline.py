@@ -32,14 +32,7 @@ from vision.force import ForceSettings, find_stick_slip, read_force
 from vision.models import ModelFits, fit_models
 from vision.models.modulus import cycles_seen
 from vision.sample import PUBLISHED, Sample
-from vision.sheets import (
-    Correction,
-    FitChoice,
-    TrackingSettings,
-    pixel_size_of,
-    track_sheets,
-    with_heights,
-)
+from vision.sheets import Correction, FitChoice, TrackingSettings, pixel_size_of, track_sheets, with_heights
 from vision.sheets.corrections import OF_SHEETS, last_of, ordered
 from vision.sheets.ridges import describe_ridges
 from vision.shells import ShellSettings, classify_shells
@@ -425,11 +418,7 @@ def open_recording(video: Video | str | Path, chosen: Settings, follow: Follow |
 
 
 def _strip(
-    video: Video,
-    chosen: Settings,
-    progress: Progress | None,
-    log: ReadingLog | None,
-    follow: Follow | None,
+    video: Video, chosen: Settings, progress: Progress | None, log: ReadingLog | None, follow: Follow | None
 ) -> tuple[xr.DataArray, xr.DataArray | None]:
     """Return I(x, t) of the strip, and that of its parts if `strips` asks for them."""
     _check_lengths(chosen, video.shape[1])

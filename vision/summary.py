@@ -242,7 +242,39 @@ def consistency_warnings(
     sample: the given sample, which is compared with the ridges per side and their spacing.
     assumed: the sample that is assumed if none was given.
     """
-    found, lines = TrackMetadata.of(tracks), []
+    found, used, most = TrackMetadata.of(tracks), sample or assumed, int(tracks["n"].max())
+    lines = _comb_warnings(tracks, found)
+    one_side = len(np.unique(tracks["side"].values)) == 1
+    if used is not None and one_side and found.axis_how != "given" and most < used.sheets_per_block:
+        lines.append(
+            f"only {most} of {used.sheets_per_block} sheets of one side are in view, and n counts from the"
+            " innermost of them: if others lie between it and the axis, n and the stiff shell are too small"
+            " by their number: give `axis_px`"
+        )
+    spacing = math.nan if pixel_size_um is None else found.pitch_px * pixel_size_um / 1000
+    if used is None and 1000 * spacing < LEAST_SPACING_UM:
+        lines.append(
+            f"with this pixel size, the sheets are {1000 * spacing:.2g} µm apart, closer than paper is thick:"
+            " check `pixel_size_um` (µm)"
+        )
+    ratio = math.nan if used is None else spacing / (2 * used.thickness_mm)
+    if used is not None and (ratio <= 1 / UNLIKELY_SPACING or ratio >= UNLIKELY_SPACING):
+        lines.append(
+            f"with this pixel size, sheets {used.thickness_mm:g} mm thick are {spacing:.3g} mm apart: check"
+            " `pixel_size_um` (µm)"
+        )
+    if used is not None and most > used.sheets_per_block:
+        how = "given" if sample is not None else "assumed"
+        lines.append(
+            f"{used.sheets_per_block} sheets per block and side {how}, but n reaches {most}: check"
+            " `sheets_per_block`, `axis_px` and `sheets`"
+        )
+    return lines
+
+
+def _comb_warnings(tracks: xr.Dataset, found: TrackMetadata) -> list[str]:
+    """Warn of further or doubtful ridges of the comb, and of an axis that the motion excludes."""
+    lines = []
     if found.ridges_beyond:
         lines.append(
             f"{found.ridges_beyond} more ridges continue the comb of the {found.sheets} sheets and would"
@@ -261,34 +293,6 @@ def consistency_warnings(
             f"the axis at {found.axis_px:.0f} px is outside the range that the motion allows"
             f" ({found.axis_low_px:.0f} to {found.axis_high_px:.0f} px): check `axis_px`, and whether both"
             " sides are in view"
-        )
-    most = int(tracks["n"].max())
-    used = sample or assumed
-    one_side = len(np.unique(tracks["side"].values)) == 1
-    if used is not None and one_side and found.axis_how != "given" and most < used.sheets_per_block:
-        lines.append(
-            f"only {most} of {used.sheets_per_block} sheets of one side are in view, and n counts from the"
-            " innermost of them: if others lie between it and the axis, n and the stiff shell are too small"
-            " by their number: give `axis_px`"
-        )
-    spacing = math.nan if pixel_size_um is None else found.pitch_px * pixel_size_um / 1000
-    if used is None and 1000 * spacing < LEAST_SPACING_UM:
-        lines.append(
-            f"with this pixel size, the sheets are {1000 * spacing:.2g} µm apart, closer than paper is thick:"
-            " check `pixel_size_um` (µm)"
-        )
-    if used is not None and math.isfinite(spacing):
-        thickness = used.thickness_mm
-        if not 1 / UNLIKELY_SPACING < spacing / (2 * thickness) < UNLIKELY_SPACING:
-            lines.append(
-                f"with this pixel size, sheets {thickness:g} mm thick are {spacing:.3g} mm apart: check"
-                " `pixel_size_um` (µm)"
-            )
-    if used is not None and most > used.sheets_per_block:
-        how = "given" if sample is not None else "assumed"
-        lines.append(
-            f"{used.sheets_per_block} sheets per block and side {how}, but n reaches {most}: check"
-            " `sheets_per_block`, `axis_px` and `sheets`"
         )
     return lines
 
@@ -503,7 +507,7 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> list[str
         *([heights_line(tracks)] if "x_z_px" in tracks else []),
         ridges_line(found),
         f"axis       {axis if math.isfinite(found.axis_px) else 'not known'}",
-        f"clock      {frame_times(strip)}",
+        f"clock      {frame_rate_text(strip)}",
         scale_line(pixel_size_um, strip),
     ]
 
@@ -566,7 +570,7 @@ def _axis(found: TrackMetadata, innermost: int) -> str:
     return f"{how}; the motion allows {found.axis_low_px:.0f} to {found.axis_high_px:.0f} px"
 
 
-def frame_times(strip: StripMetadata) -> str:
+def frame_rate_text(strip: StripMetadata) -> str:
     """Return the frame rate and its source as text."""
     if not math.isfinite(strip.fps) and strip.clock_kind == "playback":
         return "the file states no frame rate: give the camera's with `fps`"

@@ -58,6 +58,19 @@ def test_help_shows_examples_and_every_command(capsys):
     assert "NAME_tracks" in said
 
 
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_help_of_a_command_keeps_its_examples_and_arguments(command, capsys, monkeypatch):
+    """A failure means that the parser of docstrings took some for those of another style and dropped them."""
+    monkeypatch.setenv("COLUMNS", "500")
+    assert run([command, "--help"]) == 0
+    said = capsys.readouterr().out
+    work = make_app()[command].default_command
+    for example in re.findall(r"^ +(track .*)", work.__doc__, re.MULTILINE):
+        assert example in said
+    for explanation in re.findall(r"^ {8}(\S.*)", work.__doc__.partition("----\n")[2], re.MULTILINE):
+        assert explanation.rstrip(".").replace("`", "") in said
+
+
 @pytest.mark.parametrize("example", EXAMPLES)
 def test_examples_have_no_option_that_does_not_exist(example, tmp_path, monkeypatch, capsys):
     """A failure means that the first command a reader copies is refused."""

@@ -8,7 +8,7 @@ from vision.figures import load_figures, save_figures
 from vision.figures.single_sheets import friction_figure, modulus_figure
 from vision.force.recording import read_force
 from vision.models.friction import FrictionSettings, fit_static_friction, friction_of_disc
-from vision.models.modulus import STRIP, measure_cycles
+from vision.models.modulus import PUBLISHED_SHEET, measure_cycles
 from vision.models.rheometer import read_rheometer
 
 
@@ -33,7 +33,7 @@ def test_modulus_shows_its_lines(tmp_path):
     """A failure means that a fitted part is drawn beside the force it was fitted to."""
     write_cycles(tmp_path / "sheet.txt", CyclesTest())
     force = read_force(tmp_path / "sheet.txt")
-    cycles = measure_cycles(force, sheet=STRIP)
+    cycles = measure_cycles(force, sheet=PUBLISHED_SHEET)
     figure = modulus_figure(force, cycles)
     lines = figure.panels[0].series[1:]
     assert len(lines) == len(cycles)

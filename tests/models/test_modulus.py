@@ -15,7 +15,7 @@ from vision.errors import InputError
 from vision.force.recording import read_force
 from vision.models.modulus import (
     CYCLES,
-    STRIP,
+    PUBLISHED_SHEET,
     ModulusSettings,
     cycles_seen,
     mean_over_cycles,
@@ -212,7 +212,11 @@ def test_bad_input_is_refused_in_one_line(tmp_path: Path) -> None:
 
 def test_the_strip_is_the_publications() -> None:
     """ε 0.1, L 16.8, W 45 mm."""
-    assert (STRIP.thickness_mm, STRIP.length_mm, STRIP.width_mm) == (0.1, 16.8, 45.0)
+    assert (PUBLISHED_SHEET.thickness_mm, PUBLISHED_SHEET.length_mm, PUBLISHED_SHEET.width_mm) == (
+        0.1,
+        16.8,
+        45.0,
+    )
 
 
 def test_push_and_pull_of_blocks_that_only_slide() -> None:

@@ -19,7 +19,7 @@ from vision.experiment.settings import ForceFile
 from vision.experiment.simulate import write_force
 from vision.models.equations import sheet_stiffness
 from vision.models.friction import PUBLISHED_FRICTION, RADIUS_MM, FrictionSettings, StaticFriction
-from vision.models.modulus import STRIP
+from vision.models.modulus import PUBLISHED_SHEET
 from vision.numeric import Floats
 from vision.sample import Sample
 
@@ -165,7 +165,7 @@ def write_rheometer_csv(
 class CyclesTest:
     """One sheet between two clamps whose distance Δ is cycled about its free length."""
 
-    sheet: Sample = STRIP  # ε, W and the free length L = Δ0
+    sheet: Sample = PUBLISHED_SHEET  # ε, W and the free length L = Δ0
     modulus_GPa: float = 2.5  # true Y_p
     cycles: int = 5
     speed_mm_min: float = 1.0  # |dΔ/dt|

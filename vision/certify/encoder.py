@@ -198,12 +198,7 @@ def _change(values: Floats32) -> float:
 
 
 def read_encoder(
-    path: Path,
-    rows: tuple[int, int],
-    columns: tuple[int, int],
-    *,
-    rotate: int = 0,
-    first: int = 0,
+    path: Path, rows: tuple[int, int], columns: tuple[int, int], *, rotate: int = 0, first: int = 0
 ) -> Encoder | None:
     """Read how a recording was encoded; None if it cannot be read, or there is no such encoder.
 

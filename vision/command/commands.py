@@ -1,4 +1,4 @@
-"""Arguments and help of every command.
+"""Arguments and help of every command but `track review`, whose own module imports nothing slow.
 
 Each function imports the module that does the work only when it is called, so that `--help` is quick.
 """
@@ -6,18 +6,16 @@ Each function imports the module that does the work only when it is called, so t
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
-
-from cyclopts import Parameter as Option
+from typing import Literal
 
 from vision.command.options import (
     CampaignOptions,
+    CompareOptions,
     Flag,
     ForceOptions,
     FrictionOptions,
     ModulusOptions,
     OutputOptions,
-    Report,
     RunOptions,
     SampleOptions,
     SimulateOptions,
@@ -66,7 +64,7 @@ def preview(
     Reads some tens of frames: the first ones, which are tracked, and others spread over the film. Writes
     NAME_preview.png, or with --out also a .pdf or .svg file.
 
-    Examples:
+    For example:
 
         track preview test.avi
 
@@ -99,7 +97,7 @@ def kymograph(
     picture of all with axes. Slips are marked: those of the run's force recording, or without one the common
     outward steps of the sheets. For a run only the columns, frames and pixel size can be chosen.
 
-    Examples:
+    For example:
 
         track kymograph test_tracks --sheet right:23 --sheet right:10 --width 0.2mm --time 40:45.1
 
@@ -133,7 +131,7 @@ def export(
     Positions that were not measured are empty in csv, xlsx and parquet, NaN in mat, and left out for trackpy
     and napari.
 
-    Examples:
+    For example:
 
         track export test_tracks --to xlsx
 
@@ -163,7 +161,7 @@ def figures(
 
     Writes one file per figure into the folder RUN_figures.
 
-    Examples:
+    For example:
 
         track figures test_tracks --to svg
 
@@ -199,7 +197,7 @@ def overlay(
 
     Writes RUN_overlay.mp4.
 
-    Examples:
+    For example:
 
         track overlay test_tracks
 
@@ -230,7 +228,7 @@ def certify(
     σ_x/Λ_st at the threshold; certificate.csv and certificate.json hold the numbers. Exit status 1 if the
     certificate does not cover everything.
 
-    Examples:
+    For example:
 
         track certify test_tracks
 
@@ -251,12 +249,7 @@ def certify(
 
 
 def compare(
-    *runs: Path,
-    table: Path | None = None,
-    main_sample: str | None = None,
-    fix_yeff: float | None = None,
-    report: Report = True,
-    output: OutputOptions = OutputOptions(),
+    *runs: Path, options: CompareOptions = CompareOptions(), output: OutputOptions = OutputOptions()
 ) -> int:
     """Compare several finished tests: one table, one μ, the collapse, change points and trends.
 
@@ -264,7 +257,7 @@ def compare(
     collapse.png, trends.png, report.html and run.json. A run that cannot be used is named, the others are
     compared, and the exit status is 1.
 
-    Examples:
+    For example:
 
         track compare old_tracks new_tracks --table tests.csv
 
@@ -274,64 +267,10 @@ def compare(
     ----------
     runs
         Run folders with a force recording; those of the table if none is given.
-    table
-        CSV with any of the columns run,sample,V_mm_min,n_test,RH_percent,T_C.
-    main_sample
-        Sample whose Y_eff is used for all tests; that of the first run if not given.
-    fix_yeff
-        Y_eff in GPa, if it is known.
-    report
-        Write report.html.
     """
     from vision.command import views
 
-    return views.compare(runs, table, main_sample, fix_yeff, report, output)
-
-
-def review(
-    run_or_video: Path,
-    /,
-    reading: VideoOptions = VideoOptions(),
-    test: TestOptions = TestOptions(),
-    machine: ForceOptions = ForceOptions(),
-    sample: SampleOptions = SampleOptions(),
-    run: RunOptions = RunOptions(),
-    *,
-    config: Path | None = None,
-    film: Path | None = None,
-    browser: bool = True,
-    port: int = 0,
-) -> int:
-    """Inspect and correct a run in a browser; a video is tracked first.
-
-    Only this computer can open the page, at an address with a token. Each decision is written at once to
-    corrections.toml in the run folder; saving repeats the analysis that depends on it. Ctrl-C or the page's
-    button ends the review. Options of track apply to a video only, as those of a run are known.
-
-    Examples:
-
-        track review test_tracks
-
-        track review test.avi --force test.txt --pixel-size 10
-
-    Parameters
-    ----------
-    run_or_video
-        Run folder, or a video as for track.
-    config
-        TOML file with any of these options.
-    film
-        Path of the run's film, if it was moved since it was tracked.
-    browser
-        Open the default browser; the address is printed in any case.
-    port
-        Port of the address; a free one if not given.
-    """
-    from vision.command import review
-
-    return review.review(
-        run_or_video, (reading, test, machine, sample), run, config, film=film, browser=browser, port=port
-    )
+    return views.compare(runs, options, output)
 
 
 def force(
@@ -369,11 +308,7 @@ def force(
 
 
 def modulus(
-    file: Path,
-    /,
-    options: ModulusOptions = ModulusOptions(),
-    *,
-    output: OutputOptions = OutputOptions(),
+    file: Path, /, options: ModulusOptions = ModulusOptions(), *, output: OutputOptions = OutputOptions()
 ) -> int:
     """Measure Young's modulus of one sheet from push–pull cycles.
 
@@ -408,18 +343,7 @@ def friction(
     return recordings.friction(files, options, output)
 
 
-def simulate(
-    directory: Path,
-    /,
-    options: SimulateOptions = SimulateOptions(),
-    *,
-    preset: str = "paper",
-    container: str = "raw",
-    toml: Path | None = None,
-    set_: Annotated[tuple[str, ...], Option(name="--set", show_default=False)] = (),
-    overwrite: Flag = False,
-    quiet: Flag = False,
-) -> int:
+def simulate(directory: Path, /, options: SimulateOptions = SimulateOptions()) -> int:
     """Make a synthetic traction test: video, force.txt, truth.nc and the camera's timestamps.txt.
 
     Settings are taken from the preset, then the TOML file, then the options, then --set; later ones override.
@@ -428,24 +352,10 @@ def simulate(
     ----------
     directory
         Folder to make.
-    preset
-        paper, late, fast, fresh, hostile or sheets.
-    container
-        raw (Y800 AVI), mjpeg, h264, ffv1, tiff or png.
-    toml
-        TOML file of settings in the tables sample, mechanics, sheets, optics, camera, clocks, load_cell.
-    set_
-        Any setting by name, such as --set optics.tilt_deg=0.5; can be repeated.
-    overwrite
-        Replace an earlier synthetic test.
-    quiet
-        Print no progress bar and no summary.
     """
     from vision.command import recordings
 
-    return recordings.simulate(
-        directory, options, preset, container, toml, set_, overwrite=overwrite, quiet=quiet
-    )
+    return recordings.simulate(directory, options)
 
 
 def campaign(table: Path | None = None, /, options: CampaignOptions = CampaignOptions()) -> int:
@@ -459,7 +369,7 @@ def campaign(table: Path | None = None, /, options: CampaignOptions = CampaignOp
     Writes a run folder for each film in runs/, campaign.csv, index.html (updated while it runs), the
     comparison of the finished tests in pool/ and their tables as Parquet in tables/.
 
-    Examples:
+    For example:
 
         track campaign tests.csv --dry-run
 

@@ -19,6 +19,7 @@ from cyclopts import App
 from vision import __version__
 from vision.command import commands
 from vision.command.console import attempt, complain, hold_streams, silence_libraries
+from vision.command.review import review
 from vision.files import MOST_PIXELS
 
 HELP = """Track every sheet of a stick-slip video to a hundredth of a pixel.
@@ -59,7 +60,7 @@ def make_app() -> App:
         commands.figures,
         commands.certify,
         commands.compare,
-        commands.review,
+        review,
         commands.campaign,
         commands.friction,
         commands.modulus,

@@ -180,6 +180,21 @@ class WindowOptions:
 
 @Option(name="*")
 @dataclass(frozen=True, kw_only=True)
+class CompareOptions:
+    """How several tests are compared."""
+
+    table: Path | None = None
+    """CSV with any of the columns run,sample,V_mm_min,n_test,RH_percent,T_C."""
+    main_sample: str | None = None
+    """Sample whose Y_eff is used for all tests; that of the first run if not given."""
+    fix_yeff: float | None = None
+    """Y_eff in GPa, if it is known."""
+    report: Report = True
+    """Write report.html."""
+
+
+@Option(name="*")
+@dataclass(frozen=True, kw_only=True)
 class ModulusOptions:
     """The sheet and the machine of push–pull cycles."""
 
@@ -219,6 +234,18 @@ class FrictionOptions:
 class SimulateOptions:
     """The main settings of a synthetic test; those not given are the preset's."""
 
+    preset: str = "paper"
+    """paper, late, fast, fresh, hostile or sheets."""
+    container: str = "raw"
+    """raw (Y800 AVI), mjpeg, h264, ffv1, tiff or png."""
+    toml: Path | None = None
+    """TOML file of settings in the tables sample, mechanics, sheets, optics, camera, clocks, load_cell."""
+    set_: Annotated[tuple[str, ...], Option(name="--set", show_default=False)] = ()
+    """Any setting by name, such as --set optics.tilt_deg=0.5; can be repeated."""
+    overwrite: Flag = False
+    """Replace an earlier synthetic test."""
+    quiet: Flag = False
+    """Print no progress bar and no summary."""
     seed: int | None = _sets("seed")
     """Seed of the random numbers: the same seed gives the same data."""
     duration: float | None = _sets("camera.duration_s")

@@ -11,13 +11,7 @@ from typing import Any
 import pandas as pd
 
 from vision.command.console import complain, conclude, frame_progress, one_line, say
-from vision.command.options import (
-    FrictionOptions,
-    ModulusOptions,
-    OutputOptions,
-    SimulateOptions,
-    names_given,
-)
+from vision.command.options import FrictionOptions, ModulusOptions, OutputOptions, SimulateOptions
 from vision.command.settings import merged, parameters_given, parse_pair, settings_of
 from vision.command.track import finish, origin_of
 from vision.errors import InputError, known_as
@@ -40,7 +34,7 @@ from vision.models.friction import (
     friction_table,
 )
 from vision.models.modulus import (
-    STRIP,
+    PUBLISHED_SHEET,
     CyclesMetadata,
     MeanValue,
     ModulusSettings,
@@ -106,7 +100,7 @@ def modulus(file: Path, options: ModulusOptions, output: OutputOptions) -> int:
     means = summarise_modulus(cycles)
     measured = CyclesMetadata.of(cycles)
     notes, warnings = list(measured.notes), measured.warnings
-    if sheet == STRIP:
+    if sheet == PUBLISHED_SHEET:
         notes.append("sheet of ε = 0.1, W = 45, L = 16.8 mm, the publication's size")
     content = {
         **means,
@@ -291,35 +285,28 @@ def _loads(text: str | None, files: int) -> list[float | None]:
 # --- a synthetic test ---------------------------------------------------------------------------------------
 
 
-def simulate(
-    directory: Path,
-    options: SimulateOptions,
-    preset: str,
-    container: str,
-    toml: Path | None,
-    set_: Sequence[str],
-    *,
-    overwrite: bool,
-    quiet: bool,
-) -> int:
+def simulate(directory: Path, options: SimulateOptions) -> int:
     """Make a synthetic traction test with known truth, and return the exit status."""
-    experiment = ready_made(preset)
-    for changes in (settings_from_toml(toml) if toml else {}, _given(options), dict(map(_pair, set_))):
+    experiment = ready_made(options.preset)
+    from_file = settings_from_toml(options.toml) if options.toml else {}
+    for changes in (from_file, _given(options), dict(map(_pair, options.set_))):
         experiment = with_settings(experiment, changes)
-    with frame_progress("drawing", quiet=quiet) as progress:
+    container, overwrite = options.container, options.overwrite
+    with frame_progress("drawing", quiet=options.quiet) as progress:
         test = make_test(experiment, directory, container=container, overwrite=overwrite, progress=progress)
     lost = f", {test.frames_lost} lost" if test.frames_lost else ""
     size = f"{experiment.camera.width} x {experiment.camera.height} px, {experiment.ridges_in_view} sheets"
     files = {"video": test.video, "force": test.force, "truth": test.truth, "stamps": test.timestamps}
     lines = [f"{test.frames} frames{lost} of {size}, seed {experiment.seed}"]
     lines += [f"{name:<6} {path}" for name, path in files.items()]
-    return conclude(lines, (), quiet=quiet)
+    return conclude(lines, (), quiet=options.quiet)
 
 
 def _given(options: SimulateOptions) -> dict[str, Any]:
     """Return the given options by the names of their settings; milliseconds become seconds."""
-    setting_of = {one.name: one.metadata["setting"] for one in fields(options)}
-    given = {setting_of[name]: getattr(options, name) for name in names_given(options)}
+    setting_of = {one.metadata["setting"]: one.name for one in fields(options) if one.metadata}
+    values = {setting: getattr(options, name) for setting, name in setting_of.items()}
+    given = {setting: value for setting, value in values.items() if value is not None}
     if options.exposure is not None:
         given["camera.exposure_s"] = options.exposure / 1000
     return given

@@ -8,15 +8,24 @@ from __future__ import annotations
 import glob
 import importlib.util
 import webbrowser
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from vision.command.console import say
-from vision.command.options import RunOptions, flag_of, names_given, option_names
+from vision.command.options import (
+    ForceOptions,
+    RunOptions,
+    SampleOptions,
+    TestOptions,
+    VideoOptions,
+    flag_of,
+    names_given,
+    option_names,
+)
 from vision.errors import InputError
 from vision.files import no_such_file
 
@@ -28,15 +37,44 @@ if TYPE_CHECKING:
 
 def review(
     run_or_video: Path,
-    groups: Sequence[Any],
-    run: RunOptions,
-    config: Path | None,
+    /,
+    reading: VideoOptions = VideoOptions(),
+    test: TestOptions = TestOptions(),
+    machine: ForceOptions = ForceOptions(),
+    sample: SampleOptions = SampleOptions(),
+    run: RunOptions = RunOptions(),
     *,
-    film: Path | None,
-    browser: bool,
-    port: int,
+    config: Path | None = None,
+    film: Path | None = None,
+    browser: bool = True,
+    port: int = 0,
 ) -> int:
-    """Serve a run, or a video that is tracked first, until the review is ended; return the exit status."""
+    """Inspect and correct a run in a browser; a video is tracked first.
+
+    Only this computer can open the page, at an address with a token. Each decision is written at once to
+    corrections.toml in the run folder; saving repeats the analysis that depends on it. Ctrl-C or the page's
+    button ends the review. Options of track apply to a video only, as those of a run are known.
+
+    For example:
+
+        track review test_tracks
+
+        track review test.avi --force test.txt --pixel-size 10
+
+    Parameters
+    ----------
+    run_or_video
+        Run folder, or a video as for track.
+    config
+        TOML file with any of these options.
+    film
+        Path of the run's film, if it was moved since it was tracked.
+    browser
+        Open the default browser; the address is printed in any case.
+    port
+        Port of the address; a free one if not given.
+    """
+    groups = (reading, test, machine, sample)
     missing = [name for name in ("starlette", "uvicorn") if importlib.util.find_spec(name) is None]
     if missing:
         found = f"no {' and no '.join(missing)}"

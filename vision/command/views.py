@@ -15,7 +15,14 @@ import xarray as xr
 
 from vision.certify import CertifySettings, certify_run, statements, write_certificate
 from vision.command.console import complain, conclude, frame_progress, in_columns, say
-from vision.command.options import OutputOptions, VideoOptions, WindowOptions, flag_of, names_given
+from vision.command.options import (
+    CompareOptions,
+    OutputOptions,
+    VideoOptions,
+    WindowOptions,
+    flag_of,
+    names_given,
+)
 from vision.command.settings import (
     merged,
     parameters_given,
@@ -47,14 +54,7 @@ from vision.run.overlay import write_overlay
 from vision.sheets.ridges import describe_ridges, find_ridges
 from vision.sheets.tracks import LOSSY
 from vision.spacetime import space_time
-from vision.summary import (
-    flag_counts,
-    frame_times,
-    noise_figures,
-    other_flags,
-    ridges_line,
-    scale_line,
-)
+from vision.summary import flag_counts, frame_rate_text, noise_figures, other_flags, ridges_line, scale_line
 from vision.video import Video, strip_profile, video_files
 from vision.video.strip import row_means
 from vision.video.strip_find import choose_strip
@@ -130,7 +130,7 @@ def preview_summary(found: Preview) -> list[str]:
     hidden = f" (not independent: {strip.codec} hides the noise of the pixels)" * (strip.codec in LOSSY)
     return [
         f"film       {count} frames of {columns} x {rows} px, {film.depth_bits} bit, {strip.codec}",
-        f"clock      {frame_times(strip)}",
+        f"clock      {frame_rate_text(strip)}",
         f"strip      rows {strip.strip_z0}:{strip.strip_z1}, clarity {strip.strip_clarity:.2f}, {tilt}, "
         f"{strip.strip_err_px:.3f} px error from the choice of rows",
         f"sheets     {comb.sheets} {comb.ridges} ridges{sides}; {seen} ridges, sheets or not, in "
@@ -387,23 +387,17 @@ def certify(run: Path, films: int, most_frames: int, output: OutputOptions) -> i
     return conclude(lines, certificate.warnings, quiet=output.quiet)
 
 
-def compare(
-    runs: Sequence[Path],
-    table: Path | None,
-    main_sample: str | None,
-    fix_yeff: float | None,
-    report: bool,
-    output: OutputOptions,
-) -> int:
+def compare(runs: Sequence[Path], options: CompareOptions, output: OutputOptions) -> int:
     """Compare several runs, and return the exit status."""
     target = output.out or Path("comparison")
     check_target(target, overwrite=output.overwrite)
     check_mark(target, MARK)
+    table, main_sample, fix_yeff = options.table, options.main_sample, options.fix_yeff
     found = compare_runs(runs, table, main_sample=main_sample, modulus_GPa=fix_yeff)
     inputs = [*(test.folder / "events.csv" for test in found.tests), *([table] if table else [])]
     given = parameters_given(table=table, main_sample=main_sample, fix_yeff=fix_yeff)
     origin = origin_of(inputs, given)
-    write_comparison(found, target, origin, overwrite=output.overwrite, report=report)
+    write_comparison(found, target, origin, overwrite=output.overwrite, report=options.report)
     for line in (*found.failures, *found.warnings):
         complain(line)
     if not output.quiet:

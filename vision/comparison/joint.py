@@ -15,7 +15,7 @@ from vision.errors import InputError
 from vision.figures.style import counted
 from vision.models import Estimate, equations
 from vision.models.single_fits import (
-    FAILURES,
+    FIT_ERRORS,
     LARGEST_SCALE,
     fit_drops,
     fit_peaks,
@@ -170,7 +170,7 @@ def fit_test(test: TractionTest, modulus: Estimate, settings: CompareSettings = 
     events = test.events[used]
     try:
         values, chi2, scatter = _fit(events, test.sample, modulus.value)
-    except FAILURES as error:
+    except FIT_ERRORS as error:
         wanted = "events that follow the publication's models"
         raise InputError(test.folder, wanted, f"others ({error})", "check `d0_mm`") from error
     mu, t0 = values["mu"], values["T0_N"]
@@ -246,15 +246,12 @@ def systematic_shifts(test: TractionTest, fit: TestFit, modulus: Estimate, main:
     used, shifts = test.events[fit.used], dict[str, dict[str, float]]()
 
     def refit(
-        source: str,
-        events: pd.DataFrame = used,
-        sample: Sample = test.sample,
-        y_GPa: float = modulus.value,
+        source: str, events: pd.DataFrame = used, sample: Sample = test.sample, y_GPa: float = modulus.value
     ) -> None:
         peaks_unchanged = source not in ("d0", "thickness_mm", "t_star_N")
         try:
             shifted, *_ = _fit(events, sample, y_GPa, fit.values if peaks_unchanged else None)
-        except FAILURES:
+        except FIT_ERRORS:
             shifts[source] = dict.fromkeys(QUANTITIES, float("nan"))
         else:
             shifts[source] = {q: shifted[q].value - fit.values[q].value for q in QUANTITIES}
@@ -306,7 +303,7 @@ def _modulus_of_test(test: TractionTest) -> Estimate:
     try:
         with np.errstate(all="ignore"):
             return fit_stiffness(test.events[usable_range(test)], test.sample, {}).estimate(1)
-    except FAILURES:
+    except FIT_ERRORS:
         return Estimate(float("nan"), float("nan"))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -38,7 +39,7 @@ from vision.deformation.creep import (
 )
 from vision.deformation.settings import DeformationSettings
 from vision.errors import InputError
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats, nan_median
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, nan_median
 
 LEAST_STEADY = 5  # sticks needed to measure how steady the pull is
 ENDS = ("t_v_s", "t_p_s", "d_v_mm", "d_p_mm")  # of a stick, as far as they are known
@@ -287,12 +288,8 @@ def _measure(
 ) -> tuple[xr.Dataset, AR1Noise, str, list[str]]:
     """Deformation in the usable frames, the noise's correlation, the camera movement subtracted, warnings."""
     x_px, side = np.asarray(tracks["x_px"].values, float)[frames.frame], tracks["side"].values
-    fit = TrackMetadata.of(tracks).fit
     terms = 4 if np.median(frames.counts) >= settings.cubic_frames else 3
-    steady = x_px
-    if fit == "paper" and "x_err_px" in tracks:
-        locking = pixel_locking_slope(*(np.asarray(tracks[of].values, float) for of in ("x_px", "x_err_px")))
-        steady = correct_pixel_locking(x_px, locking, frames, terms, settings)
+    steady = _without_locking(x_px, tracks, frames, terms, settings)
     vibration, factor = np.zeros(len(x_px)), np.ones(side.size)
     if common_mode and len(x_px):
         steady, vibration, factor = _without_vibration(steady, frames, terms, settings)
@@ -302,7 +299,7 @@ def _measure(
     line, parabola, close = (fit_creep(steady, frames, k, settings, noise.correlation) for k in (2, 3, terms))
     noise = replace(noise, noise_px=noise.noise_px * np.sqrt(factor))
     pattern, scale = np.zeros(side.size), 0.0
-    if fit != "unknown":  # the positions were measured in a picture, with the errors of unequal pixels
+    if TrackMetadata.of(tracks).fit != "unknown":  # measured in a picture, with errors of unequal pixels
         pattern = fixed_pattern_px(close, coefficient_errors(close, noise), noise, settings)
         scale = settings.scale_error
     errors = [coefficient_errors(part, noise, pattern, scale) for part in (line, parabola)]
@@ -315,34 +312,12 @@ def _measure(
     bends_px = repeated_bends(close, noise, settings)
     warnings = _own_warnings(own_px, bends_px, curve.slope_err)
     curve = replace(curve, slope_err=np.sqrt(curve.slope_err**2 + own_px**2 + bends_px**2))
-    # From here on in µm, relative to the stick length; a negative size that is not significant becomes 0.
-    length = events["stick_length_um"].to_numpy(float)[:, None]
-    length = np.where(length > 0, length, np.nan)
-    sigma_length_err, length_err = _length_errors(events, curve.end_slope)
-    signed = -side * np.sign(curve.slope) * np.sqrt(curve.mean_square) * pixel_um  # positive inwards
-    error = curve.rms_err * pixel_um
-    outward = signed < -settings.outward_errors * error
-    size = np.where(outward, -signed, np.maximum(signed, 0))
-    flags = {
-        "few": ~line.good,
-        "no_length": np.broadcast_to(np.isnan(length), line.good.shape),
-        "outward": outward,
-        "uneven": noise.excess > 1,
-        "below_noise": signed < 0,
-    }
     values = {
         "sigma_x_um": np.where(line.good, _rms(x_px, frames), np.nan) * pixel_um,
-        "sigma_x_corrected_um": size,
-        "sigma_x_err_um": np.hypot(error, size * sigma_length_err[:, None]),
+        **_relative_to_length(curve, line, noise.excess > 1, events, side, pixel_um, settings),
         "sweep_um": -2 * side * curve.straight * pixel_um,
-        "ratio": size / length,
-        "ratio_err": np.hypot(error / length, size / length * length_err[:, None]),
-        "ratio_signed": signed / length,
         "frames": line.count,
         "x_hat_px": curve.middle,
-        "flag": np.select(list(flags.values()), list(flags), default="ok"),
-        "stick_length_um": length[:, 0],
-        "length_err": length_err,
         "effective_frames": frames.counts * np.where(np.isfinite(independent), independent, 1),
         "drift_um": 2 * curve.drift * pixel_um,
         "drift_err_um": 2 * curve.drift_err * pixel_um,
@@ -356,6 +331,45 @@ def _measure(
     index = {"event": events["event"].to_numpy(), "sheet": tracks["sheet"].values}
     motion = xr.Dataset(declared, index).set_coords(list(coords))
     return motion, noise.correlation, camera.movement if camera else "not subtracted", warnings
+
+
+def _relative_to_length(
+    curve: _Curve,
+    line: Creep,
+    uneven: Bools,
+    events: pd.DataFrame,
+    side: Ints,
+    pixel_um: float,
+    settings: DeformationSettings,
+) -> dict[str, Any]:
+    """The size of the creep in µm and relative to Λ_st, errors and flags, by their names in `MOTION`.
+
+    A negative size that is not significant becomes 0.
+    """
+    length = events["stick_length_um"].to_numpy(float)[:, None]
+    length = np.where(length > 0, length, np.nan)
+    sigma_length_err, length_err = _length_errors(events, curve.end_slope)
+    signed = -side * np.sign(curve.slope) * np.sqrt(curve.mean_square) * pixel_um  # positive inwards
+    error = curve.rms_err * pixel_um
+    outward = signed < -settings.outward_errors * error
+    size = np.where(outward, -signed, np.maximum(signed, 0))
+    flags = {
+        "few": ~line.good,
+        "no_length": np.broadcast_to(np.isnan(length), line.good.shape),
+        "outward": outward,
+        "uneven": uneven,
+        "below_noise": signed < 0,
+    }
+    return {
+        "sigma_x_corrected_um": size,
+        "sigma_x_err_um": np.hypot(error, size * sigma_length_err[:, None]),
+        "ratio": size / length,
+        "ratio_err": np.hypot(error / length, size / length * length_err[:, None]),
+        "ratio_signed": signed / length,
+        "flag": np.select(list(flags.values()), list(flags), default="ok"),
+        "stick_length_um": length[:, 0],
+        "length_err": length_err,
+    }
 
 
 def _own_warnings(own_px: Floats, bends_px: Floats, error_px: Floats) -> list[str]:
@@ -373,6 +387,16 @@ def _own_warnings(own_px: Floats, bends_px: Floats, error_px: Floats) -> list[st
         if found >= 0.2 * size_px.size:
             lines.append(f"{found} of {size_px.size} sheets {cause}; the error of σ_x/Λ_st contains it")
     return lines
+
+
+def _without_locking(
+    x_px: Floats, tracks: xr.Dataset, frames: StickFrames, terms: int, settings: DeformationSettings
+) -> Floats:
+    """Positions of the publication's fit corrected for pixel locking; those of another fit unchanged."""
+    if TrackMetadata.of(tracks).fit != "paper" or "x_err_px" not in tracks:
+        return x_px
+    locking = pixel_locking_slope(*(np.asarray(tracks[of].values, float) for of in ("x_px", "x_err_px")))
+    return correct_pixel_locking(x_px, locking, frames, terms, settings)
 
 
 def _without_vibration(

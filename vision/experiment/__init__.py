@@ -13,13 +13,7 @@ from vision.experiment.settings import (
     settings_from_toml,
     with_settings,
 )
-from vision.experiment.simulate import (
-    force_recording,
-    frame_blocks,
-    profiles,
-    simulate,
-    write_force,
-)
+from vision.experiment.simulate import force_recording, frame_blocks, profiles, simulate, write_force
 
 __all__ = [
     "Camera",

@@ -1,11 +1,6 @@
 """Figures as plain data, which matplotlib or the report's page draws, or which are written as tables."""
 
-from vision.figures.camera import (
-    frame_figure,
-    kymograph_figure,
-    preview_figure,
-    space_time_figure,
-)
+from vision.figures.camera import frame_figure, kymograph_figure, preview_figure, space_time_figure
 from vision.figures.catalogue import (
     FIGURES,
     Results,

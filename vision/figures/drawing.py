@@ -92,13 +92,13 @@ def draw_panel(ax: Axes, panel: Panel) -> Axes:
     return ax
 
 
-def new_figure(figure: Figure, *, interactive: bool = False) -> Page:
+def new_figure(figure: Figure) -> Page:
     """Return a matplotlib figure with all panels.
 
-    interactive: let pyplot make it in a notebook that uses pyplot, so that it is displayed below the cell.
+    In a notebook that uses pyplot, pyplot makes it, so that it is displayed below the cell.
     """
     with picture_style():
-        return _page(figure, interactive=interactive)
+        return _page(figure, interactive=True)
 
 
 def _page(figure: Figure, *, interactive: bool = False) -> Page:

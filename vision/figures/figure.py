@@ -234,7 +234,7 @@ class Figure:
         from vision.figures import drawing
 
         if ax is None:
-            return drawing.new_figure(self, interactive=True).axes[0]
+            return drawing.new_figure(self).axes[0]
         if len(self.panels) > 1:
             raise InputError("`ax`", f"None, as {self.name} has {len(self.panels)} panels", "axes")
         return drawing.draw_panel(ax, self.panel)

@@ -216,29 +216,34 @@ def sticks_figure(force: xr.Dataset, sticks: pd.DataFrame) -> Figure:
         y_label=load_label("F − F_v", load_unit(force)),
         series=series + _central_parts(chosen, series, part),
     )
-    length, drop = (
-        float(chosen[name].iloc[0]) if len(chosen) else np.nan for name in ("stick_length_um", "dF_N")
-    )
-    if np.isfinite(length):  # arrows for the first event, beside and above all curves
-        x, y = (np.concatenate([getattr(curve, axis) for curve in series]) for axis in "xy")
-        right, top = max(float(x.max()), length), max(float(y.max()), drop)
-        panel = replace(
-            panel,
-            arrows=(
-                Arrow(x=(1.04 * right, 1.04 * right), y=(0.0, drop), label="ΔF"),
-                Arrow(x=(0.0, length), y=(1.05 * top, 1.05 * top), label="Λ_st"),
-            ),
-            x_range=(float(x.min()) - 0.02 * right, 1.14 * right),
-            y_range=(min(float(y.min()), 0.0), 1.16 * top),
-        )
     return Figure.of(
         "sticks",
-        panel,
+        _with_arrows(panel, chosen),
         "Force above the valley against separation beyond the valley as recorded, for events from the "
         "beginning to the end of the test; later ones are brighter. Dots: the central "
         f"{100 * part:.0f} %, whose slope is K; arrows: the height ΔF and the length Λ_st of the first "
         "event. A drop at the very start is the end of the slip before.",
         title="Single stick-slip events",
+    )
+
+
+def _with_arrows(panel: Panel, events: pd.DataFrame) -> Panel:
+    """Return the panel with the height and the length of the first event, beside and above all curves."""
+    length, drop = (
+        float(events[name].iloc[0]) if len(events) else np.nan for name in ("stick_length_um", "dF_N")
+    )
+    if not np.isfinite(length):
+        return panel
+    x, y = (np.concatenate([getattr(curve, axis) for curve in panel.series]) for axis in "xy")
+    right, top = max(float(x.max()), length), max(float(y.max()), drop)
+    return replace(
+        panel,
+        arrows=(
+            Arrow(x=(1.04 * right, 1.04 * right), y=(0.0, drop), label="ΔF"),
+            Arrow(x=(0.0, length), y=(1.05 * top, 1.05 * top), label="Λ_st"),
+        ),
+        x_range=(float(x.min()) - 0.02 * right, 1.14 * right),
+        y_range=(min(float(y.min()), 0.0), 1.16 * top),
     )
 
 

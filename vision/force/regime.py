@@ -76,6 +76,18 @@ def is_unloading(travel: Floats, extremes: Extremes) -> Bools:
     return np.asarray((at_peak - at_valley) > np.maximum(0.2 * forward, 4 * np.sqrt(2) * noise_sigma(travel)))
 
 
+_FLAGGED = {
+    "unloading": "lie beside a fall while the crosshead went back",
+    "jump": "contain or adjoin an upward jump of the load, as large as slips: noise, knocks, ringing, a "
+    "loose cable or a change of range",
+    "still": "lie in or beside a stretch in which the displacement does not change: the pull had ended or "
+    "was held, or the sensor is at the end of its range",
+    "short": "are shorter than the load cell's own response allows",
+    "negative": "have a negative friction force: check the load cell's zero",
+}
+"""Flags of which a warning is given, and what sticks with this flag do."""
+
+
 def doubts(events: pd.DataFrame, regime: Regime, signal: Signal, slips: Slips, unit: str) -> list[str]:
     """Return why the recording, or a part of its events, may not be stick-slip; unit: of the load."""
     lines = []
@@ -108,21 +120,7 @@ def doubts(events: pd.DataFrame, regime: Regime, signal: Signal, slips: Slips, u
     lines += slips.warnings(unit) + _load_warnings(signal, slips, events, unit)
     lines += _fall_warnings(signal, slips, events, unit)
     flags = events["flag"].str.split("+")
-    for word, meaning in (
-        ("unloading", "lie beside a fall while the crosshead went back"),
-        (
-            "jump",
-            "contain or adjoin an upward jump of the load, as large as slips: noise, knocks, ringing, a "
-            "loose cable or a change of range",
-        ),
-        (
-            "still",
-            "lie in or beside a stretch in which the displacement does not change: the pull had ended or was "
-            "held, or the sensor is at the end of its range",
-        ),
-        ("short", "are shorter than the load cell's own response allows"),
-        ("negative", "have a negative friction force: check the load cell's zero"),
-    ):
+    for word, meaning in _FLAGGED.items():
         if count := int(flags.map(lambda words, word=word: word in words).sum()):
             lines.append(f"{count} of {len(events)} sticks {meaning} (flag {word})")
     return lines

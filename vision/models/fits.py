@@ -13,7 +13,7 @@ from vision.data import FORCE, ForceMetadata, StickMetadata, load_unit
 from vision.errors import InputError, check_positive
 from vision.models import equations
 from vision.models.single_fits import (
-    FAILURES,
+    FIT_ERRORS,
     LARGEST_SCALE,
     PARAMETERS,
     Estimate,
@@ -113,7 +113,7 @@ def fit_models(
             if unit_doubt and "`" not in str(error).partition(":")[0]:  # the error is not about an argument
                 error.args = (f"{error}; {unit_doubt}",)
             raise
-        except FAILURES as error:
+        except FIT_ERRORS as error:
             raise _undetermined(str(error), unit_doubt) from error
         if not all(np.isfinite((one.value, one.error)).all() for one in fits.named().values()):
             raise _undetermined("values or errors that are not finite", unit_doubt)
@@ -201,7 +201,7 @@ def _misread_lengths(
         read = events.assign(**lengths, K_N_per_mm=events["K_N_per_mm"] / mm)
         try:
             peaks = fit_peaks(_choose_events(read, fits.sample, held, None)[0], fits.sample, False, held)
-        except FAILURES:
+        except FIT_ERRORS:
             continue
         if peaks.goodness.chi2_dof < _CONTRADICTS and abs(peaks.value[1]) < _LARGEST_OFFSET_N:
             found = f"𝒯0 = {fits.t0_N.value:.3g} N and χ²/dof {chi2:.3g} with displacement in mm; in {unit} "
@@ -446,7 +446,7 @@ def _with_systematics(
         stiffness = {"K_N_per_mm": float(changed["K_N_per_mm"].median())}
         try:
             found = _fit_all(changed, sample, free_t_star, held)
-        except FAILURES:
+        except FIT_ERRORS:
             return dict.fromkeys(PARAMETERS, float("nan")) | stiffness
         return {name: one.value for name, one in found.named().items()} | stiffness
 

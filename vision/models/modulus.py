@@ -23,7 +23,7 @@ from vision.numeric import Floats, Ints
 from vision.sample import Sample
 from vision.signals import find_maxima, running_mean
 
-STRIP = Sample(length_mm=16.8)
+PUBLISHED_SHEET = Sample(length_mm=16.8)
 """The publication's single sheet between its clamps: ε = 0.1, W = 45, L = 16.8 mm."""
 
 
@@ -166,7 +166,7 @@ def cycles_seen(force: xr.Dataset) -> str:
 def measure_cycles(
     force: xr.Dataset,
     *,
-    sheet: Sample = STRIP,
+    sheet: Sample = PUBLISHED_SHEET,
     clamp_distance_mm: float | None = None,
     machine_stiffness_N_per_mm: float | None = None,
     settings: ModulusSettings = ModulusSettings(),
@@ -266,7 +266,7 @@ _ORIGINS = {
 
 
 def clamp_distance(
-    force: xr.Dataset, *, sheet: Sample = STRIP, clamp_distance_mm: float | None = None
+    force: xr.Dataset, *, sheet: Sample = PUBLISHED_SHEET, clamp_distance_mm: float | None = None
 ) -> Floats:
     """Δ in mm of every sample as in `measure_cycles`, without the correction for the machine."""
     crosshead = force["crosshead_mm"].values.astype(float)

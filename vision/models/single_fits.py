@@ -21,7 +21,7 @@ from vision.models import equations
 from vision.numeric import Bools, Floats
 from vision.sample import Sample
 
-FAILURES = (ValueError, ArithmeticError, RuntimeError, np.linalg.LinAlgError)  # of a fit to unusual events
+FIT_ERRORS = (ValueError, ArithmeticError, RuntimeError, np.linalg.LinAlgError)  # of a fit to unusual events
 PARAMETERS = {
     "mu": "mu",
     "T0_N": "t0_N",

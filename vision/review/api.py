@@ -103,8 +103,16 @@ class Api:
 
     def routes(self) -> list[Route]:
         """Return every address with its function."""
+        asked = [Route(path, self._threaded(work), methods=["GET"]) for path, work in self._get().items()]
+        return asked + [
+            Route(path, self._threaded(work, body=True), methods=["POST"])
+            for path, work in self._post().items()
+        ]
+
+    def _get(self) -> dict[str, Callable[[Request], Response]]:
+        """Return the requests for data, by address."""
         run, trial, effects = self.session, self.session.trial, self.session.effects
-        get: dict[str, Callable[[Request], Response]] = {
+        return {
             "/api/run": lambda ask: _json(run.summary() | self._other_windows(ask)),
             "/api/state": lambda ask: _json(run.state() | self._other_windows(ask)),
             "/api/film": self._film,
@@ -129,7 +137,11 @@ class Api:
             "/api/retrack": lambda ask: _json(trial.state()),
             "/api/retracked/{frame:int}": lambda ask: _json(trial.at(ask.path_params["frame"])),
         }
-        post: dict[str, Callable[[Request, Mapping[str, Any]], Response]] = {
+
+    def _post(self) -> dict[str, Callable[[Request, Mapping[str, Any]], Response]]:
+        """Return the requests with a body, by address: previews and changes."""
+        run, trial, effects = self.session, self.session.trial, self.session.effects
+        return {
             "/api/preview": lambda ask, body: _previewed(
                 lambda: effects.preview(_table(body, "decision"), body.get("frame"))
             ),
@@ -155,10 +167,6 @@ class Api:
             "/api/leave": lambda ask, body: _done(lambda: self._windows.pop(_window(ask), None)),
             "/api/quit": lambda ask, body: _done(self._stop, lambda: {"ended": True}),
         }
-        routes = [Route(path, self._threaded(work), methods=["GET"]) for path, work in get.items()]
-        return routes + [
-            Route(path, self._threaded(work, body=True), methods=["POST"]) for path, work in post.items()
-        ]
 
     def _threaded(self, work: Callable[..., Response], *, body: bool = False) -> Callable[[Request], Any]:
         """Wrap `work` so that it runs in a thread beside the event loop and InputError becomes an answer."""

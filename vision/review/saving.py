@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vision.errors import InputError
-from vision.files import PACKAGES
+from vision.files import PACKAGE_PATHS
 from vision.folder import clean_up, plain, put_in_place, unwritable
 from vision.numeric import Floats, Ints
 from vision.pipeline import Analysis, Settings, analyse, open_recording
@@ -168,7 +168,7 @@ class Saver:
             if self._cancelled:
                 child.kill()
             with contextlib.suppress(BrokenPipeError):  # the child was killed
-                pickle.dump((PACKAGES, os.getpid()), child.stdin)
+                pickle.dump((PACKAGE_PATHS, os.getpid()), child.stdin)
                 pickle.dump(job, child.stdin)
             with contextlib.suppress(BrokenPipeError):
                 child.stdin.close()
@@ -402,7 +402,7 @@ def _positions_differ(before: Positions, after: Positions, old: Ints, new: Ints)
 # --- undo steps in a file -----------------------------------------------------------------------------------
 
 
-def pack(steps: Sequence[UndoStep | None]) -> bytes:
+def pack_steps(steps: Sequence[UndoStep | None]) -> bytes:
     """Return the steps that undo decisions, in order, as the content of an .npz file."""
     facts = [step and {name: one for name, one in vars(step).items() if name != "arrays"} for step in steps]
     arrays: dict[str, Any] = {
@@ -416,8 +416,8 @@ def pack(steps: Sequence[UndoStep | None]) -> bytes:
     return stream.getvalue()
 
 
-def unpack(path: Path) -> list[UndoStep | None]:
-    """Read what `pack` returned from a file; an empty list if the file is missing or damaged.
+def read_steps(path: Path) -> list[UndoStep | None]:
+    """Read what `pack_steps` returned from a file; an empty list if the file is missing or damaged.
 
     Without it a decision can still be undone, but the effect is visible only when the run has been saved.
     """
@@ -425,12 +425,12 @@ def unpack(path: Path) -> list[UndoStep | None]:
         with np.load(path, allow_pickle=False) as file:
             facts = json.loads(file["facts"].tobytes())
             arrays = {name: file[name] for name in file.files}
-        return [None if one is None else _step(k, one, arrays) for k, one in enumerate(facts)]
+        return [None if one is None else _undo_step(k, one, arrays) for k, one in enumerate(facts)]
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
         return []
 
 
-def _step(k: int, facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> UndoStep:
+def _undo_step(k: int, facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> UndoStep:
     own = {name.partition(".")[2]: values for name, values in arrays.items() if name.startswith(f"{k}.")}
     if not {"side", "n"} <= own.keys():
         raise KeyError("the numbering")

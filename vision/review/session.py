@@ -21,16 +21,9 @@ from vision.folder import plain, whole_file
 from vision.numeric import Floats, Floats32, Ints, nearest, stretches
 from vision.pipeline import Settings
 from vision.review.effects import Effects
-from vision.review.positions import (
-    SAME_RIDGE_PX,
-    UndoStep,
-    apply,
-    median_positions,
-    positions_of,
-    undo,
-)
+from vision.review.positions import SAME_RIDGE_PX, apply, median_positions, positions_of, undo
 from vision.review.recordings import Diagram, Grey, Recordings, StoredRun, Tiles, claim, decided_clock
-from vision.review.saving import SaveJob, Saver, Trial, pack, unpack
+from vision.review.saving import SaveJob, Saver, Trial, pack_steps, read_steps
 from vision.review.tracks_file import StoredTracks, read_tracks
 from vision.run.writing import CORRECTIONS
 from vision.sheets.corrections import (
@@ -122,8 +115,8 @@ class Session:
         self.unseen: list[Correction] = []  # undone decisions that remain visible until the run is saved
         same, count = _common_start(self.applied, wanted.corrections), len(self.applied)
         self.decisions = [*wanted.corrections[:same], *self.applied[same:]]
-        # how to undo each decision; None if that is not known
-        self._undo_steps: list[UndoStep | None] = [*unpack(self.folder / REPLACED), *[None] * count][:count]
+        known = read_steps(self.folder / REPLACED)
+        self._undo_steps = [*known, *[None] * count][:count]  # how to undo each decision; None if not known
         while len(self.decisions) > same:  # undone since the run was saved
             self._step_back()
         for decision in wanted.corrections[same:]:
@@ -171,7 +164,7 @@ class Session:
             settings=self.settings,
             decisions=self._as_written(decisions, undone),
             film=self.recordings.moved,
-            extra_files={REPLACED: pack(self._undo_steps)} if self._undo_steps and same_strip else {},
+            extra_files={REPLACED: pack_steps(self._undo_steps)} if self._undo_steps and same_strip else {},
             options=self.options,
         )
 

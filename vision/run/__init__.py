@@ -2,14 +2,7 @@
 
 from vision.run.export import export_run
 from vision.run.provenance import Checksums, Origin, Parameter, describe_input
-from vision.run.reading import (
-    Checkpoint,
-    RunFolder,
-    check_mark,
-    is_run,
-    read_run,
-    read_strip,
-)
+from vision.run.reading import Checkpoint, RunFolder, check_mark, is_run, read_run, read_strip
 from vision.run.writing import FAILURES, write_run
 
 __all__ = [

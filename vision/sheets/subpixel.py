@@ -117,12 +117,8 @@ def sliding_vertex(profile: NDArray[np.floating], starts: Starts, *, window_px: 
 
     Parameters
     ----------
-    profile
-        Grey levels (frame, x), bright ridges.
-    starts
-        Starting points, (points,).
-    window_px
-        Odd width of the fit window.
+    profile, starts, window_px
+        As in `paper_vertex`.
 
     Returns
     -------

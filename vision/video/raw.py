@@ -8,14 +8,14 @@ import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vision.errors import InputError
-from vision.numeric import Floats
+from vision.numeric import Floats, Ints
 from vision.video.reader import (
     AS_STORED,
     LUMA_RULE,
@@ -209,13 +209,23 @@ def _grey_levels(table: bytes) -> NDArray[np.uint8] | None:
 # --- Phantom ------------------------------------------------------------------------------------------------
 
 
-def _open_cine(path: Path) -> Reader:
-    """Return a reader with the file's own times (seconds from its first frame).
+class _Cine(NamedTuple):
+    """What the headers of a .cine state."""
 
-    Packed frames (10 bits) are returned as stored: the camera compands them, so they are not linear in light.
-    Source: Vision Research, Cine File Format.
-    """
-    size, main = path.stat().st_size, struct.Struct("<2sHHHiIiIIII8x")
+    kind: int  # 2: the pixels of a colour camera without interpolation
+    announced: int  # number of frames
+    width: int
+    height: int  # negative if the top row is stored first
+    stored: int  # bits of a pixel in the file
+    compression: int  # 0: none
+    bits: int  # significant bits of a pixel; not from 1 to 16 if unknown
+    frames: Ints  # position of each frame in the file
+    times_s: Floats | None
+
+
+def _cine_headers(path: Path, size: int) -> _Cine:
+    """Return the headers of a file of this size, without frames beyond its end."""
+    main = struct.Struct("<2sHHHiIiIIII8x")
     try:
         with path.open("rb") as file:
             _, _, kind, *_, count, bitmap_at, setup_at, images_at = main.unpack(file.read(main.size))
@@ -228,7 +238,17 @@ def _open_cine(path: Path) -> Reader:
         times_s = _cine_times(data, setup_at, images_at, count)
     except (struct.error, ValueError):
         raise InputError(path, "a whole cine header", "a file cut short inside it", "copy it again") from None
-    frames = frames[frames < size]
+    return _Cine(kind, count, width, height, stored, compression, bits, frames[frames < size], times_s)
+
+
+def _open_cine(path: Path) -> Reader:
+    """Return a reader with the file's own times (seconds from its first frame).
+
+    Packed frames (10 bits) are returned as stored: the camera compands them, so they are not linear in light.
+    Source: Vision Research, Cine File Format.
+    """
+    size = path.stat().st_size
+    kind, count, width, height, stored, compression, bits, frames, times_s = _cine_headers(path, size)
     if not frames.size:
         advice = "the recording was cut short; copy it again"
         raise InputError(path, "at least one whole frame", "none", advice)
@@ -249,7 +269,7 @@ def _open_cine(path: Path) -> Reader:
         decoder="none",
         grey=LUMA_RULE if stored in (24, 48) else AS_STORED,
         times_s=times_s,
-        warnings=(mosaic,) if kind == 2 else (),  # pixels of a colour camera without interpolation
+        warnings=(mosaic,) if kind == 2 else (),
     )
     if compression != 0 or stored not in (8, 16, 24, 48):
         grey = f"{bits} bit as stored, companded by the camera, not linear in light"
@@ -347,17 +367,8 @@ def _open_photron(path: Path) -> Reader:
     """
     pixels, text = photron_files(path)
     fields = _fields(text)
-    kind = fields.get("Color Type", "Mono")
-    if "mono" not in kind.lower():
-        raise InputError(text, "Color Type : Mono", f"'{kind[:40]}'", "export the recording as grey")
-    width, height = (_whole(text, fields, f"Image {side}", 1 << 16) for side in ("Width", "Height"))
-    bits, frames = _whole(text, fields, "Color Bit", 64), _whole(text, fields, "Total Frame", 10**8)
-    if bits not in _DEPTHS:
-        raise InputError(text, "Color Bit : 8, 12 or 16", str(bits), "save the recording with one of these")
-    if bits == 12 and width * height % 2:
-        raise InputError(text, "an even number of pixels at 12 bit", shape_text((height, width)))
-    size, frame_bytes = pixels.stat().st_size, width * height * bits // 8
-    _check_size(pixels, text, (height, width), bits, frames, size)
+    shape, bits, frames, size = _stated(pixels, text, fields)
+    frame_bytes = shape[0] * shape[1] * bits // 8
     held, rest = divmod(size, frame_bytes)
     warnings = []
     if held > frames:
@@ -377,7 +388,7 @@ def _open_photron(path: Path) -> Reader:
     used = bits if bits == 8 or not effective or effective > bits else int(effective)
     upper = bits == 16 and fields.get("EffectiveBit Side", "").lower() == "higher" and used < bits
     facts = Facts(
-        shape=(height, width),
+        shape=shape,
         depth_bits=used,
         saturation_level=full_scale(used) * (1 << (bits - used) * upper),
         declared_frames=max(frames, held),
@@ -393,9 +404,25 @@ def _open_photron(path: Path) -> Reader:
         path=pixels,
         facts=facts,
         offsets=frame_bytes * np.arange(held, dtype=np.int64),
-        row_bytes=0 if bits == 12 else width * bits // 8,
+        row_bytes=0 if bits == 12 else shape[1] * bits // 8,
         dtype=np.dtype("u1" if bits == 8 else "<u2"),
     )
+
+
+def _stated(pixels: Path, text: Path, fields: Mapping[str, str]) -> tuple[tuple[int, int], int, int, int]:
+    """Return shape, bits per pixel and number of frames by the header, and the size of the file, checked."""
+    kind = fields.get("Color Type", "Mono")
+    if "mono" not in kind.lower():
+        raise InputError(text, "Color Type : Mono", f"'{kind[:40]}'", "export the recording as grey")
+    width, height = (_whole(text, fields, f"Image {side}", 1 << 16) for side in ("Width", "Height"))
+    bits, frames = _whole(text, fields, "Color Bit", 64), _whole(text, fields, "Total Frame", 10**8)
+    if bits not in _DEPTHS:
+        raise InputError(text, "Color Bit : 8, 12 or 16", str(bits), "save the recording with one of these")
+    if bits == 12 and width * height % 2:
+        raise InputError(text, "an even number of pixels at 12 bit", shape_text((height, width)))
+    size = pixels.stat().st_size
+    _check_size(pixels, text, (height, width), bits, frames, size)
+    return (height, width), bits, frames, size
 
 
 def _check_size(pixels: Path, text: Path, shape: tuple[int, int], bits: int, frames: int, size: int) -> None:

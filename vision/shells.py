@@ -18,8 +18,7 @@ from vision.numeric import Bools, Floats, Floats32, Ints
 
 @dataclass(frozen=True, kw_only=True)
 class ShellSettings:
-    """Tunable constants of the statistics of shells, measured on the scenes of
-    `tests/shells/test_shells.py`."""
+    """Tunable constants of the statistics of shells, measured on the scenes of `tests/test_shells.py`."""
 
     sheet_scatters: tuple[float, ...] = (0.03, 0.08, 0.15, 0.25)
     """Possible relative scatters of the sheets about a smooth profile, of which the likeliest is used. The
@@ -129,14 +128,10 @@ def classify_shells(
 
     Parameters
     ----------
-    motion
-        From `horizontal_deformation`.
-    threshold
-        σ_x/Λ_st below which a sheet is stiff.
+    motion, threshold, settings
+        As in `classify_sheets`.
     effective_sheets
         M_eff according to the force as a function of d in mm, for example `ModelFits.effective_sheets`.
-    settings
-        See `ShellSettings`.
 
     Returns
     -------
