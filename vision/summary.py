@@ -480,7 +480,7 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> list[str
     strip, found = StripMetadata.of(tracks), TrackMetadata.of(tracks)
     side, flags = tracks["side"].values, flag_counts(tracks)
     noise = noise_figures(tracks, pixel_size_um)
-    length = "" if pixel_size_um is None else f" = {noise['measured_um']:.3f} µm"
+    length = "" if pixel_size_um is None else f" = {noise['measured_um']:.3g} µm"
     tilt = f", tilt {strip.tilt_deg:+.2f}°" if math.isfinite(strip.tilt_deg) else ""
     corrupt = f" ({strip.frames_corrupt} of them corrupt)" if strip.frames_corrupt else ""
     frozen = f", {count} frozen" if (count := flags.get("frozen", 0) // side.size) else ""
