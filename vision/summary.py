@@ -11,7 +11,7 @@ import pandas as pd
 import xarray as xr
 
 from vision.data import ForceMetadata, StickMetadata, StripMetadata, TrackMetadata, load_unit
-from vision.figures.style import both_errors, candidates_text, drift_text, offset_text
+from vision.figures.style import both_errors, candidates_text, counted, drift_text, offset_text
 from vision.models.equations import effective_sheets
 from vision.numeric import Pixels, nan_median, stretches
 from vision.sample import Sample
@@ -491,9 +491,10 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> list[str
         else f", {noise['predicted_px']:.4f} px predicted from the pixels"
     )
     axis = f"{found.axis_px:.1f} px ({_axis(found, int(tracks['n'].min()))})"
+    ridges = counted(found.sheets, f"{found.ridges} ridge")
     return [
-        f"sheets     {found.sheets} {found.ridges} ridges ({(side < 0).sum()} left, {(side > 0).sum()} right)"
-        f"; other ridges ignored: {found.ridges_dropped}{unseen}",
+        f"sheets     {ridges} ({(side < 0).sum()} left, {(side > 0).sum()} right); other ridges ignored: "
+        f"{found.ridges_dropped}{unseen}",
         f"frames     {strip.frames_read} of {strip.frames_expected} read; {strip.frames_lost} lost{corrupt}, "
         f"{strip.frames_blank} blank{frozen}",
         f"positions  {flags.get('ok', 0)} measured; {other_flags(flags)}",

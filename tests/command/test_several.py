@@ -100,7 +100,7 @@ def test_frames_that_the_shell_spread_out_are_no_films(suffix, tmp_path, monkeyp
     for name in names:
         cv2.imwrite(name, frames_of(positions(1))[0])
     assert run(names) == 2
-    assert "quote the glob" in capsys.readouterr().err
+    assert "quote the pattern: track" in capsys.readouterr().err
     assert run([]) == 0  # help
     assert run(["--fps", "5"]) == 2
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -112,7 +113,9 @@ def parse_option(source: Path, name: str, value: Any) -> Any:
     Raises: InputError for an unknown option, or a value that it does not accept.
     """
     if name not in SETTINGS:
-        raise InputError(source, f"options of track ({', '.join(SETTINGS)})", f"'{name}'")
+        near = difflib.get_close_matches(name, SETTINGS, n=1)
+        wanted = "options of track" if near else f"options of track ({', '.join(SETTINGS)})"
+        raise InputError(source, wanted, f"'{name}'", f"did you mean {near[0]}?" if near else "")
     if not isinstance(value, str | int | float) or isinstance(value, bool):
         raise InputError(source, f"one value for '{name}'", f"a {type(value).__name__}")
     app = App(help_flags=(), version_flags=())

@@ -262,7 +262,8 @@ def _targets_of(
             raise no_such_file(video, "a video")
     if all(_is_still(video) for video in videos):
         found = f"{len(videos)} still images"
-        raise InputError(videos[0].parent, "films", found, "quote the glob: track 'frames/*.png'")
+        pattern = videos[0].parent / f"*{videos[0].suffix}"
+        raise InputError(videos[0].parent, "films", found, f"quote the pattern: track '{pattern}'")
     of_one_film = ("force", "timestamps", "offset")
     given = [f"--{name}" for name in of_one_film if parameters[name].value is not None]
     if given:
