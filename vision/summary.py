@@ -153,8 +153,7 @@ def _alike_warning(facts: TrackMetadata) -> list[str]:
     """Warn of large steps of a comb of equal sheets: it may have moved by another number of spacings."""
     if not facts.large_steps:
         return []
-    more = " …" if len(facts.large_steps) > 5 else ""
-    named = ", ".join(str(frame) for frame in facts.large_steps[:5]) + more
+    named = ", ".join(map(str, facts.large_steps[:5])) + " …" * (len(facts.large_steps) > 5)
     return [
         "the sheets look alike and neither end of the comb is in view: displacements of the whole comb may be"
         f" wrong by multiples of the spacing ({facts.pitch_px:.1f} px) after its large steps before frame(s)"
@@ -283,7 +282,7 @@ def _comb_warnings(tracks: xr.Dataset, found: TrackMetadata) -> list[str]:
     snr, share = tracks["snr"].values, tracks["found"].values
     weak = np.flatnonzero((snr < 0.1 * nan_median(snr)) | (share < 0.25))
     if len(weak) and found.sheets > 1:
-        which = ", ".join(str(k) for k in weak[:6]) + (" …" if len(weak) > 6 else "")
+        which = ", ".join(map(str, weak[:6])) + " …" * (len(weak) > 6)
         lines.append(
             f"{len(weak)} of {found.sheets} sheets (index {which}) may be something else (little contrast, or"
             " found in few frames): restrict `columns` or give `sheets`"
@@ -484,9 +483,7 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> list[str
     tilt = f", tilt {strip.tilt_deg:+.2f}°" if math.isfinite(strip.tilt_deg) else ""
     corrupt = f" ({strip.frames_corrupt} of them corrupt)" if strip.frames_corrupt else ""
     frozen = f", {count} frozen" if (count := flags.get("frozen", 0) // side.size) else ""
-    unseen = (
-        "; they look alike: a jump by their spacing would be invisible" if found.sheets_alike == "yes" else ""
-    )
+    unseen = "; they look alike: a jump by their spacing would be invisible" * (found.sheets_alike == "yes")
     # Compression hides the noise of pixels, so that the error predicted from them means nothing.
     predicted = (
         f"; x_err_px {noise['stated_px']:.4f} px ({strip.codec} hides the noise of pixels)"
