@@ -353,7 +353,7 @@ def space_time_figure(
     panel = replace(panel, y_range=_comb_range(tracks, image, scale))
     averaged = strip.sizes["frame"] / len(image.pixels)
     means = f" Each row is the mean of about {averaged:.0f} frames." if averaged > 1.5 else ""
-    marked = f" Orange ticks: {marks.size} slips, from {slips_from}." if marks.size else ""
+    marked = f" Magenta ticks: {marks.size} slips, from {slips_from}." if marks.size else ""
     return Figure.of(
         "space_time",
         panel,
@@ -452,7 +452,7 @@ def _diagram_panel(
             white=limits[1],
         ),
         marks=marks,
-        marks_label=f"orange: slips, from {slips_from}" if marks.size else "",
+        marks_label=f"magenta: slips, from {slips_from}" if marks.size else "",
         x_range=(float(edges[0]), float(edges[-1])),
         y_range=(float(edges_x[0]), float(edges_x[-1])),
         time_down=True,
@@ -531,7 +531,7 @@ def single_sheets_figure(
         title="Space-time diagrams of single sheets",
         caption=(
             f"Intensity in a window around {sheets}, one frame below the other, over {shown.size} slips "
-            f"(orange, from {slips_from}). Outer sheets move more."
+            f"(magenta, from {slips_from}). Outer sheets move more."
         ),
     )
 

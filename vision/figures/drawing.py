@@ -25,7 +25,7 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from vision.figures.figure import Arrow, Band, Figure, Image, Panel, Series
-from vision.figures.style import CASING, HIGHLIGHT, MISSING, MODEL, QUIET, to_mathtext
+from vision.figures.style import CASING, HIGHLIGHT, MISSING, MODEL, QUIET, SLIPS, to_mathtext
 from vision.numeric import Bools, Floats
 
 MOST_LINES = 40  # marked times that get a line across; more are marked only at the edges
@@ -326,11 +326,11 @@ def _draw_marks(ax: Axes, marks: Floats) -> None:
     """Draw pointers at both edges and a thin line across for each time, or only ticks if there are many."""
     few = marks.size <= MOST_LINES
     style: dict[str, Any] = {"ms": 5, "mec": "white", "mew": 0.5} if few else {"ms": 9, "mew": 0.6}
-    style |= {"color": HIGHLIGHT, "transform": ax.get_yaxis_transform(), "clip_on": False, "zorder": 3}
+    style |= {"color": SLIPS, "transform": ax.get_yaxis_transform(), "clip_on": False, "zorder": 3}
     for edge, pointer in ((0.0, ">"), (1.0, "<")):
         ax.plot(np.full(marks.size, edge), marks, pointer if few else "_", **style)
     if few:
-        ax.hlines(marks, *ax.get_xlim(), color=HIGHLIGHT, lw=0.7, ls=(0, (4, 4)))
+        ax.hlines(marks, *ax.get_xlim(), color=SLIPS, lw=0.7, ls=(0, (4, 4)))
 
 
 def _set_axes(ax: Axes, right: Axes | None, panel: Panel) -> None:

@@ -31,7 +31,8 @@ OTHER_MODEL: Ink = ("#8a5a83", "#e0a3d6")
 QUIET: Ink = ("#6b6b6b", "#a8a8a8")
 LEFT_ON_GREY: Ink = ("#3fb0ff", "#3fb0ff")
 RIGHT_ON_GREY: Ink = ("#ff8a1f", "#ff8a1f")
-HIGHLIGHT = "#d55e00"  # outline of the strip and marks of slips
+HIGHLIGHT = "#d55e00"  # outline of the strip
+SLIPS = "#e04fb3"  # marks of slips, magenta: unlike the tracks of both sides, also without red or green
 CASING = "#101010"  # edge of tracks over an image
 MISSING = "#cfe3f5"  # pixels that were not recorded
 

@@ -87,7 +87,7 @@
   function ticks(u, chart) {
     if (!chart.marks.length) return;
     const c = u.ctx, box = u.bbox, r = devicePixelRatio;
-    c.save(); c.strokeStyle = "#d55e00"; c.setLineDash([]); c.lineWidth = 1.4 * r; c.beginPath();
+    c.save(); c.strokeStyle = "#e04fb3"; c.setLineDash([]); c.lineWidth = 1.4 * r; c.beginPath();
     for (const t of chart.marks) {
       const at = u.valToPos(t, "x", true);
       if (at < box.top || at > box.top + box.height) continue;
