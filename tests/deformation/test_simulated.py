@@ -24,6 +24,7 @@ class TrueClock:
     residual_ms: float = 2.0
     error_ms: float = 1.0
     only_video_s: tuple[float, ...] = ()
+    matched_s: tuple[float, ...] = ()
     holds_from_s: float = np.nan
     holds_to_s: float = np.nan
 

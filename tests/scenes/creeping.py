@@ -25,6 +25,7 @@ class Clock:
     error_ms: float = np.nan
     ambiguity: str = ""
     only_video_s: tuple[float, ...] = ()
+    matched_s: tuple[float, ...] = ()
     holds_from_s: float = np.nan
     holds_to_s: float = np.nan
 

@@ -60,6 +60,8 @@ class Clock:
         Numbers of slips within the time that both recordings cover.
     only_video_s
         Times of the slips of the film that match no slip of the force, s, on the force clock.
+    matched_s
+        Times of the slips of the force that match one of the film, s, on the force clock.
     holds_from_s, holds_to_s
         Force clock from and up to which the slips agree with this clock; NaN: they do so to the beginning or
         end of the film.
@@ -96,6 +98,7 @@ class Clock:
     unmatched_video: int
     unmatched_force: int
     only_video_s: tuple[float, ...] = ()
+    matched_s: tuple[float, ...] = ()
     holds_from_s: float = math.nan
     holds_to_s: float = math.nan
     margin: float = math.nan
@@ -385,6 +388,7 @@ def _clock_of(trains: SlipTrains, clocks: CandidateClocks, fits: ClockFits, how:
         unmatched_video=int(fits.video[0] - fits.matched[0]),
         unmatched_force=int(fits.force[0] - fits.matched[0]),
         only_video_s=tuple(seen_s[only_video].tolist()),
+        matched_s=tuple(np.unique(trains.force_s[fits.partner[0][fits.partner[0] >= 0]]).tolist()),
         status="given",
         how=how,
     )

@@ -132,7 +132,7 @@ def horizontal_deformation(
     time = np.asarray(clock.to_force_s(np.asarray(tracks["time_s"].values, float)), float)
     interval = _interval(time, source)
     events = _inside(sticks, time, interval, (clock.holds_from_s, clock.holds_to_s), source)
-    events, warnings = _uninterrupted(events, np.array(clock.only_video_s), settings, source)
+    events, warnings = _uninterrupted(events, clock, settings, source)
     margin = interval / 2 + _clock_error_s(clock, interval) if margin_s is None else margin_s
     start, stop = (events[name].to_numpy(float) for name in ("t_v_s", "t_p_s"))
     every = frames_of_sticks(time, start, stop, margin_s=0.0, interval_s=interval)
@@ -248,17 +248,21 @@ def _inside(
 
 
 def _uninterrupted(
-    events: pd.DataFrame, slip_s: Floats, settings: DeformationSettings, source: str
+    events: pd.DataFrame, clock: Clock, settings: DeformationSettings, source: str
 ) -> tuple[pd.DataFrame, list[str]]:
-    """Stick phases without those that contain a slip of the film that the force lacks (`slip_s`), or in
-    which the machine paused, and warnings of the latter; the clock warns of the former.
+    """Stick phases without those that contain a slip of the film that the force lacks, or in which the
+    machine paused, and warnings of the latter; the clock warns of the former.
 
-    A slip near either end of a stick is the one between two sticks, timed differently.
+    A slip near either end of a stick is the one between two sticks, timed differently, unless the film shows
+    that one as well.
     """
     start, stop = (events[name].to_numpy(float)[:, None] for name in ("t_v_s", "t_p_s"))
-    part = (slip_s - start) / (stop - start)
-    end = settings.slip_near_end
-    whole: Bools = ~((part > end) & (part < 1 - end)).any(axis=1)
+    slip_s, near_s = np.array(clock.only_video_s), settings.slip_near_end * (stop - start)
+    inside = (slip_s > start) & (slip_s < stop)
+    for end in (start, stop):
+        shown = (np.abs(np.array(clock.matched_s) - end) < near_s).any(axis=1, keepdims=True)
+        inside &= np.abs(slip_s - end) > np.where(shown, np.minimum(settings.slip_delay_s, near_s), near_s)
+    whole: Bools = ~np.asarray(inside.any(axis=1))
     length, length_err = _lengths(events)
     fastest = (length + 3 * np.nan_to_num(length_err)) / (stop - start)[:, 0]
     usual = pd.Series(length / (stop - start)[:, 0]).rolling(5, center=True, min_periods=1).median()

@@ -97,6 +97,7 @@ def decided_clock(earlier: Clock | None, decision: Correction) -> Clock:
         offset_s=decision.offset_s or 0.0,
         drift_ppm=decision.drift_ppm,
         only_video_s=(),
+        matched_s=(),
         holds_from_s=math.nan,
         holds_to_s=math.nan,
         status="given",
