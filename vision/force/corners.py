@@ -265,7 +265,8 @@ def _half_way(u: Floats, row: Ints, index: Ints, rows: int) -> Floats:
     NaN where that is the end of the window. At a few times the noise, the first crossing of 0.5 would
     depend on single outliers.
     """
-    running_sum = np.cumsum(u - 0.5)
+    # A stick too short for a line has no level: it must not reach the sums of later slips.
+    running_sum = np.cumsum(np.where(np.isfinite(u), u - 0.5, 0.0))
     largest = np.full(rows, -np.inf)
     np.maximum.at(largest, row, running_sum)
     best = np.flatnonzero((running_sum == largest[row]) & np.r_[row[1:] == row[:-1], False])
