@@ -31,7 +31,7 @@ class Break:
     @property
     def warning(self) -> str:
         """Line for the user."""
-        alone = {"slips of the film": self.film, "drops of the force": self.force}
+        alone = {"slip(s) of the film": self.film, "drop(s) of the force": self.force}
         counted = " and ".join(f"{count} {name}" for name, count in alone.items() if count)
         return (
             f"{'after' if self.at_end else 'before'} {self.slip_s:.6g} s of the force clock {counted} match"
