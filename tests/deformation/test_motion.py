@@ -113,6 +113,17 @@ def test_a_stick_in_which_the_film_shows_a_slip_is_left_out():
         measure(made, Clock(only_video_s=tuple(0.5 * (begin + end))))
 
 
+def test_a_small_slip_shortly_before_a_large_one_is_no_end_of_the_stick():
+    """A failure means that sticks in which the sheets slip are measured, since the slip lies near their end,
+    though the film shows both; or that sheets that slip late cost the stick."""
+    made = make(uniform(1.0, 20.0), frames=60)
+    begin, end = (made.sticks[name].to_numpy()[4] for name in ("t_v_s", "t_p_s"))
+    whole = set(measure(made)["event"].to_numpy())
+    for before_s, left_out in ((0.1 * (end - begin), {made.sticks["event"][4]}), (0.01, set())):
+        motion = measure(made, Clock(only_video_s=(end - before_s,), matched_s=(end + 0.001,)))
+        assert whole - set(motion["event"].to_numpy()) == left_out
+
+
 def test_a_stick_in_which_the_machine_pauses_is_left_out():
     """A failure means creep that stands still in part of a stick, measured as if the pull were steady; or
     sticks that are lost where only the speed changes, or where lengths are uncertain."""

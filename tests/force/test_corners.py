@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -34,6 +36,17 @@ def test_corners_of_half_cosine_slips(length: float) -> None:
     assert np.median(np.abs(corners.valley - begin - length)) < 0.15 * length
     assert np.mean(np.abs(corners.peak - begin) < 3 * corners.error) > 0.95
     assert np.isnan(corners.knee).all()
+
+
+def test_two_slips_in_neighbouring_samples_leave_the_others_as_they_are() -> None:
+    """A failure means that one stick too short for a line costs all later slips their corners."""
+    load, _ = half_cosines(12.0)
+    slips = find_slips(load, 0.05)
+    double = replace(
+        slips, edge=np.insert(slips.edge, 8, slips.edge[8] - 1), drop=np.insert(slips.drop, 8, 1.0)
+    )
+    alone, beside = (find_corners(load, 0.05, each, two_slopes=False) for each in (slips, double))
+    np.testing.assert_allclose(beside.middle[11:], alone.middle[10:], atol=1e-6)
 
 
 def test_the_assumed_shape_of_a_slip_is_part_of_the_error_of_its_corners() -> None:

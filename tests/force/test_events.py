@@ -393,6 +393,23 @@ def test_a_coarse_displacement_spoils_no_stiffness(how: str) -> None:
         assert np.mean(np.abs(right[name] - truth[name]) < 2 * right[error]) > 0.9, name
 
 
+@pytest.mark.parametrize(("rate", "slip_s"), [(100.0, 0.004), (200.0, 0.004), (500.0, 0.0016)])
+def test_slips_shorter_than_a_sample_do_not_lengthen_the_sticks(rate: float, slip_s: float) -> None:
+    """A failure means that sticks are too long by most of a slip in which hardly ever a sample lies, and that
+    their stated errors are too small."""
+    off, error = [], []
+    for seed in range(3):
+        test = realistic(rate=rate, slip_s=slip_s, tau=0.0, d1=13.8, seed=seed)
+        events = find_stick_slip(test.force)
+        apart = np.abs(events["t_p_s"].to_numpy()[:, None] - test.truth["t_p_s"].to_numpy())
+        truth = test.truth["stick_length_um"].to_numpy()[apart.argmin(axis=1)]
+        off.append(events["stick_length_um"].to_numpy() - truth)
+        error.append(events["stick_length_err_um"].to_numpy())
+    assert np.mean(np.abs(np.concatenate(off)) < np.concatenate(error)) > 0.8
+    slip_um = 1e3 * slip_s / 60
+    assert abs(np.concatenate(off).mean()) < 0.5 * slip_um
+
+
 def test_a_slip_that_fell_into_a_gap_marks_the_sticks_on_both_sides() -> None:
     """A failure means that a peak and a valley that nobody recorded are given with the flag ok."""
     test = realistic(rate=1000.0, slip_s=0.03, d1=13.6, noise=4.0)

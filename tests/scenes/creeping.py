@@ -25,6 +25,9 @@ class Clock:
     error_ms: float = np.nan
     ambiguity: str = ""
     only_video_s: tuple[float, ...] = ()
+    matched_s: tuple[float, ...] = ()
+    holds_from_s: float = np.nan
+    holds_to_s: float = np.nan
 
     def to_force_s(self, video_time_s):
         return self.offset_s + np.asarray(video_time_s)

@@ -21,13 +21,14 @@ from vision.clock.alignment import (
     find_alignments,
     fit_clocks,
 )
+from vision.clock.ends import find_breaks, silent_drops
 from vision.clock.settings import ClockSettings
 from vision.clock.slips import force_slips, video_slips
 from vision.data import FORCE, STICKS, TRACKS, ForceMetadata, StripMetadata
 from vision.errors import InputError
 from vision.files import html_table
 from vision.force.recording import good_samples
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats, nan_median
+from vision.numeric import NORMAL_MEDIAN, Floats, nan_median
 
 Status = Literal["ok", "ambiguous", "given"]
 How = Literal["given", "video time column", "events"]
@@ -59,6 +60,11 @@ class Clock:
         Numbers of slips within the time that both recordings cover.
     only_video_s
         Times of the slips of the film that match no slip of the force, s, on the force clock.
+    matched_s
+        Times of the slips of the force that match one of the film, s, on the force clock.
+    holds_from_s, holds_to_s
+        Force clock from and up to which the slips agree with this clock; NaN: they do so to the beginning or
+        end of the film.
     margin
         Log-likelihood minus that of the next different alignment; NaN where the clock was given.
     status
@@ -92,6 +98,9 @@ class Clock:
     unmatched_video: int
     unmatched_force: int
     only_video_s: tuple[float, ...] = ()
+    matched_s: tuple[float, ...] = ()
+    holds_from_s: float = math.nan
+    holds_to_s: float = math.nan
     margin: float = math.nan
     status: Status
     how: How
@@ -253,7 +262,13 @@ def _from_slips(
     if found.ambiguity:
         warnings = [f"clocks ambiguous: {found.ambiguity}; {advice or 'give `offset_s`'}"]
     else:
-        warnings = _unmatched_warnings(clock, settings)
+        breaks = find_breaks(tracks, force, seen, drops, found)
+        for part in breaks:
+            if part.at_end:
+                clock = replace(clock, holds_to_s=part.holds_s)
+            else:
+                clock = replace(clock, holds_from_s=part.holds_s)
+        warnings = [part.warning for part in breaks] + _unmatched_warnings(clock, settings)
         if abs(drift) - 2 * drift_error > 1e-6 * settings.usual_drift_ppm:
             rate = _frame_rate(StripMetadata.of(tracks), 1 + drift)
             warnings.append(
@@ -284,7 +299,7 @@ def _from_slips(
 def _against_film(found: Alignments, tracks: xr.Dataset, drops: pd.DataFrame) -> tuple[Alignments, str]:
     """The alignments, ambiguous also where the film contradicts them, and advice on the cause or ""."""
     strip, settings = StripMetadata.of(tracks), found.settings
-    if not found.ambiguity and (silent := _silent_drops(tracks, drops, found)):
+    if not found.ambiguity and (silent := silent_drops(tracks, drops, found)):
         why = f"the film shows no slip at {silent} drops of the force before or after those in common"
         why += " (lost frames? a clock that jumps?)"
         found = replace(found, ambiguity=why)
@@ -302,49 +317,6 @@ def _against_film(found: Alignments, tracks: xr.Dataset, drops: pd.DataFrame) ->
         if not align(scaled, settings).ambiguity:
             return found, f"the slips agree at {_frame_rate(strip, rate)}: check `fps`"
     return found, ""
-
-
-def _silent_drops(tracks: xr.Dataset, drops: pd.DataFrame, found: Alignments) -> int:
-    """Number of drops of the force, at the beginning or end of the film, that the film does not show in time.
-
-    0 where all of them may have been missed at random, as some are among the others.  Otherwise frames are
-    lost or one of the clocks jumps, so that the alignment holds only in part of the film.
-    """
-    fits, settings = found.fits, found.settings
-    time = tracks["time_s"].to_numpy()
-    shown = np.isfinite(tracks["x_px"].to_numpy()).mean(axis=1) >= settings.least_sheets
-    frame_s = np.sort(found.clocks.map(time[shown & np.isfinite(time)])[0])
-    drop_s, size = drops["time_s"].to_numpy(), drops["drop_N"].to_numpy()
-    next_frame = np.clip(np.searchsorted(frame_s, drop_s), 1, len(frame_s) - 1)
-    filmed = (drop_s > frame_s[0]) & (drop_s < frame_s[-1])
-    filmed &= frame_s[next_frame] - frame_s[next_frame - 1] < 2 * np.median(np.diff(frame_s))
-    pairs = fits.partner[0][fits.partner[0] >= 0]
-    paired = np.isin(np.arange(len(drop_s)), pairs)
-    # In small drops the sheets may move too little.
-    filmed &= paired | ~(size < 0.5 * nan_median(size[pairs]))
-    alone_s = found.clocks.map(found.trains.video_s)[0][fits.partner[0] < 0]
-    alone_s = alone_s[(alone_s > drop_s[0]) & (alone_s < drop_s[-1])]
-    forward = _silent_from(drop_s[filmed], paired[filmed], alone_s, settings)
-    return forward + _silent_from(-drop_s[filmed][::-1], paired[filmed][::-1], -alone_s[::-1], settings)
-
-
-def _silent_from(drop_s: Floats, paired: Bools, alone_s: Floats, settings: ClockSettings) -> int:
-    """Number of unpaired drops before the one from which on they are paired far more often; 0 without one.
-
-    drop_s, paired: times of the drops, and whether each is paired.  alone_s: times of the film's slips that
-    match no drop; they count up to the number of the drops that match none, because a film also shows slips
-    that leave the force unchanged.
-    """
-    number, matched = np.arange(1, paired.size + 1), np.cumsum(paired)
-    silent, rest = number - matched, paired.size - number
-    alone = np.minimum(np.searchsorted(alone_s, np.append(drop_s, np.inf)[1:]), silent)
-    # The log-likelihood of the first slips if they pair by chance, minus that if they pair as the later ones.
-    by_chance = settings.paired_by_chance
-    missed = (silent.max(initial=0) - silent + 1) / (rest + 2)
-    false = (alone_s.size - alone + 1) / (rest + alone_s.size - alone + 2)
-    lead = silent * np.log((1 - by_chance) / missed) + alone * np.log(np.maximum((1 - by_chance) / false, 1))
-    lead += matched * np.log(by_chance**2 / (1 - missed))  # both a drop and a slip of the film
-    return int(silent[np.argmax(lead)]) if lead.max(initial=0.0) > settings.least_margin else 0
 
 
 def _if_backwards(tracks: xr.Dataset, drops: pd.DataFrame, settings: ClockSettings) -> str:
@@ -416,6 +388,7 @@ def _clock_of(trains: SlipTrains, clocks: CandidateClocks, fits: ClockFits, how:
         unmatched_video=int(fits.video[0] - fits.matched[0]),
         unmatched_force=int(fits.force[0] - fits.matched[0]),
         only_video_s=tuple(seen_s[only_video].tolist()),
+        matched_s=tuple(np.unique(trains.force_s[fits.partner[0][fits.partner[0] >= 0]]).tolist()),
         status="given",
         how=how,
     )

@@ -96,6 +96,12 @@ class ClockSettings:
     """Share of the slips that are paired where the alignment is wrong. Larger → a jump of a clock is
     overlooked where few slips follow it; smaller → it is overlooked once slips after it pair by chance.
     `test_clocks_that_jump_are_not_believed`."""
+    least_end_lead: float = 4.5
+    """The same lead above which the first or last slips, of film or force alone, are said not to agree, and
+    their stick phases are left out. Larger → a jump before the second slip passes; smaller → a single missed
+    slip at an end counts as a jump. `test_ends.py`."""
+    least_gap_lead: float = 2.0
+    """The same beside a gap of the force recording, where one such slip is enough."""
     usual_drift_ppm: float = 500.0
     """Difference of the clocks' rates that two standard errors must exceed for a warning about the frame
     rate. Larger → a rate wrong by a thousandth passes; smaller → poor but correct clocks get a warning."""

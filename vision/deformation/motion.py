@@ -132,8 +132,8 @@ def horizontal_deformation(
         raise InputError(source, "clocks that are not ambiguous", why, "give `offset_s`")
     time = np.asarray(clock.to_force_s(np.asarray(tracks["time_s"].values, float)), float)
     interval = _interval(time, source)
-    events = _inside(sticks, time, interval, source)
-    events, warnings = _uninterrupted(events, np.array(clock.only_video_s), settings, source)
+    events = _inside(sticks, time, interval, (clock.holds_from_s, clock.holds_to_s), source)
+    events, warnings = _uninterrupted(events, clock, settings, source)
     margin = interval / 2 + _clock_error_s(clock, interval) if margin_s is None else margin_s
     start, stop = (events[name].to_numpy(float) for name in ("t_v_s", "t_p_s"))
     every = frames_of_sticks(time, start, stop, margin_s=0.0, interval_s=interval)
@@ -225,11 +225,15 @@ def _clock_error_s(clock: Clock, interval_s: float) -> float:
     return float(np.sqrt(max(residual_s**2 - (interval_s / 4) ** 2, 0.0)))
 
 
-def _inside(sticks: pd.DataFrame, time_s: Floats, interval_s: float, source: str) -> pd.DataFrame:
-    """Stick phases that lie wholly inside the video, in order of time."""
+def _inside(
+    sticks: pd.DataFrame, time_s: Floats, interval_s: float, holds_s: tuple[float, float], source: str
+) -> pd.DataFrame:
+    """Stick phases that lie wholly inside the video, in order of time, and where the clock holds (NaN: no
+    limit)."""
     first, last = np.nanmin(time_s), np.nanmax(time_s)
     start, stop = sticks["t_v_s"], sticks["t_p_s"]
     within = (start >= first - interval_s) & (stop <= last + interval_s) & (stop > start)
+    within &= ~((start < holds_s[0]) | (stop > holds_s[1]))
     if not within.any():
         span = f"{start.min():.3f} to {stop.max():.3f} s" if len(sticks) else "no stick phase at all"
         raise InputError(
@@ -245,17 +249,21 @@ def _inside(sticks: pd.DataFrame, time_s: Floats, interval_s: float, source: str
 
 
 def _uninterrupted(
-    events: pd.DataFrame, slip_s: Floats, settings: DeformationSettings, source: str
+    events: pd.DataFrame, clock: Clock, settings: DeformationSettings, source: str
 ) -> tuple[pd.DataFrame, list[str]]:
-    """Stick phases without those that contain a slip of the film that the force lacks (`slip_s`), or in
-    which the machine paused, and warnings of the latter; the clock warns of the former.
+    """Stick phases without those that contain a slip of the film that the force lacks, or in which the
+    machine paused, and warnings of the latter; the clock warns of the former.
 
-    A slip near either end of a stick is the one between two sticks, timed differently.
+    A slip near either end of a stick is the one between two sticks, timed differently, unless the film shows
+    that one as well.
     """
     start, stop = (events[name].to_numpy(float)[:, None] for name in ("t_v_s", "t_p_s"))
-    part = (slip_s - start) / (stop - start)
-    end = settings.slip_near_end
-    whole: Bools = ~((part > end) & (part < 1 - end)).any(axis=1)
+    slip_s, near_s = np.array(clock.only_video_s), settings.slip_near_end * (stop - start)
+    inside = (slip_s > start) & (slip_s < stop)
+    for end in (start, stop):
+        shown = (np.abs(np.array(clock.matched_s) - end) < near_s).any(axis=1, keepdims=True)
+        inside &= np.abs(slip_s - end) > np.where(shown, np.minimum(settings.slip_delay_s, near_s), near_s)
+    whole: Bools = ~np.asarray(inside.any(axis=1))
     length, length_err = _lengths(events)
     fastest = (length + 3 * np.nan_to_num(length_err)) / (stop - start)[:, 0]
     usual = pd.Series(length / (stop - start)[:, 0]).rolling(5, center=True, min_periods=1).median()

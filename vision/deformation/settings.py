@@ -11,8 +11,8 @@ class DeformationSettings:
 
     slip_near_end: float = 0.15
     """Fraction of a stick, from either end, in which an unmatched slip of the film may be the one that ends
-    or begins it.  Larger measures sticks in which the sheets slip; smaller leaves out all sticks if the given
-    clock is slightly wrong (test_motion)."""
+    or begins it, unless that one is matched.  Larger measures sticks in which the sheets slip; smaller leaves
+    out all sticks if the given clock is slightly wrong (test_motion)."""
 
     least_speed: float = 0.8
     """Speed of the machine in a stick, as a fraction of that in the neighbouring ones, below which it paused
@@ -53,7 +53,8 @@ class DeformationSettings:
     (test_simulated: unequal pixels)."""
 
     slip_delay_s: float = 0.025
-    """Time next to each slip in which individual sheets may slip late or early.  Larger leaves fewer frames
+    """Time next to each slip in which individual sheets may slip late or early, which may count as another
+    slip of the film.  Larger leaves fewer frames
     from which the creep is extrapolated; smaller misses delays (test_simulated: sheets that slip late)."""
 
     late_errors: float = 5.0

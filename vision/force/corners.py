@@ -80,8 +80,8 @@ def find_corners(
     The load falls from the stick line before the slip, 100 %, to the one after it, 0 %. The times at 90, 50
     and 10 %, scaled as for half a cosine, give begin and end. The individual length of a slip is used where
     its drop exceeds 20 sigma, else the median of the recording. Where the median is too short to be resolved,
-    slips count as half as long as they appear, but slow ones keep their own length. With `two_slopes` the
-    stick lines may have a knee.
+    slips count as half as long as they appear on average, but slow ones keep their own length. With
+    `two_slopes` the stick lines may have a knee.
     """
     signal = _deconvolve(y, sigma, slips, lowpass)
     base = _Baselines.of(signal, two_slopes, settings)
@@ -102,12 +102,15 @@ def find_corners(
     sticks = np.diff(np.r_[0, signal.edge, y.size])
     beside = np.minimum(sticks[:-1], sticks[1:])
     slow = 2 * np.minimum(onset, end) > _HALF_COSINE * settings.slow_slip * beside
-    if usual_onset + usual_end < 1.0:
-        # Not resolved: half of it may come from the sampling, or from a low-pass too short to detect.
-        usual_onset = usual_end = 0.25 * (usual_onset + usual_end)
-        onset, end = np.where(slow, onset, usual_onset), np.where(slow, end, usual_end)
     clear = base.drop > 20 * signal.sigma  # noise scatters the lengths of smaller slips
     clear &= np.isfinite(onset) & np.isfinite(end)
+    if usual_onset + usual_end < 1.0:
+        # Not resolved: few slips have a sample within, so that the mean tells the length, not the median.
+        # Half of it may come from the sampling, or from a low-pass too short to detect.
+        several = (onset + end)[clear & ~slow]
+        mean = float(np.minimum(several, 2.0).mean()) if several.size else usual_onset + usual_end
+        usual_onset = usual_end = 0.25 * mean
+        onset, end = np.where(slow, onset, usual_onset), np.where(slow, end, usual_end)
     onset = _half_length(np.where(clear, onset, usual_onset), base.before_slope, base.drop)
     end = np.where(clear, np.where(slow, end, np.minimum(end, usual_end * 2)), usual_end)
     end = _half_length(end, base.after_slope, base.drop)
@@ -262,7 +265,8 @@ def _half_way(u: Floats, row: Ints, index: Ints, rows: int) -> Floats:
     NaN where that is the end of the window. At a few times the noise, the first crossing of 0.5 would
     depend on single outliers.
     """
-    running_sum = np.cumsum(u - 0.5)
+    # A stick too short for a line has no level: it must not reach the sums of later slips.
+    running_sum = np.cumsum(np.where(np.isfinite(u), u - 0.5, 0.0))
     largest = np.full(rows, -np.inf)
     np.maximum.at(largest, row, running_sum)
     best = np.flatnonzero((running_sum == largest[row]) & np.r_[row[1:] == row[:-1], False])

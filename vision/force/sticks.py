@@ -114,18 +114,17 @@ def measure_sticks(
 def _position_errors(signal: Signal, corners: Corners, filter_known: bool) -> Floats:
     """Return the standard error of the position of both corners of each slip, in samples.
 
-    A sudden slip appears shorter than half a sample. One that appears longer may be as long, or lengthened:
-    up to 2.5 samples where each is the mean since the one before, further by a filter of the machine, in
-    which the noise of neighbouring samples is common unless it arose later. The two corners of a stick are
-    then together off by its length. So they are where two samples or more in a row were lost at the slip,
-    since the load between them is interpolated.
+    A slip may be as long as it appears, or lengthened: up to 2.5 samples where each is the mean since the one
+    before, further by a filter of the machine, in which the noise of neighbouring samples is common unless it
+    arose later. The two corners of a stick are then together off by its length. So they are where two samples
+    or more in a row were lost at the slip, since the load between them is interpolated.
     """
     # Corners lie between two samples; of lost ones the next known samples are further apart.
     known = np.flatnonzero(~signal.is_missing)
     after = np.clip(np.searchsorted(known, corners.middle), 1, known.size - 1)
     apart = known[after] - known[after - 1]
     length = corners.valley - corners.peak
-    lengthened = (length > 0.5) & ((length < 2.5) | (not filter_known)) & ~signal.is_missing.any()
+    lengthened = ((length < 2.5) | (not filter_known)) & ~signal.is_missing.any()
     lengthened = lengthened | (signal.alike > 1) | (apart > 2)
     return np.hypot(corners.error * apart, np.where(lengthened, length / np.sqrt(2), 0))
 

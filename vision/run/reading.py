@@ -87,7 +87,7 @@ class RunFolder:
             known = {part.name: facts[part.name] for part in fields(Clock) if part.name in facts}
             known = {name: math.nan if value is None else value for name, value in known.items()}
             candidates = tuple(Candidate(**one) for one in known.get("candidates") or ())
-            lists = {name: tuple(known.get(name) or ()) for name in ("warnings", "only_video_s")}
+            lists = {name: tuple(known.get(name) or ()) for name in ("warnings", "only_video_s", "matched_s")}
             return Clock(**known | lists | {"candidates": candidates})
 
     def table(self, name: str) -> pd.DataFrame | None:
