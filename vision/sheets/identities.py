@@ -232,16 +232,29 @@ def exchanged(x_px: Floats, contrast: Floats, margin: Floats, comb: RidgeComb) -
     exchange = np.zeros(x_px.shape, np.int64)
     exchange[1 + rows] = off & (mean > comb.settings.anchor_nats / 2)[part]
 
-    run, seen = np.cumsum(exchange, axis=0), np.isfinite(x_px)
+    return _weaker_side(exchange, np.isfinite(x_px), margin)
+
+
+def _weaker_side(exchange: Ints, seen: Bools, margin: Floats) -> Bools:
+    """Return the positions before or after each exchange that are the less certain ones, (frame, N).
+
+    An exchange needs a ridge that comes or goes: frames with more missing sheets are the weaker side, as far
+    as sheets stay missing. If as many are missing, it is the side with the smaller sum of margins.
+    """
+    sheets = exchange.shape[1]
+    run, lacking = np.cumsum(exchange, axis=0), np.isnan(margin).sum(axis=1)
     most = int(run.max()) + 1
-    run += most * np.arange(sheets)
-    count = np.bincount(run[seen], minlength=most * sheets)
-    total = np.bincount(run[seen], np.nan_to_num(margin[seen], posinf=1e3), minlength=len(count))
-    nats = (total / np.maximum(count, 1)).reshape(sheets, most)
-    later, weaker = nats[:, 1:] <= nats[:, :-1], np.zeros(nats.shape, bool)
-    weaker[:, 1:] |= later
-    weaker[:, :-1] |= ~later
-    return np.asarray(seen & weaker.ravel()[run], bool)
+    in_row = run + most * np.arange(sheets)
+    each = np.nan_to_num(margin[seen], posinf=1e3)
+    nats = np.bincount(in_row[seen], each, minlength=sheets * most).reshape(sheets, most)
+    frame, sheet = np.nonzero(exchange)
+    after = run[frame, sheet]
+    more = lacking[frame] - lacking[frame - 1]
+    later = np.where(more == 0, nats[sheet, after] <= nats[sheet, after - 1], more > 0)
+    exceeded = np.where(more == 0, -1, np.minimum(lacking[frame], lacking[frame - 1]))
+    limit = np.full(nats.shape, sheets)
+    np.minimum.at(limit, (sheet, after - ~later), exceeded)
+    return np.asarray(seen & (lacking[:, None] > limit.ravel()[in_row]), bool)
 
 
 def last_seen(values: Floats) -> Floats:

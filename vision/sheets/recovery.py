@@ -29,6 +29,7 @@ from vision.numeric import (
     shifted,
 )
 from vision.sheets.alignment import values_of
+from vision.sheets.displaced import numbered_by_a_neighbour
 from vision.sheets.identities import SHIFTS, Identities, exchanged, fill_rows, last_seen, torn
 from vision.sheets.reference import rest_positions
 from vision.sheets.ridges import RidgeComb, Ridges, find_ridges, in_blocks
@@ -74,9 +75,13 @@ def assign_detections(
     why = _doubts(usual, identities, comb)
     why[_numbered_off_the_end(candidates[:2], paired[:2], comb)] = "end"
     why[_shifted_pattern(np.where(why == "", paired, np.nan), comb.settings)] = "pattern"
+    followed = np.where((why == "") | (why == "tear"), paired, np.nan)
+    off = exchanged(followed[0], followed[1], identities.margin, comb)
+    why[off & (why == "")] = "exchange"
     certain = np.where(why == "", paired, np.nan)
-    why[exchanged(certain[0], certain[1], identities.margin, comb)] = "exchange"
     paired, why = _reassign_hops(candidates, paired, why, comb)
+    off = numbered_by_a_neighbour(candidates, identities.match, paired, certain[1:], comb.settings)
+    why[off & (why == "")] = "neighbour"
     doubtful = why != ""
     withheld = np.where(doubtful, paired[0], np.nan)
     found = np.where(doubtful, np.nan, paired)
@@ -106,6 +111,7 @@ DOUBTS = {
     "jump": "displaced by a jump that could be one of whole pitches",
     "pattern": "brightnesses and widths fit another numbering: the comb may have jumped by whole pitches",
     "exchange": "on the ridge that another sheet had in the frame before",
+    "neighbour": "between a missing sheet and a ridge too many: numbered by a neighbour",
     "hop": "on another ridge, away from the position that the neighbours predict",
 }
 """Meaning of each `Detections.why`."""
