@@ -67,6 +67,9 @@ def _doubtful(looks: Floats, middle: Floats, scatter: Floats, extra: Floats, set
     nextmiss = np.where(~found, np.arange(found.shape[1]), found.shape[1])
     nextmiss = np.minimum.accumulate(nextmiss[:, ::-1], axis=1)[:, ::-1]
     last = np.take_along_axis(np.pad(total, ((0, 0), (1, 1))), np.minimum(nextmiss, found.shape[1]), axis=1)
+    rival = np.pad(merged, ((0, 0), (1, 2)))  # the missing sheet may as well be in the ridge beside it
+    rival = np.maximum(rival[:, :-2], rival[:, 2:])
+    last = last - np.take_along_axis(rival, nextmiss, axis=1)
     closed = nextmiss < found.shape[1]
     off = found & closed & (begin + last > settings.doubt)
     off[:, :-1] |= off[:, 1:] & (merged > 0)[:, :-1]
