@@ -195,8 +195,9 @@ def exchanged(x_px: Floats, contrast: Floats, margin: Floats, comb: RidgeComb) -
     .. math:: \ln\Big(1 + \frac{u^2}{2 \sigma_u^2}\Big) + \ln\Big(1 + \frac{b^2}{2 \sigma_b^2}\Big)
 
     then exceeds by half of `anchor_nats` the same sum for u and b from the last position and brightness of
-    another sheet. Of the positions of a sheet before and after, those with the smaller margin are doubtful.
-    x_px, contrast and margin are (frame, N), NaN where missing.
+    another sheet. Of the positions of a sheet before and after, those that `_weaker_side` names are doubtful.
+    x_px, contrast and margin are (frame, N), NaN where missing, and the first two where too doubtful to be
+    compared.
     """
     sheets = x_px.shape[1]
     moved, level = (
@@ -231,7 +232,6 @@ def exchanged(x_px: Floats, contrast: Floats, margin: Floats, comb: RidgeComb) -
     mean = np.bincount(part[known], gain[known], minlength=len(count)) / np.maximum(count, 1)
     exchange = np.zeros(x_px.shape, np.int64)
     exchange[1 + rows] = off & (mean > comb.settings.anchor_nats / 2)[part]
-
     return _weaker_side(exchange, np.isfinite(x_px), margin)
 
 
