@@ -54,14 +54,14 @@ def numbered_by_a_neighbour(
     then differ by
 
     .. math:: e + \sum_n \Big[\min\Big(\frac{z_n^2}{2}, t\Big) - \min\Big(\frac{z_{n,n+1}^2}{2},
-              t\Big)\Big] \text{ nats}
+              t\Big) - s\Big] \text{ nats}
 
-    over the sheets n between them, with :math:`z_{n,n+1}` that from the next sheet and t `TERM_LIMIT`. The
-    evidence e of the ridge too many is the cost of a false detection where an unpaired ridge lies between two
-    sheets. It is :math:`\sum \min(z^2/2, t)` of a ridge that is higher or wider than one sheet, less the
-    same for the ridges beside the missing sheet, which may be in one of them. It is -`anchor_nats`/2 where
-    nothing shows a ridge too many. The identities are doubtful if the sum exceeds `doubt`. Where most sheets
-    of a frame deviate, z² and t are divided by how much more than usual they do.
+    over the sheets n between them, with :math:`z_{n,n+1}` that from the next sheet, t `TERM_LIMIT` and s
+    `sheet_nats`. The evidence e of the ridge too many is the cost of a false detection where an unpaired
+    ridge lies between two sheets. It is :math:`\sum \min(z^2/2, t)` of a ridge that is higher or wider than
+    one sheet, less the same for the ridges beside the missing sheet, which may be in one of them. It is
+    -`anchor_nats`/2 where nothing shows a ridge too many. The identities are doubtful if the sum exceeds
+    `doubt`. Where most sheets of a frame deviate, z² and t are divided by how much more than usual they do.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def _shifted_below(
     above, its_scatter = (shifted(part[:, 0], 1)[:, None] for part in (middle, scatter))
     other = (looks - above) / np.fmax(scatter, its_scatter)
     own_cost, other_cost = (np.fmin(z**2 / (2 * worse), TERM_LIMIT) / worse for z in (off, other))
-    gain = np.where(found, (own_cost - other_cost).sum(axis=0), 0.0)
+    gain = np.where(found, (own_cost - other_cost).sum(axis=0) - settings.sheet_nats, 0.0)
     larger = looks - middle > np.log([settings.merged_height, settings.merged_width])[:, None, None]
     merged = np.where(larger.any(axis=0), np.where(off > 0, own_cost, 0.0).sum(axis=0), 0.0)
 
