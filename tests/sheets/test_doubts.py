@@ -82,6 +82,53 @@ def test_sheets_that_draw_together_until_one_is_hidden_are_not_exchanged():
     assert given.mean() > 0.9
 
 
+def given_elsewhere(x, picture):
+    """Positions that are given although they are another sheet's, and the share of all that is given."""
+    tracks = track_sheets(picture)
+    given = np.isin(tracks.flag.values, ("ok", "blurred"))
+    return (np.abs(tracks.x_px.values - x)[given] > 8).sum(), given.mean()
+
+
+@pytest.mark.parametrize("scatter", [0.05, 0.3])
+def test_sheets_that_slip_onto_the_next_together_are_not_given_as_others(scatter):
+    """Five sheets slip by 0.9 pitches, and the first of them meets its neighbour in one ridge. All ridges are
+    where sheets were before, but for the last. A failure means that one sheet passes for missing, and the
+    others for their neighbours."""
+    x = comb(FRAMES, per_side=10, axis_px=300, slip=0.1)
+    x[100:150, 12:17] -= 0.9 * PITCH
+    contrast = np.exp(scatter * np.random.default_rng(1).normal(size=20))
+    elsewhere, given = given_elsewhere(x, strip(ridges(x, width=600, contrast=contrast)))
+    assert elsewhere == 0
+    assert given > 0.9
+
+
+@pytest.mark.parametrize("slip", [0.6, 0.7])
+def test_sheets_one_of_which_slips_between_two_others_are_not_given_as_others(slip):
+    """Two neighbours slip by more than half a pitch, the second one later. A failure means that the second
+    passes for the first one's ridge, while its own beside the third sheet counts as dust."""
+    x = comb(FRAMES, per_side=10, axis_px=300, slip=0.1)
+    x[60:150, 12] += slip * PITCH
+    x[100:150, 13] += slip * PITCH
+    elsewhere, given = given_elsewhere(x, strip(ridges(x, width=600)))
+    assert elsewhere == 0
+    assert given > 0.9
+
+
+def test_of_exchanged_sheets_those_beside_a_missing_sheet_are_doubted():
+    """In frames 100 to 149 the sheets 46 to 48 are on the ridges of the next, and the last is missing. A
+    failure means that these pass, and all frames before are withheld because other sheets' margins are
+    smaller there."""
+    x, contrast = moving(), np.tile(np.exp(0.3 * np.sin(2.5 * np.arange(50))), (FRAMES, 1))
+    x[100:150, 46:49], contrast[100:150, 46:49] = x[100:150, 47:].copy(), contrast[100:150, 47:].copy()
+    margin = np.full(x.shape, 9.0)
+    margin[100:150, 46:] = 12.0
+    for values in (x, contrast, margin):
+        values[100:150, 49] = np.nan
+    doubtful = exchanged(x, contrast, margin, COMB)
+    assert doubtful[100:150, 46:49].all()
+    assert doubtful.sum() == 150
+
+
 def looks(contrast):
     rng = np.random.default_rng(3)
     return [np.log(value) + rng.normal(0, 0.02, (FRAMES, 50)) for value in (contrast, np.full(50, 7.0))]

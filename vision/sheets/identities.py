@@ -23,7 +23,7 @@ from vision.signals import running_median
 class Doubt(IntEnum):
     """Why the identity of a ridge is doubtful; in one byte, as every sheet of every frame has one."""
 
-    NONE, MARGIN, TEAR, END, JUMP, PATTERN, EXCHANGE, HOP = range(8)
+    NONE, MARGIN, TEAR, END, JUMP, PATTERN, EXCHANGE, NEIGHBOUR, HOP = range(9)
 
 
 WHYS = ("", *(doubt.name.lower() for doubt in Doubt if doubt))
@@ -35,6 +35,7 @@ DOUBTS = {
     "jump": "displaced by a jump that could be one of whole pitches",
     "pattern": "brightnesses and widths fit another numbering: the comb may have jumped by whole pitches",
     "exchange": "on the ridge that another sheet had in the frame before",
+    "neighbour": "between a missing sheet and a ridge too many: numbered by a neighbour",
     "hop": "on another ridge, away from the position that the neighbours predict",
 }
 """Meaning of each of `WHYS`."""
@@ -215,8 +216,9 @@ def exchanged(x_px: Floats, contrast: Floats, margin: Floats, comb: RidgeComb) -
     .. math:: \ln\Big(1 + \frac{u^2}{2 \sigma_u^2}\Big) + \ln\Big(1 + \frac{b^2}{2 \sigma_b^2}\Big)
 
     then exceeds by half of `anchor_nats` the same sum for u and b from the last position and brightness of
-    another sheet. Of the positions of a sheet before and after, those with the smaller margin are doubtful.
-    x_px, contrast and margin are (frame, N), NaN where missing.
+    another sheet. Of the positions of a sheet before and after, those that `_weaker_side` names are doubtful.
+    x_px, contrast and margin are (frame, N), NaN where missing, and the first two where too doubtful to be
+    compared.
     """
     sheets = x_px.shape[1]
     moved, level = (
@@ -251,17 +253,29 @@ def exchanged(x_px: Floats, contrast: Floats, margin: Floats, comb: RidgeComb) -
     mean = np.bincount(part[known], gain[known], minlength=len(count)) / np.maximum(count, 1)
     exchange = np.zeros(x_px.shape, np.int64)
     exchange[1 + rows] = off & (mean > comb.settings.anchor_nats / 2)[part]
+    return _weaker_side(exchange, np.isfinite(x_px), margin)
 
-    run, seen = np.cumsum(exchange, axis=0), np.isfinite(x_px)
+
+def _weaker_side(exchange: Ints, seen: Bools, margin: Floats) -> Bools:
+    """Return the positions before or after each exchange that are the less certain ones, (frame, N).
+
+    An exchange needs a ridge that comes or goes: frames with more missing sheets are the weaker side, as far
+    as sheets stay missing. If as many are missing, it is the side with the smaller sum of margins.
+    """
+    sheets = exchange.shape[1]
+    run, lacking = np.cumsum(exchange, axis=0), np.isnan(margin).sum(axis=1)
     most = int(run.max()) + 1
-    run += most * np.arange(sheets)
-    count = np.bincount(run[seen], minlength=most * sheets)
-    total = np.bincount(run[seen], np.nan_to_num(margin[seen], posinf=1e3), minlength=len(count))
-    nats = (total / np.maximum(count, 1)).reshape(sheets, most)
-    later, weaker = nats[:, 1:] <= nats[:, :-1], np.zeros(nats.shape, bool)
-    weaker[:, 1:] |= later
-    weaker[:, :-1] |= ~later
-    return np.asarray(seen & weaker.ravel()[run], bool)
+    in_row = run + most * np.arange(sheets)
+    each = np.nan_to_num(margin[seen], posinf=1e3)
+    nats = np.bincount(in_row[seen], each, minlength=sheets * most).reshape(sheets, most)
+    frame, sheet = np.nonzero(exchange)
+    after = run[frame, sheet]
+    more = lacking[frame] - lacking[frame - 1]
+    later = np.where(more == 0, nats[sheet, after] <= nats[sheet, after - 1], more > 0)
+    exceeded = np.where(more == 0, -1, np.minimum(lacking[frame], lacking[frame - 1]))
+    limit = np.full(nats.shape, sheets)
+    np.minimum.at(limit, (sheet, after - ~later), exceeded)
+    return np.asarray(seen & (lacking[:, None] > limit.ravel()[in_row]), bool)
 
 
 def last_seen(values: Floats) -> Floats:

@@ -42,14 +42,12 @@ from vision.sheets.identities import (
     torn,
 )
 from vision.sheets.reference import rest_positions
+from vision.sheets.renumbered import LIKE_ITSELF, TERM_LIMIT, numbered_by_a_neighbour, numbered_off_the_end
 from vision.sheets.ridges import RidgeComb, Ridges, find_ridges, in_blocks
 from vision.sheets.settings import TrackingSettings
 
 PAIRS = 3  # neighbours on each side that predict a sheet's position
 LINES = ((1, 2), (1, 3), (2, 3), (2, 4), (3, 4))  # distances of two neighbours on one side that a line joins
-TERM_LIMIT = 4.0  # nats: no single spacing, brightness or width decides a numbering
-LIKE_ITSELF = 0.7
-"""Change of log contrast up to which a ridge may be the sheet that is expected there: a factor of two."""
 
 
 class Flag(IntEnum):
@@ -93,11 +91,16 @@ def assign_detections(
     paired = np.stack([values_of(identities.match, values) for values in candidates])
     usual = np.stack([identities.usual_px, *paired[1:]])
     why = _doubts(usual, identities, comb)
-    why[_numbered_off_the_end(candidates[:2], paired[:2], comb)] = Doubt.END
+    why[numbered_off_the_end(candidates[:2], paired[:2], comb)] = Doubt.END
     why[_shifted_pattern(np.where(why == Doubt.NONE, paired, np.nan), comb.settings)] = Doubt.PATTERN
+    followed = np.where((why == Doubt.NONE) | (why == Doubt.TEAR), paired, np.nan)
+    off = exchanged(followed[0], followed[1], identities.margin, comb)
+    why[off & (why == Doubt.NONE)] = Doubt.EXCHANGE
     certain = np.where(why == Doubt.NONE, paired, np.nan)
-    why[exchanged(certain[0], certain[1], identities.margin, comb)] = Doubt.EXCHANGE
     paired, why = _reassign_hops(candidates, paired, why, comb)
+    expected = _expected(np.where(why == Doubt.NONE, paired[0], np.nan), identities.rest_px)
+    off = numbered_by_a_neighbour(candidates, identities.match, paired, certain[1:], expected, comb)
+    why[off & (why == Doubt.NONE)] = Doubt.NEIGHBOUR
     doubtful = why != Doubt.NONE
     withheld = np.where(doubtful, paired[0], np.nan)
     found = np.where(doubtful, np.nan, paired)
@@ -140,27 +143,6 @@ def _doubts(paired: Floats, identities: Identities, comb: RidgeComb) -> Codes:
         trusted = np.isfinite(known) & (why == Doubt.NONE)
         why[unsettled & anchored(known, np.log(contrast), np.log(fwhm), trusted, comb)] = Doubt.NONE
     return why
-
-
-def _numbered_off_the_end(candidates: Floats32, paired: Floats, comb: RidgeComb) -> Bools:
-    """Return where a displaced comb leaves out a ridge at one end while its other end is missing, (frame, N).
-
-    If the ridge beyond the end is like the sheets, the frame has as many ridges as the comb has sheets, and
-    another numbering pairs all of them. In a comb that is displaced by less than half of `jump_fraction`, a
-    sheet from beyond the end has come into view. candidates and paired hold positions and contrasts,
-    (2, frame, K) and (2, frame, N).
-    """
-    x, contrast = paired
-    moved = nan_median(x - rest_positions(x), axis=1)
-    rows = np.flatnonzero(np.abs(moved) > 0.5 * comb.settings.jump_fraction * comb.pitch_px)
-    ridge, height = candidates[:, rows].astype(np.float64)
-    alike = np.abs(np.log(height / nan_median(contrast[rows], axis=1)[:, None])) < LIKE_ITSELF
-    off = np.zeros(len(x), bool)
-    for way in (1, -1):  # a ridge beyond the last sheet, then one before the first
-        place = way * x[rows, ::way]
-        beyond = (way * ridge - np.fmax.reduce(place, axis=1)[:, None]) / comb.pitch_px
-        off[rows] |= np.isnan(place[:, 0]) & (alike & (beyond > 0.5) & (beyond < 1.5)).any(axis=1)
-    return np.asarray(off[:, None] & np.isfinite(x), bool)
 
 
 def _shifted_pattern(certain: Floats, settings: TrackingSettings) -> Bools:
