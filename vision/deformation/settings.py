@@ -54,8 +54,8 @@ class DeformationSettings:
 
     slip_delay_s: float = 0.025
     """Time next to each slip in which individual sheets may slip late or early, which may count as another
-    slip of the film.  Larger leaves fewer frames
-    from which the creep is extrapolated; smaller misses delays (test_simulated: sheets that slip late)."""
+    slip of the film.  Larger leaves fewer frames from which the creep is extrapolated; smaller misses delays
+    (test_simulated: sheets that slip late)."""
 
     late_errors: float = 5.0
     """Standard errors by which a position must differ from the rest of the stick to count as before or after
