@@ -484,6 +484,7 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> list[str
     corrupt = f" ({strip.frames_corrupt} of them corrupt)" if strip.frames_corrupt else ""
     frozen = f", {count} frozen" if (count := flags.get("frozen", 0) // side.size) else ""
     unseen = "; they look alike: a jump by their spacing would be invisible" * (found.sheets_alike == "yes")
+    unseen += f"; the {found.ridges_likelier} stripes look more like sheets" * bool(found.ridges_likelier)
     # Compression hides the noise of pixels, so that the error predicted from them means nothing.
     predicted = (
         f"; x_err_px {noise['stated_px']:.4f} px ({strip.codec} hides the noise of pixels)"

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from tests.scenes.combs import comb, ridges, strip
+from vision.figures import Results
 from vision.sheets import track_sheets
 from vision.sheets.ridges import describe_ridges
+from vision.summary import summary_lines
 
 FRAMES, WIDTH = 40, 480
 
@@ -31,6 +33,19 @@ def test_the_background_beside_the_comb_tells_sheets_from_gaps(sign, shift_px):
     x, light = wide_sheets(shift_px=shift_px)
     assert ((x.min() > 40) & (x.max() < WIDTH - 40)) == (shift_px == 0)
     assert chosen(light, sign)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_given_polarity_that_takes_gaps_for_sheets_is_told(sign):
+    """A failure means that the user of a wrong --ridges publishes the gaps and never learns of it."""
+    _, light = wide_sheets()
+    right, wrong = ("bright", "dark") if sign > 0 else ("dark", "bright")
+    film = strip(light, sign=sign)
+    for asked, likelier in (("auto", ""), (right, ""), (wrong, right)):
+        tracks = track_sheets(film, ridges=asked)
+        assert tracks.attrs["ridges_likelier"] == likelier
+        said = next(line for line in summary_lines(Results(tracks=tracks)) if line.startswith("sheets"))
+        assert (f"the {right} stripes look more like sheets" in said) == bool(likelier)
 
 
 @pytest.mark.parametrize("sign", [1, -1])

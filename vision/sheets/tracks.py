@@ -150,8 +150,10 @@ def track_sheets(
     step = np.abs(nan_median(np.diff(assessed.x_px, axis=0), axis=1))
     large = number[1:][step > settings.step_fraction * comb.pitch_px]
     changes = scene_changes(detections.start_px, detections.contrast, comb)
+    likelier = ridges if ridges == "auto" else describe_ridges(profile, settings=settings).polarity
     metadata = replace(
         found.metadata(identities, count_given=sheets is not None),
+        ridges_likelier="" if likelier in (ridges, "auto") else likelier,
         window_px=window,
         fit_asked=fit,
         corrections_applied=len(corrections),
