@@ -116,12 +116,15 @@ def _shifted_below(
     larger = looks - middle > np.log([settings.merged_height, settings.merged_width])[:, None, None]
     merged = np.where(larger.any(axis=0), np.where(off > 0, own_cost, 0.0).sum(axis=0), 0.0)
 
-    total, group = np.cumsum(gain, axis=1), np.cumsum(~found, axis=1)
+    # A block that begins at sheet i and ends before the lost sheet k gains too_many[i] + gain[i] + … +
+    # gain[k − 1] less what the ridges beside k may hold. For each sheet: the best beginning at or before it,
+    # in its run of sheets that are found, and the end of that run.
+    total, run = np.cumsum(gain, axis=1), np.cumsum(~found, axis=1)
     too_many = np.pad(np.maximum(merged[:, :-1], extra), ((0, 0), (1, 0)))
     too_many[too_many == 0] = -settings.anchor_nats / 2
-    apart = 100.0 * TERM_LIMIT * found.shape[1]  # more than any sum: no block goes over a missing sheet
-    first = np.where(found, too_many + gain - total, -apart) + apart * group
-    first = np.maximum.accumulate(first, axis=1) - apart * group
+    apart = 100.0 * TERM_LIMIT * found.shape[1]  # more than any sum: keeps the runs apart
+    first = np.where(found, too_many + gain - total, -apart) + apart * run
+    first = np.maximum.accumulate(first, axis=1) - apart * run
     beside = np.pad(merged, ((0, 0), (1, 1)))
     last = np.pad(total, ((0, 0), (1, 0)))[:, :-1] - np.maximum(beside[:, :-2], beside[:, 2:])
     last = np.where(lost, last, -apart)
@@ -129,7 +132,7 @@ def _shifted_below(
     end = np.minimum.accumulate(np.where(found, len(number), number)[:, ::-1], axis=1)[:, ::-1]
     last = np.take_along_axis(np.pad(last, ((0, 0), (0, 1)), constant_values=-apart), end, axis=1)
     doubtful = found & (first + last > settings.doubt)
-    doubtful[:, :-1] |= doubtful[:, 1:] & (merged > 0)[:, :-1]
+    doubtful[:, :-1] |= doubtful[:, 1:] & (merged > 0)[:, :-1]  # the ridge that may hold two sheets
     return np.asarray(doubtful, bool)
 
 
