@@ -428,8 +428,8 @@ def _ambiguity(trains: SlipTrains, fits: ClockFits, margin: float, settings: Clo
         return f"too few slips in common ({matched}, at least {settings.least_matched} needed)"
     if likelihood < least:
         return (
-            f"the {matched} slips in common fit too loosely to exclude chance (log-likelihood "
-            f"{likelihood:.1f}, {least:.3g} needed)"
+            f"the times of the {matched} slips in common fit too loosely to exclude chance (their "
+            f"log-likelihood is {likelihood:.1f}, {least:.3g} needed)"
         )
     sizes_agree = fits.size_evidence[0] > -0.5
     strictness = widened * (1 if likelihood >= settings.clear_likelihood and sizes_agree else 2)
