@@ -1,5 +1,6 @@
 """docs/columns.md has every column of the tables, as `vision.data` declares it."""
 
+import json
 import re
 from pathlib import Path
 
@@ -7,6 +8,8 @@ import pytest
 
 from tests.scenes.analysed import with_force
 from vision.data import MOTION, SHELLS, STICKS, TRACKS
+from vision.pipeline import Settings, analyse
+from vision.run import Origin, write_run
 from vision.run.tables import sheets_table
 from vision.shells import deformation_table
 
@@ -41,3 +44,15 @@ def test_every_column_has_its_unit_and_meaning(name, declared, written):
     known = [column for column in page if column in declared.variables]
     assert len(known) >= 7
     assert {c: page[c] for c in known} == {c: (declared[c].units, declared[c].long_name) for c in known}
+
+
+def test_every_entry_of_the_json_files_is_explained(tmp_path):
+    """A failure means that an entry is not explained, or that one is explained that no longer exists."""
+    late = Path(__file__).parents[2] / "fixtures" / "late"
+    settings = Settings(pixel_size_um=10, timestamps=late / "timestamps.txt", d0_mm=16.6)
+    run = analyse(late / "video.avi", late / "force.txt", settings)
+    origin = Origin(command="track video.avi", inputs=(late / "video.avi",), parameters={})
+    write_run(run, tmp_path / "run", origin, report=False)
+    for name in ("clock.json", "models.json", "run.json"):
+        written = json.loads((tmp_path / "run" / name).read_text(encoding="utf-8"))
+        assert list(documented()[name]) == list(written)
