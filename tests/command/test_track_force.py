@@ -11,6 +11,7 @@ import pytest
 
 from tests.scenes.sawtooth import Test, realistic
 from vision.command.main import run
+from vision.figures.figure import load_figures
 from vision.force import find_stick_slip
 from vision.models import fit_models
 
@@ -111,6 +112,12 @@ def test_a_run_folder_is_complete_and_kept(
     assert 0.2 < facts["detection_limit"]["limit_N"] < 3
 
 
+def force_axis() -> str:
+    """The label below F(d)."""
+    figures = {figure.name: figure for figure in load_figures("pull_force/figures.npz")}
+    return figures["force"].panel.x_label
+
+
 def test_without_d0_there_are_events_and_no_models(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A failure means the models are fitted to separations that are not known."""
     assert force(file) == 1
@@ -118,8 +125,10 @@ def test_without_d0_there_are_events_and_no_models(file: Path, capsys: pytest.Ca
     assert "models     none" in said and "give --d0" in said
     assert "warning: the initial separation is not known" in complained
     assert "mu" not in json.loads(Path("pull_force/models.json").read_text(encoding="utf-8"))
+    assert force_axis() == "distance the machine moved (mm)"
     force(file, "--d0", "0", "--overwrite")  # the displacement is the separation itself
     assert "initial separation is not known" not in capsys.readouterr().err
+    assert force_axis() == "d (mm)"
 
 
 def test_without_speed_or_displacement(file: Path, test: Test, capsys: pytest.CaptureFixture[str]) -> None:

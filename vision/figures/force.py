@@ -9,7 +9,7 @@ import pandas as pd
 import xarray as xr
 
 from vision.clock import Clock, force_slips, video_slips
-from vision.data import StickMetadata, load_unit
+from vision.data import ForceMetadata, StickMetadata, load_unit
 from vision.errors import InputError
 from vision.figures.decimate import minmax_decimate
 from vision.figures.figure import Arrow, Figure, Ink, Panel, Range, Series
@@ -430,9 +430,10 @@ def _force_curve(force: xr.Dataset, time_s: Range = (-np.inf, np.inf), *, agains
 
 
 def _force_panel(force: xr.Dataset, title: str, series: tuple[Series, ...], *, against_d: bool) -> Panel:
+    separation = "d (mm)" if np.isfinite(ForceMetadata.of(force).d0_mm) else "distance the machine moved (mm)"
     return Panel(
         title=title,
-        x_label="d (mm)" if against_d else "t (s, force clock)",
+        x_label=separation if against_d else "t (s, force clock)",
         y_label=load_label("F", load_unit(force)),
         series=series,
         placeholder="no events",
