@@ -72,6 +72,10 @@ def test_one_recording_counts_once(tmp_path):
     assert found.table["run"].tolist() == ["first", "other"]
     (line,) = found.failures
     assert "that of first, which would count twice" in line
+    unusable = write_run(tmp_path / "unusable", events(seed=1), d0_mm=None)
+    found = vision.compare([unusable, runs[1], other])
+    assert found.table["run"].tolist() == ["again", "other"]
+    assert len(found.failures) == 1
 
 
 def test_runs_without_an_initial_separation_are_refused(tmp_path):

@@ -111,8 +111,9 @@ def read_tests(runs: Sequence[str | Path] = (), table: str | Path | pd.DataFrame
         try:
             with reading(folder, "a run as track writes it", AGAIN):
                 run = read_run(folder)
-                _check_unique(run, unique, recordings)
-                tests.append(_read_test(run, unique, row_of.get(folder, {}), warnings))
+                test = _read_test(run, unique, row_of.get(folder, {}), warnings)
+                _check_unique(run, unique, recordings)  # only a run that can be used counts as the first
+                tests.append(test)
         except InputError as error:
             failures.append(str(error))
     if not tests:
