@@ -373,6 +373,11 @@ class ForceMetadata(Metadata):
     notes: Sequence[str] = field(default_factory=list)
     warnings: Sequence[str] = field(default_factory=list)
 
+    @property
+    def lacks_d0(self) -> bool:
+        """Whether d is how far the machine moved, since the initial separation is not known."""
+        return self.separation_from != "none" and math.isnan(self.d0_mm)
+
 
 _TIME = ("time_s",)
 FORCE = Schema(

@@ -39,6 +39,11 @@ class InputError(ValueError):
         super().__init__(" ".join(f"{os.fspath(about)}: {parts}".split()))
 
 
+def install_advice(extra: str) -> str:
+    """Return how to install the optional packages of an extra in pyproject.toml."""
+    return f"in sheetvision's folder: pip install -c constraints.txt '.[{extra}]'"
+
+
 def check_positive(**values: float | None) -> None:
     """Raise `InputError` for an argument that is neither None nor a positive, finite number."""
     for name, value in values.items():

@@ -578,13 +578,12 @@ def _warnings(found: Analysis, reasons: Mapping[str, str]) -> tuple[str, ...]:
         lines += warnings_of(found.force, found.sticks)
         lines += filter(None, [cycles_seen(found.force)])
         facts = ForceMetadata.of(found.force)
-        has_d0 = math.isfinite(facts.d0_mm)
-        if facts.separation_from != "none" and not has_d0:
+        if facts.lacks_d0:
             lines.append(
                 "the initial separation is not known: d is how far the machine moved, and no model is "
                 "fitted; give `d0_mm` (0 if the displacement is the separation itself)"
             )
-        elif "fits" in reasons and has_d0 and load_unit(found.force) == "N":
+        elif "fits" in reasons and math.isfinite(facts.d0_mm) and load_unit(found.force) == "N":
             lines.append(f"no model fits: {reasons['fits']}")
     lines += found.fits.warnings if found.fits else ()
     lines += found.clock.warnings if found.clock else ()

@@ -28,7 +28,7 @@ from PIL import Image
 from vision.campaign.films import CampaignSettings, is_remote
 from vision.campaign.plan import PLAN, Plan, PlannedFilm, State, Word, inputs_of, write_plan, write_state
 from vision.campaign.results import page_age, write_page, write_partitions
-from vision.errors import InputError
+from vision.errors import InputError, install_advice
 from vision.files import answered, prefetch, shortened
 from vision.folder import lock_open_file, unwritable
 from vision.pipeline import Analysis
@@ -49,12 +49,7 @@ def check_engine(executor: str, films: Iterable[str] = ()) -> None:
     Raises: InputError.
     """
     if importlib.util.find_spec("snakemake") is None:
-        raise InputError(
-            "track campaign",
-            "Snakemake 9",
-            "none",
-            "in sheetvision's folder: pip install -c constraints.txt '.[campaign]'",
-        )
+        raise InputError("track campaign", "Snakemake 9", "none", install_advice("campaign"))
     if executor == "slurm" and shutil.which("sbatch") is None:
         raise InputError(
             "`executor`", "SLURM's commands on this machine", "no sbatch", "run it on a login node"

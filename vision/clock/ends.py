@@ -66,7 +66,7 @@ def silent_drops(tracks: xr.Dataset, drops: pd.DataFrame, found: Alignments) -> 
     film shows alone count up to the number of the drops that it does not show, because a film also shows
     slips that leave the force unchanged.
     """
-    slips, settings = _all_slips(tracks, drops, found, None), found.settings
+    slips, settings = _all_slips(_frames_s(tracks, found), drops, found, None), found.settings
     first, last = drops["time_s"].to_numpy()[[0, -1]]
     slips = slips.part(slips.of_force | (slips.time_s > first) & (slips.time_s < last))
     silent = 0
@@ -85,14 +85,14 @@ def find_breaks(
     Unlike in `silent_drops`, large slips that only the film shows count as much as drops that only the force
     shows, while the force is recorded; fewer are enough, and fewest beside a gap of the recording.
     """
-    slips = _all_slips(tracks, drops, found, seen)
+    frame_s = _frames_s(tracks, found)
+    slips = _all_slips(frame_s, drops, found, seen)
     time = force["time_s"].to_numpy()
     flag = force["flag"].to_numpy() if "flag" in force else np.full(time.shape, "ok")
     recorded = time[usable(flag)]
     slips = slips.part((slips.time_s > recorded[0]) & (slips.time_s < recorded[-1]))
-    gaps, filmed = _gaps(time, flag), _frames_s(tracks, found)[[0, -1]]
-    common = max(filmed[0], recorded[0]), min(filmed[-1], recorded[-1])
-    inside = _Span(*common, gaps)
+    common = max(frame_s[0], recorded[0]), min(frame_s[-1], recorded[-1])
+    inside = _Span(*common, _gaps(time, flag))
     breaks = [_break(slips, drops, found, inside, 1), _break(slips.reverse, drops, found, inside, -1)]
     return [each for each in breaks if each]
 
@@ -145,15 +145,14 @@ def _frames_s(tracks: xr.Dataset, found: Alignments) -> Floats:
     return np.sort(found.clocks.map(time[shown & np.isfinite(time)])[0])
 
 
-def _all_slips(
-    tracks: xr.Dataset, drops: pd.DataFrame, found: Alignments, seen: pd.DataFrame | None
-) -> _Slips:
+def _all_slips(frame_s: Floats, drops: pd.DataFrame, found: Alignments, seen: pd.DataFrame | None) -> _Slips:
     """The slips of film and force; without those that the other recording may not show.
 
+    frame_s: from `_frames_s`.
     These are small drops, in which the sheets may move too little, drops between distant frames, and, where
     `seen` is given, small slips of the film.
     """
-    partner, frame_s = found.fits.partner[0], _frames_s(tracks, found)
+    partner = found.fits.partner[0]
     drop_s, size = drops["time_s"].to_numpy(), drops["drop_N"].to_numpy()
     next_frame = np.clip(np.searchsorted(frame_s, drop_s), 1, len(frame_s) - 1)
     filmed = (drop_s > frame_s[0]) & (drop_s < frame_s[-1])
@@ -187,6 +186,5 @@ def _lead(slips: _Slips, settings: ClockSettings, *, limited: bool = False) -> F
     false = (false_rest + 1) / (rest + false_rest + 2)
     lead = silent * np.log((1 - by_chance) / missed)
     lead += alone * np.log(np.maximum((1 - by_chance) / false, 1))
-    return np.asarray(
-        lead + matched * np.log(by_chance**2 / (1 - missed))
-    )  # both a drop and a slip of the film
+    lead += matched * np.log(by_chance**2 / (1 - missed))  # both a drop and a slip of the film
+    return np.asarray(lead)

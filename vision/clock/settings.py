@@ -97,7 +97,7 @@ class ClockSettings:
     overlooked where few slips follow it; smaller → it is overlooked once slips after it pair by chance.
     `test_clocks_that_jump_are_not_believed`."""
     least_end_lead: float = 4.5
-    """The same lead above which the first or last slips, of film or force alone, are said not to agree, and
+    """The same lead above which the first or last slips, of film or force alone, count as disagreeing, and
     their stick phases are left out. Larger → a jump before the second slip passes; smaller → a single missed
     slip at an end counts as a jump. `test_ends.py`."""
     least_gap_lead: float = 2.0

@@ -26,7 +26,7 @@ from vision.command.options import (
     names_given,
     option_names,
 )
-from vision.errors import InputError
+from vision.errors import InputError, install_advice
 from vision.files import no_such_file
 
 if TYPE_CHECKING:
@@ -78,12 +78,7 @@ def review(
     missing = [name for name in ("starlette", "uvicorn") if importlib.util.find_spec(name) is None]
     if missing:
         found = f"no {' and no '.join(missing)}"
-        raise InputError(
-            "track review",
-            "the extra 'review'",
-            found,
-            "in sheetvision's folder: pip install -c constraints.txt '.[review]'",
-        )
+        raise InputError("track review", "the extra 'review'", found, install_advice("review"))
     folder = run_or_video
     if not (folder / "run.json").is_file():  # as `vision.run.is_run`, which takes a second to import
         if not run_or_video.exists() and not glob.has_magic(str(run_or_video)):

@@ -430,7 +430,7 @@ def _force_curve(force: xr.Dataset, time_s: Range = (-np.inf, np.inf), *, agains
 
 
 def _force_panel(force: xr.Dataset, title: str, series: tuple[Series, ...], *, against_d: bool) -> Panel:
-    separation = "d (mm)" if np.isfinite(ForceMetadata.of(force).d0_mm) else "distance the machine moved (mm)"
+    separation = "distance the machine moved (mm)" if ForceMetadata.of(force).lacks_d0 else "d (mm)"
     return Panel(
         title=title,
         x_label=separation if against_d else "t (s, force clock)",

@@ -155,7 +155,7 @@ def _check_force(force: xr.Dataset) -> None:
     if load_unit(force) == "1":
         raise InputError("the force recording", "a force in N", "a force over a weight")
     facts = ForceMetadata.of(force)
-    if facts.separation_from != "none" and np.isnan(facts.d0_mm):
+    if facts.lacks_d0:
         raise InputError("the force recording", "the initial separation", "none", "give `d0_mm`")
 
 

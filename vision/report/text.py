@@ -101,7 +101,7 @@ def _shell(results: Results) -> Answer | None:
     d_mm = known["d_v_mm"]
     size = first if first == last else f"{first} → {last}"
     where = f"from d = {d_mm.min():.2f} to {d_mm.max():.2f} mm" if d_mm.notna().any() else "d not known"
-    if results.force is not None and math.isnan(ForceMetadata.of(results.force).d0_mm):
+    if results.force is not None and ForceMetadata.of(results.force).lacks_d0:
         where = "at separations that are not known"
     return Answer("stiff shell", f"{size} sheets per side", f"σ_x/Λ_st below {results.threshold:g}, {where}")
 

@@ -14,7 +14,7 @@ import pandas as pd
 import xarray as xr
 
 from vision.data import MEASURED, StripMetadata
-from vision.errors import InputError
+from vision.errors import InputError, install_advice
 from vision.files import AGAIN, harmless, harmless_table, reading
 from vision.folder import check_new, check_target, run_folder, whole_file, write_json
 from vision.report.page import flattened
@@ -49,8 +49,7 @@ def export_run(run: RunFolder, to: Format, *, out: Path | None = None, overwrite
     cannot be written; for a package that is not installed; or for a run without the data that are exported.
     """
     if to == "xlsx" and importlib.util.find_spec("openpyxl") is None:
-        advice = "in sheetvision's folder: pip install -c constraints.txt '.[export]'"
-        raise InputError("the format xlsx", "the package openpyxl", "none", advice)
+        raise InputError("the format xlsx", "the package openpyxl", "none", install_advice("export"))
     target = out or Path(f"{run.folder.resolve().name}{ENDINGS.get(to, f'_{to}')}")
     if target.resolve().is_relative_to(run.folder.resolve()):
         raise InputError(target, "a place outside the run folder", "one inside", "give another `out`")

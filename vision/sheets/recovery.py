@@ -371,7 +371,8 @@ def pattern_shift(log_contrast: Floats, log_width: Floats, settings: TrackingSet
     features = np.stack([_without_common_change(log_contrast), _without_common_change(log_width)])
     windows = np.lib.stride_tricks.sliding_window_view(features, span, axis=1)
     parts = in_blocks(lambda rows: nan_median(windows[:, rows], axis=-1), windows.shape[1])
-    before, after = (np.concatenate(parts, axis=1)[:, cut] for cut in (slice(-span), slice(span, None)))
+    medians = np.concatenate(parts, axis=1)
+    before, after = medians[:, :-span], medians[:, span:]
     own = _feature_change(before, after, 0, settings)
     own, usual = np.where(own < np.inf, own, 0.0), np.median(own)
     changed = own > settings.pattern_change * usual

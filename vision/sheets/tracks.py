@@ -153,7 +153,7 @@ def track_sheets(
     likelier = ridges if ridges == "auto" else describe_ridges(profile, settings=settings).polarity
     metadata = replace(
         found.metadata(identities, count_given=sheets is not None),
-        ridges_likelier="" if likelier in (ridges, "auto") else likelier,
+        ridges_likelier="" if likelier == ridges else likelier,
         window_px=window,
         fit_asked=fit,
         corrections_applied=len(corrections),
@@ -399,7 +399,7 @@ def _flags(strip: xr.DataArray, found: _Tracked) -> Codes:
     flag[found.frozen] = Flag.FROZEN
     if "status" in strip.coords:
         for status in ("blank", "corrupt", "lost"):
-            flag[strip["status"].values == status] = FLAGS.index(status)
+            flag[strip["status"].values == status] = Flag[status.upper()]
     else:
         flag[~np.isfinite(strip.values).all(axis=1)] = Flag.BLANK
     return flag
