@@ -40,6 +40,14 @@ def mad_sigma(values: NDArray[np.floating], axis: int | None = None) -> Any:
     return np.median(np.abs(values - middle), axis=axis) / NORMAL_MEDIAN
 
 
+def white_noise(values: Floats) -> float:
+    """Estimate the standard deviation of white noise on a smooth curve of three values or more.
+
+    In second differences the curve cancels; the median absolute one does not depend on a few jumps.
+    """
+    return float(mad_sigma(np.diff(values, 2)) / np.sqrt(6.0))
+
+
 def rms(values: Floats) -> float:
     """Return the root mean square of the finite values; NaN without any."""
     known = values[np.isfinite(values)]

@@ -54,8 +54,8 @@ def test_another_sample_taken_for_the_publication_s() -> None:
 
 def test_a_build_up_of_a_tenth_of_a_millimetre() -> None:
     """All events: μ 0.873, 𝒯0 4.9 N, A 0.369, χ²/dof 82; from the maximum on: 0.8896 ± 0.0002, 0.340."""
-    every = [fit_peaks(built_up(seed, 0.1), PUBLISHED, False, {}) for seed in range(6)]
-    late = [fit_peaks(from_the_maximum(built_up(seed, 0.1)), PUBLISHED, False, {}) for seed in range(6)]
+    every = [fit_peaks(built_up(seed, 0.1), PUBLISHED) for seed in range(6)]
+    late = [fit_peaks(from_the_maximum(built_up(seed, 0.1)), PUBLISHED) for seed in range(6)]
     mu, t0 = np.mean([fit.value for fit in every], axis=0)
     assert mu == pytest.approx(0.873, abs=0.003)  # the printed error
     assert t0 == pytest.approx(4.9, abs=0.9)
@@ -71,7 +71,7 @@ def test_a_build_up_of_a_tenth_of_a_millimetre() -> None:
 
 def test_a_build_up_of_four_tenths_leaves_some_bias() -> None:
     """From the maximum on: μ 0.884, χ²/dof 3.5; from where Eq. 1 fits, the truth."""
-    late = [fit_peaks(from_the_maximum(built_up(seed, 0.4)), PUBLISHED, False, {}) for seed in range(8)]
+    late = [fit_peaks(from_the_maximum(built_up(seed, 0.4)), PUBLISHED) for seed in range(8)]
     assert round(float(np.mean([fit.value[0] for fit in late])), 3) == 0.884
     assert np.mean([fit.goodness.chi2_dof for fit in late]) == pytest.approx(3.5, rel=0.2)
     found = fit_models(MADE, built_up(0, 0.4)).mu

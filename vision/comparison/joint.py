@@ -209,10 +209,10 @@ def _fit(
     If μ, 𝒯0 and A are known, only the stiffness is fitted.
     """
     with np.errstate(all="ignore"):  # fits may leave the valid range on the way; the result is checked
-        stiffness = fit_stiffness(events, sample, {"modulus_GPa": modulus})
+        stiffness = fit_stiffness(events, sample, modulus_GPa=modulus)
         fits = [stiffness]
         if known is None:
-            peaks = fit_peaks(events, sample, False, {})
+            peaks = fit_peaks(events, sample)
             drops = with_friction(lambda m: fit_drops(events, sample, max(m, 1e-3)), peaks.estimate(0))
             fits = [peaks, drops, stiffness]
             known = {"mu": peaks.estimate(0), "T0_N": peaks.estimate(1), "A": drops.estimate(0)}
@@ -302,7 +302,7 @@ def _modulus_of_test(test: TractionTest) -> Estimate:
         return Estimate(test.modulus_GPa, test.modulus_err_GPa)
     try:
         with np.errstate(all="ignore"):
-            return fit_stiffness(test.events[usable_range(test)], test.sample, {}).estimate(1)
+            return fit_stiffness(test.events[usable_range(test)], test.sample).estimate(1)
     except FIT_ERRORS:
         return Estimate(float("nan"), float("nan"))
 
@@ -468,7 +468,9 @@ def _common_scale(tests: Sequence[TractionTest], fits: Sequence[TestFit], modulu
         if np.isfinite(fit.scale_mm.value):
             groups.setdefault(test.sample, []).append(test.events[fit.used])
     together = {sample: pd.concat(parts, ignore_index=True) for sample, parts in groups.items()}
-    known = {"modulus_GPa": modulus.value}
     with np.errstate(all="ignore"):
-        scales = [fit_stiffness(events, sample, known).value[0] for sample, events in together.items()]
+        scales = [
+            fit_stiffness(events, sample, modulus_GPa=modulus.value).value[0]
+            for sample, events in together.items()
+        ]
     return float(np.average(scales, weights=[len(events) for events in together.values()]))

@@ -14,7 +14,7 @@ from vision.force.lines import fit_lines, fit_polynomials
 from vision.force.recording import usable
 from vision.force.settings import ForceSettings
 from vision.force.slips import Slips, stick_middles
-from vision.numeric import Bools, Floats, Ints, mad_sigma, nan_median
+from vision.numeric import Bools, Floats, Ints, nan_median, white_noise
 from vision.signals import running_median
 
 _WITHIN = 0.683  # share of normally distributed values within one standard deviation
@@ -143,13 +143,11 @@ def noise_sigma(y: Floats) -> float:
 
     .. math:: \\sigma = \\max(\\mathrm{MAD}(\\Delta^2 y) / (0.674\\,\\sqrt 6),\\; q / \\sqrt{12})
     """
-    second = np.diff(y, 2)
-    spread = float(mad_sigma(second)) / np.sqrt(6.0)
     range_ = float(np.ptp(y))
     steps = np.diff(np.unique(y))
     steps = steps[steps > 1e-6 * range_]  # smaller ones are rounding errors
     quantum = float(steps.min()) if steps.size else 0.0
-    return float(max(spread, quantum / np.sqrt(12.0), 1e-9 * range_, np.finfo(float).tiny))
+    return float(max(white_noise(y), quantum / np.sqrt(12.0), 1e-9 * range_, np.finfo(float).tiny))
 
 
 def noise_levels(y: Floats, settings: ForceSettings) -> Floats:

@@ -1,9 +1,11 @@
 """Fits of the publication's models to stick-slip events: choice of events, fits, systematic errors."""
 
+# ruff: noqa: N815 (the unit is part of a name, and newton is N)
+
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -98,7 +100,8 @@ def fit_models(
     """
     FORCE.check(force)
     _check_force(force)
-    held = _held(mu, modulus_GPa)
+    check_positive(mu=mu, modulus_GPa=modulus_GPa)
+    given = _Given(sample, mu, modulus_GPa, free_t_star)
     errors = dict(geometry_err or {})
     for name, value in errors.items():
         if name not in _GEOMETRY or not 0 <= value < np.inf:
@@ -107,8 +110,8 @@ def fit_models(
     unit_doubt = _doubtful_units(complete, sample, force)
     with np.errstate(all="ignore"):  # fits may diverge; their results are checked
         try:
-            events, left_out = _choose_events(complete, sample, held, fit_range_mm)
-            fits = _fit_all(events, sample, free_t_star, held)
+            events, left_out = _choose_events(complete, given, fit_range_mm)
+            fits = _fit_all(events, given)
         except InputError as error:
             if unit_doubt and "`" not in str(error).partition(":")[0]:  # the error is not about an argument
                 error.args = (f"{error}; {unit_doubt}",)
@@ -118,8 +121,8 @@ def fit_models(
         if not all(np.isfinite((one.value, one.error)).all() for one in fits.named().values()):
             raise _undetermined("values or errors that are not finite", unit_doubt)
         left_out = {"flagged": len(sticks) - len(complete)} | left_out
-        fits = _with_systematics(fits, force, events, free_t_star, held, errors)
-        misread = _misread_lengths(fits, complete, held, force)
+        fits = _with_systematics(fits, force, events, given, errors)
+        misread = _misread_lengths(fits, complete, given, force)
         if abs(fits.t0_N.value) > float(events["F_p_N"].abs().max()):
             reason = f"an offset 𝒯0 of {fits.t0_N.value:.2g} N, larger than the peaks"
             raise _undetermined(reason, misread or unit_doubt)
@@ -135,11 +138,23 @@ def fit_models(
     )
 
 
-def _held(mu: float | None, modulus_GPa: float | None) -> dict[str, float]:
-    """Given parameters by their field in `ModelFits`."""
-    check_positive(mu=mu, modulus_GPa=modulus_GPa)
-    held = {"mu": mu, "modulus_GPa": modulus_GPa}
-    return {name: float(value) for name, value in held.items() if value is not None}
+@dataclass(frozen=True)
+class _Given:
+    """The sample, the parameters that are known (None: to be fitted), and whether T* is fitted, too."""
+
+    sample: Sample
+    mu: float | None
+    modulus_GPa: float | None
+    free_t_star: bool
+
+    @property
+    def held(self) -> tuple[str, ...]:
+        """Known parameters by their field in `ModelFits`."""
+        return tuple(name for name in ("mu", "modulus_GPa") if getattr(self, name) is not None)
+
+    def fit_peaks(self, events: pd.DataFrame) -> Fit:
+        """Fit Eq. 1 with the T* of the sample, which suffices to judge whether it describes the peaks."""
+        return fit_peaks(events, self.sample, mu=self.mu)
 
 
 def _undetermined(reason: str, advice: str = "") -> InputError:
@@ -186,9 +201,7 @@ def _doubtful_units(events: pd.DataFrame, sample: Sample, force: xr.Dataset) -> 
     return "" if 0.1 < least < 30 else f"{found} or more: {_read_as(force)}"
 
 
-def _misread_lengths(
-    fits: ModelFits, events: pd.DataFrame, held: Mapping[str, float], force: xr.Dataset
-) -> str:
+def _misread_lengths(fits: ModelFits, events: pd.DataFrame, given: _Given, force: xr.Dataset) -> str:
     """Warning that Eq. 1 fits only if the displacement is in another unit than mm; "" if that is not so.
 
     InputError is raised instead if the file states no unit, so that mm was a guess.
@@ -200,7 +213,7 @@ def _misread_lengths(
         lengths = {name: facts.d0_mm + mm * (events[name] - facts.d0_mm) for name in ("d_v_mm", "d_p_mm")}
         read = events.assign(**lengths, K_N_per_mm=events["K_N_per_mm"] / mm)
         try:
-            peaks = fit_peaks(_choose_events(read, fits.sample, held, None)[0], fits.sample, False, held)
+            peaks = given.fit_peaks(_choose_events(read, given, None)[0])
         except FIT_ERRORS:
             continue
         if peaks.goodness.chi2_dof < _CONTRADICTS and abs(peaks.value[1]) < _LARGEST_OFFSET_N:
@@ -257,7 +270,7 @@ def _complete_events(sticks: pd.DataFrame, sample: Sample, force: xr.Dataset) ->
 
 
 def _choose_events(
-    events: pd.DataFrame, sample: Sample, held: Mapping[str, float], fit_range: tuple[float, float] | None
+    events: pd.DataFrame, given: _Given, fit_range: tuple[float, float] | None
 ) -> tuple[pd.DataFrame, dict[str, int]]:
     """The events to fit, and the numbers of those left out by reason."""
     if fit_range is not None:
@@ -271,7 +284,7 @@ def _choose_events(
             raise InputError("`fit_range_mm`", f"at least {_LEAST_EVENTS} events within", found)
         return events[inside], {"outside": int((~inside).sum())}
     top = _maximum(events["F_p_N"].to_numpy(float))
-    start = _first_that_fits(events, sample, held, top)
+    start = _first_that_fits(events, given, top)
     return events.iloc[start:], {"build_up": top, "misfit": start - top}
 
 
@@ -284,7 +297,7 @@ def _maximum(peaks: Floats) -> int:
     return top if rise > 3 * scatter and peaks.size - top >= _LEAST_EVENTS else 0
 
 
-def _first_that_fits(events: pd.DataFrame, sample: Sample, held: Mapping[str, float], top: int) -> int:
+def _first_that_fits(events: pd.DataFrame, given: _Given, top: int) -> int:
     """Index of the first event from which Eq. 1 fits the peaks, at the beginning and over the whole range.
 
     Starts from the maximum of the peaks (`top`) to half of the later events are tried. If none fits, they are
@@ -298,7 +311,7 @@ def _first_that_fits(events: pd.DataFrame, sample: Sample, held: Mapping[str, fl
         part = events.iloc[int(start) :]
         if len(part) < _LEAST_EVENTS:
             break
-        fit = fit_peaks(part, sample, False, held)
+        fit = given.fit_peaks(part)
         first = fit.residual[: max(5, len(part) // 20)]
         noise = np.sqrt(np.mean(np.diff(fit.residual) ** 2) / 2)
         if abs(float(first.mean())) < 2 * noise / np.sqrt(first.size):
@@ -308,23 +321,23 @@ def _first_that_fits(events: pd.DataFrame, sample: Sample, held: Mapping[str, fl
     for limit in (1, 2):
         fitting = [start for start, misfit in misfits.items() if misfit < limit]
         if fitting:
-            end = _end_of_build_up(events, sample, held, fitting[0]) if fitting[0] else 0
+            end = _end_of_build_up(events, given, fitting[0]) if fitting[0] else 0
             latest = len(events) - max(2 * _LEAST_EVENTS, len(events) // 4)
             return int(max(fitting[0], min(end, latest)))
     return top
 
 
-def _end_of_build_up(events: pd.DataFrame, sample: Sample, held: Mapping[str, float], start: int) -> int:
+def _end_of_build_up(events: pd.DataFrame, given: _Given, start: int) -> int:
     """First event from which the rest of a build-up changes μ and 𝒯0 by at most a tenth of their errors.
 
     The build-up is modelled as exponential. Noise hides its last part, which still biases the fit. Its length
     follows from its beginning, and its effect on each parameter from the linearised fit.
     """
     d, peak = events["d_p_mm"].to_numpy(float), events["F_p_N"].to_numpy(float)
-    after = fit_peaks(events.iloc[start:], sample, False, held)
+    after = given.fit_peaks(events.iloc[start:])
 
     def steady(mu: float, t0: float) -> Floats:
-        return np.asarray(equations.traction(d, mu=max(mu, 1e-3), sample=sample) + t0)
+        return np.asarray(equations.traction(d, mu=max(mu, 1e-3), sample=given.sample) + t0)
 
     expected = steady(*after.value[:2])
     # At the very beginning the scatter relative to the force differs from that of the later peaks.
@@ -345,7 +358,7 @@ def _end_of_build_up(events: pd.DataFrame, sample: Sample, held: Mapping[str, fl
     share, force = missing_share(fit.value), steady(*fit.value[:2])
     by_mu = (steady(fit.value[0] * 1.001, fit.value[1]) - force) / (0.001 * fit.value[0])
     by_t0 = np.ones_like(d)
-    slopes = np.array([by_t0] if "mu" in held else [by_mu, by_t0]).T / force[:, np.newaxis]
+    slopes = np.array([by_t0] if given.mu is not None else [by_mu, by_t0]).T / force[:, np.newaxis]
     for begin in range(start, d.size):
         inverse = np.linalg.pinv(slopes[begin:])
         error = fit.goodness.scatter * np.sqrt(np.sum(inverse**2, axis=1))
@@ -357,20 +370,20 @@ def _end_of_build_up(events: pd.DataFrame, sample: Sample, held: Mapping[str, fl
 # --- the fits -----------------------------------------------------------------------------------------------
 
 
-def _fit_all(events: pd.DataFrame, given: Sample, free_t_star: bool, held: Mapping[str, float]) -> ModelFits:
+def _fit_all(events: pd.DataFrame, given: _Given) -> ModelFits:
     """Run the three fits one after the other, and derive N̂ and the bending length."""
-    peaks = fit_peaks(events, given, free_t_star, held)
+    peaks = fit_peaks(events, given.sample, mu=given.mu, free_t_star=given.free_t_star)
     mu, t0 = peaks.estimate(0), peaks.estimate(1)
-    t_star = Estimate(given.t_star_N, float("nan"))
-    if free_t_star:
+    t_star = Estimate(given.sample.t_star_N, float("nan"))
+    if given.free_t_star:
         t_star = replace(peaks.estimate(2), value=abs(float(peaks.value[2])))
     if not mu.value > mu.error:  # also where either is NaN
         raise _undetermined(f"friction coefficient {mu.value:.3g} ± {mu.error:.2g}")
-    sample = replace(given, t_star_N=t_star.value)
+    sample = replace(given.sample, t_star_N=t_star.value)
     drops = with_friction(lambda m: fit_drops(events, sample, m), mu)
-    stiffness = fit_stiffness(events, sample, held)
+    stiffness = fit_stiffness(events, sample, modulus_GPa=given.modulus_GPa)
     span = (float(events["d_v_mm"].min()), float(events["d_v_mm"].max()))
-    n_hat, bending, correlation = _derived(stiffness, peaks, sample, free_t_star, 0.5 * sum(span))
+    n_hat, bending, correlation = _derived(stiffness, peaks, sample, given.free_t_star, 0.5 * sum(span))
     return ModelFits(
         mu=mu,
         t0_N=t0,
@@ -383,8 +396,8 @@ def _fit_all(events: pd.DataFrame, given: Sample, free_t_star: bool, held: Mappi
         goodness={"peaks": peaks.goodness, "drops": drops.goodness, "stiffness": stiffness.goodness},
         correlation=correlation,
         d_mm=span,
-        sample=given,
-        held=tuple(held),
+        sample=given.sample,
+        held=given.held,
     )
 
 
@@ -433,8 +446,7 @@ def _with_systematics(
     fits: ModelFits,
     force: xr.Dataset,
     events: pd.DataFrame,
-    free_t_star: bool,
-    held: Mapping[str, float],
+    given: _Given,
     geometry: Mapping[str, float],
 ) -> ModelFits:
     """Add a budget of systematic errors, by repeating the fits with each source changed by its error."""
@@ -445,7 +457,7 @@ def _with_systematics(
     def refit(changed: pd.DataFrame, sample: Sample = fits.sample) -> dict[str, float]:
         stiffness = {"K_N_per_mm": float(changed["K_N_per_mm"].median())}
         try:
-            found = _fit_all(changed, sample, free_t_star, held)
+            found = _fit_all(changed, replace(given, sample=sample))
         except FIT_ERRORS:
             return dict.fromkeys(PARAMETERS, float("nan")) | stiffness
         return {name: one.value for name, one in found.named().items()} | stiffness
@@ -541,23 +553,27 @@ def _degeneracies(fits: ModelFits) -> list[str]:
     return notes
 
 
+def _events_used(fits: ModelFits, left_out: Mapping[str, int], given_range: bool) -> list[str]:
+    """Note on the events that were fitted, if some were left out or a range was given."""
+    used = fits.goodness["peaks"].points
+    reasons = {"build_up": "of the build-up", "misfit": "later ones that Eq. 1 does not fit"}
+    without = [f"{left_out[name]} {reason}" for name, reason in reasons.items() if left_out.get(name)]
+    if without:
+        return [
+            f"fitted to {used} events from d = {fits.d_mm[0]:.2f} to {fits.d_mm[1]:.2f} mm, without "
+            f"{' and '.join(without)} (`fit_range_mm`)"
+        ]
+    if given_range:
+        return [f"fitted to {used} events in the given range, {left_out.get('outside', 0)} are outside"]
+    return []
+
+
 def _remarks(
     fits: ModelFits, force: xr.Dataset, left_out: Mapping[str, int], given_range: bool
 ) -> tuple[list[str], tuple[str, ...]]:
-    """Notes and warnings on the range used, the misfit, the offset, the speed and systematic errors."""
-    notes = _degeneracies(fits)
+    """Notes and warnings on the events used, the misfit, the offset, the speed and systematic errors."""
+    notes = _degeneracies(fits) + _events_used(fits, left_out, given_range)
     warnings: list[str] = []
-    used = fits.goodness["peaks"].points
-    build_up, misfit = left_out.get("build_up", 0), left_out.get("misfit", 0)
-    without = [f"{build_up} of the build-up"] * bool(build_up)
-    without += [f"{misfit} later ones that Eq. 1 does not fit"] * bool(misfit)
-    if without:
-        notes.append(
-            f"fitted to {used} events from d = {fits.d_mm[0]:.2f} to {fits.d_mm[1]:.2f} mm, without "
-            f"{' and '.join(without)} (`fit_range_mm`)"
-        )
-    elif given_range:
-        notes.append(f"fitted to {used} events in the given range, {left_out.get('outside', 0)} are outside")
     for name, good in fits.goodness.items():
         if good.chi2_dof > largest_chi2(good.points):
             line = f"the model does not follow the {name} (χ²/dof {good.chi2_dof:.3g}): "
@@ -575,11 +591,11 @@ def _remarks(
         )
     if fits.scale_mm.value > 0.999 * LARGEST_SCALE * fits.d_mm[1]:
         warnings.append("K does not fall with d as M_eff does: Λ̂, N̂ and Y_eff are not determined")
-    scatter = fits.goodness["drops"].scatter
-    warnings += [
-        f"the drops scatter by {100 * scatter:.0f} % about A 𝒩, as small slips among large ones do: A is the "
-        "mean of both; `threshold_N` leaves the small ones out"
-    ] * (scatter > _UNLIKE_DROPS)
+    if (scatter := fits.goodness["drops"].scatter) > _UNLIKE_DROPS:
+        warnings.append(
+            f"the drops scatter by {100 * scatter:.0f} % about A 𝒩, as small slips among large ones do: A is "
+            "the mean of both; `threshold_N` leaves the small ones out"
+        )
     facts = ForceMetadata.of(force)
     if facts.speed_mm_min > 1.05:
         notes.append(

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from vision.errors import InputError, check_positive
 from vision.models.rheometer import ROTATION, RotationMetadata
-from vision.numeric import Floats, mad_sigma
+from vision.numeric import Floats, white_noise
 
 RADIUS_MM = 25.0
 """Radius of the publication's discs."""
@@ -155,8 +155,8 @@ def _running_load(rotation: pd.DataFrame, window_s: float) -> tuple[Floats, Floa
 
 
 def _noise(values: Floats) -> float:
-    """Standard deviation of white noise, from second differences, in which smooth curves cancel."""
-    return float(mad_sigma(np.diff(values, 2)) / math.sqrt(6)) if values.size > 4 else 0.0
+    """Standard deviation of the noise; 0 for too few values to tell."""
+    return white_noise(values) if values.size > 4 else 0.0
 
 
 def friction_of_disc(

@@ -199,63 +199,72 @@ class Fit:
         product = float(np.sqrt(self.covariance[a, a] * self.covariance[b, b]))
         return float(self.covariance[a, b]) / product if product > 0 else 0.0
 
-    def with_held(self, index: int, value: float) -> Fit:
-        """The fit with a given parameter, which has no error, inserted before `index`."""
-        covariance = np.insert(np.insert(self.covariance, index, 0.0, axis=0), index, 0.0, axis=1)
-        return replace(self, value=np.insert(self.value, index, value), covariance=covariance)
-
 
 def fit_weighted(
-    model: Callable[[Floats], Floats], y: Floats, sigma: Floats | None, start: Sequence[float]
+    model: Callable[[Floats], Floats],
+    y: Floats,
+    sigma: Floats | None,
+    start: Sequence[float],
+    *,
+    held: int | None = None,
 ) -> Fit:
-    """Weighted least squares with White's covariance; without sigma, errors are a fraction of the model."""
-    value, width = np.asarray(start, float), np.abs(y) if sigma is None else sigma
+    """Weighted least squares with White's covariance; without sigma, errors are a fraction of the model.
+
+    held: index of a parameter that keeps its start value and has no error.
+    """
+    value, width = np.array(start, float), np.abs(y) if sigma is None else sigma
+    fitted = np.arange(value.size) != held
     scale = np.maximum(np.abs(value), 1e-3)
 
     def deviation(q: Floats, w: Floats) -> Floats:
-        return (model(q) - y) / w
+        every = value.copy()
+        every[fitted] = q
+        return (model(every) - y) / w
 
     for _ in range(3 if sigma is None else 1):
         found = scipy.optimize.least_squares(
-            deviation, value, args=(width,), x_scale=scale, xtol=1e-12, ftol=1e-12
+            deviation, value[fitted], args=(width,), x_scale=scale[fitted], xtol=1e-12, ftol=1e-12
         )
-        value = found.x
+        value[fitted] = found.x
         if sigma is None:
             width = np.maximum(np.abs(model(value)), 1e-6 * float(np.abs(y).max()))
     residual, jacobian = np.asarray(found.fun, dtype=float), np.asarray(found.jac, dtype=float)
     bread = np.linalg.pinv(jacobian.T @ jacobian)
     meat = jacobian.T @ (jacobian * residual[:, np.newaxis] ** 2)
-    free = max(y.size - value.size, 1)
+    free = max(y.size - found.x.size, 1)
     neighbours = float(np.sum(np.diff(residual) ** 2) / (2 * max(residual.size - 1, 1)))
     chi2 = float(np.sum(residual**2) / free / neighbours) if neighbours > 0 else float("nan")
     goodness = Goodness(int(y.size), float(np.sqrt(np.mean((y / model(value) - 1) ** 2))), chi2)
     # Residuals that are correlated from event to event count as fewer independent ones.
     widening = max(chi2, 1.0) if np.isfinite(chi2) else 1.0
-    return Fit(value, bread @ meat @ bread * (y.size / free * widening), goodness, residual)
+    covariance = np.zeros((value.size, value.size))
+    covariance[np.ix_(fitted, fitted)] = bread @ meat @ bread * (y.size / free * widening)
+    return Fit(value, covariance, goodness, residual)
 
 
-def fit_peaks(events: pd.DataFrame, sample: Sample, free_t_star: bool, held: Mapping[str, float]) -> Fit:
-    """Fit μ, 𝒯0 and, if it is free, T* to the peak forces."""
+def fit_peaks(
+    events: pd.DataFrame, sample: Sample, *, mu: float | None = None, free_t_star: bool = False
+) -> Fit:
+    """Fit μ, unless it is given, 𝒯0 and, if it is free, T* to the peak forces."""
     d, peak = events["d_p_mm"].to_numpy(float), events["F_p_N"].to_numpy(float)
 
-    def force(mu: float, t0: float, t_star: float) -> Floats:
+    def force(friction: float, offset: float, t_star: float = sample.t_star_N) -> Floats:
         assumed = replace(sample, t_star_N=max(abs(t_star), 1e-12))
-        return np.asarray(equations.traction(d, mu=max(mu, 1e-3), sample=assumed) + t0)
+        return np.asarray(equations.traction(d, mu=max(friction, 1e-3), sample=assumed) + offset)
 
-    given = held.get("mu")
-
-    def model(q: Floats) -> Floats:
-        mu, rest = (given, q) if given is not None else (float(q[0]), q[1:])
-        return force(mu, float(rest[0]), float(rest[1]) if free_t_star else sample.t_star_N)
-
-    trials = np.linspace(0.2, 2.0, 91) if given is None else np.array([given])
+    trials = np.linspace(0.2, 2.0, 91) if mu is None else np.array([mu])
     width = np.maximum(np.abs(peak), 1e-3 * float(np.abs(peak).max()))
-    rest = peak - np.array([force(float(mu), 0.0, sample.t_star_N) for mu in trials])
+    rest = peak - np.array([force(trial, 0.0) for trial in trials.tolist()])
     offset = np.average(rest, axis=1, weights=width**-2.0)
     best = int(np.argmin((((rest - offset[:, np.newaxis]) / width) ** 2).sum(axis=1)))
-    start = [*([float(trials[best])] if given is None else []), float(offset[best])]
-    fit = fit_weighted(model, peak, None, [*start, *([sample.t_star_N] if free_t_star else [])])
-    return fit if given is None else fit.with_held(0, given)
+    start = [float(trials[best]), float(offset[best]), sample.t_star_N]
+    return fit_weighted(
+        lambda q: force(*q.tolist()),
+        peak,
+        None,
+        start[: 3 if free_t_star else 2],
+        held=None if mu is None else 0,
+    )
 
 
 def fit_drops(events: pd.DataFrame, sample: Sample, mu: float) -> Fit:
@@ -265,37 +274,33 @@ def fit_drops(events: pd.DataFrame, sample: Sample, mu: float) -> Fit:
     return fit_weighted(lambda q: np.asarray(q[0] * total), drop, None, [float(np.mean(drop / total))])
 
 
-def fit_stiffness(events: pd.DataFrame, sample: Sample, held: Mapping[str, float]) -> Fit:
-    """Fit Λ̂ and Y_eff to the stiffness, K = M √(1 − d/Λ̂) ε W Y_eff / L, which does not contain μ."""
+def fit_stiffness(events: pd.DataFrame, sample: Sample, *, modulus_GPa: float | None = None) -> Fit:
+    """Fit Λ̂ and, unless it is given, Y_eff to the stiffness, K = M √(1 − d/Λ̂) ε W Y_eff / L, without μ."""
     d, k = events["d_v_mm"].to_numpy(float), events["K_N_per_mm"].to_numpy(float)
     sigma = stiffness_errors(events)
-    given = held.get("modulus_GPa")
 
     def stiffness(scale: float, modulus: float) -> Floats:
         sheets = equations.effective_sheets(d / scale, sample=sample)
         return np.asarray(sheets * equations.sheet_stiffness(modulus_GPa=modulus, sample=sample))
 
     def model(q: Floats) -> Floats:
-        return stiffness(float(np.exp(q[0])), float(q[1]) if given is None else given)
+        """Return K; the fitted parameter is log Λ̂, which keeps Λ̂ positive."""
+        return stiffness(float(np.exp(q[0])), float(q[1]))
 
-    trials = np.geomspace(1.001 * d.min(), LARGEST_SCALE * d.max(), 120)
+    largest = LARGEST_SCALE * float(d.max())
+    trials = np.geomspace(1.001 * d.min(), largest, 120)
     shapes = [stiffness(float(scale), 1.0) for scale in trials]
     modulus = [
-        given or float(np.sum(k * s / sigma**2) / max(float(np.sum((s / sigma) ** 2)), 1e-300))
+        modulus_GPa or float(np.sum(k * s / sigma**2) / max(float(np.sum((s / sigma) ** 2)), 1e-300))
         for s in shapes
     ]
     misfit = [np.sum(((k - y * s) / sigma) ** 2) for y, s in zip(modulus, shapes, strict=True)]
     best = int(np.argmin(misfit))
-    start = [float(np.log(trials[best])), *([modulus[best]] if given is None else [])]
-    fit = fit_weighted(model, k, sigma, start)
-    if given is not None:
-        fit = fit.with_held(1, given)
-    largest = LARGEST_SCALE * float(d.max())
+    start = [float(np.log(trials[best])), modulus[best]]
+    fit = fit_weighted(model, k, sigma, start, held=None if modulus_GPa is None else 1)
     if fit.value[0] >= np.log(largest):
-        modulus_alone = fit_weighted(lambda q: stiffness(largest, float(q[0])), k, sigma, [fit.value[1]])
-        fit = modulus_alone.with_held(0, float(np.log(largest)))
+        fit = fit_weighted(model, k, sigma, [float(np.log(largest)), float(fit.value[1])], held=0)
         fit.covariance[0, 0] = 1.0  # of log Λ̂: an error as large as Λ̂ itself
-    # The fitted parameter is log Λ̂, which keeps Λ̂ positive.
     scale = float(np.exp(fit.value[0]))
     jacobian = np.diag([scale, 1.0])
     covariance = jacobian @ fit.covariance @ jacobian
