@@ -32,7 +32,7 @@ from __future__ import annotations
 
 import zlib
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 import pandas as pd
@@ -258,7 +258,6 @@ class SheetMotion:
     sweep_px: Floats
     ratio: Floats
     delay_s: Floats
-    integral_px_s: Floats
 
     def mean_px(self, from_s: Floats, to_s: Floats) -> Floats:
         """Return the exact mean displacement between two times, (time, sheet)."""
@@ -289,29 +288,34 @@ class Motion(SheetMotion):
     def _primitive(self, time_s: Floats) -> Floats:
         t = np.clip(time_s, 0, self.stop_s)
         k = np.clip(np.searchsorted(self.begin_s, t, side="right") - 1, 0, None)
-        inside = _segment_integral(self, k, (t - self.begin_s[k])[:, None])
+        inside = self._within_segment(k, (t - self.begin_s[k])[:, None])
         early, late = np.minimum(time_s, 0)[:, None], np.maximum(time_s - self.stop_s, 0)[:, None]
         outside = early * self.outer_px[0] + late * self._final_px()
-        return np.asarray(self.integral_px_s[k] + inside + outside)
+        return np.asarray(self._before_segment[k] + inside + outside)
+
+    @cached_property
+    def _before_segment(self) -> Floats:
+        """Integral of the displacement up to the begin of each segment, (segment, sheet)."""
+        whole = self._within_segment(np.arange(len(self.length_s)), self.length_s[:, None])
+        return np.concatenate([np.zeros_like(whole[:1]), np.cumsum(whole, axis=0)[:-1]])
+
+    def _within_segment(self, k: Ints, tau: Floats) -> Floats:
+        """Return the integral over the first tau seconds of segments k: rest, half cosine, straight line."""
+        before, outer, inner = self.before_px[k], self.outer_px[k], self.inner_px[k]
+        delay = self.delay_s[k]
+        slip = np.where(k > 0, self.slip_s, 1e-12)[:, None]
+        creep = self.length_s[k][:, None] - slip - delay
+        rested = np.minimum(tau, delay)
+        u = np.clip(tau - delay, 0, slip)
+        v = np.maximum(tau - delay - slip, 0)
+        jump = before * u + (outer - before) * (u / 2 - slip / (2 * np.pi) * np.sin(np.pi * u / slip))
+        return np.asarray(before * rested + jump + outer * v + (inner - outer) * v**2 / (2 * creep))
 
     def _final_px(self) -> Floats:
         """Return the displacement after the machine has stopped."""
         last = np.clip(np.searchsorted(self.begin_s, self.stop_s, side="right") - 1, 0, None)
         share = np.clip((self.stop_s - self.begin_s[last] - self.slip_s) / self.length_s[last], 0, 1)
         return np.asarray(self.outer_px[last] + share * (self.inner_px[last] - self.outer_px[last]))
-
-
-def _segment_integral(motion: Motion, k: Ints, tau: Floats) -> Floats:
-    """Return the integral over the first tau seconds of segments k: rest, half cosine, straight line."""
-    before, outer, inner = motion.before_px[k], motion.outer_px[k], motion.inner_px[k]
-    delay = motion.delay_s[k]
-    slip = np.where(k > 0, motion.slip_s, 1e-12)[:, None]
-    creep = motion.length_s[k][:, None] - slip - delay
-    rested = np.minimum(tau, delay)
-    u = np.clip(tau - delay, 0, slip)
-    v = np.maximum(tau - delay - slip, 0)
-    jump = before * u + (outer - before) * (u / 2 - slip / (2 * np.pi) * np.sin(np.pi * u / slip))
-    return np.asarray(before * rested + jump + outer * v + (inner - outer) * v**2 / (2 * creep))
 
 
 def sheet_motion(experiment: Experiment, pull: Pull, comb: RestingComb) -> Motion:
@@ -342,7 +346,7 @@ def sheet_motion(experiment: Experiment, pull: Pull, comb: RestingComb) -> Motio
     delay = sheets.slip_delay_s * rng.uniform(0, 1, sweep.shape)
     delay = np.minimum(delay, 0.5 * np.maximum(length - m.slip_s, 0)[:, None])
     delay[0] = 0
-    motion = Motion(
+    return Motion(
         begin_s=begin,
         length_s=length,
         slip_s=m.slip_s,
@@ -351,13 +355,9 @@ def sheet_motion(experiment: Experiment, pull: Pull, comb: RestingComb) -> Motio
         outer_px=outer,
         inner_px=inner,
         delay_s=delay,
-        integral_px_s=np.zeros_like(sweep),
         sweep_px=sweep,
         ratio=ratio,
     )
-    whole = _segment_integral(motion, np.arange(len(length)), length[:, None])
-    motion.integral_px_s[1:] = np.cumsum(whole, axis=0)[:-1]
-    return motion
 
 
 def _deformation_ratio(rank_share: Floats, stiff_share: Floats, sheets: Sheets) -> Floats:
@@ -509,6 +509,7 @@ class ResolvedMotion(SheetMotion):
 
     path_s: Floats
     path_px: Floats
+    integral_px_s: Floats  # up to each point of the path
 
     def _primitive(self, time_s: Floats) -> Floats:
         at, x = self.path_s, self.path_px
