@@ -149,7 +149,7 @@ def test_fast_mjpeg_equals_ffmpeg_but_for_rounding(tmp_path):
     video = open_video(path)
     assert isinstance(video.reader, MjpegReader)
     full = slice(0, 48), slice(0, 96)
-    slow = np.concatenate([b.pixels for b in EncodedReader(path).read(0, None, *full)])
+    slow = np.concatenate([b.pixels for b in EncodedReader.of(path).read(0, None, *full)])
     assert np.abs(whole(video).astype(int) - slow).max() <= 1
     assert np.mean(whole(video) != slow) < 0.05
 

@@ -10,11 +10,11 @@ from tests.video.test_strip_find import Scene
 from vision.experiment import Camera, Experiment, Sheets, simulate
 from vision.sheets import track_sheets
 from vision.video import find_strip, measure_strip, open_video, strip_profile
-from vision.video.settings import DEFAULT
+from vision.video.settings import VideoSettings
 from vision.video.strip_find import row_shifts, strip_errors
 
 HEIGHT, WIDTH, FRAMES = 100, 800, 6
-KEPT = replace(DEFAULT, least_bias_px=99.0, edge_bow_px=99.0)  # rows are left out for nothing
+KEPT = replace(VideoSettings(), least_bias_px=99.0, edge_bow_px=99.0)  # rows are left out for nothing
 
 
 def comb(shift=0.0, light=1.0, noise=2.0, seed=0):
@@ -109,11 +109,11 @@ def test_shifts_of_single_bands_are_measured():
     displaced = np.where((ROW >= 40) & (ROW < 44), 0.8, 0.0)
     frames = comb(shift=displaced, noise=0.5).pixels.astype(float)
     slopes = np.gradient(frames.reshape(FRAMES, 25, 4, WIDTH).mean(axis=2), axis=-1)
-    shifts = row_shifts(slopes, 0.0, DEFAULT)
+    shifts = row_shifts(slopes, 0.0, VideoSettings())
     odd = shifts.shift_px[10].mean()
     assert odd - np.median(shifts.shift_px) == pytest.approx(0.8, abs=0.08)
-    assert strip_errors(None, DEFAULT).error_px == 0
-    assert row_shifts(slopes[:, :5], 0.0, DEFAULT) is None
+    assert strip_errors(None, VideoSettings()).error_px == 0
+    assert row_shifts(slopes[:, :5], 0.0, VideoSettings()) is None
 
 
 @pytest.fixture(scope="module")
@@ -128,7 +128,7 @@ def bowed_film(tmp_path_factory):
     return open_video(next(folder.glob("video.*"))), truth
 
 
-def bias_px(film, rows=None, settings=DEFAULT):
+def bias_px(film, rows=None, settings=VideoSettings()):
     """Mean error of every sheet of a synthetic film."""
     video, truth = film
     tracks = track_sheets(strip_profile(video, rows, settings=settings))

@@ -17,7 +17,7 @@ from vision.comparison.runs import ALIKE, COLUMNS, LIMITS, table_cells
 from vision.errors import InputError
 from vision.files import Stamp, answered, shortened
 from vision.video import open_video, video_files
-from vision.video.settings import DEFAULT
+from vision.video.settings import VideoSettings
 from vision.video.video import FILMS, files_in
 
 # --- tunable constants -------------------------------------------------------------------------------------
@@ -63,7 +63,7 @@ class CampaignSettings:
     least_job_seconds: float = 20.0
     """Smallest duration of jobs that are split so that all cores finish together. Shorter jobs lose more to
     their start (3 s), longer ones leave cores idle at the end."""
-    answer_s: float = DEFAULT.answer_s
+    answer_s: float = VideoSettings.answer_s
     """Longest wait, s, for a disk that does not answer while films are planned, watched or copied. A shorter
     time fails while a disk starts, a longer one waits for lost connections (tests/campaign/test_disks.py)."""
 

@@ -6,7 +6,8 @@ import contextlib
 import itertools
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from fractions import Fraction
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -42,46 +43,64 @@ _FORMATS = (
 _RESTART = re.compile(rb"\xff([\xd0-\xd7])")
 
 
+@dataclass(frozen=True, kw_only=True)
 class EncodedReader:
     """One video stream of a container, decoded frame by frame by FFmpeg.
 
     A packet that cannot be decoded gives a "corrupt" frame; a number that the container skips gives a "lost"
     frame.
 
+    dtype: type of the decoded pixels. fixed_rate: rate of an AVI, which has no times and skips the numbers of
+    frames that the camera dropped; None for other containers. most_frames: more cannot be in the file.
+    shift: bits by which FFmpeg widens the pixels of a packed cine, and which are taken back.
+
     Raises
     ------
     InputError
-        If nothing in the file can be decoded, or a frame has another size than the first.
+        While reading, if a frame has another size than the first.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
+    path: Path
+    facts: Facts
+    dtype: np.dtype[np.generic]
+    fixed_rate: Fraction | None
+    most_frames: int
+    shift: int = 0
+
+    @classmethod
+    def of(cls, path: Path) -> EncodedReader:
+        """Open a file and decode its first frame; InputError if nothing in it can be decoded."""
         with open_container(path) as container:
             stream = _video_stream(container, path)
             stream.thread_type = "NONE"  # with threads FFmpeg decodes several frames before it returns one
             first = _first_frame(container, stream, path)
-            self._dtype = grey_plane(first).dtype.newbyteorder("=")
             warnings = []
             if _ends_early(path):
                 warnings.append(f"{path.name}: the file was cut short; its last frames are missing")
             if first.interlaced_frame:
                 what = "odd and even rows are half a frame apart, which blurs moving ridges"
                 warnings.append(f"{path.name}: the film is interlaced: {what}")
-            facts = _facts(container, stream, first, path.stat().st_size)
-            self.facts = replace(facts, warnings=tuple(warnings))
-            self._size = path.stat().st_size
-            self._fixed_rate = stream.average_rate if container.format.name == "avi" else None
+            size = path.stat().st_size
+            facts = replace(_facts(container, stream, first, size), warnings=tuple(warnings))
+            return cls(
+                path=path,
+                facts=facts,
+                dtype=grey_plane(first).dtype.newbyteorder("="),
+                fixed_rate=stream.average_rate if container.format.name == "avi" else None,
+                # A dropped frame takes 8 bytes.
+                most_frames=max(facts.frames or 0, size // 8),
+            )
 
     def read(self, start: int, stop: int | None, rows: slice, columns: slice) -> Iterator[Block]:
         """Yield frames in file order; those before `start` are decoded, too, as codecs need them."""
         frames = itertools.islice(self._frames(stop), start, None)
-        yield from gather_blocks(frames, start=start, rows=rows, columns=columns, dtype=self._dtype)
+        yield from gather_blocks(frames, start=start, rows=rows, columns=columns, dtype=self.dtype)
 
     def sample(self, numbers: Sequence[int]) -> Iterator[Pixels]:
         """Yield the key frame at or before each number, each only once, without decoding other frames."""
         packets: list[av.Packet[av.VideoStream]] = []
-        with open_container(self._path) as container:
-            stream = _video_stream(container, self._path)
+        with open_container(self.path) as container:
+            stream = _video_stream(container, self.path)
             rate = self.facts.playback_fps or 1 / float(stream.time_base or 1)
             for number in numbers:
                 if _enter(container, stream, number / rate, stream.start_time or 0):
@@ -101,8 +120,8 @@ class EncodedReader:
 
         Yield none if the file has no entry there, or no times in the order of display.
         """
-        with open_container(self._path) as container:
-            stream = _video_stream(container, self._path)
+        with open_container(self.path) as container:
+            stream = _video_stream(container, self.path)
             first = stream.start_time or 0
             if not _enter(container, stream, time_s, 0 if self.facts.times_in_blocks else first):
                 return
@@ -115,8 +134,8 @@ class EncodedReader:
     def _frames(self, stop: int | None) -> Iterator[Frame]:
         """Yield every frame number once, in order, up to `stop`."""
         number = 0
-        with open_container(self._path) as container:
-            stream = _video_stream(container, self._path)
+        with open_container(self.path) as container:
+            stream = _video_stream(container, self.path)
             for pts, decoded in _decoded(container, stream):
                 for _ in range(self._skipped(pts, number, stream)):
                     yield Frame(None, "lost")
@@ -136,21 +155,17 @@ class EncodedReader:
         return float(pts * stream.time_base)
 
     def _skipped(self, pts: int | None, number: int, stream: av.VideoStream) -> int:
-        """Return how many frames a fixed-rate container skips before this one (cameras drop frames that way).
-
-        0 for a number beyond the header's end, or beyond a file filled with dropped frames of 8 bytes.
-        """
-        if self._fixed_rate is None or pts is None or stream.time_base is None:
+        """Return how many frames a fixed-rate container skips before this one; 0 for an impossible number."""
+        if self.fixed_rate is None or pts is None or stream.time_base is None:
             return 0
-        place = round(pts * stream.time_base * self._fixed_rate)
-        last = self.facts.declared_frames or self.facts.estimated_frames or 0
-        return max(0, place - number) if place < max(last, self._size // 8) else 0
+        place = round(pts * stream.time_base * self.fixed_rate)
+        return max(0, place - number) if place < self.most_frames else 0
 
     def _checked(self, pixels: Pixels) -> Pixels:
         if pixels.shape != self.facts.shape:
             wanted, found = shape_text(self.facts.shape), shape_text(pixels.shape)
-            raise InputError(self._path, f"every frame {wanted}", f"one of {found}", "split the recording")
-        return pixels
+            raise InputError(self.path, f"every frame {wanted}", f"one of {found}", "split the recording")
+        return np.right_shift(pixels, self.shift) if self.shift else pixels
 
 
 class MjpegReader(EncodedReader):
@@ -161,13 +176,9 @@ class MjpegReader(EncodedReader):
     no larger difference. Damage in what is decoded gives a "corrupt" frame.
     """
 
-    def __init__(self, reader: EncodedReader) -> None:
-        vars(self).update(vars(reader))  # the film is not opened again
-        self.facts = replace(reader.facts, decoder="libjpeg-turbo")
-
     def read(self, start: int, stop: int | None, rows: slice, columns: slice) -> Iterator[Block]:
         """Yield frames in file order; those before `start` are not decoded."""
-        with open_container(self._path) as container:
+        with open_container(self.path) as container:
             jpegs = itertools.islice(self._jpegs(container), start, stop)
             frames = in_threads(partial(self._decode, rows=rows), jpegs)
             decoded = slice(0, rows.stop - rows.start)
@@ -175,7 +186,7 @@ class MjpegReader(EncodedReader):
 
     def _jpegs(self, container: av.container.InputContainer) -> Iterator[tuple[bytes, float | None]]:
         """Yield (JPEG, its own time) for every frame number; no bytes for a frame that the camera dropped."""
-        stream, number = _video_stream(container, self._path), 0
+        stream, number = _video_stream(container, self.path), 0
         for packet in _video_packets(container, stream):
             if packet is None:
                 return
@@ -201,16 +212,13 @@ class MjpegReader(EncodedReader):
         return Frame(pixels[rows.start - first : rows.stop - first], "ok", time_s)
 
 
-class PackedCineReader(EncodedReader):
-    """Reads the packed frames of a cine, which FFmpeg widens to 16 bits, in the camera's own grey levels."""
+def open_packed_cine(path: Path, facts: Facts) -> EncodedReader:
+    """Return a reader of the packed frames of a cine, in the camera's own grey levels.
 
-    def __init__(self, path: Path, facts: Facts) -> None:
-        super().__init__(path)
-        self._shift = self.facts.depth_bits - facts.depth_bits
-        self.facts = facts
-
-    def _checked(self, pixels: Pixels) -> Pixels:
-        return np.right_shift(super()._checked(pixels), self._shift)
+    facts: those of the cine's headers. FFmpeg widens the frames to 16 bits.
+    """
+    reader = EncodedReader.of(path)
+    return replace(reader, facts=facts, shift=reader.facts.depth_bits - facts.depth_bits)
 
 
 def open_encoded(path: Path) -> EncodedReader:
@@ -218,7 +226,7 @@ def open_encoded(path: Path) -> EncodedReader:
 
     Other codecs, interlaced or lossless JPEG and JPEG in RGB are decoded by FFmpeg.
     """
-    reader = EncodedReader(path)
+    reader = EncodedReader.of(path)
     if reader.facts.codec != "mjpeg" or reader.facts.depth_bits != 8:
         return reader
     with open_container(path) as container:
@@ -230,7 +238,9 @@ def open_encoded(path: Path) -> EncodedReader:
         if fast is None or not slow or slow[0].shape != fast.shape:
             return reader
         furthest = np.abs(fast.astype(np.int16) - slow[0].astype(np.int16)).max()
-    return MjpegReader(reader) if furthest <= 1 else reader
+    if furthest > 1:
+        return reader
+    return MjpegReader(**vars(reader) | {"facts": replace(reader.facts, decoder="libjpeg-turbo")})
 
 
 def _part_of_jpeg(jpeg: bytes, rows: slice, shape: tuple[int, int]) -> tuple[bytes, int]:

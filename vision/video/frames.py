@@ -18,7 +18,7 @@ from vision.errors import InputError
 from vision.files import Stamp, answered
 from vision.numeric import Bools, Floats, Floats32, Ints, Strings
 from vision.video.reader import Block
-from vision.video.settings import DEFAULT, VideoSettings
+from vision.video.settings import VideoSettings
 from vision.video.video import Video, open_video, pixels_file
 
 STATUS_TYPE = "<U7"  # ok, blank, corrupt, lost
@@ -121,7 +121,7 @@ def is_blank(
     readable: Bools,
     *,
     saturation_level: float | None = None,
-    settings: VideoSettings = DEFAULT,
+    settings: VideoSettings = VideoSettings(),
 ) -> Bools:
     """Return which readable frames do not show the scene, (frame), from their intensity (frame, x).
 
@@ -155,7 +155,7 @@ def is_blank(
 
 
 def expected_frames(
-    video: Video, status: Strings, times_s: Floats, *, settings: VideoSettings = DEFAULT
+    video: Video, status: Strings, times_s: Floats, *, settings: VideoSettings = VideoSettings()
 ) -> tuple[int, list[str]]:
     """Return the number of frames expected, and one line for each kind of unusable or missing frame.
 
@@ -196,7 +196,7 @@ def expected_frames(
     return max(status.size, video.expected or 0) + between + beyond, warnings
 
 
-def lost_between(times_s: Floats, *, settings: VideoSettings = DEFAULT) -> tuple[int, int]:
+def lost_between(times_s: Floats, *, settings: VideoSettings = VideoSettings()) -> tuple[int, int]:
     """Return the number of frames lost between time stamps, and the index of the frame before the first gap.
 
     A step of more than `settings.gap_steps` usual steps is a gap if the frames after it remain late against
@@ -234,7 +234,7 @@ def _local_step_s(known: Floats, places: Ints, settings: VideoSettings) -> Float
     return np.maximum(usual_s, np.maximum(before, after))
 
 
-def thinned_from(times_s: Floats, *, settings: VideoSettings = DEFAULT) -> int | None:
+def thinned_from(times_s: Floats, *, settings: VideoSettings = VideoSettings()) -> int | None:
     """Return the first frame after which frames come at half or a third of the usual rate; None if none.
 
     Either the camera changed its rate or frames are lost evenly; their times do not show which.
@@ -350,7 +350,7 @@ def growth(video: Video, follow: Follow, settings: VideoSettings) -> Iterator[tu
     InputError
         If it was removed or replaced, or no longer grows and cannot be opened.
     """
-    watch = _Watch(video.watched, settings.answer_s)
+    watch = _Watch(video.pixels_path, settings.answer_s)
     while not follow.stop.is_set():
         began = time.monotonic()
         yield video, False
@@ -375,7 +375,7 @@ def growth(video: Video, follow: Follow, settings: VideoSettings) -> Iterator[tu
 
 def _reopened(video: Video) -> Video:
     """Open the recording again, as it is now; refuse one that was removed or replaced."""
-    change = answered(lambda: video.stamp.change(video.watched), video.path, video.answer_s)
+    change = answered(lambda: video.stamp.change(video.pixels_path), video.path, video.answer_s)
     if change in ("was removed", "was replaced"):
         raise InputError(video.path, "a recording that only grows while it is followed", f"one that {change}")
     whole = video.first == 0 and video.stop is None

@@ -274,9 +274,9 @@ def _open_cine(path: Path) -> Reader:
     if compression != 0 or stored not in (8, 16, 24, 48):
         grey = f"{bits} bit as stored, companded by the camera, not linear in light"
         facts = replace(facts, codec="packed", decoder="FFmpeg", grey=grey)
-        from vision.video.encoded import PackedCineReader
+        from vision.video.encoded import open_packed_cine
 
-        return PackedCineReader(path, facts)
+        return open_packed_cine(path, facts)
     with path.open("rb") as file:
         for n, offset in enumerate(frames.tolist()):  # each begins with the length of its annotation
             file.seek(offset)
@@ -386,15 +386,16 @@ def _open_photron(path: Path) -> Reader:
         )
     effective = _number(fields.get("EffectiveBit Depth"))
     used = bits if bits == 8 or not effective or effective > bits else int(effective)
-    upper = bits == 16 and fields.get("EffectiveBit Side", "").lower() == "higher" and used < bits
+    unused = bits - used
+    upper = bits == 16 and unused > 0 and fields.get("EffectiveBit Side", "").lower() == "higher"
     facts = Facts(
         shape=shape,
         depth_bits=used,
-        saturation_level=full_scale(used) * (1 << (bits - used) * upper),
+        saturation_level=full_scale(used) * (1 << unused if upper else 1),
         declared_frames=max(frames, held),
         container="mraw",
         codec="packed" if bits == 12 else "uncompressed",
-        pixel_format=f"grey {bits} bit" + f", the upper {used} used" * upper,
+        pixel_format=f"grey {bits} bit, the upper {used} used" if upper else f"grey {bits} bit",
         decoder="none",
         grey=AS_STORED,
         camera_fps=rate,

@@ -78,6 +78,11 @@ class Facts:
     turned_deg: int = 0
     warnings: tuple[str, ...] = ()
 
+    @property
+    def frames(self) -> int | None:
+        """Number of frames that the file states, or else the estimate; None without either."""
+        return self.declared_frames or self.estimated_frames
+
 
 @dataclass(frozen=True)
 class Block:

@@ -172,6 +172,3 @@ class VideoSettings:
     spill_bytes: int = 1 << 30
     """Size of I(x, t) above which it is stored in a temporary file. 1 GiB is 140 000 frames of 1920 columns;
     smaller saves memory and costs time. The values are the same (test_spilled_profile_is_the_same)."""
-
-
-DEFAULT = VideoSettings()

@@ -297,23 +297,8 @@ def _own_pixel_size_um(tif: tifffile.TiffFile) -> tuple[float | None, str]:
     The size is None without a calibration. A size in inch or cm, also that of the TIFF itself, and one of
     pixels that are not square are not used; they are returned as text.
     """
-    across, down, unit, unit_down = 0.0, 0.0, "", ""
-    if tif.is_imagej or not tif.is_ome:
-        tags = tif.pages.first.tags
-        if tif.is_imagej:
-            unit = str((tif.imagej_metadata or {}).get("unit", "")).replace("\\u00B5", "µ")
-        elif "ResolutionUnit" in tags:
-            unit = {2: "inch", 3: "cm"}.get(tags["ResolutionUnit"].value, "")
-        unit_down = unit
-        with suppress(KeyError, TypeError, ValueError):  # no resolution, or a damaged one
-            (pixels, across), (pixels_down, down) = tags["XResolution"].value, tags["YResolution"].value
-            across, down = (across / pixels, down / pixels_down) if pixels and pixels_down else (0.0, 0.0)
-    else:
-        given = dict(re.findall(r'\bPhysicalSize([XY](?:Unit)?)="([^"]+)"', _first_pixels(tif)))
-        with suppress(ValueError):  # a value that is no number does not make the film unreadable
-            across, down = float(given.get("X", 0.0)), float(given.get("Y", 0.0))
-        unit, unit_down = given.get("XUnit", "µm"), given.get("YUnit", "µm")
-    unit, unit_down = unit.strip().lower(), unit_down.strip().lower()
+    by_ome = tif.is_ome and not tif.is_imagej
+    (across, unit), (down, unit_down) = _stated_by_ome(tif) if by_ome else _stated_by_tags(tif)
     size, height = across * _UM_PER.get(unit, 0.0), down * _UM_PER.get(unit_down, 0.0)
     if 0 < size < math.inf and math.isclose(size, height, rel_tol=1e-3):
         return size, ""
@@ -322,6 +307,30 @@ def _own_pixel_size_um(tif: tifffile.TiffFile) -> tuple[float | None, str]:
     if unit in _OF_PRINTS and 0 < across < math.inf:
         return None, f"{1 / across:.4g} px per {unit.replace('inches', 'inch')}, mostly the size of a print"
     return None, ""
+
+
+def _stated_by_ome(tif: tifffile.TiffFile) -> tuple[tuple[float, str], tuple[float, str]]:
+    """Return the size of a pixel along x and y with their units, as OME states them; 0 without."""
+    given = dict(re.findall(r'\bPhysicalSize([XY](?:Unit)?)="([^"]+)"', _first_pixels(tif)))
+    across, down = 0.0, 0.0
+    with suppress(ValueError):  # a value that is no number does not make the film unreadable
+        across, down = float(given.get("X", 0.0)), float(given.get("Y", 0.0))
+    unit, unit_down = (given.get(name, "µm").strip().lower() for name in ("XUnit", "YUnit"))
+    return (across, unit), (down, unit_down)
+
+
+def _stated_by_tags(tif: tifffile.TiffFile) -> tuple[tuple[float, str], tuple[float, str]]:
+    """Return the size of a pixel along x and y, by the TIFF's resolution in ImageJ's or its own unit."""
+    tags, unit = tif.pages.first.tags, ""
+    if tif.is_imagej:
+        unit = str((tif.imagej_metadata or {}).get("unit", "")).replace("\\u00B5", "µ").strip().lower()
+    elif "ResolutionUnit" in tags:
+        unit = {2: "inch", 3: "cm"}.get(tags["ResolutionUnit"].value, "")
+    across, down = 0.0, 0.0
+    with suppress(KeyError, TypeError, ValueError, ZeroDivisionError):  # no resolution, or a damaged one
+        (pixels, length), (pixels_down, length_down) = tags["XResolution"].value, tags["YResolution"].value
+        across, down = length / pixels, length_down / pixels_down
+    return (across, unit), (down, unit)
 
 
 def _first_pixels(tif: tifffile.TiffFile) -> str:

@@ -30,7 +30,7 @@ from vision.video.frames import (
     part_of,
 )
 from vision.video.reader import Block
-from vision.video.settings import DEFAULT, VideoSettings
+from vision.video.settings import VideoSettings
 from vision.video.strip_find import Strip, choose_strip, measure_strip
 from vision.video.video import Video, cut
 
@@ -59,7 +59,7 @@ def strip_profile(
     *,
     columns: slice | None = None,
     progress: Progress | None = None,
-    settings: VideoSettings = DEFAULT,
+    settings: VideoSettings = VideoSettings(),
     log: ReadingLog | None = None,
     follow: Follow | None = None,
 ) -> xr.DataArray:
@@ -134,7 +134,7 @@ def strip_profiles(
     *,
     columns: slice | None = None,
     progress: Progress | None = None,
-    settings: VideoSettings = DEFAULT,
+    settings: VideoSettings = VideoSettings(),
 ) -> tuple[xr.DataArray, xr.DataArray]:
     r"""Return I(x, t) of the strip, and I(x, z, t) of parts of it at several heights, from one pass.
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from vision.errors import InputError
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, Ints, Pixels
-from vision.video.settings import DEFAULT, VideoSettings
+from vision.video.settings import VideoSettings
 from vision.video.video import Video, cut
 
 
@@ -78,7 +78,11 @@ class _Slopes:
 
 
 def choose_strip(
-    video: Video, rows: slice | None, *, columns: slice | None = None, settings: VideoSettings = DEFAULT
+    video: Video,
+    rows: slice | None,
+    *,
+    columns: slice | None = None,
+    settings: VideoSettings = VideoSettings(),
 ) -> Strip:
     """Return the strip of the given rows, or the one that `find_strip` finds if rows is None."""
     if rows is None:
@@ -86,7 +90,9 @@ def choose_strip(
     return measure_strip(video, rows, columns=columns, settings=settings)
 
 
-def find_strip(video: Video, *, columns: slice | None = None, settings: VideoSettings = DEFAULT) -> Strip:
+def find_strip(
+    video: Video, *, columns: slice | None = None, settings: VideoSettings = VideoSettings()
+) -> Strip:
     r"""Find the strip: as many rows as possible whose mean profile has steep ridges.
 
     Parameters
@@ -180,7 +186,7 @@ def _without_edges(rows: slice, height: int, settings: VideoSettings) -> slice:
 
 
 def measure_strip(
-    video: Video, rows: slice, *, columns: slice | None = None, settings: VideoSettings = DEFAULT
+    video: Video, rows: slice, *, columns: slice | None = None, settings: VideoSettings = VideoSettings()
 ) -> Strip:
     """Return the strip of the given rows with its tilt and clarity, both NaN for fewer than four rows.
 

@@ -6,7 +6,7 @@ import glob
 import os
 import re
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -17,7 +17,7 @@ from vision.files import Stamp, answered, check_pixels, check_regular, html_tabl
 from vision.numeric import Floats, Ints, Pixels
 from vision.video.raw import PIXELS, is_photron, open_raw, photron_files
 from vision.video.reader import SECONDS, Block, Facts, Reader
-from vision.video.settings import DEFAULT
+from vision.video.settings import VideoSettings
 from vision.video.stacks import IMAGES, is_tiff, open_sequence, open_stack
 
 FILMS = {".avi", ".mp4", ".m4v", ".mkv", ".mov", ".cine", PIXELS}
@@ -61,25 +61,25 @@ class Video:
         The camera's clock as given by the user, which takes precedence over the file's.
     warnings
         Defects of the file that its headers show.
+    pixels_path
+        The file or folder that holds the pixels: `path`, or the .mraw of a Photron recording.
     stamp
-        The file's size and time when it was opened.
-    pixels
-        The file that holds the pixels, if it is not `path`.
+        Its size and time when it was opened.
     answer_s
         See `VideoSettings.answer_s`.
     """
 
     path: Path
     reader: Reader
-    rotate: int = 0
-    first: int = 0
-    stop: int | None = None
-    given_fps: float | None = None
-    given_times_s: Floats | None = None
-    warnings: tuple[str, ...] = ()
-    stamp: Stamp = field(default_factory=Stamp)
-    pixels: Path | None = None
-    answer_s: float = DEFAULT.answer_s
+    rotate: int
+    first: int
+    stop: int | None
+    given_fps: float | None
+    given_times_s: Floats | None
+    warnings: tuple[str, ...]
+    pixels_path: Path
+    stamp: Stamp
+    answer_s: float
 
     def __repr__(self) -> str:
         count = "an unknown number of" if self.expected is None else self.expected
@@ -103,11 +103,6 @@ class Video:
     def facts(self) -> Facts:
         """Facts from the file's headers, before rotation and cuts."""
         return self.reader.facts
-
-    @property
-    def watched(self) -> Path:
-        """The file or folder that holds the pixels."""
-        return self.pixels or self.path
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -138,7 +133,7 @@ class Video:
     @property
     def estimated(self) -> int | None:
         """`expected`, or an estimate from duration and rate; None without either."""
-        return self._kept(self.facts.declared_frames or self.facts.estimated_frames)
+        return self._kept(self.facts.frames)
 
     def _kept(self, held: int | None) -> int | None:
         if held is None:
@@ -197,8 +192,8 @@ class Video:
         """Return the next block; InputError for any error of a decoder, or if the file was replaced."""
         with reading(self.path, "a recording that can be read to its end"):
             block = next(blocks, None)
-        watched = self.watched
-        change = self.stamp.change(watched) if watched.is_file() or block is None else ""
+        pixels = self.pixels_path
+        change = self.stamp.change(pixels) if pixels.is_file() or block is None else ""
         if change not in ("", "grew", "was changed"):
             advice = "wait until nothing writes it, then run again"
             raise InputError(
@@ -209,7 +204,7 @@ class Video:
     @property
     def changes(self) -> tuple[str, ...]:
         """A warning if the file has been written to since it was opened."""
-        change = answered(lambda: self.stamp.change(self.watched), self.path, self.answer_s)
+        change = answered(lambda: self.stamp.change(self.pixels_path), self.path, self.answer_s)
         if not change:
             return ()
         return (f"{self.path.name}: the recording {change} while it was read: run again when it is complete",)
@@ -224,7 +219,7 @@ class Video:
 
     def sample(self, count: int) -> Iterator[Pixels]:
         """Yield up to `count` frames spread over the recording, or the first if its length is unknown."""
-        last = self.facts.declared_frames or self.facts.estimated_frames or self.first + count
+        last = self.facts.frames or self.first + count
         last = last if self.stop is None else min(last, self.stop)
         spread = np.linspace(self.first, max(last - 1, self.first), count)
         found = self.reader.sample(np.unique(np.round(spread).astype(np.int64)).tolist())
@@ -248,7 +243,7 @@ def open_video(
     frames: slice | None = None,
     fps: float | None = None,
     timestamps: str | os.PathLike[str] | None = None,
-    answer_s: float = DEFAULT.answer_s,
+    answer_s: float = VideoSettings.answer_s,
 ) -> Video:
     """Open a recording, to be read in one pass.
 
@@ -306,10 +301,9 @@ def open_video(
             wanted = f"{facts.declared_frames} times, one per frame of {where.name}"
             raise InputError(timestamps, wanted, f"{times_s.size} times")
         warnings += _unit_warning(times_s, facts.playback_fps, table.name)
-    held = facts.declared_frames or facts.estimated_frames
-    if stop is not None and held is not None and stop > held:
+    if stop is not None and facts.frames is not None and stop > facts.frames:
         about = "" if facts.declared_frames else "about "
-        warnings.append(f"`frames`: asked for frames up to {stop}, the file has {about}{held}")
+        warnings.append(f"`frames`: asked for frames up to {stop}, the file has {about}{facts.frames}")
     return Video(
         path=where,
         reader=reader,
@@ -319,8 +313,8 @@ def open_video(
         given_fps=fps,
         given_times_s=times_s,
         warnings=tuple(warnings),
+        pixels_path=pixels,
         stamp=stamp,
-        pixels=pixels,
         answer_s=answer_s,
     )
 
@@ -342,10 +336,8 @@ def files_in(folder: Path, suffixes: Collection[str]) -> list[Path]:
 
 def pixels_file(path: Path) -> Path:
     """Return the file of a recording that holds its pixels, which grows while a camera writes."""
-    if not (path.is_file() and is_photron(path)):
-        return path
     try:
-        return photron_files(path)[0]
+        return video_files(path)[0]
     except InputError:  # opening the recording reports that the other file is missing
         return path
 
