@@ -31,6 +31,7 @@ that sticks to the end has 0. Neither M_eff nor a shell enters. Source: Plati, R
 from __future__ import annotations
 
 import zlib
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -249,7 +250,7 @@ def comb_at_rest(experiment: Experiment) -> RestingComb:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SheetMotion:
+class SheetMotion(ABC):
     """Displacement of every sheet from rest, px, as a function of the machine's time.
 
     `sweep_px` (inward motion from valley to peak), `ratio` (σ_x/Λ_st) and `delay_s` are (stick phase, sheet).
@@ -264,9 +265,9 @@ class SheetMotion:
         span = (np.asarray(to_s) - from_s)[:, None]
         return (self._primitive(to_s) - self._primitive(from_s)) / span
 
+    @abstractmethod
     def _primitive(self, time_s: Floats) -> Floats:
         """Return the integral of the displacement over time."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True, kw_only=True)
