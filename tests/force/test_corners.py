@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.scenes.sawtooth import signal_of
 from vision.force.corners import find_corners
 from vision.force.settings import ForceSettings
 from vision.force.slips import find_slips
@@ -31,7 +32,7 @@ def test_corners_of_half_cosine_slips(length: float) -> None:
     load, begin = half_cosines(length)
     slips = find_slips(load, 0.05)
     assert slips.edge.size == 40
-    corners = find_corners(load, 0.05, slips, two_slopes=False)
+    corners = find_corners(signal_of(load, 0.05), slips)
     assert np.median(np.abs(corners.peak - begin)) < 0.15 * length
     assert np.median(np.abs(corners.valley - begin - length)) < 0.15 * length
     assert np.mean(np.abs(corners.peak - begin) < 3 * corners.error) > 0.95
@@ -45,7 +46,7 @@ def test_two_slips_in_neighbouring_samples_leave_the_others_as_they_are() -> Non
     double = replace(
         slips, edge=np.insert(slips.edge, 8, slips.edge[8] - 1), drop=np.insert(slips.drop, 8, 1.0)
     )
-    alone, beside = (find_corners(load, 0.05, each, two_slopes=False) for each in (slips, double))
+    alone, beside = (find_corners(signal_of(load, 0.05), each) for each in (slips, double))
     np.testing.assert_allclose(beside.middle[11:], alone.middle[10:], atol=1e-6)
 
 
@@ -55,7 +56,7 @@ def test_the_assumed_shape_of_a_slip_is_part_of_the_error_of_its_corners() -> No
     slips = find_slips(load, 0.05)
 
     def covered(settings: ForceSettings) -> float:
-        corners = find_corners(load, 0.05, slips, two_slopes=False, settings=settings)
+        corners = find_corners(signal_of(load, 0.05), slips, settings=settings)
         off = np.r_[corners.peak - begin, corners.valley - begin - 10.0]
         return float(np.mean(np.abs(off) < np.tile(corners.error, 2)))
 

@@ -7,7 +7,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from tests.scenes.sawtooth import Test, plain, realistic, recording
+from tests.scenes.sawtooth import Test, plain, realistic, recording, signal_of
 from vision.errors import InputError
 from vision.experiment import force_recording, preset, simulate_pull, with_settings
 from vision.force import find_stick_slip
@@ -219,7 +219,7 @@ def test_a_long_hold_among_short_sticks() -> None:
     force = recording(time, 20 + load + 0.02 * rng.standard_normal(load.size), 13 + time / 1000, 0.06)
     slips = find_slips(force["load_N"].values, 0.02)
     load = force["load_N"].values
-    corners = find_corners(load, 0.02, slips, two_slopes=False)
+    corners = find_corners(signal_of(load, 0.02), slips)
     transients = corners.transients()
     tracemalloc.start()
     estimate_lowpass(load, transients)

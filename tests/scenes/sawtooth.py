@@ -10,6 +10,7 @@ import xarray as xr
 from scipy.signal import lfilter
 
 from vision.data import ForceMetadata
+from vision.force.signal import Signal
 from vision.models import equations
 
 
@@ -34,6 +35,12 @@ def recording(time: np.ndarray, load: np.ndarray, d: np.ndarray, speed_mm_min: f
             source="made.txt", separation_from="displacement", speed_mm_min=speed_mm_min, d0_mm=13.0
         ).attrs(),
     )
+
+
+def signal_of(load: np.ndarray, sigma: float) -> Signal:
+    """Return a load without spikes and lost samples, of white noise, at one sample per second."""
+    index, none = np.arange(float(load.size)), np.zeros(load.size, bool)
+    return Signal(index, index, load, load, none, none, sigma, np.full(load.size, sigma), {})
 
 
 def plain(*, sticks=200, samples=30, snr=6.0, seed=0, scatter=0.02, jitter=0.08) -> Test:

@@ -9,6 +9,7 @@ from numpy.polynomial.legendre import legvander
 
 from vision.force.lines import fit_broken_lines, fit_polynomials, flat_ranges
 from vision.force.settings import ForceSettings
+from vision.force.signal import Signal
 from vision.force.slips import Slips, stick_lines, stick_middles
 from vision.numeric import Bools, Floats, Ints, mad_sigma, nan_median
 from vision.signals import running_mean
@@ -38,7 +39,7 @@ class SlipTransients:
 
 @dataclass(frozen=True)
 class Corners:
-    """Begin (peak) and end (valley) of each slip, in samples, fractions included."""
+    """Begin (peak) and end (valley) of each slip, in samples, fractions included; and how they were found."""
 
     peak: Floats
     valley: Floats
@@ -47,6 +48,13 @@ class Corners:
     error: Floats  # standard error of the position of a corner
     knee: Floats  # position of the knee in each stick, one more than slips; NaN for none
     shape: Shape  # of the sticks without a knee
+    lowpass: float  # time constant that is corrected for, in samples; 0 for none
+    two_slopes: bool  # whether the lines of the sticks may have a knee
+
+    @property
+    def length(self) -> Floats:
+        """Samples from the begin to the end of each slip."""
+        return self.valley - self.peak
 
     def transients(self) -> SlipTransients:
         """Return the stretches between slips, clear of them, in which a low-pass leaves its transients."""
@@ -63,46 +71,68 @@ class Corners:
 
 
 def find_corners(
-    y: Floats,
-    sigma: float,
+    signal: Signal,
     slips: Slips,
     *,
     lowpass: float = 0.0,
-    two_slopes: bool,
-    alike: bool = False,
+    two_slopes: bool = False,
     settings: ForceSettings = ForceSettings(),
 ) -> Corners:
     """Return the begin (peak) and end (valley) of each slip, clipped to the recording.
 
-    y is the load without spikes, sigma its noise, `lowpass` the time constant, in samples, to correct for.
-    `alike`: all sticks count as bent alike, since slow noise explains the scatter of their curvatures.
+    `lowpass` is the time constant, in samples, to correct for.
 
     The load falls from the stick line before the slip, 100 %, to the one after it, 0 %. The times at 90, 50
-    and 10 %, scaled as for half a cosine, give begin and end. The individual length of a slip is used where
-    its drop exceeds 20 sigma, else the median of the recording. Where the median is too short to be resolved,
-    slips count as half as long as they appear on average, but slow ones keep their own length. With
-    `two_slopes` the stick lines may have a knee.
+    and 10 %, scaled as for half a cosine, give begin and end. With `two_slopes` the stick lines may have a
+    knee.
     """
-    signal = _deconvolve(y, sigma, slips, lowpass)
-    base = _Baselines.of(signal, two_slopes, settings)
-    high, middle, low = _crossings(signal.load, signal.edge, base)
-    stick = np.diff(signal.edge)
+    seen = _deconvolve(signal.clean, signal.sigma, slips, lowpass)
+    base = _Baselines.of(seen, two_slopes, settings)
+    high, middle, low = _crossings(seen.load, seen.edge, base)
+    stick = np.diff(seen.edge)
     length = 2 * nan_median(np.fmin(middle - high, low - middle))
     if stick.size and length < settings.shape_slip * np.median(stick):
-        shape = Shape.of(signal.load, signal.edge, alike, settings)
+        # Slow noise explains that the curvatures of the sticks scatter: they then count as bent alike.
+        shape = Shape.of(seen.load, seen.edge, signal.slow is not None, settings)
         if shape.begin or shape.end:
-            base = _Baselines.of(signal, two_slopes, settings, shape)
-            high, middle, low = _crossings(signal.load, signal.edge, base)
+            base = _Baselines.of(seen, two_slopes, settings, shape)
+            high, middle, low = _crossings(seen.load, seen.edge, base)
+    before, after, usual = _half_lengths(seen, base, middle - high, low - middle, settings)
+    middle = middle - seen.late
+    last = seen.load.size - 1.0
+    return Corners(
+        peak=np.clip(middle - before, 0, last),
+        valley=np.clip(middle + after, 0, last),
+        middle=middle,
+        drop=base.drop,
+        knee=base.knee - seen.late,
+        shape=base.shape,
+        error=_errors(seen, base.drop, usual, settings),
+        lowpass=lowpass,
+        two_slopes=two_slopes,
+    )
+
+
+def _half_lengths(
+    seen: _DeconvolvedLoad, base: _Baselines, onset: Floats, end: Floats, settings: ForceSettings
+) -> tuple[Floats, Floats, float]:
+    """Return how long each slip lasts before and after its middle, in samples, and the usual whole length.
+
+    `onset` and `end` are the samples from 90 to 50 % and from 50 to 10 % of the drop. The individual length
+    of a slip is used where its drop exceeds 20 sigma, else the median of the recording. Where the median is
+    too short to be resolved, slips count as half as long as they appear on average, but slow ones keep their
+    own length.
+    """
     # Sampling and smoothing widen even a sudden drop: its 90 % and 50 % crossings are 0.4 samples apart, and
     # more where deconvolution leaves a sample part of the way down. This blur is subtracted in squares.
-    blur = np.hypot(0.4 * signal.width, 0.5 if signal.late else 0.0)
-    onset, end = (np.sqrt(np.maximum(part**2 - blur**2, 0.0)) for part in (middle - high, low - middle))
+    blur = np.hypot(0.4 * seen.width, 0.5 if seen.late else 0.0)
+    onset, end = (np.sqrt(np.maximum(part**2 - blur**2, 0.0)) for part in (onset, end))
     usual_onset, usual_end = (float(np.nan_to_num(nan_median(part))) for part in (onset, end))
     # A single slow slip among sudden ones has its own length. A drift lengthens one half of a sudden one.
-    sticks = np.diff(np.r_[0, signal.edge, y.size])
+    sticks = np.diff(np.r_[0, seen.edge, seen.load.size])
     beside = np.minimum(sticks[:-1], sticks[1:])
     slow = 2 * np.minimum(onset, end) > _HALF_COSINE * settings.slow_slip * beside
-    clear = base.drop > 20 * signal.sigma  # noise scatters the lengths of smaller slips
+    clear = base.drop > 20 * seen.sigma  # noise scatters the lengths of smaller slips
     clear &= np.isfinite(onset) & np.isfinite(end)
     if usual_onset + usual_end < 1.0:
         # Not resolved: few slips have a sample within, so that the mean tells the length, not the median.
@@ -111,19 +141,12 @@ def find_corners(
         mean = float(np.minimum(several, 2.0).mean()) if several.size else usual_onset + usual_end
         usual_onset = usual_end = 0.25 * mean
         onset, end = np.where(slow, onset, usual_onset), np.where(slow, end, usual_end)
-    onset = _half_length(np.where(clear, onset, usual_onset), base.before_slope, base.drop)
+    onset = np.where(clear, onset, usual_onset)
     end = np.where(clear, np.where(slow, end, np.minimum(end, usual_end * 2)), usual_end)
-    end = _half_length(end, base.after_slope, base.drop)
-    middle = middle - signal.late
-    last = signal.load.size - 1.0
-    return Corners(
-        peak=np.clip(middle - onset, 0, last),
-        valley=np.clip(middle + end, 0, last),
-        middle=middle,
-        drop=base.drop,
-        knee=base.knee - signal.late,
-        shape=base.shape,
-        error=_errors(signal, base.drop, (usual_onset + usual_end) / _HALF_COSINE, settings),
+    return (
+        _half_from_crossing(onset, base.before_slope, base.drop),
+        _half_from_crossing(end, base.after_slope, base.drop),
+        (usual_onset + usual_end) / _HALF_COSINE,
     )
 
 
@@ -182,7 +205,7 @@ def _steepest(y: Floats, edge: Ints, back: float, width: int) -> Ints:
     return np.asarray(place[np.arange(edge.size), drop.argmax(axis=1)])
 
 
-def _half_length(distance: Floats, slope: Floats, drop: Floats) -> Floats:
+def _half_from_crossing(distance: Floats, slope: Floats, drop: Floats) -> Floats:
     """Return half the length of a slip from the distance between its middle and a crossing.
 
     The drop between the stick lines contains the lines' own rise during the slip, which is straight.
@@ -195,11 +218,11 @@ def _half_length(distance: Floats, slope: Floats, drop: Floats) -> Floats:
     return half
 
 
-def _errors(signal: _DeconvolvedLoad, drop: Floats, length: float, settings: ForceSettings) -> Floats:
+def _errors(seen: _DeconvolvedLoad, drop: Floats, length: float, settings: ForceSettings) -> Floats:
     """Return the position error of each corner: noise over the slip's slope, sampling, and unknown shape."""
     systematic = np.hypot(settings.corner_error, settings.shape_error * length)
-    steepest = np.pi / 2 * np.maximum(drop, signal.sigma) / max(length, signal.width)
-    return np.hypot(signal.sigma / steepest, systematic)
+    steepest = np.pi / 2 * np.maximum(drop, seen.sigma) / max(length, seen.width)
+    return np.hypot(seen.sigma / steepest, systematic)
 
 
 @dataclass(frozen=True)
@@ -220,10 +243,10 @@ class _Baselines:
 
     @classmethod
     def of(
-        cls, signal: _DeconvolvedLoad, two_slopes: bool, settings: ForceSettings, shape: Shape | None = None
+        cls, seen: _DeconvolvedLoad, two_slopes: bool, settings: ForceSettings, shape: Shape | None = None
     ) -> _Baselines:
         """Fit straight lines, lines with a knee where they fit clearly better, or lines of a common shape."""
-        y, edge = signal.load, signal.edge
+        y, edge = seen.load, seen.edge
         lines = stick_lines(y, edge, settings)
         here = np.asarray(edge - 0.5, dtype=float)
         # Edges at begin and end of each stick; the first stick has no begin, the last no end.
@@ -412,7 +435,7 @@ def _largest(y: Floats, smooth: Floats, start: Ints, stop: Ints, sign: int) -> t
 
 def is_slow(corners: Corners, settings: ForceSettings) -> Bools:
     """Return which slips last a considerable part of a neighbouring stick: all, if half of them do."""
-    fall, rise = corners.valley - corners.peak, corners.peak[1:] - corners.valley[:-1]
+    fall, rise = corners.length, corners.peak[1:] - corners.valley[:-1]
     if not rise.size:
         return np.zeros(fall.shape, dtype=bool)
     shorter = np.minimum(np.r_[rise[:1], rise], np.r_[rise, rise[-1:]])

@@ -92,7 +92,8 @@ def find_stick_slip(
     _check_lowpass(lowpass_s, slips.period * signal.interval_s, source)
     signal = with_slow_noise(signal, slips, settings)
     if threshold_N is None:
-        signal, slips = _above_other_noise(signal, slips, settings)
+        signal, slips = _above_hum(signal, slips, settings)
+        signal, slips = _above_slow_noise(signal, slips, settings)
     analysis = _analyse_slips(signal, slips, lowpass_s, two_slopes, settings)
     unloading = is_unloading(signal.travel, analysis.extremes)
     events, shares = _measure(signal, slips, analysis, 1 / (machine_stiffness_N_per_mm or np.inf), settings)
@@ -213,9 +214,7 @@ class _SlipAnalysis:
     corners: Corners
     extremes: Extremes
     regime: Regime
-    bent: bool  # whether the sticks have knees
     found: Lowpass  # low-pass that the transients suggest
-    samples: float  # time constant that is corrected for; 0 for none
     how: str  # as ``lowpass_how`` of `StickMetadata`
 
 
@@ -225,52 +224,49 @@ def _analyse_slips(
     """Find corners, extremes, knees and the regime, and decide which low-pass to correct for."""
     given = 0.0 if isinstance(lowpass_s, str) else lowpass_s / signal.interval_s
     bent = _have_knees(signal, slips, given, settings) if two_slopes is None else two_slopes
-    corners = _corners(signal, slips, bent, 0.0, settings)
-    extremes = find_extremes(signal.clean, corners.middle, corners.valley - corners.peak)
+    corners = find_corners(signal, slips, two_slopes=bent, settings=settings)
+    extremes = find_extremes(signal.clean, corners.middle, corners.length)
     regime = find_regime(signal.clean, slips, extremes, settings)
     found = Lowpass()
     if not given and regime.name == "stick-slip":
-        found = find_lowpass(signal, slips, corners, bent, settings)
+        found = find_lowpass(signal, slips, corners, settings)
         if found.samples and not bent and two_slopes is None:
             # The transients of the low-pass may hide the knees.
             bent = _have_knees(signal, slips, found.samples, settings)
             if bent:
-                corners = _corners(signal, slips, bent, 0.0, settings)
-                found = find_lowpass(signal, slips, corners, bent, settings)
+                corners = find_corners(signal, slips, two_slopes=bent, settings=settings)
+                found = find_lowpass(signal, slips, corners, settings)
     tau, how = (given, "given") if given else (0.0, "recorded" if lowpass_s == 0 else "none")
     if lowpass_s == "auto" and found.samples:
         tau, how = (found.samples, "found") if found.proven else (0.0, "doubtful")
     if tau:
-        corners = _corners(signal, slips, bent, tau, settings)
-    return _SlipAnalysis(corners, extremes, regime, bent, found, tau, how)
+        corners = find_corners(signal, slips, lowpass=tau, two_slopes=bent, settings=settings)
+    return _SlipAnalysis(corners, extremes, regime, found, how)
 
 
-def _corners(signal: Signal, slips: Slips, bent: bool, tau: float, settings: ForceSettings) -> Corners:
-    """Return the corners of the slips, corrected for a low-pass of tau samples."""
-    return find_corners(
-        signal.clean,
-        signal.sigma,
-        slips,
-        lowpass=tau,
-        two_slopes=bent,
-        alike=signal.slow is not None,
-        settings=settings,
-    )
-
-
-def _above_other_noise(signal: Signal, slips: Slips, settings: ForceSettings) -> tuple[Signal, Slips]:
-    """Return signal and slips without the swings of hum and of other noise that is not white.
+def _above_hum(signal: Signal, slips: Slips, settings: ForceSettings) -> tuple[Signal, Slips]:
+    """Return the slips without the swings of hum, and the signal with the noise that they are.
 
     Most swings of hum are as slow as the rises beside them, and a gap in the sizes separates them from slips;
-    the noise is then the scatter about the stick lines. In slow noise a slip exceeds four errors of the drop
-    between two lines: five with the lines found first, or four once the drops of the noise are gone.
+    the noise is then the scatter about the stick lines.
     """
     gap = size_gap(slips.drop, settings.slow_gap, 1 - 3 / slips.drop.size)
     small = slips.drop < gap
-    if small.any() and is_slow(_corners(signal, slips, False, 0.0, settings), settings)[small].mean() >= 0.5:
-        slips = slips.above(gap, "gap")
-        spread = float(nan_median(stick_lines(signal.clean, slips.edge, settings).spread))
-        signal = with_slow_noise(replace(signal, sigma=max(signal.sigma, spread)), slips, settings)
+    if small.any():
+        slow = is_slow(find_corners(signal, slips, settings=settings), settings)
+        if slow[small].mean() >= 0.5:
+            slips = slips.above(gap, "gap")
+            spread = float(nan_median(stick_lines(signal.clean, slips.edge, settings).spread))
+            signal = with_slow_noise(replace(signal, sigma=max(signal.sigma, spread)), slips, settings)
+    return signal, slips
+
+
+def _above_slow_noise(signal: Signal, slips: Slips, settings: ForceSettings) -> tuple[Signal, Slips]:
+    """Return the slips that exceed noise that is not white, and the signal with that noise measured again.
+
+    A slip exceeds four errors of the drop between two lines: five with the lines found first, or four once
+    the drops of the noise are gone.
+    """
     keep = np.ones(slips.edge.shape, dtype=bool)
     while signal.slow is not None:
         # Drops of the noise cut the sticks short. Without them the lines are longer, the noise is known
@@ -331,22 +327,16 @@ def _measure(
 
     The errors then include it.
     """
-    tau, found, bent = analysis.samples, analysis.found, analysis.bent
-    events = measure_sticks(
-        signal,
-        analysis.corners,
-        analysis.extremes,
-        tau,
-        bent,
-        compliance,
-        settings,
-        filter_known=bool(tau or found.proven),
-    )
-    if tau or not found.samples:
+    corners, found = analysis.corners, analysis.found
+    known = bool(corners.lowpass or found.proven)
+    events = measure_sticks(signal, corners, analysis.extremes, compliance, settings, filter_known=known)
+    if corners.lowpass or not found.samples:
         return events, {}
-    corners = _corners(signal, slips, bent, found.samples, settings)
-    extremes = find_extremes(signal.clean, corners.middle, corners.valley - corners.peak)
-    other = measure_sticks(signal, corners, extremes, found.samples, bent, compliance, settings)
+    corrected = find_corners(
+        signal, slips, lowpass=found.samples, two_slopes=corners.two_slopes, settings=settings
+    )
+    extremes = find_extremes(signal.clean, corrected.middle, corrected.length)
+    other = measure_sticks(signal, corrected, extremes, compliance, settings)
     return _with_bias(events, other), _lowpass_shares(events, other)
 
 
@@ -377,7 +367,7 @@ def _metadata(
     warnings: list[str],
 ) -> StickMetadata:
     """Return what later stages need to know of the slips and of the low-pass."""
-    tau, found, peak = analysis.samples, analysis.found, analysis.corners.peak
+    tau, found, peak = analysis.corners.lowpass, analysis.found, analysis.corners.peak
     first, last = signal.time_at(peak[[0, -1]])
     return StickMetadata(
         noise_N=signal.sigma,
@@ -390,7 +380,7 @@ def _metadata(
         lowpass_proposed_s=found.samples * signal.interval_s if found.samples and not tau else float("nan"),
         lowpass_proven=found.proven,
         **shares,
-        two_slopes=bool(analysis.bent),
+        two_slopes=analysis.corners.two_slopes,
         bend_share=analysis.corners.shape.begin,
         regime=analysis.regime.name,
         fall_over_rise=analysis.regime.fall_over_rise,
@@ -411,7 +401,7 @@ def _all_flags(
 ) -> list[str]:
     """Add flags for what contradicts stick-slip and for what the instrument cannot resolve."""
     regime, found = analysis.regime.name, analysis.found
-    response_s = (analysis.samples or (found.samples if found.proven else 0.0)) * signal.interval_s
+    response_s = (analysis.corners.lowpass or (found.samples if found.proven else 0.0)) * signal.interval_s
     duration = (events["t_p_s"] - events["t_v_s"]).to_numpy(float)
     # k + 1 slips lie before stick k. Where a jump reverses a drop, or a drop a jump, that drop is no slip,
     # but ends the stick with the jump and the one before or after it. Many jumps make all drops doubtful.

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -169,10 +169,9 @@ def fit_broken_lines(x: Floats, y: Floats, start: Ints, stop: Ints, *, lag: floa
     u = (x[index] - low[row]) / span[row]
     late = lag / np.maximum(stop - start - 1.0, 1.0)
     transient = np.exp(-(index - start[row]) / lag) if lag else np.zeros_like(u)
-    hinges = _Hinges(u, y[index], row, transient, late)
     knees = np.linspace(0.15, 0.85, 15)
-    straight, _ = hinges.fit(2.0)  # a knee beyond the end: a single line
-    fits = [hinges.fit(knee) for knee in knees]
+    # A knee at 2, beyond the end, is a single line.
+    (straight, _), *fits = _fit_hinges(u, y[index], row, transient, late, [2.0, *knees])
     squares = np.array([square for square, _ in fits])
     best = np.argmin(squares, axis=0)
     chosen = best, np.arange(start.size)
@@ -214,38 +213,34 @@ def bend_squares(x: Floats, y: Floats, start: Ints, stop: Ints, knee_x: Floats) 
     """Return the squared residuals of a line with its knee at `knee_x`; 12 samples or more each."""
     row, index = flat_ranges(start, stop)
     low, span = _extent(x[index], row, start.size)
-    u, zero = (x[index] - low[row]) / span[row], np.zeros(start.size)
-    return _Hinges(u, y[index], row, np.zeros_like(u), zero).fit(((knee_x - low) / span)[row])[0]
+    u, knee = (x[index] - low[row]) / span[row], ((knee_x - low) / span)[row]
+    ((squares, _),) = _fit_hinges(u, y[index], row, np.zeros_like(u), np.zeros(start.size), [knee])
+    return squares
 
 
-@dataclass(frozen=True)
-class _Hinges:
-    """The model y = a + b u + c max(0, u - knee) + transient, fitted to each row."""
+def _fit_hinges(
+    u: Floats, y: Floats, row: Ints, transient: Floats, late: Floats, knees: Iterable[float | Floats]
+) -> list[tuple[Floats, Floats]]:
+    """Fit y = a + b u + c max(0, u - knee) + transient to each row, once for each of the knees.
 
-    u: Floats  # from 0 to 1 in each row
-    y: Floats
-    row: Ints
-    transient: Floats
-    late: Floats  # lag of each row, in u
-
-    @cached_property
-    def _shared(self) -> tuple[_Rows, Floats, Floats, Floats]:
-        """Row sums, and what all knees share: the design's columns, their products, and those with y."""
-        rows, known = _Rows(self.row, self.late.size, least=0), np.isfinite(self.u)
-        columns = np.where(known, [np.ones_like(self.u), self.u, np.zeros_like(self.u), self.transient], 0.0)
-        products = np.zeros((self.late.size, 4, 4))
-        for a, b in ((0, 0), (0, 1), (0, 3), (1, 1), (1, 3), (3, 3)):
-            products[:, a, b] = products[:, b, a] = rows.total(columns[a] * columns[b])
-        return rows, columns, products, np.stack([rows.total(column * self.y) for column in columns], axis=1)
-
-    def fit(self, knee: float | Floats) -> tuple[Floats, Floats]:
-        """Return the squared residuals and the coefficients (a, b, c, transient) of each row."""
-        rows, columns, products, with_y = self._shared  # the entries of the hinge are overwritten each time
-        hinge = lagged_hinge(self.u - knee, self.late[self.row])
+    u goes from 0 to 1 in each row; `late` is the lag of each row, in u. Returns for each knee the squared
+    residuals and the coefficients (a, b, c, transient) of each row.
+    """
+    rows = _Rows(row, late.size, least=0)
+    columns = np.where(np.isfinite(u), [np.ones_like(u), u, np.zeros_like(u), transient], 0.0)
+    # All knees share the products of the columns, and those with y, except for those of the hinge.
+    products = np.zeros((late.size, 4, 4))
+    for a, b in ((0, 0), (0, 1), (0, 3), (1, 1), (1, 3), (3, 3)):
+        products[:, a, b] = products[:, b, a] = rows.total(columns[a] * columns[b])
+    with_y = np.stack([rows.total(column * y) for column in columns], axis=1)
+    fits = []
+    for knee in knees:
+        hinge = lagged_hinge(u - knee, late[row])
         columns[2] = np.where(np.isfinite(hinge), hinge, 0.0)
         for k in range(4):
             products[:, 2, k] = products[:, k, 2] = rows.total(columns[2] * columns[k])
-        with_y[:, 2] = rows.total(columns[2] * self.y)
+        with_y[:, 2] = rows.total(columns[2] * y)
         solution = (np.linalg.pinv(products, hermitian=True) @ with_y[:, :, np.newaxis])[:, :, 0]
-        residual = self.y - np.sum(columns * solution.T[:, self.row], axis=0)
-        return rows.total(residual**2), solution
+        residual = y - np.sum(columns * solution.T[:, row], axis=0)
+        fits.append((rows.total(residual**2), solution))
+    return fits

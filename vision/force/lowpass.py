@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,9 +23,7 @@ class Lowpass:
     proven: bool = False  # the same after large and small slips and after long and short sticks
 
 
-def find_lowpass(
-    signal: Signal, slips: Slips, plain: Corners, two_slopes: bool, settings: ForceSettings
-) -> Lowpass:
+def find_lowpass(signal: Signal, slips: Slips, plain: Corners, settings: ForceSettings) -> Lowpass:
     """Find the low-pass of the load cell from the transients after slips; `plain`: uncorrected corners."""
     y = signal.clean
     found = estimate_lowpass(y, plain.transients())
@@ -36,7 +33,7 @@ def find_lowpass(
     # Corrected corners show the transients from their begin, so a low-pass must be found there again.
     for _ in range(3):
         corners = find_corners(
-            y, signal.sigma, slips, lowpass=found.samples, two_slopes=two_slopes, settings=settings
+            signal, slips, lowpass=found.samples, two_slopes=plain.two_slopes, settings=settings
         )
         transients = corners.transients()
         again = estimate_lowpass(y, transients, found.samples)
@@ -178,75 +175,73 @@ class _Blocks:
     def fit(self, tau: float, knee: float) -> tuple[float, Floats]:
         """Return the squared residuals of all rows and the heights of the transients.
 
-        tau in blocks, 0 for no transient; knee as a share of the stick.
+        tau in blocks; knee as a share of the stick.
         """
-        return self._fit_knee(self._without_knee(tau), knee)
+        fitted, _ = self._parabola(tau).with_column(self._hinge(tau, knee))
+        fitted, length = fitted.with_column(self._transient(tau))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return fitted.squares, fitted.along[-1] / length
 
     def over_knees(self, tau: float) -> list[float]:
-        """Return the squared residuals for each of the knees."""
-        common = self._without_knee(tau)
-        return [self._fit_knee(common, knee)[0] for knee in self.knees]
+        """Return the squared residuals for each of the knees; tau in blocks, 0 for no transient."""
+        common = self._parabola(tau)
+        if tau:
+            common, _ = common.with_column(self._transient(tau))
+        bent = (common.with_column(self._hinge(tau, knee))[0] for knee in self.knees if knee < 1)
+        return [*(fitted.squares for fitted in bent), common.squares]
 
-    def _without_knee(self, tau: float) -> _Common:
-        """Return what fits with all knees share: the parabola and the transient, 0 in unknown blocks."""
-        t = np.arange(float(self.load.shape[1]))
-        # The low-pass delays the end of the slip by its time constant.
-        begin = self.valley - (tau - self.corrected / self.size)
-        rise = self.peak - begin
-        u = (t - begin[:, None]) / rise[:, None]
-        one = self.known.astype(np.float64)
-        parabola: list[Floats] = []
+    def _begin(self, tau: float) -> Floats:
+        """Return where each stick begins: the low-pass delays the end of the slip by its time constant."""
+        return self.valley - (tau - self.corrected / self.size)
+
+    def _parabola(self, tau: float) -> _Directions:
+        """Fit a parabola to each row."""
+        begin, one = self._begin(tau)[:, None], self.known.astype(np.float64)
+        u = (np.arange(float(self.load.shape[1])) - begin) / (self.peak[:, None] - begin)
+        fitted = _Directions(self.load)
         for column in (one, u * one, u**2 * one):
-            parabola.append(_normalised(_without(column, parabola), column)[0])
-        transient = np.exp(-t / tau) * self.known if tau else None
-        rest = transient if transient is None else _without(transient, parabola)
-        along = [_dot(direction, self.load) for direction in parabola]
-        return _Common(tau, begin, rise, parabola, along, transient, rest)
+            fitted, _ = fitted.with_column(column)
+        return fitted
 
-    def _fit_knee(self, common: _Common, knee: float) -> tuple[float, Floats]:
-        """Return squared residuals and heights as `fit`; the columns are a parabola, hinge and transient."""
-        hinges: list[Floats] = []
-        if knee < 1:
-            since = np.arange(float(self.load.shape[1])) - (common.begin + knee * common.rise)[:, None]
-            hinge = lagged_hinge(since, common.tau) * self.known
-            hinges = [_normalised(_without(hinge, common.parabola), hinge)[0]]
-        along, heights = [*common.along, *(_dot(hinge, self.load) for hinge in hinges)], np.zeros(0)
-        if common.transient is not None and common.rest is not None:
-            direction, length = _normalised(_without(common.rest, hinges), common.transient)
-            along.append(_dot(direction, self.load))
-            with np.errstate(divide="ignore", invalid="ignore"):
-                heights = along[-1] / length
-        return float(np.sum(self.load**2) - np.sum(np.square(along))), heights
+    def _hinge(self, tau: float, knee: float) -> Floats:
+        """Return what rises linearly from the knee on, after the low-pass."""
+        begin = self._begin(tau)
+        at_knee = begin + knee * (self.peak - begin)
+        return lagged_hinge(np.arange(float(self.load.shape[1])) - at_knee[:, None], tau) * self.known
+
+    def _transient(self, tau: float) -> Floats:
+        return np.exp(-np.arange(float(self.load.shape[1])) / tau) * self.known
 
 
 @dataclass(frozen=True)
-class _Common:
-    """What fits with one time constant share, whatever the knee."""
-
-    tau: float  # blocks
-    begin: Floats  # valley of each stick, delayed by the low-pass, and blocks from there to the peak
-    rise: Floats
-    parabola: list[Floats]  # orthonormal columns
-    along: list[Floats]  # the load along them
-    transient: Floats | None  # None without a low-pass
-    rest: Floats | None  # what of it the parabola leaves
-
-
-def _without(column: Floats, directions: Sequence[Floats]) -> Floats:
-    """Return what orthonormal directions leave of a column, within each row.
+class _Directions:
+    """Orthonormal directions in the space of each row, and the load along them.
 
     Modified Gram-Schmidt treats all rows at once; LAPACK's QR of each small matrix takes three times as long.
     """
-    for direction in directions:
-        column = column - _dot(direction, column)[:, None] * direction
-    return column
 
+    load: Floats  # (row, block)
+    directions: tuple[Floats, ...] = ()  # each (row, block)
+    along: tuple[Floats, ...] = ()  # each (row,)
 
-def _normalised(rest: Floats, column: Floats) -> tuple[Floats, Floats]:
-    """Return the direction of what is left of a column, 0 if that is only rounding, and its norm."""
-    length = np.sqrt(_dot(rest, rest))
-    independent = length > 1e-6 * np.sqrt(_dot(column, column))  # less is rounding, magnified
-    return rest * np.divide(1, length, out=np.zeros_like(length), where=independent)[:, None], length
+    def with_column(self, column: Floats) -> tuple[_Directions, Floats]:
+        """Add the direction of what a column has beside the others, 0 if that is only rounding.
+
+        Returns the norm of this part, too.
+        """
+        rest = column
+        for direction in self.directions:
+            rest = rest - _dot(direction, rest)[:, None] * direction
+        length = np.sqrt(_dot(rest, rest))
+        independent = length > 1e-6 * np.sqrt(_dot(column, column))  # less is rounding, magnified
+        new = rest * np.divide(1, length, out=np.zeros_like(length), where=independent)[:, None]
+        along = (*self.along, _dot(new, self.load))
+        return _Directions(self.load, (*self.directions, new), along), length
+
+    @property
+    def squares(self) -> float:
+        """Squared residuals of all rows."""
+        return float(np.sum(self.load**2) - np.sum(np.square(self.along)))
 
 
 def _dot(one: Floats, other: Floats) -> Floats:

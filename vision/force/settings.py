@@ -13,6 +13,7 @@ class ForceSettings:
     A sigma is the standard deviation of the load's white noise unless stated otherwise.
     """
 
+    # samples that are left out
     gap_intervals: float = 5.0
     """A step of more sampling intervals than this, in time or in the crosshead's way, is a gap; as many lost
     samples in a row flag the stick. Larger overlooks short interruptions, smaller flags the jitter of clocks;
@@ -22,6 +23,7 @@ class ForceSettings:
     """Equal samples in a row at the largest load that mean saturation. Smaller flags the rounded peaks of a
     coarse load cell, larger misses short saturations."""
 
+    # white noise and spikes
     noise_ratio: float = 4.0
     """Ratio of the noise in parts of a recording from which each part has its own. Smaller follows the
     scatter of the estimates, larger overlooks a change; shown by changes of range and of noise."""
@@ -38,6 +40,7 @@ class ForceSettings:
     """Share of spikes from which a recording is refused as sampled too slowly. Smaller refuses real impulses
     (1 % of the samples); larger takes beats of the sampling for slips (5 Hz at 20 Hz: 50 % of spikes)."""
 
+    # slips
     step_width: float = 0.15
     """Half the width of the step filter, in periods. Wider averages more noise, narrower follows irregular
     slips; shown by recall at drops of six sigmas."""
@@ -67,12 +70,15 @@ class ForceSettings:
     them: hum or smoothed noise. Smaller cuts off small slow slips, larger takes hum for slips; shown by slow
     slips of lognormal sizes, and by hum of a tenth of the drop."""
 
+    # lines through the sticks
     uneven_parts: int = 8
     """Parts of a stick whose means are compared with its line. Fewer overlook a small slip within a stick,
     more compare parts of too few samples."""
+
     uneven_excess: float = 1.7
     """Ratio of that deviation to the noise from which it enters the errors. Smaller enlarges the errors of
     sticks with white noise, of which 1 % exceed this; larger leaves out small slips."""
+
     line_part: float = 0.8
     """Central part of a stick through which its line is fitted; drops, F_v and F_p are extrapolated
     from it. Larger comes closer to the rounded ends, smaller extrapolates further."""
@@ -95,6 +101,7 @@ class ForceSettings:
     """How many times smaller the squared residuals with a knee must be for a stick to have two slopes.
     Smaller sees knees in noise, larger misjudges the corners of bent sticks."""
 
+    # corners of the slips
     corner_error: float = 0.4
     """Samples by which a corner may be off because it lies between two; shown by how often the stated error
     of Λ_st covers the truth."""
@@ -103,6 +110,7 @@ class ForceSettings:
     """Part of a slip's length by which its corners may be off because its shape is assumed; shown like
     `corner_error`."""
 
+    # the load cell's low-pass
     lowpass_accepted: float = 5.0
     """Decrease of the squared residuals, over chance, that a low-pass must reach when corners are corrected
     for it. Lower finds low-passes in noise, higher leaves the drops of fast pulls too small."""
@@ -111,6 +119,7 @@ class ForceSettings:
     """Relative difference within which the time constants after large and small slips, and after long and
     short sticks, must agree to prove a low-pass. Larger finds one in paper on paper, which has none."""
 
+    # what was recorded at the ends of the sticks
     slow_slip: float = 0.2
     """Length of a slip over that of a neighbouring stick from which it is slow: measured at the recorded
     extremes and flagged. Extrapolated stick lines read half cosines 0.4 % too large at 0.33 and 20 % at 1."""
@@ -129,6 +138,7 @@ class ForceSettings:
     between two samples. Smaller reads drops at 200 Hz 2 % too small, larger believes the line where the load
     cell was too slow to follow."""
 
+    # what is not stick-slip, or not resolved
     short_stick: float = 3.0
     """Shortest stick, in time constants of the load cell's low-pass. A shorter one is flagged "short", since
     mainly the response of the instrument was recorded."""
@@ -142,10 +152,12 @@ class ForceSettings:
     """Duration of falls over that of rises (or its inverse) from which the two count as equally long. Slow
     slips of true stick-slip stay below it or have straight sticks; a sinusoid has 1."""
 
+    # stiffness
     central_part: float = 0.5
     """Central part of the stick over which K is measured. Larger lowers the error of K but includes the
     curvature of the ends; the columns K30 and K70 show how much it matters."""
 
+    # noise that is not white
     alike_sigmas: float = 6.0
     """Excess variance of the means of quarters of the sticks, in units of 1 over the root of their number,
     beyond which noise counts as slow; of their curvatures, beyond which each stick bends by its own amount.
@@ -156,6 +168,7 @@ class ForceSettings:
     the shortest scales, where hum and digits disturb, more weight; fewer tell time constants from random
     walks less well."""
 
+    # flags of sticks
     still_share: float = 0.003
     """Speed of the crosshead in a stick, over the usual one, below which it stands still. Smaller overlooks a
     sensor that creeps at the end of its range, larger flags the slow part of a test whose speed changes."""

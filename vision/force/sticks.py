@@ -14,15 +14,28 @@ from vision.force.signal import Signal, step_between
 from vision.numeric import Bools, Floats, Ints, nan_median
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _Sticks:
-    """Position of each stick, in samples."""
+    """Position of each stick, in samples, and the recorded extremes at its ends."""
 
     v: Floats  # valley, where the stick begins
     p: Floats  # peak, where it ends
     knee: Floats  # NaN for none
+    slow_v: Bools  # whether the slip before is slow: v is then where the lowest load was recorded
+    slow_p: Bools  # the same of the slip after
+    extremes: Extremes  # of the slips, one more than sticks
     lag: float  # time constant of the low-pass that is corrected for; 0 for none
     settings: ForceSettings
+
+    @property
+    def lowest(self) -> Floats:
+        """Smallest sample at each valley."""
+        return self.extremes.lowest[:-1]
+
+    @property
+    def highest(self) -> Floats:
+        """Largest sample at each peak."""
+        return self.extremes.highest[1:]
 
     def central(self, part: float) -> tuple[Ints, Ints]:
         """Return the half-open range of the central part of each stick."""
@@ -52,8 +65,6 @@ def measure_sticks(
     signal: Signal,
     corners: Corners,
     extremes: Extremes,
-    lag: float,
-    two_slopes: bool,
     compliance: float,
     settings: ForceSettings,
     *,
@@ -62,24 +73,31 @@ def measure_sticks(
     """Return the columns of `vision.data.STICKS` that are measured on each stick.
 
     One row per stick, from the valley after slip j to the peak before slip j + 1. `corners` and `extremes`
-    are in samples: peak[j] begins slip j, valley[j] ends it. `lag` is the time constant of the low-pass that
-    is corrected for, in samples, 0 for none; `compliance` is that of the machine, mm/N. `filter_known`: the
-    low-pass of the load is known, so that longer slips are not due to another filter.
+    are in samples: peak[j] begins slip j, valley[j] ends it. `compliance` is that of the machine, mm/N.
+    `filter_known`: the low-pass of the load is known, so that longer slips are not due to another filter.
     """
     slow = is_slow(corners, settings)
-    recorded = slow if not lag else np.zeros_like(slow)
+    recorded = slow & (corners.lowpass == 0)
     valley = np.where(recorded, extremes.valley, corners.valley)
     peak = np.where(recorded, extremes.peak, corners.peak)
     v, p = valley[:-1], peak[1:]
-    sticks = _Sticks(v, p, corners.knee[1:-1], lag, settings)
+    sticks = _Sticks(
+        v=v,
+        p=p,
+        knee=corners.knee[1:-1],
+        slow_v=recorded[:-1],
+        slow_p=recorded[1:],
+        extremes=extremes,
+        lag=corners.lowpass,
+        settings=settings,
+    )
     t_v, t_p, t_next = (signal.time_at(position) for position in (v, p, valley[1:]))
     ends = _ends(signal, sticks, t_v, t_p, corners.shape)
-    f_v, f_p = _forces(signal, corners, extremes, sticks, ends, recorded)
+    f_v, f_p = _forces(signal, corners, sticks, ends)
     d_v, d_p, d_next, noise_mm = _separations(signal, sticks, valley[-1], f_v, f_p, compliance)
-    # Of each corner, in samples; at the extreme of a slow slip the load is level, so that its force has none.
-    error = _position_errors(signal, corners, filter_known)
-    error_v, error_p = _corner_errors(signal, extremes, sticks, ends, (f_v, f_p), error, recorded, settings)
-    relative = np.hypot(error[:-1], error[1:]) / (p - v)
+    off = _position_errors(signal, corners, filter_known)
+    error_v, error_p = _corner_errors(signal, sticks, ends, (f_v, f_p), (off[:-1], off[1:]))
+    relative = np.hypot(off[:-1], off[1:]) / (p - v)
     table = pd.DataFrame(
         {
             "event": np.arange(v.size),
@@ -92,9 +110,9 @@ def measure_sticks(
             "dF_N": f_p - f_v,
             "stick_length_um": 1e3 * (d_p - d_v),
             "slip_length_um": 1e3 * (d_next - d_p),
-            **_stiffness(signal, sticks, two_slopes, compliance),
-            "F_v_raw_N": extremes.lowest[:-1],
-            "F_p_raw_N": extremes.highest[1:],
+            **_stiffness(signal, sticks, corners.two_slopes, compliance),
+            "F_v_raw_N": sticks.lowest,
+            "F_p_raw_N": sticks.highest,
             "F_v_err_N": np.hypot(ends.error_v, error_v),
             "F_p_err_N": np.hypot(ends.error_p, error_p),
             "dF_err_N": np.hypot(ends.error_rise, np.hypot(error_v, error_p)),
@@ -123,7 +141,7 @@ def _position_errors(signal: Signal, corners: Corners, filter_known: bool) -> Fl
     known = np.flatnonzero(~signal.is_missing)
     after = np.clip(np.searchsorted(known, corners.middle), 1, known.size - 1)
     apart = known[after] - known[after - 1]
-    length = corners.valley - corners.peak
+    length = corners.length
     lengthened = ((length < 2.5) | (not filter_known)) & ~signal.is_missing.any()
     lengthened = lengthened | (signal.alike > 1) | (apart > 2)
     return np.hypot(corners.error * apart, np.where(lengthened, length / np.sqrt(2), 0))
@@ -131,26 +149,26 @@ def _position_errors(signal: Signal, corners: Corners, filter_known: bool) -> Fl
 
 def _corner_errors(
     signal: Signal,
-    extremes: Extremes,
     sticks: _Sticks,
     ends: _Ends,
     forces: tuple[Floats, Floats],
-    position_error: Floats,
-    recorded: Bools,
-    settings: ForceSettings,
+    positions: tuple[Floats, Floats],
 ) -> tuple[Floats, Floats]:
-    """Return the errors of F_v and F_p (`forces`) from those of the corners' positions, in samples.
+    """Return the errors of F_v and F_p (`forces`) from those of the corners' `positions`, in samples.
 
+    At the extreme of a slow slip the load is level, so that an error of its position causes none.
     Ringing oscillates about the stick line, a filter may overshoot it before the slip as well, a stick may
     bend too sharply for it, and a coarse load ends below it: what was recorded beyond the line, noise aside,
     is part of the error, and so is how far the force was moved from the line to what was recorded.
     """
-    line_v, line_p = np.where(recorded[:-1], forces[0], ends.f_v), np.where(recorded[1:], forces[1], ends.f_p)
-    noise_v, noise_p = (settings.extreme_sigmas * signal.noise_at(at) for at in (sticks.v, sticks.p))
-    beyond_v = np.fmax(line_v - extremes.lowest[:-1] - noise_v, np.abs(forces[0] - line_v))
-    beyond_p = np.fmax(extremes.highest[1:] - line_p - noise_p, np.abs(forces[1] - line_p))
-    position = np.where(recorded, 0, position_error)
-    return np.hypot(ends.rise_v * position[:-1], beyond_v), np.hypot(ends.rise_p * position[1:], beyond_p)
+    (f_v, f_p), (off_v, off_p) = forces, positions
+    line_v, line_p = np.where(sticks.slow_v, f_v, ends.f_v), np.where(sticks.slow_p, f_p, ends.f_p)
+    noise_v, noise_p = (sticks.settings.extreme_sigmas * signal.noise_at(at) for at in (sticks.v, sticks.p))
+    beyond_v = np.fmax(line_v - sticks.lowest - noise_v, np.abs(f_v - line_v))
+    beyond_p = np.fmax(sticks.highest - line_p - noise_p, np.abs(f_p - line_p))
+    by_position_v = ends.rise_v * np.where(sticks.slow_v, 0, off_v)
+    by_position_p = ends.rise_p * np.where(sticks.slow_p, 0, off_p)
+    return np.hypot(by_position_v, beyond_v), np.hypot(by_position_p, beyond_p)
 
 
 def _separations(
@@ -184,28 +202,25 @@ def _travel_at(signal: Signal, corner: Floats, inside: Floats, pace: Lines) -> F
     return np.where(np.abs(near - within) > usual, within, near)
 
 
-def _forces(
-    signal: Signal, corners: Corners, extremes: Extremes, sticks: _Sticks, ends: _Ends, recorded: Bools
-) -> tuple[Floats, Floats]:
+def _forces(signal: Signal, corners: Corners, sticks: _Sticks, ends: _Ends) -> tuple[Floats, Floats]:
     """Return F_v and F_p: the ends of the stick lines, limited to what was recorded.
 
-    Beside `recorded` slips they are the recorded extremes. Of a load that is corrected for a low-pass, only
-    those of sticks with a knee are limited.
+    Beside slow slips they are the recorded extremes. Of a load that is corrected for a low-pass, only those
+    of sticks with a knee are limited.
     """
     if not sticks.lag:
-        f_v, f_p = _within_recorded(signal, extremes, ends, sticks)
-        return np.where(recorded[:-1], extremes.low[:-1], f_v), np.where(recorded[1:], extremes.high[1:], f_p)
+        f_v, f_p = _within_recorded(signal, sticks, ends)
+        low, high = sticks.extremes.low[:-1], sticks.extremes.high[1:]
+        return np.where(sticks.slow_v, low, f_v), np.where(sticks.slow_p, high, f_p)
     load, gain = without_lowpass(signal.clean, sticks.lag)
     noise = signal.noise * float(np.sqrt(1 + 2 * gain * (1 + gain)))
-    extremes = find_extremes(load, corners.middle, corners.valley - corners.peak)
-    f_v, f_p = _within_recorded(replace(signal, clean=load, noise=noise), extremes, ends, sticks)
+    corrected = replace(sticks, extremes=find_extremes(load, corners.middle, corners.length))
+    f_v, f_p = _within_recorded(replace(signal, clean=load, noise=noise), corrected, ends)
     bent = np.isfinite(sticks.knee)
     return np.where(bent, f_v, ends.f_v), np.where(bent, f_p, ends.f_p)
 
 
-def _within_recorded(
-    signal: Signal, extremes: Extremes, ends: _Ends, sticks: _Sticks
-) -> tuple[Floats, Floats]:
+def _within_recorded(signal: Signal, sticks: _Sticks, ends: _Ends) -> tuple[Floats, Floats]:
     """Return F_v and F_p of the stick lines, limited to what was recorded there.
 
     A stick ends between two samples, so either force may exceed the recorded one by the rise from
@@ -214,8 +229,7 @@ def _within_recorded(
     Lines cut the corners of sticks that begin steeply, or end with a small slip before the large one: the
     recorded peak and, unless the load rings, valley hold, except for the noise of single samples.
     """
-    highest, lowest = extremes.highest[1:], extremes.lowest[:-1]
-    settings = sticks.settings
+    highest, lowest, settings = sticks.highest, sticks.lowest, sticks.settings
     margin = ends.rise_v + settings.between_samples * np.maximum(highest - lowest, 0)
     f_v = np.fmax(ends.f_v, np.maximum(lowest - margin, signal.clean.min()))
     f_p = np.fmin(ends.f_p, np.minimum(highest + ends.rise_p, signal.clean.max()))
