@@ -7,7 +7,6 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -27,8 +26,8 @@ from vision.campaign.plan import (
 )
 from vision.campaign.results import duration, needs_pool, pool, read_remarks, write_page, write_remarks
 from vision.command.console import attempt, complain, in_columns, say
-from vision.command.options import GROUPS, SETTINGS, CampaignOptions, RunOptions, option_names
-from vision.command.settings import at_least, merged, parse_option, read_config, settings_of
+from vision.command.options import SETTINGS, CampaignOptions, RunOptions, option_names
+from vision.command.settings import at_least, parse_option, read_config, settings_of, with_config
 from vision.command.track import REFUSED, command_line, run_name, track_one
 from vision.errors import InputError, with_options
 from vision.figures.style import counted
@@ -109,7 +108,7 @@ def _checker(config: Path | None) -> Check:
     @cache
     def one_option(name: str, text: str) -> Any:
         value = parse_option(Path("table"), name, text)
-        settings_of(_merged({name: value}))
+        settings_of(_parameters({name: value}))
         return value
 
     def check(options: Mapping[str, str]) -> Checked:
@@ -121,7 +120,7 @@ def _checker(config: Path | None) -> Check:
             except InputError as error:
                 problems.append((name, error.problem))
         try:
-            parameters = _merged(values, config)
+            parameters = _parameters(values, config)
             settings_of(parameters)
         except InputError as error:
             return Checked(values={}, problems=[*problems, ("", str(error))])
@@ -130,11 +129,9 @@ def _checker(config: Path | None) -> Check:
     return check
 
 
-def _merged(values: Mapping[str, Any], config: Path | None = None) -> dict[str, Parameter]:
-    """Return every option of `track` with its origin, from values by name."""
-    names = [[one.name for one in fields(group) if one.name in values] for group in GROUPS]
-    typed = [group(**{name: values[name] for name in own}) for group, own in zip(GROUPS, names, strict=True)]
-    return merged(*typed, config=config)
+def _parameters(values: Mapping[str, Any], config: Path | None = None) -> dict[str, Parameter]:
+    """Return every option of `track` with its origin, from the values of some."""
+    return with_config({**dict.fromkeys(SETTINGS), **values}, config)
 
 
 def _read(table: Path, check: Check, awaited: Path | None) -> list[Row]:
@@ -291,7 +288,7 @@ def _watch(
 def _track_film(plan: Plan, film: PlannedFilm, source: Path, target: Path) -> Outcome:
     """Track one film of a job as `track` does; `source` is the film or a copy of it."""
     values = {name: parse_option(plan.out, name, text) for name, text in film.options.items()}
-    parameters = _merged(values, plan.config)
+    parameters = _parameters(values, plan.config)
     local = not is_remote(film.film)
     video = Path(film.film) if local else source
 

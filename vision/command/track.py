@@ -19,7 +19,7 @@ import matplotlib.artist
 import xarray as xr
 
 from vision.command.console import attempt, complain, frame_progress, in_columns, say
-from vision.command.options import ForceOptions, RunOptions, flag_of, option_names
+from vision.command.options import ForceOptions, RunOptions, TestOptions, flag_of, option_names
 from vision.command.review import keep_first_view
 from vision.command.settings import merged, settings_of
 from vision.data import MEASURED, StripMetadata
@@ -95,7 +95,7 @@ def _check_force(parameters: Mapping[str, Parameter]) -> None:
 
     Raises: InputError.
     """
-    names = (*(field.name for field in fields(ForceOptions)), "offset", "threshold", "common_mode")
+    names = [one.name for group in (ForceOptions, TestOptions) for one in fields(group)]
     typed = [flag_of(name) for name in names if parameters[name].how == "given"]
     if typed and parameters["force"].value is None:
         raise InputError(", ".join(typed), "also the force recording", "none", "give --force FILE")
