@@ -10,7 +10,7 @@ from typing import Any
 
 import pandas as pd
 
-from vision.command.console import complain, conclude, frame_progress, one_line, say
+from vision.command.console import complain, conclude, frame_progress, one_line
 from vision.command.options import FrictionOptions, ModulusOptions, OutputOptions, SimulateOptions
 from vision.command.settings import merged, parameters_given, parse_pair, settings_of
 from vision.command.track import finish, origin_of
@@ -120,11 +120,8 @@ def modulus(file: Path, options: ModulusOptions, output: OutputOptions) -> int:
     }
     figure = modulus_figure(force, cycles, clamp_distance_mm=options.clamp_distance)
     _write(target, output, "cycles", cycles, figure, content, facts)
-    if not output.quiet:
-        say([f"{len(cycles)} loading branches -> {target}/", *_modulus_lines(means, len(cycles)), *notes])
-    for line in warnings:
-        complain(f"{file.name}: {line}")
-    return 1 if warnings else 0
+    lines = [f"{len(cycles)} loading branches -> {target}/", *_modulus_lines(means, len(cycles)), *notes]
+    return conclude(lines, [f"{file.name}: {line}" for line in warnings], quiet=output.quiet)
 
 
 def _modulus_lines(means: Mapping[str, MeanValue], cycles: int) -> list[str]:
@@ -179,12 +176,11 @@ def friction(files: Sequence[Path], options: FrictionOptions, output: OutputOpti
     }
     figure = friction_figure(found.measured, law, mu=options.mu, dynamic_deg=settings.dynamic_deg)
     _write(target, output, "friction", table, figure, content, facts)
-    if not output.quiet:
-        count = f"{counted(len(found.measured), 'measurement')} of {counted(len(files), 'file')}"
-        say([f"{count} -> {target}/", *_friction_summary(found, law), RIM_CAVEAT])
-    for line in filter(None, (*found.failures, *found.warnings, why)):
-        complain(line)
-    return 1 if found.failures or found.warnings else 0
+    if why:
+        complain(why)
+    count = f"{counted(len(found.measured), 'measurement')} of {counted(len(files), 'file')}"
+    lines = [f"{count} -> {target}/", *_friction_summary(found, law), RIM_CAVEAT]
+    return conclude(lines, found.warnings, failures=found.failures, quiet=output.quiet)
 
 
 def _write(
