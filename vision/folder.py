@@ -273,3 +273,12 @@ def plain(value: Any) -> Any:
     if hasattr(value, "tolist"):
         return plain(value.tolist())
     return value if isinstance(value, (bool, int, float, str, type(None))) else str(value)
+
+
+def flattened(values: Mapping[str, Any], joint: str, before: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield (name, value) of nested mappings, with the names joined by `joint`."""
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            yield from flattened(value, joint, f"{before}{name}{joint}")
+        else:
+            yield f"{before}{name}", value

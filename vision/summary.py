@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from vision.shells import ShellSettings
 
 
+AXIS_HOW = {"motion": "found from motion", "geometry": "the middle of the ridges in view", "given": "given"}
+"""How the symmetry axis is known, in words."""
 DOUBTFUL = {
     "doubtful": "where the identity of the sheet is uncertain",
     "merged": "where a sheet shares a ridge with another or a mark",
@@ -46,7 +48,6 @@ UNLIKELY_SPACING = 10.0
 """Ratio of the sheets' spacing to two thicknesses, or its inverse, above which the pixel size is questioned.
 A wrong unit changes the ratio by 1000; sheets that bulge, or of which only every second one is seen, by 2
 to 4. A smaller ratio warns of the latter, a larger one overlooks factors of 10."""
-
 LEAST_SPACING_UM = 1.0
 """Spacing below which the pixel size is questioned though the sheets' thickness is not known: mm taken for µm
 make the spacing of paper less than this, which light hardly resolves. Discs of a muscle are 1.8 µm apart."""
@@ -557,10 +558,10 @@ def heights_line(tracks: xr.Dataset) -> str:
 
 
 def _axis(found: TrackMetadata, innermost: int) -> str:
+    how = AXIS_HOW[found.axis_how]
     if found.axis_how == "given":
         unseen = f"; n begins at {innermost}, as {innermost - 1} more sheets fit between it and those in view"
-        return "given" + unseen * (innermost > 1)
-    how = {"motion": "found from motion", "geometry": "the middle of the ridges in view"}[found.axis_how]
+        return how + unseen * (innermost > 1)
     if not math.isfinite(found.axis_low_px):
         return f"{how}; the motion does not show the axis"
     if found.axis_high_px == found.axis_low_px:
