@@ -17,7 +17,9 @@ from vision.figures.style import (
     DATA,
     MODEL,
     PEAK,
+    SHEET_NUMBER,
     VALLEY,
+    VALLEY_SEPARATION,
     displacement_unit,
     from_zero,
     ordered_inks,
@@ -118,7 +120,7 @@ def noise_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> F
     scatter = (tracks["x_scatter_px"].values[order] if "x_scatter_px" in tracks else unknown) * scale
     stated = nan_median(tracks["x_err_px"].values)[order] * scale
     panel = Panel(
-        x_label="side · n (left negative)",
+        x_label=SHEET_NUMBER,
         y_label=f"noise of x ({unit})",
         series=(
             Series.points("from frame to frame", numbers, measured, DATA),
@@ -276,7 +278,7 @@ def deformation_figure(motion: xr.Dataset, *, threshold: float = STIFF_BELOW) ->
 def _ratio_panel(series: tuple[Series, ...], threshold: float) -> Panel:
     """Return a panel of σ_x/Λ_st against the sheet's number, with the range of stiff sheets."""
     return Panel(
-        x_label="side · n (left negative)",
+        x_label=SHEET_NUMBER,
         y_label="σ_x / Λ_st",
         series=series,
         bands=(Band(low=0.0, high=threshold, label=f"stiff (below {threshold:g})"),),
@@ -330,7 +332,7 @@ def shells_figure(shells: pd.DataFrame, fits: ModelFits | None = None) -> Figure
         series.append(Series.model("M_eff (force)", d, fits.effective_sheets(d), MODEL))
         model = " Dashed: M_eff = M √(1 − d̂), from the stiffness of the force recording alone."
     panel = Panel(
-        x_label="d_v (mm)",
+        x_label=VALLEY_SEPARATION,
         y_label="stiff sheets per side",
         y_range=(0.0, 1.15 * float(known["stiff_high"].max()) + 1) if len(known) else None,
         series=tuple(series),
