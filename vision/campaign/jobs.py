@@ -32,6 +32,7 @@ from vision.errors import InputError, install_advice
 from vision.files import answered, prefetch, shortened
 from vision.folder import lock_open_file, unwritable
 from vision.pipeline import Analysis
+from vision.run import is_run
 
 # --- Snakemake, a process -----------------------------------------------------------------------------------
 
@@ -320,9 +321,8 @@ def _run_one(plan: Plan, film: PlannedFilm, work: Work, copies: dict[str, Path])
     target = plan.run_of(film.name)
     with _source(film, copies, SETTINGS.answer_s, stage=plan.stage) as source:
         outcome = work(film, source, target)
-    run = target / "run.json"
     state = State(name=film.name, state="failed", reason=outcome.reason)
-    if outcome.analysis is None or not run.is_file():
+    if outcome.analysis is None or not is_run(target):
         return state
     write_partitions(plan.out, film.name, outcome.analysis)
     with suppress(OSError, ValueError), Image.open(target / "overview.png") as image:

@@ -27,7 +27,7 @@ from vision.figures.style import counted
 from vision.files import reading
 from vision.folder import whole_file, write_json
 from vision.pipeline import Analysis
-from vision.run import Origin
+from vision.run import Origin, is_run
 from vision.run.reading import read_json
 from vision.run.tables import ROWS_PER_CHUNK, sheets_table, tracks_table, write_table
 from vision.shells import deformation_table
@@ -86,9 +86,7 @@ def write_page(plan: Plan, *, live: bool, remarks: tuple[str, ...] = ()) -> None
     )
     with whole_file(plan.out / PAGE) as path:
         path.write_text(text, encoding="utf-8", errors="replace")
-    runs = [
-        f"runs/{film.name}" if (plan.run_of(film.name) / "run.json").is_file() else "" for film in plan.films
-    ]
+    runs = [f"runs/{film.name}" if is_run(plan.run_of(film.name)) else "" for film in plan.films]
     rows = [
         (film.film, state.state, state.reason, round(state.seconds, 3), run)
         for (film, state), run in zip(films, runs, strict=True)
@@ -99,7 +97,7 @@ def write_page(plan: Plan, *, live: bool, remarks: tuple[str, ...] = ()) -> None
 
 def _row(plan: Plan, film: PlannedFilm, state: State, facts: list[str]) -> dict[str, Any]:
     run, given = plan.run_of(film.name), [film.facts.get(name, "") for name in facts]
-    finished = state.state in FINISHED and (run / "run.json").is_file()
+    finished = state.state in FINISHED and is_run(run)
     page = "report.html" if (run / "report.html").is_file() else "overview.png"
     return {
         "state": state.state,

@@ -28,11 +28,11 @@ from vision.campaign.results import duration, needs_pool, pool, read_remarks, wr
 from vision.command.console import attempt, complain, in_columns, say
 from vision.command.options import SETTINGS, CampaignOptions, RunOptions, option_names
 from vision.command.settings import at_least, parse_option, read_config, settings_of, with_config
-from vision.command.track import REFUSED, command_line, run_name, track_one
+from vision.command.track import command_line, run_name, track_one, why_refused
 from vision.errors import InputError, with_options
 from vision.figures.style import counted
 from vision.files import usable_cores
-from vision.run import Parameter
+from vision.run import FAILURES, Parameter
 
 
 def campaign(table: Path | None, options: CampaignOptions) -> int:
@@ -64,19 +64,20 @@ def campaign(table: Path | None, options: CampaignOptions) -> int:
         return 0
     profile = _profile(options)
     watcher = None if options.watch is None else FolderWatch(options.watch)
+
+    def run(rows: Sequence[Row]) -> int:
+        return _carry_out(make(rows), options, profile)
+
+    def new(film: Path) -> Row:
+        name = safe_name(run_name(film))
+        return Row(row=0, film=str(film.absolute()), name=name, values=check({}).values)
+
     with jobs.campaign_lock(target):
         if watcher is None:
-            return _conduct(make(rows), options, profile)
-
-        def new(film: Path) -> Row:
-            name = safe_name(run_name(film))
-            return Row(row=0, film=str(film.absolute()), name=name, values=check({}).values)
-
+            return run(rows)
         # Films that were tracked and then moved away stay in the comparison.
         gone = vanished_rows(target, check, watcher.folder)
-        return _watch(
-            watcher, rows, new, lambda ready: _conduct(make([*gone, *ready]), options, profile), options.idle
-        )
+        return _watch(watcher, rows, new, lambda ready: run([*gone, *ready]), options.idle)
 
 
 def job(plan: Path, name: str, fetched: Sequence[Path]) -> int:
@@ -188,7 +189,7 @@ def _profile(options: CampaignOptions) -> Path:
     return where.absolute()
 
 
-def _conduct(plan: Plan, options: CampaignOptions, profile: Path) -> int:
+def _carry_out(plan: Plan, options: CampaignOptions, profile: Path) -> int:
     """Carry out a plan: films, comparison, page and summary; return the exit status."""
     run = partial(jobs.run_snakemake, profile=profile, executor=options.executor, cores=options.cores)
     write_plan(plan)
@@ -259,7 +260,7 @@ def _watch(
     watcher: FolderWatch,
     rows: Sequence[Row],
     new: Callable[[Path], Row],
-    conduct: Callable[[Sequence[Row]], int],
+    run: Callable[[Sequence[Row]], int],
     idle: float | None,
 ) -> int:
     """Track films as they are completed, until Ctrl-C or `idle` seconds without one; return the status."""
@@ -270,7 +271,7 @@ def _watch(
             ready = {row.name: row for row in watcher.rows(rows, new)}
             if not ready.keys() <= taken.keys():
                 taken |= ready
-                status = conduct(list(taken.values()))
+                status = run(list(taken.values()))
                 last = time.monotonic()
             elif idle is not None and time.monotonic() - last > idle:
                 return status
@@ -304,9 +305,8 @@ def _track_film(plan: Plan, film: PlannedFilm, source: Path, target: Path) -> Ou
         done, status, why = attempt(partial(analyse, resume=False))
     status, analysis = done or (status, None)
     if analysis is not None and status >= 2:
-        named = (*REFUSED, *analysis.failures)
-        reasons = [analysis.reasons[name] for name in named if name in analysis.reasons]
-        why = reasons[0] if reasons else f"unexpected error: {target / 'failures.txt'}"
+        failed = (analysis.reasons[name] for name in analysis.failures if name in analysis.reasons)
+        why = next(iter([*why_refused(analysis), *failed]), f"unexpected error: {target / FAILURES}")
     warnings = analysis.warnings if analysis else ()
     lines = [with_options(line, option_names()) for line in (why, *warnings)]
     return Outcome(status=status, reason=lines[0], warnings=tuple(lines[1:]), analysis=analysis)

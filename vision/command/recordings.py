@@ -153,8 +153,8 @@ def friction(files: Sequence[Path], options: FrictionOptions, output: OutputOpti
         for line in found.failures:
             complain(line)
         return 2
-    law, why = _law(found)
-    notes = [*found.notes, *filter(None, [why])]
+    law, note = _law(found.measured)
+    notes = [*found.notes, *filter(None, [note])]
     table = friction_table(found.measured)
     content: dict[str, Any] = dict.fromkeys(("a", "a_err", "b_N", "b_err_N", "chi2_dof"))
     content |= asdict(law) if law else {}
@@ -176,8 +176,8 @@ def friction(files: Sequence[Path], options: FrictionOptions, output: OutputOpti
     }
     figure = friction_figure(found.measured, law, mu=options.mu, dynamic_deg=settings.dynamic_deg)
     _write(target, output, "friction", table, figure, content, facts)
-    if why:
-        complain(why)
+    if law is None:
+        complain(note)
     count = f"{counted(len(found.measured), 'measurement')} of {counted(len(files), 'file')}"
     lines = [f"{count} -> {target}/", *_friction_summary(found, law), RIM_CAVEAT]
     return conclude(lines, found.warnings, failures=found.failures, quiet=output.quiet)
@@ -238,19 +238,19 @@ def _measure(
     return found
 
 
-def _law(found: _Measurements) -> tuple[StaticFriction | None, str]:
-    """Return the fitted law and "", or None and the reason why there is none."""
-    table = friction_table(found.measured)
+def _law(measured: Sequence[DiscFriction]) -> tuple[StaticFriction | None, str]:
+    """Return the fitted law and a note on it, "" for none; or None and the reason why there is none."""
+    table = friction_table(measured)
     try:
         law = fit_static_friction(table["N_N"], table["mu_s"], table["mu_s_err"])
     except InputError as error:
         return None, f"no law fitted: {error}"
-    if law.chi2_dof > 1:
-        found.notes.append(
-            f"sheets differ by more than the errors of single measurements (χ²/dof {law.chi2_dof:.3g}): "
-            "errors of a and b are scaled by its square root"
-        )
-    return law, ""
+    if law.chi2_dof <= 1:
+        return law, ""
+    return law, (
+        f"sheets differ by more than the errors of single measurements (χ²/dof {law.chi2_dof:.3g}): "
+        "errors of a and b are scaled by its square root"
+    )
 
 
 def _friction_summary(found: _Measurements, law: StaticFriction | None) -> list[str]:

@@ -232,16 +232,22 @@ def finish(
         if verbose and analysis.tracks is not None:
             lines += [f"{name:>22}  {value}" for name, value in findings(analysis.tracks).items()]
         say(lines)
-    ambiguous = analysis.clock is not None and analysis.clock.status == "ambiguous"
-    refused = [] if ambiguous else [name for name in REFUSED if name in analysis.reasons]
-    for name in refused:
-        if name not in analysis.failures:
-            complain(f"{about}{analysis.reasons[name]} (earlier results are in {target})")
+    refused = why_refused(analysis)
+    for reason in refused:
+        complain(f"{about}{reason} (earlier results are in {target})")
     details = target / FAILURES
     if details.exists():
         complain(f"{about}unexpected error; the other results are written; please report it with {details}")
         return 3
     return 2 if refused else 1 if analysis.warnings else 0
+
+
+def why_refused(analysis: Analysis) -> list[str]:
+    """Return why stages could not use their input; nothing for ambiguous clocks, which are a warning."""
+    if analysis.clock is not None and analysis.clock.status == "ambiguous":
+        return []
+    refused = [name for name in REFUSED if name not in analysis.failures]
+    return [analysis.reasons[name] for name in refused if name in analysis.reasons]
 
 
 # --- several films ------------------------------------------------------------------------------------------

@@ -332,10 +332,8 @@ def provenance(facts: Mapping[str, Any]) -> list[FactsTable]:
 
 def _parameters(facts: Mapping[str, Any]) -> Iterable[tuple[str, ...]]:
     for name, parameter in facts.get("parameters", {}).items():
-        plain = isinstance(parameter, Mapping)
-        value = parameter["value"] if plain else parameter.value
-        how = parameter["how"] if plain else parameter.how
-        yield name, "—" if value is None else str(value), str(how)
+        value = parameter["value"]
+        yield name, "—" if value is None else str(value), str(parameter["how"])
 
 
 def _decisions(facts: Mapping[str, Any]) -> Iterable[tuple[str, ...]]:

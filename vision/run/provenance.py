@@ -9,7 +9,7 @@ import math
 import platform
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -68,7 +68,7 @@ class Origin:
         return {
             "command": self.command,
             "versions": versions(),
-            "parameters": dict(self.parameters),
+            "parameters": {name: asdict(one) for name, one in self.parameters.items()},
             "inputs": (inputs or self.describe())(),
         }
 
