@@ -33,6 +33,7 @@ from vision.errors import InputError, with_options
 from vision.figures.style import counted
 from vision.files import usable_cores
 from vision.run import FAILURES, Parameter
+from vision.summary import aligned
 
 
 def campaign(table: Path | None, options: CampaignOptions) -> int:
@@ -253,7 +254,7 @@ def _summary(plan: Plan, states: Sequence[State], seconds: float) -> list[str]:
     lines += [f"  {state.name}: {state.reason}" for state in warned[:20]]
     if len(warned) > 20:
         lines.append(f"  and {len(warned) - 20} more with warnings: campaign.csv")
-    return [*lines, f"results    {plan.out}/ (look at index.html first)"]
+    return [*lines, *aligned([("results", f"{plan.out}/ (look at index.html first)")])]
 
 
 def _watch(

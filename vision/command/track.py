@@ -30,7 +30,7 @@ from vision.folder import check_target
 from vision.pipeline import Analysis, Settings, analyse, track_strip
 from vision.run import FAILURES, Checkpoint, Checksums, Origin, Parameter, describe_input, is_run, write_run
 from vision.sheets.corrections import read_decisions
-from vision.summary import findings, flag_counts, noise_figures
+from vision.summary import aligned, findings, flag_counts, noise_figures
 from vision.video import Follow, open_video, video_files
 from vision.video.raw import PIXELS, is_photron
 from vision.video.stacks import IMAGES
@@ -228,7 +228,7 @@ def finish(
     for line in analysis.warnings:
         complain(f"warning: {about}{line.removeprefix(about)}")
     if not quiet:
-        lines = [*analysis.summary(), f"results    {target}/ (look at {picture} first)"]
+        lines = [*analysis.summary(), *aligned([("results", f"{target}/ (look at {picture} first)")])]
         if verbose and analysis.tracks is not None:
             lines += [f"{name:>22}  {value}" for name, value in findings(analysis.tracks).items()]
         say(lines)

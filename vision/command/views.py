@@ -54,7 +54,15 @@ from vision.run.overlay import write_overlay
 from vision.sheets.ridges import describe_ridges, find_ridges
 from vision.sheets.tracks import LOSSY
 from vision.spacetime import Sheet, space_time
-from vision.summary import flag_counts, frame_rate_text, noise_figures, other_flags, ridges_line, scale_line
+from vision.summary import (
+    aligned,
+    flag_counts,
+    frame_rate_text,
+    noise_figures,
+    other_flags,
+    ridges_line,
+    scale_line,
+)
 from vision.video import Video, strip_profile, video_files
 from vision.video.strip import row_means
 from vision.video.strip_find import choose_strip
@@ -87,7 +95,7 @@ def preview(video: Path, reading: VideoOptions, config: Path | None, output: Out
     with whole_file(target) as path:
         figure = preview_figure(start.frame, start.strip, start.tracks, pixel_size_um=start.pixel_size_um)
         figure.save(path)
-    summary = [*preview_summary(found), f"picture    {target}"]
+    summary = [*preview_summary(found), *aligned([("picture", str(target))])]
     return conclude(summary, found.warnings, quiet=output.quiet)
 
 
@@ -128,20 +136,21 @@ def preview_summary(found: Preview) -> list[str]:
     frames, left = tracks.sizes["frame"], int((tracks["side"] < 0).sum())
     sides = f" ({left} left, {comb.sheets - left} right)" if sides_known(tracks) else ""
     hidden = f" (not independent: {strip.codec} hides the noise of the pixels)" * (strip.codec in LOSSY)
-    return [
-        f"film       {count} frames of {columns} x {rows} px, {film.depth_bits} bit, {strip.codec}",
-        f"clock      {frame_rate_text(strip)}",
-        f"strip      rows {strip.strip_z0}:{strip.strip_z1}, clarity {strip.strip_clarity:.2f}, {tilt}, "
+    lines = {
+        "film": f"{count} frames of {columns} x {rows} px, {film.depth_bits} bit, {strip.codec}",
+        "clock": frame_rate_text(strip),
+        "strip": f"rows {strip.strip_z0}:{strip.strip_z1}, clarity {strip.strip_clarity:.2f}, {tilt}, "
         f"{strip.strip_err_px:.3f} px error from the choice of rows",
-        f"sheets     {comb.sheets} {comb.ridges} ridges{sides}; {seen} ridges, sheets or not, in "
+        "sheets": f"{comb.sheets} {comb.ridges} ridges{sides}; {seen} ridges, sheets or not, in "
         f"{found.ridge_counts.size} frames over the film",
-        ridges_line(comb),
-        f"light      ridges {comb.contrast:.3g} grey levels high, profile noise {comb.profile_noise:.2g}",
-        f"positions  {flags.get('ok', 0)} in the first {frames} frames; {other_flags(flags)}",
-        f"noise      x_err_px {noise['stated_px']:.4f} px{length}; {noise['measured_px']:.4f} px scatter "
+        "ridges": ridges_line(comb),
+        "light": f"ridges {comb.contrast:.3g} grey levels high, profile noise {comb.profile_noise:.2g}",
+        "positions": f"{flags.get('ok', 0)} in the first {frames} frames; {other_flags(flags)}",
+        "noise": f"x_err_px {noise['stated_px']:.4f} px{length}; {noise['measured_px']:.4f} px scatter "
         f"between {frames} frames{hidden}",
-        scale_line(pixel_size_um, strip),
-    ]
+        "scale": scale_line(pixel_size_um, strip),
+    }
+    return aligned(lines.items())
 
 
 # --- kymograph ----------------------------------------------------------------------------------------------
@@ -191,12 +200,12 @@ def kymograph(
         write_json(facts, folder / "run.json")
     rows, columns = diagrams[0].shape
     scale = "" if size is None else f", {size:g} µm per px"
-    lines = [
-        f"diagrams   {len(diagrams)}; {rows} frames x {columns} px{scale}",
-        f"slips      {slips}",
-        f"results    {target}/: {', '.join([*names, f'kymograph.{picture}'])}",
-    ]
-    return conclude(lines, warnings, quiet=output.quiet)
+    lines = {
+        "diagrams": f"{len(diagrams)}; {rows} frames x {columns} px{scale}",
+        "slips": slips,
+        "results": f"{target}/: {', '.join([*names, f'kymograph.{picture}'])}",
+    }
+    return conclude(aligned(lines.items()), warnings, quiet=output.quiet)
 
 
 def _windows_of(window: WindowOptions) -> tuple[list[Sheet], dict[str, float]]:
