@@ -268,16 +268,22 @@ def as_arrow(table: pd.DataFrame) -> pa.Table:
 POOL, REMARKS = "pool", "pool.json"
 
 
-def pool(plan: Plan, *, command: str = "", options: Mapping[str, str] | None = None) -> list[str]:
+def pool(plan: Plan, origin: Origin) -> None:
     """Compare all finished runs that have a force recording, and complete the tables of all films.
 
-    command, options: for run.json (`vision.run.Origin`).  Returns remarks: runs that could not be compared,
-    warnings of the comparison, or why there is none.  Raises: InputError if the folder cannot be written.
+    origin: for run.json of the comparison.  Raises: InputError if the folder cannot be written.
     """
     done = [(film, state) for film in plan.films if (state := plan.finished(film))]
     write_tests(plan.out, {film.name: _test_row(plan, film, state) for film, state in done})
     close_tables(plan.out, [film.name for film, _ in done])
-    tests = [film for film, _ in done if (plan.run_of(film.name) / "events.csv").is_file()]
+    remarks = _compare([film for film, _ in done], plan, origin)
+    with whole_file(plan.out / REMARKS) as path:
+        write_json({"key": plan.pool_key(), "remarks": remarks}, path)
+
+
+def _compare(films: Sequence[PlannedFilm], plan: Plan, origin: Origin) -> list[str]:
+    """Compare these films; return failures and warnings, or why there is no comparison."""
+    tests = [film for film in films if (plan.run_of(film.name) / "events.csv").is_file()]
     if not tests:
         return ["no finished test has events of a force recording, so there is no comparison"]
     facts = [{**film.facts, "run": str(plan.run_of(film.name))} for film in tests]
@@ -285,8 +291,6 @@ def pool(plan: Plan, *, command: str = "", options: Mapping[str, str] | None = N
         found = compare(table=pd.DataFrame(facts, columns=COLUMNS).dropna(axis="columns", how="all"))
     except InputError as error:
         return [f"no comparison: {error}"]
-    inputs = [test.folder / "events.csv" for test in found.tests]
-    origin = Origin(command=command, inputs=inputs, options=options or {})
     write_comparison(found, plan.out / POOL, origin, overwrite=True, report=plan.report)
     return [*found.failures, *found.warnings]
 
@@ -312,12 +316,6 @@ def _test_row(plan: Plan, film: PlannedFilm, state: State) -> dict[str, Any]:
 def needs_pool(plan: Plan) -> bool:
     """Return whether the finished films or their facts have changed since the last pool."""
     return _last_pool(plan).get("key") != plan.pool_key()
-
-
-def write_remarks(plan: Plan, lines: Sequence[str]) -> None:
-    """Write the remarks on a pool with its key.  Raises: InputError."""
-    with whole_file(plan.out / REMARKS) as path:
-        write_json({"key": plan.pool_key(), "remarks": list(lines)}, path)
 
 
 def read_remarks(plan: Plan) -> tuple[str, ...]:

@@ -24,11 +24,11 @@ from vision.campaign.plan import (
     vanished_rows,
     write_plan,
 )
-from vision.campaign.results import duration, needs_pool, pool, read_remarks, write_page, write_remarks
+from vision.campaign.results import duration, needs_pool, pool, read_remarks, write_page
 from vision.command.console import attempt, complain, in_columns, say
 from vision.command.options import SETTINGS, CampaignOptions, RunOptions, option_names
 from vision.command.settings import at_least, parse_option, read_config, settings_of, with_config
-from vision.command.track import command_line, run_name, track_one, why_refused
+from vision.command.track import origin_of, run_name, track_one, why_refused
 from vision.errors import InputError, with_options
 from vision.figures.style import counted
 from vision.files import usable_cores
@@ -94,8 +94,7 @@ def job(plan: Path, name: str, fetched: Sequence[Path]) -> int:
 
 def pool_runs(plan: Path) -> int:
     """Compare the finished runs of a plan, and return the exit status."""
-    content = read_plan(plan)
-    write_remarks(content, pool(content, command=command_line(), options=option_names()))
+    pool(read_plan(plan), origin_of((), {}))
     return 0
 
 

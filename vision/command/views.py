@@ -397,9 +397,8 @@ def compare(runs: Sequence[Path], options: CompareOptions, output: OutputOptions
     check_mark(target, MARK)
     table, main_sample, fix_yeff = options.table, options.main_sample, options.fix_yeff
     found = compare_runs(runs, table, main_sample=main_sample, modulus_GPa=fix_yeff)
-    inputs = [*(test.folder / "events.csv" for test in found.tests), *([table] if table else [])]
     given = parameters_given(table=table, main_sample=main_sample, fix_yeff=fix_yeff)
-    origin = origin_of(inputs, given)
+    origin = origin_of([table] if table else [], given)
     write_comparison(found, target, origin, overwrite=output.overwrite, report=options.report)
     rows = [(one.what, ", ".join(filter(None, (one.value, one.detail)))) for one in answers(found)]
     lines = [f"{counted(len(found.tests), 'test')} -> {target}/", *in_columns(rows, "<")]

@@ -346,10 +346,12 @@ def write_comparison(
 ) -> dict[str, Any]:
     """Write the tables, figures, report.html and run.json of a comparison; return the content of run.json.
 
+    origin: with the inputs besides the runs.
     Raises: InputError if the folder exists (without `overwrite`) or cannot be written; nothing is left then.
     """
     started = time.perf_counter()
-    facts = origin.facts() | {
+    events = [test.folder / "events.csv" for test in found.tests]
+    facts = replace(origin, inputs=[*events, *origin.inputs]).facts() | {
         MARK: {"runs": [str(test.folder) for test in found.tests], "failures": list(found.failures)},
         "warnings": origin.named((*found.failures, *found.warnings)),
     }
