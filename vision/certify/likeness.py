@@ -200,7 +200,9 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
     InputError
         For fewer than 30 frames that show all but a few sheets.
     """
-    part, start = _middle(tracks.sizes["frame"], settings.most_frames), np.asarray(tracks["x_px"].values[0])
+    start, frames = np.asarray(tracks["x_px"].values[0]), tracks.sizes["frame"]
+    first = max(0, (frames - settings.most_frames) // 2)
+    part = slice(first, min(frames, first + settings.most_frames))  # the middle of the run
     strip, tracks = strip.isel(frame=part), tracks.isel(frame=part)
     values, first_px = np.asarray(strip.values, np.float32), float(strip["x"].values[0])
     order = np.argsort(nan_median(tracks["x_px"].values))
@@ -362,12 +364,6 @@ def _slow_part(residual: Floats32, frame: Ints, slips: Ints, frames: int, window
                 residual[inside], window, axis=0, mode="nearest"
             )
     return slow
-
-
-def _middle(frames: int, most: int) -> slice:
-    """Return the middle part of a range, with at most `most` frames."""
-    first = max(0, (frames - most) // 2)
-    return slice(first, min(frames, first + most))
 
 
 def _beside(slips: Ints, frames: int) -> Bools:
