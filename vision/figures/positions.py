@@ -27,7 +27,7 @@ from vision.figures.style import (
     time_axis,
 )
 from vision.models import ModelFits
-from vision.numeric import Bools, Floats, Ints, nan_median
+from vision.numeric import Bools, Floats, Ints, nan_median, spread_indices
 
 MOST_POINTS = 1600  # of one sheet
 BINS = 20  # per pixel
@@ -255,7 +255,7 @@ def deformation_figure(motion: xr.Dataset, *, threshold: float = STIFF_BELOW) ->
     """Return σ_x/Λ_st against the sheet's number for a few stick phases, with standard errors."""
     chosen = np.flatnonzero(np.isfinite(motion["ratio"].to_numpy()).any(axis=1))
     if chosen.size:
-        chosen = chosen[np.unique(np.linspace(0, chosen.size - 1, 5).astype(int))]
+        chosen = chosen[spread_indices(chosen.size, 5)]
     numbers, order = signed_number(motion)
     series = []
     for k, (ink, index) in enumerate(zip(ordered_inks(chosen.size), chosen, strict=True)):
@@ -292,7 +292,7 @@ def mean_deformation_figure(motion: xr.Dataset, *, threshold: float = STIFF_BELO
     if not known.size:
         return None
     each = min(12, known.size)
-    starts = np.unique(np.linspace(0, known.size - each, min(known.size // each, 5)).astype(int))
+    starts = spread_indices(known.size - each + 1, min(known.size // each, 5))
     numbers, order = signed_number(motion)
     d_v = motion["d_v_mm"].to_numpy()
     series = []
