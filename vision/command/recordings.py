@@ -110,12 +110,10 @@ def modulus(file: Path, options: ModulusOptions, output: OutputOptions) -> int:
         "machine_stiffness_N_per_mm": options.machine_stiffness,
         "notes": notes,
     }
-    origin = origin_of([file], parameters_given(options))
     facts = {
-        **origin.facts(),
+        **origin_of([file], parameters_given(options)).facts(warnings=warnings),
         "cycles": len(cycles),
         "notes": notes,
-        "warnings": origin.named(warnings),
         "seconds": {"total": time.perf_counter() - started},
     }
     figure = modulus_figure(force, cycles, clamp_distance_mm=options.clamp_distance)
@@ -164,14 +162,11 @@ def friction(files: Sequence[Path], options: FrictionOptions, output: OutputOpti
         "caveat": RIM_CAVEAT,
         "notes": notes,
     }
-    parameters = parameters_given(options)
-    origin = origin_of([file for file in files if file.is_file()], parameters)
+    origin = origin_of([file for file in files if file.is_file()], parameters_given(options))
     facts = {
-        **origin.facts(),
+        **origin.facts(failures=found.failures, warnings=found.warnings),
         "measurements": len(found.measured),
-        "failures": origin.named(found.failures),
         "notes": [*notes, RIM_CAVEAT],
-        "warnings": origin.named(found.warnings),
         "seconds": {"total": time.perf_counter() - started},
     }
     figure = friction_figure(found.measured, law, mu=options.mu, dynamic_deg=settings.dynamic_deg)

@@ -185,10 +185,9 @@ def kymograph(
         data = _from_video(film, settings, track=bool(sheets), quiet=output.quiet)
     diagrams = _diagrams(data, sheets, width, follow=window.follow, **part)
     warnings = [*data.warnings, *_warnings(diagrams)]
-    slips, chosen = _slips_shown(data, diagrams[0]), parameters | parameters_given(window)
-    origin = origin_of(files, chosen)
-    facts = origin.facts() | {DIAGRAMS: list(map(_diagram_facts, diagrams)), "slips": slips}
-    facts["warnings"] = origin.named(warnings)
+    slips = _slips_shown(data, diagrams[0])
+    facts = origin_of(files, parameters | parameters_given(window)).facts(warnings=warnings)
+    facts |= {DIAGRAMS: list(map(_diagram_facts, diagrams)), "slips": slips}
     names = [f"kymograph_{d.attrs.get('sheet', 'strip').replace(':', '')}.tif" for d in diagrams]
     figure = kymograph_figure(diagrams, slips_s=data.slips_s, slips_from=data.slips_from)
     size = data.pixel_size_um

@@ -351,10 +351,9 @@ def write_comparison(
     """
     started = time.perf_counter()
     events = [test.folder / "events.csv" for test in found.tests]
-    facts = replace(origin, inputs=[*events, *origin.inputs]).facts() | {
-        MARK: {"runs": [str(test.folder) for test in found.tests], "failures": list(found.failures)},
-        "warnings": origin.named((*found.failures, *found.warnings)),
-    }
+    origin = replace(origin, inputs=[*events, *origin.inputs])
+    facts = origin.facts(warnings=(*found.failures, *found.warnings))
+    facts[MARK] = {"runs": [str(test.folder) for test in found.tests], "failures": list(found.failures)}
     with run_folder(target, overwrite=overwrite) as folder:
         write_table(found.table, folder / "tests.csv")
         write_table(found.events(), folder / "all_events.csv")
