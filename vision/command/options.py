@@ -333,9 +333,15 @@ SETTINGS: Mapping[str, str] = {
 }
 """Options that a configuration file or a campaign's table may contain, and what the library calls each."""
 _ALL_GROUPS = (
-    *(RunOptions, OutputOptions, WindowOptions, CompareOptions, ModulusOptions, FrictionOptions),
-    *(SimulateOptions, CampaignOptions),
-    *GROUPS,  # the last, as their meaning of an argument of the library is the usual one
+    RunOptions,
+    OutputOptions,
+    WindowOptions,
+    CompareOptions,
+    ModulusOptions,
+    FrictionOptions,
+    SimulateOptions,
+    CampaignOptions,
+    *GROUPS,  # the last: if two options set arguments of one name, messages name that of `track`
 )
 _OTHER_NAMES: Mapping[str, str] = {
     "d0_err_mm": "--d0 with its error, like 13.0±0.1",
