@@ -1,9 +1,9 @@
-"""Robust statistics against NumPy's own."""
+"""Robust statistics against NumPy's own, and indices spread over a record."""
 
 import numpy as np
 import pytest
 
-from vision.numeric import nan_median, nan_quantile
+from vision.numeric import nan_median, nan_quantile, spread_indices
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -26,3 +26,10 @@ def test_where_nothing_is_left_there_is_no_value():
     for found in (nan_median(values), nan_quantile(values, 0.75)):
         np.testing.assert_array_equal(found, [np.nan, 4.0])
     assert nan_median(np.empty((0, 2))).shape == nan_quantile(np.empty((0, 2)), 0.75).shape == (2,)
+
+
+def test_indices_are_spread_from_the_first_to_the_last():
+    """A failure means a sample of a recording that misses its end, or names a frame twice."""
+    assert spread_indices(101, 5).tolist() == [0, 25, 50, 75, 100]
+    assert spread_indices(3, 5).tolist() == [0, 1, 2]
+    assert spread_indices(1, 5).tolist() == [0]

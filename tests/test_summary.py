@@ -13,6 +13,7 @@ from tests.scenes.combs import comb, ridges, strip
 from tests.scenes.reviewed import FORCE, SETTINGS, VIDEO, clean
 from vision.clock.clock import Candidate
 from vision.data import StickMetadata, TrackMetadata
+from vision.figures import Results
 from vision.pipeline import analyse
 from vision.report.text import answers
 from vision.sample import PUBLISHED
@@ -20,7 +21,6 @@ from vision.sheets import track_sheets
 from vision.shells import ShellSettings
 from vision.summary import (
     _noise,
-    _tracking_lines,
     consistency_warnings,
     lowpass_correction,
     noise_figures,
@@ -81,9 +81,8 @@ def test_an_axis_that_motion_allows_is_not_doubted(picture, pitches):
 def test_an_axis_between_two_sheets_is_given_no_empty_range(picture, high_px, said):
     """A failure means "192.5 px (the motion allows 193 to 193 px)", which contradicts itself."""
     found = {"axis_px": 192.5, "axis_how": "motion", "axis_low_px": 192.9, "axis_high_px": high_px}
-    (line,) = [
-        one for one in _tracking_lines(track_sheets(picture).assign_attrs(**found), None) if "axis " in one
-    ]
+    tracks = track_sheets(picture).assign_attrs(**found)
+    (line,) = [one for one in summary_lines(Results(tracks=tracks)) if one.startswith("axis")]
     assert line == f"axis       192.5 px (found from motion; {said})"
 
 
@@ -149,7 +148,7 @@ def test_n_counts_from_a_given_axis_out_of_view(picture):
     tracks = track_sheets(picture[:, int(AXIS + 6 * PITCH) :], axis_px=AXIS)
     np.testing.assert_array_equal(tracks.n, np.arange(7, 26))
     assert consistency_warnings(tracks, assumed=PUBLISHED) == []
-    (line,) = (line for line in _tracking_lines(tracks, None) if line.startswith("axis"))
+    (line,) = (line for line in summary_lines(Results(tracks=tracks)) if line.startswith("axis"))
     assert "n begins at 7, as 6 more sheets fit" in line
     too_far = track_sheets(picture[:, int(AXIS + 6 * PITCH) :], axis_px=AXIS - 5 * PITCH)
     assert "but n reaches 30" in " ".join(consistency_warnings(too_far, PUBLISHED))

@@ -26,20 +26,20 @@ except ImportError:  # Windows
 
 RUN_JSON = "run.json"
 TRUTH = "truth.nc"
-MARKS = {RUN_JSON: "a run folder", TRUTH: "a synthetic test"}  # what a folder is, by a file in it
+KNOWN_BY = {RUN_JSON: "a run folder", TRUTH: "a synthetic test"}  # what a folder is, by a file in it
 PART, OLD = ".part", ".old"  # suffixes of a run that is being written, and of one that was moved aside
 READING = ".reading"  # suffix of the folder that holds the frames read so far
 
 
-def check_target(target: Path, *, overwrite: bool, mark: str = RUN_JSON) -> None:
+def check_target(target: Path, *, overwrite: bool, known_by: str = RUN_JSON) -> None:
     """Check that a folder can be written, before anything is computed.
 
-    mark: the file that an earlier folder must hold to be replaced, one of `MARKS`.
-    Raises: InputError if it exists, not empty (with `overwrite`: without the mark), or the disk refuses.
+    known_by: the file that an earlier folder must hold to be replaced, one of `KNOWN_BY`.
+    Raises: InputError if it exists, not empty (with `overwrite`: without that file), or the disk refuses.
     """
     try:
         if target.exists():
-            _check_earlier(target, overwrite=overwrite, mark=mark)
+            _check_earlier(target, overwrite=overwrite, known_by=known_by)
         parent = existing_parent(target)
     except OSError as error:
         raise unwritable(target, error) from error
@@ -55,16 +55,16 @@ def check_new(target: Path, *, overwrite: bool, kind: str = "file") -> None:
         raise InputError(target, f"a new {kind}", "one that exists", "give `overwrite` or another `out`")
 
 
-def _check_earlier(target: Path, *, overwrite: bool, mark: str) -> None:
-    """Check that an existing folder may be replaced: an empty one, or one with the mark, if asked for.
+def _check_earlier(target: Path, *, overwrite: bool, known_by: str) -> None:
+    """Check that an existing folder may be replaced: an empty one, or one with `known_by`, if asked for.
 
     Raises: InputError if not, or if it cannot be written.
     """
     empty = target.is_dir() and not any(target.iterdir())
     check_new(target, overwrite=overwrite or empty, kind="folder")
-    wanted = f"{MARKS[mark]} to overwrite"
-    if not (empty or (target.is_dir() and (target / mark).is_file())):
-        raise InputError(target, wanted, f"something else (no {mark} in it)", "give another `out`")
+    wanted = f"{KNOWN_BY[known_by]} to overwrite"
+    if not (empty or (target.is_dir() and (target / known_by).is_file())):
+        raise InputError(target, wanted, f"something else (no {known_by} in it)", "give another `out`")
     if target.samefile(Path.cwd()):
         raise InputError(target, wanted, "the working directory", "go one folder up")
     if not os.access(target, os.W_OK | os.X_OK):
@@ -72,23 +72,23 @@ def _check_earlier(target: Path, *, overwrite: bool, mark: str) -> None:
 
 
 @contextmanager
-def run_folder(target: Path, *, overwrite: bool = False, mark: str = RUN_JSON) -> Iterator[Path]:
+def run_folder(target: Path, *, overwrite: bool = False, known_by: str = RUN_JSON) -> Iterator[Path]:
     """Yield a temporary folder beside `target`; replace `target` by it at the end.
 
     After an error or an interrupt the temporary folder is removed and an earlier run is unchanged. What a
     killed process left behind is first removed or restored (`clean_up`).
 
-    mark: as for `check_target`.
+    known_by: as for `check_target`.
     Raises: InputError if the target exists or cannot be written, or the disk is full.
     """
     clean_up(target)
-    check_target(target, overwrite=overwrite, mark=mark)
+    check_target(target, overwrite=overwrite, known_by=known_by)
     lock = None
     try:
         with _temporary_folder(target, PART) as temporary:
             lock = lock_folder(temporary)
             yield temporary
-            put_in_place(temporary, target, overwrite=overwrite, mark=mark)
+            put_in_place(temporary, target, overwrite=overwrite, known_by=known_by)
     except OSError as error:
         raise unwritable(target, error) from error
     finally:
@@ -162,7 +162,7 @@ def lock_open_file(handle: int) -> None:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
-def put_in_place(made: Path, target: Path, *, overwrite: bool, mark: str = RUN_JSON) -> None:
+def put_in_place(made: Path, target: Path, *, overwrite: bool, known_by: str = RUN_JSON) -> None:
     """Rename `made` to `target`; an earlier run there may get the name `made`, and the caller removes it.
 
     If the file system can exchange two names in one step, the target is at any time the old run or the new
@@ -173,7 +173,7 @@ def put_in_place(made: Path, target: Path, *, overwrite: bool, mark: str = RUN_J
     if not target.exists():
         made.rename(target)
         return
-    _check_earlier(target, overwrite=overwrite, mark=mark)
+    _check_earlier(target, overwrite=overwrite, known_by=known_by)
     if _exchange(made, target):
         return
     old = target.parent / f".{target.name}.{secrets.token_hex(4)}{OLD}"
@@ -273,3 +273,12 @@ def plain(value: Any) -> Any:
     if hasattr(value, "tolist"):
         return plain(value.tolist())
     return value if isinstance(value, (bool, int, float, str, type(None))) else str(value)
+
+
+def flattened(values: Mapping[str, Any], joint: str, before: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield (name, value) of nested mappings, with the names joined by `joint`."""
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            yield from flattened(value, joint, f"{before}{name}{joint}")
+        else:
+            yield f"{before}{name}", value

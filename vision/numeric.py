@@ -107,6 +107,11 @@ def _in_lanes(lanes: Floats, index: Ints) -> Floats:
     return np.take_along_axis(lanes, index[..., None], axis=-1)[..., 0]
 
 
+def spread_indices(count: int, most: int) -> Ints:
+    """Return the indices of up to `most` of `count` values, evenly spread from the first to the last."""
+    return np.unique(np.linspace(0, count - 1, most).astype(np.int64))
+
+
 def nearest(candidates: NDArray[np.floating], at: NDArray[np.floating]) -> tuple[Ints, Floats]:
     """Find the candidate nearest to `at` (rows,) in each row of `candidates` (rows, K), ignoring NaN.
 

@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 
 from vision.data import MotionMetadata, StickMetadata, StripMetadata, TrackMetadata
-from vision.numeric import FWHM, nan_median
+from vision.numeric import FWHM, nan_median, spread_indices
 
 if TYPE_CHECKING:
     from vision.figures import Results
@@ -147,7 +147,7 @@ def uneven_light_px(strip: xr.DataArray, tracks: xr.Dataset) -> float | None:
     if x.size < 3 or not known.any() or not math.isfinite(found.pitch_px):
         return None
     frames = np.flatnonzero(known)
-    sample = frames[np.unique(np.linspace(0, frames.size - 1, 50).astype(int))]
+    sample = frames[spread_indices(frames.size, 50)]
     mean = np.asarray(strip.values[sample], np.float64).mean(axis=0)
     column = np.arange(mean.size)
     gaps = np.interp(x[:-1] + np.diff(x) / 2, column, mean)

@@ -91,7 +91,7 @@ def test_a_film_whose_disk_dies_before_it_is_copied(tmp_path, dies):
     film = planned(tmp_path / "out", paths).films[0]
     dies(paths[0], "is_file")
     told = pytest.raises(InputError, match=r"t0\.tif: expected a disk .* no answer for 0\.2 s")
-    with told, _source(film, {}, SHORT, stage=True):
+    with told, _source(film, {}, SHORT.answer_s, stage=True):
         pass
 
 

@@ -51,7 +51,7 @@ def test_the_folder(six, tmp_path, capsys):
     """A failure means that a script that reads the agreed names breaks."""
     assert run(["compare", *six, "--table", "tests.csv"]) == 1  # μ follows the humidity
     shown = capsys.readouterr()
-    assert "track: a: no single μ fits the 4 tests" in shown.err
+    assert "track: warning: a: no single μ fits the 4 tests" in shown.err
     assert "one μ " in shown.out and " for 4 tests" in shown.out
     folder = tmp_path / "comparison"
     table = pd.read_csv(folder / "tests.csv")

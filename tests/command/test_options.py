@@ -3,7 +3,7 @@
 import pytest
 
 from vision.command.main import run
-from vision.command.options import GROUPS, SampleOptions, VideoOptions
+from vision.command.options import GROUPS, SampleOptions, VideoOptions, option_names
 from vision.command.settings import (
     merged,
     parse_length,
@@ -15,7 +15,7 @@ from vision.command.settings import (
     parse_with_error,
     settings_of,
 )
-from vision.errors import InputError
+from vision.errors import InputError, with_options
 from vision.pipeline import Settings
 
 
@@ -194,3 +194,20 @@ def test_a_wrong_option_is_told_before_the_folder_that_exists(tmp_path, capsys):
     """A failure means that who adds --overwrite is stopped a second time, by a mistake of the first call."""
     assert run(["film.avi", "--strip", "60-144", "--out", str(tmp_path)]) == 2
     assert "--strip: expected two whole numbers" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("argument", "option"),
+    [
+        ("mu", "--fix-mu"),  # of track, though friction has --mu
+        ("clamp_distance_mm", "--clamp-distance"),
+        ("radius_mm", "--radius"),
+        ("time_s", "--time"),
+        ("main_sample", "--main-sample"),
+        ("container", "--container"),
+        ("executor", "--executor"),
+    ],
+)
+def test_messages_name_the_options_of_every_command(argument, option):
+    """A failure means that a message names an argument of the library that nobody can type."""
+    assert with_options(f"give `{argument}`", option_names()) == f"give {option}"

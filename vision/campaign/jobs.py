@@ -32,6 +32,7 @@ from vision.errors import InputError, install_advice
 from vision.files import answered, prefetch, shortened
 from vision.folder import lock_open_file, unwritable
 from vision.pipeline import Analysis
+from vision.run import is_run
 
 # --- Snakemake, a process -----------------------------------------------------------------------------------
 
@@ -191,6 +192,7 @@ def _last_line(log: Path) -> str:
 # --- one job ------------------------------------------------------------------------------------------------
 
 
+SETTINGS = CampaignSettings()
 STATE_OF_STATUS: dict[int, Word] = {0: "done", 1: "warnings"}  # others: partial
 
 
@@ -214,7 +216,6 @@ def run_job(
     work: Work,
     *,
     fetched: Sequence[Path] = (),
-    settings: CampaignSettings = CampaignSettings(),
 ) -> int:
     """Analyse every unfinished film of a job; return 0 if all are finished then, else 1.
 
@@ -228,7 +229,7 @@ def run_job(
     with mmap.mmap(-1, mmap.PAGESIZE) as current:  # shared with the child: index of the film it analyses
         while left:
             todo, current[0:8] = tuple(left), bytes(8)
-            code = _in_child(partial(_run_each, plan, todo, work, copies, current, settings))
+            code = _in_child(partial(_run_each, plan, todo, work, copies, current))
             if code == 0:
                 break
             at = int.from_bytes(current[0:8], "little")
@@ -287,7 +288,6 @@ def _run_each(
     work: Work,
     copies: dict[str, Path],
     current: mmap.mmap,
-    settings: CampaignSettings,
 ) -> None:
     """Analyse films one after the other and write their states; `current` holds the index of the film."""
     for number, film in enumerate(films):
@@ -297,7 +297,7 @@ def _run_each(
         _try_to_write(plan.out, begun)
         started = time.perf_counter()
         try:
-            ended = _run_one(plan, film, work, copies, settings)
+            ended = _run_one(plan, film, work, copies)
         except KeyboardInterrupt:
             _try_to_write(plan.out, replace(begun, state="waiting", reason="interrupted"))
             raise
@@ -305,7 +305,7 @@ def _run_each(
             ended = State(name=film.name, state="failed", reason=shortened(str(error), 300))
         seconds = time.perf_counter() - started
         _try_to_write(plan.out, replace(ended, key=film.key, seconds=seconds, attempts=begun.attempts))
-        if page_age(plan.out) > settings.page_seconds * (1 + len(plan.films) / 100):
+        if page_age(plan.out) > SETTINGS.page_seconds * (1 + len(plan.films) / 100):
             with suppress(InputError):  # a full disk also fails the films, which report it
                 write_page(plan, live=True)
 
@@ -316,20 +316,17 @@ def _try_to_write(out: Path, state: State) -> None:
         write_state(out, state)
 
 
-def _run_one(
-    plan: Plan, film: PlannedFilm, work: Work, copies: dict[str, Path], settings: CampaignSettings
-) -> State:
+def _run_one(plan: Plan, film: PlannedFilm, work: Work, copies: dict[str, Path]) -> State:
     """Analyse one film, write its tables for the pool and its thumbnail, and return its state."""
     target = plan.run_of(film.name)
-    with _source(film, copies, settings, stage=plan.stage) as source:
+    with _source(film, copies, SETTINGS.answer_s, stage=plan.stage) as source:
         outcome = work(film, source, target)
-    run = target / "run.json"
     state = State(name=film.name, state="failed", reason=outcome.reason)
-    if outcome.analysis is None or not run.is_file():
+    if outcome.analysis is None or not is_run(target):
         return state
     write_partitions(plan.out, film.name, outcome.analysis)
     with suppress(OSError, ValueError), Image.open(target / "overview.png") as image:
-        image.thumbnail((settings.thumbnail_px, 4 * settings.thumbnail_px))
+        image.thumbnail((SETTINGS.thumbnail_px, 4 * SETTINGS.thumbnail_px))
         (plan.out / "thumbnails").mkdir(exist_ok=True)
         image.convert("RGB").quantize(32).save(plan.out / "thumbnails" / f"{film.name}.png", optimize=True)
     warnings, word = outcome.warnings, STATE_OF_STATUS.get(outcome.status, "partial")
@@ -339,9 +336,7 @@ def _run_one(
 
 
 @contextmanager
-def _source(
-    film: PlannedFilm, copies: dict[str, Path], settings: CampaignSettings, *, stage: bool
-) -> Iterator[Path]:
+def _source(film: PlannedFilm, copies: dict[str, Path], answer_s: float, *, stage: bool) -> Iterator[Path]:
     """Return the path to read a film from: its own, Snakemake's copy, or a copy on the node's local disk.
 
     Raises: InputError if the disk has no room for the copy, or the film's disk stops answering.
@@ -352,21 +347,21 @@ def _source(
         yield copies[film.film]
         return
     path = Path(film.film)
-    if not stage or not answered(path.is_file, path, settings.answer_s):
+    if not stage or not answered(path.is_file, path, answer_s):
         yield path
         return
 
     def sizes() -> dict[Path, int]:
         return {file: file.stat().st_size for file in inputs_of(film.film, {}) if file.is_file()}
 
-    files = answered(sizes, path, settings.answer_s)
+    files = answered(sizes, path, answer_s)
     room, needed = shutil.disk_usage(tempfile.gettempdir()).free, sum(files.values())
     if needed > 0.95 * room:
         wanted, found = f"room for {needed / 1e9:.1f} GB of {path.name}", f"{room / 1e9:.1f} GB free"
         raise InputError(tempfile.gettempdir(), wanted, found, "set TMPDIR")
     with tempfile.TemporaryDirectory(prefix="track-") as folder:
         for file in files:
-            copy_or_give_up(file, Path(folder) / file.name, settings.answer_s)
+            copy_or_give_up(file, Path(folder) / file.name, answer_s)
         yield Path(folder) / path.name
 
 

@@ -23,7 +23,7 @@ from vision.campaign.films import PATHS, CampaignSettings, Check, Row, is_remote
 from vision.errors import InputError
 from vision.files import Stamp, answered, reading, shortened
 from vision.folder import plain, whole_file, write_json
-from vision.run import describe_input
+from vision.run import describe_input, is_run
 from vision.run.reading import read_json
 from vision.video import open_video, video_files
 
@@ -139,8 +139,11 @@ class Plan:
     def finished(self, film: PlannedFilm) -> State | None:
         """Return the state of a finished film; None if the film must be run."""
         state = read_state(self.out, film.name)
-        has_run = (self.run_of(film.name) / "run.json").is_file()
-        return state if has_run and state.key == film.key and state.state in FINISHED else None
+        return (
+            state
+            if is_run(self.run_of(film.name)) and state.key == film.key and state.state in FINISHED
+            else None
+        )
 
     def state(self, film: PlannedFilm) -> State:
         """Return the current state of a film; "waiting" if the stored state belongs to another key."""

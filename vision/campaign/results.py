@@ -27,7 +27,7 @@ from vision.figures.style import counted
 from vision.files import reading
 from vision.folder import whole_file, write_json
 from vision.pipeline import Analysis
-from vision.run import Origin
+from vision.run import Origin, is_run
 from vision.run.reading import read_json
 from vision.run.tables import ROWS_PER_CHUNK, sheets_table, tracks_table, write_table
 from vision.shells import deformation_table
@@ -86,9 +86,7 @@ def write_page(plan: Plan, *, live: bool, remarks: tuple[str, ...] = ()) -> None
     )
     with whole_file(plan.out / PAGE) as path:
         path.write_text(text, encoding="utf-8", errors="replace")
-    runs = [
-        f"runs/{film.name}" if (plan.run_of(film.name) / "run.json").is_file() else "" for film in plan.films
-    ]
+    runs = [f"runs/{film.name}" if is_run(plan.run_of(film.name)) else "" for film in plan.films]
     rows = [
         (film.film, state.state, state.reason, round(state.seconds, 3), run)
         for (film, state), run in zip(films, runs, strict=True)
@@ -99,7 +97,7 @@ def write_page(plan: Plan, *, live: bool, remarks: tuple[str, ...] = ()) -> None
 
 def _row(plan: Plan, film: PlannedFilm, state: State, facts: list[str]) -> dict[str, Any]:
     run, given = plan.run_of(film.name), [film.facts.get(name, "") for name in facts]
-    finished = state.state in FINISHED and (run / "run.json").is_file()
+    finished = state.state in FINISHED and is_run(run)
     page = "report.html" if (run / "report.html").is_file() else "overview.png"
     return {
         "state": state.state,
@@ -270,16 +268,22 @@ def as_arrow(table: pd.DataFrame) -> pa.Table:
 POOL, REMARKS = "pool", "pool.json"
 
 
-def pool(plan: Plan, *, command: str = "", options: Mapping[str, str] | None = None) -> list[str]:
+def pool(plan: Plan, origin: Origin) -> None:
     """Compare all finished runs that have a force recording, and complete the tables of all films.
 
-    command, options: for run.json (`vision.run.Origin`).  Returns remarks: runs that could not be compared,
-    warnings of the comparison, or why there is none.  Raises: InputError if the folder cannot be written.
+    origin: for run.json of the comparison.  Raises: InputError if the folder cannot be written.
     """
     done = [(film, state) for film in plan.films if (state := plan.finished(film))]
     write_tests(plan.out, {film.name: _test_row(plan, film, state) for film, state in done})
     close_tables(plan.out, [film.name for film, _ in done])
-    tests = [film for film, _ in done if (plan.run_of(film.name) / "events.csv").is_file()]
+    remarks = _compare([film for film, _ in done], plan, origin)
+    with whole_file(plan.out / REMARKS) as path:
+        write_json({"key": plan.pool_key(), "remarks": remarks}, path)
+
+
+def _compare(films: Sequence[PlannedFilm], plan: Plan, origin: Origin) -> list[str]:
+    """Compare these films; return failures and warnings, or why there is no comparison."""
+    tests = [film for film in films if (plan.run_of(film.name) / "events.csv").is_file()]
     if not tests:
         return ["no finished test has events of a force recording, so there is no comparison"]
     facts = [{**film.facts, "run": str(plan.run_of(film.name))} for film in tests]
@@ -287,8 +291,6 @@ def pool(plan: Plan, *, command: str = "", options: Mapping[str, str] | None = N
         found = compare(table=pd.DataFrame(facts, columns=COLUMNS).dropna(axis="columns", how="all"))
     except InputError as error:
         return [f"no comparison: {error}"]
-    inputs = [test.folder / "events.csv" for test in found.tests]
-    origin = Origin(command=command, inputs=inputs, options=options or {})
     write_comparison(found, plan.out / POOL, origin, overwrite=True, report=plan.report)
     return [*found.failures, *found.warnings]
 
@@ -314,12 +316,6 @@ def _test_row(plan: Plan, film: PlannedFilm, state: State) -> dict[str, Any]:
 def needs_pool(plan: Plan) -> bool:
     """Return whether the finished films or their facts have changed since the last pool."""
     return _last_pool(plan).get("key") != plan.pool_key()
-
-
-def write_remarks(plan: Plan, lines: Sequence[str]) -> None:
-    """Write the remarks on a pool with its key.  Raises: InputError."""
-    with whole_file(plan.out / REMARKS) as path:
-        write_json({"key": plan.pool_key(), "remarks": list(lines)}, path)
 
 
 def read_remarks(plan: Plan) -> tuple[str, ...]:

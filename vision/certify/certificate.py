@@ -218,11 +218,11 @@ def certify(
     """
     like, track, recorded_px = _imitated(strip, tracks, encoder, settings)
     scales = [scale for scale in (1.5, 2.0, 3.0, 4.0) if scale <= settings.largest_jump]
-    pulled = None
+    of_sticks = None  # what the ratio at the threshold needs
     if sticks is not None and clock is not None and pixel_size_um is not None:
-        pulled = sticks, clock, pixel_size_um
+        of_sticks = sticks, clock, pixel_size_um
     if progress is not None:
-        films = settings.films if pulled is None else 2 * settings.films
+        films = settings.films if of_sticks is None else 2 * settings.films
         track = _counting(track, progress, films + 1 + len(scales))
     measured = [
         _measure(like, like.motion_px, track(like.film(like.motion_px, number=number)))
@@ -233,7 +233,7 @@ def certify(
     locking = _locking(like, track)
     sweeps, stick_frames = _sweep_errors(like, measured)
     margin, tried = _identity_margin(like, track, measured, scales)
-    at_threshold = pulled and _at_threshold(like, track, settings.films, *pulled, threshold, tracks)
+    at_threshold = of_sticks and _at_threshold(like, track, settings.films, *of_sticks, threshold, tracks)
     metadata, facts = TrackMetadata.of(tracks), StripMetadata.of(strip)
     imitated = tracks.isel(frame=like.frames)
     sheets = _sheet_table(like, tracks, error, stated, locking, sweeps, settings.errors_resolved)
@@ -575,9 +575,9 @@ def _doubts(
         lines.append("slips follow each other so fast that motion and noise can hardly be separated")
     disturbed = max(float(like.disturbed.mean()), float(tracks["distorted"].mean()))
     stated = np.where(tracks["flag"].values == "ok", tracks["x_err_px"].values, np.nan)
-    large = (stated > settings.pulled_errors * nan_median(stated)) | (tracks["distorted"].values > 0)
+    large = (stated > settings.distorted_errors * nan_median(stated)) | (tracks["distorted"].values > 0)
     at_distorted = float(np.nansum(stated[large] ** 2) / max(np.nansum(stated**2), 1e-12))
-    if disturbed > settings.most_disturbed or at_distorted > settings.most_pulled:
+    if disturbed > settings.most_disturbed or at_distorted > settings.most_at_distorted:
         lines.append(
             f"something distorts or hides ridges in {100 * disturbed:.1f} % of the film (dirt, a highlight, "
             f"a hand), and positions that it distorts have {100 * at_distorted:.0f} % of the squared stated "

@@ -200,7 +200,9 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
     InputError
         For fewer than 30 frames that show all but a few sheets.
     """
-    part, start = _middle(tracks.sizes["frame"], settings.most_frames), np.asarray(tracks["x_px"].values[0])
+    start, frames = np.asarray(tracks["x_px"].values[0]), tracks.sizes["frame"]
+    first = max(0, (frames - settings.most_frames) // 2)
+    part = slice(first, min(frames, first + settings.most_frames))  # the middle of the run
     strip, tracks = strip.isel(frame=part), tracks.isel(frame=part)
     values, first_px = np.asarray(strip.values, np.float32), float(strip["x"].values[0])
     order = np.argsort(nan_median(tracks["x_px"].values))
@@ -211,13 +213,13 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
     x_px, err_px, frozen = x_px[:, often], err_px[:, often], (flag == "frozen").all(axis=1)
     slips = find_slips(x_px, settings)
     beside = _beside(slips, len(x_px))
-    pulled = _distorted(x_px, err_px, flag[:, often], beside, settings)
+    distorted = _distorted(x_px, err_px, flag[:, often], beside, settings)
     chained = StripMetadata.of(strip).codec in BETWEEN_FRAMES
-    motion, common, left = smooth_motion(x_px, slips, settings, chained=chained, pulled=pulled)
+    motion, common, left = smooth_motion(x_px, slips, settings, chained=chained, distorted=distorted)
     usable = whole & ~beside
     if usable.sum() < LEAST_FRAMES:
         usable = whole
-    disturbed = _around(pulled | (~np.isfinite(x_px) & ~frozen[:, None]), motion, values.shape[1])
+    disturbed = _around(distorted | (~np.isfinite(x_px) & ~frozen[:, None]), motion, values.shape[1])
     disturbed[~np.isfinite(values).all(axis=1)] = False
     ceiling = float(np.nanmax(values))
     clipped = values > ceiling - 0.5
@@ -302,16 +304,16 @@ def _distorted(
     """
     own = nan_median(err_px)
     with np.errstate(invalid="ignore"):
-        large = err_px > settings.pulled_errors * own
-        lasting = err_px > settings.pulled_errors * nan_median(own)
+        large = err_px > settings.distorted_errors * own
+        lasting = err_px > settings.distorted_errors * nan_median(own)
         usual = np.where(large | lasting, np.nan, x_px)
         off = usual - predicted_by_neighbours(usual)
         known = off[np.isfinite(off)]
         seen = err_px > settings.neighbour_errors * (mad_sigma(known) if known.size else 0.0)
     clear = ~large & np.isfinite(x_px)
     before, after = np.logical_or.accumulate(clear), np.logical_or.accumulate(clear[::-1])[::-1]
-    pulled = seen & ((large & before & after) | lasting)
-    return np.asarray((pulled & (flag == "ok")) | ((flag == "blurred") & ~beside[:, None]))
+    distorted = seen & ((large & before & after) | lasting)
+    return np.asarray((distorted & (flag == "ok")) | ((flag == "blurred") & ~beside[:, None]))
 
 
 def _around(which: Bools, motion: Floats, width: int) -> Bools:
@@ -364,12 +366,6 @@ def _slow_part(residual: Floats32, frame: Ints, slips: Ints, frames: int, window
     return slow
 
 
-def _middle(frames: int, most: int) -> slice:
-    """Return the middle part of a range, with at most `most` frames."""
-    first = max(0, (frames - most) // 2)
-    return slice(first, min(frames, first + most))
-
-
 def _beside(slips: Ints, frames: int) -> Bools:
     """Return which frames a slip may have blurred: the last before and the first after it, (frame,)."""
     beside = np.zeros(frames, bool)
@@ -397,14 +393,14 @@ def smooth_motion(
     settings: CertifySettings,
     *,
     chained: bool = False,
-    pulled: Bools | None = None,
+    distorted: Bools | None = None,
 ) -> tuple[Floats, Floats, Floats]:
     """Fit smooth positions between slips.
 
     The motion of each sheet is a parabola over as many frames as it fits, plus the common motion of all
     sheets in each frame. The parabola is one in the sheets' own time (`own_time`). If none
     fits, the motion is as measured. With codecs that predict frames (`chained`), all fits are used, as steps
-    about them are no motion. At `pulled`, that is distorted positions, a sheet moves like its neighbours.
+    about them are no motion. At positions that are `distorted`, a sheet moves like its neighbours.
 
     Returns
     -------
@@ -412,7 +408,7 @@ def smooth_motion(
     the noise's variance that is not in them, (frame, sheet), which is 0 where positions are as measured.
     """
     frames, sheets = x_px.shape
-    x_px, raw = (x_px, x_px) if pulled is None else (np.where(pulled, np.nan, x_px), x_px)
+    x_px, raw = (x_px, x_px) if distorted is None else (np.where(distorted, np.nan, x_px), x_px)
     filled, left = _filled(x_px, raw), np.zeros(x_px.shape)
     motion, blurred = filled.copy(), _beside(slips, frames)
     noise = np.nan_to_num(position_noise(x_px), nan=np.inf)

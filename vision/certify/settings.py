@@ -50,7 +50,7 @@ class CertifySettings:
     """Number of frames over which the residual is averaged to find its slow part.  Fewer leave more of the
     noise at its place, with the same motion; more move the grain of paper to other frames."""
 
-    pulled_errors: float = 2.5
+    distorted_errors: float = 2.5
     """Multiple of a sheet's usual stated error from which a position counts as distorted (by dirt, a
     highlight, a hand), and its true value is predicted from neighbours.  Smaller replaces motion by that of
     neighbours; larger treats distortion as motion."""
@@ -74,7 +74,7 @@ class CertifySettings:
     """Share of the ridges that something distorts or hides from which the certificate says that its errors
     are approximate.  Smaller doubts films with a few specks; larger trusts films behind a hand or a glare."""
 
-    most_pulled: float = 0.2
+    most_at_distorted: float = 0.2
     """Share of the squared stated errors at positions with large ones from which it says so as well.  Smaller
     doubts films in which noise differs between sheets; larger trusts films in which few positions decide the
     error, which was then 0.5 to 4 times the certified one (test_certify: sheets known less well)."""

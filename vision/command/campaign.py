@@ -7,7 +7,6 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -25,15 +24,16 @@ from vision.campaign.plan import (
     vanished_rows,
     write_plan,
 )
-from vision.campaign.results import duration, needs_pool, pool, read_remarks, write_page, write_remarks
+from vision.campaign.results import duration, needs_pool, pool, read_remarks, write_page
 from vision.command.console import attempt, complain, in_columns, say
-from vision.command.options import GROUPS, SETTINGS, CampaignOptions, RunOptions, option_names
-from vision.command.settings import at_least, merged, parse_option, read_config, settings_of
-from vision.command.track import REFUSED, command_line, run_name, track_one
+from vision.command.options import SETTINGS, CampaignOptions, RunOptions, option_names
+from vision.command.settings import at_least, parse_option, read_config, settings_of, with_config
+from vision.command.track import origin_of, run_name, track_one, why_refused
 from vision.errors import InputError, with_options
 from vision.figures.style import counted
 from vision.files import usable_cores
-from vision.run import Parameter
+from vision.run import FAILURES, Parameter
+from vision.summary import aligned
 
 
 def campaign(table: Path | None, options: CampaignOptions) -> int:
@@ -65,19 +65,20 @@ def campaign(table: Path | None, options: CampaignOptions) -> int:
         return 0
     profile = _profile(options)
     watcher = None if options.watch is None else FolderWatch(options.watch)
+
+    def run(rows: Sequence[Row]) -> int:
+        return _carry_out(make(rows), options, profile)
+
+    def new(film: Path) -> Row:
+        name = safe_name(run_name(film))
+        return Row(row=0, film=str(film.absolute()), name=name, values=check({}).values)
+
     with jobs.campaign_lock(target):
         if watcher is None:
-            return _conduct(make(rows), options, profile)
-
-        def new(film: Path) -> Row:
-            name = safe_name(run_name(film))
-            return Row(row=0, film=str(film.absolute()), name=name, values=check({}).values)
-
+            return run(rows)
         # Films that were tracked and then moved away stay in the comparison.
         gone = vanished_rows(target, check, watcher.folder)
-        return _watch(
-            watcher, rows, new, lambda ready: _conduct(make([*gone, *ready]), options, profile), options.idle
-        )
+        return _watch(watcher, rows, new, lambda ready: run([*gone, *ready]), options.idle)
 
 
 def job(plan: Path, name: str, fetched: Sequence[Path]) -> int:
@@ -93,8 +94,7 @@ def job(plan: Path, name: str, fetched: Sequence[Path]) -> int:
 
 def pool_runs(plan: Path) -> int:
     """Compare the finished runs of a plan, and return the exit status."""
-    content = read_plan(plan)
-    write_remarks(content, pool(content, command=command_line(), options=option_names()))
+    pool(read_plan(plan), origin_of((), {}))
     return 0
 
 
@@ -109,7 +109,7 @@ def _checker(config: Path | None) -> Check:
     @cache
     def one_option(name: str, text: str) -> Any:
         value = parse_option(Path("table"), name, text)
-        settings_of(_merged({name: value}))
+        settings_of(_parameters({name: value}))
         return value
 
     def check(options: Mapping[str, str]) -> Checked:
@@ -121,7 +121,7 @@ def _checker(config: Path | None) -> Check:
             except InputError as error:
                 problems.append((name, error.problem))
         try:
-            parameters = _merged(values, config)
+            parameters = _parameters(values, config)
             settings_of(parameters)
         except InputError as error:
             return Checked(values={}, problems=[*problems, ("", str(error))])
@@ -130,11 +130,9 @@ def _checker(config: Path | None) -> Check:
     return check
 
 
-def _merged(values: Mapping[str, Any], config: Path | None = None) -> dict[str, Parameter]:
-    """Return every option of `track` with its origin, from values by name."""
-    names = [[one.name for one in fields(group) if one.name in values] for group in GROUPS]
-    typed = [group(**{name: values[name] for name in own}) for group, own in zip(GROUPS, names, strict=True)]
-    return merged(*typed, config=config)
+def _parameters(values: Mapping[str, Any], config: Path | None = None) -> dict[str, Parameter]:
+    """Return every option of `track` with its origin, from the values of some."""
+    return with_config({**dict.fromkeys(SETTINGS), **values}, config)
 
 
 def _read(table: Path, check: Check, awaited: Path | None) -> list[Row]:
@@ -191,7 +189,7 @@ def _profile(options: CampaignOptions) -> Path:
     return where.absolute()
 
 
-def _conduct(plan: Plan, options: CampaignOptions, profile: Path) -> int:
+def _carry_out(plan: Plan, options: CampaignOptions, profile: Path) -> int:
     """Carry out a plan: films, comparison, page and summary; return the exit status."""
     run = partial(jobs.run_snakemake, profile=profile, executor=options.executor, cores=options.cores)
     write_plan(plan)
@@ -255,14 +253,14 @@ def _summary(plan: Plan, states: Sequence[State], seconds: float) -> list[str]:
     lines += [f"  {state.name}: {state.reason}" for state in warned[:20]]
     if len(warned) > 20:
         lines.append(f"  and {len(warned) - 20} more with warnings: campaign.csv")
-    return [*lines, f"results    {plan.out}/ (look at index.html first)"]
+    return [*lines, *aligned([("results", f"{plan.out}/ (look at index.html first)")])]
 
 
 def _watch(
     watcher: FolderWatch,
     rows: Sequence[Row],
     new: Callable[[Path], Row],
-    conduct: Callable[[Sequence[Row]], int],
+    run: Callable[[Sequence[Row]], int],
     idle: float | None,
 ) -> int:
     """Track films as they are completed, until Ctrl-C or `idle` seconds without one; return the status."""
@@ -273,7 +271,7 @@ def _watch(
             ready = {row.name: row for row in watcher.rows(rows, new)}
             if not ready.keys() <= taken.keys():
                 taken |= ready
-                status = conduct(list(taken.values()))
+                status = run(list(taken.values()))
                 last = time.monotonic()
             elif idle is not None and time.monotonic() - last > idle:
                 return status
@@ -291,7 +289,7 @@ def _watch(
 def _track_film(plan: Plan, film: PlannedFilm, source: Path, target: Path) -> Outcome:
     """Track one film of a job as `track` does; `source` is the film or a copy of it."""
     values = {name: parse_option(plan.out, name, text) for name, text in film.options.items()}
-    parameters = _merged(values, plan.config)
+    parameters = _parameters(values, plan.config)
     local = not is_remote(film.film)
     video = Path(film.film) if local else source
 
@@ -307,9 +305,8 @@ def _track_film(plan: Plan, film: PlannedFilm, source: Path, target: Path) -> Ou
         done, status, why = attempt(partial(analyse, resume=False))
     status, analysis = done or (status, None)
     if analysis is not None and status >= 2:
-        named = (*REFUSED, *analysis.failures)
-        reasons = [analysis.reasons[name] for name in named if name in analysis.reasons]
-        why = reasons[0] if reasons else f"unexpected error: {target / 'failures.txt'}"
+        failed = (analysis.reasons[name] for name in analysis.failures if name in analysis.reasons)
+        why = next(iter([*why_refused(analysis), *failed]), f"unexpected error: {target / FAILURES}")
     warnings = analysis.warnings if analysis else ()
     lines = [with_options(line, option_names()) for line in (why, *warnings)]
     return Outcome(status=status, reason=lines[0], warnings=tuple(lines[1:]), analysis=analysis)

@@ -67,13 +67,18 @@ def complain(message: str) -> None:
     _print([f"track: {message}"], sys.stderr)
 
 
-def conclude(lines: Iterable[str], warnings: Sequence[str], *, quiet: bool) -> int:
-    """Print warnings and, unless quiet, a summary; return the exit status, 1 if there is a warning."""
-    for line in warnings:
-        complain(f"warning: {line}")
+def conclude(
+    lines: Iterable[str], warnings: Sequence[str], *, quiet: bool, failures: Sequence[str] = ()
+) -> int:
+    """Print failures, warnings and, unless quiet, a summary; return the exit status.
+
+    failures: what could not be used of several inputs.  The status is 1 if there is a failure or a warning.
+    """
+    for line in (*failures, *(f"warning: {line}" for line in warnings)):
+        complain(line)
     if not quiet:
         say(lines)
-    return 1 if warnings else 0
+    return 1 if failures or warnings else 0
 
 
 def in_columns(rows: Sequence[Sequence[str]], align: str) -> list[str]:

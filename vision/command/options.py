@@ -21,9 +21,9 @@ def _whole(kind: Any, tokens: Sequence[Any]) -> int:
     return int(text.partition(".")[0])
 
 
-def _sets(setting: str) -> Any:
-    """Return a field, None by default, whose option sets what the library calls `setting`."""
-    return field(default=None, metadata={"setting": setting})
+def _sets(setting: str, default: Any = None) -> Any:
+    """Return a field whose option sets what the library calls `setting`."""
+    return field(default=default, metadata={"setting": setting})
 
 
 Whole = Annotated[int, Option(converter=_whole)]
@@ -174,7 +174,7 @@ class WindowOptions:
     """Width of the window in mm, um, µm or px; 0.2mm, or one pitch without a pixel size."""
     follow: Flag = False
     """Move the window with the sheet (interpolated between pixels) instead of keeping it in place."""
-    time: str | None = None
+    time: str | None = _sets("time_s")
     """Part of the recording, A:B in seconds of the video's clock."""
 
 
@@ -204,7 +204,7 @@ class ModulusOptions:
     """Width of the sheet, mm."""
     length: float = 16.8
     """Length of the sheet between the clamps, mm."""
-    clamp_distance: float | None = None
+    clamp_distance: float | None = _sets("clamp_distance_mm")
     """Distance of the clamps at the first sample, mm, if it is neither the displacement nor the length."""
     machine_stiffness: float | None = None
     """Stiffness of the machine in N/mm, to correct the distance; no correction if not given."""
@@ -219,9 +219,9 @@ class ModulusOptions:
 class FrictionOptions:
     """The discs of a rheometer and how friction is measured on them."""
 
-    radius: float = 25.0
+    radius: float = _sets("radius_mm", 25.0)
     """Radius of the discs in mm."""
-    normal_force: str | None = None
+    normal_force: str | None = _sets("normal_force_N")
     """Normal force in N, instead of the recorded one: one value, or one per file, such as 0.1,0.5,1."""
     dynamic: str = "0.3:120"
     """Range of rotation angles in degrees over which the dynamic coefficient is averaged."""
@@ -332,20 +332,29 @@ SETTINGS: Mapping[str, str] = {
     one.name: one.metadata.get("setting", one.name) for group in GROUPS for one in fields(group)
 }
 """Options that a configuration file or a campaign's table may contain, and what the library calls each."""
-_ALSO: Mapping[str, str] = {
+_ALL_GROUPS = (
+    RunOptions,
+    OutputOptions,
+    WindowOptions,
+    CompareOptions,
+    ModulusOptions,
+    FrictionOptions,
+    SimulateOptions,
+    CampaignOptions,
+    *GROUPS,  # the last: if two options set arguments of one name, messages name that of `track`
+)
+_OTHER_NAMES: Mapping[str, str] = {
     "d0_err_mm": "--d0 with its error, like 13.0±0.1",
     "threshold_N": "--force-threshold",
     "lowpass_s": "--force-lowpass",
-    "clamp_distance_mm": "--clamp-distance",
-    "normal_force_N": "--normal-force",
-    "radius_mm": "--radius",
-    "time_s": "--time",
     "width_um": "--width",
     "width_px": "--width",
     "runs": "RUN…",
     "out_dir": "DIRECTORY",
+    "film": "--film",
+    "port": "--port",
 }
-_OF_ONE_COMMAND = ("preset", "sheet", "film", "port", "table", "main_sample", "executor", "profile", "watch")
+"""Arguments of the library that are no field of a group, and how a command's user gives them."""
 
 
 def names_given(*groups: Any) -> list[str]:
@@ -366,6 +375,7 @@ def option_names() -> Mapping[str, str]:
     The library's messages name its arguments in backticks. Before the command prints or stores a message,
     `vision.errors.with_options` finds these names and puts the options in their place.
     """
-    same = (*SETTINGS, *(field.name for field in fields(RunOptions)), *_OF_ONE_COMMAND)
-    names = {name: flag_of(name) for name in same}
-    return names | {setting: flag_of(name) for name, setting in SETTINGS.items()} | dict(_ALSO)
+    every = [one for group in _ALL_GROUPS for one in fields(group)]
+    flags = {one.name: flag_of(one.name) for one in every}
+    settings = {one.metadata.get("setting", one.name): flags[one.name] for one in every}
+    return {**flags, **settings, **_OTHER_NAMES}

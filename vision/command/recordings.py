@@ -10,7 +10,7 @@ from typing import Any
 
 import pandas as pd
 
-from vision.command.console import complain, conclude, frame_progress, one_line, say
+from vision.command.console import complain, conclude, frame_progress, one_line
 from vision.command.options import FrictionOptions, ModulusOptions, OutputOptions, SimulateOptions
 from vision.command.settings import merged, parameters_given, parse_pair, settings_of
 from vision.command.track import finish, origin_of
@@ -110,21 +110,16 @@ def modulus(file: Path, options: ModulusOptions, output: OutputOptions) -> int:
         "machine_stiffness_N_per_mm": options.machine_stiffness,
         "notes": notes,
     }
-    origin = origin_of([file], parameters_given(options))
     facts = {
-        **origin.facts(),
+        **origin_of([file], parameters_given(options)).facts(warnings=warnings),
         "cycles": len(cycles),
         "notes": notes,
-        "warnings": origin.named(warnings),
         "seconds": {"total": time.perf_counter() - started},
     }
     figure = modulus_figure(force, cycles, clamp_distance_mm=options.clamp_distance)
     _write(target, output, "cycles", cycles, figure, content, facts)
-    if not output.quiet:
-        say([f"{len(cycles)} loading branches -> {target}/", *_modulus_lines(means, len(cycles)), *notes])
-    for line in warnings:
-        complain(f"{file.name}: {line}")
-    return 1 if warnings else 0
+    lines = [f"{len(cycles)} loading branches -> {target}/", *_modulus_lines(means, len(cycles)), *notes]
+    return conclude(lines, [f"{file.name}: {line}" for line in warnings], quiet=output.quiet)
 
 
 def _modulus_lines(means: Mapping[str, MeanValue], cycles: int) -> list[str]:
@@ -156,8 +151,8 @@ def friction(files: Sequence[Path], options: FrictionOptions, output: OutputOpti
         for line in found.failures:
             complain(line)
         return 2
-    law, why = _law(found)
-    notes = [*found.notes, *filter(None, [why])]
+    law, note = _law(found.measured)
+    notes = [*found.notes, *filter(None, [note])]
     table = friction_table(found.measured)
     content: dict[str, Any] = dict.fromkeys(("a", "a_err", "b_N", "b_err_N", "chi2_dof"))
     content |= asdict(law) if law else {}
@@ -167,24 +162,20 @@ def friction(files: Sequence[Path], options: FrictionOptions, output: OutputOpti
         "caveat": RIM_CAVEAT,
         "notes": notes,
     }
-    parameters = parameters_given(options)
-    origin = origin_of([file for file in files if file.is_file()], parameters)
+    origin = origin_of([file for file in files if file.is_file()], parameters_given(options))
     facts = {
-        **origin.facts(),
+        **origin.facts(failures=found.failures, warnings=found.warnings),
         "measurements": len(found.measured),
-        "failures": origin.named(found.failures),
         "notes": [*notes, RIM_CAVEAT],
-        "warnings": origin.named(found.warnings),
         "seconds": {"total": time.perf_counter() - started},
     }
     figure = friction_figure(found.measured, law, mu=options.mu, dynamic_deg=settings.dynamic_deg)
     _write(target, output, "friction", table, figure, content, facts)
-    if not output.quiet:
-        count = f"{counted(len(found.measured), 'measurement')} of {counted(len(files), 'file')}"
-        say([f"{count} -> {target}/", *_friction_summary(found, law), RIM_CAVEAT])
-    for line in filter(None, (*found.failures, *found.warnings, why)):
-        complain(line)
-    return 1 if found.failures or found.warnings else 0
+    if law is None:
+        complain(note)
+    count = f"{counted(len(found.measured), 'measurement')} of {counted(len(files), 'file')}"
+    lines = [f"{count} -> {target}/", *_friction_summary(found, law), RIM_CAVEAT]
+    return conclude(lines, found.warnings, failures=found.failures, quiet=output.quiet)
 
 
 def _write(
@@ -242,19 +233,19 @@ def _measure(
     return found
 
 
-def _law(found: _Measurements) -> tuple[StaticFriction | None, str]:
-    """Return the fitted law and "", or None and the reason why there is none."""
-    table = friction_table(found.measured)
+def _law(measured: Sequence[DiscFriction]) -> tuple[StaticFriction | None, str]:
+    """Return the fitted law and a note on it, "" for none; or None and the reason why there is none."""
+    table = friction_table(measured)
     try:
         law = fit_static_friction(table["N_N"], table["mu_s"], table["mu_s_err"])
     except InputError as error:
         return None, f"no law fitted: {error}"
-    if law.chi2_dof > 1:
-        found.notes.append(
-            f"sheets differ by more than the errors of single measurements (χ²/dof {law.chi2_dof:.3g}): "
-            "errors of a and b are scaled by its square root"
-        )
-    return law, ""
+    if law.chi2_dof <= 1:
+        return law, ""
+    return law, (
+        f"sheets differ by more than the errors of single measurements (χ²/dof {law.chi2_dof:.3g}): "
+        "errors of a and b are scaled by its square root"
+    )
 
 
 def _friction_summary(found: _Measurements, law: StaticFriction | None) -> list[str]:

@@ -50,13 +50,18 @@ def parameters_given(*groups: Any, **others: Any) -> dict[str, Parameter]:
 
 
 def merged(*groups: Any, config: Path | None = None) -> dict[str, Parameter]:
-    """Return every option of these groups with its value and origin; the command line overrides the file.
+    """Return every option of these groups, as typed, with its origin (see `with_config`)."""
+    return with_config({name: value for group in groups for name, value in vars(group).items()}, config)
 
-    Raises: InputError for a TOML file that cannot be read, names an unknown option or gives it a wrong value.
+
+def with_config(typed: Mapping[str, Any], config: Path | None) -> dict[str, Parameter]:
+    """Return typed options, those of a TOML file in place of None, and else the defaults, with their origin.
+
+    Raises: InputError for a file that cannot be read, names an unknown option or gives it a wrong value.
     """
     from_file = read_config(config) if config else {}
     found: dict[str, Parameter] = {}
-    for name, value in ((name, value) for group in groups for name, value in vars(group).items()):
+    for name, value in typed.items():
         if value is not None:
             found[name] = Parameter(_plain(name, value), "given")
         elif from_file.get(name) is not None:

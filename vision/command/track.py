@@ -19,7 +19,7 @@ import matplotlib.artist
 import xarray as xr
 
 from vision.command.console import attempt, complain, frame_progress, in_columns, say
-from vision.command.options import ForceOptions, RunOptions, flag_of, option_names
+from vision.command.options import ForceOptions, RunOptions, TestOptions, flag_of, option_names
 from vision.command.review import keep_first_view
 from vision.command.settings import merged, settings_of
 from vision.data import MEASURED, StripMetadata
@@ -30,7 +30,7 @@ from vision.folder import check_target
 from vision.pipeline import Analysis, Settings, analyse, track_strip
 from vision.run import FAILURES, Checkpoint, Checksums, Origin, Parameter, describe_input, is_run, write_run
 from vision.sheets.corrections import read_decisions
-from vision.summary import findings, flag_counts, noise_figures
+from vision.summary import aligned, findings, flag_counts, noise_figures
 from vision.video import Follow, open_video, video_files
 from vision.video.raw import PIXELS, is_photron
 from vision.video.stacks import IMAGES
@@ -95,7 +95,7 @@ def _check_force(parameters: Mapping[str, Parameter]) -> None:
 
     Raises: InputError.
     """
-    names = (*(field.name for field in fields(ForceOptions)), "offset", "threshold", "common_mode")
+    names = [one.name for group in (ForceOptions, TestOptions) for one in fields(group)]
     typed = [flag_of(name) for name in names if parameters[name].how == "given"]
     if typed and parameters["force"].value is None:
         raise InputError(", ".join(typed), "also the force recording", "none", "give --force FILE")
@@ -228,20 +228,26 @@ def finish(
     for line in analysis.warnings:
         complain(f"warning: {about}{line.removeprefix(about)}")
     if not quiet:
-        lines = [*analysis.summary(), f"results    {target}/ (look at {picture} first)"]
+        lines = [*analysis.summary(), *aligned([("results", f"{target}/ (look at {picture} first)")])]
         if verbose and analysis.tracks is not None:
             lines += [f"{name:>22}  {value}" for name, value in findings(analysis.tracks).items()]
         say(lines)
-    ambiguous = analysis.clock is not None and analysis.clock.status == "ambiguous"
-    refused = [] if ambiguous else [name for name in REFUSED if name in analysis.reasons]
-    for name in refused:
-        if name not in analysis.failures:
-            complain(f"{about}{analysis.reasons[name]} (earlier results are in {target})")
+    refused = why_refused(analysis)
+    for reason in refused:
+        complain(f"{about}{reason} (earlier results are in {target})")
     details = target / FAILURES
     if details.exists():
         complain(f"{about}unexpected error; the other results are written; please report it with {details}")
         return 3
     return 2 if refused else 1 if analysis.warnings else 0
+
+
+def why_refused(analysis: Analysis) -> list[str]:
+    """Return why stages could not use their input; nothing for ambiguous clocks, which are a warning."""
+    if analysis.clock is not None and analysis.clock.status == "ambiguous":
+        return []
+    refused = [name for name in REFUSED if name not in analysis.failures]
+    return [analysis.reasons[name] for name in refused if name in analysis.reasons]
 
 
 # --- several films ------------------------------------------------------------------------------------------

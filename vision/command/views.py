@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 
 from vision.certify import CertifySettings, certify_run, statements, write_certificate
-from vision.command.console import complain, conclude, frame_progress, in_columns, say
+from vision.command.console import complain, conclude, frame_progress, in_columns
 from vision.command.options import (
     CompareOptions,
     OutputOptions,
@@ -53,8 +53,16 @@ from vision.run.export import Format
 from vision.run.overlay import write_overlay
 from vision.sheets.ridges import describe_ridges, find_ridges
 from vision.sheets.tracks import LOSSY
-from vision.spacetime import space_time
-from vision.summary import flag_counts, frame_rate_text, noise_figures, other_flags, ridges_line, scale_line
+from vision.spacetime import Sheet, space_time
+from vision.summary import (
+    aligned,
+    flag_counts,
+    frame_rate_text,
+    noise_figures,
+    other_flags,
+    ridges_line,
+    scale_line,
+)
 from vision.video import Video, strip_profile, video_files
 from vision.video.strip import row_means
 from vision.video.strip_find import choose_strip
@@ -87,7 +95,7 @@ def preview(video: Path, reading: VideoOptions, config: Path | None, output: Out
     with whole_file(target) as path:
         figure = preview_figure(start.frame, start.strip, start.tracks, pixel_size_um=start.pixel_size_um)
         figure.save(path)
-    summary = [*preview_summary(found), f"picture    {target}"]
+    summary = [*preview_summary(found), *aligned([("picture", str(target))])]
     return conclude(summary, found.warnings, quiet=output.quiet)
 
 
@@ -128,20 +136,21 @@ def preview_summary(found: Preview) -> list[str]:
     frames, left = tracks.sizes["frame"], int((tracks["side"] < 0).sum())
     sides = f" ({left} left, {comb.sheets - left} right)" if sides_known(tracks) else ""
     hidden = f" (not independent: {strip.codec} hides the noise of the pixels)" * (strip.codec in LOSSY)
-    return [
-        f"film       {count} frames of {columns} x {rows} px, {film.depth_bits} bit, {strip.codec}",
-        f"clock      {frame_rate_text(strip)}",
-        f"strip      rows {strip.strip_z0}:{strip.strip_z1}, clarity {strip.strip_clarity:.2f}, {tilt}, "
+    lines = {
+        "film": f"{count} frames of {columns} x {rows} px, {film.depth_bits} bit, {strip.codec}",
+        "clock": frame_rate_text(strip),
+        "strip": f"rows {strip.strip_z0}:{strip.strip_z1}, clarity {strip.strip_clarity:.2f}, {tilt}, "
         f"{strip.strip_err_px:.3f} px error from the choice of rows",
-        f"sheets     {comb.sheets} {comb.ridges} ridges{sides}; {seen} ridges, sheets or not, in "
+        "sheets": f"{comb.sheets} {comb.ridges} ridges{sides}; {seen} ridges, sheets or not, in "
         f"{found.ridge_counts.size} frames over the film",
-        ridges_line(comb),
-        f"light      ridges {comb.contrast:.3g} grey levels high, profile noise {comb.profile_noise:.2g}",
-        f"positions  {flags.get('ok', 0)} in the first {frames} frames; {other_flags(flags)}",
-        f"noise      x_err_px {noise['stated_px']:.4f} px{length}; {noise['measured_px']:.4f} px scatter "
+        "ridges": ridges_line(comb),
+        "light": f"ridges {comb.contrast:.3g} grey levels high, profile noise {comb.profile_noise:.2g}",
+        "positions": f"{flags.get('ok', 0)} in the first {frames} frames; {other_flags(flags)}",
+        "noise": f"x_err_px {noise['stated_px']:.4f} px{length}; {noise['measured_px']:.4f} px scatter "
         f"between {frames} frames{hidden}",
-        scale_line(pixel_size_um, strip),
-    ]
+        "scale": scale_line(pixel_size_um, strip),
+    }
+    return aligned(lines.items())
 
 
 # --- kymograph ----------------------------------------------------------------------------------------------
@@ -152,7 +161,8 @@ def kymograph(
 ) -> int:
     """Write space-time diagrams of a video or of a run, and return the exit status."""
     started = time.perf_counter()
-    options = _space_time_options(window)
+    sheets, width = _windows_of(window)
+    part: dict[str, Any] = {"time_s": parse_seconds(window.time, "--time")}
     video_or_run = one_film(video_or_run)
     target = output.out or Path(f"{run_name(video_or_run)}_kymograph")
     check_target(target, overwrite=output.overwrite)
@@ -161,24 +171,23 @@ def kymograph(
     if is_run(video_or_run):
         with reading_of(video_or_run, "a run folder as track writes it", AGAIN):
             data, files = _from_run(video_or_run, reading)
-        options["frames"] = parse_range(reading.frames, "--frames")
+        part["frames"] = parse_range(reading.frames, "--frames")
     else:
-        wanted, settings = bool(options["sheets"]), settings_of(parameters)
+        settings = settings_of(parameters)
+        film = open_recording(video_or_run, settings)
         if settings.pixel_size_um is None and settings.pitch_um is None:
-            stated = open_recording(video_or_run, settings).facts.pixel_size_um
-            settings = replace(settings, pixel_size_um=stated)
-        if "width_um" in options["width"] and settings.pixel_size_um is None and settings.pitch_um is None:
-            needed = "a pixel size (mm needs --pixel-size)"
-            raise InputError(f"--width {window.width}", needed, "none", "or give the width as 20px")
+            settings = replace(settings, pixel_size_um=film.facts.pixel_size_um)
+            if "width_um" in width and settings.pixel_size_um is None:
+                needed = "a pixel size (mm needs --pixel-size)"
+                raise InputError(f"--width {window.width}", needed, "none", "or give the width as 20px")
         given = (parameters[name].value for name in ("timestamps", "corrections"))
         files = [*video_files(video_or_run), *(file for file in given if file is not None)]
-        data = _from_video(video_or_run, settings, track=wanted, quiet=output.quiet)
-    diagrams = _diagrams(data, **options)
+        data = _from_video(film, settings, track=bool(sheets), quiet=output.quiet)
+    diagrams = _diagrams(data, sheets, width, follow=window.follow, **part)
     warnings = [*data.warnings, *_warnings(diagrams)]
-    slips, chosen = _slips_shown(data, diagrams[0]), parameters | parameters_given(window)
-    origin = origin_of(files, chosen)
-    facts = origin.facts() | {DIAGRAMS: list(map(_diagram_facts, diagrams)), "slips": slips}
-    facts["warnings"] = origin.named(warnings)
+    slips = _slips_shown(data, diagrams[0])
+    facts = origin_of(files, parameters | parameters_given(window)).facts(warnings=warnings)
+    facts |= {DIAGRAMS: list(map(_diagram_facts, diagrams)), "slips": slips}
     names = [f"kymograph_{d.attrs.get('sheet', 'strip').replace(':', '')}.tif" for d in diagrams]
     figure = kymograph_figure(diagrams, slips_s=data.slips_s, slips_from=data.slips_from)
     size = data.pixel_size_um
@@ -190,26 +199,21 @@ def kymograph(
         write_json(facts, folder / "run.json")
     rows, columns = diagrams[0].shape
     scale = "" if size is None else f", {size:g} µm per px"
-    lines = [
-        f"diagrams   {len(diagrams)}; {rows} frames x {columns} px{scale}",
-        f"slips      {slips}",
-        f"results    {target}/: {', '.join([*names, f'kymograph.{picture}'])}",
-    ]
-    return conclude(lines, warnings, quiet=output.quiet)
+    lines = {
+        "diagrams": f"{len(diagrams)}; {rows} frames x {columns} px{scale}",
+        "slips": slips,
+        "results": f"{target}/: {', '.join([*names, f'kymograph.{picture}'])}",
+    }
+    return conclude(aligned(lines.items()), warnings, quiet=output.quiet)
 
 
-def _space_time_options(window: WindowOptions) -> dict[str, Any]:
-    """Return the arguments of `_diagrams` besides the data.  Raises: InputError, before anything is read."""
+def _windows_of(window: WindowOptions) -> tuple[list[Sheet], dict[str, float]]:
+    """Return the sheets to show and the width of their windows.  Raises: InputError."""
     sheets = parse_sheets(window.sheet)
     for option, given in (("--width", window.width), ("--follow", window.follow)):
         if given and not sheets:
             raise InputError(option, "a sheet for the window", "none", "give --sheet right:1, for example")
-    return {
-        "sheets": sheets,
-        "width": parse_length(window.width, "--width") if window.width else {},
-        "follow": window.follow,
-        "time_s": parse_seconds(window.time, "--time"),
-    }
+    return sheets, parse_length(window.width, "--width") if window.width else {}
 
 
 def _from_run(folder: Path, reading: VideoOptions) -> tuple[Analysis, list[Path]]:
@@ -236,27 +240,25 @@ def _from_run(folder: Path, reading: VideoOptions) -> tuple[Analysis, list[Path]
 
 def _cut(strip: xr.DataArray, columns: slice, folder: Path) -> xr.DataArray:
     """Return these columns of a run's strip.  Raises: InputError if it has none of them."""
-    x = strip["x"].values
-    keep = (x >= (columns.start or 0)) & (x < (x[-1] + 1 if columns.stop is None else columns.stop))
-    if not keep.any():
-        found = f"{columns.start}:{columns.stop}"
+    last = None if columns.stop is None else columns.stop - 1  # a slice of labels has both ends
+    part = strip.sel(x=slice(columns.start, last))
+    if not part.sizes["x"]:
+        x, found = strip["x"].values, f"{columns.start}:{columns.stop}"
         raise InputError(f"{folder}: --columns", f"a part of {x[0]}:{x[-1] + 1}", found)
-    first = int(keep.argmax())
-    return strip.isel(x=slice(first, first + int(keep.sum())))
+    return part
 
 
-def _from_video(path: Path, settings: Settings, *, track: bool, quiet: bool) -> Analysis:
+def _from_video(video: Video, settings: Settings, *, track: bool, quiet: bool) -> Analysis:
     """Read a video's strip and, with `track` or a pitch, track its sheets."""
     with frame_progress("reading", quiet=quiet) as progress:
         if track or settings.pitch_um is not None:
-            return analyse(path, None, settings, progress=progress)
-        video = open_recording(path, settings)
+            return analyse(video, None, settings, progress=progress)
         strip = strip_profile(video, settings.rows, columns=settings.columns, progress=progress)
         return Analysis(settings=settings, strip=strip, warnings=tuple(warnings_of(strip)))
 
 
 def _diagrams(
-    data: Analysis, *, sheets: list[Any], width: dict[str, Any], follow: bool, **part: Any
+    data: Analysis, sheets: Sequence[Sheet], width: dict[str, float], *, follow: bool, **part: Any
 ) -> list[xr.DataArray]:
     """Return one diagram per sheet, or one of the whole strip if no sheet is asked for."""
     size = data.pixel_size_um
@@ -265,8 +267,8 @@ def _diagrams(
         return [space_time(data.strip, pixel_size_um=size, **part)]
     pitch = min(TrackMetadata.of(data.tracks).pitch_px, float(data.strip.sizes["x"]))
     width = width or ({"width_px": pitch} if size is None else {"width_um": 200.0})
-    window: dict[str, Any] = {"around": data.tracks, "follow": follow, "pixel_size_um": size}
-    diagrams = [space_time(data.strip, sheet=sheet, **window, **width, **part) for sheet in sheets]
+    part |= {"around": data.tracks, "follow": follow, "pixel_size_um": size, **width}
+    diagrams = [space_time(data.strip, sheet=sheet, **part) for sheet in sheets]
     return list({diagram.attrs["sheet"]: diagram for diagram in diagrams}.values())  # each sheet once
 
 
@@ -394,13 +396,9 @@ def compare(runs: Sequence[Path], options: CompareOptions, output: OutputOptions
     check_mark(target, MARK)
     table, main_sample, fix_yeff = options.table, options.main_sample, options.fix_yeff
     found = compare_runs(runs, table, main_sample=main_sample, modulus_GPa=fix_yeff)
-    inputs = [*(test.folder / "events.csv" for test in found.tests), *([table] if table else [])]
     given = parameters_given(table=table, main_sample=main_sample, fix_yeff=fix_yeff)
-    origin = origin_of(inputs, given)
+    origin = origin_of([table] if table else [], given)
     write_comparison(found, target, origin, overwrite=output.overwrite, report=options.report)
-    for line in (*found.failures, *found.warnings):
-        complain(line)
-    if not output.quiet:
-        rows = [(one.what, ", ".join(filter(None, (one.value, one.detail)))) for one in answers(found)]
-        say([f"{counted(len(found.tests), 'test')} -> {target}/", *in_columns(rows, "<")])
-    return 1 if found.failures or found.warnings else 0
+    rows = [(one.what, ", ".join(filter(None, (one.value, one.detail)))) for one in answers(found)]
+    lines = [f"{counted(len(found.tests), 'test')} -> {target}/", *in_columns(rows, "<")]
+    return conclude(lines, found.warnings, failures=found.failures, quiet=output.quiet)

@@ -346,13 +346,14 @@ def write_comparison(
 ) -> dict[str, Any]:
     """Write the tables, figures, report.html and run.json of a comparison; return the content of run.json.
 
+    origin: with the inputs besides the runs.
     Raises: InputError if the folder exists (without `overwrite`) or cannot be written; nothing is left then.
     """
     started = time.perf_counter()
-    facts = origin.facts() | {
-        MARK: {"runs": [str(test.folder) for test in found.tests], "failures": list(found.failures)},
-        "warnings": origin.named((*found.failures, *found.warnings)),
-    }
+    events = [test.folder / "events.csv" for test in found.tests]
+    origin = replace(origin, inputs=[*events, *origin.inputs])
+    facts = origin.facts(warnings=(*found.failures, *found.warnings))
+    facts[MARK] = {"runs": [str(test.folder) for test in found.tests], "failures": list(found.failures)}
     with run_folder(target, overwrite=overwrite) as folder:
         write_table(found.table, folder / "tests.csv")
         write_table(found.events(), folder / "all_events.csv")

@@ -21,6 +21,7 @@ from vision.figures.style import (
     PEAK,
     QUIET,
     VALLEY,
+    VALLEY_SEPARATION,
     both_errors,
     from_zero,
     ordered_inks,
@@ -118,7 +119,7 @@ def drops_figure(found: Comparison, events: pd.DataFrame) -> Figure:
     return Figure.of(
         "drops",
         Panel(
-            x_label="d_v (mm)",
+            x_label=VALLEY_SEPARATION,
             y_label="ΔF (N)",
             y_range=from_zero(events["dF_N"].to_numpy(float), share=0.98),
             series=series,
@@ -140,7 +141,7 @@ def stiffnesses_figure(found: Comparison, events: pd.DataFrame) -> Figure:
     y_range = from_zero(events["K_N_per_mm"].to_numpy(float), share=0.98)
     return Figure.of(
         "stiffnesses",
-        Panel(x_label="d_v (mm)", y_label="K (N/mm)", y_range=y_range, series=series),
+        Panel(x_label=VALLEY_SEPARATION, y_label="K (N/mm)", y_range=y_range, series=series),
         "K of every event, the slope of the central part of its stick phase. Dashed: M_eff K_eff with the "
         f"median Λ̂ of the tests and Y_eff = {plus_minus(found.modulus)} GPa. Solid: lengthening alone.",
         title="Stiffness at all velocities",
@@ -230,7 +231,7 @@ def collapse_figure(found: Comparison, events: pd.DataFrame) -> Figure | None:
         label = "M √(1 − d̂)" + f", M = {m:g}" * (len(blocks) > 1)
         masters.append(Series.model(label, d_hat, m * np.sqrt(1 - d_hat), MODEL))
     inset = Panel(
-        x_label="d_v (mm)",
+        x_label=VALLEY_SEPARATION,
         y_label="K (N/mm)",
         series=tuple(replace(one, label="") for one in _by_test(stiffness, "d_v_mm", "K_N_per_mm")),
     )
@@ -298,7 +299,7 @@ def irregular_figure(found: Comparison) -> Figure | None:
     return Figure.of(
         "irregular",
         Panel(
-            x_label="d_v (mm)",
+            x_label=VALLEY_SEPARATION,
             y_label="variation of ΔF",
             series=tuple(series),
             x_lines=tuple(one.change_mm for one in changed),

@@ -274,7 +274,7 @@ def simulate(
     """
     folder = Path(out_dir)
     check_container(container, experiment.camera)
-    with known_as(out="out_dir"), run_folder(folder, overwrite=overwrite, mark=TRUTH) as part:
+    with known_as(out="out_dir"), run_folder(folder, overwrite=overwrite, known_by=TRUTH) as part:
         scene = make_scene(experiment)
         made = _write(scene, part, container, progress)
     return SimulatedTest(

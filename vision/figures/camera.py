@@ -298,24 +298,21 @@ def _ridge_panel(strip: xr.DataArray, tracks: xr.Dataset, frames: tuple[int, int
 # --- space-time diagrams ------------------------------------------------------------------------------------
 
 
-def slip_times(tracks: xr.Dataset | None, force_s: Floats | None = None) -> tuple[Floats | None, str]:
-    """Return the times of the slips on the camera's clock, s, and their source.
+def common_steps_s(tracks: xr.Dataset | None) -> Floats | None:
+    """Return the times at which all sheets step outwards, s on the camera's clock; None if not known.
 
-    The times are those of the force recording on that clock (`force_s`), or else those of the common outward
-    steps of the sheets. They are None if the axis is only the middle of the sheets in view, as the outward
-    direction is then not known.
+    They are not known if the axis is only the middle of the sheets in view, as the outward direction is then
+    not known.
     """
-    if force_s is not None:
-        return np.sort(force_s), "the force"
     if tracks is None:
-        return None, ""
+        return None
     found = TrackMetadata.of(tracks)
     if found.axis_how == "geometry" and math.isnan(found.axis_low_px):
-        return None, ""
+        return None
     try:
-        return video_slips(tracks)["time_s"].to_numpy(float), "the sheets' common steps"
+        return video_slips(tracks)["time_s"].to_numpy(float)
     except InputError:  # too few frames, or none with a time
-        return None, ""
+        return None
 
 
 def space_time_figure(

@@ -8,6 +8,7 @@ from functools import cached_property
 from inspect import signature
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pandas as pd
 import xarray as xr
 
@@ -75,8 +76,8 @@ class Results:
         """Times of the slips on the camera's clock, s, or None; and what they were found from."""
         sticks, clock = self.sticks, self.clock
         if sticks is None or not len(sticks) or clock is None or clock.status == "ambiguous":
-            return camera.slip_times(self.tracks)
-        return camera.slip_times(self.tracks, clock.to_video_s(sticks["t_p_s"].to_numpy(float)))
+            return camera.common_steps_s(self.tracks), "the sheets' common steps"
+        return np.sort(clock.to_video_s(sticks["t_p_s"].to_numpy(float))), "the force"
 
     @property
     def slips_s(self) -> Floats | None:

@@ -268,7 +268,9 @@ def _draw_ticks(ax: Axes, groups: list[Series]) -> None:
     taken: list[tuple[float, float]] = []  # ranges of x with a number
     box = {"boxstyle": "round,pad=0.12", "fc": "white", "ec": "none", "alpha": 0.75}
     style: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "va": "bottom", "bbox": box}
-    step = max((label_step(s.x, _label_width(s, character)) for s in groups), default=1)
+    widest = [max(map(len, series.text), default=1) + 0.8 for series in groups]  # with a gap, in characters
+    steps = [label_step(s.x, character * width) for s, width in zip(groups, widest, strict=True)]
+    step = max(steps, default=1)
     for series in groups:
         if series.low is None or series.high is None:
             continue
@@ -281,11 +283,6 @@ def _draw_ticks(ax: Axes, groups: list[Series]) -> None:
             if (int(text) - 1) % step == 0 and not any(span[0] < b and a < span[1] for a, b in taken):
                 taken.append(span)
                 ax.annotate(text, (x, y), (0, 3), fontsize=7, **style)
-
-
-def _label_width(series: Series, character: float) -> float:
-    """Return the width of the longest number and a gap, from that of a character."""
-    return character * (0.8 + max((len(text) for text in series.text), default=1))
 
 
 def _draw_inset(ax: Axes, panel: Panel) -> None:

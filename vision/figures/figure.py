@@ -145,7 +145,7 @@ class Panel:
 
     @property
     def foot(self) -> str:
-        """What the grey levels and the marks are, one line each, for below the panel."""
+        """Lines that explain the grey levels and the marks, shown below the panel."""
         return "\n".join(filter(None, (self.image.scale if self.image else "", self.marks_label)))
 
     @property

@@ -16,11 +16,13 @@ from vision.figures.figure import Arrow, Figure, Ink, Panel, Range, Series
 from vision.figures.positions import outward_px
 from vision.figures.style import (
     DATA,
+    FORCE_TIME,
     MODEL,
     OTHER_MODEL,
     PEAK,
     QUIET,
     VALLEY,
+    VALLEY_SEPARATION,
     both_errors,
     displacement_unit,
     drift_text,
@@ -101,7 +103,7 @@ def clocks_figure(
         near[:] = True
     t_force, load = minmax_decimate(t_force[near], load[near], most=MOST_SAMPLES)
     panel = Panel(
-        x_label="t (s, force clock)",
+        x_label=FORCE_TIME,
         first_view=_some_sticks(t_video, sticks),
         y_label=load_label("F", load_unit(force)),
         y2_label=f"outward motion ({unit})",
@@ -141,7 +143,7 @@ def clock_residuals_figure(
         return None
     reach = 1.1 * float(np.max(np.abs(residual) + error))
     panel = Panel(
-        x_label="t (s, force clock)",
+        x_label=FORCE_TIME,
         y_label="video − force (ms)",
         series=(
             Series(label="", x=at, y=np.zeros(at.size), ink=QUIET, width=0.8),
@@ -274,7 +276,7 @@ def force_drop_figure(sticks: pd.DataFrame, fits: ModelFits | None = None, *, un
         model = f" Dashed: A times the normal force summed over the sheets (Eq. 2), A = {amplitude}."
     panel = Panel(
         title="Stick-slip amplitude",
-        x_label="d_v (mm)" if known else "t_v (s, force clock)",
+        x_label=VALLEY_SEPARATION if known else "t_v (s, force clock)",
         y_label=load_label("ΔF", unit),
         y_range=from_zero(sticks["dF_N"].to_numpy(float), share=0.98),
         series=tuple(series),
@@ -302,7 +304,7 @@ def stiffness_figure(sticks: pd.DataFrame, fits: ModelFits | None = None, *, uni
         )
     panel = Panel(
         title="Stiffness of the sample",
-        x_label="d_v (mm)",
+        x_label=VALLEY_SEPARATION,
         y_label=_stiffness_label("K", unit),
         y_range=from_zero(sticks["K_N_per_mm"].to_numpy(float), share=0.98),
         series=tuple(series),
@@ -330,7 +332,7 @@ def stiffness_residuals_figure(sticks: pd.DataFrame, fits: ModelFits, *, unit: s
     ends = np.abs(points.y) + measured.high - measured.y  # of the error bars
     reach = 1.05 * float(np.nanquantile(ends, 0.98)) or 1.0
     panel = Panel(
-        x_label="d_v (mm)",
+        x_label=VALLEY_SEPARATION,
         y_label=_stiffness_label("K − model", unit),
         y_range=(-reach, reach),
         series=(line, points),
@@ -433,7 +435,7 @@ def _force_panel(force: xr.Dataset, title: str, series: tuple[Series, ...], *, a
     separation = "distance the machine moved (mm)" if ForceMetadata.of(force).lacks_d0 else "d (mm)"
     return Panel(
         title=title,
-        x_label=separation if against_d else "t (s, force clock)",
+        x_label=separation if against_d else FORCE_TIME,
         y_label=load_label("F", load_unit(force)),
         series=series,
         placeholder="no events",

@@ -17,7 +17,9 @@ from vision.figures.style import (
     DATA,
     MODEL,
     PEAK,
+    SHEET_NUMBER,
     VALLEY,
+    VALLEY_SEPARATION,
     displacement_unit,
     from_zero,
     ordered_inks,
@@ -25,7 +27,7 @@ from vision.figures.style import (
     time_axis,
 )
 from vision.models import ModelFits
-from vision.numeric import Bools, Floats, Ints, nan_median
+from vision.numeric import Bools, Floats, Ints, nan_median, spread_indices
 
 MOST_POINTS = 1600  # of one sheet
 BINS = 20  # per pixel
@@ -118,7 +120,7 @@ def noise_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> F
     scatter = (tracks["x_scatter_px"].values[order] if "x_scatter_px" in tracks else unknown) * scale
     stated = nan_median(tracks["x_err_px"].values)[order] * scale
     panel = Panel(
-        x_label="side · n (left negative)",
+        x_label=SHEET_NUMBER,
         y_label=f"noise of x ({unit})",
         series=(
             Series.points("from frame to frame", numbers, measured, DATA),
@@ -253,7 +255,7 @@ def deformation_figure(motion: xr.Dataset, *, threshold: float = STIFF_BELOW) ->
     """Return σ_x/Λ_st against the sheet's number for a few stick phases, with standard errors."""
     chosen = np.flatnonzero(np.isfinite(motion["ratio"].to_numpy()).any(axis=1))
     if chosen.size:
-        chosen = chosen[np.unique(np.linspace(0, chosen.size - 1, 5).astype(int))]
+        chosen = chosen[spread_indices(chosen.size, 5)]
     numbers, order = signed_number(motion)
     series = []
     for k, (ink, index) in enumerate(zip(ordered_inks(chosen.size), chosen, strict=True)):
@@ -276,7 +278,7 @@ def deformation_figure(motion: xr.Dataset, *, threshold: float = STIFF_BELOW) ->
 def _ratio_panel(series: tuple[Series, ...], threshold: float) -> Panel:
     """Return a panel of σ_x/Λ_st against the sheet's number, with the range of stiff sheets."""
     return Panel(
-        x_label="side · n (left negative)",
+        x_label=SHEET_NUMBER,
         y_label="σ_x / Λ_st",
         series=series,
         bands=(Band(low=0.0, high=threshold, label=f"stiff (below {threshold:g})"),),
@@ -290,7 +292,7 @@ def mean_deformation_figure(motion: xr.Dataset, *, threshold: float = STIFF_BELO
     if not known.size:
         return None
     each = min(12, known.size)
-    starts = np.unique(np.linspace(0, known.size - each, min(known.size // each, 5)).astype(int))
+    starts = spread_indices(known.size - each + 1, min(known.size // each, 5))
     numbers, order = signed_number(motion)
     d_v = motion["d_v_mm"].to_numpy()
     series = []
@@ -330,7 +332,7 @@ def shells_figure(shells: pd.DataFrame, fits: ModelFits | None = None) -> Figure
         series.append(Series.model("M_eff (force)", d, fits.effective_sheets(d), MODEL))
         model = " Dashed: M_eff = M √(1 − d̂), from the stiffness of the force recording alone."
     panel = Panel(
-        x_label="d_v (mm)",
+        x_label=VALLEY_SEPARATION,
         y_label="stiff sheets per side",
         y_range=(0.0, 1.15 * float(known["stiff_high"].max()) + 1) if len(known) else None,
         series=tuple(series),

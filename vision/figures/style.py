@@ -164,6 +164,10 @@ def candidates_text(clock: Clock) -> str:
 # --- units and axes -----------------------------------------------------------------------------------------
 
 UM_PER_MM = 1000
+# labels of axes that several figures share
+VALLEY_SEPARATION = "d_v (mm)"
+FORCE_TIME = "t (s, force clock)"
+SHEET_NUMBER = "side · n (left negative)"
 
 
 def time_axis(data: xr.Dataset | xr.DataArray) -> tuple[Floats, str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -23,6 +23,7 @@ from vision.data import ForceMetadata, StripMetadata
 from vision.errors import with_options
 from vision.figures import Figure, Image, Panel, Results, Series, figures_of, missing_parts, sections_of
 from vision.figures.style import MISSING, rgb, to_html, to_unicode, with_minus
+from vision.folder import flattened
 from vision.numeric import Floats
 from vision.report.text import answers, citation, methods, subtitle
 from vision.sheets import doubtful_stretches
@@ -331,10 +332,8 @@ def provenance(facts: Mapping[str, Any]) -> list[FactsTable]:
 
 def _parameters(facts: Mapping[str, Any]) -> Iterable[tuple[str, ...]]:
     for name, parameter in facts.get("parameters", {}).items():
-        plain = isinstance(parameter, Mapping)
-        value = parameter["value"] if plain else parameter.value
-        how = parameter["how"] if plain else parameter.how
-        yield name, "—" if value is None else str(value), str(how)
+        value = parameter["value"]
+        yield name, "—" if value is None else str(value), str(parameter["how"])
 
 
 def _decisions(facts: Mapping[str, Any]) -> Iterable[tuple[str, ...]]:
@@ -352,12 +351,3 @@ def _inputs(facts: Mapping[str, Any]) -> Iterable[tuple[str, ...]]:
 def _texts(values: Mapping[str, Any]) -> Iterable[tuple[str, ...]]:
     for name, value in flattened(values, ": "):
         yield name, f"{value:.6g}" if isinstance(value, float) else str(value)
-
-
-def flattened(values: Mapping[str, Any], joint: str, before: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield (name, value) of nested mappings, with the names joined by `joint`."""
-    for name, value in values.items():
-        if isinstance(value, Mapping):
-            yield from flattened(value, joint, f"{before}{name}{joint}")
-        else:
-            yield f"{before}{name}", value

@@ -24,7 +24,7 @@ from vision.figures import Results, both_errors, percent, plus_minus
 from vision.figures.style import candidates_text, drift_text, offset_text
 from vision.models import Estimate, ModelFits
 from vision.sheets.tracks import LOSSY
-from vision.summary import DOUBTFUL, flag_counts, noise_figures, why_left_out
+from vision.summary import AXIS_HOW, DOUBTFUL, flag_counts, noise_figures, why_left_out
 
 PAPER = (
     "A. Plati, F. Restagno, C. Poulard, Stick-slip dynamics in an interleaved system with self-amplified "
@@ -255,10 +255,8 @@ def _tracking(tracks: xr.Dataset) -> str:
         if noise > 0
         else ""
     )
-    origin = {"motion": "found from motion", "geometry": "the middle of the ridges in view"}
-    how = origin.get(t.axis_how, t.axis_how)
     axis = (
-        f"n counts outwards from the symmetry axis at {t.axis_px:.1f} px ({how})"
+        f"n counts outwards from the symmetry axis at {t.axis_px:.1f} px ({AXIS_HOW[t.axis_how]})"
         if math.isfinite(t.axis_px)
         else "the symmetry axis is not known"
     )

@@ -24,7 +24,7 @@ from vision.errors import InputError
 from vision.figures.decimate import grey_levels, grey_limits, minmax_decimate
 from vision.files import AGAIN, Stamp
 from vision.folder import RUN_JSON, lock_open_file, unwritable
-from vision.numeric import Floats, Floats32, Pixels
+from vision.numeric import Floats, Floats32, Pixels, spread_indices
 from vision.pipeline import Settings, open_force, open_recording
 from vision.run.diagrams import stored_kymograph
 from vision.run.reading import RunFolder, read_json
@@ -168,8 +168,8 @@ class Diagram:
 
     def sample(self, count: int) -> Floats32:
         """Return frames spread over the run."""
-        at = np.unique(np.linspace(0, self.frames - 1, count).astype(np.int64))
-        return np.concatenate([self.rows(int(row), int(row) + 1) for row in at])
+        rows = spread_indices(self.frames, count).tolist()
+        return np.concatenate([self.rows(row, row + 1) for row in rows])
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,8 +16,7 @@ import xarray as xr
 from vision.data import MEASURED, StripMetadata
 from vision.errors import InputError, install_advice
 from vision.files import AGAIN, harmless, harmless_table, reading
-from vision.folder import check_new, check_target, run_folder, whole_file, write_json
-from vision.report.page import flattened
+from vision.folder import check_new, check_target, flattened, run_folder, whole_file, write_json
 from vision.run.reading import RunFolder, check_mark, read_json
 from vision.run.tables import sheets_table, tracks_table
 

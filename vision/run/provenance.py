@@ -9,7 +9,7 @@ import math
 import platform
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -63,14 +63,20 @@ class Origin:
         ]
         return lambda: [part() for part in parts]
 
-    def facts(self, inputs: Callable[[], list[Mapping[str, Any]]] | None = None) -> dict[str, Any]:
-        """Return command, versions, parameters and inputs (from `describe`) for run.json."""
-        return {
+    def facts(
+        self, inputs: Callable[[], list[Mapping[str, Any]]] | None = None, **messages: Iterable[str]
+    ) -> dict[str, Any]:
+        """Return command, versions, parameters, inputs (from `describe`) and messages for run.json.
+
+        messages: lists of lines, such as ``warnings=…``, in which options replace Python's arguments.
+        """
+        known = {
             "command": self.command,
             "versions": versions(),
-            "parameters": dict(self.parameters),
+            "parameters": {name: asdict(one) for name, one in self.parameters.items()},
             "inputs": (inputs or self.describe())(),
         }
+        return known | {name: self.named(lines) for name, lines in messages.items()}
 
 
 def versions() -> dict[str, str]:
