@@ -379,6 +379,21 @@ class TrackingSettings:
     5 (reflections). Larger overstates errors in haze, smaller misses objects about as wide as a ridge beside
     it, such as graph paper (test_distortion.py)."""
 
+    static_scale: tuple[float, float, float] = (1.05, 1.15, 0.65)
+    """Relative error of displacements over the changes of a ridge that moves past dirt: those of the
+    logarithm of its height, per px, of the fit of its top, and of the fit with a sloping background. Larger
+    overstates the errors of clean sheets, smaller understates those of sheets beside dirt
+    (test_distortion.py: specks on the lens)."""
+
+    overlap: float = 0.44
+    """Ridge width over pitch above which only the height counts for this, since flanks that overlap change
+    shape with the distance of the neighbour. Larger overstates the errors of crowded combs
+    (test_slight_differences_between_sheets_are_no_distortion at 0.5), smaller overlooks dirt."""
+
+    static_floor: float = 0.01
+    """Least of these relative errors. Smaller counts unequal pixels twice, since `fixed_pattern` of the
+    deformation measures them; larger overlooks faint dirt."""
+
     distortion_light: float = 1.75
     """Error over the shift of a Gaussian that the slope of the light causes. It exceeds 1, because the light
     between the ridges slopes as well (up to 2), and because an edge is steeper in its middle than from sheet
