@@ -41,6 +41,18 @@ def test_a_diagram_that_shrinks_after_it_was_read_is_whole(folder):
     assert strip.shape == (60, 180)
 
 
+@pytest.mark.parametrize("cell", ["\u2028", "broken", "1,5"])
+def test_text_among_the_numbers_of_a_table_is_one_line(cell, folder):
+    """A failure means that a damaged or edited table ends in a traceback, or that its events go missing."""
+    path = folder / "events.csv"
+    path.write_text(f'event,t_p_s,flag\n0,1.5,ok\n1,"{cell}",ok\n', encoding="utf-8")
+    with pytest.raises(InputError, match="t_p_s"):
+        read_run(folder).table("events")
+    path.write_text("event,t_p_s,knee,flag\n0,1.5,True,ok\n1,,,low force\n", encoding="utf-8")
+    table = read_run(folder).table("events")
+    assert table is not None and table["t_p_s"].isna().tolist() == [False, True]
+
+
 @pytest.mark.parametrize("size", [0, 5, 500, 20_000])
 def test_a_diagram_that_was_cut_is_one_line(size, folder):
     """A failure means a traceback, or zeros in place of what is missing."""

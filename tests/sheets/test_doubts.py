@@ -7,7 +7,7 @@ from tests.scenes.combs import comb, ridges, strip
 from tests.scenes.identity_cases import brightness
 from vision.sheets import TrackingSettings, track_sheets
 from vision.sheets.identities import exchanged
-from vision.sheets.recovery import anchored, hops, predicted_by_neighbours
+from vision.sheets.recovery import anchored, hops, predicted_by_neighbours, unmoved
 from vision.sheets.ridges import RidgeComb
 
 PITCH = 20.0
@@ -187,3 +187,21 @@ def test_doubt_ends_where_the_comb_comes_to_rest_as_before():
     given = tracks.flag.values == "ok"
     assert np.nanmax(np.abs(tracks.x_px.values - truth)[given]) < 5
     assert given.mean() > 0.97
+
+
+@pytest.mark.parametrize(
+    ("displaced_px", "frames", "jump_px", "settled"),
+    [(0.0, 4, 0.0, True), (0.5 * PITCH, 4, 0.0, False), (0.0, 12, 0.0, False), (0.0, 4, PITCH, False)],
+)
+def test_a_comb_that_lies_where_it_was_and_will_be_has_not_jumped_by_a_pitch(
+    displaced_px, frames, jump_px, settled
+):
+    """In some frames another numbering fits nearly as well. A failure means that sheets in plain view are
+    withheld; or that they are called certain where the comb moved meanwhile, where the doubt lasts, or in a
+    film whose comb does jump."""
+    x, unsettled = moving(), np.zeros((FRAMES, 50), bool)
+    unsettled[60 : 60 + frames] = True
+    x[60 : 60 + frames] += displaced_px
+    x[150:] += jump_px
+    found = unmoved(x, ~unsettled, unsettled, COMB)
+    assert found[60 : 60 + frames, :].all() if settled else not found.any()

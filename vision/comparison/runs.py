@@ -318,8 +318,6 @@ def _events(run: RunFolder, sample: Sample) -> pd.DataFrame:
         raise InputError(run.folder, "a run with a force recording", "no events.csv in it")
     if absent := [name for name in _NEEDED if name not in table]:
         raise InputError(path, f"columns {', '.join(_NEEDED)}", f"no {', '.join(absent)}")
-    text = [str(name) for name in table if name != "flag" and table[name].dtype.kind not in "iufb"]
-    table = table.assign(**{name: pd.to_numeric(table[name], errors="coerce") for name in text})
     values = table[list(_NEEDED)].to_numpy(float)
     complete = np.isfinite(values).all(axis=1) & (values[:, 3:] > 0).all(axis=1)
     within = (values[:, 0] > 0) & (values[:, 1] < sample.length_mm)

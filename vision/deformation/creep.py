@@ -539,14 +539,15 @@ def _posterior(
 
 
 def coefficient_errors(
-    fit: Creep, noise: Noise, pattern_px: Floats | float = 0.0, scale: float = 0.0
+    fit: Creep, noise: Noise, pattern_px: Floats | float = 0.0, scale: Floats | float = 0.0
 ) -> Floats:
     """Standard errors of the coefficients of a fit with the correlation of `noise`, px, (stick, sheet, term).
 
-    pattern_px: fixed-pattern error of each sheet, (sheet,).  scale: relative error of the magnification.
+    pattern_px: fixed-pattern error of each sheet, (sheet,).  scale: relative error of all displacements of a
+    sheet, (sheet,).
     """
     variance = np.einsum("eskk->esk", fit.inverse)
     random = np.sqrt(variance) * (noise.noise_px * noise.excess)[..., None]
     reach = fit.coefficient[..., 1]
     pattern = fixed_pattern_gain(reach, variance.shape[2]) * np.reshape(pattern_px, (-1, 1))
-    return np.asarray(np.sqrt(random**2 + pattern**2 + (scale * reach[..., None]) ** 2))
+    return np.asarray(np.sqrt(random**2 + pattern**2 + (scale * reach)[..., None] ** 2))

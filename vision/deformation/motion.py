@@ -114,10 +114,11 @@ def horizontal_deformation(
     or early is shortened accordingly.
 
     Errors follow from the residuals of each sheet and their autocorrelation.  For positions measured in a
-    picture they include unequal pixels and unequal magnification, and positions of the publication's fit are
-    first corrected for pixel locking, except in ``sigma_x_um``.  They include what a sheet does by itself in
-    every stick: steady movement that slips do not return, of which it cannot be told whether the pull causes
-    it, and bends that other sheets do not show.  The errors exclude that of the pixel size.
+    picture they include unequal pixels, unequal magnification and static dirt, and positions of the
+    publication's fit are first corrected for pixel locking, except in ``sigma_x_um``.  They include what a
+    sheet does by itself in every stick: steady movement that slips do not return, of which it cannot be told
+    whether the pull causes it, and bends that other sheets do not show.  The errors exclude that of the pixel
+    size.
     An error of the ends of a stick, if `sticks` states it, changes σ_x and Λ_st by the same factor. The error
     of their ratio contains only the part that results from an unsteady pull or creep.
 
@@ -306,10 +307,12 @@ def _measure(
     noise = measure_noise(steady, frames, terms, settings)
     line, parabola, close = (fit_creep(steady, frames, k, settings, noise.correlation) for k in (2, 3, terms))
     noise = replace(noise, noise_px=noise.noise_px * np.sqrt(factor))
-    pattern, scale = np.zeros(side.size), 0.0
+    pattern = scale = np.zeros(side.size)
     if TrackMetadata.of(tracks).fit != "unknown":  # measured in a picture, with errors of unequal pixels
         pattern = fixed_pattern_px(close, coefficient_errors(close, noise), noise, settings)
-        scale = settings.scale_error
+        scale = np.full(side.size, settings.scale_error)
+    if "misscaled" in tracks:
+        scale = np.hypot(scale, tracks["misscaled"].values)
     errors = [coefficient_errors(part, noise, pattern, scale) for part in (line, parabola)]
     camera = drift_model(line, side, tracks["n"].values, frames, vibration, settings) if common_mode else None
     # The share of independent frames is the ratio of the sweep's variances for white and correlated noise.

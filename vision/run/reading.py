@@ -31,6 +31,8 @@ from vision.run.provenance import Parameter, describe_input
 from vision.run.tables import attrs_of_netcdf
 from vision.video import FramesRead, FrameStore, Video, VideoSettings, video_files
 
+TEXT_COLUMNS = ("flag", "shell")  # of the tables of a run; all others hold numbers
+
 
 @dataclass(frozen=True)
 class RunFolder:
@@ -91,12 +93,21 @@ class RunFolder:
             return Clock(**known | lists | {"candidates": candidates})
 
     def table(self, name: str) -> pd.DataFrame | None:
-        """Return a table, such as "events"; None if the run does not have it."""
-        path = self.folder / f"{name}.csv"
+        """Return a table, such as "events"; None if the run does not have it.
+
+        Raises: InputError if the file is damaged, or a column of numbers contains text.
+        """
+        path, wanted = self.folder / f"{name}.csv", "a table as track writes it"
         if not path.exists():
             return None
-        with reading(path, "a table as track writes it", AGAIN):
-            return pd.read_csv(path)
+        with reading(path, wanted, AGAIN):
+            table = pd.read_csv(path)
+        for column in table.columns.difference(list(TEXT_COLUMNS)):
+            wrong = table[column].notna() & pd.to_numeric(table[column], errors="coerce").isna()
+            if wrong.any():
+                found = f"{shortened(str(table[column][wrong].iloc[0]), 40)!r} in the column {column!r}"
+                raise InputError(path, wanted, found, AGAIN)
+        return table
 
     def input(self, which: Literal["film", "force"], moved: Path | None = None) -> Path:
         """Return the path of the film or the force recording after checking that it is the same file.

@@ -71,7 +71,7 @@ def tracks_columns(tracks: xr.Dataset, *, pixel_size_um: float | None = None) ->
 def sheets_table(tracks: xr.Dataset) -> pd.DataFrame:
     """Return one row per sheet: index, side, n, x_mean_px, found, fwhm_px, snr and noise columns."""
     digits = {"x_mean_px": 4, "found": 5, "fwhm_px": 2, "snr": 1, "x_noise_px": 5}
-    digits |= {name: 5 for name in ("x_scatter_px", "x_predicted_px") if name in tracks}
+    digits |= {name: 5 for name in ("x_scatter_px", "x_predicted_px", "misscaled") if name in tracks}
     who = {"index": tracks["sheet"].values, "side": tracks["side"].values, "n": tracks["n"].values}
     return pd.DataFrame(who | {name: tracks[name].values.round(places) for name, places in digits.items()})
 

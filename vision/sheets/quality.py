@@ -20,9 +20,11 @@ from vision.numeric import FWHM, NORMAL_MEDIAN, Bools, Floats, Floats32, nan_med
 from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb, in_blocks, profile_noise
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.sheets.subpixel import Starts, gather, position_noise
+from vision.signals import running_median
 
 FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 LEAST_FRAMES = 8
+NEIGHBOURHOOD = 5  # sheets whose shapes change alike as they creep
 ENOUGH = 5  # sheets of which neighbours show what is usual; ridges of fewer are checked at any width
 BLUR_FRAMES = 2  # before and after a blurred one: two may show the same one of two images
 LIGHT_FRAMES = 5  # before and after, in at least one of which a ridge is as high as its light permits
@@ -147,12 +149,14 @@ def _sampled_profiles(bright: Floats32, x_px: Floats, half: int) -> tuple[Floats
 
 
 class Distortion(NamedTuple):
-    """Error of each displacement, (frame, N), 0 without a sign; the usual distortion of each sheet, slight
-    signs included, (N,); how far each is pulled aside in all frames, against the others, (N,). All px."""
+    """Error of each displacement, px, (frame, N), 0 without a sign; the usual distortion of each sheet,
+    slight signs included, px, (N,); how far each is pulled aside in all frames, against the others, px, (N,);
+    and the relative error of its displacements, (N,)."""
 
     error_px: Floats
     usual_px: Floats
     lasting_px: Floats
+    scale: Floats
 
 
 def distortion(bright: Floats32, x_px: Floats, err_px: Floats, blurred: Bools, comb: RidgeComb) -> Distortion:
@@ -173,9 +177,11 @@ def distortion(bright: Floats32, x_px: Floats, err_px: Floats, blurred: Bools, c
     sheet shifts all its positions alike, and is no error of displacements.
 
     Light that falls off over a ridge hardly changes its shape; it shows in the heights (`_shift_by_light`).
+    What stands still where a ridge moves changes all displacements of its sheet by the same factor
+    (`displacement_scale_error`).
     """
     settings = comb.settings
-    none = Distortion(np.zeros_like(x_px), *np.zeros((2, x_px.shape[1])))
+    none = Distortion(np.zeros_like(x_px), *np.zeros((3, x_px.shape[1])))
     narrow = comb.fwhm_px < settings.distortion_least_px
     if narrow and x_px.shape[1] >= ENOUGH:
         return none
@@ -208,7 +214,44 @@ def distortion(bright: Floats32, x_px: Floats, err_px: Floats, blurred: Bools, c
     pull = np.abs(pull - nan_median(pull))
     least = np.fmax(settings.distortion_sigmas * nan_median(pull) / NORMAL_MEDIAN, settings.distortion_floor)
     lasting = settings.distortion_error * _if_above(pull, least)
-    return Distortion(size, nan_median(slight), none.lasting_px if narrow else lasting)
+    shapes = [np.log(np.where(height > 0, height, np.nan)), apart, sloping]
+    if comb.fwhm_px > settings.overlap * comb.pitch_px:
+        del shapes[1:]
+    scale = displacement_scale_error(x_px, shapes, settings)
+    size = np.fmax(size, scale * np.abs(x_px - nan_median(x_px)))
+    return Distortion(size, nan_median(slight), none.lasting_px if narrow else lasting, scale)
+
+
+def displacement_scale_error(x_px: Floats, shape: Sequence[Floats], settings: TrackingSettings) -> Floats:
+    r"""Return the relative error of each sheet's displacements from what stands still in the picture, (N,).
+
+    Dirt on the lens or on the sensor changes a ridge that moves past it. Where it dims the light by a factor
+    T(x), it shifts a ridge of standard deviation :math:`\sigma_r` by
+    :math:`\sigma_r^2\,\mathrm{d} \ln T/\mathrm{d}x`. This shift changes as the ridge moves, so that all
+    displacements of the sheet are too large or too small by the same factor. Positions alone do not show it,
+    but the ridge's shape and height change with its position.
+
+    shape: the logarithm of the height and, where flanks do not overlap, the differences between the fits of
+    `distortion`, px, (frame, N). The regression of each on the position, less what neighbouring sheets share
+    (paper that leans as it creeps), times `static_scale`, is the error, where it is significant. Below
+    `static_floor` it is 0.
+    """
+    square = np.zeros(x_px.shape[1])
+    for values, factor in zip(shape, settings.static_scale, strict=False):
+        known = np.isfinite(values) & np.isfinite(x_px)
+        count = np.maximum(known.sum(axis=0), 1)
+        x, y = (np.where(known, v - np.where(known, v, 0.0).sum(axis=0) / count, 0.0) for v in (x_px, values))
+        spread = np.maximum((x**2).sum(axis=0), 1e-12)
+        slope = (x * y).sum(axis=0) / spread
+        rest = y - slope * x
+        variance = (rest**2).sum(axis=0) / np.maximum(count - 2, 1)
+        lag1 = (rest[1:] * rest[:-1]).sum(axis=0) / np.maximum((rest**2).sum(axis=0), 1e-12)
+        lag1 = np.clip(lag1, 0.0, 0.95)  # autocorrelation of the residuals
+        error2 = variance / spread * (1 + lag1) / (1 - lag1)
+        slope = slope - running_median(slope, NEIGHBOURHOOD)
+        found = (slope**2 > settings.distortion_sigmas**2 * error2) & (count > LEAST_FRAMES)
+        square += np.where(found, factor**2 * (slope**2 - error2), 0.0)
+    return _if_above(np.sqrt(square), np.full(square.shape, settings.static_floor))
 
 
 def _fit_matrix(shape: Floats, top: int) -> Floats:

@@ -127,8 +127,9 @@ def assign_detections(
 def _doubts(paired: Floats, identities: Identities, comb: RidgeComb) -> Codes:
     """Return which identities of paired ridges are doubtful by margin, jump or tear, (frame, N).
 
-    A margin that is too small is no doubt where the pattern confirms the identity. `paired` holds positions,
-    contrasts and widths, (3, frame, N).
+    A margin that is too small is no doubt where the pattern confirms the identity, or where the ridges do not
+    move from the last certain frame to the next. `paired` holds positions, contrasts and widths,
+    (3, frame, N).
     """
     x, contrast, fwhm = paired
     why = np.full(x.shape, Doubt.NONE, np.uint8)
@@ -142,6 +143,8 @@ def _doubts(paired: Floats, identities: Identities, comb: RidgeComb) -> Codes:
         known = np.where(why == Doubt.TEAR, np.nan, x)
         trusted = np.isfinite(known) & (why == Doubt.NONE)
         why[unsettled & anchored(known, np.log(contrast), np.log(fwhm), trusted, comb)] = Doubt.NONE
+        unsettled &= why == Doubt.MARGIN
+        why[unsettled & unmoved(x, why == Doubt.NONE, unsettled, comb)] = Doubt.NONE
     return why
 
 
@@ -352,6 +355,29 @@ def anchored(x_px: Floats, log_contrast: Floats, log_width: Floats, trusted: Boo
     usual_gap = _feature_costs(gap, both, 0.01 * comb.pitch_px)[0] < TERM_LIMIT / 2
     beside = usual_gap | np.hstack([np.zeros((len(gap), 1), bool), usual_gap[:, :-1]])
     return np.asarray((fits & (excess.min(axis=0) > comb.settings.anchor_nats))[:, None] & beside, bool)
+
+
+def unmoved(x: Floats, certain: Bools, unsettled: Bools, comb: RidgeComb) -> Bools:
+    """Return which ridges lie where their sheet was and will be, (frame, N).
+
+    They are judged in short stretches in which the numbering of most sheets is unsettled. Another numbering
+    would mean that the comb jumped by whole pitches and, a few frames later, exactly back. This is excluded
+    in a film in which the comb never jumps. x: positions of the paired ridges, px. certain, unsettled: whose
+    identity is certain, or is to be settled.
+    """
+    settings = comb.settings
+    known = np.where(certain, x, np.nan)
+    step = np.abs(nan_median(np.diff(known, axis=0), axis=1))
+    if (step > settings.jump_fraction * comb.pitch_px).any():
+        return np.zeros(x.shape, bool)
+    frame = np.where(certain, np.arange(len(x), dtype=np.float64)[:, None], np.nan)
+    before, since = (last_seen(values.T).T for values in (known, frame))
+    after, until = (last_seen(values[::-1].T).T[::-1] for values in (known, frame))
+    least = settings.step_fraction * comb.pitch_px / 2
+    near = (until - since <= settings.unmoved_frames) & (np.abs(x - before) < least)
+    near &= np.abs(x - after) < least
+    most = 2 * (near & unsettled).sum(axis=1, keepdims=True) > np.isfinite(x).sum(axis=1, keepdims=True)
+    return np.asarray(near & most, bool)
 
 
 def pattern_shift(log_contrast: Floats, log_width: Floats, settings: TrackingSettings) -> Ints:

@@ -209,6 +209,11 @@ class TrackingSettings:
     """Margin, nats, below which an identity is flagged as doubtful: odds of 20 to 1. Larger flags more
     positions, smaller lets wrong ones pass."""
 
+    unmoved_frames: int = 8
+    """Frames from one certain frame to the next within which a comb that lies where it was, and never jumps,
+    did not jump by a pitch and back. Larger ends longer doubts without other evidence, smaller withholds
+    sheets in plain view (tests/real: of the sarcomeres 151 positions at 0, 50 at 8)."""
+
     faint_reach: float = 0.3
     """Distance, in pitches, from its expected position within which a faint ridge is a missing sheet."""
 
@@ -373,6 +378,21 @@ class TrackingSettings:
     """The same over the difference between the fits with and without a slope of the background: 0.2 (haze) to
     5 (reflections). Larger overstates errors in haze, smaller misses objects about as wide as a ridge beside
     it, such as graph paper (test_distortion.py)."""
+
+    static_scale: tuple[float, float, float] = (1.05, 1.15, 0.65)
+    """Relative error of displacements over the changes of a ridge that moves past dirt: those of the
+    logarithm of its height, per px, of the fit of its top, and of the fit with a sloping background. Larger
+    overstates the errors of clean sheets, smaller understates those of sheets beside dirt
+    (test_distortion.py: specks on the lens)."""
+
+    overlap: float = 0.44
+    """Ridge width over pitch above which only the height counts for this, since flanks that overlap change
+    shape with the distance of the neighbour. Larger overstates the errors of crowded combs
+    (test_slight_differences_between_sheets_are_no_distortion at 0.5), smaller overlooks dirt."""
+
+    static_floor: float = 0.01
+    """Least of these relative errors. Smaller counts unequal pixels twice, since `fixed_pattern` of the
+    deformation measures them; larger overlooks faint dirt."""
 
     distortion_light: float = 1.75
     """Error over the shift of a Gaussian that the slope of the light causes. It exceeds 1, because the light

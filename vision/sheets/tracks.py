@@ -175,8 +175,8 @@ def track_sheets(
 
 
 class _Assessed(NamedTuple):
-    """Positions, flags and errors once blur, distortion and cut ridges are known, (frame, N), and the shift
-    of all positions of a sheet by a distortion that lasts, (N,)."""
+    """Positions, flags and errors once blur, distortion and cut ridges are known, (frame, N); the shift of
+    all positions of a sheet by a distortion that lasts, and the relative error of its displacements, (N,)."""
 
     x_px: Floats
     flag: Codes
@@ -184,6 +184,7 @@ class _Assessed(NamedTuple):
     blurred: Bools
     distorted: Bools
     lasting_px: Floats
+    scale: Floats
 
 
 def _assess_ridges(
@@ -197,7 +198,7 @@ def _assess_ridges(
     blurred, blur_px = motion_blur(changing, detections.contrast, detections.fwhm_px, comb)
     smeared = (blur_px > 0) | blurred
     x_px = np.where(smeared & _beside_missing(detections.flag), np.nan, x_px)
-    distorted_px, usual_px, lasting_px = distortion(bright, x_px, errors.err_px, smeared, comb)
+    distorted_px, usual_px, lasting_px, scale = distortion(bright, x_px, errors.err_px, smeared, comb)
     not_a_sheet = not_one_ridge(bright, x_px, comb)
     not_a_sheet |= lasting_px > comb.settings.most_distorted * comb.fwhm_px
     not_a_sheet |= marks(x_px, errors.err_px, np.hypot(lasting_px, usual_px), comb)
@@ -207,7 +208,7 @@ def _assess_ridges(
     excess = noise_excess(BetweenSlips(np.where(frozen[:, None], np.nan, x_px)), err, comb.settings)
     err = np.hypot(err, np.nan_to_num(usual) * np.sqrt(np.fmax(excess**2 - 1.0, 0.0)))
     is_distorted = distorted_px > np.fmax(errors.err_px, comb.settings.distortion_floor)
-    return _Assessed(x_px, flag, err, blurred, is_distorted, lasting_px)
+    return _Assessed(x_px, flag, err, blurred, is_distorted, lasting_px, scale)
 
 
 def _beside_missing(flag: Codes) -> Bools:
@@ -377,6 +378,7 @@ def _dataset(strip: xr.DataArray, found: _Tracked, metadata: TrackMetadata) -> x
         "snr": nan_median(contrast) / np.maximum(found.fitted.noise, 1e-12),
         "distorted": (assessed.distorted & ok).sum(axis=0) / np.maximum(ok.sum(axis=0), 1),
         "x_lasting_px": assessed.lasting_px,
+        "misscaled": assessed.scale,
         "x_noise_px": errors.noise_px,
         "x_scatter_px": errors.scatter_px,
         "x_predicted_px": errors.predicted_px,
