@@ -184,6 +184,18 @@ def test_errors_that_neighbours_share_are_counted():
     )
 
 
+@pytest.mark.parametrize("bend", [0.5, 1.8])
+def test_creep_that_bends_is_no_error_that_sheets_share(bend):
+    """Sheets creep by up to 6 px in sticks of 40 frames, fast at first or at last.  A failure means that
+    H.264 films of such sheets get errors three to ten times too large."""
+    _, noise = filmed()
+    place, stick = np.linspace(-1, 1, 50), np.arange(400) % 40
+    x = 525 + 500 * place - 6 * place * np.abs(place) * ((stick + 1) / 40)[:, None] ** bend + noise
+    positions = BetweenSlips(x)
+    scatter = np.median(spatial_scatter(positions, between_frames=True))
+    assert 0.02 < np.hypot(scatter, shared_error(positions)) < 0.03
+
+
 @pytest.mark.parametrize("skipped", [0.3, 0.5])
 def test_a_shaking_that_a_codec_leaves_out_in_part_is_counted(skipped):
     """Every second frame is as its neighbours say, in this share of its blocks, as with B frames."""

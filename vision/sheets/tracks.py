@@ -346,7 +346,7 @@ def _errors(fitted: _Fitted, frozen: Bools, codec: str, settings: TrackingSettin
     measured = np.where(np.isfinite(scatter_px), scatter_px, np.hypot(np.fmax(noise_px, predicted), rounding))
     known = np.isfinite(measured)
     if between_frames and known.any():  # all sheets share one quantiser
-        measured = np.full_like(measured, np.sqrt(np.mean(measured[known] ** 2)))
+        measured = np.full_like(measured, np.median(measured[known]))
     if between_frames:
         measured = np.hypot(measured, shared_error(positions))
     elif codec not in LOSSY:
