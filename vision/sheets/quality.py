@@ -20,6 +20,7 @@ from vision.numeric import FWHM, NORMAL_MEDIAN, Bools, Floats, Floats32, nan_med
 from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb, in_blocks, profile_noise
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.sheets.subpixel import Starts, gather, position_noise
+from vision.sheets.vibration import own_vibration
 
 FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 LEAST_FRAMES = 8
@@ -441,13 +442,14 @@ class BetweenSlips:
     """Positions (frame, N), NaN where missing or repeated, divided at the slips.
 
     In a slip sheets move by more than usual, and neighbours move alike. Where a codec redraws a frame,
-    neighbours do not move alike.
+    neighbours do not move alike. Vibration of single sheets is subtracted (`own_vibration`).
     """
 
     def __init__(self, x_px: Floats) -> None:
         self.frames = len(x_px)
         self.seen = np.isfinite(x_px).any(axis=1)
         self.x_px = x_px[self.seen]
+        self.x_px = self.x_px - own_vibration(self.x_px)
         self.slips = np.zeros(len(self.x_px), np.int64)
         if x_px.shape[1] < len(FOURTH):
             return
@@ -504,8 +506,8 @@ def noise_excess(positions: BetweenSlips, err_px: Floats, settings: TrackingSett
     camera that vibrates or breathes), or that of the sheets beside, which move alike when slips are slow or
     come in every frame, whichever leaves less. Sizes at several lags are averaged as squares, since at one
     lag an error that lasts or repeats itself may cancel; a size is the one within which 68 % of the frames
-    lie. Vibration of most sheets during the whole film counts as an error. 1 for fewer than five sheets, and
-    where slips leave too few frames between them.
+    lie. Vibration of most sheets counts as an error if it is no line in the spectrum. 1 for fewer than five
+    sheets, and where slips leave too few frames between them.
     """
     sheets, variance = err_px.shape[1], err_px[positions.seen] ** 2
     if sheets < len(FOURTH):
@@ -548,8 +550,8 @@ def shared_error(positions: BetweenSlips) -> float:
        :math:`c = s_x\,(a^2/b^2 - 1)^{1/2}`, with :math:`s_x` the usual `spatial_scatter`. The ratio a/b is
        taken over four frames, since creep that bends in a stick shows in a at longer lags.
     2. All sheets share an error that cannot be distinguished from vibration of the camera. It is the larger
-       of c and :math:`s_x\,s/(s + 2 s_x)`, where s is the vibration seen from frame to frame. Both were measured
-       on H.264, HEVC, MPEG-2, MPEG-4 and VP9 (reports/degraded.md).
+       of c and :math:`s_x\,s/(s + 2 s_x)`, where s is the vibration seen from frame to frame. Both were
+       measured on H.264, HEVC, MPEG-2, MPEG-4 and VP9 (reports/degraded.md).
     """
     sheets = positions.x_px.shape[1]
     if sheets < len(FOURTH) + 3 or positions.frames < 2 * LEAST_FRAMES:
