@@ -16,6 +16,10 @@ ROUNDS = 3  # each knows the common motion of vibrating sheets better than the o
 LINE_RATIO = 12.0
 """Power over the median of the frequencies beside from which a line is vibration. White noise exceeds it at
 one frequency in 4000. Larger leaves weak vibration in the errors, smaller takes noise out of them."""
+LINE_SHARE = 0.3
+"""Share of the power of a sheet's steps from which a line is vibration. Sheets that creep over the pixels make
+lines of the errors of a codec, too. Larger leaves slow vibration in the errors, smaller takes these errors out
+(test_sheets_survive_lossy_compression at 0.15)."""
 IN_PHASE = 2.5
 """Number of sheets as strong as the strongest that move in phase at the frequency of a line, from which it is
 the light's or the camera's, acting on sheets that lean: an error. It is 1 for a sheet alone. Larger takes
@@ -30,8 +34,8 @@ def own_vibration(x_px: Floats) -> Floats:
     x_px: positions (frame, N), NaN where missing.
 
     Steps from frame to frame, without the median of all sheets, are searched for spectral lines in blocks of
-    some `BLOCK` frames. A line is vibration of the sheet if its power exceeds that of the frequencies beside,
-    and if sheets do not share it in phase: with :math:`C_m` the amplitudes of all sheets at that frequency,
+    some `BLOCK` frames. A line is vibration of the sheet if its power exceeds that of the frequencies beside
+    and a share of all, and if sheets do not share it in phase: with :math:`C_m` the amplitudes of all sheets at that frequency,
     :math:`|\sum_m C_m^2| / \max_m |C_m|^2` counts sheets that move in phase or in antiphase, as lamps that
     flicker and cameras that nod move sheets that lean. A line in the steps at the angular frequency
     :math:`\omega` with amplitude C is one in the positions with :math:`C / (e^{i\omega} - 1)`. The strongest
@@ -69,7 +73,9 @@ def _of_block(step: Floats) -> Floats:
         turning = np.exp(-2j * np.pi * frequency * time)
         line = rest.T @ turning[:-1]  # (N, lines)
         in_phase = np.abs((line**2).sum(axis=0)) / np.maximum((np.abs(line) ** 2).max(axis=0), TINY)
+        strength = 2 * np.abs(line[sheet, np.arange(len(sheet))]) ** 2 / known[:, sheet].sum(axis=0)
         own = (ratio > LINE_RATIO) & (in_phase < IN_PHASE)
+        own &= strength > LINE_SHARE * (rest[:, sheet] ** 2).sum(axis=0)
         searched[sheet[~own]] = False
         sheet, turning = sheet[own], turning[:, own]
         # the complex amplitude of which the real wave leaves the least squares
