@@ -17,9 +17,9 @@ LINE_RATIO = 12.0
 """Power over the median of the frequencies beside from which a line is vibration. White noise exceeds it at
 one frequency in 4000. Larger leaves weak vibration in the errors, smaller takes noise out of them."""
 LINE_SHARE = 0.3
-"""Share of the power of a sheet's steps from which a line is vibration. Sheets that creep over the pixels make
-lines of the errors of a codec, too. Larger leaves slow vibration in the errors, smaller takes these errors out
-(test_sheets_survive_lossy_compression at 0.15)."""
+"""Share of the power of a sheet's steps from which a line is vibration. Sheets that creep over the pixels
+make lines of the errors of a codec, too. Larger leaves slow vibration in the errors, smaller takes these
+errors out (test_sheets_survive_lossy_compression at 0.15)."""
 IN_PHASE = 2.5
 """Number of sheets as strong as the strongest that move in phase at the frequency of a line, from which it is
 the light's or the camera's, acting on sheets that lean: an error. It is 1 for a sheet alone. Larger takes
