@@ -35,9 +35,9 @@ def own_vibration(x_px: Floats) -> Floats:
 
     Steps from frame to frame, without the median of all sheets, are searched for spectral lines in blocks of
     some `BLOCK` frames. A line is vibration of the sheet if its power exceeds that of the frequencies beside
-    and a share of all, and if sheets do not share it in phase: with :math:`C_m` the amplitudes of all sheets at that frequency,
-    :math:`|\sum_m C_m^2| / \max_m |C_m|^2` counts sheets that move in phase or in antiphase, as lamps that
-    flicker and cameras that nod move sheets that lean. A line in the steps at the angular frequency
+    and a share of all, and if sheets do not share it in phase: with :math:`C_m` the amplitudes of all sheets
+    at that frequency, :math:`|\sum_m C_m^2| / \max_m |C_m|^2` counts sheets that move in phase or in
+    antiphase, as lamps that flicker and cameras that nod move sheets that lean. A line in the steps at the angular frequency
     :math:`\omega` with amplitude C is one in the positions with :math:`C / (e^{i\omega} - 1)`. The strongest
     line is fitted and subtracted, up to `LINES` times; all of it is done in `ROUNDS` rounds.
     """
