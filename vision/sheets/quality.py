@@ -485,7 +485,7 @@ def spatial_scatter(positions: BetweenSlips, *, between_frames: bool) -> Floats:
 
     It is the deviation of fourth differences along n, in which a motion smooth in n hardly shows, of second
     differences in time, in which the creep and the jumps of single sheets do not show. The lag in time is up
-    to 4 frames, or up to 16 where a codec predicts frames from others. Unlike the scatter from frame to frame
+    to 4 frames, or up to 12 where a codec predicts frames from others. Unlike the scatter from frame to frame
     it includes errors that a codec carries from one frame to the next. NaN for fewer than five sheets, and
     where slips leave too few frames between them.
     """

@@ -37,9 +37,10 @@ def own_vibration(x_px: Floats) -> Floats:
     some `BLOCK` frames. A line is vibration of the sheet if its power exceeds that of the frequencies beside
     and a share of all, and if sheets do not share it in phase: with :math:`C_m` the amplitudes of all sheets
     at that frequency, :math:`|\sum_m C_m^2| / \max_m |C_m|^2` counts sheets that move in phase or in
-    antiphase, as lamps that flicker and cameras that nod move sheets that lean. A line in the steps at the angular frequency
-    :math:`\omega` with amplitude C is one in the positions with :math:`C / (e^{i\omega} - 1)`. The strongest
-    line is fitted and subtracted, up to `LINES` times; all of it is done in `ROUNDS` rounds.
+    antiphase, as lamps that flicker and cameras that nod move sheets that lean. A line in the steps at the
+    angular frequency :math:`\omega` with amplitude C is one in the positions with
+    :math:`C / (e^{i\omega} - 1)`. The strongest line is fitted and subtracted, up to `LINES` times; all of it
+    is done in `ROUNDS` rounds.
     """
     frames, sheets = x_px.shape
     found = np.zeros_like(x_px)
