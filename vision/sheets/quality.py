@@ -445,11 +445,11 @@ class BetweenSlips:
     neighbours do not move alike. Vibration of single sheets is subtracted (`own_vibration`).
     """
 
-    def __init__(self, x_px: Floats) -> None:
+    def __init__(self, x_px: Floats, settings: TrackingSettings = DEFAULT) -> None:
         self.frames = len(x_px)
         self.seen = np.isfinite(x_px).any(axis=1)
         self.x_px = x_px[self.seen]
-        self.x_px = self.x_px - own_vibration(self.x_px)
+        self.x_px = self.x_px - own_vibration(self.x_px, settings)
         self.slips = np.zeros(len(self.x_px), np.int64)
         if x_px.shape[1] < len(FOURTH):
             return

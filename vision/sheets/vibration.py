@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from vision.numeric import NORMAL_MEDIAN, Floats, nan_median
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, nan_median
+from vision.sheets.settings import DEFAULT, TrackingSettings
 
 BLOCK = 256  # frames over which a vibration keeps its frequency and phase
 LEAST_BLOCK = 48  # frames that show a line in a spectrum
@@ -13,22 +14,11 @@ LINES = 4  # removed from one sheet in a round at most
 PADDED = 4  # frequencies per independent one
 BESIDE = 15  # independent frequencies on either side that show the level of the spectrum
 ROUNDS = 3  # each knows the common motion of vibrating sheets better than the one before
-LINE_RATIO = 12.0
-"""Power over the median of the frequencies beside from which a line is vibration. White noise exceeds it at
-one frequency in 4000. Larger leaves weak vibration in the errors, smaller takes noise out of them."""
-LINE_SHARE = 0.3
-"""Share of the power of a sheet's steps from which a line is vibration. Sheets that creep over the pixels
-make lines of the errors of a codec, too. Larger leaves slow vibration in the errors, smaller takes these
-errors out (test_sheets_survive_lossy_compression at 0.15)."""
-IN_PHASE = 2.5
-"""Number of sheets as strong as the strongest that move in phase at the frequency of a line, from which it is
-the light's or the camera's, acting on sheets that lean: an error. It is 1 for a sheet alone. Larger takes
-flicker for vibration, smaller takes vibration of several sheets at one frequency for an error."""
 TINY = np.finfo(float).tiny
 JUMP = 5.0  # robust standard deviations of a sheet's steps above which a step is left out as a slip
 
 
-def own_vibration(x_px: Floats) -> Floats:
+def own_vibration(x_px: Floats, settings: TrackingSettings = DEFAULT) -> Floats:
     r"""Return how far each sheet is displaced by vibration of its own, px, (frame, N); 0 where there is none.
 
     x_px: positions (frame, N), NaN where missing.
@@ -52,15 +42,20 @@ def own_vibration(x_px: Floats) -> Floats:
         step -= nan_median(step, axis=1)[:, None]
         step -= nan_median(step)
         step[np.abs(step) > JUMP * nan_median(np.abs(step)) / NORMAL_MEDIAN] = np.nan
-        more = [_of_block(step[rows[0] : rows[-1]]) for rows in blocks]
+        more = [
+            _of_block(step[rows[0] : rows[-1]], (found[rows] != 0).any(axis=0), settings) for rows in blocks
+        ]
         for rows, part in zip(blocks, more, strict=True):
             found[rows] += part
         blocks = [rows for rows, part in zip(blocks, more, strict=True) if part.any()]
     return found
 
 
-def _of_block(step: Floats) -> Floats:
-    """Return the same for the frames of one block, from the steps between them, (frame − 1, N)."""
+def _of_block(step: Floats, vibrates: Bools, settings: TrackingSettings) -> Floats:
+    """Return the same for the frames of one block, from the steps between them, (frame − 1, N).
+
+    vibrates: sheets that are known to, (N,). Of these, further lines may be of any share.
+    """
     known = np.isfinite(step)
     rest = np.where(known, step, 0.0)
     frames, sheets = rest.shape
@@ -75,8 +70,9 @@ def _of_block(step: Floats) -> Floats:
         line = rest.T @ turning[:-1]  # (N, lines)
         in_phase = np.abs((line**2).sum(axis=0)) / np.maximum((np.abs(line) ** 2).max(axis=0), TINY)
         strength = 2 * np.abs(line[sheet, np.arange(len(sheet))]) ** 2 / known[:, sheet].sum(axis=0)
-        own = (ratio > LINE_RATIO) & (in_phase < IN_PHASE)
-        own &= strength > LINE_SHARE * (rest[:, sheet] ** 2).sum(axis=0)
+        own = (ratio > settings.vibration_ratio) & (in_phase < settings.vibration_in_phase)
+        own &= vibrates[sheet] | (strength > settings.vibration_share * (rest[:, sheet] ** 2).sum(axis=0))
+        vibrates[sheet[own]] = True
         searched[sheet[~own]] = False
         sheet, turning = sheet[own], turning[:, own]
         # the complex amplitude of which the real wave leaves the least squares
