@@ -548,7 +548,7 @@ def shared_error(positions: BetweenSlips) -> float:
     1. Sheets in one block share an error. Second differences of positions in time, without the motion of the
        comb (`_without_motion`), scatter by :math:`a` over all sheets and by :math:`b` between neighbours:
        :math:`c = s_x\,(a^2/b^2 - 1)^{1/2}`, with :math:`s_x` the usual `spatial_scatter`. The ratio a/b is
-       taken over four frames, since creep that bends in a stick shows in a at longer lags.
+       taken at a lag of at most four frames: creep that bends in a stick shows in a at longer ones.
     2. All sheets share an error that cannot be distinguished from vibration of the camera. It is the larger
        of c and :math:`s_x\,s/(s + 2 s_x)`, where s is the vibration seen from frame to frame. Both were
        measured on H.264, HEVC, MPEG-2, MPEG-4 and VP9 (reports/degraded.md).
