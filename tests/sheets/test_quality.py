@@ -184,6 +184,18 @@ def test_errors_that_neighbours_share_are_counted():
     )
 
 
+@pytest.mark.parametrize("bend", [0.5, 1.8])
+def test_creep_that_bends_is_no_error_that_sheets_share(bend):
+    """Sheets creep by up to 6 px in sticks of 40 frames, fast at first or at last.  A failure means that
+    H.264 films of such sheets get errors three to ten times too large."""
+    _, noise = filmed()
+    place, stick = np.linspace(-1, 1, 50), np.arange(400) % 40
+    x = 525 + 500 * place - 6 * place * np.abs(place) * ((stick + 1) / 40)[:, None] ** bend + noise
+    positions = BetweenSlips(x)
+    scatter = np.median(spatial_scatter(positions, between_frames=True))
+    assert 0.02 < np.hypot(scatter, shared_error(positions)) < 0.03
+
+
 @pytest.mark.parametrize("skipped", [0.3, 0.5])
 def test_a_shaking_that_a_codec_leaves_out_in_part_is_counted(skipped):
     """Every second frame is as its neighbours say, in this share of its blocks, as with B frames."""
@@ -358,6 +370,20 @@ def test_a_sheet_that_moves_by_itself_does_not_scatter():
     tracks = track_sheets(strip(ridges(x, width=800)))
     usual = np.median(tracks.x_err_px.values, axis=0)
     assert (usual[[7, 20]] < 2.5 * np.median(usual)).all()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_sheets_that_vibrate_one_by_one_do_not_scatter(seed):
+    """Every sheet at a frequency of its own, by up to a pixel, between slips. A failure means that their
+    motion counts as an error of all, ten times too large and more."""
+    rng = np.random.default_rng(seed)
+    x = comb(200, per_side=15, axis_px=400, slip=0.2, period=40)
+    phase = rng.uniform(0.05, 0.48, 30) * np.arange(200)[:, None] + rng.uniform(0, 1, 30)
+    x += rng.uniform(0.05, 1.0, 30) * np.sin(2 * np.pi * phase)
+    tracks = track_sheets(strip(ridges(x, width=800), seed=seed))
+    off = tracks.x_px.values - x
+    off = np.abs(off - np.median(off, axis=0))
+    assert 0.62 < (off < tracks.x_err_px.values).mean() < 0.82
 
 
 @pytest.mark.parametrize("shaken_px", [0.0, 4.0])

@@ -20,6 +20,7 @@ from vision.numeric import FWHM, NORMAL_MEDIAN, Bools, Floats, Floats32, nan_med
 from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb, in_blocks, profile_noise
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.sheets.subpixel import Starts, gather, position_noise
+from vision.sheets.vibration import own_vibration
 from vision.signals import running_median
 
 FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
@@ -29,13 +30,14 @@ ENOUGH = 5  # sheets of which neighbours show what is usual; ridges of fewer are
 BLUR_FRAMES = 2  # before and after a blurred one: two may show the same one of two images
 LIGHT_FRAMES = 5  # before and after, in at least one of which a ridge is as high as its light permits
 SCENE_FRAMES = 5  # compared before and after a change of scene
+OPENING = 10  # sheets that show the opening of the comb
 NOISE_LAGS = range(2, 9)  # frames: an error that repeats itself vanishes at some of them
 FITTED = {True: 3.0, False: 1.25}  # sheets whose scatter medians of a line, or of a level, remove
 ONE_SIGMA = 0.6827  # share of values that lie within one standard deviation
-LAGS = {True: (16, 12, 8, 6, 4, 3, 2, 1), False: (4, 3, 2, 1)}
+LAGS = {True: (12, 8, 6, 4, 3, 2, 1), False: (4, 3, 2, 1)}
 """Lags, in frames, of second differences in time, for codecs that predict frames from others (True) and for
-all others. Content that a codec keeps unchanged shows at longer lags; but so does the individual motion of
-sheets, and stick phases must be longer than two lags."""
+all others. Content that a codec keeps unchanged shows at longer lags; but so do bent creep and the individual
+motion of sheets, and stick phases must be longer than two lags."""
 
 
 # --- frames and blur ----------------------------------------------------------------------------------------
@@ -483,13 +485,14 @@ class BetweenSlips:
     """Positions (frame, N), NaN where missing or repeated, divided at the slips.
 
     In a slip sheets move by more than usual, and neighbours move alike. Where a codec redraws a frame,
-    neighbours do not move alike.
+    neighbours do not move alike. Vibration of single sheets is subtracted (`own_vibration`).
     """
 
-    def __init__(self, x_px: Floats) -> None:
+    def __init__(self, x_px: Floats, settings: TrackingSettings = DEFAULT) -> None:
         self.frames = len(x_px)
         self.seen = np.isfinite(x_px).any(axis=1)
         self.x_px = x_px[self.seen]
+        self.x_px = self.x_px - own_vibration(self.x_px, settings)
         self.slips = np.zeros(len(self.x_px), np.int64)
         if x_px.shape[1] < len(FOURTH):
             return
@@ -525,7 +528,7 @@ def spatial_scatter(positions: BetweenSlips, *, between_frames: bool) -> Floats:
 
     It is the deviation of fourth differences along n, in which a motion smooth in n hardly shows, of second
     differences in time, in which the creep and the jumps of single sheets do not show. The lag in time is up
-    to 4 frames, or up to 16 where a codec predicts frames from others. Unlike the scatter from frame to frame
+    to 4 frames, or up to 12 where a codec predicts frames from others. Unlike the scatter from frame to frame
     it includes errors that a codec carries from one frame to the next. NaN for fewer than five sheets, and
     where slips leave too few frames between them.
     """
@@ -546,14 +549,12 @@ def noise_excess(positions: BetweenSlips, err_px: Floats, settings: TrackingSett
     camera that vibrates or breathes), or that of the sheets beside, which move alike when slips are slow or
     come in every frame, whichever leaves less. Sizes at several lags are averaged as squares, since at one
     lag an error that lasts or repeats itself may cancel; a size is the one within which 68 % of the frames
-    lie. Vibration of most sheets during the whole film counts as an error. 1 for fewer than five sheets, and
-    where slips leave too few frames between them.
+    lie. Vibration of most sheets counts as an error if it is no line in the spectrum. 1 for fewer than five
+    sheets, and where slips leave too few frames between them.
     """
     sheets, variance = err_px.shape[1], err_px[positions.seen] ** 2
     if sheets < len(FOURTH):
         return np.ones(sheets)
-    third, line = sheets // 3, sheets >= 10
-    along = (np.arange(sheets) - (sheets - 1) / 2) / (sheets - third)
     step = np.diff(positions.x_px, axis=0)
     step -= nan_median(step, axis=1)[:, None]
     step = np.abs(step - nan_median(step))
@@ -566,22 +567,14 @@ def noise_excess(positions: BetweenSlips, err_px: Floats, settings: TrackingSett
             return np.full(sheets, np.nan)
         same = (slips[2 * lag :] == slips[: -2 * lag])[calm]
         second = np.where(same, positions.second((lag,)), np.nan)
-        second -= nan_median(second, axis=1)[:, None]
-        scatter = [second]
-        if line:
-            low, high = (nan_median(part, axis=1) for part in (second[:, :third], second[:, -third:]))
-            opening = np.where(np.isfinite(second), np.nan_to_num(high - low)[:, None], 0.0)
-            power = np.maximum((opening**2).sum(axis=0), np.finfo(float).tiny)
-            share = (opening * np.nan_to_num(second)).sum(axis=0) / power
-            beside = np.pad(share, 1, "reflect", reflect_type="odd")
-            scatter = [second - opening * of for of in (along, (beside[:-2] + beside[2:]) / 2)]
         expected = (variance[: -2 * lag] + 4 * variance[lag:-lag] + variance[2 * lag :])[calm] / 6
+        scatter = _without_motion(second)
         sizes = [nan_quantile(np.abs(values) / np.sqrt(expected), ONE_SIGMA) for values in scatter]
         return min(sizes, key=lambda of_sheets: float(nan_median(of_sheets)))
 
     sizes = np.array([size(lag) for lag in NOISE_LAGS])
     total, count = np.nansum(sizes**2, axis=0), np.isfinite(sizes).sum(axis=0)
-    excess = np.sqrt(total / np.where(count, count, np.nan) / (1 - FITTED[line] / sheets))
+    excess = np.sqrt(total / np.where(count, count, np.nan) / (1 - FITTED[sheets >= OPENING] / sheets))
     usual = np.nan_to_num(nan_median(excess), nan=1.0)
     own = np.where(excess > settings.own_excess[0] * usual, excess, usual)
     return np.fmin(own, settings.own_excess[1] * usual)
@@ -595,22 +588,44 @@ def shared_error(positions: BetweenSlips) -> float:
 
     Blocks of the codec are wider than a sheet's spacing, and predicted frames move them by quarter pixels.
 
-    1. Sheets in one block share an error. Second differences of positions in time, without the motion that
-       all sheets share, scatter by :math:`a` over all sheets and by :math:`b` between neighbours
-       (`spatial_scatter`): :math:`c = (a^2 - b^2)^{1/2}`.
+    1. Sheets in one block share an error. Second differences of positions in time, without the motion of the
+       comb (`_without_motion`), scatter by :math:`a` over all sheets and by :math:`b` between neighbours:
+       :math:`c = s_x\,(a^2/b^2 - 1)^{1/2}`, with :math:`s_x` the usual `spatial_scatter`. The ratio a/b is
+       taken at a lag of at most four frames: creep that bends in a stick shows in a at longer ones.
     2. All sheets share an error that cannot be distinguished from vibration of the camera. It is the larger
-       of c and :math:`b\,s/(s + 2b)`, where s is the vibration seen from frame to frame. Both were measured
-       on H.264, HEVC, MPEG-2, MPEG-4 and VP9 (reports/degraded.md).
+       of c and :math:`s_x\,s/(s + 2 s_x)`, where s is the vibration seen from frame to frame. Both were
+       measured on H.264, HEVC, MPEG-2, MPEG-4 and VP9 (reports/degraded.md).
     """
-    if positions.x_px.shape[1] < len(FOURTH) + 3 or positions.frames < 2 * LEAST_FRAMES:
+    sheets = positions.x_px.shape[1]
+    if sheets < len(FOURTH) + 3 or positions.frames < 2 * LEAST_FRAMES:
         return 0.0
-    second = positions.second(LAGS[True])
-    own = _deviation_of_all(_fourth(second))
-    apart = _deviation_of_all(second - nan_median(second, axis=1)[:, None])
-    blocks = float(np.sqrt(max(0.0, apart**2 - own**2)))
+    own = float(np.nan_to_num(nan_median(spatial_scatter(positions, between_frames=True))))
+    second = positions.second(LAGS[False])
+    apart = min(_deviation_of_all(values) for values in _without_motion(second))
+    apart /= np.sqrt(1 - FITTED[sheets >= OPENING] / sheets)
+    ratio = apart / max(_deviation_of_all(_fourth(second)), 1e-9)
+    blocks = own * float(np.sqrt(max(0.0, ratio**2 - 1)))
     shaking = _deviation_of_all(positions.second((1,), nan_median(positions.x_px, axis=1)[:, None]))
     followed = own * shaking / max(shaking + 2 * own, 1e-9)
     return float(np.hypot(blocks, max(blocks, followed)))
+
+
+def _without_motion(second: Floats) -> list[Floats]:
+    """Return second differences (frame, N) without the motion that all sheets share, and, with ten sheets or
+    more, also without a share in the opening of the comb, the motion of its outer thirds against each other:
+    one linear in n, or that of the sheets beside."""
+    second = second - nan_median(second, axis=1)[:, None]
+    sheets = second.shape[1]
+    if sheets < OPENING:
+        return [second]
+    third, place = sheets // 3, np.arange(sheets) - (sheets - 1) / 2
+    low, high = (nan_median(part, axis=1) for part in (second[:, :third], second[:, -third:]))
+    opening = np.where(np.isfinite(second), np.nan_to_num(high - low)[:, None], 0.0)
+    power = np.maximum((opening**2).sum(axis=0), np.finfo(float).tiny)
+    share = (opening * np.nan_to_num(second)).sum(axis=0) / power
+    beside = np.pad(share, 1, "reflect", reflect_type="odd")
+    shares = (place / (sheets - third), (beside[:-2] + beside[2:]) / 2)
+    return [second - opening * of for of in shares]
 
 
 def _fourth(x_px: Floats) -> Floats:

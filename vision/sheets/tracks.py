@@ -205,7 +205,8 @@ def _assess_ridges(
     flag = np.where((detections.flag == Flag.OK) & not_a_sheet, np.uint8(Flag.MERGED), detections.flag)
     err = np.sqrt(errors.err_px**2 + blur_px**2 + distorted_px**2)
     usual = nan_median(np.where(np.isfinite(x_px), err, np.nan))
-    excess = noise_excess(BetweenSlips(np.where(frozen[:, None], np.nan, x_px)), err, comb.settings)
+    positions = BetweenSlips(np.where(frozen[:, None], np.nan, x_px), comb.settings)
+    excess = noise_excess(positions, err, comb.settings)
     err = np.hypot(err, np.nan_to_num(usual) * np.sqrt(np.fmax(excess**2 - 1.0, 0.0)))
     is_distorted = distorted_px > np.fmax(errors.err_px, comb.settings.distortion_floor)
     return _Assessed(x_px, flag, err, blurred, is_distorted, lasting_px, scale)
@@ -334,7 +335,7 @@ def _errors(fitted: _Fitted, frozen: Bools, codec: str, settings: TrackingSettin
     """
     new = np.where(frozen[:, None], np.nan, fitted.x_px)
     between_frames = codec in BETWEEN_FRAMES
-    positions = BetweenSlips(new)
+    positions = BetweenSlips(new, settings)
     noise_px = position_noise(fitted.x_px[~frozen])
     scatter_px = spatial_scatter(positions, between_frames=between_frames)
     err = fitted.err_px
@@ -347,7 +348,7 @@ def _errors(fitted: _Fitted, frozen: Bools, codec: str, settings: TrackingSettin
     measured = np.where(np.isfinite(scatter_px), scatter_px, np.hypot(np.fmax(noise_px, predicted), rounding))
     known = np.isfinite(measured)
     if between_frames and known.any():  # all sheets share one quantiser
-        measured = np.full_like(measured, np.sqrt(np.mean(measured[known] ** 2)))
+        measured = np.full_like(measured, np.median(measured[known]))
     if between_frames:
         measured = np.hypot(measured, shared_error(positions))
     elif codec not in LOSSY:
