@@ -123,6 +123,18 @@ def test_more_ridges_on_a_side_than_the_sample_has_sheets(picture):
     assert consistency_warnings(track_sheets(strip(ridges(comb(150, per_side=29))))) == []
 
 
+def test_a_side_that_lacks_a_sheet_of_the_sample_is_named():
+    """A failure means that n of the sheets beyond an overlooked one is too small and nothing says so, or that
+    it is said where the number of sheets was given, or no sample is known."""
+    contrast = np.ones(SHEETS)
+    contrast[17] = 0.0
+    picture = film(contrast)
+    tracks = track_sheets(picture)
+    assert "24 sheets on the left but 25 on the right" in " ".join(consistency_warnings(tracks, PUBLISHED))
+    assert consistency_warnings(tracks) == []
+    assert consistency_warnings(track_sheets(picture, sheets=49), PUBLISHED) == []
+
+
 @pytest.mark.parametrize(("size_um", "said"), [(None, 0), (10, 0), (3, 0), (30, 0), (0.01, 1), (10_000, 1)])
 def test_a_pixel_size_in_another_unit(picture, size_um, said):
     """A failure means that µm taken for mm are not noticed, or that a true pixel size is questioned."""

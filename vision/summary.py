@@ -427,13 +427,17 @@ def _alike_warning(facts: TrackMetadata) -> list[str]:
     ]
 
 
+def _counted(tracks: xr.Dataset) -> bool:
+    """Return whether the number of sheets was given."""
+    return any(step["parameters"].get("sheets") for step in tracks.attrs.get("operations", ()))
+
+
 def _spacing_warning(tracks: xr.Dataset) -> list[str]:
     """Warn of ridges in pairs, which keep their distance or whose narrow and wide spacings alternate, or of
     missing sheets; no pairs are reported if the number of sheets was given."""
-    counted = any(step["parameters"].get("sheets") for step in tracks.attrs.get("operations", ()))
     apart = np.diff(tracks["x_px"].values, axis=1)
     spacing = nan_median(apart)
-    if np.isfinite(spacing).sum() >= PAIR_SPACINGS and not counted:
+    if np.isfinite(spacing).sum() >= PAIR_SPACINGS and not _counted(tracks):
         least = nan_median(tracks["x_err_px"].values.ravel())
         change = np.fmax(np.sqrt(nan_median((apart - spacing) ** 2)), least)
         beside = np.pad(change, 1, constant_values=np.nan)
@@ -509,6 +513,15 @@ def consistency_warnings(
             f"only {most} of {used.sheets_per_block} sheets of one side are in view, and n counts from the"
             " innermost of them: if others lie between it and the axis, n and the stiff shell are too small"
             " by their number: give `axis_px`"
+        )
+    left, right = (int((tracks["side"].values == side).sum()) for side in (-1, 1))
+    fewer, more = sorted((left, right))
+    one_lacks = used is not None and more == used.sheets_per_block and 1 <= more - fewer <= 2
+    if one_lacks and not _counted(tracks):
+        lines.append(
+            f"{left} sheets on the left but {right} on the right: where one is overlooked, n of those further out"
+            " is too small: look for a wide spacing or a sheet outside the picture, or give the number of sheets"
+            " in view (`sheets`)"
         )
     spacing = math.nan if pixel_size_um is None else found.pitch_px * pixel_size_um / 1000
     if used is None and 1000 * spacing < LEAST_SPACING_UM:
