@@ -519,9 +519,9 @@ def consistency_warnings(
     one_lacks = used is not None and more == used.sheets_per_block and 1 <= more - fewer <= 2
     if one_lacks and not _counted(tracks):
         lines.append(
-            f"{left} sheets on the left but {right} on the right: where one is overlooked, n of those further out"
-            " is too small: look for a wide spacing or a sheet outside the picture, or give the number of sheets"
-            " in view (`sheets`)"
+            f"{left} sheets on the left but {right} on the right: if one is overlooked, n of those beyond it"
+            " is too small: look for a wide spacing or a sheet outside the picture, or give the number of"
+            " sheets in view (`sheets`)"
         )
     spacing = math.nan if pixel_size_um is None else found.pitch_px * pixel_size_um / 1000
     if used is None and 1000 * spacing < LEAST_SPACING_UM:

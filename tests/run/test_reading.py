@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import shutil
 from pathlib import Path
@@ -39,6 +40,18 @@ def test_a_diagram_that_shrinks_after_it_was_read_is_whole(folder):
     os.truncate(folder / "kymograph.tif", 1000)
     assert np.array_equal(strip.values, before)
     assert strip.shape == (60, 180)
+
+
+@pytest.mark.parametrize(("name", "value"), [("offset_s", {}), ("matched_s", ["x"]), ("matched", [])])
+def test_a_clock_that_holds_no_numbers_is_one_line(name, value, folder):
+    """A failure means that a damaged clock.json ends in a traceback."""
+    whole = {"offset_s": 1.0, "drift_ppm": None, "matched_s": [1.5], "unmatched_video": 0}
+    whole |= {"unmatched_force": 0, "matched": 4, "status": "ok", "how": "events"}
+    (folder / "clock.json").write_text(json.dumps(whole))
+    assert read_run(folder).clock.matched_s == (1.5,)
+    (folder / "clock.json").write_text(json.dumps(whole | {name: value}))
+    with pytest.raises(InputError, match=r"clock\.json"):
+        _ = read_run(folder).clock
 
 
 @pytest.mark.parametrize("cell", ["\u2028", "broken", "1,5"])

@@ -31,6 +31,7 @@ from vision.run.provenance import Parameter, describe_input
 from vision.run.tables import attrs_of_netcdf
 from vision.video import FramesRead, FrameStore, Video, VideoSettings, video_files
 
+_NUMBERS: dict[Any, Callable[[Any], float]] = {"float": float, "int": int}  # by the type of a field
 TEXT_COLUMNS = ("flag", "shell")  # of the tables of a run; all others hold numbers
 
 
@@ -87,10 +88,13 @@ class RunFolder:
         facts = read_json(path)
         with reading(path, "a clock as track writes it", AGAIN):
             known = {part.name: facts[part.name] for part in fields(Clock) if part.name in facts}
+            numbers = {part.name: _NUMBERS[part.type] for part in fields(Clock) if part.type in _NUMBERS}
             known = {name: math.nan if value is None else value for name, value in known.items()}
+            known |= {name: number(known[name]) for name, number in numbers.items() if name in known}
+            times = {name: tuple(map(float, known.get(name) or ())) for name in ("only_video_s", "matched_s")}
             candidates = tuple(Candidate(**one) for one in known.get("candidates") or ())
-            lists = {name: tuple(known.get(name) or ()) for name in ("warnings", "only_video_s", "matched_s")}
-            return Clock(**known | lists | {"candidates": candidates})
+            warnings = tuple(map(str, known.get("warnings") or ()))
+            return Clock(**known | times | {"candidates": candidates, "warnings": warnings})
 
     def table(self, name: str) -> pd.DataFrame | None:
         """Return a table, such as "events"; None if the run does not have it.
