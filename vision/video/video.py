@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import glob
+import itertools
 import os
 import re
 from collections.abc import Collection, Iterator
@@ -147,7 +148,10 @@ class Video:
 
     @property
     def duration_s(self) -> float | None:
-        """Duration that the file states by its own clock; None without, or for a part of the file."""
+        """Duration by the given times or the file's own clock; None without, or for a part of the file."""
+        if self.given_times_s is not None and self.stop is None and self.first == 0:
+            times_s, rate = self.given_times_s, self.clock.fps
+            return None if rate is None else float(np.nanmax(times_s) - np.nanmin(times_s)) + 1 / rate
         return self.facts.duration_s if self.stop is None and self.clock.kind == "file" else None
 
     @property
@@ -430,12 +434,13 @@ def read_timestamps(path: Path) -> tuple[Floats, tuple[str, ...]]:
 
     One time per line, or columns divided by comma, semicolon, tab or space; a header names the column
     ("time", "timestamp") and its unit: `time_ms`, `Timestamp (us)`, `t [ns]`. Lines starting with # belong
-    to the header. Without a header the last of two columns (number, time) is used, and the unit is s.
+    to the header. Without a header the last of two columns (number, time) is used, and the unit is s. Decimal
+    commas are recognised where no commas separate columns, also in lines such as 0,016667.
 
     Raises
     ------
     InputError
-        For a missing or empty file, or text in place of a number.
+        For a missing or empty file, text in place of a number, or commas that may be decimal marks or separators.
     """
     wanted = "a readable file of time stamps"
     if check_regular(path, wanted).st_size > 1 << 28:  # ten million frames
@@ -446,7 +451,10 @@ def read_timestamps(path: Path) -> tuple[Floats, tuple[str, ...]]:
     end = "".join(lines[-2:])  # the last line may be cut before its separator
     separator = next((mark for mark in ";\t," if mark in end), None)
     cells = [[cell.strip() for cell in line.split(separator) if cell.strip()] for line in lines]
-    rows = [_numbers(line, decimal_comma=separator in (";", "\t")) for line in cells]
+    decimal_comma = separator in (";", "\t")
+    if separator == "," and _has_decimal_commas(path, cells):
+        separator, decimal_comma, cells = None, True, [[line.strip()] for line in lines]
+    rows = [_numbers(line, decimal_comma=decimal_comma) for line in cells]
     first = next((n for n, row in enumerate(rows) if row), None)
     if first is None:
         raise InputError(path, "one time per line", "no numbers", "give one time per frame, in s")
@@ -464,8 +472,44 @@ def read_timestamps(path: Path) -> tuple[Floats, tuple[str, ...]]:
     backwards = np.flatnonzero(np.diff(times_s) <= 0)
     if not backwards.size:
         return times_s, ()
-    where = f"the first at frame {backwards[0] + 1}"
-    return times_s, (f"{path.name}: {backwards.size} time(s) do not increase, {where}",)
+    return times_s, (_not_increasing(times_s, path.name),)
+
+
+def _not_increasing(times_s: Floats, name: str) -> str:
+    """Return a warning about times that do not increase, and from which frame on they restart."""
+    latest = np.maximum.accumulate(np.r_[-np.inf, times_s[:-1]])
+    stale = np.flatnonzero(times_s <= latest)
+    line = f"{name}: {stale.size} of {times_s.size} times do not increase, the first at frame {stale[0]}"
+    step = np.diff(times_s)
+    back = np.flatnonzero(step < -10 * np.median(np.abs(step)))
+    if back.size:
+        k = int(back[0]) + 1
+        line += f"; they restart from frame {k} on ({times_s[k - 1]:.6g} s, then {times_s[k]:.6g} s)"
+        line += f": give `frames` 0:{k} or {k}:{times_s.size}, or times that continue"
+    return f"{line}; such frames are not used for the clocks and stick phases"
+
+
+def _has_decimal_commas(path: Path, cells: list[list[str]]) -> bool:
+    """Return whether commas in these lines are decimal marks; InputError where this cannot be told.
+
+    They are if a whole number, as of seconds, is followed by digits with a leading zero. They separate columns
+    if the header names as many, a number has a decimal point, or the first column counts the frames.
+    """
+    data = [line for line in cells if _numbers(line, decimal_comma=False)]
+    header = next(iter(cells), []) if len(data) < len(cells) else []
+    if not data or len(header) == len(data[0]) > 1:
+        return False
+    if not all(re.fullmatch(r"[+-]?[0-9]+", cell) for line in data for cell in line):
+        return False
+    zeros = any(len(cell) > 1 and cell.startswith("0") for line in data for cell in line[1:])
+    if zeros and all(len(line) <= 2 for line in data):
+        return True
+    counted = all(int(b[0]) == int(a[0]) + 1 for a, b in itertools.pairwise(data))
+    if not counted or zeros:
+        advice = "write decimal points, or semicolons or tabs between the columns"
+        found = f"'{','.join(data[-1])[:40]}', which may be either"
+        raise InputError(path, "commas either between columns or in numbers", found, advice)
+    return False
 
 
 def _time_column(header: str, separator: str | None, width: int) -> tuple[int, float]:
