@@ -10,14 +10,16 @@ name and parameters to ``attrs["operations"]``.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal, Self, TypeVar
 
+import numpy as np
 import pandas as pd
 import xarray as xr
 
 from vision.errors import InputError
+from vision.numeric import Bools
 
 Data = xr.DataArray | xr.Dataset | pd.DataFrame
 AnyData = TypeVar("AnyData", xr.DataArray, xr.Dataset, pd.DataFrame)
@@ -459,6 +461,7 @@ class StickMetadata(Metadata):
 
 
 _EVENT = ("event",)
+WHOLE = frozenset({"ok", "slow", "negative"})  # flags of whole events, which models are fitted to
 STICKS = Schema(
     "stick-slip events",
     "vision.find_stick_slip",
@@ -490,10 +493,22 @@ STICKS = Schema(
         "knee_gain": Variable(_EVENT, "1", "squared residuals of one line over those with a knee"),
         "slip_time_s": Variable(_EVENT, "s", "duration of the slip"),
         "samples": Variable(_EVENT, "", "samples in the stick phase"),
-        "flag": Variable(_EVENT, "", "ok, or what is wrong within the stick phase"),
+        "flag": Variable(
+            _EVENT,
+            "",
+            "ok, or, joined by +, what is wrong within the stick phase; events that are only slow (the slip lasts"
+            " a considerable part of a stick, and F_v and F_p are the recorded extremes) or negative (F_v below"
+            " zero) are whole",
+        ),
     },
     needs=("event", "t_v_s", "t_p_s", "d_v_mm", "d_p_mm", "F_v_N", "F_p_N", "dF_N", "stick_length_um"),
 )
+
+
+def whole_events(flags: Iterable[object]) -> Bools:
+    """Return which events are whole: only these are used for fits and comparisons."""
+    return np.array([set(str(flag).split("+")) <= WHOLE for flag in flags], dtype=bool)
+
 
 # --- deformation --------------------------------------------------------------------------------------------
 

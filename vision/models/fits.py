@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vision.data import FORCE, ForceMetadata, StickMetadata, load_unit
+from vision.data import FORCE, ForceMetadata, StickMetadata, load_unit, whole_events
 from vision.errors import InputError, check_positive
 from vision.models import equations
 from vision.models.single_fits import (
@@ -31,7 +31,6 @@ from vision.sample import PUBLISHED, Sample
 from vision.signals import running_median
 
 _LEAST_EVENTS = 6
-_MEASURED = frozenset({"ok", "slow", "negative"})  # flags of complete events
 _LARGEST_OFFSET_N = 10.0  # limit of |T0| in the publication: the largest error of a load cell's zero
 _CLEAR_OFFSET = 5.0  # T0 over its error above which it differs significantly from 0
 _UNLIKE_DROPS = 0.4  # relative scatter of drops: 0.05 to 0.2 in a test, 0.5 if half of them are small
@@ -219,8 +218,7 @@ def _complete_events(sticks: pd.DataFrame, sample: Sample, force: xr.Dataset) ->
     if absent := [name for name in needed if name not in sticks]:
         raise InputError("the force recording", f"columns {', '.join(needed)}", f"no {', '.join(absent)}")
     if "flag" in sticks:
-        measured = [set(str(flag).split("+")) <= _MEASURED for flag in sticks["flag"]]
-        events: pd.DataFrame = sticks[np.asarray(measured, dtype=bool)]
+        events: pd.DataFrame = sticks[whole_events(sticks["flag"])]
     else:
         events = sticks
     knees = "K2_N_per_mm" in events and len(events) > 0
