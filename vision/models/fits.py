@@ -27,7 +27,7 @@ from vision.models.single_fits import (
     with_friction,
 )
 from vision.numeric import NORMAL_MEDIAN, Floats
-from vision.sample import PUBLISHED, Sample
+from vision.sample import PUBLISHED, Sample, is_plausible_modulus
 from vision.signals import running_median
 
 _LEAST_EVENTS = 6
@@ -182,7 +182,7 @@ def _doubtful_units(events: pd.DataFrame, sample: Sample, force: xr.Dataset) -> 
     found = f"K of {k:.3g} N/mm, which needs sheets of {least:.2g} GPa"
     if least > 1000:  # the modulus of diamond
         raise InputError("the force recording", "sheets of less than 1000 GPa", found, _read_as(force))
-    return "" if 0.1 < least < 30 else f"{found} or more: {_read_as(force)}"
+    return "" if is_plausible_modulus(least) else f"{found} or more: {_read_as(force)}"
 
 
 def _misread_lengths(
