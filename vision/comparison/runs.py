@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 from vision.data import whole_events
-from vision.errors import InputError
+from vision.errors import InputError, check_kind
 from vision.files import AGAIN, check_regular, reading, shortened
 from vision.numeric import Floats
 from vision.run import RunFolder, is_run, read_run
@@ -95,6 +95,7 @@ def read_tests(runs: Sequence[str | Path] = (), table: str | Path | pd.DataFrame
     InputError
         If there is neither a table nor a run, the table cannot be read, or no run can be used.
     """
+    check_kind(tuple | list, "a list of run folders", runs=runs)
     rows, base, warnings = _read_table(table)
     folders = [Path(run) for run in runs]
     failures: list[str] = []
@@ -352,7 +353,8 @@ def _flags_of_others(table: pd.DataFrame) -> str:
         return ""
     flags = table["flag"].fillna("ok")
     counts = flags[~whole_events(flags)].value_counts().head(3)
-    return f" (flags: {', '.join(f'{name} {count}' for name, count in counts.items())})" if len(counts) else ""
+    named = ", ".join(f"{name} {count}" for name, count in counts.items())
+    return f" (flags: {named})" if named else ""
 
 
 def _sample(content: Any) -> Sample:

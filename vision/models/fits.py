@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from numbers import Real
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import xarray as xr
 
 from vision.data import FORCE, ForceMetadata, StickMetadata, load_unit, whole_events
-from vision.errors import InputError, check_positive
+from vision.errors import InputError, check_kind, check_positive, shown
 from vision.models import equations
 from vision.models.single_fits import (
     FIT_ERRORS,
@@ -96,7 +99,10 @@ def fit_models(
     Source: paper, Eqs. 1 and 2, section on the effective number of sheets.
     """
     FORCE.check(force)
+    check_kind(pd.DataFrame, "what `vision.find_stick_slip` returns", sticks=sticks)
+    check_kind(Sample, "a `Sample`", sample=sample)
     _check_force(force)
+    check_fit_range(fit_range_mm)
     held = _held(mu, modulus_GPa)
     errors = dict(geometry_err or {})
     for name, value in errors.items():
@@ -259,10 +265,7 @@ def _choose_events(
 ) -> tuple[pd.DataFrame, dict[str, int]]:
     """The events to fit, and the numbers of those left out by reason."""
     if fit_range is not None:
-        low, high = fit_range
-        if not 0 <= low < high < np.inf:
-            raise InputError("`fit_range_mm`", "two separations A < B in mm", f"{low:g} and {high:g}")
-        inside = events["d_v_mm"].between(low, high)
+        inside = events["d_v_mm"].between(*fit_range)
         if inside.sum() < _LEAST_EVENTS:
             found = f"{inside.sum()} of {len(events)}, which lie between "
             found += f"{events['d_v_mm'].min():.4g} and {events['d_v_mm'].max():.4g} mm"
@@ -271,6 +274,15 @@ def _choose_events(
     top = _maximum(events["F_p_N"].to_numpy(float))
     start = _first_that_fits(events, sample, held, top)
     return events.iloc[start:], {"build_up": top, "misfit": start - top}
+
+
+def check_fit_range(range_mm: Any) -> None:
+    """Raise `InputError` for a range of separations that is not two increasing numbers or None."""
+    if range_mm is None:
+        return
+    pair = range_mm if isinstance(range_mm, tuple | list) and len(range_mm) == 2 else (math.nan, math.nan)
+    if not (all(isinstance(end, Real) for end in pair) and 0 <= pair[0] < pair[1] < math.inf):
+        raise InputError("`fit_range_mm`", "two separations A < B in mm", shown(range_mm))
 
 
 def _maximum(peaks: Floats) -> int:

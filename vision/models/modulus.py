@@ -266,8 +266,8 @@ def _implausible(table: pd.DataFrame, sheet: Sample) -> list[str]:
             size = f"{sheet.thickness_mm:g} x {sheet.width_mm:g} x {sheet.length_mm:g} mm"
             return [
                 f"expected a modulus of {LEAST_GPA:g} to {MOST_GPA:g} GPa, as sheets have; found {symbol} = "
-                f"{modulus:.2g} GPa for a sheet of {size}: check `thickness_mm`, `width_mm` and `length_mm` (mm) "
-                "and the units of force and displacement"
+                f"{modulus:.2g} GPa for a sheet of {size}: check `thickness_mm`, `width_mm` and "
+                "`length_mm` (mm) and the units of force and displacement"
             ]
     return []
 

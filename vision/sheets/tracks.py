@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import xarray as xr
 
 from vision.data import STRIP, STRIP_PARTS, TRACKS, StripMetadata, TrackMetadata, record
-from vision.errors import InputError
+from vision.errors import InputError, check_number, check_within, check_word
 from vision.numeric import Bools, Codes, Floats, Floats32, nan_median, nan_quantile
 from vision.sheets.corrections import Correction, apply_corrections, last_of
 from vision.sheets.identities import WHYS, Doubt, Identities, identify_sheets
@@ -121,6 +122,10 @@ def track_sheets(
     artefacts. It does not include errors that are the same in all frames (uneven light, the choice of rows).
     """
     STRIP.check(strip)
+    check_word(("bright", "dark", "auto"), ridges=ridges)
+    check_word(get_args(FitChoice), fit=fit)
+    check_number(axis_px=axis_px)
+    check_within("a whole number from 1", 1, math.inf, whole=True, sheets=sheets)
     facts = StripMetadata.of(strip)
     profile = np.asarray(strip.values, np.float32)
     axis_decision = last_of(corrections, "axis")

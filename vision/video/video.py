@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import glob
 import itertools
+import math
 import os
 import re
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import NoneType
 from typing import Literal
 
 import numpy as np
 
-from vision.errors import InputError
+from vision.errors import PATH, InputError, check_kind, check_within, shown
 from vision.files import Stamp, answered, check_pixels, check_regular, html_table, reading
 from vision.numeric import Floats, Ints, Pixels
 from vision.video.raw import PIXELS, is_photron, open_raw, photron_files
@@ -23,6 +25,8 @@ from vision.video.stacks import IMAGES, is_tiff, open_sequence, open_stack
 
 FILMS = {".avi", ".mp4", ".m4v", ".mkv", ".mov", ".cine", PIXELS}
 """Suffixes by which the films of a folder are found. A film that is named may have any suffix."""
+RANGE = "a slice such as slice(60, 144)"
+"""What an argument for rows, columns or frames must be, for messages."""
 _UNIT = re.compile(r"(?:^|[\s_(\[.,;/-])(s|sec|seconds|ms|us|µs|μs|ns)(?:$|[\s)\],;])", re.IGNORECASE)
 _TIME_NAME = re.compile(r"time|stamp|zeit|temps", re.IGNORECASE)
 
@@ -283,11 +287,12 @@ def open_video(
     InputError
         If the file cannot be read or an argument does not suit it.
     """
+    check_kind(PATH, "the path of a video or of images", path=path)
+    check_kind((*PATH, NoneType), "the path of a file with the time of every frame", timestamps=timestamps)
+    check_within("a positive number of frames per second", 1e-12, math.inf, fps=fps)
     where = Path(path)
     if rotate not in (0, 90, 180, 270):
         raise InputError("`rotate`", "0, 90, 180 or 270", str(rotate))
-    if fps is not None and not 0 < fps < float("inf"):
-        raise InputError("`fps`", "a positive number of frames per second", str(fps))
     if fps is not None and timestamps is not None:
         raise InputError("`fps` and `timestamps`", "one of the two", "both")
 
@@ -377,6 +382,7 @@ def _open_reader(path: Path) -> Reader:
 
 def _frame_range(frames: slice | None, declared: int | None, path: Path) -> tuple[int, int | None]:
     """Return `frames` as first and stop; InputError if it is no range or contains no frame."""
+    check_kind(slice | None, RANGE, frames=frames)
     if frames is None:
         return 0, None
     first = 0 if frames.start is None else int(frames.start)
@@ -392,6 +398,8 @@ def cut(wanted: slice | None, size: int, *, what: str) -> slice:
     """Check `wanted` against `size` pixels: InputError unless 0 <= start < stop <= size."""
     if wanted is None:
         return slice(0, size)
+    if not isinstance(wanted, slice):
+        raise InputError(what, RANGE, shown(wanted))
     start = 0 if wanted.start is None else int(wanted.start)
     stop = size if wanted.stop is None else int(wanted.stop)
     if wanted.step not in (None, 1) or not 0 <= start < stop <= size:
@@ -440,7 +448,7 @@ def read_timestamps(path: Path) -> tuple[Floats, tuple[str, ...]]:
     Raises
     ------
     InputError
-        For a missing or empty file, text in place of a number, or commas that may be decimal marks or separators.
+        For a missing or empty file, text in place of a number, or commas of unknown meaning.
     """
     wanted = "a readable file of time stamps"
     if check_regular(path, wanted).st_size > 1 << 28:  # ten million frames
@@ -492,8 +500,8 @@ def _not_increasing(times_s: Floats, name: str) -> str:
 def _has_decimal_commas(path: Path, cells: list[list[str]]) -> bool:
     """Return whether commas in these lines are decimal marks; InputError where this cannot be told.
 
-    They are if a whole number, as of seconds, is followed by digits with a leading zero. They separate columns
-    if the header names as many, a number has a decimal point, or the first column counts the frames.
+    They are if a whole number, as of seconds, is followed by digits with a leading zero. They separate
+    columns if the header names as many, a number has a decimal point, or the first column counts the frames.
     """
     data = [line for line in cells if _numbers(line, decimal_comma=False)]
     header = next(iter(cells), []) if len(data) < len(cells) else []
