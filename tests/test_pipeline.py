@@ -152,7 +152,7 @@ def test_wrong_arguments_of_single_stages(whole):
         for call in wrong:
             with pytest.raises(InputError, match=f"`{name}`: expected .*; found "):
                 call()
-    with pytest.raises(InputError, match="the tracks: expected what `vision.track_sheets` returns"):
+    with pytest.raises(InputError, match=r"the tracks: expected what `vision\.track_sheets` returns"):
         vision.horizontal_deformation(tracks.x_px, sticks, None, pixel_size_um=10)
 
 
