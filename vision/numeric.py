@@ -40,6 +40,11 @@ def mad_sigma(values: NDArray[np.floating], axis: int | None = None) -> Any:
     return np.median(np.abs(values - middle), axis=axis) / NORMAL_MEDIAN
 
 
+def two_digits(value: float) -> str:
+    """Return a number with two significant digits, without a power of ten from 1e-4 to 1e6: 170, not 1.7e+02."""
+    return f"{float(f'{value:.2g}'):g}"
+
+
 def rms(values: Floats) -> float:
     """Return the root mean square of the finite values; NaN without any."""
     known = values[np.isfinite(values)]

@@ -29,7 +29,7 @@ from vision.models.single_fits import (
     largest_chi2,
     with_friction,
 )
-from vision.numeric import NORMAL_MEDIAN, Floats
+from vision.numeric import NORMAL_MEDIAN, Floats, two_digits
 from vision.sample import PUBLISHED, Sample, is_plausible_modulus
 from vision.signals import running_median
 
@@ -375,7 +375,7 @@ def _fit_all(events: pd.DataFrame, given: Sample, free_t_star: bool, held: Mappi
     if free_t_star:
         t_star = replace(peaks.estimate(2), value=abs(float(peaks.value[2])))
     if not mu.value > mu.error:  # also where either is NaN
-        raise _undetermined(f"friction coefficient {mu.value:.3g} ± {mu.error:.2g}")
+        raise _undetermined(f"friction coefficient {mu.value:.3g} ± {two_digits(mu.error)}")
     sample = replace(given, t_star_N=t_star.value)
     drops = with_friction(lambda m: fit_drops(events, sample, m), mu)
     stiffness = fit_stiffness(events, sample, held)
@@ -571,7 +571,7 @@ def _remarks(
     for name, good in fits.goodness.items():
         if good.chi2_dof > largest_chi2(good.points):
             line = f"the model does not follow the {name} (χ²/dof {good.chi2_dof:.3g}): "
-            line += f"errors widened {np.sqrt(good.chi2_dof):.2g} times"
+            line += f"errors widened {two_digits(np.sqrt(good.chi2_dof))} times"
             (warnings if good.chi2_dof > _CONTRADICTS else notes).append(line)
     if abs(fits.t0_N.value) - 2 * fits.t0_N.error > _LARGEST_OFFSET_N:  # short tests hardly determine it
         warnings.append(
@@ -580,7 +580,7 @@ def _remarks(
         )
     elif abs(fits.t0_N.value) > _CLEAR_OFFSET * fits.t0_N.error > 0:
         notes.append(
-            f"𝒯0 = {fits.t0_N.value:.3g} N is {abs(fits.t0_N.value) / fits.t0_N.error:.2g} errors from 0: "
+            f"𝒯0 = {fits.t0_N.value:.3g} N is {two_digits(abs(fits.t0_N.value) / fits.t0_N.error)} errors from 0: "
             "the load cell's zero, `d0_mm` or the sample's geometry is wrong"
         )
     if fits.scale_mm.value > 0.999 * LARGEST_SCALE * fits.d_mm[1]:
