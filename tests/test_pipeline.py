@@ -251,3 +251,12 @@ def test_a_comb_that_lies_on_its_side_is_said_to(tmp_path):
     tifffile.imwrite(tmp_path / "noise.tif", noise)
     with pytest.raises(InputError, match="check `rows`"):
         vision.analyse(tmp_path / "noise.tif")
+
+
+def test_a_saturated_film_is_said_to_be_saturated(tmp_path):
+    """A failure means that an overexposed film is said to show nothing above the noise."""
+    rng = np.random.default_rng(0)
+    grey = np.where(rng.random((20, 40, 200)) < 0.86, 255, rng.integers(100, 250, (20, 40, 200)))
+    tifffile.imwrite(tmp_path / "film.tif", grey.astype(np.uint8), photometric="minisblack")
+    with pytest.raises(InputError, match=r"found a saturated picture: \d\d % of the pixels"):
+        vision.analyse(tmp_path / "film.tif")

@@ -80,6 +80,8 @@ from vision.video import (
 )
 
 Result = TypeVar("Result")
+MOST_SATURATED = 0.5
+"""Share of saturated pixels above which they are named as the reason why no ridges are found."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -511,10 +513,13 @@ def _check_lengths(chosen: Settings, width_px: int) -> None:
 
 
 def _suggesting_rotation(film: Video | None, chosen: Settings, work: Callable[[], Result]) -> Result:
-    """Return ``work()``. If it fails and the film shows horizontal ridges, the error suggests rotating it."""
+    """Return ``work()``. If it fails, the error names a saturated film or horizontal ridges."""
     try:
         return work()
-    except InputError:
+    except InputError as error:
+        if film is not None and "ridges" in error.problem and (share := _saturated(film)) > MOST_SATURATED:
+            found = f"a saturated picture: {100 * share:.0f} % of the pixels are at the brightest grey level"
+            raise InputError(film.path, "upright ridges", found, "film with less light") from None
         rows_given = chosen.rows is not None or chosen.columns is not None
         if film is None or rows_given or not _has_horizontal_ridges(film):
             raise
@@ -522,6 +527,14 @@ def _suggesting_rotation(film: Video | None, chosen: Settings, work: Callable[[]
         if film.rotate == 90:  # rather as recorded than upside down
             way = 0
         raise InputError(film.path, "upright ridges", found, f"give `rotate` {way}") from None
+
+
+def _saturated(film: Video) -> float:
+    """Return the share of saturated pixels in the first frame, 0 if it is not known."""
+    level = film.saturation_level
+    with suppress(InputError):
+        return 0.0 if level is None else float((reference_frame(film) >= level).mean())
+    return 0.0
 
 
 def _has_horizontal_ridges(film: Video) -> bool:
