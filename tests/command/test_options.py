@@ -194,3 +194,10 @@ def test_a_wrong_option_is_told_before_the_folder_that_exists(tmp_path, capsys):
     """A failure means that who adds --overwrite is stopped a second time, by a mistake of the first call."""
     assert run(["film.avi", "--strip", "60-144", "--out", str(tmp_path)]) == 2
     assert "--strip: expected two whole numbers" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("typed", ["--px", "--pix", "--pixel"])
+def test_an_abbreviated_option_is_recognised(typed, capsys):
+    """A failure means that --px suggests --fps."""
+    assert run(["v.avi", typed, "10"]) == 2
+    assert f"Unknown option: {typed}. Did you mean --pixel-size?" in capsys.readouterr().err
