@@ -330,7 +330,8 @@ def _clean(
     FORCE.check(force)
     source = ForceMetadata.of(force).source
     if "crosshead_mm" not in force:
-        raise InputError(source, "a displacement", "time and load only", "name its column")
+        how = "rename its column in the header: displacement, crosshead, extension, position or stroke (mm)"
+        raise InputError(source, "a displacement", "time and load only", how)
     if load_unit(force) != "N":
         raise InputError(source, "a load in N", f"units {load_unit(force)!r}")
     time = force["time_s"].values.astype(float)
