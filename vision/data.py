@@ -137,7 +137,7 @@ def check_pixel_size(pixel_size_um: Any) -> None:
 
 def check_threshold(threshold: Any) -> None:
     """Raise `InputError` for a threshold of σ_x/Λ_st that is not above 0 and at most `WHOLE_RATIO`."""
-    expected = f"a number above 0, at most {WHOLE_RATIO:g} (of σ_x/Λ_st, steady motion by a whole stick length has 1/√12 = 0.29)"
+    expected = f"a number above 0, at most {WHOLE_RATIO:g} (steady motion by a whole Λ_st has 1/√12 = 0.29)"
     check_within(expected, 1e-9, WHOLE_RATIO, threshold=threshold)
 
 

@@ -41,7 +41,7 @@ def mad_sigma(values: NDArray[np.floating], axis: int | None = None) -> Any:
 
 
 def two_digits(value: float) -> str:
-    """Return a number with two significant digits, without a power of ten from 1e-4 to 1e6: 170, not 1.7e+02."""
+    """Return a number with two significant digits, from 1e-4 to 1e6 without a power of ten: 170."""
     return f"{float(f'{value:.2g}'):g}"
 
 

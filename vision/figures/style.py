@@ -18,7 +18,7 @@ from markupsafe import Markup, escape
 from vision.data import StripMetadata
 from vision.figures.figure import Ink
 from vision.models import Estimate
-from vision.numeric import Floats, two_digits
+from vision.numeric import Floats
 
 if TYPE_CHECKING:
     from vision.clock import Clock
@@ -111,8 +111,6 @@ def plus_minus(estimate: Estimate) -> str:
     if not math.isfinite(error) or error <= 0:
         return with_minus(f"{value:.4g}")
     digits = max(0, 1 - math.floor(math.log10(error)))
-    if error >= 100:
-        return with_minus(f"{value:.0f} ± {two_digits(error)}")
     return with_minus(f"{value:.{digits}f} ± {error:.{digits}f}")
 
 

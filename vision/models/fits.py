@@ -579,8 +579,9 @@ def _remarks(
             "check `d0_mm`, the sample's geometry, the zero and the units"
         )
     elif abs(fits.t0_N.value) > _CLEAR_OFFSET * fits.t0_N.error > 0:
+        away = two_digits(abs(fits.t0_N.value) / fits.t0_N.error)
         notes.append(
-            f"𝒯0 = {fits.t0_N.value:.3g} N is {two_digits(abs(fits.t0_N.value) / fits.t0_N.error)} errors from 0: "
+            f"𝒯0 = {fits.t0_N.value:.3g} N is {away} errors from 0: "
             "the load cell's zero, `d0_mm` or the sample's geometry is wrong"
         )
     if fits.scale_mm.value > 0.999 * LARGEST_SCALE * fits.d_mm[1]:
