@@ -23,6 +23,7 @@ from vision.figures import (
     space_time_figure,
     tracks_figure,
 )
+from vision.figures.catalogue import figure_named
 from vision.figures.drawing import label_step, new_figure, picture_style
 from vision.figures.force import clocks_figure
 from vision.figures.style import DATA
@@ -220,7 +221,7 @@ def test_the_legend_is_whole_on_axes_of_pyplot(name):
     """A failure means that a legend above the axes is cut off at the edge of the figure."""
     page = Page(figsize=(6, 4))
     ax = page.subplots()
-    getattr(with_force().plot, name)(ax)
+    figure_named(with_force(), name).plot(ax)
     page.canvas.draw()
     legend = ax.get_legend().get_window_extent()
     assert page.bbox.x0 <= legend.x0 <= legend.x1 <= page.bbox.x1
