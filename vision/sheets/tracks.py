@@ -10,7 +10,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 import xarray as xr
 
-from vision.data import STRIP, STRIP_PARTS, TRACKS, StripMetadata, TrackMetadata, record
+from vision.data import PIXEL_SIZE_UM, STRIP, STRIP_PARTS, TRACKS, StripMetadata, TrackMetadata, record
 from vision.errors import InputError, check_number, check_within, check_word
 from vision.numeric import Bools, Codes, Floats, Floats32, nan_median, nan_quantile
 from vision.sheets.corrections import Correction, apply_corrections, last_of
@@ -492,7 +492,8 @@ def pixel_size_of(
     """
     if pitch_um is None:
         stated = StripMetadata.of(tracks).file_pixel_size_um
-        return pixel_size_um if pixel_size_um is not None or np.isnan(stated) else stated
+        plausible = PIXEL_SIZE_UM[0] <= stated <= PIXEL_SIZE_UM[1]  # not for NaN
+        return pixel_size_um if pixel_size_um is not None or not plausible else stated
     if not 0 < pitch_um < np.inf:
         raise InputError("`pitch_um`", "a positive length in µm", f"{pitch_um:g}")
     spacing = np.diff(nan_median(tracks["x_px"].values))
