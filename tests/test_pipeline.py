@@ -86,9 +86,74 @@ def broken(*arguments, **options):
 @pytest.mark.parametrize("name", ["d0_mm", "sheets", "threshold", "window_px", "force_lowpass_s"])
 def test_a_text_in_place_of_a_number_is_named(name):
     """A failure means that a number read from a table as text ends in a TypeError far from its cause."""
-    with pytest.raises(InputError, match=f"`{name}`: expected a number; found the text '13'"):
+    with pytest.raises(InputError, match=f"`{name}`: expected .*number.*; found the text '13'"):
         Settings(**{name: "13"})
     assert Settings(window_px="auto", force_lowpass_s="auto").window_px == "auto"
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *(("pixel_size_um", size) for size in (-1, 1e-5, 1e4)),
+        *(
+            (name, -1)
+            for name in ("fps", "pitch_um", "speed_mm_min", "mu", "modulus_GPa", "strips", "sheets")
+        ),
+        *((name, -1) for name in ("force_threshold_N", "force_lowpass_s", "machine_stiffness_N_per_mm")),
+        *(("threshold", value) for value in (-0.1, 0, 10)),
+        *(("window_px", 4), ("rotate", 45), ("ridges", "white"), ("fit", "gauss"), ("sheets", 2.5)),
+        *(("rows", (60, 144)), ("columns", "60:144"), ("frames", [0, 5]), ("timestamps", 3)),
+        *(("fit_range_mm", (17, 13)), ("fit_range_mm", 13), ("offset_s", float("nan")), ("axis_px", [3])),
+        *(("sample", {"thickness_mm": 0.1}), ("tuning", None), ("common_mode", "off"), ("fps", "auto")),
+    ],
+)
+def test_a_setting_out_of_range_is_refused_at_once(name, value):
+    """A failure means that a mistyped setting is only noticed after a long film is read, or never."""
+    with pytest.raises(InputError, match=f"^`{name}`: expected .*; found "):
+        Settings(**{name: value})
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((), "`video` and `force`: expected at least one"),
+        (("v.avi", Settings()), "`settings` is the third argument"),
+        (("v.avi", None, {"pixel_size_um": 10}), "`settings`: expected a `Settings`.*; found the type dict"),
+        ((3,), "`video`: expected the path of a video"),
+        (("v.avi", 3), "`force`: expected the path of a force recording"),
+    ],
+)
+def test_wrong_arguments_of_an_analysis(arguments, message):
+    """A failure means an empty analysis, or a traceback from deep inside."""
+    with pytest.raises(InputError, match=message):
+        vision.analyse(*arguments)
+
+
+def test_wrong_arguments_of_single_stages(whole):
+    """A failure means a traceback from deep inside in place of the argument's name."""
+    tracks, force, sticks = whole.tracks, whole.force, whole.sticks
+    film = vision.open_video(DEEP / "video.tif")
+    calls = {
+        "path": [lambda: vision.open_video(None), lambda: vision.read_force(None)],
+        "fps": [lambda: vision.open_video(DEEP / "video.tif", fps="25")],
+        "frames": [lambda: vision.open_video(DEEP / "video.tif", frames=(1, 5))],
+        "video": [lambda: vision.strip_profile("video.avi")],
+        "rows": [lambda: vision.strip_profile(film, (0, 9)), lambda: vision.strip_profile(film, "0:9")],
+        "columns": [lambda: vision.read_force(DEEP / "force.txt", columns=["time"])],
+        "axis_px": [lambda: vision.track_sheets(whole.strip, axis_px="3")],
+        "threshold_N": [lambda: vision.find_stick_slip(force, threshold_N="1")],
+        "sticks": [lambda: vision.fit_models(force, None)],
+        "sample": [lambda: vision.fit_models(force, sticks, 25)],
+        "offset_s": [lambda: vision.synchronise(tracks, force, sticks, offset_s="24")],
+        "clock": [lambda: vision.horizontal_deformation(tracks, sticks, 24.0, pixel_size_um=10)],
+        "runs": [lambda: vision.compare(None)],
+    }
+    for name, wrong in calls.items():
+        for call in wrong:
+            with pytest.raises(InputError, match=f"`{name}`: expected .*; found "):
+                call()
+    with pytest.raises(InputError, match=r"the tracks: expected what `vision\.track_sheets` returns"):
+        vision.horizontal_deformation(tracks.x_px, sticks, None, pixel_size_um=10)
 
 
 @pytest.mark.parametrize("name", ["d0_mm", "d0_err_mm"])
@@ -186,3 +251,12 @@ def test_a_comb_that_lies_on_its_side_is_said_to(tmp_path):
     tifffile.imwrite(tmp_path / "noise.tif", noise)
     with pytest.raises(InputError, match="check `rows`"):
         vision.analyse(tmp_path / "noise.tif")
+
+
+def test_a_saturated_film_is_said_to_be_saturated(tmp_path):
+    """A failure means that an overexposed film is said to show nothing above the noise."""
+    rng = np.random.default_rng(0)
+    grey = np.where(rng.random((20, 40, 200)) < 0.86, 255, rng.integers(100, 250, (20, 40, 200)))
+    tifffile.imwrite(tmp_path / "film.tif", grey.astype(np.uint8), photometric="minisblack")
+    with pytest.raises(InputError, match=r"found a saturated picture: \d\d % of the pixels"):
+        vision.analyse(tmp_path / "film.tif")

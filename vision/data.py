@@ -10,16 +10,23 @@ name and parameters to ``attrs["operations"]``.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal, Self, TypeVar
 
+import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vision.errors import InputError
+from vision.errors import InputError, check_within
+from vision.numeric import Bools
 
 Data = xr.DataArray | xr.Dataset | pd.DataFrame
+PIXEL_SIZE_UM = (1e-3, 1000.0)
+"""Least and largest µm per pixel. Less than the former, which light does not resolve, is a mistyped unit (m
+for µm); a picture with more would not show sheets."""
+WHOLE_RATIO = 1.0
+"""Largest threshold of σ_x/Λ_st: sheets that move steadily by a whole stick length have 1/√12 = 0.29."""
 AnyData = TypeVar("AnyData", xr.DataArray, xr.Dataset, pd.DataFrame)
 
 
@@ -84,10 +91,13 @@ class Schema:
         InputError
             If anything is not as declared. One message names every such variable.
         """
-        if isinstance(data, Data):
+        single = (
+            isinstance(data, xr.DataArray) and "intensity" not in self.variables
+        )  # one variable of several
+        if isinstance(data, Data) and not single:
             needed = needs or self.needs or list(self.variables)
             problems = [_problem(data, name, made, name in needed) for name, made in self.variables.items()]
-        else:  # a path, None or the result of another stage
+        else:  # a path, None, one variable or the result of another stage
             problems = [f"the type {type(data).__name__}"]
         if found := ", ".join(filter(None, problems)):
             wanted = f"what `{self.made_by}` returns"
@@ -117,6 +127,18 @@ class Metadata:
     def attrs(self) -> dict[str, Any]:
         """Return the fields as a dictionary for ``assign_attrs``; the values are not copied."""
         return {part.name: getattr(self, part.name) for part in fields(self)}
+
+
+def check_pixel_size(pixel_size_um: Any) -> None:
+    """Raise `InputError` for a pixel size that is neither None nor within `PIXEL_SIZE_UM`."""
+    low, high = PIXEL_SIZE_UM
+    check_within(f"a number from {low:g} to {high:g} (µm per px)", low, high, pixel_size_um=pixel_size_um)
+
+
+def check_threshold(threshold: Any) -> None:
+    """Raise `InputError` for a threshold of σ_x/Λ_st that is not above 0 and at most `WHOLE_RATIO`."""
+    expected = f"a number above 0, at most {WHOLE_RATIO:g} (steady motion by a whole Λ_st has 1/√12 = 0.29)"
+    check_within(expected, 1e-9, WHOLE_RATIO, threshold=threshold)
 
 
 def record(data: AnyData, operation: str, **parameters: Any) -> AnyData:
@@ -462,6 +484,7 @@ class StickMetadata(Metadata):
 
 
 _EVENT = ("event",)
+WHOLE = frozenset({"ok", "slow", "negative"})  # flags of whole events, which models are fitted to
 STICKS = Schema(
     "stick-slip events",
     "vision.find_stick_slip",
@@ -493,10 +516,22 @@ STICKS = Schema(
         "knee_gain": Variable(_EVENT, "1", "squared residuals of one line over those with a knee"),
         "slip_time_s": Variable(_EVENT, "s", "duration of the slip"),
         "samples": Variable(_EVENT, "", "samples in the stick phase"),
-        "flag": Variable(_EVENT, "", "ok, or what is wrong within the stick phase"),
+        "flag": Variable(
+            _EVENT,
+            "",
+            "ok, or, joined by +, what is wrong within the stick phase; events that are only slow (the slip "
+            "lasts a considerable part of a stick, and F_v and F_p are the recorded extremes) or negative "
+            "(F_v below zero) are whole",
+        ),
     },
     needs=("event", "t_v_s", "t_p_s", "d_v_mm", "d_p_mm", "F_v_N", "F_p_N", "dF_N", "stick_length_um"),
 )
+
+
+def whole_events(flags: Iterable[object]) -> Bools:
+    """Return which events are whole: only these are used for fits and comparisons."""
+    return np.array([set(str(flag).split("+")) <= WHOLE for flag in flags], dtype=bool)
+
 
 # --- deformation --------------------------------------------------------------------------------------------
 

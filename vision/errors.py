@@ -5,9 +5,13 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
+from numbers import Integral, Real
+from typing import Any
 
+PATH = (str, os.PathLike)
+"""Types of an argument that names a file."""
 _NAMED = re.compile(r"`([A-Za-z_][A-Za-z0-9_]*)`")
 
 
@@ -44,11 +48,46 @@ def install_advice(extra: str) -> str:
     return f"in sheetvision's folder: pip install -c constraints.txt '.[{extra}]'"
 
 
-def check_positive(**values: float | None) -> None:
-    """Raise `InputError` for an argument that is neither None nor a positive, finite number."""
+def check_kind(kind: Any, expected: str, **values: Any) -> None:
+    """Raise `InputError` for an argument that is not of this type; say what was expected."""
     for name, value in values.items():
-        if value is not None and not 0 < value < math.inf:
-            raise InputError(f"`{name}`", "a positive number", f"{value!r}")
+        if not isinstance(value, kind):
+            raise InputError(f"`{name}`", expected, shown(value))
+
+
+def check_within(expected: str, low: float, high: float, *, whole: bool = False, **values: Any) -> None:
+    """Raise `InputError` for an argument that is neither None nor a finite number from `low` to `high`."""
+    kind: type = Integral if whole else Real
+    for name, value in values.items():
+        number = isinstance(value, kind) and not isinstance(value, bool)
+        if value is not None and not (number and math.isfinite(value) and low <= value <= high):
+            raise InputError(f"`{name}`", expected, shown(value))
+
+
+def check_word(words: Collection[object], **values: Any) -> None:
+    """Raise `InputError` for an argument that is none of these words or numbers."""
+    for name, value in values.items():
+        if value not in words:
+            raise InputError(f"`{name}`", f"one of {', '.join(map(str, words))}", shown(value))
+
+
+def check_positive(**values: Any) -> None:
+    """Raise `InputError` for an argument that is neither None nor a positive, finite number."""
+    check_within("a positive number", math.nextafter(0, 1), math.inf, **values)
+
+
+def check_number(**values: Any) -> None:
+    """Raise `InputError` for an argument that is neither None nor a finite number."""
+    check_within("a number", -math.inf, math.inf, **values)
+
+
+def shown(value: Any) -> str:
+    """Return a value of an argument for a message: a number, a text, or its type."""
+    if value is None:
+        return "none"
+    if isinstance(value, Real | tuple | slice):
+        return f"{value:g}" if isinstance(value, Real) and not isinstance(value, bool) else repr(value)[:60]
+    return f"the text {value[:60]!r}" if isinstance(value, str) else f"the type {type(value).__name__}"
 
 
 @contextmanager

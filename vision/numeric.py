@@ -48,6 +48,11 @@ def white_noise(values: Floats) -> float:
     return float(mad_sigma(np.diff(values, 2)) / np.sqrt(6.0))
 
 
+def two_digits(value: float) -> str:
+    """Return a number with two significant digits, from 1e-4 to 1e6 without a power of ten: 170."""
+    return f"{float(f'{value:.2g}'):g}"
+
+
 def rms(values: Floats) -> float:
     """Return the root mean square of the finite values; NaN without any."""
     known = values[np.isfinite(values)]

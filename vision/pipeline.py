@@ -13,28 +13,48 @@ import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from types import NoneType
+from typing import Any, Literal, TypeVar, get_args
 
 import numpy as np
 import pandas as pd
 import xarray as xr
 
 from vision.clock import Clock, ClockSettings, synchronise
-from vision.data import STIFF_BELOW, ForceMetadata, StripMetadata, load_unit, warnings_of
+from vision.data import (
+    STIFF_BELOW,
+    ForceMetadata,
+    StripMetadata,
+    check_pixel_size,
+    check_threshold,
+    load_unit,
+    warnings_of,
+)
 from vision.deformation import DeformationSettings, horizontal_deformation
-from vision.errors import InputError, known_as
+from vision.errors import (
+    PATH,
+    InputError,
+    check_kind,
+    check_number,
+    check_positive,
+    check_within,
+    check_word,
+    known_as,
+)
 from vision.figures.catalogue import Plots, Results, figure_named
 from vision.files import Progress, html_table
 from vision.force import ForceSettings, find_stick_slip, read_force
 from vision.models import ModelFits, fit_models
+from vision.models.fits import check_fit_range
 from vision.models.modulus import cycles_seen
 from vision.sample import PUBLISHED, Sample
 from vision.sheets import Correction, FitChoice, TrackingSettings, pixel_size_of, track_sheets, with_heights
 from vision.sheets.corrections import OF_SHEETS, last_of, ordered
 from vision.sheets.ridges import describe_ridges
+from vision.sheets.subpixel import check_window
 from vision.shells import ShellSettings, classify_shells
 from vision.summary import (
     consistency_warnings,
@@ -46,6 +66,7 @@ from vision.summary import (
     unlike_sides,
 )
 from vision.video import (
+    RANGE,
     Follow,
     ReadingLog,
     Video,
@@ -59,6 +80,8 @@ from vision.video import (
 )
 
 Result = TypeVar("Result")
+MOST_SATURATED = 0.5
+"""Share of saturated pixels above which they are named as the reason why no ridges are found."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,14 +180,48 @@ class Settings:
     tuning: Tuning = field(default_factory=Tuning)
 
     def __post_init__(self) -> None:
-        for one in fields(self):  # a type is a text here, such as "float | Literal['auto']"
-            value, kind = getattr(self, one.name), str(one.type)
-            if isinstance(value, str) and kind.startswith(("float", "int")) and repr(value) not in kind:
-                raise InputError(f"`{one.name}`", "a number", f"the text {value!r}")
-        for name in ("d0_mm", "d0_err_mm"):
-            value = getattr(self, name)
-            if value is not None and not 0 <= value < math.inf:
-                raise InputError(f"`{name}`", "a number of mm from 0", f"{value:g}")
+        for check, names in _CHECKS:
+            values = {name: getattr(self, name) for name in names}
+            check(
+                **{
+                    name: None if name in _AUTO and value == "auto" else value
+                    for name, value in values.items()
+                }
+            )
+        check_pixel_size(self.pixel_size_um)
+        check_threshold(self.threshold)
+        for name, words in _WORDS.items():
+            check_word(words, **{name: getattr(self, name)})
+        check_window(self.window_px)
+        check_fit_range(self.fit_range_mm)
+
+
+_CHECKS: tuple[tuple[Callable[..., None], tuple[str, ...]], ...] = (
+    (partial(check_kind, slice | None, RANGE), ("rows", "columns", "frames")),
+    (
+        partial(check_kind, (*PATH, NoneType), "the path of a file with the time of every frame"),
+        ("timestamps",),
+    ),
+    (partial(check_kind, Sample | None, "a `Sample`"), ("sample",)),
+    (partial(check_kind, Tuning, "a `Tuning`"), ("tuning",)),
+    (partial(check_kind, bool, "True or False"), ("common_mode", "t_star_fitted")),
+    (partial(check_kind, Mapping | None, "names and values"), ("force_columns", "geometry_err")),
+    (partial(check_within, "a whole number from 1", 1, math.inf, whole=True), ("strips", "sheets")),
+    (check_number, ("axis_px", "offset_s")),
+    (check_positive, ("fps", "pitch_um", "speed_mm_min", "mu", "modulus_GPa", "machine_stiffness_N_per_mm")),
+    (partial(check_within, "a number of mm from 0", 0, math.inf), ("d0_mm", "d0_err_mm")),
+    (partial(check_within, "a number from 0", 0, math.inf), ("force_threshold_N",)),
+    (partial(check_within, "a number of seconds from 0, or auto", 0, math.inf), ("force_lowpass_s",)),
+)
+"""How the fields of `Settings` are checked when it is made."""
+_AUTO = ("force_lowpass_s",)
+"""Fields of `Settings` that may also be "auto"."""
+_WORDS: Mapping[str, tuple[object, ...]] = {
+    "rotate": (0, 90, 180, 270),
+    "ridges": ("bright", "dark", "auto"),
+    "fit": get_args(FitChoice),
+}
+"""Fields of `Settings` that have one of a few values."""
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -274,6 +331,17 @@ def analyse(
     InputError
         If the video or force recording cannot be read, or the video shows no ridges.
     """
+    if video is None and force is None and earlier is None:
+        raise InputError("`video` and `force`", "at least one of them", "none")
+    advice = "`settings` is the third argument: analyse(video, force, settings)"
+    if isinstance(force, Settings):
+        raise InputError("`force`", "a file or a recording", "Settings", advice)
+    check_kind(
+        (Video, *PATH, NoneType), "the path of a video, or what `vision.open_video` returns", video=video
+    )
+    recordings = "the path of a force recording, or what `vision.read_force` returns"
+    check_kind((xr.Dataset, *PATH, NoneType), recordings, force=force)
+    check_kind(Settings | None, "a `Settings`, as in Settings(pixel_size_um=10)", settings=settings)
     chosen = settings or Settings()
     if chosen.strips != 1 and follow is not None:
         raise InputError("`strips` and `follow`", "one of the two", "both", "track again when it is complete")
@@ -445,10 +513,13 @@ def _check_lengths(chosen: Settings, width_px: int) -> None:
 
 
 def _suggesting_rotation(film: Video | None, chosen: Settings, work: Callable[[], Result]) -> Result:
-    """Return ``work()``. If it fails and the film shows horizontal ridges, the error suggests rotating it."""
+    """Return ``work()``. If it fails, the error names a saturated film or horizontal ridges."""
     try:
         return work()
-    except InputError:
+    except InputError as error:
+        if film is not None and "ridges" in error.problem and (share := _saturated(film)) > MOST_SATURATED:
+            found = f"a saturated picture: {100 * share:.0f} % of the pixels are at the brightest grey level"
+            raise InputError(film.path, "upright ridges", found, "film with less light") from None
         rows_given = chosen.rows is not None or chosen.columns is not None
         if film is None or rows_given or not _has_horizontal_ridges(film):
             raise
@@ -456,6 +527,14 @@ def _suggesting_rotation(film: Video | None, chosen: Settings, work: Callable[[]
         if film.rotate == 90:  # rather as recorded than upside down
             way = 0
         raise InputError(film.path, "upright ridges", found, f"give `rotate` {way}") from None
+
+
+def _saturated(film: Video) -> float:
+    """Return the share of saturated pixels in the first frame, 0 if it is not known."""
+    level = film.saturation_level
+    with suppress(InputError):
+        return 0.0 if level is None else float((reference_frame(film) >= level).mean())
+    return 0.0
 
 
 def _has_horizontal_ridges(film: Video) -> bool:

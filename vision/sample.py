@@ -54,3 +54,13 @@ class Sample:
 
 PUBLISHED = Sample()
 """The publication's sample."""
+
+LEAST_GPA, MOST_GPA = 0.1, 30.0
+
+
+def is_plausible_modulus(modulus_GPa: float) -> bool:
+    """Return whether sheets may have this modulus: paper and films of polymers have 0.1 to 30 GPa.
+
+    A wrong unit of a length or a force changes it by 10 times or more. Metals and rubber are doubted, too.
+    """
+    return LEAST_GPA < modulus_GPa < MOST_GPA

@@ -11,8 +11,7 @@ import pandas as pd
 import scipy
 import xarray as xr
 
-from vision.data import MOTION, STIFF_BELOW, record
-from vision.errors import check_positive
+from vision.data import MOTION, STIFF_BELOW, check_threshold, record
 from vision.numeric import Bools, Floats, Floats32, Ints
 
 
@@ -77,10 +76,10 @@ def classify_sheets(
     Raises
     ------
     InputError
-        If the threshold is not above 0.
+        If the threshold is not above 0, or above 1.
     """
     MOTION.check(motion)
-    check_positive(threshold=threshold)
+    check_threshold(threshold)
     certainty = settings.certainty
     value, error = motion["ratio_signed"].to_numpy(), np.maximum(motion["ratio_err"].to_numpy(), LEAST_ERROR)
     p = scipy.special.ndtr((threshold - value) / error) - scipy.special.ndtr((-threshold - value) / error)
@@ -149,14 +148,14 @@ def classify_shells(
     Raises
     ------
     InputError
-        If the threshold is not above 0.
+        If the threshold is not above 0, or above 1.
 
     Notes
     -----
     Source: paper, shaded region of the deformation figure.
     """
     MOTION.check(motion)
-    check_positive(threshold=threshold)
+    check_threshold(threshold)
     sides = [Side.of(motion, side) for side in np.unique(motion["side"].to_numpy())]
     table = pd.concat([_side_table(side, motion, threshold, settings) for side in sides])
     table = table.sort_values(["event", "side"], ignore_index=True)

@@ -13,7 +13,7 @@ import xarray as xr
 from vision.data import ForceMetadata, StickMetadata, StripMetadata, TrackMetadata, load_unit
 from vision.figures.style import both_errors, candidates_text, counted, drift_text, offset_text
 from vision.models.equations import effective_sheets
-from vision.numeric import Pixels, nan_median, stretches
+from vision.numeric import Pixels, nan_median, stretches, two_digits
 from vision.sample import Sample
 from vision.sheets import doubtful_stretches
 from vision.sheets.tracks import LOSSY, comb_is_stationary
@@ -318,8 +318,8 @@ def _systematic(budget: Budget) -> list[str]:
         total = budget.total(quantity)
         if quantity in budget.values and math.isfinite(total) and total > 0:
             statistical = budget.statistical[quantity]
-            beside = f", {statistical:.2g} statistical" if math.isfinite(statistical) else ""
-            lines.append(f"{name} ± {total:.2g} {unit}".rstrip() + f" systematic{beside}")
+            beside = f", {two_digits(statistical)} statistical" if math.isfinite(statistical) else ""
+            lines.append(f"{name} ± {two_digits(total)} {unit}".rstrip() + f" systematic{beside}")
     # The sources of x_px are measured: the user cannot give their errors.
     unknown = dict.fromkeys(
         source for quantity in ("Lambda_hat_mm", "K_N_per_mm", "ratio") for source in budget.unknown(quantity)

@@ -281,3 +281,17 @@ def test_rows_wait_for_all_their_files(tmp_path, clock):
     assert names() == ["other", "t.tiff"]
     clock.now = 40.0
     assert names() == ["other", "t", "t.tiff"]
+
+
+def test_a_wrong_table_is_told_in_few_lines(tmp_path, capsys):
+    """A failure means thousands of lines for a table that is no campaign, or that has many wrong rows."""
+    path = tmp_path / "tracks.csv"
+    path.write_text("frame,x_px\n" + "0,1\n" * 5000)
+    assert run(["campaign", str(path), "--dry-run"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "expected a column film" in line
+    path.write_text("film\n" + "".join(f"gone{k}.avi\n" for k in range(25)))
+    assert run(["campaign", str(path), "--dry-run"]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 13
+    assert lines[-2].endswith("and 15 more")

@@ -91,3 +91,10 @@ def test_bad_input_ends_in_one_line_and_status_2(case, there, capsys):
     assert said.err.count("\n") == 1
     assert named in said.err
     assert {p: p.stat().st_mtime_ns for p in there.rglob("*")} == before
+
+
+def test_a_workbook_has_its_suffix(there):
+    """A failure means a file that no spreadsheet program opens with a double click."""
+    assert run(["export", "comb_tracks", "--to", "xlsx", "--out", "exp_xlsx", "--quiet"]) == 0
+    assert (there / "exp_xlsx.xlsx").is_file()
+    assert not (there / "exp_xlsx").exists()

@@ -50,6 +50,14 @@ def test_another_sheet_and_a_soft_machine() -> None:
     assert content["sheet"]["thickness_mm"] == 0.2
 
 
+@pytest.mark.parametrize("option", [["--thickness", "100"], ["--width", "0.045"], ["--length", "16800"]])
+def test_a_size_in_another_unit(option: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    """A failure means that a thickness in µm gives a modulus of no material, and nothing is said."""
+    write_cycles("sheet.txt", CyclesTest())
+    assert run(["modulus", "sheet.txt", *option]) == 1
+    assert "check --thickness, --width and --length (mm)" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     "arguments",
     [

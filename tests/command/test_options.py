@@ -211,3 +211,10 @@ def test_a_wrong_option_is_told_before_the_folder_that_exists(tmp_path, capsys):
 def test_messages_name_the_options_of_every_command(argument, option):
     """A failure means that a message names an argument of the library that nobody can type."""
     assert with_options(f"give `{argument}`", option_names()) == f"give {option}"
+
+
+@pytest.mark.parametrize("typed", ["--px", "--pix", "--pixel"])
+def test_an_abbreviated_option_is_recognised(typed, capsys):
+    """A failure means that --px suggests --fps."""
+    assert run(["v.avi", typed, "10"]) == 2
+    assert f"Unknown option: {typed}. Did you mean --pixel-size?" in capsys.readouterr().err

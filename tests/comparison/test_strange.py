@@ -19,6 +19,7 @@ STRANGE = {
     "peaks below zero": lambda t: t.assign(F_p_N=t["F_p_N"] - 1000),
     "no errors of K": lambda t: t.drop(columns=["K_err_N_per_mm", "flag"]),
     "one huge drop": lambda t: t.assign(dF_N=t["dF_N"].where(t.index != 50, 1e6)),
+    "slow slips": lambda t: t.assign(flag=np.where(t.index % 2, "slow", "slow+negative")),
     "six events": lambda t: t.iloc[:6],
     "tiny": lambda t: t.assign(F_p_N=1e-9 * t["F_p_N"], dF_N=1e-9 * t["dF_N"]),
 }
@@ -41,6 +42,13 @@ def test_strange_events(name, tmp_path):
         vision.compare([odd])
     except InputError as error:
         assert "\n" not in str(error)
+
+
+def test_flagged_events_are_named(tmp_path):
+    """A failure means that nobody learns why none of the events can be used."""
+    run = write_run(tmp_path / "odd", events(seed=1).assign(flag="oscillation"))
+    with pytest.raises(InputError, match=r"found 0 of 144 \(flags: oscillation 144\)"):
+        vision.compare([run])
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")

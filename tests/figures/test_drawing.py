@@ -12,6 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure as Page
 from matplotlib.font_manager import FontProperties, findfont, get_font
 
+from tests.scenes.analysed import with_force
 from tests.scenes.report_data import make_tracks, sawtooth
 from vision.figures import (
     Figure,
@@ -22,6 +23,7 @@ from vision.figures import (
     space_time_figure,
     tracks_figure,
 )
+from vision.figures.catalogue import figure_named
 from vision.figures.drawing import label_step, new_figure, picture_style
 from vision.figures.force import clocks_figure
 from vision.figures.style import DATA
@@ -64,6 +66,7 @@ def test_pyplot_is_not_imported_unless_it_is_used():
     code = """
 import sys
 import numpy as np
+from tests.scenes.analysed import with_force
 from tests.scenes.report_data import make_tracks, sawtooth
 from vision.figures import tracks_figure
 figure = tracks_figure(make_tracks(sawtooth(30, 4)))
@@ -211,3 +214,15 @@ def test_a_panel_without_data_says_so_in_a_file():
     panel = Panel(x_label="d (mm)", y_label="K (N/mm)", placeholder="d is not known")
     page = new_figure(Figure(name="f", title="", caption="", panels=(panel,)))
     assert [text.get_text() for text in page.axes[0].texts] == ["d is not known"]
+
+
+@pytest.mark.parametrize("name", ["sticks", "deformation", "shells"])
+def test_the_legend_is_whole_on_axes_of_pyplot(name):
+    """A failure means that a legend above the axes is cut off at the edge of the figure."""
+    page = Page(figsize=(6, 4))
+    ax = page.subplots()
+    figure_named(with_force(), name).plot(ax)
+    page.canvas.draw()
+    legend = ax.get_legend().get_window_extent()
+    assert page.bbox.x0 <= legend.x0 <= legend.x1 <= page.bbox.x1
+    assert page.bbox.y0 <= legend.y0 <= legend.y1 <= page.bbox.y1

@@ -22,6 +22,7 @@ from vision.figures.style import (
     to_unicode,
 )
 from vision.models import Estimate
+from vision.numeric import two_digits
 
 
 def luminance(colour):
@@ -86,6 +87,12 @@ def test_symbols_are_set_as_in_print(text, small, markup, figure):
 def test_values_have_as_many_digits_as_their_error(value, error, text):
     """A failure means digits that mean nothing, or too few of them."""
     assert plus_minus(Estimate(value, error)) == text
+
+
+def test_two_digits_have_no_power_of_ten():
+    """A failure means errors such as 1.8e+02."""
+    numbers = {179.0: "180", 654.3: "650", 1.234e4: "12000", 0.00123: "0.0012", 2.5: "2.5", 0.0: "0"}
+    assert {number: two_digits(number) for number in numbers} == numbers
 
 
 @pytest.mark.parametrize(

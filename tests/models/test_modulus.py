@@ -193,6 +193,13 @@ def test_turning_points_of_noisy_cycles() -> None:
     assert np.abs(found - np.arange(0, 5001, 500)).max() <= 15
 
 
+def test_a_lacking_displacement_says_how_to_name_it() -> None:
+    """A failure means that nobody knows what the column must be called."""
+    bare = _dataset(cycles_record(TEST)).drop_vars("crosshead_mm")
+    with pytest.raises(InputError, match="rename its column in the header: displacement, crosshead"):
+        measure_cycles(bare)
+
+
 def test_bad_input_is_refused_in_one_line(tmp_path: Path) -> None:
     """A failure means a traceback or a modulus from data that have none."""
     force, _ = recorded(tmp_path, TEST)

@@ -5,6 +5,7 @@ import shutil
 import struct
 import subprocess
 import sys
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -263,3 +264,12 @@ def test_a_folder_that_is_removed_is_one_line(folder):
     """A failure means that a drive pulled out gives a film of damaged frames."""
     with pytest.raises(InputError, match="removed"):
         list(reading_while(folder, lambda: shutil.rmtree(folder)))
+
+
+def test_a_film_without_its_beginning_says_so(tmp_path):
+    """Failure: frames found in the remains of a film are taken for the whole film at its own rate."""
+    whole = Path(__file__).parents[2] / "fixtures" / "paper" / "video.avi"
+    assert open_video(whole).warnings == ()
+    (tmp_path / "rest.avi").write_bytes(whole.read_bytes()[100_000:])
+    (line,) = open_video(tmp_path / "rest.avi").warnings
+    assert "the beginning of the file is missing or damaged" in line

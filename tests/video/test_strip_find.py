@@ -258,6 +258,19 @@ def test_level_ridges(noise):
     assert not any("rotate" in warning for warning in find_strip(level, settings=quiet).warnings)
 
 
+@pytest.mark.parametrize("height", [120, 480])
+@pytest.mark.parametrize("first", range(40, 50))
+def test_a_comb_between_dark_margins_is_not_said_to_lie_level(first, height):
+    """Failure: the edges between a clear comb and what is above and below it count as horizontal ridges."""
+    scale = height // 120
+    ridges = 100 + 20 * np.exp(-((np.arange(1200) % 20 - 10.0) ** 2) / 2 / 3**2)
+    frames = np.random.default_rng(1).normal(10, 1, (6, height, 1200))
+    frames[:, scale * first : scale * (first + 30)] += ridges
+    found = find_strip(Scene(frames.clip(0, 255).astype(np.uint8)))
+    assert found.how == "found"
+    assert found.warnings == ()
+
+
 @pytest.mark.parametrize("kind", ["wide", "dead rows"])
 def test_upright_ridges_are_not_said_to_lie_level(kind):
     """Failure: sheets so wide that their texture is steeper than they are, or rows of a sensor that do not

@@ -121,7 +121,51 @@ def test_backward_times_are_reported(tmp_path):
     """Failure: a clock that was reset in the middle goes unnoticed."""
     (tmp_path / "t.txt").write_text("0\n1\n2\n1.5\n3\n4\n")
     video = open_video(write_avi(tmp_path / "a.avi", comb()), timestamps=tmp_path / "t.txt")
-    assert "do not increase" in video.warnings[0]
+    assert "1 of 6 times do not increase, the first at frame 3" in video.warnings[0]
+    assert "not used for the clocks and stick phases" in video.warnings[0]
+    assert "restart" not in video.warnings[0]
+
+
+def test_the_frame_from_which_times_restart_is_named(tmp_path):
+    """Failure: nothing says where a clock was reset, nor what becomes of the frames after it."""
+    times = [*np.arange(60) / 20, *np.arange(40) / 20]
+    (tmp_path / "t.txt").write_text("\n".join(map(str, times)))
+    _, (line,) = read_timestamps(tmp_path / "t.txt")
+    assert "40 of 100 times do not increase" in line
+    assert "restart from frame 60 on" in line
+    assert "0:60 or 60:100" in line
+
+
+@pytest.mark.parametrize("header", ["", "t (s)\n"])
+@pytest.mark.parametrize("times_s", [np.arange(6) / 60, np.arange(6) / 25, 99.9 + np.arange(6) / 25])
+def test_decimal_commas(tmp_path, header, times_s):
+    """Failure: 0,016667 is read as a frame number and 16 667 s."""
+    path = tmp_path / "t.txt"
+    path.write_text(header + "\n".join(f"{t:.6f}".replace(".", ",") for t in times_s))
+    assert np.allclose(read_timestamps(path)[0], times_s, atol=1e-6)
+
+
+@pytest.mark.parametrize("lines", ["1,50\n1,54\n1,58", "0,0,016667\n1,0,033333", "0,5\n1\n1,5"])
+def test_commas_of_unknown_meaning_are_refused(tmp_path, lines):
+    """Failure: commas that may separate columns or be decimal marks are read as one of the two."""
+    path = tmp_path / "t.txt"
+    path.write_text(lines)
+    with pytest.raises(InputError, match="commas either between columns or in numbers"):
+        read_timestamps(path)
+
+
+def test_numbered_whole_times_are_two_columns(tmp_path):
+    """Failure: the times of frames that are counted in the first column are read as decimals."""
+    path = tmp_path / "t.txt"
+    path.write_text("7,980\n8,1000\n9,1020")
+    assert np.array_equal(read_timestamps(path)[0], [980, 1000, 1020])
+
+
+def test_given_times_state_the_duration(tmp_path):
+    """Failure: a video with the time of every frame says that its duration is not known."""
+    (tmp_path / "t.txt").write_text("\n".join(str(3 + n / 10) for n in range(6)))
+    video = open_video(write_avi(tmp_path / "a.avi", comb()), timestamps=tmp_path / "t.txt")
+    assert "0.6 s" in video._repr_html_()
 
 
 @pytest.mark.parametrize(

@@ -86,6 +86,7 @@ class CampaignSettings:
 
 FACTS = (*COLUMNS[1:], "notes")  # columns that describe the test
 PATHS = ("force", "timestamps", "corrections")  # options that name a file, relative to the table
+NO_FILMS = "expected a column film; found none"
 MAX_NAME_BYTES = 150  # of a name in UTF-8, from which the names of folders and files are made
 # Usual names of the columns. A message about an unknown column suggests the nearest of them.
 _ALIKE = ALIKE | {
@@ -204,7 +205,7 @@ def _columns(header: Sequence[str], known: Sequence[str]) -> tuple[list[str], li
             problems.append(Problem(row=1, column=column, text="expected each column once; found it twice"))
         columns.append(column)
     if "film" not in columns:
-        problems.append(Problem(row=1, column="film", text="expected a column film; found none"))
+        problems.append(Problem(row=1, column="film", text=NO_FILMS))
     return columns, problems
 
 

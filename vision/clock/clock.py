@@ -25,10 +25,10 @@ from vision.clock.ends import find_breaks, silent_drops
 from vision.clock.settings import ClockSettings
 from vision.clock.slips import force_slips, video_slips
 from vision.data import FORCE, STICKS, TRACKS, ForceMetadata, StripMetadata
-from vision.errors import InputError
+from vision.errors import InputError, check_number
 from vision.files import html_table
 from vision.force.recording import good_samples
-from vision.numeric import NORMAL_MEDIAN, Floats, nan_median
+from vision.numeric import NORMAL_MEDIAN, Floats, nan_median, two_digits
 
 Status = Literal["ok", "ambiguous", "given"]
 How = Literal["given", "video time column", "events"]
@@ -121,7 +121,7 @@ class Clock:
 
     def _repr_html_(self) -> str:
         def with_error(value: str, error: float, unit: str) -> str:
-            return f"{value} ± {error:.2g} {unit}" if math.isfinite(error) else f"{value} {unit}"
+            return f"{value} ± {two_digits(error)} {unit}" if math.isfinite(error) else f"{value} {unit}"
 
         rows = {
             "status": f"{self.status} (from {self.how})",
@@ -186,6 +186,7 @@ def synchronise(
     TRACKS.check(tracks)
     FORCE.check(force)
     STICKS.check(sticks)
+    check_number(offset_s=offset_s, drift_ppm=drift_ppm)
     warnings: tuple[str, ...] = ()
     if StripMetadata.of(tracks).clock_kind == "playback":
         warnings = ("frame times are the file's playback rate, which need not be the camera's: give `fps`",)

@@ -12,7 +12,16 @@ from pathlib import Path
 from typing import Any
 
 from vision.campaign import jobs
-from vision.campaign.films import Check, Checked, FolderWatch, Row, is_remote, read_campaign, safe_name
+from vision.campaign.films import (
+    NO_FILMS,
+    Check,
+    Checked,
+    FolderWatch,
+    Row,
+    is_remote,
+    read_campaign,
+    safe_name,
+)
 from vision.campaign.jobs import Outcome, run_job
 from vision.campaign.plan import (
     Plan,
@@ -34,6 +43,8 @@ from vision.figures.style import counted
 from vision.files import usable_cores
 from vision.run import FAILURES, Parameter
 from vision.summary import aligned
+
+MOST_PROBLEMS = 10  # of a table that are printed
 
 
 def campaign(table: Path | None, options: CampaignOptions) -> int:
@@ -141,9 +152,13 @@ def _read(table: Path, check: Check, awaited: Path | None) -> list[Row]:
         table, options=list(SETTINGS), check=check, name_of=run_name, awaited=awaited
     )
     if problems:
-        rows_shown = [("row", "column", "problem"), *((str(p.row), p.column, p.text) for p in problems)]
-        for line in in_columns(rows_shown, "><"):
+        if any((p.row, p.column, p.text) == (1, "film", NO_FILMS) for p in problems):
+            raise InputError(table, "a column film, with a film in each row", "none", "is it another table?")
+        shown = [(str(p.row), p.column, p.text) for p in problems[:MOST_PROBLEMS]]
+        for line in in_columns([("row", "column", "problem"), *shown], "><"):
             complain(line)
+        if more := len(problems) - len(shown):
+            complain(f"and {more} more")
         count, where = len(problems), len({problem.row for problem in problems})
         found = f"{counted(count, 'problem')} in {counted(where, 'row')}, listed above"
         raise InputError(table, "a table without problems", found, "nothing was started")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import sys
 import tempfile
 import traceback
@@ -12,7 +13,7 @@ from contextlib import contextmanager, suppress
 from io import TextIOWrapper
 from typing import TextIO, TypeVar
 
-from cyclopts import CycloptsError, UnusedCliTokensError
+from cyclopts import CycloptsError, UnknownOptionError, UnusedCliTokensError
 
 from vision.command.options import option_names
 from vision.errors import InputError, with_options
@@ -159,11 +160,25 @@ def _unexpected(error: Exception) -> str:
     return f"unexpected error ({what}); please report it with {file.name}"
 
 
+def _abbreviated(typed: str) -> str:
+    """Return the only option that a typed one abbreviates: --px and --pix for --pixel-size; "" for none."""
+
+    def abbreviates(option: str) -> bool:
+        rest = iter(option.lstrip("-"))
+        return option.startswith(typed[:3]) and all(letter in rest for letter in typed.lstrip("-"))
+
+    options = set(option_names().values()) - {typed}
+    found = [option for option in options if re.fullmatch("--[a-z0-9-]+", typed) and abbreviates(option)]
+    return found[0] if len(found) == 1 else ""
+
+
 def one_line(error: Exception) -> str:
     """Return an exception as one line: where, what is wrong, and what to do."""
     if isinstance(error, UnusedCliTokensError):
         advice = "quote a glob of images; track --help lists the options"
         error = InputError(" ".join(error.unused_tokens or ()), "one input", "more", advice)
+    elif isinstance(error, UnknownOptionError) and (near := _abbreviated(error.token.value)):
+        return f"Unknown option: {error.token.value}. Did you mean {near}? (track --help lists the options)"
     elif isinstance(error, CycloptsError):
         return " ".join(str(error).split()) + " (track --help lists the options)"
     elif isinstance(error, OSError):

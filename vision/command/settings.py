@@ -13,6 +13,7 @@ from typing import Any, Literal
 from cyclopts import App, CycloptsError
 
 from vision.command.options import GROUPS, SETTINGS, flag_of, names_given
+from vision.data import PIXEL_SIZE_UM
 from vision.errors import InputError
 from vision.files import AGAIN, read_toml, reading, shortened
 from vision.force import parse_columns
@@ -26,7 +27,6 @@ UM_PER = {"mm": 1000.0, "um": 1.0, "µm": 1.0, "μm": 1.0}  # micro sign and Gre
 _GEOMETRY = {SETTINGS[name]: name for name in ("thickness", "width", "length", "t_star")}
 _SAMPLE = ("sheets_per_block", *_GEOMETRY.values())
 _WITH_ERROR = ("d0", "force_lowpass", *_GEOMETRY.values())
-MOST_UM_PER_PX = 1000.0  # a larger size is a mistyped unit: such a picture would not show sheets
 _DEFAULT = Settings()
 DEFAULTS: Mapping[str, Any] = {
     "strip": "auto",
@@ -208,8 +208,8 @@ def parse_pixel_size(text: str | None) -> float | None:
         return None
     match = re.fullmatch(r"\s*(\S+?)\s*(mm|um|µm|μm)?(/px)?\s*", text)
     value = _float(match[1]) * UM_PER[match[2] or "um"] if match else math.nan
-    if not 1e-6 <= value <= MOST_UM_PER_PX:
-        wanted = f"a number from 1e-06 to {MOST_UM_PER_PX:g} (µm per px)"
+    if not PIXEL_SIZE_UM[0] <= value <= PIXEL_SIZE_UM[1]:
+        wanted = f"a number from {PIXEL_SIZE_UM[0]:g} to {PIXEL_SIZE_UM[1]:g} (µm per px)"
         raise InputError("--pixel-size", wanted, f"'{text}'", "write 10.5, 10.5um or 0.0105mm")
     return value
 

@@ -23,7 +23,7 @@ from vision.models.single_fits import (
     stiffness_errors,
     with_friction,
 )
-from vision.numeric import Bools, Floats, rms
+from vision.numeric import Bools, Floats, rms, two_digits
 from vision.sample import Sample
 
 DISAGREES = 4.0  # χ²/dof of the individual μ above which the tests are reported to differ
@@ -175,7 +175,7 @@ def fit_test(test: TractionTest, modulus: Estimate, settings: CompareSettings = 
         raise InputError(test.folder, wanted, f"others ({error})", "check `d0_mm`") from error
     mu, t0 = values["mu"], values["T0_N"]
     if not (0.05 < mu.value < 5.0 and mu.value > 2 * mu.error):
-        found = f"others (μ = {mu.value:.3g} ± {mu.error:.2g})"
+        found = f"others (μ = {mu.value:.3g} ± {two_digits(mu.error)})"
         raise InputError(test.folder, "peak forces that fall with d as Eq. 1 does", found, "check `d0_mm`")
     notes, warnings = [], []
     if abs(t0.value) > settings.t0_limit_N:

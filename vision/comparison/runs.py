@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vision.errors import InputError
+from vision.data import whole_events
+from vision.errors import InputError, check_kind
 from vision.files import AGAIN, check_regular, reading, shortened
 from vision.numeric import Floats
 from vision.run import RunFolder, is_run, read_run
@@ -94,6 +95,7 @@ def read_tests(runs: Sequence[str | Path] = (), table: str | Path | pd.DataFrame
     InputError
         If there is neither a table nor a run, the table cannot be read, or no run can be used.
     """
+    check_kind(tuple | list, "a list of run folders", runs=runs)
     rows, base, warnings = _read_table(table)
     folders = [Path(run) for run in runs]
     failures: list[str] = []
@@ -328,12 +330,12 @@ def _events(run: RunFolder, sample: Sample) -> pd.DataFrame:
         raise InputError(path, wanted, f"d from {low:.4g} to {high:.4g} mm", advice)
     complete &= within
     if "flag" in table:
-        complete &= (table["flag"].fillna("ok") == "ok").to_numpy()
+        complete &= whole_events(table["flag"].fillna("ok"))
     if complete.sum() < 6:
         raise InputError(
             path,
             "at least 6 whole events with d, F_p, dF and K",
-            f"{complete.sum()} of {len(table)}",
+            f"{complete.sum()} of {len(table)}{_flags_of_others(table)}",
             "run track again with `d0_mm`" if np.isnan(values[:, :2]).all() else "",
         )
     low, high = float(values[complete, 0].min()), float(values[complete, 0].max())
@@ -341,6 +343,16 @@ def _events(run: RunFolder, sample: Sample) -> pd.DataFrame:
         raise InputError(path, "events over a range of separations", f"d from {low:.4g} to {high:.4g} mm")
     ordered: pd.DataFrame = table[complete].sort_values("d_v_mm", ignore_index=True)
     return ordered
+
+
+def _flags_of_others(table: pd.DataFrame) -> str:
+    """Return the flags of the events that are not whole, for a message."""
+    if "flag" not in table:
+        return ""
+    flags = table["flag"].fillna("ok")
+    counts = flags[~whole_events(flags)].value_counts().head(3)
+    named = ", ".join(f"{name} {count}" for name, count in counts.items())
+    return f" (flags: {named})" if named else ""
 
 
 def _sample(content: Any) -> Sample:

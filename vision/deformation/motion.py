@@ -11,7 +11,16 @@ import pandas as pd
 import xarray as xr
 
 from vision.clock import Clock
-from vision.data import MOTION, STICKS, TRACKS, MotionMetadata, StripMetadata, TrackMetadata, record
+from vision.data import (
+    MOTION,
+    STICKS,
+    TRACKS,
+    MotionMetadata,
+    StripMetadata,
+    TrackMetadata,
+    check_pixel_size,
+    record,
+)
 from vision.deformation.common_mode import (
     BothSides,
     Drift,
@@ -38,7 +47,7 @@ from vision.deformation.creep import (
     pixel_locking_slope,
 )
 from vision.deformation.settings import DeformationSettings
-from vision.errors import InputError
+from vision.errors import InputError, shown
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, nan_median
 
 LEAST_STEADY = 5  # sticks needed to measure how steady the pull is
@@ -126,6 +135,8 @@ def horizontal_deformation(
     """
     TRACKS.check(tracks, needs=("x_px", "time_s", "side", "n"))
     STICKS.check(sticks, needs=("event", "t_v_s", "t_p_s", "stick_length_um"))
+    if not hasattr(clock, "to_force_s"):
+        raise InputError("`clock`", "what `vision.synchronise` returns", shown(clock))
     source = StripMetadata.of(tracks).source
     pixel = _pixel_size(pixel_size_um)
     if clock.status == "ambiguous":
@@ -201,10 +212,10 @@ def stick_displacement(tracks: xr.Dataset, motion: xr.Dataset, clock: Clock, *, 
 
 
 def _pixel_size(size_um: float | None) -> float:
-    """Return the pixel size; raise InputError if it is missing or not positive."""
-    if size_um is None or not (np.isfinite(size_um) and size_um > 0):
-        found = "none" if size_um is None or np.isnan(size_um) else f"{size_um:g}"
-        raise InputError("`pixel_size_um`", "µm per pixel, without which there is no σ_x/Λ_st", found)
+    """Return the pixel size; raise InputError if it is missing or not plausible."""
+    if size_um is None or size_um != size_um:  # NaN
+        raise InputError("`pixel_size_um`", "µm per pixel, without which there is no σ_x/Λ_st", "none")
+    check_pixel_size(size_um)
     return float(size_um)
 
 

@@ -6,6 +6,7 @@ and tight bounding boxes draw everything twice. pyplot is not imported.
 
 from __future__ import annotations
 
+import math
 import sys
 import textwrap
 from contextlib import AbstractContextManager
@@ -63,7 +64,8 @@ class _Inches:
 def draw_panel(ax: Axes, panel: Panel) -> Axes:
     """Draw a panel on these axes with colours for a light background, and return the axes.
 
-    A second y axis is added if the panel has one. The legend is above the axes, so that it hides no data.
+    A second y axis is added if the panel has one. The legend is above the axes, so that it hides no
+    data, or inside them if the figure has no room there.
     """
     right = ax.twinx() if panel.y2_label else None
     if panel.image is not None:
@@ -380,8 +382,15 @@ def _draw_legend(ax: Axes, panel: Panel) -> None:
     if entries:
         columns = _legend_columns(entries, _width_in(ax))
         handles = [_legend_handle(series, label) for series, label in entries]
-        above: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1, 1), "borderaxespad": 0.1}
-        ax.legend(handles=handles, fontsize=8, ncols=columns, frameon=False, columnspacing=1.2, **above)
+        place: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1, 1), "borderaxespad": 0.1}
+        place |= {"ncols": columns, "frameon": False}
+        if _Inches.LEGEND_ROW * -(-len(entries) // columns) > _above_in(ax):
+            place = {
+                "loc": "best",
+                "ncols": 1,
+                "framealpha": 0.8,
+            }  # of axes that others made without the room
+        ax.legend(handles=handles, fontsize=8, columnspacing=1.2, **place)
 
 
 def _legend_entries(panel: Panel) -> list[tuple[Series | Band, str]]:
@@ -477,6 +486,12 @@ def _title(panel: Panel, width_in: float) -> str:
 def _labelled(panel: Panel) -> bool:
     """Tell whether the vertical axis has its own label."""
     return bool(panel.x_label if panel.time_down else panel.y_label)
+
+
+def _above_in(ax: Axes) -> float:
+    """Return the room above these axes on their figure, inches."""
+    figure = ax.get_figure(root=True)
+    return math.inf if figure is None else float((1 - ax.get_position().y1) * figure.get_figheight()) + 0.01
 
 
 def _width_in(ax: Axes) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -10,7 +11,7 @@ import pandas as pd
 import xarray as xr
 
 from vision.data import FORCE, STICKS, ForceMetadata, StickMetadata, load_unit, record
-from vision.errors import InputError
+from vision.errors import InputError, check_positive, check_within
 from vision.force.corners import Corners, Extremes, find_corners, find_extremes, is_slow
 from vision.force.lines import fit_broken_lines, fit_lines, fit_polynomials
 from vision.force.lowpass import Lowpass, find_lowpass
@@ -82,6 +83,8 @@ def find_stick_slip(
     the effect of a low-pass that was found but not corrected. Source: paper, section on stick-slip features.
     """
     FORCE.check(force)
+    check_within("a number from 0", 0, math.inf, threshold_N=threshold_N)
+    check_positive(machine_stiffness_N_per_mm=machine_stiffness_N_per_mm)
     source = ForceMetadata.of(force).source
     _check_times(force, source)
     signal = Signal.of(force, settings)

@@ -6,6 +6,7 @@ are given by the user.
 
 from __future__ import annotations
 
+import math
 import re
 import unicodedata
 from collections.abc import Mapping
@@ -17,7 +18,7 @@ import numpy as np
 import xarray as xr
 
 from vision.data import FORCE, ForceMetadata, record
-from vision.errors import InputError
+from vision.errors import PATH, InputError, check_kind, check_number, check_positive, check_within
 from vision.force.files import TIME_OF_DAY, Dimension, Table, Unit, read_tables, unit_of
 from vision.force.settings import ForceSettings
 from vision.numeric import Bools, Floats, Strings
@@ -75,13 +76,16 @@ def read_force(
     .. math:: d = d_0 + x_\\mathrm{crosshead}(t) - x_\\mathrm{crosshead}(t_0)
         \\quad\\text{or}\\quad d = d_0 + V (t - t_0)
     """
+    check_kind(PATH, "the path of a force recording", path=path)
+    check_kind(Mapping | None, "roles and the names of their columns", columns=columns)
+    check_positive(speed_mm_min=speed_mm_min)
+    check_number(d0_mm=d0_mm)
+    check_within("a number from 0", 0, math.inf, d0_err_mm=d0_err_mm)
     path = Path(path)
     with np.errstate(invalid="ignore"):
         found, facts, blocks = _joined(path, read_tables(path), columns)
         force = _dataset(path, found, facts, blocks, speed_mm_min, d0_mm, settings)
         if d0_err_mm is not None:
-            if not 0 <= d0_err_mm < np.inf:
-                raise InputError("`d0_err_mm`", "a number from 0", f"{d0_err_mm!r}")
             force.attrs["d0_err_mm"] = float(d0_err_mm)
     return record(
         force,

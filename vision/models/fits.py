@@ -4,15 +4,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from numbers import Real
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vision.data import FORCE, ForceMetadata, StickMetadata, load_unit
-from vision.errors import InputError, check_positive
+from vision.data import FORCE, ForceMetadata, StickMetadata, load_unit, whole_events
+from vision.errors import InputError, check_kind, check_positive, shown
 from vision.models import equations
 from vision.models.single_fits import (
     FIT_ERRORS,
@@ -28,12 +31,11 @@ from vision.models.single_fits import (
     largest_chi2,
     with_friction,
 )
-from vision.numeric import NORMAL_MEDIAN, Floats
-from vision.sample import PUBLISHED, Sample
+from vision.numeric import NORMAL_MEDIAN, Floats, two_digits
+from vision.sample import PUBLISHED, Sample, is_plausible_modulus
 from vision.signals import running_median
 
 _LEAST_EVENTS = 6
-_MEASURED = frozenset({"ok", "slow", "negative"})  # flags of complete events
 _LARGEST_OFFSET_N = 10.0  # limit of |T0| in the publication: the largest error of a load cell's zero
 _CLEAR_OFFSET = 5.0  # T0 over its error above which it differs significantly from 0
 _UNLIKE_DROPS = 0.4  # relative scatter of drops: 0.05 to 0.2 in a test, 0.5 if half of them are small
@@ -99,8 +101,11 @@ def fit_models(
     Source: paper, Eqs. 1 and 2, section on the effective number of sheets.
     """
     FORCE.check(force)
+    check_kind(pd.DataFrame, "what `vision.find_stick_slip` returns", sticks=sticks)
+    check_kind(Sample, "a `Sample`", sample=sample)
     _check_force(force)
     check_positive(mu=mu, modulus_GPa=modulus_GPa)
+    check_fit_range(fit_range_mm)
     given = _Given(sample, mu, modulus_GPa, free_t_star)
     errors = dict(geometry_err or {})
     for name, value in errors.items():
@@ -198,7 +203,7 @@ def _doubtful_units(events: pd.DataFrame, sample: Sample, force: xr.Dataset) -> 
     found = f"K of {k:.3g} N/mm, which needs sheets of {least:.2g} GPa"
     if least > 1000:  # the modulus of diamond
         raise InputError("the force recording", "sheets of less than 1000 GPa", found, _read_as(force))
-    return "" if 0.1 < least < 30 else f"{found} or more: {_read_as(force)}"
+    return "" if is_plausible_modulus(least) else f"{found} or more: {_read_as(force)}"
 
 
 def _misread_lengths(fits: ModelFits, events: pd.DataFrame, given: _Given, force: xr.Dataset) -> str:
@@ -232,8 +237,7 @@ def _complete_events(sticks: pd.DataFrame, sample: Sample, force: xr.Dataset) ->
     if absent := [name for name in needed if name not in sticks]:
         raise InputError("the force recording", f"columns {', '.join(needed)}", f"no {', '.join(absent)}")
     if "flag" in sticks:
-        measured = [set(str(flag).split("+")) <= _MEASURED for flag in sticks["flag"]]
-        events: pd.DataFrame = sticks[np.asarray(measured, dtype=bool)]
+        events: pd.DataFrame = sticks[whole_events(sticks["flag"])]
     else:
         events = sticks
     knees = "K2_N_per_mm" in events and len(events) > 0
@@ -274,10 +278,7 @@ def _choose_events(
 ) -> tuple[pd.DataFrame, dict[str, int]]:
     """The events to fit, and the numbers of those left out by reason."""
     if fit_range is not None:
-        low, high = fit_range
-        if not 0 <= low < high < np.inf:
-            raise InputError("`fit_range_mm`", "two separations A < B in mm", f"{low:g} and {high:g}")
-        inside = events["d_v_mm"].between(low, high)
+        inside = events["d_v_mm"].between(*fit_range)
         if inside.sum() < _LEAST_EVENTS:
             found = f"{inside.sum()} of {len(events)}, which lie between "
             found += f"{events['d_v_mm'].min():.4g} and {events['d_v_mm'].max():.4g} mm"
@@ -286,6 +287,15 @@ def _choose_events(
     top = _maximum(events["F_p_N"].to_numpy(float))
     start = _first_that_fits(events, given, top)
     return events.iloc[start:], {"build_up": top, "misfit": start - top}
+
+
+def check_fit_range(range_mm: Any) -> None:
+    """Raise `InputError` for a range of separations that is not two increasing numbers or None."""
+    if range_mm is None:
+        return
+    pair = range_mm if isinstance(range_mm, tuple | list) and len(range_mm) == 2 else (math.nan, math.nan)
+    if not (all(isinstance(end, Real) for end in pair) and 0 <= pair[0] < pair[1] < math.inf):
+        raise InputError("`fit_range_mm`", "two separations A < B in mm", shown(range_mm))
 
 
 def _maximum(peaks: Floats) -> int:
@@ -378,7 +388,7 @@ def _fit_all(events: pd.DataFrame, given: _Given) -> ModelFits:
     if given.free_t_star:
         t_star = replace(peaks.estimate(2), value=abs(float(peaks.value[2])))
     if not mu.value > mu.error:  # also where either is NaN
-        raise _undetermined(f"friction coefficient {mu.value:.3g} ± {mu.error:.2g}")
+        raise _undetermined(f"friction coefficient {mu.value:.3g} ± {two_digits(mu.error)}")
     sample = replace(given.sample, t_star_N=t_star.value)
     drops = with_friction(lambda m: fit_drops(events, sample, m), mu)
     stiffness = fit_stiffness(events, sample, modulus_GPa=given.modulus_GPa)
@@ -577,7 +587,7 @@ def _remarks(
     for name, good in fits.goodness.items():
         if good.chi2_dof > largest_chi2(good.points):
             line = f"the model does not follow the {name} (χ²/dof {good.chi2_dof:.3g}): "
-            line += f"errors widened {np.sqrt(good.chi2_dof):.2g} times"
+            line += f"errors widened {two_digits(np.sqrt(good.chi2_dof))} times"
             (warnings if good.chi2_dof > _CONTRADICTS else notes).append(line)
     if abs(fits.t0_N.value) - 2 * fits.t0_N.error > _LARGEST_OFFSET_N:  # short tests hardly determine it
         warnings.append(
@@ -585,9 +595,10 @@ def _remarks(
             "check `d0_mm`, the sample's geometry, the zero and the units"
         )
     elif abs(fits.t0_N.value) > _CLEAR_OFFSET * fits.t0_N.error > 0:
+        away = two_digits(abs(fits.t0_N.value) / fits.t0_N.error)
         notes.append(
-            f"𝒯0 = {fits.t0_N.value:.3g} N is {abs(fits.t0_N.value) / fits.t0_N.error:.2g} errors from 0: "
-            "the load cell's zero, `d0_mm` or the sample's geometry is wrong"
+            f"𝒯0 = {fits.t0_N.value:.3g} N is {away} statistical errors from 0: the zero of the load cell or its"
+            " drift, its low-pass, `d0_mm` or the sample's geometry (the systematic error contains them)"
         )
     if fits.scale_mm.value > 0.999 * LARGEST_SCALE * fits.d_mm[1]:
         warnings.append("K does not fall with d as M_eff does: Λ̂, N̂ and Y_eff are not determined")

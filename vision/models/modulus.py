@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from vision.data import FORCE, ForceMetadata, Metadata, Schema, Variable, load_unit, record
 from vision.errors import InputError, check_positive
 from vision.numeric import Floats, Ints
-from vision.sample import Sample
+from vision.sample import LEAST_GPA, MOST_GPA, Sample, is_plausible_modulus
 from vision.signals import find_maxima, running_mean
 
 PUBLISHED_SHEET = Sample(length_mm=16.8)
@@ -253,10 +253,23 @@ def measure_cycles(
         sheet=(sheet.thickness_mm, sheet.width_mm, sheet.length_mm),
         machine_stiffness_N_per_mm=stiffness,
         notes=[*facts.notes, *_remarks(table, sheet, stiffness)],
-        warnings=[*facts.warnings, *few],
+        warnings=[*facts.warnings, *few, *_implausible(table, sheet)],
     )
     table.attrs.update(meta.attrs())
     return record(table, "measure_cycles", machine_stiffness_N_per_mm=stiffness, part=settings.part)
+
+
+def _implausible(table: pd.DataFrame, sheet: Sample) -> list[str]:
+    """Return a warning if one of the moduli is none that sheets have, by which a wrong unit shows."""
+    for name, symbol in (("Y_p_GPa", "Y_p"), ("Y_slope_GPa", "kL/(εW)")):
+        if not is_plausible_modulus(modulus := float(table[name].mean())):
+            size = f"{sheet.thickness_mm:g} x {sheet.width_mm:g} x {sheet.length_mm:g} mm"
+            return [
+                f"expected a modulus of {LEAST_GPA:g} to {MOST_GPA:g} GPa, as sheets have; found {symbol} = "
+                f"{modulus:.2g} GPa for a sheet of {size}: check `thickness_mm`, `width_mm` and "
+                "`length_mm` (mm) and the units of force and displacement"
+            ]
+    return []
 
 
 _ORIGINS = {
@@ -317,7 +330,8 @@ def _clean(
     FORCE.check(force)
     source = ForceMetadata.of(force).source
     if "crosshead_mm" not in force:
-        raise InputError(source, "a displacement", "time and load only", "name its column")
+        how = "rename its column in the header: displacement, crosshead, extension, position or stroke (mm)"
+        raise InputError(source, "a displacement", "time and load only", how)
     if load_unit(force) != "N":
         raise InputError(source, "a load in N", f"units {load_unit(force)!r}")
     time = force["time_s"].values.astype(float)

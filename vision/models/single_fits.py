@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from vision.files import html_table
 from vision.models import equations
-from vision.numeric import Bools, Floats
+from vision.numeric import Bools, Floats, two_digits
 from vision.sample import Sample
 
 FIT_ERRORS = (ValueError, ArithmeticError, RuntimeError, np.linalg.LinAlgError)  # of a fit to unusual events
@@ -142,7 +142,9 @@ class ModelFits:
     def _repr_html_(self) -> str:
         shown = (("μ", ""), ("𝒯0", "N"), ("A", ""), ("N̂", "N"), ("Y_eff", "GPa"), ("Λ̂", "mm"))
         rows = {
-            name: f"{one.value:.5g}" + (f" ± {one.error:.2g}" if np.isfinite(one.error) else "") + f" {unit}"
+            name: f"{one.value:.5g}"
+            + (f" ± {two_digits(one.error)}" if np.isfinite(one.error) else "")
+            + f" {unit}"
             for (name, unit), one in zip(shown, self.named().values(), strict=True)
         }
         rows["d"] = f"{self.d_mm[0]:.2f} to {self.d_mm[1]:.2f} mm"

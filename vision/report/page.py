@@ -24,7 +24,7 @@ from vision.errors import with_options
 from vision.figures import Figure, Image, Panel, Results, Series, figures_of, missing_parts, sections_of
 from vision.figures.style import MISSING, rgb, to_html, to_unicode, with_minus
 from vision.folder import flattened
-from vision.numeric import Floats
+from vision.numeric import Floats, two_digits
 from vision.report.text import answers, citation, methods, subtitle
 from vision.sheets import doubtful_stretches
 from vision.systematics import QUANTITIES, SOURCES, Budget, systematic_budget
@@ -314,7 +314,7 @@ def _digits(value: float | None, *, places: int | None = None) -> str:
 
 
 def _two_digits(error: float | None, unknown: str = "—") -> str:
-    return unknown if error is None or not np.isfinite(error) else f"{error:.2g}"
+    return unknown if error is None or not np.isfinite(error) else two_digits(error)
 
 
 def provenance(facts: Mapping[str, Any]) -> list[FactsTable]:

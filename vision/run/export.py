@@ -42,7 +42,8 @@ def export_run(run: RunFolder, to: Format, *, out: Path | None = None, overwrite
     Positions that were not measured are empty in csv, xlsx and parquet, NaN in mat, and left out for
     trackpy and napari.
 
-    out: file or folder; by default the run's name with the format's suffix in the working directory.
+    out: file (.xlsx is added to a workbook's name without it) or folder; by default
+    the run's name with the format's suffix in the working directory.
 
     Raises: InputError for a target that exists (without overwrite), lies in the run itself, is another run or
     cannot be written; for a package that is not installed; or for a run without the data that are exported.
@@ -50,6 +51,8 @@ def export_run(run: RunFolder, to: Format, *, out: Path | None = None, overwrite
     if to == "xlsx" and importlib.util.find_spec("openpyxl") is None:
         raise InputError("the format xlsx", "the package openpyxl", "none", install_advice("export"))
     target = out or Path(f"{run.folder.resolve().name}{ENDINGS.get(to, f'_{to}')}")
+    if to == "xlsx" and target.suffix.lower() != ".xlsx" and not target.is_dir():  # or no program opens it
+        target = target.with_name(f"{target.name}.xlsx")
     if target.resolve().is_relative_to(run.folder.resolve()):
         raise InputError(target, "a place outside the run folder", "one inside", "give another `out`")
     with reading(run.folder, "a run folder as track writes it", AGAIN):  # tables are read and checked here

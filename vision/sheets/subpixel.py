@@ -9,14 +9,14 @@ pass the negative profile for dark ones. `fit_sheets` fits all sheets in all fra
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from vision.errors import InputError
+from vision.errors import InputError, shown
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, Ints, nan_median
 from vision.sheets.ridges import RidgeComb, in_blocks
 
@@ -348,6 +348,14 @@ def _gauss_newton(pixels: Floats, mean: Floats, rise: Floats) -> tuple[Floats, F
 # --- all sheets of all frames -------------------------------------------------------------------------------
 
 
+def check_window(window_px: Any) -> None:
+    """Raise `InputError` for a width of the fit window that is not odd, "auto" or None."""
+    odd = isinstance(window_px, int | np.integer) and window_px >= 3 and window_px % 2 == 1
+    if not (odd or window_px is None or (isinstance(window_px, str) and window_px == "auto")):
+        expected = "an odd number of pixels, 3 or more"
+        raise InputError("`window_px`", expected, shown(window_px), "try `window_px` auto")
+
+
 def choose_window(comb: RidgeComb, asked: int | Literal["auto"] | None) -> int:
     """Return the width of the fit window, px, odd.
 
@@ -364,13 +372,12 @@ def choose_window(comb: RidgeComb, asked: int | Literal["auto"] | None) -> int:
     InputError
         For an even window, one below 3 px, or one wider than the ridges' spacing.
     """
-    if isinstance(asked, int):
-        odd = asked >= 3 and asked % 2 == 1
-        if not odd or asked > comb.pitch_px:
+    check_window(asked)
+    if isinstance(asked, int | np.integer):
+        if asked > comb.pitch_px:
             narrower = f"a window no wider than the ridges' spacing, {comb.pitch_px:.0f} px"
-            wanted = narrower if odd else "an odd number of pixels, 3 or more"
-            raise InputError("`window_px`", wanted, str(asked), "try `window_px` auto")
-        return asked
+            raise InputError("`window_px`", narrower, str(asked), "try `window_px` auto")
+        return int(asked)
     narrow, wide = comb.settings.standard_widths_px
     if asked is None and narrow <= comb.fwhm_px <= wide:
         return comb.settings.standard_window_px

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import xarray as xr
 
-from vision.data import STRIP, STRIP_PARTS, TRACKS, StripMetadata, TrackMetadata, record
-from vision.errors import InputError
+from vision.data import PIXEL_SIZE_UM, STRIP, STRIP_PARTS, TRACKS, StripMetadata, TrackMetadata, record
+from vision.errors import InputError, check_number, check_within, check_word
 from vision.numeric import Bools, Codes, Floats, Floats32, nan_median, nan_quantile
 from vision.sheets.corrections import Correction, apply_corrections, last_of
 from vision.sheets.identities import WHYS, Doubt, Identities, identify_sheets
@@ -121,6 +122,10 @@ def track_sheets(
     artefacts. It does not include errors that are the same in all frames (uneven light, the choice of rows).
     """
     STRIP.check(strip)
+    check_word(("bright", "dark", "auto"), ridges=ridges)
+    check_word(get_args(FitChoice), fit=fit)
+    check_number(axis_px=axis_px)
+    check_within("a whole number from 1", 1, math.inf, whole=True, sheets=sheets)
     facts = StripMetadata.of(strip)
     profile = np.asarray(strip.values, np.float32)
     axis_decision = last_of(corrections, "axis")
@@ -490,7 +495,8 @@ def pixel_size_of(
     """
     if pitch_um is None:
         stated = StripMetadata.of(tracks).file_pixel_size_um
-        return pixel_size_um if pixel_size_um is not None or np.isnan(stated) else stated
+        plausible = PIXEL_SIZE_UM[0] <= stated <= PIXEL_SIZE_UM[1]  # not for NaN
+        return pixel_size_um if pixel_size_um is not None or not plausible else stated
     if not 0 < pitch_um < np.inf:
         raise InputError("`pitch_um`", "a positive length in µm", f"{pitch_um:g}")
     spacing = np.diff(nan_median(tracks["x_px"].values))

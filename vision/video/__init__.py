@@ -4,9 +4,10 @@ from vision.video.frames import Follow, FramesRead, FrameStore, await_video
 from vision.video.settings import VideoSettings
 from vision.video.strip import ReadingLog, reference_frame, strip_profile, strip_profiles
 from vision.video.strip_find import find_strip, measure_strip
-from vision.video.video import Video, open_video, read_timestamps, video_files
+from vision.video.video import RANGE, Video, open_video, read_timestamps, video_files
 
 __all__ = [
+    "RANGE",
     "Follow",
     "FrameStore",
     "FramesRead",

@@ -40,6 +40,8 @@ _FORMATS = (
     "avi,mov,matroska,webm,asf,flv,mpeg,mpegts,mpegvideo,h264,hevc,m4v,mjpeg,mjpeg_2000,mxf,nut,ogg,cine,ivf,dv,"
     "wtv,yuv4mpegpipe,gif,apng,av1,obu,vc1,rm,swf,gxf,nsv,mpjpeg,r3d,bink,smjpeg"
 )
+_RAW = {"mjpeg", "h264", "hevc", "m4v", "mpegvideo", "obu", "vc1"}  # pictures alone, without a container
+_CONTAINERS = {".avi", ".mp4", ".mkv", ".mov"}
 _RESTART = re.compile(rb"\xff([\xd0-\xd7])")
 
 
@@ -77,6 +79,10 @@ class EncodedReader:
             warnings = []
             if _ends_early(path):
                 warnings.append(f"{path.name}: the file was cut short; its last frames are missing")
+            if container.format.name in _RAW and path.suffix.lower() in _CONTAINERS:
+                what = "the beginning of the file is missing or damaged, and with it the header"
+                why = "earlier frames and the frame rate are lost: copy the file again, or give `fps`"
+                warnings.append(f"{path.name}: {what}; {why}")
             if first.interlaced_frame:
                 what = "odd and even rows are half a frame apart, which blurs moving ridges"
                 warnings.append(f"{path.name}: the film is interlaced: {what}")

@@ -183,7 +183,7 @@ def expected_frames(
         what = f"from frame {video.first + thinned} on, frames come at half or a third of the usual rate"
         warnings.append(f"{name}: {what}: the camera was slower, or frames are lost evenly")
     beyond = 0
-    if video.duration_s is not None:
+    if video.clock.kind == "file" and video.duration_s is not None:
         known = times_s[np.isfinite(times_s)]
         usual_s = usual_step_s(known)
         missing_s = video.duration_s - float(known[-1]) if usual_s > 0 else 0.0

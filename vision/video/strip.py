@@ -15,7 +15,7 @@ import numpy as np
 import xarray as xr
 
 from vision.data import STRIP, STRIP_PARTS, StripMetadata, record
-from vision.errors import InputError
+from vision.errors import InputError, check_kind
 from vision.files import Progress, prefetch
 from vision.numeric import Floats32, Pixels, Strings
 from vision.video.frames import (
@@ -32,7 +32,7 @@ from vision.video.frames import (
 from vision.video.reader import Block
 from vision.video.settings import VideoSettings
 from vision.video.strip_find import Strip, choose_strip, measure_strip
-from vision.video.video import Video, cut
+from vision.video.video import RANGE, Video, cut
 
 
 class ReadingLog(Protocol):
@@ -102,6 +102,8 @@ def strip_profile(
 
     Integers are summed exactly; the mean is rounded once, to float32. Source: paper, appendix B.
     """
+    check_kind(Video, "what `vision.open_video` returns", video=video)
+    check_kind(slice | None, RANGE, rows=rows, columns=columns)
     plan = _Plan.of(video, rows, columns, settings)
     folder = None if log is None else log.folder
     store = FrameStore(plan.width, expected=video.estimated, spill_bytes=settings.spill_bytes, folder=folder)

@@ -161,9 +161,12 @@ def _warn_if_level(strip: Strip, slopes: _Slopes, rows: slice, video: Video) -> 
     """Add a warning if grey levels in these rows change along z rather than along x.
 
     They must do so both from pixel to pixel and over the whole height: the texture of wide sheets does only
-    the former, dead rows only the latter.
+    the former, dead rows only the latter. The outer bands do not count: a comb may end there before a dark
+    background.
     """
-    rows = slice(rows.start // 2, rows.stop // 2)
+    rows, edge = slice(rows.start // 2, rows.stop // 2), max(1, slopes.band_rows // 2)
+    if rows.stop - rows.start > 2 * edge:
+        rows = slice(rows.start + edge, rows.stop - edge)
     along_z, along_x = float(slopes.along_z[rows].mean()), float(slopes.along_x[rows].mean())
     level, upright = (np.ptp(np.quantile(slopes.picture.mean(axis=axis), (0.1, 0.9))) for axis in (1, 0))
     if along_z <= slopes.settings.max_level * along_x or not along_x or 2 * level < upright:

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import glob
+import itertools
+import math
 import os
 import re
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from types import NoneType
 from typing import Literal
 
 import numpy as np
 
-from vision.errors import InputError
+from vision.errors import PATH, InputError, check_kind, check_within, shown
 from vision.files import Stamp, answered, check_pixels, check_regular, html_table, reading
 from vision.numeric import Floats, Ints, Pixels
 from vision.video.raw import PIXELS, is_photron, open_raw, photron_files
@@ -22,6 +25,8 @@ from vision.video.stacks import IMAGES, is_tiff, open_sequence, open_stack
 
 FILMS = {".avi", ".mp4", ".m4v", ".mkv", ".mov", ".cine", PIXELS}
 """Suffixes by which the films of a folder are found. A film that is named may have any suffix."""
+RANGE = "a slice such as slice(60, 144)"
+"""What an argument for rows, columns or frames must be, for messages."""
 _UNIT = re.compile(r"(?:^|[\s_(\[.,;/-])(s|sec|seconds|ms|us|µs|μs|ns)(?:$|[\s)\],;])", re.IGNORECASE)
 _TIME_NAME = re.compile(r"time|stamp|zeit|temps", re.IGNORECASE)
 
@@ -142,7 +147,10 @@ class Video:
 
     @property
     def duration_s(self) -> float | None:
-        """Duration that the file states by its own clock; None without, or for a part of the file."""
+        """Duration by the given times or the file's own clock; None without, or for a part of the file."""
+        if self.given_times_s is not None and self.stop is None and self.first == 0:
+            times_s, rate = self.given_times_s, self.clock.fps
+            return None if rate is None else float(np.nanmax(times_s) - np.nanmin(times_s)) + 1 / rate
         return self.facts.duration_s if self.stop is None and self.clock.kind == "file" else None
 
     @property
@@ -274,11 +282,12 @@ def open_video(
     InputError
         If the file cannot be read or an argument does not suit it.
     """
+    check_kind(PATH, "the path of a video or of images", path=path)
+    check_kind((*PATH, NoneType), "the path of a file with the time of every frame", timestamps=timestamps)
+    check_within("a positive number of frames per second", 1e-12, math.inf, fps=fps)
     where = Path(path)
     if rotate not in (0, 90, 180, 270):
         raise InputError("`rotate`", "0, 90, 180 or 270", str(rotate))
-    if fps is not None and not 0 < fps < float("inf"):
-        raise InputError("`fps`", "a positive number of frames per second", str(fps))
     if fps is not None and timestamps is not None:
         raise InputError("`fps` and `timestamps`", "one of the two", "both")
 
@@ -365,6 +374,7 @@ def _open_reader(path: Path) -> Reader:
 
 def _frame_range(frames: slice | None, declared: int | None, path: Path) -> tuple[int, int | None]:
     """Return `frames` as first and stop; InputError if it is no range or contains no frame."""
+    check_kind(slice | None, RANGE, frames=frames)
     if frames is None:
         return 0, None
     first = 0 if frames.start is None else int(frames.start)
@@ -380,6 +390,8 @@ def cut(wanted: slice | None, size: int, *, what: str) -> slice:
     """Check `wanted` against `size` pixels: InputError unless 0 <= start < stop <= size."""
     if wanted is None:
         return slice(0, size)
+    if not isinstance(wanted, slice):
+        raise InputError(what, RANGE, shown(wanted))
     start = 0 if wanted.start is None else int(wanted.start)
     stop = size if wanted.stop is None else int(wanted.stop)
     if wanted.step not in (None, 1) or not 0 <= start < stop <= size:
@@ -422,12 +434,13 @@ def read_timestamps(path: Path) -> tuple[Floats, tuple[str, ...]]:
 
     One time per line, or columns divided by comma, semicolon, tab or space; a header names the column
     ("time", "timestamp") and its unit: `time_ms`, `Timestamp (us)`, `t [ns]`. Lines starting with # belong
-    to the header. Without a header the last of two columns (number, time) is used, and the unit is s.
+    to the header. Without a header the last of two columns (number, time) is used, and the unit is s. Decimal
+    commas are recognised where no commas separate columns, also in lines such as 0,016667.
 
     Raises
     ------
     InputError
-        For a missing or empty file, or text in place of a number.
+        For a missing or empty file, text in place of a number, or commas of unknown meaning.
     """
     wanted = "a readable file of time stamps"
     if check_regular(path, wanted).st_size > 1 << 28:  # ten million frames
@@ -438,7 +451,10 @@ def read_timestamps(path: Path) -> tuple[Floats, tuple[str, ...]]:
     end = "".join(lines[-2:])  # the last line may be cut before its separator
     separator = next((mark for mark in ";\t," if mark in end), None)
     cells = [[cell.strip() for cell in line.split(separator) if cell.strip()] for line in lines]
-    rows = [_numbers(line, decimal_comma=separator in (";", "\t")) for line in cells]
+    decimal_comma = separator in (";", "\t")
+    if separator == "," and _has_decimal_commas(path, cells):
+        separator, decimal_comma, cells = None, True, [[line.strip()] for line in lines]
+    rows = [_numbers(line, decimal_comma=decimal_comma) for line in cells]
     first = next((n for n, row in enumerate(rows) if row), None)
     if first is None:
         raise InputError(path, "one time per line", "no numbers", "give one time per frame, in s")
@@ -456,8 +472,44 @@ def read_timestamps(path: Path) -> tuple[Floats, tuple[str, ...]]:
     backwards = np.flatnonzero(np.diff(times_s) <= 0)
     if not backwards.size:
         return times_s, ()
-    where = f"the first at frame {backwards[0] + 1}"
-    return times_s, (f"{path.name}: {backwards.size} time(s) do not increase, {where}",)
+    return times_s, (_not_increasing(times_s, path.name),)
+
+
+def _not_increasing(times_s: Floats, name: str) -> str:
+    """Return a warning about times that do not increase, and from which frame on they restart."""
+    latest = np.maximum.accumulate(np.r_[-np.inf, times_s[:-1]])
+    stale = np.flatnonzero(times_s <= latest)
+    line = f"{name}: {stale.size} of {times_s.size} times do not increase, the first at frame {stale[0]}"
+    step = np.diff(times_s)
+    back = np.flatnonzero(step < -10 * np.median(np.abs(step)))
+    if back.size:
+        k = int(back[0]) + 1
+        line += f"; they restart from frame {k} on ({times_s[k - 1]:.6g} s, then {times_s[k]:.6g} s)"
+        line += f": give `frames` 0:{k} or {k}:{times_s.size}, or times that continue"
+    return f"{line}; such frames are not used for the clocks and stick phases"
+
+
+def _has_decimal_commas(path: Path, cells: list[list[str]]) -> bool:
+    """Return whether commas in these lines are decimal marks; InputError where this cannot be told.
+
+    They are if a whole number, as of seconds, is followed by digits with a leading zero. They separate
+    columns if the header names as many, a number has a decimal point, or the first column counts the frames.
+    """
+    data = [line for line in cells if _numbers(line, decimal_comma=False)]
+    header = next(iter(cells), []) if len(data) < len(cells) else []
+    if not data or len(header) == len(data[0]) > 1:
+        return False
+    if not all(re.fullmatch(r"[+-]?[0-9]+", cell) for line in data for cell in line):
+        return False
+    zeros = any(len(cell) > 1 and cell.startswith("0") for line in data for cell in line[1:])
+    if zeros and all(len(line) <= 2 for line in data):
+        return True
+    counted = all(int(b[0]) == int(a[0]) + 1 for a, b in itertools.pairwise(data))
+    if not counted or zeros:
+        advice = "write decimal points, or semicolons or tabs between the columns"
+        found = f"'{','.join(data[-1])[:40]}', which may be either"
+        raise InputError(path, "commas either between columns or in numbers", found, advice)
+    return False
 
 
 def _time_column(header: str, separator: str | None, width: int) -> tuple[int, float]:
