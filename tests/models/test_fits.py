@@ -398,7 +398,7 @@ def test_what_limits_the_result_is_said() -> None:
     """A failure means an impossible offset, or a model outside its range of V, is printed as a finding."""
     made = events()
     assert not fit(made).warnings
-    assert any("errors from 0: the load cell's zero" in note for note in fit(made).notes)
+    assert any("statistical errors from 0: the load cell's zero" in note for note in fit(made).notes)
     true_zero = fit(made.assign(F_p_N=made["F_p_N"] - 4))
     assert not any("errors from 0" in note for note in true_zero.notes)
     high = fit(made.assign(F_p_N=made["F_p_N"] + 20))
