@@ -597,8 +597,8 @@ def _remarks(
     elif abs(fits.t0_N.value) > _CLEAR_OFFSET * fits.t0_N.error > 0:
         away = two_digits(abs(fits.t0_N.value) / fits.t0_N.error)
         notes.append(
-            f"𝒯0 = {fits.t0_N.value:.3g} N is {away} statistical errors from 0: the load cell's zero, drift or"
-            " low-pass, `d0_mm` or the sample's geometry (in the systematic error, as far as known)"
+            f"𝒯0 = {fits.t0_N.value:.3g} N is {away} statistical errors from 0: the load cell's zero, drift"
+            " or low-pass, `d0_mm` or the sample's geometry (in the systematic error, as far as known)"
         )
     if fits.scale_mm.value > 0.999 * LARGEST_SCALE * fits.d_mm[1]:
         warnings.append("K does not fall with d as M_eff does: Λ̂, N̂ and Y_eff are not determined")
