@@ -82,3 +82,14 @@ def test_bad_input_is_one_line_and_writes_nothing(
     assert run(arguments) == 2
     assert capsys.readouterr().err.count("\n") == 1
     assert sorted(path.name for path in folder.iterdir()) == before
+
+
+@pytest.mark.parametrize("command", ["modulus", "force", "friction"])
+def test_another_commands_results_are_not_replaced(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """A failure means that one wrong --out with --overwrite costs the run of a film."""
+    write_cycles("sheet.txt", CyclesTest())
+    Path("film_tracks").mkdir()
+    Path("film_tracks/run.json").write_text('{"frames": {"read": 5}}')
+    assert run([command, "sheet.txt", "--out", "film_tracks", "--overwrite"]) == 2
+    assert "another run; give another --out" in capsys.readouterr().err
+    assert Path("film_tracks/run.json").read_text() == '{"frames": {"read": 5}}'
