@@ -68,12 +68,15 @@ class Schema:
         Every variable, coordinate and column with its declaration.
     needs
         Variables that every later stage needs; None for all.
+    kind
+        Its type.
     """
 
     name: str
     made_by: str
     variables: Mapping[str, Variable]
     needs: Sequence[str] | None = None
+    kind: type[Data] = xr.Dataset
 
     def __getitem__(self, name: str) -> Variable:
         return self.variables[name]
@@ -91,13 +94,10 @@ class Schema:
         InputError
             If anything is not as declared. One message names every such variable.
         """
-        single = (
-            isinstance(data, xr.DataArray) and "intensity" not in self.variables
-        )  # one variable of several
-        if isinstance(data, Data) and not single:
+        if isinstance(data, self.kind):
             needed = needs or self.needs or list(self.variables)
             problems = [_problem(data, name, made, name in needed) for name, made in self.variables.items()]
-        else:  # a path, None, one variable or the result of another stage
+        else:  # a path, None, one variable of several or the result of another stage
             problems = [f"the type {type(data).__name__}"]
         if found := ", ".join(filter(None, problems)):
             wanted = f"what `{self.made_by}` returns"
@@ -245,6 +245,7 @@ STRIP = Schema(
         "status": Variable(("frame",), "", "ok, blank, corrupt or lost"),
     },
     needs=("frame", "x", "time_s"),
+    kind=xr.DataArray,
 )
 
 STRIP_PARTS = Schema(
@@ -255,6 +256,7 @@ STRIP_PARTS = Schema(
         "z": Variable(("z",), "px", "middle row of the part, counted from the top"),
         **{name: STRIP[name] for name in ("frame", "x")},
     },
+    kind=xr.DataArray,
 )
 
 # --- x(n, t) ------------------------------------------------------------------------------------------------
@@ -525,6 +527,7 @@ STICKS = Schema(
         ),
     },
     needs=("event", "t_v_s", "t_p_s", "d_v_mm", "d_p_mm", "F_v_N", "F_p_N", "dF_N", "stick_length_um"),
+    kind=pd.DataFrame,
 )
 
 
@@ -618,4 +621,5 @@ SHELLS = Schema(
         "stiff_high": Variable(_EVENT, "", "upper end of the interval"),
         "M_eff_model": Variable(_EVENT, "", "M_eff implied by the force"),
     },
+    kind=pd.DataFrame,
 )

@@ -98,6 +98,7 @@ CYCLES = Schema(
         "F_max_N": Variable(_CYCLE, "N", "largest force of the branch"),
         "samples": Variable(_CYCLE, "", "samples fitted"),
     },
+    kind=pd.DataFrame,
 )
 
 # --- turning points -----------------------------------------------------------------------------------------

@@ -53,6 +53,7 @@ ROTATION = Schema(
         "normal_force_N": Variable(_ROW, "N", "normal force"),
     },
     needs=("time_s", "angle_rad", "torque_N_m"),
+    kind=pd.DataFrame,
 )
 
 _TORQUE = {"Nm": 1.0, "mNm": 1e-3, "µNm": 1e-6, "nNm": 1e-9, "Nmm": 1e-3, "cNm": 1e-2, "mNmm": 1e-6}
