@@ -21,7 +21,7 @@ from vision.experiment import simulate as make_test
 from vision.figures import Figure, plus_minus, save_figures
 from vision.figures.single_sheets import friction_figure, modulus_figure
 from vision.figures.style import counted, with_minus
-from vision.folder import check_target, run_folder, write_json
+from vision.folder import run_folder, write_json
 from vision.force import detection_limit, parse_columns, read_force
 from vision.models import Estimate
 from vision.models.friction import (
@@ -43,7 +43,7 @@ from vision.models.modulus import (
 )
 from vision.models.rheometer import RotationMetadata, read_rheometer
 from vision.pipeline import analyse
-from vision.run import check_mark, write_run
+from vision.run import check_results, write_run
 from vision.run.tables import write_table
 from vision.sample import Sample
 
@@ -63,7 +63,8 @@ def force(
     limit: whether the detection limit is measured.
     """
     parameters = merged(*groups, config=config)
-    target = _target(output, Path(f"{file.stem}_force"), mark="detection_limit")
+    target = output.out or Path(f"{file.stem}_force")
+    check_results(target, overwrite=output.overwrite, mark="detection_limit")
     analysis = analyse(None, file, replace(settings_of(parameters), t_star_fitted=free_t_star))
     parameters |= parameters_given(free_t_star=free_t_star)
     inputs = (file,) if config is None else (file, config)
@@ -76,22 +77,14 @@ def force(
     return finish(analysis, target, "force.png", quiet=output.quiet)
 
 
-def _target(output: OutputOptions, default: Path, *, mark: str) -> Path:
-    """Return the folder for the results. It must be new, or hold earlier results of the same command, whose
-    run.json has the key `mark`, to be replaced.  Raises: InputError."""
-    target = output.out or default
-    check_target(target, overwrite=output.overwrite)
-    check_mark(target, mark)
-    return target
-
-
 # --- single sheets ------------------------------------------------------------------------------------------
 
 
 def modulus(file: Path, options: ModulusOptions, output: OutputOptions) -> int:
     """Measure Young's modulus from push–pull cycles, and return the exit status."""
     started = time.perf_counter()
-    target = _target(output, Path(f"{file.stem}_modulus"), mark="cycles")
+    target = output.out or Path(f"{file.stem}_modulus")
+    check_results(target, overwrite=output.overwrite, mark="cycles")
     shares = parse_pair(options.part, "--part", "two shares A:B with 0 <= A < B <= 1", most=1)
     columns = parse_columns(options.force_columns) if options.force_columns else None
     with known_as(columns="force_columns"):
@@ -149,7 +142,8 @@ def friction(files: Sequence[Path], options: FrictionOptions, output: OutputOpti
     started = time.perf_counter()
     if not files:
         raise InputError("track friction", "one or more files", "none", "name the rheometer's files")
-    target = _target(output, Path(f"{files[0].stem}_friction"), mark="measurements")
+    target = output.out or Path(f"{files[0].stem}_friction")
+    check_results(target, overwrite=output.overwrite, mark="measurements")
     wanted = "two angles A:B in degrees with 0 <= A < B"
     settings = FrictionSettings(dynamic_deg=parse_pair(options.dynamic, "--dynamic", wanted))
     found = _measure(files, _loads(options.normal_force, len(files)), options.radius, settings)

@@ -44,10 +44,10 @@ from vision.figures.camera import sides_known
 from vision.figures.style import counted
 from vision.files import AGAIN
 from vision.files import reading as reading_of
-from vision.folder import check_new, check_target, run_folder, whole_file, write_json
+from vision.folder import check_new, run_folder, whole_file, write_json
 from vision.numeric import Ints
 from vision.pipeline import Analysis, Settings, analyse, open_recording
-from vision.run import check_mark, export_run, is_run, read_run, read_strip
+from vision.run import check_results, export_run, is_run, read_run, read_strip
 from vision.run.diagrams import frame_step_s, unevenness_s, write_space_time_tif
 from vision.run.export import Format
 from vision.run.overlay import write_overlay
@@ -165,8 +165,7 @@ def kymograph(
     part: dict[str, Any] = {"time_s": parse_seconds(window.time, "--time")}
     video_or_run = one_film(video_or_run)
     target = output.out or Path(f"{run_name(video_or_run)}_kymograph")
-    check_target(target, overwrite=output.overwrite)
-    check_mark(target, DIAGRAMS)
+    check_results(target, overwrite=output.overwrite, mark=DIAGRAMS)
     parameters = merged(reading)
     if is_run(video_or_run):
         with reading_of(video_or_run, "a run folder as track writes it", AGAIN):
@@ -392,8 +391,7 @@ def certify(run: Path, films: int, most_frames: int, output: OutputOptions) -> i
 def compare(runs: Sequence[Path], options: CompareOptions, output: OutputOptions) -> int:
     """Compare several runs, and return the exit status."""
     target = output.out or Path("comparison")
-    check_target(target, overwrite=output.overwrite)
-    check_mark(target, MARK)
+    check_results(target, overwrite=output.overwrite, mark=MARK)
     table, main_sample, fix_yeff = options.table, options.main_sample, options.fix_yeff
     found = compare_runs(runs, table, main_sample=main_sample, modulus_GPa=fix_yeff)
     given = parameters_given(table=table, main_sample=main_sample, fix_yeff=fix_yeff)

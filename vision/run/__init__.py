@@ -2,7 +2,7 @@
 
 from vision.run.export import export_run
 from vision.run.provenance import Checksums, Origin, Parameter, describe_input
-from vision.run.reading import Checkpoint, RunFolder, check_mark, is_run, read_run, read_strip
+from vision.run.reading import Checkpoint, RunFolder, check_results, is_run, read_run, read_strip
 from vision.run.writing import FAILURES, write_run
 
 __all__ = [
@@ -12,7 +12,7 @@ __all__ = [
     "Origin",
     "Parameter",
     "RunFolder",
-    "check_mark",
+    "check_results",
     "describe_input",
     "export_run",
     "is_run",

@@ -16,8 +16,8 @@ import xarray as xr
 from vision.data import MEASURED, StripMetadata
 from vision.errors import InputError, install_advice
 from vision.files import AGAIN, harmless, harmless_table, reading
-from vision.folder import check_new, check_target, flattened, run_folder, whole_file, write_json
-from vision.run.reading import RunFolder, check_mark, read_json
+from vision.folder import check_new, flattened, run_folder, whole_file, write_json
+from vision.run.reading import RunFolder, check_results, read_json
 from vision.run.tables import sheets_table, tracks_table
 
 Format = Literal["csv", "xlsx", "parquet", "mat", "trackpy", "napari"]
@@ -67,8 +67,7 @@ def export_run(run: RunFolder, to: Format, *, out: Path | None = None, overwrite
 
 
 def _write_folder(run: RunFolder, to: Format, target: Path, *, overwrite: bool) -> None:
-    check_target(target, overwrite=overwrite)
-    check_mark(target, MARK)
+    check_results(target, overwrite=overwrite, mark=MARK)
     tables = all_tables(run)
     rows = {name: len(table) for name, table in tables.items()}
     facts = {**run.facts, MARK: {"to": to, "from": str(run.folder), "rows": rows}}

@@ -25,7 +25,15 @@ from vision.clock import Candidate, Clock
 from vision.data import TRACKS, StripMetadata, TrackMetadata
 from vision.errors import InputError
 from vision.files import AGAIN, READ_HDF5, reading, shortened, try_out
-from vision.folder import RUN_JSON, existing_parent, lock_folder, plain, reading_folder, write_json
+from vision.folder import (
+    RUN_JSON,
+    check_target,
+    existing_parent,
+    lock_folder,
+    plain,
+    reading_folder,
+    write_json,
+)
 from vision.run.diagrams import read_kymograph_tif
 from vision.run.provenance import Parameter, describe_input
 from vision.run.tables import attrs_of_netcdf
@@ -148,11 +156,13 @@ def is_run(folder: Path) -> bool:
     return (folder / RUN_JSON).is_file()
 
 
-def check_mark(target: Path, mark: str) -> None:
-    """Check that an existing folder's run.json has the key `mark`: only results of the same command have it.
+def check_results(target: Path, *, overwrite: bool, mark: str) -> None:
+    """Check that results can be written to a folder, before anything is computed.
 
-    Raises: InputError.
+    It must be new, or hold earlier results of the same command to be replaced, whose run.json has the key
+    `mark`.  Raises: InputError, also as `vision.folder.check_target`.
     """
+    check_target(target, overwrite=overwrite)
     if is_run(target) and mark not in read_json(target / RUN_JSON):
         wanted = "an earlier result of the same command"
         raise InputError(target, wanted, "another run", "give another `out`")
