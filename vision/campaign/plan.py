@@ -139,11 +139,8 @@ class Plan:
     def finished(self, film: PlannedFilm) -> State | None:
         """Return the state of a finished film; None if the film must be run."""
         state = read_state(self.out, film.name)
-        return (
-            state
-            if is_run(self.run_of(film.name)) and state.key == film.key and state.state in FINISHED
-            else None
-        )
+        current = state.key == film.key and state.state in FINISHED
+        return state if current and is_run(self.run_of(film.name)) else None
 
     def state(self, film: PlannedFilm) -> State:
         """Return the current state of a film; "waiting" if the stored state belongs to another key."""
