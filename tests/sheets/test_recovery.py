@@ -8,7 +8,7 @@ import pytest
 from tests.scenes.combs import comb, ridges, strip
 from vision.sheets import TrackingSettings, track_sheets
 from vision.sheets.alignment import values_of
-from vision.sheets.identities import Identities, identify_sheets
+from vision.sheets.identities import identify_sheets
 from vision.sheets.recovery import Flag, assign_detections
 from vision.sheets.ridges import describe_ridges, find_ridges
 
@@ -79,12 +79,12 @@ def test_a_sheet_hidden_in_its_neighbour_s_ridge_is_merged_with_it(away_px, flag
     described = describe_ridges(profile)
     found = find_ridges(profile, described)
     identities = identify_sheets(found, described)
-    one_more = Identities(
-        np.insert(identities.match, 6, -1, axis=1),
-        np.insert(identities.margin, 6, np.nan, axis=1),
-        hidden,
-        np.insert(identities.usual_px, 6, np.nan, axis=1),
-        identities.reference,
+    one_more = replace(
+        identities,
+        match=np.insert(identities.match, 6, -1, axis=1),
+        margin=np.insert(identities.margin, 6, np.nan, axis=1),
+        rest_px=hidden,
+        usual_px=np.insert(identities.usual_px, 6, np.nan, axis=1),
     )
     got = assign_detections(profile, found, one_more, described).flag
     assert (got[:, 6] == flag).all()

@@ -14,10 +14,9 @@ import numpy as np
 
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, Ints, nan_median, shifted
 from vision.sheets.alignment import Candidates, Pairing, align, values_of
+from vision.sheets.displacement import comb_displacement, comb_squeeze, place_by_pattern
 from vision.sheets.reference import ReferenceComb, build_reference, faint_ends, static_ridges
 from vision.sheets.ridges import RidgeComb, Ridges
-from vision.sheets.settings import TrackingSettings
-from vision.signals import running_median
 
 
 class Doubt(IntEnum):
@@ -49,7 +48,9 @@ class Identities:
     match: candidate of each sheet in each frame, −1 where missing. margin: log-likelihood, nats, by which
     this identity exceeds the next best, NaN where missing. rest_px: rest position of each sheet around the
     time of the frame. usual_px: position of each sheet at the comb's usual spacing, NaN where missing; all
-    (frame, N). reference: the reference comb.
+    (frame, N). reference: the reference comb. proved: frames in which the pattern of the sheets proves which
+    are in view, as far as that was asked, (frame,). jumps: whether the comb jumps by whole pitches, and the
+    margins are 0 where nothing proves where it is. end_in_view: whether an end of the comb is seen.
     """
 
     match: Ints
@@ -57,6 +58,9 @@ class Identities:
     rest_px: Floats
     usual_px: Floats
     reference: ReferenceComb
+    proved: Bools
+    jumps: bool
+    end_in_view: bool
 
 
 def identify_sheets(
@@ -75,8 +79,8 @@ def identify_sheets(
     """
     scale, middle_px = comb_squeeze(ridges, comb.settings)
     ridges = replace(ridges, x_px=(middle_px + (ridges.x_px - middle_px) / scale).astype(np.float32))
-    segments = split_segments(ridges, comb)
-    displacement = comb_displacement(ridges, comb)
+    segments, displacement, proved, jumps = _segments_on_comb(ridges, comb)
+    carried = jumps * displacement[:, None]
     reference = build_reference(
         segments.candidates,
         segments.length,
@@ -94,76 +98,60 @@ def identify_sheets(
     match = segments.in_frames(align_all(reference, rest).match, ridges.count)
     if sheets is None:
         x = values_of(match, ridges.x_px)
-        moved = x - _rest_over_time(x, reference, comb)
+        moved = x - carried - _rest_over_time(x - carried, reference, comb)
         real = ~static_ridges(moved, reference.x_px, settings=comb.settings)
         real &= ~faint_ends(reference, moved, settings=comb.settings)
         reference, match = reference.only(np.flatnonzero(real)), match[:, real]
     for _ in range(2):  # with each sheet expected where it was found around that time
-        rest = _rest_over_time(values_of(match, ridges.x_px), reference, comb)
+        x = values_of(match, ridges.x_px)
+        rest = _rest_over_time(x - carried, reference, comb) + carried
         pairing = align_all(reference, rest)
         before, match = match, segments.in_frames(pairing.match, ridges.count)
         if np.array_equal(before, match):
             break
     margin = np.where(match >= 0, pairing.margin[segments.of_frames()], np.nan)
-    match, margin = _undo_false_jumps(match, margin, ridges, comb)
+    if jumps:
+        off = np.abs(nan_median(values_of(match, ridges.x_px) - rest, axis=1)) > comb.pitch_px / 2
+        margin[(~proved | off)[:, None] & (match >= 0)] = 0.0
+    else:
+        match, margin = _undo_false_jumps(match, margin, ridges, comb)
     rest_px, usual_px = middle_px + (rest - middle_px) * scale, values_of(match, ridges.x_px)
-    return Identities(match, margin, rest_px, usual_px, reference)
+    ends = _end_in_view(match, ridges, comb)
+    return Identities(match, margin, rest_px, usual_px, reference, proved, jumps, ends)
 
 
-def comb_squeeze(ridges: Ridges, settings: TrackingSettings) -> tuple[Floats, float]:
-    """Return the mean spacing in each frame over that of the film, (frame, 1), and the comb's middle, px.
+def _segments_on_comb(ridges: Ridges, comb: RidgeComb) -> tuple[Segments, Floats, Bools, bool]:
+    """Return the segments of the film; the displacement of the comb, px, and whether the sheets' pattern
+    proves it, both (frame,); and whether the comb jumps by whole pitches.
 
-    The ratio is 1 in all frames of a film in which it hardly changes.
-    The quantiles of the spacings are compared with their usual values, since spacings may be of several
-    kinds; those of a missing sheet or a false detection are beyond the quantiles. A squeeze changes all of
-    them alike: `squeeze_share` of the variance of their logarithms must be common.
+    Of a comb that jumps, every frame is a segment of its own: a jump by about a pitch looks like none.
     """
-    middle_px, still = float(nan_median(ridges.x_px.ravel())), np.ones((len(ridges.x_px), 1))
-    gap = np.diff(ridges.x_px.astype(np.float64), axis=1)
-    sheets = 1 + np.isfinite(gap).sum(axis=1)
-    usual = np.median(sheets)
-    # Without frames in which many are covered, or in which two frames share an image and many are seen twice.
-    rows = np.flatnonzero((2 * sheets >= usual) & (4 * sheets <= 5 * usual) & (sheets > 1))
-    if not len(rows):
-        return still, middle_px
-    gap = np.sort(gap[rows], axis=1)  # NaN last; nanquantile takes forty times as long
-    last = sheets[rows, None] - 2
-    at = np.linspace(0.1, 0.9, 17) * last
-    lower = at.astype(np.int64)
-    low, high = (np.take_along_axis(gap, k, axis=1) for k in (lower, np.minimum(lower + 1, last)))
-    change = np.log(low + (at - lower) * (high - low))
-    change -= np.median(change, axis=0)
-    common = change.mean(axis=1)
-    scale = running_median(np.exp(np.interp(np.arange(len(still)), rows, common)), 3)
-    least, most = np.quantile(scale, (0.02, 0.98))
-    squeezed = (most / least - 1) * usual / 2 >= settings.least_squeeze
-    squeezed &= common.var() >= settings.squeeze_share * change.var()
-    return scale[:, None] if squeezed else still, middle_px
+    segments = split_segments(ridges, comb)
+    displacement, uncertain = comb_displacement(ridges, comb)
+    proved = np.zeros(len(displacement), bool)
+    if not uncertain.any():
+        return segments, displacement, proved, False
+    placed = place_by_pattern(segments.candidates, segments.length, displacement[segments.middle], comb)
+    proved = placed.proved[segments.of_frames()]
+    if placed.jumps or (2 * proved.sum() < len(proved) < 8 * len(segments.start)):
+        single = each_frame(ridges)
+        placed = place_by_pattern(single.candidates, single.length, displacement, comb)
+        if placed.jumps:
+            return single, placed.displacement_px, placed.proved, True
+    return segments, displacement, proved, False
 
 
-def comb_displacement(ridges: Ridges, comb: RidgeComb) -> Floats:
-    """Return the displacement of the whole comb since the first frame, px, (frame,).
-
-    It is the sum of mean steps from each ridge to the nearest ridge of the next frame. Only steps within a
-    pixel of their median enter (positions are whole pixels). Where most steps are too large to identify the
-    same ridge, the step is 0.
-    """
-    x = ridges.x_px.astype(np.float64)
-    frames = len(x)
-    apart = 4.0 * (np.nanmax(x, initial=0.0) + comb.pitch_px)
-    in_one_row = x + apart * np.arange(frames)[:, None]  # frames lie far apart in the row
-    row = in_one_row[np.isfinite(in_one_row)]
-    if not len(row):
-        return np.zeros(frames)
-    same = in_one_row[:-1] + apart  # positions in the next frame if nothing moves
-    after = np.searchsorted(row, np.nan_to_num(same))
-    near = np.stack([row[np.clip(after - 1, 0, len(row) - 1)], row[np.clip(after, 0, len(row) - 1)]]) - same
-    step = np.where(np.abs(near[0]) < np.abs(near[1]), near[0], near[1])
-    small = np.abs(step) < comb.settings.step_fraction * comb.pitch_px
-    followed = small.sum(axis=1) > 0.5 * ridges.count[:-1]
-    small &= np.abs(step - nan_median(np.where(small, step, np.nan), axis=1)[:, None]) <= 1.0
-    moved = np.where(small, step, 0.0).sum(axis=1) / np.maximum(small.sum(axis=1), 1)
-    return np.concatenate([[0.0], np.cumsum(np.where(followed, moved, 0.0))])
+def _end_in_view(match: Ints, ridges: Ridges, comb: RidgeComb) -> bool:
+    """Return whether an end of the comb is in view: whether often nothing is seen beyond its first or last
+    sheet where the next one would be in the picture."""
+    x = values_of(match, ridges.x_px)
+    last = ridges.count - 1
+    inside = (
+        x[:, 0] - comb.pitch_px > comb.fwhm_px,
+        x[:, -1] + comb.pitch_px < comb.width_px - 1 - comb.fwhm_px,
+    )
+    alone = match[:, 0] == 0, match[:, -1] == last
+    return any(seen.sum() >= 3 and none[seen].mean() > 0.3 for seen, none in zip(inside, alone, strict=True))
 
 
 def _rest_over_time(x_px: Floats, reference: ReferenceComb, comb: RidgeComb) -> Floats:
@@ -449,6 +437,11 @@ def split_segments(ridges: Ridges, comb: RidgeComb) -> Segments:
     continues, moved, change = _compared(ridges, np.arange(frames - 1), 0, comb)
     most = max(comb.settings.least_change, 5.0 * float(np.median(change)) if frames > 1 else 0.0)
     continues &= change <= most
+    usual = float(np.quantile(change, 0.1)) if frames > 1 else 0.0
+    changed = np.flatnonzero(continues & (change > 3.0 * usual))
+    for number in (1, -1):
+        _, _, other = _compared(ridges, changed, number, comb)
+        continues[changed[other < change[changed] / comb.settings.pattern_ratio]] = False
     came = np.zeros(frames - 1, np.int64)
     for number in (1, -1):  # a sheet enters on the left, or leaves there
         rows = np.flatnonzero(~continues)
@@ -464,6 +457,14 @@ def split_segments(ridges: Ridges, comb: RidgeComb) -> Segments:
     drift -= drift[start + length // 2][of_frame]
     features = np.stack([ridges.x_px - drift[:, None], np.log(ridges.contrast), np.log(ridges.fwhm_px)])
     return Segments(start, length, place, Candidates(*_means(features, of_frame, place)))
+
+
+def each_frame(ridges: Ridges) -> Segments:
+    """Return a segment for every frame, of a film in which no frame can be followed to the next."""
+    frames = len(ridges.x_px)
+    features = np.stack([ridges.x_px, np.log(ridges.contrast), np.log(ridges.fwhm_px)]).astype(np.float64)
+    start, zero = np.arange(frames), np.zeros(frames, np.int64)
+    return Segments(start, zero + 1, zero, Candidates(*features))
 
 
 def _compared(ridges: Ridges, rows: Ints, came: int, comb: RidgeComb) -> tuple[Bools, Floats, Floats]:

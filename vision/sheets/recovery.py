@@ -48,6 +48,7 @@ from vision.sheets.settings import TrackingSettings
 
 PAIRS = 3  # neighbours on each side that predict a sheet's position
 LINES = ((1, 2), (1, 3), (2, 3), (2, 4), (3, 4))  # distances of two neighbours on one side that a line joins
+MOST_UNSEEN = 0.25  # steps of whole pitches in a stretch of frames whose identities are called certain
 
 
 class Flag(IntEnum):
@@ -201,23 +202,29 @@ def _unproved_jumps(
     also exceed the costs of sheets that cross the edges. After a real jump every sheet keeps its brightness.
     Where brightnesses changed by more than `least_misfit`, the costs mistake changed sheets for exchanged
     ones, and the margin required grows by the ratio of the squares: the overdispersion of a quasi-likelihood
-    (McCullagh & Nelder 1989, chapter 9). `displaced` is x less the rest positions.
+    (McCullagh & Nelder 1989, chapter 9). If the pattern proved the jumps, the margins are enough.
+    `displaced` is x less the rest positions.
     """
-    settings = comb.settings
+    settings, none = comb.settings, np.zeros(x.shape, bool)
+    if identities.jumps:
+        return none
     seen = np.isfinite(x).any(axis=1)
-    step = np.nan_to_num(nan_median(np.diff(x[seen], axis=0), axis=1))
-    run = np.zeros(len(x), np.int64)
-    run[np.flatnonzero(seen)[1:]] = np.abs(step) > settings.jump_fraction * comb.pitch_px
-    run = np.cumsum(run)
+    step = np.zeros(len(x))
+    step[np.flatnonzero(seen)[1:]] = np.nan_to_num(nan_median(np.diff(x[seen], axis=0), axis=1))
     moved = nan_median(displaced, axis=1)
+    reach = settings.edge_pitches * comb.pitch_px
+    rest = identities.rest_px
+    no_end_in_view = (rest[:, 0] < reach) & (rest[:, -1] > comb.width_px - 1 - reach)
+    if not identities.end_in_view and identities.proved.mean() < 0.5:
+        lost = _lost_count(step / comb.pitch_px, moved / comb.pitch_px, settings)
+        if lost.any():
+            return lost[:, None] & np.isfinite(x)
+    run = np.cumsum(np.abs(step) > settings.jump_fraction * comb.pitch_px)
     place = np.array([nan_median(moved[run == one]) for one in range(run[-1] + 1)])
     apart = np.abs(place - place[:, None]) / (settings.step_fraction * comb.pitch_px)
     away = apart[np.argmax((apart < 0.5) @ np.bincount(run))][run] > 1
     if not away.any():
-        return np.zeros(x.shape, bool)
-    reach = settings.edge_pitches * comb.pitch_px
-    rest = identities.rest_px
-    no_end_in_view = (rest[:, 0] < reach) & (rest[:, -1] > comb.width_px - 1 - reach)
+        return none
     least = settings.stay_cost + 1.0 + np.where(no_end_in_view, 2 * settings.crossing_cost, 0.0)
     off = np.log(contrast) - identities.reference.log_contrast
     off -= nan_median(off, axis=1)[:, None]  # flicker
@@ -230,6 +237,30 @@ def _unproved_jumps(
     given, wanted = (np.array([nan_median(part[one]) for one in runs]) for part in (margin, least * worse))
     unproved = away & (given < wanted)[run]
     return np.asarray(unproved[:, None] & np.isfinite(x), bool)
+
+
+def _lost_count(step: Floats, moved: Floats, settings: TrackingSettings) -> Bools:
+    """Return the frames in which a comb without ends in view and without a pattern may be whole pitches from
+    where it seems to be, (frame,).
+
+    step, moved: its steps and its displacement, pitches, (frame,). Steps above `step_fraction` may be the
+    rest of the pitch, the other way. They do not matter to a comb that vibrates about one place, which leaves
+    a part of the pitch free. Otherwise only the longest stretch without a step above `still_fraction` is
+    certain, and only if there are so few steps that none of whole pitches is expected in it: these look like
+    no step.
+    """
+    none = np.zeros(len(step), bool)
+    if not (np.abs(step) > settings.step_fraction).any():
+        return none
+    place = np.sort(moved[np.isfinite(moved)] % 1.0)
+    free = np.sort(np.diff(place, append=place[:1] + 1.0))
+    if free[-1] > settings.step_fraction and free[-2:-1].sum() < settings.still_fraction:
+        return none
+    jolted = np.abs(step) > settings.still_fraction
+    run = np.cumsum(jolted)
+    length = np.bincount(run)
+    unseen = jolted.mean() * length.max() * settings.still_fraction / (0.5 - settings.still_fraction)
+    return np.asarray((run != length.argmax()) | (unseen > MOST_UNSEEN), bool)
 
 
 # --- predictions by neighbouring sheets ---------------------------------------------------------------------

@@ -240,6 +240,11 @@ class TrackingSettings:
     looks like half a pitch to the other. Larger lets combs jump the wrong way, smaller doubts slips
     (test_equal_sheets_of_a_cropped_jumping_comb_are_doubted_rather_than_swapped at 0.6)."""
 
+    still_fraction: float = 0.1
+    """Step of a comb without ends in view and without a pattern, in pitches, up to which it is followed in a
+    film in which its larger steps cannot be. Larger lets jumps of about a pitch pass, smaller withholds combs
+    that drift (test_identity_doubt.py's shaking cameras)."""
+
     least_misfit: float = 0.075
     """Change of the logarithm of brightness, rms over the sheets, that is compatible with a jump by whole
     pitches. Larger accepts jumps of combs that look different (test_identity_doubt.py's moving light at 0.3,

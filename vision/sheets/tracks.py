@@ -152,7 +152,8 @@ def track_sheets(
     numbering = number_sheets(assessed.x_px, axis_px=axis, settings=settings)
     found = _Tracked(comb, detections, numbering, fitted, errors, assessed, frozen, first_px)
     alike = sheets_alike(assessed.x_px, detections.contrast, detections.fwhm_px, comb)
-    step = np.abs(nan_median(np.diff(assessed.x_px, axis=0), axis=1))
+    shown = np.where(np.isnan(assessed.x_px), detections.withheld_px, assessed.x_px)
+    step = np.abs(nan_median(np.diff(shown, axis=0), axis=1))
     large = number[1:][step > settings.step_fraction * comb.pitch_px]
     changes = scene_changes(detections.start_px, detections.contrast, comb)
     likelier = ridges if ridges == "auto" else describe_ridges(profile, settings=settings).polarity
