@@ -153,7 +153,7 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> Iterator
         ),
     )
     yield "positions", f"{flags.get('ok', 0)} measured; {other_flags(flags)}"
-    yield "noise", f"{_noise(noise, length)}{predicted * ('ok' in flags)}"
+    yield "noise", f"{_noise(noise, length)}{predicted}" if "ok" in flags else "no position measured"
     if doubt := doubt_line(tracks):
         yield "doubtful", doubt
     yield "strip", f"rows {strip.strip_z0}:{strip.strip_z1} ({strip.strip_how}){tilt}"
@@ -359,8 +359,12 @@ def tracking_warnings(tracks: xr.Dataset) -> list[str]:
         line = f"{uncertain} of {total} positions left out{why_left_out(flags)}"
         # With 0.2 there is no advice if a hand always covers part of the comb and other positions are wrong.
         if uncertain > 0.1 * total:
-            line += "; with so many, other positions may also be wrong: check where the tracks lie, and "
-            line += "exclude what hides the comb with `frames` or `columns`"
+            jumps = 2 * np.isin(tracks["why"].values, "jump").sum() > uncertain
+            line += "; with so many, other positions may also be wrong: " + (
+                "film an end of the comb, mark a sheet or film faster, as the comb jumps by unknown pitches"
+                if jumps
+                else "check where the tracks lie, and exclude what hides the comb with `frames` or `columns`"
+            )
         lines.append(line)
     missing = flags.get("missing", 0) + flags.get("edge", 0) + flags.get("unfit", 0)
     if missing > 0.01 * total:  # fewer are the usual gaps at the edges of the picture
@@ -372,7 +376,7 @@ def tracking_warnings(tracks: xr.Dataset) -> list[str]:
         lines.append(f"only {tracks.sizes['frame']} frame(s): neither motion nor noise can be measured")
     elif tracks.sizes["frame"] >= 10 and still:
         lines.append("all frames are equal: neither motion nor noise can be measured")
-    elif tracks.sizes["frame"] >= 20 and comb_is_stationary(tracks):
+    elif tracks.sizes["frame"] >= 20 and "ok" in flags and comb_is_stationary(tracks):
         lines.append(
             "the sheets do not move relative to each other by more than the noise: if they should, the comb"
             " may be a pattern in the background (`rows`, `columns`), or the pull is in other `frames`"
