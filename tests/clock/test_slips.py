@@ -108,6 +108,15 @@ def test_a_long_exposure_places_slips_to_a_part_of_a_frame(slips_s):
     assert found.attrs["share_exposed"] == pytest.approx(0.96, abs=0.15)
 
 
+@pytest.mark.parametrize("spread_s", [0.0, 0.02, 0.04])
+@pytest.mark.parametrize("frame_s", [0.01, 0.05])
+def test_the_time_from_the_first_to_the_last_sheet_is_measured(spread_s, frame_s, slips_s):
+    """The force may fall with either of them. A failure means that a clock late by half of this time states a
+    fraction of it as its error."""
+    film = tracks(np.random.default_rng(3), slips_s, stop_s=STOP_S, frame_s=frame_s, spread_s=spread_s)
+    assert video_slips(film).attrs["spread_s"] == pytest.approx(spread_s, rel=0.4, abs=0.003)
+
+
 def test_slips_in_many_frames_of_a_film_that_begins_at_rest(slips_s):
     """Two of five frames show part of a slip, and for 18 s before the sheets rest.  A failure means
     that a slow camera sees no slips, as creep, rest and slips pass for noise."""

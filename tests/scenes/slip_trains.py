@@ -121,11 +121,13 @@ def tracks(
     drift_px=1.0,
     sizes=None,
     power=2.0,
+    spread_s=0.0,
 ) -> xr.Dataset:
     """x(n, t): sheets that creep inwards and jump outwards at the slips, outer ones by `jump_px`.
 
-    sizes: of each slip, relatively.  power: of n with which the jumps grow.  With noise, missing positions,
-    lost frames, and a picture that shakes and drifts as a whole.
+    sizes: of each slip, relatively.  power: of n with which the jumps grow.  spread_s: time within which the
+    sheets follow a slip one after the other.  With noise, missing positions, lost frames, and a picture that
+    shakes and drifts as a whole.
     """
     time = np.arange(0.5 * frame_s, stop_s, frame_s)
     time = time[rng.random(len(time)) >= lost]
@@ -134,10 +136,11 @@ def tracks(
     begin, end = time - exposure_s / 2, time + exposure_s / 2
     sizes = np.ones(len(slips_s)) if sizes is None else sizes
     # Mean over the exposure of the slips so far, and the creep that undoes them on average.
-    slips = np.clip((end[:, None] - slips_s) / exposure_s, 0, 1) @ sizes
+    late = spread_s * np.random.default_rng(1).random((len(n), len(slips_s)))
+    slips = np.clip((end[:, None, None] - slips_s - late) / exposure_s, 0, 1) @ sizes
     knots = np.r_[begin[0] - 1, slips_s, end[-1] + 1]
     creep = np.interp(time, knots, np.r_[0.0, np.cumsum(np.r_[sizes, 1.0])])
-    outward = jump_px * (n / per_side) ** power * (slips - creep)[:, None]
+    outward = jump_px * (n / per_side) ** power * (slips - creep[:, None])
     picture = shake_px * rng.standard_normal((len(time), 1)) + np.linspace(0, drift_px, len(time))[:, None]
     x = 500 + side * (20 * n + outward) + picture + noise_px * rng.standard_normal(outward.shape)
     x[rng.random(x.shape) < missing] = np.nan

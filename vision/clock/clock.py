@@ -257,6 +257,8 @@ def _from_slips(
             advice or "check whether the two files belong together and `fps`, or give `offset_s`",
         )
     error, drift_error, offset_error = found.errors()
+    # The force may fall with the first or with the last of the sheets.
+    constant = float(np.hypot(drops.attrs["lag_s"], seen.attrs["spread_s"] / 2))
     clocks, fits = found.clocks, found.fits
     drift = float(clocks.drift[0])
     clock = _clock_of(found.trains, clocks, fits, "events")
@@ -280,9 +282,9 @@ def _from_slips(
         clock,
         margin=found.margin,
         status="ambiguous" if found.ambiguity else "ok",
-        error_ms=1e3 * float(np.hypot(error, drops.attrs["lag_s"])),
+        error_ms=1e3 * float(np.hypot(error, constant)),
         drift_err_ppm=1e6 * drift_error,
-        offset_err_s=float(np.hypot(offset_error, drops.attrs["lag_s"])),
+        offset_err_s=float(np.hypot(offset_error, constant)),
         candidates=tuple(
             Candidate(
                 offset_s=float(clocks.offset_s[k]),

@@ -136,6 +136,11 @@ def _drop_extent(profile: Floats, centre: int, end: float) -> tuple[int, int]:
     return int(first), int(last)
 
 
+REACH_S = 0.025
+"""Time before and after a step within which single sheets may follow it. Larger: creep passes for slips.
+Smaller: late sheets are overlooked (`test_the_time_from_the_first_to_the_last_sheet_is_measured`)."""
+
+
 # --- slips of the camera ------------------------------------------------------------------------------------
 
 
@@ -165,8 +170,8 @@ def video_slips(tracks: xr.Dataset, *, settings: ClockSettings = ClockSettings()
     -------
     A table, empty without steps, with the columns time_s, error_s (standard error), step_px (of a typical
     outer sheet), step_err_px and frames (number of movements between frames that the step spans). ``attrs``:
-    noise_px, the noise of the common movement, and share_exposed, the part of the frame time during which the
-    shutter is open.
+    noise_px, the noise of the common movement; share_exposed, the part of the frame time during which the
+    shutter is open; and spread_s, the time from the first to the last sheet in a slip.
 
     Raises
     ------
@@ -204,7 +209,8 @@ def video_slips(tracks: xr.Dataset, *, settings: ClockSettings = ClockSettings()
             "frames": last - first + 1,
         }
     )
-    table.attrs |= {"noise_px": float(np.median(error)), "share_exposed": share}
+    spread = _spread_of_sheets(steps, noise, first, last)
+    table.attrs |= {"noise_px": float(np.median(error)), "share_exposed": share, "spread_s": spread}
     return table
 
 
@@ -341,6 +347,43 @@ def _updated_pattern(steps: _Steps, pattern: Floats, first: Ints, last: Ints) ->
     typical = np.maximum(np.where(np.isfinite(typical), typical, 0.0), 0.0)
     scale = float(np.percentile(typical, 90))
     return np.asarray(typical / scale) if scale > 0 else pattern
+
+
+def _spread_of_sheets(steps: _Steps, noise: Floats, first: Ints, last: Ints) -> float:
+    r"""Time from the first to the last sheet in a slip, s, if all times between are equally likely.
+
+    It follows from the variance of the movement between two frames in which each sheet passes half of its
+    step. Sheets that slip within D have :math:`(D^2 + T^2)/12` where the frame time T is shorter. Where it is
+    longer, slips without a frame between the sheets show nothing, and the mean over all slips is
+    :math:`T D/6`.
+    """
+    if not len(first):
+        return 0.0
+    time_s = 0.5 * (steps.time_s[1:] + steps.time_s[:-1])
+    frame_time = float(np.median(np.diff(steps.time_s)))
+    beside = int(np.ceil(REACH_S / frame_time))  # sheets that slip early or late need not be part of the step
+    apart = np.flatnonzero(np.diff(first, prepend=-np.inf) > 2 * beside)  # a slow slip may be several steps
+    begin, end = first[apart] - beside, np.maximum.reduceat(last, apart) + beside + 1
+    row, index = flat_ranges(np.maximum(begin, 0), np.minimum(end, len(time_s)))
+    start = np.flatnonzero(np.diff(row, prepend=-1))
+    side = steps.uniform[-1]
+    shift = nan_median(steps.moved_px * side, axis=1)[:, None] * side if len(steps.uniform) == 1 else 0.0
+    moved = steps.moved_px - shift
+    moved = np.nan_to_num((moved - nan_median(moved))[index])
+    total = np.add.reduceat(moved, start, axis=0)
+    so_far = np.cumsum(moved, axis=0)
+    so_far -= (so_far - moved)[start][row]
+    when = np.where(so_far >= total[row] / 2, (time_s[index] - time_s[index[start]][row])[:, None], np.inf)
+    half_s = np.minimum.reduceat(when, start, axis=0)
+    clear = (total > 8.0 * noise) & np.isfinite(half_s)
+    known = clear.sum(axis=1) >= 3
+    if not known.any():
+        return 0.0
+    half_s = np.where(clear, half_s, np.nan)[known]
+    variance = float(np.nanvar(half_s, axis=1).mean())
+    if variance < frame_time**2 / 6:
+        return 6 * variance / frame_time
+    return float(np.sqrt(12 * variance - frame_time**2))
 
 
 def _step_times(time_s: Floats, above: Floats, first: Ints, last: Ints) -> tuple[Floats, Floats, float]:
