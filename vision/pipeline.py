@@ -23,6 +23,13 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
+from vision.checks import (
+    consistency_warnings,
+    overexposure,
+    shells_against_fits,
+    tracking_warnings,
+    unlike_sides,
+)
 from vision.clock import Clock, ClockSettings, synchronise
 from vision.data import (
     STIFF_BELOW,
@@ -56,15 +63,7 @@ from vision.sheets.corrections import OF_SHEETS, last_of, ordered
 from vision.sheets.ridges import describe_ridges
 from vision.sheets.subpixel import check_window
 from vision.shells import ShellSettings, classify_shells
-from vision.summary import (
-    consistency_warnings,
-    overexposure,
-    ridges_per_side,
-    shells_against_fits,
-    summary_lines,
-    tracking_warnings,
-    unlike_sides,
-)
+from vision.summary import summary_lines
 from vision.video import (
     RANGE,
     Follow,
@@ -262,16 +261,14 @@ class Analysis(Results):
         """All figures by name: ``analysis.plot.tracks(ax=None)`` takes and returns an Axes."""
         return Plots(self)
 
+    @property
+    def assumed_sample(self) -> Sample | None:
+        """The publication's sample if models are fitted and none was given, else None."""
+        return PUBLISHED if self.fits is not None and self.settings.sample is None else None
+
     def summary(self) -> list[str]:
         """Return the results in about ten lines of text."""
-        lines, sample = summary_lines(self), PUBLISHED
-        if self.fits is not None and self.settings.sample is None:
-            size = f"{sample.thickness_mm:g} x {sample.width_mm:g} x {sample.length_mm:g} mm"
-            line = f"sample     assumed: the publication's, M = {sample.sheets_per_block} sheets of {size}"
-            if self.tracks is not None and (seen := ridges_per_side(self.tracks)) != sample.sheets_per_block:
-                line += f"; the video shows {seen} per side"
-            lines.append(line)
-        return lines
+        return summary_lines(self, self.assumed_sample)
 
     def __repr__(self) -> str:
         return "\n".join(self.summary())
@@ -648,10 +645,11 @@ def _warnings(found: Analysis, reasons: Mapping[str, str]) -> tuple[str, ...]:
             rows = slice(strip.strip_z0, strip.strip_z1)
             lines += overexposure(found.frame, rows, found.settings.tuning.video)
         lines += tracking_warnings(found.tracks)
-        # An assumed sample matters only if models are fitted with it.
-        assumed = PUBLISHED if found.fits is not None and found.settings.sample is None else None
         lines += consistency_warnings(
-            found.tracks, found.settings.sample, assumed=assumed, pixel_size_um=found.pixel_size_um
+            found.tracks,
+            found.settings.sample,
+            assumed=found.assumed_sample,
+            pixel_size_um=found.pixel_size_um,
         )
     if found.force is not None:
         lines += warnings_of(found.force, found.sticks)

@@ -18,6 +18,7 @@ from typing import Any
 import matplotlib.artist
 import xarray as xr
 
+from vision.checks import flag_counts
 from vision.command.console import attempt, complain, frame_progress, in_columns, say
 from vision.command.options import ForceOptions, RunOptions, TestOptions, flag_of, option_names
 from vision.command.review import keep_first_view
@@ -30,7 +31,7 @@ from vision.folder import check_target
 from vision.pipeline import Analysis, Settings, analyse, track_strip
 from vision.run import FAILURES, Checkpoint, Checksums, Origin, Parameter, describe_input, is_run, write_run
 from vision.sheets.corrections import read_decisions
-from vision.summary import aligned, findings, flag_counts, noise_figures
+from vision.summary import aligned, findings, noise_figures
 from vision.video import Follow, open_video, video_files
 from vision.video.raw import PIXELS, is_photron
 from vision.video.stacks import IMAGES

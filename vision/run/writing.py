@@ -12,6 +12,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from vision.checks import flag_counts
 from vision.data import ForceMetadata, StickMetadata, StripMetadata
 from vision.figures import (
     FIGURES,
@@ -32,7 +33,7 @@ from vision.sample import PUBLISHED
 from vision.sheets import doubtful_stretches
 from vision.sheets.corrections import Decisions, corrections_text, ordered
 from vision.shells import deformation_table
-from vision.summary import findings, flag_counts, noise_figures
+from vision.summary import findings, noise_figures
 from vision.systematics import systematic_budget
 
 FAILURES = "failures.txt"
