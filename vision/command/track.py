@@ -26,7 +26,7 @@ from vision.command.settings import merged, settings_of
 from vision.data import MEASURED, StripMetadata
 from vision.errors import InputError
 from vision.figures.style import counted
-from vision.files import answered, no_such_file
+from vision.files import TIFF, answered, no_such_file
 from vision.folder import check_target
 from vision.pipeline import Analysis, Settings, analyse, track_strip
 from vision.run import FAILURES, Checkpoint, Checksums, Origin, Parameter, describe_input, is_run, write_run
@@ -294,7 +294,7 @@ def _is_still(path: Path) -> bool:
     """Tell whether a file holds a single image; a TIFF of several pages is a film."""
     if path.suffix.lower() not in IMAGES or not path.is_file():
         return False
-    if path.suffix.lower() not in (".tif", ".tiff"):
+    if path.suffix.lower() not in TIFF:
         return True
     try:
         return (open_video(path).expected or 0) == 1
