@@ -10,16 +10,60 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vision.data import TrackMetadata
+from vision.data import ForceMetadata, StripMetadata, TrackMetadata, load_unit, warnings_of
 from vision.models.equations import effective_sheets
+from vision.models.modulus import cycles_seen
 from vision.numeric import Pixels, nan_median, stretches
 from vision.sample import Sample
 from vision.sheets.tracks import comb_is_stationary
 
 if TYPE_CHECKING:
+    from vision.figures import Results
     from vision.models import ModelFits
     from vision.shells import ShellSettings
     from vision.video import VideoSettings
+
+
+def all_warnings(
+    results: Results,
+    sample: Sample | None,
+    assumed: Sample | None,
+    video: VideoSettings,
+    shells: ShellSettings,
+) -> tuple[str, ...]:
+    """Return the warnings that matter for the results, in the order of the stages, without repetition.
+
+    sample, assumed: as for `consistency_warnings`.
+    """
+    lines: list[str] = []
+    if (tracks := results.tracks) is not None:
+        lines += warnings_of(tracks)
+        if results.frame is not None:
+            strip = StripMetadata.of(tracks)
+            lines += overexposure(results.frame, slice(strip.strip_z0, strip.strip_z1), video)
+        lines += tracking_warnings(tracks)
+        size_um = results.pixel_size_um
+        lines += consistency_warnings(tracks, sample, assumed=assumed, pixel_size_um=size_um)
+    if results.force is not None:
+        lines += warnings_of(results.force, results.sticks)
+        lines += filter(None, [cycles_seen(results.force)])
+        facts = ForceMetadata.of(results.force)
+        if facts.lacks_d0:
+            lines.append(
+                "the initial separation is not known: d is how far the machine moved, and no model is "
+                "fitted; give `d0_mm` (0 if the displacement is the separation itself)"
+            )
+        elif "fits" in results.reasons and math.isfinite(facts.d0_mm) and load_unit(results.force) == "N":
+            lines.append(f"no model fits: {results.reasons['fits']}")
+    lines += results.fits.warnings if results.fits else ()
+    lines += results.clock.warnings if results.clock else ()
+    lines += warnings_of(results.motion)
+    lines += shells_against_fits(results.shells, results.fits, shells)
+    lines += unlike_sides(results.shells, shells)
+    return tuple(dict.fromkeys(lines))
+
+
+# --- warnings about the tracks ------------------------------------------------------------------------------
 
 
 def flag_counts(tracks: xr.Dataset) -> dict[str, int]:
@@ -32,8 +76,6 @@ def flag_counts(tracks: xr.Dataset) -> dict[str, int]:
         found["ok"] = int(ok.sum())
     return dict(sorted(found.items()))
 
-
-# --- warnings about the tracks ------------------------------------------------------------------------------
 
 DOUBTFUL = {
     "doubtful": "where the identity of the sheet is uncertain",
