@@ -22,7 +22,7 @@ from vision.clock import Clock
 from vision.errors import InputError
 from vision.figures.decimate import grey_levels, grey_limits, minmax_decimate
 from vision.files import AGAIN, Stamp
-from vision.folder import RUN_JSON, lock_open_file, unwritable
+from vision.folder import RUN_JSON, held_elsewhere, unwritable
 from vision.numeric import Floats, Floats32, Pixels, spread_indices
 from vision.pipeline import Settings, open_force, open_recording
 from vision.run.diagrams import stored_kymograph
@@ -99,7 +99,7 @@ def claim(folder: Path) -> IO[str]:
     """Lock a run folder for this review; closing the returned file unlocks it.
 
     The file lies beside the folder, because saving replaces the folder. The lock ends with the process,
-    however that ends. On systems without such locks (Windows) nothing is locked.
+    however that ends. Where there are no such locks (Windows, some file servers) nothing is locked.
 
     Raises: InputError if another process reviews the run, or the file cannot be written.
     """
@@ -109,12 +109,10 @@ def claim(folder: Path) -> IO[str]:
         file = path.open("w", encoding="utf-8")
     except OSError as error:
         raise unwritable(path, error, "copy the run folder") from error
-    try:
-        lock_open_file(file.fileno())
-    except OSError:
+    if held_elsewhere(file.fileno()):
         file.close()
         found, advice = "a review of it that is open", "go to its window, or end it there"
-        raise InputError(folder, "a run that nobody reviews now", found, advice) from None
+        raise InputError(folder, "a run that nobody reviews now", found, advice)
     return file
 
 
