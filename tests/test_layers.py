@@ -24,6 +24,7 @@ LAYERS = (
     "experiment",
     "figures",
     "systematics",
+    "checks",
     "summary",
     "pipeline",
     "report",

@@ -1,223 +1,22 @@
-"""Findings that contradict each other are said, with what to do; findings that agree are not."""
+"""The summary prints every result with its errors, and nothing that was not measured."""
 
-import re
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
-import xarray as xr
 
 from tests.scenes.analysed import with_force
-from tests.scenes.combs import comb, ridges, strip
-from tests.scenes.reviewed import FORCE, SETTINGS, VIDEO, clean
 from vision.clock.clock import Candidate
 from vision.data import StickMetadata, TrackMetadata
-from vision.figures import Results
-from vision.pipeline import analyse
 from vision.report.text import answers
-from vision.sample import PUBLISHED
-from vision.sheets import track_sheets
-from vision.shells import ShellSettings
-from vision.summary import (
-    _noise,
-    consistency_warnings,
-    lowpass_correction,
-    noise_figures,
-    overexposure,
-    ridges_line,
-    shells_against_fits,
-    summary_lines,
-    tracking_warnings,
-    unlike_sides,
-)
-from vision.video import VideoSettings
-
-PITCH, SHEETS, AXIS = 20.0, 50, 600.0
-
-
-def film(contrast=1.0, snr=100):
-    """Fifty creeping and slipping sheets around an axis at 600 px."""
-    return strip(ridges(comb(150), contrast=contrast), snr=snr)
-
-
-@pytest.fixture(scope="module")
-def picture():
-    return film()
+from vision.summary import lowpass_correction, ridges_line, summary_lines
 
 
 @pytest.mark.parametrize(("sheets", "line"), [(2, "8.0 px wide, 20.0 px apart; "), (1, "8.0 px wide; ")])
 def test_a_single_ridge_has_no_spacing(sheets, line):
     """A failure means that the width of the picture is printed as a spacing of sheets."""
     assert line in ridges_line(TrackMetadata(sheets=sheets, ridge_fwhm_px=8.0, pitch_px=20.0))
-
-
-def test_a_film_that_agrees_with_itself_raises_nothing(picture):
-    """A failure means a warning on good films: nobody reads the next one."""
-    assert consistency_warnings(track_sheets(picture)) == []
-    assert consistency_warnings(track_sheets(picture, sheets=SHEETS, axis_px=AXIS)) == []
-
-
-@pytest.mark.parametrize("axis_px", [AXIS - 10 * PITCH, AXIS + 10 * PITCH])
-def test_an_axis_where_motion_excludes_it(picture, axis_px):
-    """Sheets move towards the axis: one ten sheets aside would have ten sheets move away from it."""
-    lines = consistency_warnings(track_sheets(picture, axis_px=axis_px))
-    assert len(lines) == 1
-    assert f"axis at {axis_px:.0f} px is outside the range that the motion allows" in lines[0]
-    assert "`axis_px`" in lines[0]
-
-
-@pytest.mark.parametrize("pitches", [0.4, 0.65, -0.65])
-def test_an_axis_that_motion_allows_is_not_doubted(picture, pitches):
-    """The innermost sheets hardly move and stand unevenly, so that more than half a pitch aside is what
-    motion allows. A failure means that the middle of a good comb is doubted."""
-    assert consistency_warnings(track_sheets(picture, axis_px=AXIS + pitches * PITCH)) == []
-
-
-@pytest.mark.parametrize(
-    ("high_px", "said"),
-    [(192.9, "the motion allows no other gap between sheets"), (240.0, "the motion allows 193 to 240 px")],
-)
-def test_an_axis_between_two_sheets_is_given_no_empty_range(picture, high_px, said):
-    """A failure means "192.5 px (the motion allows 193 to 193 px)", which contradicts itself."""
-    found = {"axis_px": 192.5, "axis_how": "motion", "axis_low_px": 192.9, "axis_high_px": high_px}
-    tracks = track_sheets(picture).assign_attrs(**found)
-    (line,) = [one for one in summary_lines(Results(tracks=tracks)) if one.startswith("axis")]
-    assert line == f"axis       192.5 px (found from motion; {said})"
-
-
-@pytest.mark.parametrize("told", [40, 44])
-def test_fewer_sheets_told_than_seen(picture, told):
-    """`sheets` 40 on a film of 50 renumbers all of them: the ten left out are like the others."""
-    lines = consistency_warnings(track_sheets(picture, sheets=told))
-    assert len(lines) == 1
-    assert f"{SHEETS - told} more ridges continue the comb of the {told} sheets" in lines[0]
-    assert f"`sheets` as {SHEETS}" in lines[0]
-
-
-def test_sheets_in_black_background(picture):
-    """Reflections of a tenth of a ridge's height, in line with the comb, that make up a number of sheets
-    that is too large: they are no sheets."""
-    height = np.where(np.abs(np.arange(SHEETS) - 24.5) > 21.5, 0.095, 1.0)
-    lines = consistency_warnings(track_sheets(film(height, snr=1000), sheets=SHEETS))
-    assert len(lines) == 1
-    assert "6 of 50 sheets (index 0, 1, 2, 47, 48, 49) may be something else" in lines[0]
-    assert "restrict `columns`" in lines[0]
-
-
-def test_unequal_sheets_are_sheets():
-    """A fifth of the height is a faint sheet, no background."""
-    uneven = np.where(np.arange(SHEETS) % 7 == 3, 0.2, 1.0)
-    assert consistency_warnings(track_sheets(film(uneven, snr=300), sheets=SHEETS)) == []
-
-
-def test_more_ridges_on_a_side_than_the_sample_has_sheets(picture):
-    """A block of 20 sheets cannot show 25 ridges; a sample that nobody gave contradicts nothing."""
-    tracks = track_sheets(picture)
-    given = replace(PUBLISHED, sheets_per_block=20)
-    lines = consistency_warnings(tracks, given)
-    assert len(lines) == 1
-    assert "20 sheets per block and side given, but n reaches 25" in lines[0]
-    assert "`sheets_per_block`" in lines[0]
-    assert consistency_warnings(tracks, replace(PUBLISHED, sheets_per_block=25, width_mm=44.0)) == []
-    assert consistency_warnings(track_sheets(strip(ridges(comb(150, per_side=29))))) == []
-
-
-def test_a_side_that_lacks_a_sheet_of_the_sample_is_named():
-    """A failure means that n of the sheets beyond an overlooked one is too small and nothing says so, or that
-    it is said where the number of sheets was given, or no sample is known."""
-    contrast = np.ones(SHEETS)
-    contrast[17] = 0.0
-    picture = film(contrast)
-    tracks = track_sheets(picture)
-    assert "24 sheets on the left but 25 on the right" in " ".join(consistency_warnings(tracks, PUBLISHED))
-    assert consistency_warnings(tracks) == []
-    assert consistency_warnings(track_sheets(picture, sheets=49), PUBLISHED) == []
-
-
-@pytest.mark.parametrize(("size_um", "said"), [(None, 0), (10, 0), (3, 0), (30, 0), (0.01, 1), (10_000, 1)])
-def test_a_pixel_size_in_another_unit(picture, size_um, said):
-    """A failure means that µm taken for mm are not noticed, or that a true pixel size is questioned."""
-    lines = consistency_warnings(track_sheets(picture), assumed=PUBLISHED, pixel_size_um=size_um)
-    assert sum("check `pixel_size_um`" in line for line in lines) == said
-    unknown = consistency_warnings(track_sheets(picture), pixel_size_um=size_um)  # thickness of the sheets
-    assert sum("0.2 µm apart" in line for line in unknown) == len(unknown) == (size_um == 0.01)
-
-
-def test_a_part_of_one_side(picture):
-    """Sheets 7 to 25 of the right side. A failure means that they count as 1 to 19 without a word."""
-    tracks = track_sheets(picture[:, int(AXIS + 6 * PITCH) :])
-    (line,) = consistency_warnings(tracks, assumed=PUBLISHED)
-    assert "only 19 of 25 sheets of one side are in view" in line
-    assert "`axis_px`" in line
-    beside = track_sheets(picture[:, int(AXIS + 6 * PITCH) :], axis_px=AXIS + 6 * PITCH)
-    assert consistency_warnings(beside, assumed=PUBLISHED) == []
-
-
-def test_n_counts_from_a_given_axis_out_of_view(picture):
-    """Sheets 7 to 25 of the right side, with the axis known. A failure means that they count as 1 to 19, or
-    that the summary does not say what it assumed."""
-    tracks = track_sheets(picture[:, int(AXIS + 6 * PITCH) :], axis_px=AXIS)
-    np.testing.assert_array_equal(tracks.n, np.arange(7, 26))
-    assert consistency_warnings(tracks, assumed=PUBLISHED) == []
-    (line,) = (line for line in summary_lines(Results(tracks=tracks)) if line.startswith("axis"))
-    assert "n begins at 7, as 6 more sheets fit" in line
-    too_far = track_sheets(picture[:, int(AXIS + 6 * PITCH) :], axis_px=AXIS - 5 * PITCH)
-    assert "but n reaches 30" in " ".join(consistency_warnings(too_far, PUBLISHED))
-
-
-@pytest.fixture(scope="module")
-def wrong_d0():
-    """The film that began at 16.6 mm, read as if at 13."""
-    return analyse(VIDEO, FORCE, replace(SETTINGS, d0_mm=13.0))
-
-
-def test_a_wrong_d0_contradicts_the_shells(wrong_d0):
-    """The force then implies 9.1 stiff sheets per side where the film shows 7 to 8; with the right d0 it
-    implies 8.2, which is 8. A failure means that a wrong separation passes, or a right one is doubted."""
-    (line,) = wrong_d0.warnings
-    assert "M_eff of the fits (9.1) lies outside the stiff shell's interval (7 to 8 sheets)" in line
-    assert "check `d0_mm`" in line
-    assert clean().warnings == ()
-
-
-def test_shells_that_say_nothing_about_the_fits(wrong_d0):
-    """Two phases are too few; a side that is stiff as far as it is in view may have more stiff sheets; an
-    M_eff that is not known better than to a sheet contradicts nothing."""
-    shells, fits, settings = wrong_d0.shells, wrong_d0.fits, ShellSettings()
-    assert len(shells_against_fits(shells, fits, settings)) == 1
-    assert shells_against_fits(shells[:2], fits, settings) == []
-    cut = shells.assign(sheets_known=shells["stiff_high"].astype(int))
-    assert shells_against_fits(cut, fits, settings) == []
-    loose = replace(fits, scale_mm=replace(fits.scale_mm, error=20 * fits.scale_mm.error))
-    assert shells_against_fits(shells, loose, settings) == []
-    unknown = replace(fits, scale_mm=replace(fits.scale_mm, value=300.0, error=300.0))
-    assert shells_against_fits(shells, unknown, settings) == []
-    agreeing = shells.assign(stiff_high=9)
-    assert shells_against_fits(agreeing, fits, settings) == []
-    fewer = shells.assign(stiff_low=12, stiff_high=14)
-    assert len(shells_against_fits(fewer, fits, settings)) == 1
-
-
-def test_sides_with_different_shells_are_said():
-    """A failure means that an axis one sheet aside, or a side that does not slip, passes in silence; or that
-    sides are said to differ that do so within their errors, by one sheet, or now one way and now the other.
-    """
-
-    def said(left, right, error=1):
-        rows = [(event, side, size) for event in range(10) for side, size in ((-1, left), (1, right))]
-        sizes = [size(event) if callable(size) else size for event, _, size in rows]
-        table = pd.DataFrame(rows, columns=["event", "side", "stiff_sheets"]).assign(stiff_sheets=sizes)
-        table = table.assign(
-            stiff_low=table["stiff_sheets"] - error, stiff_high=table["stiff_sheets"] + error
-        )
-        return unlike_sides(table.astype("Int64"), ShellSettings())
-
-    (line,) = said(12, 15)
-    assert "12 sheets on the left but 15 on the right in 10 of 10" in line and "`axis_px`" in line
-    assert said(12, 14) == [] == said(12, 13, error=0) != said(12, 14, error=0)
-    assert said(12, lambda event: 12 + 5 * (-1) ** event) == []
-    assert unlike_sides(None, ShellSettings()) == []
 
 
 def test_both_errors_are_printed():
@@ -298,33 +97,6 @@ def clocks_line(found):
     return next(line for line in summary_lines(found) if line.startswith("clocks"))
 
 
-def test_frames_of_another_scene_are_named(picture):
-    """A failure means that half a film of something else passes as some missing positions."""
-    assert tracking_warnings(track_sheets(picture)) == []
-    other = picture.copy(deep=True)
-    rng = np.random.default_rng(1)
-    other.values[90:] = 60 + rng.normal(0, 0.6, other.values[90:].shape)
-    lines = [line for line in tracking_warnings(track_sheets(other)) if "fewer than half" in line]
-    assert len(lines) == 1
-    assert "in 60 frames (the longest run is 90:150)" in lines[0]
-
-
-def test_positions_are_left_out_for_the_reason_that_holds():
-    """A failure means that sheets in one ridge are said to be of uncertain identity."""
-    tracks = with_force().tracks.copy(deep=True)
-    total = tracks["flag"].size
-    tracks["flag"][3:5, 0] = "merged"
-    assert tracking_warnings(tracks)[0].startswith(
-        f"2 of {total} positions left out where a sheet shares a ridge"
-    )
-    tracks["flag"][3:6, 1] = "doubtful"
-    line = tracking_warnings(tracks)[0]
-    assert line.startswith(f"5 of {total} positions left out: 3 where the identity of the sheet is")
-    assert ", 2 where a sheet shares a ridge" in line
-    tracks["flag"][:] = "merged"
-    assert "overview.png" not in tracking_warnings(tracks)[0]  # a preview has none
-
-
 def test_without_a_position_nothing_is_called_nan():
     """A failure means "nan px" in the summary of a run in which every position is doubtful."""
     found = with_force()
@@ -336,68 +108,6 @@ def test_without_a_position_nothing_is_called_nan():
     lines = summary_lines(replace(found, tracks=tracks))
     assert any(line.split() == ["axis", "not", "known"] for line in lines)
     assert not [line for line in lines if "nan" in line]
-
-
-@pytest.mark.parametrize("frames", [1, 60])
-def test_a_picture_has_no_noise_to_measure_and_says_so(picture, frames):
-    """One picture, or one repeated: a failure means "nan px" or "0.0000 px" as if that had been measured."""
-    still = picture.isel(frame=np.zeros(frames, int)).assign_coords(frame=np.arange(frames))
-    tracks = track_sheets(still)
-    assert any("all frames are equal" in line for line in tracking_warnings(tracks)) == (frames > 1)
-    assert "not measured" in _noise(noise_figures(tracks, None), "")
-
-
-def test_frames_without_positions_are_not_called_equal(picture):
-    """A failure means that a noisy film in which no ridge could be fitted is said not to change."""
-    tracks = track_sheets(picture)
-    nothing = np.full_like(tracks.x_noise_px.values, np.nan)
-    tracks = tracks.assign(flag=xr.full_like(tracks.flag, "missing"), x_noise_px=("sheet", nothing))
-    assert "all frames are equal" not in " ".join(tracking_warnings(tracks))
-
-
-@pytest.mark.parametrize(
-    ("apart_px", "how"),
-    [(11.0, "spacings of 11 and 29 px alternate"), (19.0, "only every second spacing changes")],
-)
-def test_two_edges_of_every_sheet_are_said_to_be_pairs(apart_px, how):
-    """Light from both sides draws two lines for each sheet, which keep their distance.  A failure means that
-    twice as many sheets as there are pass, or are said to lack some."""
-    edge = comb(60, per_side=8, axis_px=330)[:, :, None] * 2 - 330
-    both = (edge + np.array([0.0, apart_px])).reshape(60, 32)
-    picture = strip(ridges(both, width=700, fwhm_px=5.0))
-    lines = tracking_warnings(track_sheets(picture))
-    assert [line for line in lines if "sheets may be missing" in line] == []
-    assert sum(f"form pairs: {how}" in line for line in lines) == 1
-    # With half the number, the middle half of the edges or none would be tracked.
-    assert any("count edges" in line and "`sheets` as 32" in line for line in lines)
-    assert not any("form pairs" in line for line in tracking_warnings(track_sheets(picture, sheets=32)))
-
-
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_an_uneven_comb_has_no_pairs(seed):
-    """A failure means that sheets at uneven distances, which all change, are called edges."""
-    uneven = comb(60, per_side=16, axis_px=350, uneven=0.2, seed=seed)
-    lines = tracking_warnings(track_sheets(strip(ridges(uneven, width=700, fwhm_px=5.0))))
-    assert not any("form pairs" in line for line in lines)
-
-
-def test_a_change_for_good_is_said_with_its_size():
-    """From frame 75 on all sheets stand 7 px further and have half of their light; of that every other one
-    has e^0.2 times as much, the rest e^-0.2. A failure means that a knock passes, is said to be a hundred
-    times smaller than it was, or that 20 % is given as all that the brightness changed by."""
-    after = np.where(np.arange(150) < 75, 0.0, 1.0)[:, None]
-    x = comb(150) + 7.0 * after
-    light = np.exp(after * (np.tile([0.2, -0.2], 25) + np.log(0.5)))
-    (line,) = [
-        one
-        for one in tracking_warnings(track_sheets(strip(ridges(x, contrast=light))))
-        if "permanently" in one
-    ]
-    assert "at frame 75 " in line and "0:75 or 75:" in line
-    said = re.search(r"by (-?\d+) px.* relative brightnesses changed by (-?\d+) %", line)
-    moved, changed = (int(found) for found in said.groups())
-    assert moved == pytest.approx(7, abs=1)
-    assert changed == pytest.approx(20, abs=3)
 
 
 @pytest.mark.parametrize(
@@ -415,18 +125,3 @@ def test_the_load_cell_s_time_constant_is_said_in_ms(facts, said):
     sticks = pd.DataFrame()
     sticks.attrs |= StickMetadata(**facts).attrs()
     assert said in lowpass_correction(sticks)
-
-
-@pytest.mark.parametrize(
-    ("gain", "top", "told"), [(1.0, 255, 0), (2.2, 255, 1), (35.0, 4095, 1), (16.0, 4095, 0), (0.1, 255, 0)]
-)
-def test_an_overexposed_film_is_told(gain, top, told):
-    """Ridges whose tops the camera cut off, also one of 12 bits in a file of 16; not ridges that end below,
-    nor those of a film so dark that it has few grey levels."""
-    x, rng = np.arange(400), np.random.default_rng(0)
-    light = 40 + 110 * np.exp(-(((x % 20) - 10) ** 2) / 23) + rng.normal(0, 2, (60, 400))
-    frame = np.clip(light * gain, 0, top).astype(np.uint16)
-    settings = VideoSettings()
-    lines = overexposure(frame, slice(10, 50), settings)
-    assert [f"the brightest ({top})" in line for line in lines] == [True] * told
-    assert overexposure(frame, slice(10, 50), replace(settings, overexposed=1.1)) == []

@@ -35,6 +35,8 @@ from vision.errors import InputError
 if TYPE_CHECKING:
     import pandas as pd
 
+TIFF = {".tif", ".tiff"}
+"""Suffixes of TIFF files, which hold one picture or a film."""
 AGAIN = "run track again"  # advice for a damaged file of a run
 Progress = Callable[[int, int | None], None]
 """Function that is called with the number of frames done and of all frames, None if that is not known."""

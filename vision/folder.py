@@ -162,6 +162,20 @@ def lock_open_file(handle: int) -> None:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
+def held_elsewhere(handle: int) -> bool:
+    """Lock an open file as `lock_open_file` does; return whether another process holds the lock.
+
+    On a file server without locks nothing is locked.
+    """
+    try:
+        lock_open_file(handle)
+    except BlockingIOError:
+        return True
+    except OSError:
+        pass
+    return False
+
+
 def put_in_place(made: Path, target: Path, *, overwrite: bool, known_by: str = RUN_JSON) -> None:
     """Rename `made` to `target`; an earlier run there may get the name `made`, and the caller removes it.
 

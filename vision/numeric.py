@@ -15,7 +15,7 @@ Strings = NDArray[np.str_]
 Codes = NDArray[np.uint8]  # members of an IntEnum
 Pixels = NDArray[Any]  # grey levels as the file stores them: unsigned integers or float32
 
-FWHM = 2.3548
+FWHM = float(np.sqrt(8 * np.log(2)))
 """Full width at half maximum of a Gaussian, in its standard deviations."""
 NORMAL_MEDIAN = 0.6744897501960817
 """Median of the absolute value of a standard normal variable. The median absolute deviation (MAD) divided by

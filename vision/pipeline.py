@@ -23,15 +23,12 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
+from vision.checks import all_warnings
 from vision.clock import Clock, ClockSettings, synchronise
 from vision.data import (
     STIFF_BELOW,
-    ForceMetadata,
-    StripMetadata,
     check_pixel_size,
     check_threshold,
-    load_unit,
-    warnings_of,
 )
 from vision.deformation import DeformationSettings, horizontal_deformation
 from vision.errors import (
@@ -49,22 +46,13 @@ from vision.files import Progress, html_table
 from vision.force import ForceSettings, find_stick_slip, read_force
 from vision.models import ModelFits, fit_models
 from vision.models.fits import check_fit_range
-from vision.models.modulus import cycles_seen
 from vision.sample import PUBLISHED, Sample
 from vision.sheets import Correction, FitChoice, TrackingSettings, pixel_size_of, track_sheets, with_heights
 from vision.sheets.corrections import OF_SHEETS, last_of, ordered
 from vision.sheets.ridges import describe_ridges
 from vision.sheets.subpixel import check_window
 from vision.shells import ShellSettings, classify_shells
-from vision.summary import (
-    consistency_warnings,
-    overexposure,
-    ridges_per_side,
-    shells_against_fits,
-    summary_lines,
-    tracking_warnings,
-    unlike_sides,
-)
+from vision.summary import summary_lines
 from vision.video import (
     RANGE,
     Follow,
@@ -262,16 +250,14 @@ class Analysis(Results):
         """All figures by name: ``analysis.plot.tracks(ax=None)`` takes and returns an Axes."""
         return Plots(self)
 
+    @property
+    def assumed_sample(self) -> Sample | None:
+        """The publication's sample if models are fitted and none was given, else None."""
+        return PUBLISHED if self.fits is not None and self.settings.sample is None else None
+
     def summary(self) -> list[str]:
         """Return the results in about ten lines of text."""
-        lines, sample = summary_lines(self), PUBLISHED
-        if self.fits is not None and self.settings.sample is None:
-            size = f"{sample.thickness_mm:g} x {sample.width_mm:g} x {sample.length_mm:g} mm"
-            line = f"sample     assumed: the publication's, M = {sample.sheets_per_block} sheets of {size}"
-            if self.tracks is not None and (seen := ridges_per_side(self.tracks)) != sample.sheets_per_block:
-                line += f"; the video shows {seen} per side"
-            lines.append(line)
-        return lines
+        return summary_lines(self, self.assumed_sample)
 
     def __repr__(self) -> str:
         return "\n".join(self.summary())
@@ -359,14 +345,20 @@ def analyse(
     clock = found.clock or stages.optional("clock", _clock, tracks, machine, sticks, chosen)
     motion = stages.optional("motion", _motion, tracks, sticks, clock, chosen)
     shells = stages.optional("shells", partial(_shells, fits), motion, chosen)
-    found = replace(found, force=machine, sticks=sticks, fits=fits, clock=clock, motion=motion, shells=shells)
-    return replace(
+    found = replace(
         found,
+        force=machine,
+        sticks=sticks,
+        fits=fits,
+        clock=clock,
+        motion=motion,
+        shells=shells,
         reasons=stages.reasons,
         failures=stages.failures,
         seconds=stages.seconds,
-        warnings=_warnings(found, stages.reasons),
     )
+    tuning, samples = chosen.tuning, (chosen.sample, found.assumed_sample)
+    return replace(found, warnings=all_warnings(found, *samples, tuning.video, tuning.shells))
 
 
 def _reusable(earlier: Analysis | None, new: Analysis) -> Analysis:
@@ -636,37 +628,3 @@ def _shells(fits: ModelFits | None, motion: xr.Dataset, chosen: Settings) -> pd.
         effective_sheets=fits.effective_sheets if fits else None,
         settings=chosen.tuning.shells,
     )
-
-
-def _warnings(found: Analysis, reasons: Mapping[str, str]) -> tuple[str, ...]:
-    """Return the warnings that matter for the results, in the order of the stages, without repetition."""
-    lines: list[str] = []
-    if found.tracks is not None:
-        lines += warnings_of(found.tracks)
-        if found.frame is not None:
-            strip = StripMetadata.of(found.tracks)
-            rows = slice(strip.strip_z0, strip.strip_z1)
-            lines += overexposure(found.frame, rows, found.settings.tuning.video)
-        lines += tracking_warnings(found.tracks)
-        # An assumed sample matters only if models are fitted with it.
-        assumed = PUBLISHED if found.fits is not None and found.settings.sample is None else None
-        lines += consistency_warnings(
-            found.tracks, found.settings.sample, assumed=assumed, pixel_size_um=found.pixel_size_um
-        )
-    if found.force is not None:
-        lines += warnings_of(found.force, found.sticks)
-        lines += filter(None, [cycles_seen(found.force)])
-        facts = ForceMetadata.of(found.force)
-        if facts.lacks_d0:
-            lines.append(
-                "the initial separation is not known: d is how far the machine moved, and no model is "
-                "fitted; give `d0_mm` (0 if the displacement is the separation itself)"
-            )
-        elif "fits" in reasons and math.isfinite(facts.d0_mm) and load_unit(found.force) == "N":
-            lines.append(f"no model fits: {reasons['fits']}")
-    lines += found.fits.warnings if found.fits else ()
-    lines += found.clock.warnings if found.clock else ()
-    lines += warnings_of(found.motion)
-    lines += shells_against_fits(found.shells, found.fits, found.settings.tuning.shells)
-    lines += unlike_sides(found.shells, found.settings.tuning.shells)
-    return tuple(dict.fromkeys(lines))

@@ -94,19 +94,11 @@ def classify_sheets(
 
 def deformation_table(motion: xr.Dataset, *, threshold: float = STIFF_BELOW) -> pd.DataFrame:
     """Return the table of `deformation.csv`: one row per event and sheet, in this order."""
-    classified = classify_sheets(motion, threshold=threshold)
-    events, sheets = classified.sizes["event"], classified.sizes["sheet"]
-    columns = {
-        "event": np.repeat(classified["event"].to_numpy(), sheets),
-        "index": np.tile(classified["sheet"].to_numpy(), events),
-        "side": np.tile(classified["side"].to_numpy(), events),
-        "n": np.tile(classified["n"].to_numpy(), events),
-    }
-    lengths = ["sigma_x_um", "sigma_x_corrected_um", "sweep_um"]
-    columns |= {name: classified[name].to_numpy().ravel() for name in lengths}
-    columns["stick_length_um"] = np.repeat(classified["stick_length_um"].to_numpy(), sheets)
-    rest = ["ratio", "ratio_err", "p_stiff", "shell", "frames", "flag"]
-    return pd.DataFrame(columns | {name: classified[name].to_numpy().ravel() for name in rest})
+    classified = classify_sheets(motion, threshold=threshold).rename(sheet="index")
+    names = ["side", "n", "sigma_x_um", "sigma_x_corrected_um", "sweep_um", "stick_length_um"]
+    names += ["ratio", "ratio_err", "p_stiff", "shell", "frames", "flag"]
+    table = classified.reset_coords()[names].to_dataframe(dim_order=["event", "index"])
+    return table.reset_index()[["event", "index", *names]]
 
 
 def classify_shells(

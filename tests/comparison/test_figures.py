@@ -58,6 +58,17 @@ def test_tests_that_share_their_friction_coefficient(tmp_path, mu):
     assert "fitted jointly to all tests" in peaks.caption
 
 
+def test_samples_at_one_speed_differ_in_colour_and_mark(tmp_path):
+    """A failure means two samples that look like one."""
+    folders = [write_run(tmp_path / f"r{k}", events(seed=k)) for k in range(2)]
+    table = pd.DataFrame({"run": [folder.name for folder in folders], "sample": ["thin", "thick"]})
+    figures = {figure.name: figure for figure in vision.compare(folders, table=table).figures()}
+    for name in ("peaks", "drops", "stiffnesses"):
+        one, other = figures[name].panel.series[:2]
+        assert {one.label, other.label} == {"thin", "thick"}
+        assert one.ink != other.ink and one.hollow != other.hollow
+
+
 def test_systematic_errors_of_the_runs_are_taken_over(tmp_path):
     """A failure means a drifting load cell that the comparison knows nothing of, or an error of exactly 0."""
     drift = {"mu": 0.07, "T0_N": 5.9, "A": 0.2, "N_hat_N": 0.1, "Lambda_hat_mm": 0.3, "K_N_per_mm": 1.0}
@@ -74,6 +85,8 @@ def test_systematic_errors_of_the_runs_are_taken_over(tmp_path):
     assert found.joint[0].mu.systematic_error == pytest.approx(
         0.035, rel=0.2
     )  # half of the weight is its own
+    peaks = next(figure for figure in found.figures() if figure.name == "peaks")
+    assert "(stat. and d_0) ± " in peaks.caption
     assert np.isnan(vision.compare(folders[1:]).table["mu_systematic"].iloc[0])
 
 

@@ -348,6 +348,9 @@ def test_a_stiffness_that_does_not_fall_is_said() -> None:
     assert np.isfinite(rising.n_hat_N.value)
     assert rising.effective_sheets(18.0) > 24
     assert not any("not determined" in line for line in fit(made).warnings)
+    given = fit_models(MADE, made.assign(K_N_per_mm=4300.0), modulus_GPa=2.0)  # too small for this K
+    assert (given.modulus_GPa.value, given.modulus_GPa.error) == (2.0, 0.0)
+    assert any("not determined" in line for line in given.warnings)
 
 
 def test_given_modulus_and_range_are_used() -> None:

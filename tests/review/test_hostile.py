@@ -128,6 +128,18 @@ def test_a_folder_that_cannot_be_written_keeps_nothing(session, monkeypatch, cod
     assert len(session.decisions) == len(PLANTED)
 
 
+def test_a_run_on_a_file_server_without_locks_is_reviewed(run, monkeypatch):
+    """A failure means that such a run is said to be under review already, for ever."""
+
+    def none(*_):
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr("vision.folder.fcntl.flock", none)
+    with Session(run, SETTINGS) as session:
+        session.decide(LEFT_OUT)
+    assert read_decisions(run / "corrections.toml").corrections
+
+
 def test_a_disk_that_is_full_while_saving_leaves_the_run(session):
     """A failure means that half a run takes the place of a whole one, or that the decision is gone."""
     resource = pytest.importorskip("resource")

@@ -622,6 +622,23 @@ def test_an_answer_about_an_earlier_value_settles_nothing(browser, pulled_page):
     visit.context.close()
 
 
+def test_an_effect_on_a_part_of_the_frames_says_so(browser, pulled_page):
+    """A failure means that the effect near the cursor is taken for the whole one."""
+    visit = ReviewVisit(browser, pulled_page)
+    lines = visit.page.evaluate(
+        """async () => {
+          const { effectOn } = await import("./page/effect.js");
+          const held = { x_px: [[1], [2]], side: [1], n: [1] };
+          const answer = (concerned) => ({ frames: [7, 8], before: held, after: held, concerned });
+          const decision = { kind: "leave_out", sheet: 0, frames: "7:" };
+          return [2, 90].map((n) => effectOn(answer(n), decision, () => "sheet 0", "no stick").lines[0]);
+        }"""
+    )
+    assert "concerns" not in lines[0]
+    assert "frames 7–8 (near the cursor; the decision concerns 90 frames)" in lines[1]
+    visit.context.close()
+
+
 def test_a_second_window_is_told_of_the_first(browser, pulled_page):
     """A failure means that two people undo each other's decisions without knowing."""
     first, second = ReviewVisit(browser, pulled_page), ReviewVisit(browser, pulled_page)

@@ -143,6 +143,7 @@ def test_a_preview_far_into_a_run_looks_at_the_frames_it_shows(doubted, tmp_path
         seen = opened.effects.preview(decision, first + 10)
         frames = np.asarray(seen["frames"])
         assert frames[0] > 50
+        assert seen["concerned"] == stop - first
         within = (frames >= first) & (frames < stop)
         shown = np.asarray(seen["after"]["x_px"])[within, sheet]
         np.testing.assert_allclose(shown, x_px[frames[within], sheet], atol=0.5)

@@ -6,6 +6,7 @@ from scipy.ndimage import gaussian_filter
 
 from tests.scenes.combs import comb, creeping, ridges, strip
 from tests.scenes.identity_cases import brightness
+from vision.checks import tracking_warnings
 from vision.data import TrackMetadata
 from vision.sheets import track_sheets
 from vision.sheets.quality import (
@@ -17,7 +18,6 @@ from vision.sheets.quality import (
     shared_error,
     spatial_scatter,
 )
-from vision.summary import tracking_warnings
 
 
 @pytest.mark.parametrize("touched", [0.0, 0.05])

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.scenes.combs import comb, ridges, strip
+from vision.checks import tracking_warnings
 from vision.errors import InputError
 from vision.sheets import TrackingSettings, track_sheets, wide_spacings
-from vision.summary import tracking_warnings
 
 
 def without_one(k: int):

@@ -7,9 +7,9 @@ import pytest
 
 from tests.scenes.combs import comb, ridges, strip
 from tests.scenes.identity_cases import FRAMES, brightness, jumps
+from vision.checks import tracking_warnings
 from vision.sheets import recovery, track_sheets
 from vision.sheets.settings import DEFAULT
-from vision.summary import tracking_warnings
 
 PITCH = 20.0
 

@@ -15,7 +15,7 @@ from typing import Any
 
 from vision.comparison.runs import ALIKE, COLUMNS, LIMITS, table_cells
 from vision.errors import InputError
-from vision.files import Stamp, answered, shortened
+from vision.files import TIFF, Stamp, answered, shortened
 from vision.video import open_video, video_files
 from vision.video.settings import VideoSettings
 from vision.video.video import FILMS, files_in
@@ -338,7 +338,7 @@ class FolderWatch:
 
     def films(self) -> list[Path]:
         """Return every film in the folder, complete or not, in order of their names."""
-        return files_in(self.folder, {*FILMS, ".tif", ".tiff"})
+        return files_in(self.folder, FILMS | TIFF)
 
     def complete(self, film: Path) -> bool:
         """Return whether a film no longer changes and can be opened without warnings."""

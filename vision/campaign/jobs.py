@@ -30,7 +30,7 @@ from vision.campaign.plan import PLAN, Plan, PlannedFilm, State, Word, inputs_of
 from vision.campaign.results import page_age, write_page, write_partitions
 from vision.errors import InputError, install_advice
 from vision.files import answered, prefetch, shortened
-from vision.folder import lock_open_file, unwritable
+from vision.folder import held_elsewhere, unwritable
 from vision.pipeline import Analysis
 from vision.run import is_run
 
@@ -75,14 +75,8 @@ def campaign_lock(out: Path) -> Iterator[None]:
     except OSError as error:
         raise unwritable(out, error, "give another `out`") from error
     try:
-        try:
-            lock_open_file(handle)
-        except BlockingIOError as error:
-            raise InputError(
-                out, "a campaign that is not running", "a running one", "wait for its end"
-            ) from error
-        except OSError:
-            pass  # a file server without locks
+        if held_elsewhere(handle):
+            raise InputError(out, "a campaign that is not running", "a running one", "wait for its end")
         yield
     finally:
         os.close(handle)

@@ -6,7 +6,7 @@ import base64
 import shutil
 import time
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,6 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.dataset as ds
 import pyarrow.parquet as pq
-import xarray as xr
 from jinja2 import Environment, StrictUndefined
 
 from vision.campaign.plan import FINISHED, Plan, PlannedFilm, State
@@ -29,7 +28,7 @@ from vision.folder import whole_file, write_json
 from vision.pipeline import Analysis
 from vision.run import Origin, is_run
 from vision.run.reading import read_json
-from vision.run.tables import ROWS_PER_CHUNK, sheets_table, tracks_table, write_table
+from vision.run.tables import columns_in_parts, sheets_table, write_table
 from vision.shells import deformation_table
 
 # --- the page -----------------------------------------------------------------------------------------------
@@ -188,21 +187,15 @@ def write_partitions(out: Path, film: str, analysis: Analysis) -> None:
     Raises: InputError.
     """
     tracks, motion, threshold = analysis.tracks, analysis.motion, analysis.threshold
+    columns = () if tracks is None else columns_in_parts(tracks, analysis.pixel_size_um)
     parts: dict[str, Iterable[pd.DataFrame]] = {
         "sheets": () if tracks is None else [sheets_table(tracks)],
         "sticks": () if analysis.sticks is None else [analysis.sticks],
         "deformation": () if motion is None else [deformation_table(motion, threshold=threshold)],
-        "positions": () if tracks is None else _positions(tracks, analysis.pixel_size_um),
+        "positions": map(pd.DataFrame, columns),
     }
     for name, tables in parts.items():
         _write(_partition(out, name, film), tables)
-
-
-def _positions(tracks: xr.Dataset, size_um: float | None) -> Iterator[pd.DataFrame]:
-    """Yield the table of positions in pieces, so that memory does not grow with the recording."""
-    step = max(1, ROWS_PER_CHUNK // max(1, tracks.sizes["sheet"]))
-    for start in range(0, max(1, tracks.sizes["frame"]), step):
-        yield tracks_table(tracks.isel(frame=slice(start, start + step)), pixel_size_um=size_um)
 
 
 def _write(target: Path, tables: Iterable[pd.DataFrame]) -> None:

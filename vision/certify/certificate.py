@@ -14,7 +14,7 @@ import xarray as xr
 
 from vision.certify.encoder import Encoder, read_encoder
 from vision.certify.likeness import Likeness, learn, smooth_motion
-from vision.certify.settings import DEFAULT, CertifySettings
+from vision.certify.settings import CertifySettings
 from vision.clock import Clock
 from vision.data import STIFF_BELOW, StripMetadata, TrackMetadata
 from vision.deformation import horizontal_deformation
@@ -132,7 +132,7 @@ class _Measured:
 
 
 def certify_run(
-    run: RunFolder, *, settings: CertifySettings = DEFAULT, progress: Progress | None = None
+    run: RunFolder, *, settings: CertifySettings = CertifySettings(), progress: Progress | None = None
 ) -> Certificate:
     """Return the certificate of a finished run, using its events and clock if it has them.
 
@@ -178,7 +178,7 @@ def certify(
     clock: Clock | None = None,
     threshold: float = STIFF_BELOW,
     encoder: Encoder | None = None,
-    settings: CertifySettings = DEFAULT,
+    settings: CertifySettings = CertifySettings(),
     progress: Progress | None = None,
 ) -> Certificate:
     """Measure what one recording can resolve.

@@ -97,6 +97,3 @@ class CertifySettings:
 
     errors_resolved: float = 3.0
     """Number of standard errors by which a sweep must differ from zero to be resolved."""
-
-
-DEFAULT = CertifySettings()

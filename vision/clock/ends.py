@@ -92,13 +92,17 @@ def find_breaks(
     recorded = time[usable(flag)]
     slips = slips.part((slips.time_s > recorded[0]) & (slips.time_s < recorded[-1]))
     common = max(frame_s[0], recorded[0]), min(frame_s[-1], recorded[-1])
-    inside = _Span(*common, _gaps(time, flag))
-    breaks = [_break(slips, drops, found, inside, 1), _break(slips.reverse, drops, found, inside, -1)]
-    return [each for each in breaks if each]
+    before, after = _gaps(time, flag)
+    forwards = _break(slips, drops, found, after[after > common[0]], 1)
+    backwards = _break(slips.reverse, drops, found, -before[before < common[1]], -1)
+    return [each for each in (forwards, backwards) if each]
 
 
-def _break(slips: _Slips, drops: pd.DataFrame, found: Alignments, common: _Span, sign: int) -> Break | None:
-    """The break at the beginning (sign 1), or at the end (-1) of slips in reverse."""
+def _break(slips: _Slips, drops: pd.DataFrame, found: Alignments, gap_s: Floats, sign: int) -> Break | None:
+    """The break at the beginning (sign 1), or at the end (-1) of slips in reverse.
+
+    gap_s: the ends of the recording's gaps in the film, in reverse for sign -1.
+    """
     settings, period = found.settings, found.trains.period_s
     lead = _lead(slips, settings)
     last = int(np.argmax(lead)) if lead.size else 0
@@ -106,28 +110,13 @@ def _break(slips: _Slips, drops: pd.DataFrame, found: Alignments, common: _Span,
     if not lead.max(initial=0.0) > settings.least_gap_lead or not agreeing.size:
         return None
     slip = float(slips.time_s[agreeing[0]])
-    if not lead.max() > settings.least_end_lead and not common.gap_before(slip, sign):
+    if not lead.max() > settings.least_end_lead and not (gap_s < slip).any():
         return None
     drop = np.sort(sign * drops["time_s"].to_numpy())
     earlier = drop[drop < slip - period / 4].max(initial=slip - period)
     outside = slips.part(np.arange(lead.size) <= last)
     film, force = int(np.sum(~outside.of_force)), int(np.sum(~outside.of_film))
     return Break(sign * 0.5 * (earlier + slip), sign * slip, sign < 0, film, force)
-
-
-@dataclass(frozen=True)
-class _Span:
-    """The time that both recordings cover, and the gaps of the force recording; s, on the force clock."""
-
-    start_s: float
-    stop_s: float
-    gaps_s: Floats  # the samples before and after each gap, (2, gaps)
-
-    def gap_before(self, time_s: float, sign: int) -> bool:
-        """Whether a gap lies between the start and this time; for sign -1 both in reverse."""
-        near = self.gaps_s[1] if sign > 0 else -self.gaps_s[0]
-        start = self.start_s if sign > 0 else -self.stop_s
-        return bool(np.any((near > start) & (near < time_s)))
 
 
 def _gaps(time_s: Floats, flag: Strings) -> Floats:

@@ -18,6 +18,7 @@ from typing import Any
 import matplotlib.artist
 import xarray as xr
 
+from vision.checks import flag_counts
 from vision.command.console import attempt, complain, frame_progress, in_columns, say
 from vision.command.options import ForceOptions, RunOptions, TestOptions, flag_of, option_names
 from vision.command.review import keep_first_view
@@ -25,12 +26,12 @@ from vision.command.settings import merged, settings_of
 from vision.data import MEASURED, StripMetadata
 from vision.errors import InputError
 from vision.figures.style import counted
-from vision.files import answered, no_such_file
+from vision.files import TIFF, answered, no_such_file
 from vision.folder import check_target
 from vision.pipeline import Analysis, Settings, analyse, track_strip
 from vision.run import FAILURES, Checkpoint, Checksums, Origin, Parameter, describe_input, is_run, write_run
 from vision.sheets.corrections import read_decisions
-from vision.summary import aligned, findings, flag_counts, noise_figures
+from vision.summary import aligned, findings, noise_figures
 from vision.video import Follow, open_video, video_files
 from vision.video.raw import PIXELS, is_photron
 from vision.video.stacks import IMAGES
@@ -293,7 +294,7 @@ def _is_still(path: Path) -> bool:
     """Tell whether a file holds a single image; a TIFF of several pages is a film."""
     if path.suffix.lower() not in IMAGES or not path.is_file():
         return False
-    if path.suffix.lower() not in (".tif", ".tiff"):
+    if path.suffix.lower() not in TIFF:
         return True
     try:
         return (open_video(path).expected or 0) == 1

@@ -14,6 +14,7 @@ import numpy as np
 import xarray as xr
 
 from vision.certify import CertifySettings, certify_run, statements, write_certificate
+from vision.checks import flag_counts
 from vision.command.console import complain, conclude, frame_progress, in_columns
 from vision.command.options import (
     CompareOptions,
@@ -56,7 +57,6 @@ from vision.sheets.tracks import LOSSY
 from vision.spacetime import Sheet, space_time
 from vision.summary import (
     aligned,
-    flag_counts,
     frame_rate_text,
     noise_figures,
     other_flags,

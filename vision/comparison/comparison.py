@@ -13,6 +13,7 @@ import pandas as pd
 
 from vision.comparison.figures import compare_figures, compare_sections, velocity
 from vision.comparison.joint import (
+    JOINT_ERROR,
     QUANTITIES,
     Collapse,
     CompareSettings,
@@ -290,7 +291,7 @@ def answers(found: Comparison) -> list[Answer]:
     boxes = [
         Answer(
             f"one μ of {one.sample or 'all tests'}",
-            both_errors(one.mu) if one.fits else "none fits the tests",
+            both_errors(one.mu, JOINT_ERROR) if one.fits else "none fits the tests",
             f"for {len(one.runs)} tests{_joint_detail(one)}",
             doubt=one.disagrees or bool(one.at_limit),
         )

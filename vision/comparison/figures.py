@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from vision.comparison.joint import with_word
+from vision.comparison.joint import JOINT_ERROR, with_word
 from vision.comparison.runs import TractionTest
 from vision.comparison.trends import SYMBOLS, Trend
 from vision.errors import InputError
@@ -99,7 +99,7 @@ def peaks_figure(found: Comparison, events: pd.DataFrame) -> Figure:
         series = (*series, eq1)
         whose = f"fitted jointly to {joint.sample or 'all tests'}" if joint else "of the first test"
         t_star = f"T* = {1000 * sample.t_star_N:g} mN"
-        model = f"Dashed: Eq. 1 with μ = {both_errors(mu)}, {whose}, {t_star}."
+        model = f"Dashed: Eq. 1 with μ = {both_errors(mu, JOINT_ERROR)}, {whose}, {t_star}."
     return Figure.of(
         "peaks",
         Panel(x_label="d_p (mm)", y_label="F_p − 𝒯_0 (N)", series=series),
@@ -159,13 +159,19 @@ def _velocity_name(speed_mm_min: float) -> str:
 
 
 def _points(found: Comparison, events: pd.DataFrame, x: str, y: str) -> tuple[Series, ...]:
-    """Return used events by velocity, or by test if no single μ fits them; unused ones hollow and grey."""
+    """Return used events by velocity and sample, or by test if no single μ fits them; unused ones hollow and
+    grey. More than `MOST_COLOURS` velocities and samples are shown by velocity."""
     used, rest = events[events["used"]], events[~events["used"]].sort_values(x)
     if found.main and not found.main.fits:
         series = _by_test(used, x, y)
     else:
-        used = used.sort_values("V_mm_min")
-        series = _by_name(used, used["V_mm_min"].map(_velocity_name), x, y)
+        used = used.sort_values(["V_mm_min", "sample"])
+        key = speed = used["V_mm_min"].map(_velocity_name)
+        if len(set(used["sample"])) > 1:
+            sample = used["sample"].replace("", "sample not named")
+            both = sample + ", " + speed if len(set(speed)) > 1 else sample
+            key = both if both.nunique() <= MOST_COLOURS else speed
+        series = _by_name(used, key, x, y)
     if len(rest):
         series = (*series, Series.points("not used", rest[x], rest[y], QUIET, hollow=True))
     return series

@@ -27,6 +27,8 @@ from vision.numeric import Bools, Floats, rms, two_digits
 from vision.sample import Sample
 
 DISAGREES = 4.0  # χ²/dof of the individual μ above which the tests are reported to differ
+JOINT_ERROR = "stat. and d_0"
+"""What the error of a joint μ contains."""
 QUANTITIES = ("mu", "T0_N", "A", "N_hat_N", "Lambda_hat_mm")  # columns of tests.csv
 
 

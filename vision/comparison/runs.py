@@ -21,6 +21,7 @@ from vision.errors import InputError, check_kind
 from vision.files import AGAIN, check_regular, reading, shortened
 from vision.numeric import Floats
 from vision.run import RunFolder, is_run, read_run
+from vision.run.provenance import checksum_of
 from vision.run.reading import read_json
 from vision.sample import PUBLISHED, Sample
 
@@ -245,8 +246,8 @@ def _check_unique(run: RunFolder, name: str, recordings: dict[Any, str]) -> None
     """
     source = (run.facts.get("force") or {}).get("source")
     inputs = run.facts.get("inputs") or ()
-    marks = [one.get("sha256") or one.get("fingerprint") for one in inputs if one.get("path") == source]
-    if not marks or marks[0] is None:
+    marks = [checksum_of(one) for one in inputs if one.get("path") == source]
+    if not any(marks[:1]):
         return
     other = recordings.setdefault(marks[0], name)
     if other != name:

@@ -32,11 +32,9 @@ from vision.experiment.mechanics import (
     simulate_pull,
 )
 from vision.experiment.settings import Experiment, RidgeShape
-from vision.numeric import Floats, Floats32, Ints
+from vision.numeric import FWHM, Floats, Floats32, Ints
 
 # --- ridges -------------------------------------------------------------------------------------------------
-
-_FWHM_PER_SIGMA = float(np.sqrt(8 * np.log(2)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,7 +69,7 @@ def _light_up_to(u: Floats, ridges: RidgeAppearance) -> Floats:
     fwhm, side = ridges.fwhm_px[:, None], ridges.shoulder_side[:, None]
     if ridges.shape == "flat":
         return np.asarray(_soft_box(u, fwhm) * ridges.height[:, None])
-    sigma = fwhm / _FWHM_PER_SIGMA
+    sigma = fwhm / FWHM
     area = (sigma * np.sqrt(2 * np.pi)) * ridges.height[:, None]
     if ridges.shape == "gaussian":
         return np.asarray(area * scipy.special.ndtr(u / sigma))
@@ -339,7 +337,8 @@ class Scene:
         e = self.experiment
         travel = int(np.ceil(self._travel_px(slice(None)).max())) + 2
         noise = random_stream(e.seed, "texture").standard_normal((e.camera.height + travel, e.ridges_in_view))
-        smooth = scipy.ndimage.gaussian_filter1d(noise, e.optics.texture_px / 2.355, axis=0, mode="wrap")
+        sigma = e.optics.texture_px / 2.355  # FWHM, rounded as in the stored fixtures
+        smooth = scipy.ndimage.gaussian_filter1d(noise, sigma, axis=0, mode="wrap")
         smooth /= smooth.std() or 1.0
         return np.asarray(e.optics.texture * np.clip(smooth, -3, 3))
 

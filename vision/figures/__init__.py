@@ -11,7 +11,7 @@ from vision.figures.catalogue import (
     publication_figures_of,
     sections_of,
 )
-from vision.figures.figure import Arrow, Band, Figure, Image, Panel, Series, load_figures, save_figures
+from vision.figures.figure import Figure, Image, Panel, Series, load_figures, save_figures
 from vision.figures.force import clocks_figure, force_figure, force_overview_figure
 from vision.figures.positions import (
     deformation_figure,
@@ -24,8 +24,6 @@ from vision.figures.style import both_errors, percent, plus_minus
 
 __all__ = [
     "FIGURES",
-    "Arrow",
-    "Band",
     "Figure",
     "Image",
     "Panel",

@@ -114,10 +114,11 @@ def plus_minus(estimate: Estimate) -> str:
     return with_minus(f"{value:.{digits}f} ± {error:.{digits}f}")
 
 
-def both_errors(estimate: Estimate) -> str:
+def both_errors(estimate: Estimate, contained: str = "stat.") -> str:
     """Return a value with its statistical and, if known, its systematic error.
 
-    The smaller error has two digits, or one where the larger would have more than three.
+    The smaller error has two digits, or one where the larger would have more than three. contained: what the
+    first error contains.
     """
     systematic = estimate.systematic_error
     if not (math.isfinite(systematic) and systematic > 0):
@@ -126,7 +127,9 @@ def both_errors(estimate: Estimate) -> str:
     least, most = (math.floor(math.log10(e)) for e in (min(known), max(known)))
     digits = max(0, -least, min(1 - least, 2 - most))
     error = f"{estimate.error:.{digits}f}" if math.isfinite(estimate.error) else "?"
-    return with_minus(f"{estimate.value:.{digits}f} ± {error} (stat.) ± {systematic:.{digits}f} (syst.)")
+    return with_minus(
+        f"{estimate.value:.{digits}f} ± {error} ({contained}) ± {systematic:.{digits}f} (syst.)"
+    )
 
 
 def counted(count: int, noun: str) -> str:

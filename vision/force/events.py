@@ -214,8 +214,8 @@ def _check_lowpass(lowpass_s: float | str, period_s: float, source: str) -> None
 class _SlipAnalysis:
     """What is known about a recording before its sticks are measured."""
 
-    corners: Corners
-    extremes: Extremes
+    corners: Corners  # corrected for the low-pass, if it is corrected for
+    extremes: Extremes  # of the load as recorded, about its own slips, which lag behind the corrected corners
     regime: Regime
     found: Lowpass  # low-pass that the transients suggest
     how: str  # as ``lowpass_how`` of `StickMetadata`
@@ -338,8 +338,7 @@ def _measure(
     corrected = find_corners(
         signal, slips, lowpass=found.samples, two_slopes=corners.two_slopes, settings=settings
     )
-    extremes = find_extremes(signal.clean, corrected.middle, corrected.length)
-    other = measure_sticks(signal, corrected, extremes, compliance, settings)
+    other = measure_sticks(signal, corrected, analysis.extremes, compliance, settings)
     return _with_bias(events, other), _lowpass_shares(events, other)
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -177,73 +179,66 @@ class _Blocks:
 
         tau in blocks; knee as a share of the stick.
         """
-        fitted, _ = self._parabola(tau).with_column(self._hinge(tau, knee))
+        fitted, _ = self._parabola.with_column(self._hinges(tau, (knee,)))
         fitted, length = fitted.with_column(self._transient(tau))
         with np.errstate(divide="ignore", invalid="ignore"):
-            return fitted.squares, fitted.along[-1] / length
+            return fitted.squares, fitted.along[:, -1] / length
 
     def over_knees(self, tau: float) -> list[float]:
         """Return the squared residuals for each of the knees; tau in blocks, 0 for no transient."""
-        common = self._parabola(tau)
+        common = self._parabola
         if tau:
             common, _ = common.with_column(self._transient(tau))
-        bent = (common.with_column(self._hinge(tau, knee))[0] for knee in self.knees if knee < 1)
-        return [*(fitted.squares for fitted in bent), common.squares]
+        _, along, _ = common.beside(self._hinges(tau, self.knees[:-1]))
+        return [*(common.squares - np.square(along).sum(axis=0)), common.squares]
 
-    def _begin(self, tau: float) -> Floats:
-        """Return where each stick begins: the low-pass delays the end of the slip by its time constant."""
-        return self.valley - (tau - self.corrected / self.size)
-
-    def _parabola(self, tau: float) -> _Directions:
-        """Fit a parabola to each row."""
-        begin, one = self._begin(tau)[:, None], self.known.astype(np.float64)
-        u = (np.arange(float(self.load.shape[1])) - begin) / (self.peak[:, None] - begin)
-        fitted = _Directions(self.load)
-        for column in (one, u * one, u**2 * one):
-            fitted, _ = fitted.with_column(column)
+    @cached_property
+    def _parabola(self) -> _Directions:
+        """A parabola fitted to each row."""
+        u = (np.arange(float(self.load.shape[1])) - self.valley[:, None]) / (self.peak - self.valley)[:, None]
+        fitted = _Directions(self.load, np.empty((len(u), 0, u.shape[1])), np.empty((len(u), 0)))
+        for power in range(3):
+            fitted, _ = fitted.with_column((u**power * self.known)[:, None])
         return fitted
 
-    def _hinge(self, tau: float, knee: float) -> Floats:
-        """Return what rises linearly from the knee on, after the low-pass."""
-        begin = self._begin(tau)
-        at_knee = begin + knee * (self.peak - begin)
-        return lagged_hinge(np.arange(float(self.load.shape[1])) - at_knee[:, None], tau) * self.known
+    def _hinges(self, tau: float, knees: Sequence[float]) -> Floats:
+        """Return what rises linearly from each of the knees on, after the low-pass: (stick, knee, block)."""
+        begin = self.valley - (tau - self.corrected / self.size)  # the low-pass delays the end of the slip
+        at_knee = begin[:, None] + np.asarray(knees) * (self.peak - begin)[:, None]
+        block = np.arange(float(self.load.shape[1]))
+        return lagged_hinge(block - at_knee[..., None], tau) * self.known[:, None]
 
     def _transient(self, tau: float) -> Floats:
-        return np.exp(-np.arange(float(self.load.shape[1])) / tau) * self.known
+        return (np.exp(-np.arange(float(self.load.shape[1])) / tau) * self.known)[:, None]
 
 
 @dataclass(frozen=True)
 class _Directions:
     """Orthonormal directions in the space of each row, and the load along them.
 
-    Modified Gram-Schmidt treats all rows at once; LAPACK's QR of each small matrix takes three times as long.
+    Gram-Schmidt treats all rows at once; LAPACK's QR of each small matrix takes three times as long.
     """
 
     load: Floats  # (row, block)
-    directions: tuple[Floats, ...] = ()  # each (row, block)
-    along: tuple[Floats, ...] = ()  # each (row,)
+    directions: Floats  # (row, direction, block)
+    along: Floats  # (row, direction)
+
+    def beside(self, columns: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return the direction of what each column (row, column, block) has beside the directions, 0 if that
+        is only rounding; the load along it; and the norm of this part."""
+        rest = columns - (columns @ self.directions.swapaxes(1, 2)) @ self.directions
+        length = np.linalg.norm(rest, axis=2)
+        independent = length > 1e-6 * np.linalg.norm(columns, axis=2)  # less is rounding, magnified
+        new = rest * np.divide(1, length, out=np.zeros_like(length), where=independent)[..., None]
+        return new, (new @ self.load[..., None])[..., 0], length
 
     def with_column(self, column: Floats) -> tuple[_Directions, Floats]:
-        """Add the direction of what a column has beside the others, 0 if that is only rounding.
-
-        Returns the norm of this part, too.
-        """
-        rest = column
-        for direction in self.directions:
-            rest = rest - _dot(direction, rest)[:, None] * direction
-        length = np.sqrt(_dot(rest, rest))
-        independent = length > 1e-6 * np.sqrt(_dot(column, column))  # less is rounding, magnified
-        new = rest * np.divide(1, length, out=np.zeros_like(length), where=independent)[:, None]
-        along = (*self.along, _dot(new, self.load))
-        return _Directions(self.load, (*self.directions, new), along), length
+        """Add the direction of one column, (row, 1, block); return the norm of its new part, too."""
+        new, along, length = self.beside(column)
+        directions = np.concatenate([self.directions, new], axis=1)
+        return _Directions(self.load, directions, np.concatenate([self.along, along], axis=1)), length[:, 0]
 
     @property
     def squares(self) -> float:
         """Squared residuals of all rows."""
         return float(np.sum(self.load**2) - np.sum(np.square(self.along)))
-
-
-def _dot(one: Floats, other: Floats) -> Floats:
-    """Return the scalar product of each row."""
-    return np.asarray(np.einsum("sw,sw->s", one, other), np.float64)

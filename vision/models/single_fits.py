@@ -7,7 +7,7 @@ All are weighted least squares with standard errors from the residuals.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -208,15 +208,15 @@ def fit_weighted(
     sigma: Floats | None,
     start: Sequence[float],
     *,
-    held: int | None = None,
+    held: Collection[int] = (),
 ) -> Fit:
     """Weighted least squares with White's covariance; without sigma, errors are a fraction of the model.
 
-    held: index of a parameter that keeps its start value and has no error.
+    held: indices of parameters that keep their start values and have no errors; all may be held.
     """
     value, width = np.array(start, float), np.abs(y) if sigma is None else sigma
-    fitted = np.arange(value.size) != held
-    scale = np.maximum(np.abs(value), 1e-3)
+    fitted = np.array([k not in held for k in range(value.size)])
+    scale, jacobian = np.maximum(np.abs(value), 1e-3), np.zeros((y.size, fitted.sum()))
 
     def deviation(q: Floats, w: Floats) -> Floats:
         every = value.copy()
@@ -224,16 +224,17 @@ def fit_weighted(
         return (model(every) - y) / w
 
     for _ in range(3 if sigma is None else 1):
-        found = scipy.optimize.least_squares(
-            deviation, value[fitted], args=(width,), x_scale=scale[fitted], xtol=1e-12, ftol=1e-12
-        )
-        value[fitted] = found.x
+        if fitted.any():
+            found = scipy.optimize.least_squares(
+                deviation, value[fitted], args=(width,), x_scale=scale[fitted], xtol=1e-12, ftol=1e-12
+            )
+            value[fitted], jacobian = found.x, np.asarray(found.jac, dtype=float)
+        residual = deviation(value[fitted], width)
         if sigma is None:
             width = np.maximum(np.abs(model(value)), 1e-6 * float(np.abs(y).max()))
-    residual, jacobian = np.asarray(found.fun, dtype=float), np.asarray(found.jac, dtype=float)
     bread = np.linalg.pinv(jacobian.T @ jacobian)
     meat = jacobian.T @ (jacobian * residual[:, np.newaxis] ** 2)
-    free = max(y.size - found.x.size, 1)
+    free = max(y.size - int(fitted.sum()), 1)
     neighbours = float(np.sum(np.diff(residual) ** 2) / (2 * max(residual.size - 1, 1)))
     chi2 = float(np.sum(residual**2) / free / neighbours) if neighbours > 0 else float("nan")
     goodness = Goodness(int(y.size), float(np.sqrt(np.mean((y / model(value) - 1) ** 2))), chi2)
@@ -265,7 +266,7 @@ def fit_peaks(
         peak,
         None,
         start[: 3 if free_t_star else 2],
-        held=None if mu is None else 0,
+        held=() if mu is None else (0,),
     )
 
 
@@ -299,9 +300,10 @@ def fit_stiffness(events: pd.DataFrame, sample: Sample, *, modulus_GPa: float | 
     misfit = [np.sum(((k - y * s) / sigma) ** 2) for y, s in zip(modulus, shapes, strict=True)]
     best = int(np.argmin(misfit))
     start = [float(np.log(trials[best])), modulus[best]]
-    fit = fit_weighted(model, k, sigma, start, held=None if modulus_GPa is None else 1)
+    given = () if modulus_GPa is None else (1,)
+    fit = fit_weighted(model, k, sigma, start, held=given)
     if fit.value[0] >= np.log(largest):
-        fit = fit_weighted(model, k, sigma, [float(np.log(largest)), float(fit.value[1])], held=0)
+        fit = fit_weighted(model, k, sigma, [float(np.log(largest)), float(fit.value[1])], held=(0, *given))
         fit.covariance[0, 0] = 1.0  # of log Λ̂: an error as large as Λ̂ itself
     scale = float(np.exp(fit.value[0]))
     jacobian = np.diag([scale, 1.0])

@@ -210,7 +210,9 @@ class ArrayStore:
         values = np.asarray(values, np.float64)
         if values.size <= PLAIN:
             return {"v": [float(f"{v:.8g}") if isfinite(v) else None for v in values.tolist()]}
-        start, slope = _line(values)
+        start = slope = 0.0
+        if np.isfinite(values).all() and (np.diff(values) >= 0).all():
+            start, slope = float(values[0]), float(values[-1] - values[0]) / (values.size - 1)
         residual = values - start - slope * np.arange(values.size)
         known = np.isfinite(residual)
         low, high = (
@@ -224,13 +226,6 @@ class ArrayStore:
     def blobs(self) -> list[str]:
         """Return all arrays in base64, in the order of their indices."""
         return [base64.b64encode(data).decode("ascii") for data in self._indices]
-
-
-def _line(values: Floats) -> tuple[float, float]:
-    """Return start and slope of the line from which an array's residuals are stored."""
-    if not np.isfinite(values).all() or (np.diff(values) < 0).any():
-        return 0.0, 0.0
-    return float(values[0]), float(values[-1] - values[0]) / (values.size - 1)
 
 
 def _script_safe(data: dict[str, Any]) -> str:
@@ -319,33 +314,31 @@ def _two_digits(error: float | None, unknown: str = "—") -> str:
 
 def provenance(facts: Mapping[str, Any]) -> list[FactsTable]:
     """Return tables of parameters, findings, manual decisions, inputs, versions and command."""
+    parameters = (
+        (name, "—" if one["value"] is None else str(one["value"]), str(one["how"]))
+        for name, one in facts.get("parameters", {}).items()
+    )
+    decisions = (
+        (str(one["text"]), str(one["date"])[:19].replace("T", " ") or "—")
+        for one in facts.get("corrections", ())
+    )
+    inputs = (
+        (
+            str(one["path"]),
+            str(one["size_bytes"]),
+            str(one.get("sha256") or f"{one['fingerprint']} (of its size and 64 MiB of it)"),
+        )
+        for one in facts.get("inputs", ())
+    )
     tables = [
-        FactsTable("Parameters", ("parameter", "value", "given or found"), tuple(_parameters(facts))),
+        FactsTable("Parameters", ("parameter", "value", "given or found"), tuple(parameters)),
         FactsTable("What was found", ("quantity", "value"), tuple(_texts(facts.get("found", {})))),
-        FactsTable("Manual decisions", ("decision", "date"), tuple(_decisions(facts))),
-        FactsTable("Inputs", ("file", "bytes", "SHA-256"), tuple(_inputs(facts))),
+        FactsTable("Manual decisions", ("decision", "date"), tuple(decisions)),
+        FactsTable("Inputs", ("file", "bytes", "SHA-256"), tuple(inputs)),
         FactsTable("Versions", ("package", "version"), tuple(_texts(facts.get("versions", {})))),
         FactsTable("Command", ("command line",), ((str(facts["command"]),),) if "command" in facts else ()),
     ]
     return [table for table in tables if table.rows]
-
-
-def _parameters(facts: Mapping[str, Any]) -> Iterable[tuple[str, ...]]:
-    for name, parameter in facts.get("parameters", {}).items():
-        value = parameter["value"]
-        yield name, "—" if value is None else str(value), str(parameter["how"])
-
-
-def _decisions(facts: Mapping[str, Any]) -> Iterable[tuple[str, ...]]:
-    for item in facts.get("corrections", ()):
-        yield str(item["text"]), str(item["date"])[:19].replace("T", " ") or "—"
-
-
-def _inputs(facts: Mapping[str, Any]) -> Iterable[tuple[str, ...]]:
-    for item in facts.get("inputs", ()):
-        whole = item.get("sha256")
-        digest = str(whole) if whole else f"{item['fingerprint']} (of its size and 64 MiB of it)"
-        yield str(item["path"]), str(item["size_bytes"]), digest
 
 
 def _texts(values: Mapping[str, Any]) -> Iterable[tuple[str, ...]]:

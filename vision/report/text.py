@@ -10,6 +10,7 @@ import pandas as pd
 import xarray as xr
 
 import vision
+from vision.checks import DOUBTFUL, flag_counts, why_left_out
 from vision.clock import Clock
 from vision.data import (
     MEASURED,
@@ -24,7 +25,7 @@ from vision.figures import Results, both_errors, percent, plus_minus
 from vision.figures.style import candidates_text, drift_text, offset_text
 from vision.models import Estimate, ModelFits
 from vision.sheets.tracks import LOSSY
-from vision.summary import AXIS_HOW, DOUBTFUL, flag_counts, noise_figures, why_left_out
+from vision.summary import AXIS_HOW, noise_figures
 
 PAPER = (
     "A. Plati, F. Restagno, C. Poulard, Stick-slip dynamics in an interleaved system with self-amplified "

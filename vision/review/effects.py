@@ -49,6 +49,7 @@ class Effects:
         """Return what a decision would change: positions near a frame, numbering, σ_x/Λ_st.
 
         frame: the frame shown by the page; if the decision does not contain it, its first frame is used.
+        ``concerned`` is the number of frames that the decision concerns, shown or not.
         Raises: InputError if the decision is not valid for this run.
         """
         decision = self.run.decision_of(request)
@@ -59,7 +60,14 @@ class Effects:
             near, rows = self._rows_for(decision, at)
             part = self.run.positions.copied(rows)
             after, _ = apply(part, _clipped(decision, part), self.run.diagram)
-            return {"text": decision.text(), **self._compared(after, at, near, rows)}
+            compared = self._compared(after, at, near, rows)
+            return {"text": decision.text(), "concerned": self._concerned(decision), **compared}
+
+    def _concerned(self, decision: Correction) -> int:
+        """Return the number of frames that a decision concerns, of which a preview shows those near one."""
+        stop = np.inf if decision.stop is None or decision.kind == "add" else decision.stop
+        first = decision.first if decision.kind in OF_STRETCHES else 0
+        return int(np.sum((self.run.positions.frame >= first) & (self.run.positions.frame < stop)))
 
     def preview_of(self, tracks: Path, frame: int) -> dict[str, Any]:
         """Return what another run's tracks.nc would change: positions near a frame, numbering, the stick."""

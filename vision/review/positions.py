@@ -20,7 +20,7 @@ from vision.numeric import Bools, Codes, Floats, Floats32, Ints, nan_median, nea
 from vision.review.recordings import Diagram
 from vision.review.tracks_file import StoredTracks
 from vision.run.tables import attrs_of_netcdf
-from vision.sheets.corrections import OF_SHEETS, Correction, check_there, follow_ridge, not_taken
+from vision.sheets.corrections import OF_SHEETS, Corrected, Correction, follow_ridge
 from vision.sheets.identities import WHYS
 from vision.sheets.numbering import number_sheets
 from vision.sheets.recovery import FLAGS, Flag, predicted_by_neighbours
@@ -162,7 +162,6 @@ MEDIAN_ROWS = 2000  # frames from which the median position of a sheet is comput
 SAME_RIDGE_PX = 2.0
 """Distance within which a position and the whole pixel of a candidate are the same ridge: fits end this close
 to their start. A larger value would join neighbours that are 4 px apart."""
-_EMPTY: Mapping[str, Any] = {"flag": Flag.MISSING, "why": 0}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -221,22 +220,18 @@ def apply(positions: Positions, decision: Correction, diagram: Diagram) -> tuple
         return _renumbered(replace(positions, attrs=attrs)), _step(positions, "numbered")
     if decision.kind not in OF_SHEETS:
         return positions, _step(positions, "numbered")
-    stop = np.inf if decision.stop is None else decision.stop
-    rows = np.flatnonzero((positions.frame >= decision.first) & (positions.frame < stop))
-    check_there(decision, rows, positions.frame, positions.sheets)
+    corrected = _CorrectedPositions(positions, diagram)
+    rows = corrected.rows_of(decision)
     if decision.kind == "add":
-        return _with_sheet(positions, decision, diagram)
+        (sheet,) = corrected.apply(decision)
+        before = _step(positions, "added", (sheet,))
+        side, n = (np.insert(one, sheet, 1) for one in (positions.side, positions.n))
+        return _renumbered(replace(positions, **corrected.arrays, side=side, n=n)), before
+    how = "deleted" if decision.kind == "delete" else "cells"
+    before = _step(positions, how, decision.sheets, slice(int(rows[0]), int(rows[-1]) + 1))
+    corrected.apply(decision)
     if decision.kind == "delete":
-        before = _step(positions, "deleted", decision.sheets, slice(0, len(positions.frame)))
         return _renumbered(_removed(positions, decision.sheets[0])), before
-    part = slice(int(rows[0]), int(rows[-1]) + 1)
-    before = _step(positions, "cells", decision.sheets, part)
-    if decision.kind == "swap":
-        for name in CELLS:
-            getattr(positions, name)[part, list(decision.sheets)] = before.arrays[name][:, ::-1]
-    else:
-        find = {"leave_out": _left_out, "accept": _accepted, "assign": _assigned}[decision.kind]
-        _put(positions, part, decision.sheets[0], *find(positions, decision, part, diagram))
     return positions, before
 
 
@@ -255,120 +250,67 @@ def undo(positions: Positions, step: UndoStep) -> Positions:
     return replace(positions, side=arrays["side"], n=arrays["n"], attrs=attrs)
 
 
-def _put(positions: Positions, rows: slice, sheet: int, x: Floats, flag: NDArray[Any]) -> None:
-    """Set positions and flags of one sheet, with its median error; clear the doubt where it is settled."""
-    known = positions.err_px[:, sheet][np.isfinite(positions.err_px[:, sheet])]
-    error = np.median(known) if known.size else np.nanmedian(_medians(positions.err_px))
-    settled = flag != Flag.DOUBTFUL
-    positions.x_px[rows, sheet] = x
-    positions.err_px[rows, sheet] = np.where(np.isfinite(x), error, np.nan)
-    positions.flag[rows, sheet] = flag
-    positions.why[rows, sheet] = np.where(settled, 0, positions.why[rows, sheet])
-    positions.withheld_px[rows, sheet] = np.where(settled, np.nan, positions.withheld_px[rows, sheet])
+class _CorrectedPositions(Corrected):
+    """Positions, in columns of the picture, whose ridges are searched in the diagram."""
 
+    def __init__(self, positions: Positions, diagram: Diagram) -> None:
+        super().__init__({name: getattr(positions, name) for name in CELLS}, "x_px", positions.frame)
+        self.positions, self.diagram, self.comb = positions, diagram, positions.comb(diagram)
 
-# --- ridges that are assigned to a sheet --------------------------------------------------------------------
+    def follow(self, correction: Correction, rows: Ints, without: int | None = None) -> tuple[Floats, Ints]:
+        """Follow a ridge block by block; each block starts where the ridge was last seen."""
+        origin, at = float(self.diagram.first_column), 0
+        ridge_px, owner = np.full(len(rows), np.nan), np.full(len(rows), -1)
+        while True:
+            block = slice(at, at + BLOCK)
+            part = slice(int(rows[block].min()), int(rows[block].max()) + 1)
+            ridges = self.positions.ridges(self.diagram, part)
+            x_px = self.positions.x_px[part] - np.float64(origin)
+            fitted_from = nearest_ridges(ridges.x_px, x_px, SAME_RIDGE_PX)
+            whole = np.where(np.isfinite(fitted_from), fitted_from, np.rint(x_px))
+            order = rows[block] - part.start
+            found, owner[block] = follow_ridge(
+                correction, order, whole, ridges, self.comb, without=without, origin_px=origin
+            )
+            ridge_px[block] = found + origin
+            last = int(np.flatnonzero(np.isfinite(found))[-1])
+            if block.stop >= len(rows) or last == 0:  # not found again in a whole block
+                return ridge_px, owner
+            at, correction = at + last, replace(correction, x_px=float(ridge_px[at + last]))
 
+    def put(self, rows: Ints, sheet: int, ridge_px: Floats, otherwise: Flag) -> None:
+        """Fit the ridges; the positions get the sheet's median error."""
+        error_px = self.arrays["err_px"]
+        known = error_px[:, sheet][np.isfinite(error_px[:, sheet])]
+        error = np.median(known) if known.size else np.nanmedian(_medians(error_px))
+        seen, x = np.isfinite(ridge_px), np.full(len(rows), np.nan)
+        x[seen] = self._fitted(ridge_px[seen], rows[seen])
+        fitted = np.isfinite(x)
+        values = {
+            "x_px": x,
+            "err_px": np.where(fitted, error, np.nan),
+            "withheld_px": np.nan,
+            "flag": np.where(seen, np.where(fitted, Flag.OK, Flag.UNFIT), otherwise),
+            "why": 0,
+        }
+        for name, one in values.items():
+            self.arrays[name][rows, sheet] = one
 
-def _left_out(
-    positions: Positions, decision: Correction, part: slice, diagram: Diagram
-) -> tuple[Floats, NDArray[Any]]:
-    """Return no positions for these rows."""
-    rows = part.stop - part.start
-    return np.full(rows, np.nan), np.full(rows, Flag.LEFT_OUT)
-
-
-def _accepted(
-    positions: Positions, decision: Correction, part: slice, diagram: Diagram
-) -> tuple[Floats, NDArray[Any]]:
-    """Return positions and flags of these rows, with the doubtful ridges fitted."""
-    sheet = decision.sheets[0]
-    x, flag = positions.x_px[part, sheet].astype(np.float64), positions.flag[part, sheet].copy()
-    doubtful = np.flatnonzero(flag == Flag.DOUBTFUL)
-    if not len(doubtful):
-        raise InputError(decision.name, "a doubtful stretch to accept", "none in these frames")
-    withheld = positions.withheld_px[part, sheet][doubtful] - np.float64(diagram.first_column)
-    x[doubtful] = _fitted(positions, np.rint(withheld), part.start + doubtful, diagram)
-    flag[doubtful] = np.where(np.isfinite(x[doubtful]), Flag.OK, Flag.UNFIT)
-    return x, flag
-
-
-def _assigned(
-    positions: Positions, decision: Correction, part: slice, diagram: Diagram
-) -> tuple[Floats, NDArray[Any]]:
-    """Return positions and flags of these rows, with the assigned ridge followed."""
-    start, other = _followed(positions, decision, part, diagram, without=decision.sheets[0])
-    if (other >= 0).any():
-        row = int((other >= 0).argmax())
-        raise not_taken(decision, int(positions.frame[part.start + row]), int(other[row]))
-    x = _fitted(positions, start, np.arange(part.start, part.stop), diagram)
-    return x, _flags(start, x)
-
-
-def _with_sheet(positions: Positions, decision: Correction, diagram: Diagram) -> tuple[Positions, UndoStep]:
-    """Add a sheet, followed from the given frame in both directions of time."""
-    row, frames = positions.row_of(decision.first), len(positions.frame)
-    start, other = np.full(frames, np.nan), np.full(frames, -1)
-    for part in (slice(row, frames), slice(0, row + 1)):
-        start[part], other[part] = _followed(positions, decision, part, diagram, back=part.start < row)
-    if other[row] >= 0:
-        raise not_taken(decision, decision.first, int(other[row]))
-    start[other >= 0] = np.nan
-    x = _fitted(positions, start, np.arange(frames), diagram)
-    here = positions.x_px[row]
-    others = np.where(np.isfinite(here), here, median_positions(positions))
-    sheet = int((others < start[row] + diagram.first_column).sum())
-    wider = _inserted(positions, sheet, _EMPTY)
-    more = replace(wider, side=np.insert(positions.side, sheet, 1), n=np.insert(positions.n, sheet, 1))
-    _put(more, slice(0, frames), sheet, x, _flags(start, x))
-    return _renumbered(more), _step(positions, "added", (sheet,))
-
-
-def _flags(start: Floats, x: Floats) -> NDArray[Any]:
-    """Return the flags of a sheet with ridges `start` and fitted positions `x`."""
-    found = np.where(np.isfinite(x), Flag.OK, Flag.UNFIT)
-    return np.where(np.isfinite(start), found, Flag.MISSING)
-
-
-def _followed(
-    positions: Positions,
-    decision: Correction,
-    part: slice,
-    diagram: Diagram,
-    *,
-    without: int | None = None,
-    back: bool = False,
-) -> tuple[Floats, Ints]:
-    """Follow a ridge through these rows.
-
-    Return its whole pixels, NaN where it is lost, and the sheet that has this ridge already, -1 if none. A
-    block of rows starts where the ridge was last seen. `without`: sheet to ignore. `back`: backwards in time.
-    """
-    comb, origin = positions.comb(diagram), float(diagram.first_column)
-    start, other = np.full(len(positions.frame), np.nan), np.full(len(positions.frame), -1)
-    at, wanted = (part.stop - 1 if back else part.start), decision
-    while True:
-        first, stop = (at + 1 - BLOCK, at + 1) if back else (at, at + BLOCK)
-        rows = slice(max(part.start, first), min(part.stop, stop))
-        ridges = positions.ridges(diagram, rows)
-        x_px = positions.x_px[rows] - np.float64(origin)
-        fitted_from = nearest_ridges(ridges.x_px, x_px, SAME_RIDGE_PX)
-        owned = np.where(np.isfinite(fitted_from), fitted_from, np.rint(x_px))
-        if without is not None:
-            owned[:, without] = np.nan
-        order = np.arange(rows.stop - rows.start)[:: -1 if back else 1]
-        found = np.empty(len(order))
-        found[order] = follow_ridge(wanted, order, owned, ridges, comb, origin_px=origin)
-        start[rows] = found
-        shared = owned == found[:, None]
-        other[rows] = np.where(shared.any(axis=1), shared.argmax(axis=1), -1)
-        if (rows.start == part.start) if back else (rows.stop == part.stop):
-            return start[part], other[part]
-        seen = np.flatnonzero(np.isfinite(found))
-        last = int(seen[0] if back else seen[-1])
-        if rows.start + last == at:  # not found again in a whole block
-            return start[part], other[part]
-        at, wanted = rows.start + last, replace(decision, x_px=float(found[last]) + origin)
+    def _fitted(self, ridge_px: Floats, rows: Ints) -> Floats:
+        """Fit subpixel positions to ridges in these rows."""
+        facts, first_column = self.positions.track_facts, self.diagram.first_column
+        fit: FitName = "paper" if facts.fit == "paper" else "sliding"
+        start, x = np.rint(ridge_px - np.float64(first_column)), np.empty(len(rows))
+        for begin in range(0, len(rows), BLOCK):
+            part = slice(begin, begin + BLOCK)
+            first, stop = int(rows[part].min()), int(rows[part].max()) + 1
+            profile = self.diagram.rows(self.positions.first_row + first, self.positions.first_row + stop)
+            bright = self.comb.bright(profile[rows[part] - first])
+            found, _ = fit_sheets(
+                bright, start[part, None], fit=fit, window_px=facts.window_px, comb=self.comb
+            )
+            x[part] = found[:, 0]
+        return x + first_column
 
 
 def nearest_ridges(ridges_px: NDArray[np.floating], targets: Floats, reach: float) -> Floats:
@@ -378,21 +320,6 @@ def nearest_ridges(ridges_px: NDArray[np.floating], targets: Floats, reach: floa
         best, distance = nearest(ridges_px, at)
         out[:, k] = np.where(distance <= reach, ridges_px[np.arange(len(at)), best], np.nan)
     return out
-
-
-def _fitted(positions: Positions, start_px: Floats, rows: Ints, diagram: Diagram) -> Floats:
-    """Fit subpixel positions, in columns of the picture, to ridges at whole pixels in these rows."""
-    comb, facts = positions.comb(diagram), positions.track_facts
-    fit: FitName = "paper" if facts.fit == "paper" else "sliding"
-    x = np.full(len(rows), np.nan)
-    for begin in range(0, len(rows), BLOCK):
-        part = slice(begin, begin + BLOCK)
-        first, last = int(rows[part][0]), int(rows[part][-1]) + 1
-        profile = diagram.rows(positions.first_row + first, positions.first_row + last)[rows[part] - first]
-        bright = comb.bright(profile)
-        found, _ = fit_sheets(bright, start_px[part, None], fit=fit, window_px=facts.window_px, comb=comb)
-        x[part] = found[:, 0]
-    return x + diagram.first_column
 
 
 # --- sheets and axis ----------------------------------------------------------------------------------------
@@ -416,7 +343,6 @@ def _removed(positions: Positions, sheet: int) -> Positions:
 
 
 def _inserted(positions: Positions, sheet: int, values: Mapping[str, Any]) -> Positions:
-    """Insert a column with these values, NaN for arrays that are not among them."""
-    earlier = {name: getattr(positions, name) for name in CELLS}
-    cells = {k: np.insert(one, sheet, values.get(k, np.nan), axis=1) for k, one in earlier.items()}
+    """Insert a column with these values."""
+    cells = {name: np.insert(getattr(positions, name), sheet, values[name], axis=1) for name in CELLS}
     return replace(positions, **cells)

@@ -6,7 +6,6 @@ slip and every thin ridge.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -23,10 +22,11 @@ from vision.clock import Clock
 from vision.errors import InputError
 from vision.figures.decimate import grey_levels, grey_limits, minmax_decimate
 from vision.files import AGAIN, Stamp
-from vision.folder import RUN_JSON, lock_open_file, unwritable
+from vision.folder import RUN_JSON, held_elsewhere, unwritable
 from vision.numeric import Floats, Floats32, Pixels, spread_indices
 from vision.pipeline import Settings, open_force, open_recording
 from vision.run.diagrams import stored_kymograph
+from vision.run.provenance import checksum_of
 from vision.run.reading import RunFolder, read_json
 from vision.sheets.corrections import Correction, correction_of
 from vision.sheets.settings import TrackingSettings
@@ -69,8 +69,7 @@ class StoredRun(RunFolder):
     @property
     def film_checksum(self) -> str:
         """Checksum or fingerprint of the film in run.json."""
-        first: dict[str, Any] = next(iter(self.facts.get("inputs") or []), {})
-        return str(first.get("sha256") or first.get("fingerprint") or "")
+        return checksum_of(next(iter(self.facts.get("inputs") or []), {}))
 
     @property
     def applied(self) -> list[Correction]:
@@ -89,31 +88,18 @@ def _as_entry(facts: Mapping[str, Any]) -> dict[str, Any]:
 
 def decided_clock(earlier: Clock | None, decision: Correction) -> Clock:
     """Return the clock of a decision. Its counts of slips remain the earlier ones until the run is saved."""
-    none = Clock(
-        offset_s=0.0, drift_ppm=0.0, unmatched_video=0, unmatched_force=0, status="given", how="given"
-    )
-    return replace(
-        earlier or none,
-        offset_s=decision.offset_s or 0.0,
-        drift_ppm=decision.drift_ppm,
-        only_video_s=(),
-        matched_s=(),
-        holds_from_s=math.nan,
-        holds_to_s=math.nan,
-        status="given",
-        how="given",
-        error_ms=math.nan,
-        drift_err_ppm=math.nan,
-        offset_err_s=math.nan,
-        ambiguity="",
-    )
+    kept = ("residual_ms", "matched", "unmatched_video", "unmatched_force", "margin", "candidates")
+    known: dict[str, Any] = {"unmatched_video": 0, "unmatched_force": 0}
+    known |= {name: getattr(earlier, name) for name in (*kept, "warnings")} if earlier else {}
+    offset_s, drift_ppm = decision.offset_s or 0.0, decision.drift_ppm
+    return Clock(offset_s=offset_s, drift_ppm=drift_ppm, status="given", how="given", **known)
 
 
 def claim(folder: Path) -> IO[str]:
     """Lock a run folder for this review; closing the returned file unlocks it.
 
     The file lies beside the folder, because saving replaces the folder. The lock ends with the process,
-    however that ends. On systems without such locks (Windows) nothing is locked.
+    however that ends. Where there are no such locks (Windows, some file servers) nothing is locked.
 
     Raises: InputError if another process reviews the run, or the file cannot be written.
     """
@@ -123,12 +109,10 @@ def claim(folder: Path) -> IO[str]:
         file = path.open("w", encoding="utf-8")
     except OSError as error:
         raise unwritable(path, error, "copy the run folder") from error
-    try:
-        lock_open_file(file.fileno())
-    except OSError:
+    if held_elsewhere(file.fileno()):
         file.close()
         found, advice = "a review of it that is open", "go to its window, or end it there"
-        raise InputError(folder, "a run that nobody reviews now", found, advice) from None
+        raise InputError(folder, "a run that nobody reviews now", found, advice)
     return file
 
 

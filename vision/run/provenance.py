@@ -122,6 +122,11 @@ def describe_input(
     return {"path": str(path), "size_bytes": size, "modified_s": modified, kind: digest.hexdigest()}
 
 
+def checksum_of(described: Mapping[str, Any]) -> str:
+    """Return the SHA-256 or the fingerprint of an input that `describe_input` described; "" for neither."""
+    return str(described.get("sha256") or described.get("fingerprint") or "")
+
+
 class Checksums:
     """Hash all bytes of the inputs while the film is read, so that the disk reads each byte only once.
 

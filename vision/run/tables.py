@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from pyarrow import csv
 from vision.files import harmless_table
 
 _JSON = ("[", "{", '"')  # first character of an attribute that is read back as JSON
-ROWS_PER_CHUNK = 500_000  # of tracks.csv, so that memory does not grow with the recording
+ROWS_PER_CHUNK = 500_000  # of the table of positions that are in memory
 ROWS_PER_BATCH = 1 << 15  # formatted at once: Arrow's 1024 take a quarter longer
 
 
@@ -31,19 +31,22 @@ def write_tracks_csv(
     Positions have four decimals and are empty if not measured. Arrow writes five times as fast as pandas: a
     test of 100 000 frames has five million rows.
     """
-    sheets = max(1, tracks.sizes["sheet"])
-    step = max(1, ROWS_PER_CHUNK // sheets)
     style = csv.WriteOptions(include_header=False, quoting_style="none", batch_size=ROWS_PER_BATCH)
     with path.open("wb") as file:
-        for start in range(0, tracks.sizes["frame"], step):
+        for k, columns in enumerate(columns_in_parts(tracks, pixel_size_um)):
             if stop is not None and stop.is_set():
                 return
-            part = tracks.isel(frame=slice(start, start + step))
-            columns = tracks_columns(part, pixel_size_um=pixel_size_um)
-            if start == 0:
+            if k == 0:
                 file.write((",".join(columns) + "\n").encode())
             table = {name: pa.array(values, from_pandas=True) for name, values in columns.items()}
             csv.write_csv(pa.table(table), file, style)
+
+
+def columns_in_parts(tracks: xr.Dataset, pixel_size_um: float | None) -> Iterator[dict[str, NDArray[Any]]]:
+    """Yield `tracks_columns` of `ROWS_PER_CHUNK` rows at a time, so that memory does not grow."""
+    step = max(1, ROWS_PER_CHUNK // max(1, tracks.sizes["sheet"]))
+    for start in range(0, max(1, tracks.sizes["frame"]), step):
+        yield tracks_columns(tracks.isel(frame=slice(start, start + step)), pixel_size_um=pixel_size_um)
 
 
 def tracks_table(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> pd.DataFrame:

@@ -12,6 +12,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from vision.checks import flag_counts
 from vision.data import ForceMetadata, StickMetadata, StripMetadata
 from vision.figures import (
     FIGURES,
@@ -26,13 +27,13 @@ from vision.folder import run_folder, write_json
 from vision.pipeline import Analysis
 from vision.report import write_report
 from vision.run.diagrams import write_kymograph_tif
-from vision.run.provenance import Origin
+from vision.run.provenance import Origin, checksum_of
 from vision.run.tables import sheets_table, write_table, write_tracks_csv, write_tracks_nc
 from vision.sample import PUBLISHED
 from vision.sheets import doubtful_stretches
 from vision.sheets.corrections import Decisions, corrections_text, ordered
 from vision.shells import deformation_table
-from vision.summary import findings, flag_counts, noise_figures
+from vision.summary import findings, noise_figures
 from vision.systematics import systematic_budget
 
 FAILURES = "failures.txt"
@@ -99,8 +100,7 @@ def _write_decisions(
     analysis: Analysis, folder: Path, content: Mapping[str, Any], decisions: Decisions | None
 ) -> None:
     """Write corrections.toml, if there are any decisions."""
-    film: Mapping[str, Any] = next(iter(content["inputs"]), {})
-    checksum = str(film.get("sha256") or film.get("fingerprint") or "")
+    checksum = checksum_of(next(iter(content["inputs"]), {}))
     written = decisions or Decisions(corrections=ordered(analysis.settings.corrections), film=checksum)
     if written.corrections or written.undone:
         (folder / CORRECTIONS).write_text(corrections_text(written), encoding="utf-8")

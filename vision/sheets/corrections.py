@@ -49,9 +49,10 @@ effect.
 from __future__ import annotations
 
 import json
+from abc import ABC, abstractmethod
 from bisect import bisect_left
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
 from datetime import date as day
 from pathlib import Path
@@ -343,7 +344,135 @@ def _date(value: Any, name: str) -> str:
 
 # --- application --------------------------------------------------------------------------------------------
 
-_TABLES = ("start_px", "contrast", "fwhm_px", "flag", "why", "withheld_px")
+
+class Corrected(ABC):
+    """Sheets to which corrections are applied: their positions and what else is stored of them.
+
+    arrays: (frame, sheet), with at least flag, why and withheld_px; changed in place, and replaced where a
+    sheet is added or deleted. position: which of them has the positions. frames: their numbers in the film.
+    """
+
+    def __init__(self, arrays: dict[str, Any], position: str, frames: Ints) -> None:
+        self.arrays, self.position, self.frames = arrays, position, frames
+
+    @abstractmethod
+    def follow(self, correction: Correction, rows: Ints, without: int | None = None) -> tuple[Floats, Ints]:
+        """Follow the correction's ridge through these rows as `follow_ridge` does."""
+
+    @abstractmethod
+    def put(self, rows: Ints, sheet: int, ridge_px: Floats, otherwise: Flag) -> None:
+        """Give these ridges to a sheet, and the flag `otherwise` where the ridge is NaN; no doubt remains."""
+
+    def rows_of(self, correction: Correction) -> Ints:
+        """Return the rows of a correction.
+
+        Raises
+        ------
+        InputError
+            For a sheet or frames that do not exist.
+        """
+        sheets, end = self.arrays["flag"].shape[1], int(self.frames[-1]) + 1
+        stop = end if correction.stop is None else correction.stop
+        rows = np.flatnonzero((self.frames >= correction.first) & (self.frames < stop))
+        if max(correction.sheets, default=0) >= sheets:
+            raise InputError(correction.name, f"a sheet from 0 to {sheets - 1}", str(max(correction.sheets)))
+        if correction.kind != "delete" and len(rows) < max(1, stop - correction.first):
+            found = f"{correction.first}:{stop}"
+            raise InputError(correction.name, f"frames within {self.frames[0]}:{end}", found)
+        return rows
+
+    def apply(self, correction: Correction) -> tuple[int, ...]:
+        """Apply a correction of the sheets; return which sheets it concerns.
+
+        Raises
+        ------
+        InputError
+            As `apply_corrections`. Nothing is changed then.
+        """
+        rows, sheets = self.rows_of(correction), correction.sheets
+        match correction.kind:
+            case "add":
+                return (self._add(correction, int(rows[0])),)
+            case "delete":
+                self.arrays = {name: np.delete(one, sheets[0], axis=1) for name, one in self.arrays.items()}
+            case "swap":
+                pair = list(sheets)
+                for one in self.arrays.values():
+                    one[rows[:, None], pair] = one[rows[:, None], pair[::-1]]
+            case "leave_out":
+                self.put(rows, sheets[0], np.full(len(rows), np.nan), Flag.LEFT_OUT)
+            case "accept":
+                rows = rows[self.arrays["flag"][rows, sheets[0]] == Flag.DOUBTFUL]
+                if not len(rows):
+                    raise InputError(correction.name, "a doubtful stretch to accept", "none in these frames")
+                self.put(rows, sheets[0], self.arrays["withheld_px"][rows, sheets[0]], Flag.MISSING)
+            case "assign":
+                ridge_px, owner = self.follow(correction, rows, without=sheets[0])
+                _check_free(correction, self.frames[rows], owner)
+                self.put(rows, sheets[0], ridge_px, Flag.MISSING)
+        return sheets
+
+    def _add(self, correction: Correction, row: int) -> int:
+        """Insert a sheet at its position among the others; return its index.
+
+        It is "missing" in frames in which its ridge is lost or is another sheet's.
+        """
+        others = self.arrays[self.position]
+        frames = np.arange(len(others))
+        ridge_px, owner = np.full(len(others), np.nan), np.full(len(others), -1)
+        for rows in (frames[row:], frames[row::-1]):
+            ridge_px[rows], owner[rows] = self.follow(correction, rows)
+        _check_free(correction, self.frames[[row]], owner[[row]])
+        ridge_px[owner >= 0] = np.nan
+        usual = others[row].astype(np.float64)
+        unseen = np.isnan(usual)
+        usual[unseen] = nan_median(others[:, unseen])
+        sheet = int((usual < ridge_px[row]).sum())
+        empty = {"flag": Flag.MISSING, "why": Doubt.NONE}
+        self.arrays = {
+            name: np.insert(one, sheet, empty.get(name, np.nan), axis=1) for name, one in self.arrays.items()
+        }
+        self.put(frames, sheet, ridge_px, Flag.MISSING)
+        return sheet
+
+
+def _check_free(correction: Correction, frames: Ints, owner: Ints) -> None:
+    """Refuse a ridge that is another sheet's in one of these frames."""
+    if (owner >= 0).any():
+        first = int((owner >= 0).argmax())
+        found = f"sheet {owner[first]}'s in frame {frames[first]}"
+        advice = "swap the two, or leave the other one out"
+        raise InputError(correction.name, "a ridge that is no other sheet's", found, advice)
+
+
+class _CorrectedDetections(Corrected):
+    """Detections, in columns of the profile, whose first pixel lies at column `origin_px` of the picture."""
+
+    def __init__(
+        self, detections: Detections, ridges: Ridges, comb: RidgeComb, frames: Ints, origin_px: float
+    ) -> None:
+        arrays = {part.name: np.array(getattr(detections, part.name)) for part in fields(detections)}
+        super().__init__(arrays, "start_px", frames)
+        self.ridges, self.comb, self.origin_px = ridges, comb, origin_px
+
+    def follow(self, correction: Correction, rows: Ints, without: int | None = None) -> tuple[Floats, Ints]:
+        others = self.arrays["start_px"]
+        return follow_ridge(
+            correction, rows, others, self.ridges, self.comb, without=without, origin_px=self.origin_px
+        )
+
+    def put(self, rows: Ints, sheet: int, ridge_px: Floats, otherwise: Flag) -> None:
+        known, (best, _) = np.isfinite(ridge_px), nearest(self.ridges.x_px[rows], ridge_px)
+        values = {
+            "start_px": ridge_px,
+            "contrast": np.where(known, self.ridges.contrast[rows, best], np.nan),
+            "fwhm_px": np.where(known, self.ridges.fwhm_px[rows, best], np.nan),
+            "flag": np.where(known, Flag.OK, otherwise),
+            "why": Doubt.NONE,
+            "withheld_px": np.nan,
+        }
+        for name, one in values.items():
+            self.arrays[name][rows, sheet] = one
 
 
 def apply_corrections(
@@ -368,81 +497,10 @@ def apply_corrections(
     """
     wanted = ordered([one for one in corrections if one.kind in OF_SHEETS])
     _check_unique(wanted)
-    arrays = {name: np.array(getattr(detections, name)) for name in _TABLES}
+    corrected = _CorrectedDetections(detections, ridges, comb, frames, origin_px)
     for correction in wanted:
-        rows = np.flatnonzero((frames >= correction.first) & (frames < (correction.stop or np.inf)))
-        check_there(correction, rows, frames, arrays["start_px"].shape[1])
-        if correction.kind in OF_STRETCHES:
-            _apply_to_stretch(correction, rows, arrays, ridges, comb, origin_px)
-        elif correction.kind == "delete":
-            arrays = {
-                name: np.delete(values, correction.sheets[0], axis=1) for name, values in arrays.items()
-            }
-        else:
-            arrays = _added(correction, int(rows[0]), arrays, ridges, comb, origin_px)
-    return replace(detections, **arrays)
-
-
-def _apply_to_stretch(
-    correction: Correction,
-    rows: Ints,
-    arrays: dict[str, Any],
-    ridges: Ridges,
-    comb: RidgeComb,
-    origin_px: float,
-) -> None:
-    """Apply a correction of one stretch of frames to the arrays, in place."""
-    sheet = correction.sheets[0]
-    if correction.kind == "swap":
-        for values in arrays.values():
-            one, other = (values[rows, k].copy() for k in correction.sheets)
-            values[rows, correction.sheets[0]], values[rows, correction.sheets[1]] = other, one
-    elif correction.kind == "leave_out":
-        _put(arrays, rows, sheet, np.full(len(rows), np.nan), ridges, Flag.LEFT_OUT)
-    elif correction.kind == "accept":
-        doubted = rows[arrays["flag"][rows, sheet] == Flag.DOUBTFUL]
-        if not len(doubted):
-            raise InputError(correction.name, "a doubtful stretch to accept", "none in these frames")
-        _put(arrays, doubted, sheet, arrays["withheld_px"][doubted, sheet], ridges, Flag.MISSING)
-    else:
-        others = np.delete(arrays["start_px"], sheet, axis=1)
-        x = follow_ridge(correction, rows, others, ridges, comb, origin_px=origin_px)
-        shared = np.argwhere(others[rows] == x[:, None])
-        if len(shared):
-            row, other = (int(place) for place in shared[0])
-            raise not_taken(correction, correction.first + row, other + (other >= sheet))
-        _put(arrays, rows, sheet, x, ridges, Flag.MISSING)
-
-
-def _added(
-    correction: Correction,
-    row: int,
-    arrays: dict[str, Any],
-    ridges: Ridges,
-    comb: RidgeComb,
-    origin_px: float,
-) -> dict[str, Any]:
-    """Return the arrays with one more sheet at its position among the others.
-
-    It is "missing" in frames in which its ridge is lost or is another sheet's.
-    """
-    others = arrays["start_px"]
-    frames = len(others)
-    x = np.full(frames, np.nan)
-    for rows in (np.arange(row, frames), np.arange(row, -1, -1)):
-        x[rows] = follow_ridge(correction, rows, others, ridges, comb, origin_px=origin_px)
-    shared = others == x[:, None]
-    if shared[row].any():
-        raise not_taken(correction, correction.first, int(shared[row].argmax()))
-    x[shared.any(axis=1)] = np.nan
-    usual = np.where(np.isfinite(others[row]), others[row], nan_median(others, axis=0))
-    sheet = int((usual < x[row]).sum())
-    empty = {"flag": Flag.MISSING, "why": Doubt.NONE}
-    wider = {
-        name: np.insert(values, sheet, empty.get(name, np.nan), axis=1) for name, values in arrays.items()
-    }
-    _put(wider, np.arange(frames), sheet, x, ridges, Flag.MISSING)
-    return wider
+        corrected.apply(correction)
+    return replace(detections, **corrected.arrays)
 
 
 def _check_unique(corrections: Sequence[Correction]) -> None:
@@ -456,30 +514,6 @@ def _check_unique(corrections: Sequence[Correction]) -> None:
                 raise InputError(one.name, "one decision per sheet and frame", found)
 
 
-def check_there(correction: Correction, rows: Ints, frames: Ints, sheets: int) -> None:
-    """Refuse a sheet or frames that do not exist (InputError); `rows` are those of the correction among
-    `frames`.
-    """
-    if max(correction.sheets, default=0) >= sheets:
-        raise InputError(correction.name, f"a sheet from 0 to {sheets - 1}", str(max(correction.sheets)))
-    stop = int(frames[-1]) + 1 if correction.stop is None else correction.stop
-    if correction.kind != "delete" and len(rows) < max(1, stop - correction.first):
-        there = f"frames within {frames[0]}:{frames[-1] + 1}"
-        raise InputError(correction.name, there, f"{correction.first}:{stop}")
-
-
-def _put(arrays: dict[str, Any], rows: Ints, sheet: int, x: Floats, ridges: Ridges, otherwise: Flag) -> None:
-    """Set the sheet's detection to x in these rows, and its flag to `otherwise` where x is NaN."""
-    known = np.isfinite(x)
-    best, _ = nearest(ridges.x_px[rows], x)
-    arrays["start_px"][rows, sheet] = x
-    arrays["contrast"][rows, sheet] = np.where(known, ridges.contrast[rows, best], np.nan)
-    arrays["fwhm_px"][rows, sheet] = np.where(known, ridges.fwhm_px[rows, best], np.nan)
-    arrays["flag"][rows, sheet] = np.where(known, Flag.OK, otherwise)
-    arrays["why"][rows, sheet] = Doubt.NONE
-    arrays["withheld_px"][rows, sheet] = np.nan
-
-
 def follow_ridge(
     correction: Correction,
     rows: Ints,
@@ -487,21 +521,25 @@ def follow_ridge(
     ridges: Ridges,
     comb: RidgeComb,
     *,
+    without: int | None = None,
     origin_px: float = 0.0,
-) -> Floats:
+) -> tuple[Floats, Ints]:
     """Follow a ridge from row to row, with the motion of the other sheets.
 
     In the first row it is the ridge nearest to the correction's x_px, a column of the picture, then the one
-    nearest to where that motion moves it. Return whole pixels, one per row; NaN where no ridge is near. rows:
-    rows of `others` and `ridges`, in the order in which the ridge is followed. others: whole pixels of the
-    other sheets, (frame, sheet).
+    nearest to where that motion moves it. Return whole pixels, one per row, NaN where no ridge is near; and
+    the sheet that has this ridge already, -1 for none. rows: rows of `others` and `ridges`, in the order in
+    which the ridge is followed. others: whole pixels of the sheets, (frame, sheet). without: one to ignore.
 
     Raises
     ------
     InputError
         If no ridge is near the column in the first row.
     """
-    moved = np.nan_to_num(nan_median(np.diff(others[rows], axis=0), axis=1))
+    others = others[rows]
+    if without is not None:
+        others[:, without] = np.nan
+    moved = np.nan_to_num(nan_median(np.diff(others, axis=0), axis=1))
     reach = comb.settings.faint_reach * comb.pitch_px
     travelled = np.concatenate([[0.0], np.cumsum(moved)])
     relative = ridges.x_px[rows] - travelled[:, None]  # relative to the other sheets
@@ -518,10 +556,5 @@ def follow_ridge(
             close = np.sort(seen[np.argsort(np.abs(seen - at))[:2]] + origin_px)
             found = f"the nearest at {' and '.join(f'{x_px:.0f}' for x_px in close)}" * bool(close.size)
             raise InputError(correction.name, f"a ridge near x_px = {correction.x_px:g}", found or "none")
-    return x
-
-
-def not_taken(correction: Correction, frame: int, sheet: int) -> InputError:
-    """Return the error for a ridge that is another sheet's."""
-    found, advice = f"sheet {sheet}'s in frame {frame}", "swap the two, or leave the other one out"
-    return InputError(correction.name, "a ridge that is no other sheet's", found, advice)
+    taken = others == x[:, None]
+    return x, np.where(taken.any(axis=1), taken.argmax(axis=1), -1)

@@ -8,6 +8,7 @@ const SIDES = [["left", -1], ["right", 1]];
 /** What an effect on positions holds: `lines` in words, `curves` of sheets that change, `stick` at the cursor. */
 export function effectOn(answer, decision, name, noStick) {
   const { before, after, frames } = answer, lines = [], curves = [];
+  const where = (shown) => span(shown) + (shown.length < answer.concerned ? ` (near the cursor; the decision concerns ${answer.concerned} frames)` : "");
   const sheets = decision.sheets ?? (decision.sheet == null ? [] : [decision.sheet]);
   if (["accept", "leave_out", "swap", "assign"].includes(decision.kind)) {
     const [first, stop] = decision.frames.split(":").map((text) => (text === "" ? Infinity : Number(text)));
@@ -16,17 +17,17 @@ export function effectOn(answer, decision, name, noStick) {
       const was = rows.map((i) => before.x_px[i][sheet]), will = rows.map((i) => after.x_px[i][sheet]);
       const moved = will.map((x, i) => (x != null && was[i] != null && x !== was[i] ? x - was[i] : NaN)).filter(Number.isFinite).sort((a, b) => a - b);
       curves.push({ sheet, frames: shown, x_px: will });
-      lines.push(`${name(sheet)}, ${span(shown)}: ${count(was)} → ${count(will)} of ${rows.length} positions${moved.length ? `, moved by ${number(moved[moved.length >> 1], 1)} px` : ""}`);
+      lines.push(`${name(sheet)}, ${where(shown)}: ${count(was)} → ${count(will)} of ${rows.length} positions${moved.length ? `, moved by ${number(moved[moved.length >> 1], 1)} px` : ""}`);
     }
   } else if (decision.kind === "add") {
     const place = after.x_px[0].length > before.x_px[0].length ? newColumn(before, after) : -1;
     if (place >= 0) {
       const will = after.x_px.map((row) => row[place]);
       curves.push({ sheet: null, frames, x_px: will });
-      lines.push(`${count(will)} of ${frames.length} positions in ${span(frames)}; it becomes ${sideOf(after.side[place])} ${after.n[place]}`);
+      lines.push(`${count(will)} of ${frames.length} positions in ${where(frames)}; it becomes ${sideOf(after.side[place])} ${after.n[place]}`);
     }
   } else if (decision.kind === "delete") {
-    lines.push(`${name(decision.sheet)}: ${count(before.x_px.map((row) => row[decision.sheet]))} → 0 positions in ${span(frames)}`);
+    lines.push(`${name(decision.sheet)}: ${count(before.x_px.map((row) => row[decision.sheet]))} → 0 positions in ${where(frames)}`);
   }
   const [was, will] = [before, after].map(({ side }) => SIDES.map(([word, sign]) => `${word} ${side.filter((s) => s === sign).length}`).join(", "));
   if (was !== will) lines.push(`sheets: ${was} → ${will}`);

@@ -1,0 +1,387 @@
+"""Warnings that only the tracks or several stages show: what is missing or doubtful, and contradictions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from vision.data import ForceMetadata, StripMetadata, TrackMetadata, load_unit, warnings_of
+from vision.models.equations import effective_sheets
+from vision.models.modulus import cycles_seen
+from vision.numeric import Pixels, nan_median, stretches
+from vision.sample import Sample
+from vision.sheets.tracks import comb_is_stationary
+
+if TYPE_CHECKING:
+    from vision.figures import Results
+    from vision.models import ModelFits
+    from vision.shells import ShellSettings
+    from vision.video import VideoSettings
+
+
+def all_warnings(
+    results: Results,
+    sample: Sample | None,
+    assumed: Sample | None,
+    video: VideoSettings,
+    shells: ShellSettings,
+) -> tuple[str, ...]:
+    """Return the warnings that matter for the results, in the order of the stages, without repetition.
+
+    sample, assumed: as for `consistency_warnings`.
+    """
+    lines: list[str] = []
+    if (tracks := results.tracks) is not None:
+        lines += warnings_of(tracks)
+        if results.frame is not None:
+            strip = StripMetadata.of(tracks)
+            lines += overexposure(results.frame, slice(strip.strip_z0, strip.strip_z1), video)
+        lines += tracking_warnings(tracks)
+        size_um = results.pixel_size_um
+        lines += consistency_warnings(tracks, sample, assumed=assumed, pixel_size_um=size_um)
+    if results.force is not None:
+        lines += warnings_of(results.force, results.sticks)
+        lines += filter(None, [cycles_seen(results.force)])
+        facts = ForceMetadata.of(results.force)
+        if facts.lacks_d0:
+            lines.append(
+                "the initial separation is not known: d is how far the machine moved, and no model is "
+                "fitted; give `d0_mm` (0 if the displacement is the separation itself)"
+            )
+        elif "fits" in results.reasons and math.isfinite(facts.d0_mm) and load_unit(results.force) == "N":
+            lines.append(f"no model fits: {results.reasons['fits']}")
+    lines += results.fits.warnings if results.fits else ()
+    lines += results.clock.warnings if results.clock else ()
+    lines += warnings_of(results.motion)
+    lines += shells_against_fits(results.shells, results.fits, shells)
+    lines += unlike_sides(results.shells, shells)
+    return tuple(dict.fromkeys(lines))
+
+
+# --- warnings about the tracks ------------------------------------------------------------------------------
+
+
+def flag_counts(tracks: xr.Dataset) -> dict[str, int]:
+    """Return how often each flag occurs, in alphabetical order."""
+    flags = tracks["flag"].values
+    ok = flags == "ok"  # most are, and need not be sorted
+    names, counts = np.unique(flags[~ok], return_counts=True)
+    found = {str(name): int(count) for name, count in zip(names, counts, strict=True)}
+    if ok.any():
+        found["ok"] = int(ok.sum())
+    return dict(sorted(found.items()))
+
+
+DOUBTFUL = {
+    "doubtful": "where the identity of the sheet is uncertain",
+    "merged": "where a sheet shares a ridge with another or a mark",
+}
+"""Flags of positions that are left out because they may belong to another sheet, and why."""
+PAIR_SPACINGS = 9
+"""Smallest number of spacings in which pairs of ridges are looked for: fewer may alternate by chance."""
+PAIR_TAIL, PAIR_RATIO = 0.1, 1.5
+"""Ridges form pairs if this quantile of the wide spacings exceeds the same quantile from above of the
+narrow ones by this ratio. A smaller ratio calls an uneven comb one of pairs, a larger one misses the edges of
+thick sheets (`test_two_edges_of_every_sheet_are_said_to_be_pairs`)."""
+PAIR_MOTION = 4.0
+"""Ridges also form pairs if the spacings beside every second one change by this factor more than that does,
+in the median. On 590 films of single sheets the factor is at most 1.2; on films that show two edges of every
+sheet it is 12 to 87. A smaller factor calls noise pairs, a larger one misses edges in noisy films."""
+
+
+def tracking_warnings(tracks: xr.Dataset) -> list[str]:
+    """Return warnings about frozen frames, doubtful or missing positions, motion, and overlooked sheets."""
+    lines, flags = [], flag_counts(tracks)
+    total = max(1, sum(flags.values()))
+    if frozen := flags.get("frozen", 0) // tracks.sizes["sheet"]:
+        lines.append(f"{frozen} frame(s) are copies of the frame before and have no positions (flag frozen)")
+    if uncertain := sum(flags.get(flag, 0) for flag in DOUBTFUL):
+        line = f"{uncertain} of {total} positions left out{why_left_out(flags)}"
+        # With 0.2 there is no advice if a hand always covers part of the comb and other positions are wrong.
+        if uncertain > 0.1 * total:
+            jumps = 2 * np.isin(tracks["why"].values, "jump").sum() > uncertain
+            line += "; with so many, other positions may also be wrong: " + (
+                "film an end of the comb, mark a sheet or film faster, as the comb jumps by unknown pitches"
+                if jumps
+                else "check where the tracks lie, and exclude what hides the comb with `frames` or `columns`"
+            )
+        lines.append(line)
+    missing = flags.get("missing", 0) + flags.get("edge", 0) + flags.get("unfit", 0)
+    if missing > 0.01 * total:  # fewer are the usual gaps at the edges of the picture
+        lines.append(f"{missing} of {total} positions missing (flags missing, edge, unfit in tracks.csv)")
+    if line := _frames_with_few_sheets(tracks):
+        lines.append(line)
+    still = "ok" in flags and not (tracks["x_noise_px"].values > 0).any()
+    if tracks.sizes["frame"] < 3:
+        lines.append(f"only {tracks.sizes['frame']} frame(s): neither motion nor noise can be measured")
+    elif tracks.sizes["frame"] >= 10 and still:
+        lines.append("all frames are equal: neither motion nor noise can be measured")
+    elif tracks.sizes["frame"] >= 20 and "ok" in flags and comb_is_stationary(tracks):
+        lines.append(
+            "the sheets do not move relative to each other by more than the noise: if they should, the comb"
+            " may be a pattern in the background (`rows`, `columns`), or the pull is in other `frames`"
+        )
+    for change in TrackMetadata.of(tracks).scene_changes:
+        frame = change["frame"]
+        lines.append(
+            f"the picture changes permanently at frame {frame} (all sheets displaced by"
+            f" {change['moved_px']:.0f} px, their relative brightnesses changed by"
+            f" {100 * change['brightness']:.0f} %): a cut, or the camera or the light was moved; the sheets"
+            f" may not be the same as before: give `frames` as 0:{frame} or {frame}:"
+        )
+    lines += _alike_warning(TrackMetadata.of(tracks))
+    lines += _spacing_warning(tracks)
+    return lines
+
+
+def why_left_out(flags: Mapping[str, int]) -> str:
+    """Return why positions are left out, with the number for each reason if there are several."""
+    counts = {why: flags[flag] for flag, why in DOUBTFUL.items() if flags.get(flag)}
+    if len(counts) == 1:
+        return f" {next(iter(counts))}"
+    return ": " + ", ".join(f"{count} {why}" for why, count in counts.items())
+
+
+def _frames_with_few_sheets(tracks: xr.Dataset) -> str:
+    """Return a warning if fewer than half of the sheets are found in ten or more successive frames, or ""."""
+    flags = tracks["flag"].values
+    read = ~np.isin(flags, ("frozen", "blank", "corrupt", "lost")).all(axis=1)
+    few = read & (np.isin(flags, ("missing", "edge", "unfit")).mean(axis=1) > 0.5)
+    _, first, stop = stretches(few[:, None])
+    if not len(first) or (stop - first).max() < 10:
+        return ""
+    longest = int(np.argmax(stop - first))
+    number = tracks["frame"].values
+    where = f"{number[first[longest]]}:{number[stop[longest] - 1] + 1}"
+    return (
+        f"fewer than half of the sheets are found in {few.sum()} frames (the longest run is {where}): another"
+        " scene, or something in front of the sheets? exclude these frames with `frames`"
+    )
+
+
+def _alike_warning(facts: TrackMetadata) -> list[str]:
+    """Warn of large steps of a comb of equal sheets: it may have moved by another number of spacings."""
+    if not facts.large_steps:
+        return []
+    named = ", ".join(map(str, facts.large_steps[:5])) + " …" * (len(facts.large_steps) > 5)
+    return [
+        "the sheets look alike and neither end of the comb is in view: displacements of the whole comb may be"
+        f" wrong by multiples of the spacing ({facts.pitch_px:.1f} px) after its large steps before frame(s)"
+        f" {named}: film an end of the comb, or mark a sheet"
+    ]
+
+
+def _counted(tracks: xr.Dataset) -> bool:
+    """Return whether the number of sheets was given."""
+    return any(step["parameters"].get("sheets") for step in tracks.attrs.get("operations", ()))
+
+
+def _spacing_warning(tracks: xr.Dataset) -> list[str]:
+    """Warn of ridges in pairs, which keep their distance or whose narrow and wide spacings alternate, or of
+    missing sheets; no pairs are reported if the number of sheets was given."""
+    apart = np.diff(tracks["x_px"].values, axis=1)
+    spacing = nan_median(apart)
+    if np.isfinite(spacing).sum() >= PAIR_SPACINGS and not _counted(tracks):
+        least = nan_median(tracks["x_err_px"].values.ravel())
+        change = np.fmax(np.sqrt(nan_median((apart - spacing) ** 2)), least)
+        beside = np.pad(change, 1, constant_values=np.nan)
+        ratio = np.fmin(beside[:-2], beside[2:]) / change
+        keep_distance = max(nan_median(ratio[k::2]) for k in (0, 1)) > PAIR_MOTION
+        narrow, wide = sorted((spacing[0::2], spacing[1::2]), key=nan_median)
+        alternate = np.nanquantile(wide, PAIR_TAIL) > PAIR_RATIO * np.nanquantile(narrow, 1 - PAIR_TAIL)
+        if alternate or keep_distance:
+            how = f"spacings of {nan_median(narrow):.0f} and {nan_median(wide):.0f} px alternate"
+            return [
+                f"the ridges form pairs: {how if alternate else 'only every second spacing changes'}; if each"
+                " pair is the two edges of one sheet, n and the stiff shell count edges, two for each sheet;"
+                f" if not, give `sheets` as {len(spacing) + 1}"
+            ]
+    if places := TrackMetadata.of(tracks).wide_spacings:
+        return [
+            f"sheets may be missing at x = {', '.join(places)}; n of all sheets further out would then be too"
+            " small: check these positions (dirt, faint sheets), or give the number of sheets (`sheets`)"
+        ]
+    return []
+
+
+def overexposure(frame: Pixels, rows: slice, settings: VideoSettings) -> list[str]:
+    """Return a warning if many of the averaged pixels are saturated, so that ridges have flat tops.
+
+    A saturated pixel is one within 0.4 % of the 99.9 % quantile, as a camera of 12 bits in a file of 16, or a
+    codec's white, saturates below the largest value that the file could hold.
+    """
+    pixels = frame[rows]
+    top = float(np.quantile(pixels, 0.999))
+    share = float((np.abs(pixels.astype(np.float32) - top) <= top / 255).mean())
+    if share < settings.overexposed or top < settings.few_levels:
+        return []
+    return [
+        f"{100 * share:.0f} % of the averaged pixels are as bright as the brightest ({top:.0f}): overexposed."
+        " Ridges have flat tops and x_err_px may be too small: film with less light"
+    ]
+
+
+# --- warnings about results that contradict each other ------------------------------------------------------
+
+UNLIKELY_SPACING = 10.0
+"""Ratio of the sheets' spacing to two thicknesses, or its inverse, above which the pixel size is questioned.
+A wrong unit changes the ratio by 1000; sheets that bulge, or of which only every second one is seen, by 2
+to 4. A smaller ratio warns of the latter, a larger one overlooks factors of 10."""
+LEAST_SPACING_UM = 1.0
+"""Spacing below which the pixel size is questioned though the sheets' thickness is not known: mm taken for µm
+make the spacing of paper less than this, which light hardly resolves. Discs of a muscle are 1.8 µm apart."""
+
+
+def consistency_warnings(
+    tracks: xr.Dataset,
+    sample: Sample | None = None,
+    *,
+    assumed: Sample | None = None,
+    pixel_size_um: float | None = None,
+) -> list[str]:
+    """Return warnings about findings that contradict each other, each with what to do about it.
+
+    sample: the given sample, which is compared with the ridges per side and their spacing.
+    assumed: the sample that is assumed if none was given.
+    """
+    found, used, most = TrackMetadata.of(tracks), sample or assumed, int(tracks["n"].max())
+    lines = _comb_warnings(tracks, found)
+    one_side = len(np.unique(tracks["side"].values)) == 1
+    if used is not None and one_side and found.axis_how != "given" and most < used.sheets_per_block:
+        lines.append(
+            f"only {most} of {used.sheets_per_block} sheets of one side are in view, and n counts from the"
+            " innermost of them: if others lie between it and the axis, n and the stiff shell are too small"
+            " by their number: give `axis_px`"
+        )
+    left, right = (int((tracks["side"].values == side).sum()) for side in (-1, 1))
+    fewer, more = sorted((left, right))
+    one_lacks = used is not None and more == used.sheets_per_block and 1 <= more - fewer <= 2
+    if one_lacks and not _counted(tracks):
+        lines.append(
+            f"{left} sheets on the left but {right} on the right: if one is overlooked, n of those beyond it"
+            " is too small: look for a wide spacing or a sheet outside the picture, or give the number of"
+            " sheets in view (`sheets`)"
+        )
+    spacing = math.nan if pixel_size_um is None else found.pitch_px * pixel_size_um / 1000
+    if used is None and 1000 * spacing < LEAST_SPACING_UM:
+        lines.append(
+            f"with this pixel size, the sheets are {1000 * spacing:.2g} µm apart, closer than paper is thick:"
+            " check `pixel_size_um` (µm)"
+        )
+    ratio = math.nan if used is None else spacing / (2 * used.thickness_mm)
+    if used is not None and (ratio <= 1 / UNLIKELY_SPACING or ratio >= UNLIKELY_SPACING):
+        lines.append(
+            f"with this pixel size, sheets {used.thickness_mm:g} mm thick are {spacing:.3g} mm apart: check"
+            " `pixel_size_um` (µm)"
+        )
+    if used is not None and most > used.sheets_per_block:
+        how = "given" if sample is not None else "assumed"
+        lines.append(
+            f"{used.sheets_per_block} sheets per block and side {how}, but n reaches {most}: check"
+            " `sheets_per_block`, `axis_px` and `sheets`"
+        )
+    return lines
+
+
+def _comb_warnings(tracks: xr.Dataset, found: TrackMetadata) -> list[str]:
+    """Warn of further or doubtful ridges of the comb, and of an axis that the motion excludes."""
+    lines = []
+    if found.ridges_beyond:
+        lines.append(
+            f"{found.ridges_beyond} more ridges continue the comb of the {found.sheets} sheets and would"
+            f" change every n: give `sheets` as {found.sheets + found.ridges_beyond} or leave it out"
+        )
+    snr, share = tracks["snr"].values, tracks["found"].values
+    weak = np.flatnonzero((snr < 0.1 * nan_median(snr)) | (share < 0.25))
+    if len(weak) and found.sheets > 1:
+        which = ", ".join(map(str, weak[:6])) + " …" * (len(weak) > 6)
+        lines.append(
+            f"{len(weak)} of {found.sheets} sheets (index {which}) may be something else (little contrast, or"
+            " found in few frames): restrict `columns` or give `sheets`"
+        )
+    if not _motion_allows_axis(tracks, found):
+        lines.append(
+            f"the axis at {found.axis_px:.0f} px is outside the range that the motion allows"
+            f" ({found.axis_low_px:.0f} to {found.axis_high_px:.0f} px): check `axis_px`, and whether both"
+            " sides are in view"
+        )
+    return lines
+
+
+def _motion_allows_axis(tracks: xr.Dataset, found: TrackMetadata) -> bool:
+    """Return whether the axis is where the motion of the sheets allows it, or nothing is known of that.
+
+    It lies between two sheets, half a pitch from both, and sheets may be unevenly spaced. With one side in
+    view, it may lie anywhere beyond its end.
+    """
+    if not (math.isfinite(found.axis_low_px) and math.isfinite(found.axis_high_px)):
+        return True
+    slack, x_px = 0.75 * found.pitch_px, nan_median(tracks["x_px"].values)
+    first, last = np.nanmin(x_px, initial=math.inf), np.nanmax(x_px, initial=-math.inf)
+    low = -math.inf if found.axis_low_px <= first else found.axis_low_px - slack
+    high = math.inf if found.axis_high_px >= last else found.axis_high_px + slack
+    return bool(low <= found.axis_px <= high)
+
+
+def shells_against_fits(
+    shells: pd.DataFrame | None, fits: ModelFits | None, settings: ShellSettings
+) -> list[str]:
+    """Return a warning if M_eff of the fits contradicts the stiff shells that the video shows.
+
+    An M_eff from k to k + 1 predicts k stiff sheets. A side on which all sheets in view are stiff gives no
+    upper limit. Only the statistical error of Λ̂ is used, as an error of d0 shifts d and Λ̂ alike.
+    """
+    if shells is None or fits is None:
+        return []
+    known = shells[shells["stiff_sheets"].notna()]
+    if len(known) < 3:  # so few may contradict by chance
+        return []
+    d_mm, scale = known["d_v_mm"].to_numpy(float), fits.scale_mm
+    beyond = settings.fit_sigma * scale.error
+    least, most = (
+        effective_sheets(d_mm / max(scale.value + sign * beyond, 1e-9), sample=fits.sample)
+        for sign in (-1, 1)
+    )
+    low, high = known["stiff_low"].to_numpy(float), known["stiff_high"].to_numpy(float)
+    in_view = high < known["sheets_known"].to_numpy(float)
+    outside = (most < low) | (in_view & (least >= high + 1))
+    if outside.mean() <= settings.contradicted_share:
+        return []
+    fitted = np.median(fits.effective_sheets(d_mm[outside]))
+    shell = f"{np.median(low[outside]):.0f} to {np.median(high[outside]):.0f} sheets"
+    return [
+        f"M_eff of the fits ({fitted:.1f}) lies outside the stiff shell's interval ({shell}) in"
+        f" {outside.sum()} of {len(known)} stick phases and sides:"
+        " check `d0_mm`, `pixel_size_um`, `axis_px`, the sample's geometry, `sheets_per_block` and"
+        " `threshold`"
+    ]
+
+
+def unlike_sides(shells: pd.DataFrame | None, settings: ShellSettings) -> list[str]:
+    """Return a warning if the stiff shells of the two sides differ by more than their errors.
+
+    A difference of one sheet is not reported: sheets differ, and an axis one sheet aside makes it two.
+    """
+    if shells is None or shells["side"].nunique() < 2:
+        return []
+    names = ["stiff_sheets", "stiff_low", "stiff_high"]
+    known = shells.dropna(subset="stiff_sheets").set_index("event")
+    left, right = (known.loc[known["side"] == side, names].astype(float) for side in (-1, 1))
+    left, right = left.align(right, join="inner", axis=0)
+    one_larger = [
+        ((one["stiff_low"] > other["stiff_high"]) & (one["stiff_sheets"] > other["stiff_sheets"] + 1)).sum()
+        for one, other in ((left, right), (right, left))
+    ]
+    if len(left) < 3 or max(one_larger) <= settings.contradicted_share * len(left):
+        return []
+    sizes = (side["stiff_sheets"].median() for side in (left, right))
+    return [
+        "the stiff shell has {:.0f} sheets on the left but {:.0f} on the right".format(*sizes)
+        + f" in {max(one_larger)} of {len(left)} stick phases: check `axis_px` and whether each sheet has a"
+        " number, unless the sample is not symmetric"
+    ]
