@@ -29,6 +29,26 @@ def test_even_comb(seed):
     np.testing.assert_array_equal(tracks.n, numbered(25, 25))
 
 
+@pytest.mark.parametrize("nowhere", [[0], [12], [24], [43], [0, 43], range(1, 44), range(44)])
+@pytest.mark.parametrize("axis_px", [None, 600.0, -100.0])
+def test_sheets_without_any_position_count(nowhere, axis_px):
+    """A sheet that is withheld in the whole film has a number all the same. Failure: the axis is not known
+    or the middle in place of that of the motion, n of the others is wrong, or a given axis ends the run."""
+    truth = comb(60, slip=0.3)[:, :44]  # the axis is not in the middle of these
+    truth += np.random.default_rng(1).normal(0, 0.005, truth.shape)
+    known = np.delete(np.arange(44), nowhere)
+    seen = np.full(truth.shape, np.nan)
+    seen[:, known] = truth[:, known]
+    numbering, whole = (number_sheets(x, axis_px=axis_px) for x in (seen, truth))
+    if len(known) > 1:
+        np.testing.assert_array_equal(numbering.n, whole.n)
+        np.testing.assert_array_equal(numbering.side, whole.side)
+        assert numbering.how == whole.how
+        assert abs(numbering.axis_px - whole.axis_px) < PITCH / 2
+    else:
+        assert len(numbering.n) == 44
+
+
 @pytest.mark.parametrize(("sheet", "jump_px"), [(17, 6.0), (20, 3.0), (20, -3.0), (32, -6.0)])
 def test_one_sheet_that_is_covered_in_a_slip_does_not_move_the_axis(sheet, jump_px):
     """A cable's edge draws one sheet of the stiff centre aside while the others slip. Failure: n is

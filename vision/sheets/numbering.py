@@ -52,7 +52,7 @@ def number_sheets(
 
     .. math:: \sum_{n > k} s_n - \sum_{n \le k} s_n .
     """
-    position = nan_median(x_px, axis=0)
+    position = _rest(x_px)
     sheets = len(position)
     split, how, limits = _split_by_motion(x_px, settings)
     low = high = np.nan
@@ -64,9 +64,25 @@ def number_sheets(
         side, n = _side_and_n(split, sheets)
         beyond = max(position[0] - axis_px, axis_px - position[-1], 0.0)
         spacing = float(np.median(np.diff(position))) if sheets > 1 else np.inf
-        n += int(beyond / spacing)  # the axis is half a spacing from the innermost sheet
+        if spacing > 0:  # the axis is half a spacing from the innermost sheet
+            n += int(beyond / spacing)
         return Numbering(float(axis_px), "given", side, n, float(low), float(high))
     return Numbering(_axis(position, split), how, *_side_and_n(split, sheets), float(low), float(high))
+
+
+def _rest(x_px: Floats) -> Floats:
+    """Return the median position of each sheet, (N,).
+
+    A sheet that has no position in any frame is placed evenly between those beside it, and beyond the ends at
+    their median spacing. NaN only if no sheet has a position.
+    """
+    position = nan_median(x_px, axis=0)
+    index, known = np.arange(len(position)), np.flatnonzero(np.isfinite(position))
+    if not len(known) or len(known) == len(position):
+        return position
+    spacing = np.median(np.diff(position[known]) / np.diff(known)) if len(known) > 1 else 0.0
+    beyond = np.minimum(index - known[0], 0) + np.maximum(index - known[-1], 0)
+    return np.asarray(np.interp(index, known, position[known]) + beyond * spacing, np.float64)
 
 
 def _side_and_n(split: int, sheets: int) -> tuple[Ints, Ints]:
@@ -132,10 +148,12 @@ def _slips(x_px: Floats, settings: TrackingSettings) -> tuple[Floats, Floats, Fl
     step = np.diff(x_px, axis=0)
     known = np.isfinite(step)
     common = np.nan_to_num(nan_median(step, axis=1))
-    apart = step[:, -1] - step[:, 0]
+    often = known.mean(axis=0) >= 0.5
+    ends = np.flatnonzero(often)[[0, -1]] if often.any() else np.array([0, -1])
+    apart = step[:, ends[1]] - step[:, ends[0]]
     step = np.where(known, step, 0.0)
     noise = np.nan_to_num(position_noise(x_px), nan=1.0) * np.sqrt(2)
-    least = 5 * noise[[0, -1]].max()
+    least = 5 * noise[ends].max()
     even = mean_over(apart[:, None], settings.axis_frames)[:, 0]
     slips = bool((np.abs(apart - even) > least).any())
     apart = np.where(slips & (np.abs(apart) > least), apart, 0.0)
