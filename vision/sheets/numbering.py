@@ -148,7 +148,7 @@ def _slips(x_px: Floats, settings: TrackingSettings) -> tuple[Floats, Floats, Fl
     step = np.diff(x_px, axis=0)
     known = np.isfinite(step)
     common = np.nan_to_num(nan_median(step, axis=1))
-    often = known.mean(axis=0) >= 0.5
+    often = 2 * known.sum(axis=0) >= len(known)
     ends = np.flatnonzero(often)[[0, -1]] if often.any() else np.array([0, -1])
     apart = step[:, ends[1]] - step[:, ends[0]]
     step = np.where(known, step, 0.0)
