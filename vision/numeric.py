@@ -76,6 +76,11 @@ def nan_quantile(values: NDArray[np.floating], fraction: float, axis: int = 0) -
     return _of_lanes(partial(_quantile, fraction), np.moveaxis(np.asarray(values), axis, -1))
 
 
+def median_of_all(values: Floats) -> float:
+    """Return the median of all values, ignoring NaN, without a copy: they are reordered in place."""
+    return float(_median(values.reshape(-1)))
+
+
 def median_size(values: NDArray[np.floating]) -> Floats:
     """Return the median absolute value of each column of (rows, columns), ignoring NaN, one at a time."""
     return np.array([nan_median(np.abs(column)) for column in values.T], np.float64)

@@ -6,6 +6,7 @@ made when it is read, of the part that is read.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from functools import reduce
 from typing import Any
@@ -61,3 +62,15 @@ def is_word(text: xr.DataArray, *wanted: str) -> Bools:
         part: NDArray[Any] = text[rows].values
         found[rows] = reduce(np.logical_or, (part == word for word in wanted))
     return found
+
+
+def word_counts(text: xr.DataArray) -> dict[str, int]:
+    """Return how often each word occurs in a table (rows, …), in alphabetical order."""
+    counts: Counter[str] = Counter()
+    for rows in row_parts(len(text)):
+        left = text[rows].values.ravel()
+        while left.size:  # there are about a dozen words; np.unique would sort all of them
+            other = left != left[0]
+            counts[str(left[0])] += left.size - int(other.sum())
+            left = left[other]
+    return dict(sorted(counts.items()))

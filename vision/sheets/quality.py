@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import reduce
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import cv2
 import numpy as np
@@ -23,6 +23,7 @@ from vision.numeric import (
     Bools,
     Floats,
     Floats32,
+    median_of_all,
     nan_median,
     nan_quantile,
     row_parts,
@@ -190,6 +191,11 @@ class Distortion(NamedTuple):
     lasting_px: Floats
     scale: Floats
 
+    @classmethod
+    def none(cls, x_px: Floats) -> Self:
+        """Return that of positions (frame, N) without any."""
+        return cls(np.zeros(x_px.shape), *np.zeros((3, x_px.shape[1])))
+
 
 def distortion(
     profile: Floats32, x_px: Floats, err_px: Floats, blurred: Bools, comb: RidgeComb
@@ -215,14 +221,13 @@ def distortion(
     (`displacement_scale_error`).
     """
     settings = comb.settings
-    none = Distortion(np.zeros(x_px.shape), *np.zeros((3, x_px.shape[1])))
     narrow = comb.fwhm_px < settings.distortion_least_px
     if narrow and x_px.shape[1] >= ENOUGH:
-        return none
+        return Distortion.none(x_px)
     half = max(3, round(min(0.9 * comb.fwhm_px, 0.5 * comb.pitch_px)))
     shape = _sampled_profiles(profile, x_px, half, comb)[1]
     if not np.isfinite(shape).all():
-        return none
+        return Distortion.none(x_px)
     fits = _fit_matrix(shape, min(max(2, round(0.5 * comb.fwhm_px)), half - 1))
     height, apart, sloping = (np.empty(x_px.shape) for _ in range(3))
 
@@ -270,7 +275,7 @@ def distortion(
     scale = displacement_scale_error(x_px, shapes, settings)
     for of_sheet, factor, x in zip(size.T, scale, x_px.T, strict=True):
         of_sheet[:] = np.fmax(of_sheet, factor * np.abs(x - nan_median(x)))
-    return Distortion(size, usual_px, none.lasting_px if narrow else lasting, scale)
+    return Distortion(size, usual_px, np.zeros_like(lasting) if narrow else lasting, scale)
 
 
 class _Difference(NamedTuple):
@@ -459,7 +464,7 @@ def _slope_across(light: Floats, x_px: Floats, settings: TrackingSettings) -> Fl
     bend = light[:, 1:-1].copy()
     for rows in row_parts(len(bend)):
         bend[rows] -= (light[rows, :-2] + light[rows, 2:]) / 2
-    scatter = float(nan_median(np.abs(bend, out=bend).ravel())) / NORMAL_MEDIAN / np.sqrt(1.5)
+    scatter = median_of_all(np.abs(bend, out=bend)) / NORMAL_MEDIAN / np.sqrt(1.5)
     del bend
     least, across = settings.distortion_sigmas * np.sqrt(2) * scatter / apart_px, np.empty(light.shape)
     for rows in row_parts(len(light)):
