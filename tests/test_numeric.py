@@ -45,16 +45,17 @@ def test_indices_are_spread_from_the_first_to_the_last():
     assert spread_indices(1, 5).tolist() == [0]
 
 
-@pytest.mark.parametrize("shape", [(20_000, 7), (2, 20_000, 5), (100_000,), (7, 20_000)])
-def test_medians_of_large_tables_are_those_of_their_parts(shape):
+@pytest.mark.parametrize(
+    ("shape", "axis"), [((400, 300), 0), ((400, 300), 1), ((3, 1000, 70), 1), ((100_000,), 0)]
+)
+def test_medians_of_large_tables_are_those_of_their_parts(shape, axis):
     """A failure means that long films have other medians than short ones."""
     values = np.random.default_rng(0).normal(size=shape)
-    values[values > 1.5] = np.nan
-    for axis in range(values.ndim):
-        np.testing.assert_allclose(nan_median(values, axis=axis), np.nanmedian(values, axis=axis), rtol=1e-12)
-        expected = np.nanquantile(values, 0.9, axis=axis)
-        np.testing.assert_allclose(nan_quantile(values, 0.9, axis=axis), expected, rtol=1e-12)
-    assert median_of_all(values.copy()) == pytest.approx(np.nanmedian(values), rel=1e-12)
+    values[values > 1.8] = np.nan
+    np.testing.assert_array_equal(nan_median(values, axis=axis), np.nanmedian(values, axis=axis))
+    expected = np.nanquantile(values, 0.9, axis=axis)
+    np.testing.assert_allclose(nan_quantile(values, 0.9, axis=axis), expected, rtol=1e-12, atol=1e-15)
+    assert median_of_all(values.copy()) == np.nanmedian(values)
 
 
 @pytest.mark.parametrize("count", [1, 2, 5, 300, 30_000])
