@@ -293,6 +293,9 @@ class TrackMetadata(Metadata):
         "yes", frames before which the whole comb moved so far that the number of spacings is uncertain.
     ridges_beyond
         Number of ridges that resemble the sheets and continue the comb beyond the given number of sheets.
+    locking_px, locking_err_px
+        Locking of positions to whole pixels that was subtracted, rms, and what remains of it in the errors,
+        px; 0 for none (`vision.sheets.locking`).
     corrections_applied
         Number of manual corrections; they are listed among the operations.
     """
@@ -318,6 +321,8 @@ class TrackMetadata(Metadata):
     sheets_alike: Literal["yes", "no"] = "no"
     large_steps: Sequence[int] = field(default_factory=list)
     ridges_beyond: int = 0
+    locking_px: float = 0.0
+    locking_err_px: float = 0.0
     corrections_applied: int = 0
 
 

@@ -144,7 +144,8 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> Iterator
         ),
     )
     yield "positions", f"{flags.get('ok', 0)} measured; {other_flags(flags)}"
-    yield "noise", f"{_noise(noise, length)}{predicted}" if "ok" in flags else "no position measured"
+    locked = f"; locking to pixels of {found.locking_px:.3f} px rms subtracted" * (found.locking_px > 0)
+    yield "noise", f"{_noise(noise, length)}{predicted}{locked}" if "ok" in flags else "no position measured"
     if doubt := doubt_line(tracks):
         yield "doubtful", doubt
     yield "strip", f"rows {strip.strip_z0}:{strip.strip_z1} ({strip.strip_how}){tilt}"

@@ -87,6 +87,15 @@ class TrackingSettings:
     template_ridges: int = 4_000_000
     """Number of ridges beyond which the template is not tried, as it holds all their pixels: about 1 GB."""
 
+    locking_sigmas: float = 6.0
+    """Standard errors from which locking to whole pixels is corrected. Smaller corrects by chance, where
+    motion happens to follow the pixels; larger leaves sharp ridges locked by up to 0.07 px
+    (test_locking.py)."""
+
+    least_locking: float = 0.3
+    """Locking, rms, over the error of a position by noise from which it is corrected. Smaller adds work that
+    changes no number, larger leaves errors too small by up to a tenth of themselves."""
+
     # --- segments (identities.py) ---
 
     step_fraction: float = 0.3

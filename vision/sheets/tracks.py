@@ -15,6 +15,7 @@ from vision.errors import InputError, check_number, check_within, check_word
 from vision.numeric import Bools, Codes, Floats, Floats32, median_where, nan_median, nan_quantile, row_parts
 from vision.sheets.corrections import Correction, apply_corrections, last_of
 from vision.sheets.identities import WHYS, Doubt, identify_sheets
+from vision.sheets.locking import NO_LOCKING, PixelLocking, pixel_locking
 from vision.sheets.numbering import Numbering, number_sheets
 from vision.sheets.quality import (
     BetweenSlips,
@@ -118,7 +119,8 @@ def track_sheets(
     x_err_px is the noise of the profile times the fit's error per grey level. It is larger where positions
     scatter by more (`vision.sheets.quality.noise_excess`), where the ridge moves during the exposure
     (`vision.sheets.quality.motion_blur`), and where the ridge is distorted
-    (`vision.sheets.quality.distortion`). With ``fit="paper"`` it includes the locking to whole pixels. For
+    (`vision.sheets.quality.distortion`). Positions of ridges sharper than their pixels are corrected for
+    locking to whole pixels (`vision.sheets.locking`), except with ``fit="paper"``: x_err_px includes it. For
     lossy video it is the scatter between sheets, since compression hides the noise and adds its own
     artefacts. It does not include errors that are the same in all frames (uneven light, the choice of rows).
     """
@@ -302,6 +304,8 @@ class _Tracked:
         gaps = [] if count_given else zip(*wide_spacings(positions, settings=comb.settings), strict=True)
         return TrackMetadata(
             fit=self.fitted.fit,
+            locking_px=self.fitted.locking.rms_px,
+            locking_err_px=self.fitted.locking.error_px,
             ridges=comb.polarity,
             sheets=len(numbering.n),
             ridge_fwhm_px=comb.fwhm_px,
@@ -341,12 +345,13 @@ def _check_axis(axis_px: float | None, first_px: float, last_px: float) -> None:
 
 class _Fitted(NamedTuple):
     """Positions and their errors from noise, px, (frame, N); noise of the profile at each sheet, grey levels,
-    (N,); the fit that was used."""
+    (N,); the fit that was used; the locking to whole pixels that positions were corrected for."""
 
     x_px: Floats
     err_px: Floats
     noise: Floats
     fit: FitName
+    locking: PixelLocking
 
 
 def _fit(
@@ -361,15 +366,36 @@ def _fit(
     used: FitName = "sliding" if fit == "auto" else fit
     x, err = fit_sheets(profile, start_px, fit=used, window_px=window_px, comb=comb)
     noise = intensity_noise(profile, x, frozen, half_px=window_px // 2, fallback=comb.noise)
+    new, usual_px = _unrepeated(x, frozen), nan_median(err) * noise
+    locking = NO_LOCKING if fit == "paper" else pixel_locking(new, usual_px, comb.settings)
     if fit == "auto":
-        matched, matched_err, learned = learned_template(profile, _unrepeated(x, frozen), err, comb)
+        matched, matched_err, learned = learned_template(profile, new, err, comb)
         if learned.any():
-            used, x, err = "template", matched, matched_err
+            matched_px = nan_median(matched_err) * noise
+            other = pixel_locking(_unrepeated(matched, frozen), matched_px, comb.settings)
+            if _locks_less(other, np.nanmedian(matched_px), locking, np.nanmedian(usual_px)):
+                used, x, err, locking = "template", matched, matched_err, other
     err *= noise  # it was that per grey level
+    if locking.error_px:
+        for rows in row_parts(len(x)):
+            x[rows] -= locking.at(x[rows])
+        np.hypot(err, locking.error_px, out=err)
     if fit == "paper":  # it locks to whole pixels by more than the noise, as the sliding window shows
         free, _ = fit_sheets(profile, start_px, fit="sliding", window_px=window_px, comb=comb)
         err = np.hypot(err, np.nan_to_num(np.abs(x - free)))
-    return _Fitted(x, err, noise, used)
+    return _Fitted(x, err, noise, used, locking)
+
+
+def _locks_less(template: PixelLocking, err_px: float, window: PixelLocking, window_err_px: float) -> bool:
+    """Return whether the template is better than the sliding window as far as locking to pixels is concerned.
+
+    Of ridges sharper than their pixels the mean shape is wrong, and locks more than the window does.
+    """
+    if template is NO_LOCKING:
+        return True
+    less = template.rms_px <= np.hypot(window.rms_px, err_px)
+    better = np.hypot(err_px, template.error_px) <= np.hypot(window_err_px, window.error_px)
+    return bool(less and better)
 
 
 def _errors(fitted: _Fitted, frozen: Bools, codec: str, settings: TrackingSettings) -> _Errors:
