@@ -378,8 +378,9 @@ class Extremes:
 
     peak: Floats  # position of the highest load, in samples
     valley: Floats  # position of the lowest load, in samples
-    high: Floats  # load at the peak, averaged over a 24th of the usual slip
+    high: Floats  # load at the peak, averaged over a part of the usual slip
     low: Floats  # load at the valley, averaged likewise
+    width: int  # samples averaged
     highest: Floats  # single largest sample
     lowest: Floats  # single smallest sample
 
@@ -394,12 +395,16 @@ class Extremes:
         return self.peak[1:] - self.valley[:-1]
 
 
-def find_extremes(y: Floats, middle: Floats, length: Floats) -> Extremes:
+def find_extremes(y: Floats, noise: float, middle: Floats, length: Floats, drop: Floats) -> Extremes:
     """Return the recorded extremes around each slip of a load without spikes.
 
     The peak lies between the middle of the previous stick and the middle of the slip, the valley between the
-    latter and the middle of the next stick. `middle` and `length` are those of each slip, in samples; the
-    length sets how many samples are averaged.
+    latter and the middle of the next stick. `middle`, `length` (samples) and `drop` are those of each slip,
+    `noise` is the standard deviation of the load's noise.
+
+    A mean over w samples lowers the extreme of a half cosine of L samples and drop A by A (πw/L)²/48; the
+    largest of several means exceeds it by about 1.5 σ/√w. Their sum is least at w = (1.8 L² σ/A)^0.4. At
+    least a 24th of the slip is averaged, which changes next to nothing, and at most a third.
     """
     last = y.size - 1
     between = 0.5 * (middle[:-1] + middle[1:])
@@ -411,11 +416,13 @@ def find_extremes(y: Floats, middle: Floats, length: Floats) -> Extremes:
     # The middles of close slips may be in either order, so each range contains at least the slip's sample.
     start = np.minimum(np.floor(bounds[:-1]).astype(np.int64), here)
     stop = np.maximum(np.ceil(bounds[1:]).astype(np.int64), here)
-    # A 24th of the usual slip is averaged, which lowers a half cosine by next to nothing.
-    smooth = running_mean(y, 2 * int(np.nan_to_num(nan_median(length)) / 48) + 1)
+    usual, height = (float(np.nan_to_num(nan_median(values))) for values in (length, drop))
+    best = (1.8 * usual**2 * noise / max(height, noise)) ** 0.4 if noise else 0.0
+    width = 2 * int(0.5 * np.clip(best, usual / 24, usual / 3)) + 1
+    smooth = running_mean(y, width)
     peak, high, highest = _largest(y, smooth, start, here + 1, 1)
     valley, low, lowest = _largest(y, smooth, here, stop + 1, -1)
-    return Extremes(peak, valley, high, low, highest, lowest)
+    return Extremes(peak, valley, high, low, width, highest, lowest)
 
 
 def _largest(y: Floats, smooth: Floats, start: Ints, stop: Ints, sign: int) -> tuple[Floats, Floats, Floats]:

@@ -229,7 +229,7 @@ def _analyse_slips(
     given = 0.0 if isinstance(lowpass_s, str) else lowpass_s / signal.interval_s
     bent = _have_knees(signal, slips, given, settings) if two_slopes is None else two_slopes
     corners = find_corners(signal, slips, two_slopes=bent, settings=settings)
-    extremes = find_extremes(signal.clean, corners.middle, corners.length)
+    extremes = find_extremes(signal.clean, signal.sigma, corners.middle, corners.length, corners.drop)
     regime = find_regime(signal.clean, slips, extremes, settings)
     found = Lowpass()
     if not given and regime.name == "stick-slip":

@@ -156,7 +156,8 @@ def _corner_errors(
 ) -> tuple[Floats, Floats]:
     """Return the errors of F_v and F_p (`forces`) from those of the corners' `positions`, in samples.
 
-    At the extreme of a slow slip the load is level, so that an error of its position causes none.
+    At the extreme of a slow slip the load is level, so that an error of its position causes none; but it is
+    the largest of several means, errs by the noise of one, and half of its samples lie on the rising stick.
     Ringing oscillates about the stick line, a filter may overshoot it before the slip as well, a stick may
     bend too sharply for it, and a coarse load ends below it: what was recorded beyond the line, noise aside,
     is part of the error, and so is how far the force was moved from the line to what was recorded.
@@ -168,7 +169,15 @@ def _corner_errors(
     beyond_p = np.fmax(sticks.highest - line_p - noise_p, np.abs(f_p - line_p))
     by_position_v = ends.rise_v * np.where(sticks.slow_v, 0, off_v)
     by_position_p = ends.rise_p * np.where(sticks.slow_p, 0, off_p)
-    return np.hypot(by_position_v, beyond_v), np.hypot(by_position_p, beyond_p)
+    width = sticks.extremes.width
+    mean_v, mean_p = (
+        np.hypot(signal.sigma / np.sqrt(width), rise * width / 8) * slow
+        for rise, slow in ((ends.rise_v, sticks.slow_v), (ends.rise_p, sticks.slow_p))
+    )
+    return (
+        np.sqrt(by_position_v**2 + beyond_v**2 + mean_v**2),
+        np.sqrt(by_position_p**2 + beyond_p**2 + mean_p**2),
+    )
 
 
 def _separations(
@@ -214,7 +223,8 @@ def _forces(signal: Signal, corners: Corners, sticks: _Sticks, ends: _Ends) -> t
         return np.where(sticks.slow_v, low, f_v), np.where(sticks.slow_p, high, f_p)
     load, gain = without_lowpass(signal.clean, sticks.lag)
     noise = signal.noise * float(np.sqrt(1 + 2 * gain * (1 + gain)))
-    corrected = replace(sticks, extremes=find_extremes(load, corners.middle, corners.length))
+    extremes = find_extremes(load, signal.sigma, corners.middle, corners.length, corners.drop)
+    corrected = replace(sticks, extremes=extremes)
     f_v, f_p = _within_recorded(replace(signal, clean=load, noise=noise), corrected, ends)
     bent = np.isfinite(sticks.knee)
     return np.where(bent, f_v, ends.f_v), np.where(bent, f_p, ends.f_p)
