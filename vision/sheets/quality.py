@@ -16,7 +16,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from vision.numeric import FWHM, NORMAL_MEDIAN, Bools, Floats, Floats32, nan_median, nan_quantile
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, nan_median, nan_quantile
 from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb, in_blocks, profile_noise
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.sheets.subpixel import Starts, gather, position_noise
@@ -192,18 +192,22 @@ def distortion(bright: Floats32, x_px: Floats, err_px: Floats, blurred: Bools, c
     if not np.isfinite(shape).all():
         return none
     fits = _fit_matrix(shape, min(max(2, round(0.5 * comb.fwhm_px)), half - 1))
-    height, apart, sloping = np.empty((3, *x_px.shape))
+    away = np.arange(-half, half + 1)
+    height, apart, sloping, pulled_px2 = np.empty((4, *x_px.shape))
 
     def fit(rows: slice) -> None:
-        found = fits @ _around(bright[rows], x_px[rows], half)
+        around = _around(bright[rows], x_px[rows], half)
+        found = fits @ around
         with np.errstate(divide="ignore", invalid="ignore"):
             shift = found[:, 1::2] / found[:, ::2]
+            level = around.mean(axis=1) / found[:, 0]  # in units of the height, as the mean shape has none
+            pulled_px2[rows] = fits[1] @ away * level + fits[1] @ (away * shape)
         height[rows] = found[:, 0]
         apart[rows], sloping[rows] = shift[:, 1] - shift[:, 0], shift[:, 2] - shift[:, 0]
 
     in_blocks(fit, len(bright))
     height[blurred], apart[blurred], sloping[blurred] = np.nan, np.nan, np.nan
-    size = slight = _shift_by_light(x_px, height, comb)
+    size = slight = _shift_by_light(x_px, height, np.abs(pulled_px2), settings)
     for differs, usual, k in ((apart, settings.distortion_error, 3), (sloping, settings.distortion_slope, 5)):
         noise = err_px * float(np.linalg.norm(fits[k] - fits[1]) / np.linalg.norm(fits[1]))
         confirmed, assumed = _error_over(differs, usual, x_px, settings)
@@ -220,7 +224,7 @@ def distortion(bright: Floats32, x_px: Floats, err_px: Floats, blurred: Bools, c
     if comb.fwhm_px > settings.overlap * comb.pitch_px:
         del shapes[1:]
     scale = displacement_scale_error(x_px, shapes, settings)
-    size = np.fmax(size, scale * np.abs(x_px - nan_median(x_px)))
+    size = np.fmax(size, np.fmin(scale * np.abs(x_px - nan_median(x_px)), within))
     return Distortion(size, nan_median(slight), none.lasting_px if narrow else lasting, scale)
 
 
@@ -344,15 +348,17 @@ def _around(bright: Floats32, x_px: Floats, half: int) -> Floats:
     return np.asarray(around, np.float64)
 
 
-def _shift_by_light(x_px: Floats, height: Floats, comb: RidgeComb) -> Floats:
+def _shift_by_light(x_px: Floats, height: Floats, pulled_px2: Floats, settings: TrackingSettings) -> Floats:
     r"""Return the shift of each ridge due to light L that falls off over it, px, (frame, N).
+
+    pulled_px2: shift of each ridge per slope :math:`L'/L`, px², (frame, N): that of the fit of the mean shape
+    to :math:`u\,(a + b\,S(u))`, since the light between the ridges slopes as well.
 
     A Gaussian in such light remains a Gaussian, shifted by :math:`\sigma_r^2 L'/L`, so that only heights
     reveal the shift. A lamp that moves, or the edge of a shadow, shows as a slope between a sheet and its
     neighbours on both sides, beyond the scatter of single sheets. Fewer than five sheets do not show that
     scatter: every change of the slope between two sheets, beyond its noise in time, then counts as light.
     """
-    settings = comb.settings
     with np.errstate(divide="ignore", invalid="ignore"):
         light = np.log(np.where(height > 0, height, np.nan))
     light -= nan_median(light)
@@ -365,7 +371,7 @@ def _shift_by_light(x_px: Floats, height: Floats, comb: RidgeComb) -> Floats:
             slope = np.diff(light, axis=1) / np.diff(nan_median(x_px))
         slope = _significant(slope, np.zeros_like(slope), settings)[1]
         across = [np.pad(slope, ((0, 0), (1, 0))), np.pad(slope, ((0, 0), (0, 1)))]
-    return settings.distortion_light * (comb.fwhm_px / FWHM) ** 2 * np.fmax(*across)
+    return pulled_px2 * np.fmax(*across)
 
 
 def _slope_across(light: Floats, x_px: Floats, settings: TrackingSettings) -> Floats:

@@ -345,7 +345,7 @@ class TrackingSettings:
     blur_fraction: float = 0.2
     """Motion over a few frames, in ridge widths, from which a ridge can be blurred. Smaller flags noise."""
 
-    blur_error: float = 0.8
+    blur_error: float = 0.795
     """Error of a blurred position over lost height times motion; in test_quality.py it must cover 62 to 74 of
     100 true positions."""
 
@@ -398,11 +398,6 @@ class TrackingSettings:
     static_floor: float = 0.01
     """Least of these relative errors. Smaller counts unequal pixels twice, since `fixed_pattern` of the
     deformation measures them; larger overlooks faint dirt."""
-
-    distortion_light: float = 1.75
-    """Error over the shift of a Gaussian that the slope of the light causes. It exceeds 1, because the light
-    between the ridges slopes as well (up to 2), and because an edge is steeper in its middle than from sheet
-    to sheet. Larger overstates errors, smaller understates them (test_distortion.py)."""
 
     distortion_floor: float = 0.08
     """Distortion, px, below which a position does not count as distorted, and a sheet not as distorted in the

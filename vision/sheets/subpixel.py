@@ -23,6 +23,8 @@ from vision.sheets.ridges import RidgeComb, in_blocks
 FitName = Literal["sliding", "paper", "template"]
 FitChoice = Literal["auto", "sliding", "paper", "template"]
 
+STEADY_FRAMES = 9  # whose mean height gives the error of a template position: single heights are noisy
+LEAST_EXPLAINED = 0.5  # share of the variance of a ridge's pixels; below it most of them show something else
 LEAST_TRIPLES = 8  # groups of three consecutive frames that a measurement of noise needs
 
 
@@ -157,7 +159,8 @@ def template_shift(
 
     The pixels of all ridges of a sheet, each shifted by its initial position, give the mean shape and its
     derivative at any fraction of a pixel (a least-squares spline). A Gauss-Newton step then fits shift,
-    brightness and background together; both are done twice. The mean shift over the ridges of a sheet is
+    brightness and background together; both are done twice, and the shape is learned from ridges without
+    their brightness and background. The mean shift over the ridges of a sheet is
     subtracted, so that the template never moves a sheet's mean position.
 
     Parameters
@@ -266,32 +269,46 @@ def _cubic_zero(four: Floats) -> tuple[Floats, Floats]:
 
 
 def _match(pixels: Floats, fraction: Floats, centre: Ints) -> tuple[Floats, Floats]:
-    """Match one sheet's ridges to their mean shape: positions, and their error per grey level of noise."""
-    step = np.zeros_like(fraction)
-    err = np.full_like(fraction, np.nan)
+    """Match one sheet's ridges to their mean shape: positions, and their error per grey level of noise.
+
+    The shape is that of ridges brought to the same level and height. Without this, light that changes while
+    a sheet creeps over the pixels would become a part of the shape, and hold the positions back. Ridges of
+    which the shape, upright, explains less than half of the variance of the pixels are covered by something
+    else: they do not count for the shape, and have no position.
+    """
+    step, none = np.zeros_like(fraction), np.full_like(fraction, np.nan)
+    pixels = pixels - pixels.mean(axis=1, keepdims=True)
+    power = np.einsum("ij,ij->i", pixels, pixels)
+    level, height, err = np.zeros_like(power), np.ones_like(power), none
+    alike = np.ones(len(pixels), bool)
     for _ in range(2):
         try:
-            mean, rise = _mean_shape(fraction + step, pixels)
+            mean, rise = _mean_shape(fraction + step, pixels, level, np.where(alike, height, 0.0))
         except np.linalg.LinAlgError:
-            return fraction + centre, err
-        update, err = _gauss_newton(pixels, mean, rise)
-        if not np.isfinite(update).any():
-            return fraction + centre, err
-        step += update - np.nanmean(update)
-    bad = ~(np.abs(step) <= 1.0)
-    return np.where(bad, np.nan, fraction + step + centre), np.where(bad, np.nan, err)
+            return none, none
+        update, err, level, height, explained = _fit_shape(pixels, mean, rise)
+        alike = (np.abs(step + update) <= 1.0) & (height > 0) & (explained >= LEAST_EXPLAINED * power)
+        if not alike.any():
+            return none, none
+        step += update - update[alike].mean()
+    share, steady = cv2.blur(np.stack([alike, np.where(alike, height, 0.0)], 1), (1, STEADY_FRAMES)).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        err = err * share / steady
+    return np.where(alike, fraction + step + centre, np.nan), np.where(alike, err, np.nan)
 
 
 _PIECES = np.array([[1, -3, 3, -1], [4, 0, -6, 3], [1, 3, 3, -3], [0, 0, 0, 1]]) / 6
 """The four cubic B-splines over one cell of even knots: coefficients of 1, t, t², t³ for t from 0 to 1."""
 
 
-def _mean_shape(shift_px: Floats, pixels: Floats) -> tuple[Floats, Floats]:
+def _mean_shape(shift_px: Floats, pixels: Floats, level: Floats, height: Floats) -> tuple[Floats, Floats]:
     """Return value and slope of one sheet's mean shape at each pixel, from a least-squares cubic spline.
 
-    shift_px: shift of each ridge, (ridges,). pixels: (ridges, pixels). Knots lie midway between the pixels of
-    a ridge that is not shifted. All pixels of a ridge have the same position between two knots, so that sums
-    over ridges are products of matrices. Beyond the knots the outermost cells are extrapolated.
+    shift_px, level, height: of each ridge, (ridges,); height 0 for ridges that do not count. pixels: (ridges,
+    pixels), of which the shape is the mean of (pixels − level) / height, weighted by the squared height since
+    their noise is the same. Knots lie midway between the pixels of a ridge that is not shifted. All pixels of
+    a ridge have the same position between two knots, so that sums over ridges are products of matrices.
+    Beyond the knots the outermost cells are extrapolated.
     """
     cells = pixels.shape[1]
     normal, right = np.zeros((cells + 3, cells + 3)), np.zeros(cells + 3)
@@ -304,11 +321,13 @@ def _mean_shape(shift_px: Floats, pixels: Floats) -> tuple[Floats, Floats]:
     for mine, column in groups:
         cell = np.clip(column, 0, cells - 1)
         powers = fraction[mine, None] ** four
-        blocks = np.tile(powers.T @ powers, (cells, 1, 1))  # (cell, 4, 4)
-        loads = pixels[mine].T @ powers
+        weighted = powers * height[mine, None]
+        blocks = np.tile(weighted.T @ weighted, (cells, 1, 1))  # (cell, 4, 4)
+        loads = pixels[mine].T @ weighted - level[mine] @ weighted
         for beyond in np.flatnonzero(cell != column):  # these pixels count at the outermost knot
             end = (np.sign(column[beyond]) > 0) ** four.astype(float)
-            blocks[beyond], loads[beyond] = mine.sum() * np.outer(end, end), pixels[mine, beyond].sum() * end
+            blocks[beyond] = height[mine] @ height[mine] * np.outer(end, end)
+            loads[beyond] = (pixels[mine, beyond] - level[mine]) @ height[mine] * end
         row = cell[:, None] + four
         np.add.at(normal, (row[:, :, None], row[:, None, :]), _PIECES @ blocks @ _PIECES.T)
         np.add.at(right, row, loads @ _PIECES.T)
@@ -327,22 +346,27 @@ def _mean_shape(shift_px: Floats, pixels: Floats) -> tuple[Floats, Floats]:
     return mean, rise
 
 
-def _gauss_newton(pixels: Floats, mean: Floats, rise: Floats) -> tuple[Floats, Floats]:
-    """Return the shift that brings the mean shape onto the pixels, and its error per grey level of noise.
+def _fit_shape(pixels: Floats, mean: Floats, rise: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """Fit the mean shape to the pixels of each ridge, of mean 0: shift, its error per grey level of noise at
+    unit height, level, height, and the sum of squares that they explain, (ridges,).
 
-    Level and brightness are fitted as well, but eliminated from the normal equations: the slope and the shape
-    are taken less their means over the pixels, and only the shift is solved for.
+    The fit is linear in level, height, and height times shift. The level is eliminated from the normal
+    equations: the slope and the shape are taken less their means over the pixels.
     """
-    shift, shape = rise.mean(axis=1, keepdims=True) - rise, mean - mean.mean(axis=1, keepdims=True)
-    residual = pixels - mean
-    shift_shift, shift_shape, shape_shape = (
-        np.einsum("ij,ij->i", a, b) for a, b in ((shift, shift), (shift, shape), (shape, shape))
+    rise_mean, shape_mean = rise.mean(axis=1, keepdims=True), mean.mean(axis=1, keepdims=True)
+    shift, shape = rise_mean - rise, mean - shape_mean
+    shift_shift, shift_shape, shape_shape, shift_pixels, shape_pixels = (
+        np.einsum("ij,ij->i", a, b)
+        for a, b in ((shift, shift), (shift, shape), (shape, shape), (shift, pixels), (shape, pixels))
     )
     with np.errstate(divide="ignore", invalid="ignore"):
         shared = shift_shape / shape_shape
         alone = shift_shift - shared * shift_shape
-        found = np.einsum("ij,ij->i", shift, residual) - shared * np.einsum("ij,ij->i", shape, residual)
-        return found / alone, np.sqrt(1 / alone)
+        moved = (shift_pixels - shared * shape_pixels) / alone
+        height = (shape_pixels - moved * shift_shape) / shape_shape
+        level = moved * rise_mean[:, 0] - height * shape_mean[:, 0]
+        explained = height * shape_pixels + moved * shift_pixels
+        return moved / height, np.sqrt(1 / alone), level, height, explained
 
 
 # --- all sheets of all frames -------------------------------------------------------------------------------
