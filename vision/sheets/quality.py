@@ -178,14 +178,17 @@ def distortion(bright: Floats32, x_px: Floats, err_px: Floats, blurred: Bools, c
     (`_significant`): clearly, unless the film shows that positions change with them. The mean difference of a
     sheet shifts all its positions alike, and is no error of displacements.
 
+    Of narrow ridges (`verdict_least_px`) the errors are given, but neither the usual distortion nor the mean
+    difference: their texture is as large as they are.
+
     Light that falls off over a ridge hardly changes its shape; it shows in the heights (`_shift_by_light`).
     What stands still where a ridge moves changes all displacements of its sheet by the same factor
     (`displacement_scale_error`).
     """
     settings = comb.settings
     none = Distortion(np.zeros_like(x_px), *np.zeros((3, x_px.shape[1])))
-    narrow = comb.fwhm_px < settings.distortion_least_px
-    if narrow and x_px.shape[1] >= ENOUGH:
+    several = x_px.shape[1] >= ENOUGH
+    if several and comb.fwhm_px < settings.distortion_least_px:
         return none
     half = max(3, round(min(0.9 * comb.fwhm_px, 0.5 * comb.pitch_px)))
     shape = _sampled_profiles(bright, x_px, half)[1]
@@ -225,7 +228,10 @@ def distortion(bright: Floats32, x_px: Floats, err_px: Floats, blurred: Bools, c
         del shapes[1:]
     scale = displacement_scale_error(x_px, shapes, settings)
     size = np.fmax(size, np.fmin(scale * np.abs(x_px - nan_median(x_px)), within))
-    return Distortion(size, nan_median(slight), none.lasting_px if narrow else lasting, scale)
+    if comb.fwhm_px < settings.verdict_least_px:
+        usual_px = none.usual_px if several else nan_median(slight)
+        return Distortion(size, usual_px, none.lasting_px, scale)
+    return Distortion(size, nan_median(slight), lasting, scale)
 
 
 def displacement_scale_error(x_px: Floats, shape: Sequence[Floats], settings: TrackingSettings) -> Floats:
