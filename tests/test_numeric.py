@@ -3,7 +3,17 @@
 import numpy as np
 import pytest
 
-from vision.numeric import nan_median, nan_quantile, spread_indices
+from vision.numeric import (
+    common_change,
+    median_of_all,
+    median_step,
+    nan_median,
+    nan_quantile,
+    row_parts,
+    spread_indices,
+    weighted_median,
+    without_common_change,
+)
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -33,3 +43,38 @@ def test_indices_are_spread_from_the_first_to_the_last():
     assert spread_indices(101, 5).tolist() == [0, 25, 50, 75, 100]
     assert spread_indices(3, 5).tolist() == [0, 1, 2]
     assert spread_indices(1, 5).tolist() == [0]
+
+
+@pytest.mark.parametrize(
+    ("shape", "axis"), [((400, 300), 0), ((400, 300), 1), ((3, 1000, 70), 1), ((100_000,), 0)]
+)
+def test_medians_of_large_tables_are_those_of_their_parts(shape, axis):
+    """A failure means that long films have other medians than short ones."""
+    values = np.random.default_rng(0).normal(size=shape)
+    values[values > 1.8] = np.nan
+    np.testing.assert_array_equal(nan_median(values, axis=axis), np.nanmedian(values, axis=axis))
+    expected = np.nanquantile(values, 0.9, axis=axis)
+    np.testing.assert_allclose(nan_quantile(values, 0.9, axis=axis), expected, rtol=1e-12, atol=1e-15)
+    assert median_of_all(values.copy()) == np.nanmedian(values)
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 300, 30_000])
+def test_half_of_the_weight_lies_up_to_a_weighted_median(count):
+    """A failure means a wrong estimate of the errors of distorted ridges."""
+    rng = np.random.default_rng(count)
+    values, weights = rng.normal(size=count).round(3), rng.uniform(0.1, 2.0, count)
+    values[5::7], weights[5::7] = np.nan, 0.0
+    order = np.argsort(values)
+    expected = values[order][np.searchsorted(np.cumsum(weights[order]), weights.sum() / 2)]
+    assert weighted_median(values, weights) == expected
+
+
+def test_common_changes_are_those_of_most_columns():
+    """A failure means that vibration or flicker of all sheets counts as theirs."""
+    rng = np.random.default_rng(1)
+    common, own = rng.normal(size=(5000, 1)), np.arange(5.0)
+    table = common + own
+    np.testing.assert_allclose(median_step(table), np.diff(common[:, 0]), atol=1e-12)
+    np.testing.assert_allclose(common_change(table, own), common[:, 0], atol=1e-12)
+    np.testing.assert_allclose(np.ptp(without_common_change(table), axis=0), 0.0, atol=1e-12)
+    assert [part.stop - part.start for part in row_parts(10, 4)] == [4, 4, 2]

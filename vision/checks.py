@@ -16,6 +16,7 @@ from vision.models.modulus import cycles_seen
 from vision.numeric import Pixels, nan_median, stretches
 from vision.sample import Sample
 from vision.sheets.tracks import comb_is_stationary
+from vision.words import is_word, word_counts
 
 if TYPE_CHECKING:
     from vision.figures import Results
@@ -68,13 +69,7 @@ def all_warnings(
 
 def flag_counts(tracks: xr.Dataset) -> dict[str, int]:
     """Return how often each flag occurs, in alphabetical order."""
-    flags = tracks["flag"].values
-    ok = flags == "ok"  # most are, and need not be sorted
-    names, counts = np.unique(flags[~ok], return_counts=True)
-    found = {str(name): int(count) for name, count in zip(names, counts, strict=True)}
-    if ok.any():
-        found["ok"] = int(ok.sum())
-    return dict(sorted(found.items()))
+    return word_counts(tracks["flag"])
 
 
 DOUBTFUL = {
@@ -104,7 +99,7 @@ def tracking_warnings(tracks: xr.Dataset) -> list[str]:
         line = f"{uncertain} of {total} positions left out{why_left_out(flags)}"
         # With 0.2 there is no advice if a hand always covers part of the comb and other positions are wrong.
         if uncertain > 0.1 * total:
-            jumps = 2 * np.isin(tracks["why"].values, "jump").sum() > uncertain
+            jumps = 2 * is_word(tracks["why"], "jump").sum() > uncertain
             line += "; with so many, other positions may also be wrong: " + (
                 "film an end of the comb, mark a sheet or film faster, as the comb jumps by unknown pitches"
                 if jumps
@@ -149,9 +144,9 @@ def why_left_out(flags: Mapping[str, int]) -> str:
 
 def _frames_with_few_sheets(tracks: xr.Dataset) -> str:
     """Return a warning if fewer than half of the sheets are found in ten or more successive frames, or ""."""
-    flags = tracks["flag"].values
-    read = ~np.isin(flags, ("frozen", "blank", "corrupt", "lost")).all(axis=1)
-    few = read & (np.isin(flags, ("missing", "edge", "unfit")).mean(axis=1) > 0.5)
+    flags = tracks["flag"]
+    read = ~is_word(flags, "frozen", "blank", "corrupt", "lost").all(axis=1)
+    few = read & (is_word(flags, "missing", "edge", "unfit").mean(axis=1) > 0.5)
     _, first, stop = stretches(few[:, None])
     if not len(first) or (stop - first).max() < 10:
         return ""

@@ -449,6 +449,9 @@ class StickMetadata(Metadata):
     two_slopes, bend_share
         Whether stick phases were fitted with a knee; correction of the lines at the valley for the curvature
         common to all sticks, over their rise (negative: sticks begin steeply).
+    hum_Hz, hum_N
+        Frequency and root mean square of hum, without which slips are searched; NaN and 0 for none. Forces
+        are measured with it, and their errors contain it.
     regime, fall_over_rise
         "stick-slip", "oscillation", "cycles" or "noise"; median duration of falls over that of rises.
     warnings
@@ -475,6 +478,8 @@ class StickMetadata(Metadata):
     lowpass_peak_mm: float = 0.0
     two_slopes: bool = False
     bend_share: float = 0.0
+    hum_Hz: float = math.nan
+    hum_N: float = 0.0
     regime: str = "stick-slip"
     fall_over_rise: float = math.nan
     warnings: Sequence[str] = field(default_factory=list)

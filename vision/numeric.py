@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,6 +12,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 Ints = NDArray[np.int64]
+Ints32 = NDArray[np.int32]
 Bools = NDArray[np.bool_]
 Strings = NDArray[np.str_]
 Codes = NDArray[np.uint8]  # members of an IntEnum
@@ -20,6 +23,10 @@ FWHM = float(np.sqrt(8 * np.log(2)))
 NORMAL_MEDIAN = 0.6744897501960817
 """Median of the absolute value of a standard normal variable. The median absolute deviation (MAD) divided by
 it estimates the standard deviation."""
+AT_ONCE = 1 << 16
+"""Values of which medians are taken at once: a copy of more takes memory, and is not in a core's cache."""
+ROWS_AT_ONCE = 2048
+"""Frames of which tables are computed at once (`row_parts`)."""
 
 
 def mad_sigma(values: NDArray[np.floating], axis: int | None = None) -> Any:
@@ -61,7 +68,93 @@ def rms(values: Floats) -> float:
 
 def nan_median(values: NDArray[np.floating], axis: int = 0) -> Floats:
     """Return the median along an axis, ignoring NaN; NaN, without a warning, if all values are NaN."""
-    lanes = np.array(np.moveaxis(np.asarray(values), axis, -1), np.float64, order="C")
+    return _of_lanes(_median, np.moveaxis(np.asarray(values), axis, -1))
+
+
+def nan_quantile(values: NDArray[np.floating], fraction: float, axis: int = 0) -> Floats:
+    """Return a quantile along an axis, ignoring NaN, interpolated linearly; NaN if all values are NaN."""
+    return _of_lanes(partial(_quantile, fraction), np.moveaxis(np.asarray(values), axis, -1))
+
+
+def median_of_all(values: Floats) -> float:
+    """Return the median of all values, ignoring NaN, without a copy: they are reordered in place."""
+    return float(_median(values.reshape(-1)))
+
+
+def median_size(values: NDArray[np.floating]) -> Floats:
+    """Return the median absolute value of each column of (rows, columns), ignoring NaN, one at a time."""
+    return np.array([nan_median(np.abs(column)) for column in values.T], np.float64)
+
+
+def median_where(known: Bools, values: NDArray[np.floating]) -> Floats:
+    """Return the median of each column of values (rows, columns) where they are known, one at a time."""
+    each = zip(known.T, values.T, strict=True)
+    return np.array([nan_median(np.where(use, column, np.nan)) for use, column in each], np.float64)
+
+
+def median_step(values: NDArray[np.floating]) -> Floats:
+    """Return the median step of all columns from each row to the next, (rows − 1,), a part at a time."""
+    step = np.empty(max(0, len(values) - 1))
+    for rows in row_parts(len(step)):
+        near = values[rows.start : rows.stop + 1].astype(np.float64)
+        step[rows] = nan_median(np.diff(near, axis=0), axis=1)
+    return step
+
+
+def common_change(values: NDArray[np.floating], usual: Floats) -> Floats:
+    """Return the median difference of each row from the usual values (columns,), a part at a time."""
+    change = np.empty(len(values))
+    for rows in row_parts(len(values)):
+        change[rows] = nan_median(values[rows] - usual, axis=1)
+    return change
+
+
+def without_common_change(values: NDArray[np.floating]) -> Floats:
+    """Return values (frame, N) less the change that all columns share (vibration, flicker, focus)."""
+    return np.asarray(values - common_change(values, nan_median(values))[:, None], np.float64)
+
+
+def row_parts(rows: int, at_once: int = ROWS_AT_ONCE) -> Iterator[slice]:
+    """Yield slices of consecutive rows: what is computed of a part at a time takes little memory."""
+    return (slice(start, min(start + at_once, rows)) for start in range(0, rows, at_once))
+
+
+def weighted_median(values: Floats, weights: Floats) -> float:
+    """Return the value up to which the weights add up to half of their sum; (values,), NaN where not known.
+
+    All values are counted in the intervals between some of them, and only those of the interval in the middle
+    are sorted.
+    """
+    some = values[:: max(1, len(values) // ROWS_AT_ONCE)]
+    edges = np.sort(some[np.isfinite(some)])[1:-1]
+    sums = np.zeros(len(edges) + 1)
+    for part in row_parts(len(values)):
+        interval = np.searchsorted(edges, values[part], side="right")
+        sums += np.bincount(interval, weights[part], len(sums))
+    total = np.cumsum(sums)
+    half = total[-1] / 2
+    middle = int(np.searchsorted(total, half))
+    low, high = np.r_[-np.inf, edges, np.inf][[middle, middle + 1]]
+    near = np.flatnonzero((values >= low) & (values < high))
+    near = near[np.argsort(values[near], kind="stable")]
+    up_to = total[middle] - sums[middle] + np.cumsum(weights[near])
+    return float(values[near[min(int(np.searchsorted(up_to, half)), len(near) - 1)]])
+
+
+def _of_lanes(statistic: Callable[[Floats], Floats], values: NDArray[np.floating]) -> Floats:
+    """Return a statistic of values along the last axis, of a part at a time, as each is copied and sorted."""
+    if values.ndim == 1 or values.size <= AT_ONCE:
+        return statistic(np.array(values, np.float64, order="C"))
+    each = values[0].size
+    if each > AT_ONCE and values.ndim > 2:
+        return np.stack([_of_lanes(statistic, part) for part in values])
+    rows = max(1, AT_ONCE // each)
+    parts = (values[start : start + rows] for start in range(0, len(values), rows))
+    return np.concatenate([statistic(np.array(part, np.float64, order="C")) for part in parts])
+
+
+def _median(lanes: Floats) -> Floats:
+    """Return the median of each lane along the last axis, ignoring NaN; the lanes are sorted in place."""
     size = lanes.shape[-1]
     if size == 0:
         return np.full(lanes.shape[:-1], np.nan)
@@ -83,22 +176,21 @@ def nan_median(values: NDArray[np.floating], axis: int = 0) -> Floats:
     return np.where(count > 0, pair / 2, np.nan)
 
 
-def nan_quantile(values: NDArray[np.floating], fraction: float, axis: int = 0) -> Floats:
-    """Return a quantile along an axis, ignoring NaN, interpolated linearly; NaN if all values are NaN."""
-    ordered = np.array(np.moveaxis(np.asarray(values), axis, -1), np.float64, order="C")
-    ordered.sort(axis=-1)  # NaN comes last
-    size = ordered.shape[-1]
+def _quantile(fraction: float, lanes: Floats) -> Floats:
+    """Return a quantile of each lane along the last axis, ignoring NaN; the lanes are sorted in place."""
+    lanes.sort(axis=-1)  # NaN comes last
+    size = lanes.shape[-1]
     if size == 0:
-        return np.full(ordered.shape[:-1], np.nan)
-    if _complete(ordered):
+        return np.full(lanes.shape[:-1], np.nan)
+    if _complete(lanes):
         place = fraction * (size - 1)
-        below, above = ordered[..., int(place)], ordered[..., min(int(place) + 1, size - 1)]
+        below, above = lanes[..., int(place)], lanes[..., min(int(place) + 1, size - 1)]
         return np.asarray(below + (above - below) * (place - int(place)), np.float64)
-    count = np.isfinite(ordered).sum(axis=-1)
+    count = np.isfinite(lanes).sum(axis=-1)
     index = fraction * np.maximum(count - 1, 0)
     low = np.floor(index).astype(np.int64)
     high = np.minimum(low + 1, np.maximum(count - 1, 0))
-    below, above = _in_lanes(ordered, low), _in_lanes(ordered, high)
+    below, above = _in_lanes(lanes, low), _in_lanes(lanes, high)
     return np.where(count > 0, below + (above - below) * (index - low), np.nan)
 
 

@@ -272,6 +272,8 @@ def lowpass_correction(sticks: pd.DataFrame) -> str:
                 f"; the slips {proven} a low-pass of {_ms(facts.lowpass_proposed_s)}, which "
                 "`lowpass_s` can correct"
             )
+        if facts.hum_N:
+            proposal += f"; slips are searched without hum of {facts.hum_Hz:.4g} Hz, {facts.hum_N:.2g} rms"
         return f"forces as recorded{proposal}"
     return f"corrected for a low-pass of {_ms(facts.lowpass_s)} ({facts.lowpass_how})"
 

@@ -112,7 +112,8 @@ def track_one(
     copy: Path | None = None,
     config: Path | None = None,
 ) -> tuple[int, Analysis]:
-    """Track one film into one run folder; return the exit status and the analysis.
+    """Track one film into one run folder; return the exit status and the analysis, of a long film without
+    I(x, t).
 
     one_of_many: whether several films are tracked. Each warning then names its film, and the summary is
     printed only if `run.verbose`, as a table of all films follows.  copy: copy of the film, which is read
@@ -141,8 +142,6 @@ def track_one(
         facts = {"frames_resumed": checkpoint.resumed} if checkpoint.resumed else None
         write_run(analysis, target, origin, overwrite=run.overwrite, report=run.report, facts=facts)
         checkpoint.remove()
-    if analysis.tracks is not None and analysis.tracks.sizes["frame"] >= LONG_FRAMES:
-        keep_first_view(target, settings)
     status = finish(
         analysis,
         target,
@@ -151,6 +150,9 @@ def track_one(
         verbose=run.verbose,
         about=f"{video.name}: " if one_of_many else "",
     )
+    if analysis.tracks is not None and analysis.tracks.sizes["frame"] >= LONG_FRAMES:
+        analysis = replace(analysis, strip=None)  # it is in the run folder, and most of what is in memory
+        keep_first_view(target, settings)
     return status, analysis
 
 

@@ -31,6 +31,7 @@ from vision.figures.style import (
 )
 from vision.numeric import Floats, Pixels, nan_median
 from vision.spacetime import space_time
+from vision.words import is_word
 
 MOST_ROWS = 1200  # of an image
 X_PX, GREY_LEVELS = "x (px)", "I (grey levels)"  # labels of axes
@@ -115,7 +116,7 @@ def _which_frame(tracks: xr.Dataset) -> str:
     """Return number and time of the frame shown, the first that is not lost, blank or corrupt."""
     first = 0
     if "flag" in tracks:
-        first = int((~np.isin(tracks["flag"].values, ("lost", "blank", "corrupt"))).all(axis=1).argmax())
+        first = int((~is_word(tracks["flag"], "lost", "blank", "corrupt")).all(axis=1).argmax())
     time = float(tracks["time_s"].values[first])
     at = f" (t = {time:.4g} s)" if np.isfinite(time) else ""
     return f"Frame {int(tracks['frame'].values[first])}{at}"

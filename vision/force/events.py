@@ -13,6 +13,7 @@ import xarray as xr
 from vision.data import FORCE, STICKS, ForceMetadata, StickMetadata, load_unit, record
 from vision.errors import InputError, check_positive, check_within
 from vision.force.corners import Corners, Extremes, find_corners, find_extremes, is_slow
+from vision.force.hum import find_hum, is_hum
 from vision.force.lines import fit_broken_lines, fit_lines, fit_polynomials
 from vision.force.lowpass import Lowpass, find_lowpass
 from vision.force.recording import is_compression
@@ -89,13 +90,13 @@ def find_stick_slip(
     _check_times(force, source)
     signal = Signal.of(force, settings)
     _check_load(signal, source, settings)
-    slips = find_slips(signal.clean, signal.noise, threshold=threshold_N, settings=settings)
+    signal, slips = _search_slips(signal, threshold_N, settings)
     if slips.edge.size < 2:
         raise _too_few_slips(signal, slips, source)
     _check_lowpass(lowpass_s, slips.period * signal.interval_s, source)
     signal = with_slow_noise(signal, slips, settings)
     if threshold_N is None:
-        signal, slips = _above_hum(signal, slips, settings)
+        signal, slips = _above_swings(signal, slips, settings)
         signal, slips = _above_slow_noise(signal, slips, settings)
     analysis = _analyse_slips(signal, slips, lowpass_s, two_slopes, settings)
     unloading = is_unloading(signal.travel, analysis.extremes)
@@ -247,11 +248,33 @@ def _analyse_slips(
     return _SlipAnalysis(corners, extremes, regime, found, how)
 
 
-def _above_hum(signal: Signal, slips: Slips, settings: ForceSettings) -> tuple[Signal, Slips]:
-    """Return the slips without the swings of hum, and the signal with the noise that they are.
+def _search_slips(signal: Signal, threshold_N: float | None, settings: ForceSettings) -> tuple[Signal, Slips]:
+    """Return the slips, which are searched in the load without hum, and the signal with the hum as noise.
 
-    Most swings of hum are as slow as the rises beside them, and a gap in the sizes separates them from slips;
-    the noise is then the scatter about the stick lines.
+    All that is measured afterwards is measured on the load as recorded.
+    """
+    hum = find_hum(signal.clean, settings)
+    while True:
+        quiet = signal.without(hum, settings)
+        slips = find_slips(quiet.clean, quiet.noise, threshold=threshold_N, settings=settings)
+        # Without their own harmonics slips are found in wrong places, so that other lines are judged anew.
+        kept = [line for line in hum if is_hum(line, signal.clean, slips, settings)]
+        if len(kept) == len(hum):
+            break
+        hum = kept
+    if not hum:
+        return signal, slips
+    rms = float(np.linalg.norm([line.rms for line in hum]))
+    hum.sort(key=lambda line: line.rms, reverse=True)
+    noisy = replace(signal, hum=hum, sigma=np.hypot(quiet.sigma, rms), noise=np.hypot(quiet.noise, rms))
+    return noisy, slips
+
+
+def _above_swings(signal: Signal, slips: Slips, settings: ForceSettings) -> tuple[Signal, Slips]:
+    """Return the slips without the swings of smoothed noise, and the signal with the noise that they are.
+
+    Most swings are as slow as the rises beside them, and a gap in the sizes separates them from slips; the
+    noise is then the scatter about the stick lines.
     """
     gap = size_gap(slips.drop, settings.slow_gap, 1 - 3 / slips.drop.size)
     small = slips.drop < gap
@@ -384,6 +407,8 @@ def _metadata(
         **shares,
         two_slopes=analysis.corners.two_slopes,
         bend_share=analysis.corners.shape.begin,
+        hum_Hz=signal.hum[0].frequency / signal.interval_s if signal.hum else float("nan"),
+        hum_N=float(np.linalg.norm([line.rms for line in signal.hum])),
         regime=analysis.regime.name,
         fall_over_rise=analysis.regime.fall_over_rise,
         warnings=warnings,

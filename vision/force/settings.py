@@ -40,6 +40,11 @@ class ForceSettings:
     """Share of spikes from which a recording is refused as sampled too slowly. Smaller refuses real impulses
     (1 % of the samples); larger takes beats of the sampling for slips (5 Hz at 20 Hz: 50 % of spikes)."""
 
+    hum_ratio: float = 10.0
+    """Power of a line of the load's spectrum over that of the frequencies around it from which it may be hum.
+    Smaller takes chance for hum, which 15 averaged spectra of noise reach at 3; larger leaves faint hum in
+    the search for slips, where it hides or cuts sticks; shown by hum of 0.3 to 30 % of the drop."""
+
     # slips
     step_width: float = 0.15
     """Half the width of the step filter, in periods. Wider averages more noise, narrower follows irregular
@@ -67,8 +72,8 @@ class ForceSettings:
 
     slow_gap: float = 2.0
     """Ratio, as for `threshold_gap`, where most drops below the gap last nearly as long as the rises beside
-    them: hum or smoothed noise. Smaller cuts off small slow slips, larger takes hum for slips; shown by slow
-    slips of lognormal sizes, and by hum of a tenth of the drop."""
+    them: smoothed noise. Smaller cuts off small slow slips, larger takes noise for slips; shown by slow slips
+    of lognormal sizes, and by noise that an amplifier has smoothed."""
 
     # lines through the sticks
     uneven_parts: int = 8

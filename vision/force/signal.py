@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -10,6 +11,7 @@ import scipy
 import xarray as xr
 from numpy.lib.stride_tricks import sliding_window_view
 
+from vision.force.hum import Hum
 from vision.force.lines import fit_lines, fit_polynomials
 from vision.force.recording import usable
 from vision.force.settings import ForceSettings
@@ -36,6 +38,7 @@ class Signal:
     alike: float = 1.0  # number of neighbouring samples whose noise is common: 1 for white noise
     wander: float = 0.0  # standard deviation, N, of noise so slow that it moves a stick as a whole
     slow: SlowNoise | None = None  # noise that is not white
+    hum: Sequence[Hum] = ()  # the strongest line first; the load contains it, and the noise its rms
 
     @classmethod
     def of(cls, force: xr.Dataset, settings: ForceSettings) -> Signal:
@@ -85,6 +88,13 @@ class Signal:
             noise=self.noise[before],
             damage={kind: counted[before] for kind, counted in self.damage.items()},
         )
+
+    def without(self, hum: Sequence[Hum], settings: ForceSettings) -> Signal:
+        """Return the signal without these waves, and the noise that remains."""
+        if not hum:
+            return self
+        clean = self.clean - np.sum([line.wave for line in hum], axis=0)
+        return replace(self, clean=clean, sigma=noise_sigma(clean), noise=noise_levels(clean, settings))
 
     @cached_property
     def interval_s(self) -> float:

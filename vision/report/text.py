@@ -26,6 +26,7 @@ from vision.figures.style import candidates_text, drift_text, offset_text
 from vision.models import Estimate, ModelFits
 from vision.sheets.tracks import LOSSY
 from vision.summary import AXIS_HOW, noise_figures
+from vision.words import is_word
 
 PAPER = (
     "A. Plati, F. Restagno, C. Poulard, Stick-slip dynamics in an interleaved system with self-amplified "
@@ -67,8 +68,8 @@ def _sheets(results: Results) -> Answer | None:
     tracks = results.tracks
     if tracks is None:
         return None
-    side, flags = tracks["side"].values, tracks["flag"].values
-    ok = float(np.isin(flags, MEASURED).mean()) if flags.size else 0.0
+    side, measured = tracks["side"].values, is_word(tracks["flag"], *MEASURED)
+    ok = float(measured.mean()) if measured.size else 0.0
     return Answer(
         "sheets tracked",
         f"{side.size} ({(side < 0).sum()} left, {(side > 0).sum()} right)",

@@ -160,10 +160,9 @@ class Effects:
         )
         seen = find_ridges(profile, comb)
         window = self.run.positions.track_facts.window_px
-        bright = comb.bright(profile)
         usual = np.tile(median_positions(self.run.positions) - first, (len(profile), 1))
         start = nearest_ridges(seen.x_px, usual, 0.5 * comb.pitch_px)
-        x, _ = fit_sheets(bright, start, fit="sliding", window_px=window, comb=comb)
+        x, _ = fit_sheets(profile, start, fit="sliding", window_px=window, comb=comb)
         known = np.isfinite(seen.x_px[here])
         return {
             "rows": [top, bottom],

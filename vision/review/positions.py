@@ -305,10 +305,8 @@ class _CorrectedPositions(Corrected):
             part = slice(begin, begin + BLOCK)
             first, stop = int(rows[part].min()), int(rows[part].max()) + 1
             profile = self.diagram.rows(self.positions.first_row + first, self.positions.first_row + stop)
-            bright = self.comb.bright(profile[rows[part] - first])
-            found, _ = fit_sheets(
-                bright, start[part, None], fit=fit, window_px=facts.window_px, comb=self.comb
-            )
+            seen = profile[rows[part] - first]
+            found, _ = fit_sheets(seen, start[part, None], fit=fit, window_px=facts.window_px, comb=self.comb)
             x[part] = found[:, 0]
         return x + first_column
 

@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from pyarrow import csv
 
 from vision.files import harmless_table
+from vision.numeric import row_parts
 
 _JSON = ("[", "{", '"')  # first character of an attribute that is read back as JSON
-ROWS_PER_CHUNK = 500_000  # of the table of positions that are in memory
+ROWS_PER_CHUNK = 1 << 17  # of the table of positions that are in memory
 ROWS_PER_BATCH = 1 << 15  # formatted at once: Arrow's 1024 take a quarter longer
 
 
@@ -105,12 +106,17 @@ def write_tracks_nc(
         if variable.dtype.kind in "UO":
             encoding[str(name)] = packed | {"char_dim_name": f"{name}_length"}
             attrs = variable.attrs | {"_Encoding": "utf-8"}
-            data[name] = (variable.dims, _as_bytes(variable.values), attrs)
+            data[name] = (variable.dims, _as_bytes(variable), attrs)
     path.write_bytes(data.to_netcdf(engine="h5netcdf", encoding=encoding))
 
 
-def _as_bytes(text: NDArray[Any]) -> NDArray[np.bytes_]:
-    """Encode ASCII text, as wide as the longest one, ten times as fast as xarray does."""
+def _as_bytes(text: xr.Variable) -> NDArray[np.bytes_]:
+    """Encode ASCII text, as wide as the longest one, ten times as fast as xarray does, a part at a time."""
+    parts = list(row_parts(len(text))) or [slice(0)]
+    return np.concatenate([_encoded_part(text[rows].values) for rows in parts])
+
+
+def _encoded_part(text: NDArray[Any]) -> NDArray[np.bytes_]:
     wide = np.ascontiguousarray(text, np.str_)
     width = max(1, int(np.strings.str_len(wide).max(initial=1)))
     codes = wide.view(np.uint32).reshape(*wide.shape, -1)[..., :width]  # of the characters

@@ -12,13 +12,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vision.numeric import Floats, Ints
+from vision.numeric import Floats, Ints, Ints32, row_parts
 from vision.sheets.settings import DEFAULT, TrackingSettings
 
+Real = TypeVar("Real", bound=np.floating)
 BAND = 8  # largest number of missing sheets or false detections on one side of a pair
 MOST_CROSSING = 3  # largest number of sheets that cross an edge of the picture in one displacement
 
@@ -86,10 +88,13 @@ class Pairing:
     margin: Floats
 
 
-def values_of(match: Ints, values: NDArray[np.floating]) -> Floats:
+def values_of(match: Ints | Ints32, values: NDArray[Real]) -> NDArray[Real]:
     """Return the values (lists, K) of the candidate of each sheet, NaN where missing, (lists, N)."""
-    paired = np.take_along_axis(values.astype(np.float64), np.maximum(match, 0), axis=1)
-    return np.where(match >= 0, paired, np.nan)
+    found = np.empty(match.shape, values.dtype)
+    for rows in row_parts(len(match)):
+        paired = np.take_along_axis(values[rows], np.maximum(match[rows], 0), axis=1)
+        found[rows] = np.where(match[rows] >= 0, paired, np.nan)
+    return found
 
 
 def align(candidates: Candidates, expected: ExpectedSheets) -> Pairing:

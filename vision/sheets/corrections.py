@@ -496,6 +496,8 @@ def apply_corrections(
         to accept, or a ridge that does not exist or is another sheet's. The message names the entry.
     """
     wanted = ordered([one for one in corrections if one.kind in OF_SHEETS])
+    if not wanted:
+        return detections
     _check_unique(wanted)
     corrected = _CorrectedDetections(detections, ridges, comb, frames, origin_px)
     for correction in wanted:

@@ -11,8 +11,21 @@ from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
+from numpy.typing import NDArray
 
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, Ints, nan_median, shifted
+from vision.numeric import (
+    NORMAL_MEDIAN,
+    Bools,
+    Floats,
+    Floats32,
+    Ints,
+    Ints32,
+    median_step,
+    nan_median,
+    row_parts,
+    shifted,
+    without_common_change,
+)
 from vision.sheets.alignment import Candidates, Pairing, align, values_of
 from vision.sheets.displacement import comb_displacement, comb_squeeze, place_by_pattern
 from vision.sheets.reference import ReferenceComb, build_reference, faint_ends, static_ridges
@@ -38,6 +51,7 @@ DOUBTS = {
     "hop": "on another ridge, away from the position that the neighbours predict",
 }
 """Meaning of each of `WHYS`."""
+BLOCKS_AT_ONCE = 64  # of frames over which positions at rest are medians
 SHIFTS = (-2, -1, 1, 2)  # alternative numberings, which must be excluded
 
 
@@ -53,10 +67,10 @@ class Identities:
     margins are 0 where nothing proves where it is. end_in_view: whether an end of the comb is seen.
     """
 
-    match: Ints
+    match: Ints | Ints32
     margin: Floats
     rest_px: Floats
-    usual_px: Floats
+    usual_px: Floats32
     reference: ReferenceComb
     proved: Bools
     jumps: bool
@@ -78,7 +92,9 @@ def identify_sheets(
         If there are no ridges, or fewer than `sheets`; the message names `source`.
     """
     scale, middle_px = comb_squeeze(ridges, comb.settings)
-    ridges = replace(ridges, x_px=(middle_px + (ridges.x_px - middle_px) / scale).astype(np.float32))
+    if (scale != 1).any():
+        usual = (middle_px + (ridges.x_px - middle_px) / scale).astype(np.float32)
+        ridges = replace(ridges, x_px=usual)
     segments, displacement, proved, jumps = _segments_on_comb(ridges, comb)
     carried = jumps * displacement[:, None]
     reference = build_reference(
@@ -91,33 +107,37 @@ def identify_sheets(
     )
 
     def align_all(reference: ReferenceComb, rest: Floats) -> Pairing:
-        expected = reference.expected(rest[segments.middle], comb, counted=sheets is not None)
+        expected = reference.expected(rest, comb, counted=sheets is not None)
         return align(segments.candidates, expected)
 
-    rest = reference.x_px + displacement[:, None]
+    rest = reference.x_px + displacement[segments.middle, None]
     match = segments.in_frames(align_all(reference, rest).match, ridges.count)
     if sheets is None:
-        x = values_of(match, ridges.x_px)
-        moved = x - carried - _rest_over_time(x - carried, reference, comb)
+        moved = values_of(match, ridges.x_px) - carried
+        moved -= _rest_over_time(moved, reference, comb)
         real = ~static_ridges(moved, reference.x_px, settings=comb.settings)
         real &= ~faint_ends(reference, moved, settings=comb.settings)
+        del moved
         reference, match = reference.only(np.flatnonzero(real)), match[:, real]
     for _ in range(2):  # with each sheet expected where it was found around that time
-        x = values_of(match, ridges.x_px)
-        rest = _rest_over_time(x - carried, reference, comb) + carried
-        pairing = align_all(reference, rest)
+        rest = _rest_over_time(values_of(match, ridges.x_px), reference, comb, carried)
+        pairing = align_all(reference, rest[segments.middle])
         before, match = match, segments.in_frames(pairing.match, ridges.count)
         if np.array_equal(before, match):
             break
-    margin = np.where(match >= 0, pairing.margin[segments.of_frames()], np.nan)
+    margin = pairing.margin[segments.of_frames()]
+    margin[match < 0] = np.nan
+    usual_px = values_of(match, ridges.x_px)
     if jumps:
-        off = np.abs(nan_median(values_of(match, ridges.x_px) - rest, axis=1)) > comb.pitch_px / 2
+        off = np.abs(nan_median(usual_px - rest, axis=1)) > comb.pitch_px / 2
         margin[(~proved | off)[:, None] & (match >= 0)] = 0.0
     else:
-        match, margin = _undo_false_jumps(match, margin, ridges, comb)
-    rest_px, usual_px = middle_px + (rest - middle_px) * scale, values_of(match, ridges.x_px)
-    ends = _end_in_view(match, ridges, comb)
-    return Identities(match, margin, rest_px, usual_px, reference, proved, jumps, ends)
+        match, margin = _undo_false_jumps(match, margin, usual_px, ridges, comb)
+        usual_px = values_of(match, ridges.x_px)
+    ends = _end_in_view(match, usual_px, ridges, comb)
+    if (scale != 1).any():
+        rest = middle_px + (rest - middle_px) * scale
+    return Identities(match, margin, rest, usual_px, reference, proved, jumps, ends)
 
 
 def _segments_on_comb(ridges: Ridges, comb: RidgeComb) -> tuple[Segments, Floats, Bools, bool]:
@@ -141,38 +161,47 @@ def _segments_on_comb(ridges: Ridges, comb: RidgeComb) -> tuple[Segments, Floats
     return segments, displacement, proved, False
 
 
-def _end_in_view(match: Ints, ridges: Ridges, comb: RidgeComb) -> bool:
+def _end_in_view(match: Ints32, x: Floats32, ridges: Ridges, comb: RidgeComb) -> bool:
     """Return whether an end of the comb is in view: whether often nothing is seen beyond its first or last
-    sheet where the next one would be in the picture."""
-    x = values_of(match, ridges.x_px)
+    sheet where the next one would be in the picture. x: positions of the sheets, px, (frame, N)."""
     last = ridges.count - 1
     inside = (
-        x[:, 0] - comb.pitch_px > comb.fwhm_px,
-        x[:, -1] + comb.pitch_px < comb.width_px - 1 - comb.fwhm_px,
+        x[:, 0].astype(np.float64) - comb.pitch_px > comb.fwhm_px,
+        x[:, -1].astype(np.float64) + comb.pitch_px < comb.width_px - 1 - comb.fwhm_px,
     )
     alone = match[:, 0] == 0, match[:, -1] == last
     return any(seen.sum() >= 3 and none[seen].mean() > 0.3 for seen, none in zip(inside, alone, strict=True))
 
 
-def _rest_over_time(x_px: Floats, reference: ReferenceComb, comb: RidgeComb) -> Floats:
+def _rest_over_time(
+    x_px: NDArray[np.floating], reference: ReferenceComb, comb: RidgeComb, carried_px: Floats | None = None
+) -> Floats:
     """Return the median position of each sheet over about thirty frames, at every frame, (frame, N).
 
     Gaps are filled from neighbouring sheets, then from other times. Frames in which neighbours moved far
-    apart, which no slip does, are left out.
+    apart, which no slip does, are left out. carried_px: motion of the comb, (frame, 1), beside which sheets
+    rest; by default none.
     """
     frames = len(x_px)
+    carried = np.zeros((frames, 1)) if carried_px is None else carried_px
     blocks = max(1, round(frames / comb.settings.frames_per_rest))
     edges = np.linspace(0, frames, blocks + 1).astype(int)
     size = int(np.diff(edges).max())
     index = np.minimum(edges[:-1, None] + np.arange(size), edges[1:, None] - 1)
-    moved = x_px - reference.x_px
-    moved[torn(moved, comb).any(axis=1)] = np.nan
-    moved = moved[index]
-    rare = np.isfinite(moved).mean(axis=1) < 0.25
-    moved = np.where(rare, np.nan, nan_median(moved, axis=1))
-    moved = fill_rows(fill_rows(moved, reference.x_px).T, np.arange(blocks, dtype=np.float64)).T
+    rest = np.empty((blocks, x_px.shape[1]))
+    for part in row_parts(blocks, BLOCKS_AT_ONCE):
+        first, stop = edges[part.start], edges[part.stop]
+        moved = x_px[first:stop] - carried[first:stop] - reference.x_px
+        moved[torn(moved, comb).any(axis=1)] = np.nan
+        moved = moved[index[part] - first]
+        rare = np.isfinite(moved).mean(axis=1) < 0.25
+        rest[part] = np.where(rare, np.nan, nan_median(moved, axis=1))
+    rest = fill_rows(fill_rows(rest, reference.x_px).T, np.arange(blocks, dtype=np.float64)).T
+    rest = reference.x_px + np.nan_to_num(rest)
     at = np.searchsorted(edges[1:], np.arange(frames), side="right")
-    return np.asarray(reference.x_px + np.nan_to_num(moved)[np.minimum(at, blocks - 1)], np.float64)
+    over_time = rest[np.minimum(at, blocks - 1)]
+    over_time += carried
+    return over_time
 
 
 def torn(moved: Floats, comb: RidgeComb, spacing_px: Floats | float | None = None) -> Bools:
@@ -193,7 +222,9 @@ def torn(moved: Floats, comb: RidgeComb, spacing_px: Floats | float | None = Non
     return np.asarray(seen & (own_size < size.max(axis=1, keepdims=True)), bool)
 
 
-def exchanged(x_px: Floats, contrast: Floats, margin: Floats, comb: RidgeComb) -> Bools:
+def exchanged(
+    x_px: NDArray[np.floating], contrast: NDArray[np.floating], margin: Floats, comb: RidgeComb
+) -> Bools:
     r"""Return where a sheet may be on the ridge of the next sheet, (frame, N).
 
     Where sheets draw together, a ridge that vanishes can shift the identities of those beyond it, although
@@ -209,28 +240,39 @@ def exchanged(x_px: Floats, contrast: Floats, margin: Floats, comb: RidgeComb) -
     compared.
     """
     sheets = x_px.shape[1]
-    moved, level = (
-        values - nan_median(values - nan_median(values), axis=1)[:, None]
-        for values in (x_px, np.log(contrast))
-    )
-    last, last_level = (last_seen(values[:-1].T).T for values in (moved, level))
-    step, brightened = moved[1:] - last, level[1:] - last_level
-    gap = np.diff(np.pad(last, ((0, 0), (1, 1)), constant_values=np.nan), axis=1)
-    off = torn(step, comb, np.fmin(np.fmin(gap[:, :-1], gap[:, 1:]), comb.pitch_px))
+    moved = without_common_change(x_px)
+    last = np.empty((len(moved) - 1, sheets))
+    for before, one in zip(last.T, moved.T, strict=True):
+        before[:] = last_seen(one[None, :-1])[0]
+    off = np.empty(last.shape, bool)
+    for some in row_parts(len(last)):
+        gap = np.diff(np.pad(last[some], ((0, 0), (1, 1)), constant_values=np.nan), axis=1)
+        spacing = np.fmin(np.fmin(gap[:, :-1], gap[:, 1:]), comb.pitch_px)
+        off[some] = torn(moved[1:][some] - last[some], comb, spacing)
     rows = np.flatnonzero(off.any(axis=1))
     if not len(rows):
         return np.zeros(x_px.shape, bool)
-    usual = [
-        least + float(np.nanmedian(np.abs(change))) / NORMAL_MEDIAN
-        for change, least in ((step, 0.5), (brightened, 0.02))  # whole pixels
+    off, here, last_x, step = off[rows], moved[1 + rows], last[rows], moved[1:] - last
+    usual_step = float(nan_median(np.abs(step, out=step).ravel()))
+    step = here - last_x
+    del moved, last
+    level = without_common_change(np.log(contrast.astype(np.float64)))
+    brightened = np.empty((len(x_px) - 1, sheets))
+    last_level = np.empty(off.shape)
+    for n, one in enumerate(level.T):
+        before = last_seen(one[None, :-1])[0]
+        brightened[:, n], last_level[:, n] = np.abs(one[1:] - before), before[rows]
+    usual = [  # whole pixels
+        0.5 + usual_step / NORMAL_MEDIAN,
+        0.02 + float(nan_median(brightened.ravel())) / NORMAL_MEDIAN,
     ]
-    off = off[rows]
-    others = fill_rows(np.where(off, np.nan, step[rows]), np.arange(sheets, dtype=np.float64))
-    at, height = moved[1 + rows] - others, level[1 + rows]
+    others = fill_rows(np.where(off, np.nan, step), np.arange(sheets, dtype=np.float64))
+    at, height = here - others, level[1 + rows]
+    del level, brightened
 
     def cost(by: int) -> Floats:
         """Return the cost of a step from where the sheet `by` further was."""
-        u, b = at - shifted(last[rows], by), height - shifted(last_level[rows], by)
+        u, b = at - shifted(last_x, by), height - shifted(last_level, by)
         return np.asarray(np.log1p((u / usual[0]) ** 2 / 2) + np.log1p((b / usual[1]) ** 2 / 2))
 
     gain = cost(0) - np.fmin.reduce([cost(by) for by in SHIFTS])
@@ -291,7 +333,9 @@ RENUMBERED = np.arange(-2, 3)  # sheets by which the frames between two jumps ma
 CHANGES = np.arange(2 * RENUMBERED[0], 2 * RENUMBERED[-1] + 1)  # by which the numbering may change at a jump
 
 
-def _undo_false_jumps(match: Ints, margin: Floats, ridges: Ridges, comb: RidgeComb) -> tuple[Ints, Floats]:
+def _undo_false_jumps(
+    match: Ints32, margin: Floats, x_px: Floats32, ridges: Ridges, comb: RidgeComb
+) -> tuple[Ints32, Floats]:
     r"""Renumber the frames between two jumps of the comb if it did not jump; return match and margin.
 
     A comb that contracts, or whose ends fade, may fit the reference best with every sheet taken for the next
@@ -313,15 +357,15 @@ def _undo_false_jumps(match: Ints, margin: Floats, ridges: Ridges, comb: RidgeCo
     A jump may remain although the sum of another numbering is smaller. If the difference is at least
     `anchor_nats` and `sheet_nats` for each sheet, it is subtracted from the margins of the run that has the
     smaller ones. The first term does not enter, since margins include the cost of a displacement.
+    x_px: positions of the sheets, (frame, N).
     """
     settings = comb.settings
     seen = np.flatnonzero((match >= 0).any(axis=1))
-    x = values_of(match[seen], ridges.x_px[seen])
-    jump = np.abs(nan_median(np.diff(x, axis=0), axis=1)) > settings.tear_fraction * comb.pitch_px
+    jump = np.abs(median_step(x_px[seen])) > settings.tear_fraction * comb.pitch_px
     if not jump.any():
         return match, margin
-    run = np.r_[0, np.cumsum(jump)]
-    level = np.log(values_of(match[seen], ridges.contrast[seen]))
+    run, x = np.r_[0, np.cumsum(jump)], x_px[seen].astype(np.float64)
+    level = np.log(values_of(match, ridges.contrast)[seen].astype(np.float64))
     level -= nan_median(level, axis=1)[:, None]
     slip, sheets = _jump_costs(x, level, 1 + np.flatnonzero(jump))
     each = np.nan_to_num(nan_median(margin[seen], axis=1), posinf=1e3)
@@ -415,14 +459,18 @@ class Segments:
         """Return the segment of each frame, (frame,)."""
         return np.repeat(np.arange(len(self.start)), self.length)
 
-    def in_frames(self, match: Ints, count: Ints) -> Ints:
+    def in_frames(self, match: Ints, count: Ints) -> Ints32:
         """Return the candidate of each sheet in each frame, −1 where none, (frame, N).
 
         match: candidate of each sheet in each segment, (segments, N). count: candidates in each frame.
         """
-        in_segment = match[self.of_frames()]
-        number = in_segment - self.place[:, None]
-        return np.where((in_segment >= 0) & (number >= 0) & (number < count[:, None]), number, -1)
+        of_frames, found = self.of_frames(), np.empty((len(self.place), match.shape[1]), np.int32)
+        for rows in row_parts(len(found)):
+            in_segment = match[of_frames[rows]]
+            number = in_segment - self.place[rows, None]
+            known = (in_segment >= 0) & (number >= 0) & (number < count[rows, None])
+            found[rows] = np.where(known, number, -1)
+        return found
 
 
 def split_segments(ridges: Ridges, comb: RidgeComb) -> Segments:
@@ -455,8 +503,7 @@ def split_segments(ridges: Ridges, comb: RidgeComb) -> Segments:
     place -= np.minimum.reduceat(place, start)[of_frame]
     drift = np.r_[0.0, np.cumsum(np.where(continues, moved, 0.0))]
     drift -= drift[start + length // 2][of_frame]
-    features = np.stack([ridges.x_px - drift[:, None], np.log(ridges.contrast), np.log(ridges.fwhm_px)])
-    return Segments(start, length, place, Candidates(*_means(features, of_frame, place)))
+    return Segments(start, length, place, Candidates(*_means(ridges, drift, of_frame, place)))
 
 
 def each_frame(ridges: Ridges) -> Segments:
@@ -473,6 +520,14 @@ def _compared(ridges: Ridges, rows: Ints, came: int, comb: RidgeComb) -> tuple[B
 
     It is assumed that `came` candidates entered on the left, or left there, if negative.
     """
+    continues, (step, change) = np.empty(len(rows), bool), np.empty((2, len(rows)))
+    for part in row_parts(len(rows)):
+        continues[part], step[part], change[part] = _compared_part(ridges, rows[part], came, comb)
+    return continues, step, change
+
+
+def _compared_part(ridges: Ridges, rows: Ints, came: int, comb: RidgeComb) -> tuple[Bools, Floats, Floats]:
+    """Return the same for a part of the frames, so that all that is compared fits into memory."""
     before, after = ridges.x_px[rows], shifted(ridges.x_px[rows + 1], came)
     paired = np.isfinite(before) & np.isfinite(after)
     step = np.where(paired, after - before, 0.0)
@@ -498,14 +553,22 @@ def _spacing(x: Floats32) -> Floats32:
     return np.minimum(np.hstack([end, gap]), np.hstack([gap, end]))
 
 
-def _means(features: Floats, of_frame: Ints, place: Ints) -> Floats:
-    """Return means of features (kinds, frame, K) over the frames of each segment, (kinds, segments, places),
-    NaN where there is no candidate."""
-    known = np.isfinite(features[0])  # a candidate has all features
-    frame, k = np.nonzero(known)
-    column = place[frame] + k
-    shape = (int(of_frame[-1]) + 1, int(column.max(initial=0)) + 1)
-    index, cells = of_frame[frame] * shape[1] + column, shape[0] * shape[1]
-    count = np.bincount(index, minlength=cells)
-    totals = np.stack([np.bincount(index, values[known], minlength=cells) for values in features])
-    return np.where(count > 0, totals / np.maximum(count, 1), np.nan).reshape(-1, *shape)
+def _means(ridges: Ridges, drift_px: Floats, of_frame: Ints, place: Ints) -> Floats:
+    """Return means of position less drift, log contrast and log width over the frames of each segment,
+    (3, segments, places), NaN where there is no candidate."""
+    places = int((place + ridges.count).max(initial=1, where=ridges.count > 0))
+    segments = int(of_frame[-1]) + 1
+    count, totals = np.zeros((segments, places)), np.zeros((3, segments, places))
+    for rows in row_parts(len(of_frame)):
+        known = np.isfinite(ridges.x_px[rows])
+        frame, k = np.nonzero(known)
+        first, stop = int(of_frame[rows.start]), int(of_frame[rows.stop - 1]) + 1
+        index = (of_frame[rows][frame] - first) * places + place[rows][frame] + k
+        shape, cells = (stop - first, places), (stop - first) * places
+        count[first:stop] += np.bincount(index, minlength=cells).reshape(shape)
+        x = ridges.x_px[rows] - drift_px[rows, None]
+        for total, values in zip(
+            totals, (x, np.log(ridges.contrast[rows]), np.log(ridges.fwhm_px[rows])), strict=True
+        ):
+            total[first:stop] += np.bincount(index, values[known], minlength=cells).reshape(shape)
+    return np.where(count > 0, totals / np.maximum(count, 1), np.nan)

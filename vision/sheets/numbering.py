@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from vision.numeric import NORMAL_MEDIAN, Floats, Ints, nan_median
+from vision.numeric import NORMAL_MEDIAN, Floats, Ints, median_size, nan_median, row_parts
 from vision.sheets.quality import mean_over
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.sheets.subpixel import position_noise
@@ -113,11 +113,14 @@ def _split_by_motion(
     worse = contrast[best] - contrast
     slack = settings.axis_slack * np.abs(opening).sum() + np.sqrt((error**2).sum())
     good = np.flatnonzero(worse <= slack)
-    other = _contrast(step - apart[:, None] * opening)
-    other -= other[:, [best]]
-    vibration = np.median(np.abs(other), axis=0) / NORMAL_MEDIAN * np.sqrt(power)
+    other = np.empty((len(step), sheets + 1))
+    for rows in row_parts(len(step)):
+        other[rows] = _contrast(step[rows] - apart[rows, None] * opening)
+        other[rows] -= other[rows][:, [best]]
+    vibration = median_size(other) / NORMAL_MEDIAN * np.sqrt(power)
     leverage = apart**2 / power
-    in_slips = np.linalg.norm((apart / np.maximum(1 - leverage, 1e-6))[:, None] * other, axis=0)
+    weight = apart / np.maximum(1 - leverage, 1e-6)
+    in_slips = np.array([np.linalg.norm(weight * column) for column in other.T])
     spread = np.maximum(vibration, in_slips) / power
     possible = np.flatnonzero(worse <= slack + settings.vibration_sigmas * spread)
     middle, even = float(good[0] + good[-1]) / 2, sheets // 2
@@ -151,16 +154,17 @@ def _slips(x_px: Floats, settings: TrackingSettings) -> tuple[Floats, Floats, Fl
     often = 2 * known.sum(axis=0) >= len(known)
     ends = np.flatnonzero(often)[[0, -1]] if often.any() else np.array([0, -1])
     apart = step[:, ends[1]] - step[:, ends[0]]
-    step = np.where(known, step, 0.0)
+    step[~known] = 0.0
     noise = np.nan_to_num(position_noise(x_px), nan=1.0) * np.sqrt(2)
     least = 5 * noise[ends].max()
     even = mean_over(apart[:, None], settings.axis_frames)[:, 0]
     slips = bool((np.abs(apart - even) > least).any())
     apart = np.where(slips & (np.abs(apart) > least), apart, 0.0)
     apart = np.where(np.abs(common) < settings.knock_ratio * np.abs(apart), apart, 0.0)
-    beside = np.pad(step, ((0, 0), (1, 1)), "edge")
-    low, high = np.minimum(beside[:, :-2], beside[:, 2:]), np.maximum(beside[:, :-2], beside[:, 2:])
-    step = np.clip(step, low, high)  # the median of three removes a single sheet that was covered
+    for rows in row_parts(len(step)):
+        beside = np.pad(step[rows], ((0, 0), (1, 1)), "edge")
+        low, high = np.minimum(beside[:, :-2], beside[:, 2:]), np.maximum(beside[:, :-2], beside[:, 2:])
+        step[rows] = np.clip(step[rows], low, high)  # the median of three removes a sheet that was covered
     return step, apart, noise
 
 

@@ -9,14 +9,25 @@ where the picture changes permanently. `spatial_scatter` measures errors that pe
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import reduce
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, nan_median, nan_quantile
+from vision.numeric import (
+    NORMAL_MEDIAN,
+    Bools,
+    Floats,
+    Floats32,
+    median_of_all,
+    nan_median,
+    nan_quantile,
+    row_parts,
+    weighted_median,
+)
 from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb, in_blocks, profile_noise
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.sheets.subpixel import Starts, gather, position_noise
@@ -68,7 +79,7 @@ def repeated_frames(profile: Floats32, settings: TrackingSettings = DEFAULT) -> 
     return frozen
 
 
-def motion_blur(x_px: Floats, contrast: Floats, fwhm_px: Floats, comb: RidgeComb) -> tuple[Bools, Floats]:
+def motion_blur(x_px: Floats, contrast: Floats32, fwhm_px: Floats32, comb: RidgeComb) -> tuple[Bools, Floats]:
     r"""Return whether each ridge moved during the exposure, and how far this may shift it, px; (frame, N).
 
     x_px, contrast, fwhm_px: position, height and width of the ridges (frame, N), NaN where missing.
@@ -84,14 +95,33 @@ def motion_blur(x_px: Floats, contrast: Floats, fwhm_px: Floats, comb: RidgeComb
     about one pitch, by the image of its neighbour, which fills the gap that its own leaves.
     """
     settings = comb.settings
-    near = _frames_around(x_px, BLUR_FRAMES)
-    moved = np.nan_to_num(reduce(np.fmax, near) - reduce(np.fmin, near))
-    lower, wider = -np.log(contrast), np.log(fwhm_px)
-    lower = lower - np.fmax(nan_median(lower), reduce(np.fmin, _frames_around(lower, LIGHT_FRAMES)))
-    fast = (moved > settings.blur_fraction * comb.fwhm_px) & np.isfinite(x_px)
+    fast = np.zeros(x_px.shape, bool)
+    moved, excess, loss = (np.empty(x_px.shape) for _ in range(3))
     sampled = 0.7 / comb.fwhm_px**2  # height that a ridge between two pixels loses
-    excess = np.maximum(_excess(lower, sampled), _excess(wider, sampled))
-    loss = np.clip(1 - np.exp(-np.nan_to_num(lower)), 0.0, 0.5)
+    for n, x in enumerate(x_px.T):
+        near = _frames_around(x, BLUR_FRAMES)
+        step = np.nan_to_num(reduce(np.fmax, near) - reduce(np.fmin, near))
+        lower, wider = -np.log(contrast[:, n].astype(np.float64)), np.log(fwhm_px[:, n].astype(np.float64))
+        lower = lower - np.fmax(nan_median(lower), reduce(np.fmin, _frames_around(lower, LIGHT_FRAMES)))
+        fast[:, n] = (step > settings.blur_fraction * comb.fwhm_px) & np.isfinite(x)
+        moved[:, n] = step
+        excess[:, n] = np.maximum(_excess(lower, sampled), _excess(wider, sampled))
+        loss[:, n] = np.clip(1 - np.exp(-np.nan_to_num(lower)), 0.0, 0.5)
+    blurred, err = np.empty_like(fast), moved
+    for rows in row_parts(len(x_px)):
+        blurred[rows], err[rows] = _blurred(moved[rows], fast[rows], excess[rows], loss[rows], comb)
+    return blurred, err
+
+
+def _blurred(
+    moved: Floats, fast: Bools, excess: Floats, loss: Floats, comb: RidgeComb
+) -> tuple[Bools, Floats]:
+    """Return which ridges of some frames are blurred, and how far this may shift them, px; (frame, N).
+
+    moved: motion over `BLUR_FRAMES` frames before and after, px. fast: whether it may blur. excess, loss: the
+    signs of each sheet itself, to which those of the frame are added here.
+    """
+    settings = comb.settings
     apart = moved / comb.fwhm_px
     pitches = np.maximum(np.rint(moved / comb.pitch_px), 1.0)
     overlapping = np.abs(moved - pitches * comb.pitch_px) < settings.blur_overlap * comb.fwhm_px
@@ -106,13 +136,13 @@ def motion_blur(x_px: Floats, contrast: Floats, fwhm_px: Floats, comb: RidgeComb
 
 
 def _frames_around(values: Floats, frames: int) -> list[Floats]:
-    """Return values (frame, N) of each frame before, at and after every frame, up to so many frames away."""
-    padded = np.pad(values, ((frames, frames), (0, 0)), constant_values=np.nan)
+    """Return values (frame,) of each frame before, at and after every frame, up to so many frames away."""
+    padded = np.pad(values, frames, constant_values=np.nan)
     return [padded[k : k + len(values)] for k in range(2 * frames + 1)]
 
 
 def _excess(values: Floats, least: float) -> Floats:
-    """Return how far values (frame, N) exceed each sheet's median plus `least`, in standard deviations."""
+    """Return how far values of a sheet (frame,) exceed their median plus `least`, in standard deviations."""
     off = values - nan_median(values)
     spread = nan_median(np.abs(off)) / NORMAL_MEDIAN
     return np.nan_to_num(np.maximum(off - least, 0.0) / np.maximum(spread, 0.004))
@@ -121,7 +151,7 @@ def _excess(values: Floats, least: float) -> Floats:
 # --- distorted ridges ---------------------------------------------------------------------------------------
 
 
-def not_one_ridge(bright: Floats32, x_px: Floats, comb: RidgeComb) -> Bools:
+def not_one_ridge(profile: Floats32, x_px: Floats, comb: RidgeComb) -> Bools:
     """Return which sheets are not a single ridge, (N,): their mean profile differs from the comb's.
 
     Several sheets side by side, far thinner than most, appear as one hump to the search for ridges, and the
@@ -132,7 +162,7 @@ def not_one_ridge(bright: Floats32, x_px: Floats, comb: RidgeComb) -> Bools:
     if x_px.shape[1] < ENOUGH:
         return np.zeros(x_px.shape[1], bool)
     half = max(3, round(min(0.6 * comb.fwhm_px, 0.5 * comb.pitch_px)))
-    profiles, shape = _sampled_profiles(bright, x_px, half)
+    profiles, shape = _sampled_profiles(profile, x_px, half, comb)
     own = nan_median(profiles)
     own -= own.mean(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -140,11 +170,11 @@ def not_one_ridge(bright: Floats32, x_px: Floats, comb: RidgeComb) -> Bools:
     return np.asarray(likeness / np.sqrt(len(shape)) < comb.settings.least_likeness, bool)
 
 
-def _sampled_profiles(bright: Floats32, x_px: Floats, half: int) -> tuple[Floats, Floats]:
+def _sampled_profiles(profile: Floats32, x_px: Floats, half: int, comb: RidgeComb) -> tuple[Floats, Floats]:
     """Return the pixels at offsets u from the positions in some frames, with mean 0 and standard deviation 1,
     (frame, u, N), and their median over all sheets and frames, (u,)."""
-    sample = np.unique(np.linspace(0, len(bright) - 1, 200).astype(int))
-    level = _around(bright[sample], x_px[sample], half)
+    sample = np.unique(np.linspace(0, len(profile) - 1, 200).astype(int))
+    level = _around(comb.bright(profile[sample]), x_px[sample], half)
     level -= level.mean(axis=1, keepdims=True)
     level /= level.std(axis=1, keepdims=True)
     return level, nan_median(level.swapaxes(1, 2).reshape(-1, level.shape[1]))
@@ -160,8 +190,15 @@ class Distortion(NamedTuple):
     lasting_px: Floats
     scale: Floats
 
+    @classmethod
+    def none(cls, x_px: Floats) -> Self:
+        """Return that of positions (frame, N) without any."""
+        return cls(np.zeros(x_px.shape), *np.zeros((3, x_px.shape[1])))
 
-def distortion(bright: Floats32, x_px: Floats, err_px: Floats, blurred: Bools, comb: RidgeComb) -> Distortion:
+
+def distortion(
+    profile: Floats32, x_px: Floats, err_px: Floats, blurred: Bools, comb: RidgeComb
+) -> Distortion:
     r"""Return how far dirt, reflections, neighbours or light may shift positions.
 
     x_px, err_px: positions and their errors from noise (frame, N), NaN where missing. Ridges blurred by
@@ -186,52 +223,77 @@ def distortion(bright: Floats32, x_px: Floats, err_px: Floats, blurred: Bools, c
     (`displacement_scale_error`).
     """
     settings = comb.settings
-    none = Distortion(np.zeros_like(x_px), *np.zeros((3, x_px.shape[1])))
     several = x_px.shape[1] >= ENOUGH
     if several and comb.fwhm_px < settings.distortion_least_px:
-        return none
+        return Distortion.none(x_px)
     half = max(3, round(min(0.9 * comb.fwhm_px, 0.5 * comb.pitch_px)))
-    shape = _sampled_profiles(bright, x_px, half)[1]
+    shape = _sampled_profiles(profile, x_px, half, comb)[1]
     if not np.isfinite(shape).all():
-        return none
+        return Distortion.none(x_px)
     fits = _fit_matrix(shape, min(max(2, round(0.5 * comb.fwhm_px)), half - 1))
     away = np.arange(-half, half + 1)
-    height, apart, sloping, pulled_px2 = np.empty((4, *x_px.shape))
+    height, apart, sloping, pulled_px2 = (np.empty(x_px.shape) for _ in range(4))
 
     def fit(rows: slice) -> None:
-        around = _around(bright[rows], x_px[rows], half)
+        around = _around(comb.bright(profile[rows]), x_px[rows], half)
         found = fits @ around
         with np.errstate(divide="ignore", invalid="ignore"):
             shift = found[:, 1::2] / found[:, ::2]
             level = around.mean(axis=1) / found[:, 0]  # in units of the height, as the mean shape has none
-            pulled_px2[rows] = fits[1] @ away * level + fits[1] @ (away * shape)
+            pulled_px2[rows] = np.abs(fits[1] @ away * level + fits[1] @ (away * shape))
         height[rows] = found[:, 0]
         apart[rows], sloping[rows] = shift[:, 1] - shift[:, 0], shift[:, 2] - shift[:, 0]
 
-    in_blocks(fit, len(bright))
+    in_blocks(fit, len(profile))
     height[blurred], apart[blurred], sloping[blurred] = np.nan, np.nan, np.nan
-    size = slight = _shift_by_light(x_px, height, np.abs(pulled_px2), settings)
-    for differs, usual, k in ((apart, settings.distortion_error, 3), (sloping, settings.distortion_slope, 5)):
-        noise = err_px * float(np.linalg.norm(fits[k] - fits[1]) / np.linalg.norm(fits[1]))
-        confirmed, assumed = _error_over(differs, usual, x_px, settings)
-        certain, likely = _significant(differs - nan_median(differs), noise, settings)
-        size = np.fmax(size, np.hypot(assumed * certain, confirmed * likely))
-        slight = np.fmax(slight, np.hypot(assumed, confirmed) * likely)
-    within = np.where(np.isfinite(apart), comb.fwhm_px, 0.0)  # what is fitted lies within the ridge
-    size, slight = np.fmin(size, within), np.fmin(slight, within)
+    differences = [
+        _Difference(
+            differs,
+            *_error_over(differs, usual, x_px, settings),
+            float(np.linalg.norm(fits[k] - fits[1]) / np.linalg.norm(fits[1])),
+        )
+        for differs, usual, k in (
+            (apart, settings.distortion_error, 3),
+            (sloping, settings.distortion_slope, 5),
+        )
+    ]
+    size = _shift_by_light(x_px, height, pulled_px2, settings)
+    height[~(height > 0)] = np.nan
+    shapes = [np.log(height, out=height), apart, sloping]
+    if comb.fwhm_px > settings.overlap * comb.pitch_px:
+        del shapes[1:]
+    scale = displacement_scale_error(x_px, shapes, settings)
+    usual_px = np.empty(x_px.shape[1])
+    own_noise = [position_noise(one.px) for one in differences]
+    for n, x in enumerate(x_px.T):
+        found = slight = size[:, n]
+        for one, own in zip(differences, own_noise, strict=True):
+            values = one.px[:, n] - nan_median(one.px[:, n])
+            certain, likely = _significant(values, np.fmax(one.noise * err_px[:, n], own[n]), settings)
+            found = np.fmax(found, np.hypot(one.assumed * certain, one.confirmed * likely))
+            slight = np.fmax(slight, np.hypot(one.assumed, one.confirmed) * likely)
+        found = np.fmax(found, scale[n] * np.abs(x - nan_median(x)))
+        within = np.where(np.isfinite(apart[:, n]), comb.fwhm_px, 0.0)  # what is fitted lies in the ridge
+        size[:, n] = np.fmin(found, within)
+        usual_px[n] = nan_median(np.fmin(slight, within))
     pull = nan_median(apart)
     pull = np.abs(pull - nan_median(pull))
     least = np.fmax(settings.distortion_sigmas * nan_median(pull) / NORMAL_MEDIAN, settings.distortion_floor)
     lasting = settings.distortion_error * _if_above(pull, least)
-    shapes = [np.log(np.where(height > 0, height, np.nan)), apart, sloping]
-    if comb.fwhm_px > settings.overlap * comb.pitch_px:
-        del shapes[1:]
-    scale = displacement_scale_error(x_px, shapes, settings)
-    size = np.fmax(size, np.fmin(scale * np.abs(x_px - nan_median(x_px)), within))
     if comb.fwhm_px < settings.verdict_least_px:
-        usual_px = none.usual_px if several else nan_median(slight)
-        return Distortion(size, usual_px, none.lasting_px, scale)
-    return Distortion(size, nan_median(slight), lasting, scale)
+        usual_px = np.zeros_like(usual_px) if several else usual_px
+        return Distortion(size, usual_px, np.zeros_like(lasting), scale)
+    return Distortion(size, usual_px, lasting, scale)
+
+
+class _Difference(NamedTuple):
+    """Difference of a fit from that to the whole ridge, px, (frame, N); the error of a position over it, as
+    the film shows and as assumed (`_error_over`); and its noise over that of the position."""
+
+    px: Floats
+    confirmed: float
+    assumed: float
+    noise: float
 
 
 def displacement_scale_error(x_px: Floats, shape: Sequence[Floats], settings: TrackingSettings) -> Floats:
@@ -250,20 +312,27 @@ def displacement_scale_error(x_px: Floats, shape: Sequence[Floats], settings: Tr
     """
     square = np.zeros(x_px.shape[1])
     for values, factor in zip(shape, settings.static_scale, strict=False):
-        known = np.isfinite(values) & np.isfinite(x_px)
-        count = np.maximum(known.sum(axis=0), 1)
-        x, y = (np.where(known, v - np.where(known, v, 0.0).sum(axis=0) / count, 0.0) for v in (x_px, values))
-        spread = np.maximum((x**2).sum(axis=0), 1e-12)
-        slope = (x * y).sum(axis=0) / spread
-        rest = y - slope * x
-        variance = (rest**2).sum(axis=0) / np.maximum(count - 2, 1)
-        lag1 = (rest[1:] * rest[:-1]).sum(axis=0) / np.maximum((rest**2).sum(axis=0), 1e-12)
-        lag1 = np.clip(lag1, 0.0, 0.95)  # autocorrelation of the residuals
-        error2 = variance / spread * (1 + lag1) / (1 - lag1)
+        each = [_regression(x, y) for x, y in zip(x_px.T, values.T, strict=True)]
+        slope, error2, count = np.array(each, np.float64).reshape(-1, 3).T
         slope = slope - running_median(slope, NEIGHBOURHOOD)
         found = (slope**2 > settings.distortion_sigmas**2 * error2) & (count > LEAST_FRAMES)
         square += np.where(found, factor**2 * (slope**2 - error2), 0.0)
     return _if_above(np.sqrt(square), np.full(square.shape, settings.static_floor))
+
+
+def _regression(x: Floats, y: Floats) -> tuple[float, float, int]:
+    """Return the slope of y over x, both (frame,), its squared error, and the number of known values."""
+    known = np.isfinite(y) & np.isfinite(x)
+    total = int(known.sum())
+    count = max(total, 1)
+    x, y = (np.where(known, v - np.where(known, v, 0.0).sum() / count, 0.0) for v in (x, y))
+    spread = max(float((x**2).sum()), 1e-12)
+    slope = float((x * y).sum()) / spread
+    rest = y - slope * x
+    power = float((rest**2).sum())
+    lag1 = float((rest[1:] * rest[:-1]).sum()) / max(power, 1e-12)  # autocorrelation of the residuals
+    lag1 = min(max(lag1, 0.0), 0.95)
+    return slope, power / max(count - 2, 1) / spread * (1 + lag1) / (1 - lag1), count
 
 
 def _fit_matrix(shape: Floats, top: int) -> Floats:
@@ -289,35 +358,44 @@ def _error_over(
     opposite ones, the results are :math:`\sqrt{q}\,|k|` and :math:`\sqrt{1 - q^2}\,u`, u being the usual one.
     """
 
-    def change(of: Floats) -> Floats:
-        mean = mean_over(of, settings.distortion_frames)
-        relative = mean[:, 1:-1] - (mean[:, :-2] + mean[:, 2:]) / 2
-        return relative[settings.distortion_frames :] - relative[: -settings.distortion_frames]
-
-    moved, changed = change(x_px), change(values)
-    weight = np.where(np.isfinite(moved * changed), np.abs(changed), 0.0)
-    known, total = weight > 0, weight.sum(axis=0)
-    if not known.any():
+    moved, changed = (_relative_change(of, settings.distortion_frames) for of in (x_px, values))
+    total, along = np.zeros((2, moved.shape[1]))
+    for k, (move, change) in enumerate(zip(moved.T, changed.T, strict=True)):
+        both = move * change
+        weight = np.where(np.isfinite(both), np.abs(change), 0.0)
+        known = weight > 0
+        total[k], along[k] = weight.sum(), np.where(known, np.copysign(weight, both), 0.0).sum()
+        move[:] = np.divide(move, change, where=known, out=np.full(len(move), np.nan))  # now the ratio
+        change[:] = weight
+    if not (changed > 0).any():
         return 0.0, usual
-    along = np.where(known, np.copysign(weight, moved * changed), 0.0).sum(axis=0)
     share = abs(float(np.mean(along[total > 0] / total[total > 0])))
-    ratio, weight = moved[known] / changed[known], weight[known]
-    order = np.argsort(ratio)
-    median = ratio[order][np.searchsorted(np.cumsum(weight[order]), weight.sum() / 2)]
+    median = weighted_median(moved.ravel(), changed.ravel())
     return float(np.sqrt(share) * abs(median)), float(np.sqrt(1 - share**2) * usual)
 
 
+def _relative_change(values: Floats, frames: int) -> Floats:
+    """Return changes of means over `frames` frames, relative to both neighbours, (frame − frames, N − 2)."""
+    mean = mean_over(values, frames)
+    change = np.empty((max(0, len(values) - frames), max(0, values.shape[1] - 2)))
+    for k, column in enumerate(change.T):
+        relative = mean[:, k + 1] - (mean[:, k] + mean[:, k + 2]) / 2
+        column[:] = relative[frames:] - relative[:-frames]
+    return change
+
+
 def _significant(values: Floats, noise: Floats, settings: TrackingSettings) -> tuple[Floats, Floats]:
-    """Return the size of values (frame, N) in a frame, over some frames, or usually; 0 where it is noise.
+    """Return the size of values of a sheet (frame,) in a frame, over some frames, or usually; 0 where it is
+    noise.
 
     The largest of three sizes counts: the value itself, the mean over `distortion_frames` around it, and the
     usual size of that mean in the whole film, if they exceed `distortion_sigmas` times their noise. In the
     second result the usual size, less noise, counts as soon as chance does not explain it. noise: standard
-    deviation of a single value, (frame, N), independent from frame to frame.
+    deviation of a single value, (frame,), independent from frame to frame; at least that which the values
+    show (`position_noise`), as tops may be clipped, and a codec adds its own.
     """
     frames = settings.distortion_frames
-    single, mean = np.abs(values), np.abs(mean_over(values, frames))
-    noise = np.fmax(noise, position_noise(values))  # also where tops are clipped, or a codec adds its own
+    single, mean = np.abs(values), np.abs(mean_over(values[:, None], frames)[:, 0])
     least = settings.distortion_sigmas * noise
     of_mean = least / np.sqrt(frames)
     above = np.fmax(_if_above(single, least), _if_above(mean, of_mean))
@@ -358,7 +436,7 @@ def _shift_by_light(x_px: Floats, height: Floats, pulled_px2: Floats, settings: 
     r"""Return the shift of each ridge due to light L that falls off over it, px, (frame, N).
 
     pulled_px2: shift of each ridge per slope :math:`L'/L`, px², (frame, N): that of the fit of the mean shape
-    to :math:`u\,(a + b\,S(u))`, since the light between the ridges slopes as well.
+    to :math:`u\,(a + b\,S(u))`, since the light between the ridges slopes as well. It is changed in place.
 
     A Gaussian in such light remains a Gaussian, shifted by :math:`\sigma_r^2 L'/L`, so that only heights
     reveal the shift. A lamp that moves, or the edge of a shadow, shows as a slope between a sheet and its
@@ -370,14 +448,18 @@ def _shift_by_light(x_px: Floats, height: Floats, pulled_px2: Floats, settings: 
     light -= nan_median(light)
     light -= nan_median(light, axis=1)[:, None]  # exposure
     if light.shape[1] >= ENOUGH:
-        means = (light, mean_over(light, settings.distortion_frames))
-        across = [_slope_across(mean, x_px, settings) for mean in means]
+        shift = _slope_across(light, x_px, settings)
+        light = mean_over(light, settings.distortion_frames)
+        np.fmax(shift, _slope_across(light, x_px, settings), out=shift)
     else:
         with np.errstate(divide="ignore", invalid="ignore"):
             slope = np.diff(light, axis=1) / np.diff(nan_median(x_px))
-        slope = _significant(slope, np.zeros_like(slope), settings)[1]
-        across = [np.pad(slope, ((0, 0), (1, 0))), np.pad(slope, ((0, 0), (0, 1)))]
-    return pulled_px2 * np.fmax(*across)
+        noise = np.broadcast_to(position_noise(slope), slope.shape)
+        for between, own in zip(slope.T, noise.T, strict=True):
+            between[:] = _significant(between, np.fmax(own, 0.0), settings)[1]
+        shift = np.fmax(np.pad(slope, ((0, 0), (1, 0))), np.pad(slope, ((0, 0), (0, 1))))
+    pulled_px2 *= shift
+    return pulled_px2
 
 
 def _slope_across(light: Floats, x_px: Floats, settings: TrackingSettings) -> Floats:
@@ -387,25 +469,37 @@ def _slope_across(light: Floats, x_px: Floats, settings: TrackingSettings) -> Fl
     single sheets against the mean of their neighbours. The first and last sheet have that of their neighbour.
     """
     apart = np.diff(nan_median(x_px))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        slope = np.diff(light, axis=1) / np.where(apart > 0, apart, np.nan)
-    bend = light[:, 1:-1] - (light[:, :-2] + light[:, 2:]) / 2
-    scatter = float(nan_median(np.abs(bend).ravel())) / NORMAL_MEDIAN / np.sqrt(1.5)
-    left, right = slope[:, :-1], slope[:, 1:]
-    smaller = np.where(left * right > 0, np.fmin(np.abs(left), np.abs(right)), 0.0)
-    found = _if_above(smaller, settings.distortion_sigmas * np.sqrt(2) * scatter / float(nan_median(apart)))
-    return np.pad(found, ((0, 0), (1, 1)), "edge")
+    apart_px = float(nan_median(apart))
+    apart = np.where(apart > 0, apart, np.nan)
+    bend = light[:, 1:-1].copy()
+    for rows in row_parts(len(bend)):
+        bend[rows] -= (light[rows, :-2] + light[rows, 2:]) / 2
+    scatter = median_of_all(np.abs(bend, out=bend)) / NORMAL_MEDIAN / np.sqrt(1.5)
+    del bend
+    least, across = settings.distortion_sigmas * np.sqrt(2) * scatter / apart_px, np.empty(light.shape)
+    for rows in row_parts(len(light)):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            slope = np.diff(light[rows], axis=1) / apart
+        left, right = slope[:, :-1], slope[:, 1:]
+        smaller = np.where(left * right > 0, np.fmin(np.abs(left), np.abs(right)), 0.0)
+        across[rows] = np.pad(_if_above(smaller, least), ((0, 0), (1, 1)), "edge")
+    return across
 
 
 def mean_over(values: Floats, frames: int) -> Floats:
     """Return the mean of values (frame, N) over the `frames` frames around each, NaN where the value is."""
-    total, count = _sums_around(values, frames // 2)
-    return np.where(np.isfinite(values), total / np.maximum(count, 1), np.nan)
+    mean = np.empty(values.shape)
+    for column, of_sheet in zip(mean.T, values.T, strict=True):
+        (total,), (count,) = (part.T for part in _sums_around(of_sheet[:, None], frames // 2))
+        column[:] = np.where(np.isfinite(of_sheet), total / np.maximum(count, 1), np.nan)
+    return mean
 
 
-def _sums_around(values: Floats, reach: int) -> Floats:
+def _sums_around(values: NDArray[np.floating], reach: int) -> Floats:
     """Return sum and number of known values up to `reach` frames before and after each, (2, frame, N)."""
-    sums = np.stack([np.nan_to_num(values, posinf=0.0, neginf=0.0), np.isfinite(values)])
+    known = np.isfinite(values)
+    sums = np.zeros((2, *values.shape))
+    sums[0][known], sums[1] = values[known], known
     for part in sums if values.size else ():
         cv2.boxFilter(part, -1, (1, 2 * reach + 1), part, normalize=False, borderType=cv2.BORDER_CONSTANT)
     return sums
@@ -426,7 +520,7 @@ class SceneChange(NamedTuple):
     brightness: float
 
 
-def scene_changes(x_px: Floats, contrast: Floats, comb: RidgeComb) -> list[SceneChange]:
+def scene_changes(x_px: Floats32, contrast: Floats32, comb: RidgeComb) -> list[SceneChange]:
     """Find where the film was cut, or the camera or the light was moved: identities may change there.
 
     x_px, contrast: positions and heights of the ridges (frame, N), NaN where missing. Changes are in order of
@@ -441,16 +535,20 @@ def scene_changes(x_px: Floats, contrast: Floats, comb: RidgeComb) -> list[Scene
     frames, sheets = x_px.shape
     if frames < 4 * SCENE_FRAMES or sheets < 3:
         return []
-    bright = np.log(contrast)
+    bright = np.log(contrast.astype(np.float64))
     bright -= nan_median(bright, axis=1)[:, None]
-    moved, brightened = (after_less_before(values) for values in (x_px, bright))
+    moved = after_less_before(x_px)
     together = nan_median(moved, axis=1)
-    apart = np.abs(moved - together[:, None])
-    rigid = np.abs(together) > 2.0 * np.nan_to_num(nan_median(apart, axis=1), nan=np.inf)
+    moved -= together[:, None]
+    apart = nan_median(np.abs(moved, out=moved), axis=1)
+    rigid = np.abs(together) > 2.0 * np.nan_to_num(apart, nan=np.inf)
     displaced = np.where(rigid, np.abs(np.nan_to_num(together)) / comb.pitch_px / settings.cut_pitches, 0.0)
-    known = np.isfinite(brightened)
-    change = np.sqrt((np.where(known, brightened, 0.0) ** 2).sum(axis=1) / np.maximum(known.sum(axis=1), 1))
-    change[known.sum(axis=1) < max(3, sheets / 2)] = 0.0
+    del moved
+    brightened = after_less_before(bright)
+    known = np.isfinite(brightened).sum(axis=1)
+    np.square(np.nan_to_num(brightened, copy=False, posinf=0.0, neginf=0.0), out=brightened)
+    change = np.sqrt(brightened.sum(axis=1) / np.maximum(known, 1))
+    change[known < max(3, sheets / 2)] = 0.0
     events = []
     at = _single_peak(displaced, 1.0, settings)
     if at is not None and _persists(x_px, at + SCENE_FRAMES, together[at]):
@@ -474,7 +572,7 @@ def _single_peak(values: Floats, limit: float, settings: TrackingSettings) -> in
     return at if values[at] >= least and (values[others] < values[at] / 2).all() else None
 
 
-def _persists(values: Floats, frame: int, change: float) -> bool:
+def _persists(values: NDArray[np.floating], frame: int, change: float) -> bool:
     """Return whether half of a change of values (frame, N) remains three times SCENE_FRAMES after a frame."""
     later = values[frame + 3 * SCENE_FRAMES :][:SCENE_FRAMES]
     remaining = nan_median(later) - nan_median(values[:frame][-4 * SCENE_FRAMES :])
@@ -482,12 +580,17 @@ def _persists(values: Floats, frame: int, change: float) -> bool:
     return not len(remaining) or bool(np.sqrt((remaining**2).mean()) >= abs(change) / 2)
 
 
-def after_less_before(values: Floats) -> Floats:
+def after_less_before(values: NDArray[np.floating]) -> Floats:
     """Return means over SCENE_FRAMES frames less those before, (frame − 2 SCENE_FRAMES + 1, N)."""
     reach = SCENE_FRAMES // 2
-    total, count = _sums_around(values, reach)[:, reach:-reach]
-    means = np.where(count > 0, total, np.nan) / np.maximum(count, 1)  # a running sum does not return to 0
-    return np.asarray(means[SCENE_FRAMES:] - means[:-SCENE_FRAMES], np.float64)
+    change = np.empty((max(0, len(values) - 2 * SCENE_FRAMES + 1), values.shape[1]))
+    for column, of_sheet in zip(change.T, values.T, strict=True):
+        (total,), (count,) = (part[reach:-reach].T for part in _sums_around(of_sheet[:, None], reach))
+        means = np.where(count > 0, total, np.nan) / np.maximum(
+            count, 1
+        )  # a running sum does not return to 0
+        column[:] = means[SCENE_FRAMES:] - means[:-SCENE_FRAMES]
+    return change
 
 
 # --- scatter of positions -----------------------------------------------------------------------------------
@@ -504,16 +607,19 @@ class BetweenSlips:
         self.frames = len(x_px)
         self.seen = np.isfinite(x_px).any(axis=1)
         self.x_px = x_px[self.seen]
-        self.x_px = self.x_px - own_vibration(self.x_px, settings)
+        self.x_px -= own_vibration(self.x_px, settings)
         self.slips = np.zeros(len(self.x_px), np.int64)
         if x_px.shape[1] < len(FOURTH):
             return
-        step = np.diff(self.x_px, axis=0)
-        apart = nan_quantile(np.abs(_fourth(step)), 0.75, axis=1)
-        slip = np.zeros(len(step), bool)
-        # vibration hides slips in the steps, but not in those without the common motion
-        for moved in (step, step - nan_median(step, axis=1)[:, None]):
-            size = nan_quantile(np.abs(moved), 0.75, axis=1)
+        apart, *sizes = np.empty((3, max(0, len(self.x_px) - 1)))
+        for rows in row_parts(len(apart)):
+            step = np.diff(self.x_px[rows.start : rows.stop + 1], axis=0)
+            apart[rows] = nan_quantile(np.abs(_fourth(step)), 0.75, axis=1)
+            # vibration hides slips in the steps, but not in those without the common motion
+            for size, moved in zip(sizes, (step, step - nan_median(step, axis=1)[:, None]), strict=True):
+                size[rows] = nan_quantile(np.abs(moved), 0.75, axis=1)
+        slip = np.zeros(len(apart), bool)
+        for size in sizes:
             slip |= (size > 3 * nan_median(size[size > 0])) & (size > 3 * apart)
         self.slips = np.cumsum(np.r_[0, slip])
 
@@ -527,7 +633,12 @@ class BetweenSlips:
         for lag in lags:
             calm = self.without_slip(2 * lag)
             if calm.sum() >= LEAST_FRAMES:
-                return np.asarray((x[: -2 * lag] - 2 * x[lag:-lag] + x[2 * lag :])[calm] / np.sqrt(6))
+                second = x[lag:-lag] * -2.0
+                second += x[: -2 * lag]
+                second += x[2 * lag :]
+                second = second if calm.all() else second[calm]
+                second /= np.sqrt(6)
+                return second
         return x[:0]
 
     def without_slip(self, frames: int) -> Bools:
@@ -544,10 +655,13 @@ def spatial_scatter(positions: BetweenSlips, *, between_frames: bool) -> Floats:
     it includes errors that a codec carries from one frame to the next. NaN for fewer than five sheets, and
     where slips leave too few frames between them.
     """
-    sheets, second = positions.x_px.shape[1], positions.second(LAGS[between_frames])
-    if sheets < len(FOURTH) or not len(second):
+    x, lags = positions.x_px, LAGS[between_frames]
+    sheets = x.shape[1]
+    if sheets < len(FOURTH) or not len(positions.second(lags, x[:, :1])):
         return np.full(sheets, np.nan)
-    return np.asarray(np.pad(_deviation(_fourth(second)), 2, mode="edge"), np.float64)
+    around = (x[:, k : k + len(FOURTH)] for k in range(sheets - len(FOURTH) + 1))
+    scatter = [_deviation(_fourth(positions.second(lags, five))[:, 0]) for five in around]
+    return np.asarray(np.pad(np.array(scatter), 2, mode="edge"), np.float64)
 
 
 def noise_excess(positions: BetweenSlips, err_px: Floats, settings: TrackingSettings = DEFAULT) -> Floats:
@@ -564,24 +678,29 @@ def noise_excess(positions: BetweenSlips, err_px: Floats, settings: TrackingSett
     lie. Vibration of most sheets counts as an error if it is no line in the spectrum. 1 for fewer than five
     sheets, and where slips leave too few frames between them.
     """
-    sheets, variance = err_px.shape[1], err_px[positions.seen] ** 2
+    sheets = err_px.shape[1]
     if sheets < len(FOURTH):
         return np.ones(sheets)
-    step = np.diff(positions.x_px, axis=0)
-    step -= nan_median(step, axis=1)[:, None]
-    step = np.abs(step - nan_median(step))
-    slip = step > settings.slip_sigmas * nan_median(step) / NORMAL_MEDIAN
-    slips = np.cumsum(np.pad(slip, ((1, 0), (0, 0))), axis=0)
+    slips = _slips_of_sheets(positions.x_px, settings)
+    variance = err_px[positions.seen]
+    np.square(variance, out=variance)
 
     def size(lag: int) -> Floats:
         calm = positions.without_slip(2 * lag)
         if calm.sum() < 2 * LEAST_FRAMES:
             return np.full(sheets, np.nan)
-        same = (slips[2 * lag :] == slips[: -2 * lag])[calm]
-        second = np.where(same, positions.second((lag,)), np.nan)
-        expected = (variance[: -2 * lag] + 4 * variance[lag:-lag] + variance[2 * lag :])[calm] / 6
-        scatter = _without_motion(second)
-        sizes = [nan_quantile(np.abs(values) / np.sqrt(expected), ONE_SIGMA) for values in scatter]
+        second = positions.second((lag,))
+        for values, slip in zip(second.T, slips.T, strict=True):
+            values[(slip[2 * lag :] != slip[: -2 * lag])[calm]] = np.nan
+
+        def over_expected(values: Floats, own: Floats) -> Floats:
+            expected = (own[: -2 * lag] + 4 * own[lag:-lag] + own[2 * lag :])[calm] / 6
+            return nan_quantile(np.abs(values) / np.sqrt(expected), ONE_SIGMA)
+
+        sizes = [
+            np.array([over_expected(*pair) for pair in zip(scatter.T, variance.T, strict=True)])
+            for scatter in _without_motion(second)
+        ]
         return min(sizes, key=lambda of_sheets: float(nan_median(of_sheets)))
 
     sizes = np.array([size(lag) for lag in NOISE_LAGS])
@@ -590,6 +709,17 @@ def noise_excess(positions: BetweenSlips, err_px: Floats, settings: TrackingSett
     usual = np.nan_to_num(nan_median(excess), nan=1.0)
     own = np.where(excess > settings.own_excess[0] * usual, excess, usual)
     return np.fmin(own, settings.own_excess[1] * usual)
+
+
+def _slips_of_sheets(x_px: Floats, settings: TrackingSettings) -> NDArray[np.int32]:
+    """Return the number of slips of each sheet up to each frame, beyond the common motion, (frame, N)."""
+    step = np.diff(x_px, axis=0)
+    step -= nan_median(step, axis=1)[:, None]
+    slips = np.zeros(x_px.shape, np.int32)
+    for moved, count in zip(step.T, slips.T, strict=True):
+        size = np.abs(moved - nan_median(moved))
+        np.cumsum(size > settings.slip_sigmas * nan_median(size) / NORMAL_MEDIAN, out=count[1:])
+    return slips
 
 
 def shared_error(positions: BetweenSlips) -> float:
@@ -613,52 +743,65 @@ def shared_error(positions: BetweenSlips) -> float:
         return 0.0
     own = float(np.nan_to_num(nan_median(spatial_scatter(positions, between_frames=True))))
     second = positions.second(LAGS[False])
+    between = _deviation_of_all(_fourth(second))
     apart = min(_deviation_of_all(values) for values in _without_motion(second))
     apart /= np.sqrt(1 - FITTED[sheets >= OPENING] / sheets)
-    ratio = apart / max(_deviation_of_all(_fourth(second)), 1e-9)
+    ratio = apart / max(between, 1e-9)
     blocks = own * float(np.sqrt(max(0.0, ratio**2 - 1)))
     shaking = _deviation_of_all(positions.second((1,), nan_median(positions.x_px, axis=1)[:, None]))
     followed = own * shaking / max(shaking + 2 * own, 1e-9)
     return float(np.hypot(blocks, max(blocks, followed)))
 
 
-def _without_motion(second: Floats) -> list[Floats]:
-    """Return second differences (frame, N) without the motion that all sheets share, and, with ten sheets or
+def _without_motion(second: Floats) -> Iterator[Floats]:
+    """Yield second differences (frame, N) without the motion that all sheets share, and, with ten sheets or
     more, also without a share in the opening of the comb, the motion of its outer thirds against each other:
-    one linear in n, or that of the sheets beside."""
-    second = second - nan_median(second, axis=1)[:, None]
+    one linear in n, then that of the sheets beside. What is given is changed in place."""
+    second -= nan_median(second, axis=1)[:, None]
     sheets = second.shape[1]
     if sheets < OPENING:
-        return [second]
+        yield second
+        return
     third, place = sheets // 3, np.arange(sheets) - (sheets - 1) / 2
     low, high = (nan_median(part, axis=1) for part in (second[:, :third], second[:, -third:]))
-    opening = np.where(np.isfinite(second), np.nan_to_num(high - low)[:, None], 0.0)
-    power = np.maximum((opening**2).sum(axis=0), np.finfo(float).tiny)
-    share = (opening * np.nan_to_num(second)).sum(axis=0) / power
+    opening = np.nan_to_num(high - low)
+    known = np.isfinite(second)
+    power = np.array([(opening[seen] ** 2).sum() for seen in known.T])
+    along = np.array([(opening[seen] * own[seen]).sum() for seen, own in zip(known.T, second.T, strict=True)])
+    share = along / np.maximum(power, np.finfo(float).tiny)
     beside = np.pad(share, 1, "reflect", reflect_type="odd")
-    shares = (place / (sheets - third), (beside[:-2] + beside[2:]) / 2)
-    return [second - opening * of for of in shares]
+    for of in (place / (sheets - third), (beside[:-2] + beside[2:]) / 2):
+        rest = second.copy()
+        for rows in row_parts(len(second)):
+            rest[rows] -= opening[rows, None] * of
+        yield rest
 
 
 def _fourth(x_px: Floats) -> Floats:
     """Return fourth differences along n, (frame, N − 4), scaled as `BetweenSlips.second` is."""
     last = x_px.shape[1] - len(FOURTH) + 1
-    parts = [x_px[:, k : k + last] * weight for k, weight in enumerate(FOURTH)]
-    return np.asarray(np.sum(parts, axis=0) / np.sqrt((FOURTH**2).sum()), np.float64)
+    fourth = x_px[:, :last] * FOURTH[0]
+    for k, weight in enumerate(FOURTH[1:], 1):
+        fourth += x_px[:, k : k + last] * weight
+    fourth /= np.sqrt((FOURTH**2).sum())
+    return np.asarray(fourth, np.float64)
 
 
-def _deviation(values: Floats) -> Floats:
-    """Return a robust standard deviation about zero along the first axis, NaN where nothing is known.
+def _deviation(values: Floats) -> float:
+    """Return a robust standard deviation of values about zero, NaN where nothing is known.
 
     Absolute values are limited to their 0.9 quantile, which reduces a normal variable's deviation to 0.9118.
     A median absolute deviation would be zero where codecs repeat blocks.
     """
-    size = np.abs(values)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        cut = np.nan_to_num(np.minimum(size, nan_quantile(size, 0.9)) ** 2)
-        return np.asarray(np.sqrt(cut.sum(axis=0) / np.isfinite(size).sum(axis=0)) / 0.9118)
+    size = np.abs(values.ravel())
+    count = np.isfinite(size).sum()
+    if not count:
+        return np.nan
+    np.minimum(size, nan_quantile(size, 0.9), out=size)
+    np.square(np.nan_to_num(size, copy=False), out=size)
+    return float(np.sqrt(size.sum() / count) / 0.9118)
 
 
 def _deviation_of_all(values: Floats) -> float:
     """Return the same for all values together; 0 where nothing is known."""
-    return float(np.nan_to_num(_deviation(values.ravel()))) if values.size else 0.0
+    return float(np.nan_to_num(_deviation(values)))

@@ -24,11 +24,17 @@ from vision.numeric import (
     Floats,
     Floats32,
     Ints,
+    common_change,
+    median_size,
+    median_step,
+    median_where,
     nan_median,
     nan_quantile,
     nearest,
+    row_parts,
     shifted,
     stretches,
+    without_common_change,
 )
 from vision.sheets.alignment import values_of
 from vision.sheets.identities import (
@@ -42,9 +48,16 @@ from vision.sheets.identities import (
     torn,
 )
 from vision.sheets.reference import rest_positions
-from vision.sheets.renumbered import LIKE_ITSELF, TERM_LIMIT, numbered_by_a_neighbour, numbered_off_the_end
+from vision.sheets.renumbered import (
+    LIKE_ITSELF,
+    TERM_LIMIT,
+    numbered_by_a_neighbour,
+    numbered_off_the_end,
+    usual_frames,
+)
 from vision.sheets.ridges import RidgeComb, Ridges, find_ridges, in_blocks
 from vision.sheets.settings import TrackingSettings
+from vision.words import is_word
 
 PAIRS = 3  # neighbours on each side that predict a sheet's position
 LINES = ((1, 2), (1, 3), (2, 3), (2, 4), (3, 4))  # distances of two neighbours on one side that a line joins
@@ -70,12 +83,12 @@ class Detections:
     withheld_px: whole pixel of a doubtful ridge, NaN elsewhere.
     """
 
-    start_px: Floats
-    contrast: Floats
-    fwhm_px: Floats
+    start_px: Floats32
+    contrast: Floats32
+    fwhm_px: Floats32
     flag: Codes
     why: Codes
-    withheld_px: Floats
+    withheld_px: Floats32
 
 
 def assign_detections(
@@ -88,29 +101,33 @@ def assign_detections(
     frame. A ridge there that was too faint for the first search is accepted if it reaches a fraction of the
     sheet's usual contrast. Positions of uncertain identity (`Doubt`) are flagged DOUBTFUL and withheld.
     """
-    candidates = np.stack([ridges.x_px, ridges.contrast, ridges.fwhm_px])
-    paired = np.stack([values_of(identities.match, values) for values in candidates])
-    usual = np.stack([identities.usual_px, *paired[1:]])
-    why = _doubts(usual, identities, comb)
-    why[numbered_off_the_end(candidates[:2], paired[:2], comb)] = Doubt.END
-    why[_shifted_pattern(np.where(why == Doubt.NONE, paired, np.nan), comb.settings)] = Doubt.PATTERN
-    followed = np.where((why == Doubt.NONE) | (why == Doubt.TEAR), paired, np.nan)
-    off = exchanged(followed[0], followed[1], identities.margin, comb)
+    paired = np.empty((3, *identities.match.shape), np.float32)
+    for table, values in zip(paired, (ridges.x_px, ridges.contrast, ridges.fwhm_px), strict=True):
+        table[:] = values_of(identities.match, values)
+    why = _doubts(identities.usual_px, paired[1], paired[2], identities, comb)
+    why[numbered_off_the_end(ridges, paired[:2], comb)] = Doubt.END
+    why[_shifted_pattern(paired, why, comb.settings)] = Doubt.PATTERN
+    followed = (why == Doubt.NONE) | (why == Doubt.TEAR)
+    x, contrast = (np.where(followed, values, np.nan) for values in paired[:2])
+    off = exchanged(x, contrast, identities.margin, comb)
+    del x, contrast
     why[off & (why == Doubt.NONE)] = Doubt.EXCHANGE
-    certain = np.where(why == Doubt.NONE, paired, np.nan)
-    paired, why = _reassign_hops(candidates, paired, why, comb)
+    sample = usual_frames(len(why))
+    certain = np.where(why[sample] == Doubt.NONE, paired[1:, sample], np.nan)
+    _reassign_hops(ridges, paired, why, comb)
     expected = _expected(np.where(why == Doubt.NONE, paired[0], np.nan), identities.rest_px)
-    off = numbered_by_a_neighbour(candidates, identities.match, paired, certain[1:], expected, comb)
+    off = numbered_by_a_neighbour(ridges, identities.match, paired, certain, expected, comb)
     why[off & (why == Doubt.NONE)] = Doubt.NEIGHBOUR
-    doubtful = why != Doubt.NONE
+    doubtful, unpaired = why != Doubt.NONE, np.isnan(paired[0])
     withheld = np.where(doubtful, paired[0], np.nan)
-    found = np.where(doubtful, np.nan, paired)
+    found = paired
+    found[:, doubtful] = np.nan
     expected = _expected(found[0], identities.rest_px)
     rows, sheet, faint = _faint_ridges(profile, found, expected, doubtful, comb)
     if len(rows):  # some of these may be ridges that are near by chance
         found[:, rows, sheet] = faint
-        off = hops(found[0] - predicted_by_neighbours(found[0]), comb)
-        found[:, off & np.isnan(paired[0])] = np.nan
+        off = hops(_unlike_neighbours(found[0]), comb)
+        found[:, off & unpaired] = np.nan
     flag = np.where(np.isfinite(found[0]), Flag.OK, Flag.MISSING).astype(np.uint8)
     flag[_merged(found, expected, comb)] = Flag.MERGED
     flag[_hidden(found[0], doubtful, comb)] = Flag.MERGED
@@ -118,82 +135,95 @@ def assign_detections(
     outside = (expected < half) | (expected > profile.shape[1] - 1 - half)
     flag[(flag != Flag.OK) & outside] = Flag.EDGE
     flag[doubtful] = Flag.DOUBTFUL
-    start, contrast, fwhm = np.where(flag == Flag.OK, found, np.nan)
+    found[:, flag != Flag.OK] = np.nan
+    start, contrast, fwhm = found
     return Detections(start, contrast, fwhm, flag, why, withheld)
 
 
 # --- doubt --------------------------------------------------------------------------------------------------
 
 
-def _doubts(paired: Floats, identities: Identities, comb: RidgeComb) -> Codes:
+def _doubts(
+    x: Floats32, contrast: Floats32, fwhm: Floats32, identities: Identities, comb: RidgeComb
+) -> Codes:
     """Return which identities of paired ridges are doubtful by margin, jump or tear, (frame, N).
 
     A margin that is too small is no doubt where the pattern confirms the identity, or where the ridges do not
-    move from the last certain frame to the next. `paired` holds positions, contrasts and widths,
-    (3, frame, N).
+    move from the last certain frame to the next. x, contrast, fwhm: of the paired ridges, (frame, N).
     """
-    x, contrast, fwhm = paired
     why = np.full(x.shape, Doubt.NONE, np.uint8)
     why[~(identities.margin >= comb.settings.doubt)] = Doubt.MARGIN
-    displaced = x - rest_positions(x)
-    why[_unproved_jumps(x, displaced, contrast, identities, comb)] = Doubt.JUMP
-    why[torn(displaced, comb)] = Doubt.TEAR
+    rest = rest_positions(x)
+    why[_unproved_jumps(x, common_change(x, rest), contrast, identities, comb)] = Doubt.JUMP
+    for rows in row_parts(len(x)):
+        why[rows][torn(x[rows] - rest, comb)] = Doubt.TEAR
     why[np.isnan(x)] = Doubt.NONE
     unsettled = why == Doubt.MARGIN
     if unsettled.any():
-        known = np.where(why == Doubt.TEAR, np.nan, x)
+        known = np.where(why == Doubt.TEAR, np.float32(np.nan), x)
         trusted = np.isfinite(known) & (why == Doubt.NONE)
-        why[unsettled & anchored(known, np.log(contrast), np.log(fwhm), trusted, comb)] = Doubt.NONE
+        bright, wide = (np.log(values.astype(np.float64)) for values in (contrast, fwhm))
+        why[unsettled & anchored(known, bright, wide, trusted, comb)] = Doubt.NONE
+        del bright, wide
         unsettled &= why == Doubt.MARGIN
         why[unsettled & unmoved(x, why == Doubt.NONE, unsettled, comb)] = Doubt.NONE
     return why
 
 
-def _shifted_pattern(certain: Floats, settings: TrackingSettings) -> Bools:
+def _shifted_pattern(paired: Floats32, why: Codes, settings: TrackingSettings) -> Bools:
     """Return where brightnesses and widths fit another numbering than in most frames, (frame, N).
 
-    certain: positions, contrasts and widths (3, frame, N), NaN where doubtful. Frames in which at most half
-    of the sheets are certain are ignored.
+    paired: positions, contrasts and widths (3, frame, N), those with a doubt left out. Frames in which at
+    most half of the sheets are certain are ignored.
     """
-    seen = np.isfinite(certain[0])
+    seen = np.isfinite(paired[0]) & (why == Doubt.NONE)
     rows = np.flatnonzero(seen.mean(axis=1) > 0.5)
     away = np.zeros(seen.shape, bool)
     if len(rows):
-        log_contrast, log_width = np.log(certain[1:, rows])
-        shift = pattern_shift(log_contrast, log_width, settings)
+        looks = np.empty((2, len(rows), seen.shape[1]))
+        for part in row_parts(len(rows)):
+            some = rows[part]
+            certain = np.where(seen[some], paired[1:, some], np.nan)
+            looks[:, part] = np.log(certain.astype(np.float64))
+        shift = pattern_shift(looks[0], looks[1], settings)
         shifts, counts = np.unique(shift, return_counts=True)
         away[rows] = seen[rows] & (shift != shifts[counts.argmax()])[:, None]
     return away
 
 
-def _reassign_hops(candidates: Floats32, paired: Floats, why: Codes, comb: RidgeComb) -> tuple[Floats, Codes]:
+def _reassign_hops(ridges: Ridges, paired: Floats32, why: Codes, comb: RidgeComb) -> None:
     """Give each sheet that hopped to another ridge the ridge at its predicted position, or doubt it.
 
-    A ridge that another sheet has is not given. candidates and paired hold positions, contrasts and widths,
-    (3, frame, K) and (3, frame, N).
+    A ridge that another sheet has is not given. Positions, contrasts and widths of the paired ridges,
+    (3, frame, N), and doubts are changed in place.
     """
     for _ in range(4):  # each pass finds the largest residual among neighbours and sets that sheet aside
-        x = np.where(why == Doubt.NONE, paired[0], np.nan)
-        residual = x - predicted_by_neighbours(x)
+        x = np.where(why == Doubt.NONE, paired[0], np.float32(np.nan))
+        residual = _unlike_neighbours(x)
         off = hops(residual, comb)
         if not off.any():
             break
         frame, sheet = np.nonzero(off)
-        best, distance = nearest(candidates[0, frame], (x - residual)[off])
-        there, height = candidates[:2, frame, best].astype(np.float64)
+        best, distance = nearest(ridges.x_px[frame], x[off] - residual[off])
+        looks = (ridges.x_px, ridges.contrast, ridges.fwhm_px)
+        candidate = np.stack([values[frame, best] for values in looks])
+        there, height = candidate[:2].astype(np.float64)
         accept = (distance <= comb.settings.faint_reach * comb.pitch_px) & (there != x[off])
-        usual = nan_median(np.log(np.where(why == Doubt.NONE, paired[1], np.nan)))[sheet]
+        usual = np.array(
+            [
+                nan_median(np.log(np.where(doubt == Doubt.NONE, contrast, np.nan).astype(np.float64)))
+                for doubt, contrast in zip(why.T, paired[1].T, strict=True)
+            ]
+        )[sheet]
         accept &= np.abs(np.log(height) - usual) < LIKE_ITSELF
-        accept &= ~(np.where(off, np.nan, paired[0])[frame] == there[:, None]).any(axis=1)
+        accept &= ~(np.where(off[frame], np.nan, paired[0][frame]) == there[:, None]).any(axis=1)
         accept &= _unshared(frame, there, accept)
-        why, paired = why.copy(), paired.copy()
         why[frame[~accept], sheet[~accept]] = Doubt.HOP
-        paired[:, frame[accept], sheet[accept]] = candidates[:, frame[accept], best[accept]]
-    return paired, why
+        paired[:, frame[accept], sheet[accept]] = candidate[:, accept]
 
 
 def _unproved_jumps(
-    x: Floats, displaced: Floats, contrast: Floats, identities: Identities, comb: RidgeComb
+    x: Floats32, moved: Floats, contrast: Floats32, identities: Identities, comb: RidgeComb
 ) -> Bools:
     """Return where the comb is displaced by a jump that could be one of whole pitches, (frame, N).
 
@@ -203,15 +233,14 @@ def _unproved_jumps(
     Where brightnesses changed by more than `least_misfit`, the costs mistake changed sheets for exchanged
     ones, and the margin required grows by the ratio of the squares: the overdispersion of a quasi-likelihood
     (McCullagh & Nelder 1989, chapter 9). If the pattern proved the jumps, the margins are enough.
-    `displaced` is x less the rest positions.
+    moved: median of x less the rest positions, (frame,).
     """
     settings, none = comb.settings, np.zeros(x.shape, bool)
     if identities.jumps:
         return none
-    seen = np.isfinite(x).any(axis=1)
+    seen = np.flatnonzero(np.isfinite(x).any(axis=1))
     step = np.zeros(len(x))
-    step[np.flatnonzero(seen)[1:]] = np.nan_to_num(nan_median(np.diff(x[seen], axis=0), axis=1))
-    moved = nan_median(displaced, axis=1)
+    step[seen[1:]] = np.nan_to_num(median_step(x[seen]))
     reach = settings.edge_pitches * comb.pitch_px
     rest = identities.rest_px
     no_end_in_view = (rest[:, 0] < reach) & (rest[:, -1] > comb.width_px - 1 - reach)
@@ -226,7 +255,8 @@ def _unproved_jumps(
     if not away.any():
         return none
     least = settings.stay_cost + 1.0 + np.where(no_end_in_view, 2 * settings.crossing_cost, 0.0)
-    off = np.log(contrast) - identities.reference.log_contrast
+    off = np.log(contrast.astype(np.float64))
+    off -= identities.reference.log_contrast
     off -= nan_median(off, axis=1)[:, None]  # flicker
     misfit = np.minimum(np.nan_to_num(off) ** 2, LIKE_ITSELF**2).sum(axis=1)
     misfit /= np.maximum(np.isfinite(off).sum(axis=1), 1)
@@ -266,7 +296,7 @@ def _lost_count(step: Floats, moved: Floats, settings: TrackingSettings) -> Bool
 # --- predictions by neighbouring sheets ---------------------------------------------------------------------
 
 
-def predicted_by_neighbours(x_px: Floats) -> Floats:
+def predicted_by_neighbours(x_px: NDArray[np.floating]) -> Floats:
     r"""Return the position of each sheet predicted by its neighbours, px, (frame, N).
 
     x_px: positions (frame, N), NaN where missing. Missing sheets have a prediction, too. The median
@@ -285,9 +315,22 @@ def predicted_by_neighbours(x_px: Floats) -> Floats:
     if sheets < 3:
         return np.full(x_px.shape, np.nan)
     rest = rest_positions(x_px)
-    parts = in_blocks(lambda rows: _displacements(x_px[rows] - rest, rest), len(x_px))
-    predicted = np.concatenate(parts) if parts else np.empty_like(x_px)
-    return np.asarray(rest + predicted + nan_median(x_px - rest - predicted), np.float64)
+    predicted = np.empty(x_px.shape)
+
+    def predict(rows: slice) -> None:
+        predicted[rows] = _displacements(x_px[rows] - rest, rest)
+
+    in_blocks(predict, len(x_px))
+    for n, (x, own) in enumerate(zip(x_px.T, predicted.T, strict=True)):
+        predicted[:, n] += rest[n] + nan_median(x - rest[n] - own)
+    return predicted
+
+
+def _unlike_neighbours(x_px: NDArray[np.floating]) -> Floats:
+    """Return positions (frame, N) less those that their neighbours predict."""
+    predicted = predicted_by_neighbours(x_px)
+    np.subtract(x_px, predicted, out=predicted)
+    return predicted
 
 
 def _displacements(moved: Floats, rest: Floats) -> Floats:
@@ -338,13 +381,14 @@ def hops(residual: Floats, comb: RidgeComb) -> Bools:
     of most sheets in the frame, since many residuals grow at once in an avalanche or in a blurred frame.
     Among adjacent sheets only the largest residual counts: that sheet spoils the prediction for the others.
     """
-    size = np.abs(residual)
-    least = comb.settings.leave_sigmas * nan_median(size) / NORMAL_MEDIAN
-    found = np.asarray(size > np.fmax(least, comb.fwhm_px), bool)
+    least = np.fmax(comb.settings.leave_sigmas * median_size(residual) / NORMAL_MEDIAN, comb.fwhm_px)
+    found = np.empty(residual.shape, bool)
+    for part in row_parts(len(residual)):
+        found[part] = np.abs(residual[part]) > least
     rows = np.flatnonzero(found.any(axis=1))  # most films have none
-    some = size[rows]
+    some = np.abs(residual[rows])
     padded = np.pad(some, ((0, 0), (PAIRS, PAIRS)), constant_values=np.nan)
-    around = [padded[:, i : i + size.shape[1]] for i in range(2 * PAIRS + 1)]
+    around = [padded[:, i : i + some.shape[1]] for i in range(2 * PAIRS + 1)]
     found[rows] &= (some > 3.0 * nan_quantile(some, 0.75, axis=1)[:, None]) & (some >= np.fmax.reduce(around))
     return found
 
@@ -352,7 +396,9 @@ def hops(residual: Floats, comb: RidgeComb) -> Bools:
 # --- the comb's own pattern ---------------------------------------------------------------------------------
 
 
-def anchored(x_px: Floats, log_contrast: Floats, log_width: Floats, trusted: Bools, comb: RidgeComb) -> Bools:
+def anchored(
+    x_px: NDArray[np.floating], log_contrast: Floats, log_width: Floats, trusted: Bools, comb: RidgeComb
+) -> Bools:
     """Return which identities are confirmed by a pattern that fits no other numbering, (frame, N).
 
     The pattern is the spacings, brightnesses and widths of the sheets (positions, log contrasts and log
@@ -366,29 +412,29 @@ def anchored(x_px: Floats, log_contrast: Floats, log_width: Floats, trusted: Boo
     """
     if x_px.shape[1] < 3 or trusted.any(axis=1).mean() < 0.1:
         return np.zeros(x_px.shape, bool)
-    gap = np.diff(x_px, axis=1, append=np.nan)
     both = trusted & np.hstack([trusted[:, 1:], np.zeros((len(trusted), 1), bool)])
-    features = (
-        (gap, both, 0.01 * comb.pitch_px),
-        (_without_common_change(log_contrast), trusted, 0.05),
-        (_without_common_change(log_width), trusted, 0.05),
-    )
-    own_cost = np.zeros(len(x_px))
-    terms = np.zeros(len(x_px))
-    excess = np.zeros((len(SHIFTS), len(x_px)))
-    for values, learned, floor in features:
-        cost = _feature_costs(values, learned, floor)
-        own_cost += np.nansum(cost[0], axis=1)
-        terms += np.isfinite(cost[0]).sum(axis=1)
-        # only features that both numberings explain
-        excess += np.stack([np.nansum(other - cost[0], axis=1) for other in cost[1:]])
+    own_cost, terms = np.zeros((2, len(x_px)))
+    excess, usual_gap = np.zeros((len(SHIFTS), len(x_px))), np.empty(x_px.shape, bool)
+    for kind, values in enumerate((x_px, log_contrast, log_width)):
+        of_gaps = kind == 0
+        if of_gaps:
+            feature = _Feature.of(np.diff(values, axis=1, append=np.nan), both, 0.01 * comb.pitch_px)
+        else:
+            feature = _Feature.of(without_common_change(values), trusted, 0.05)
+        for rows in row_parts(len(x_px)):
+            own, *others = feature.costs(rows)
+            own_cost[rows] += np.nansum(own, axis=1)
+            terms[rows] += np.isfinite(own).sum(axis=1)
+            # only features that both numberings explain
+            excess[:, rows] += np.stack([np.nansum(other - own, axis=1) for other in others])
+            if of_gaps:
+                usual_gap[rows] = own < TERM_LIMIT / 2
     fits = own_cost < comb.settings.anchor_fit * np.maximum(terms, 1)
-    usual_gap = _feature_costs(gap, both, 0.01 * comb.pitch_px)[0] < TERM_LIMIT / 2
-    beside = usual_gap | np.hstack([np.zeros((len(gap), 1), bool), usual_gap[:, :-1]])
+    beside = usual_gap | np.hstack([np.zeros((len(x_px), 1), bool), usual_gap[:, :-1]])
     return np.asarray((fits & (excess.min(axis=0) > comb.settings.anchor_nats))[:, None] & beside, bool)
 
 
-def unmoved(x: Floats, certain: Bools, unsettled: Bools, comb: RidgeComb) -> Bools:
+def unmoved(x: NDArray[np.floating], certain: Bools, unsettled: Bools, comb: RidgeComb) -> Bools:
     """Return which ridges lie where their sheet was and will be, (frame, N).
 
     They are judged in short stretches in which the numbering of most sheets is unsettled. Another numbering
@@ -397,16 +443,17 @@ def unmoved(x: Floats, certain: Bools, unsettled: Bools, comb: RidgeComb) -> Boo
     identity is certain, or is to be settled.
     """
     settings = comb.settings
-    known = np.where(certain, x, np.nan)
-    step = np.abs(nan_median(np.diff(known, axis=0), axis=1))
-    if (step > settings.jump_fraction * comb.pitch_px).any():
+    if (np.abs(median_step(np.where(certain, x, np.nan))) > settings.jump_fraction * comb.pitch_px).any():
         return np.zeros(x.shape, bool)
-    frame = np.where(certain, np.arange(len(x), dtype=np.float64)[:, None], np.nan)
-    before, since = (last_seen(values.T).T for values in (known, frame))
-    after, until = (last_seen(values[::-1].T).T[::-1] for values in (known, frame))
-    least = settings.step_fraction * comb.pitch_px / 2
-    near = (until - since <= settings.unmoved_frames) & (np.abs(x - before) < least)
-    near &= np.abs(x - after) < least
+    near, least = np.empty(x.shape, bool), settings.step_fraction * comb.pitch_px / 2
+    number = np.arange(len(x), dtype=np.float64)
+    for n, use in enumerate(certain.T):
+        here = x[:, n].astype(np.float64)
+        both = np.stack([np.where(use, here, np.nan), np.where(use, number, np.nan)])
+        before, since = last_seen(both)
+        after, until = last_seen(both[:, ::-1])[:, ::-1]
+        near[:, n] = (until - since <= settings.unmoved_frames) & (np.abs(here - before) < least)
+        near[:, n] &= np.abs(here - after) < least
     most = 2 * (near & unsettled).sum(axis=1, keepdims=True) > np.isfinite(x).sum(axis=1, keepdims=True)
     return np.asarray(near & most, bool)
 
@@ -419,16 +466,23 @@ def pattern_shift(log_contrast: Floats, log_width: Floats, settings: TrackingSet
     pitch, but its pattern jumps. Medians over `pattern_frames` frames before and after each frame are
     compared. At a jump the sheets' change is `pattern_change` times the usual one, and `pattern_ratio` times
     the change relative to another sheet; a change of light does not shift the pattern. 0 for fewer than
-    `pattern_sheets` sheets.
+    `pattern_sheets` sheets. Both tables are changed in place.
     """
     frames, sheets = log_contrast.shape
     span, shift = settings.pattern_frames, np.zeros(frames, np.int64)
     if frames < 4 * span or sheets < settings.pattern_sheets:
         return shift
-    features = np.stack([_without_common_change(log_contrast), _without_common_change(log_width)])
-    windows = np.lib.stride_tricks.sliding_window_view(features, span, axis=1)
-    parts = in_blocks(lambda rows: nan_median(windows[:, rows], axis=-1), windows.shape[1])
-    medians = np.concatenate(parts, axis=1)
+    log_contrast -= common_change(log_contrast, nan_median(log_contrast))[:, None]
+    log_width -= common_change(log_width, nan_median(log_width))[:, None]
+    features = (log_contrast, log_width)
+    medians = np.empty((2, frames - span + 1, sheets))
+    for middle, values in zip(medians, features, strict=True):
+        windows = np.lib.stride_tricks.sliding_window_view(values, span, axis=0)
+
+        def of_block(rows: slice, middle: Floats = middle, windows: Floats = windows) -> None:
+            middle[rows] = nan_median(windows[rows], axis=-1)
+
+        in_blocks(of_block, len(windows))
     before, after = medians[:, :-span], medians[:, span:]
     own = _feature_change(before, after, 0, settings)
     own, usual = np.where(own < np.inf, own, 0.0), np.median(own)
@@ -445,7 +499,7 @@ def pattern_shift(log_contrast: Floats, log_width: Floats, settings: TrackingSet
             events.append(frame)
     for event in events:  # medians date the jump to about two frames; the single frames decide the rest
         first, last = event + span // 2 + 1, event + span + span // 2
-        near = features[:, first:last]
+        near = np.stack([values[first:last] for values in features])
         as_before = np.broadcast_to(before[:, [event]], near.shape)
         each = np.stack([_feature_change(as_before, near, by, settings) for by in (0, *SHIFTS)])
         shift[first:last] += np.array((0, *SHIFTS))[each.argmin(axis=0)]
@@ -453,7 +507,7 @@ def pattern_shift(log_contrast: Floats, log_width: Floats, settings: TrackingSet
     return shift
 
 
-def sheets_alike(x_px: Floats, contrast: Floats, fwhm_px: Floats, comb: RidgeComb) -> bool:
+def sheets_alike(x_px: Floats, contrast: Floats32, fwhm_px: Floats32, comb: RidgeComb) -> bool:
     """Return whether the sheets look so alike that a picture does not show which sheets it contains.
 
     Neither end of the comb is in view, and brightness, width and spacing differ from the mean of both
@@ -466,9 +520,12 @@ def sheets_alike(x_px: Floats, contrast: Floats, fwhm_px: Floats, comb: RidgeCom
     if len(rest) < 5 or rest[0] > reach or rest[-1] < comb.width_px - 1 - reach:
         return False
     alike = nan_median(np.abs(_bend(rest))) < comb.settings.spacing_spread * comb.pitch_px
-    for pattern in (_without_common_change(np.log(values)) for values in (contrast, fwhm_px)):
+    for values in (contrast, fwhm_px):
+        pattern = without_common_change(np.log(values.astype(np.float64)))
         mean = nan_median(pattern)
-        within = nan_median(nan_median(np.abs(pattern - mean)))
+        within = nan_median(
+            np.array([nan_median(np.abs(own - at)) for own, at in zip(pattern.T, mean, strict=True)])
+        )
         alike &= nan_median(np.abs(_bend(mean))) < comb.settings.alike_scatter * within
     return bool(alike)
 
@@ -483,39 +540,49 @@ def _feature_change(before: Floats, after: Floats, by: int, settings: TrackingSe
 
     Three quarters of the sheets change by no more than this; inf where too few sheets are known.
     """
-    step = after - np.stack([shifted(part, by) for part in before])
-    size = nan_quantile(np.abs(step - nan_median(step, axis=2)[..., None]), 0.75, axis=2)
-    enough = np.isfinite(step).all(axis=0).sum(axis=1) >= settings.pattern_sheets
-    return np.where(enough, np.hypot(*size), np.inf)
+    change = np.empty(before.shape[1])
+    for rows in row_parts(len(change)):
+        step = after[:, rows] - np.stack([shifted(part, by) for part in before[:, rows]])
+        size = nan_quantile(np.abs(step - nan_median(step, axis=2)[..., None]), 0.75, axis=2)
+        enough = np.isfinite(step).all(axis=0).sum(axis=1) >= settings.pattern_sheets
+        change[rows] = np.where(enough, np.hypot(*size), np.inf)
+    return change
 
 
-def _without_common_change(values: Floats) -> Floats:
-    """Remove from each frame the change that all sheets share (flicker, focus)."""
-    off = values - nan_median(values)
-    return np.asarray(values - nan_median(off, axis=1)[:, None])
+@dataclass(frozen=True)
+class _Feature:
+    """Values of the sheets (frame, N), NaN where unknown; of each sheet the usual one, and its scatter."""
 
+    values: Floats
+    middle: Floats
+    spread: Floats
 
-def _feature_costs(values: Floats, learned: Bools, floor: float) -> list[NDArray[np.float64]]:
-    """Return the cost of each value for its own sheet, then for each sheet of SHIFTS; (frame, N), NaN where
-    unknown."""
-    seen = np.where(learned, values, np.nan)
-    middle = nan_median(seen)
-    spread = nan_median(np.abs(seen - middle)) / NORMAL_MEDIAN
-    spread = np.maximum(spread, floor)
-    costs = []
-    for shift in (0, *SHIFTS):
-        expected = shifted(middle[None], shift)
-        # the wider of both scatters, so that a single noisy sheet does not exclude a numbering
-        sigma = np.fmax(shifted(spread[None], shift), spread[None])
-        limit = np.where(np.isfinite(expected), TERM_LIMIT, np.nan)
-        costs.append(np.fmin((values - expected) ** 2 / (2 * sigma**2), limit))
-    return [np.where(np.isfinite(values), cost, np.nan) for cost in costs]
+    @classmethod
+    def of(cls, values: Floats, learned: Bools, least_spread: float) -> _Feature:
+        """Return the feature, with what is usual taken from the values that are learned (frame, N)."""
+        middle = median_where(learned, values)
+        off = zip(learned.T, values.T, middle, strict=True)
+        spread = [nan_median(np.where(use, np.abs(own - at), np.nan)) for use, own, at in off]
+        return cls(values, middle, np.maximum(np.array(spread) / NORMAL_MEDIAN, least_spread))
+
+    def costs(self, rows: slice) -> list[Floats]:
+        """Return the cost of each value for its own sheet, then for each sheet of SHIFTS; (frame, N), NaN
+        where unknown."""
+        values = self.values[rows]
+        costs = []
+        for shift in (0, *SHIFTS):
+            expected = shifted(self.middle[None], shift)
+            # the wider of both scatters, so that a single noisy sheet does not exclude a numbering
+            sigma = np.fmax(shifted(self.spread[None], shift), self.spread[None])
+            limit = np.where(np.isfinite(expected), TERM_LIMIT, np.nan)
+            costs.append(np.fmin((values - expected) ** 2 / (2 * sigma**2), limit))
+        return [np.where(np.isfinite(values), cost, np.nan) for cost in costs]
 
 
 # --- the second search --------------------------------------------------------------------------------------
 
 
-def _expected(start: Floats, rest: Floats) -> Floats:
+def _expected(start: Floats32, rest: Floats) -> Floats:
     """Return rest positions plus the displacement of the neighbours, in frames in which a sheet is missing.
 
     NaN in all other frames, and where fewer than half of the sheets are detected.
@@ -527,22 +594,40 @@ def _expected(start: Floats, rest: Floats) -> Floats:
 
 
 def _faint_ridges(
-    profile: Floats32, found: Floats, expected: Floats, doubtful: Bools, comb: RidgeComb
+    profile: Floats32, found: Floats32, expected: Floats, doubtful: Bools, comb: RidgeComb
 ) -> tuple[Ints, Ints, Floats]:
     """Return faint ridges at the expected positions of missing sheets: frame, sheet, and position, contrast
     and width (3, ridges). `found` holds these for the sheets already detected, (3, frame, N)."""
     wanted = np.isnan(found[0]) & np.isfinite(expected) & ~doubtful
     rows = np.flatnonzero(wanted.any(axis=1))
-    if not len(rows):
+    usual = np.nan_to_num(nan_median(found[1])) if len(rows) else np.zeros(0)
+    parts = [
+        _faint_in_part(profile, rows[part], wanted, found, expected, usual, comb)
+        for part in row_parts(len(rows))
+    ]
+    if not parts:
         return rows, rows, np.zeros((3, 0))
+    frame, sheet, there = zip(*parts, strict=True)
+    return np.concatenate(frame), np.concatenate(sheet), np.concatenate(there, axis=1)
+
+
+def _faint_in_part(
+    profile: Floats32,
+    rows: Ints,
+    wanted: Bools,
+    found: Floats32,
+    expected: Floats,
+    usual: Floats,
+    comb: RidgeComb,
+) -> tuple[Ints, Ints, Floats]:
+    """Return the same for some frames; `wanted` are the missing sheets, `usual` the contrast of each."""
     faint = find_ridges(profile[rows], replace(comb, contrast=0.0))
     row, sheet = np.nonzero(wanted[rows])
     frame = rows[row]
     best, distance = nearest(faint.x_px[row], expected[frame, sheet])
     there = np.stack([faint.x_px, faint.contrast, faint.fwhm_px])[:, row, best].astype(np.float64)
-    usual = np.nan_to_num(nan_median(found[1]))[sheet]
     keep = (distance <= comb.settings.faint_reach * comb.pitch_px) & (
-        there[1] >= comb.settings.faint_contrast * usual
+        there[1] >= comb.settings.faint_contrast * usual[sheet]
     )
     keep &= nearest(found[0, frame], there[0])[1] > 0.5 * comb.fwhm_px
     keep &= _unshared(frame, there[0], keep)
@@ -560,39 +645,47 @@ def _unshared(frame: Ints, x: Floats, keep: Bools) -> Bools:
     return unshared
 
 
-def _merged(found: Floats, expected: Floats, comb: RidgeComb) -> Bools:
+def _merged(found: Floats32, expected: Floats, comb: RidgeComb) -> Bools:
     """Return which missing sheets form one ridge with a detected neighbour, and these neighbours, (frame, N).
 
     Their expected positions are within a ridge's width of each other, or the neighbour is as high or as wide
     as two sheets. `found` holds positions, contrasts and widths (3, frame, N).
     """
-    start = found[0]
-    missing = np.isnan(start)
+    missing = np.isnan(found[0])
     if not missing.any():
         return np.zeros_like(missing)
-    apart = np.abs(np.diff(np.where(missing, expected, start), axis=1))
     beside = np.pad(missing, ((0, 0), (1, 1)))
+    beside = beside[:, :-2] | beside[:, 2:]
     # the usual size is that without a missing neighbour, which may be missing in most frames
-    alone = np.where(beside[:, :-2] | beside[:, 2:], np.nan, found[1:])
-    usual = nan_median(alone, axis=1)
-    size = found[1:] / np.where(np.isfinite(usual), usual, nan_median(found[1:], axis=1))[:, None]
-    size /= nan_median(size, axis=2)[..., None]  # exposure, focus
-    double = (size[0] > comb.settings.merged_height) | (size[1] > comb.settings.merged_width)
-    pair = (apart < comb.settings.merged_widths * comb.fwhm_px) | double[:, 1:] | double[:, :-1]
-    return _both(pair & (missing[:, 1:] ^ missing[:, :-1]))
+    usual = np.stack([median_where(~beside, sizes) for sizes in found[1:]])
+    usual = np.where(np.isfinite(usual), usual, nan_median(found[1:], axis=1))
+    pair = np.zeros((len(missing), missing.shape[1] - 1), bool)
+    some = np.flatnonzero(missing.any(axis=1))
+    for part in row_parts(len(some)):
+        rows = some[part]
+        size = found[1:, rows] / usual[:, None]
+        size /= nan_median(size, axis=2)[..., None]  # exposure, focus
+        double = (size[0] > comb.settings.merged_height) | (size[1] > comb.settings.merged_width)
+        apart = np.abs(np.diff(np.where(missing[rows], expected[rows], found[0, rows]), axis=1))
+        near = apart < comb.settings.merged_widths * comb.fwhm_px
+        one = missing[rows, 1:] ^ missing[rows, :-1]
+        pair[rows] = (near | double[:, 1:] | double[:, :-1]) & one
+    return _both(pair)
 
 
-def _hidden(start: Floats, doubtful: Bools, comb: RidgeComb) -> Bools:
+def _hidden(start: Floats32, doubtful: Bools, comb: RidgeComb) -> Bools:
     """Return which missing sheets were near a detected neighbour just before or after, and these neighbours.
 
     One lies behind the other, so that the ridge is no higher than usual, and it is unknown which is seen.
     """
-    gap = np.diff(start, axis=1)
-    around = np.fmin(last_seen(gap.T).T, last_seen(gap[::-1].T).T[::-1])
     near = min(comb.settings.touching_widths * comb.fwhm_px, comb.settings.touching_pitches * comb.pitch_px)
     seen = np.isfinite(start)
     missing = ~seen & ~doubtful  # a doubtful sheet does have a ridge
-    return _both((around < near) & (missing[:, 1:] & seen[:, :-1] | seen[:, 1:] & missing[:, :-1]))
+    pair = missing[:, 1:] & seen[:, :-1] | seen[:, 1:] & missing[:, :-1]
+    for n in np.flatnonzero(pair.any(axis=0)):
+        gap = (start[:, n + 1] - start[:, n]).astype(np.float64)[None]
+        pair[:, n] &= (np.fmin(last_seen(gap), last_seen(gap[:, ::-1])[:, ::-1]) < near)[0]
+    return _both(pair)
 
 
 def _both(pair: Bools) -> Bools:
@@ -618,11 +711,12 @@ def doubtful_stretches(tracks: xr.Dataset) -> pd.DataFrame:
         sheet, side, n; first_frame and last_frame, frames; why (in words); x_withheld_px, the doubtful ridge,
         and x_expected_px, the position that the neighbours predict, both in the first frame (NaN if unknown).
     """
-    sheet, first, stop = stretches(np.asarray(tracks["flag"].values == "doubtful"))
+    sheet, first, stop = stretches(is_word(tracks["flag"], "doubtful"))
     number = tracks["frame"].values
 
     def at_first(name: str) -> Any:
-        return tracks[name].values[first, sheet] if name in tracks else np.full(len(sheet), np.nan)
+        at = {"frame": xr.DataArray(first, dims="one"), "sheet": xr.DataArray(sheet, dims="one")}
+        return tracks[name].isel(at).values if name in tracks else np.full(len(sheet), np.nan)
 
     table = pd.DataFrame(
         {

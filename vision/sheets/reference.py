@@ -10,9 +10,20 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vision.errors import InputError
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, mad_sigma, nan_median, nearest
+from vision.numeric import (
+    NORMAL_MEDIAN,
+    Bools,
+    Floats,
+    Ints,
+    common_change,
+    mad_sigma,
+    median_size,
+    nan_median,
+    nearest,
+)
 from vision.sheets.alignment import Candidates, ExpectedSheets, align, values_of
 from vision.sheets.ridges import RidgeComb
 from vision.sheets.settings import DEFAULT, TrackingSettings
@@ -300,14 +311,15 @@ def _best_chain(score: Floats, cost: Floats, sheets: int | None) -> Ints:
 # --- marks and gaps -----------------------------------------------------------------------------------------
 
 
-def rest_positions(x_px: Floats) -> Floats:
+def rest_positions(x_px: NDArray[np.floating]) -> Floats:
     """Return each sheet's median position after removing the comb's common motion, (N,).
 
     This is also right for sheets that are in view only while the comb is displaced.
     """
     rest = nan_median(x_px)
     for _ in range(3):
-        before, rest = rest, nan_median(x_px - nan_median(x_px - rest, axis=1)[:, None])
+        common, before = common_change(x_px, rest), rest
+        rest = np.array([nan_median(x - common) for x in x_px.T])
         if np.array_equal(before, rest, equal_nan=True):  # the usual case for whole pixels
             break
     return rest
@@ -324,18 +336,20 @@ def static_ridges(moved_px: Floats, rest_px: Floats, *, settings: TrackingSettin
 
     moved_px: displacement from the rest positions rest_px (N,), (frame, N), NaN where missing.
     """
-    left, right = _beside(moved_px), _beside(moved_px[:, ::-1])[:, ::-1]
+    sheets = len(rest_px)
     gap = np.diff(rest_px)
     odd = np.abs(np.log(gap / np.median(gap))) > settings.odd_spacing if len(gap) > 1 else np.zeros(2, bool)
-    if odd[0]:
-        left[:, 0] = right[:, 0]
-    if odd[-1]:
-        right[:, -1] = left[:, -1]
-    common = np.where(left * right > 0, np.minimum(np.abs(left), np.abs(right)), 0.0)
-    both = np.isfinite(left) & np.isfinite(right) & np.isfinite(moved_px)
-    power = np.where(both, common**2, 0.0).sum(axis=0)
-    own = np.where(both, np.nan_to_num(moved_px) ** 2, 0.0).sum(axis=0)
-    frames = both.sum(axis=0)
+    power, own, frames = np.zeros((3, sheets))
+    for n in range(sheets):
+        left, right = _beside(moved_px, n, -1), _beside(moved_px, n, 1)
+        if n == 0 and odd[0]:
+            left = right
+        if n == sheets - 1 and odd[-1]:
+            right = left
+        both = np.isfinite(left) & np.isfinite(right) & np.isfinite(moved_px[:, n])
+        left, right = left[both], right[both]
+        common = np.where(left * right > 0, np.minimum(np.abs(left), np.abs(right)), 0.0)
+        power[n], own[n], frames[n] = (common**2).sum(), (moved_px[both, n] ** 2).sum(), both.sum()
     certain = (frames >= 50) & (power > frames * settings.moving_px**2)
     stationary = certain & (own < settings.static_fraction**2 * power)
     return np.asarray(stationary | _ruler_beside_comb(moved_px, rest_px, settings), bool)
@@ -382,7 +396,7 @@ def faint_ends(reference: ReferenceComb, moved_px: Floats, *, settings: Tracking
     if reference.sheets < 5:
         return none
     contrast, width = (values - np.median(values) for values in (reference.log_contrast, reference.log_width))
-    power = np.nanmean(np.where(np.isfinite(moved_px), moved_px, 0.0) ** 2, axis=0)
+    power = np.array([(moved[np.isfinite(moved)] ** 2).sum() for moved in moved_px.T]) / len(moved_px)
     for end, inner in ((0, 1), (-1, -2)):
         seen = np.isfinite(moved_px[:, end]).mean()
         slow = power[end] < settings.slow_end**2 * power[inner] and power[inner] > settings.moving_px**2 / 4
@@ -406,22 +420,26 @@ def marks(x_px: Floats, err_px: Floats, usual_px: Floats, comb: RidgeComb) -> Bo
     rest = rest_positions(x_px)
     least = 5.0 * float(nan_median(err_px.ravel()))
     sensitive = replace(settings, moving_px=least, static_fraction=settings.mark_motion)
-    unmoved = nan_median(np.abs(x_px - rest)) < least
+    moved = x_px - rest
+    unmoved = median_size(moved) < least
     with np.errstate(divide="ignore", invalid="ignore"):  # sheets swapped manually, or never seen
-        stationary = static_ridges(x_px - rest, rest, settings=sensitive)
-        ruler = _ruler_beside_comb(x_px - rest, rest, replace(settings, moving_px=least))
+        stationary = static_ridges(moved, rest, settings=sensitive)
+        ruler = _ruler_beside_comb(moved, rest, replace(settings, moving_px=least))
         uneven = np.abs(np.log(np.diff(rest) / comb.pitch_px)) > settings.odd_spacing
     misplaced = np.append(uneven, False) | np.insert(uneven, 0, False)
     distorted = usual_px > settings.mark_distorted * comb.fwhm_px
     return np.asarray(ruler | distorted & (stationary | (misplaced & unmoved)), bool)
 
 
-def _beside(moved_px: Floats) -> Floats:
-    """Return the mean motion of the two entries before each in its row, NaN where neither is seen."""
-    padded = np.pad(moved_px, ((0, 0), (2, 0)), constant_values=np.nan)
-    pair = np.stack([padded[:, :-2], padded[:, 1:-1]])
-    count = np.isfinite(pair).sum(axis=0)
-    return np.asarray(np.where(count, np.nan_to_num(pair).sum(axis=0) / np.maximum(count, 1), np.nan))
+def _beside(moved_px: Floats, n: int, step: int) -> Floats:
+    """Return the mean motion of the two entries on one side of one, (frame,); NaN where neither is seen."""
+    total, count = np.zeros((2, len(moved_px)))
+    for k in (n + 2 * step, n + step):
+        if 0 <= k < moved_px.shape[1]:
+            seen = np.isfinite(moved_px[:, k])
+            total[seen] += moved_px[seen, k]
+            count += seen
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
 def wide_spacings(x_px: Floats, *, settings: TrackingSettings = DEFAULT) -> tuple[Floats, Floats]:

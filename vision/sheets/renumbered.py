@@ -8,9 +8,20 @@ from __future__ import annotations
 
 import numpy as np
 
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, Ints, nan_median, shifted
+from vision.numeric import (
+    NORMAL_MEDIAN,
+    Bools,
+    Floats,
+    Floats32,
+    Ints,
+    Ints32,
+    common_change,
+    nan_median,
+    row_parts,
+    shifted,
+)
 from vision.sheets.reference import rest_positions
-from vision.sheets.ridges import RidgeComb, in_blocks
+from vision.sheets.ridges import RidgeComb, Ridges, in_blocks
 from vision.sheets.settings import TrackingSettings
 
 TERM_LIMIT = 4.0  # nats: no single spacing, brightness or width decides a numbering
@@ -22,29 +33,41 @@ BESIDE = 4  # sheets on each side whose common change of brightness or width is 
 USUAL_FRAMES = 2000  # of the film, from which the usual brightnesses and widths are taken
 
 
-def numbered_off_the_end(candidates: Floats32, paired: Floats, comb: RidgeComb) -> Bools:
+def numbered_off_the_end(ridges: Ridges, paired: Floats32, comb: RidgeComb) -> Bools:
     """Return where a displaced comb leaves out a ridge at one end while its other end is missing, (frame, N).
 
     If the ridge beyond the end is like the sheets, the frame has as many ridges as the comb has sheets, and
     another numbering pairs all of them. In a comb that is displaced by less than half of `jump_fraction`, a
-    sheet from beyond the end has come into view. candidates and paired hold positions and contrasts,
-    (2, frame, K) and (2, frame, N).
+    sheet from beyond the end has come into view. paired: positions and contrasts of the ridges of the sheets,
+    (2, frame, N).
     """
     x, contrast = paired
-    moved = nan_median(x - rest_positions(x), axis=1)
-    rows = np.flatnonzero(np.abs(moved) > 0.5 * comb.settings.jump_fraction * comb.pitch_px)
-    ridge, height = candidates[:, rows].astype(np.float64)
-    alike = np.abs(np.log(height / nan_median(contrast[rows], axis=1)[:, None])) < LIKE_ITSELF
+    moved = common_change(x, rest_positions(x))
+    displaced = np.flatnonzero(np.abs(moved) > 0.5 * comb.settings.jump_fraction * comb.pitch_px)
     off = np.zeros(len(x), bool)
-    for way in (1, -1):  # a ridge beyond the last sheet, then one before the first
-        place = way * x[rows, ::way]
-        beyond = (way * ridge - np.fmax.reduce(place, axis=1)[:, None]) / comb.pitch_px
-        off[rows] |= np.isnan(place[:, 0]) & (alike & (beyond > 0.5) & (beyond < 1.5)).any(axis=1)
+    for part in row_parts(len(displaced)):
+        rows = displaced[part]
+        ridge, height = (values[rows].astype(np.float64) for values in (ridges.x_px, ridges.contrast))
+        alike = np.abs(np.log(height / nan_median(contrast[rows], axis=1)[:, None])) < LIKE_ITSELF
+        for way in (1, -1):  # a ridge beyond the last sheet, then one before the first
+            place = way * x[rows, ::way]
+            beyond = (way * ridge - np.fmax.reduce(place, axis=1)[:, None]) / comb.pitch_px
+            off[rows] |= np.isnan(place[:, 0]) & (alike & (beyond > 0.5) & (beyond < 1.5)).any(axis=1)
     return np.asarray(off[:, None] & np.isfinite(x), bool)
 
 
+def usual_frames(frames: int) -> slice:
+    """Return the frames from which the usual brightnesses and widths are taken, at most `USUAL_FRAMES`."""
+    return slice(None, None, 1 + frames // USUAL_FRAMES)
+
+
 def numbered_by_a_neighbour(
-    candidates: Floats32, match: Ints, paired: Floats, certain: Floats, expected_px: Floats, comb: RidgeComb
+    ridges: Ridges,
+    match: Ints | Ints32,
+    paired: Floats32,
+    certain: Floats32,
+    expected_px: Floats,
+    comb: RidgeComb,
 ) -> Bools:
     r"""Return which sheets may be on the ridge of the next sheet, as are all up to a missing one, (frame, N).
 
@@ -65,12 +88,12 @@ def numbered_by_a_neighbour(
 
     Parameters
     ----------
-    candidates, paired
-        Positions, contrasts and widths of all ridges (3, frame, K), and of those of the sheets (3, frame, N).
+    ridges, paired
+        All ridges, and positions, contrasts and widths of those of the sheets (3, frame, N).
     match
         Candidate of each sheet, -1 where missing, (frame, N).
     certain
-        Contrasts and widths without those that are doubtful, (2, frame, N).
+        Contrasts and widths in `usual_frames`, without those that are doubtful, (2, frame, N).
     expected_px
         Where missing sheets are expected, (frame, N). Near an edge of the picture they may be out of view.
     comb
@@ -83,18 +106,20 @@ def numbered_by_a_neighbour(
     doubtful = np.zeros(found.shape, bool)
     if not len(rows):
         return doubtful
-    known = np.log(certain[:, :: 1 + found.shape[0] // USUAL_FRAMES])
+    known = np.log(certain.astype(np.float64))
     middle = nan_median(known, axis=1)[:, None]
     known = _without_light(known, middle)
     middle = nan_median(known, axis=1)[:, None]
     scatter = nan_median(np.abs(known - middle), axis=1)[:, None] / NORMAL_MEDIAN
     scatter = np.fmax(scatter, LEAST_SCATTER)
-    looks = _without_light(np.log(paired[1:, rows]), middle)
-    extra = comb.settings.false_detection_cost * _unpaired(candidates[:2, rows], match[rows], found[rows])
-    for turn in (slice(None), slice(None, None, -1)):
-        usual = middle[..., turn], scatter[..., turn]
-        off = _shifted_below(looks[..., turn], *usual, extra[:, turn], lost[rows, turn], comb.settings)
-        doubtful[rows] |= off[:, turn]
+    for part in row_parts(len(rows)):
+        some = rows[part]
+        looks = _without_light(np.log(paired[1:, some].astype(np.float64)), middle)
+        extra = comb.settings.false_detection_cost * _unpaired(ridges, some, match[some], found[some])
+        for turn in (slice(None), slice(None, None, -1)):
+            usual = middle[..., turn], scatter[..., turn]
+            off = _shifted_below(looks[..., turn], *usual, extra[:, turn], lost[some, turn], comb.settings)
+            doubtful[some] |= off[:, turn]
     return doubtful
 
 
@@ -136,10 +161,10 @@ def _shifted_below(
     return np.asarray(doubtful, bool)
 
 
-def _unpaired(candidates: Floats32, match: Ints, found: Bools) -> Floats:
-    """Return 1 where an unpaired ridge like a sheet lies between two sheets that are found, else 0,
-    (frame, N - 1). candidates: positions and contrasts, (2, frame, K)."""
-    x_px, contrast = candidates.astype(np.float64)
+def _unpaired(ridges: Ridges, rows: Ints, match: Ints | Ints32, found: Bools) -> Floats:
+    """Return 1 where an unpaired ridge like a sheet lies between two sheets that are found, else 0, in some
+    rows, (rows, N - 1)."""
+    x_px, contrast = (values[rows].astype(np.float64) for values in (ridges.x_px, ridges.contrast))
     unpaired = np.pad(np.isfinite(x_px), ((0, 0), (0, 1)))
     np.put_along_axis(unpaired, match, values=False, axis=1)  # -1, where missing, is the column added
     level = np.log(contrast)

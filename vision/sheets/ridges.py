@@ -364,13 +364,15 @@ def find_ridges(profile: Floats32, comb: RidgeComb) -> Ridges:
     contrast set the threshold; with `contrast` 0, its noise alone. Shoulders have no prominence; maxima much
     narrower than a ridge are hot pixels. Source: paper, appendix B (local maxima of I(x)).
     """
-    parts = in_blocks(lambda rows: _find_block(profile[rows], rows.start, comb), len(profile))
-    frame, *found = (np.concatenate(column) for column in zip(*parts, strict=True))
-    counts = np.bincount(frame, minlength=len(profile))
-    rank = np.arange(len(frame)) - np.repeat(np.cumsum(counts) - counts, counts)
-    tables = np.full((3, len(profile), max(1, int(counts.max(initial=0)))), np.nan, np.float32)
-    for table, values in zip(tables, found, strict=True):  # one row per frame
-        table[frame, rank] = values
+    parts = in_blocks(lambda rows: _find_block(profile[rows], comb), len(profile))
+    most = max((int(counts.max()) for counts, _ in parts), default=1)
+    tables = np.full((3, len(profile), max(1, most)), np.nan, np.float32)
+    start = 0
+    for counts, found in parts:  # one row per frame
+        frame = np.repeat(np.arange(len(counts)), counts)
+        rank = np.arange(len(frame)) - np.repeat(np.cumsum(counts) - counts, counts)
+        tables[:, start + frame, rank] = found
+        start += len(counts)
     return Ridges(*tables)
 
 
@@ -381,8 +383,9 @@ def in_blocks(work: Callable[[slice], Result], frames: int) -> list[Result]:
         return list(pool.map(work, blocks))
 
 
-def _find_block(profile: Floats32, start: int, comb: RidgeComb) -> tuple[Ints, Ints, Floats, Floats]:
-    """Return frame, position, contrast and width of the ridges in a block of frames that begins at `start`.
+def _find_block(profile: Floats32, comb: RidgeComb) -> tuple[Ints, Floats32]:
+    """Return the number of ridges in each of a block of frames, and position, contrast and width of all in
+    turn, (3, ridges).
 
     The block is searched as one long line with walls between the frames.
     """
@@ -407,4 +410,5 @@ def _find_block(profile: Floats32, start: int, comb: RidgeComb) -> tuple[Ints, I
     keep = (relative >= settings.narrowest_widths) & (relative <= settings.widest_widths)
     keep &= (x > 0) & (x < walled.shape[1] - 1)
     flattened = np.hypot(1, FWHM * smoothing_px / comb.fwhm_px)  # height a Gaussian loses to the smoothing
-    return frame[keep] + start, x[keep] - 1, prominence[keep] * flattened, fwhm[keep]
+    counts = np.bincount(frame[keep], minlength=len(profile))
+    return counts, np.array([x[keep] - 1, prominence[keep] * flattened, fwhm[keep]], np.float32)

@@ -8,6 +8,7 @@ pass the negative profile for dark ones. `fit_sheets` fits all sheets in all fra
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Literal, NamedTuple
 
@@ -17,14 +18,16 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from vision.errors import InputError, shown
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, Ints, nan_median
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, Ints, median_size, nan_median, row_parts
 from vision.sheets.ridges import RidgeComb, in_blocks
+from vision.sheets.settings import TrackingSettings
 
 FitName = Literal["sliding", "paper", "template"]
 FitChoice = Literal["auto", "sliding", "paper", "template"]
 
 STEADY_FRAMES = 9  # whose mean height gives the error of a template position: single heights are noisy
 LEAST_EXPLAINED = 0.5  # share of the variance of a ridge's pixels; below it most of them show something else
+RIDGES_AT_ONCE = 8192  # whose pixels are matched at once
 LEAST_TRIPLES = 8  # groups of three consecutive frames that a measurement of noise needs
 
 
@@ -182,23 +185,33 @@ def template_shift(
     -----
     This is least-squares matching. Its scatter is 1.00–1.04 of the Cramér–Rao bound at FWHM 6–10 px.
     """
-    centre = np.rint(np.nan_to_num(x_px)).astype(np.int64)
-    offsets = np.arange(-half_px, half_px + 1)
     position, err = np.full(len(x_px), np.nan), np.full(len(x_px), np.nan)
-    usable = np.isfinite(x_px)
+    for which in np.unique(shape):
+        mine = np.flatnonzero((shape == which) & np.isfinite(x_px))
+        position[mine], err[mine] = _match_sheet(profile, starts.frame[mine], x_px[mine], half_px)
+    return FittedPositions(position, err)
 
-    def match(which: int) -> None:
-        """Fit one sheet, whose pixels alone are gathered: those of all sheets would take most memory."""
-        mine = np.flatnonzero(usable & (shape == which))
-        pixels = gather(profile, Starts(starts.frame[mine], centre[mine]), offsets)
-        inside = np.isfinite(pixels).all(axis=1)
-        mine, pixels = mine[inside], pixels[inside]
-        if len(mine):
-            position[mine], err[mine] = _match(pixels, x_px[mine] - centre[mine], centre[mine])
 
-    with ThreadPoolExecutor(2) as pool:
-        list(pool.map(match, np.unique(shape[usable])))
-    return FittedPositions(np.where(np.isfinite(err), position, np.nan), err)
+def _match_sheet(
+    profile: NDArray[np.floating], frame: Ints, x_px: Floats, half_px: int, *, dark: bool = False
+) -> tuple[Floats, Floats]:
+    """Return the same for the ridges of one sheet, (ridges,), whose pixels are gathered here.
+
+    dark: whether ridges are dark, so that the negative profile is to be matched.
+    """
+    centre = np.rint(x_px).astype(np.int64)
+    position, err = np.full(len(x_px), np.nan), np.full(len(x_px), np.nan)
+    offsets = np.arange(-half_px, half_px + 1)
+    pixels = np.empty((len(frame), len(offsets)), profile.dtype)
+    for rows in row_parts(len(frame), RIDGES_AT_ONCE):
+        pixels[rows] = gather(profile, Starts(frame[rows], centre[rows]), offsets)
+    inside = np.isfinite(pixels).all(axis=1)
+    if inside.any():
+        if dark:
+            np.negative(pixels, out=pixels)
+        pixels, centre = pixels if inside.all() else pixels[inside], centre[inside]
+        position[inside], err[inside] = _match(pixels, x_px[inside] - centre, centre)
+    return np.where(np.isfinite(err), position, np.nan), err
 
 
 def gather(profile: NDArray[np.floating], starts: Starts, offsets: NDArray[np.integer]) -> Floats:
@@ -268,7 +281,7 @@ def _cubic_zero(four: Floats) -> tuple[Floats, Floats]:
     return t, (3 * cubic[0] * t + 2 * cubic[1]) * t + cubic[2]
 
 
-def _match(pixels: Floats, fraction: Floats, centre: Ints) -> tuple[Floats, Floats]:
+def _match(pixels: NDArray[np.floating], fraction: Floats, centre: Ints) -> tuple[Floats, Floats]:
     """Match one sheet's ridges to their mean shape: positions, and their error per grey level of noise.
 
     The shape is that of ridges brought to the same level and height. Without this, light that changes while
@@ -277,32 +290,41 @@ def _match(pixels: Floats, fraction: Floats, centre: Ints) -> tuple[Floats, Floa
     else: they do not count for the shape, and have no position.
     """
     step, none = np.zeros_like(fraction), np.full_like(fraction, np.nan)
-    pixels = pixels - pixels.mean(axis=1, keepdims=True)
-    power = np.einsum("ij,ij->i", pixels, pixels)
-    level, height, err = np.zeros_like(power), np.ones_like(power), none
-    alike = np.ones(len(pixels), bool)
+    level, height, alike = np.zeros_like(fraction), np.ones_like(fraction), np.ones(len(fraction), bool)
+    update, err = np.empty((2, len(fraction)))
     for _ in range(2):
         try:
-            mean, rise = _mean_shape(fraction + step, pixels, level, np.where(alike, height, 0.0))
+            cubic = _mean_shape(fraction + step, pixels, level, np.where(alike, height, 0.0))
         except np.linalg.LinAlgError:
             return none, none
-        update, err, level, height, explained = _fit_shape(pixels, mean, rise)
-        alike = (np.abs(step + update) <= 1.0) & (height > 0) & (explained >= LEAST_EXPLAINED * power)
+        for rows in row_parts(len(pixels), RIDGES_AT_ONCE):
+            grey = _less_mean(pixels[rows])
+            fitted = _fit_shape(grey, *_shape_at(cubic, (fraction + step)[rows]))
+            update[rows], err[rows], level[rows], height[rows], explained = fitted
+            alike[rows] = explained >= LEAST_EXPLAINED * np.einsum("ij,ij->i", grey, grey)
+        alike &= (np.abs(step + update) <= 1.0) & (height > 0)
         if not alike.any():
             return none, none
         step += update - update[alike].mean()
     share, steady = cv2.blur(np.stack([alike, np.where(alike, height, 0.0)], 1), (1, STEADY_FRAMES)).T
     with np.errstate(divide="ignore", invalid="ignore"):
-        err = err * share / steady
+        err *= share / steady
     return np.where(alike, fraction + step + centre, np.nan), np.where(alike, err, np.nan)
+
+
+def _less_mean(pixels: NDArray[np.floating]) -> Floats:
+    """Return pixels (ridges, pixels) less the mean of each ridge."""
+    grey = pixels.astype(np.float64)
+    grey -= grey.mean(axis=1, keepdims=True)
+    return grey
 
 
 _PIECES = np.array([[1, -3, 3, -1], [4, 0, -6, 3], [1, 3, 3, -3], [0, 0, 0, 1]]) / 6
 """The four cubic B-splines over one cell of even knots: coefficients of 1, t, t², t³ for t from 0 to 1."""
 
 
-def _mean_shape(shift_px: Floats, pixels: Floats, level: Floats, height: Floats) -> tuple[Floats, Floats]:
-    """Return value and slope of one sheet's mean shape at each pixel, from a least-squares cubic spline.
+def _mean_shape(shift_px: Floats, pixels: NDArray[np.floating], level: Floats, height: Floats) -> Floats:
+    """Return one sheet's mean shape, a least-squares cubic spline: its coefficients in each cell, (cells, 4).
 
     shift_px, level, height: of each ridge, (ridges,); height 0 for ridges that do not count. pixels: (ridges,
     pixels), of which the shape is the mean of (pixels − level) / height, weighted by the squared height since
@@ -310,40 +332,51 @@ def _mean_shape(shift_px: Floats, pixels: Floats, level: Floats, height: Floats)
     a ridge have the same position between two knots, so that sums over ridges are products of matrices.
     Beyond the knots the outermost cells are extrapolated.
     """
-    cells = pixels.shape[1]
+    cells, four = pixels.shape[1], np.arange(4)
     normal, right = np.zeros((cells + 3, cells + 3)), np.zeros(cells + 3)
-    first_px = 0.5 - np.clip(shift_px, -cells, cells)  # position of the first pixel among the knots
-    whole = np.floor(first_px)
-    groups = [  # ridges with the same first cell, and the cells of their pixels
-        (whole == first, np.arange(cells) + int(first)) for first in np.unique(whole[np.isfinite(whole)])
-    ]
-    fraction, four = first_px - whole, np.arange(4)
-    for mine, column in groups:
-        cell = np.clip(column, 0, cells - 1)
-        powers = fraction[mine, None] ** four
-        weighted = powers * height[mine, None]
-        blocks = np.tile(weighted.T @ weighted, (cells, 1, 1))  # (cell, 4, 4)
-        loads = pixels[mine].T @ weighted - level[mine] @ weighted
-        for beyond in np.flatnonzero(cell != column):  # these pixels count at the outermost knot
-            end = (np.sign(column[beyond]) > 0) ** four.astype(float)
-            blocks[beyond] = height[mine] @ height[mine] * np.outer(end, end)
-            loads[beyond] = (pixels[mine, beyond] - level[mine]) @ height[mine] * end
-        row = cell[:, None] + four
-        np.add.at(normal, (row[:, :, None], row[:, None, :]), _PIECES @ blocks @ _PIECES.T)
-        np.add.at(right, row, loads @ _PIECES.T)
+    for rows in row_parts(len(pixels), RIDGES_AT_ONCE):
+        grey = _less_mean(pixels[rows]) - level[rows, None]
+        for mine, column, fraction in _in_cells(shift_px[rows], cells):
+            cell = np.clip(column, 0, cells - 1)
+            tall = height[rows][mine]
+            weighted = fraction[:, None] ** four * tall[:, None]
+            blocks = np.tile(weighted.T @ weighted, (cells, 1, 1))  # (cell, 4, 4)
+            loads = grey[mine].T @ weighted
+            for beyond in np.flatnonzero(cell != column):  # these pixels count at the outermost knot
+                end = (np.sign(column[beyond]) > 0) ** four.astype(float)
+                blocks[beyond] = tall @ tall * np.outer(end, end)
+                loads[beyond] = grey[mine, beyond] @ tall * end
+            row = cell[:, None] + four
+            np.add.at(normal, (row[:, :, None], row[:, None, :]), _PIECES @ blocks @ _PIECES.T)
+            np.add.at(right, row, loads @ _PIECES.T)
     spline = np.linalg.solve(normal, right)
-    cubic = spline[np.arange(cells)[:, None] + four] @ _PIECES
-    mean, rise = np.full_like(pixels, np.nan), np.full_like(pixels, np.nan)
-    for mine, column in groups:
+    return np.asarray(spline[np.arange(cells)[:, None] + four] @ _PIECES, np.float64)
+
+
+def _shape_at(cubic: Floats, shift_px: Floats) -> tuple[Floats, Floats]:
+    """Return value and slope of a mean shape at each pixel of ridges that are shifted, (ridges, pixels)."""
+    cells, four = len(cubic), np.arange(4)
+    mean, rise = np.full((2, len(shift_px), cells), np.nan)
+    for mine, column, fraction in _in_cells(shift_px, cells):
         cell = np.clip(column, 0, cells - 1)
-        powers = fraction[mine, None] ** four
+        powers = fraction[:, None] ** four
         mean[mine] = powers @ cubic[cell].T
         rise[mine] = powers[:, :3] @ (cubic[cell, 1:] * four[1:]).T
         for beyond in np.flatnonzero(cell != column):
-            powers = (fraction[mine, None] + column[beyond] - cell[beyond]) ** four
+            powers = (fraction[:, None] + column[beyond] - cell[beyond]) ** four
             mean[mine, beyond] = powers @ cubic[cell[beyond]]
             rise[mine, beyond] = powers[:, :3] @ (cubic[cell[beyond], 1:] * four[1:])
     return mean, rise
+
+
+def _in_cells(shift_px: Floats, cells: int) -> Iterator[tuple[Bools, Ints, Floats]]:
+    """Yield ridges whose pixels lie in the same cells: which these are, the cell of each pixel, and where in
+    its cell each ridge's pixels lie, from 0 to 1."""
+    first_px = 0.5 - np.clip(shift_px, -cells, cells)  # position of the first pixel among the knots
+    whole = np.floor(first_px)
+    for first in np.unique(whole[np.isfinite(whole)]):
+        mine = whole == first
+        yield mine, np.arange(cells) + int(first), (first_px - whole)[mine]
 
 
 def _fit_shape(pixels: Floats, mean: Floats, rise: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
@@ -410,11 +443,11 @@ def choose_window(comb: RidgeComb, asked: int | Literal["auto"] | None) -> int:
 
 
 def fit_sheets(
-    bright: Floats32, start_px: Floats, *, fit: FitName, window_px: int, comb: RidgeComb
+    profile: Floats32, start_px: NDArray[np.floating], *, fit: FitName, window_px: int, comb: RidgeComb
 ) -> tuple[Floats, Floats]:
     """Return positions and their error per grey level of noise, both (frame, N), NaN where start_px is.
 
-    bright: profile with bright ridges (frame, x). start_px: whole pixels (frame, N), NaN for none.
+    profile: grey levels (frame, x). start_px: whole pixels (frame, N), NaN for none.
     """
     x, err = np.full(start_px.shape, np.nan), np.full(start_px.shape, np.nan)
     search_px = max(2, round(comb.fwhm_px / 2))
@@ -423,18 +456,19 @@ def fit_sheets(
         known = np.isfinite(start_px[rows])
         frame, sheet = np.nonzero(known)
         starts = Starts(frame, start_px[rows][known].astype(np.int64))
+        bright = comb.bright(profile[rows])
         if fit == "paper":
-            done = paper_vertex(bright[rows], starts, window_px=window_px, search_px=search_px)
+            done = paper_vertex(bright, starts, window_px=window_px, search_px=search_px)
         else:
-            done = sliding_vertex(bright[rows], starts, window_px=window_px)
+            done = sliding_vertex(bright, starts, window_px=window_px)
         x[rows][frame, sheet], err[rows][frame, sheet] = done
 
-    in_blocks(run, len(bright))
-    return _match_all(bright, x, comb) if fit == "template" else (x, err)
+    in_blocks(run, len(profile))
+    return _match_all(profile, x, comb) if fit == "template" else (x, err)
 
 
 def learned_template(
-    bright: Floats32, x_px: Floats, err: Floats, comb: RidgeComb
+    profile: Floats32, x_px: Floats, err: Floats, comb: RidgeComb
 ) -> tuple[Floats, Floats, Bools]:
     """Return template positions for sheets whose mean shape is learned well, and the given ones for others.
 
@@ -448,47 +482,64 @@ def learned_template(
     """
     settings = comb.settings
     none = np.zeros(x_px.shape[1], bool)
-    seen = np.isfinite(x_px)
-    enough = seen.sum(axis=0) >= settings.template_frames
-    if not enough.any() or seen.sum() > settings.template_ridges:
+    count = np.isfinite(x_px).sum(axis=0)
+    enough = count >= settings.template_frames
+    if not enough.any() or count.sum() > settings.template_ridges:
         return x_px, err, none
-    moved = x_px - nan_median(x_px)
-    spread = nan_median(np.abs(moved)) / NORMAL_MEDIAN
-    learned = enough & (spread >= settings.template_motion_px)
+    middle = nan_median(x_px)
+    spread = np.array([nan_median(np.abs(x - at)) for x, at in zip(x_px.T, middle, strict=True)])
+    learned = enough & (spread / NORMAL_MEDIAN >= settings.template_motion_px)
     if learned.mean() < 0.5:
         return x_px, err, none
-    matched, matched_err = _match_all(bright, np.where(learned, x_px, np.nan), comb)
-    complete = (np.isfinite(matched) | ~seen).mean(axis=0) > 0.99
-    both = np.isfinite(matched) & seen
-    by_window, by_match = np.where(both, moved, 0.0), np.where(both, matched - nan_median(x_px), 0.0)
-    scale = (by_window * by_match).sum(axis=0) / np.maximum((by_window**2).sum(axis=0), 1e-12)
-    new = seen.any(axis=1)  # without repeated frames
+    matched, matched_err = _match_all(profile, x_px, comb, learned)
+    new = np.isfinite(x_px).any(axis=1)  # without repeated frames
+    by_match, by_window = (x if new.all() else x[new] for x in (matched, x_px))
     with np.errstate(invalid="ignore"):
-        quieter = position_noise(matched[new]) <= position_noise(x_px[new])
-    learned &= complete & (np.abs(scale - 1) < settings.template_scale) & quieter
+        learned &= position_noise(by_match) <= position_noise(by_window)
+    for n in np.flatnonzero(learned).tolist():
+        learned[n] = _same_motion(x_px[:, n] - middle[n], matched[:, n] - middle[n], settings)
     if learned.mean() < 0.5:
         return x_px, err, none
-    use = learned & np.isfinite(matched)
-    return np.where(use, matched, x_px), np.where(use, matched_err, err), learned
+    for n in range(x_px.shape[1]):
+        kept = np.isnan(matched[:, n]) | ~learned[n]
+        matched[kept, n], matched_err[kept, n] = x_px[kept, n], err[kept, n]
+    return matched, matched_err, learned
 
 
-def _match_all(bright: Floats32, x: Floats, comb: RidgeComb) -> tuple[Floats, Floats]:
-    """Match all sheets to their mean shapes, starting at positions x of the sliding window."""
-    known = np.isfinite(x)
-    frame, sheet = np.nonzero(known)
+def _same_motion(by_window: Floats, by_match: Floats, settings: TrackingSettings) -> bool:
+    """Return whether the template has a position wherever the sliding window has, and measures the same
+    motion; both (frame,)."""
+    seen, matched = np.isfinite(by_window), np.isfinite(by_match)
+    both = matched & seen
+    scale = (by_window[both] * by_match[both]).sum() / max(float((by_window[both] ** 2).sum()), 1e-12)
+    complete = (matched | ~seen).mean() > 0.99
+    return bool(complete and abs(scale - 1) < settings.template_scale)
+
+
+def _match_all(
+    profile: Floats32, x: Floats, comb: RidgeComb, sheets: Bools | None = None
+) -> tuple[Floats, Floats]:
+    """Match sheets, by default all, to their mean shapes, starting at positions x of the sliding window."""
     half = max(3, round(min(0.9 * comb.fwhm_px, 0.5 * comb.pitch_px)))
-    done = template_shift(
-        bright, Starts(frame, np.rint(x[known]).astype(np.int64)), sheet, x[known], half_px=half
-    )
     out, err = np.full(x.shape, np.nan), np.full(x.shape, np.nan)
-    out[known], err[known] = done
+
+    def match(n: int) -> None:
+        """Match one sheet, whose pixels alone are gathered: those of all sheets would take most memory."""
+        frame = np.flatnonzero(np.isfinite(x[:, n]))
+        dark = comb.polarity == "dark"
+        out[frame, n], err[frame, n] = _match_sheet(profile, frame, x[frame, n], half, dark=dark)
+
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(match, range(x.shape[1]) if sheets is None else np.flatnonzero(sheets)))
     return out, err
 
 
 # --- noise --------------------------------------------------------------------------------------------------
 
 
-def intensity_noise(profile: NDArray[np.floating], x_px: Floats, *, half_px: int, fallback: float) -> Floats:
+def intensity_noise(
+    profile: NDArray[np.floating], x_px: Floats, frozen: Bools, *, half_px: int, fallback: float
+) -> Floats:
     """Return the standard deviation of the profile's noise around each sheet, grey levels, (N,).
 
     It is measured from second differences in time of the pixels around a ridge. The pixels follow the common
@@ -496,21 +547,25 @@ def intensity_noise(profile: NDArray[np.floating], x_px: Floats, *, half_px: int
     first and second derivative of the ridge) are subtracted. Hence neither the texture of the paper nor
     vibration counts as noise. The median over groups of three frames ignores slips.
 
-    profile, x_px: grey levels (frame, x); positions (frame, N), NaN where missing. half_px: half-width of the
+    profile, x_px: grey levels (frame, x); positions (frame, N), NaN where missing. frozen: frames that repeat
+    the one before, which are left out, (frame,). half_px: half-width of the
     window; at least 5 are used. fallback: noise of sheets seen in fewer than eight groups of three frames.
     """
     half = max(half_px, 5)
-    middle = _triples(x_px)
+    new = np.flatnonzero(~frozen)
+    middle = _triples(np.isfinite(x_px).mean(axis=1)[new] > 0.5)
     if len(middle) < LEAST_TRIPLES:
         return np.full(x_px.shape[1], fallback)
-    centre = np.nan_to_num(np.rint(x_px[middle]), nan=-10 * half).astype(np.int64)
+    x = x_px[new[middle]]
+    centre = np.nan_to_num(np.rint(x), nan=-10 * half).astype(np.int64)
     offsets = np.arange(-half - 1, half + 2)
 
     def around(step: int) -> Floats:
         """Return the pixels around the ridges, `step` frames after the middle frames."""
-        common = np.nan_to_num(nan_median(x_px[middle + step] - x_px[middle], axis=1))
+        frame = new[middle + step]
+        common = np.nan_to_num(nan_median(x_px[frame] - x, axis=1))
         column = centre + np.rint(common).astype(np.int64)[:, None]
-        return gather(profile, Starts(np.repeat(middle + step, x_px.shape[1]), column.ravel()), offsets)
+        return gather(profile, Starts(np.repeat(frame, x.shape[1]), column.ravel()), offsets)
 
     before, now, after = around(-1), around(0), around(1)
     variance = _residual_variance(before + after - 2 * now, (before + now + after) / 3)
@@ -535,19 +590,23 @@ def position_noise(x_px: Floats) -> Floats:
     -------
     (N,), NaN for sheets seen in fewer than eight groups of three consecutive frames.
     """
-    second = x_px[2:] - 2 * x_px[1:-1] + x_px[:-2]
-    if x_px.shape[1] >= 5 and len(second):
-        second = second - np.nan_to_num(nan_median(second, axis=1))[:, None]
-    known = np.isfinite(second).sum(axis=0) >= LEAST_TRIPLES
+    second = x_px[1:-1] * -2.0
     if not len(second):
         return np.full(x_px.shape[1], np.nan)
-    typical = nan_median(np.abs(second), axis=0)
+    second += x_px[2:]
+    second += x_px[:-2]
+    if x_px.shape[1] >= 5:
+        second -= np.nan_to_num(nan_median(second, axis=1))[:, None]
+    known = np.isfinite(second).sum(axis=0) >= LEAST_TRIPLES
+    typical = median_size(second)
     return np.asarray(np.where(known, typical / NORMAL_MEDIAN / np.sqrt(6), np.nan), np.float64)
 
 
-def _triples(x_px: Floats) -> Ints:
-    """Return the middle frames of triples in which most sheets are seen, spread over the recording."""
-    seen = np.isfinite(x_px).mean(axis=1) > 0.5
+def _triples(seen: Bools) -> Ints:
+    """Return the middle frames of triples in which most sheets are seen, spread over the recording.
+
+    seen: whether most are, (frame,).
+    """
     middle = 1 + np.flatnonzero(seen[2:] & seen[1:-1] & seen[:-2])
     if not len(middle):
         return np.asarray(middle, np.int64)

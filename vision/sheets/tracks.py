@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -12,9 +12,9 @@ import xarray as xr
 
 from vision.data import PIXEL_SIZE_UM, STRIP, STRIP_PARTS, TRACKS, StripMetadata, TrackMetadata, record
 from vision.errors import InputError, check_number, check_within, check_word
-from vision.numeric import Bools, Codes, Floats, Floats32, nan_median, nan_quantile
+from vision.numeric import Bools, Codes, Floats, Floats32, median_where, nan_median, nan_quantile, row_parts
 from vision.sheets.corrections import Correction, apply_corrections, last_of
-from vision.sheets.identities import WHYS, Doubt, Identities, identify_sheets
+from vision.sheets.identities import WHYS, Doubt, identify_sheets
 from vision.sheets.numbering import Numbering, number_sheets
 from vision.sheets.quality import (
     BetweenSlips,
@@ -35,8 +35,8 @@ from vision.sheets.recovery import (
     predicted_by_neighbours,
     sheets_alike,
 )
-from vision.sheets.reference import marks, wide_spacings
-from vision.sheets.ridges import RidgeComb, describe_ridges, find_ridges, no_ridges
+from vision.sheets.reference import ReferenceComb, marks, wide_spacings
+from vision.sheets.ridges import RidgeComb, Ridges, describe_ridges, find_ridges, no_ridges
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.sheets.subpixel import (
     FitChoice,
@@ -47,6 +47,7 @@ from vision.sheets.subpixel import (
     learned_template,
     position_noise,
 )
+from vision.words import words
 
 _MPEG = {"mpeg1video", "mpeg2video", "mpeg4", "h261", "h263", "h264", "hevc", "vvc"}
 _OTHERS = {"av1", "vp3", "vp6", "vp7", "vp8", "vp9", "theora", "flv1", "rv30", "rv40", "svq3", "cinepak"}
@@ -135,30 +136,27 @@ def track_sheets(
     _check_axis(axis_px, first_px, last_px)
     comb = describe_ridges(profile, polarity=ridges, sheets=sheets, source=facts.source, settings=settings)
     window = choose_window(comb, window_px)
-    candidates = find_ridges(profile, comb)
-    if not candidates.count.any():
-        raise no_ridges(profile, facts.source)
-    identities = identify_sheets(candidates, comb, sheets=sheets, source=facts.source)
     number = strip["frame"].values
-    detections = assign_detections(profile, candidates, identities, comb)
-    detections = apply_corrections(
-        detections, candidates, corrections, comb, frames=number, origin_px=first_px
-    )
+
+    def corrected(detections: Detections, ridges: Ridges) -> Detections:
+        return apply_corrections(detections, ridges, corrections, comb, frames=number, origin_px=first_px)
+
+    detected = _detect(profile, comb, sheets, facts.source, corrected)
+    detections = detected.detections
     frozen = repeated_frames(profile, settings)
     fitted = _fit(profile, detections.start_px, comb, fit, window, frozen)
     errors = _errors(fitted, frozen, facts.codec, settings)
-    assessed = _assess_ridges(comb.bright(profile), fitted.x_px, errors, detections, frozen, comb)
+    assessed = _assess_ridges(profile, fitted.x_px, errors, detections, frozen, comb)
     axis = None if axis_px is None else axis_px - first_px
     numbering = number_sheets(assessed.x_px, axis_px=axis, settings=settings)
-    found = _Tracked(comb, detections, numbering, fitted, errors, assessed, frozen, first_px)
+    found = _Tracked(comb, detected, numbering, fitted, errors, assessed, frozen, first_px)
     alike = sheets_alike(assessed.x_px, detections.contrast, detections.fwhm_px, comb)
-    shown = np.where(np.isnan(assessed.x_px), detections.withheld_px, assessed.x_px)
-    step = np.abs(nan_median(np.diff(shown, axis=0), axis=1))
-    large = number[1:][step > settings.step_fraction * comb.pitch_px]
+    step = _common_step(assessed.x_px, detections.withheld_px)
+    large = number[1:][np.abs(step) > settings.step_fraction * comb.pitch_px]
     changes = scene_changes(detections.start_px, detections.contrast, comb)
     likelier = ridges if ridges == "auto" else describe_ridges(profile, settings=settings).polarity
     metadata = replace(
-        found.metadata(identities, count_given=sheets is not None),
+        found.metadata(count_given=sheets is not None),
         ridges_likelier="" if likelier == ridges else likelier,
         window_px=window,
         fit_asked=fit,
@@ -180,6 +178,40 @@ def track_sheets(
     )
 
 
+class _Detected(NamedTuple):
+    """The ridges of the sheets, the comb that they form, and the least certain identity, nats."""
+
+    detections: Detections
+    reference: ReferenceComb
+    least_margin: float
+
+
+def _detect(
+    profile: Floats32,
+    comb: RidgeComb,
+    sheets: int | None,
+    source: str,
+    corrected: Callable[[Detections, Ridges], Detections],
+) -> _Detected:
+    """Find and identify the ridges, and correct what was found."""
+    candidates = find_ridges(profile, comb)
+    if not candidates.count.any():
+        raise no_ridges(profile, source)
+    identities = identify_sheets(candidates, comb, sheets=sheets, source=source)
+    detections = corrected(assign_detections(profile, candidates, identities, comb), candidates)
+    return _Detected(detections, identities.reference, float(np.nanmin(identities.margin, initial=np.inf)))
+
+
+def _common_step(x_px: Floats, withheld_px: Floats32) -> Floats:
+    """Return the step of the whole comb, doubtful ridges included, from each frame to the next, px."""
+    step = np.empty(len(x_px) - 1)
+    for rows in row_parts(len(step)):
+        around = slice(rows.start, rows.stop + 1)
+        shown = np.where(np.isnan(x_px[around]), withheld_px[around], x_px[around])
+        step[rows] = nan_median(np.diff(shown, axis=0), axis=1)
+    return step
+
+
 class _Assessed(NamedTuple):
     """Positions, flags and errors once blur, distortion and cut ridges are known, (frame, N); the shift of
     all positions of a sheet by a distortion that lasts, and the relative error of its displacements, (N,)."""
@@ -194,28 +226,38 @@ class _Assessed(NamedTuple):
 
 
 def _assess_ridges(
-    bright: Floats32, x_px: Floats, errors: _Errors, detections: Detections, frozen: Bools, comb: RidgeComb
+    profile: Floats32, x_px: Floats, errors: _Errors, detections: Detections, frozen: Bools, comb: RidgeComb
 ) -> _Assessed:
     """Find ridges that are blurred, cut or distorted, and those that are not the ridge of one sheet.
 
-    What positions scatter beyond all these errors is added to them (`noise_excess`).
+    What positions scatter beyond all these errors is added to them (`noise_excess`). Positions and errors are
+    changed in place.
     """
-    changing = np.where(frozen[:, None], np.nan, x_px)
+    err = errors.err_px
+    changing = _unrepeated(x_px, frozen)
     blurred, blur_px = motion_blur(changing, detections.contrast, detections.fwhm_px, comb)
+    del changing
     smeared = (blur_px > 0) | blurred
-    x_px = np.where(smeared & _beside_missing(detections.flag), np.nan, x_px)
-    distorted_px, usual_px, lasting_px, scale = distortion(bright, x_px, errors.err_px, smeared, comb)
-    not_a_sheet = not_one_ridge(bright, x_px, comb)
+    x_px[smeared & _beside_missing(detections.flag)] = np.nan
+    distorted_px, usual_px, lasting_px, scale = distortion(profile, x_px, err, smeared, comb)
+    not_a_sheet = not_one_ridge(profile, x_px, comb)
     not_a_sheet |= lasting_px > comb.settings.most_distorted * comb.fwhm_px
-    not_a_sheet |= marks(x_px, errors.err_px, np.hypot(lasting_px, usual_px), comb)
+    not_a_sheet |= marks(x_px, err, np.hypot(lasting_px, usual_px), comb)
     flag = np.where((detections.flag == Flag.OK) & not_a_sheet, np.uint8(Flag.MERGED), detections.flag)
-    err = np.sqrt(errors.err_px**2 + blur_px**2 + distorted_px**2)
-    usual = nan_median(np.where(np.isfinite(x_px), err, np.nan))
-    positions = BetweenSlips(np.where(frozen[:, None], np.nan, x_px), comb.settings)
-    excess = noise_excess(positions, err, comb.settings)
-    err = np.hypot(err, np.nan_to_num(usual) * np.sqrt(np.fmax(excess**2 - 1.0, 0.0)))
-    is_distorted = distorted_px > np.fmax(errors.err_px, comb.settings.distortion_floor)
+    is_distorted = np.empty(x_px.shape, bool)
+    for rows in row_parts(len(x_px)):
+        is_distorted[rows] = distorted_px[rows] > np.fmax(err[rows], comb.settings.distortion_floor)
+        err[rows] = np.sqrt(err[rows] ** 2 + blur_px[rows] ** 2 + distorted_px[rows] ** 2)
+    del blur_px, distorted_px
+    usual = median_where(np.isfinite(x_px), err)
+    excess = noise_excess(BetweenSlips(_unrepeated(x_px, frozen), comb.settings), err, comb.settings)
+    np.hypot(err, np.nan_to_num(usual) * np.sqrt(np.fmax(excess**2 - 1.0, 0.0)), out=err)
     return _Assessed(x_px, flag, err, blurred, is_distorted, lasting_px, scale)
+
+
+def _unrepeated(x_px: Floats, frozen: Bools) -> Floats:
+    """Return positions (frame, N), NaN in repeated frames."""
+    return np.where(frozen[:, None], np.nan, x_px) if frozen.any() else x_px
 
 
 def _beside_missing(flag: Codes) -> Bools:
@@ -243,7 +285,7 @@ class _Tracked:
     """Everything that the Dataset is made of, with positions relative to the strip's first column."""
 
     comb: RidgeComb
-    detections: Detections
+    detected: _Detected
     numbering: Numbering
     fitted: _Fitted
     errors: _Errors
@@ -251,14 +293,13 @@ class _Tracked:
     frozen: Bools
     origin_px: float
 
-    def metadata(self, identities: Identities, *, count_given: bool) -> TrackMetadata:
+    def metadata(self, *, count_given: bool) -> TrackMetadata:
         """Return what later stages need to know, with columns as in the picture."""
-        comb, numbering, reference = self.comb, self.numbering, identities.reference
+        comb, numbering, reference = self.comb, self.numbering, self.detected.reference
         unedited = len(reference.x_px) == len(numbering.n)  # no sheet was added or deleted manually
         # manual corrections may also have swapped sheets: sort
         positions = reference.x_px if unedited else np.sort(nan_median(self.assessed.x_px))
         gaps = [] if count_given else zip(*wide_spacings(positions, settings=comb.settings), strict=True)
-        least_margin = np.nanmin(identities.margin, initial=np.inf)
         return TrackMetadata(
             fit=self.fitted.fit,
             ridges=comb.polarity,
@@ -271,7 +312,7 @@ class _Tracked:
             axis_how=numbering.how,
             axis_low_px=numbering.low_px + self.origin_px,
             axis_high_px=numbering.high_px + self.origin_px,
-            least_margin=float(np.nan_to_num(least_margin, posinf=1e9)),
+            least_margin=float(np.nan_to_num(self.detected.least_margin, posinf=1e9)),
             ridges_dropped=reference.dropped,
             ridges_beyond=reference.beyond,
             wide_spacings=[f"{x + self.origin_px:.0f} px ({size:.1f} pitches)" for x, size in gaps],
@@ -309,22 +350,24 @@ class _Fitted(NamedTuple):
 
 
 def _fit(
-    profile: Floats32, start_px: Floats, comb: RidgeComb, fit: FitChoice, window_px: int, frozen: Bools
+    profile: Floats32,
+    start_px: Floats | Floats32,
+    comb: RidgeComb,
+    fit: FitChoice,
+    window_px: int,
+    frozen: Bools,
 ) -> _Fitted:
     """Fit all ridges, and measure the noise of the profile around them."""
-    bright = comb.bright(profile)
     used: FitName = "sliding" if fit == "auto" else fit
-    x, per_grey = fit_sheets(bright, start_px, fit=used, window_px=window_px, comb=comb)
-    new = ~frozen if frozen.any() else slice(None)  # a slice does not copy the frames
-    noise = intensity_noise(profile[new], x[new], half_px=window_px // 2, fallback=comb.noise)
+    x, err = fit_sheets(profile, start_px, fit=used, window_px=window_px, comb=comb)
+    noise = intensity_noise(profile, x, frozen, half_px=window_px // 2, fallback=comb.noise)
     if fit == "auto":
-        usable = np.where(frozen[:, None], np.nan, x)
-        matched, matched_per_grey, learned = learned_template(bright, usable, per_grey, comb)
+        matched, matched_err, learned = learned_template(profile, _unrepeated(x, frozen), err, comb)
         if learned.any():
-            used, x, per_grey = "template", matched, matched_per_grey
-    err = per_grey * noise
+            used, x, err = "template", matched, matched_err
+    err *= noise  # it was that per grey level
     if fit == "paper":  # it locks to whole pixels by more than the noise, as the sliding window shows
-        free, _ = fit_sheets(bright, start_px, fit="sliding", window_px=window_px, comb=comb)
+        free, _ = fit_sheets(profile, start_px, fit="sliding", window_px=window_px, comb=comb)
         err = np.hypot(err, np.nan_to_num(np.abs(x - free)))
     return _Fitted(x, err, noise, used)
 
@@ -338,18 +381,21 @@ def _errors(fitted: _Fitted, frozen: Bools, codec: str, settings: TrackingSettin
     adds what neighbours share if the codec predicts frames from others. Where sheets are too few for that, a
     codec that moves blocks by quarter pixels is assumed to err by their rounding. Repeated frames are left
     out, as they would hide scatter. No error is zero: a profile without noise still has whole grey levels.
+    The errors of the fit are changed in place.
     """
-    new = np.where(frozen[:, None], np.nan, fitted.x_px)
+    new = _unrepeated(fitted.x_px, frozen)
     between_frames = codec in BETWEEN_FRAMES
+    noise_px = position_noise(fitted.x_px[~frozen] if frozen.any() else fitted.x_px)
     positions = BetweenSlips(new, settings)
-    noise_px = position_noise(fitted.x_px[~frozen])
     scatter_px = spatial_scatter(positions, between_frames=between_frames)
     err = fitted.err_px
+    unknown = ~(np.isfinite(err) & (err > 0))
     with np.errstate(divide="ignore", invalid="ignore"):
-        per_grey = err / fitted.noise
-    err = np.where(np.isfinite(err) & (err > 0), err, WHOLE_LEVELS * np.nan_to_num(per_grey, nan=1.0))
-    err = np.maximum(err, LEAST_ERROR_PX)
-    predicted = nan_median(np.where(np.isfinite(new), err, np.nan))
+        per_grey = err[unknown] / fitted.noise[np.nonzero(unknown)[1]]
+    err[unknown] = WHOLE_LEVELS * np.nan_to_num(per_grey, nan=1.0)
+    np.maximum(err, LEAST_ERROR_PX, out=err)
+    predicted = median_where(np.isfinite(new), err)
+    del new
     rounding = QUARTER_PIXEL if between_frames else 0.0
     measured = np.where(np.isfinite(scatter_px), scatter_px, np.hypot(np.fmax(noise_px, predicted), rounding))
     known = np.isfinite(measured)
@@ -361,28 +407,30 @@ def _errors(fitted: _Fitted, frozen: Bools, codec: str, settings: TrackingSettin
         excess = float(nan_median(noise_excess(positions, err, settings)))
         # Locking to whole pixels lasts, and scatters less than the error that contains it.
         measured = predicted * (1.0 if fitted.fit == "paper" else min(1.0, settings.sharpened * excess))
-    stated = err * np.nan_to_num(measured / predicted, nan=1.0)
-    return _Errors(np.maximum(stated, LEAST_ERROR_PX), noise_px, scatter_px, predicted)
+    err *= np.nan_to_num(measured / predicted, nan=1.0)
+    return _Errors(np.maximum(err, LEAST_ERROR_PX, out=err), noise_px, scatter_px, predicted)
 
 
 def _dataset(strip: xr.DataArray, found: _Tracked, metadata: TrackMetadata) -> xr.Dataset:
-    """Assemble the Dataset that `track_sheets` returns."""
-    detections, errors, assessed = found.detections, found.errors, found.assessed
+    """Assemble the Dataset that `track_sheets` returns; positions and errors are changed in place."""
+    detections, errors, assessed = found.detected.detections, found.errors, found.assessed
     flag = _flags(strip, found)
     ok = (flag == Flag.OK) | (flag == Flag.BLURRED)
-    x = np.where(ok, assessed.x_px, np.nan) + found.origin_px
-    contrast = np.where(ok, detections.contrast, np.nan)
+    x, err = assessed.x_px, assessed.err_px
+    x[~ok] = err[~ok] = np.nan
+    x += found.origin_px
+    why = np.where(flag == Flag.DOUBTFUL, detections.why, np.uint8(Doubt.NONE))
     values: dict[str, Any] = {
         "x_px": x,
-        "x_err_px": np.where(ok, assessed.err_px, np.nan),
-        "flag": np.array(FLAGS)[flag],
-        "why": np.array(WHYS)[np.where(flag == Flag.DOUBTFUL, detections.why, Doubt.NONE)],
-        "x_withheld_px": detections.withheld_px + found.origin_px,
+        "x_err_px": err,
+        "flag": words(flag, FLAGS),
+        "why": words(why, WHYS),
+        "x_withheld_px": detections.withheld_px.astype(np.float64) + found.origin_px,
         "x_expected_px": predicted_by_neighbours(x),
         "x_mean_px": nan_median(x),
         "found": ok.mean(axis=0),
-        "fwhm_px": nan_median(np.where(ok, detections.fwhm_px, np.nan)),
-        "snr": nan_median(contrast) / np.maximum(found.fitted.noise, 1e-12),
+        "fwhm_px": median_where(ok, detections.fwhm_px),
+        "snr": median_where(ok, detections.contrast) / np.maximum(found.fitted.noise, 1e-12),
         "distorted": (assessed.distorted & ok).sum(axis=0) / np.maximum(ok.sum(axis=0), 1),
         "x_lasting_px": assessed.lasting_px,
         "misscaled": assessed.scale,
@@ -421,9 +469,9 @@ def comb_is_stationary(tracks: xr.Dataset, settings: TrackingSettings = DEFAULT)
     """Return whether hardly any sheet moves relative to the comb; False for fewer than three sheets."""
     x = tracks["x_px"].values
     moved = x - nan_median(x)
-    moved = np.abs(moved - nan_median(moved, axis=1)[:, None])
+    moved -= nan_median(moved, axis=1)[:, None]
     noise = np.fmax(tracks["x_noise_px"].values, nan_median(tracks["x_err_px"].values))
-    moving = nan_quantile(moved, 0.95) > settings.still_sigmas * noise
+    moving = nan_quantile(np.abs(moved, out=moved), 0.95) > settings.still_sigmas * noise
     return bool(moving.mean() < settings.still_share) and x.shape[1] >= 3
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats, nan_median
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, median_size, nan_median, row_parts
 from vision.sheets.settings import DEFAULT, TrackingSettings
 
 BLOCK = 256  # frames over which a vibration keeps its frequency and phase
@@ -38,10 +38,14 @@ def own_vibration(x_px: Floats, settings: TrackingSettings = DEFAULT) -> Floats:
         return found
     blocks = np.array_split(np.arange(frames), max(1, round(frames / BLOCK)))
     for _ in range(ROUNDS):
-        step = np.diff(x_px - found, axis=0)
+        step = np.empty((frames - 1, sheets))
+        for some in row_parts(frames - 1):
+            around = slice(some.start, some.stop + 1)
+            step[some] = np.diff(x_px[around] - found[around], axis=0)
         step -= nan_median(step, axis=1)[:, None]
         step -= nan_median(step)
-        step[np.abs(step) > JUMP * nan_median(np.abs(step)) / NORMAL_MEDIAN] = np.nan
+        for moved, usual in zip(step.T, median_size(step), strict=True):
+            moved[np.abs(moved) > JUMP * usual / NORMAL_MEDIAN] = np.nan
         more = [
             _of_block(step[rows[0] : rows[-1]], (found[rows] != 0).any(axis=0), settings) for rows in blocks
         ]
