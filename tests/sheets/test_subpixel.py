@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.scenes.combs import ridges, strip
+from tests.scenes.combs import as_strip, ridges, strip
 from vision.errors import InputError
 from vision.sheets import Starts, choose_window, paper_vertex, sliding_vertex, template_shift, track_sheets
 from vision.sheets.ridges import RidgeComb
@@ -59,6 +59,59 @@ def test_a_template_never_moves_the_mean():
     x = template_shift(profile, starts, np.zeros(len(first), np.int64), first, half_px=6).x_px
     assert x.mean() == pytest.approx(first.mean(), abs=1e-3)
     assert np.std(x - PLACES) < np.std(first - PLACES)
+
+
+def dimmed(light, creep_px=1.5, seed=0):
+    """Sixteen sheets with a shoulder that creep slowly, under this light (frame, 1 or x). Truth, strip."""
+    x = 200 + 22.0 * (np.arange(16) - 7.5)
+    x = x + creep_px * np.linspace(0, 1, len(light))[:, None] * np.linspace(0.8, 1.2, 16)
+    grey = (40 + 60 * (ridges(x, width=400) + 0.5 * ridges(x + 5, width=400, fwhm_px=5.0))) * light
+    noise = np.random.default_rng(seed).normal(0, 0.6, grey.shape)
+    return x, as_strip((grey + noise).astype(np.float32))
+
+
+@pytest.mark.parametrize("creep_px", [1.5, 3.0])
+def test_light_that_fades_while_sheets_creep_is_no_part_of_their_shape(creep_px):
+    """A failure means that the template takes the fading for shape, which holds positions back where the
+    sheets were as bright: one in fifty is off by five errors, and called ok."""
+    x, picture = dimmed(1 - 0.6 * np.linspace(0, 1, 300)[:, None], creep_px)
+    tracks = track_sheets(picture)
+    assert tracks.attrs["fit"] == "template"
+    off = tracks.x_px.values - x
+    off -= np.median(off, axis=0)
+    stated = tracks.x_err_px.values
+    assert (np.abs(off) < 5 * stated).all()
+    assert 0.9 < np.sqrt(np.mean((off / stated) ** 2)) < 1.1
+    assert np.std(off) < 0.8 * np.std(track_sheets(picture, fit="sliding").x_px.values - x)
+
+
+def test_errors_of_a_template_grow_as_the_light_fades():
+    """A failure means that dim frames claim the precision of bright ones."""
+    profile, starts = one_ridge(snr=50)
+    light = np.linspace(1, 0.25, len(PLACES))[:, None]
+    noise = np.random.default_rng(1).normal(0, 1, profile.shape)
+    first = sliding_vertex(profile, starts).x_px
+    shape = np.zeros(len(first), np.int64)
+    fitted = template_shift(profile * light + noise, starts, shape, first, half_px=6)
+    at_full_light = fitted.err_per_noise * light[:, 0]
+    np.testing.assert_allclose(at_full_light, np.median(at_full_light), rtol=0.15)
+
+
+def test_what_covers_a_ridge_has_no_position_by_its_template():
+    """Text over a ridge in some frames: its pixels say nothing of where the ridge is. A failure means that it
+    gets a position with the error of the others, or that the other frames' shape suffers."""
+    profile, starts = one_ridge(snr=50)
+    covered = profile.copy()
+    covered[60:70] = 100 - profile[60:70]
+    covered[120:130] = 40.0 + np.random.default_rng(2).normal(0, 1, (10, 100))
+    shape, first = np.zeros(len(PLACES), np.int64), sliding_vertex(profile, starts).x_px
+    clean = template_shift(profile, starts, shape, first, half_px=6)
+    fitted = template_shift(covered, starts, shape, first, half_px=6)
+    hidden = np.isnan(fitted.x_px)
+    assert hidden[60:70].all() and hidden[120:130].all() and hidden.sum() == 20
+    assert (np.isnan(fitted.err_per_noise) == hidden).all()
+    assert np.std((fitted.x_px - PLACES)[~hidden]) < 1.1 * np.std(clean.x_px - PLACES)
+    np.testing.assert_allclose(fitted.err_per_noise[~hidden], clean.err_per_noise[~hidden], rtol=0.1)
 
 
 @pytest.mark.parametrize("place", [1.0, 97.0])

@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vision.numeric import (
-    FWHM,
     NORMAL_MEDIAN,
     Bools,
     Floats,
@@ -216,25 +215,32 @@ def distortion(
     (`_significant`): clearly, unless the film shows that positions change with them. The mean difference of a
     sheet shifts all its positions alike, and is no error of displacements.
 
+    Of narrow ridges (`verdict_least_px`) the errors are given, but neither the usual distortion nor the mean
+    difference: their texture is as large as they are.
+
     Light that falls off over a ridge hardly changes its shape; it shows in the heights (`_shift_by_light`).
     What stands still where a ridge moves changes all displacements of its sheet by the same factor
     (`displacement_scale_error`).
     """
     settings = comb.settings
-    narrow = comb.fwhm_px < settings.distortion_least_px
-    if narrow and x_px.shape[1] >= ENOUGH:
+    several = x_px.shape[1] >= ENOUGH
+    if several and comb.fwhm_px < settings.distortion_least_px:
         return Distortion.none(x_px)
     half = max(3, round(min(0.9 * comb.fwhm_px, 0.5 * comb.pitch_px)))
     shape = _sampled_profiles(profile, x_px, half, comb)[1]
     if not np.isfinite(shape).all():
         return Distortion.none(x_px)
     fits = _fit_matrix(shape, min(max(2, round(0.5 * comb.fwhm_px)), half - 1))
-    height, apart, sloping = (np.empty(x_px.shape) for _ in range(3))
+    away = np.arange(-half, half + 1)
+    height, apart, sloping, pulled_px2 = (np.empty(x_px.shape) for _ in range(4))
 
     def fit(rows: slice) -> None:
-        found = fits @ _around(comb.bright(profile[rows]), x_px[rows], half)
+        around = _around(comb.bright(profile[rows]), x_px[rows], half)
+        found = fits @ around
         with np.errstate(divide="ignore", invalid="ignore"):
             shift = found[:, 1::2] / found[:, ::2]
+            level = around.mean(axis=1) / found[:, 0]  # in units of the height, as the mean shape has none
+            pulled_px2[rows] = np.abs(fits[1] @ away * level + fits[1] @ (away * shape))
         height[rows] = found[:, 0]
         apart[rows], sloping[rows] = shift[:, 1] - shift[:, 0], shift[:, 2] - shift[:, 0]
 
@@ -251,31 +257,33 @@ def distortion(
             (sloping, settings.distortion_slope, 5),
         )
     ]
-    size = _shift_by_light(x_px, height, comb)
-    usual_px = np.empty(x_px.shape[1])
-    own_noise = [position_noise(one.px) for one in differences]
-    for n in range(x_px.shape[1]):
-        slight = size[:, n].copy()
-        for one, own in zip(differences, own_noise, strict=True):
-            values = one.px[:, n] - nan_median(one.px[:, n])
-            certain, likely = _significant(values, np.fmax(one.noise * err_px[:, n], own[n]), settings)
-            size[:, n] = np.fmax(size[:, n], np.hypot(one.assumed * certain, one.confirmed * likely))
-            slight = np.fmax(slight, np.hypot(one.assumed, one.confirmed) * likely)
-        within = np.where(np.isfinite(apart[:, n]), comb.fwhm_px, 0.0)  # what is fitted lies in the ridge
-        size[:, n] = np.fmin(size[:, n], within)
-        usual_px[n] = nan_median(np.fmin(slight, within))
-    pull = nan_median(apart)
-    pull = np.abs(pull - nan_median(pull))
-    least = np.fmax(settings.distortion_sigmas * nan_median(pull) / NORMAL_MEDIAN, settings.distortion_floor)
-    lasting = settings.distortion_error * _if_above(pull, least)
+    size = _shift_by_light(x_px, height, pulled_px2, settings)
     height[~(height > 0)] = np.nan
     shapes = [np.log(height, out=height), apart, sloping]
     if comb.fwhm_px > settings.overlap * comb.pitch_px:
         del shapes[1:]
     scale = displacement_scale_error(x_px, shapes, settings)
-    for of_sheet, factor, x in zip(size.T, scale, x_px.T, strict=True):
-        of_sheet[:] = np.fmax(of_sheet, factor * np.abs(x - nan_median(x)))
-    return Distortion(size, usual_px, np.zeros_like(lasting) if narrow else lasting, scale)
+    usual_px = np.empty(x_px.shape[1])
+    own_noise = [position_noise(one.px) for one in differences]
+    for n, x in enumerate(x_px.T):
+        found = slight = size[:, n]
+        for one, own in zip(differences, own_noise, strict=True):
+            values = one.px[:, n] - nan_median(one.px[:, n])
+            certain, likely = _significant(values, np.fmax(one.noise * err_px[:, n], own[n]), settings)
+            found = np.fmax(found, np.hypot(one.assumed * certain, one.confirmed * likely))
+            slight = np.fmax(slight, np.hypot(one.assumed, one.confirmed) * likely)
+        found = np.fmax(found, scale[n] * np.abs(x - nan_median(x)))
+        within = np.where(np.isfinite(apart[:, n]), comb.fwhm_px, 0.0)  # what is fitted lies in the ridge
+        size[:, n] = np.fmin(found, within)
+        usual_px[n] = nan_median(np.fmin(slight, within))
+    pull = nan_median(apart)
+    pull = np.abs(pull - nan_median(pull))
+    least = np.fmax(settings.distortion_sigmas * nan_median(pull) / NORMAL_MEDIAN, settings.distortion_floor)
+    lasting = settings.distortion_error * _if_above(pull, least)
+    if comb.fwhm_px < settings.verdict_least_px:
+        usual_px = np.zeros_like(usual_px) if several else usual_px
+        return Distortion(size, usual_px, np.zeros_like(lasting), scale)
+    return Distortion(size, usual_px, lasting, scale)
 
 
 class _Difference(NamedTuple):
@@ -424,15 +432,17 @@ def _around(bright: Floats32, x_px: Floats, half: int) -> Floats:
     return np.asarray(around, np.float64)
 
 
-def _shift_by_light(x_px: Floats, height: Floats, comb: RidgeComb) -> Floats:
+def _shift_by_light(x_px: Floats, height: Floats, pulled_px2: Floats, settings: TrackingSettings) -> Floats:
     r"""Return the shift of each ridge due to light L that falls off over it, px, (frame, N).
+
+    pulled_px2: shift of each ridge per slope :math:`L'/L`, px², (frame, N): that of the fit of the mean shape
+    to :math:`u\,(a + b\,S(u))`, since the light between the ridges slopes as well. It is changed in place.
 
     A Gaussian in such light remains a Gaussian, shifted by :math:`\sigma_r^2 L'/L`, so that only heights
     reveal the shift. A lamp that moves, or the edge of a shadow, shows as a slope between a sheet and its
     neighbours on both sides, beyond the scatter of single sheets. Fewer than five sheets do not show that
     scatter: every change of the slope between two sheets, beyond its noise in time, then counts as light.
     """
-    settings = comb.settings
     with np.errstate(divide="ignore", invalid="ignore"):
         light = np.log(np.where(height > 0, height, np.nan))
     light -= nan_median(light)
@@ -448,8 +458,8 @@ def _shift_by_light(x_px: Floats, height: Floats, comb: RidgeComb) -> Floats:
         for between, own in zip(slope.T, noise.T, strict=True):
             between[:] = _significant(between, np.fmax(own, 0.0), settings)[1]
         shift = np.fmax(np.pad(slope, ((0, 0), (1, 0))), np.pad(slope, ((0, 0), (0, 1))))
-    shift *= settings.distortion_light * (comb.fwhm_px / FWHM) ** 2
-    return shift
+    pulled_px2 *= shift
+    return pulled_px2
 
 
 def _slope_across(light: Floats, x_px: Floats, settings: TrackingSettings) -> Floats:

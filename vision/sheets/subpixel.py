@@ -25,6 +25,8 @@ from vision.sheets.settings import TrackingSettings
 FitName = Literal["sliding", "paper", "template"]
 FitChoice = Literal["auto", "sliding", "paper", "template"]
 
+STEADY_FRAMES = 9  # whose mean height gives the error of a template position: single heights are noisy
+LEAST_EXPLAINED = 0.5  # share of the variance of a ridge's pixels; below it most of them show something else
 RIDGES_AT_ONCE = 8192  # whose pixels are matched at once
 LEAST_TRIPLES = 8  # groups of three consecutive frames that a measurement of noise needs
 
@@ -160,7 +162,8 @@ def template_shift(
 
     The pixels of all ridges of a sheet, each shifted by its initial position, give the mean shape and its
     derivative at any fraction of a pixel (a least-squares spline). A Gauss-Newton step then fits shift,
-    brightness and background together; both are done twice. The mean shift over the ridges of a sheet is
+    brightness and background together; both are done twice, and the shape is learned from ridges without
+    their brightness and background. The mean shift over the ridges of a sheet is
     subtracted, so that the template never moves a sheet's mean position.
 
     Parameters
@@ -279,50 +282,70 @@ def _cubic_zero(four: Floats) -> tuple[Floats, Floats]:
 
 
 def _match(pixels: NDArray[np.floating], fraction: Floats, centre: Ints) -> tuple[Floats, Floats]:
-    """Match one sheet's ridges to their mean shape: positions, and their error per grey level of noise."""
-    step = np.zeros_like(fraction)
-    update, err = np.full((2, len(fraction)), np.nan)
+    """Match one sheet's ridges to their mean shape: positions, and their error per grey level of noise.
+
+    The shape is that of ridges brought to the same level and height. Without this, light that changes while
+    a sheet creeps over the pixels would become a part of the shape, and hold the positions back. Ridges of
+    which the shape, upright, explains less than half of the variance of the pixels are covered by something
+    else: they do not count for the shape, and have no position.
+    """
+    step, none = np.zeros_like(fraction), np.full_like(fraction, np.nan)
+    level, height, alike = np.zeros_like(fraction), np.ones_like(fraction), np.ones(len(fraction), bool)
+    update, err = np.empty((2, len(fraction)))
     for _ in range(2):
         try:
-            cubic = _mean_shape(fraction + step, pixels)
+            cubic = _mean_shape(fraction + step, pixels, level, np.where(alike, height, 0.0))
         except np.linalg.LinAlgError:
-            return fraction + centre, err
+            return none, none
         for rows in row_parts(len(pixels), RIDGES_AT_ONCE):
-            mean, rise = _shape_at(cubic, (fraction + step)[rows])
-            update[rows], err[rows] = _gauss_newton(pixels[rows].astype(np.float64), mean, rise)
-        if not np.isfinite(update).any():
-            return fraction + centre, err
-        step += update - np.nanmean(update)
-    bad = ~(np.abs(step) <= 1.0)
-    return np.where(bad, np.nan, fraction + step + centre), np.where(bad, np.nan, err)
+            grey = _less_mean(pixels[rows])
+            fitted = _fit_shape(grey, *_shape_at(cubic, (fraction + step)[rows]))
+            update[rows], err[rows], level[rows], height[rows], explained = fitted
+            alike[rows] = explained >= LEAST_EXPLAINED * np.einsum("ij,ij->i", grey, grey)
+        alike &= (np.abs(step + update) <= 1.0) & (height > 0)
+        if not alike.any():
+            return none, none
+        step += update - update[alike].mean()
+    share, steady = cv2.blur(np.stack([alike, np.where(alike, height, 0.0)], 1), (1, STEADY_FRAMES)).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        err *= share / steady
+    return np.where(alike, fraction + step + centre, np.nan), np.where(alike, err, np.nan)
+
+
+def _less_mean(pixels: NDArray[np.floating]) -> Floats:
+    """Return pixels (ridges, pixels) less the mean of each ridge."""
+    grey = pixels.astype(np.float64)
+    grey -= grey.mean(axis=1, keepdims=True)
+    return grey
 
 
 _PIECES = np.array([[1, -3, 3, -1], [4, 0, -6, 3], [1, 3, 3, -3], [0, 0, 0, 1]]) / 6
 """The four cubic B-splines over one cell of even knots: coefficients of 1, t, t², t³ for t from 0 to 1."""
 
 
-def _mean_shape(shift_px: Floats, pixels: NDArray[np.floating]) -> Floats:
+def _mean_shape(shift_px: Floats, pixels: NDArray[np.floating], level: Floats, height: Floats) -> Floats:
     """Return one sheet's mean shape, a least-squares cubic spline: its coefficients in each cell, (cells, 4).
 
-    shift_px: shift of each ridge, (ridges,). pixels: (ridges, pixels). Knots lie midway between the pixels of
-    a ridge that is not shifted. All pixels of a ridge have the same position between two knots, so that sums
-    over ridges are products of matrices. Beyond the knots the outermost cells are extrapolated.
+    shift_px, level, height: of each ridge, (ridges,); height 0 for ridges that do not count. pixels: (ridges,
+    pixels), of which the shape is the mean of (pixels − level) / height, weighted by the squared height since
+    their noise is the same. Knots lie midway between the pixels of a ridge that is not shifted. All pixels of
+    a ridge have the same position between two knots, so that sums over ridges are products of matrices.
+    Beyond the knots the outermost cells are extrapolated.
     """
     cells, four = pixels.shape[1], np.arange(4)
     normal, right = np.zeros((cells + 3, cells + 3)), np.zeros(cells + 3)
     for rows in row_parts(len(pixels), RIDGES_AT_ONCE):
-        grey = pixels[rows].astype(np.float64)
+        grey = _less_mean(pixels[rows]) - level[rows, None]
         for mine, column, fraction in _in_cells(shift_px[rows], cells):
             cell = np.clip(column, 0, cells - 1)
-            powers = fraction[:, None] ** four
-            blocks = np.tile(powers.T @ powers, (cells, 1, 1))  # (cell, 4, 4)
-            loads = grey[mine].T @ powers
+            tall = height[rows][mine]
+            weighted = fraction[:, None] ** four * tall[:, None]
+            blocks = np.tile(weighted.T @ weighted, (cells, 1, 1))  # (cell, 4, 4)
+            loads = grey[mine].T @ weighted
             for beyond in np.flatnonzero(cell != column):  # these pixels count at the outermost knot
                 end = (np.sign(column[beyond]) > 0) ** four.astype(float)
-                blocks[beyond], loads[beyond] = (
-                    mine.sum() * np.outer(end, end),
-                    grey[mine, beyond].sum() * end,
-                )
+                blocks[beyond] = tall @ tall * np.outer(end, end)
+                loads[beyond] = grey[mine, beyond] @ tall * end
             row = cell[:, None] + four
             np.add.at(normal, (row[:, :, None], row[:, None, :]), _PIECES @ blocks @ _PIECES.T)
             np.add.at(right, row, loads @ _PIECES.T)
@@ -356,22 +379,27 @@ def _in_cells(shift_px: Floats, cells: int) -> Iterator[tuple[Bools, Ints, Float
         yield mine, np.arange(cells) + int(first), (first_px - whole)[mine]
 
 
-def _gauss_newton(pixels: Floats, mean: Floats, rise: Floats) -> tuple[Floats, Floats]:
-    """Return the shift that brings the mean shape onto the pixels, and its error per grey level of noise.
+def _fit_shape(pixels: Floats, mean: Floats, rise: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """Fit the mean shape to the pixels of each ridge, of mean 0: shift, its error per grey level of noise at
+    unit height, level, height, and the sum of squares that they explain, (ridges,).
 
-    Level and brightness are fitted as well, but eliminated from the normal equations: the slope and the shape
-    are taken less their means over the pixels, and only the shift is solved for.
+    The fit is linear in level, height, and height times shift. The level is eliminated from the normal
+    equations: the slope and the shape are taken less their means over the pixels.
     """
-    shift, shape = rise.mean(axis=1, keepdims=True) - rise, mean - mean.mean(axis=1, keepdims=True)
-    residual = pixels - mean
-    shift_shift, shift_shape, shape_shape = (
-        np.einsum("ij,ij->i", a, b) for a, b in ((shift, shift), (shift, shape), (shape, shape))
+    rise_mean, shape_mean = rise.mean(axis=1, keepdims=True), mean.mean(axis=1, keepdims=True)
+    shift, shape = rise_mean - rise, mean - shape_mean
+    shift_shift, shift_shape, shape_shape, shift_pixels, shape_pixels = (
+        np.einsum("ij,ij->i", a, b)
+        for a, b in ((shift, shift), (shift, shape), (shape, shape), (shift, pixels), (shape, pixels))
     )
     with np.errstate(divide="ignore", invalid="ignore"):
         shared = shift_shape / shape_shape
         alone = shift_shift - shared * shift_shape
-        found = np.einsum("ij,ij->i", shift, residual) - shared * np.einsum("ij,ij->i", shape, residual)
-        return found / alone, np.sqrt(1 / alone)
+        moved = (shift_pixels - shared * shape_pixels) / alone
+        height = (shape_pixels - moved * shift_shape) / shape_shape
+        level = moved * rise_mean[:, 0] - height * shape_mean[:, 0]
+        explained = height * shape_pixels + moved * shift_pixels
+        return moved / height, np.sqrt(1 / alone), level, height, explained
 
 
 # --- all sheets of all frames -------------------------------------------------------------------------------
