@@ -348,6 +348,18 @@ def test_slips_are_found_through_mains_hum(seed: int, part: int) -> None:
     assert facts.hum_N == pytest.approx(40 / part / np.sqrt(2), rel=0.1, abs=0.02)
 
 
+@pytest.mark.parametrize("period", [12.0, 11.98, 3.98])
+def test_hum_is_left_out_of_a_load_without_other_noise(period: float) -> None:
+    """A failure means that slips disturb what is known of the hum: its remainder makes 900 events."""
+    test = plain(sticks=60, samples=200, snr=1000, jitter=0.02, scatter=0.0)
+    hum = 300 * np.sin(2 * np.pi * np.arange(test.force.sizes["time_s"]) / period)
+    events = find_stick_slip(test.force.assign(load_N=test.force["load_N"] + hum))
+    right, _ = matched(events, test.truth)
+    assert len(events) == len(right) == len(test.truth)
+    assert (events["flag"] == "ok").all()
+    assert StickMetadata.of(events).hum_N == pytest.approx(300 / np.sqrt(2), rel=0.1)
+
+
 @pytest.mark.parametrize("part", [3, 1])
 def test_the_search_fails_in_hum_that_it_does_not_recognise(part: int) -> None:
     """A failure means the test above would pass without the search for hum."""

@@ -11,13 +11,14 @@ from vision.force.lines import fit_lines
 from vision.force.settings import ForceSettings
 from vision.force.slips import Slips, stick_middles
 from vision.numeric import Floats
-from vision.signals import running_mean
+from vision.signals import running_mean, running_median
 
 _LONGEST_PART = 1 << 14  # samples of one spectrum: finer lines than mains keep to within minutes
 _LEAST_SPECTRA = 8
 _LEAST_PART = 256
 _AROUND = 24  # frequencies on either side of a line that it is compared with
 _LEAST_PERIODS = 30  # in one spectrum: below, a line is not told from the slope of the spectrum
+_MOST_PERIODS = 6  # of which one amplitude is measured
 _MOST_LINES = 4  # mains and three of its harmonics
 _TOGETHER = 10  # slips within which hum and slips keep their phase, if they do
 _IN_PHASE = 0.7  # mean resultant length of ten phases: 0.28 by chance, near 1 for harmonics of regular slips
@@ -39,7 +40,7 @@ def find_hum(y: Floats, settings: ForceSettings) -> list[Hum]:
     """Return the narrow lines of a load's spectrum, the strongest first; regular stick-slip also has some.
 
     The spectra of the load's steps over overlapping parts of the recording are averaged. A line exceeds the
-    median of the frequencies around it by `hum_ratio`. Its amplitude and phase may change over 30 periods.
+    median of the frequencies around it by `hum_ratio`. Its amplitude and phase may change within 30 periods.
     """
     part = min(1 << int(np.log2(max(y.size / _LEAST_SPECTRA, 2))), _LONGEST_PART)
     if part < _LEAST_PART:
@@ -62,15 +63,26 @@ def find_hum(y: Floats, settings: ForceSettings) -> list[Hum]:
 
 
 def _wave(y: Floats, frequency: float) -> Floats:
-    """Return the part of a signal that oscillates at a frequency (per sample)."""
-    width = max(round(_LEAST_PERIODS / frequency), 3)
+    """Return the part of a signal that oscillates at a frequency (per sample).
+
+    Its amplitudes over single periods, or a few that are nearly a whole number of samples, are known; those
+    at slips are wrong, and a running median over 30 periods leaves them out.
+    """
+    samples = np.arange(1, _MOST_PERIODS + 1) / frequency  # in one period, in two …
+    off = np.abs(np.rint(samples) / samples - 1)
+    together = 1 + int(np.argmax(off <= max(0.02, off.min())))
+    size = round(together / frequency)
     turn = np.exp(-2j * np.pi * frequency * np.arange(y.size))
-    seen = (y - running_mean(y, width)) * turn
-    for size in (width, width // 2):
-        seen = running_mean(seen.real, size) + 1j * running_mean(seen.imag, size)
-    # The running means are not whole near the ends.
-    seen[: 2 * width], seen[-2 * width :] = seen[2 * width], seen[-2 * width - 1]
-    return np.asarray(2 * np.real(seen * turn.conj()), np.float64)
+    seen = (y - running_mean(y, size)) * turn
+    count = y.size // size
+    amplitude = seen[: count * size].reshape(count, size).mean(axis=1)
+    several = min(2 * (_LEAST_PERIODS // (2 * together)) + 1, count)
+    middle = (np.arange(count) + 0.5) * size - 0.5
+    real, imaginary = (
+        np.interp(np.arange(y.size), middle, running_median(part, several, ends="symmetric"))
+        for part in (amplitude.real, amplitude.imag)
+    )
+    return np.asarray(2 * np.real((real + 1j * imaginary) * turn.conj()), np.float64)
 
 
 def is_hum(hum: Hum, y: Floats, slips: Slips, settings: ForceSettings) -> bool:
