@@ -11,6 +11,7 @@ from vision.sheets.settings import TrackingSettings
 
 _HARMONICS = 2  # of a period of one pixel; sharper edges lock at once, at 1/20 of the second harmonic
 _LEAST_SHEETS = 12  # fewer do not tell the scatter between sheets from chance
+_LEAST_FRAMES = 100  # fewer do not tell it from the motion of slips
 _MOST_FRAMES = 1000  # spread over the film: enough, and memory does not grow with it
 _OUTLIER = 5.0  # median deviations: slips and exchanged sheets
 _PARTS = 10  # of the film, for the errors of single sheets' locking
@@ -65,8 +66,8 @@ def pixel_locking(x_px: Floats, err_px: Floats, settings: TrackingSettings) -> P
     Returns
     -------
     PixelLocking
-        `NO_LOCKING` also for fewer than twelve sheets, and for sheets that all lie at the same place in their
-        pixels.
+        `NO_LOCKING` also for fewer than twelve sheets or 100 frames, and for sheets that all lie at the same
+        place in their pixels.
 
     Notes
     -----
@@ -84,7 +85,7 @@ def pixel_locking(x_px: Floats, err_px: Floats, settings: TrackingSettings) -> P
     """
     rows = np.unique(np.linspace(0, len(x_px) - 1, min(len(x_px), _MOST_FRAMES)).astype(np.int64))
     x = x_px[rows]
-    if x.shape[1] < _LEAST_SHEETS or _at_one_place(nan_median(x)):
+    if x.shape[1] < _LEAST_SHEETS or len(x) < _LEAST_FRAMES or _at_one_place(nan_median(x)):
         return NO_LOCKING
     turn = 2 * np.pi * x
     waves = np.stack([wave(k * turn) for k in range(1, _HARMONICS + 1) for wave in (np.cos, np.sin)])
@@ -103,7 +104,7 @@ def pixel_locking(x_px: Floats, err_px: Floats, settings: TrackingSettings) -> P
     regressors = np.concatenate([regressors, moved[np.newaxis, :, 1:-1]])
     scatter = _scatter_of_sheets(regressors[:, :, well], own[:, well], known[:, well])
     locking = PixelLocking(found, float(np.sqrt(0.5 * np.sum(variance) + 0.5 * np.sum(scatter))))
-    matters = np.hypot(locking.rms_px, locking.error_px) > settings.least_locking * np.nanmedian(err_px)
+    matters = np.hypot(locking.rms_px, locking.error_px) > settings.least_locking * float(nan_median(err_px))
     return locking if matters else NO_LOCKING
 
 

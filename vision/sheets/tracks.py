@@ -373,7 +373,7 @@ def _fit(
         if learned.any():
             matched_px = nan_median(matched_err) * noise
             other = pixel_locking(_unrepeated(matched, frozen), matched_px, comb.settings)
-            if _locks_less(other, np.nanmedian(matched_px), locking, np.nanmedian(usual_px)):
+            if _locks_less(other, float(nan_median(matched_px)), locking, float(nan_median(usual_px))):
                 used, x, err, locking = "template", matched, matched_err, other
     err *= noise  # it was that per grey level
     if locking.error_px:
