@@ -215,16 +215,13 @@ def distortion(
     (`_significant`): clearly, unless the film shows that positions change with them. The mean difference of a
     sheet shifts all its positions alike, and is no error of displacements.
 
-    Of narrow ridges (`verdict_least_px`) the errors are given, but neither the usual distortion nor the mean
-    difference: their texture is as large as they are.
-
     Light that falls off over a ridge hardly changes its shape; it shows in the heights (`_shift_by_light`).
     What stands still where a ridge moves changes all displacements of its sheet by the same factor
     (`displacement_scale_error`).
     """
     settings = comb.settings
-    several = x_px.shape[1] >= ENOUGH
-    if several and comb.fwhm_px < settings.distortion_least_px:
+    narrow = comb.fwhm_px < settings.distortion_least_px
+    if narrow and x_px.shape[1] >= ENOUGH:
         return Distortion.none(x_px)
     half = max(3, round(min(0.9 * comb.fwhm_px, 0.5 * comb.pitch_px)))
     shape = _sampled_profiles(profile, x_px, half, comb)[1]
@@ -280,10 +277,7 @@ def distortion(
     pull = np.abs(pull - nan_median(pull))
     least = np.fmax(settings.distortion_sigmas * nan_median(pull) / NORMAL_MEDIAN, settings.distortion_floor)
     lasting = settings.distortion_error * _if_above(pull, least)
-    if comb.fwhm_px < settings.verdict_least_px:
-        usual_px = np.zeros_like(usual_px) if several else usual_px
-        return Distortion(size, usual_px, np.zeros_like(lasting), scale)
-    return Distortion(size, usual_px, lasting, scale)
+    return Distortion(size, usual_px, np.zeros_like(lasting) if narrow else lasting, scale)
 
 
 class _Difference(NamedTuple):

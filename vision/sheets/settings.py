@@ -412,15 +412,10 @@ class TrackingSettings:
     """Distortion, px, below which a position does not count as distorted, and a sheet not as distorted in the
     whole film. Larger hides slight distortions, smaller counts the texture of the paper."""
 
-    distortion_least_px: float = 3.0
-    """Ridge width above which the shapes of five or more sheets enlarge their errors. The shape of narrower
-    ridges depends on their position among the pixels, which smaller takes for dirt (test_accuracy.py's 3 px);
-    larger lets burnt-in text pass over narrow ridges (test_distortion.py at 5)."""
-
-    verdict_least_px: float = 5.0
-    """Ridge width above which distortion also tells marks and ridges of several sheets from sheets. Smaller
-    takes the texture of narrow ridges for such (tests/real: a third of the sarcomeres are left at 3), larger
-    lets marks pass."""
+    distortion_least_px: float = 5.0
+    """Ridge width above which the shapes of five or more sheets are compared. The shape of narrower ridges
+    depends on their position among the pixels, which smaller takes for dirt (test_accuracy.py's 3 px); larger
+    checks fewer films."""
 
     # --- stated errors (tracks.py) ---
 
