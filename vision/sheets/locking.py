@@ -17,7 +17,9 @@ _OUTLIER = 5.0  # median deviations: slips and exchanged sheets
 _PARTS = 10  # of the film, for the errors of single sheets' locking
 _ALIKE = 0.5  # mean resultant length of the sheets' places in their pixels: by chance 0.2 for 24 sheets
 _CLEAR_SCATTER = 9.0  # over the square of its error: ordinary ridges reach 3, sharp unlike ones 50 to 4000
-_WELL_SEEN = 0.2  # variance of cosine and sine of a sheet's position; 0.5 where it moved over whole pixels
+_WELL_SEEN = (
+    0.1  # variance of cosine and sine of a sheet's position without its motion: 0.3 and 0.7 over a pixel
+)
 
 
 class PixelLocking(NamedTuple):
@@ -100,9 +102,8 @@ def pixel_locking(x_px: Floats, err_px: Floats, settings: TrackingSettings) -> P
     if not (found**2 > settings.locking_sigmas**2 * variance).any():
         found, variance = np.zeros_like(found), np.zeros_like(variance)
     own = against - np.einsum("a,afn->fn", found, regressors)
-    well = _well_seen(waves[:2, :, 1:-1], known)
     regressors = np.concatenate([regressors, moved[np.newaxis, :, 1:-1]])
-    scatter = _scatter_of_sheets(regressors[:, :, well], own[:, well], known[:, well])
+    scatter = _scatter_of_sheets(regressors, own, known)
     locking = PixelLocking(found, float(np.sqrt(0.5 * np.sum(variance) + 0.5 * np.sum(scatter))))
     matters = np.hypot(locking.rms_px, locking.error_px) > settings.least_locking * float(nan_median(err_px))
     return locking if matters else NO_LOCKING
@@ -115,14 +116,6 @@ def _at_one_place(x_px: Floats) -> bool:
     """
     turns = np.exp(2j * np.pi * x_px[np.isfinite(x_px)])
     return any(abs(np.sum(turns**k)) > _ALIKE * len(turns) for k in range(1, _HARMONICS + 1))
-
-
-def _well_seen(first: Floats, known: Bools) -> Bools:
-    """Return which sheets moved over whole pixels, (N,); first: waves of the first harmonic (2, frame, N)."""
-    count = np.maximum(known.sum(axis=0), 1)
-    seen = np.where(known, first, 0.0)
-    variance = (seen**2).sum(axis=1) / count - (seen.sum(axis=1) / count) ** 2
-    return np.asarray((variance > _WELL_SEEN).all(axis=0), np.bool_)
 
 
 def _against_neighbours(values: Floats) -> Floats:
@@ -154,15 +147,20 @@ def _normal_equations(regressors: Floats, values: Floats, known: Bools) -> tuple
 def _scatter_of_sheets(regressors: Floats, values: Floats, known: Bools) -> Floats:
     """Return the variance, between sheets, of the two amplitudes of the first harmonic, beyond their errors.
 
-    The errors are those of a jackknife over parts of the film. 0 for fewer than six sheets, and where the
-    amplitudes are not three times their errors.
+    Only sheets that moved over whole pixels tell: there these waves vary by themselves, the other regressors
+    aside. The errors are those of a jackknife over parts of the film. 0 for fewer than six such sheets, and
+    where the amplitudes are not three times their errors.
     """
-    frames, sheets = values.shape
-    if sheets < _LEAST_SHEETS // 2:
-        return np.zeros(2)
-    parts = np.array_split(np.arange(frames), _PARTS)
+    parts = np.array_split(np.arange(len(values)), _PARTS)
     each = [_normal_equations(regressors[:, rows], values[rows], known[rows]) for rows in parts]
     products, loads = (np.stack(parts) for parts in zip(*each, strict=True))
+    inverse = np.linalg.pinv(products.sum(axis=0), hermitian=True)
+    count = np.maximum(known.sum(axis=0), 1)[:, np.newaxis]
+    alone = np.diagonal(inverse, axis1=1, axis2=2)[:, :2] * count
+    well = ((alone > 0) & (alone < 1 / _WELL_SEEN)).all(axis=1)
+    if np.sum(well) < _LEAST_SHEETS // 2:
+        return np.zeros(2)
+    products, loads = products[:, well], loads[:, well]
 
     def solved(products: Floats, loads: Floats) -> Floats:
         found = np.linalg.pinv(products, hermitian=True) @ loads[..., np.newaxis]
