@@ -58,6 +58,7 @@ def findings(tracks: xr.Dataset) -> dict[str, Any]:
             "high_px": found.axis_high_px,
         },
         "window_px": found.window_px,
+        "locking": {"subtracted_px": found.locking_px, "left_px": found.locking_err_px},
         "profile_noise_grey": found.profile_noise,
         "least_identity_margin_nats": found.least_margin,
     }
