@@ -81,9 +81,11 @@ def median_of_all(values: Floats) -> float:
     return float(_median(values.reshape(-1)))
 
 
-def median_size(values: NDArray[np.floating]) -> Floats:
-    """Return the median absolute value of each column of (rows, columns), ignoring NaN, one at a time."""
-    return np.array([nan_median(np.abs(column)) for column in values.T], np.float64)
+def median_size(values: NDArray[np.floating], middle: Floats | float = 0.0) -> Floats:
+    """Return the median distance of each column of (rows, columns) from its `middle`, (columns,), ignoring
+    NaN, one at a time."""
+    each = zip(values.T, np.broadcast_to(middle, values.shape[1]), strict=True)
+    return np.array([nan_median(np.abs(column - at)) for column, at in each], np.float64)
 
 
 def median_where(known: Bools, values: NDArray[np.floating]) -> Floats:

@@ -13,7 +13,7 @@ import xarray as xr
 from vision.data import FORCE, STICKS, ForceMetadata, StickMetadata, load_unit, record
 from vision.errors import InputError, check_positive, check_within
 from vision.force.corners import Corners, Extremes, find_corners, find_extremes, is_slow
-from vision.force.hum import find_hum, is_hum
+from vision.force.hum import find_hum, is_hum, rms_of
 from vision.force.lines import fit_broken_lines, fit_lines, fit_polynomials
 from vision.force.lowpass import Lowpass, find_lowpass
 from vision.force.recording import is_compression
@@ -264,7 +264,7 @@ def _search_slips(signal: Signal, threshold_N: float | None, settings: ForceSett
         hum = kept
     if not hum:
         return signal, slips
-    rms = float(np.linalg.norm([line.rms for line in hum]))
+    rms = rms_of(hum)
     hum.sort(key=lambda line: line.rms, reverse=True)
     noisy = replace(signal, hum=hum, sigma=np.hypot(quiet.sigma, rms), noise=np.hypot(quiet.noise, rms))
     return noisy, slips
@@ -408,7 +408,7 @@ def _metadata(
         two_slopes=analysis.corners.two_slopes,
         bend_share=analysis.corners.shape.begin,
         hum_Hz=signal.hum[0].frequency / signal.interval_s if signal.hum else float("nan"),
-        hum_N=float(np.linalg.norm([line.rms for line in signal.hum])),
+        hum_N=rms_of(signal.hum),
         regime=analysis.regime.name,
         fall_over_rise=analysis.regime.fall_over_rise,
         warnings=warnings,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -36,6 +37,11 @@ class Hum(NamedTuple):
         return float(np.std(self.wave))
 
 
+def rms_of(hum: Sequence[Hum]) -> float:
+    """Return the root mean square of all waves together; 0 for none."""
+    return float(np.linalg.norm([line.rms for line in hum]))
+
+
 def find_hum(y: Floats, settings: ForceSettings) -> list[Hum]:
     """Return the narrow lines of a load's spectrum, the strongest first; regular stick-slip also has some.
 
@@ -46,9 +52,9 @@ def find_hum(y: Floats, settings: ForceSettings) -> list[Hum]:
     if part < _LEAST_PART:
         return []
     parts = sliding_window_view(np.diff(y), part)[:: part // 2]
-    power = np.zeros(part // 2 + 1)
+    power, taper = np.zeros(part // 2 + 1), np.hanning(part)
     for values in parts:  # one at a time: all would take as much memory as the recording, several times
-        power += np.abs(np.fft.rfft(np.hanning(part) * values)) ** 2
+        power += np.abs(np.fft.rfft(taper * values)) ** 2
     around = np.median(sliding_window_view(np.pad(power, _AROUND, "reflect"), 2 * _AROUND + 1), axis=1)
     excess = power / np.maximum(around, np.finfo(float).tiny)
     excess[:_LEAST_PERIODS] = excess[-4:] = 0

@@ -167,17 +167,12 @@ def _corner_errors(
     noise_v, noise_p = (sticks.settings.extreme_sigmas * signal.noise_at(at) for at in (sticks.v, sticks.p))
     beyond_v = np.fmax(line_v - sticks.lowest - noise_v, np.abs(f_v - line_v))
     beyond_p = np.fmax(sticks.highest - line_p - noise_p, np.abs(f_p - line_p))
-    by_position_v = ends.rise_v * np.where(sticks.slow_v, 0, off_v)
-    by_position_p = ends.rise_p * np.where(sticks.slow_p, 0, off_p)
     width = sticks.extremes.width
-    mean_v, mean_p = (
-        np.hypot(signal.sigma / np.sqrt(width), rise * width / 8) * slow
-        for rise, slow in ((ends.rise_v, sticks.slow_v), (ends.rise_p, sticks.slow_p))
+    own_v, own_p = (
+        np.where(slow, np.hypot(signal.sigma / np.sqrt(width), rise * width / 8), rise * off)
+        for rise, slow, off in ((ends.rise_v, sticks.slow_v, off_v), (ends.rise_p, sticks.slow_p, off_p))
     )
-    return (
-        np.sqrt(by_position_v**2 + beyond_v**2 + mean_v**2),
-        np.sqrt(by_position_p**2 + beyond_p**2 + mean_p**2),
-    )
+    return np.hypot(own_v, beyond_v), np.hypot(own_p, beyond_p)
 
 
 def _separations(

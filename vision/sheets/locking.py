@@ -17,9 +17,7 @@ _OUTLIER = 5.0  # median deviations: slips and exchanged sheets
 _PARTS = 10  # of the film, for the errors of single sheets' locking
 _ALIKE = 0.5  # mean resultant length of the sheets' places in their pixels: by chance 0.2 for 24 sheets
 _CLEAR_SCATTER = 9.0  # over the square of its error: ordinary ridges reach 3, sharp unlike ones 50 to 4000
-_WELL_SEEN = (
-    0.1  # variance of cosine and sine of a sheet's position without its motion: 0.3 and 0.7 over a pixel
-)
+_WELL_SEEN = 0.1  # variance of cosine and sine of a position beside its motion: 0.3 and 0.7 over a pixel
 
 
 class PixelLocking(NamedTuple):
@@ -43,17 +41,13 @@ class PixelLocking(NamedTuple):
 
     def at(self, x_px: Floats) -> Floats:
         """Return the shift of positions."""
-        turn = 2 * np.pi * x_px
-        shift = np.zeros_like(x_px)
-        for k, (cosine, sine) in enumerate(self.waves.reshape(-1, 2), start=1):
-            shift += cosine * np.cos(k * turn) + sine * np.sin(k * turn)
-        return shift
+        return np.asarray(np.tensordot(self.waves, _waves(x_px), axes=1), np.float64)
 
 
 NO_LOCKING = PixelLocking(np.zeros(2 * _HARMONICS), 0.0)
 
 
-def pixel_locking(x_px: Floats, err_px: Floats, settings: TrackingSettings) -> PixelLocking:
+def pixel_locking(x_px: Floats, err_px: float, settings: TrackingSettings) -> PixelLocking:
     r"""Measure how positions lock to whole pixels: `NO_LOCKING` where it is not clear.
 
     Parameters
@@ -61,7 +55,7 @@ def pixel_locking(x_px: Floats, err_px: Floats, settings: TrackingSettings) -> P
     x_px
         Positions (frame, N), NaN where missing or repeated.
     err_px
-        Usual error of each sheet's positions by noise, (N,).
+        Usual error of a position by noise.
     settings
         `locking_sigmas` decides what is clear, `least_locking` what matters.
 
@@ -87,13 +81,12 @@ def pixel_locking(x_px: Floats, err_px: Floats, settings: TrackingSettings) -> P
     """
     rows = np.unique(np.linspace(0, len(x_px) - 1, min(len(x_px), _MOST_FRAMES)).astype(np.int64))
     x = x_px[rows]
-    if x.shape[1] < _LEAST_SHEETS or len(x) < _LEAST_FRAMES or _at_one_place(nan_median(x)):
+    middle = nan_median(x)
+    if x.shape[1] < _LEAST_SHEETS or len(x) < _LEAST_FRAMES or _at_one_place(middle):
         return NO_LOCKING
-    turn = 2 * np.pi * x
-    waves = np.stack([wave(k * turn) for k in range(1, _HARMONICS + 1) for wave in (np.cos, np.sin)])
-    moved = x - nan_median(x)
-    known, against = _outlying(_against_neighbours(moved))
-    regressors = _against_neighbours(waves)
+    moved = x - middle
+    known, against = _without_outliers(_against_neighbours(moved))
+    regressors = _against_neighbours(_waves(x))
     products, loads = _normal_equations(regressors, against, known)
     inverse = np.linalg.pinv(products.sum(axis=0))
     found = inverse @ loads.sum(axis=0)
@@ -105,8 +98,14 @@ def pixel_locking(x_px: Floats, err_px: Floats, settings: TrackingSettings) -> P
     regressors = np.concatenate([regressors, moved[np.newaxis, :, 1:-1]])
     scatter = _scatter_of_sheets(regressors, own, known)
     locking = PixelLocking(found, float(np.sqrt(0.5 * np.sum(variance) + 0.5 * np.sum(scatter))))
-    matters = np.hypot(locking.rms_px, locking.error_px) > settings.least_locking * float(nan_median(err_px))
+    matters = np.hypot(locking.rms_px, locking.error_px) > settings.least_locking * err_px
     return locking if matters else NO_LOCKING
+
+
+def _waves(x_px: Floats) -> Floats:
+    """Return cosine and sine of the position in its pixel, of each harmonic in turn, (4, …)."""
+    turn = 2 * np.pi * x_px
+    return np.stack([wave(k * turn) for k in range(1, _HARMONICS + 1) for wave in (np.cos, np.sin)])
 
 
 def _at_one_place(x_px: Floats) -> bool:
@@ -123,7 +122,7 @@ def _against_neighbours(values: Floats) -> Floats:
     return np.asarray(values[..., 1:-1] - 0.5 * (values[..., :-2] + values[..., 2:]), np.float64)
 
 
-def _outlying(values: Floats) -> tuple[Bools, Floats]:
+def _without_outliers(values: Floats) -> tuple[Bools, Floats]:
     """Return which values (frame, N) are near the median of their sheet, and their difference from it."""
     off = values - nan_median(values)
     return np.abs(off) < _OUTLIER * nan_median(np.abs(off)) / NORMAL_MEDIAN, off

@@ -580,9 +580,8 @@ def after_less_before(values: NDArray[np.floating]) -> Floats:
     change = np.empty((max(0, len(values) - 2 * SCENE_FRAMES + 1), values.shape[1]))
     for column, of_sheet in zip(change.T, values.T, strict=True):
         (total,), (count,) = (part[reach:-reach].T for part in _sums_around(of_sheet[:, None], reach))
-        means = np.where(count > 0, total, np.nan) / np.maximum(
-            count, 1
-        )  # a running sum does not return to 0
+        # a running sum does not return to 0
+        means = np.where(count > 0, total, np.nan) / np.maximum(count, 1)
         column[:] = means[SCENE_FRAMES:] - means[:-SCENE_FRAMES]
     return change
 

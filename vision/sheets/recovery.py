@@ -209,12 +209,7 @@ def _reassign_hops(ridges: Ridges, paired: Floats32, why: Codes, comb: RidgeComb
         candidate = np.stack([values[frame, best] for values in looks])
         there, height = candidate[:2].astype(np.float64)
         accept = (distance <= comb.settings.faint_reach * comb.pitch_px) & (there != x[off])
-        usual = np.array(
-            [
-                nan_median(np.log(np.where(doubt == Doubt.NONE, contrast, np.nan).astype(np.float64)))
-                for doubt, contrast in zip(why.T, paired[1].T, strict=True)
-            ]
-        )[sheet]
+        usual = median_where(why == Doubt.NONE, np.log(paired[1].astype(np.float64)))[sheet]
         accept &= np.abs(np.log(height) - usual) < LIKE_ITSELF
         accept &= ~(np.where(off[frame], np.nan, paired[0][frame]) == there[:, None]).any(axis=1)
         accept &= _unshared(frame, there, accept)
@@ -523,9 +518,7 @@ def sheets_alike(x_px: Floats, contrast: Floats32, fwhm_px: Floats32, comb: Ridg
     for values in (contrast, fwhm_px):
         pattern = without_common_change(np.log(values.astype(np.float64)))
         mean = nan_median(pattern)
-        within = nan_median(
-            np.array([nan_median(np.abs(own - at)) for own, at in zip(pattern.T, mean, strict=True)])
-        )
+        within = nan_median(median_size(pattern, mean))
         alike &= nan_median(np.abs(_bend(mean))) < comb.settings.alike_scatter * within
     return bool(alike)
 

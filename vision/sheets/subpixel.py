@@ -487,7 +487,7 @@ def learned_template(
     if not enough.any() or count.sum() > settings.template_ridges:
         return x_px, err, none
     middle = nan_median(x_px)
-    spread = np.array([nan_median(np.abs(x - at)) for x, at in zip(x_px.T, middle, strict=True)])
+    spread = median_size(x_px, middle)
     learned = enough & (spread / NORMAL_MEDIAN >= settings.template_motion_px)
     if learned.mean() < 0.5:
         return x_px, err, none

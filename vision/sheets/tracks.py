@@ -12,7 +12,17 @@ import xarray as xr
 
 from vision.data import PIXEL_SIZE_UM, STRIP, STRIP_PARTS, TRACKS, StripMetadata, TrackMetadata, record
 from vision.errors import InputError, check_number, check_within, check_word
-from vision.numeric import Bools, Codes, Floats, Floats32, median_where, nan_median, nan_quantile, row_parts
+from vision.numeric import (
+    Bools,
+    Codes,
+    Floats,
+    Floats32,
+    median_step,
+    median_where,
+    nan_median,
+    nan_quantile,
+    row_parts,
+)
 from vision.sheets.corrections import Correction, apply_corrections, last_of
 from vision.sheets.identities import WHYS, Doubt, identify_sheets
 from vision.sheets.locking import NO_LOCKING, PixelLocking, pixel_locking
@@ -153,7 +163,7 @@ def track_sheets(
     numbering = number_sheets(assessed.x_px, axis_px=axis, settings=settings)
     found = _Tracked(comb, detected, numbering, fitted, errors, assessed, frozen, first_px)
     alike = sheets_alike(assessed.x_px, detections.contrast, detections.fwhm_px, comb)
-    step = _common_step(assessed.x_px, detections.withheld_px)
+    step = median_step(np.where(np.isnan(assessed.x_px), detections.withheld_px, assessed.x_px))
     large = number[1:][np.abs(step) > settings.step_fraction * comb.pitch_px]
     changes = scene_changes(detections.start_px, detections.contrast, comb)
     likelier = ridges if ridges == "auto" else describe_ridges(profile, settings=settings).polarity
@@ -202,16 +212,6 @@ def _detect(
     identities = identify_sheets(candidates, comb, sheets=sheets, source=source)
     detections = corrected(assign_detections(profile, candidates, identities, comb), candidates)
     return _Detected(detections, identities.reference, float(np.nanmin(identities.margin, initial=np.inf)))
-
-
-def _common_step(x_px: Floats, withheld_px: Floats32) -> Floats:
-    """Return the step of the whole comb, doubtful ridges included, from each frame to the next, px."""
-    step = np.empty(len(x_px) - 1)
-    for rows in row_parts(len(step)):
-        around = slice(rows.start, rows.stop + 1)
-        shown = np.where(np.isnan(x_px[around]), withheld_px[around], x_px[around])
-        step[rows] = nan_median(np.diff(shown, axis=0), axis=1)
-    return step
 
 
 class _Assessed(NamedTuple):
@@ -366,14 +366,14 @@ def _fit(
     used: FitName = "sliding" if fit == "auto" else fit
     x, err = fit_sheets(profile, start_px, fit=used, window_px=window_px, comb=comb)
     noise = intensity_noise(profile, x, frozen, half_px=window_px // 2, fallback=comb.noise)
-    new, usual_px = _unrepeated(x, frozen), nan_median(err) * noise
+    new, usual_px = _unrepeated(x, frozen), float(nan_median(nan_median(err) * noise))
     locking = NO_LOCKING if fit == "paper" else pixel_locking(new, usual_px, comb.settings)
     if fit == "auto":
         matched, matched_err, learned = learned_template(profile, new, err, comb)
         if learned.any():
-            matched_px = nan_median(matched_err) * noise
+            matched_px = float(nan_median(nan_median(matched_err) * noise))
             other = pixel_locking(_unrepeated(matched, frozen), matched_px, comb.settings)
-            if _locks_less(other, float(nan_median(matched_px)), locking, float(nan_median(usual_px))):
+            if _locks_less(other, matched_px, locking, usual_px):
                 used, x, err, locking = "template", matched, matched_err, other
     err *= noise  # it was that per grey level
     if locking.error_px:
