@@ -57,12 +57,16 @@ class VideoSettings:
     moves, smaller leaves the comb's clearest rows if others happen to move more."""
 
     label_power: float = 2.0
-    """Slope power of single rows in excess of the ridges, over that of the ridges, above which it is text
-    over the picture, if it is in two segments or more. Text has 3 to 6, the round ends of real markers up to
-    1.7, sheets of paper 0.05 to 0.4; test_rows_with_the_time_of_day_are_left_out."""
+    """Slope power of a band beyond the pattern that all bands share, over the usual power of that pattern,
+    above which it is text over the picture, if it is in two segments or more. Larger leaves in faint text
+    (test_rows_with_the_time_of_day_are_left_out), smaller leaves out the round ends of real markers (1.0)."""
+    shared_pattern: float = 0.5
+    """Share of the slope power of the median band that lies in the pattern of all bands, from which this
+    pattern is one of ridges. Larger does not see text over weak ridges, smaller takes rows of the real
+    sarcomeres, which share none, for text."""
     label_least_rows: float = 1 / 3
-    """Share of the strip without text that is needed to leave out rows with text. Larger retains text that
-    shifts a few ridges, smaller accepts more noise of all ridges."""
+    """Share of the strip's rows that must be without text to leave out those with text. Larger retains text
+    that shifts ridges, smaller accepts more noise of all ridges."""
     max_level: float = 2.0
     """Mean square step of the grey level along z, over that along x, above which a warning says that the
     ridges may be horizontal. Larger does not warn of films of sheets that move along y (2.6 to 60 in real

@@ -11,28 +11,23 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass, field, replace
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vision.errors import InputError
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, Ints, Pixels
+from vision.numeric import Bools, Floats, Floats32, Ints, Pixels
 from vision.video.settings import VideoSettings
+from vision.video.strip_rows import (
+    StripErrors,
+    best_rows,
+    ridge_width_px,
+    row_shifts,
+    segment_starts,
+    strip_errors,
+    tilt_px,
+)
 from vision.video.video import Video, cut
-
-
-class StripErrors(NamedTuple):
-    """Dependence of positions on the choice of rows, px, without tilt and noise; 0 if not significant.
-
-    halves_px, bow_px: RMS difference of positions from the upper and the lower half, and from the outer and
-    the inner half. error_px: RMS displacement of the mean if a tenth of the rows were left out at both ends,
-    which is an equally good choice; as it does not vary with time, it is a systematic error.
-    """
-
-    halves_px: float = 0.0
-    bow_px: float = 0.0
-    error_px: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -131,8 +126,8 @@ def find_strip(
 
     Of that run the bands are retained whose mean gives positions with the smallest error (`best_rows`). Rows
     in which the ridges are displaced (bowed, shaded, at the frame's edge) are left out if their bias is
-    larger than the noise that they save. Rows with text, such as the time of day that cameras write into the
-    picture, are left out as well.
+    larger than the noise that they save. Bands with text, such as the time of day that cameras write into
+    the picture, are left out before (`_text_bands`), as long as enough rows remain.
     """
     height, width = video.shape
     x = cut(columns, width, what=f"{video.path}: `columns`")
@@ -140,20 +135,22 @@ def find_strip(
     if height < 2 * band_rows:
         return Strip(slice(0, height), "all rows")
     slopes = _measure_slopes(video, slice(0, height), x, band_rows, settings)
-    best = _best_run(slopes)
+    text = _text_bands(slopes)
+    best = _best_without_text(slopes, text)
     if best is None:
         whole = slice(0, height)
         return _warn_if_level(Strip(whole, "all rows"), slopes, whole, video)
     best = _prefer_moving(slopes, best)
     tilt = tilt_px(slopes.mean[:, best[0] : best[1]])
-    first, last = _without_text(slopes, *_agreeing(slopes, *best, tilt))
+    first, last = _agreeing(slopes, *best, tilt)
     bottom = height if last == slopes.mean.shape[1] else last * band_rows
     rows = slice(first * band_rows, bottom)
     bands = slopes.mean[:, first:last]
     if strip_errors(row_shifts(bands, tilt, settings), settings).bow_px > settings.edge_bow_px:
         rows = _without_edges(rows, height, settings)
     first, last = -(-rows.start // band_rows), max(rows.stop // band_rows, first + 1)
-    strip = _described(slopes, min(first, last - 1), last, Strip(rows, "found"), tilt)
+    first = min(first, last - 1)
+    strip = _warn_if_text(_described(slopes, first, last, Strip(rows, "found"), tilt), text[first:last])
     return _warn_if_level(strip, slopes, slice(best[0] * band_rows, best[1] * band_rows), video)
 
 
@@ -175,6 +172,20 @@ def _warn_if_level(strip: Strip, slopes: _Slopes, rows: slice, video: Video) -> 
         f"grey levels change {math.sqrt(along_z / along_x):.1f} times as much from row to row as along the "
         "rows: the ridges may be horizontal, one above the other; if so, give `rotate` "
         f"{(video.rotate + 90) % 180}"
+    )
+    return replace(strip, warnings=(*strip.warnings, warning))
+
+
+def _warn_if_text(strip: Strip, text: Bools) -> Strip:
+    """Add a warning if some bands of the strip show text, (band,)."""
+    if not text.any():
+        return strip
+    band_rows = (strip.rows.stop - strip.rows.start) / text.size
+    first, last = np.flatnonzero(text)[[0, -1]]
+    top, bottom = int(first * band_rows), math.ceil((last + 1) * band_rows)
+    warning = (
+        f"text or marks cover ridges in rows {strip.rows.start + top}:{strip.rows.start + bottom}: choose "
+        "`rows` without them"
     )
     return replace(strip, warnings=(*strip.warnings, warning))
 
@@ -205,7 +216,8 @@ def measure_strip(
     if count < 4:
         return Strip(z, "given", clarity=math.nan)
     slopes = _measure_slopes(video, z, x, max(2, round(count / settings.bands)), settings)
-    return _described(slopes, 0, slopes.mean.shape[1], Strip(z, "given"))
+    strip = _described(slopes, 0, slopes.mean.shape[1], Strip(z, "given"))
+    return _warn_if_text(strip, _text_bands(slopes))
 
 
 def _described(slopes: _Slopes, first: int, last: int, strip: Strip, tilt: float | None = None) -> Strip:
@@ -255,26 +267,43 @@ def _agreeing(slopes: _Slopes, first: int, last: int, tilt: float) -> tuple[int,
     return first + begin, first + end
 
 
-def _without_text(slopes: _Slopes, first: int, last: int) -> tuple[int, int]:
-    """Return the longest part of a run of bands without text over the picture, or the run if that is short.
+def _text_bands(slopes: _Slopes) -> Bools:
+    r"""Return which bands show text over the picture, such as the time of day, (band,).
 
-    Text is far steeper than ridges, in a few bands and in several segments along x.
+    Ridges run through many bands, text through few. In each segment along x, the pattern that the bands share
+    is the first eigenvector of the matrix of their scalar products, each band at most as strong as the
+    median one, so that text, which is far steeper than ridges, does not decide. What a band shows beyond this
+    pattern is text if its power is several times the pattern's usual power, and larger than the pattern's own
+    power in this band (where ridges are in sharp focus, both are large), in two segments or more. Ridges at
+    another place, because they are tilted or bowed, are not stronger than usual. Nothing is text where the
+    bands of most segments share no pattern.
     """
-    bands = slopes.mean[:, first:last]
-    starts = slopes.starts
-    usual = np.median(bands, axis=1, keepdims=True)
-    ridges = np.median(np.add.reduceat(usual[:, 0] ** 2, starts, axis=-1), axis=0)
-    unusual = np.median(np.add.reduceat((bands - usual) ** 2, starts, axis=-1), axis=0)
-    power = np.quantile(ridges[_shows_ridges(slopes)], slopes.settings.segment_cap)
-    segments = (unusual - np.median(unusual, axis=0) > slopes.settings.label_power * power).sum(axis=1)
-    text = (segments >= 2) & (segments <= starts.size / 2)
-    text[1:] |= text[:-1]  # text may end within the next band
-    text[:-1] |= text[1:]
-    ends = np.concatenate([[-1], np.flatnonzero(text), [last - first]])
-    longest = int(np.argmax(np.diff(ends)))
-    begin, end = int(ends[longest]) + 1, int(ends[longest + 1])
-    enough = end - begin >= slopes.settings.label_least_rows * (last - first)
-    return (first + begin, first + end) if enough else (first, last)
+    bands, edges = slopes.mean.shape[1], [*slopes.starts.tolist(), slopes.mean.shape[-1]]
+    shown = _shows_ridges(slopes)
+    shared, (beyond, along) = np.zeros(shown.size), np.zeros((2, shown.size, bands))
+    for k, (first, last) in enumerate(itertools.pairwise(edges)):
+        part = slopes.mean[..., first:last].swapaxes(0, 1).reshape(bands, -1).astype(np.float64)
+        size = np.linalg.norm(part, axis=1)
+        power = np.maximum(size**2 - (slopes.difference[..., first:last] ** 2).sum(axis=(0, 2)), 1e-12)
+        if shown[k]:
+            alike = part * (np.minimum(size, np.median(size)) / np.maximum(size, 1e-6))[:, None]
+            products, weight = alike @ alike.T, np.ones(bands)
+            for _ in range(20):  # they converge to the first eigenvector, faster than all are computed
+                weight = products @ weight
+                weight /= max(float(np.linalg.norm(weight)), 1e-12)
+            pattern = weight @ alike
+            along[k] = (part @ pattern) ** 2 / max(float(pattern @ pattern), 1e-12)
+            shared[k] = np.median(along[k] / power)
+        beyond[k] = power - along[k]
+    if not shown.any() or np.median(shared[shown]) <= slopes.settings.shared_pattern:
+        return np.zeros(bands, bool)
+    usual = np.quantile(np.median(along[shown], axis=1), slopes.settings.segment_cap)
+    steep = (beyond > slopes.settings.label_power * usual) & (beyond > along)
+    text = steep.sum(axis=0) >= 2
+    near = text.copy()  # it may begin or end within the next band
+    near[1:] |= text[:-1]
+    near[:-1] |= text[1:]
+    return np.asarray(near, bool)
 
 
 def _measure_slopes(
@@ -336,8 +365,21 @@ def _slope(bands: Floats32, sigma_px: float) -> Floats32:
     return slope.astype(np.float32)
 
 
-def _best_run(slopes: _Slopes) -> tuple[int, int] | None:
-    """Return the half-open run of bands with the highest score; None if no score is above zero."""
+def _best_without_text(slopes: _Slopes, text: Bools) -> tuple[int, int] | None:
+    """Return the best run of bands without text, or the best of all if that is much longer."""
+    best = _best_run(slopes)
+    if best is None or not text[slice(*best)].any():
+        return best
+    free = _best_run(slopes, text)
+    enough = free and free[1] - free[0] >= slopes.settings.label_least_rows * (best[1] - best[0])
+    return free if enough else best
+
+
+def _best_run(slopes: _Slopes, without: Bools | None = None) -> tuple[int, int] | None:
+    """Return the half-open run of bands with the highest score, none of which is in `without` (band,).
+
+    None if no score is above zero.
+    """
     bands, starts = slopes.mean.shape[1], slopes.starts
     sums = np.concatenate([np.zeros_like(slopes.mean[:, :1]), np.cumsum(slopes.mean, axis=1)], axis=1)
     noise = np.add.reduceat((slopes.difference**2).sum(axis=0), starts, axis=-1)
@@ -346,10 +388,14 @@ def _best_run(slopes: _Slopes) -> tuple[int, int] | None:
     best, score = None, 0.0
     if not with_ridges.any():
         return None
-    for first in range(bands):  # all ends at once
-        count = np.arange(1, bands - first + 1)[:, np.newaxis]
-        total = ((sums[:, first + 1 :] - sums[:, first : first + 1]) ** 2).sum(axis=0)
-        power = np.add.reduceat(total, starts, axis=-1) - (noise_sums[first + 1 :] - noise_sums[first])
+    barred = np.flatnonzero(np.zeros(bands) if without is None else without)
+    stops = np.append(barred, bands)[np.searchsorted(barred, np.arange(bands))]
+    for first, stop in enumerate(stops):
+        if stop == first:
+            continue
+        count, ends = np.arange(1, stop - first + 1)[:, np.newaxis], slice(first + 1, stop + 1)  # all at once
+        total = ((sums[:, ends] - sums[:, first : first + 1]) ** 2).sum(axis=0)
+        power = np.add.reduceat(total, starts, axis=-1) - (noise_sums[ends] - noise_sums[first])
         each = np.maximum(power / count**2, 0.0)
         cap = np.quantile(each[:, with_ridges], slopes.settings.segment_cap, axis=1, keepdims=True)
         scores = np.minimum(each, cap).mean(axis=1) * count[:, 0] ** slopes.settings.height_power
@@ -398,196 +444,3 @@ def _clarity(slopes: _Slopes, first: int, last: int) -> float:
     signal = float((slopes.mean[:, first:last].mean(axis=1) ** 2).sum())
     noise = float((slopes.difference[:, first:last].mean(axis=1) ** 2).sum())
     return max(0.0, (signal - noise) / (signal + noise)) if signal > 0 else 0.0
-
-
-def tilt_px(bands: NDArray[np.floating]) -> float:
-    """Return the shift of the ridges along x from one band to the next, px, positive to the right downwards.
-
-    It is the median over segments along x, so that labels and ridges bowed apart do not count. In each, bands
-    (frame, band, x) are shifted in proportion to their height until their sum is strongest. Of several
-    maxima, a pitch apart, the smallest tilt is used. Tilts beyond 12 px over all bands are not found.
-    """
-    count, width = bands.shape[1:]
-    if count < 2:
-        return 0.0
-    parts = np.array_split(bands, max(1, width // 256), axis=-1)  # each wider than the widest pitch
-    return float(np.median([_tilt_of_segment(part) for part in parts]) / (count - 1))
-
-
-def _tilt_of_segment(bands: NDArray[np.floating]) -> float:
-    """Return the shift from the first band to the last: the best trial, refined by a parabola."""
-    frequency, height = np.fft.rfftfreq(bands.shape[-1]), np.linspace(-0.5, 0.5, bands.shape[1])
-    step = 0.5
-    trials = np.arange(-12, 12 + step / 2, step)
-    turn = 2j * np.pi * np.outer(height, frequency)
-    moved = np.fft.rfft(bands - bands.mean(axis=-1, keepdims=True), axis=-1) * np.exp(trials[0] * turn)
-    one_step = np.exp(step * turn)
-    power = np.empty(trials.size)
-    for trial in range(trials.size):  # each moves the bands back by one more step
-        power[trial] = (np.abs(moved.sum(axis=1)) ** 2).sum()
-        moved *= one_step
-    inner = power[1:-1]
-    peaks = np.flatnonzero((inner >= power[:-2]) & (inner > power[2:])) + 1
-    if not peaks.size:
-        return float(trials[np.argmax(power)])
-    best = int(peaks[np.argmin(np.abs(trials[peaks]))])
-    before, here, after = power[best - 1 : best + 2]
-    return float(trials[best] + step * 0.5 * (before - after) / (before - 2 * here + after))
-
-
-def ridge_width_px(slopes: NDArray[np.floating]) -> float:
-    """Return the full width of a typical ridge at half height, px, from slopes along x (frame, x).
-
-    The autocorrelation of slopes has its first minimum where one flank of a ridge meets the other, for a
-    Gaussian at sqrt(6)/2.355 = 1.04 of the width, which includes the smoothing. NaN if there is no minimum.
-    """
-    power = np.abs(np.fft.rfft(slopes, n=2 * slopes.shape[-1], axis=-1)) ** 2
-    correlation = np.fft.irfft(power.sum(axis=0))[: slopes.shape[-1] // 2]
-    rising = np.flatnonzero(np.diff(correlation) > 0)
-    return float(rising[0]) / 1.04 if rising.size else math.nan
-
-
-# --- agreement of the rows on the positions of the ridges, which bows, shadows and edges spoil --------------
-
-
-@dataclass(frozen=True)
-class RowShifts:
-    """Displacement of the ridges in each band of rows against the bands in the middle.
-
-    shift_px: along x, without the common tilt and the tilt of the segment, (band, segment), mean over
-    `frames` frames. strength: of the ridges in each band, 1 in the middle, (band,). noise_px: standard
-    deviation of one band's displacement in one segment and frame, at strength 1.
-    """
-
-    shift_px: Floats
-    strength: Floats
-    noise_px: float
-    frames: int
-
-
-def row_shifts(bands: NDArray[np.floating], tilt: float, settings: VideoSettings) -> RowShifts | None:
-    r"""Measure the displacement of the ridges in each band of rows against the mean of the middle half.
-
-    Return None for fewer bands (frame, band, x) than `settings.least_bands`, or no ridges. The tilt, px from
-    one band to the next, is subtracted. With the mean slope :math:`m(x)` of the middle bands of a frame, a
-    band whose ridges are displaced by :math:`d` and :math:`a` times as strong shows :math:`a\, m(x - d)`, so
-
-    .. math:: a = \frac{\sum_x b\, m}{\sum_x m^2}, \qquad d = -\frac{\sum_x (b - a m)\, m'}{a \sum_x m'^2}
-
-    in each segment along x. d is linear up to about a third of a ridge's width and too small beyond.
-    """
-    frames, count, width = bands.shape
-    if count < settings.least_bands:
-        return None
-    height = np.arange(count) - (count - 1) / 2
-    spectrum = np.fft.rfft(bands, axis=-1)
-    back = np.exp(2j * np.pi * np.outer(tilt * height, np.fft.rfftfreq(width)))
-    upright = np.fft.irfft(spectrum * back, n=width, axis=-1)
-    middle = slice(count // 4, count - count // 4)
-    mean = upright[:, middle].mean(axis=1)
-    rise = np.gradient(mean, axis=-1)
-    starts = segment_starts(width, 2 * settings.segment_px)
-    power, steep = _sums(mean**2, starts), _sums(rise**2, starts)  # (frame, segment)
-    shows = np.median(power, axis=0) >= settings.ridge_share * np.sort(np.median(power, axis=0))[-1]
-    if not shows.any() or not (power[:, shows] > 0).all() or not (steep[:, shows] > 0).all():
-        return None
-    power, steep = power[:, None, shows], steep[:, None, shows]
-    strength = _sums(upright * mean[:, None], starts)[..., shows] / power
-    across = _sums(upright * rise[:, None], starts)[..., shows]
-    even = _sums(mean * rise, starts)[:, None, shows]
-    weak = np.maximum(strength, settings.least_strength)
-    shift = -(across - strength * even) / (weak * steep)
-    usual = np.clip(np.median(strength, axis=(0, 2)), 0.0, None)
-    spread = shift[:, middle].std(axis=0, ddof=1) if frames > 1 else np.zeros_like(shift[0, middle])
-    noise = float(np.median(spread * usual[middle, None]))
-    mean_shift, inner = shift.mean(axis=0), height[middle]
-    slope = (inner @ mean_shift[middle]) / (inner @ inner)  # of each segment's straight line
-    upright_px = mean_shift - mean_shift[middle].mean(axis=0) - height[:, None] * slope
-    return RowShifts(np.asarray(upright_px, np.float64), usual, noise, frames)
-
-
-def segment_starts(width: int, segment_px: int) -> Ints:
-    """Return the first column of each of the segments of about this width along x."""
-    return np.linspace(0, width, max(1, width // segment_px) + 1).astype(np.int64)[:-1]
-
-
-def _sums(values: NDArray[np.floating], starts: Ints) -> Floats:
-    return np.asarray(np.add.reduceat(values, starts, axis=-1), np.float64)
-
-
-def best_rows(shifts: RowShifts, ridges_in_segment: float, settings: VideoSettings) -> tuple[int, int]:
-    r"""Return the half-open run of bands whose mean has the smallest error, noise and bias together.
-
-    Rows of ridges with a smooth bow are retained: their mean position is well defined. Rows that depart from
-    a smooth bow (a shadow, a clamp, a damaged edge) may be left out. For n bands of strengths :math:`a_b`,
-    noise :math:`\sigma` and displacements :math:`d_{bs}` from the parabola that most bands of a segment lie
-    on, and about k ridges in a segment,
-
-    .. math::
-        E^2 = \frac{k\, n\, \sigma^2}{(\sum_b a_b)^2}
-            + \left\langle \left(\frac{\sum_b a_b d_{bs}}{\sum_b a_b}\right)^2 \right\rangle_s
-
-    less what the noise of d adds to the second term. The whole run is retained unless another run has a
-    clearly smaller :math:`E`, and the whole run's bias exceeds `settings.least_bias_px` and the noise.
-    """
-    a, d = shifts.strength, _beside_parabola(shifts)
-    count = len(a)
-    weight = np.concatenate([[0.0], np.cumsum(a)])
-    moved = np.concatenate([np.zeros((1, d.shape[1])), np.cumsum(a[:, None] * d, axis=0)])
-    bands = np.maximum(0, np.arange(count + 1) - np.arange(count + 1)[:, None])  # by first band and end
-    light = weight - weight[:, None]
-    possible = (bands >= max(2, count // 4)) & (light > 0)
-    light = np.where(possible, light, 1.0)
-    noise = bands * (shifts.noise_px / light) ** 2
-    bias = (((moved - moved[:, None]) / light[..., None]) ** 2).mean(axis=-1)
-    error = np.sqrt(ridges_in_segment * noise + np.maximum(0.0, bias - noise / shifts.frames))
-    first, last = np.unravel_index(np.argmin(np.where(possible, error, np.inf)), error.shape)
-    all_noise, all_bias = noise[0, count], bias[0, count]
-    harmless = max(settings.least_bias_px**2, settings.significant_rows**2 * all_noise / shifts.frames)
-    whole = math.sqrt(ridges_in_segment * all_noise + all_bias)
-    if all_bias < harmless or error[first, last] >= settings.worth_trimming * whole:
-        return 0, count
-    return int(first), int(last)
-
-
-def _beside_parabola(shifts: RowShifts) -> Floats:
-    """Return displacements (band, segment) from each segment's parabola, fitted without outliers."""
-    height = np.linspace(-1, 1, len(shifts.strength))
-    basis = np.stack([np.ones_like(height), height, height**2], axis=1)
-    residual = np.empty_like(shifts.shift_px)
-    for segment, d in enumerate(shifts.shift_px.T):
-        weight = (np.abs(height) <= 0.6).astype(np.float64)  # the ends have most leverage and most outliers
-        for _ in range(10):
-            fit = np.linalg.lstsq(basis * weight[:, None], d * weight, rcond=None)[0]
-            residual[:, segment] = off = d - basis @ fit
-            usual = max(float(np.median(np.abs(off))) / NORMAL_MEDIAN, 1e-9)
-            weight = np.clip(1 - (off / (4 * usual)) ** 2, 0.0, None)  # Tukey's biweight
-    return residual
-
-
-def strip_errors(shifts: RowShifts | None, settings: VideoSettings) -> StripErrors:
-    """Return how much positions depend on the choice of rows; 0 where this is within the noise."""
-    if shifts is None:
-        return StripErrors()
-    count = len(shifts.strength)
-    upper, distance = np.arange(count) < count // 2, np.abs(np.arange(count) - (count - 1) / 2)
-    outer, ends = distance >= count / 4, distance >= 0.4 * count
-    halves, bow, end = (_beyond_noise(shifts, part, settings) for part in (upper, outer, ends))
-    return StripErrors(halves, bow, float(shifts.strength[ends].sum() / shifts.strength.sum()) * end)
-
-
-def _beyond_noise(shifts: RowShifts, part: NDArray[np.bool_], settings: VideoSettings) -> float:
-    """Return the RMS difference over the segments between two parts of the bands, without noise.
-
-    The tenth of the segments that differ most (a label, a mark) is left out.
-    """
-    sides = part, ~part
-    light = [shifts.strength[side].sum() for side in sides]
-    if min(light) <= 0:
-        return 0.0
-    one, other = (shifts.strength[s] @ shifts.shift_px[s] / a for s, a in zip(sides, light, strict=True))
-    noise = shifts.noise_px**2 * sum(s.sum() / a**2 for s, a in zip(sides, light, strict=True))
-    squares = np.sort((one - other) ** 2)
-    mean = float(squares[: max(1, math.ceil(0.9 * squares.size))].mean())
-    expected = noise / shifts.frames
-    return math.sqrt(mean - expected) if mean > settings.significant_rows**2 * expected else 0.0
