@@ -64,6 +64,9 @@ class VideoSettings:
     """Share of the slope power of the median band that lies in the pattern of all bands, from which this
     pattern is one of ridges. Larger does not see text over weak ridges, smaller takes rows of the real
     sarcomeres, which share none, for text."""
+    few_segments: int = 6
+    """Number of segments up to which text in a single one is left out, as it may decide there. Larger leaves
+    out rows because of a speck, smaller takes a scale bar for the strip of a narrow picture."""
     label_least_rows: float = 1 / 3
     """Share of the strip's rows that must be without text to leave out those with text. Larger retains text
     that shifts ridges, smaller accepts more noise of all ridges."""

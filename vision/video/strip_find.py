@@ -274,7 +274,8 @@ def _text_bands(slopes: _Slopes) -> Bools:
     is the first eigenvector of the matrix of their scalar products, each band at most as strong as the
     median one, so that text, which is far steeper than ridges, does not decide. What a band shows beyond this
     pattern is text if its power is several times the pattern's usual power, and larger than the pattern's own
-    power in this band (where ridges are in sharp focus, both are large), in two segments or more. Ridges at
+    power in this band (where ridges are in sharp focus, both are large), in two segments or more; and in the
+    bands beside, where it is in one. In a narrow picture one segment is enough. Ridges at
     another place, because they are tilted or bowed, are not stronger than usual. Nothing is text where the
     bands of most segments share no pattern.
     """
@@ -299,7 +300,10 @@ def _text_bands(slopes: _Slopes) -> Bools:
         return np.zeros(bands, bool)
     usual = np.quantile(np.median(along[shown], axis=1), slopes.settings.segment_cap)
     steep = (beyond > slopes.settings.label_power * usual) & (beyond > along)
-    text = steep.sum(axis=0) >= 2
+    faint = steep.any(axis=0)
+    certain = steep.sum(axis=0) >= (2 if shown.size > slopes.settings.few_segments else 1)
+    run = np.cumsum(~faint)
+    text = faint & np.isin(run, run[certain])
     near = text.copy()  # it may begin or end within the next band
     near[1:] |= text[:-1]
     near[:-1] |= text[1:]
