@@ -6,8 +6,8 @@ import pytest
 from tests.scenes.combs import comb, ridges, strip
 from tests.scenes.identity_cases import brightness
 from vision.sheets import TrackingSettings, track_sheets
+from vision.sheets.doubts import anchored, hops, predicted_by_neighbours, unmoved
 from vision.sheets.identities import exchanged
-from vision.sheets.recovery import anchored, hops, predicted_by_neighbours, unmoved
 from vision.sheets.ridges import RidgeComb
 
 PITCH = 20.0

@@ -23,7 +23,7 @@ from vision.files import Progress
 from vision.numeric import Bools, Floats, Ints, nan_median, rms
 from vision.run import RunFolder, read_strip
 from vision.sheets import TrackingSettings, track_sheets
-from vision.sheets.quality import BetweenSlips, spatial_scatter
+from vision.sheets.scatter import BetweenSlips, spatial_scatter
 from vision.sheets.subpixel import FitChoice, position_noise
 from vision.sheets.tracks import BETWEEN_FRAMES
 

@@ -25,7 +25,7 @@ from vision.certify.settings import CertifySettings
 from vision.data import StripMetadata
 from vision.errors import InputError
 from vision.numeric import Bools, Floats, Floats32, Ints, Strings, mad_sigma, nan_median
-from vision.sheets.recovery import predicted_by_neighbours
+from vision.sheets.doubts import predicted_by_neighbours
 from vision.sheets.subpixel import position_noise
 from vision.sheets.tracks import BETWEEN_FRAMES
 

@@ -21,9 +21,10 @@ from vision.review.recordings import Diagram
 from vision.review.tracks_file import StoredTracks
 from vision.run.tables import attrs_of_netcdf
 from vision.sheets.corrections import OF_SHEETS, Corrected, Correction, follow_ridge
+from vision.sheets.doubts import predicted_by_neighbours
 from vision.sheets.identities import WHYS
 from vision.sheets.numbering import number_sheets
-from vision.sheets.recovery import FLAGS, Flag, predicted_by_neighbours
+from vision.sheets.recovery import FLAGS, Flag
 from vision.sheets.ridges import RidgeComb, Ridges, find_ridges
 from vision.sheets.subpixel import FitName, fit_sheets
 

@@ -67,7 +67,7 @@ class Identities:
     margins are 0 where nothing proves where it is. end_in_view: whether an end of the comb is seen.
     """
 
-    match: Ints | Ints32
+    match: Ints32
     margin: Floats
     rest_px: Floats
     usual_px: Floats32

@@ -8,9 +8,9 @@ from typing import Literal
 import numpy as np
 
 from vision.numeric import NORMAL_MEDIAN, Floats, Ints, median_size, nan_median, row_parts
-from vision.sheets.quality import mean_over
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.sheets.subpixel import position_noise
+from vision.signals import mean_over
 
 AxisHow = Literal["given", "motion", "geometry"]
 
@@ -157,7 +157,7 @@ def _slips(x_px: Floats, settings: TrackingSettings) -> tuple[Floats, Floats, Fl
     step[~known] = 0.0
     noise = np.nan_to_num(position_noise(x_px), nan=1.0) * np.sqrt(2)
     least = 5 * noise[ends].max()
-    even = mean_over(apart[:, None], settings.axis_frames)[:, 0]
+    even = mean_over(apart, settings.axis_frames)
     slips = bool((np.abs(apart - even) > least).any())
     apart = np.where(slips & (np.abs(apart) > least), apart, 0.0)
     apart = np.where(np.abs(common) < settings.knock_ratio * np.abs(apart), apart, 0.0)

@@ -1,67 +1,49 @@
 """Detections: one ridge per sheet and frame, or the reason why there is none.
 
-`assign_detections` takes the pairs from `identify_sheets`, withholds those that are doubtful, and searches
-again with a lower threshold where a sheet is missing. Doubts follow from what the alignment did not use: the
-positions that neighbouring sheets predict, and the pattern of spacings, brightnesses and widths.
+`assign_detections` takes the pairs from `identify_sheets`, withholds those that are doubtful
+(`vision.sheets.doubts`), and searches again with a lower threshold where a sheet is missing.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from itertools import product
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import xarray as xr
-from numpy.typing import NDArray
 
 from vision.numeric import (
-    NORMAL_MEDIAN,
     Bools,
     Codes,
     Floats,
     Floats32,
     Ints,
-    common_change,
-    median_size,
-    median_step,
     median_where,
     nan_median,
-    nan_quantile,
     nearest,
     row_parts,
-    shifted,
     stretches,
-    without_common_change,
 )
 from vision.sheets.alignment import values_of
+from vision.sheets.doubts import doubts_of, hops, shifted_pattern, unlike_neighbours
 from vision.sheets.identities import (
     DOUBTS,
-    SHIFTS,
     Doubt,
     Identities,
     exchanged,
     fill_rows,
     last_seen,
-    torn,
 )
-from vision.sheets.reference import rest_positions
 from vision.sheets.renumbered import (
     LIKE_ITSELF,
-    TERM_LIMIT,
     numbered_by_a_neighbour,
     numbered_off_the_end,
     usual_frames,
 )
-from vision.sheets.ridges import RidgeComb, Ridges, find_ridges, in_blocks
-from vision.sheets.settings import TrackingSettings
+from vision.sheets.ridges import RidgeComb, Ridges, find_ridges
 from vision.words import is_word
-
-PAIRS = 3  # neighbours on each side that predict a sheet's position
-LINES = ((1, 2), (1, 3), (2, 3), (2, 4), (3, 4))  # distances of two neighbours on one side that a line joins
-MOST_UNSEEN = 0.25  # steps of whole pitches in a stretch of frames whose identities are called certain
 
 
 class Flag(IntEnum):
@@ -104,9 +86,9 @@ def assign_detections(
     paired = np.empty((3, *identities.match.shape), np.float32)
     for table, values in zip(paired, (ridges.x_px, ridges.contrast, ridges.fwhm_px), strict=True):
         table[:] = values_of(identities.match, values)
-    why = _doubts(identities.usual_px, paired[1], paired[2], identities, comb)
+    why = doubts_of(identities.usual_px, paired[1], paired[2], identities, comb)
     why[numbered_off_the_end(ridges, paired[:2], comb)] = Doubt.END
-    why[_shifted_pattern(paired, why, comb.settings)] = Doubt.PATTERN
+    why[shifted_pattern(paired, why, comb.settings)] = Doubt.PATTERN
     followed = (why == Doubt.NONE) | (why == Doubt.TEAR)
     x, contrast = (np.where(followed, values, np.nan) for values in paired[:2])
     off = exchanged(x, contrast, identities.margin, comb)
@@ -126,7 +108,7 @@ def assign_detections(
     rows, sheet, faint = _faint_ridges(profile, found, expected, doubtful, comb)
     if len(rows):  # some of these may be ridges that are near by chance
         found[:, rows, sheet] = faint
-        off = hops(_unlike_neighbours(found[0]), comb)
+        off = hops(unlike_neighbours(found[0]), comb)
         found[:, off & unpaired] = np.nan
     flag = np.where(np.isfinite(found[0]), Flag.OK, Flag.MISSING).astype(np.uint8)
     flag[_merged(found, expected, comb)] = Flag.MERGED
@@ -140,57 +122,6 @@ def assign_detections(
     return Detections(start, contrast, fwhm, flag, why, withheld)
 
 
-# --- doubt --------------------------------------------------------------------------------------------------
-
-
-def _doubts(
-    x: Floats32, contrast: Floats32, fwhm: Floats32, identities: Identities, comb: RidgeComb
-) -> Codes:
-    """Return which identities of paired ridges are doubtful by margin, jump or tear, (frame, N).
-
-    A margin that is too small is no doubt where the pattern confirms the identity, or where the ridges do not
-    move from the last certain frame to the next. x, contrast, fwhm: of the paired ridges, (frame, N).
-    """
-    why = np.full(x.shape, Doubt.NONE, np.uint8)
-    why[~(identities.margin >= comb.settings.doubt)] = Doubt.MARGIN
-    rest = rest_positions(x)
-    why[_unproved_jumps(x, common_change(x, rest), contrast, identities, comb)] = Doubt.JUMP
-    for rows in row_parts(len(x)):
-        why[rows][torn(x[rows] - rest, comb)] = Doubt.TEAR
-    why[np.isnan(x)] = Doubt.NONE
-    unsettled = why == Doubt.MARGIN
-    if unsettled.any():
-        known = np.where(why == Doubt.TEAR, np.float32(np.nan), x)
-        trusted = np.isfinite(known) & (why == Doubt.NONE)
-        bright, wide = (np.log(values.astype(np.float64)) for values in (contrast, fwhm))
-        why[unsettled & anchored(known, bright, wide, trusted, comb)] = Doubt.NONE
-        del bright, wide
-        unsettled &= why == Doubt.MARGIN
-        why[unsettled & unmoved(x, why == Doubt.NONE, unsettled, comb)] = Doubt.NONE
-    return why
-
-
-def _shifted_pattern(paired: Floats32, why: Codes, settings: TrackingSettings) -> Bools:
-    """Return where brightnesses and widths fit another numbering than in most frames, (frame, N).
-
-    paired: positions, contrasts and widths (3, frame, N), those with a doubt left out. Frames in which at
-    most half of the sheets are certain are ignored.
-    """
-    seen = np.isfinite(paired[0]) & (why == Doubt.NONE)
-    rows = np.flatnonzero(seen.mean(axis=1) > 0.5)
-    away = np.zeros(seen.shape, bool)
-    if len(rows):
-        looks = np.empty((2, len(rows), seen.shape[1]))
-        for part in row_parts(len(rows)):
-            some = rows[part]
-            certain = np.where(seen[some], paired[1:, some], np.nan)
-            looks[:, part] = np.log(certain.astype(np.float64))
-        shift = pattern_shift(looks[0], looks[1], settings)
-        shifts, counts = np.unique(shift, return_counts=True)
-        away[rows] = seen[rows] & (shift != shifts[counts.argmax()])[:, None]
-    return away
-
-
 def _reassign_hops(ridges: Ridges, paired: Floats32, why: Codes, comb: RidgeComb) -> None:
     """Give each sheet that hopped to another ridge the ridge at its predicted position, or doubt it.
 
@@ -199,7 +130,7 @@ def _reassign_hops(ridges: Ridges, paired: Floats32, why: Codes, comb: RidgeComb
     """
     for _ in range(4):  # each pass finds the largest residual among neighbours and sets that sheet aside
         x = np.where(why == Doubt.NONE, paired[0], np.float32(np.nan))
-        residual = _unlike_neighbours(x)
+        residual = unlike_neighbours(x)
         off = hops(residual, comb)
         if not off.any():
             break
@@ -215,361 +146,6 @@ def _reassign_hops(ridges: Ridges, paired: Floats32, why: Codes, comb: RidgeComb
         accept &= _unshared(frame, there, accept)
         why[frame[~accept], sheet[~accept]] = Doubt.HOP
         paired[:, frame[accept], sheet[accept]] = candidate[:, accept]
-
-
-def _unproved_jumps(
-    x: Floats32, moved: Floats, contrast: Floats32, identities: Identities, comb: RidgeComb
-) -> Bools:
-    """Return where the comb is displaced by a jump that could be one of whole pitches, (frame, N).
-
-    Jumps divide the film into runs of frames. Where the comb is not at its usual place, the margin must
-    exceed the cost of staying there; with neither end in view, where only brightness shows a jump, it must
-    also exceed the costs of sheets that cross the edges. After a real jump every sheet keeps its brightness.
-    Where brightnesses changed by more than `least_misfit`, the costs mistake changed sheets for exchanged
-    ones, and the margin required grows by the ratio of the squares: the overdispersion of a quasi-likelihood
-    (McCullagh & Nelder 1989, chapter 9). If the pattern proved the jumps, the margins are enough.
-    moved: median of x less the rest positions, (frame,).
-    """
-    settings, none = comb.settings, np.zeros(x.shape, bool)
-    if identities.jumps:
-        return none
-    seen = np.flatnonzero(np.isfinite(x).any(axis=1))
-    step = np.zeros(len(x))
-    step[seen[1:]] = np.nan_to_num(median_step(x[seen]))
-    reach = settings.edge_pitches * comb.pitch_px
-    rest = identities.rest_px
-    no_end_in_view = (rest[:, 0] < reach) & (rest[:, -1] > comb.width_px - 1 - reach)
-    if not identities.end_in_view and identities.proved.mean() < 0.5:
-        lost = _lost_count(step / comb.pitch_px, moved / comb.pitch_px, settings)
-        if lost.any():
-            return lost[:, None] & np.isfinite(x)
-    run = np.cumsum(np.abs(step) > settings.jump_fraction * comb.pitch_px)
-    place = np.array([nan_median(moved[run == one]) for one in range(run[-1] + 1)])
-    apart = np.abs(place - place[:, None]) / (settings.step_fraction * comb.pitch_px)
-    away = apart[np.argmax((apart < 0.5) @ np.bincount(run))][run] > 1
-    if not away.any():
-        return none
-    least = settings.stay_cost + 1.0 + np.where(no_end_in_view, 2 * settings.crossing_cost, 0.0)
-    off = np.log(contrast.astype(np.float64))
-    off -= identities.reference.log_contrast
-    off -= nan_median(off, axis=1)[:, None]  # flicker
-    misfit = np.minimum(np.nan_to_num(off) ** 2, LIKE_ITSELF**2).sum(axis=1)
-    misfit /= np.maximum(np.isfinite(off).sum(axis=1), 1)
-    worse = np.maximum(misfit / settings.least_misfit**2, 1.0)
-    margin = nan_median(identities.margin, axis=1)  # of the whole comb; single sheets may be less certain
-    runs = [run == one for one in range(run[-1] + 1)]
-    # medians: a slip within the exposure of one frame changes brightnesses there alone
-    given, wanted = (np.array([nan_median(part[one]) for one in runs]) for part in (margin, least * worse))
-    unproved = away & (given < wanted)[run]
-    return np.asarray(unproved[:, None] & np.isfinite(x), bool)
-
-
-def _lost_count(step: Floats, moved: Floats, settings: TrackingSettings) -> Bools:
-    """Return the frames in which a comb without ends in view and without a pattern may be whole pitches from
-    where it seems to be, (frame,).
-
-    step, moved: its steps and its displacement, pitches, (frame,). Steps above `step_fraction` may be the
-    rest of the pitch, the other way. They do not matter to a comb that vibrates about one place, which leaves
-    a part of the pitch free. Otherwise only the longest stretch without a step above `still_fraction` is
-    certain, and only if there are so few steps that none of whole pitches is expected in it: these look like
-    no step.
-    """
-    none = np.zeros(len(step), bool)
-    if not (np.abs(step) > settings.step_fraction).any():
-        return none
-    place = np.sort(moved[np.isfinite(moved)] % 1.0)
-    free = np.sort(np.diff(place, append=place[:1] + 1.0))
-    if free[-1] > settings.step_fraction and free[-2:-1].sum() < settings.still_fraction:
-        return none
-    jolted = np.abs(step) > settings.still_fraction
-    run = np.cumsum(jolted)
-    length = np.bincount(run)
-    unseen = jolted.mean() * length.max() * settings.still_fraction / (0.5 - settings.still_fraction)
-    return np.asarray((run != length.argmax()) | (unseen > MOST_UNSEEN), bool)
-
-
-# --- predictions by neighbouring sheets ---------------------------------------------------------------------
-
-
-def predicted_by_neighbours(x_px: NDArray[np.floating]) -> Floats:
-    r"""Return the position of each sheet predicted by its neighbours, px, (frame, N).
-
-    x_px: positions (frame, N), NaN where missing. Missing sheets have a prediction, too. The median
-    difference of each sheet is added. NaN where all neighbours are missing, and for fewer than three sheets.
-
-    With the displacement :math:`u_n` from the rest position, the neighbours predict
-
-    .. math:: \hat u_n = \operatorname{median}_{k \le 3}
-              \frac{u_{n-k}\,d_{n+k} + u_{n+k}\,d_{n-k}}{d_{n-k} + d_{n+k}},
-
-    where d are distances at rest: displacements are linear between the sheets of each pair, whatever the
-    mechanics. Near the ends of the comb pairs are lacking; there, lines through two sheets on one side are
-    used as well. The median over the pairs tolerates one wrong neighbour.
-    """
-    sheets = x_px.shape[1]
-    if sheets < 3:
-        return np.full(x_px.shape, np.nan)
-    rest = rest_positions(x_px)
-    predicted = np.empty(x_px.shape)
-
-    def predict(rows: slice) -> None:
-        predicted[rows] = _displacements(x_px[rows] - rest, rest)
-
-    in_blocks(predict, len(x_px))
-    for n, (x, own) in enumerate(zip(x_px.T, predicted.T, strict=True)):
-        predicted[:, n] += rest[n] + nan_median(x - rest[n] - own)
-    return predicted
-
-
-def _unlike_neighbours(x_px: NDArray[np.floating]) -> Floats:
-    """Return positions (frame, N) less those that their neighbours predict."""
-    predicted = predicted_by_neighbours(x_px)
-    np.subtract(x_px, predicted, out=predicted)
-    return predicted
-
-
-def _displacements(moved: Floats, rest: Floats) -> Floats:
-    """Return the displacements that neighbours predict from the displacements `moved`, both (frame, N)."""
-    first, second, third = pairs = [_between(moved, rest, k) for k in range(1, PAIRS + 1)]
-    low, high = np.minimum(first, second), np.maximum(first, second)
-    predicted = np.maximum(low, np.minimum(high, third))  # their median; NaN where one is missing
-    lacking = np.isnan(predicted)
-    known_pairs = np.stack([pair[lacking] for pair in pairs])
-    predicted[lacking] = _predicted_by_fewer(moved, known_pairs, *np.nonzero(lacking))
-    return predicted
-
-
-def _predicted_by_fewer(moved: Floats, pairs: Floats, frame: Ints, sheet: Ints) -> Floats:
-    """Return displacements predicted where fewer than three pairs (3, points) are known.
-
-    Where fewer than two are known, as near the ends of the comb, lines through two sheets on one side are
-    used as well, so that one wrong sheet never has the majority.
-    """
-    few = np.isfinite(pairs).sum(axis=0) < 2
-    frame, sheet = frame[few], sheet[few]
-    furthest = max(max(line) for line in LINES)
-    padded = np.pad(moved, ((0, 0), (furthest, furthest)), constant_values=np.nan)
-    extrapolated = np.full((2 * len(LINES), len(few)), np.nan)
-    for values, (step, (near, far)) in zip(extrapolated, product((1, -1), LINES), strict=True):
-        close, remote = (padded[frame, sheet + furthest + step * k] for k in (near, far))
-        values[few] = close + (close - remote) * near / (far - near)
-    return nan_median(np.concatenate([pairs, extrapolated]))
-
-
-def _between(moved: Floats, rest: Floats, k: int) -> Floats:
-    """Return displacements interpolated between the k-th neighbours; NaN where either is missing."""
-    predicted = np.full_like(moved, np.nan)
-    if moved.shape[1] <= 2 * k:
-        return predicted
-    to_left, to_right = rest[k:-k] - rest[: -2 * k], rest[2 * k :] - rest[k:-k]
-    apart = to_left + to_right
-    apart = np.where(apart > 0, apart, np.nan)  # two sheets at one position predict nothing
-    predicted[:, k:-k] = (moved[:, : -2 * k] * to_right + moved[:, 2 * k :] * to_left) / apart
-    return predicted
-
-
-def hops(residual: Floats, comb: RidgeComb) -> Bools:
-    """Return which sheets are on another ridge, (frame, N).
-
-    The residual is the distance from the position that the neighbours predict. It must exceed several times
-    the sheet's own scatter, the width of a ridge (nearer ridges are not resolved), and by far the residuals
-    of most sheets in the frame, since many residuals grow at once in an avalanche or in a blurred frame.
-    Among adjacent sheets only the largest residual counts: that sheet spoils the prediction for the others.
-    """
-    least = np.fmax(comb.settings.leave_sigmas * median_size(residual) / NORMAL_MEDIAN, comb.fwhm_px)
-    found = np.empty(residual.shape, bool)
-    for part in row_parts(len(residual)):
-        found[part] = np.abs(residual[part]) > least
-    rows = np.flatnonzero(found.any(axis=1))  # most films have none
-    some = np.abs(residual[rows])
-    padded = np.pad(some, ((0, 0), (PAIRS, PAIRS)), constant_values=np.nan)
-    around = [padded[:, i : i + some.shape[1]] for i in range(2 * PAIRS + 1)]
-    found[rows] &= (some > 3.0 * nan_quantile(some, 0.75, axis=1)[:, None]) & (some >= np.fmax.reduce(around))
-    return found
-
-
-# --- the comb's own pattern ---------------------------------------------------------------------------------
-
-
-def anchored(
-    x_px: NDArray[np.floating], log_contrast: Floats, log_width: Floats, trusted: Bools, comb: RidgeComb
-) -> Bools:
-    """Return which identities are confirmed by a pattern that fits no other numbering, (frame, N).
-
-    The pattern is the spacings, brightnesses and widths of the sheets (positions, log contrasts and log
-    widths of the ridges paired with them, (frame, N), NaN where none); the median and scatter of each are
-    measured over the trusted identities (frame, N). The cost of a numbering is the sum of squared deviations
-    over twice the variance, each at most `TERM_LIMIT`. A frame is anchored if every numbering shifted by one
-    or two sheets costs `anchor_nats` more. An even comb of equal sheets is never anchored.
-
-    False where fewer than a tenth of the frames are trusted, and for sheets without a neighbour at the usual
-    spacing: the rest of the frame does not constrain these.
-    """
-    if x_px.shape[1] < 3 or trusted.any(axis=1).mean() < 0.1:
-        return np.zeros(x_px.shape, bool)
-    both = trusted & np.hstack([trusted[:, 1:], np.zeros((len(trusted), 1), bool)])
-    own_cost, terms = np.zeros((2, len(x_px)))
-    excess, usual_gap = np.zeros((len(SHIFTS), len(x_px))), np.empty(x_px.shape, bool)
-    for kind, values in enumerate((x_px, log_contrast, log_width)):
-        of_gaps = kind == 0
-        if of_gaps:
-            feature = _Feature.of(np.diff(values, axis=1, append=np.nan), both, 0.01 * comb.pitch_px)
-        else:
-            feature = _Feature.of(without_common_change(values), trusted, 0.05)
-        for rows in row_parts(len(x_px)):
-            own, *others = feature.costs(rows)
-            own_cost[rows] += np.nansum(own, axis=1)
-            terms[rows] += np.isfinite(own).sum(axis=1)
-            # only features that both numberings explain
-            excess[:, rows] += np.stack([np.nansum(other - own, axis=1) for other in others])
-            if of_gaps:
-                usual_gap[rows] = own < TERM_LIMIT / 2
-    fits = own_cost < comb.settings.anchor_fit * np.maximum(terms, 1)
-    beside = usual_gap | np.hstack([np.zeros((len(x_px), 1), bool), usual_gap[:, :-1]])
-    return np.asarray((fits & (excess.min(axis=0) > comb.settings.anchor_nats))[:, None] & beside, bool)
-
-
-def unmoved(x: NDArray[np.floating], certain: Bools, unsettled: Bools, comb: RidgeComb) -> Bools:
-    """Return which ridges lie where their sheet was and will be, (frame, N).
-
-    They are judged in short stretches in which the numbering of most sheets is unsettled. Another numbering
-    would mean that the comb jumped by whole pitches and, a few frames later, exactly back. This is excluded
-    in a film in which the comb never jumps. x: positions of the paired ridges, px. certain, unsettled: whose
-    identity is certain, or is to be settled.
-    """
-    settings = comb.settings
-    if (np.abs(median_step(np.where(certain, x, np.nan))) > settings.jump_fraction * comb.pitch_px).any():
-        return np.zeros(x.shape, bool)
-    near, least = np.empty(x.shape, bool), settings.step_fraction * comb.pitch_px / 2
-    number = np.arange(len(x), dtype=np.float64)
-    for n, use in enumerate(certain.T):
-        here = x[:, n].astype(np.float64)
-        both = np.stack([np.where(use, here, np.nan), np.where(use, number, np.nan)])
-        before, since = last_seen(both)
-        after, until = last_seen(both[:, ::-1])[:, ::-1]
-        near[:, n] = (until - since <= settings.unmoved_frames) & (np.abs(here - before) < least)
-        near[:, n] &= np.abs(here - after) < least
-    most = 2 * (near & unsettled).sum(axis=1, keepdims=True) > np.isfinite(x).sum(axis=1, keepdims=True)
-    return np.asarray(near & most, bool)
-
-
-def pattern_shift(log_contrast: Floats, log_width: Floats, settings: TrackingSettings) -> Ints:
-    """Return by how many sheets the pattern has shifted along the comb since the first frame, (frame,).
-
-    The pattern is each sheet's brightness and width: log contrast and log width (frame, N), NaN where missing
-    or doubtful. An even comb of nearly equal sheets with no end in view looks alike after a jump by one
-    pitch, but its pattern jumps. Medians over `pattern_frames` frames before and after each frame are
-    compared. At a jump the sheets' change is `pattern_change` times the usual one, and `pattern_ratio` times
-    the change relative to another sheet; a change of light does not shift the pattern. 0 for fewer than
-    `pattern_sheets` sheets. Both tables are changed in place.
-    """
-    frames, sheets = log_contrast.shape
-    span, shift = settings.pattern_frames, np.zeros(frames, np.int64)
-    if frames < 4 * span or sheets < settings.pattern_sheets:
-        return shift
-    log_contrast -= common_change(log_contrast, nan_median(log_contrast))[:, None]
-    log_width -= common_change(log_width, nan_median(log_width))[:, None]
-    features = (log_contrast, log_width)
-    medians = np.empty((2, frames - span + 1, sheets))
-    for middle, values in zip(medians, features, strict=True):
-        windows = np.lib.stride_tricks.sliding_window_view(values, span, axis=0)
-
-        def of_block(rows: slice, middle: Floats = middle, windows: Floats = windows) -> None:
-            middle[rows] = nan_median(windows[rows], axis=-1)
-
-        in_blocks(of_block, len(windows))
-    before, after = medians[:, :-span], medians[:, span:]
-    own = _feature_change(before, after, 0, settings)
-    own, usual = np.where(own < np.inf, own, 0.0), np.median(own)
-    changed = own > settings.pattern_change * usual
-    others = np.full((len(SHIFTS), len(own)), np.inf)
-    others[:, changed] = [
-        _feature_change(before[:, changed], after[:, changed], by, settings) for by in SHIFTS
-    ]
-    least = others.min(axis=0)
-    found = np.flatnonzero(least < own / settings.pattern_ratio)
-    events: list[int] = []
-    for frame in found[np.argsort(least[found] / own[found])].tolist():
-        if all(abs(frame - other) >= span for other in events):
-            events.append(frame)
-    for event in events:  # medians date the jump to about two frames; the single frames decide the rest
-        first, last = event + span // 2 + 1, event + span + span // 2
-        near = np.stack([values[first:last] for values in features])
-        as_before = np.broadcast_to(before[:, [event]], near.shape)
-        each = np.stack([_feature_change(as_before, near, by, settings) for by in (0, *SHIFTS)])
-        shift[first:last] += np.array((0, *SHIFTS))[each.argmin(axis=0)]
-        shift[last:] += SHIFTS[int(np.argmin(others[:, event]))]
-    return shift
-
-
-def sheets_alike(x_px: Floats, contrast: Floats32, fwhm_px: Floats32, comb: RidgeComb) -> bool:
-    """Return whether the sheets look so alike that a picture does not show which sheets it contains.
-
-    Neither end of the comb is in view, and brightness, width and spacing differ from the mean of both
-    neighbours by no more than they change with time, or than slips change spacings. A jump of such a comb by
-    its pitch is invisible. Light that falls off along the comb is not a pattern of the sheets. False for
-    fewer than five sheets. Positions, contrasts and widths are (frame, N), NaN where missing.
-    """
-    rest = rest_positions(x_px)
-    reach = comb.settings.edge_pitches * comb.pitch_px
-    if len(rest) < 5 or rest[0] > reach or rest[-1] < comb.width_px - 1 - reach:
-        return False
-    alike = nan_median(np.abs(_bend(rest))) < comb.settings.spacing_spread * comb.pitch_px
-    for values in (contrast, fwhm_px):
-        pattern = without_common_change(np.log(values.astype(np.float64)))
-        mean = nan_median(pattern)
-        within = nan_median(median_size(pattern, mean))
-        alike &= nan_median(np.abs(_bend(mean))) < comb.settings.alike_scatter * within
-    return bool(alike)
-
-
-def _bend(values: Floats) -> Floats:
-    """Return values (N,) minus the means of their neighbours, (N − 2,)."""
-    return np.asarray(values[1:-1] - (values[2:] + values[:-2]) / 2)
-
-
-def _feature_change(before: Floats, after: Floats, by: int, settings: TrackingSettings) -> Floats:
-    """Return the change of features (kinds, frame, N) relative to those of the sheet `by` further, (frame,).
-
-    Three quarters of the sheets change by no more than this; inf where too few sheets are known.
-    """
-    change = np.empty(before.shape[1])
-    for rows in row_parts(len(change)):
-        step = after[:, rows] - np.stack([shifted(part, by) for part in before[:, rows]])
-        size = nan_quantile(np.abs(step - nan_median(step, axis=2)[..., None]), 0.75, axis=2)
-        enough = np.isfinite(step).all(axis=0).sum(axis=1) >= settings.pattern_sheets
-        change[rows] = np.where(enough, np.hypot(*size), np.inf)
-    return change
-
-
-@dataclass(frozen=True)
-class _Feature:
-    """Values of the sheets (frame, N), NaN where unknown; of each sheet the usual one, and its scatter."""
-
-    values: Floats
-    middle: Floats
-    spread: Floats
-
-    @classmethod
-    def of(cls, values: Floats, learned: Bools, least_spread: float) -> _Feature:
-        """Return the feature, with what is usual taken from the values that are learned (frame, N)."""
-        middle = median_where(learned, values)
-        off = zip(learned.T, values.T, middle, strict=True)
-        spread = [nan_median(np.where(use, np.abs(own - at), np.nan)) for use, own, at in off]
-        return cls(values, middle, np.maximum(np.array(spread) / NORMAL_MEDIAN, least_spread))
-
-    def costs(self, rows: slice) -> list[Floats]:
-        """Return the cost of each value for its own sheet, then for each sheet of SHIFTS; (frame, N), NaN
-        where unknown."""
-        values = self.values[rows]
-        costs = []
-        for shift in (0, *SHIFTS):
-            expected = shifted(self.middle[None], shift)
-            # the wider of both scatters, so that a single noisy sheet does not exclude a numbering
-            sigma = np.fmax(shifted(self.spread[None], shift), self.spread[None])
-            limit = np.where(np.isfinite(expected), TERM_LIMIT, np.nan)
-            costs.append(np.fmin((values - expected) ** 2 / (2 * sigma**2), limit))
-        return [np.where(np.isfinite(values), cost, np.nan) for cost in costs]
 
 
 # --- the second search --------------------------------------------------------------------------------------

@@ -63,7 +63,7 @@ def usual_frames(frames: int) -> slice:
 
 def numbered_by_a_neighbour(
     ridges: Ridges,
-    match: Ints | Ints32,
+    match: Ints32,
     paired: Floats32,
     certain: Floats32,
     expected_px: Floats,
@@ -161,7 +161,7 @@ def _shifted_below(
     return np.asarray(doubtful, bool)
 
 
-def _unpaired(ridges: Ridges, rows: Ints, match: Ints | Ints32, found: Bools) -> Floats:
+def _unpaired(ridges: Ridges, rows: Ints, match: Ints32, found: Bools) -> Floats:
     """Return 1 where an unpaired ridge like a sheet lies between two sheets that are found, else 0, in some
     rows, (rows, N - 1)."""
     x_px, contrast = (values[rows].astype(np.float64) for values in (ridges.x_px, ridges.contrast))

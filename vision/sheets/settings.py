@@ -316,12 +316,12 @@ class TrackingSettings:
     touching_pitches: float = 0.75
     """The same in pitches, which limits it: in dense combs all sheets are within two widths."""
 
-    # --- frames, blur and distortion (quality.py) ---
+    # --- frames, blur and distortion (film.py, distortion.py) ---
 
     frozen_fraction: float = 0.3
     """Change from the frame before, as a fraction of what the quietest other frame changes by, below which a
     frame repeats it. Larger drops quiet frames, smaller misses repeated frames that a codec has touched up;
-    test_quality.py."""
+    test_film.py."""
 
     least_changing: float = 0.1
     """Fraction of the frames that must differ from the one before for the others to be repeated ones."""
@@ -336,7 +336,7 @@ class TrackingSettings:
 
     cut_ratio: float = 6.0
     """Factor by which either must exceed its usual size in the film. Larger misses cuts in films with much
-    motion, smaller finds them in slips; test_quality.py has films with cuts and with slips."""
+    motion, smaller finds them in slips; test_film.py has films with cuts and with slips."""
 
     still_sigmas: float = 3.0
     """Times the noise that the largest twentieth of a sheet's displacements against the comb must exceed for
@@ -355,13 +355,13 @@ class TrackingSettings:
     """Motion over a few frames, in ridge widths, from which a ridge can be blurred. Smaller flags noise."""
 
     blur_error: float = 0.795
-    """Error of a blurred position over lost height times motion; in test_quality.py it must cover 62 to 74 of
+    """Error of a blurred position over lost height times motion; in test_film.py it must cover 62 to 74 of
     100 true positions."""
 
     blur_overlap: float = 1.4
     """Difference of a motion from whole pitches, in ridge widths, below which one image of a ridge overlaps
     another ridge, so that its blur follows from other sheets. Smaller calls sheets in fast slips ok that are
-    off by pixels (test_quality.py)."""
+    off by pixels (test_film.py)."""
 
     least_likeness: float = 0.4
     """Correlation of a sheet's mean profile with that of all sheets below which it is no single ridge. It is
@@ -428,18 +428,18 @@ class TrackingSettings:
     """Scatter of a sheet's positions over its error, as multiples of the usual one, between which it counts
     instead of the usual one. A smaller first one enlarges errors by chance; a larger second one takes the
     motion of a single sheet for noise, and a smaller one understates errors where flicker shifts some sheets
-    by far more than others (test_quality.py)."""
+    by far more than others (test_scatter.py)."""
 
     slip_sigmas: float = 5.0
     """Step of a sheet, over the scatter of its steps, from which it is a slip and no noise. Larger takes the
-    slips of a few sheets for noise (test_quality.py at 20), smaller leaves out noise (there at 1.5)."""
+    slips of a few sheets for noise (test_scatter.py at 20), smaller leaves out noise (there at 1.5)."""
 
-    # --- vibration of single sheets (vibration.py) ---
+    # --- vibration of single sheets (scatter.py) ---
 
     vibration_ratio: float = 12.0
     """Power of a line in the spectrum of a sheet's steps, over the median of the frequencies beside, from
     which it is vibration. White noise exceeds it at one frequency in 4000. Larger leaves weak vibration in
-    the errors, smaller takes noise out of them (test_quality.py, sheets that vibrate one by one)."""
+    the errors, smaller takes noise out of them (test_scatter.py, sheets that vibrate one by one)."""
 
     vibration_share: float = 0.45
     """Share of the power of a sheet's steps from which its first line is vibration. Sheets that creep over
@@ -449,7 +449,7 @@ class TrackingSettings:
     vibration_in_phase: float = 2.5
     """Number of sheets as strong as the strongest that move in phase or antiphase at the frequency of a
     line, from which it is an error: light or a camera that moves sheets that lean. It is 1 for a sheet alone.
-    Larger takes flicker for vibration (test_quality.py), smaller counts sheets of one frequency as an
+    Larger takes flicker for vibration (test_scatter.py), smaller counts sheets of one frequency as an
     error."""
 
     # --- symmetry axis (numbering.py) ---

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -17,6 +17,7 @@ from vision.numeric import (
     Codes,
     Floats,
     Floats32,
+    Ints,
     median_step,
     median_where,
     nan_median,
@@ -24,30 +25,21 @@ from vision.numeric import (
     row_parts,
 )
 from vision.sheets.corrections import Correction, apply_corrections, last_of
+from vision.sheets.distortion import distortion, not_one_ridge
+from vision.sheets.doubts import predicted_by_neighbours, sheets_alike
+from vision.sheets.film import motion_blur, repeated_frames, scene_changes
 from vision.sheets.identities import WHYS, Doubt, identify_sheets
 from vision.sheets.locking import NO_LOCKING, PixelLocking, pixel_locking
 from vision.sheets.numbering import Numbering, number_sheets
-from vision.sheets.quality import (
-    BetweenSlips,
-    distortion,
-    motion_blur,
-    noise_excess,
-    not_one_ridge,
-    repeated_frames,
-    scene_changes,
-    shared_error,
-    spatial_scatter,
-)
 from vision.sheets.recovery import (
     FLAGS,
     Detections,
     Flag,
     assign_detections,
-    predicted_by_neighbours,
-    sheets_alike,
 )
 from vision.sheets.reference import ReferenceComb, marks, wide_spacings
-from vision.sheets.ridges import RidgeComb, Ridges, describe_ridges, find_ridges, no_ridges
+from vision.sheets.ridges import RidgeComb, describe_ridges, find_ridges, no_ridges
+from vision.sheets.scatter import BetweenSlips, noise_excess, shared_error, spatial_scatter
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.sheets.subpixel import (
     FitChoice,
@@ -127,9 +119,9 @@ def track_sheets(
     Notes
     -----
     x_err_px is the noise of the profile times the fit's error per grey level. It is larger where positions
-    scatter by more (`vision.sheets.quality.noise_excess`), where the ridge moves during the exposure
-    (`vision.sheets.quality.motion_blur`), and where the ridge is distorted
-    (`vision.sheets.quality.distortion`). Positions of ridges sharper than their pixels are corrected for
+    scatter by more (`vision.sheets.scatter.noise_excess`), where the ridge moves during the exposure
+    (`vision.sheets.film.motion_blur`), and where the ridge is distorted
+    (`vision.sheets.distortion.distortion`). Positions of ridges sharper than their pixels are corrected for
     locking to whole pixels (`vision.sheets.locking`), except with ``fit="paper"``: x_err_px includes it. For
     lossy video it is the scatter between sheets, since compression hides the noise and adds its own
     artefacts. It does not include errors that are the same in all frames (uneven light, the choice of rows).
@@ -150,10 +142,7 @@ def track_sheets(
     window = choose_window(comb, window_px)
     number = strip["frame"].values
 
-    def corrected(detections: Detections, ridges: Ridges) -> Detections:
-        return apply_corrections(detections, ridges, corrections, comb, frames=number, origin_px=first_px)
-
-    detected = _detect(profile, comb, sheets, facts.source, corrected)
+    detected = _detect(profile, comb, sheets, facts.source, corrections, number, first_px)
     detections = detected.detections
     frozen = repeated_frames(profile, settings)
     fitted = _fit(profile, detections.start_px, comb, fit, window, frozen)
@@ -203,14 +192,20 @@ def _detect(
     comb: RidgeComb,
     sheets: int | None,
     source: str,
-    corrected: Callable[[Detections, Ridges], Detections],
+    corrections: Sequence[Correction],
+    frames: Ints,
+    origin_px: float,
 ) -> _Detected:
-    """Find and identify the ridges, and correct what was found."""
-    candidates = find_ridges(profile, comb)
-    if not candidates.count.any():
+    """Find and identify the ridges, and apply the manual corrections.
+
+    frames: frame numbers in the film, (frame,). origin_px: column of the profile's first pixel.
+    """
+    ridges = find_ridges(profile, comb)
+    if not ridges.count.any():
         raise no_ridges(profile, source)
-    identities = identify_sheets(candidates, comb, sheets=sheets, source=source)
-    detections = corrected(assign_detections(profile, candidates, identities, comb), candidates)
+    identities = identify_sheets(ridges, comb, sheets=sheets, source=source)
+    detections = assign_detections(profile, ridges, identities, comb)
+    detections = apply_corrections(detections, ridges, corrections, comb, frames=frames, origin_px=origin_px)
     return _Detected(detections, identities.reference, float(np.nanmin(identities.margin, initial=np.inf)))
 
 

@@ -1,0 +1,189 @@
+"""Repeated frames, motion during the exposure and cut films: scenes with known truth."""
+
+import numpy as np
+import pytest
+
+from tests.scenes.combs import comb, creeping, ridges, strip
+from tests.scenes.identity_cases import brightness
+from vision.checks import tracking_warnings
+from vision.data import TrackMetadata
+from vision.sheets import track_sheets
+from vision.sheets.film import repeated_frames
+
+
+@pytest.mark.parametrize("touched", [0.0, 0.05])
+def test_repeated_frames_are_found_and_give_no_position(touched):
+    """A failure means that a film whose codec froze is taken for one without noise."""
+    _, picture = creeping()
+    again = [10, 40, 41, 42, 90]
+    for frame in again:
+        noise = np.random.default_rng(frame).normal(0, touched, picture.shape[1])
+        picture.values[frame] = picture.values[frame - 1] + noise
+    tracks = track_sheets(picture)
+    frozen = (tracks.flag.values == "frozen").all(axis=1)
+    assert np.flatnonzero(frozen).tolist() == again
+    assert np.isnan(tracks.x_px.values[again]).all()
+
+
+def test_quiet_frames_of_a_moving_film_are_no_repeats():
+    """Most frames move by pixels, some stand still: these have noise of their own."""
+    x, _ = creeping()
+    x = x + np.cumsum(np.where(np.arange(120) % 10 < 7, 3.0, 0.0) * (-1) ** np.arange(120))[:, None]
+    assert not repeated_frames(strip(ridges(x, width=420)).values).any()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_quiet_frames_of_a_film_that_vibrates_are_no_repeats(seed):
+    """Nearly all frames differ by a pixel or more, and a few by chance by next to nothing: they count.
+
+    The one frame that is repeated among them is found."""
+    x, _ = creeping(240)
+    rng = np.random.default_rng(seed)
+    x = x + (2 * np.sin(2.1 * np.arange(240) + seed) + rng.normal(0, 0.3, 240))[:, None]
+    picture = strip(ridges(x, width=420)).values
+    assert not repeated_frames(picture).any()
+    picture[77] = picture[76]
+    assert np.flatnonzero(repeated_frames(picture)).tolist() == [77]
+
+
+def test_a_camera_that_shakes_by_pixels_repeats_no_frame():
+    """At one turning point two frames stand alike within a tenth of a pixel, which is more than noise, and
+    nothing else comes near. Failure: a frame with a motion of its own has no position."""
+    x, _ = creeping()
+    x = x + 4.0 * (-1.0) ** np.arange(120)[:, None]
+    x[60] = x[59] + 0.1
+    picture = strip(ridges(x, width=440), snr=200).values
+    assert not repeated_frames(picture).any()
+    picture[60] = picture[59]
+    assert np.flatnonzero(repeated_frames(picture)).tolist() == [60]
+
+
+def filmed(seed=5, shake=0.05):
+    """Creeping sheets and a shaking camera, and the noise of pixels, (frame, sheet)."""
+    rng = np.random.default_rng(seed)
+    place = np.linspace(-1, 1, 50)
+    moving = 525 + 500 * place + np.linspace(0, 3, 400)[:, None] * place**3 + rng.normal(0, shake, (400, 1))
+    return moving, rng.normal(0, 0.02, moving.shape)
+
+
+def slipping(slip_widths, *, fwhm=7.0, frames=240, seed=0):
+    """Forty sheets, the outermost of which jump to and fro by so many widths within every sixth exposure, at
+    a random time: two ridges drawn over each other. Truth is the mean over the exposure."""
+    rng = np.random.default_rng(seed)
+    rest = 60 + 25.0 * np.arange(40)
+    size = slip_widths * fwhm * np.abs(np.arange(40) - 19.5) / 20
+    slips = np.arange(frames) % 6 == 5
+    after = np.cumsum(slips) % 2
+    before = np.r_[0, after[:-1]]
+    share = np.where(slips, rng.random(frames), 1.0)[:, None]
+    first, last = (rest + state[:, None] * size for state in (before, after))
+    light = share * ridges(first, width=1120, fwhm_px=fwhm)
+    light += (1 - share) * ridges(last, width=1120, fwhm_px=fwhm)
+    return share * first + (1 - share) * last, strip(light), slips
+
+
+def test_errors_hold_in_frames_in_which_sheets_slip():
+    """A failure means that sheets off by pixels in a slip frame claim hundredths: 62 to 74 in 100 truths are
+    to lie within one error, over small and large slips."""
+    inside, found = [], 0
+    for slip in (0.5, 1.0, 1.5, 2.0):
+        truth, picture, slips = slipping(slip)
+        tracks = track_sheets(picture, sheets=40)
+        inside.append((np.abs(tracks.x_px.values - truth) < tracks.x_err_px.values)[slips])
+        found += (tracks.flag.values[slips] == "blurred").sum()
+        assert not (tracks.flag.values[~slips] == "blurred").any()
+    assert 0.62 < np.mean(inside) < 0.74
+    assert found > 0.3 * np.size(inside)
+
+
+def test_errors_hold_where_ridges_are_drawn_over_their_neighbours():
+    """Slips of 0.6 to 1.1 pitches within one exposure: nothing is lower or wider, and only the sheets inside
+    tell it. A failure means sheets called ok that are off by many times their error: every second once."""
+    inside, gross = [], []
+    for slip in (3.0, 4.0):
+        truth, picture, slips = slipping(slip, seed=1)
+        tracks = track_sheets(picture, sheets=40)
+        far = slips[:, None] & (slip * 7 / 20 * np.abs(np.arange(40) - 19.5) > 0.6 * 25)
+        error = np.abs(tracks.x_px.values - truth)
+        known = far & np.isfinite(error)
+        assert known.sum() > 0.7 * far.sum()
+        inside += list((error < tracks.x_err_px.values)[known])
+        gross += list((error > 5 * tracks.x_err_px.values + 0.2)[known])
+    assert 0.58 < np.mean(inside) < 0.78
+    assert np.mean(gross) < 0.02
+
+
+@pytest.mark.parametrize("of_last", [0.2, 0.5])
+def test_errors_hold_where_frames_are_blended(of_last):
+    """Converters of frame rates mix two frames, and a ringing comb appears twice, often with one image where
+    the frame before had one. A failure means that positions off by pixels claim tenths."""
+    frame = np.arange(300)
+    ringing = 40 * np.exp(-(frame % 75) / 20) * np.cos(2.1 * (frame % 75) + frame // 75)
+    x = 100 + 100.0 * np.arange(7) + ringing[:, None]
+    uneven = 1 + 0.1 * np.sin(np.arange(800) / 15)
+    light = ridges(x, width=800, fwhm_px=14.0) * uneven
+    mixed = (1 - of_last) * light + of_last * np.vstack([light[:1], light[:-1]])
+    truth = (1 - of_last) * x + of_last * np.vstack([x[:1], x[:-1]])
+    tracks = track_sheets(strip(mixed), sheets=7)
+    off = np.abs(tracks.x_px.values - truth - np.nanmedian(tracks.x_px.values - truth, axis=0))
+    assert np.isfinite(off).mean() > 0.8
+    gross = (tracks.flag.values == "ok") & (off > 5 * tracks.x_err_px.values) & (off > 0.3)
+    assert gross.mean() < 0.005
+
+
+def test_without_the_blur_the_same_errors_fail():
+    """The errors of the quiet frames hold few of the truths in slip frames: the scene is hard."""
+    truth, picture, slips = slipping(1.5)
+    tracks = track_sheets(picture, sheets=40)
+    quiet = np.nanmedian(tracks.x_err_px.values[~slips], axis=0)
+    assert (np.abs(tracks.x_px.values - truth) < quiet)[slips].mean() < 0.4
+
+
+def test_sharp_slips_are_not_called_blurred():
+    """A short exposure shows every slip sharply: nothing is to be flagged."""
+    x = comb(200, slip=0.8)
+    tracks = track_sheets(strip(ridges(x)))
+    assert (tracks.flag.values == "blurred").mean() < 1e-3
+
+
+def cut_at_60(kind):
+    """25 sheets on each side that slip; from frame 60 on another scene, or the same one."""
+    x = comb(150, per_side=25, axis_px=600, slip=0.4)
+    level = np.tile(brightness(50), (150, 1))
+    if kind == "camera moved":
+        x[60:] += 37.0
+    if kind == "camera knocked":
+        swing = np.arange(90.0)[:, None]
+        x[60:] += 45 * np.exp(-swing / 6) * np.cos(1.3 * swing)
+    if kind == "mirrored":
+        level[60:] = level[60:, ::-1]
+    if kind == "light dimmed":
+        level[60:] *= 0.7
+    return strip(ridges(x, width=1300, contrast=level), snr=60)
+
+
+@pytest.mark.parametrize("kind", ["camera moved", "mirrored"])
+def test_a_cut_film_is_said_to_be_cut(kind):
+    """A failure means that two scenes, or two places of the camera, are numbered as one with nothing said."""
+    tracks = track_sheets(cut_at_60(kind))
+    changes = TrackMetadata.of(tracks).scene_changes
+    assert len(changes) == 1
+    assert changes[0]["frame"] == 60
+    assert "permanently at frame 60" in " ".join(tracking_warnings(tracks))
+    assert abs(tracks.attrs["axis_px"] - (622 if kind == "camera moved" else 600)) < 20  # not a knock's place
+
+
+@pytest.mark.parametrize("kind", ["slips alone", "light dimmed", "camera knocked"])
+def test_a_film_of_slips_is_not_cut(kind):
+    """A failure means that every slip, a lamp, or a camera that swings back is called a change of scene."""
+    assert TrackMetadata.of(track_sheets(cut_at_60(kind))).scene_changes == []
+
+
+@pytest.mark.parametrize(("slip", "said"), [(0.0, 1), (0.03, 0)])
+def test_a_pattern_that_stands_still_is_not_taken_for_a_comb_in_silence(slip, said):
+    """Wallpaper, a grille, a shaken one too, or a film that ends before the pull.  A failure means that who
+    filmed the wrong thing is told of many sheets and their errors; or that slips of half a pixel are none."""
+    shaking = np.random.default_rng(0).normal(0, 1.0, (60, 1))
+    x = comb(60, per_side=8, axis_px=200, slip=slip) + shaking
+    lines = tracking_warnings(track_sheets(strip(ridges(x, width=400))))
+    assert sum("do not move relative to each other" in line for line in lines) == said

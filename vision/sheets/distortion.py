@@ -1,0 +1,361 @@
+"""Distorted ridges: how far specks, reflections, neighbours or uneven light may shift positions.
+
+`distortion` estimates the error of each displacement from the shape and height of the ridge, and
+`not_one_ridge` finds ridges of several sheets.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple, Self
+
+import numpy as np
+
+from vision.numeric import (
+    NORMAL_MEDIAN,
+    Bools,
+    Floats,
+    Floats32,
+    median_of_all,
+    nan_median,
+    row_parts,
+    weighted_median,
+)
+from vision.sheets.ridges import RidgeComb, in_blocks
+from vision.sheets.settings import TrackingSettings
+from vision.sheets.subpixel import Starts, gather, position_noise
+from vision.signals import mean_over, running_median
+
+LEAST_FRAMES = 8
+NEIGHBOURHOOD = 5  # sheets whose shapes change alike as they creep
+ENOUGH = 5  # sheets of which neighbours show what is usual; ridges of fewer are checked at any width
+
+
+def not_one_ridge(profile: Floats32, x_px: Floats, comb: RidgeComb) -> Bools:
+    """Return which sheets are not a single ridge, (N,): their mean profile differs from the comb's.
+
+    Several sheets side by side, far thinner than most, appear as one hump to the search for ridges, and the
+    position lies between them. A sheet's mean profile, over 0.6 ridge widths on either side of its positions
+    x_px (frame, N), correlates with that of all sheets by less than `least_likeness`. Always False for fewer
+    than five sheets.
+    """
+    if x_px.shape[1] < ENOUGH:
+        return np.zeros(x_px.shape[1], bool)
+    half = max(3, round(min(0.6 * comb.fwhm_px, 0.5 * comb.pitch_px)))
+    profiles, shape = _sampled_profiles(profile, x_px, half, comb)
+    own = nan_median(profiles)
+    own -= own.mean(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        likeness = (shape - shape.mean()) @ own / np.linalg.norm(own, axis=0) / np.std(shape)
+    return np.asarray(likeness / np.sqrt(len(shape)) < comb.settings.least_likeness, bool)
+
+
+def _sampled_profiles(profile: Floats32, x_px: Floats, half: int, comb: RidgeComb) -> tuple[Floats, Floats]:
+    """Return the pixels at offsets u from the positions in some frames, with mean 0 and standard deviation 1,
+    (frame, u, N), and their median over all sheets and frames, (u,)."""
+    sample = np.unique(np.linspace(0, len(profile) - 1, 200).astype(int))
+    level = _around(comb.bright(profile[sample]), x_px[sample], half)
+    level -= level.mean(axis=1, keepdims=True)
+    level /= level.std(axis=1, keepdims=True)
+    return level, nan_median(level.swapaxes(1, 2).reshape(-1, level.shape[1]))
+
+
+class Distortion(NamedTuple):
+    """Error of each displacement, px, (frame, N), 0 without a sign; the usual distortion of each sheet,
+    slight signs included, px, (N,); how far each is pulled aside in all frames, against the others, px, (N,);
+    and the relative error of its displacements, (N,)."""
+
+    error_px: Floats
+    usual_px: Floats
+    lasting_px: Floats
+    scale: Floats
+
+    @classmethod
+    def none(cls, x_px: Floats) -> Self:
+        """Return that of positions (frame, N) without any."""
+        return cls(np.zeros(x_px.shape), *np.zeros((3, x_px.shape[1])))
+
+
+def distortion(
+    profile: Floats32, x_px: Floats, err_px: Floats, blurred: Bools, comb: RidgeComb
+) -> Distortion:
+    r"""Return how far dirt, reflections, neighbours or light may shift positions.
+
+    x_px, err_px: positions and their errors from noise (frame, N), NaN where missing. Ridges blurred by
+    motion (frame, N) are lopsided for that reason and have no error.
+
+    The comb's mean shape :math:`S` is fitted to the pixels around each position with level a, height b and
+    shift s:
+
+    .. math:: I(x + u) = a + b\,(S(u) - s\,S'(u)) .
+
+    It is fitted three times: over the whole ridge, over its top alone, and over the whole ridge with a slope
+    of the background. Whatever is not a shift of the ridge shifts these fits by different amounts. The
+    differences from the first fit, times `_error_over`, are the error where they exceed their noise
+    (`_significant`): clearly, unless the film shows that positions change with them. The mean difference of a
+    sheet shifts all its positions alike, and is no error of displacements.
+
+    Light that falls off over a ridge hardly changes its shape; it shows in the heights (`_shift_by_light`).
+    What stands still where a ridge moves changes all displacements of its sheet by the same factor
+    (`displacement_scale_error`).
+    """
+    settings = comb.settings
+    narrow = comb.fwhm_px < settings.distortion_least_px
+    if narrow and x_px.shape[1] >= ENOUGH:
+        return Distortion.none(x_px)
+    half = max(3, round(min(0.9 * comb.fwhm_px, 0.5 * comb.pitch_px)))
+    shape = _sampled_profiles(profile, x_px, half, comb)[1]
+    if not np.isfinite(shape).all():
+        return Distortion.none(x_px)
+    fits = _fit_matrix(shape, min(max(2, round(0.5 * comb.fwhm_px)), half - 1))
+    away = np.arange(-half, half + 1)
+    height, apart, sloping, pulled_px2 = (np.empty(x_px.shape) for _ in range(4))
+
+    def fit(rows: slice) -> None:
+        around = _around(comb.bright(profile[rows]), x_px[rows], half)
+        found = fits @ around
+        with np.errstate(divide="ignore", invalid="ignore"):
+            shift = found[:, 1::2] / found[:, ::2]
+            level = around.mean(axis=1) / found[:, 0]  # in units of the height, as the mean shape has none
+            pulled_px2[rows] = np.abs(fits[1] @ away * level + fits[1] @ (away * shape))
+        height[rows] = found[:, 0]
+        apart[rows], sloping[rows] = shift[:, 1] - shift[:, 0], shift[:, 2] - shift[:, 0]
+
+    in_blocks(fit, len(profile))
+    height[blurred], apart[blurred], sloping[blurred] = np.nan, np.nan, np.nan
+    differences = [
+        _Difference(
+            differs,
+            *_error_over(differs, usual, x_px, settings),
+            float(np.linalg.norm(fits[k] - fits[1]) / np.linalg.norm(fits[1])),
+        )
+        for differs, usual, k in (
+            (apart, settings.distortion_error, 3),
+            (sloping, settings.distortion_slope, 5),
+        )
+    ]
+    size = _shift_by_light(x_px, height, pulled_px2, settings)
+    height[~(height > 0)] = np.nan
+    shapes = [np.log(height, out=height), apart, sloping]
+    if comb.fwhm_px > settings.overlap * comb.pitch_px:
+        del shapes[1:]
+    scale = displacement_scale_error(x_px, shapes, settings)
+    usual_px = np.empty(x_px.shape[1])
+    own_noise = [position_noise(one.px) for one in differences]
+    for n, x in enumerate(x_px.T):
+        found = slight = size[:, n]
+        for one, own in zip(differences, own_noise, strict=True):
+            values = one.px[:, n] - nan_median(one.px[:, n])
+            certain, likely = _significant(values, np.fmax(one.noise * err_px[:, n], own[n]), settings)
+            found = np.fmax(found, np.hypot(one.assumed * certain, one.confirmed * likely))
+            slight = np.fmax(slight, np.hypot(one.assumed, one.confirmed) * likely)
+        found = np.fmax(found, scale[n] * np.abs(x - nan_median(x)))
+        within = np.where(np.isfinite(apart[:, n]), comb.fwhm_px, 0.0)  # what is fitted lies in the ridge
+        size[:, n] = np.fmin(found, within)
+        usual_px[n] = nan_median(np.fmin(slight, within))
+    pull = nan_median(apart)
+    pull = np.abs(pull - nan_median(pull))
+    least = np.fmax(settings.distortion_sigmas * nan_median(pull) / NORMAL_MEDIAN, settings.distortion_floor)
+    lasting = settings.distortion_error * _if_above(pull, least)
+    return Distortion(size, usual_px, np.zeros_like(lasting) if narrow else lasting, scale)
+
+
+class _Difference(NamedTuple):
+    """Difference of a fit from that to the whole ridge, px, (frame, N); the error of a position over it, as
+    the film shows and as assumed (`_error_over`); and its noise over that of the position."""
+
+    px: Floats
+    confirmed: float
+    assumed: float
+    noise: float
+
+
+def displacement_scale_error(x_px: Floats, shape: Sequence[Floats], settings: TrackingSettings) -> Floats:
+    r"""Return the relative error of each sheet's displacements from what stands still in the picture, (N,).
+
+    Dirt on the lens or on the sensor changes a ridge that moves past it. Where it dims the light by a factor
+    T(x), it shifts a ridge of standard deviation :math:`\sigma_r` by
+    :math:`\sigma_r^2\,\mathrm{d} \ln T/\mathrm{d}x`. This shift changes as the ridge moves, so that all
+    displacements of the sheet are too large or too small by the same factor. Positions alone do not show it,
+    but the ridge's shape and height change with its position.
+
+    shape: the logarithm of the height and, where flanks do not overlap, the differences between the fits of
+    `distortion`, px, (frame, N). The regression of each on the position, less what neighbouring sheets share
+    (paper that leans as it creeps), times `static_scale`, is the error, where it is significant. Below
+    `static_floor` it is 0.
+    """
+    square = np.zeros(x_px.shape[1])
+    for values, factor in zip(shape, settings.static_scale, strict=False):
+        each = [_regression(x, y) for x, y in zip(x_px.T, values.T, strict=True)]
+        slope, error2, count = np.array(each, np.float64).reshape(-1, 3).T
+        slope = slope - running_median(slope, NEIGHBOURHOOD)
+        found = (slope**2 > settings.distortion_sigmas**2 * error2) & (count > LEAST_FRAMES)
+        square += np.where(found, factor**2 * (slope**2 - error2), 0.0)
+    return _if_above(np.sqrt(square), np.full(square.shape, settings.static_floor))
+
+
+def _regression(x: Floats, y: Floats) -> tuple[float, float, int]:
+    """Return the slope of y over x, both (frame,), its squared error, and the number of known values."""
+    known = np.isfinite(y) & np.isfinite(x)
+    total = int(known.sum())
+    count = max(total, 1)
+    x, y = (np.where(known, v - np.where(known, v, 0.0).sum() / count, 0.0) for v in (x, y))
+    spread = max(float((x**2).sum()), 1e-12)
+    slope = float((x * y).sum()) / spread
+    rest = y - slope * x
+    power = float((rest**2).sum())
+    lag1 = float((rest[1:] * rest[:-1]).sum()) / max(power, 1e-12)  # autocorrelation of the residuals
+    lag1 = min(max(lag1, 0.0), 0.95)
+    return slope, power / max(count - 2, 1) / spread * (1 + lag1) / (1 - lag1), count
+
+
+def _fit_matrix(shape: Floats, top: int) -> Floats:
+    """Return the matrix from pixels to height and shift of the mean shape, (6, u): fitted to all pixels, to
+    those up to `top` from the middle, and to all with a sloping background."""
+    basis = np.stack([np.ones_like(shape), shape, np.gradient(shape)], axis=1)
+    inner = slice(len(shape) // 2 - top, len(shape) // 2 + top + 1)
+    fits = np.zeros((6, len(shape)))
+    fits[:2] = np.linalg.pinv(basis)[1:]
+    fits[2:4, inner] = np.linalg.pinv(basis[inner])[1:]
+    fits[4:] = np.linalg.pinv(np.column_stack([basis, np.arange(len(shape)) - len(shape) // 2]))[1:3]
+    return fits
+
+
+def _error_over(
+    values: Floats, usual: float, x_px: Floats, settings: TrackingSettings
+) -> tuple[float, float]:
+    r"""Return the error of a position over the size of `values` (frame, N), as the film shows and as assumed.
+
+    Where a distortion changes, position and value change together. Changes over `distortion_frames` are taken
+    relative to both neighbours, and k is the median of their ratios, weighted by the change of the value, so
+    that slips do not enter. With q the share by which they change in the same direction more often than in
+    opposite ones, the results are :math:`\sqrt{q}\,|k|` and :math:`\sqrt{1 - q^2}\,u`, u being the usual one.
+    """
+
+    moved, changed = (_relative_change(of, settings.distortion_frames) for of in (x_px, values))
+    total, along = np.zeros((2, moved.shape[1]))
+    for k, (move, change) in enumerate(zip(moved.T, changed.T, strict=True)):
+        both = move * change
+        weight = np.where(np.isfinite(both), np.abs(change), 0.0)
+        known = weight > 0
+        total[k], along[k] = weight.sum(), np.where(known, np.copysign(weight, both), 0.0).sum()
+        move[:] = np.divide(move, change, where=known, out=np.full(len(move), np.nan))  # now the ratio
+        change[:] = weight
+    if not (changed > 0).any():
+        return 0.0, usual
+    share = abs(float(np.mean(along[total > 0] / total[total > 0])))
+    median = weighted_median(moved.ravel(), changed.ravel())
+    return float(np.sqrt(share) * abs(median)), float(np.sqrt(1 - share**2) * usual)
+
+
+def _relative_change(values: Floats, frames: int) -> Floats:
+    """Return changes of means over `frames` frames, relative to both neighbours, (frame − frames, N − 2)."""
+    mean = np.stack([mean_over(of_sheet, frames) for of_sheet in values.T], axis=1)
+    change = np.empty((max(0, len(values) - frames), max(0, values.shape[1] - 2)))
+    for k, column in enumerate(change.T):
+        relative = mean[:, k + 1] - (mean[:, k] + mean[:, k + 2]) / 2
+        column[:] = relative[frames:] - relative[:-frames]
+    return change
+
+
+def _significant(values: Floats, noise: Floats, settings: TrackingSettings) -> tuple[Floats, Floats]:
+    """Return the size of values of a sheet (frame,) in a frame, over some frames, or usually; 0 where it is
+    noise.
+
+    The largest of three sizes counts: the value itself, the mean over `distortion_frames` around it, and the
+    usual size of that mean in the whole film, if they exceed `distortion_sigmas` times their noise. In the
+    second result the usual size, less noise, counts as soon as chance does not explain it. noise: standard
+    deviation of a single value, (frame,), independent from frame to frame; at least that which the values
+    show (`position_noise`), as tops may be clipped, and a codec adds its own.
+    """
+    frames = settings.distortion_frames
+    single, mean = np.abs(values), np.abs(mean_over(values, frames))
+    least = settings.distortion_sigmas * noise
+    of_mean = least / np.sqrt(frames)
+    above = np.fmax(_if_above(single, least), _if_above(mean, of_mean))
+    usual, usual_noise = nan_median(mean) / NORMAL_MEDIAN, nan_median(noise) / np.sqrt(frames)
+    chance = 1 + 2 * np.sqrt(2 * frames / len(values))  # of so many means of noise
+    excess = np.sqrt(np.where(usual**2 > chance * usual_noise**2, np.abs(usual**2 - usual_noise**2), 0.0))
+    certain = _if_above(usual, settings.distortion_sigmas * usual_noise)
+    return np.fmax(certain, above), np.fmax(excess, above)
+
+
+def _if_above(size: Floats, least: Floats) -> Floats:
+    """Return sizes that exceed `least`, and 0 for the others."""
+    return np.where(size > least, size, 0.0)
+
+
+def _around(bright: Floats32, x_px: Floats, half: int) -> Floats:
+    """Return grey levels at whole pixels from each position, (frame, u, N), by cubics through four pixels."""
+    frames, sheets = x_px.shape
+    left = np.floor(np.nan_to_num(x_px, nan=-10.0 * half)).astype(np.int64)
+    starts = Starts(np.repeat(np.arange(frames), sheets), left.ravel())
+    pixels = gather(bright, starts, np.arange(-half - 1, half + 3))
+    pixels = pixels.reshape(frames, sheets, -1).swapaxes(1, 2).copy()
+    t = (x_px - left)[:, None]
+    weights = (
+        -t * (t - 1) * (t - 2) / 6,
+        (t + 1) * (t - 1) * (t - 2) / 2,
+        -(t + 1) * t * (t - 2) / 2,
+        (t + 1) * t * (t - 1) / 6,
+    )
+    width = 2 * half + 1
+    around = weights[0] * pixels[:, :width]
+    for i in (1, 2, 3):
+        around += weights[i] * pixels[:, i : i + width]
+    return np.asarray(around, np.float64)
+
+
+def _shift_by_light(x_px: Floats, height: Floats, pulled_px2: Floats, settings: TrackingSettings) -> Floats:
+    r"""Return the shift of each ridge due to light L that falls off over it, px, (frame, N).
+
+    pulled_px2: shift of each ridge per slope :math:`L'/L`, px², (frame, N): that of the fit of the mean shape
+    to :math:`u\,(a + b\,S(u))`, since the light between the ridges slopes as well. It is changed in place.
+
+    A Gaussian in such light remains a Gaussian, shifted by :math:`\sigma_r^2 L'/L`, so that only heights
+    reveal the shift. A lamp that moves, or the edge of a shadow, shows as a slope between a sheet and its
+    neighbours on both sides, beyond the scatter of single sheets. Fewer than five sheets do not show that
+    scatter: every change of the slope between two sheets, beyond its noise in time, then counts as light.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        light = np.log(np.where(height > 0, height, np.nan))
+    light -= nan_median(light)
+    light -= nan_median(light, axis=1)[:, None]  # exposure
+    if light.shape[1] >= ENOUGH:
+        shift = _slope_across(light, x_px, settings)
+        for of_sheet in light.T:
+            of_sheet[:] = mean_over(of_sheet, settings.distortion_frames)
+        np.fmax(shift, _slope_across(light, x_px, settings), out=shift)
+    else:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            slope = np.diff(light, axis=1) / np.diff(nan_median(x_px))
+        noise = np.broadcast_to(position_noise(slope), slope.shape)
+        for between, own in zip(slope.T, noise.T, strict=True):
+            between[:] = _significant(between, np.fmax(own, 0.0), settings)[1]
+        shift = np.fmax(np.pad(slope, ((0, 0), (1, 0))), np.pad(slope, ((0, 0), (0, 1))))
+    pulled_px2 *= shift
+    return pulled_px2
+
+
+def _slope_across(light: Floats, x_px: Floats, settings: TrackingSettings) -> Floats:
+    """Return the slope of the light from sheet to sheet, per px, (frame, N); 0 where it is scatter.
+
+    It is the smaller of the slopes to both neighbours if these have the same sign, and its scatter is that of
+    single sheets against the mean of their neighbours. The first and last sheet have that of their neighbour.
+    """
+    apart = np.diff(nan_median(x_px))
+    apart_px = float(nan_median(apart))
+    apart = np.where(apart > 0, apart, np.nan)
+    bend = light[:, 1:-1].copy()
+    for rows in row_parts(len(bend)):
+        bend[rows] -= (light[rows, :-2] + light[rows, 2:]) / 2
+    scatter = median_of_all(np.abs(bend, out=bend)) / NORMAL_MEDIAN / np.sqrt(1.5)
+    del bend
+    least, across = settings.distortion_sigmas * np.sqrt(2) * scatter / apart_px, np.empty(light.shape)
+    for rows in row_parts(len(light)):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            slope = np.diff(light[rows], axis=1) / apart
+        left, right = slope[:, :-1], slope[:, 1:]
+        smaller = np.where(left * right > 0, np.fmin(np.abs(left), np.abs(right)), 0.0)
+        across[rows] = np.pad(_if_above(smaller, least), ((0, 0), (1, 1)), "edge")
+    return across

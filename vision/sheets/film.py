@@ -1,0 +1,214 @@
+"""Frames and scenes: repeated frames, motion during the exposure, and permanent changes of the picture.
+
+`repeated_frames` finds frames that the codec or the recorder repeated, `motion_blur` ridges that moved while
+the shutter was open, and `scene_changes` where the film was cut, or the camera or the light was moved.
+"""
+
+from __future__ import annotations
+
+from functools import reduce
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vision.numeric import (
+    NORMAL_MEDIAN,
+    Bools,
+    Floats,
+    Floats32,
+    nan_median,
+    nan_quantile,
+    row_parts,
+)
+from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb, profile_noise
+from vision.sheets.settings import DEFAULT, TrackingSettings
+from vision.signals import sums_around
+
+LEAST_FRAMES = 8
+BLUR_FRAMES = 2  # before and after a blurred one: two may show the same one of two images
+LIGHT_FRAMES = 5  # before and after, in at least one of which a ridge is as high as its light permits
+SCENE_FRAMES = 5  # compared before and after a change of scene
+
+
+# --- frames and blur ----------------------------------------------------------------------------------------
+
+
+def repeated_frames(profile: Floats32, settings: TrackingSettings = DEFAULT) -> Bools:
+    """Return which frames of a profile (frame, x) repeat the strip of the frame before, (frame,).
+
+    The measure is the root mean square change from the frame before. Noise alone makes frames differ by √2 of
+    its standard deviation, within a few per cent. A frame is repeated if its change is less than noise and is
+    separated by a clear gap from the changes of the other quiet frames (the quietest tenth). Without such a
+    gap no frame is repeated: under vibration, frames near a turning point also change by less than most.
+    """
+    change = np.empty(max(0, len(profile) - 1))
+    for start in range(0, len(change), FRAMES_PER_BLOCK):
+        step = np.diff(profile[start : start + FRAMES_PER_BLOCK + 1], axis=0)
+        change[start : start + len(step)] = np.sqrt(np.square(step).mean(axis=1, dtype=np.float64))
+    moving = change[np.isfinite(change) & (change > 0)]
+    frozen = np.zeros(len(profile), bool)
+    # in a film without noise, or of a still scene, nothing shows that a frame should have changed
+    if moving.size >= max(LEAST_FRAMES, settings.least_changing * len(change)):
+        quiet = np.sort(change[change <= np.quantile(moving, 0.1)])
+        gaps = np.flatnonzero(quiet[:-1] < settings.frozen_fraction * quiet[1:])
+        if gaps.size:
+            known = np.flatnonzero(np.isfinite(change))
+            some = known[np.linspace(0, len(known) - 1, 200).astype(int)]
+            frozen[1:] = change <= min(quiet[gaps[-1]], np.sqrt(2) * profile_noise(profile[some]))
+    return frozen
+
+
+def motion_blur(x_px: Floats, contrast: Floats32, fwhm_px: Floats32, comb: RidgeComb) -> tuple[Bools, Floats]:
+    r"""Return whether each ridge moved during the exposure, and how far this may shift it, px; (frame, N).
+
+    x_px, contrast, fwhm_px: position, height and width of the ridges (frame, N), NaN where missing.
+
+    A ridge that jumps by D after a fraction p of the exposure appears twice, with heights p and 1 − p. The
+    fit follows the higher image. Its error is up to :math:`\min(p, 1-p)\,D`: the loss of height times the
+    motion over `BLUR_FRAMES` frames before and after. It is smaller where both images merge into one wider
+    ridge. A ridge is blurred if it moved by more than a fraction of its width and is wider or lower than
+    usual by more than its scatter. A ridge that is low in all of several frames is in a shadow.
+
+    All sheets of a frame have the same p. Hence a sheet that moved by more than half its width has at least
+    the signs of most such sheets: its own may be hidden by a background that varies, or, after a jump of
+    about one pitch, by the image of its neighbour, which fills the gap that its own leaves.
+    """
+    settings = comb.settings
+    fast = np.zeros(x_px.shape, bool)
+    moved, excess, loss = (np.empty(x_px.shape) for _ in range(3))
+    sampled = 0.7 / comb.fwhm_px**2  # height that a ridge between two pixels loses
+    for n, x in enumerate(x_px.T):
+        near = _frames_around(x, BLUR_FRAMES)
+        step = np.nan_to_num(reduce(np.fmax, near) - reduce(np.fmin, near))
+        lower, wider = -np.log(contrast[:, n].astype(np.float64)), np.log(fwhm_px[:, n].astype(np.float64))
+        lower = lower - np.fmax(nan_median(lower), reduce(np.fmin, _frames_around(lower, LIGHT_FRAMES)))
+        fast[:, n] = (step > settings.blur_fraction * comb.fwhm_px) & np.isfinite(x)
+        moved[:, n] = step
+        excess[:, n] = np.maximum(_excess(lower, sampled), _excess(wider, sampled))
+        loss[:, n] = np.clip(1 - np.exp(-np.nan_to_num(lower)), 0.0, 0.5)
+    blurred, err = np.empty_like(fast), moved
+    for rows in row_parts(len(x_px)):
+        blurred[rows], err[rows] = _blurred(moved[rows], fast[rows], excess[rows], loss[rows], comb)
+    return blurred, err
+
+
+def _blurred(
+    moved: Floats, fast: Bools, excess: Floats, loss: Floats, comb: RidgeComb
+) -> tuple[Bools, Floats]:
+    """Return which ridges of some frames are blurred, and how far this may shift them, px; (frame, N).
+
+    moved: motion over `BLUR_FRAMES` frames before and after, px. fast: whether it may blur. excess, loss: the
+    signs of each sheet itself, to which those of the frame are added here.
+    """
+    settings = comb.settings
+    apart = moved / comb.fwhm_px
+    pitches = np.maximum(np.rint(moved / comb.pitch_px), 1.0)
+    overlapping = np.abs(moved - pitches * comb.pitch_px) < settings.blur_overlap * comb.fwhm_px
+    informative = fast & ~overlapping & (apart > 0.5)
+    for sign, share in ((excess, 0.5), (loss, 0.75)):
+        of_frame = nan_quantile(np.where(informative, sign, np.nan), share, axis=1)[:, None]
+        np.copyto(sign, np.fmax(sign, of_frame), where=informative | (fast & overlapping))
+    suspect = fast & (excess > 0.5 * settings.blur_sigmas)  # not flagged, but with a larger error
+    merged = np.minimum(0.8, apart)  # images nearer than a width merge, and the fit finds their middle
+    err = np.where(suspect, settings.blur_error * loss * moved * merged, 0.0)
+    return fast & (excess > settings.blur_sigmas), err
+
+
+def _frames_around(values: Floats, frames: int) -> list[Floats]:
+    """Return values (frame,) of each frame before, at and after every frame, up to so many frames away."""
+    padded = np.pad(values, frames, constant_values=np.nan)
+    return [padded[k : k + len(values)] for k in range(2 * frames + 1)]
+
+
+def _excess(values: Floats, least: float) -> Floats:
+    """Return how far values of a sheet (frame,) exceed their median plus `least`, in standard deviations."""
+    off = values - nan_median(values)
+    spread = nan_median(np.abs(off)) / NORMAL_MEDIAN
+    return np.nan_to_num(np.maximum(off - least, 0.0) / np.maximum(spread, 0.004))
+
+
+# --- changes of the scene -----------------------------------------------------------------------------------
+
+
+class SceneChange(NamedTuple):
+    """A permanent change of the sheets' positions or brightnesses.
+
+    frame: first frame of the new scene. moved_px: displacement that all sheets share. brightness: change of
+    the logarithm of brightness, rms over the sheets, without the common change.
+    """
+
+    frame: int
+    moved_px: float
+    brightness: float
+
+
+def scene_changes(x_px: Floats32, contrast: Floats32, comb: RidgeComb) -> list[SceneChange]:
+    """Find where the film was cut, or the camera or the light was moved: identities may change there.
+
+    x_px, contrast: positions and heights of the ridges (frame, N), NaN where missing. Changes are in order of
+    time; there are none where such changes are usual in the film.
+
+    Means over five frames before and after are compared. In a slip the sides of the comb move against each
+    other, and every sheet keeps its brightness. The scene changes where all sheets are displaced by more than
+    they are displaced against each other, or where their relative brightnesses change. Such a change must be
+    several times the usual one, happen once, and persist: a camera that was knocked swings back.
+    """
+    settings = comb.settings
+    frames, sheets = x_px.shape
+    if frames < 4 * SCENE_FRAMES or sheets < 3:
+        return []
+    bright = np.log(contrast.astype(np.float64))
+    bright -= nan_median(bright, axis=1)[:, None]
+    moved = after_less_before(x_px)
+    together = nan_median(moved, axis=1)
+    moved -= together[:, None]
+    apart = nan_median(np.abs(moved, out=moved), axis=1)
+    rigid = np.abs(together) > 2.0 * np.nan_to_num(apart, nan=np.inf)
+    displaced = np.where(rigid, np.abs(np.nan_to_num(together)) / comb.pitch_px / settings.cut_pitches, 0.0)
+    del moved
+    brightened = after_less_before(bright)
+    known = np.isfinite(brightened).sum(axis=1)
+    np.square(np.nan_to_num(brightened, copy=False, posinf=0.0, neginf=0.0), out=brightened)
+    change = np.sqrt(brightened.sum(axis=1) / np.maximum(known, 1))
+    change[known < max(3, sheets / 2)] = 0.0
+    events = []
+    at = _single_peak(displaced, 1.0, settings)
+    if at is not None and _persists(x_px, at + SCENE_FRAMES, together[at]):
+        events.append(at)
+    at = _single_peak(change, settings.cut_brightness, settings)
+    if at is not None and _persists(bright, at + SCENE_FRAMES, change[at]):
+        events.append(at)
+    if len(events) == 2 and abs(events[0] - events[1]) <= SCENE_FRAMES:
+        events = events[:1]  # one cut, seen in both
+    return [
+        SceneChange(at + SCENE_FRAMES, float(np.nan_to_num(together[at])), float(change[at]))
+        for at in sorted(events)
+    ]
+
+
+def _single_peak(values: Floats, limit: float, settings: TrackingSettings) -> int | None:
+    """Return the position of a peak far above the usual values and twice as high as all others, if any."""
+    least = max(limit, settings.cut_ratio * float(np.median(values)))
+    at = int(np.argmax(values))
+    others = np.abs(np.arange(len(values)) - at) > 2 * SCENE_FRAMES
+    return at if values[at] >= least and (values[others] < values[at] / 2).all() else None
+
+
+def _persists(values: NDArray[np.floating], frame: int, change: float) -> bool:
+    """Return whether half of a change of values (frame, N) remains three times SCENE_FRAMES after a frame."""
+    later = values[frame + 3 * SCENE_FRAMES :][:SCENE_FRAMES]
+    remaining = nan_median(later) - nan_median(values[:frame][-4 * SCENE_FRAMES :])
+    remaining = remaining[np.isfinite(remaining)]
+    return not len(remaining) or bool(np.sqrt((remaining**2).mean()) >= abs(change) / 2)
+
+
+def after_less_before(values: NDArray[np.floating]) -> Floats:
+    """Return means over SCENE_FRAMES frames less those before, (frame − 2 SCENE_FRAMES + 1, N)."""
+    reach = SCENE_FRAMES // 2
+    change = np.empty((max(0, len(values) - 2 * SCENE_FRAMES + 1), values.shape[1]))
+    for column, of_sheet in zip(change.T, values.T, strict=True):
+        total, count = sums_around(of_sheet, reach)[:, reach:-reach]
+        means = np.where(count > 0, total, np.nan) / np.maximum(count, 1)
+        column[:] = means[SCENE_FRAMES:] - means[:-SCENE_FRAMES]
+    return change

@@ -1,0 +1,349 @@
+"""Scatter of positions: what errors from frame to frame, between sheets, and of a codec add up to.
+
+`BetweenSlips` are positions without slips and without the vibration of single sheets. `spatial_scatter`
+measures errors that persist from frame to frame, `shared_error` those that neighbours share, and
+`noise_excess` what all stated errors leave out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from vision.numeric import (
+    NORMAL_MEDIAN,
+    Bools,
+    Floats,
+    median_size,
+    nan_median,
+    nan_quantile,
+    row_parts,
+)
+from vision.sheets.settings import DEFAULT, TrackingSettings
+
+LEAST_FRAMES = 8
+FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
+OPENING = 10  # sheets that show the opening of the comb
+NOISE_LAGS = range(2, 9)  # frames: an error that repeats itself vanishes at some of them
+FITTED = {True: 3.0, False: 1.25}  # sheets whose scatter medians of a line, or of a level, remove
+ONE_SIGMA = 0.6827  # share of values that lie within one standard deviation
+LAGS = {True: (12, 8, 6, 4, 3, 2, 1), False: (4, 3, 2, 1)}
+"""Lags, in frames, of second differences in time, for codecs that predict frames from others (True) and for
+all others. Content that a codec keeps unchanged shows at longer lags; but so do bent creep and the individual
+motion of sheets, and stick phases must be longer than two lags."""
+BLOCK = 256  # frames over which a vibration keeps its frequency and phase
+LEAST_BLOCK = 48  # frames that show a line in a spectrum
+LINES = 4  # removed from one sheet in a round at most
+PADDED = 4  # frequencies per independent one
+BESIDE = 15  # independent frequencies on either side that show the level of the spectrum
+ROUNDS = 3  # each knows the common motion of vibrating sheets better than the one before
+TINY = np.finfo(float).tiny
+JUMP = 5.0  # robust standard deviations of a sheet's steps above which a step is left out as a slip
+
+
+class BetweenSlips:
+    """Positions (frame, N), NaN where missing or repeated, divided at the slips.
+
+    In a slip sheets move by more than usual, and neighbours move alike. Where a codec redraws a frame,
+    neighbours do not move alike. Vibration of single sheets is subtracted (`own_vibration`).
+    """
+
+    def __init__(self, x_px: Floats, settings: TrackingSettings = DEFAULT) -> None:
+        self.frames = len(x_px)
+        self.seen = np.isfinite(x_px).any(axis=1)
+        self.x_px = x_px[self.seen]
+        self.x_px -= own_vibration(self.x_px, settings)
+        self.slips = np.zeros(len(self.x_px), np.int64)
+        if x_px.shape[1] < len(FOURTH):
+            return
+        apart, *sizes = np.empty((3, max(0, len(self.x_px) - 1)))
+        for rows in row_parts(len(apart)):
+            step = np.diff(self.x_px[rows.start : rows.stop + 1], axis=0)
+            apart[rows] = nan_quantile(np.abs(_fourth(step)), 0.75, axis=1)
+            # vibration hides slips in the steps, but not in those without the common motion
+            for size, moved in zip(sizes, (step, step - nan_median(step, axis=1)[:, None]), strict=True):
+                size[rows] = nan_quantile(np.abs(moved), 0.75, axis=1)
+        slip = np.zeros(len(apart), bool)
+        for size in sizes:
+            slip |= (size > 3 * nan_median(size[size > 0])) & (size > 3 * apart)
+        self.slips = np.cumsum(np.r_[0, slip])
+
+    def second(self, lags: Sequence[int], values: Floats | None = None) -> Floats:
+        """Return second differences in time that contain no slip, (…, N).
+
+        They are of values (frame, …), by default the positions, at the first of these lags that leaves enough
+        frames, and are scaled to keep the standard deviation of independent values.
+        """
+        x = self.x_px if values is None else values
+        for lag in lags:
+            calm = self.without_slip(2 * lag)
+            if calm.sum() >= LEAST_FRAMES:
+                second = x[lag:-lag] * -2.0
+                second += x[: -2 * lag]
+                second += x[2 * lag :]
+                second = second if calm.all() else second[calm]
+                second /= np.sqrt(6)
+                return second
+        return x[:0]
+
+    def without_slip(self, frames: int) -> Bools:
+        """Return whether this many frames follow each frame without a slip, for all but the last of them."""
+        return np.asarray(self.slips[frames:] == self.slips[:-frames], bool)
+
+
+def spatial_scatter(positions: BetweenSlips, *, between_frames: bool) -> Floats:
+    """Return the scatter of each sheet's position against its neighbours, px, (N,).
+
+    It is the deviation of fourth differences along n, in which a motion smooth in n hardly shows, of second
+    differences in time, in which the creep and the jumps of single sheets do not show. The lag in time is up
+    to 4 frames, or up to 12 where a codec predicts frames from others. Unlike the scatter from frame to frame
+    it includes errors that a codec carries from one frame to the next. NaN for fewer than five sheets, and
+    where slips leave too few frames between them.
+    """
+    x, lags = positions.x_px, LAGS[between_frames]
+    sheets = x.shape[1]
+    if sheets < len(FOURTH) or not len(positions.second(lags, x[:, :1])):
+        return np.full(sheets, np.nan)
+    around = (x[:, k : k + len(FOURTH)] for k in range(sheets - len(FOURTH) + 1))
+    scatter = [_deviation(_fourth(positions.second(lags, five))[:, 0]) for five in around]
+    return np.asarray(np.pad(np.array(scatter), 2, mode="edge"), np.float64)
+
+
+def noise_excess(positions: BetweenSlips, err_px: Floats, settings: TrackingSettings = DEFAULT) -> Floats:
+    r"""Return how much more positions scatter than their errors (frame, N) say, as a factor, (N,).
+
+    Turbulent air, flicker that differs between rows, and a camera that shakes along leaning sheets shift each
+    ridge by another amount, and leave its shape unchanged. This shows in second differences of positions in
+    time, between slips: those of the film, and those of the sheet itself, since often only the outer sheets
+    of one side slip. The motion that all sheets share is subtracted. With ten sheets or more, so is a share
+    in the opening of the comb, the motion of its outer thirds against each other: either one linear in n (a
+    camera that vibrates or breathes), or that of the sheets beside, which move alike when slips are slow or
+    come in every frame, whichever leaves less. Sizes at several lags are averaged as squares, since at one
+    lag an error that lasts or repeats itself may cancel; a size is the one within which 68 % of the frames
+    lie. Vibration of most sheets counts as an error if it is no line in the spectrum. 1 for fewer than five
+    sheets, and where slips leave too few frames between them.
+    """
+    sheets = err_px.shape[1]
+    if sheets < len(FOURTH):
+        return np.ones(sheets)
+    slips = _slips_of_sheets(positions.x_px, settings)
+    variance = err_px[positions.seen]
+    np.square(variance, out=variance)
+
+    def size(lag: int) -> Floats:
+        calm = positions.without_slip(2 * lag)
+        if calm.sum() < 2 * LEAST_FRAMES:
+            return np.full(sheets, np.nan)
+        second = positions.second((lag,))
+        for values, slip in zip(second.T, slips.T, strict=True):
+            values[(slip[2 * lag :] != slip[: -2 * lag])[calm]] = np.nan
+
+        def over_expected(values: Floats, own: Floats) -> Floats:
+            expected = (own[: -2 * lag] + 4 * own[lag:-lag] + own[2 * lag :])[calm] / 6
+            return nan_quantile(np.abs(values) / np.sqrt(expected), ONE_SIGMA)
+
+        sizes = [
+            np.array([over_expected(*pair) for pair in zip(scatter.T, variance.T, strict=True)])
+            for scatter in _without_motion(second)
+        ]
+        return min(sizes, key=lambda of_sheets: float(nan_median(of_sheets)))
+
+    sizes = np.array([size(lag) for lag in NOISE_LAGS])
+    total, count = np.nansum(sizes**2, axis=0), np.isfinite(sizes).sum(axis=0)
+    excess = np.sqrt(total / np.where(count, count, np.nan) / (1 - FITTED[sheets >= OPENING] / sheets))
+    usual = np.nan_to_num(nan_median(excess), nan=1.0)
+    own = np.where(excess > settings.own_excess[0] * usual, excess, usual)
+    return np.fmin(own, settings.own_excess[1] * usual)
+
+
+def _slips_of_sheets(x_px: Floats, settings: TrackingSettings) -> NDArray[np.int32]:
+    """Return the number of slips of each sheet up to each frame, beyond the common motion, (frame, N)."""
+    step = np.diff(x_px, axis=0)
+    step -= nan_median(step, axis=1)[:, None]
+    slips = np.zeros(x_px.shape, np.int32)
+    for moved, count in zip(step.T, slips.T, strict=True):
+        size = np.abs(moved - nan_median(moved))
+        np.cumsum(size > settings.slip_sigmas * nan_median(size) / NORMAL_MEDIAN, out=count[1:])
+    return slips
+
+
+def shared_error(positions: BetweenSlips) -> float:
+    r"""Return the error that neighbouring sheets share where a codec predicts frames from others, px.
+
+    It is to be added in quadrature to `spatial_scatter`, which does not include it. 0 for fewer than eight
+    sheets or sixteen frames.
+
+    Blocks of the codec are wider than a sheet's spacing, and predicted frames move them by quarter pixels.
+
+    1. Sheets in one block share an error. Second differences of positions in time, without the motion of the
+       comb (`_without_motion`), scatter by :math:`a` over all sheets and by :math:`b` between neighbours:
+       :math:`c = s_x\,(a^2/b^2 - 1)^{1/2}`, with :math:`s_x` the usual `spatial_scatter`. The ratio a/b is
+       taken at a lag of at most four frames: creep that bends in a stick shows in a at longer ones.
+    2. All sheets share an error that cannot be distinguished from vibration of the camera. It is the larger
+       of c and :math:`s_x\,s/(s + 2 s_x)`, where s is the vibration seen from frame to frame. Both were
+       measured on H.264, HEVC, MPEG-2, MPEG-4 and VP9 (reports/degraded.md).
+    """
+    sheets = positions.x_px.shape[1]
+    if sheets < len(FOURTH) + 3 or positions.frames < 2 * LEAST_FRAMES:
+        return 0.0
+    own = float(np.nan_to_num(nan_median(spatial_scatter(positions, between_frames=True))))
+    second = positions.second(LAGS[False])
+    between = _deviation_of_all(_fourth(second))
+    apart = min(_deviation_of_all(values) for values in _without_motion(second))
+    apart /= np.sqrt(1 - FITTED[sheets >= OPENING] / sheets)
+    ratio = apart / max(between, 1e-9)
+    blocks = own * float(np.sqrt(max(0.0, ratio**2 - 1)))
+    shaking = _deviation_of_all(positions.second((1,), nan_median(positions.x_px, axis=1)[:, None]))
+    followed = own * shaking / max(shaking + 2 * own, 1e-9)
+    return float(np.hypot(blocks, max(blocks, followed)))
+
+
+def _without_motion(second: Floats) -> Iterator[Floats]:
+    """Yield second differences (frame, N) without the motion that all sheets share, and, with ten sheets or
+    more, also without a share in the opening of the comb, the motion of its outer thirds against each other:
+    one linear in n, then that of the sheets beside. What is given is changed in place."""
+    second -= nan_median(second, axis=1)[:, None]
+    sheets = second.shape[1]
+    if sheets < OPENING:
+        yield second
+        return
+    third, place = sheets // 3, np.arange(sheets) - (sheets - 1) / 2
+    low, high = (nan_median(part, axis=1) for part in (second[:, :third], second[:, -third:]))
+    opening = np.nan_to_num(high - low)
+    known = np.isfinite(second)
+    power = np.array([(opening[seen] ** 2).sum() for seen in known.T])
+    along = np.array([(opening[seen] * own[seen]).sum() for seen, own in zip(known.T, second.T, strict=True)])
+    share = along / np.maximum(power, np.finfo(float).tiny)
+    beside = np.pad(share, 1, "reflect", reflect_type="odd")
+    for of in (place / (sheets - third), (beside[:-2] + beside[2:]) / 2):
+        rest = second.copy()
+        for rows in row_parts(len(second)):
+            rest[rows] -= opening[rows, None] * of
+        yield rest
+
+
+def _fourth(x_px: Floats) -> Floats:
+    """Return fourth differences along n, (frame, N − 4), scaled as `BetweenSlips.second` is."""
+    last = x_px.shape[1] - len(FOURTH) + 1
+    fourth = x_px[:, :last] * FOURTH[0]
+    for k, weight in enumerate(FOURTH[1:], 1):
+        fourth += x_px[:, k : k + last] * weight
+    fourth /= np.sqrt((FOURTH**2).sum())
+    return np.asarray(fourth, np.float64)
+
+
+def _deviation(values: Floats) -> float:
+    """Return a robust standard deviation of values about zero, NaN where nothing is known.
+
+    Absolute values are limited to their 0.9 quantile, which reduces a normal variable's deviation to 0.9118.
+    A median absolute deviation would be zero where codecs repeat blocks.
+    """
+    size = np.abs(values.ravel())
+    count = np.isfinite(size).sum()
+    if not count:
+        return np.nan
+    np.minimum(size, nan_quantile(size, 0.9), out=size)
+    np.square(np.nan_to_num(size, copy=False), out=size)
+    return float(np.sqrt(size.sum() / count) / 0.9118)
+
+
+def _deviation_of_all(values: Floats) -> float:
+    """Return the same for all values together; 0 where nothing is known."""
+    return float(np.nan_to_num(_deviation(values)))
+
+
+# --- vibration of single sheets: motion, and no error of positions ------------------------------------------
+
+
+def own_vibration(x_px: Floats, settings: TrackingSettings = DEFAULT) -> Floats:
+    r"""Return how far each sheet is displaced by vibration of its own, px, (frame, N); 0 where there is none.
+
+    x_px: positions (frame, N), NaN where missing.
+
+    Steps from frame to frame, without the median of all sheets, are searched for spectral lines in blocks of
+    some `BLOCK` frames. A line is vibration of the sheet if its power exceeds that of the frequencies beside
+    and a share of all, and if sheets do not share it in phase: with :math:`C_m` the amplitudes of all sheets
+    at that frequency, :math:`|\sum_m C_m^2| / \max_m |C_m|^2` counts sheets that move in phase or in
+    antiphase, as lamps that flicker and cameras that nod move sheets that lean. A line in the steps at the
+    angular frequency :math:`\omega` with amplitude C is one in the positions with
+    :math:`C / (e^{i\omega} - 1)`. The strongest line is fitted and subtracted, up to `LINES` times; all of it
+    is done in `ROUNDS` rounds.
+    """
+    frames, sheets = x_px.shape
+    found = np.zeros_like(x_px)
+    if sheets < 3 or frames < LEAST_BLOCK:
+        return found
+    blocks = np.array_split(np.arange(frames), max(1, round(frames / BLOCK)))
+    for _ in range(ROUNDS):
+        step = np.empty((frames - 1, sheets))
+        for some in row_parts(frames - 1):
+            around = slice(some.start, some.stop + 1)
+            step[some] = np.diff(x_px[around] - found[around], axis=0)
+        step -= nan_median(step, axis=1)[:, None]
+        step -= nan_median(step)
+        for moved, usual in zip(step.T, median_size(step), strict=True):
+            moved[np.abs(moved) > JUMP * usual / NORMAL_MEDIAN] = np.nan
+        more = [
+            _of_block(step[rows[0] : rows[-1]], (found[rows] != 0).any(axis=0), settings) for rows in blocks
+        ]
+        for rows, part in zip(blocks, more, strict=True):
+            found[rows] += part
+        blocks = [rows for rows, part in zip(blocks, more, strict=True) if part.any()]
+    return found
+
+
+def _of_block(step: Floats, vibrates: Bools, settings: TrackingSettings) -> Floats:
+    """Return the same for the frames of one block, from the steps between them, (frame − 1, N).
+
+    vibrates: sheets that are known to, (N,). Of these, further lines may be of any share.
+    """
+    known = np.isfinite(step)
+    rest = np.where(known, step, 0.0)
+    frames, sheets = rest.shape
+    found, time = np.zeros((frames + 1, sheets)), np.arange(frames + 1)[:, None]
+    searched = known.sum(axis=0) >= LEAST_BLOCK / 2
+    for _ in range(LINES):
+        sheet = np.flatnonzero(searched)
+        if not len(sheet):
+            break
+        frequency, ratio = _strongest_line(rest[:, sheet])
+        turning = np.exp(-2j * np.pi * frequency * time)
+        line = rest.T @ turning[:-1]  # (N, lines)
+        in_phase = np.abs((line**2).sum(axis=0)) / np.maximum((np.abs(line) ** 2).max(axis=0), TINY)
+        strength = 2 * np.abs(line[sheet, np.arange(len(sheet))]) ** 2 / known[:, sheet].sum(axis=0)
+        own = (ratio > settings.vibration_ratio) & (in_phase < settings.vibration_in_phase)
+        own &= vibrates[sheet] | (strength > settings.vibration_share * (rest[:, sheet] ** 2).sum(axis=0))
+        vibrates[sheet[own]] = True
+        searched[sheet[~own]] = False
+        sheet, turning = sheet[own], turning[:, own]
+        # the complex amplitude of which the real wave leaves the least squares
+        wave = np.where(known[:, sheet], turning[:-1], 0.0)
+        power, square = (np.abs(wave) ** 2).sum(axis=0), (wave**2).sum(axis=0)
+        shared = (rest[:, sheet] * wave).sum(axis=0)
+        amplitude = 2 * (power * shared.conj() - square.conj() * shared) / (power**2 - np.abs(square) ** 2)
+        rest[:, sheet] -= np.where(known[:, sheet], (amplitude * turning[:-1]).real, 0.0)
+        found[:, sheet] += (amplitude * turning / (turning[1] - 1)).real
+    return found
+
+
+def _strongest_line(values: Floats) -> tuple[Floats, Floats]:
+    """Return the frequency per frame of the strongest line of each sheet, and its power over the median of
+    those beside, (N,)."""
+    frames = len(values)
+    tapered = values * np.hanning(frames)[:, None]
+    power = np.abs(np.fft.rfft(tapered, PADDED * frames, axis=0)) ** 2
+    independent = np.pad(power[::PADDED], ((BESIDE, BESIDE), (0, 0)), mode="reflect")
+    level = nan_median(sliding_window_view(independent, 2 * BESIDE + 1, axis=0), axis=-1)
+    level = np.repeat(level, PADDED, axis=0)[: len(power)]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.nan_to_num(power[: len(level)] / level)
+    ratio[:PADDED] = ratio[-PADDED:] = 0.0  # no sine and cosine can be told apart there
+    best, sheet = np.argmax(ratio, axis=0), np.arange(values.shape[1])
+    near = np.clip(best + np.array([[-1], [0], [1]]), 1, len(power) - 1)
+    low, middle, high = np.log(np.maximum(power[near, sheet], TINY))
+    bend = low - 2 * middle + high
+    shift = np.where(bend < 0, 0.5 * (low - high) / np.where(bend < 0, bend, -1.0), 0.0)
+    return (best + np.clip(shift, -0.5, 0.5)) / (PADDED * frames), ratio[best, sheet]
