@@ -125,6 +125,18 @@ def test_clocks_set_by_slips_that_come_late():
     assert wrong.std() < 0.01
 
 
+@pytest.mark.parametrize("offset_s", [-0.02, 0.02])
+def test_a_clock_wrong_by_a_frame_is_no_late_slip(offset_s):
+    """A failure means that sheets which all slip in time are taken for late, and creep for lost: then the
+    ratio is too small by 0.015, three of its errors."""
+    truth, tracks, sticks, clock = run("late", **{"camera.duration_s": 10.0})
+    wrong, _, within_two = score(
+        *deformation(truth, tracks, sticks, replace(clock, offset_s=clock.offset_s + offset_s))
+    )
+    assert abs(wrong.mean()) < 0.002
+    assert within_two > 0.93
+
+
 def test_one_side_in_view():
     """A failure means that with one side in view the camera's drift is part of every ratio."""
     changes = {"sheets.side": "right", "sheets.count": 25, "camera.width": 900, "camera.duration_s": 10.0}

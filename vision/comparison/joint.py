@@ -228,10 +228,10 @@ def _fit(
 
 
 def _n_hat(mu: Estimate, scale: Estimate, sample: Sample) -> Estimate:
-    r"""Return N̂ = T*/(2μ) (exp(α) − 1), α = 2μεM²/Λ̂, with the independent errors of μ and Λ̂."""
-    alpha = 2 * mu.value * sample.thickness_mm * sample.sheets_per_block**2 / scale.value
-    value = sample.t_star_N / (2 * mu.value) * float(np.expm1(alpha))
-    by_alpha = sample.t_star_N / (2 * mu.value) * alpha * float(np.exp(alpha))  # times dα/α
+    """Return N̂, the normal force on the axis at d = Λ̂, with the independent errors of μ and Λ̂."""
+    alpha = equations.amplification(scale.value, mu=mu.value, sample=sample)
+    value = float(equations.normal_force(0, scale.value, mu=mu.value, sample=sample))
+    by_alpha = sample.t_star_N / (2 * mu.value) * alpha * np.exp(alpha)  # times dα/α
     by_mu, by_scale = (by_alpha - value) / mu.value, by_alpha / scale.value
     return Estimate(value, float(np.hypot(by_mu * mu.error, by_scale * scale.error)))
 

@@ -242,9 +242,14 @@ def find_irregular(test: TractionTest, settings: CompareSettings = CompareSettin
     p = float((1 + np.sum(_gains(shuffled).max(axis=1) >= best)) / (draws + 1))
     before, after = (rms(part) for part in (r[:at], r[at:]))
     both = rms(r)
-    reason = _reason_against(p, before, after, _smooth_rise_is_better(level, d, at), settings)
-    error = np.nan
-    if not reason:
+    reason, error = "", np.nan
+    if p >= settings.change_p:
+        reason = f"random orders of the events divide as well (p = {p:.2g})"
+    elif after < settings.change_ratio * before:
+        reason = f"the scatter goes from {before:.2g} to {after:.2g}"
+    elif _smooth_rise_is_better(level, d, at):
+        reason = "the scatter rises smoothly, without a change point"
+    else:
         parts = [rng.choice(part, (200, part.size)) for part in (level[:at], level[at:])]
         splits = _splits(np.concatenate(parts, axis=1))
         error = float(np.hypot(np.std(d[splits]), np.median(np.diff(d))))
@@ -287,12 +292,3 @@ def _smooth_rise_is_better(level: Floats, d: Floats, at: int) -> bool:
         curve = np.polynomial.Polynomial.fit(d, level, degree)
         smooth.append(n * np.log(np.sum((level - curve(d)) ** 2) / n) + (degree + 1) * np.log(n))
     return bool(min(smooth) <= n * np.log(steps / n) + 5 * np.log(n))
-
-
-def _reason_against(p: float, before: float, after: float, smooth: bool, settings: CompareSettings) -> str:
-    """Return why a split of the events is not a change point; "" if it is one."""
-    if p >= settings.change_p:
-        return f"random orders of the events divide as well (p = {p:.2g})"
-    if after < settings.change_ratio * before:
-        return f"the scatter goes from {before:.2g} to {after:.2g}"
-    return "the scatter rises smoothly, without a change point" if smooth else ""

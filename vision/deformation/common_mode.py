@@ -208,7 +208,8 @@ class _Pairs:
     step: Floats  # half the difference, px: the creep
     noise: Floats  # variance of either, px²
     known: Bools
-    quiet: Bools  # without unusual variance: the asymmetry is measured on these
+    # Without unusual variance, as of a jump within a stick (test_creep): the asymmetry is measured on these.
+    quiet: Bools
 
     @classmethod
     def of(cls, left: Floats, right: Floats, noise: Floats, least: int) -> _Pairs:

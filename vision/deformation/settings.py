@@ -62,7 +62,8 @@ class DeformationSettings:
     the sheet's slip.  Smaller removes frames of noisy sheets; larger leaves in frames of late ones."""
 
     late_common: float = 0.2
-    """Fraction of sheets that slip in time, below which the delay is common to all: an error of the clock."""
+    """Fraction of sheets that slip in time, below which the delay is common to all: an error of the clock
+    (test_simulated: a clock wrong by a frame)."""
 
     correlation_positions: int = 10_000
     """Approximate number of positions from which the autocorrelation of the noise is estimated.  More take

@@ -42,9 +42,6 @@ class FrictionSettings:
     """Angle up to which the static peak is searched. Larger mistakes a later, slower maximum for the static
     one; smaller misses the peak of a soft mounting, which is twisted first
     (`test_a_later_maximum_is_not_the_static_one`)."""
-    peak_drop: float = 0.02
-    """Least decrease after the peak, as a fraction of it. Larger misses flat peaks, smaller mistakes a bump
-    on the rising flank for the peak."""
     peak_noise: float = 8.0
     """Least decrease after the peak, in standard deviations of the noise. Larger misses peaks in noise;
     smaller mistakes noise for the peak."""
@@ -272,8 +269,7 @@ def _first_maximum(
     if not early.size:
         return None
     highest = np.maximum.accumulate(early)
-    least = np.maximum(settings.peak_noise * noise, settings.peak_drop * highest)
-    decreased = (highest - early > least) & (highest > 0.5 * mu_d)
+    decreased = (highest - early > settings.peak_noise * noise) & (highest > 0.5 * mu_d)
     return int(np.argmax(early[: int(np.argmax(decreased)) + 1])) if decreased.any() else None
 
 
