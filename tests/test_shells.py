@@ -7,7 +7,7 @@ import pytest
 from tests.scenes.creeping import profile
 from tests.scenes.shells import ideal, measured, scores, stage, true_sizes
 from vision.errors import InputError
-from vision.shells import classify_sheets, classify_shells, deformation_table, with_model
+from vision.shells import classify_sheets, classify_shells, deformation_table, isotonic, with_model
 
 # Stick length (um), frames a stick and M_eff along a test: early, middle, late, and late at 5 mm/min.
 STAGES = [(27, 100, (12, 14.5)), (12.6, 45, (7, 10)), (7.7, 27, (3, 6)), (12.6, 9, (7, 10))]
@@ -156,8 +156,21 @@ def test_well_measured_sheets_lead():
     assert (shells["stiff_sheets"] == 8).all()
 
 
-def test_a_ratio_that_surely_falls_with_n_is_counted_sheet_by_sheet():
-    """A failure means that a mobile sheet deep inside, well measured, is averaged away."""
+def test_a_ratio_that_surely_falls_with_n_is_counted_sheet_by_sheet(monkeypatch):
+    """A failure means that sheets mobile inside and stiff outside are counted as if it were the reverse."""
+    rng = np.random.default_rng(9)
+    ratio = profile(np.full(60, 9.5))[:, ::-1]
+    motion = ideal(ratio + 0.03 * rng.standard_normal(ratio.shape), 0.03)
+    shells = classify_shells(motion)
+    assert not shells["monotone"].any()
+    assert abs(shells["stiff_sheets"].mean() - 9) < 0.5
+    always = np.ones(60, bool)
+    monkeypatch.setattr("vision.shells.isotonic", lambda side, _: (isotonic(side, 1.0)[0], always))
+    assert classify_shells(motion)["stiff_sheets"].mean() < 8
+
+
+def test_a_mobile_sheet_deep_inside_is_not_averaged_away():
+    """A failure means that one sheet that moves, well measured, counts as stiff among stiff ones."""
     ratio = profile([9.5, 9.5, 9.5])
     ratio[:, 3] = 0.3
     shells = classify_shells(ideal(ratio, 0.01))
