@@ -49,9 +49,9 @@ from vision.folder import check_new, run_folder, whole_file, write_json
 from vision.numeric import Ints
 from vision.pipeline import Analysis, Settings, analyse, open_recording
 from vision.run import check_results, export_run, is_run, read_run, read_strip
-from vision.run.diagrams import frame_step_s, unevenness_s, write_space_time_tif
 from vision.run.export import Format
 from vision.run.overlay import write_overlay
+from vision.run.tables import frame_step_s, unevenness_s, write_space_time_tif
 from vision.sheets.ridges import describe_ridges, find_ridges
 from vision.sheets.tracks import LOSSY
 from vision.spacetime import Sheet, space_time

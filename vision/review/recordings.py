@@ -25,9 +25,9 @@ from vision.files import AGAIN, Stamp
 from vision.folder import RUN_JSON, held_elsewhere, unwritable
 from vision.numeric import Floats, Floats32, Pixels, spread_indices
 from vision.pipeline import Settings, open_force, open_recording
-from vision.run.diagrams import stored_kymograph
 from vision.run.provenance import checksum_of
 from vision.run.reading import RunFolder, read_json
+from vision.run.tables import stored_kymograph
 from vision.sheets.corrections import Correction, correction_of
 from vision.sheets.settings import TrackingSettings
 from vision.video import Video
