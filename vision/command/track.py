@@ -208,16 +208,10 @@ def run_name(video: Path) -> str:
     return readable or path.parent.name or "video"
 
 
-def command_line() -> str:
-    """Return the command line, quoted so that it can be typed again."""
-    return shlex.join(["track", *sys.argv[1:]])
-
-
 def origin_of(inputs: Sequence[Path], parameters: Mapping[str, Parameter], **more: Any) -> Origin:
     """Return the provenance of what this command writes, whose messages name options."""
-    return Origin(
-        command=command_line(), inputs=inputs, parameters=parameters, options=option_names(), **more
-    )
+    command = shlex.join(["track", *sys.argv[1:]])
+    return Origin(command=command, inputs=inputs, parameters=parameters, options=option_names(), **more)
 
 
 def finish(
