@@ -15,7 +15,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import matplotlib.artist
 import xarray as xr
 
 from vision.checks import flag_counts
@@ -121,7 +120,6 @@ def track_one(
     """
     settings, force = settings_of(parameters), parameters["force"].value
     _check_run(video, target, run, settings)
-    _import_matplotlib_faster()
     along = run.checksum and not run.follow and copy is None and video.exists()
     checkpoint, sums = Checkpoint(target, resume=run.resume), Checksums(video_files(video) if along else ())
     with checkpoint, sums, _resumable(checkpoint):
@@ -166,12 +164,6 @@ def _check_run(video: Path, target: Path, run: RunOptions, settings: Settings) -
         found, advice = "a run folder", "track review, figures and export take it"
         raise InputError(video, "a video or a folder of images", found, advice)
     check_target(target, overwrite=run.overwrite)
-
-
-def _import_matplotlib_faster() -> None:
-    """Leave out signatures and help texts of its artists, which take nearly half of its import time."""
-    matplotlib.artist.kwdoc = lambda artist: ""
-    matplotlib.artist.Artist._update_set_signature_and_docstring = lambda: None  # type: ignore[attr-defined]
 
 
 def _warn_of_other_film(analysis: Analysis, corrections: Path | None, film: Path) -> Analysis:
