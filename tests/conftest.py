@@ -16,7 +16,7 @@ for name in ("FORCE_COLOR", "COLUMNS", "LINES"):  # a terminal's or a CI service
 # Where modules are not kept compiled, each process that a test starts compiles all of them again.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
-gc.set_threshold(50_000)  # as `track` does: the libraries' half a million objects stay
+gc.set_threshold(50_000)  # the libraries' half a million objects stay
 # The same examples each time, however long one takes.
 settings.register_profile(
     "same", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]

@@ -103,7 +103,7 @@ import sys
 from pathlib import Path
 import numpy as np
 import xarray as xr
-from vision.run.diagrams import write_space_time_tif
+from vision.run.tables import write_space_time_tif
 coords = {"frame": np.arange(9000), "x": np.arange(400), "time_s": ("frame", np.arange(9000) / 60)}
 diagram = xr.DataArray(np.ones((9000, 400), np.float32), dims=("frame", "x"), coords=coords)
 try:

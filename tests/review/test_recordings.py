@@ -10,7 +10,8 @@ import tifffile
 
 from vision.errors import InputError
 from vision.pipeline import Settings
-from vision.review.recordings import Diagram, Film, Recordings, Tiles, TileSettings
+from vision.review import recordings
+from vision.review.recordings import TILE_ROWS, Diagram, Film, Recordings, Tiles
 from vision.sheets import TrackingSettings
 from vision.video import open_video, strip_profile
 
@@ -33,11 +34,11 @@ def make(tmp_path):
     """Tiles of a diagram that is written first."""
     opened = []
 
-    def made(values, bright=True, **settings):
+    def made(values, bright=True):
         path = tmp_path / f"{len(opened)}.tif"
         tifffile.imwrite(path, values)
         opened.append(Diagram(path, 0, TrackingSettings()))
-        return Tiles(opened[-1], bright=bright, settings=TileSettings(**settings))
+        return Tiles(opened[-1], bright=bright)
 
     yield made
     for diagram in opened:
@@ -60,7 +61,7 @@ def test_level_0_is_the_recording(values, tiles):
 def test_a_ridge_that_was_elsewhere_for_one_frame_is_seen_at_every_level(tiles, level):
     """A failure means that a look at the whole test does not show what went wrong in it. Means would not."""
     step = 4**level
-    y, row = divmod(3210 // step, tiles.settings.rows)
+    y, row = divmod(3210 // step, TILE_ROWS)
     shown = tiles.part(level, 0, y).astype(int)
     assert shown[row, 340] > 200
     assert shown[row - 1, 340] < 100
@@ -86,18 +87,21 @@ def test_the_last_level_is_one_tile_high_and_edges_are_smaller(tiles):
     """A failure means that the page asks for tiles that do not exist, or stretches the last."""
     last = tiles.levels - 1
     rows = -(-FRAMES // 4**last)
-    assert rows <= tiles.settings.rows < -(-FRAMES // 4 ** (last - 1))
+    assert rows <= TILE_ROWS < -(-FRAMES // 4 ** (last - 1))
     assert tiles.part(last, 0, 0).shape == (rows, 512)
     assert tiles.part(last, 1, 0).shape == (rows, COLUMNS - 512)
     assert tiles.part(0, 1, FRAMES // 256).shape == (FRAMES % 256, COLUMNS - 512)
 
 
-def test_made_from_the_file_or_kept_in_memory_a_level_is_the_same(values, make):
+def test_made_from_the_file_or_kept_in_memory_a_level_is_the_same(values, make, monkeypatch):
     """A failure means that a long film is shown otherwise than a short one."""
-    one = make(values, first_kept=1)
-    other = make(values, first_kept=3)
-    for level in (1, 2):
-        np.testing.assert_array_equal(one.part(level, 0, 0), other.part(level, 0, 0))
+    shown = []
+    for kept in (1, 3):
+        monkeypatch.setattr(recordings, "FIRST_KEPT", kept)
+        tiles = make(values)
+        shown.append([tiles.part(level, 0, 0) for level in (1, 2)])
+    for one, other in zip(*shown, strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 @pytest.mark.parametrize("place", [(-1, 0, 0), (9, 0, 0), (0, 2, 0), (0, 0, 20), (0, -1, 0), (0, 0, -1)])

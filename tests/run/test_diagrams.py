@@ -8,8 +8,8 @@ import tifffile
 import xarray as xr
 
 from vision.errors import InputError
-from vision.run import diagrams
-from vision.run.diagrams import (
+from vision.run import tables
+from vision.run.tables import (
     frame_step_s,
     stored_kymograph,
     unevenness_s,
@@ -102,7 +102,7 @@ def test_many_rows_are_written_as_few(tmp_path, monkeypatch):
     """A failure means that blocks are lost or written twice in long recordings."""
     values = np.random.default_rng(2).uniform(0, 255, (30, 20))
     write_space_time_tif(diagram_of(values), tmp_path / "once.tif", pixel_size_um=None)
-    monkeypatch.setattr(diagrams, "ROWS", 7)
+    monkeypatch.setattr(tables, "ROWS", 7)
     write_space_time_tif(diagram_of(values), tmp_path / "blocks.tif", pixel_size_um=None)
     np.testing.assert_array_equal(
         tifffile.imread(tmp_path / "once.tif"), tifffile.imread(tmp_path / "blocks.tif")
@@ -111,7 +111,7 @@ def test_many_rows_are_written_as_few(tmp_path, monkeypatch):
 
 def test_more_than_fiji_s_tiff_holds_is_refused(tmp_path, monkeypatch):
     """A failure means a file that Fiji cannot open."""
-    monkeypatch.setattr(diagrams, "IMAGEJ_BYTES", 1000)
+    monkeypatch.setattr(tables, "IMAGEJ_BYTES", 1000)
     with pytest.raises(InputError, match="time_s"):
         write_space_time_tif(diagram_of(np.ones((30, 20))), tmp_path / "k.tif", pixel_size_um=None)
     assert not (tmp_path / "k.tif").exists()
@@ -121,7 +121,7 @@ def test_a_strip_that_fiji_s_tiff_cannot_hold_is_a_plain_tiff(tmp_path, monkeypa
     """A failure means that the diagram of a long test is cut off, or refused after hours."""
     values = np.random.default_rng(3).uniform(0, 255, (30, 20)).astype(np.float32)
     for limit in (2400, 2399):
-        monkeypatch.setattr(diagrams, "IMAGEJ_BYTES", limit)
+        monkeypatch.setattr(tables, "IMAGEJ_BYTES", limit)
         write_kymograph_tif(diagram_of(values), tmp_path / "k.tif", pixel_size_um=None)
         with tifffile.TiffFile(tmp_path / "k.tif") as file:
             assert (file.is_imagej, file.is_bigtiff) == (limit == 2400, limit == 2399)

@@ -24,6 +24,7 @@ from vision.errors import InputError
 from vision.files import Stamp, answered, reading, shortened
 from vision.folder import plain, whole_file, write_json
 from vision.run import describe_input, is_run
+from vision.run.provenance import checksum_of
 from vision.run.reading import read_json
 from vision.video import open_video, video_files
 
@@ -180,7 +181,7 @@ def make_plan(
         If ``out`` is not a campaign, or one of another version, or the disk of a film does not answer.
     """
     check_folder(out)
-    known = _read_fingerprints(out)
+    known = read_if_whole(out / FINGERPRINTS)  # if not, all files are read again
     films = [
         answered(partial(_film, row, known, settings), Path(row.film), settings.answer_s) for row in rows
     ]
@@ -321,18 +322,18 @@ def _fingerprint(path: Path, known: dict[str, Any]) -> str:
         facts = describe_input(path)
     except InputError:
         return "unreadable"  # the error is reported when the film is run
-    digest = f"{facts['size_bytes']}:{facts.get('sha256') or facts.get('fingerprint')}"
+    digest = f"{facts['size_bytes']}:{checksum_of(facts)}"
     if path.is_file():
         known[str(path)] = [stamp, digest]
     return digest
 
 
-def _read_fingerprints(out: Path) -> dict[str, Any]:
+def read_if_whole(path: Path) -> dict[str, Any]:
+    """Read a JSON object; an empty one if the file is missing or damaged."""
     try:
-        content = json.loads((out / FINGERPRINTS).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}  # all files are read again
-    return content if isinstance(content, dict) else {}
+        return read_json(path)
+    except InputError:
+        return {}
 
 
 def _digest(content: Any) -> str:

@@ -18,7 +18,7 @@ import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 from jinja2 import Environment, StrictUndefined
 
-from vision.campaign.plan import FINISHED, Plan, PlannedFilm, State
+from vision.campaign.plan import FINISHED, Plan, PlannedFilm, State, read_if_whole
 from vision.comparison import compare, write_comparison
 from vision.comparison.runs import COLUMNS, LIMITS, number
 from vision.errors import InputError
@@ -308,16 +308,9 @@ def _test_row(plan: Plan, film: PlannedFilm, state: State) -> dict[str, Any]:
 
 def needs_pool(plan: Plan) -> bool:
     """Return whether the finished films or their facts have changed since the last pool."""
-    return _last_pool(plan).get("key") != plan.pool_key()
+    return read_if_whole(plan.out / REMARKS).get("key") != plan.pool_key()
 
 
 def read_remarks(plan: Plan) -> tuple[str, ...]:
     """Return the remarks on the last pool."""
-    return tuple(str(line) for line in _last_pool(plan).get("remarks", ()))
-
-
-def _last_pool(plan: Plan) -> dict[str, Any]:
-    try:
-        return read_json(plan.out / REMARKS)
-    except InputError:
-        return {}
+    return tuple(str(line) for line in read_if_whole(plan.out / REMARKS).get("remarks", ()))

@@ -577,7 +577,7 @@ def _doubts(
     stated = np.where(tracks["flag"].values == "ok", tracks["x_err_px"].values, np.nan)
     large = (stated > settings.distorted_errors * nan_median(stated)) | (tracks["distorted"].values > 0)
     at_distorted = float(np.nansum(stated[large] ** 2) / max(np.nansum(stated**2), 1e-12))
-    if disturbed > settings.most_disturbed or at_distorted > settings.most_at_distorted:
+    if at_distorted > settings.most_at_distorted:
         lines.append(
             f"something distorts or hides ridges in {100 * disturbed:.1f} % of the film (dirt, a highlight, "
             f"a hand), and positions that it distorts have {100 * at_distorted:.0f} % of the squared stated "

@@ -70,14 +70,11 @@ class CertifySettings:
     that they may contain motion.  Smaller doubts films of grained paper, whose errors are larger than their
     noise; larger trusts films under a lamp that moves (errors up to twice too small)."""
 
-    most_disturbed: float = 0.02
-    """Share of the ridges that something distorts or hides from which the certificate says that its errors
-    are approximate.  Smaller doubts films with a few specks; larger trusts films behind a hand or a glare."""
-
     most_at_distorted: float = 0.2
-    """Share of the squared stated errors at positions with large ones from which it says so as well.  Smaller
-    doubts films in which noise differs between sheets; larger trusts films in which few positions decide the
-    error, which was then 0.5 to 4 times the certified one (test_certify: sheets known less well)."""
+    """Share of the squared stated errors at positions with large ones (dirt, a highlight, a hand) from which
+    the certificate says that its errors are approximate.  Smaller doubts films in which noise differs between
+    sheets; larger trusts films in which few positions decide the error, which was then 0.5 to 4 times the
+    certified one (test_certify: sheets known less well)."""
 
     most_hidden: float = 4.0
     """Largest common motion of the sheets of films that are encoded again, relative to what the recording

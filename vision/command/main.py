@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import _thread
 import atexit
-import gc
 import logging
 import os
 import signal
@@ -76,9 +75,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     A signal to stop (a closed terminal, a batch system's time limit) ends a run as Ctrl-C does.
     """
-    # Number of new objects after which the garbage collector runs (700 by default). The libraries create half
-    # a million lasting objects: with the default, collecting takes up to a fifth of a short run.
-    gc.set_threshold(500_000)
     ended: list[int] = []
     if arguments is None:  # this process does nothing else
         atexit.register(_leave, ended)  # the first to be registered is the last to be called
@@ -111,8 +107,6 @@ def _isolate_environment() -> None:
     os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "4")
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(MOST_PIXELS))
-    # Matplotlib does without it, 20 ms sooner: no figure here has axes in space.
-    sys.modules["mpl_toolkits.mplot3d"] = None  # type: ignore[assignment]
     warnings.simplefilter("ignore")  # the run has its own warnings for what a user should know
     sys.unraisablehook = _unraisable
 

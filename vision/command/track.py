@@ -15,7 +15,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import matplotlib.artist
 import xarray as xr
 
 from vision.checks import flag_counts
@@ -121,7 +120,6 @@ def track_one(
     """
     settings, force = settings_of(parameters), parameters["force"].value
     _check_run(video, target, run, settings)
-    _import_matplotlib_faster()
     along = run.checksum and not run.follow and copy is None and video.exists()
     checkpoint, sums = Checkpoint(target, resume=run.resume), Checksums(video_files(video) if along else ())
     with checkpoint, sums, _resumable(checkpoint):
@@ -168,12 +166,6 @@ def _check_run(video: Path, target: Path, run: RunOptions, settings: Settings) -
     check_target(target, overwrite=run.overwrite)
 
 
-def _import_matplotlib_faster() -> None:
-    """Leave out signatures and help texts of its artists, which take nearly half of its import time."""
-    matplotlib.artist.kwdoc = lambda artist: ""
-    matplotlib.artist.Artist._update_set_signature_and_docstring = lambda: None  # type: ignore[attr-defined]
-
-
 def _warn_of_other_film(analysis: Analysis, corrections: Path | None, film: Path) -> Analysis:
     """Return the analysis, with a warning if the file of corrections was made for another film."""
     checksum = "" if corrections is None else read_decisions(corrections).film
@@ -208,16 +200,10 @@ def run_name(video: Path) -> str:
     return readable or path.parent.name or "video"
 
 
-def command_line() -> str:
-    """Return the command line, quoted so that it can be typed again."""
-    return shlex.join(["track", *sys.argv[1:]])
-
-
 def origin_of(inputs: Sequence[Path], parameters: Mapping[str, Parameter], **more: Any) -> Origin:
     """Return the provenance of what this command writes, whose messages name options."""
-    return Origin(
-        command=command_line(), inputs=inputs, parameters=parameters, options=option_names(), **more
-    )
+    command = shlex.join(["track", *sys.argv[1:]])
+    return Origin(command=command, inputs=inputs, parameters=parameters, options=option_names(), **more)
 
 
 def finish(

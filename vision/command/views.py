@@ -49,9 +49,9 @@ from vision.folder import check_new, run_folder, whole_file, write_json
 from vision.numeric import Ints
 from vision.pipeline import Analysis, Settings, analyse, open_recording
 from vision.run import check_results, export_run, is_run, read_run, read_strip
-from vision.run.diagrams import frame_step_s, unevenness_s, write_space_time_tif
 from vision.run.export import Format
 from vision.run.overlay import write_overlay
+from vision.run.tables import frame_step_s, unevenness_s, write_space_time_tif
 from vision.sheets.ridges import describe_ridges, find_ridges
 from vision.sheets.tracks import LOSSY
 from vision.spacetime import Sheet, space_time
@@ -352,9 +352,9 @@ def overlay(run: Path, film: Path | None, frames: str | None, output: OutputOpti
     check_new(target, overwrite=output.overwrite)
     source = made.input("film", film)
     with frame_progress("drawing", quiet=output.quiet) as progress, whole_file(target) as path:
-        written = write_overlay(made, source, path, frames=part, progress=progress)
-    size = f"{written.frames} frames of {written.shape[1]} x {written.shape[0]} px"
-    speed = f"{written.fps:g} frames/s{_slower(written.fps, StripMetadata.of(made.tracks).fps)}"
+        count, (rows, columns), fps = write_overlay(made, source, path, frames=part, progress=progress)
+    size = f"{count} frames of {columns} x {rows} px"
+    speed = f"{fps:g} frames/s{_slower(fps, StripMetadata.of(made.tracks).fps)}"
     line = f"{size}, played at {speed}, {target.stat().st_size / 1e6:.1f} MB -> {target}"
     return conclude([line], (), quiet=output.quiet)
 

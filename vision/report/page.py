@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import io
-import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -16,6 +15,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from jinja2 import Environment, StrictUndefined, Template
+from jinja2.utils import htmlsafe_json_dumps
 from markupsafe import Markup
 from PIL import Image as Pillow
 
@@ -78,10 +78,11 @@ def render_page(
     `facts` is the content of run.json; `content` holds the other variables of the template: title, kind,
     subtitle, answers, warnings, missing, methods, citation and tables.
     """
+    data = page_data([figure for _, part in sections for figure in part])
     text = _template().render(
         sections=[(heading, [_figure_text(figure) for figure in part]) for heading, part in sections],
         provenance=provenance(facts),
-        data=Markup(_script_safe(page_data([figure for _, part in sections for figure in part]))),
+        data=htmlsafe_json_dumps(data, allow_nan=False, separators=(",", ":"), ensure_ascii=False),
         **{name: Markup(text) for name, text in _assets().items()},
         **content,
     )
@@ -226,12 +227,6 @@ class ArrayStore:
     def blobs(self) -> list[str]:
         """Return all arrays in base64, in the order of their indices."""
         return [base64.b64encode(data).decode("ascii") for data in self._indices]
-
-
-def _script_safe(data: dict[str, Any]) -> str:
-    """Return JSON that cannot end the script element around it."""
-    text = json.dumps(data, allow_nan=False, separators=(",", ":"), ensure_ascii=False)
-    return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
 
 
 # --- tables -------------------------------------------------------------------------------------------------

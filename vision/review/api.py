@@ -21,7 +21,7 @@ from starlette.types import ASGIApp, Message
 
 from vision.errors import InputError, with_options
 from vision.folder import plain, whole_file
-from vision.review.recordings import Grey
+from vision.review.recordings import TILE_COLUMNS, TILE_FACTOR, TILE_ROWS, Grey
 from vision.review.server import FIRST_VIEW, failed, read_first_view, refused, write_first_view
 from vision.review.session import Session
 
@@ -54,18 +54,18 @@ def keep_first_view(session: Session) -> None:
 def first_answers(session: Session) -> dict[str, bytes]:
     """Return, by address, the answers to a page's first requests: the whole test, and the first frame."""
     first, frames, tiles = int(session.positions.frame[0]), session.diagram.frames, session.tiles
-    rows, columns, factor = tiles.settings.rows, tiles.settings.columns, tiles.settings.factor
     addresses = [f"/api/{name}" for name in ("times", "film", f"frame/{first}.png", f"ridges/{first}")]
     addresses += [f"/api/force?points={FORCE_POINTS}"]
     addresses += [f"/api/stick/{one['event']}" for one in session.sticks()[:1]]
     for level in range(tiles.levels):
-        step, shown = rows * factor**level, frames <= FIRST_ROWS * factor**level
+        scale = TILE_FACTOR**level
+        step, shown = TILE_ROWS * scale, frames <= FIRST_ROWS * scale
         if not (shown or level == 0):
             continue
         for k, begin in enumerate(range(first, first + (frames if shown else 1), step)):
             stop = min(begin + step, first + frames)
-            addresses.append(f"/api/tracks?first={begin}&stop={stop}&points={2 * rows}")
-            across = range(-(-session.diagram.columns // columns) if shown else 0)
+            addresses.append(f"/api/tracks?first={begin}&stop={stop}&points={2 * TILE_ROWS}")
+            across = range(-(-session.diagram.columns // TILE_COLUMNS) if shown else 0)
             addresses += [f"/api/kymograph/{level}/{x}/{k}.png" for x in across]
     found = {"/api/run": bytes(_json(session.summary() | {"revision": 0, "other_windows": 0}).body)}
     app = session_app(session, lambda: None)

@@ -23,11 +23,11 @@ from vision.errors import InputError
 from vision.figures.decimate import grey_levels, grey_limits, minmax_decimate
 from vision.files import AGAIN, Stamp
 from vision.folder import RUN_JSON, held_elsewhere, unwritable
-from vision.numeric import Floats, Floats32, Pixels, spread_indices
+from vision.numeric import Floats, Floats32, Pixels, row_parts, spread_indices
 from vision.pipeline import Settings, open_force, open_recording
-from vision.run.diagrams import stored_kymograph
 from vision.run.provenance import checksum_of
 from vision.run.reading import RunFolder, read_json
+from vision.run.tables import stored_kymograph
 from vision.sheets.corrections import Correction, correction_of
 from vision.sheets.settings import TrackingSettings
 from vision.video import Video
@@ -156,54 +156,41 @@ class Diagram:
         return np.concatenate([self.rows(row, row + 1) for row in rows])
 
 
-@dataclass(frozen=True, kw_only=True)
-class TileSettings:
-    """How the space-time diagram is divided into tiles."""
-
-    columns: int = 512
-    """Columns of a tile. Wider tiles need fewer requests, but panning waits longer; 512 x 256 takes 3 ms."""
-
-    rows: int = 256
-    """Rows of a tile, with the same trade-off."""
-
-    factor: int = 4
-    """Rows of a level that become one row of the next. 2 would double the memory and the work of the first
-    view; with 8 the page shrinks pictures so much that single frames fade."""
-
-    first_kept: int = 2
-    """Finest level held in memory. Level 1 would need half the size of the recording's 8-bit diagram, and is
-    as fast to compute from the file: 2 MB per tile."""
-
-    sampled_rows: int = 512
-    """Frames from which the grey scale is taken."""
+TILE_ROWS, TILE_COLUMNS = 256, 512
+"""Wider tiles need fewer requests, but panning waits longer; one of this size takes 3 ms."""
+TILE_FACTOR = 4
+"""Rows of a level that become one row of the next. 2 would double the memory and the work of the first view;
+with 8 the page shrinks pictures so much that single frames fade."""
+FIRST_KEPT = 2
+"""Finest level held in memory. Level 1 would need half the size of the recording's 8-bit diagram, and is as
+fast to compute from the file: 2 MB per tile."""
+SAMPLED_ROWS = 512  # frames from which the grey scale is taken
 
 
 class Tiles:
     """Image pyramid of one space-time diagram.
 
-    A row of level l represents ``factor**l`` frames; columns are never merged. Level 0 is the recording
+    A row of level l represents ``TILE_FACTOR**l`` frames; columns are never merged. Level 0 is the recording
     itself. A coarse row shows each column's largest value in its frames (the smallest if ridges are dark), so
     that a ridge that appears in a single frame remains visible.
     """
 
-    def __init__(
-        self, diagram: Diagram, *, bright: bool = True, settings: TileSettings = TileSettings()
-    ) -> None:
-        self.diagram, self.bright, self.settings = diagram, bright, settings
-        self.low, self.high = grey_limits(diagram.sample(settings.sampled_rows))
+    def __init__(self, diagram: Diagram, *, bright: bool) -> None:
+        self.diagram, self.bright = diagram, bright
+        self.low, self.high = grey_limits(diagram.sample(SAMPLED_ROWS))
         self._kept = self._coarse_levels()
 
     @property
     def levels(self) -> int:
         """Number of levels; the last one fits into one tile's rows."""
         frames, levels = self.diagram.frames, 1
-        while frames > self.settings.rows:
-            frames, levels = -(-frames // self.settings.factor), levels + 1
+        while frames > TILE_ROWS:
+            frames, levels = -(-frames // TILE_FACTOR), levels + 1
         return levels
 
     def _coarse_levels(self) -> list[Grey]:
         """Return the levels held in memory, from `first_kept` on."""
-        step, wanted = self.settings.factor**self.settings.first_kept, self.levels - self.settings.first_kept
+        step, wanted = TILE_FACTOR**FIRST_KEPT, self.levels - FIRST_KEPT
         if wanted <= 0:
             return []
         frames, columns = self.diagram.frames, self.diagram.columns
@@ -214,29 +201,28 @@ class Tiles:
             level[row : row + block] = _extremes(part, step, bright=self.bright)
         kept = [self._grey(level)]
         while len(kept) < wanted:
-            level = _extremes(level, self.settings.factor, bright=self.bright)
+            level = _extremes(level, TILE_FACTOR, bright=self.bright)
             kept.append(self._grey(level))
         return kept
 
     def _grey(self, values: Floats32) -> Grey:
         """Convert to 8 bits, with lost frames mid-grey; in parts, since the conversion needs more memory."""
-        starts = range(0, len(values), self.settings.rows)
-        parts = [grey_levels(values[k : k + self.settings.rows], self.low, self.high) for k in starts]
-        return np.concatenate(parts)
+        parts = row_parts(len(values), TILE_ROWS)
+        return np.concatenate([grey_levels(values[rows], self.low, self.high) for rows in parts])
 
     def part(self, level: int, x: int, y: int) -> Grey:
         """Return one tile in 8 bits; those at the right and lower edge are smaller.
 
         Raises: InputError if there is no such tile.
         """
-        rows, columns = self.settings.rows, self.settings.columns
-        step = self.settings.factor**level if 0 <= level < self.levels else 0
+        rows, columns = TILE_ROWS, TILE_COLUMNS
+        step = TILE_FACTOR**level if 0 <= level < self.levels else 0
         height = -(-self.diagram.frames // step) if step else 0
         if not (0 <= y * rows < height and 0 <= x * columns < self.diagram.columns):
             raise InputError("the tile", f"one of {self.levels} levels", f"{level}/{x}/{y}")
         across = slice(x * columns, (x + 1) * columns)
-        if level >= self.settings.first_kept:
-            return self._kept[level - self.settings.first_kept][y * rows : (y + 1) * rows, across]
+        if level >= FIRST_KEPT:
+            return self._kept[level - FIRST_KEPT][y * rows : (y + 1) * rows, across]
         part = self.diagram.shared_rows(y * rows * step, (y + 1) * rows * step)[:, across]
         return self._grey(part if level == 0 else _extremes(part, step, bright=self.bright))
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
 from functools import lru_cache
 from pathlib import Path
@@ -22,7 +21,18 @@ from vision.numeric import Floats, Floats32, Ints, nearest, stretches
 from vision.pipeline import Settings
 from vision.review.effects import Effects
 from vision.review.positions import SAME_RIDGE_PX, apply, median_positions, positions_of, undo
-from vision.review.recordings import Diagram, Grey, Recordings, StoredRun, Tiles, claim, decided_clock
+from vision.review.recordings import (
+    TILE_COLUMNS,
+    TILE_FACTOR,
+    TILE_ROWS,
+    Diagram,
+    Grey,
+    Recordings,
+    StoredRun,
+    Tiles,
+    claim,
+    decided_clock,
+)
 from vision.review.saving import SaveJob, Saver, Trial, pack_steps, read_steps
 from vision.review.tracks_file import StoredTracks, read_tracks
 from vision.run.writing import CORRECTIONS
@@ -299,7 +309,8 @@ class Session:
                 "doubts": self.doubts(),
                 "sticks": self.sticks(),
                 "clock": plain(self.clock),
-                "tiles": asdict(self.tiles.settings) | {"levels": self.tiles.levels},
+                "tiles": {"rows": TILE_ROWS, "columns": TILE_COLUMNS, "factor": TILE_FACTOR}
+                | {"levels": self.tiles.levels},
                 **self.state(),
             }
 

@@ -28,18 +28,9 @@ LETTER_WIDTH = 9.0  # px of a digit at the size in use
 _WHITE = (235, 235, 235)
 
 
-@dataclass(frozen=True)
-class Overlay:
-    """The film that was written: number of frames, shape (rows, columns), and frames per second."""
-
-    frames: int
-    shape: tuple[int, int]
-    fps: float
-
-
 def write_overlay(
     run: RunFolder, film: Path, target: Path, *, frames: slice | None = None, progress: Progress | None = None
-) -> Overlay:
+) -> tuple[int, tuple[int, int], float]:
     """Write a film with marks at every sheet: strokes at both ends of the strip, and the number n above.
 
     One frame is in memory at a time. The same grey levels are black and white in all frames. Sheets left of
@@ -48,6 +39,7 @@ def write_overlay(
 
     film: as `RunFolder.input` returns it.  frames: half-open range of frame numbers; all by default.
     progress: called with (frames done, total frames or None).
+    Returns: number of frames written, their shape (rows, columns), and frames per second.
     Raises: InputError if the film cannot be read, or holds none of these frames.
     """
     import av  # 30 ms that no other export needs
@@ -79,7 +71,7 @@ def write_overlay(
             file.mux(stream.encode(None))
     if not done:
         raise InputError(film, "frames within `frames`", "none of the run's")
-    return Overlay(done, canvas.shape, float(fps))
+    return done, canvas.shape, float(fps)
 
 
 def _within(tracks: xr.Dataset, frames: slice | None, run: RunFolder) -> slice:

@@ -9,6 +9,7 @@ import math
 import platform
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError, Future
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
@@ -137,14 +138,11 @@ class Checksums:
     def __init__(self, paths: Sequence[Path]) -> None:
         self._paths = paths
         self._share = 0.0  # of the film's frames that were read; infinite to end the thread
-        self._found: dict[Path, dict[str, Any]] = {}
-        self._error: InputError | None = None
+        self._found: Future[dict[Path, dict[str, Any]]] = Future()
         self._progressed = threading.Condition()
-        self._thread = threading.Thread(target=self._work, daemon=True)
 
     def __enter__(self) -> Self:
-        if self._paths:
-            self._thread.start()
+        threading.Thread(target=self._work, daemon=True).start()
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -162,12 +160,8 @@ class Checksums:
 
     def found(self) -> dict[Path, dict[str, Any]]:
         """Return the description of every input; see `describe_input`.  Raises: InputError."""
-        if self._paths:
-            self._proceed(1.0)
-            self._thread.join()
-        if self._error is not None:
-            raise self._error
-        return self._found
+        self._proceed(1.0)
+        return self._found.result()
 
     def _proceed(self, share: float) -> None:
         with self._progressed:
@@ -176,22 +170,16 @@ class Checksums:
 
     def _work(self) -> None:
         try:
-            for path in self._paths:
-                self._found[path] = describe_input(path, whole=True, pace=self._wait)
-        except InputError as error:
-            self._error = error
-        except _CancelledError:
-            pass
+            described = {path: describe_input(path, whole=True, pace=self._wait) for path in self._paths}
+            self._found.set_result(described)
+        except BaseException as error:
+            self._found.set_exception(error)
 
     def _wait(self, done: int, size: int) -> None:
         with self._progressed:
             self._progressed.wait_for(lambda: self._share >= 1 or done - self._share * size <= AHEAD_BYTES)
             if self._share == math.inf:
-                raise _CancelledError
-
-
-class _CancelledError(Exception):
-    """The checksums are no longer needed."""
+                raise CancelledError
 
 
 def _parts(files: Sequence[tuple[Path, int]], *, whole: bool) -> Iterator[bytes]:

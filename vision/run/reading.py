@@ -34,9 +34,8 @@ from vision.folder import (
     reading_folder,
     write_json,
 )
-from vision.run.diagrams import read_kymograph_tif
 from vision.run.provenance import Parameter, describe_input
-from vision.run.tables import attrs_of_netcdf
+from vision.run.tables import attrs_of_netcdf, read_kymograph_tif
 from vision.video import FramesRead, FrameStore, Video, VideoSettings, video_files
 
 _NUMBERS: dict[Any, Callable[[Any], float]] = {"float": float, "int": int}  # by the type of a field

@@ -26,9 +26,14 @@ from vision.figures import (
 from vision.folder import run_folder, write_json
 from vision.pipeline import Analysis
 from vision.report import write_report
-from vision.run.diagrams import write_kymograph_tif
 from vision.run.provenance import Origin, checksum_of
-from vision.run.tables import sheets_table, write_table, write_tracks_csv, write_tracks_nc
+from vision.run.tables import (
+    sheets_table,
+    write_kymograph_tif,
+    write_table,
+    write_tracks_csv,
+    write_tracks_nc,
+)
 from vision.sample import PUBLISHED
 from vision.sheets import doubtful_stretches
 from vision.sheets.corrections import Decisions, corrections_text, ordered
