@@ -186,6 +186,26 @@ def test_thin_sheets_taken_for_one_ridge_have_no_position():
     assert sum(wrong for wrong, _ in found) > 20
 
 
+@pytest.mark.parametrize("kind", ["against its neighbour", "gap", "thick", "thick, and a gap elsewhere"])
+def test_a_sheet_against_its_neighbour_is_merged_with_it(kind):
+    """Sheets 5 px wide, one of which stands 4 px from its neighbour. A failure means that the place between
+    both is given as that of a sheet, or that a gap, or a thick sheet, alone has no position."""
+    x = comb(200, per_side=8, axis_px=200, slip=0.5, uneven=0.05, period=60)
+    if "gap" in kind:
+        x = np.delete(x, 6, axis=1)
+    elif kind == "against its neighbour":
+        x[:, 6] = x[:, 5] + 4.0
+    width = np.where((np.arange(x.shape[1]) == 12) & ("thick" in kind), 8.0, 5.0)
+    picture = strip(sum(ridges(x[:, [n]], width=400, fwhm_px=wide) for n, wide in enumerate(width)))
+    tracks = track_sheets(picture)
+    merged = (tracks.flag.values == "merged").all(axis=0)
+    assert (tracks.flag.values[:, ~merged] == "ok").all()
+    assert np.flatnonzero(merged).tolist() == ([5] if kind == "against its neighbour" else [])
+    if merged.any():
+        trusting = track_sheets(picture, settings=TrackingSettings(wide_by_a_gap=np.inf))
+        assert np.abs(np.median(trusting.x_px.values[:, 5] - x[:, 5])) > 1.5
+
+
 def overlaid(what):
     """Sixteen creeping sheets, and what is drawn over or under them: positions and strip."""
     x = comb(240, per_side=8, axis_px=200, slip=0.5, uneven=0.1, period=60)

@@ -1,7 +1,7 @@
 """Distorted ridges: how far specks, reflections, neighbours or uneven light may shift positions.
 
 `distortion` estimates the error of each displacement from the shape and height of the ridge, and
-`not_one_ridge` finds ridges of several sheets.
+`not_one_ridge` and `two_in_one` find ridges of several sheets.
 """
 
 from __future__ import annotations
@@ -17,10 +17,12 @@ from vision.numeric import (
     Floats,
     Floats32,
     median_of_all,
+    median_where,
     nan_median,
     row_parts,
     weighted_median,
 )
+from vision.sheets.reference import rest_positions, wide_spacings
 from vision.sheets.ridges import RidgeComb, in_blocks
 from vision.sheets.settings import TrackingSettings
 from vision.sheets.subpixel import Starts, gather, position_noise
@@ -48,6 +50,24 @@ def not_one_ridge(profile: Floats32, x_px: Floats, comb: RidgeComb) -> Bools:
     with np.errstate(divide="ignore", invalid="ignore"):
         likeness = (shape - shape.mean()) @ own / np.linalg.norm(own, axis=0) / np.std(shape)
     return np.asarray(likeness / np.sqrt(len(shape)) < comb.settings.least_likeness, bool)
+
+
+def two_in_one(x_px: Floats, fwhm_px: Floats32, comb: RidgeComb) -> Bools:
+    """Return which sheets are wider than the others beside a spacing in which one seems to be missing, (N,).
+
+    The missing one then lies against its neighbour: one ridge, whose position is that of neither. A wide
+    ridge alone may be a thick sheet, and a wide spacing alone a gap. x_px, fwhm_px: positions, NaN where
+    missing, and widths of the ridges, (frame, N).
+    """
+    rest = rest_positions(x_px)
+    gaps, _ = wide_spacings(rest, settings=comb.settings)
+    beside = np.searchsorted(rest, gaps)  # the sheet after each of these spacings
+    near = np.isin(np.arange(len(rest)), [*(beside - 1), *beside])
+    wide = np.log(median_where(np.isfinite(x_px), fwhm_px))
+    wide = wide - nan_median(wide)
+    scatter = nan_median(np.abs(wide)) / NORMAL_MEDIAN
+    least = max(np.log(comb.settings.wide_by_a_gap), comb.settings.distortion_sigmas * scatter)
+    return np.asarray(near & (wide > least), bool)
 
 
 def _sampled_profiles(profile: Floats32, x_px: Floats, half: int, comb: RidgeComb) -> tuple[Floats, Floats]:

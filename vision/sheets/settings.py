@@ -369,6 +369,12 @@ class TrackingSettings:
     recordings tried. Larger drops markers of unusual shape, smaller takes two sheets for one
     (test_distortion.py)."""
 
+    wide_by_a_gap: float = 1.2
+    """Width of a sheet, over that of the others, from which it is two sheets in one ridge if another seems to
+    be missing beside it. Sheets that are alike scatter by 1.05 to 1.19, two at 0.6 to 1.1 widths from each
+    other are 1.2 to 2 as wide. Larger gives a place between both, smaller withholds thick sheets beside gaps
+    (test_a_sheet_against_its_neighbour_is_merged_with_it)."""
+
     most_distorted: float = 0.26
     """Usual distortion, in ridge widths, above which a sheet is no single ridge. A second sheet or mark that
     shifts it by a fifth of its width distorts it by 0.1 to 0.4. Larger gives positions between two sheets

@@ -25,7 +25,7 @@ from vision.numeric import (
     row_parts,
 )
 from vision.sheets.corrections import Correction, apply_corrections, last_of
-from vision.sheets.distortion import distortion, not_one_ridge
+from vision.sheets.distortion import distortion, not_one_ridge, two_in_one
 from vision.sheets.doubts import predicted_by_neighbours, sheets_alike
 from vision.sheets.film import motion_blur, repeated_frames, scene_changes
 from vision.sheets.identities import WHYS, Doubt, identify_sheets
@@ -237,7 +237,7 @@ def _assess_ridges(
     smeared = (blur_px > 0) | blurred
     x_px[smeared & _beside_missing(detections.flag)] = np.nan
     distorted_px, usual_px, lasting_px, scale = distortion(profile, x_px, err, smeared, comb)
-    not_a_sheet = not_one_ridge(profile, x_px, comb)
+    not_a_sheet = not_one_ridge(profile, x_px, comb) | two_in_one(x_px, detections.fwhm_px, comb)
     not_a_sheet |= lasting_px > comb.settings.most_distorted * comb.fwhm_px
     not_a_sheet |= marks(x_px, err, np.hypot(lasting_px, usual_px), comb)
     flag = np.where((detections.flag == Flag.OK) & not_a_sheet, np.uint8(Flag.MERGED), detections.flag)
