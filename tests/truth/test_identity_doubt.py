@@ -8,7 +8,7 @@ import pytest
 from tests.scenes.combs import comb, ridges, strip
 from tests.scenes.identity_cases import FRAMES, brightness, jumps
 from vision.checks import tracking_warnings
-from vision.sheets import recovery, track_sheets
+from vision.sheets import doubts, track_sheets
 from vision.sheets.settings import DEFAULT
 
 PITCH = 20.0
@@ -127,7 +127,7 @@ def test_a_cropped_comb_without_a_pattern_that_is_shaken_is_doubted(how, scatter
     assert wrong_positions(track_sheets(picture), truth) == 0
     if scatter:  # some films of these pass without
         return
-    monkeypatch.setattr(recovery, "_lost_count", lambda step, *_: np.zeros(len(step), bool))
+    monkeypatch.setattr(doubts, "_lost_count", lambda step, *_: np.zeros(len(step), bool))
     assert wrong_positions(track_sheets(picture), truth) > 0
 
 
