@@ -63,7 +63,8 @@ def test_a_mark_beside_sheets_that_hardly_move_has_no_position(away_px, seed):
     mark = np.full((120, 1), truth[:, 3].mean() + away_px)
     picture = strip(ridges(truth, width=520) + 1.5 * ridges(mark, width=520, fwhm_px=9.0))
     for least, stamped in ((TrackingSettings().mark_distorted, False), (np.inf, True)):
-        tracks = track_sheets(picture, settings=TrackingSettings(mark_distorted=least, most_distorted=np.inf))
+        settings = TrackingSettings(mark_distorted=least, most_distorted=np.inf, wide_by_a_gap=np.inf)
+        tracks = track_sheets(picture, settings=settings)
         ok = tracks.flag.values == "ok"
         off = np.abs(tracks.x_px.values[..., None] - truth[:, None]).min(axis=2)
         assert (off[ok] > 4).any() == stamped

@@ -60,9 +60,10 @@ def two_in_one(x_px: Floats, fwhm_px: Floats32, comb: RidgeComb) -> Bools:
     missing, and widths of the ridges, (frame, N).
     """
     rest = rest_positions(x_px)
-    gaps, _ = wide_spacings(rest, settings=comb.settings)
-    beside = np.searchsorted(rest, gaps)  # the sheet after each of these spacings
-    near = np.isin(np.arange(len(rest)), [*(beside - 1), *beside])
+    order = np.argsort(rest)  # corrections may have exchanged sheets
+    gaps, _ = wide_spacings(rest[order], settings=comb.settings)
+    after = np.searchsorted(rest[order], gaps)
+    near = np.isin(np.arange(len(rest)), order[np.concatenate([after - 1, after])])
     wide = np.log(median_where(np.isfinite(x_px), fwhm_px))
     wide = wide - nan_median(wide)
     scatter = nan_median(np.abs(wide)) / NORMAL_MEDIAN
