@@ -19,9 +19,11 @@ from vision.numeric import (
     median_of_all,
     median_where,
     nan_median,
+    nan_quantile,
     row_parts,
     weighted_median,
 )
+from vision.sheets.locking import normal_equations, pixel_waves, without_outliers
 from vision.sheets.reference import rest_positions, wide_spacings
 from vision.sheets.ridges import RidgeComb, in_blocks
 from vision.sheets.settings import TrackingSettings
@@ -30,7 +32,8 @@ from vision.signals import mean_over, running_median
 
 LEAST_FRAMES = 8
 NEIGHBOURHOOD = 5  # sheets whose shapes change alike as they creep
-ENOUGH = 5  # sheets of which neighbours show what is usual; ridges of fewer are checked at any width
+ENOUGH = 5  # sheets of which neighbours show what is usual
+PHASE_FRAMES = 20  # in which a sheet shows how its own shape depends on its place in the pixels
 
 
 def not_one_ridge(profile: Floats32, x_px: Floats, comb: RidgeComb) -> Bools:
@@ -116,14 +119,13 @@ def distortion(
     (`_significant`): clearly, unless the film shows that positions change with them. The mean difference of a
     sheet shifts all its positions alike, and is no error of displacements.
 
+    In narrow ridges, what depends on their place among the pixels is subtracted before (`sampled_well_px`).
+
     Light that falls off over a ridge hardly changes its shape; it shows in the heights (`_shift_by_light`).
     What stands still where a ridge moves changes all displacements of its sheet by the same factor
     (`displacement_scale_error`).
     """
     settings = comb.settings
-    narrow = comb.fwhm_px < settings.distortion_least_px
-    if narrow and x_px.shape[1] >= ENOUGH:
-        return Distortion.none(x_px)
     half = max(3, round(min(0.9 * comb.fwhm_px, 0.5 * comb.pitch_px)))
     shape = _sampled_profiles(profile, x_px, half, comb)[1]
     if not np.isfinite(shape).all():
@@ -144,6 +146,12 @@ def distortion(
 
     in_blocks(fit, len(profile))
     height[blurred], apart[blurred], sloping[blurred] = np.nan, np.nan, np.nan
+    height[~(height > 0)] = np.nan
+    log_height = np.log(height, out=height)
+    narrow = comb.fwhm_px < settings.sampled_well_px
+    if narrow:
+        for values in (log_height, apart, sloping):
+            _subtract_pixel_phase(values, x_px)
     differences = [
         _Difference(
             differs,
@@ -155,9 +163,8 @@ def distortion(
             (sloping, settings.distortion_slope, 5),
         )
     ]
-    size = _shift_by_light(x_px, height, pulled_px2, settings)
-    height[~(height > 0)] = np.nan
-    shapes = [np.log(height, out=height), apart, sloping]
+    size = _shift_by_light(x_px, log_height, pulled_px2, settings)
+    shapes = [log_height, apart, sloping]
     if comb.fwhm_px > settings.overlap * comb.pitch_px:
         del shapes[1:]
     scale = displacement_scale_error(x_px, shapes, settings)
@@ -174,11 +181,33 @@ def distortion(
         within = np.where(np.isfinite(apart[:, n]), comb.fwhm_px, 0.0)  # what is fitted lies in the ridge
         size[:, n] = np.fmin(found, within)
         usual_px[n] = nan_median(np.fmin(slight, within))
+    if narrow:  # of what lasts, the place among the pixels is not told from dirt if a sheet hardly moves
+        return Distortion(size, *np.zeros((3, x_px.shape[1])))
     pull = nan_median(apart)
     pull = np.abs(pull - nan_median(pull))
     least = np.fmax(settings.distortion_sigmas * nan_median(pull) / NORMAL_MEDIAN, settings.distortion_floor)
-    lasting = settings.distortion_error * _if_above(pull, least)
-    return Distortion(size, usual_px, np.zeros_like(lasting) if narrow else lasting, scale)
+    return Distortion(size, usual_px, settings.distortion_error * _if_above(pull, least), scale)
+
+
+def _subtract_pixel_phase(values: Floats, x_px: Floats) -> None:
+    """Subtract from values of the ridges what depends on where they lie in their pixels, both (frame, N).
+
+    The shape of ridges narrower than some five pixels depends on it. The same combination of `pixel_waves` is
+    fitted to all sheets; sheets that moved over whole pixels have one of their own beside it, as sheets may
+    have different shapes. Values are changed in place.
+    """
+    products, loads = np.empty((x_px.shape[1], 4, 4)), np.empty((x_px.shape[1], 4))
+    moved = np.zeros(x_px.shape[1], bool)
+    for n, x in enumerate(x_px.T):
+        known, off = without_outliers(values[:, n, None])
+        (products[n],), (loads[n],) = normal_equations(pixel_waves(x[:, None]), off, known)
+        apart = nan_quantile(x, 0.95) - nan_quantile(x, 0.05)
+        moved[n] = (apart > 1.0) & (known.sum() >= PHASE_FRAMES)
+    common = np.linalg.pinv(products.sum(axis=0), hermitian=True) @ loads.sum(axis=0)
+    own = np.linalg.pinv(products, hermitian=True) @ (loads - products @ common)[..., None]
+    own[~moved] = 0.0
+    for n, x in enumerate(x_px.T):
+        values[:, n] -= (common + own[n, :, 0]) @ pixel_waves(x)
 
 
 class _Difference(NamedTuple):
@@ -327,7 +356,9 @@ def _around(bright: Floats32, x_px: Floats, half: int) -> Floats:
     return np.asarray(around, np.float64)
 
 
-def _shift_by_light(x_px: Floats, height: Floats, pulled_px2: Floats, settings: TrackingSettings) -> Floats:
+def _shift_by_light(
+    x_px: Floats, log_height: Floats, pulled_px2: Floats, settings: TrackingSettings
+) -> Floats:
     r"""Return the shift of each ridge due to light L that falls off over it, px, (frame, N).
 
     pulled_px2: shift of each ridge per slope :math:`L'/L`, px², (frame, N): that of the fit of the mean shape
@@ -338,9 +369,7 @@ def _shift_by_light(x_px: Floats, height: Floats, pulled_px2: Floats, settings: 
     neighbours on both sides, beyond the scatter of single sheets. Fewer than five sheets do not show that
     scatter: every change of the slope between two sheets, beyond its noise in time, then counts as light.
     """
-    with np.errstate(divide="ignore", invalid="ignore"):
-        light = np.log(np.where(height > 0, height, np.nan))
-    light -= nan_median(light)
+    light = log_height - nan_median(log_height)
     light -= nan_median(light, axis=1)[:, None]  # exposure
     if light.shape[1] >= ENOUGH:
         shift = _slope_across(light, x_px, settings)

@@ -41,7 +41,7 @@ class PixelLocking(NamedTuple):
 
     def at(self, x_px: Floats) -> Floats:
         """Return the shift of positions."""
-        return np.asarray(np.tensordot(self.waves, _waves(x_px), axes=1), np.float64)
+        return np.asarray(np.tensordot(self.waves, pixel_waves(x_px), axes=1), np.float64)
 
 
 NO_LOCKING = PixelLocking(np.zeros(2 * _HARMONICS), 0.0)
@@ -85,9 +85,9 @@ def pixel_locking(x_px: Floats, err_px: float, settings: TrackingSettings) -> Pi
     if x.shape[1] < _LEAST_SHEETS or len(x) < _LEAST_FRAMES or _at_one_place(middle):
         return NO_LOCKING
     moved = x - middle
-    known, against = _without_outliers(_against_neighbours(moved))
-    regressors = _against_neighbours(_waves(x))
-    products, loads = _normal_equations(regressors, against, known)
+    known, against = without_outliers(_against_neighbours(moved))
+    regressors = _against_neighbours(pixel_waves(x))
+    products, loads = normal_equations(regressors, against, known)
     inverse = np.linalg.pinv(products.sum(axis=0))
     found = inverse @ loads.sum(axis=0)
     unexplained = loads - products @ found  # of each sheet: they scatter by more than noise explains
@@ -102,7 +102,7 @@ def pixel_locking(x_px: Floats, err_px: float, settings: TrackingSettings) -> Pi
     return locking if matters else NO_LOCKING
 
 
-def _waves(x_px: Floats) -> Floats:
+def pixel_waves(x_px: Floats) -> Floats:
     """Return cosine and sine of the position in its pixel, of each harmonic in turn, (4, …)."""
     turn = 2 * np.pi * x_px
     return np.stack([wave(k * turn) for k in range(1, _HARMONICS + 1) for wave in (np.cos, np.sin)])
@@ -122,13 +122,13 @@ def _against_neighbours(values: Floats) -> Floats:
     return np.asarray(values[..., 1:-1] - 0.5 * (values[..., :-2] + values[..., 2:]), np.float64)
 
 
-def _without_outliers(values: Floats) -> tuple[Bools, Floats]:
+def without_outliers(values: Floats) -> tuple[Bools, Floats]:
     """Return which values (frame, N) are near the median of their sheet, and their difference from it."""
     off = values - nan_median(values)
     return np.abs(off) < _OUTLIER * nan_median(np.abs(off)) / NORMAL_MEDIAN, off
 
 
-def _normal_equations(regressors: Floats, values: Floats, known: Bools) -> tuple[Floats, Floats]:
+def normal_equations(regressors: Floats, values: Floats, known: Bools) -> tuple[Floats, Floats]:
     """Return the sums of products of each sheet's regressors, (N, K, K), and of them and its values, (N, K).
 
     Both are taken less their means over the frames. regressors: (K, frame, N); values, known: (frame, N).
@@ -151,7 +151,7 @@ def _scatter_of_sheets(regressors: Floats, values: Floats, known: Bools) -> Floa
     where the amplitudes are not three times their errors.
     """
     parts = np.array_split(np.arange(len(values)), _PARTS)
-    each = [_normal_equations(regressors[:, rows], values[rows], known[rows]) for rows in parts]
+    each = [normal_equations(regressors[:, rows], values[rows], known[rows]) for rows in parts]
     products, loads = (np.stack(parts) for parts in zip(*each, strict=True))
     inverse = np.linalg.pinv(products.sum(axis=0), hermitian=True)
     count = np.maximum(known.sum(axis=0), 1)[:, np.newaxis]

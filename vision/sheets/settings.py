@@ -418,10 +418,10 @@ class TrackingSettings:
     """Distortion, px, below which a position does not count as distorted, and a sheet not as distorted in the
     whole film. Larger hides slight distortions, smaller counts the texture of the paper."""
 
-    distortion_least_px: float = 5.0
-    """Ridge width above which the shapes of five or more sheets are compared. The shape of narrower ridges
-    depends on their position among the pixels, which smaller takes for dirt (test_accuracy.py's 3 px); larger
-    checks fewer films."""
+    sampled_well_px: float = 5.0
+    """Width of ridges from which their shape does not depend on their place among the pixels. Of narrower
+    ones this is fitted and subtracted before shapes are compared. Smaller takes it for dirt
+    (test_sharp_ridges_keep_their_errors), larger may take dirt for it where sheets move over whole pixels."""
 
     # --- stated errors (tracks.py) ---
 
