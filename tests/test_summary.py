@@ -37,6 +37,18 @@ def test_events_of_an_oscillation_are_not_called_stick_slip():
     assert f"{len(sticks)} events (oscillation, not stick-slip)" in line
 
 
+@pytest.mark.parametrize("lowpass_s", [0.0, 0.012])
+def test_hum_is_a_line_of_its_own(lowpass_s):
+    """A failure means that hum, which forces contain, is named only where no low-pass is corrected."""
+    found = with_force()
+    assert not any(line.startswith("hum") for line in summary_lines(found))
+    sticks = found.sticks.copy()
+    sticks.attrs = {**sticks.attrs, "lowpass_s": lowpass_s, "hum_Hz": 50.0, "hum_N": 0.31}
+    lines = summary_lines(replace(found, sticks=sticks))
+    (line,) = (line for line in lines if "hum" in line)
+    assert line == "hum        slips are searched without hum of 50 Hz, 0.31 rms"
+
+
 def test_systematic_errors_are_a_line_each():
     """A failure means numbers that nobody can find in one long line, or no word on what is missing."""
     lines = summary_lines(with_force())

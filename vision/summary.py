@@ -92,6 +92,8 @@ def _lines(results: Results, assumed: Sample | None) -> Iterator[tuple[str, str]
         regime = StickMetadata.of(results.sticks).regime
         kind = "stick-slip events" if regime == "stick-slip" else f"events ({regime}, not stick-slip)"
         yield "events", f"{len(results.sticks)} {kind}; {sizes}; {lowpass}"
+        if hum := hum_line(results.sticks):
+            yield "hum", hum
         yield from (("", note) for note in ForceMetadata.of(results.force).notes)
     if (fits := results.fits) is not None:
         mu, a, n_hat = (both_errors(one) for one in (fits.mu, fits.amplitude, fits.n_hat_N))
@@ -274,10 +276,16 @@ def lowpass_correction(sticks: pd.DataFrame) -> str:
                 f"; the slips {proven} a low-pass of {_ms(facts.lowpass_proposed_s)}, which "
                 "`lowpass_s` can correct"
             )
-        if facts.hum_N:
-            proposal += f"; slips are searched without hum of {facts.hum_Hz:.4g} Hz, {facts.hum_N:.2g} rms"
         return f"forces as recorded{proposal}"
     return f"corrected for a low-pass of {_ms(facts.lowpass_s)} ({facts.lowpass_how})"
+
+
+def hum_line(sticks: pd.DataFrame) -> str:
+    """Return the frequency and size of the mains hum without which slips are searched; "" for none."""
+    facts = StickMetadata.of(sticks)
+    if not facts.hum_N:
+        return ""
+    return f"slips are searched without hum of {facts.hum_Hz:.4g} Hz, {facts.hum_N:.2g} rms"
 
 
 def _ms(seconds: float) -> str:
