@@ -82,11 +82,17 @@ def test_light_that_falls_off_over_a_ridge_is_in_its_error(moving):
     assert (tracks.flag.values == "ok").mean() > 0.99
 
 
-def off_in_errors(picture, x, *, sheets=None, **settings):
+def off_in_errors(picture, x, *, sheets=None):
     """Displacements measured less true ones, rms, in stated errors."""
-    tracks = track_sheets(picture, sheets=sheets, settings=TrackingSettings(**settings))
+    tracks = track_sheets(picture, sheets=sheets)
     off = tracks.x_px.values - x
     return np.sqrt(np.mean(((off - np.median(off, axis=0)) / tracks.x_err_px.values) ** 2))
+
+
+def off_unchecked(monkeypatch, picture, x):
+    """The same where no ridge is checked for distortion."""
+    monkeypatch.setattr("vision.sheets.tracks.distortion", lambda _, x_px, *__: Distortion.none(x_px))
+    return off_in_errors(picture, x)
 
 
 def test_a_lamp_that_moves_is_in_the_error(monkeypatch):
@@ -97,8 +103,7 @@ def test_a_lamp_that_moves_is_in_the_error(monkeypatch):
     picture = strip(ridges(x, width=400))
     picture.values[:] = picture.values * (1 + slope)
     assert off_in_errors(picture, x) < 1.4
-    monkeypatch.setattr("vision.sheets.tracks.distortion", lambda _, x_px, *__: Distortion.none(x_px))
-    assert off_in_errors(picture, x) > 2
+    assert off_unchecked(monkeypatch, picture, x) > 2
 
 
 @pytest.mark.parametrize("lopsided", [0.0, 0.4])
@@ -129,8 +134,7 @@ def test_a_reflection_that_moves_over_all_ridges_is_in_their_errors(seed, monkey
     light = ridges(x, width=620) + 0.35 * ridges(image, width=620, fwhm_px=9)
     picture = strip(light, snr=80, seed=seed)
     assert 0.7 < off_in_errors(picture, x) < 2
-    monkeypatch.setattr("vision.sheets.tracks.distortion", lambda _, x_px, *__: Distortion.none(x_px))
-    assert off_in_errors(picture, x) > 5
+    assert off_unchecked(monkeypatch, picture, x) > 5
 
 
 def thin_beside_thick(seed):
@@ -235,8 +239,7 @@ def test_what_lies_over_or_under_the_whole_comb_is_in_the_errors(what, monkeypat
     off = tracks.x_px.values - x
     within = np.abs(off - np.median(off, axis=0)) <= tracks.x_err_px.values
     assert 0.5 < within.mean() < 0.9
-    monkeypatch.setattr("vision.sheets.tracks.distortion", lambda _, x_px, *__: Distortion.none(x_px))
-    assert off_in_errors(picture, x) > 2
+    assert off_unchecked(monkeypatch, picture, x) > 2
 
 
 @pytest.mark.parametrize("period", [35, 60])
@@ -326,8 +329,7 @@ def test_what_lies_over_narrow_ridges_is_in_the_errors(what, monkeypatch):
     letters over the picture shift sheets by several of their stated errors."""
     x, picture = overlaid(what, 3.5)
     assert off_in_errors(picture, x) < 1.8
-    monkeypatch.setattr("vision.sheets.tracks.distortion", lambda _, x_px, *__: Distortion.none(x_px))
-    assert off_in_errors(picture, x) > 2
+    assert off_unchecked(monkeypatch, picture, x) > 2
 
 
 @pytest.mark.parametrize("unlike", [0.0, 0.1])

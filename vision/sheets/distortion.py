@@ -24,13 +24,12 @@ from vision.numeric import (
     weighted_median,
 )
 from vision.sheets.locking import normal_equations, pixel_waves, without_outliers
-from vision.sheets.reference import rest_positions, wide_spacings
+from vision.sheets.reference import rest_positions, spacing_sizes
 from vision.sheets.ridges import RidgeComb, in_blocks
-from vision.sheets.settings import TrackingSettings
+from vision.sheets.settings import LEAST_FRAMES, TrackingSettings
 from vision.sheets.subpixel import Starts, gather, position_noise
 from vision.signals import mean_over, running_median
 
-LEAST_FRAMES = 8
 NEIGHBOURHOOD = 5  # sheets whose shapes change alike as they creep
 ENOUGH = 5  # sheets of which neighbours show what is usual
 PHASE_FRAMES = 20  # in which a sheet shows how its own shape depends on its place in the pixels
@@ -64,9 +63,9 @@ def two_in_one(x_px: Floats, fwhm_px: Floats32, comb: RidgeComb) -> Bools:
     """
     rest = rest_positions(x_px)
     order = np.argsort(rest)  # corrections may have exchanged sheets
-    gaps, _ = wide_spacings(rest[order], settings=comb.settings)
-    after = np.searchsorted(rest[order], gaps)
-    near = np.isin(np.arange(len(rest)), order[np.concatenate([after - 1, after])])
+    _, gap = spacing_sizes(rest[order], settings=comb.settings)
+    near = np.zeros(len(rest), bool)
+    near[order[:-1][gap]] = near[order[1:][gap]] = True
     wide = np.log(median_where(np.isfinite(x_px), fwhm_px))
     wide = wide - nan_median(wide)
     scatter = nan_median(np.abs(wide)) / NORMAL_MEDIAN
@@ -150,8 +149,7 @@ def distortion(
     log_height = np.log(height, out=height)
     narrow = comb.fwhm_px < settings.sampled_well_px
     if narrow:
-        for values in (log_height, apart, sloping):
-            _subtract_pixel_phase(values, x_px)
+        _subtract_pixel_phase((log_height, apart, sloping), x_px)
     differences = [
         _Difference(
             differs,
@@ -189,25 +187,32 @@ def distortion(
     return Distortion(size, usual_px, settings.distortion_error * _if_above(pull, least), scale)
 
 
-def _subtract_pixel_phase(values: Floats, x_px: Floats) -> None:
-    """Subtract from values of the ridges what depends on where they lie in their pixels, both (frame, N).
+def _subtract_pixel_phase(tables: Sequence[Floats], x_px: Floats) -> None:
+    """Subtract from tables of values of the ridges what depends on where they lie in their pixels.
 
     The shape of ridges narrower than some five pixels depends on it. The same combination of `pixel_waves` is
     fitted to all sheets; sheets that moved over whole pixels have one of their own beside it, as sheets may
-    have different shapes. Values are changed in place.
+    have different shapes. All are (frame, N); the tables are changed in place.
     """
-    products, loads = np.empty((x_px.shape[1], 4, 4)), np.empty((x_px.shape[1], 4))
-    moved = np.zeros(x_px.shape[1], bool)
-    for n, x in enumerate(x_px.T):
-        known, off = without_outliers(values[:, n, None])
-        (products[n],), (loads[n],) = normal_equations(pixel_waves(x[:, None]), off, known)
-        apart = nan_quantile(x, 0.95) - nan_quantile(x, 0.05)
-        moved[n] = (apart > 1.0) & (known.sum() >= PHASE_FRAMES)
-    common = np.linalg.pinv(products.sum(axis=0), hermitian=True) @ loads.sum(axis=0)
-    own = np.linalg.pinv(products, hermitian=True) @ (loads - products @ common)[..., None]
-    own[~moved] = 0.0
-    for n, x in enumerate(x_px.T):
-        values[:, n] -= (common + own[n, :, 0]) @ pixel_waves(x)
+    equations = []
+    for x, *own in zip(x_px.T, *(values.T for values in tables), strict=True):
+        waves = pixel_waves(x[:, None])
+        for of_sheet in own:
+            known, off = without_outliers(of_sheet[:, None])
+            (products,), (loads,) = normal_equations(waves, off, known)
+            equations.append((products, loads, known.sum()))
+    products, loads, count = (
+        np.array(part).reshape(-1, len(tables), *np.shape(part[0])) for part in zip(*equations, strict=True)
+    )
+    common = np.linalg.pinv(products.sum(axis=0), hermitian=True) @ loads.sum(axis=0)[..., None]
+    alone = np.linalg.pinv(products, hermitian=True) @ (loads[..., None] - products @ common)
+    moved = nan_quantile(x_px, 0.95) - nan_quantile(x_px, 0.05) > 1.0
+    alone[~(moved[:, None] & (count >= PHASE_FRAMES))] = 0.0
+    amplitudes = (common + alone)[..., 0]
+    for x, of_sheet, *own in zip(x_px.T, amplitudes, *(values.T for values in tables), strict=True):
+        waves = pixel_waves(x)
+        for values, amplitude in zip(own, of_sheet, strict=True):
+            np.subtract(values, amplitude @ waves, out=values)
 
 
 class _Difference(NamedTuple):

@@ -12,20 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vision.numeric import (
-    NORMAL_MEDIAN,
-    Bools,
-    Floats,
-    Floats32,
-    nan_median,
-    nan_quantile,
-    row_parts,
-)
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, nan_median, nan_quantile, row_parts
 from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb, profile_noise
-from vision.sheets.settings import DEFAULT, TrackingSettings
+from vision.sheets.settings import DEFAULT, LEAST_FRAMES, TrackingSettings
 from vision.signals import sums_around
 
-LEAST_FRAMES = 8
 BLUR_FRAMES = 2  # before and after a blurred one: two may show the same one of two images
 LIGHT_FRAMES = 5  # before and after, in at least one of which a ridge is as high as its light permits
 SCENE_FRAMES = 5  # compared before and after a change of scene

@@ -28,14 +28,7 @@ from vision.numeric import (
 )
 from vision.sheets.alignment import values_of
 from vision.sheets.doubts import doubts_of, hops, shifted_pattern, unlike_neighbours
-from vision.sheets.identities import (
-    DOUBTS,
-    Doubt,
-    Identities,
-    exchanged,
-    fill_rows,
-    last_seen,
-)
+from vision.sheets.identities import DOUBTS, Doubt, Identities, exchanged, fill_rows, last_seen
 from vision.sheets.renumbered import (
     LIKE_ITSELF,
     numbered_by_a_neighbour,

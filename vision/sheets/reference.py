@@ -458,11 +458,20 @@ def wide_spacings(x_px: Floats, *, settings: TrackingSettings = DEFAULT) -> tupl
         Middles of these spacings, and their sizes in local pitches (the median of the nine spacings around).
         Empty for fewer than nine sheets, for which there is no local pitch.
     """
+    size, wide = spacing_sizes(x_px, settings=settings)
+    return (x_px[:-1] + 0.5 * np.diff(x_px))[wide], size[wide]
+
+
+def spacing_sizes(x_px: Floats, *, settings: TrackingSettings) -> tuple[Floats, Bools]:
+    """Return the sizes of the spacings of sheets (N,) in local pitches, and which are too wide, (N − 1,).
+
+    None is too wide, and all sizes are NaN, for fewer than nine sheets.
+    """
     spacing = np.diff(x_px)
     if spacing.size < 8:
-        return np.empty(0), np.empty(0)
+        return np.full(spacing.shape, np.nan), np.zeros(spacing.shape, bool)
     size = spacing / running_median(spacing, 9)
     log = np.log(size)
     scatter = float(mad_sigma(log))
-    wide = log > max(np.log(settings.wide_pitches), 3.0 * scatter)  # an uneven comb has wide spacings anyway
-    return (x_px[:-1] + 0.5 * spacing)[wide], size[wide]
+    # an uneven comb has wide spacings anyway
+    return size, log > max(np.log(settings.wide_pitches), 3.0 * scatter)

@@ -13,18 +13,9 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from vision.numeric import (
-    NORMAL_MEDIAN,
-    Bools,
-    Floats,
-    median_size,
-    nan_median,
-    nan_quantile,
-    row_parts,
-)
-from vision.sheets.settings import DEFAULT, TrackingSettings
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, median_size, nan_median, nan_quantile, row_parts
+from vision.sheets.settings import DEFAULT, LEAST_FRAMES, TrackingSettings
 
-LEAST_FRAMES = 8
 FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 OPENING = 10  # sheets that show the opening of the comb
 NOISE_LAGS = range(2, 9)  # frames: an error that repeats itself vanishes at some of them

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+LEAST_FRAMES = 8  # fewer do not show how values of a film scatter
+
 
 @dataclass(frozen=True, kw_only=True)
 class TrackingSettings:

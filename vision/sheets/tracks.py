@@ -31,12 +31,7 @@ from vision.sheets.film import motion_blur, repeated_frames, scene_changes
 from vision.sheets.identities import WHYS, Doubt, identify_sheets
 from vision.sheets.locking import NO_LOCKING, PixelLocking, pixel_locking
 from vision.sheets.numbering import Numbering, number_sheets
-from vision.sheets.recovery import (
-    FLAGS,
-    Detections,
-    Flag,
-    assign_detections,
-)
+from vision.sheets.recovery import FLAGS, Detections, Flag, assign_detections
 from vision.sheets.reference import ReferenceComb, marks, wide_spacings
 from vision.sheets.ridges import RidgeComb, describe_ridges, find_ridges, no_ridges
 from vision.sheets.scatter import BetweenSlips, noise_excess, shared_error, spatial_scatter

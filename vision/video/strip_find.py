@@ -66,6 +66,11 @@ class _Slopes:
         """First column of each segment along x."""
         return segment_starts(self.mean.shape[-1], self.settings.segment_px)
 
+    @property
+    def power(self) -> Floats32:
+        """Power of the slopes in each segment along x, without white noise, (band, segment)."""
+        return np.add.reduceat((self.mean**2 - self.difference**2).sum(axis=0), self.starts, axis=-1)
+
     def part(self, first: int, last: int) -> _Slopes:
         """Return the slopes of some bands."""
         bands = np.s_[:, first:last]
@@ -268,37 +273,25 @@ def _agreeing(slopes: _Slopes, first: int, last: int, tilt: float) -> tuple[int,
 
 
 def _text_bands(slopes: _Slopes) -> Bools:
-    r"""Return which bands show text over the picture, such as the time of day, (band,).
+    """Return which bands show text over the picture, such as the time of day, (band,).
 
-    Ridges run through many bands, text through few. In each segment along x, the pattern that the bands share
-    is the first eigenvector of the matrix of their scalar products, each band at most as strong as the
-    median one, so that text, which is far steeper than ridges, does not decide. What a band shows beyond this
-    pattern is text if its power is several times the pattern's usual power, and larger than the pattern's own
-    power in this band (where ridges are in sharp focus, both are large), in two segments or more; and in the
-    bands beside, where it is in one. In a narrow picture one segment is enough. Ridges at
-    another place, because they are tilted or bowed, are not stronger than usual. Nothing is text where the
-    bands of most segments share no pattern.
+    Ridges run through many bands, text through few. What a band shows beyond the pattern that all bands share
+    is text if its power is several times the pattern's usual power, and larger than the pattern's own power
+    in this band (where ridges are in sharp focus, both are large), in two segments or more; and in the bands
+    beside, where it is in one. In a narrow picture one segment is enough. Ridges at another place, because
+    they are tilted or bowed, are not stronger than usual. Nothing is text where the bands of most segments
+    share no pattern.
     """
-    bands, edges = slopes.mean.shape[1], [*slopes.starts.tolist(), slopes.mean.shape[-1]]
-    shown = _shows_ridges(slopes)
-    shared, (beyond, along) = np.zeros(shown.size), np.zeros((2, shown.size, bands))
+    power, shown = np.maximum(slopes.power.T.astype(np.float64), 1e-12), _shows_ridges(slopes)
+    along, edges = np.zeros(power.shape), [*slopes.starts.tolist(), slopes.mean.shape[-1]]
     for k, (first, last) in enumerate(itertools.pairwise(edges)):
-        part = slopes.mean[..., first:last].swapaxes(0, 1).reshape(bands, -1).astype(np.float64)
-        size = np.linalg.norm(part, axis=1)
-        power = np.maximum(size**2 - (slopes.difference[..., first:last] ** 2).sum(axis=(0, 2)), 1e-12)
         if shown[k]:
-            alike = part * (np.minimum(size, np.median(size)) / np.maximum(size, 1e-6))[:, None]
-            products, weight = alike @ alike.T, np.ones(bands)
-            for _ in range(20):  # they converge to the first eigenvector, faster than all are computed
-                weight = products @ weight
-                weight /= max(float(np.linalg.norm(weight)), 1e-12)
-            pattern = weight @ alike
-            along[k] = (part @ pattern) ** 2 / max(float(pattern @ pattern), 1e-12)
-            shared[k] = np.median(along[k] / power)
-        beyond[k] = power - along[k]
-    if not shown.any() or np.median(shared[shown]) <= slopes.settings.shared_pattern:
-        return np.zeros(bands, bool)
+            along[k] = _power_of_shared_pattern(slopes.mean[..., first:last])
+    shared = np.median(along[shown] / power[shown], axis=1)
+    if not shown.any() or np.median(shared) <= slopes.settings.shared_pattern:
+        return np.zeros(power.shape[1], bool)
     usual = np.quantile(np.median(along[shown], axis=1), slopes.settings.segment_cap)
+    beyond = power - along
     steep = (beyond > slopes.settings.label_power * usual) & (beyond > along)
     faint = steep.any(axis=0)
     certain = steep.sum(axis=0) >= (2 if shown.size > slopes.settings.few_segments else 1)
@@ -308,6 +301,23 @@ def _text_bands(slopes: _Slopes) -> Bools:
     near[1:] |= text[:-1]
     near[:-1] |= text[1:]
     return np.asarray(near, bool)
+
+
+def _power_of_shared_pattern(bands: Floats32) -> Floats:
+    """Return the power in each band of what all bands (frame, band, x) share, (band,).
+
+    It is the first eigenvector of the matrix of their scalar products, each band at most as strong as the
+    median one, so that text, which is far steeper than ridges, does not decide.
+    """
+    part = bands.swapaxes(0, 1).reshape(bands.shape[1], -1).astype(np.float64)
+    size = np.linalg.norm(part, axis=1)
+    alike = part * (np.minimum(size, np.median(size)) / np.maximum(size, 1e-6))[:, None]
+    products, weight = alike @ alike.T, np.ones(len(part))
+    for _ in range(20):  # they converge to the first eigenvector, faster than all are computed
+        weight = products @ weight
+        weight /= max(float(np.linalg.norm(weight)), 1e-12)
+    pattern = weight @ alike
+    return np.asarray((part @ pattern) ** 2 / max(float(pattern @ pattern), 1e-12), np.float64)
 
 
 def _measure_slopes(
@@ -438,8 +448,7 @@ def _change(slopes: _Slopes, first: int, last: int) -> float:
 
 def _shows_ridges(slopes: _Slopes) -> Bools:
     """Return which segments show ridges in many rows."""
-    power = np.add.reduceat((slopes.mean**2 - slopes.difference**2).sum(axis=0), slopes.starts, axis=-1)
-    usual = np.quantile(power, slopes.settings.ridge_rows, axis=0)
+    usual = np.quantile(slopes.power, slopes.settings.ridge_rows, axis=0)
     return np.asarray(usual >= slopes.settings.ridge_share * np.sort(usual)[-min(3, usual.size)], bool)
 
 
