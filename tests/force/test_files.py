@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import h5py
 import numpy as np
+import openpyxl
 import pytest
 from scipy.io import savemat
 
@@ -106,6 +109,65 @@ def test_matlab(version: str, tmp_path: Path) -> None:
     np.testing.assert_allclose(force["load_N"], LOAD)
     np.testing.assert_allclose(force["d_mm"], TIME * 0.02)
     assert force.attrs["separation_from"] == "speed"
+
+
+def _workbook(path: Path, sheets: dict[str, list[list[object]]]) -> Path:
+    book = openpyxl.Workbook()
+    book.remove(book.active)
+    for title, rows in sheets.items():
+        sheet = book.create_sheet(title)
+        for row in rows:
+            sheet.append(row)
+    book.save(path)
+    return path
+
+
+START = datetime(2024, 5, 12, 23, 59, 58)  # two seconds before midnight
+CELLS: dict[str, Callable[[float], object]] = {
+    "numbers": lambda t: t,
+    "text with decimal commas": lambda t: str(t).replace(".", ","),
+    "dates": lambda t: START + timedelta(seconds=t),
+    "times of day": lambda t: (START + timedelta(seconds=t)).time(),
+    "durations": lambda t: timedelta(seconds=t),
+}
+
+
+@pytest.mark.parametrize("kind", CELLS)
+def test_excel(kind: str, tmp_path: Path) -> None:
+    """A failure means that a workbook as testing machines export it is refused, or read as other numbers.
+
+    It has a worksheet of parameters and one of results before that of the recording.
+    """
+    words = kind.startswith("text")
+    loads = [str(load / 1e3).replace(".", ",") if words else float(load / 1e3) for load in LOAD]
+    rows = [["Probe 1"], ["Zeit", "Kraft", None, "Bemerkung"], ["" if kind == "dates" else "s", "kN"]]
+    if kind not in ("numbers", "text with decimal commas"):
+        rows[2][0] = None
+    rows += [[CELLS[kind](float(t)), load] for t, load in zip(TIME, loads, strict=True)]
+    peaks = [["Nr", "Fmax"], [None, "N"], [1, 28.1], [2, 28.2], [3, 28.0], [4, "#DIV/0!"]]
+    sheets = {"Parameter": [["V", 1.2]], "Ergebnisse": peaks, "Probe 1": rows}
+    path = _workbook(tmp_path / "test.xlsx", sheets)
+    force = read_force(path, speed_mm_min=1.2)
+    np.testing.assert_allclose(force["load_N"], LOAD)
+    np.testing.assert_allclose(force["time_s"] - force["time_s"][0], TIME - TIME[0], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("rows", "found"),
+    [([], "none"), ([["Load", "Time"], ["high", "early"]], "none"), ([[None] * 2000 + [1.0]], "2001")],
+)
+def test_excel_without_a_recording(rows: list[list[object]], found: str, tmp_path: Path) -> None:
+    """A failure means a traceback for an empty workbook, one of text, or one that would take all memory."""
+    with pytest.raises(InputError, match=found):
+        read_force(_workbook(tmp_path / "test.xlsx", {"Data": rows}))
+
+
+def test_excel_that_unpacks_to_more_than_it_may(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A failure means that a small file can fill the memory."""
+    path = _workbook(tmp_path / "test.xlsx", {"Data": [[0.1 * n, 5.0] for n in range(1000)]})
+    monkeypatch.setattr("vision.force.files._Most.mixed_bytes", 10_000)
+    with pytest.raises(InputError, match="unpacked"):
+        read_force(path)
 
 
 def test_missing_or_damaged_files(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from vision.video import open_video, read_timestamps
 
 SECONDS = 60  # on a machine that does much else; on a quiet one a case takes milliseconds
 MEMORY_BYTES = 2 << 30
-FORCE = ("text", "mat", "hdf5")
+FORCE = ("text", "mat", "hdf5", "xlsx")
 ALONGSIDE = ("photron", "images")  # read with the files beside them
 # Out of 1000: MATLAB and HDF5 start a process each, which takes as long as twenty others.
 SHARE = {
@@ -33,7 +33,7 @@ SHARE = {
     "cine": 60,
     "text": 110,
 }
-SHARE |= {"times": 30, "photron": 40, "images": 40, "mat": 5, "hdf5": 5}
+SHARE |= {"times": 30, "photron": 40, "images": 40, "mat": 5, "hdf5": 5, "xlsx": 40}
 
 
 class HangError(BaseException):

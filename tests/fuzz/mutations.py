@@ -1,13 +1,16 @@
 """Damage that knows a file's structure: sizes, counts and offsets are changed more often than pixels."""
 
+import io
 import re
 import struct
+import zipfile
 import zlib
 from collections.abc import Callable
 
 import numpy as np
 
 Random = np.random.Generator
+SHEET = "xl/worksheets/sheet1.xml"
 NUMBERS = (0, 1, 2, 3, 7, 8, 0x7F, 0xFF, 0x7FFF, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 1 << 20, 1 << 62)
 WORDS = (
     *(
@@ -50,11 +53,29 @@ def mutated(data: bytes, kind: str, random: Random, other: bytes = b"") -> bytes
     if other and random.random() < 0.1:
         at = random.random()
         data = data[: int(at * len(data))] + other[int(at * len(other)) :]
+    if kind == "xlsx" and random.random() < 0.9:
+        return _one_part(data, random)
     for _ in range(int(random.integers(1, 5))):
         changes = TEXT if kind in ("text", "times", "photron") else BINARY
         change = changes[int(random.integers(len(changes)))]
         data = change(data, kind, random)
     return with_checksums(data) if data[:4] == b"\x89PNG" and random.random() < 0.8 else data
+
+
+def _one_part(data: bytes, random: Random) -> bytes:
+    """A workbook with one of its XML files changed; unchanged if it is no archive any more."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as book:
+            parts = {name: book.read(name) for name in book.namelist()}
+    except (zipfile.BadZipFile, zlib.error, EOFError):
+        return data
+    name = list(parts)[int(random.integers(len(parts)))] if random.random() < 0.5 else SHEET
+    parts[name] = mutated(parts[name], "text", random)
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as book:
+        for part, content in parts.items():
+            book.writestr(part, content)
+    return packed.getvalue()
 
 
 # --- places of numbers ------------------------------------------------------------------------------------

@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import h5py
 import numpy as np
+import openpyxl
 import tifffile
 from scipy.io import savemat
 
@@ -47,6 +48,7 @@ def write_seeds(folder: Path) -> dict[str, list[Path]]:
         "mat": [_mat(folder / "v5.mat")],
         "hdf5": [_mat73(folder / "v73.mat")],
         "text": _text(folder),
+        "xlsx": [_workbook(folder / "a.xlsx")],
         "times": [_times(folder / "times.txt", len(frames))],
     }
 
@@ -163,6 +165,16 @@ def _mat73(path: Path) -> Path:
         for name, values in _columns().items():
             file.create_dataset(name, data=values[np.newaxis], compression="gzip")
         file.create_group("about")["rate"] = 100.0
+    return path
+
+
+def _workbook(path: Path) -> Path:
+    columns = _columns()
+    book = openpyxl.Workbook()
+    book.active.append(list(columns))
+    for row in np.column_stack(list(columns.values())).tolist():
+        book.active.append(row)
+    book.save(path)
     return path
 
 

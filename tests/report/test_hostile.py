@@ -11,6 +11,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
+import openpyxl
 import pandas as pd
 import pytest
 
@@ -127,7 +128,6 @@ def test_exported_tables_compute_nothing(to, here):
             check_csv(file)
         assert "HYPERLINK" in (out / "settings.csv").read_text(encoding="utf-8")
         return
-    openpyxl = pytest.importorskip("openpyxl")
     book = openpyxl.load_workbook(out)
     cells = [cell for sheet in book for row in sheet.rows for cell in row]
     assert any("HYPERLINK" in str(cell.value) for cell in cells)

@@ -7,6 +7,7 @@ import warnings
 from typing import get_args
 
 import numpy as np
+import openpyxl
 import pandas as pd
 import pytest
 import xarray as xr
@@ -119,7 +120,6 @@ def test_csv_comes_back_with_pandas(run, truth):
 
 def test_xlsx_comes_back_with_openpyxl(run, truth):
     """A failure means that a workbook is damaged, or its cells are not what was measured."""
-    openpyxl = pytest.importorskip("openpyxl")
     path = export_run(run, "xlsx").target
     assert path.name == "film_tracks.xlsx"
     book = openpyxl.load_workbook(path)
@@ -236,7 +236,6 @@ def test_a_run_of_a_force_alone_exports_its_events(tmp_path, monkeypatch):
 
 def test_a_table_too_long_for_a_worksheet_is_said(run, monkeypatch):
     """A failure means rows cut off without a word."""
-    openpyxl = pytest.importorskip("openpyxl")
     monkeypatch.setattr(export, "EXCEL_ROWS", 40)
     done = export_run(run, "xlsx")
     assert "tracks: 48 rows" in done.notes[0]
@@ -249,7 +248,6 @@ def test_a_table_too_long_for_a_worksheet_is_said(run, monkeypatch):
 
 def test_long_tables_are_written_in_parts(run, truth, monkeypatch):
     """A failure means rows lost or doubled between the parts of a long table."""
-    openpyxl = pytest.importorskip("openpyxl")
     monkeypatch.setattr(export, "ROWS_AT_ONCE", 7)
     rows = list(openpyxl.load_workbook(export_run(run, "xlsx").target)["tracks"].values)[1:]
     assert [row[0] for row in rows] == np.repeat(truth["frame"].values, 4).tolist()
@@ -288,18 +286,9 @@ def test_a_failed_export_leaves_nothing(run, to, tmp_path, monkeypatch):
     assert [p.name for p in tmp_path.iterdir()] == ["film_tracks"]
 
 
-def test_a_package_that_is_not_there_is_named(run, tmp_path, monkeypatch):
-    """A failure means a traceback where an optional package is not installed."""
-    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
-    with pytest.raises(InputError, match=r"openpyxl.*'\.\[export\]'"):
-        export_run(run, "xlsx")
-    assert [p.name for p in tmp_path.iterdir()] == ["film_tracks"]
-
-
 @pytest.mark.parametrize("cell", ['=HYPERLINK("http://x")', "+1+1", "-x", "@SUM(A1)", " =1", "\t=1", "\r=1"])
 def test_text_that_a_spreadsheet_would_run_is_quoted(cell, run, monkeypatch):
     """A failure means that the name of a film becomes a live formula in someone's spreadsheet."""
-    openpyxl = pytest.importorskip("openpyxl")
     table = pd.DataFrame({"name": [cell, "-1.5", "plain"], "x_px": [-1.0, 2.0, 3.0]})
     monkeypatch.setattr(export, "all_tables", lambda run: {"settings": table})
     back = pd.read_csv(export_run(run, "csv").target / "settings.csv", dtype=str)

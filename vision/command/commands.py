@@ -292,7 +292,7 @@ def force(
     Parameters
     ----------
     file
-        Recording of a testing machine: text, CSV, .TRA or .mat.
+        Recording of a testing machine: text, CSV, .TRA, .xlsx or .mat.
     free_t_star
         Also fit T* (the data hardly separate it from the friction coefficient).
     detection_limit

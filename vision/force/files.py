@@ -1,11 +1,13 @@
-"""Tables of numbers, with names and units of their columns, from text in any layout and MATLAB files."""
+"""Tables of numbers, with names and units of their columns, from text, Excel and MATLAB files."""
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
 import re
 import warnings
+import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -35,6 +37,7 @@ class _Most:
 
 
 _WANTED, _WANTED_MAT = "a force recording", "a MATLAB .mat file"
+_ADVICE = "export the recording as text with one row per sample"
 LEAST_ROWS = 3
 
 
@@ -66,7 +69,8 @@ def read_tables(path: Path) -> list[Table]:
     path
         Text as MTS TestSuite (text and CSV), MTS 793, Instron Bluehill, Zwick TRA, Shimadzu Trapezium
         and LabVIEW (.lvm) write it, plain tables with or without a header, units in the cells, one column
-        with a unit in each line; or a MATLAB .mat file, v4 to v7.3.
+        with a unit in each line; an Excel workbook (.xlsx, .xlsm), whose worksheets are read like text;
+        or a MATLAB .mat file, v4 to v7.3.
 
     Returns
     -------
@@ -84,7 +88,8 @@ def read_tables(path: Path) -> list[Table]:
     if size > _Most.bytes:
         raise InputError(path, f"at most {_Most.bytes >> 30} GiB", f"{size >> 20} MiB", "export a part of it")
     with reading(path, _WANTED, "export it again"):
-        return _read_mat(path) if path.suffix.lower() == ".mat" else _read_text(path)
+        kind = path.suffix.lower()
+        return _READERS.get(kind, _read_text)(path)
 
 
 # --- units --------------------------------------------------------------------------------------------------
@@ -200,8 +205,7 @@ def _read_text(path: Path) -> list[Table]:
         return [_suffixed_column(path, lines, encoding)]
     tables = _read_blocks(path, lines, style, _facts(lines, style, encoding))
     if not tables:
-        advice = "export the recording as text with one row per sample"
-        raise InputError(path, f"{LEAST_ROWS} lines of numbers in a row", "none", advice)
+        raise InputError(path, f"{LEAST_ROWS} lines of numbers in a row", "none", _ADVICE)
     return tables
 
 
@@ -474,11 +478,12 @@ def _header(lines: list[str], style: _Style, width: int) -> tuple[tuple[str, ...
     """Return names and units from the text above a block, "" for none."""
     rows = [style.cells(line.lstrip("#% ")) for line in lines if line.strip()]
     blank = ("",) * width
-    if not rows or len([cell for cell in rows[-1] if cell]) < min(2, width):
+    named = [sum(cell != "" for cell in row) >= min(2, width) for row in rows]
+    for name, unit in ((-2, -1), (-1, -2)) if len(rows) > 1 else ():
+        if named[name] and _is_unit_row(rows[unit]):  # clock times have none: a single unit may be all
+            return _fit(rows[name], width), tuple(map(without_brackets, _fit(rows[unit], width)))
+    if not rows or not named[-1]:
         return blank, blank
-    for names, units in ((rows[-2], rows[-1]), (rows[-1], rows[-2])) if len(rows) > 1 else ():
-        if _is_unit_row(units):
-            return _fit(names, width), tuple(without_brackets(cell) for cell in _fit(units, width))
     split = [split_name(cell) for cell in _fit(rows[-1], width)]
     labels = next((row[1:] for row in rows if row[0] == "Y_Unit_Label"), None)  # LabVIEW: far above the names
     if labels and rows[-1][0] == "X_Value":
@@ -515,13 +520,50 @@ def _suffixed_column(path: Path, lines: list[str], encoding: str) -> Table:
             path,
             "columns of numbers (time, load, displacement)",
             "no three lines of numbers in a row",
-            "export the recording as text with one row per sample",
+            _ADVICE,
         )
     facts = {"layout": "one column", "encoding": encoding, "separator": "none", "decimal": "."}
     with_unit = len(found) >= len(plain)
     numbers = [float(match["number"]) for match in found] if with_unit else [float(line) for line in plain]
     unit = found[0]["unit"] if with_unit else ""
     return Table(("",), (unit,), np.array(numbers)[:, np.newaxis], facts)
+
+
+# --- Excel --------------------------------------------------------------------------------------------------
+
+
+def _read_workbook(path: Path) -> list[Table]:
+    """Read every block of numbers of an Excel workbook, worksheet by worksheet."""
+    import openpyxl
+
+    size = sum(part.file_size for part in zipfile.ZipFile(path).infolist())  # unpacked
+    if size > _Most.mixed_bytes:
+        wanted = f"a workbook of at most {_Most.mixed_bytes >> 30} GiB when unpacked"
+        raise InputError(path, wanted, f"{size >> 20} MiB", "export one table of numbers as text")
+    tables: list[Table] = []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # about styles and menus, which are not read
+        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
+    with contextlib.closing(book):
+        for sheet in book.worksheets:
+            sheet.reset_dimensions()  # stated ones may be wrong
+            lines = ["\t".join(_written(row, path)) for row in sheet.iter_rows(values_only=True)]
+            if style := _find_style(lines):
+                facts = {"layout": f"Excel, {sheet.title}", "encoding": "xlsx", "separator": "cells"}
+                tables += _read_blocks(path, lines, style, facts | {"decimal": style.decimal})
+    if not tables:
+        raise InputError(path, f"{LEAST_ROWS} rows of numbers in a worksheet", "none", _ADVICE)
+    return tables
+
+
+def _written(row: tuple[object, ...], path: Path) -> list[str]:
+    """Return the cells of a row as text, up to the last that is not empty."""
+    cells = ["" if cell is None else " ".join(str(cell).split()) for cell in row]
+    while cells and not cells[-1]:
+        cells.pop()
+    if len(cells) > _Most.columns:
+        raise InputError(path, f"at most {_Most.columns} columns", str(len(cells)), "export fewer of them")
+    return cells
 
 
 # --- MATLAB -------------------------------------------------------------------------------------------------
@@ -576,3 +618,6 @@ def _vectors(variables: Mapping[str, Any], level: int = 0) -> Iterator[tuple[str
             yield name, array.astype(float)
         elif array.dtype.kind in "fiu" and array.ndim == 2 and array.shape[1] <= _Most.matrix_columns:
             yield from ((f"{name} {k + 1}", column.astype(float)) for k, column in enumerate(array.T))
+
+
+_READERS = {".mat": _read_mat, ".xlsx": _read_workbook, ".xlsm": _read_workbook}

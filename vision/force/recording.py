@@ -44,7 +44,7 @@ def read_force(
     Parameters
     ----------
     path
-        Recording of a testing machine in any layout (text, CSV, .TRA, .mat).
+        Recording of a testing machine in any layout (text, CSV, .TRA, .xlsx, .mat).
     speed_mm_min
         V, pulling speed. It replaces a displacement that is not recorded, and is else compared with it.
     d0_mm

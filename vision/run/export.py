@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -14,7 +13,7 @@ import pandas as pd
 import xarray as xr
 
 from vision.data import MEASURED, StripMetadata
-from vision.errors import InputError, install_advice
+from vision.errors import InputError
 from vision.files import AGAIN, harmless, harmless_table, reading
 from vision.folder import check_new, flattened, run_folder, whole_file, write_json
 from vision.run.reading import RunFolder, check_results, read_json
@@ -46,10 +45,8 @@ def export_run(run: RunFolder, to: Format, *, out: Path | None = None, overwrite
     the run's name with the format's suffix in the working directory.
 
     Raises: InputError for a target that exists (without overwrite), lies in the run itself, is another run or
-    cannot be written; for a package that is not installed; or for a run without the data that are exported.
+    cannot be written; or for a run without the data that are exported.
     """
-    if to == "xlsx" and importlib.util.find_spec("openpyxl") is None:
-        raise InputError("the format xlsx", "the package openpyxl", "none", install_advice("export"))
     target = out or Path(f"{run.folder.resolve().name}{ENDINGS.get(to, f'_{to}')}")
     if to == "xlsx" and target.suffix.lower() != ".xlsx" and not target.is_dir():  # or no program opens it
         target = target.with_name(f"{target.name}.xlsx")
