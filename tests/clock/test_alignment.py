@@ -1,5 +1,7 @@
 """The likelihood of one clock, pairs of slips and their sizes as evidence; and which clocks are ambiguous."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -232,6 +234,42 @@ def test_unreported_lost_frames_are_not_believed_blindly():
         jumps = np.searchsorted(np.sort(rng.uniform(*p.trains.video_s[[0, -1]], 12)), p.trains.video_s)
         a = align(SlipTrains(p.trains.video_s - FRAME_S * jumps, p.trains.error_s, p.trains.force_s))
         assert a.ambiguity
+
+
+def after_a_loss(rng, lost_s, jitter=0.05, first=None):
+    """Trains of 36 slips, 0.4 s apart, of which the film loses `lost_s` before slip number `first`."""
+    times = slip_times(rng, 36, period_s=0.4, jitter=jitter)
+    film = times + rng.normal(0, 0.004, 36)
+    film[int(rng.integers(6, 30)) if first is None else first :] -= lost_s
+    return SlipTrains(np.sort(film), np.full(36, 0.004), times)
+
+
+def test_the_loss_of_about_one_slip_is_noticed(monkeypatch):
+    """A failure means that slips beyond lost frames are taken for their neighbours, and the clock for right."""
+
+    def believed_share(lost_s, scatter_s):
+        rng = np.random.default_rng(3)
+        return believed(
+            [align(after_a_loss(rng, lost_s + rng.normal(0, scatter_s))) for _ in range(60)]
+        ).mean()
+
+    assert believed_share(0.0, 0.0) > 0.95
+    assert believed_share(0.4, 0.02) < 0.05
+    monkeypatch.setattr("vision.clock.alignment._jump", lambda *_: "")
+    assert believed_share(0.4, 0.02) > 0.5  # by all other tests
+
+
+@pytest.mark.parametrize("first", [8, 24])
+def test_where_a_clock_jumps_is_said(first):
+    """A failure means that the user looks for the lost frames in the wrong place."""
+    rng = np.random.default_rng(6)
+    for _ in range(5):
+        trains = after_a_loss(rng, 0.41, jitter=0.1, first=first)
+        said = align(trains).ambiguity
+        side, shift = ("up to", "-0.4") if first == 8 else ("from", "+0.4")
+        assert f" better {shift}" in said
+        at_s = float(re.search(rf"slips {side} ([0-9.]+) s of the film", said)[1])
+        assert abs(at_s - trains.video_s[first]) < 0.9  # within two slips: by chance one more may fit both
 
 
 @pytest.fixture(scope="module")

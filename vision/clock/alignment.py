@@ -407,15 +407,21 @@ def align(trains: SlipTrains, settings: ClockSettings = ClockSettings()) -> Alig
       of unrelated slips or if the sizes disagree; by more if errors had to be widened);
     - intervals or sizes are uneven enough to exclude a shift by one slip;
     - neighbouring residuals are uncorrelated, unlike those of unrelated even trains, whose offset changes
-      smoothly, and those after lost frames, which all shift.
+      smoothly, and those after lost frames, which all shift;
+    - no other offset fits the slips before or after some time much better, as it does if about as much as a
+      whole slip is lost there.
     """
     clocks, fits = find_alignments(trains, settings)
     likelihood = fits.log_likelihood
     margin = float(likelihood[0] - likelihood[1]) if len(likelihood) > 1 else float("inf")
-    return Alignments(trains, clocks, fits, margin, _ambiguity(trains, fits, margin, settings), settings)
+    return Alignments(
+        trains, clocks, fits, margin, _ambiguity(trains, clocks, fits, margin, settings), settings
+    )
 
 
-def _ambiguity(trains: SlipTrains, fits: ClockFits, margin: float, settings: ClockSettings) -> str:
+def _ambiguity(
+    trains: SlipTrains, clocks: CandidateClocks, fits: ClockFits, margin: float, settings: ClockSettings
+) -> str:
     """Why the best alignment is ambiguous, "" where it is not; the cheapest tests come first."""
     scale = fits.error_scale[0]
     widened = scale**2
@@ -446,7 +452,7 @@ def _ambiguity(trains: SlipTrains, fits: ClockFits, margin: float, settings: Clo
         return "times and sizes of the slips are too regular to exclude a shift by one slip"
     if _residual_correlation(fits, trains) > settings.largest_wander:
         return "neighbouring residuals are correlated: the clocks differ by more than an offset and a rate"
-    return ""
+    return _jump(trains, clocks, settings)
 
 
 def _interval_evidence(trains: SlipTrains, fits: ClockFits, settings: ClockSettings) -> float:
@@ -468,6 +474,38 @@ def _interval_evidence(trains: SlipTrains, fits: ClockFits, settings: ClockSetti
     error = trains.typical_error_s * fits.error_scale[0]
     most = np.median(trains.pair_gain(settings))
     return float(len(interval) * min(0.5 * max(scatter2, 0.0) / error**2, 0.5 * most))
+
+
+def _jump(trains: SlipTrains, clocks: CandidateClocks, settings: ClockSettings) -> str:
+    """Whether the slips before or after some time fit another offset much better; "" if they do not.
+
+    Where a recording loses as much as one slip, those beyond pair with their neighbours nearly as well, and
+    the clock's rate changes to make them fit.
+    """
+    mapped, period = clocks.map(trains.video_s)[0], trains.period_s
+    slack = 3 * trains.typical_error_s  # slips before or after the force was recorded would fit any offset
+    common = (mapped > trains.force_s[0] - slack) & (mapped < trains.force_s[-1] + slack)
+    mapped, error, most = mapped[common], trains.error_s[common], trains.pair_gain(settings)[common]
+    shift = (trains.force_s - mapped[:, None]).ravel()
+    shift = shift[(np.abs(shift) > 0.25 * period) & (np.abs(shift) < settings.largest_jump_periods * period)]
+    shift = np.sort(shift)[:: 1 + len(shift) // settings.jumps]
+    shifted = mapped + np.r_[0.0, shift][:, None]
+    z2 = ((shifted - trains.force_s[_nearest(trains.force_s, shifted)]) / error) ** 2
+    gain = np.maximum(most - 0.5 * z2, 0.0)
+    lead = gain[1:] - gain[0]  # of each slip, if it is shifted
+    beyond = settings.least_jump_slips - 1
+    before = np.cumsum(lead, axis=1)[:, beyond:]
+    after = np.cumsum(lead[:, ::-1], axis=1)[:, beyond:]
+    if max(before.max(initial=0.0), after.max(initial=0.0)) <= settings.least_jump_lead:
+        return ""
+    at_end = after.max() > before.max()
+    row, slips = np.unravel_index(int(np.argmax(after if at_end else before)), after.shape)
+    slips += settings.least_jump_slips
+    first = trains.video_s[common][-slips if at_end else slips - 1]
+    return (
+        f"the {slips} slips {'from' if at_end else 'up to'} {first:.6g} s of the film fit better"
+        f" {shift[row]:+.3g} s from the offset of the others (lost frames or samples? a clock that jumps?)"
+    )
 
 
 def _residual_correlation(fits: ClockFits, trains: SlipTrains) -> float:

@@ -92,6 +92,17 @@ class ClockSettings:
     largest_wander: float = 3.0
     """Correlation of neighbouring residuals, in standard errors, above which the clocks differ by more than
     an offset and a rate. Without it 18 of 24 recordings with an unreported lost frame pass, else 4."""
+    largest_jump_periods: float = 2.5
+    """Largest jump of a clock that is tried, in mean times between slips. Larger jumps leave the slips beyond
+    without partners, which `paired_by_chance` tells; larger → slower."""
+    jumps: int = 2000
+    """Number of jumps that are tried. Larger → slower; smaller → they are tried in coarser steps."""
+    least_jump_slips: int = 3
+    """Fewest slips before or after a jump. Smaller → one false slip and its neighbour make a jump."""
+    least_jump_lead: float = 8.0
+    """Log-likelihood that a jump must gain. Larger → the loss of a whole slip is overlooked (at 8 in one of
+    fifteen random trains with one, which pass all other tests); smaller → false and missed slips of correct
+    clocks make jumps (at 8 in one of a hundred, at 6 in one of forty)."""
     paired_by_chance: float = 0.15
     """Share of the slips that are paired where the alignment is wrong. Larger → a jump of a clock is
     overlooked where few slips follow it; smaller → it is overlooked once slips after it pair by chance.
