@@ -243,6 +243,15 @@ def test_a_picture_has_no_noise_to_measure_and_says_so(picture, frames):
     assert "not measured" in _noise(noise_figures(tracks, None), "")
 
 
+def test_a_film_of_few_grey_levels_is_not_called_still(picture):
+    """A failure means that a film that moves is said to consist of equal frames."""
+    tracks = track_sheets(picture)
+    tracks = tracks.assign(x_noise_px=("sheet", np.zeros(tracks.sizes["sheet"])))
+    lines = " ".join(tracking_warnings(tracks))
+    assert "too few grey levels" in lines
+    assert "all frames are equal" not in lines
+
+
 def test_frames_without_positions_are_not_called_equal(picture):
     """A failure means that a noisy film in which no ridge could be fitted is said not to change."""
     tracks = track_sheets(picture)

@@ -111,16 +111,8 @@ def tracking_warnings(tracks: xr.Dataset) -> list[str]:
         lines.append(f"{missing} of {total} positions missing (flags missing, edge, unfit in tracks.csv)")
     if line := _frames_with_few_sheets(tracks):
         lines.append(line)
-    still = "ok" in flags and not (tracks["x_noise_px"].values > 0).any()
-    if tracks.sizes["frame"] < 3:
-        lines.append(f"only {tracks.sizes['frame']} frame(s): neither motion nor noise can be measured")
-    elif tracks.sizes["frame"] >= 10 and still:
-        lines.append("all frames are equal: neither motion nor noise can be measured")
-    elif tracks.sizes["frame"] >= 20 and "ok" in flags and comb_is_stationary(tracks):
-        lines.append(
-            "the sheets do not move relative to each other by more than the noise: if they should, the comb"
-            " may be a pattern in the background (`rows`, `columns`), or the pull is in other `frames`"
-        )
+    if line := _motion_warning(tracks, measured="ok" in flags):
+        lines.append(line)
     for change in TrackMetadata.of(tracks).scene_changes:
         frame = change["frame"]
         lines.append(
@@ -140,6 +132,26 @@ def why_left_out(flags: Mapping[str, int]) -> str:
     if len(counts) == 1:
         return f" {next(iter(counts))}"
     return ": " + ", ".join(f"{count} {why}" for why, count in counts.items())
+
+
+def _motion_warning(tracks: xr.Dataset, *, measured: bool) -> str:
+    """Return a warning if neither motion nor noise is seen, or only noise, or ""."""
+    frames = tracks.sizes["frame"]
+    if frames < 3:
+        return f"only {frames} frame(s): neither motion nor noise can be measured"
+    if frames >= 10 and measured and not (tracks["x_noise_px"].values > 0).any():
+        if np.ptp(np.nan_to_num(tracks["x_px"].values), axis=0).any():
+            return (
+                "most positions do not change from one frame to the next: the film has too few grey levels,"
+                " or its noise was removed, so that the errors cannot be measured"
+            )
+        return "all frames are equal: neither motion nor noise can be measured"
+    if frames >= 20 and measured and comb_is_stationary(tracks):
+        return (
+            "the sheets do not move relative to each other by more than the noise: if they should, the comb"
+            " may be a pattern in the background (`rows`, `columns`), or the pull is in other `frames`"
+        )
+    return ""
 
 
 def _frames_with_few_sheets(tracks: xr.Dataset) -> str:

@@ -155,6 +155,8 @@ def cut_at_60(kind):
     if kind == "camera knocked":
         swing = np.arange(90.0)[:, None]
         x[60:] += 45 * np.exp(-swing / 6) * np.cos(1.3 * swing)
+    if kind == "one sheet dimmed":  # as where one enters or leaves the picture
+        level[60:, 7] *= 0.3
     if kind == "mirrored":
         level[60:] = level[60:, ::-1]
     if kind == "light dimmed":
@@ -173,10 +175,19 @@ def test_a_cut_film_is_said_to_be_cut(kind):
     assert abs(tracks.attrs["axis_px"] - (622 if kind == "camera moved" else 600)) < 20  # not a knock's place
 
 
-@pytest.mark.parametrize("kind", ["slips alone", "light dimmed", "camera knocked"])
+@pytest.mark.parametrize("kind", ["slips alone", "light dimmed", "camera knocked", "one sheet dimmed"])
 def test_a_film_of_slips_is_not_cut(kind):
     """A failure means that every slip, a lamp, or a camera that swings back is called a change of scene."""
     assert TrackMetadata.of(track_sheets(cut_at_60(kind))).scene_changes == []
+
+
+def test_fast_slips_are_motion():
+    """Slips every three frames: a failure means that their scatter from frame to frame is taken for noise."""
+    frame = np.arange(120)[:, None]
+    phase = (frame / 3 + 0.3 * np.sin(frame / 7)) % 1
+    x = comb(120, per_side=8, axis_px=200, slip=0.0) + 3 * (phase - 0.5) * np.linspace(-1, 1, 16)
+    lines = tracking_warnings(track_sheets(strip(ridges(x, width=400))))
+    assert not any("do not move relative to each other" in line for line in lines)
 
 
 @pytest.mark.parametrize(("slip", "said"), [(0.0, 1), (0.03, 0)])

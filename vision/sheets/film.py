@@ -161,7 +161,9 @@ def scene_changes(x_px: Floats32, contrast: Floats32, comb: RidgeComb) -> list[S
     brightened = after_less_before(bright)
     known = np.isfinite(brightened).sum(axis=1)
     np.square(np.nan_to_num(brightened, copy=False, posinf=0.0, neginf=0.0), out=brightened)
-    change = np.sqrt(brightened.sum(axis=1) / np.maximum(known, 1))
+    brightened.sort(axis=1)  # a few sheets, such as one that enters the picture, are no other scene
+    most = brightened[:, : sheets - max(1, sheets // 10)]
+    change = np.sqrt(most.sum(axis=1) / np.maximum(known, 1))
     change[known < max(3, sheets / 2)] = 0.0
     events = []
     at = _single_peak(displaced, 1.0, settings)

@@ -486,7 +486,7 @@ def comb_is_stationary(tracks: xr.Dataset, settings: TrackingSettings = DEFAULT)
     x = tracks["x_px"].values
     moved = x - nan_median(x)
     moved -= nan_median(moved, axis=1)[:, None]
-    noise = np.fmax(tracks["x_noise_px"].values, nan_median(tracks["x_err_px"].values))
+    noise = nan_median(tracks["x_err_px"].values)  # not the scatter from frame to frame: it contains slips
     moving = nan_quantile(np.abs(moved, out=moved), 0.95) > settings.still_sigmas * noise
     return bool(moving.mean() < settings.still_share) and x.shape[1] >= 3
 
