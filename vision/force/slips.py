@@ -202,7 +202,7 @@ def _lines_beside(y: Floats, edge: Ints, settings: ForceSettings) -> tuple[Lines
     return fit_lines(x, y, before, stop[:-1]), fit_lines(x, y, start[1:], after)
 
 
-def stretch_bounds(edge: Ints, size: int) -> Ints:
+def _stretch_bounds(edge: Ints, size: int) -> Ints:
     """Return the edges, and before and after them where the first stretch begins and the last one ends.
 
     Both reach one usual spacing of the edges beside them, and no further than the recording. What lies beyond
@@ -218,9 +218,9 @@ def stretch_bounds(edge: Ints, size: int) -> Ints:
 def stick_middles(edge: Ints, size: int, settings: ForceSettings) -> tuple[Ints, Ints]:
     """Return the half-open range of the central part (`line_part`) of each stretch between edges.
 
-    Of the first and the last stretch only the part of `stretch_bounds` counts.
+    Of the first and the last stretch only the part of `_stretch_bounds` counts.
     """
-    bounds = stretch_bounds(edge, size)
+    bounds = _stretch_bounds(edge, size)
     length = np.diff(bounds)
     margin = (0.5 * (1 - settings.line_part) * length).astype(np.int64)
     margin = np.minimum(margin, np.maximum(length - 3, 0) // 2)  # a line needs three samples
@@ -342,7 +342,7 @@ def _join_knees(y: Floats, edge: Ints, sigma: Floats, settings: ForceSettings) -
     badly that a knee anywhere would improve the fit, and slip after slip would be joined to it.
     """
     x = np.arange(y.size, dtype=float)
-    bounds = stretch_bounds(edge, y.size)
+    bounds = _stretch_bounds(edge, y.size)
     begin, end = bounds[0], bounds[-1]
     squares = fit_lines(x, y, bounds[:-1], bounds[1:]).squares
     candidates = np.arange(edge.size)
