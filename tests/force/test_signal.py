@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from vision.force.signal import find_spikes, noise_sigma
+from tests.scenes.sawtooth import signal_of
+from vision.force.settings import ForceSettings
+from vision.force.signal import find_spikes, noise_sigma, with_slow_noise
+from vision.force.slips import find_slips
 
 
 @pytest.mark.parametrize("sigma", [0.3, 2.0])
@@ -33,3 +38,20 @@ def test_spikes_are_found_and_corners_are_not() -> None:
     np.testing.assert_array_equal(np.flatnonzero(found), hit)
     assert np.abs(clean - saw).max() < 5
     assert not find_spikes(saw, 0.2)[0].any()
+
+
+@pytest.mark.parametrize("whole", [5, 20])
+def test_noise_is_that_of_the_sticks_with_good_samples(whole: int) -> None:
+    """A failure means sticks of which all samples are spikes, as of a ringing load, end the analysis or
+    change the noise."""
+    rng = np.random.default_rng(3)
+    noise = np.convolve(rng.standard_normal(8000), np.ones(20) / 4, "same")
+    signal = signal_of(50 * (np.arange(8000) % 100) / 100 + noise, 0.5)
+    slips = find_slips(signal.clean, 0.5)
+    ringing = replace(signal, is_spike=np.arange(8000) >= 100 * (whole + 1))
+    assert slips.edge.size == 79
+    found = with_slow_noise(ringing, slips, ForceSettings())
+    if whole < 8:
+        assert found.slow is None
+    else:
+        assert found.alike == pytest.approx(with_slow_noise(signal, slips, ForceSettings()).alike, rel=0.5)

@@ -226,3 +226,29 @@ def test_a_long_hold_among_short_sticks() -> None:
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert most < 20e6
+
+
+@pytest.mark.parametrize("ramp_s", [0.0, 1.0])
+@pytest.mark.parametrize(("before_s", "after_s"), [(2, 0), (3, 30), (10, 0), (30, 0), (100, 10)])
+def test_a_rest_before_or_after_the_pull_changes_no_event(
+    before_s: float, after_s: float, ramp_s: float
+) -> None:
+    """A failure means that slips beside a rest are lost, or that a stick begins within the first loading."""
+    moving = realistic(d1=13.8, noise=0.0, slip_s=0.002, seed=1).force
+    time, load, d = (moving[name].to_numpy() for name in ("time_s", "load_N", "d_mm"))
+    # The crosshead accelerates evenly, and covers the same way in twice the time.
+    whole = np.arange(0, time[-1] + ramp_s / 2, 0.005)
+    way = np.where(whole < ramp_s, whole**2 / (2 * ramp_s or 1), whole - ramp_s / 2)
+    rest = round(before_s / 0.005), round(after_s / 0.005)
+
+    def events(rest: tuple[int, int]) -> Floats:
+        load_N, d_mm = (np.pad(np.interp(way, time, values), rest, "edge") for values in (load, d))
+        noise = np.random.default_rng(5).normal(0, 0.1, load_N.size)
+        force = recording(0.005 * np.arange(load_N.size), load_N + noise, d_mm, 1.0)
+        found = find_stick_slip(force)
+        assert (found["flag"] == "ok").all()
+        start = 0.005 * rest[0]
+        return found[["t_v_s", "t_p_s", "dF_N", "stick_length_um"]].to_numpy() - [start, start, 0, 0]
+
+    with_rest, without = events(rest), events((0, 0))
+    np.testing.assert_allclose(with_rest, without, atol=0.4)

@@ -221,6 +221,11 @@ def with_slow_noise(signal: Signal, slips: Slips, settings: ForceSettings) -> Si
     some = some[:: some.size // 400 + 1]  # enough for a median
     start, stop = start[some], stop[some]
     lines = fit_lines(np.arange(signal.clean.size, dtype=float), signal.spikeless, start, stop)
+    # Where the load rings, all samples of a short stick may be spikes.
+    some = np.flatnonzero(np.isfinite(lines.spread))
+    if some.size < 8:
+        return white
+    start, stop, lines = start[some], stop[some], lines.take(some)
     rise = lines.slope * (stop - start)
     rise = np.maximum(rise, 0.1 * np.median(np.abs(rise)) + np.finfo(float).tiny)
     # The curvature of the sticks is no noise: it would hide a filter whose noise is smaller.

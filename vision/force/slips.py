@@ -190,9 +190,37 @@ def stick_lines(y: Floats, edge: Ints, settings: ForceSettings) -> Lines:
     return fit_lines(np.arange(y.size, dtype=float), y, *stick_middles(edge, y.size, settings))
 
 
+def _lines_beside(y: Floats, edge: Ints, settings: ForceSettings) -> tuple[Lines, Lines]:
+    """Return the stick lines before and after each edge, through at most `line_reach` usual spacings.
+
+    Two lines fit a rest and the rise after it better than one wherever within the rest the edge is.
+    """
+    start, stop = stick_middles(edge, y.size, settings)
+    reach = np.ceil(settings.line_reach * _local_period(edge, y.size)[edge]).astype(np.int64)
+    before, after = np.maximum(start[:-1], stop[:-1] - reach), np.minimum(stop[1:], start[1:] + reach)
+    x = np.arange(y.size, dtype=float)
+    return fit_lines(x, y, before, stop[:-1]), fit_lines(x, y, start[1:], after)
+
+
+def _stretch_bounds(edge: Ints, size: int) -> Ints:
+    """Return the edges, and before and after them where the first stretch begins and the last one ends.
+
+    Both reach one usual spacing of the edges beside them, and no further than the recording. What lies beyond
+    may be a rest before the pull or after it, and no line fits a rest and the rise beside it.
+    """
+    if edge.size < 3:
+        return np.r_[0, edge, size]
+    spacing = np.diff(edge)
+    first, last = (max(int(np.median(some)), LEAST_FOR_KNEE) for some in (spacing[:9], spacing[-9:]))
+    return np.r_[max(edge[0] - first, 0), edge, min(edge[-1] + last, size)]
+
+
 def stick_middles(edge: Ints, size: int, settings: ForceSettings) -> tuple[Ints, Ints]:
-    """Return the half-open range of the central part (`line_part`) of each stretch between edges."""
-    bounds = np.r_[0, edge, size]
+    """Return the half-open range of the central part (`line_part`) of each stretch between edges.
+
+    Of the first and the last stretch only the part of `_stretch_bounds` counts.
+    """
+    bounds = _stretch_bounds(edge, size)
     length = np.diff(bounds)
     margin = (0.5 * (1 - settings.line_part) * length).astype(np.int64)
     margin = np.minimum(margin, np.maximum(length - 3, 0) // 2)  # a line needs three samples
@@ -249,7 +277,9 @@ def _local_period(edge: Ints, size: int) -> Floats:
     """Return the period at every sample from known edges: a running median of nine spacings."""
     if edge.size < 3:
         return np.full(size, max(size / 3, 1.0))
-    spacing = running_median(np.diff(edge), 9)
+    spacing = running_median(
+        np.diff(edge), 9, ends="symmetric"
+    )  # else the first and the last would count fivefold
     return _at_every_sample(0.5 * (edge[1:] + edge[:-1]), spacing, size)
 
 
@@ -276,8 +306,7 @@ def _best_scale(scales: Ints, found: list[Ints], start: float, stop: float) -> t
 def _join_weak(y: Floats, edge: Ints, sigma: Floats, settings: ForceSettings) -> Ints:
     """Join neighbouring sticks that one line fits as well as two, the least certain edge first."""
     while edge.size:
-        lines = stick_lines(y, edge, settings)
-        score = _split_gain(lines.take(slice(None, -1)), lines.take(slice(1, None))) / sigma[edge] ** 2
+        score = _split_gain(*_lines_beside(y, edge, settings)) / sigma[edge] ** 2
         weak = ~(score > settings.split_sigmas**2)
         if not weak.any():
             break
@@ -313,11 +342,12 @@ def _join_knees(y: Floats, edge: Ints, sigma: Floats, settings: ForceSettings) -
     badly that a knee anywhere would improve the fit, and slip after slip would be joined to it.
     """
     x = np.arange(y.size, dtype=float)
-    bounds = np.r_[0, edge, y.size]
+    bounds = _stretch_bounds(edge, y.size)
+    begin, end = bounds[0], bounds[-1]
     squares = fit_lines(x, y, bounds[:-1], bounds[1:]).squares
     candidates = np.arange(edge.size)
     while candidates.size:
-        bounds = np.r_[0, edge, y.size]
+        bounds = np.r_[begin, edge, end]
         low, at, high = bounds[candidates], edge[candidates], bounds[candidates + 2]
         bent = _squares_with_knee(x, y, low, at, high)
         least = (settings.split_sigmas * sigma[at]) ** 2
