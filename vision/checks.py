@@ -90,8 +90,8 @@ sheet it is 12 to 87. A smaller factor calls noise pairs, a larger one misses ed
 
 
 def tracking_warnings(tracks: xr.Dataset) -> list[str]:
-    """Return warnings about frozen frames, doubtful or missing positions, motion, and overlooked sheets."""
-    lines, flags = [], flag_counts(tracks)
+    """Return warnings about polarity, frozen frames, doubtful or missing positions, motion, missed sheets."""
+    lines, flags = _polarity_warning(TrackMetadata.of(tracks)), flag_counts(tracks)
     total = max(1, sum(flags.values()))
     if frozen := flags.get("frozen", 0) // tracks.sizes["sheet"]:
         lines.append(f"{frozen} frame(s) are copies of the frame before and have no positions (flag frozen)")
@@ -124,6 +124,17 @@ def tracking_warnings(tracks: xr.Dataset) -> list[str]:
     lines += _alike_warning(TrackMetadata.of(tracks))
     lines += _spacing_warning(tracks)
     return lines
+
+
+def _polarity_warning(facts: TrackMetadata) -> list[str]:
+    """Warn of gaps that may have been taken for sheets."""
+    if not facts.ridges_doubt:
+        return []
+    other = "bright" if facts.ridges == "dark" else "dark"
+    return [
+        f"the {facts.ridges} stripes are taken for the sheets, but may be the gaps: {facts.ridges_doubt}:"
+        f" look at the film, and give `ridges` as {facts.ridges} or {other}"
+    ]
 
 
 def why_left_out(flags: Mapping[str, int]) -> str:

@@ -271,9 +271,9 @@ class TrackMetadata(Metadata):
     fit, fit_asked, window_px
         Subpixel method used ("unknown" for positions from another program), the requested method, and its
         window. The error of positions depends on method and window.
-    ridges, ridges_likelier, sheets
-        Polarity ("bright" or "dark"), that which the film suggests if another was given ("" if not), and
-        number of sheets.
+    ridges, ridges_likelier, ridges_doubt, sheets
+        Polarity ("bright" or "dark"), that which the film suggests if another was given ("" if not), why the
+        polarity that was found may be wrong ("" if it is clear or given), and number of sheets.
     ridge_fwhm_px, pitch_px, contrast, profile_noise
         Width and spacing of the ridges; their height and the noise in grey levels.
     axis_px, axis_how, axis_low_px, axis_high_px
@@ -305,6 +305,7 @@ class TrackMetadata(Metadata):
     window_px: int = 9
     ridges: str = "bright"
     ridges_likelier: str = ""
+    ridges_doubt: str = ""
     sheets: int = 0
     ridge_fwhm_px: float = math.nan
     pitch_px: float = math.nan

@@ -6,9 +6,9 @@ the candidates of every frame. Which candidate is which sheet is decided later, 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, NamedTuple, TypeVar
 
@@ -25,6 +25,7 @@ Polarity = Literal["bright", "dark"]
 Result = TypeVar("Result")
 SEARCH_SIGMA_PX = 1.0  # standard deviation of the smoothing with which a comb is described
 NEAREST = 3  # stripes whose levels stand for the comb's end
+FEWEST = 5  # stripes of a comb; fewer can be found in any picture
 FRAMES_PER_BLOCK = 128  # processed at once, so that intermediate arrays fit into a core's cache
 
 
@@ -41,6 +42,7 @@ class RidgeComb:
     count: float  # number of main ridges in a frame
     width_px: int  # width of the profile
     settings: TrackingSettings = DEFAULT  # thresholds and costs of the tracking
+    doubt: str = ""  # why the polarity that was found may be wrong
 
     @classmethod
     def of(cls, found: TrackMetadata, width_px: int, settings: TrackingSettings = DEFAULT) -> RidgeComb:
@@ -120,7 +122,7 @@ def describe_ridges(
     found = [main for main in measured if main is not None]
     if not found:
         raise no_ridges(sample, source)
-    return (_likelier(sample, found[0], found[1], settings) if len(found) == 2 else found[0]).comb
+    return _likelier(sample, found[0], found[1], settings) if len(found) == 2 else found[0].comb
 
 
 def no_ridges(profile: Floats32, source: str) -> InputError:
@@ -259,10 +261,10 @@ def _strongest(strength: Floats, frame: Ints, most: int) -> Bools:
 
 class _MainRidges(NamedTuple):
     """The main ridges of one polarity in a sample of frames: the comb that they form, and for each frame
-    their positions, whole pixels in ascending order, and their widths, px."""
+    their positions, px in ascending order, and their widths, px."""
 
     comb: RidgeComb
-    x: list[Ints]
+    x: Sequence[Ints | Floats]
     width: list[Floats]
 
     @property
@@ -273,40 +275,83 @@ class _MainRidges(NamedTuple):
 
 def _likelier(
     sample: Floats32, bright: _MainRidges, dark: _MainRidges, settings: TrackingSettings
-) -> _MainRidges:
-    """Return the polarity that is the sheets: the narrower stripes if nothing else tells sheets from gaps."""
-    evidence = _evidence_for_bright(_smoothed(sample, SEARCH_SIGMA_PX), bright, dark, settings)
-    if evidence == 0:
-        return dark if dark.comb.fwhm_px < settings.dark_width_ratio * bright.comb.fwhm_px else bright
-    return bright if evidence > 0 else dark
+) -> RidgeComb:
+    """Return the comb of the stripes that are the sheets, with the reason if that is doubtful.
 
-
-def _evidence_for_bright(
-    line: Floats32, bright: _MainRidges, dark: _MainRidges, settings: TrackingSettings
-) -> float:
-    """Return a positive number if the bright stripes are the sheets, a negative one if the dark ones are, 0
-    if nothing tells.
-
-    The background beside the comb is also what shows between the sheets. If no end of the comb is clearly in
-    view, sheets and gaps of an even comb differ in two ways. Sheets keep their widths, while gaps change. And
-    two sheets differ in brightness, while two gaps show the same background. `line` is the sample, lightly
-    smoothed.
+    The background beside the comb is also what shows between the sheets, unless clamps or boards lie there:
+    what varies along the comb can overrule it if narrowness does, too. Without a background, what varies
+    decides, and the narrower stripes are the sheets if nothing else tells them from gaps.
     """
-    spacings = bright.spacing, dark.spacing
-    if not all(len(spacing) for spacing in spacings):
-        return 0.0
-    pitch = float(np.median(np.concatenate(spacings)))
-    background = _background(line, bright, dark, pitch, settings.background_margin)
+    line = _smoothed(sample, SEARCH_SIGMA_PX)
+    narrower = float(np.log(dark.comb.fwhm_px / bright.comb.fwhm_px))
+    background = widths = heights = 0.0
+    if even := min(len(bright.spacing), len(dark.spacing)) > 0:
+        spacings = bright.spacing, dark.spacing
+        pitch = float(np.median(np.concatenate(spacings)))
+        quartiles = np.array([np.quantile(spacing, [0.25, 0.75]) for spacing in spacings])
+        even = bool((quartiles[:, 1] <= settings.even_spacing * quartiles[:, 0]).all())
+        background = _background(line, bright, dark, pitch, settings.background_margin)
+        if even:
+            widths, heights = _variation(line, bright, dark, pitch)
+    varied, clear, doubt = widths + heights, settings.clear_evidence, ""
     if abs(background) > 1 / 3:
-        return background
-    quartiles = np.array([np.quantile(spacing, [0.25, 0.75]) for spacing in spacings])
-    changes = [_width_change(stripes, pitch) for stripes in (bright, dark)]
-    differences = [_height_difference(line, stripes) for stripes in (bright, dark)]
-    uneven = (quartiles[:, 1] > settings.even_spacing * quartiles[:, 0]).any()
-    if uneven or not min(*changes, *differences) > 0:
-        return 0.0
-    evidence = float(np.log(changes[1] / changes[0] * differences[0] / differences[1]))
-    return evidence if abs(evidence) >= settings.polarity_evidence else 0.0
+        is_bright = background > 0
+        if varied * background < 0 and abs(varied) >= clear:
+            if varied * narrower > 0:
+                is_bright = varied > 0
+            doubt = "the background beside the comb says one thing, what varies along the comb the other"
+    else:
+        decided = abs(varied) >= settings.polarity_evidence
+        is_bright = varied > 0 if decided else narrower >= np.log(settings.dark_width_ratio)
+        many = min(bright.comb.count, dark.comb.count) >= FEWEST
+        contradict = widths * heights < 0 and min(abs(widths), abs(heights)) >= clear
+        if even and many and (contradict or abs(varied + narrower) < clear):
+            doubt = "no background is in view beside the comb, and sheets and gaps hardly differ"
+    return replace((bright if is_bright else dark).comb, doubt=doubt)
+
+
+def _variation(line: Floats32, bright: _MainRidges, dark: _MainRidges, pitch: float) -> tuple[float, float]:
+    """Return what the variation of widths and of levels say: a positive number if the bright stripes are the
+    sheets, a negative one if the dark ones are, 0 if nothing tells.
+
+    Sheets are alike in width and keep their widths, while gaps do not. And two sheets differ in brightness,
+    while two gaps show the same background. `line` is the sample, lightly smoothed.
+    """
+    halves = _halfway(line, bright, dark)
+    changes = [_width_change(stripes, pitch) for stripes in halves]
+    widths = [_bend(stripes.width) for stripes in halves]
+    heights = [_bend([row[x] for row, x in zip(line, stripes.x, strict=True)]) for stripes in (bright, dark)]
+    if not min(*changes, *widths, *heights) > 0:
+        return 0.0, 0.0
+    said = float(np.log(changes[1] / changes[0] * widths[1] / widths[0]))
+    return said, float(np.log(heights[0] / heights[1]))
+
+
+def _halfway(line: Floats32, bright: _MainRidges, dark: _MainRidges) -> tuple[_MainRidges, _MainRidges]:
+    """Return bright and dark stripes between places halfway from dark to bright, with middles and widths.
+
+    Widths at half prominence would change with the neighbours' levels. Halfway is a parabola through the
+    levels of all stripes of a frame, so that uneven light does not matter.
+    """
+    found: tuple[list[tuple[Floats, Floats]], ...] = ([], [])
+    for row, up, down in zip(line, bright.x, dark.x, strict=True):
+        edges, rises = np.zeros(0), np.zeros(0, bool)
+        if min(len(up), len(down)) >= NEAREST:
+            x = np.concatenate([up, down])
+            weights = np.repeat([len(up) ** -0.5, len(down) ** -0.5], [len(up), len(down)])
+            halfway = np.polynomial.Polynomial.fit(x, row[x].astype(float), 2, w=weights)
+            above = row - halfway(np.arange(len(row)))
+            before = np.flatnonzero((above[1:] > 0) != (above[:-1] > 0))
+            edges = before + above[before] / (above[before] - above[before + 1])
+            rises = above[before + 1] > 0
+        middle, width = (edges[1:] + edges[:-1]) / 2, np.diff(edges)
+        for stripes, its in zip(found, (rises[:-1], ~rises[:-1]), strict=True):
+            stripes.append((middle[its], width[its]))
+    first, second = (
+        _MainRidges(main.comb, [x for x, _ in stripes], [width for _, width in stripes])
+        for main, stripes in zip((bright, dark), found, strict=True)
+    )
+    return first, second
 
 
 def _background(line: Floats32, bright: _MainRidges, dark: _MainRidges, pitch: float, margin: float) -> float:
@@ -346,10 +391,9 @@ def _width_change(stripes: _MainRidges, pitch: float) -> float:
     return float(found.mean()) if len(found) else 0.0
 
 
-def _height_difference(line: Floats32, stripes: _MainRidges) -> float:
-    """Return by how much the level of a stripe typically differs from the mean of both its neighbours."""
-    bends = [np.abs(np.diff(row[x], 2)) for row, x in zip(line, stripes.x, strict=True)]
-    found = np.concatenate(bends)
+def _bend(values: Sequence[Floats | Floats32]) -> float:
+    """Return by how much the value of a stripe typically differs from the mean of both its neighbours."""
+    found = np.concatenate([np.abs(np.diff(one, 2)) for one in values])
     return float(np.median(found)) / 2 if len(found) else 0.0
 
 

@@ -47,9 +47,15 @@ class TrackingSettings:
 
     polarity_evidence: float = 0.5
     """Least evidence that decides which stripes of a comb without ends are the sheets: the logarithm of how
-    much more the others change their widths, times how much more they themselves differ in brightness. Larger
-    leaves more combs to their widths alone, smaller decides by chance where nothing moves and all sheets are
-    alike."""
+    much more the others change their widths and differ in width, times how much more they themselves differ
+    in brightness. Larger leaves more combs to their widths alone, smaller decides by chance where nothing
+    moves and all sheets are alike."""
+
+    clear_evidence: float = 1.0
+    """Evidence of this kind that overrules the background beside the comb if the stripes are also narrower;
+    with the logarithm of how much narrower they are, less is warned of where no background is in view. Larger
+    takes gaps between boards for sheets (2.2 in the least clear scene of test_polarity.py), smaller lets
+    noise overrule the background."""
 
     dark_width_ratio: float = 0.9
     """Where nothing else decides, ridges are dark if the dark stripes are narrower than the bright ones by

@@ -297,6 +297,7 @@ class _Tracked:
             locking_px=self.fitted.locking.rms_px,
             locking_err_px=self.fitted.locking.error_px,
             ridges=comb.polarity,
+            ridges_doubt=comb.doubt,
             sheets=len(numbering.n),
             ridge_fwhm_px=comb.fwhm_px,
             pitch_px=comb.pitch_px,
