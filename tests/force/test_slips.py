@@ -252,3 +252,19 @@ def test_a_rest_before_or_after_the_pull_changes_no_event(
 
     with_rest, without = events(rest), events((0, 0))
     np.testing.assert_allclose(with_rest, without, atol=0.4)
+
+
+@pytest.mark.parametrize("hold_s", [3, 10])
+def test_a_stick_in_which_the_machine_was_held_is_flagged(hold_s: int) -> None:
+    """A failure means that the line through a stick and a hold gives a wrong event without any flag."""
+    moving = realistic(d1=13.8, noise=0.1, slip_s=0.002, seed=1)
+    time, load, d = (moving.force[name].to_numpy() for name in ("time_s", "load_N", "d_mm"))
+    begin, end = moving.truth.loc[15, ["t_v_s", "t_p_s"]]
+    place = int(np.searchsorted(time, 0.5 * (begin + end)))
+    index = np.r_[:place, np.full(200 * hold_s, place), place : time.size]
+    noise = np.random.default_rng(2).normal(0, 0.1, index.size)
+    events = find_stick_slip(recording(0.005 * np.arange(index.size), load[index] + noise, d[index], 1.0))
+    held = (events["t_v_s"] < 0.005 * place) & (events["t_p_s"] > 0.005 * place)
+    assert held.sum() == 1
+    assert events["flag"][held].str.contains("still").all()
+    assert (events["flag"][~held] == "ok").all()

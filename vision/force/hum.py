@@ -22,6 +22,7 @@ _LEAST_PERIODS = 30  # in one spectrum: below, a line is not told from the slope
 _MOST_PERIODS = 6  # of which one amplitude is measured
 _MOST_LINES = 4  # mains and three of its harmonics
 _TOGETHER = 10  # slips within which hum and slips keep their phase, if they do
+_FEWEST = 8  # slips whose phases tell hum from harmonics
 _IN_PHASE = 0.7  # mean resultant length of ten phases: 0.28 by chance, near 1 for harmonics of regular slips
 
 
@@ -96,8 +97,9 @@ def is_hum(hum: Hum, y: Floats, slips: Slips, settings: ForceSettings) -> bool:
 
     Hum is faster than the slips, which come at any phase of it, and the load within the sticks is straighter
     without it. `slips` are those of the load without the hum; three of its periods must lie between them.
+    The phases of fewer than `_FEWEST` tell nothing: regular stick-slip without its harmonic retains a few.
     """
-    if slips.edge.size < 2 or slips.period * hum.frequency < 3:
+    if slips.edge.size < _FEWEST or slips.period * hum.frequency < 3:
         return False
     turn = np.exp(-2j * np.pi * hum.frequency * slips.edge)
     groups = np.array_split(turn, turn.size // _TOGETHER + 1)

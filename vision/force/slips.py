@@ -209,10 +209,10 @@ def _stretch_bounds(edge: Ints, size: int) -> Ints:
     may be a rest before the pull or after it, and no line fits a rest and the rise beside it.
     """
     if edge.size < 3:
-        return np.r_[0, edge, size]
+        return np.asarray(np.r_[0, edge, size], np.int64)
     spacing = np.diff(edge)
     first, last = (max(int(np.median(some)), LEAST_FOR_KNEE) for some in (spacing[:9], spacing[-9:]))
-    return np.r_[max(edge[0] - first, 0), edge, min(edge[-1] + last, size)]
+    return np.asarray(np.r_[max(edge[0] - first, 0), edge, min(edge[-1] + last, size)], np.int64)
 
 
 def stick_middles(edge: Ints, size: int, settings: ForceSettings) -> tuple[Ints, Ints]:

@@ -381,9 +381,9 @@ def _beside_standstill(signal: Signal, valley: Floats, peak: Floats, settings: F
     """Return which sticks lie in or beside a rise or a fall of the load in which d stands still.
 
     In such a rise the pull has ended, or d is at the end of its range; a stick beside it that is slower than
-    usual contains the end. Such a fall is the relaxation of the load while the machine is held. Where the
-    error of the speed exceeds a tenth of the usual one, nothing is told. `peak` and `valley` are those of
-    each slip, in samples.
+    usual contains the end, and one in a part of which d stands still was held. Such a fall is the relaxation
+    of the load while the machine is held. Where the error of the speed exceeds a tenth of the usual one,
+    nothing is told. `peak` and `valley` are those of each slip, in samples.
     """
     step = step_between(signal.travel)
 
@@ -395,13 +395,20 @@ def _beside_standstill(signal: Signal, valley: Floats, peak: Floats, settings: F
 
     sticks, falls = pace(valley[:-1], peak[1:]), pace(peak, valley)
     usual = float(nan_median(sticks[0][sticks[1] < 0.1 * sticks[0]]))
-    stick, fall = (
-        (error < 0.1 * usual) & (speed < settings.still_share * usual + 3 * error)
-        for speed, error in (sticks, falls)
-    )
+
+    def still(speed: Floats, error: Floats) -> Bools:
+        return np.asarray(
+            (error < 0.1 * usual) & (speed < settings.still_share * usual + 3 * error), np.bool_
+        )
+
+    stick, fall = still(*sticks), still(*falls)
+    parts = settings.uneven_parts
+    edge = np.linspace(valley[:-1], peak[1:], parts + 1)
     around = np.r_[False, stick, False]
-    beside = (around[:-2] | around[2:]) & (sticks[0] < 0.9 * usual)
-    return np.asarray(stick | beside | fall[:-1] | fall[1:], np.bool_)
+    beside = around[:-2] | around[2:]
+    held = still(*pace(edge[:-1].ravel(), edge[1:].ravel())).reshape(parts, -1).any(axis=0)
+    interrupted = (beside | held) & (sticks[0] < 0.9 * usual)
+    return np.asarray(stick | interrupted | fall[:-1] | fall[1:], np.bool_)
 
 
 def _event_flags(signal: Signal, sticks: _Sticks, corners: Corners, found: dict[str, Bools]) -> list[str]:
