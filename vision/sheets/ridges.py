@@ -306,7 +306,9 @@ def _likelier(
         many = min(bright.comb.count, dark.comb.count) >= FEWEST
         contradict = widths * heights < 0 and min(abs(widths), abs(heights)) >= clear
         if even and many and (contradict or abs(varied + narrower) < clear):
-            doubt = "no background is in view beside the comb, and sheets and gaps hardly differ"
+            doubt = (
+                "no clear background is beside the comb, and widths and brightness tell little or disagree"
+            )
     return replace((bright if is_bright else dark).comb, doubt=doubt)
 
 

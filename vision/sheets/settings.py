@@ -54,7 +54,7 @@ class TrackingSettings:
     clear_evidence: float = 1.0
     """Evidence of this kind that overrules the background beside the comb if the stripes are also narrower;
     with the logarithm of how much narrower they are, less is warned of where no background is in view. Larger
-    takes gaps between boards for sheets (2.2 in the least clear scene of test_polarity.py), smaller lets
+    takes gaps between boards for sheets (1.7 in the least clear scene of test_polarity.py), smaller lets
     noise overrule the background."""
 
     dark_width_ratio: float = 0.9
