@@ -44,6 +44,15 @@ def test_even_combs_have_no_holes_and_a_missing_sheet_leaves_one(seed, jitter, h
     assert 1.5 < size[0] < 2.6
 
 
+def test_a_ridge_in_a_wide_spacing_may_be_the_sheet():
+    """A failure means that a sheet that nearly touches its neighbours is lost silently, or dust is a sheet."""
+    x = 20.0 * np.arange(30)
+    x[15:] += 9.0  # 1.45 pitches: too little to tell by itself
+    assert not wide_spacings(x)[0].size
+    assert wide_spacings(x, np.array([294.0]))[0] == pytest.approx([294.5])
+    assert not wide_spacings(x, np.array([110.0, -30.0, 700.0]))[0].size  # in usual spacings, and outside
+
+
 def test_a_speck_far_outside_does_not_make_up_the_number():
     """A failure means that --sheets takes dust for the sheet that is missing, and renumbers the others."""
     truth = comb(60, per_side=8, axis_px=260, slip=0.2, uneven=0.08)

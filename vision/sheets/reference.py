@@ -7,7 +7,7 @@ labels and marks. `static_ridges` finds marks that are stationary while the shee
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,15 +37,15 @@ class ReferenceComb:
     """The sheets, from left to right; all (N,).
 
     x_px: rest positions. log_contrast, log_width: logarithms of contrast and width. found: fraction of the
-    frames in which each is found. dropped: number of persistent ridges that are not part of the comb. beyond:
-    number of these that continue the comb, if the number of sheets was given.
+    frames in which each is found. dropped_px: rest positions of persistent ridges that are not part of the
+    comb. beyond: number of these that continue the comb, if the number of sheets was given.
     """
 
     x_px: Floats
     log_contrast: Floats
     log_width: Floats
     found: Floats
-    dropped: int = 0
+    dropped_px: Floats = field(default_factory=lambda: np.zeros(0))
     beyond: int = 0
 
     @property
@@ -55,9 +55,9 @@ class ReferenceComb:
 
     def only(self, kept: Ints) -> ReferenceComb:
         """Return the comb of these entries."""
-        fewer = self.dropped + self.sheets - len(kept)
+        dropped = np.r_[self.dropped_px, np.delete(self.x_px, kept)]
         return ReferenceComb(
-            self.x_px[kept], self.log_contrast[kept], self.log_width[kept], self.found[kept], dropped=fewer
+            self.x_px[kept], self.log_contrast[kept], self.log_width[kept], self.found[kept], dropped
         )
 
     def expected(self, x_px: Floats, comb: RidgeComb, *, counted: bool = False) -> ExpectedSheets:
@@ -221,7 +221,8 @@ def _revise(
     margin = 0.5 * comb.pitch_px  # a sheet near the picture's edge is seen half of the time
     in_view = weight @ ((position > margin) & (position < comb.width_px - 1 - margin))
     share = everything.found * weight.sum() / np.maximum(in_view, LEAST_IN_VIEW * weight.sum())
-    return replace(everything.only(np.flatnonzero(share >= comb.settings.present_inside)), dropped=0)
+    kept = everything.only(np.flatnonzero(share >= comb.settings.present_inside))
+    return replace(kept, dropped_px=np.zeros(0))
 
 
 def _unmatched(
@@ -442,13 +443,17 @@ def _beside(moved_px: Floats, n: int, step: int) -> Floats:
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
-def wide_spacings(x_px: Floats, *, settings: TrackingSettings = DEFAULT) -> tuple[Floats, Floats]:
+def wide_spacings(
+    x_px: Floats, others_px: Floats | None = None, *, settings: TrackingSettings = DEFAULT
+) -> tuple[Floats, Floats]:
     """Find spacings in which a sheet seems to be missing.
 
     Parameters
     ----------
     x_px
         Rest positions of the sheets, ascending (N,).
+    others_px
+        Those of ridges that were not taken for sheets, (M,): a spacing with one in it need not be as wide.
     settings
         Width from which a spacing is too wide.
 
@@ -459,6 +464,9 @@ def wide_spacings(x_px: Floats, *, settings: TrackingSettings = DEFAULT) -> tupl
         Empty for fewer than nine sheets, for which there is no local pitch.
     """
     size, wide = spacing_sizes(x_px, settings=settings)
+    if others_px is not None and len(others_px):
+        shared = np.isin(np.arange(len(size)), np.searchsorted(x_px, others_px) - 1)
+        wide |= shared & (size > settings.wide_with_ridge)
     return (x_px[:-1] + 0.5 * np.diff(x_px))[wide], size[wide]
 
 

@@ -164,6 +164,10 @@ class TrackingSettings:
     """Spacing, in local pitches, in which a sheet may have been overlooked. Larger misses gaps, smaller
     raises false alarms on uneven combs; test_reference.py draws 40 combs with and without a gap."""
 
+    wide_with_ridge: float = 1.35
+    """The same where a ridge that was not taken for a sheet lies in the spacing. Larger misses sheets that
+    nearly touch others, smaller takes dust in the gaps of uneven combs for sheets; test_reference.py."""
+
     mark_distorted: float = 0.06
     """Usual distortion, in ridge widths, above which a sheet may be a mark. Larger lets marks that look like
     sheets pass, smaller relies on the other sign alone."""

@@ -291,7 +291,8 @@ class _Tracked:
         unedited = len(reference.x_px) == len(numbering.n)  # no sheet was added or deleted manually
         # manual corrections may also have swapped sheets: sort
         positions = reference.x_px if unedited else np.sort(nan_median(self.assessed.x_px))
-        gaps = [] if count_given else zip(*wide_spacings(positions, settings=comb.settings), strict=True)
+        wide = wide_spacings(positions, reference.dropped_px, settings=comb.settings)
+        gaps = [] if count_given else zip(*wide, strict=True)
         return TrackMetadata(
             fit=self.fitted.fit,
             locking_px=self.fitted.locking.rms_px,
@@ -308,7 +309,7 @@ class _Tracked:
             axis_low_px=numbering.low_px + self.origin_px,
             axis_high_px=numbering.high_px + self.origin_px,
             least_margin=float(np.nan_to_num(self.detected.least_margin, posinf=1e9)),
-            ridges_dropped=reference.dropped,
+            ridges_dropped=len(reference.dropped_px),
             ridges_beyond=reference.beyond,
             wide_spacings=[f"{x + self.origin_px:.0f} px ({size:.1f} pitches)" for x, size in gaps],
         )
