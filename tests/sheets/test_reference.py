@@ -45,7 +45,7 @@ def test_even_combs_have_no_holes_and_a_missing_sheet_leaves_one(seed, jitter, h
 
 
 def test_a_ridge_in_a_wide_spacing_may_be_the_sheet():
-    """A failure means that a sheet that nearly touches its neighbours is lost silently, or dust is a sheet."""
+    """A failure means that a sheet that nearly touches others is lost silently, or that dust is a sheet."""
     x = 20.0 * np.arange(30)
     x[15:] += 9.0  # 1.45 pitches: too little to tell by itself
     assert not wide_spacings(x)[0].size

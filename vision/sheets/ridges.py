@@ -301,9 +301,9 @@ def _likelier(
                 is_bright = varied > 0
             doubt = "the background beside the comb says one thing, what varies along the comb the other"
     else:
-        decided = abs(varied) >= settings.polarity_evidence
-        is_bright = varied > 0 if decided else narrower >= np.log(settings.dark_width_ratio)
         many = min(bright.comb.count, dark.comb.count) >= FEWEST
+        decided = abs(varied) >= (settings.polarity_evidence if many else clear)
+        is_bright = varied > 0 if decided else narrower >= np.log(settings.dark_width_ratio)
         contradict = widths * heights < 0 and min(abs(widths), abs(heights)) >= clear
         if even and many and (contradict or abs(varied + narrower) < clear):
             doubt = (

@@ -52,10 +52,10 @@ class TrackingSettings:
     moves and all sheets are alike."""
 
     clear_evidence: float = 1.0
-    """Evidence of this kind that overrules the background beside the comb if the stripes are also narrower;
-    with the logarithm of how much narrower they are, less is warned of where no background is in view. Larger
-    takes gaps between boards for sheets (1.7 in the least clear scene of test_polarity.py), smaller lets
-    noise overrule the background."""
+    """Evidence of this kind that decides among fewer than five stripes, and that overrules the background
+    beside the comb if the stripes are also narrower; with the logarithm of how much narrower they are, less
+    is warned of where no background is in view. Larger takes gaps between boards for sheets (1.7 in the least
+    clear scene of test_polarity.py), smaller lets noise overrule the background."""
 
     dark_width_ratio: float = 0.9
     """Where nothing else decides, ridges are dark if the dark stripes are narrower than the bright ones by
