@@ -406,7 +406,9 @@ def _beside_standstill(signal: Signal, valley: Floats, peak: Floats, settings: F
     edge = np.linspace(valley[:-1], peak[1:], parts + 1)
     around = np.r_[False, stick, False]
     beside = around[:-2] | around[2:]
-    held = still(*pace(edge[:-1].ravel(), edge[1:].ravel())).reshape(parts, -1).any(axis=0)
+    speed, error = (part.reshape(parts, -1) for part in pace(edge[:-1].ravel(), edge[1:].ravel()))
+    moves = (speed > 0.5 * usual).any(axis=0)  # else the whole stick is slow
+    held = still(speed, error).any(axis=0) & moves
     interrupted = (beside | held) & (sticks[0] < 0.9 * usual)
     return np.asarray(stick | interrupted | fall[:-1] | fall[1:], np.bool_)
 

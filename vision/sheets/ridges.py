@@ -305,7 +305,7 @@ def _likelier(
         decided = abs(varied) >= (settings.polarity_evidence if many else clear)
         is_bright = varied > 0 if decided else narrower >= np.log(settings.dark_width_ratio)
         contradict = widths * heights < 0 and min(abs(widths), abs(heights)) >= clear
-        if even and many and (contradict or abs(varied + narrower) < clear):
+        if varied and even and many and (contradict or abs(varied + narrower) < clear):
             doubt = (
                 "no clear background is beside the comb, and widths and brightness tell little or disagree"
             )
