@@ -111,6 +111,18 @@ def test_wrong_sheet_and_wrong_distance_fail(tmp_path: Path) -> None:
     assert far.attrs["clamp_distance_from"] == "given"
 
 
+@pytest.mark.parametrize(("start_mm", "said"), [(0.0, False), (5.0, True), (100.0, True)])
+def test_a_position_that_is_not_the_distance(tmp_path: Path, start_mm: float, said: bool) -> None:
+    """A crosshead whose zero is elsewhere. A failure means a Y_p seven times too large without a word."""
+    force, _ = recorded(tmp_path, TEST)
+    force["crosshead_mm"] = force["crosshead_mm"] + start_mm
+    cycles = measure_cycles(force)
+    warned = [line for line in cycles.attrs["warnings"] if "clamp_distance_mm" in line]
+    assert len(warned) == said
+    assert abs(cycles["Y_p_GPa"].mean() / 2.5 - 1 - start_mm / 16.8) < 0.02
+    assert not measure_cycles(force, clamp_distance_mm=16.8).attrs["warnings"]
+
+
 def test_the_machines_compliance_is_taken_off(tmp_path: Path) -> None:
     """A failure means a soft machine makes a soft sheet: 5000 N/mm in series lower k by 12 %."""
     force, truth = recorded(tmp_path, replace(TEST, machine_stiffness_N_per_mm=5000.0))

@@ -43,6 +43,9 @@ class ModulusSettings:
     least_samples: int = 12
     """Fewest samples on the fitted part of a branch. Larger leaves out more branches; smaller fits lines to
     too few points for an error from their scatter."""
+    origin_tolerance: float = 0.05
+    """Difference of Δ0 from L, as a fraction of L, above which a warning is given. Larger passes a Y_p as
+    wrong; smaller warns of the slack of a sheet (`test_a_position_that_is_not_the_distance`)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -254,7 +257,7 @@ def measure_cycles(
         sheet=(sheet.thickness_mm, sheet.width_mm, sheet.length_mm),
         machine_stiffness_N_per_mm=stiffness,
         notes=[*facts.notes, *_remarks(table, sheet, stiffness)],
-        warnings=[*facts.warnings, *few, *_implausible(table, sheet)],
+        warnings=[*facts.warnings, *few, *_implausible(table, sheet), *_off_origin(table, sheet, settings)],
     )
     table.attrs.update(meta.attrs())
     return record(table, "measure_cycles", machine_stiffness_N_per_mm=stiffness, part=settings.part)
@@ -271,6 +274,19 @@ def _implausible(table: pd.DataFrame, sheet: Sample) -> list[str]:
                 "`length_mm` (mm) and the units of force and displacement"
             ]
     return []
+
+
+def _off_origin(table: pd.DataFrame, sheet: Sample, settings: ModulusSettings) -> list[str]:
+    """Return a warning if Δ is not the distance of the clamps, which Y_p assumes and kL/(εW) does not."""
+    root = float(table["delta0_mm"].mean())
+    if abs(root / sheet.length_mm - 1) <= settings.origin_tolerance:
+        return []
+    slope, extrapolated = (float(table[name].mean()) for name in ("Y_slope_GPa", "Y_p_GPa"))
+    return [
+        f"the force is 0 at Δ = {root:.4g} mm, where a sheet of L = {sheet.length_mm:g} mm has Δ = L: Y_p ="
+        f" {extrapolated:.3g} GPa is wrong by as much, and kL/(εW) = {slope:.3g} GPa holds if L is right:"
+        " give `length_mm`, or `clamp_distance_mm` (the distance of the clamps at the first sample)"
+    ]
 
 
 _ORIGINS = {
