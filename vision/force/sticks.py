@@ -407,7 +407,7 @@ def _beside_standstill(signal: Signal, valley: Floats, peak: Floats, settings: F
     around = np.r_[False, stick, False]
     beside = around[:-2] | around[2:]
     speed, error = (part.reshape(parts, -1) for part in pace(edge[:-1].ravel(), edge[1:].ravel()))
-    moves = (speed > 0.5 * usual).any(axis=0)  # else the whole stick is slow
+    moves = (speed > 2 * sticks[0] + 4 * error).any(axis=0)  # else the whole stick is slow
     held = still(speed, error).any(axis=0) & moves
     interrupted = (beside | held) & (sticks[0] < 0.9 * usual)
     return np.asarray(stick | interrupted | fall[:-1] | fall[1:], np.bool_)
