@@ -398,6 +398,11 @@ def _width(lines: list[str], style: _Style, path: Path) -> int:
         width = max((len(line.split()) for line in lines), default=0)
     else:
         width = max((line.count(style.separator) for line in lines), default=0) + 1
+    return _checked_width(width, path)
+
+
+def _checked_width(width: int, path: Path) -> int:
+    """Return a number of columns; raise InputError for too many."""
     if width > _Most.columns:
         raise InputError(path, f"at most {_Most.columns} columns", str(width), "export fewer of them")
     return width
@@ -561,8 +566,7 @@ def _written(row: tuple[object, ...], path: Path) -> list[str]:
     cells = ["" if cell is None else " ".join(str(cell).split()) for cell in row]
     while cells and not cells[-1]:
         cells.pop()
-    if len(cells) > _Most.columns:
-        raise InputError(path, f"at most {_Most.columns} columns", str(len(cells)), "export fewer of them")
+    _checked_width(len(cells), path)
     return cells
 
 

@@ -277,9 +277,8 @@ def _local_period(edge: Ints, size: int) -> Floats:
     """Return the period at every sample from known edges: a running median of nine spacings."""
     if edge.size < 3:
         return np.full(size, max(size / 3, 1.0))
-    spacing = running_median(
-        np.diff(edge), 9, ends="symmetric"
-    )  # else the first and the last would count fivefold
+    # Without mirrored ends, the first and the last spacing would count fivefold.
+    spacing = running_median(np.diff(edge), 9, ends="symmetric")
     return _at_every_sample(0.5 * (edge[1:] + edge[:-1]), spacing, size)
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -66,7 +67,7 @@ class _Slopes:
         """First column of each segment along x."""
         return segment_starts(self.mean.shape[-1], self.settings.segment_px)
 
-    @property
+    @cached_property
     def power(self) -> Floats32:
         """Power of the slopes in each segment along x, without white noise, (band, segment)."""
         return np.add.reduceat((self.mean**2 - self.difference**2).sum(axis=0), self.starts, axis=-1)
