@@ -527,6 +527,9 @@ STICKS = Schema(
         "K2_err_N_per_mm": Variable(_EVENT, "N/mm", "standard error of K2"),
         "knee": Variable(_EVENT, "1", "position of the knee, fraction of the fitted part"),
         "knee_gain": Variable(_EVENT, "1", "squared residuals of one line over those with a knee"),
+        "K_lowpass_share": Variable(
+            _EVENT, "1", "relative change of K if a low-pass that was found were corrected; it is in K_err"
+        ),
         "slip_time_s": Variable(_EVENT, "s", "duration of the slip"),
         "samples": Variable(_EVENT, "", "samples in the stick phase"),
         "flag": Variable(

@@ -77,6 +77,20 @@ def test_what_the_low_pass_takes_from_the_peaks_is_in_the_errors() -> None:
     assert "low_pass" not in corrected.budget
 
 
+@pytest.mark.parametrize("tau", [0.05, 0.1])
+def test_what_the_low_pass_takes_from_the_stiffness_is_in_the_errors(tau: float) -> None:
+    """A failure means Λ̂ and N̂ are off by ten errors in a recording behind a slow amplifier."""
+    made = realistic(d1=14.2, noise=0.1, tau=tau).force
+    fits = fit_models(made, find_stick_slip(made))
+    scale = 2 * 0.89 * 0.1 * 25**2 / np.log(1 + 2 * 0.89 * 0.57 / 0.003)
+    for name, truth in (("Lambda_hat_mm", scale), ("N_hat_N", 0.57), ("Y_eff_GPa", 3.8)):
+        found = fits.named()[name]
+        off = abs(found.value - truth)
+        assert off < 2 * np.hypot(found.error, found.systematic_error), name
+        others = [errors[name] or 0.0 for source, errors in fits.budget.items() if source != "low_pass"]
+        assert off > 4 * np.hypot(found.error, np.hypot(*others)), name
+
+
 def test_a_run_folder_is_complete_and_kept(
     file: Path, test: Test, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -366,11 +366,16 @@ def _measure(
 
 
 def _with_bias(events: pd.DataFrame, other: pd.DataFrame) -> pd.DataFrame:
-    """Add the difference of the `other` events to the errors; the same in each event, it is not squared."""
+    """Add the difference of the `other` events to the errors, and that of K to its column.
+
+    The same in each event, it is not squared.
+    """
     pairs = [(f"{name}_N", f"{name}_err_N") for name in ("F_v", "F_p", "dF")]
     pairs += [("stick_length_um", "stick_length_err_um"), ("K_N_per_mm", "K_err_N_per_mm")]
     bias = {error: (other[value] - events[value]).abs().fillna(0.0) for value, error in pairs}
-    return events.assign(**{error: events[error] + added for error, added in bias.items()})
+    share = other["K_N_per_mm"] / events["K_N_per_mm"] - 1
+    errors = {error: events[error] + added for error, added in bias.items()}
+    return events.assign(**errors, K_lowpass_share=share)
 
 
 def _lowpass_shares(events: pd.DataFrame, other: pd.DataFrame) -> dict[str, float]:

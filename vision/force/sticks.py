@@ -117,6 +117,7 @@ def measure_sticks(
             "F_p_err_N": np.hypot(ends.error_p, error_p),
             "dF_err_N": np.hypot(ends.error_rise, np.hypot(error_v, error_p)),
             "stick_length_err_um": 1e3 * np.hypot((d_p - d_v) * relative, np.sqrt(2) * noise_mm),
+            "K_lowpass_share": 0.0,
             "slip_time_s": t_next - t_p,
             "samples": (p - v).astype(int),
         }
