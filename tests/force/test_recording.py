@@ -118,6 +118,20 @@ def test_what_is_taken_for_granted_is_said(tmp_path: Path) -> None:
     assert not any("compression" in line for line in turned.attrs["warnings"])
 
 
+def test_a_load_without_a_unit_is_a_warning(tmp_path: Path) -> None:
+    """A failure means a load in lbf is taken for N in silence, or one in N is doubted."""
+
+    def doubted(header: str, columns: dict[str, str] | None = None) -> bool:
+        path = written(tmp_path, header + "\n" + rows(TIME, LOAD, sep=","))
+        warnings = read_force(path, columns=columns, speed_mm_min=1).attrs["warnings"]
+        return any("expected a load with a unit" in line for line in warnings)
+
+    assert doubted("time,load")
+    assert not doubted("time,load", {"load": "load:lbf"})
+    for header in ("time,load (N)", "time_s,load_N", "time,load\ns,kN"):
+        assert not doubted(header)
+
+
 def test_speed_is_checked_against_the_crosshead(tmp_path: Path) -> None:
     """A failure means a wrong speed goes unnoticed, or overrides what was measured."""
     path = written(tmp_path, *LAYOUTS["snake"])

@@ -175,6 +175,11 @@ def _dataset(
     measured = _speed(time[good], travel[good])
     jumps = np.zeros_like(good) if crosshead is None else _jumps(crosshead, flags == "nan", settings)
     warnings = _restart_warnings(restart, time.size, blocks)
+    if found["load"].assumed:
+        warnings.append(
+            f'expected a load with a unit; found "{found["load"].name}" without, taken for N: write the unit '
+            "beside its name, or give `force_columns` load=NAME:N (or kgf, lbf)"
+        )
     warnings += _warnings(flags, load[good], source, speed_mm_min, measured)
     warnings += _gap_warnings(flags == "gap", jumps, time, travel)
     if abs(start) > 0.05 * max(float(np.ptp(travel[good])), 1e-9):  # zeros are set manually
@@ -234,7 +239,8 @@ def _speed(time: Floats, travel: Floats) -> float:
 
 def _notes(found: dict[Role, Column], source: str, d0_mm: float | None, on_sample: bool) -> list[str]:
     """Return what was assumed."""
-    notes = [f'"{c.name}" has no unit: {role} assumed in {c.unit}' for role, c in found.items() if c.assumed]
+    assumed = {role: c for role, c in found.items() if c.assumed and role != "load"}  # a load is warned of
+    notes = [f'"{c.name}" has no unit: {role} assumed in {c.unit}' for role, c in assumed.items()]
     if found["load"].unit == "1":
         notes.append("load is a force over a weight (unit 1): values named _N are in units of that weight")
     if source == "speed":
