@@ -106,6 +106,19 @@ def test_a_lamp_that_moves_is_in_the_error(monkeypatch):
     assert off_unchecked(monkeypatch, picture, x) > 2
 
 
+def test_light_that_tilts_at_random_from_frame_to_frame_is_in_the_error():
+    """All sheets shift alike, which passes for motion of the camera. A failure means that fewer than
+    half of the positions are within their stated errors."""
+    x = comb(200, per_side=16, axis_px=320, slip=0.3)
+    picture = strip(ridges(x, width=640), snr=150)
+    tilt = 0.3 * np.random.default_rng(1).standard_normal((200, 1))
+    picture.values[:] *= 1 + tilt * np.linspace(-1, 1, 640)
+    tracks = track_sheets(picture)
+    off = tracks.x_px.values - x
+    within = np.abs(off - np.median(off, axis=0)) <= tracks.x_err_px.values
+    assert 0.64 < within.mean() < 0.76
+
+
 @pytest.mark.parametrize("lopsided", [0.0, 0.4])
 def test_ridges_lopsided_alike_are_not_distorted(lopsided):
     """A shoulder that every sheet has is its shape: it moves no sheet against another."""

@@ -371,16 +371,19 @@ def _shift_by_light(
 
     A Gaussian in such light remains a Gaussian, shifted by :math:`\sigma_r^2 L'/L`, so that only heights
     reveal the shift. A lamp that moves, or the edge of a shadow, shows as a slope between a sheet and its
-    neighbours on both sides, beyond the scatter of single sheets. Fewer than five sheets do not show that
-    scatter: every change of the slope between two sheets, beyond its noise in time, then counts as light.
+    neighbours on both sides, beyond the scatter of single sheets. Light that tilts over the whole comb shifts
+    all sheets alike, as a camera that shakes does, and shows in far smaller slopes (`_tilt`). Fewer than five
+    sheets do not show that scatter: every change of the slope between two sheets, beyond its noise in time,
+    then counts as light.
     """
     light = log_height - nan_median(log_height)
     light -= nan_median(light, axis=1)[:, None]  # exposure
     if light.shape[1] >= ENOUGH:
-        shift = _slope_across(light, x_px, settings)
+        shift, tilt = _slope_across(light, x_px, settings), _tilt(light, x_px, settings)
         for of_sheet in light.T:
             of_sheet[:] = mean_over(of_sheet, settings.distortion_frames)
         np.fmax(shift, _slope_across(light, x_px, settings), out=shift)
+        np.fmax(shift, tilt[:, None], out=shift)
     else:
         with np.errstate(divide="ignore", invalid="ignore"):
             slope = np.diff(light, axis=1) / np.diff(nan_median(x_px))
@@ -401,12 +404,8 @@ def _slope_across(light: Floats, x_px: Floats, settings: TrackingSettings) -> Fl
     apart = np.diff(nan_median(x_px))
     apart_px = float(nan_median(apart))
     apart = np.where(apart > 0, apart, np.nan)
-    bend = light[:, 1:-1].copy()
-    for rows in row_parts(len(bend)):
-        bend[rows] -= (light[rows, :-2] + light[rows, 2:]) / 2
-    scatter = median_of_all(np.abs(bend, out=bend)) / NORMAL_MEDIAN / np.sqrt(1.5)
-    del bend
-    least, across = settings.distortion_sigmas * np.sqrt(2) * scatter / apart_px, np.empty(light.shape)
+    least = settings.distortion_sigmas * np.sqrt(2) * _scatter_across(light) / apart_px
+    across = np.empty(light.shape)
     for rows in row_parts(len(light)):
         with np.errstate(divide="ignore", invalid="ignore"):
             slope = np.diff(light[rows], axis=1) / apart
@@ -414,3 +413,25 @@ def _slope_across(light: Floats, x_px: Floats, settings: TrackingSettings) -> Fl
         smaller = np.where(left * right > 0, np.fmin(np.abs(left), np.abs(right)), 0.0)
         across[rows] = np.pad(_if_above(smaller, least), ((0, 0), (1, 1)), "edge")
     return across
+
+
+def _tilt(light: Floats, x_px: Floats, settings: TrackingSettings) -> Floats:
+    """Return the size of the slope of the light over the whole comb, per px, (frame,); 0 where it is scatter.
+
+    It is the median over all pairs of sheets that are half the comb apart, which single sheets and shadows do
+    not change.
+    """
+    half, rest = light.shape[1] // 2, nan_median(x_px)
+    apart = rest[half:] - rest[:-half]
+    apart = np.where(apart > 0, apart, np.nan)
+    slope = np.abs(nan_median((light[:, half:] - light[:, :-half]) / apart, axis=1))
+    of_median = np.sqrt(np.pi / 2 / len(apart)) * np.sqrt(2) * _scatter_across(light) / nan_median(apart)
+    return np.nan_to_num(_if_above(slope, settings.distortion_sigmas * of_median))
+
+
+def _scatter_across(light: Floats) -> float:
+    """Return the scatter of single sheets against the mean of their neighbours."""
+    bend = light[:, 1:-1].copy()
+    for rows in row_parts(len(bend)):
+        bend[rows] -= (light[rows, :-2] + light[rows, 2:]) / 2
+    return float(median_of_all(np.abs(bend, out=bend)) / NORMAL_MEDIAN / np.sqrt(1.5))
