@@ -90,7 +90,8 @@ sheet it is 12 to 87. A smaller factor calls noise pairs, a larger one misses ed
 
 
 def tracking_warnings(tracks: xr.Dataset) -> list[str]:
-    """Return warnings about polarity, frozen frames, doubtful or missing positions, motion, missed sheets."""
+    """Return warnings about polarity, frozen or averaged frames, doubtful or missing positions, motion,
+    missed sheets."""
     lines, flags = _polarity_warning(TrackMetadata.of(tracks)), flag_counts(tracks)
     total = max(1, sum(flags.values()))
     if frozen := flags.get("frozen", 0) // tracks.sizes["sheet"]:
@@ -121,6 +122,7 @@ def tracking_warnings(tracks: xr.Dataset) -> list[str]:
             f" {100 * change['brightness']:.0f} %): a cut, or the camera or the light was moved; the sheets"
             f" may not be the same as before: give `frames` as 0:{frame} or {frame}:"
         )
+    lines += _lasting_noise_warning(TrackMetadata.of(tracks))
     lines += _alike_warning(TrackMetadata.of(tracks))
     lines += _spacing_warning(tracks)
     return lines
@@ -180,6 +182,17 @@ def _frames_with_few_sheets(tracks: xr.Dataset) -> str:
         f"fewer than half of the sheets are found in {few.sum()} frames (the longest run is {where}): another"
         " scene, or something in front of the sheets? exclude these frames with `frames`"
     )
+
+
+def _lasting_noise_warning(facts: TrackMetadata) -> list[str]:
+    """Warn of a camera that averages frames."""
+    if not facts.noise_lasts:
+        return []
+    return [
+        f"the noise of each frame resembles that of the frame before (correlation {facts.noise_lasts:.2f}):"
+        " frames were averaged in time, so that positions lag behind after slips by more than x_err_px:"
+        " switch off the camera's noise reduction"
+    ]
 
 
 def _alike_warning(facts: TrackMetadata) -> list[str]:

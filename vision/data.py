@@ -296,6 +296,8 @@ class TrackMetadata(Metadata):
     locking_px, locking_err_px
         Locking of positions to whole pixels that was subtracted, rms, and what remains of it in the errors,
         px; 0 for none (`vision.sheets.locking`).
+    noise_lasts
+        Correlation of the pixels' noise between a frame and the next if the camera averages in time, else 0.
     corrections_applied
         Number of manual corrections; they are listed among the operations.
     """
@@ -324,6 +326,7 @@ class TrackMetadata(Metadata):
     ridges_beyond: int = 0
     locking_px: float = 0.0
     locking_err_px: float = 0.0
+    noise_lasts: float = 0.0
     corrections_applied: int = 0
 
 

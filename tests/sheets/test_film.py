@@ -32,6 +32,39 @@ def test_quiet_frames_of_a_moving_film_are_no_repeats():
     assert not repeated_frames(strip(ridges(x, width=420)).values).any()
 
 
+def averaged_in_time(picture, how):
+    """The strip as a camera records it that mixes each frame with the one before, or with both beside it."""
+    picture, values = picture.copy(deep=True), picture.values.copy()
+    if how == "median":
+        picture.values[1:-1] = np.median([values[:-2], values[1:-1], values[2:]], axis=0)
+    elif how:
+        for frame in range(1, len(values)):
+            picture.values[frame] = (1 - how) * values[frame] + how * picture.values[frame - 1]
+    return picture
+
+
+@pytest.mark.parametrize("how", [0.3, 0.6, "median"])
+def test_frames_averaged_in_time_are_said_to_be(how):
+    """A failure means that positions up to a pixel late after slips pass for precise to 0.01 px."""
+    x = comb(240, per_side=12, axis_px=320, slip=0.25, period=40)
+    tracks = track_sheets(averaged_in_time(strip(ridges(x, width=640), snr=60), how))
+    off = np.abs(tracks.x_px.values - x)
+    assert np.nanmax(off) > 0.15
+    (line,) = (line for line in tracking_warnings(tracks) if "averaged in time" in line)
+    assert "noise reduction" in line
+
+
+@pytest.mark.parametrize("period", [0, 3, 4, 5.5, 8, 13])
+@pytest.mark.parametrize("size_px", [0.3, 3.0])
+def test_frames_of_a_camera_that_vibrates_are_not_averaged(period, size_px):
+    """Nor are those of one that shakes at random. A failure means warnings of films that are in order."""
+    x, _ = creeping(240)
+    time, random = np.arange(240)[:, None], np.random.default_rng(5)
+    x = x + size_px * (np.sin(2 * np.pi * time / period) if period else random.standard_normal((240, 1)))
+    for snr in (20, 200):
+        assert TrackMetadata.of(track_sheets(strip(ridges(x, width=420), snr=snr))).noise_lasts == 0
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_quiet_frames_of_a_film_that_vibrates_are_no_repeats(seed):
     """Nearly all frames differ by a pixel or more, and a few by chance by next to nothing: they count.

@@ -338,6 +338,11 @@ class TrackingSettings:
     least_changing: float = 0.1
     """Fraction of the frames that must differ from the one before for the others to be repeated ones."""
 
+    lasting_noise: float = 0.2
+    """Correlation of the noise of a frame and the next above which the camera averages in time. It is up to
+    0.02 in ordinary films, and 0.15 where rounding is the only noise. Larger misses weak noise reduction,
+    smaller warns of films that are in order (test_film.py)."""
+
     cut_pitches: float = 0.3
     """Displacement of all sheets together, in pitches, that indicates a cut. Larger misses small knocks
     against the camera, smaller takes drift for a cut."""

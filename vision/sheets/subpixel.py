@@ -29,6 +29,7 @@ STEADY_FRAMES = 9  # whose mean height gives the error of a template position: s
 LEAST_EXPLAINED = 0.5  # share of the variance of a ridge's pixels; below it most of them show something else
 RIDGES_AT_ONCE = 8192  # whose pixels are matched at once
 LEAST_TRIPLES = 8  # groups of three consecutive frames that a measurement of noise needs
+CORRELATED_RIDGES = 400  # differences of three ridges that tell correlated noise from chance
 
 
 class FittedPositions(NamedTuple):
@@ -551,11 +552,46 @@ def intensity_noise(
     the one before, which are left out, (frame,). half_px: half-width of the
     window; at least 5 are used. fallback: noise of sheets seen in fewer than eight groups of three frames.
     """
+    variance = _noise_variance(profile, x_px, frozen, half_px=half_px)
+    if len(variance) < LEAST_TRIPLES:
+        return np.full(x_px.shape[1], fallback)
+    known = np.isfinite(variance).sum(axis=0) >= LEAST_TRIPLES
+    typical = nan_median(variance, axis=0)
+    return np.asarray(np.where(known, np.sqrt(typical), fallback), np.float64)
+
+
+def noise_correlation(
+    profile: NDArray[np.floating], x_px: Floats, frozen: Bools, *, half_px: int, least: float
+) -> float:
+    r"""Return the correlation of the profile's noise between a frame and the next; 0 where it is not clear.
+
+    profile, x_px, frozen, half_px: as for `intensity_noise`.
+
+    With the noise :math:`\rho^k` correlated over k frames, second differences at lags of two frames have
+    :math:`(1 + \rho)(3 - \rho^2)/(3 - \rho)` times the variance of those at one. Motion that the fitted
+    changes do not describe adds to longer lags as well, but not less to four frames than to two. It is not
+    clear in films with fewer than `CORRELATED_RIDGES` such differences, and in those whose noise is less than
+    `least` grey levels, which is rounding.
+    """
+    each = [_noise_variance(profile, x_px, frozen, half_px=half_px, lag=lag) for lag in (1, 2, 4)]
+    if min(variance.size for variance in each) < CORRELATED_RIDGES:
+        return 0.0
+    one, two, four = (float(nan_median(nan_median(variance, axis=0))) for variance in each)
+    # Noise that lasts for ever would have twice the variance at twice the lag.
+    if not (one > least**2 and two < 2.1 * one and four / two < two / one):
+        return 0.0
+    rho = np.linspace(0, 1, 101)
+    return float(np.interp(two / one, (1 + rho) * (3 - rho**2) / (3 - rho), rho))
+
+
+def _noise_variance(
+    profile: NDArray[np.floating], x_px: Floats, frozen: Bools, *, half_px: int, lag: int = 1
+) -> Floats:
+    """Return the variance of the noise around each sheet in groups of three frames, `lag` frames apart, grey
+    levels squared, (groups, N); see `intensity_noise`."""
     half = max(half_px, 5)
     new = np.flatnonzero(~frozen)
-    middle = _triples(np.isfinite(x_px).mean(axis=1)[new] > 0.5)
-    if len(middle) < LEAST_TRIPLES:
-        return np.full(x_px.shape[1], fallback)
+    middle = _triples(np.isfinite(x_px).mean(axis=1)[new] > 0.5, lag)
     x = x_px[new[middle]]
     centre = np.nan_to_num(np.rint(x), nan=-10 * half).astype(np.int64)
     offsets = np.arange(-half - 1, half + 2)
@@ -567,12 +603,9 @@ def intensity_noise(
         column = centre + np.rint(common).astype(np.int64)[:, None]
         return gather(profile, Starts(np.repeat(frame, x.shape[1]), column.ravel()), offsets)
 
-    before, now, after = around(-1), around(0), around(1)
+    before, now, after = around(-lag), around(0), around(lag)
     variance = _residual_variance(before + after - 2 * now, (before + now + after) / 3)
-    variance = variance.reshape(len(middle), -1) / 6
-    known = np.isfinite(variance).sum(axis=0) >= LEAST_TRIPLES
-    typical = nan_median(variance, axis=0)
-    return np.asarray(np.where(known, np.sqrt(typical), fallback), np.float64)
+    return variance.reshape(len(middle), -1) / 6
 
 
 def position_noise(x_px: Floats) -> Floats:
@@ -602,12 +635,12 @@ def position_noise(x_px: Floats) -> Floats:
     return np.asarray(np.where(known, typical / NORMAL_MEDIAN / np.sqrt(6), np.nan), np.float64)
 
 
-def _triples(seen: Bools) -> Ints:
+def _triples(seen: Bools, lag: int) -> Ints:
     """Return the middle frames of triples in which most sheets are seen, spread over the recording.
 
-    seen: whether most are, (frame,).
+    seen: whether most are, (frame,). lag: frames between those of a triple.
     """
-    middle = 1 + np.flatnonzero(seen[2:] & seen[1:-1] & seen[:-2])
+    middle = lag + np.flatnonzero(seen[2 * lag :] & seen[lag:-lag] & seen[: -2 * lag])
     if not len(middle):
         return np.asarray(middle, np.int64)
     return np.unique(middle[np.linspace(0, len(middle) - 1, 400).astype(int)])

@@ -43,6 +43,7 @@ from vision.sheets.subpixel import (
     fit_sheets,
     intensity_noise,
     learned_template,
+    noise_correlation,
     position_noise,
 )
 from vision.words import words
@@ -150,6 +151,9 @@ def track_sheets(
     step = median_step(np.where(np.isnan(assessed.x_px), detections.withheld_px, assessed.x_px))
     large = number[1:][np.abs(step) > settings.step_fraction * comb.pitch_px]
     changes = scene_changes(detections.start_px, detections.contrast, comb)
+    lasting = 0.0
+    if facts.codec not in BETWEEN_FRAMES:  # these keep noise, or remove it, and their errors are measured
+        lasting = noise_correlation(profile, fitted.x_px, frozen, half_px=window // 2, least=WHOLE_LEVELS)
     likelier = ridges if ridges == "auto" else describe_ridges(profile, settings=settings).polarity
     metadata = replace(
         found.metadata(count_given=sheets is not None),
@@ -159,6 +163,7 @@ def track_sheets(
         corrections_applied=len(corrections),
         sheets_alike="yes" if alike else "no",
         large_steps=large.tolist() if alike else [],
+        noise_lasts=lasting if lasting > settings.lasting_noise else 0.0,
         scene_changes=[change._asdict() | {"frame": int(number[change.frame])} for change in changes],
     )
     return record(
