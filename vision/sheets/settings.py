@@ -157,6 +157,11 @@ class TrackingSettings:
     slow_end: float = 0.6
     """Fraction of its neighbour's motion below which such a ridge is no sheet: motion grows outwards."""
 
+    along_end: float = 0.5
+    """Correlation of its motion with its neighbour's above which such a ridge is a sheet. Whole pixels leave
+    0.6 of that of two sheets. Larger drops the last sheet of a dense comb (test_reference.py at 0.9), smaller
+    keeps bumps that a moving sheet shifts by chance."""
+
     odd_width: float = 1.4
     """Factor by which the width of such a ridge differs from the others' if it is no sheet."""
 
