@@ -82,6 +82,7 @@ def build_reference(
     comb: RidgeComb,
     *,
     sheets: int | None,
+    most: int | None,
     source: str,
 ) -> ReferenceComb:
     """Return the comb that most frames agree on.
@@ -89,7 +90,8 @@ def build_reference(
     All candidates of one long list are first taken for sheets, and lists from the whole recording are aligned
     with them. Candidates that many frames show and the comb lacks are added; sheets that few frames show are
     removed. Of the result, the entries that together form the most even comb are the sheets: exactly `sheets`
-    entries, if that number is given.
+    entries, if that number is given, and else no more than `most`: a comb of few sheets that jumps may enter
+    the reference twice.
 
     There is one list of candidates for each segment of frames; `frames` is its number of frames and
     `displacement_px` the displacement of the whole comb at that time, (lists,).
@@ -122,7 +124,8 @@ def build_reference(
         raise InputError(source, f"{sheets} ridges (`sheets`)", found, "give the number that is in view")
     best = reference.only(_choose_sheets(reference, comb, sheets))
     if sheets is None:
-        return best
+        too_many = most is not None and best.sheets > most
+        return reference.only(_choose_sheets(reference, comb, most)) if too_many else best
     _check_ends(best.x_px, sheets, source, settings)
     return replace(best, beyond=_beyond(reference, best, comb.pitch_px))
 
