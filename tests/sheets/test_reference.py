@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.scenes.combs import comb, ridges, strip
-from vision.checks import tracking_warnings
+from vision.checks import consistency_warnings, tracking_warnings
 from vision.data import TrackMetadata
 from vision.errors import InputError
 from vision.sheets import TrackingSettings, track_sheets, wide_spacings
@@ -156,3 +156,17 @@ def test_dim_sheets_of_the_stiff_centre_are_kept():
     truth = comb(150, per_side=13, axis_px=40)[:, 13:]
     height = np.r_[0.15, 0.22, 0.35, 0.6, np.ones(9)]
     assert track_sheets(strip(ridges(truth, width=360, contrast=height))).sizes["sheet"] == 13
+
+
+@pytest.mark.parametrize("slip", [0.15, 0.3])
+def test_a_ridge_left_out_beyond_the_outermost_sheet_is_warned_of(slip):
+    """The two outermost sheets stand so close that their ridges are no longer those of sheets. A failure
+    means that the comb is short of them without a word. A speck on the lens, which does not move, is none."""
+    truth = comb(150, per_side=10, pitch_px=10.0, axis_px=150, slip=slip)
+    speck = ridges(np.full((150, 1), 44.0), width=300, fwhm_px=4.0, contrast=0.15)
+    plain = consistency_warnings(track_sheets(strip(ridges(truth, width=300, fwhm_px=6.0) + speck)))
+    assert not [line for line in plain if "beyond the outermost" in line]
+    truth[:, 0] += 2.8
+    tracks = track_sheets(strip(ridges(truth, width=300, fwhm_px=6.5)))
+    assert tracks.sizes["sheet"] < 20
+    assert [line for line in consistency_warnings(tracks) if "beyond the outermost" in line]

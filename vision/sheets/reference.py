@@ -38,7 +38,8 @@ class ReferenceComb:
 
     x_px: rest positions. log_contrast, log_width: logarithms of contrast and width. found: fraction of the
     frames in which each is found. dropped_px: rest positions of persistent ridges that are not part of the
-    comb. beyond: number of these that continue the comb, if the number of sheets was given.
+    comb. beyond: number of these that continue the comb, if the number of sheets was given; otherwise the
+    number of ends at which one may be a further sheet.
     """
 
     x_px: Floats
@@ -409,7 +410,7 @@ def faint_ends(reference: ReferenceComb, moved_px: Floats, *, settings: Tracking
         seen = np.isfinite(moved_px[:, end]).mean()
         moves = power[inner] > settings.moving_px**2 / 4
         slow = moves and power[end] < settings.slow_end**2 * power[inner]
-        along = _likeness(in_comb[:, end], in_comb[:, inner]) > settings.along_end
+        along = motion_likeness(in_comb[:, end], in_comb[:, inner]) > settings.along_end
         odd = abs(width[end]) > np.log(settings.odd_width)
         none[end] = faint[end] and bool(slow or (not along and (seen < 0.5 or odd)))
     for inwards in (slice(None), slice(None, None, -1)):
@@ -435,7 +436,7 @@ def _stationary_beside(faint: Bools, contrast: Floats, moved_px: Floats, setting
     return row if moves and max(motion[:row]) < settings.static_fraction * motion[row] else 0
 
 
-def _likeness(one: Floats, other: Floats) -> float:
+def motion_likeness(one: Floats, other: Floats) -> float:
     """Return the correlation of two motions about 0 where both are known, 0 where neither moves."""
     both = np.isfinite(one) & np.isfinite(other)
     size = np.sqrt((one[both] ** 2).sum() * (other[both] ** 2).sum())

@@ -167,6 +167,14 @@ class TrackingSettings:
     0.6 of that of two sheets. Larger drops the last sheet of a dense comb (test_reference.py at 0.9), smaller
     keeps bumps that a moving sheet shifts by chance."""
 
+    along_beyond: float = 0.3
+    """The same for a ridge that is left out to be warned of. Larger misses sheets that move by less than a
+    pixel, smaller warns of dust."""
+
+    nearest_beyond: float = 0.45
+    """Distance, in pitches, from the outermost sheet from which a ridge that is left out may be a further
+    sheet. Larger misses sheets close to the next, smaller warns of the second edge of a sheet."""
+
     odd_width: float = 1.4
     """Factor by which the width of such a ridge differs from the others' if it is no sheet."""
 
