@@ -322,7 +322,14 @@ def consistency_warnings(
 def _comb_warnings(tracks: xr.Dataset, found: TrackMetadata) -> list[str]:
     """Warn of further or doubtful ridges of the comb, and of an axis that the motion excludes."""
     lines = []
-    if found.ridges_beyond:
+    if found.ridges_beyond and not _counted(tracks):
+        lines.append(
+            "a ridge beyond the outermost sheet is left out"
+            + " on both sides" * (found.ridges_beyond > 1)
+            + ": if it is a sheet, the axis and n change: look at overview.png, and give the number of sheets"
+            " (`sheets`)"
+        )
+    elif found.ridges_beyond:
         lines.append(
             f"{found.ridges_beyond} more ridges continue the comb of the {found.sheets} sheets and would"
             f" change every n: give `sheets` as {found.sheets + found.ridges_beyond} or leave it out"

@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.scenes.combs import comb, ridges, strip
-from vision.checks import tracking_warnings
+from vision.checks import consistency_warnings, tracking_warnings
+from vision.data import TrackMetadata
 from vision.errors import InputError
 from vision.sheets import TrackingSettings, track_sheets, wide_spacings
 
@@ -114,3 +115,58 @@ def test_sheets_filmed_at_an_angle_are_all_kept(spacing):
 def test_a_few_sheets_are_no_comb_to_compare_with():
     """A failure means that a handful of markers is said to lack one."""
     assert not wide_spacings(np.array([0.0, 20, 40, 80, 100, 120, 140]))[0].size
+
+
+@pytest.mark.parametrize("right", [True, False])
+def test_the_outermost_sheet_of_a_dense_comb_is_kept(right):
+    """It stands close to the next, so that its ridge is low and narrow. A failure means that it is lost
+    without a word, though it moves as a sheet does."""
+    truth = comb(150, per_side=10, pitch_px=10.0, axis_px=150, slip=0.15)
+    truth[:, 0] += 2.5
+    picture = ridges(truth, width=300, fwhm_px=6.5)
+    tracks = track_sheets(strip(picture[:, ::-1] if right else picture))
+    assert tracks.sizes["sheet"] == 20
+
+
+@pytest.mark.parametrize("period", [12.0, 16.0])
+def test_a_stationary_pattern_behind_the_comb_is_not_tracked(period):
+    """A fringe or a fabric of a tenth of the sheets' contrast is seen beside them. A failure means that its
+    stripes become sheets outside the comb, and shift the axis."""
+    truth = comb(150, per_side=15, pitch_px=16.0, axis_px=305)
+    wave = 0.1 * np.sin(2 * np.pi * np.arange(610) / period)
+    tracks = track_sheets(strip(ridges(truth, width=610) + wave))
+    assert tracks.sizes["sheet"] == 30
+    assert abs(TrackMetadata.of(tracks).axis_px - 305) < 8
+
+
+@pytest.mark.parametrize(("per_side", "slip"), [(3, 0.3), (8, 0.1), (15, 0.3), (30, 0.03)])
+def test_dim_outer_sheets_are_kept(per_side, slip):
+    """The outermost sheets are four times, and the next two times dimmer than the others. A failure means
+    that they are taken for a pattern beside the comb."""
+    width = 40 * per_side + 120
+    truth = comb(150, per_side=per_side, axis_px=width / 2, slip=slip)
+    height = np.ones(2 * per_side)
+    height[[0, -1]], height[[1, -2]] = 0.25, 0.5
+    assert track_sheets(strip(ridges(truth, width=width, contrast=height))).sizes["sheet"] == 2 * per_side
+
+
+def test_dim_sheets_of_the_stiff_centre_are_kept():
+    """Only one side is in view, and its innermost sheets, which hardly move, lie in a shadow. A failure means
+    that they are taken for a pattern beside the comb."""
+    truth = comb(150, per_side=13, axis_px=40)[:, 13:]
+    height = np.r_[0.15, 0.22, 0.35, 0.6, np.ones(9)]
+    assert track_sheets(strip(ridges(truth, width=360, contrast=height))).sizes["sheet"] == 13
+
+
+@pytest.mark.parametrize("slip", [0.15, 0.3])
+def test_a_ridge_left_out_beyond_the_outermost_sheet_is_warned_of(slip):
+    """The two outermost sheets stand so close that their ridges are no longer those of sheets. A failure
+    means that the comb is short of them without a word. A speck on the lens, which does not move, is none."""
+    truth = comb(150, per_side=10, pitch_px=10.0, axis_px=150, slip=slip)
+    speck = ridges(np.full((150, 1), 44.0), width=300, fwhm_px=4.0, contrast=0.15)
+    plain = consistency_warnings(track_sheets(strip(ridges(truth, width=300, fwhm_px=6.0) + speck)))
+    assert not [line for line in plain if "beyond the outermost" in line]
+    truth[:, 0] += 2.8
+    tracks = track_sheets(strip(ridges(truth, width=300, fwhm_px=6.5)))
+    assert tracks.sizes["sheet"] < 20
+    assert [line for line in consistency_warnings(tracks) if "beyond the outermost" in line]

@@ -28,7 +28,7 @@ from vision.numeric import (
 )
 from vision.sheets.alignment import Candidates, Pairing, align, values_of
 from vision.sheets.displacement import comb_displacement, comb_squeeze, place_by_pattern
-from vision.sheets.reference import ReferenceComb, build_reference, faint_ends, static_ridges
+from vision.sheets.reference import ReferenceComb, build_reference, faint_ends, motion_likeness, static_ridges
 from vision.sheets.ridges import RidgeComb, Ridges
 
 
@@ -103,6 +103,7 @@ def identify_sheets(
         displacement[segments.middle],
         comb,
         sheets=sheets,
+        most=_constant_count(ridges, comb),
         source=source,
     )
 
@@ -135,6 +136,8 @@ def identify_sheets(
         match, margin = _undo_false_jumps(match, margin, usual_px, ridges, comb)
         usual_px = values_of(match, ridges.x_px)
     ends = _end_in_view(match, usual_px, ridges, comb)
+    if sheets is None:
+        reference = replace(reference, beyond=_left_out_beyond(match, usual_px, ridges, comb))
     if (scale != 1).any():
         rest = middle_px + (rest - middle_px) * scale
     return Identities(match, margin, rest, usual_px, reference, proved, jumps, ends)
@@ -161,6 +164,20 @@ def _segments_on_comb(ridges: Ridges, comb: RidgeComb) -> tuple[Segments, Floats
     return segments, displacement, proved, False
 
 
+def _constant_count(ridges: Ridges, comb: RidgeComb) -> int | None:
+    """Return the number of ridges if it is the same in nearly all frames, with both ends of the comb in view;
+    None otherwise. All sheets are then seen at once, and there are no more of them."""
+    seen = ridges.count > 0
+    if not seen.any():
+        return None
+    count = int(np.median(ridges.count[seen]))
+    last_px = np.nanmax(ridges.x_px[seen], axis=1)
+    room = comb.pitch_px + comb.fwhm_px
+    clear = (ridges.x_px[seen, 0] > room) & (last_px < comb.width_px - 1 - room)
+    same = clear & (ridges.count[seen] == count)
+    return count if same.mean() > comb.settings.constant_share else None
+
+
 def _end_in_view(match: Ints32, x: Floats32, ridges: Ridges, comb: RidgeComb) -> bool:
     """Return whether an end of the comb is in view: whether often nothing is seen beyond its first or last
     sheet where the next one would be in the picture. x: positions of the sheets, px, (frame, N)."""
@@ -171,6 +188,29 @@ def _end_in_view(match: Ints32, x: Floats32, ridges: Ridges, comb: RidgeComb) ->
     )
     alone = match[:, 0] == 0, match[:, -1] == last
     return any(seen.sum() >= 3 and none[seen].mean() > 0.3 for seen, none in zip(inside, alone, strict=True))
+
+
+def _left_out_beyond(match: Ints32, x: Floats32, ridges: Ridges, comb: RidgeComb) -> int:
+    """Return at how many ends of the comb a ridge is left out that may be a further sheet: it is often as
+    near as the next sheet would be, and moves along with the last one, or this one moves too little to tell.
+    x: positions of the sheets, px, (frame, N)."""
+    settings, frame = comb.settings, np.arange(len(x))
+    common, found = nan_median(x - nan_median(x), axis=1), 0
+    for end, step in ((0, -1), (-1, 1)):
+        beside = match[:, end] + step
+        known = (match[:, end] >= 0) & (beside >= 0) & (beside < ridges.count)
+        other = np.where(known, ridges.x_px[frame, np.where(known, beside, 0)], np.nan)
+        apart = np.abs(other - x[:, end]) / comb.pitch_px
+        near = (apart > settings.nearest_beyond) & (apart < settings.wide_pitches)
+        if near.mean() < settings.present_inside:
+            continue
+        other, last = (at[near] - common[near] for at in (other, x[:, end]))
+        other, last = other - np.median(other), last - np.median(last)
+        still = np.sqrt((last**2).mean()) < settings.moving_px / 2
+        contrast = np.median(ridges.contrast[frame, np.where(known, beside, 0)][near])
+        bright = contrast > settings.faint_contrast * comb.contrast
+        found += bool(bright if still else motion_likeness(other, last) > settings.along_beyond)
+    return found
 
 
 def _rest_over_time(

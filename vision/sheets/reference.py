@@ -38,7 +38,8 @@ class ReferenceComb:
 
     x_px: rest positions. log_contrast, log_width: logarithms of contrast and width. found: fraction of the
     frames in which each is found. dropped_px: rest positions of persistent ridges that are not part of the
-    comb. beyond: number of these that continue the comb, if the number of sheets was given.
+    comb. beyond: number of these that continue the comb, if the number of sheets was given; otherwise the
+    number of ends at which one may be a further sheet.
     """
 
     x_px: Floats
@@ -82,6 +83,7 @@ def build_reference(
     comb: RidgeComb,
     *,
     sheets: int | None,
+    most: int | None,
     source: str,
 ) -> ReferenceComb:
     """Return the comb that most frames agree on.
@@ -89,7 +91,8 @@ def build_reference(
     All candidates of one long list are first taken for sheets, and lists from the whole recording are aligned
     with them. Candidates that many frames show and the comb lacks are added; sheets that few frames show are
     removed. Of the result, the entries that together form the most even comb are the sheets: exactly `sheets`
-    entries, if that number is given.
+    entries, if that number is given, and else no more than `most`: a comb of few sheets that jumps may enter
+    the reference twice.
 
     There is one list of candidates for each segment of frames; `frames` is its number of frames and
     `displacement_px` the displacement of the whole comb at that time, (lists,).
@@ -122,7 +125,8 @@ def build_reference(
         raise InputError(source, f"{sheets} ridges (`sheets`)", found, "give the number that is in view")
     best = reference.only(_choose_sheets(reference, comb, sheets))
     if sheets is None:
-        return best
+        too_many = most is not None and best.sheets > most
+        return reference.only(_choose_sheets(reference, comb, most)) if too_many else best
     _check_ends(best.x_px, sheets, source, settings)
     return replace(best, beyond=_beyond(reference, best, comb.pitch_px))
 
@@ -390,20 +394,53 @@ def faint_ends(reference: ReferenceComb, moved_px: Floats, *, settings: Tracking
 
     The signs are presence in few frames, an unusual width, and less motion than the entry beside it, although
     motion grows outwards. Specks on the lens leave such bumps of the background beside a comb. One sign is
-    not enough: sheets may be faint, and if one side of the comb is in view, one end is stationary. moved_px:
+    not enough: sheets may be faint, and if one side of the comb is in view, one end is stationary. An entry
+    that moves along with the next is a sheet: the ridge of one close to its neighbour is low and narrow. Of
+    several faint entries at an end, all are none if they are `_stationary_beside` a bright sheet. moved_px:
     displacement from the rest positions (frame, N), NaN where missing.
     """
     none = np.zeros(reference.sheets, bool)
     if reference.sheets < 5:
         return none
     contrast, width = (values - np.median(values) for values in (reference.log_contrast, reference.log_width))
+    faint = contrast < np.log(settings.faint_end)
     power = np.array([(moved[np.isfinite(moved)] ** 2).sum() for moved in moved_px.T]) / len(moved_px)
+    in_comb = moved_px - nan_median(moved_px, axis=1)[:, None]  # a shaken camera moves all alike
     for end, inner in ((0, 1), (-1, -2)):
         seen = np.isfinite(moved_px[:, end]).mean()
-        slow = power[end] < settings.slow_end**2 * power[inner] and power[inner] > settings.moving_px**2 / 4
+        moves = power[inner] > settings.moving_px**2 / 4
+        slow = moves and power[end] < settings.slow_end**2 * power[inner]
+        along = motion_likeness(in_comb[:, end], in_comb[:, inner]) > settings.along_end
         odd = abs(width[end]) > np.log(settings.odd_width)
-        none[end] = contrast[end] < np.log(settings.faint_end) and bool(seen < 0.5 or slow or odd)
+        none[end] = faint[end] and bool(slow or (not along and (seen < 0.5 or odd)))
+    for inwards in (slice(None), slice(None, None, -1)):
+        found = _stationary_beside(faint[inwards], contrast[inwards], moved_px[:, inwards], settings)
+        none[inwards][:found] = True
     return none
+
+
+def _stationary_beside(faint: Bools, contrast: Floats, moved_px: Floats, settings: TrackingSettings) -> int:
+    """Return the number of entries from the first on that are a stationary pattern beside a moving comb.
+
+    A reflection or a fabric behind the comb leaves rows of ridges. All of these are faint, the brightest is
+    far fainter than the sheet beside them, and that sheet moves while none of them does. A comb that darkens
+    gradually towards its stationary middle differs in this step. 0 where there is none.
+
+    faint, contrast (logarithm): (N,). moved_px: (frame, N).
+    """
+    row = int(np.argmin(faint))
+    if not row or contrast[:row].max() > contrast[row] + np.log(settings.faint_end):
+        return 0
+    motion = [float(np.sqrt(np.nanmean(moved**2))) for moved in moved_px[:, : row + 1].T]
+    moves = motion[row] > settings.moving_px / 2
+    return row if moves and max(motion[:row]) < settings.static_fraction * motion[row] else 0
+
+
+def motion_likeness(one: Floats, other: Floats) -> float:
+    """Return the correlation of two motions about 0 where both are known, 0 where neither moves."""
+    both = np.isfinite(one) & np.isfinite(other)
+    size = np.sqrt((one[both] ** 2).sum() * (other[both] ** 2).sum())
+    return float((one[both] * other[both]).sum() / size) if size > 0 else 0.0
 
 
 def marks(x_px: Floats, err_px: Floats, usual_px: Floats, comb: RidgeComb) -> Bools:

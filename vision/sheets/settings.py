@@ -121,6 +121,11 @@ class TrackingSettings:
     """Share of the frames in which a ridge must be found to be a sheet. Larger loses faint sheets ("dust on
     the sensor beside a faint sheet" at 0.6), smaller accepts specks that come and go."""
 
+    constant_share: float = 0.95
+    """Share of the frames that show the same number of ridges, with both ends in view, above which there are
+    no more sheets. Larger gives a comb that jumps too many sheets for a single blurred slip, smaller drops
+    sheets that are covered in turn (test_identities.py)."""
+
     far_outside: float = 2.6
     """Distance outside the comb, in spacings, above which a ridge does not count towards a given number of
     sheets; test_reference.py puts a speck there."""
@@ -156,6 +161,19 @@ class TrackingSettings:
 
     slow_end: float = 0.6
     """Fraction of its neighbour's motion below which such a ridge is no sheet: motion grows outwards."""
+
+    along_end: float = 0.5
+    """Correlation of its motion with its neighbour's above which such a ridge is a sheet. Whole pixels leave
+    0.6 of that of two sheets. Larger drops the last sheet of a dense comb (test_reference.py at 0.9), smaller
+    keeps bumps that a moving sheet shifts by chance."""
+
+    along_beyond: float = 0.3
+    """The same for a ridge that is left out to be warned of. Larger misses sheets that move by less than a
+    pixel, smaller warns of dust."""
+
+    nearest_beyond: float = 0.45
+    """Distance, in pitches, from the outermost sheet from which a ridge that is left out may be a further
+    sheet. Larger misses sheets close to the next, smaller warns of the second edge of a sheet."""
 
     odd_width: float = 1.4
     """Factor by which the width of such a ridge differs from the others' if it is no sheet."""
