@@ -431,9 +431,10 @@ def _stationary_beside(faint: Bools, contrast: Floats, moved_px: Floats, setting
     row = int(np.argmin(faint))
     if not row or contrast[:row].max() > contrast[row] + np.log(settings.faint_end):
         return 0
-    motion = [float(np.sqrt(np.nanmean(moved**2))) for moved in moved_px[:, : row + 1].T]
+    moved = moved_px[:, : row + 1]
+    motion = np.sqrt(np.nansum(moved**2, axis=0) / np.maximum(np.isfinite(moved).sum(axis=0), 1))
     moves = motion[row] > settings.moving_px / 2
-    return row if moves and max(motion[:row]) < settings.static_fraction * motion[row] else 0
+    return row if moves and motion[:row].max() < settings.static_fraction * motion[row] else 0
 
 
 def motion_likeness(one: Floats, other: Floats) -> float:
