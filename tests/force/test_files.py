@@ -225,3 +225,14 @@ def test_commas_between_columns_and_in_numbers_are_refused(tmp_path: Path) -> No
         read_force(path)
     path.write_text(path.read_text(encoding="utf-8").replace(",5,", ".5,"), encoding="utf-8")
     read_tables(path)  # a decimal point: these are columns without a name
+
+
+def test_an_empty_row_of_units_hides_no_names(tmp_path: Path) -> None:
+    """A failure means that columns have to be given by hand though the file names them."""
+    rows = "\n".join(f"{n / 10:.1f},{n / 600:.4f},{n % 7}.5" for n in range(40))
+    path = tmp_path / "pull.csv"
+    for ending in ("", "\na remark\n1.0,2.0,3.0"):  # read by pandas at once, and line by line
+        path.write_text(f"Time,Extension,Load\n,,\n{rows}{ending}\n", encoding="utf-8")
+        (table, *_) = read_tables(path)
+        assert table.names == ("Time", "Extension", "Load")
+        assert table.units == ("", "", "")

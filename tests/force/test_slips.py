@@ -268,3 +268,14 @@ def test_a_stick_in_which_the_machine_was_held_is_flagged(hold_s: int) -> None:
     assert held.sum() == 1
     assert events["flag"][held].str.contains("still").all()
     assert (events["flag"][~held] == "ok").all()
+
+
+@pytest.mark.parametrize(("rate", "step_mm"), [(750.0, 1e-4), (1000.0, 5e-5)])
+def test_an_encoder_whose_steps_are_a_few_samples_long_does_not_stand_still(
+    rate: float, step_mm: float
+) -> None:
+    """A failure means that slips within one step of the displacement are taken for holds of the machine."""
+    force = realistic(d1=13.8, rate=rate, noise=0.1, slip_s=0.002, tau=0.0, seed=3).force
+    events = find_stick_slip(force.assign(d_mm=np.round(force["d_mm"] / step_mm) * step_mm))
+    assert len(events) > 30
+    assert (events["flag"] == "ok").all()

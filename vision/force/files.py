@@ -471,8 +471,8 @@ def _clock_seconds(parts: pd.DataFrame) -> Floats:
 def _check_commas(path: Path, header: list[str], rows: list[str], style: _Style, width: int) -> None:
     """Refuse rows in which a comma separates columns and also is the decimal mark: more cells than names, and
     no decimal point in any."""
-    above = [line for line in header if line.strip()]
-    names = len([cell for cell in style.cells(above[-1]) if cell]) if above else 0
+    above = [cells for line in header if any(cells := style.cells(line))]
+    names = len([cell for cell in above[-1] if cell]) if above else 0
     if style.separator == "," and 1 < names < width and not any("." in row for row in rows[:1000]):
         found = f"{names} names above {width} cells, none of which has a decimal point"
         advice = "export it with decimal points, or with semicolons or tabs between the columns"
@@ -481,7 +481,7 @@ def _check_commas(path: Path, header: list[str], rows: list[str], style: _Style,
 
 def _header(lines: list[str], style: _Style, width: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return names and units from the text above a block, "" for none."""
-    rows = [style.cells(line.lstrip("#% ")) for line in lines if line.strip()]
+    rows = [cells for line in lines if any(cells := style.cells(line.lstrip("#% ")))]
     blank = ("",) * width
     named = [sum(cell != "" for cell in row) >= min(2, width) for row in rows]
     for name, unit in ((-2, -1), (-1, -2)) if len(rows) > 1 else ():

@@ -387,12 +387,16 @@ def _beside_standstill(signal: Signal, valley: Floats, peak: Floats, settings: F
     nothing is told. `peak` and `valley` are those of each slip, in samples.
     """
     step = step_between(signal.travel)
+    lines = fit_lines(signal.time, signal.travel, *_between(valley[:-1], peak[1:]))
+    usual_spread = float(np.nan_to_num(nan_median(lines.spread)))
 
     def pace(start: Floats, stop: Floats) -> tuple[Floats, Floats]:
         """Return the speed between two positions and its error."""
         line = fit_lines(signal.time, signal.travel, *_between(start, stop))
         duration = np.maximum(stop - start, 1) * signal.interval_s
-        return line.slope, np.hypot(line.slope_error, step / duration)
+        # A few samples within one step of d are equal by chance; the residuals of whole sticks contain it.
+        error = np.fmax(line.spread, usual_spread) / np.sqrt(line.sxx)
+        return line.slope, np.hypot(error, step / duration)
 
     sticks, falls = pace(valley[:-1], peak[1:]), pace(peak, valley)
     usual = float(nan_median(sticks[0][sticks[1] < 0.1 * sticks[0]]))
