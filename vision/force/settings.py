@@ -134,6 +134,12 @@ class ForceSettings:
     """Length of a slip over that of a neighbouring stick from which it is slow: measured at the recorded
     extremes and flagged. Extrapolated stick lines read half cosines 0.4 % too large at 0.33 and 20 % at 1."""
 
+    level_share: float = 0.1
+    """Share by which slow slips may be shorter from peak to valley than half a cosine, or before their middle
+    than after it, with the load still level at their ends. Half a cosine and paper on paper stay below 0.03,
+    moving means reach 0.15 and Butterworth filters 0.24 (test_events: a moving mean); smaller
+    widens the errors of slips that are resolved, larger trusts what a filter has cut."""
+
     extreme_sigmas: float = 4.0
     """Noise by which the extreme of many samples may differ from the load. Larger leaves F_v of steep sticks
     too high (test_sheet_film), smaller takes single samples of noise for valleys (test_events)."""

@@ -7,7 +7,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from vision.force.corners import Corners, Extremes, Shape, find_extremes, is_slow, without_lowpass
+from vision.force.corners import (
+    Corners,
+    Extremes,
+    Shape,
+    are_level,
+    find_extremes,
+    is_slow,
+    without_lowpass,
+)
 from vision.force.lines import BrokenLines, Lines, fit_broken_lines, fit_lines
 from vision.force.settings import ForceSettings
 from vision.force.signal import Signal, step_between
@@ -95,8 +103,13 @@ def measure_sticks(
     ends = _ends(signal, sticks, t_v, t_p, corners.shape)
     f_v, f_p = _forces(signal, corners, sticks, ends)
     d_v, d_p, d_next, noise_mm = _separations(signal, sticks, valley[-1], f_v, f_p, compliance)
-    off = _position_errors(signal, corners, filter_known)
-    error_v, error_p = _corner_errors(signal, sticks, ends, (f_v, f_p), (off[:-1], off[1:]))
+    off, lost = _position_errors(signal, corners, filter_known)
+    # A filter lengthens all slips alike: a slow one no more than the shortest of them.
+    level = are_level(corners, extremes, slow, settings)
+    lost = np.fmin(lost, 0.0 if level else np.quantile(lost, 0.1))
+    error_v, error_p = _corner_errors(
+        signal, sticks, ends, (f_v, f_p), (off[:-1], off[1:]), (lost[:-1], lost[1:])
+    )
     relative = np.hypot(off[:-1], off[1:]) / (p - v)
     table = pd.DataFrame(
         {
@@ -130,8 +143,10 @@ def measure_sticks(
     return table.assign(flag=_event_flags(signal, sticks, corners, marks))
 
 
-def _position_errors(signal: Signal, corners: Corners, filter_known: bool) -> Floats:
-    """Return the standard error of the position of both corners of each slip, in samples.
+def _position_errors(signal: Signal, corners: Corners, filter_known: bool) -> tuple[Floats, Floats]:
+    """Return the standard error of the position of both corners of each slip, and its part by lengthening.
+
+    All in samples.
 
     A slip may be as long as it appears, or lengthened: up to 2.5 samples where each is the mean since the one
     before, further by a filter of the machine, in which the noise of neighbouring samples is common unless it
@@ -145,7 +160,8 @@ def _position_errors(signal: Signal, corners: Corners, filter_known: bool) -> Fl
     length = corners.length
     lengthened = ((length < 2.5) | (not filter_known)) & ~signal.is_missing.any()
     lengthened = lengthened | (signal.alike > 1) | (apart > 2)
-    return np.hypot(corners.error * apart, np.where(lengthened, length / np.sqrt(2), 0))
+    part = np.where(lengthened, length / np.sqrt(2), 0)
+    return np.hypot(corners.error * apart, part), part
 
 
 def _corner_errors(
@@ -154,11 +170,14 @@ def _corner_errors(
     ends: _Ends,
     forces: tuple[Floats, Floats],
     positions: tuple[Floats, Floats],
+    lost: tuple[Floats, Floats],
 ) -> tuple[Floats, Floats]:
     """Return the errors of F_v and F_p (`forces`) from those of the corners' `positions`, in samples.
 
     At the extreme of a slow slip the load is level, so that an error of its position causes none; but it is
     the largest of several means, errs by the noise of one, and half of its samples lie on the rising stick.
+    Where the load is not level there, a filter of the machine may have made a sudden slip slow, which cuts
+    off what the stick rises in `lost` samples.
     Ringing oscillates about the stick line, a filter may overshoot it before the slip as well, a stick may
     bend too sharply for it, and a coarse load ends below it: what was recorded beyond the line, noise aside,
     is part of the error, and so is how far the force was moved from the line to what was recorded.
@@ -170,8 +189,13 @@ def _corner_errors(
     beyond_p = np.fmax(sticks.highest - line_p - noise_p, np.abs(f_p - line_p))
     width = sticks.extremes.width
     own_v, own_p = (
-        np.where(slow, np.hypot(signal.sigma / np.sqrt(width), rise * width / 8), rise * off)
-        for rise, slow, off in ((ends.rise_v, sticks.slow_v, off_v), (ends.rise_p, sticks.slow_p, off_p))
+        np.where(
+            slow, np.hypot(signal.sigma / np.sqrt(width), np.hypot(rise * width / 8, rise * cut)), rise * off
+        )
+        for rise, slow, off, cut in (
+            (ends.rise_v, sticks.slow_v, off_v, lost[0]),
+            (ends.rise_p, sticks.slow_p, off_p, lost[1]),
+        )
     )
     return np.hypot(own_v, beyond_v), np.hypot(own_p, beyond_p)
 
