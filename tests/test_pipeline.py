@@ -260,3 +260,7 @@ def test_a_saturated_film_is_said_to_be_saturated(tmp_path):
     tifffile.imwrite(tmp_path / "film.tif", grey.astype(np.uint8), photometric="minisblack")
     with pytest.raises(InputError, match=r"found a saturated picture: \d\d % of the pixels"):
         vision.analyse(tmp_path / "film.tif")
+    ridged = np.where(np.arange(200) % 20 < 14, 255, 80) - rng.integers(0, 2, (20, 40, 200))
+    tifffile.imwrite(tmp_path / "wide.tif", ridged.astype(np.uint8), photometric="minisblack")
+    with pytest.raises(InputError, match="a window no wider than the ridges' spacing"):
+        vision.analyse(tmp_path / "wide.tif", settings=Settings(window_px=99))

@@ -207,17 +207,12 @@ def _alike_warning(facts: TrackMetadata) -> list[str]:
     ]
 
 
-def _counted(tracks: xr.Dataset) -> bool:
-    """Return whether the number of sheets was given."""
-    return any(step["parameters"].get("sheets") for step in tracks.attrs.get("operations", ()))
-
-
 def _spacing_warning(tracks: xr.Dataset) -> list[str]:
     """Warn of ridges in pairs, which keep their distance or whose narrow and wide spacings alternate, or of
     missing sheets; no pairs are reported if the number of sheets was given."""
     apart = np.diff(tracks["x_px"].values, axis=1)
     spacing = nan_median(apart)
-    if np.isfinite(spacing).sum() >= PAIR_SPACINGS and not _counted(tracks):
+    if np.isfinite(spacing).sum() >= PAIR_SPACINGS and TrackMetadata.of(tracks).sheets_how == "found":
         least = nan_median(tracks["x_err_px"].values.ravel())
         change = np.fmax(np.sqrt(nan_median((apart - spacing) ** 2)), least)
         beside = np.pad(change, 1, constant_values=np.nan)
@@ -292,7 +287,7 @@ def consistency_warnings(
     left, right = (int((tracks["side"].values == side).sum()) for side in (-1, 1))
     fewer, more = sorted((left, right))
     one_lacks = used is not None and more == used.sheets_per_block and 1 <= more - fewer <= 2
-    if one_lacks and not _counted(tracks):
+    if one_lacks and found.sheets_how == "found":
         lines.append(
             f"{left} sheets on the left but {right} on the right: if one is overlooked, n of those beyond it"
             " is too small: look for a wide spacing or a sheet outside the picture, or give the number of"
@@ -322,7 +317,7 @@ def consistency_warnings(
 def _comb_warnings(tracks: xr.Dataset, found: TrackMetadata) -> list[str]:
     """Warn of further or doubtful ridges of the comb, and of an axis that the motion excludes."""
     lines = []
-    if found.ridges_beyond and not _counted(tracks):
+    if found.ridges_beyond and found.sheets_how == "found":
         lines.append(
             "a ridge beyond the outermost sheet is left out"
             + " on both sides" * (found.ridges_beyond > 1)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any, Literal, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -20,6 +20,9 @@ import xarray as xr
 
 from vision.errors import InputError, check_within
 from vision.numeric import Bools
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 Data = xr.DataArray | xr.Dataset | pd.DataFrame
 PIXEL_SIZE_UM = (1e-3, 1000.0)
@@ -152,6 +155,16 @@ def record(data: AnyData, operation: str, **parameters: Any) -> AnyData:
     return data.assign_attrs(operations=done)
 
 
+def changed_settings(settings: DataclassInstance) -> dict[str, Any]:
+    """Return the fields of a settings dataclass that differ from its defaults, for `record`."""
+    defaults = type(settings)()
+    return {
+        one.name: value
+        for one in fields(settings)
+        if (value := getattr(settings, one.name)) != getattr(defaults, one.name)
+    }
+
+
 def load_unit(force: xr.Dataset) -> str:
     """Return the unit of a recording's load: "N", or "1" for a force over a weight."""
     return str(force["load_N"].attrs.get("units", "N"))
@@ -271,9 +284,10 @@ class TrackMetadata(Metadata):
     fit, fit_asked, window_px
         Subpixel method used ("unknown" for positions from another program), the requested method, and its
         window. The error of positions depends on method and window.
-    ridges, ridges_likelier, ridges_doubt, sheets
+    ridges, ridges_likelier, ridges_doubt, sheets, sheets_how
         Polarity ("bright" or "dark"), that which the film suggests if another was given ("" if not), why the
-        polarity that was found may be wrong ("" if it is clear or given), and number of sheets.
+        polarity that was found may be wrong ("" if it is clear or given), number of sheets, and
+        whether it was given.
     ridge_fwhm_px, pitch_px, contrast, profile_noise
         Width and spacing of the ridges; their height and the noise in grey levels.
     axis_px, axis_how, axis_low_px, axis_high_px
@@ -309,6 +323,7 @@ class TrackMetadata(Metadata):
     ridges_likelier: str = ""
     ridges_doubt: str = ""
     sheets: int = 0
+    sheets_how: Literal["given", "found"] = "found"
     ridge_fwhm_px: float = math.nan
     pitch_px: float = math.nan
     contrast: float = math.nan
@@ -637,6 +652,14 @@ SHELLS = Schema(
         "stiff_low": Variable(_EVENT, "", "lower end of the interval"),
         "stiff_high": Variable(_EVENT, "", "upper end of the interval"),
         "M_eff_model": Variable(_EVENT, "", "M_eff implied by the force"),
+        "stiff_breakpoint": Variable(
+            _EVENT,
+            "",
+            "n at which the ratio begins to rise, which needs no threshold; empty where no rise is"
+            " significant",
+        ),
+        "monotone": Variable(_EVENT, "", "False where the ratio falls with n by more than chance"),
+        "sheets_known": Variable(_EVENT, "", "sheets of this side with a ratio"),
     },
     kind=pd.DataFrame,
 )

@@ -30,17 +30,29 @@ class InputError(ValueError):
         What the input should be, and what it is.
     advice
         What the user can do; may be empty.
-
-    Attributes
-    ----------
-    problem
-        The message without the file or argument.
     """
 
     def __init__(self, about: str | os.PathLike[str], expected: str, found: str, advice: str = "") -> None:
-        parts = f"expected {expected}; found {found}" + (f"; {advice}" if advice else "")
-        self.problem = " ".join(parts.split())
-        super().__init__(" ".join(f"{os.fspath(about)}: {parts}".split()))
+        super().__init__(about, expected, found, advice)
+        self.about, self.expected, self.found, self.advice = os.fspath(about), expected, found, advice
+
+    @property
+    def problem(self) -> str:
+        """The message without the file or argument."""
+        parts = f"expected {self.expected}; found {self.found}" + (f"; {self.advice}" if self.advice else "")
+        return " ".join(parts.split())
+
+    @property
+    def is_of_argument(self) -> bool:
+        """Whether an argument is invalid, rather than a file."""
+        return self.about.startswith("`")
+
+    def __str__(self) -> str:
+        return f"{' '.join(self.about.split())}: {self.problem}"
+
+
+class NoRidgesError(InputError):
+    """A picture that shows no upright ridges."""
 
 
 def install_advice(extra: str) -> str:
@@ -102,7 +114,9 @@ def known_as(**names: str) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        error.args = (_NAMED.sub(lambda match: f"`{names.get(match[1], match[1])}`", str(error)),)
+        for part in ("about", "expected", "found", "advice"):
+            renamed = _NAMED.sub(lambda match: f"`{names.get(match[1], match[1])}`", getattr(error, part))
+            setattr(error, part, renamed)
         raise
 
 

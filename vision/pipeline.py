@@ -34,6 +34,7 @@ from vision.deformation import DeformationSettings, horizontal_deformation
 from vision.errors import (
     PATH,
     InputError,
+    NoRidgesError,
     check_kind,
     check_number,
     check_positive,
@@ -509,7 +510,8 @@ def _suggesting_rotation(film: Video | None, chosen: Settings, work: Callable[[]
     try:
         return work()
     except InputError as error:
-        if film is not None and "ridges" in error.problem and (share := _saturated(film)) > MOST_SATURATED:
+        no_ridges = isinstance(error, NoRidgesError)
+        if film is not None and no_ridges and (share := _saturated(film)) > MOST_SATURATED:
             found = f"a saturated picture: {100 * share:.0f} % of the pixels are at the brightest grey level"
             raise InputError(film.path, "upright ridges", found, "film with less light") from None
         rows_given = chosen.rows is not None or chosen.columns is not None

@@ -224,9 +224,15 @@ def test_outliers_in_the_column_do_not_matter(recorded):
 def test_a_column_that_is_no_clock_is_passed_over_and_said(recorded):
     """A failure means that a constant or foreign column sets the clocks."""
     seen, force, sticks = recorded
-    clock = synchronise(seen, with_video_time(force, rate=0.0), sticks)
-    assert clock.how == "events"
-    assert "not usable" in clock.warnings[0]
+    constant = with_video_time(force, rate=0.0)
+    restarts = with_video_time(force, every=400)  # the camera is started again with 12 of its frames to come
+    video_s = restarts["video_time_s"].to_numpy()
+    again = video_s > np.unique(video_s)[-12]
+    restarted = np.where(again, video_s - video_s[again].min(), np.where(video_s > 30, np.nan, 90 + video_s))
+    for column in (constant, restarts.assign(video_time_s=("time_s", restarted))):
+        clock = synchronise(seen, column, sticks)
+        assert clock.how == "events"
+        assert "not usable" in clock.warnings[0]
 
 
 @pytest.mark.parametrize("offset_s", [-100.0, 500.0])

@@ -360,7 +360,9 @@ def test_settings_reach_the_measurement():
     gap = (since > 0.25) & (since < 0.7)
     part = replace(made, tracks=made.tracks.isel(frame=np.flatnonzero(~gap)))
     assert (measure(part)["flag"][2] == "few").all()
-    assert (measure(part, settings=DeformationSettings(least_cover=0.2))["flag"][2] != "few").all()
+    less = measure(part, settings=DeformationSettings(least_cover=0.2))
+    assert (less["flag"][2] != "few").all()
+    assert less.attrs["operations"][-1]["parameters"]["settings"] == {"least_cover": 0.2}
 
 
 def test_a_stick_without_length_has_no_ratio():

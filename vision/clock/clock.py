@@ -211,8 +211,6 @@ def _check_overlap(tracks: xr.Dataset, force: xr.Dataset, line: tuple[float, flo
     if not len(times):
         source = StripMetadata.of(tracks).source
         raise InputError(source, "a time for each frame", "none", "give `fps` or `timestamps`")
-    if not np.isfinite(line[0]):
-        raise InputError(about, "a number of seconds", f"{line[0]}")
     machine = good_samples(force)["time_s"].to_numpy()
     begin, end = (line[0] + (1 + 1e-6 * line[1]) * t for t in (times.min(), times.max()))
     if end < machine[0] or begin > machine[-1]:
@@ -460,21 +458,26 @@ def clock_from_column(force: xr.Dataset) -> tuple[float, float] | None:
         return None
     centre = float(np.median(video))
     slope, middle = _robust_line(video - centre, machine)
-    if abs(slope - 1) > 0.02:
+    if not abs(slope - 1) <= 0.02:
         return None
     return middle - slope * centre, 1e6 * (slope - 1)
 
 
 def _robust_line(x: Floats, y: Floats) -> tuple[float, float]:
-    """Slope and intercept without outliers, starting from the median of slopes across half the data."""
+    """Slope and intercept without outliers, starting from the median of slopes across half the data.
+
+    NaN where x does not rise from the first half to the second.
+    """
     half = len(x) // 2
     rise, run = y[-half:] - y[:half], x[-half:] - x[:half]
-    slope = float(np.median(rise[run > 0] / run[run > 0])) if np.any(run > 0) else math.nan
+    if not np.any(run > 0):  # the video times start again
+        return math.nan, math.nan
+    slope = float(np.median(rise[run > 0] / run[run > 0]))
     intercept = float(np.median(y - slope * x))
     for _ in range(10):
         residual = np.abs(y - intercept - slope * x)
         used = residual <= 5 * max(float(np.median(residual)) / NORMAL_MEDIAN, 1e-6)
-        if not np.ptp(x[used]) > 0:
+        if not (used.any() and np.ptp(x[used]) > 0):
             break
         slope, intercept = (float(c) for c in np.polyfit(x[used], y[used], 1))
     return slope, intercept

@@ -18,6 +18,7 @@ from vision.data import (
     MotionMetadata,
     StripMetadata,
     TrackMetadata,
+    changed_settings,
     check_pixel_size,
     record,
 )
@@ -168,6 +169,7 @@ def horizontal_deformation(
         pixel_size_um=pixel,
         margin_s=margin,
         common_mode=common_mode,
+        settings=changed_settings(settings),
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vision.data import FORCE, STICKS, ForceMetadata, StickMetadata, load_unit, record
+from vision.data import FORCE, STICKS, ForceMetadata, StickMetadata, changed_settings, load_unit, record
 from vision.errors import InputError, check_positive, check_within
 from vision.force.corners import Corners, Extremes, find_corners, find_extremes, is_slow
 from vision.force.hum import find_hum, is_hum, rms_of
@@ -117,7 +117,7 @@ def find_stick_slip(
         machine_stiffness_N_per_mm=machine_stiffness_N_per_mm,
         two_slopes=two_slopes,
         lowpass_s=lowpass_s,
-        settings=settings.changed(),
+        settings=changed_settings(settings),
     )
 
 

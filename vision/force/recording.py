@@ -17,7 +17,7 @@ from typing import Literal, get_args
 import numpy as np
 import xarray as xr
 
-from vision.data import FORCE, ForceMetadata, record
+from vision.data import FORCE, ForceMetadata, changed_settings, record
 from vision.errors import PATH, InputError, check_kind, check_number, check_positive, check_within
 from vision.force.files import TIME_OF_DAY, Dimension, Table, Unit, read_tables, unit_of
 from vision.force.settings import ForceSettings
@@ -95,7 +95,7 @@ def read_force(
         d0_mm=d0_mm,
         d0_err_mm=d0_err_mm,
         columns=dict(columns) if columns else None,
-        settings=settings.changed(),
+        settings=changed_settings(settings),
     )
 
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -191,9 +190,3 @@ class ForceSettings:
 
     few_samples: int = 10
     """Sticks of fewer samples are flagged "few", and the model fits leave them out."""
-
-    def changed(self) -> dict[str, Any]:
-        """Return what differs from the defaults, for the record of operations."""
-        return {
-            part.name: value for part in fields(self) if (value := getattr(self, part.name)) != part.default
-        }

@@ -118,8 +118,8 @@ def fit_models(
             events, left_out = _choose_events(complete, given, fit_range_mm)
             fits = _fit_all(events, given)
         except InputError as error:
-            if unit_doubt and "`" not in str(error).partition(":")[0]:  # the error is not about an argument
-                error.args = (f"{error}; {unit_doubt}",)
+            if unit_doubt and not error.is_of_argument:
+                error.advice = "; ".join(filter(None, (error.advice, unit_doubt)))
             raise
         except FIT_ERRORS as error:
             raise _undetermined(str(error), unit_doubt) from error

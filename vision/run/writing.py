@@ -8,12 +8,12 @@ import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
 from vision.checks import flag_counts
-from vision.data import ForceMetadata, StickMetadata, StripMetadata
+from vision.data import ForceMetadata, StickMetadata, StripMetadata, changed_settings
 from vision.figures import (
     FIGURES,
     Figure,
@@ -156,6 +156,9 @@ def run_facts(analysis: Analysis, origin: Origin, inputs: Callable[[], Any]) -> 
     longest = max(operations, key=len, default=())
     others = [step for steps in operations for step in steps if step not in longest]
     facts["operations"] = [*longest, *others]
+    tuning = analysis.settings.tuning
+    changed = {one.name: changed_settings(getattr(tuning, one.name)) for one in fields(tuning)}
+    facts["tuning"] = {stage: values for stage, values in changed.items() if values}
     reasons = dict(zip(analysis.reasons, origin.named(analysis.reasons.values()), strict=True))
     return facts | {"warnings": origin.named(analysis.warnings), "not_measured": reasons}
 

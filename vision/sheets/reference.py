@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from vision.errors import InputError
+from vision.errors import InputError, NoRidgesError
 from vision.numeric import (
     NORMAL_MEDIAN,
     Bools,
@@ -114,7 +114,7 @@ def build_reference(
         revised = _revise(filled, some, weight, moved, comb)
         if not revised.sheets:
             advice = "check `rows` and `rotate`; one picture may be a title among few frames"
-            raise InputError(source, "ridges that most frames show", "none that lasts", advice)
+            raise NoRidgesError(source, "ridges that most frames show", "none that lasts", advice)
         unchanged = revised.sheets == reference.sheets
         reference = revised
         if unchanged:
@@ -122,7 +122,7 @@ def build_reference(
     if sheets is not None and reference.sheets < sheets:
         gaps = ", ".join(f"{x:.0f} px" for x in wide_spacings(reference.x_px, settings=settings)[0])
         found = f"{reference.sheets}" + (f", and none that stands out in the gaps at {gaps}" if gaps else "")
-        raise InputError(source, f"{sheets} ridges (`sheets`)", found, "give the number that is in view")
+        raise NoRidgesError(source, f"{sheets} ridges (`sheets`)", found, "give the number that is in view")
     best = reference.only(_choose_sheets(reference, comb, sheets))
     if sheets is None:
         too_many = most is not None and best.sheets > most

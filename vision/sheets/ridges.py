@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from vision.data import TrackMetadata
-from vision.errors import InputError
+from vision.errors import InputError, NoRidgesError
 from vision.numeric import FWHM, NORMAL_MEDIAN, Bools, Floats, Floats32, Ints
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.signals import find_maxima, half_widths
@@ -125,7 +125,7 @@ def describe_ridges(
     return _likelier(sample, found[0], found[1], settings) if len(found) == 2 else found[0].comb
 
 
-def no_ridges(profile: Floats32, source: str) -> InputError:
+def no_ridges(profile: Floats32, source: str) -> NoRidgesError:
     """Return the error for a strip without ridges, which names a periodic pattern too fine to be resolved."""
     sample = _sample(profile).astype(np.float64)
     power = (np.abs(np.fft.rfft(sample - sample.mean(axis=1, keepdims=True))) ** 2).mean(axis=0)
@@ -134,8 +134,10 @@ def no_ridges(profile: Floats32, source: str) -> InputError:
     wave = waves[np.argmax(power)]
     if wave >= 1 / 4 and power.max() > 20 * np.median(power[power > 0]):
         found, advice = f"a pattern of {1 / wave:.1f} px", "film it larger, or with more pixels"
-        return InputError(source, "ridges more than 4 px apart", found, advice)
-    return InputError(source, "upright ridges", "none above the noise", "check `rows`, `rotate` and `ridges`")
+        return NoRidgesError(source, "ridges more than 4 px apart", found, advice)
+    return NoRidgesError(
+        source, "upright ridges", "none above the noise", "check `rows`, `rotate` and `ridges`"
+    )
 
 
 def profile_noise(profile: Floats32) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 
 from vision.data import PIXEL_SIZE_UM, STRIP, STRIP_PARTS, TRACKS, StripMetadata, TrackMetadata, record
-from vision.errors import InputError, check_number, check_within, check_word
+from vision.errors import InputError, NoRidgesError, check_number, check_within, check_word
 from vision.numeric import (
     Bools,
     Codes,
@@ -305,6 +305,7 @@ class _Tracked:
             ridges=comb.polarity,
             ridges_doubt=comb.doubt,
             sheets=len(numbering.n),
+            sheets_how="given" if count_given else "found",
             ridge_fwhm_px=comb.fwhm_px,
             pitch_px=comb.pitch_px,
             contrast=comb.contrast,
@@ -328,7 +329,7 @@ def _check(profile: Floats32, source: str) -> None:
     if profile.shape[1] < 8:
         raise InputError(source, "at least 8 columns", f"{profile.shape[1]}", "check `columns` and `rotate`")
     if all(np.ptp(profile[frame]) == 0 for frame in good):  # most films have contrast in the first frame
-        raise InputError(source, "a picture with ridges", "a constant one", "check `rows` and `columns`")
+        raise NoRidgesError(source, "a picture with ridges", "a constant one", "check `rows` and `columns`")
 
 
 def _check_axis(axis_px: float | None, first_px: float, last_px: float) -> None:

@@ -1,0 +1,26 @@
+"""The wording of invalid input."""
+
+import pickle
+
+import pytest
+
+from vision.errors import InputError, known_as
+
+
+def test_a_renamed_argument_is_renamed_in_every_part():
+    """A failure means that a campaign or a rheometer's file names an argument that the user cannot give."""
+    with pytest.raises(InputError) as caught, known_as(columns="force_columns"):
+        raise InputError("`columns`", "a column", "none", "give `columns` and `speed_mm_min`")
+    wanted = "expected a column; found none; give `force_columns` and `speed_mm_min`"
+    assert caught.value.problem == wanted
+    assert str(caught.value) == f"`force_columns`: {wanted}"
+    assert caught.value.is_of_argument
+
+
+def test_an_error_is_the_same_in_another_process():
+    """A failure means that an error of a child process cannot be raised in this one."""
+    error = InputError("film.avi", "frames", "none,\nat all", "look at it")
+    error.advice = "film again"
+    there = pickle.loads(pickle.dumps(error))
+    assert str(there) == str(error) == "film.avi: expected frames; found none, at all; film again"
+    assert not there.is_of_argument
