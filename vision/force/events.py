@@ -409,6 +409,7 @@ def _metadata(
         lowpass_how=analysis.how,
         lowpass_proposed_s=found.samples * signal.interval_s if found.samples and not tau else float("nan"),
         lowpass_proven=found.proven,
+        lowpass_doubt=found.doubt,
         **shares,
         two_slopes=analysis.corners.two_slopes,
         bend_share=analysis.corners.shape.begin,
