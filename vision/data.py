@@ -453,6 +453,10 @@ class StickMetadata(Metadata):
         Median relative change of ΔF and K that this correction would cause.
     lowpass_peak_mm
         Median travel in which a stick rises by as much as this correction would raise its peak.
+    filter_s
+        Duration that a filter of the machine may have given every slip; 0 where a low-pass was found, samples
+        were lost, slips last less than 2.5 samples, or the load is level at their ends. Its effect is part of
+        the errors of the fits.
     two_slopes, bend_share
         Whether stick phases were fitted with a knee; correction of the lines at the valley for the curvature
         common to all sticks, over their rise (negative: sticks begin steeply).
@@ -484,6 +488,7 @@ class StickMetadata(Metadata):
     lowpass_dF_share: float = 0.0
     lowpass_K_share: float = 0.0
     lowpass_peak_mm: float = 0.0
+    filter_s: float = 0.0
     two_slopes: bool = False
     bend_share: float = 0.0
     hum_Hz: float = math.nan
