@@ -129,7 +129,14 @@ def test_without_a_position_nothing_is_called_nan():
         ({"lowpass_s": 0.012, "lowpass_how": "given"}, "low-pass of 12 ms (given)"),
         ({"lowpass_proposed_s": 0.0034, "lowpass_proven": True}, "the slips show a low-pass of 3.4 ms"),
         ({"lowpass_proposed_s": 0.176, "lowpass_proven": True}, "the slips show a low-pass of 176 ms"),
-        ({"lowpass_proposed_s": 0.0034}, "may show (they differ) a low-pass of 3.4 ms"),
+        (
+            {"lowpass_proposed_s": 0.0034, "lowpass_doubt": "differs"},
+            "may show (they differ) a low-pass of 3.4 ms",
+        ),
+        (
+            {"lowpass_proposed_s": 0.07, "lowpass_doubt": "shape"},
+            "suggest a low-pass of 70 ms, but have a tail without it: another filter",
+        ),
     ],
 )
 def test_the_load_cell_s_time_constant_is_said_in_ms(facts, said):

@@ -463,13 +463,18 @@ class StickMetadata(Metadata):
         Time constant of the load cell's low-pass that was corrected for, 0 for none; "recorded" (no
         correction requested, the default), "given", or the result of the search: "found" (proven),
         "doubtful" (seen but not proven, not corrected) or "none" (not seen).
-    lowpass_proposed_s, lowpass_proven
-        Time constant suggested by the transients after slips but not corrected for (NaN: none), and whether
-        slips of different size and spacing agree on it. Its effect is part of the errors.
+    lowpass_proposed_s, lowpass_proven, lowpass_doubt
+        Time constant suggested by the transients after slips but not corrected for (NaN: none); whether slips
+        of different size and spacing agree on it, and it leaves no tail when undone; else which of the two is
+        not so, "differs" or "shape". Its effect is part of the errors.
     lowpass_dF_share, lowpass_K_share
         Median relative change of ΔF and K that this correction would cause.
     lowpass_peak_mm
         Median travel in which a stick rises by as much as this correction would raise its peak.
+    filter_s
+        Duration that a filter of the machine may have given every slip; 0 where a low-pass was found, samples
+        were lost, slips last less than 2.5 samples, or the load is level at their ends. Its effect is part of
+        the errors of the fits.
     two_slopes, bend_share
         Whether stick phases were fitted with a knee; correction of the lines at the valley for the curvature
         common to all sticks, over their rise (negative: sticks begin steeply).
@@ -497,9 +502,11 @@ class StickMetadata(Metadata):
     lowpass_how: str = "none"
     lowpass_proposed_s: float = math.nan
     lowpass_proven: bool = False
+    lowpass_doubt: str = ""
     lowpass_dF_share: float = 0.0
     lowpass_K_share: float = 0.0
     lowpass_peak_mm: float = 0.0
+    filter_s: float = 0.0
     two_slopes: bool = False
     bend_share: float = 0.0
     hum_Hz: float = math.nan

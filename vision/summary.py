@@ -270,7 +270,12 @@ def lowpass_correction(sticks: pd.DataFrame) -> str:
     facts = StickMetadata.of(sticks)
     if not facts.lowpass_s:
         proposal = ""
-        if math.isfinite(facts.lowpass_proposed_s):
+        if facts.lowpass_doubt == "shape":
+            proposal = (
+                f"; the slips suggest a low-pass of {_ms(facts.lowpass_proposed_s)}, but have a tail without "
+                "it: another filter, which `lowpass_s` cannot correct"
+            )
+        elif math.isfinite(facts.lowpass_proposed_s):
             proven = "show" if facts.lowpass_proven else "may show (they differ)"
             proposal = (
                 f"; the slips {proven} a low-pass of {_ms(facts.lowpass_proposed_s)}, which "

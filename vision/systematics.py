@@ -37,6 +37,7 @@ SOURCES = {
     "d0": "initial separation d0",
     "load_drift": "drift of the load cell",
     "low_pass": "load cell's low-pass",
+    "filter": "filter that may have lengthened slips",
     "sampling": "rise of the force during a slip",
     "thickness_mm": "thickness of a sheet",
     "width_mm": "width of the sheets",

@@ -91,6 +91,22 @@ def test_what_the_low_pass_takes_from_the_stiffness_is_in_the_errors(tau: float)
         assert off > 4 * np.hypot(found.error, np.hypot(*others)), name
 
 
+@pytest.mark.parametrize("mean_s", [0.05, 0.1])
+def test_what_a_moving_mean_takes_from_the_drops_is_in_the_errors(mean_s: float) -> None:
+    """A failure means that A is off by four to eight errors in a load that the amplifier averages."""
+    made = realistic(d1=14.2, noise=0.1, tau=0.0).force
+    width = round(200 * mean_s) + 1
+    load = np.pad(made["load_N"].to_numpy(), (width - 1, 0), "edge")
+    made = made.assign(load_N=("time_s", np.convolve(load, np.full(width, 1 / width), "valid")))
+    fits = fit_models(made, find_stick_slip(made))
+    off = abs(fits.amplitude.value - 0.34)
+    assert off > 0.05 * 0.34
+    others = [errors["A"] or 0.0 for source, errors in fits.budget.items() if source != "filter"]
+    assert off > 3 * np.hypot(fits.amplitude.error, np.hypot.reduce(others))
+    assert off < 2 * np.hypot(fits.amplitude.error, fits.amplitude.systematic_error)
+    assert fits.amplitude.systematic_error < 2 * off
+
+
 def test_a_run_folder_is_complete_and_kept(
     file: Path, test: Test, capsys: pytest.CaptureFixture[str]
 ) -> None:

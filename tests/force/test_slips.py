@@ -6,6 +6,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from scipy.signal import butter, sosfilt
 
 from tests.scenes.sawtooth import Test, plain, realistic, recording, signal_of
 from vision.errors import InputError
@@ -110,6 +111,21 @@ def test_fast_pulls_behind_a_slow_chain_come_out_true(tau: float) -> None:
     assert find_stick_slip(test.force, lowpass_s="auto").attrs["lowpass_s"] == pytest.approx(tau, rel=0.05)
     for name, ratio in median_ratios(test, lowpass_s="auto").items():
         assert ratio == pytest.approx(1, abs=0.03), name
+
+
+def test_a_second_order_filter_is_no_low_pass_of_first_order() -> None:
+    """A failure means that the wrong filter is undone, so that Λ_st is a tenth too short and called sure."""
+    test = realistic(tau=0.0, noise=0.1, d1=14.5)
+    load = sosfilt(butter(2, 5.0, fs=200.0, output="sos"), test.force["load_N"].to_numpy())
+    events = find_stick_slip(test.force.assign(load_N=("time_s", load)), lowpass_s="auto")
+    attrs = events.attrs
+    assert (attrs["lowpass_s"], attrs["lowpass_how"]) == (0, "doubtful")
+    assert not attrs["lowpass_proven"]
+    assert attrs["lowpass_doubt"] == "shape"
+    nearest = np.abs(events["t_p_s"].to_numpy()[:, None] - test.truth["t_p_s"].to_numpy()).argmin(axis=1)
+    for name, error in (("stick_length_um", "stick_length_err_um"), ("dF_N", "dF_err_N")):
+        off = events[name].to_numpy() - test.truth[name].to_numpy()[nearest]
+        assert np.median(np.abs(off) / events[error]) < 2, name
 
 
 def test_a_slow_chain_left_alone_spoils_the_drops() -> None:

@@ -21,7 +21,7 @@ from vision.force.regime import Regime, doubts, find_regime, is_unloading
 from vision.force.settings import ForceSettings
 from vision.force.signal import Signal, SlowNoise, with_slow_noise
 from vision.force.slips import Slips, find_slips, size_gap, stick_drops, stick_lines, stick_middles
-from vision.force.sticks import measure_sticks
+from vision.force.sticks import filter_length, measure_sticks
 from vision.numeric import Bools, Floats, Ints, nan_median
 
 
@@ -105,7 +105,9 @@ def find_stick_slip(
     events = events.assign(flag=_all_flags(events, analysis, unloading, signal, slips, settings))
     unit = "of the weight" if load_unit(force) == "1" else "N"
     metadata = replace(
-        _metadata(signal, slips, analysis, shares, doubts(events, analysis.regime, signal, slips, unit)),
+        _metadata(
+            signal, slips, analysis, shares, doubts(events, analysis.regime, signal, slips, unit), settings
+        ),
         machine_stiffness_N_per_mm=machine_stiffness_N_per_mm or float("nan"),
         central_part=settings.central_part,
     )
@@ -395,9 +397,13 @@ def _metadata(
     analysis: _SlipAnalysis,
     shares: dict[str, float],
     warnings: list[str],
+    settings: ForceSettings,
 ) -> StickMetadata:
     """Return what later stages need to know of the slips and of the low-pass."""
     tau, found, peak = analysis.corners.lowpass, analysis.found, analysis.corners.peak
+    widened = 0.0
+    if not (tau or found.samples or signal.is_missing.any()):
+        widened = filter_length(analysis.corners, analysis.extremes, settings)
     first, last = signal.time_at(peak[[0, -1]])
     return StickMetadata(
         noise_N=signal.sigma,
@@ -409,7 +415,9 @@ def _metadata(
         lowpass_how=analysis.how,
         lowpass_proposed_s=found.samples * signal.interval_s if found.samples and not tau else float("nan"),
         lowpass_proven=found.proven,
+        lowpass_doubt=found.doubt,
         **shares,
+        filter_s=widened * signal.interval_s,
         two_slopes=analysis.corners.two_slopes,
         bend_share=analysis.corners.shape.begin,
         hum_Hz=signal.hum[0].frequency / signal.interval_s if signal.hum else float("nan"),

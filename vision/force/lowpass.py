@@ -14,7 +14,7 @@ from vision.force.lines import lagged_hinge
 from vision.force.settings import ForceSettings
 from vision.force.signal import Signal
 from vision.force.slips import Slips
-from vision.numeric import Bools, Floats
+from vision.numeric import Bools, Floats, nan_median
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,14 @@ class Lowpass:
     """The low-pass that the transients after slips suggest."""
 
     samples: float = 0.0  # time constant; 0 for none
-    proven: bool = False  # the same after large and small slips and after long and short sticks
+    # Why it is not proven: "differs" (among large and small slips, or those after long and short sticks) or
+    # "shape" (slips without it still have a tail); "" where it is.
+    doubt: str = ""
+
+    @property
+    def proven(self) -> bool:
+        """Return whether there is a low-pass without doubt."""
+        return self.samples > 0 and not self.doubt
 
 
 def find_lowpass(signal: Signal, slips: Slips, plain: Corners, settings: ForceSettings) -> Lowpass:
@@ -42,7 +49,12 @@ def find_lowpass(signal: Signal, slips: Slips, plain: Corners, settings: ForceSe
         if again is None:
             break
         if again.confirms(found, settings):
-            return Lowpass(again.samples, _same_everywhere(y, transients, again.samples, settings))
+            if not _same_everywhere(y, transients, again.samples, settings):
+                return Lowpass(again.samples, "differs")
+            corners = find_corners(
+                signal, slips, lowpass=again.samples, two_slopes=plain.two_slopes, settings=settings
+            )
+            return Lowpass(again.samples, "shape" if _have_tails(corners, settings) else "")
         found = again
     return Lowpass()
 
@@ -62,6 +74,17 @@ def _same_everywhere(y: Floats, transients: SlipTransients, tau: float, settings
             if found is None or abs(np.log(found.samples / tau)) > settings.lowpass_same:
                 return False
     return True
+
+
+def _have_tails(corrected: Corners, settings: ForceSettings) -> bool:
+    """Return whether slips in the corrected load last longer after their middle than before it.
+
+    A first-order low-pass leaves none once it is undone. A filter of higher order falls off gradually, too,
+    but is not undone by a single time constant.
+    """
+    onset, end = corrected.middle - corrected.peak, corrected.valley - corrected.middle
+    least = (1 - settings.lowpass_tail) * nan_median(end) - settings.corner_error
+    return bool(nan_median(onset) < least)
 
 
 @dataclass(frozen=True)

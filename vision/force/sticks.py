@@ -21,6 +21,9 @@ from vision.force.settings import ForceSettings
 from vision.force.signal import Signal, step_between
 from vision.numeric import Bools, Floats, Ints, nan_median
 
+# Samples below which a slip may be sudden, where each sample is the mean since the one before.
+UNRESOLVED = 2.5
+
 
 @dataclass(frozen=True, kw_only=True)
 class _Sticks:
@@ -158,10 +161,22 @@ def _position_errors(signal: Signal, corners: Corners, filter_known: bool) -> tu
     after = np.clip(np.searchsorted(known, corners.middle), 1, known.size - 1)
     apart = known[after] - known[after - 1]
     length = corners.length
-    lengthened = ((length < 2.5) | (not filter_known)) & ~signal.is_missing.any()
+    lengthened = ((length < UNRESOLVED) | (not filter_known)) & ~signal.is_missing.any()
     lengthened = lengthened | (signal.alike > 1) | (apart > 2)
     part = np.where(lengthened, length / np.sqrt(2), 0)
     return np.hypot(corners.error * apart, part), part
+
+
+def filter_length(corners: Corners, extremes: Extremes, settings: ForceSettings) -> float:
+    """Return by how many samples a filter of the machine may have lengthened every slip; 0 for none.
+
+    A filter lengthens all slips alike, so by no more than the shortest last; and not at all those that are
+    slow and level at their ends.
+    """
+    slow = is_slow(corners, settings)
+    length = float(np.quantile(corners.length, 0.1))
+    resolved = slow.mean() >= 0.5 and are_level(corners, extremes, slow, settings)
+    return 0.0 if resolved or length < UNRESOLVED else length
 
 
 def _corner_errors(

@@ -511,6 +511,15 @@ def _unresolved_corners(
     by_sampling = _drop_lost_by_sampling(force, events)
     facts = StickMetadata.of(events)
     of_drop, of_k = abs(facts.lowpass_dF_share), abs(facts.lowpass_K_share)
+    if facts.filter_s:
+        # The stick rises on while the filter still falls: both corners are off by the slip's length in
+        # squares, as in the errors of the events, but all events alike.
+        cut = events["dF_N"] * facts.filter_s / (events["t_p_s"] - events["t_v_s"])
+        resolved = refit(events.assign(F_p_N=events["F_p_N"] + cut / np.sqrt(2), dF_N=events["dF_N"] + cut))
+        by_filter = none | {name: abs(resolved[name] - one.value) for name, one in fits.named().items()}
+        # The rise during the slip is the same loss, measured after the valley.
+        by_filter["A"] = max(by_filter["A"] or 0.0, abs(fits.amplitude.value * by_sampling))
+        return {"filter": by_filter}
     if not (of_drop or of_k):
         return {"sampling": none | {"A": abs(fits.amplitude.value * by_sampling)}} if by_sampling else {}
     # Both make the valleys too shallow, so the errors add linearly.
