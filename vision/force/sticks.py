@@ -19,7 +19,7 @@ from vision.force.corners import (
 from vision.force.lines import BrokenLines, Lines, fit_broken_lines, fit_lines
 from vision.force.settings import ForceSettings
 from vision.force.signal import Signal, step_between
-from vision.numeric import Bools, Floats, Ints, nan_median
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, nan_median
 
 # Samples below which a slip may be sudden, where each sample is the mean since the one before.
 UNRESOLVED = 2.5
@@ -106,6 +106,10 @@ def measure_sticks(
     ends = _ends(signal, sticks, t_v, t_p, corners.shape)
     f_v, f_p = _forces(signal, corners, sticks, ends)
     d_v, d_p, d_next, noise_mm = _separations(signal, sticks, valley[-1], f_v, f_p, compliance)
+    steady = _steady_speeds(signal, sticks)
+    # Where the machine runs steadily, lengths show errors of d that are alike within a stick.
+    odd = d_p - d_v + compliance * (f_p - f_v) - steady[0] * (t_p - t_v)
+    noise_mm = np.fmax(noise_mm, nan_median(np.abs(odd)) / (NORMAL_MEDIAN * np.sqrt(2)))
     off, lost = _position_errors(signal, corners, filter_known)
     # A filter lengthens all slips alike: a slow one no more than the shortest of them.
     level = are_level(corners, extremes, slow, settings)
@@ -126,7 +130,7 @@ def measure_sticks(
             "dF_N": f_p - f_v,
             "stick_length_um": 1e3 * (d_p - d_v),
             "slip_length_um": 1e3 * (d_next - d_p),
-            **_stiffness(signal, sticks, corners.two_slopes, compliance),
+            **_stiffness(signal, sticks, steady, corners.two_slopes, compliance),
             "F_v_raw_N": sticks.lowest,
             "F_p_raw_N": sticks.highest,
             "F_v_err_N": np.hypot(ends.error_v, error_v),
@@ -377,8 +381,13 @@ def _unevenness(
     return np.where((size > settings.uneven_excess) & (noise > 0), size, 1.0)
 
 
-def _stiffness(signal: Signal, sticks: _Sticks, two_slopes: bool, compliance: float) -> dict[str, Floats]:
-    """Return the columns of K: slopes of load against d, corrected for the machine's compliance in series."""
+def _stiffness(
+    signal: Signal, sticks: _Sticks, steady: tuple[Floats, Floats], two_slopes: bool, compliance: float
+) -> dict[str, Floats]:
+    """Return the columns of K: slopes of load against d, corrected for the machine's compliance in series.
+
+    `steady`: as from `_steady_speeds`.
+    """
 
     def of_sample(slope: Floats) -> Floats:
         with np.errstate(divide="ignore"):
@@ -391,14 +400,17 @@ def _stiffness(signal: Signal, sticks: _Sticks, two_slopes: bool, compliance: fl
         """Return K and its error from slopes against time, since noise of d would lower slopes against d."""
         rise = fit_lines(time, load, start, stop, lag=sticks.lag)
         pace = fit_lines(time, travel, start, stop, lag=sticks.lag)
-        stands = np.abs(pace.slope) < 1e-9 * np.abs(nan_median(pace.slope))  # but for rounding
+        known = np.isfinite(steady[0])
+        speed = np.where(known, steady[0], pace.slope)
+        speed_error = np.where(known, steady[1], pace.slope_error)
+        stands = np.abs(speed) < 1e-9 * np.abs(nan_median(speed))  # but for rounding
         with np.errstate(divide="ignore", invalid="ignore"):
-            slope = np.where(stands | (pace.slope == 0), np.nan, rise.slope / pace.slope)
+            slope = np.where(stands | (speed == 0), np.nan, rise.slope / speed)
             uneven = (
                 1.0 if sticks.lag else _unevenness(signal, rise, start, stop, wider * rise.spread, settings)
             )
-            error = np.hypot(wider * uneven * rise.slope_error, slope * pace.slope_error)
-            error /= np.abs(pace.slope)
+            error = np.hypot(wider * uneven * rise.slope_error, slope * speed_error)
+            error /= np.abs(speed)
             return of_sample(slope), error * (of_sample(slope) / slope) ** 2
 
     part = settings.central_part
@@ -415,6 +427,49 @@ def _stiffness(signal: Signal, sticks: _Sticks, two_slopes: bool, compliance: fl
     return columns | dict(
         zip(names, (of_sample(broken.first), *second, broken.knee, broken.gain), strict=True)
     )
+
+
+def _steady_speeds(signal: Signal, sticks: _Sticks) -> tuple[Floats, Floats]:
+    """Return the crosshead's speed at each stick from those around, and its error; NaN where its own counts.
+
+    The error of d, such as its noise or the periodic error of an encoder, may exceed the changes of the
+    speed. Then the slopes of the load over this speed scatter less from stick to stick than over the
+    speed within each stick. Both speeds must agree on average, which they do not where d jumps in the slips;
+    and the machine must run as steadily beside a stick as elsewhere. The speed is the slope of a line through
+    the middles of sticks, so that its error contains noise of any kind.
+    """
+    settings, number = sticks.settings, np.arange(sticks.v.size)
+    own_speed = np.full(number.size, np.nan), np.full(number.size, np.nan)
+    within = sticks.central(settings.line_part)
+    pace, rise = (fit_lines(signal.time, values, *within) for values in (signal.travel, signal.spikeless))
+    reach = settings.steady_reach
+    begin, end = np.maximum(number - reach, 0), np.minimum(number + reach + 1, number.size)
+    around = fit_lines(pace.mean_x, pace.mean_y, begin, end)
+    known = np.isfinite(pace.slope) & np.isfinite(rise.slope) & (around.slope > 0)
+    if known.sum() <= 2 * reach:
+        return own_speed
+
+    def scatter(speed: Floats) -> float:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            stiffness = (rise.slope / speed)[known]
+        return float(np.median(np.abs(np.diff(stiffness))))
+
+    off = np.where(known, pace.slope / np.where(known, around.slope, 1.0) - 1, np.nan)
+    middle = nan_median(off)
+    usual = float(nan_median(np.abs(off - middle))) / NORMAL_MEDIAN
+    agree = abs(middle) < 4 * usual / np.sqrt(known.sum())
+    if not (agree and scatter(around.slope) < settings.steady_gain * scatter(pace.slope)):
+        return own_speed
+    spread = float(nan_median(around.spread))
+    steady = known & (around.spread < 3 * spread)
+    error = np.fmax(around.spread, spread) / np.sqrt(around.sxx)
+    # Speeds before and after a stick, whose difference has 12 times this variance by white noise, show how
+    # much more the speed changes.
+    before = fit_lines(pace.mean_x, pace.mean_y, begin, number + 1)
+    after = fit_lines(pace.mean_x, pace.mean_y, number, end)
+    change = float(nan_median(np.abs(after.slope - before.slope))) / NORMAL_MEDIAN
+    error = np.hypot(error, 0.5 * np.sqrt(max(change**2 - 12 * float(nan_median(error)) ** 2, 0.0)))
+    return np.where(steady, around.slope, np.nan), np.where(steady, error, np.nan)
 
 
 def _beside_standstill(signal: Signal, valley: Floats, peak: Floats, settings: ForceSettings) -> Bools:
