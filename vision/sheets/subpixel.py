@@ -605,7 +605,7 @@ def _noise_variance(
 
     before, now, after = around(-lag), around(0), around(lag)
     variance = _residual_variance(before + after - 2 * now, (before + now + after) / 3)
-    return variance.reshape(len(middle), -1) / 6
+    return variance.reshape(x.shape) / 6
 
 
 def position_noise(x_px: Floats) -> Floats:
