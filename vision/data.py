@@ -10,8 +10,9 @@ name and parameters to ``attrs["operations"]``.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, field, fields
+from itertools import compress
 from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar
 
 import numpy as np
@@ -405,6 +406,8 @@ class ForceMetadata(Metadata):
         Speed V, measured if a displacement was recorded; initial separation d0 and its error. NaN if unknown.
     layout, encoding, separator, decimal, columns, blocks, columns_seen
         Format of the file, and the meaning of its columns.
+    displacement_unit
+        "stated", or "assumed" if the file states none.
     notes, warnings
         Assumptions, and problems that may affect the results.
     """
@@ -421,6 +424,7 @@ class ForceMetadata(Metadata):
     columns: str = ""
     blocks: str = ""
     columns_seen: str = ""
+    displacement_unit: Literal["stated", "assumed"] = "stated"
     notes: Sequence[str] = field(default_factory=list)
     warnings: Sequence[str] = field(default_factory=list)
 
@@ -570,9 +574,24 @@ STICKS = Schema(
 )
 
 
+def joined_flags(marks: Mapping[str, Bools]) -> list[str]:
+    """Return the flag of each event: the words whose mark is set, joined by "+", or "ok"."""
+    return ["+".join(compress(marks, row)) or "ok" for row in np.column_stack(list(marks.values()))]
+
+
+def has_flag(flags: Iterable[object], word: str) -> Bools:
+    """Return which flags contain this word."""
+    return np.array([word in str(flag).split("+") for flag in flags], dtype=bool)
+
+
+def only_flags(flags: Iterable[object], words: Set[str]) -> Bools:
+    """Return which flags contain no other words than these."""
+    return np.array([words >= set(str(flag).split("+")) for flag in flags], dtype=bool)
+
+
 def whole_events(flags: Iterable[object]) -> Bools:
     """Return which events are whole: only these are used for fits and comparisons."""
-    return np.array([set(str(flag).split("+")) <= WHOLE for flag in flags], dtype=bool)
+    return only_flags(flags, WHOLE)
 
 
 # --- deformation --------------------------------------------------------------------------------------------

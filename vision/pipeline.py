@@ -52,6 +52,7 @@ from vision.sheets import Correction, FitChoice, TrackingSettings, pixel_size_of
 from vision.sheets.corrections import OF_SHEETS, last_of, ordered
 from vision.sheets.ridges import describe_ridges
 from vision.sheets.subpixel import check_window
+from vision.sheets.tracks import check_axis
 from vision.shells import ShellSettings, classify_shells
 from vision.summary import summary_lines
 from vision.video import (
@@ -497,10 +498,8 @@ def _strip(
 
 def _check_lengths(chosen: Settings, width_px: int) -> None:
     """Reject lengths far beyond the picture's width before a long film is read."""
-    axis, window = chosen.axis_px, chosen.window_px
-    if axis is not None and not -width_px <= axis <= 2 * width_px:
-        found, advice = f"{axis:g}", "give it in px, counted from the left"
-        raise InputError("`axis_px`", f"a column within or near the picture's {width_px}", found, advice)
+    window = chosen.window_px
+    check_axis(chosen.axis_px, 0, width_px - 1)
     if isinstance(window, int) and window > width_px:
         raise InputError("`window_px`", f"at most the picture's {width_px} columns", str(window), "try auto")
 

@@ -212,7 +212,7 @@ def test_centimetres_that_nobody_declared_are_refused() -> None:
     shorter = {name: 13 + 0.1 * (made[name] - 13) for name in ("d_v_mm", "d_p_mm")}
     stiffness = {name: 10 * made[name] for name in ("K_N_per_mm", "K_err_N_per_mm")}
     read = made.assign(**shorter, **stiffness)
-    assumed = MADE.assign_attrs(notes=['"displacement" has no unit: displacement assumed in mm'])
+    assumed = MADE.assign_attrs(displacement_unit="assumed")
     with pytest.raises(InputError, match=r"in cm it agrees \(μ = 0.89.*displacement=NAME:cm"):
         fit_models(assumed, read)
     with pytest.raises(InputError, match=r"in cm it agrees \(μ = 0.89, 𝒯0 = \S+ N\)$"):

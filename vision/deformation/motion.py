@@ -20,6 +20,7 @@ from vision.data import (
     TrackMetadata,
     changed_settings,
     check_pixel_size,
+    has_flag,
     record,
 )
 from vision.deformation.common_mode import (
@@ -281,7 +282,7 @@ def _uninterrupted(
     length, length_err = _lengths(events)
     fastest = (length + 3 * np.nan_to_num(length_err)) / (stop - start)[:, 0]
     usual = pd.Series(length / (stop - start)[:, 0]).rolling(5, center=True, min_periods=1).median()
-    still = "flag" in events and events["flag"].astype(str).str.contains("still").to_numpy()
+    still = "flag" in events and has_flag(events["flag"], "still")
     paused = whole & (still | (fastest < settings.least_speed * usual.to_numpy()))  # not if length is unknown
     whole &= ~paused
     if not whole.any():

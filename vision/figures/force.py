@@ -9,7 +9,7 @@ import pandas as pd
 import xarray as xr
 
 from vision.clock import Clock, force_slips, video_slips
-from vision.data import ForceMetadata, StickMetadata, load_unit
+from vision.data import ForceMetadata, StickMetadata, load_unit, only_flags
 from vision.errors import InputError
 from vision.figures.decimate import minmax_decimate
 from vision.figures.figure import Arrow, Figure, Ink, Panel, Range, Series
@@ -477,8 +477,7 @@ def _points(
 
 def _complete(sticks: pd.DataFrame) -> pd.DataFrame:
     """Return the events that have only flags of `SHOWN_FLAGS`."""
-    shown = [set(str(flag).split("+")) <= SHOWN_FLAGS for flag in sticks["flag"]]
-    return sticks[np.asarray(shown, dtype=bool)]
+    return sticks[only_flags(sticks["flag"], SHOWN_FLAGS)]
 
 
 def _spread(sticks: pd.DataFrame) -> pd.DataFrame:

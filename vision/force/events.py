@@ -10,7 +10,16 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vision.data import FORCE, STICKS, ForceMetadata, StickMetadata, changed_settings, load_unit, record
+from vision.data import (
+    FORCE,
+    STICKS,
+    ForceMetadata,
+    StickMetadata,
+    changed_settings,
+    joined_flags,
+    load_unit,
+    record,
+)
 from vision.errors import InputError, check_positive, check_within
 from vision.force.corners import Corners, Extremes, find_corners, find_extremes, is_slow
 from vision.force.hum import find_hum, is_hum, rms_of
@@ -259,7 +268,7 @@ def _search_slips(signal: Signal, threshold_N: float | None, settings: ForceSett
     while True:
         quiet = signal.without(hum, settings)
         slips = find_slips(quiet.clean, quiet.noise, threshold=threshold_N, settings=settings)
-        # Without their own harmonics slips are found in wrong places, so that other lines are judged anew.
+        # If a line was a harmonic of the slips, its subtraction has displaced them: search again without it.
         kept = [line for line in hum if is_hum(line, signal.clean, slips, settings)]
         if len(kept) == len(hum):
             break
@@ -273,7 +282,7 @@ def _search_slips(signal: Signal, threshold_N: float | None, settings: ForceSett
 
 
 def _above_swings(signal: Signal, slips: Slips, settings: ForceSettings) -> tuple[Signal, Slips]:
-    """Return the slips without the swings of smoothed noise, and the signal with the noise that they are.
+    """Leave out drops that are swings of smoothed noise, whose size is then that of the noise.
 
     Most swings are as slow as the rises beside them, and a gap in the sizes separates them from slips; the
     noise is then the scatter about the stick lines.
@@ -370,7 +379,7 @@ def _measure(
 def _with_bias(events: pd.DataFrame, other: pd.DataFrame) -> pd.DataFrame:
     """Add the difference of the `other` events to the errors, and that of K to its column.
 
-    The same in each event, it is not squared.
+    The bias is equal in all events, so that it is added linearly, not in quadrature.
     """
     pairs = [(f"{name}_N", f"{name}_err_N") for name in ("F_v", "F_p", "dF")]
     pairs += [("stick_length_um", "stick_length_err_um"), ("K_N_per_mm", "K_err_N_per_mm")]
@@ -454,9 +463,8 @@ def _all_flags(
         "negative": events["F_v_N"].to_numpy(float) < -3 * signal.sigma,
         regime: np.full(len(events), regime != "stick-slip"),
     }
-    present = [[] if flag == "ok" else [flag] for flag in events["flag"]]
-    added = [[word for word, mark in marks.items() if mark[k]] for k in range(len(events))]
-    return ["+".join(old + new) or "ok" for old, new in zip(present, added, strict=True)]
+    both = zip(events["flag"], joined_flags(marks), strict=True)
+    return ["+".join(flag for flag in flags if flag != "ok") or "ok" for flags in both]
 
 
 # --- detection limit ----------------------------------------------------------------------------------------

@@ -84,9 +84,7 @@ def read_force(
     path = Path(path)
     with np.errstate(invalid="ignore"):
         found, facts, blocks = _joined(path, read_tables(path), columns)
-        force = _dataset(path, found, facts, blocks, speed_mm_min, d0_mm, settings)
-        if d0_err_mm is not None:
-            force.attrs["d0_err_mm"] = float(d0_err_mm)
+        force = _dataset(path, found, facts, blocks, speed_mm_min, (d0_mm, d0_err_mm), settings)
     return record(
         force,
         "read_force",
@@ -140,10 +138,11 @@ def _dataset(
     facts: dict[str, str],
     blocks: list[Table],
     speed_mm_min: float | None,
-    d0_mm: float | None,
+    separation: tuple[float | None, float | None],
     settings: ForceSettings,
 ) -> xr.Dataset:
-    """Return the dataset of `read_force` for the columns found."""
+    """Return the dataset of `read_force` for the columns found. separation: d0 and its error, mm."""
+    d0_mm, d0_err_mm = separation
     time, load = found["time"].values, found["load"].values
     crosshead = found["displacement"].values if "displacement" in found else None
     if time.size < 10:
@@ -191,11 +190,13 @@ def _dataset(
         source=str(path),
         separation_from=source,
         speed_mm_min=measured if source == "displacement" else speed_mm_min or float("nan"),
-        d0_mm=float("nan") if d0_mm is None else d0_mm,
+        d0_mm=math.nan if d0_mm is None else d0_mm,
+        d0_err_mm=math.nan if d0_err_mm is None else float(d0_err_mm),
+        displacement_unit="assumed" if crosshead is not None and found["displacement"].assumed else "stated",
         columns="; ".join(f"{role} = {c.name} [{c.unit}]" for role, c in found.items()),
         notes=_notes(found, source, d0_mm, _at_slips(jumps, load)),
         warnings=warnings,
-        **facts,  # type: ignore[arg-type]
+        **facts,
     )
     return force.assign_attrs(metadata.attrs())
 

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 from numpy.lib.stride_tricks import sliding_window_view
 
+from vision.data import has_flag
 from vision.force.corners import Extremes
 from vision.force.lines import fit_lines, flat_ranges
 from vision.force.settings import ForceSettings
@@ -119,9 +120,8 @@ def doubts(events: pd.DataFrame, regime: Regime, signal: Signal, slips: Slips, u
             )
     lines += slips.warnings(unit) + _load_warnings(signal, slips, events, unit)
     lines += _fall_warnings(signal, slips, events, unit)
-    flags = events["flag"].str.split("+")
     for word, meaning in _FLAGGED.items():
-        if count := int(flags.map(lambda words, word=word: word in words).sum()):
+        if count := int(has_flag(events["flag"], word).sum()):
             lines.append(f"{count} of {len(events)} sticks {meaning} (flag {word})")
     return lines
 

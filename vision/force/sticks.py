@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
+from vision.data import joined_flags
 from vision.force.corners import (
     Corners,
     Extremes,
@@ -520,4 +521,4 @@ def _event_flags(signal: Signal, sticks: _Sticks, corners: Corners, found: dict[
     first, final = (np.clip(at, 0, last).astype(int) for at in (np.floor(begin), np.ceil(end)))
     marks = {kind: count[final] > count[first] for kind, count in signal.damage.items()}
     marks |= {"few": p - v < sticks.settings.few_samples} | found
-    return ["+".join(word for word, mark in marks.items() if mark[k]) or "ok" for k in range(v.size)]
+    return joined_flags(marks)

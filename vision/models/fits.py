@@ -224,7 +224,7 @@ def _misread_lengths(fits: ModelFits, events: pd.DataFrame, given: _Given, force
         if peaks.goodness.chi2_dof < _CONTRADICTS and abs(peaks.value[1]) < _LARGEST_OFFSET_N:
             found = f"𝒯0 = {fits.t0_N.value:.3g} N and χ²/dof {chi2:.3g} with displacement in mm; in {unit} "
             found += f"it agrees (μ = {peaks.value[0]:.3g}, 𝒯0 = {peaks.value[1]:.2g} N)"
-            if any("displacement assumed in" in note for note in facts.notes):
+            if facts.displacement_unit == "assumed":
                 advice = f"the file states no unit: give `force_columns` displacement=NAME:{unit}"
                 raise InputError("the force recording", "peaks that agree with Eq. 1", found, advice)
             return f"the unit of the displacement contradicts Eq. 1: {found}"

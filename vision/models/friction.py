@@ -48,6 +48,8 @@ class FrictionSettings:
     normal_window_s: float = 1.0
     """Window of the running mean of the measured normal force. Longer averages more noise, shorter follows a
     controller that overshoots (`test_a_drifting_normal_force_is_followed`)."""
+    normal_window_samples: int = 50
+    """The same window in samples, for files without times: rheometers write 25 to 100 of them a second."""
     blocks: int = 12
     """Number of blocks whose means give the error of μ_d. With more, blocks are shorter than the fluctuations
     of μ and the error is too small."""
@@ -113,7 +115,7 @@ def _curve(
     elif "normal_force_N" not in rotation or rotation["normal_force_N"].isna().all():
         raise InputError(about, "a normal force", "none recorded", "give `normal_force_N`")
     else:
-        load, error = _running_load(rotation, settings.normal_window_s)
+        load, error = _running_load(rotation, settings)
     if (load <= 0).any() or not np.isfinite(load).all():
         raise InputError(
             about,
@@ -132,19 +134,21 @@ def _curve(
     )
 
 
-def _running_load(rotation: pd.DataFrame, window_s: float) -> tuple[Floats, Floats]:
-    """Running mean of the normal force and its standard error; compression is positive."""
-    time = rotation["time_s"].to_numpy(float)
+def _running_load(rotation: pd.DataFrame, settings: FrictionSettings) -> tuple[Floats, Floats]:
+    """Running mean of the normal force and its standard error; compression is positive.
+
+    Without times, it is one over samples.
+    """
+    time, window = rotation["time_s"].to_numpy(float), settings.normal_window_s
     record_N = rotation["normal_force_N"].to_numpy(float)
     known = np.isfinite(record_N)
     if not np.isfinite(time).all():
-        time = np.arange(len(time), dtype=float)
-        window_s = 50.0
+        time, window = np.arange(len(time), dtype=float), float(settings.normal_window_samples)
     at, load = time[known], record_N[known]
     load = load if float(np.median(load)) >= 0 else -load
     total = np.concatenate([[0.0], np.cumsum(load)])
-    first = np.searchsorted(at, time - window_s / 2, side="left")
-    last = np.maximum(np.searchsorted(at, time + window_s / 2, side="right"), first + 1)
+    first = np.searchsorted(at, time - window / 2, side="left")
+    last = np.maximum(np.searchsorted(at, time + window / 2, side="right"), first + 1)
     last = np.minimum(last, load.size)
     first = np.minimum(first, last - 1)
     count = last - first

@@ -133,7 +133,7 @@ def track_sheets(
     axis_px = axis_px if axis_decision is None else axis_decision.x_px
     _check(profile, facts.source)
     first_px, last_px = (float(x) for x in strip["x"].values[[0, -1]])
-    _check_axis(axis_px, first_px, last_px)
+    check_axis(axis_px, first_px, last_px)
     comb = describe_ridges(profile, polarity=ridges, sheets=sheets, source=facts.source, settings=settings)
     window = choose_window(comb, window_px)
     number = strip["frame"].values
@@ -332,13 +332,13 @@ def _check(profile: Floats32, source: str) -> None:
         raise NoRidgesError(source, "a picture with ridges", "a constant one", "check `rows` and `columns`")
 
 
-def _check_axis(axis_px: float | None, first_px: float, last_px: float) -> None:
+def check_axis(axis_px: float | None, first_px: float, last_px: float) -> None:
     """Refuse an axis further outside the picture than the picture is wide; with one side in view it does lie
     outside."""
     width = last_px - first_px
     if axis_px is not None and not first_px - width <= axis_px <= last_px + width:
         near = f"a column near the picture ({first_px:.0f} to {last_px:.0f} px)"
-        raise InputError("`axis_px`", near, f"{axis_px:g}", "give it in px")
+        raise InputError("`axis_px`", near, f"{axis_px:g}", "give it in px, counted from the left")
 
 
 class _Fitted(NamedTuple):
