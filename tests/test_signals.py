@@ -5,7 +5,7 @@ import pytest
 from scipy import ndimage
 from scipy.signal import find_peaks
 
-from vision.signals import apart, find_maxima, half_widths, running_mean, running_median
+from vision.signals import enforce_distance, find_maxima, half_widths, running_mean, running_median
 
 
 @pytest.mark.parametrize("size", [1, 2, 5, 6, 9])
@@ -28,7 +28,7 @@ def test_maxima_apart_are_those_of_scipy(seed):
     line = np.random.default_rng(seed).normal(0, 1, 400).cumsum()
     found = find_maxima(line, least_prominence=1e-9, reach=line.size)
     expected, _ = find_peaks(line, distance=7)
-    np.testing.assert_array_equal(apart(found.at, line[found.at], 7), expected)
+    np.testing.assert_array_equal(enforce_distance(found.at, line[found.at], 7), expected)
     assert len(expected) < len(found.at)
 
 

@@ -7,7 +7,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
@@ -211,6 +211,25 @@ def spread_indices(count: int, most: int) -> Ints:
     return np.unique(np.linspace(0, count - 1, most).astype(np.int64))
 
 
+def flat_ranges(start: Ints, stop: Ints) -> tuple[Ints, Ints]:
+    """Return (row, index): for every integer of many half-open ranges its range's number, and itself."""
+    count = np.maximum(stop - start, 0)
+    row = np.repeat(np.arange(start.size), count)
+    index = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count) + np.repeat(start, count)
+    return row, index
+
+
+def peak_offset(before: ArrayLike, at: ArrayLike, after: ArrayLike) -> Floats:
+    """Return how far the maximum of a parabola through three equally spaced values lies after the middle one.
+
+    It is in units of their distance, from -0.5 to 0.5, and 0 where the parabola has no maximum.
+    """
+    before, at, after = (np.asarray(values, np.float64) for values in (before, at, after))
+    bend = before - 2 * at + after
+    offset = np.where(bend < 0, 0.5 * (before - after) / np.where(bend < 0, bend, -1.0), 0.0)
+    return np.clip(offset, -0.5, 0.5)
+
+
 def nearest(candidates: NDArray[np.floating], at: NDArray[np.floating]) -> tuple[Ints, Floats]:
     """Find the candidate nearest to `at` (rows,) in each row of `candidates` (rows, K), ignoring NaN.
 
@@ -230,6 +249,12 @@ def shifted(values: NDArray[Any], by: int) -> NDArray[Any]:
     elif 0 < -by < values.shape[1]:
         moved[:, -by:] = values[:, :by]
     return moved
+
+
+def beside(marked: Bools) -> Bools:
+    """Return which entries of (frame, sheet) are next to a marked one of the same frame."""
+    padded = np.pad(marked, ((0, 0), (1, 1)))
+    return np.asarray(padded[:, :-2] | padded[:, 2:], bool)
 
 
 def stretches(marked: Bools) -> tuple[Ints, Ints, Ints]:

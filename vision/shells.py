@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -12,7 +12,7 @@ import scipy
 import xarray as xr
 
 from vision.data import MOTION, SHELLS, STIFF_BELOW, changed_settings, check_threshold, record
-from vision.numeric import Bools, Floats, Floats32, Ints
+from vision.numeric import Bools, Floats, Floats32, Ints, row_parts
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,6 +186,7 @@ def _side_table(side: Side, motion: xr.Dataset, threshold: float, settings: Shel
 # --- the sheets of one side ---------------------------------------------------------------------------------
 
 LEAST_ERROR = 1e-9  # of a ratio
+EVENTS_AT_ONCE = 32  # whose tables of likelihoods are in memory together
 
 
 @dataclass(frozen=True)
@@ -296,7 +297,7 @@ def shell_sizes(
     decreases = ~isotonic(side.without(sheets.alone), settings.significance)[1]
     counted = replace(sheets, alone=sheets.alone | (decreases[:, None] & side.known))
     sizes = []
-    for block in _blocks(len(decreases)):
+    for block in row_parts(len(decreases), EVENTS_AT_ONCE):
         share, _ = _profile_weights(profiles, sheets.at(block), relative)
         ratio = _draw_ratios(profiles, share, counted.at(block), relative, outliers=sheets.alone[block])
         count = _count_below(ratio, threshold, side.length_err[block], side.shared_err[block])
@@ -387,11 +388,6 @@ class _Ratios:
         return np.where(self.alone, np.inf, self.variance + self.scatter(self.smooth, relative))
 
 
-def _blocks(events: int) -> Iterator[slice]:
-    """Slices of 32 events, which limit the size of the tables of likelihoods."""
-    return (slice(first, first + 32) for first in range(0, events, 32))
-
-
 def _profile_weights(profiles: _Profiles, sheets: _Ratios, relative: float) -> tuple[Floats32, Floats]:
     """Weight of each profile in each event, (event, profile), with sum 1, and the log evidence, (event,)."""
     weight = 1 / sheets.about_profile(relative)
@@ -410,7 +406,8 @@ def _outliers(sheets: _Ratios, profiles: _Profiles) -> Bools:
     events = np.arange(len(alone))
     for _ in range(4):
         rest = replace(sheets, alone=alone)
-        blocks = [_deviation(profiles, rest.at(events[block])) for block in _blocks(events.size)]
+        parts = row_parts(events.size, EVENTS_AT_ONCE)
+        blocks = [_deviation(profiles, rest.at(events[part])) for part in parts]
         deviation = np.concatenate(blocks)
         far = deviation.max(axis=1) > sheets.settings.outlier_sigma
         events, farthest = events[far], deviation.argmax(axis=1)[far]

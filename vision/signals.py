@@ -191,7 +191,7 @@ def _to_half(line: NDArray[np.floating], at: Ints, half: Floats, step: int) -> F
     return np.asarray(np.abs(here - at) - (half - outer) / (inner - outer), np.float64)
 
 
-def apart(at: Ints, height: NDArray[np.floating], least: float) -> Ints:
+def enforce_distance(at: Ints, height: NDArray[np.floating], least: float) -> Ints:
     """Select maxima that are at least a given distance apart; of closer ones the highest remains.
 
     Parameters

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from vision.force.lines import fit_broken_lines, fit_lines, flat_ranges
+from vision.force.lines import fit_broken_lines, fit_lines
+from vision.numeric import flat_ranges
 
 
 def test_ranges_one_after_the_other() -> None:

@@ -6,7 +6,7 @@ from scipy.ndimage import gaussian_filter
 
 from tests.scenes.combs import comb, creeping, ridges, strip
 from vision.sheets import track_sheets
-from vision.sheets.film import SCENE_FRAMES, after_less_before
+from vision.sheets.film import SCENE_FRAMES, step_of_means
 from vision.sheets.scatter import BetweenSlips, noise_excess, shared_error, spatial_scatter
 
 
@@ -285,6 +285,6 @@ def test_sheets_missing_for_long_have_no_mean_position():
     """A failure means that rounding over no frames at all is an infinite position, and NumPy warns."""
     x_px = np.random.default_rng(0).normal(500, 1, (120, 24))
     x_px[30:60, ::3] = np.nan
-    step = after_less_before(x_px)
+    step = step_of_means(x_px)
     assert np.isnan(step[30 + SCENE_FRAMES : 40, ::3]).all()
     assert not np.isinf(step).any()

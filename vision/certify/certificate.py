@@ -274,7 +274,7 @@ def _imitated(
         drawn, shown_px = like.film(like.motion_px, number=None).values, like.shown_px(like.motion_px)
         like = replace(like, encoder=encoder.fitted(drawn, shown_px, like.strip.values))
     x_px = np.asarray(tracks["x_px"].values[like.frames], float)
-    recorded_px = _scatter(x_px, like.residuals.chained)
+    recorded_px = _scatter(x_px, like.residuals.between_frames)
     track = _tracker(tracks, like, recorded_px)
     return like if encoder is None else _with_hidden_motion(like, track, settings), track, recorded_px
 
@@ -310,7 +310,7 @@ def _with_hidden_motion(like: Likeness, track: Tracker, settings: CertifySetting
     def shown(factor: float) -> float:
         tried = moved(factor)
         found = track(tried.film(tried.motion_px, number=0))["x_px"].values
-        return rms(smooth_motion(found, like.slips, settings, chained=True)[1]) / rms(kept)
+        return rms(smooth_motion(found, like.slips, settings, between_frames=True)[1]) / rms(kept)
 
     once = shown(1.0)
     most = float(np.clip(1 / max(once, 1e-3), 1.0, settings.most_hidden))
@@ -383,12 +383,12 @@ def _measure(like: Likeness, truth_px: Floats, found: xr.Dataset) -> _Measured:
         wrong += int(far.sum())
         error[:, n] = np.where(far, np.nan, off)
         stated[:, n] = found["x_err_px"].values[:, k]
-    return _Measured(error, stated, wrong, _scatter(error, like.residuals.chained))
+    return _Measured(error, stated, wrong, _scatter(error, like.residuals.between_frames))
 
 
-def _scatter(x_px: Floats, chained: bool) -> float:
+def _scatter(x_px: Floats, between_frames: bool) -> float:
     """Return how far positions (frame, sheet) scatter between sheets, or in time if there are few sheets."""
-    between = spatial_scatter(BetweenSlips(x_px), between_frames=chained)
+    between = spatial_scatter(BetweenSlips(x_px), between_frames=between_frames)
     each = between if np.isfinite(between).any() else position_noise(x_px)
     return float(np.sqrt(np.nanmean(each**2)))
 
@@ -552,8 +552,8 @@ def _doubts(
 ) -> list[str]:
     """Return warnings about parts of the recording that the films do not reproduce well."""
     lines = []
-    chained = facts.codec in BETWEEN_FRAMES
-    if chained and like.encoder is None:
+    between_frames = facts.codec in BETWEEN_FRAMES
+    if between_frames and like.encoder is None:
         lines.append(
             f"{facts.codec} carries content from frame to frame, and films could not be encoded in this way "
             "(no encoder, or the film was moved): they have the recording's residuals, which lack errors "
@@ -566,7 +566,11 @@ def _doubts(
         )
     noise_px = max(float(np.nan_to_num(nan_median(tracks["x_noise_px"].values))), 1e-6)
     # Errors exceed the noise also with the publication's fit, and with codecs that predict frames.
-    if not chained and TrackMetadata.of(tracks).fit != "paper" and error_px > settings.above_noise * noise_px:
+    if (
+        not between_frames
+        and TrackMetadata.of(tracks).fit != "paper"
+        and error_px > settings.above_noise * noise_px
+    ):
         lines.append(
             f"errors of the films, {error_px:.3f} px, are above the noise of the recording from frame to "
             f"frame, {noise_px:.3f} px: if its motion is not smooth, the films contain some of it as noise"

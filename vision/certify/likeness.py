@@ -64,7 +64,8 @@ class Residuals:
     usable: Ints  # frames with residuals
     part: Ints  # number of the part of constant brightness to which each frame belongs, (frame,)
     reach: int  # number of frames within which residuals are exchanged
-    chained: bool  # whether the codec predicts frames from others, and so carries errors from frame to frame
+    # whether the codec predicts frames from others, and so carries errors from frame to frame
+    between_frames: bool
 
     def exchanged(self, number: int) -> Floats32:
         """Return for each frame the residual of another one, (frame, x), of the same brightness if possible.
@@ -73,7 +74,7 @@ class Residuals:
         codec that predicts frames, residuals keep their order and begin at another frame.
         """
         count = len(self.usable)
-        if self.chained:
+        if self.between_frames:
             golden = 0.382  # makes any number of films begin at different frames
             rolled = np.roll(np.arange(count), -round(count * ((1 + number) * golden % 1)))
             return self.values[np.resize(rolled, len(self.part))]
@@ -214,8 +215,10 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
     slips = find_slips(x_px, settings)
     beside = _beside(slips, len(x_px))
     distorted = _distorted(x_px, err_px, flag[:, often], beside, settings)
-    chained = StripMetadata.of(strip).codec in BETWEEN_FRAMES
-    motion, common, left = smooth_motion(x_px, slips, settings, chained=chained, distorted=distorted)
+    between_frames = StripMetadata.of(strip).codec in BETWEEN_FRAMES
+    motion, common, left = smooth_motion(
+        x_px, slips, settings, between_frames=between_frames, distorted=distorted
+    )
     usable = whole & ~beside
     if usable.sum() < LEAST_FRAMES:
         usable = whole
@@ -239,7 +242,14 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
         picture=picture,
         gain=gain,
         residuals=_residuals(
-            residual, kept, _parts(gain, settings), slips, disturbed | as_measured, left, chained, settings
+            residual,
+            kept,
+            _parts(gain, settings),
+            slips,
+            disturbed | as_measured,
+            left,
+            between_frames,
+            settings,
         ),
         motion_px=motion,
         smooth=left > 0,
@@ -270,7 +280,7 @@ def _residuals(
     slips: Ints,
     excluded: Bools,
     left: Floats,
-    chained: bool,
+    between_frames: bool,
     settings: CertifySettings,
 ) -> Residuals:
     """Return residuals that may be exchanged, from those of the usable frames, (usable frame, x).
@@ -290,7 +300,7 @@ def _residuals(
         usable=usable,
         part=part,
         reach=settings.longest_piece,
-        chained=chained,
+        between_frames=between_frames,
     )
 
 
@@ -392,15 +402,16 @@ def smooth_motion(
     slips: Ints,
     settings: CertifySettings,
     *,
-    chained: bool = False,
+    between_frames: bool = False,
     distorted: Bools | None = None,
 ) -> tuple[Floats, Floats, Floats]:
     """Fit smooth positions between slips.
 
     The motion of each sheet is a parabola over as many frames as it fits, plus the common motion of all
     sheets in each frame. The parabola is one in the sheets' own time (`own_time`). If none
-    fits, the motion is as measured. With codecs that predict frames (`chained`), all fits are used, as steps
-    about them are no motion. At positions that are `distorted`, a sheet moves like its neighbours.
+    fits, the motion is as measured. With codecs that predict frames from others (`between_frames`), all fits
+    are used, as steps about them are no motion. At positions that are `distorted`, a sheet moves like its
+    neighbours.
 
     Returns
     -------
@@ -432,7 +443,7 @@ def smooth_motion(
             continue
         fitted, leverage = _smoothed(time, piece, inner, steady, which)
         off = (steady[np.ix_(piece, which)] - fitted)[~blurred[piece]]
-        fits = chained | (np.sqrt((off**2).mean(axis=0)) < settings.misfit * noise[which])
+        fits = between_frames | (np.sqrt((off**2).mean(axis=0)) < settings.misfit * noise[which])
         motion[np.ix_(piece, which[fits])] = fitted[:, fits]
         left[np.ix_(inner, which[fits])] = 1 - leverage[:, None]
         waiting += [(half, which[~fits]) for half in np.array_split(piece, 2)]

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from vision.clock.settings import ClockSettings
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, mad_sigma
 from vision.signals import running_median
 
 # --- trains of slips ----------------------------------------------------------------------------------------
@@ -469,7 +469,7 @@ def _interval_evidence(trains: SlipTrains, fits: ClockFits, settings: ClockSetti
         return 0.0
     # The errors of the force slips add to the scatter: a change depends on three times, twice on the middle
     # one, which adds 6 variances.
-    spread = float(np.median(np.abs(change - np.median(change)))) / NORMAL_MEDIAN
+    spread = float(mad_sigma(change))
     scatter2 = spread**2 / 2 - 3 * trains.force_error_s**2
     error = trains.typical_error_s * fits.error_scale[0]
     most = np.median(trains.pair_gain(settings))

@@ -11,9 +11,8 @@ import xarray as xr
 from vision.clock.settings import ClockSettings
 from vision.data import StickMetadata, StripMetadata
 from vision.errors import InputError
-from vision.force.lines import flat_ranges
 from vision.force.recording import good_samples
-from vision.numeric import NORMAL_MEDIAN, Floats, Ints, nan_median
+from vision.numeric import NORMAL_MEDIAN, Floats, Ints, flat_ranges, nan_median
 
 # --- slips of the load cell ---------------------------------------------------------------------------------
 

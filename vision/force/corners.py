@@ -7,11 +7,11 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.polynomial.legendre import legvander
 
-from vision.force.lines import fit_broken_lines, fit_polynomials, flat_ranges
+from vision.force.lines import fit_broken_lines, fit_polynomials
 from vision.force.settings import ForceSettings
 from vision.force.signal import Signal
 from vision.force.slips import Slips, stick_lines, stick_middles
-from vision.numeric import Bools, Floats, Ints, mad_sigma, nan_median
+from vision.numeric import Bools, Floats, Ints, flat_ranges, mad_sigma, nan_median
 from vision.signals import running_mean
 
 # The 90 % and 10 % crossings lie at these shares of half the slip's length from its middle: 0.59 for half a

@@ -31,7 +31,7 @@ from vision.force.settings import ForceSettings
 from vision.force.signal import Signal, SlowNoise, with_slow_noise
 from vision.force.slips import Slips, find_slips, size_gap, stick_drops, stick_lines, stick_middles
 from vision.force.sticks import filter_length, measure_sticks
-from vision.numeric import Bools, Floats, Ints, nan_median
+from vision.numeric import Bools, Floats, Ints, nan_median, spread_indices
 
 
 def find_stick_slip(
@@ -339,7 +339,7 @@ def _have_knees(signal: Signal, slips: Slips, lag: float, settings: ForceSetting
     The pulling speed plays no part: sticks at 4.9975 and at 5.0000 mm/min are the same.
     """
     start, stop = (at[1:-1] for at in stick_middles(slips.edge, signal.clean.size, settings))
-    some = np.unique(np.linspace(0, start.size - 1, 60).astype(np.int64))
+    some = spread_indices(start.size, 60)
     index = np.arange(signal.clean.size, dtype=float)
     broken = fit_broken_lines(index, signal.clean, start[some], stop[some], lag=lag)
     known = np.isfinite(broken.gain) & (broken.first > 0) & (broken.second > 0)

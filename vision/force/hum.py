@@ -11,7 +11,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from vision.force.lines import fit_lines
 from vision.force.settings import ForceSettings
 from vision.force.slips import Slips, stick_middles
-from vision.numeric import Floats
+from vision.numeric import Floats, peak_offset
 from vision.signals import running_mean, running_median
 
 _LONGEST_PART = 1 << 14  # samples of one spectrum: finer lines than mains keep to within minutes
@@ -62,8 +62,7 @@ def find_hum(y: Floats, settings: ForceSettings) -> list[Hum]:
     found: list[Hum] = []
     while len(found) < _MOST_LINES and excess.max() > settings.hum_ratio:
         k = int(np.argmax(excess))
-        low, middle, high = np.log(power[k - 1 : k + 2])
-        frequency = (k + 0.5 * (low - high) / (low - 2 * middle + high)) / part
+        frequency = float(k + peak_offset(*np.log(power[k - 1 : k + 2]))) / part
         found.append(Hum(frequency, _wave(y - sum(hum.wave for hum in found), frequency)))
         excess[k - 4 : k + 5] = 0
     return found

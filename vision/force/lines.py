@@ -10,17 +10,9 @@ import numpy as np
 from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
-from vision.numeric import Floats, Ints
+from vision.numeric import Floats, Ints, flat_ranges
 
 LEAST_FOR_KNEE = 12  # samples of a stretch below which two slopes cannot be fitted
-
-
-def flat_ranges(start: Ints, stop: Ints) -> tuple[Ints, Ints]:
-    """Return (row, index): for every integer of many half-open ranges its range's number, and itself."""
-    count = np.maximum(stop - start, 0)
-    row = np.repeat(np.arange(start.size), count)
-    index = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count) + np.repeat(start, count)
-    return row, index
 
 
 @dataclass(frozen=True)

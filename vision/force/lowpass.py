@@ -14,7 +14,7 @@ from vision.force.lines import lagged_hinge
 from vision.force.settings import ForceSettings
 from vision.force.signal import Signal
 from vision.force.slips import Slips
-from vision.numeric import Bools, Floats, nan_median
+from vision.numeric import Bools, Floats, nan_median, spread_indices
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ class _Blocks:
         usable = np.flatnonzero((count >= 8) & (transients.drop > 0) & inside)
         if usable.size < 3:
             return None
-        chosen_rows = usable[np.unique(np.linspace(0, usable.size - 1, 100).astype(np.int64))]
+        chosen_rows = usable[spread_indices(usable.size, 100)]
         start, count = transients.start[chosen_rows], count[chosen_rows]
         size = max(int(np.median(count)) // 120, 1)
         blocks = np.minimum(count // size, 8 * 120)  # the transient ends before a long stick does

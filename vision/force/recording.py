@@ -21,7 +21,7 @@ from vision.data import FORCE, ForceMetadata, changed_settings, record
 from vision.errors import PATH, InputError, check_kind, check_number, check_positive, check_within
 from vision.force.files import TIME_OF_DAY, Dimension, Table, Unit, read_tables, unit_of
 from vision.force.settings import ForceSettings
-from vision.numeric import Bools, Floats, Strings
+from vision.numeric import Bools, Floats, Strings, spread_indices
 from vision.signals import running_median
 
 Role = Literal["time", "load", "displacement", "video_time"]
@@ -231,7 +231,7 @@ def _restart_warnings(restart: int, rows: int, blocks: list[Table]) -> list[str]
 
 def _speed(time: Floats, travel: Floats) -> float:
     """Return the median speed, mm/min, of twenty stretches of the recording, so that holds do not count."""
-    knots = np.unique(np.linspace(0, time.size - 1, 21).astype(int))
+    knots = spread_indices(time.size, 21)
     steps = np.diff(time[knots])
     if not steps.size or not np.all(steps > 0):
         return float("nan")

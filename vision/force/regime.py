@@ -11,11 +11,11 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from vision.data import has_flag
 from vision.force.corners import Extremes
-from vision.force.lines import fit_lines, flat_ranges
+from vision.force.lines import fit_lines
 from vision.force.settings import ForceSettings
 from vision.force.signal import Signal, noise_sigma, step_between
 from vision.force.slips import Slips, upward_share
-from vision.numeric import Bools, Floats, nan_median
+from vision.numeric import Bools, Floats, flat_ranges, nan_median
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from vision.force.lines import LEAST_FOR_KNEE, Lines, bend_squares, fit_lines, fit_polynomials, flat_ranges
+from vision.force.lines import LEAST_FOR_KNEE, Lines, bend_squares, fit_lines, fit_polynomials
 from vision.force.settings import ForceSettings
-from vision.numeric import Floats, Ints, nan_median
-from vision.signals import apart, find_maxima, running_median
+from vision.numeric import Floats, Ints, flat_ranges, nan_median
+from vision.signals import enforce_distance, find_maxima, running_median
 
 
 @dataclass(frozen=True)
@@ -248,7 +248,7 @@ def _peaks(y: Floats, half: Ints, sigma: Floats, settings: ForceSettings) -> Int
     """
     standard = np.nan_to_num(_step_filter(y, half) / (sigma * np.sqrt(2.0 / half)), nan=-np.inf)
     found = find_maxima(standard, least_prominence=settings.candidate_sigmas, reach=8 * int(half.max()))
-    return apart(found.at, standard[found.at], max(int(half.min()), 1))
+    return enforce_distance(found.at, standard[found.at], max(int(half.min()), 1))
 
 
 def _edges(y: Floats, period: Floats, sigma: Floats, settings: ForceSettings) -> Ints:

@@ -21,6 +21,7 @@ from vision.numeric import (
     nan_median,
     nan_quantile,
     row_parts,
+    spread_indices,
     weighted_median,
 )
 from vision.sheets.locking import normal_equations, pixel_waves, without_outliers
@@ -45,7 +46,7 @@ def not_one_ridge(profile: Floats32, x_px: Floats, comb: RidgeComb) -> Bools:
     """
     if x_px.shape[1] < ENOUGH:
         return np.zeros(x_px.shape[1], bool)
-    half = max(3, round(min(0.6 * comb.fwhm_px, 0.5 * comb.pitch_px)))
+    half = comb.half_px(0.6)
     profiles, shape = _sampled_profiles(profile, x_px, half, comb)
     own = nan_median(profiles)
     own -= own.mean(axis=0)
@@ -76,7 +77,7 @@ def two_in_one(x_px: Floats, fwhm_px: Floats32, comb: RidgeComb) -> Bools:
 def _sampled_profiles(profile: Floats32, x_px: Floats, half: int, comb: RidgeComb) -> tuple[Floats, Floats]:
     """Return the pixels at offsets u from the positions in some frames, with mean 0 and standard deviation 1,
     (frame, u, N), and their median over all sheets and frames, (u,)."""
-    sample = np.unique(np.linspace(0, len(profile) - 1, 200).astype(int))
+    sample = spread_indices(len(profile), 200)
     level = _around(comb.bright(profile[sample]), x_px[sample], half)
     level -= level.mean(axis=1, keepdims=True)
     level /= level.std(axis=1, keepdims=True)
@@ -125,7 +126,7 @@ def distortion(
     (`displacement_scale_error`).
     """
     settings = comb.settings
-    half = max(3, round(min(0.9 * comb.fwhm_px, 0.5 * comb.pitch_px)))
+    half = comb.half_px(0.9)
     shape = _sampled_profiles(profile, x_px, half, comb)[1]
     if not np.isfinite(shape).all():
         return Distortion.none(x_px)

@@ -12,7 +12,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, nan_median, nan_quantile, row_parts
+from vision.numeric import (
+    NORMAL_MEDIAN,
+    Bools,
+    Floats,
+    Floats32,
+    nan_median,
+    nan_quantile,
+    row_parts,
+    spread_indices,
+)
 from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb, profile_noise
 from vision.sheets.settings import DEFAULT, LEAST_FRAMES, TrackingSettings
 from vision.signals import sums_around
@@ -34,9 +43,9 @@ def repeated_frames(profile: Floats32, settings: TrackingSettings = DEFAULT) -> 
     gap no frame is repeated: under vibration, frames near a turning point also change by less than most.
     """
     change = np.empty(max(0, len(profile) - 1))
-    for start in range(0, len(change), FRAMES_PER_BLOCK):
-        step = np.diff(profile[start : start + FRAMES_PER_BLOCK + 1], axis=0)
-        change[start : start + len(step)] = np.sqrt(np.square(step).mean(axis=1, dtype=np.float64))
+    for rows in row_parts(len(change), FRAMES_PER_BLOCK):
+        step = np.diff(profile[rows.start : rows.stop + 1], axis=0)
+        change[rows] = np.sqrt(np.square(step).mean(axis=1, dtype=np.float64))
     moving = change[np.isfinite(change) & (change > 0)]
     frozen = np.zeros(len(profile), bool)
     # in a film without noise, or of a still scene, nothing shows that a frame should have changed
@@ -45,7 +54,7 @@ def repeated_frames(profile: Floats32, settings: TrackingSettings = DEFAULT) -> 
         gaps = np.flatnonzero(quiet[:-1] < settings.frozen_fraction * quiet[1:])
         if gaps.size:
             known = np.flatnonzero(np.isfinite(change))
-            some = known[np.linspace(0, len(known) - 1, 200).astype(int)]
+            some = known[spread_indices(len(known), 200)]
             frozen[1:] = change <= min(quiet[gaps[-1]], np.sqrt(2) * profile_noise(profile[some]))
     return frozen
 
@@ -151,14 +160,14 @@ def scene_changes(x_px: Floats32, contrast: Floats32, comb: RidgeComb) -> list[S
         return []
     bright = np.log(contrast.astype(np.float64))
     bright -= nan_median(bright, axis=1)[:, None]
-    moved = after_less_before(x_px)
+    moved = step_of_means(x_px)
     together = nan_median(moved, axis=1)
     moved -= together[:, None]
     apart = nan_median(np.abs(moved, out=moved), axis=1)
     rigid = np.abs(together) > 2.0 * np.nan_to_num(apart, nan=np.inf)
     displaced = np.where(rigid, np.abs(np.nan_to_num(together)) / comb.pitch_px / settings.cut_pitches, 0.0)
     del moved
-    brightened = after_less_before(bright)
+    brightened = step_of_means(bright)
     known = np.isfinite(brightened).sum(axis=1)
     np.square(np.nan_to_num(brightened, copy=False, posinf=0.0, neginf=0.0), out=brightened)
     brightened.sort(axis=1)  # a few sheets, such as one that enters the picture, are no other scene
@@ -196,7 +205,7 @@ def _persists(values: NDArray[np.floating], frame: int, change: float) -> bool:
     return not len(remaining) or bool(np.sqrt((remaining**2).mean()) >= abs(change) / 2)
 
 
-def after_less_before(values: NDArray[np.floating]) -> Floats:
+def step_of_means(values: NDArray[np.floating]) -> Floats:
     """Return means over SCENE_FRAMES frames less those before, (frame − 2 SCENE_FRAMES + 1, N)."""
     reach = SCENE_FRAMES // 2
     change = np.empty((max(0, len(values) - 2 * SCENE_FRAMES + 1), values.shape[1]))

@@ -6,12 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats, nan_median
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, nan_median, spread_indices
 from vision.sheets.settings import TrackingSettings
 
 _HARMONICS = 2  # of a period of one pixel; sharper edges lock at once, at 1/20 of the second harmonic
 _LEAST_SHEETS = 12  # fewer do not tell the scatter between sheets from chance
-_LEAST_FRAMES = 100  # fewer do not tell it from the motion of slips
+_LEAST_LOCKING_FRAMES = 100  # fewer do not tell it from the motion of slips
 _MOST_FRAMES = 1000  # spread over the film: enough, and memory does not grow with it
 _OUTLIER = 5.0  # median deviations: slips and exchanged sheets
 _PARTS = 10  # of the film, for the errors of single sheets' locking
@@ -79,10 +79,10 @@ def pixel_locking(x_px: Floats, err_px: float, settings: TrackingSettings) -> Pi
     are fitted once more, each by itself and with a part in proportion to its displacement, which is motion;
     the scatter of the first harmonic beyond its errors is the error that remains.
     """
-    rows = np.unique(np.linspace(0, len(x_px) - 1, min(len(x_px), _MOST_FRAMES)).astype(np.int64))
+    rows = spread_indices(len(x_px), min(len(x_px), _MOST_FRAMES))
     x = x_px[rows]
     middle = nan_median(x)
-    if x.shape[1] < _LEAST_SHEETS or len(x) < _LEAST_FRAMES or _at_one_place(middle):
+    if x.shape[1] < _LEAST_SHEETS or len(x) < _LEAST_LOCKING_FRAMES or _at_one_place(middle):
         return NO_LOCKING
     moved = x - middle
     known, against = without_outliers(_against_neighbours(moved))

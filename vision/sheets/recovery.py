@@ -20,6 +20,7 @@ from vision.numeric import (
     Floats,
     Floats32,
     Ints,
+    beside,
     median_where,
     nan_median,
     nearest,
@@ -216,10 +217,9 @@ def _merged(found: Floats32, expected: Floats, comb: RidgeComb) -> Bools:
     missing = np.isnan(found[0])
     if not missing.any():
         return np.zeros_like(missing)
-    beside = np.pad(missing, ((0, 0), (1, 1)))
-    beside = beside[:, :-2] | beside[:, 2:]
+    beside_missing = beside(missing)
     # the usual size is that without a missing neighbour, which may be missing in most frames
-    usual = np.stack([median_where(~beside, sizes) for sizes in found[1:]])
+    usual = np.stack([median_where(~beside_missing, sizes) for sizes in found[1:]])
     usual = np.where(np.isfinite(usual), usual, nan_median(found[1:], axis=1))
     pair = np.zeros((len(missing), missing.shape[1] - 1), bool)
     some = np.flatnonzero(missing.any(axis=1))

@@ -23,6 +23,7 @@ from vision.numeric import (
     median_size,
     nan_median,
     nearest,
+    spread_indices,
 )
 from vision.sheets.alignment import Candidates, ExpectedSheets, align, values_of
 from vision.sheets.ridges import RidgeComb
@@ -104,7 +105,7 @@ def build_reference(
         frames; the message names `source`.
     """
     settings = comb.settings
-    spread = np.linspace(0, len(frames) - 1, 192).astype(int)
+    spread = spread_indices(len(frames), 192)
     longest = np.argsort(-frames, kind="stable")[:192]
     chosen = np.unique(np.r_[longest, spread])
     some, weight, moved = candidates.take(chosen), frames[chosen].astype(np.float64), displacement_px[chosen]

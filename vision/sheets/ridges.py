@@ -17,7 +17,17 @@ import numpy as np
 
 from vision.data import TrackMetadata
 from vision.errors import InputError, NoRidgesError
-from vision.numeric import FWHM, NORMAL_MEDIAN, Bools, Floats, Floats32, Ints
+from vision.numeric import (
+    FWHM,
+    NORMAL_MEDIAN,
+    Bools,
+    Floats,
+    Floats32,
+    Ints,
+    flat_ranges,
+    row_parts,
+    spread_indices,
+)
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.signals import find_maxima, half_widths
 
@@ -61,6 +71,10 @@ class RidgeComb:
     def bright(self, profile: Floats32) -> Floats32:
         """Return the profile with bright ridges."""
         return profile if self.polarity == "bright" else -profile
+
+    def half_px(self, share: float) -> int:
+        """Return this share of a ridge's width in pixels, no more than half the pitch and at least 3."""
+        return max(3, round(min(share * self.fwhm_px, 0.5 * self.pitch_px)))
 
 
 @dataclass(frozen=True)
@@ -177,7 +191,7 @@ def _sample(profile: Floats32) -> Floats32:
     good = np.flatnonzero(np.isfinite(profile[:, :1]).all(axis=1))
     if not good.size:
         raise InputError("the strip", "at least one frame that shows something", "none")
-    picked = good[np.unique(np.linspace(0, len(good) - 1, 48).astype(int))]
+    picked = good[spread_indices(len(good), 48)]
     return np.ascontiguousarray(profile[picked], np.float32)
 
 
@@ -417,8 +431,7 @@ def find_ridges(profile: Floats32, comb: RidgeComb) -> Ridges:
     tables = np.full((3, len(profile), max(1, most)), np.nan, np.float32)
     start = 0
     for counts, found in parts:  # one row per frame
-        frame = np.repeat(np.arange(len(counts)), counts)
-        rank = np.arange(len(frame)) - np.repeat(np.cumsum(counts) - counts, counts)
+        frame, rank = flat_ranges(np.zeros_like(counts), counts)
         tables[:, start + frame, rank] = found
         start += len(counts)
     return Ridges(*tables)
@@ -426,9 +439,8 @@ def find_ridges(profile: Floats32, comb: RidgeComb) -> Ridges:
 
 def in_blocks(work: Callable[[slice], Result], frames: int) -> list[Result]:
     """Return the results of `work` for consecutive blocks of frames, found in two threads."""
-    blocks = (slice(i, i + FRAMES_PER_BLOCK) for i in range(0, frames, FRAMES_PER_BLOCK))
     with ThreadPoolExecutor(2) as pool:
-        return list(pool.map(work, blocks))
+        return list(pool.map(work, row_parts(frames, FRAMES_PER_BLOCK)))
 
 
 def _find_block(profile: Floats32, comb: RidgeComb) -> tuple[Ints, Floats32]:

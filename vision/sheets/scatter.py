@@ -13,7 +13,16 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats, median_size, nan_median, nan_quantile, row_parts
+from vision.numeric import (
+    NORMAL_MEDIAN,
+    Bools,
+    Floats,
+    median_size,
+    nan_median,
+    nan_quantile,
+    peak_offset,
+    row_parts,
+)
 from vision.sheets.settings import DEFAULT, LEAST_FRAMES, TrackingSettings
 
 FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
@@ -53,7 +62,7 @@ class BetweenSlips:
         apart, *sizes = np.empty((3, max(0, len(self.x_px) - 1)))
         for rows in row_parts(len(apart)):
             step = np.diff(self.x_px[rows.start : rows.stop + 1], axis=0)
-            apart[rows] = nan_quantile(np.abs(_fourth(step)), 0.75, axis=1)
+            apart[rows] = nan_quantile(np.abs(_fourth_differences(step)), 0.75, axis=1)
             # vibration hides slips in the steps, but not in those without the common motion
             for size, moved in zip(sizes, (step, step - nan_median(step, axis=1)[:, None]), strict=True):
                 size[rows] = nan_quantile(np.abs(moved), 0.75, axis=1)
@@ -99,7 +108,7 @@ def spatial_scatter(positions: BetweenSlips, *, between_frames: bool) -> Floats:
     if sheets < len(FOURTH) or not len(positions.second(lags, x[:, :1])):
         return np.full(sheets, np.nan)
     around = (x[:, k : k + len(FOURTH)] for k in range(sheets - len(FOURTH) + 1))
-    scatter = [_deviation(_fourth(positions.second(lags, five))[:, 0]) for five in around]
+    scatter = [_deviation(_fourth_differences(positions.second(lags, five))[:, 0]) for five in around]
     return np.asarray(np.pad(np.array(scatter), 2, mode="edge"), np.float64)
 
 
@@ -182,7 +191,7 @@ def shared_error(positions: BetweenSlips) -> float:
         return 0.0
     own = float(np.nan_to_num(nan_median(spatial_scatter(positions, between_frames=True))))
     second = positions.second(LAGS[False])
-    between = _deviation_of_all(_fourth(second))
+    between = _deviation_of_all(_fourth_differences(second))
     apart = min(_deviation_of_all(values) for values in _without_motion(second))
     apart /= np.sqrt(1 - FITTED[sheets >= OPENING] / sheets)
     ratio = apart / max(between, 1e-9)
@@ -216,7 +225,7 @@ def _without_motion(second: Floats) -> Iterator[Floats]:
         yield rest
 
 
-def _fourth(x_px: Floats) -> Floats:
+def _fourth_differences(x_px: Floats) -> Floats:
     """Return fourth differences along n, (frame, N − 4), scaled as `BetweenSlips.second` is."""
     last = x_px.shape[1] - len(FOURTH) + 1
     fourth = x_px[:, :last] * FOURTH[0]
@@ -334,7 +343,5 @@ def _strongest_line(values: Floats) -> tuple[Floats, Floats]:
     ratio[:PADDED] = ratio[-PADDED:] = 0.0  # no sine and cosine can be told apart there
     best, sheet = np.argmax(ratio, axis=0), np.arange(values.shape[1])
     near = np.clip(best + np.array([[-1], [0], [1]]), 1, len(power) - 1)
-    low, middle, high = np.log(np.maximum(power[near, sheet], TINY))
-    bend = low - 2 * middle + high
-    shift = np.where(bend < 0, 0.5 * (low - high) / np.where(bend < 0, bend, -1.0), 0.0)
-    return (best + np.clip(shift, -0.5, 0.5)) / (PADDED * frames), ratio[best, sheet]
+    shift = peak_offset(*np.log(np.maximum(power[near, sheet], TINY)))
+    return (best + shift) / (PADDED * frames), ratio[best, sheet]

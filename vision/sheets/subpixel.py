@@ -18,7 +18,17 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from vision.errors import InputError, shown
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Floats32, Ints, median_size, nan_median, row_parts
+from vision.numeric import (
+    NORMAL_MEDIAN,
+    Bools,
+    Floats,
+    Floats32,
+    Ints,
+    median_size,
+    nan_median,
+    row_parts,
+    spread_indices,
+)
 from vision.sheets.ridges import RidgeComb, in_blocks
 from vision.sheets.settings import TrackingSettings
 
@@ -521,7 +531,7 @@ def _match_all(
     profile: Floats32, x: Floats, comb: RidgeComb, sheets: Bools | None = None
 ) -> tuple[Floats, Floats]:
     """Match sheets, by default all, to their mean shapes, starting at positions x of the sliding window."""
-    half = max(3, round(min(0.9 * comb.fwhm_px, 0.5 * comb.pitch_px)))
+    half = comb.half_px(0.9)
     out, err = np.full(x.shape, np.nan), np.full(x.shape, np.nan)
 
     def match(n: int) -> None:
@@ -643,7 +653,7 @@ def _triples(seen: Bools, lag: int) -> Ints:
     middle = lag + np.flatnonzero(seen[2 * lag :] & seen[lag:-lag] & seen[: -2 * lag])
     if not len(middle):
         return np.asarray(middle, np.int64)
-    return np.unique(middle[np.linspace(0, len(middle) - 1, 400).astype(int)])
+    return middle[spread_indices(len(middle), 400)]
 
 
 def _residual_variance(change: Floats, mean: Floats) -> Floats:

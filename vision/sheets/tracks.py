@@ -18,6 +18,7 @@ from vision.numeric import (
     Floats,
     Floats32,
     Ints,
+    beside,
     median_step,
     median_where,
     nan_median,
@@ -263,8 +264,7 @@ def _beside_missing(flag: Codes) -> Bools:
     An object that covers a sheet also cuts the next ridge, which then jumps and changes its shape as if it
     were blurred, and may be off by half of its width.
     """
-    missing = np.pad(flag == Flag.MISSING, ((0, 0), (1, 1)))
-    return np.asarray(missing[:, :-2] | missing[:, 2:], bool)
+    return beside(flag == Flag.MISSING)
 
 
 class _Errors(NamedTuple):

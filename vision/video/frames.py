@@ -16,7 +16,7 @@ import xarray as xr
 
 from vision.errors import InputError
 from vision.files import Stamp, answered
-from vision.numeric import Bools, Floats, Floats32, Ints, Strings
+from vision.numeric import Bools, Floats, Floats32, Ints, Strings, row_parts
 from vision.video.reader import Block
 from vision.video.settings import VideoSettings
 from vision.video.video import Video, open_video, pixels_file
@@ -133,8 +133,7 @@ def is_blank(
     found; saturation_level is None for float.
     """
     level, contrast, darkest = np.empty((3, len(profiles)))
-    for start in range(0, len(profiles), 256):  # parts that fit into the processor's cache
-        span = slice(start, start + 256)
+    for span in row_parts(len(profiles), 256):  # parts that fit into the processor's cache
         values = profiles[span].astype(np.float64)
         level[span], contrast[span] = values.mean(axis=1), values.std(axis=1)
         darkest[span] = values.min(axis=1)

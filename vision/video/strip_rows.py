@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vision.numeric import NORMAL_MEDIAN, Floats, Ints
+from vision.numeric import NORMAL_MEDIAN, Floats, Ints, peak_offset
 from vision.video.settings import VideoSettings
 
 
@@ -60,8 +60,7 @@ def _tilt_of_segment(bands: NDArray[np.floating]) -> float:
     if not peaks.size:
         return float(trials[np.argmax(power)])
     best = int(peaks[np.argmin(np.abs(trials[peaks]))])
-    before, here, after = power[best - 1 : best + 2]
-    return float(trials[best] + step * 0.5 * (before - after) / (before - 2 * here + after))
+    return float(trials[best] + step * peak_offset(*power[best - 1 : best + 2]))
 
 
 def ridge_width_px(slopes: NDArray[np.floating]) -> float:
