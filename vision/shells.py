@@ -223,7 +223,7 @@ class Side:
         return np.isfinite(self.value) & np.isfinite(self.error)
 
     def without(self, sheets: Bools) -> Side:
-        """The same side with these sheets (event, N) unknown."""
+        """This side with these sheets (event, N) unknown."""
         return replace(self, value=np.where(sheets, np.nan, self.value))
 
 

@@ -54,7 +54,7 @@ class _Slips:
 
     @property
     def reverse(self) -> _Slips:
-        """The same with time running backwards."""
+        """These slips with time running backwards."""
         return _Slips(-self.time_s[::-1], self.of_force[::-1], self.of_film[::-1])
 
 

@@ -19,8 +19,9 @@ class ClockSettings:
     """Standard errors that a common step must exceed to count as a slip. Larger → small slips are missed;
     smaller → noise counts as slips. `test_slips.py`: all slips are found at 3 to 20; at 3 noise makes one."""
     step_part_significance: float = 3.0
-    """The same for a frame that shows part of a step. Larger → slips during an exposure are timed less well;
-    smaller → noise counts as parts of steps, and at 1.5 the errors are two to four times those stated."""
+    """Standard errors that part of a step must exceed to be one. Larger → slips during an exposure are timed
+    less well; smaller → noise counts as parts of steps, and at 1.5 the errors are two to four times those
+    stated."""
     bad_frame_return: float = 0.6
     """Fraction of a step that a neighbouring movement must reverse for it to be a bad frame. Larger → bad
     frames count as slips (at 1.2 in `test_inward_steps_and_bad_single_frames_are_no_slips` only they do)."""
@@ -108,11 +109,12 @@ class ClockSettings:
     overlooked where few slips follow it; smaller → it is overlooked once slips after it pair by chance.
     `test_clocks_that_jump_are_not_believed`."""
     least_end_lead: float = 4.5
-    """The same lead above which the first or last slips, of film or force alone, count as disagreeing, and
+    """Log-likelihood above which the first or last slips, of film or force alone, count as disagreeing, and
     their stick phases are left out. Larger → a jump before the second slip passes; smaller → a single missed
     slip at an end counts as a jump. `test_ends.py`."""
     least_gap_lead: float = 2.0
-    """The same beside a gap of the force recording, where one such slip is enough."""
+    """`least_end_lead` beside a gap of the force recording, where one such slip is enough. Larger → a jump of
+    the clock in the gap is overlooked; smaller → a missed slip beside it counts as one. `test_ends.py`."""
     usual_drift_ppm: float = 500.0
     """Difference of the clocks' rates that two standard errors must exceed for a warning about the frame
     rate. Larger → a rate wrong by a thousandth passes; smaller → poor but correct clocks get a warning."""

@@ -49,7 +49,7 @@ class FrictionSettings:
     """Window of the running mean of the measured normal force. Longer averages more noise, shorter follows a
     controller that overshoots (`test_a_drifting_normal_force_is_followed`)."""
     normal_window_samples: int = 50
-    """The same window in samples, for files without times: rheometers write 25 to 100 of them a second."""
+    """`normal_window_s` in samples, for files without times: rheometers write 25 to 100 samples a second."""
     blocks: int = 12
     """Number of blocks whose means give the error of μ_d. With more, blocks are shorter than the fluctuations
     of μ and the error is too small."""

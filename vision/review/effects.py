@@ -267,7 +267,7 @@ class StickAndNeighbours:
     rows: Ints
 
     def since(self, row: int) -> StickAndNeighbours:
-        """Return the same with rows counted from another one."""
+        """Return this part with rows counted from another one."""
         return replace(self, rows=self.rows - row)
 
 

@@ -567,7 +567,7 @@ def _compared(ridges: Ridges, rows: Ints, came: int, comb: RidgeComb) -> tuple[B
 
 
 def _compared_part(ridges: Ridges, rows: Ints, came: int, comb: RidgeComb) -> tuple[Bools, Floats, Floats]:
-    """Return the same for a part of the frames, so that all that is compared fits into memory."""
+    """Compare some frames with the next ones, as in `_compared`: what is compared fits into memory."""
     before, after = ridges.x_px[rows], shifted(ridges.x_px[rows + 1], came)
     paired = np.isfinite(before) & np.isfinite(after)
     step = np.where(paired, after - before, 0.0)

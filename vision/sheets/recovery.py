@@ -183,7 +183,10 @@ def _faint_in_part(
     usual: Floats,
     comb: RidgeComb,
 ) -> tuple[Ints, Ints, Floats]:
-    """Return the same for some frames; `wanted` are the missing sheets, `usual` the contrast of each."""
+    """Return row and sheet of the faint ridges in some frames, and their positions, contrasts and widths.
+
+    wanted: the missing sheets. usual: the contrast of each.
+    """
     faint = find_ridges(profile[rows], replace(comb, contrast=0.0))
     row, sheet = np.nonzero(wanted[rows])
     frame = rows[row]

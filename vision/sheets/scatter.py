@@ -251,7 +251,7 @@ def _deviation(values: Floats) -> float:
 
 
 def _deviation_of_all(values: Floats) -> float:
-    """Return the same for all values together; 0 where nothing is known."""
+    """Return a robust standard deviation of all values together; 0 where nothing is known."""
     return float(np.nan_to_num(_deviation(values)))
 
 
@@ -296,7 +296,7 @@ def own_vibration(x_px: Floats, settings: TrackingSettings = DEFAULT) -> Floats:
 
 
 def _of_block(step: Floats, vibrates: Bools, settings: TrackingSettings) -> Floats:
-    """Return the same for the frames of one block, from the steps between them, (frame − 1, N).
+    """Return the vibration of each sheet in one block, px, (frame, N), from the steps between its frames.
 
     vibrates: sheets that are known to, (N,). Of these, further lines may be of any share.
     """

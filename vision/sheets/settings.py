@@ -168,8 +168,8 @@ class TrackingSettings:
     keeps bumps that a moving sheet shifts by chance."""
 
     along_beyond: float = 0.3
-    """The same for a ridge that is left out to be warned of. Larger misses sheets that move by less than a
-    pixel, smaller warns of dust."""
+    """Correlation of its motion with the outermost sheet's above which a warning names a ridge that is left
+    out. Larger misses sheets that move by less than a pixel, smaller warns of dust."""
 
     nearest_beyond: float = 0.45
     """Distance, in pitches, from the outermost sheet from which a ridge that is left out may be a further
@@ -183,7 +183,7 @@ class TrackingSettings:
     raises false alarms on uneven combs; test_reference.py draws 40 combs with and without a gap."""
 
     wide_with_ridge: float = 1.35
-    """The same where a ridge that was not taken for a sheet lies in the spacing. Larger misses sheets that
+    """Spacing, in local pitches, in which a ridge that was left out may be a sheet. Larger misses sheets that
     nearly touch others, smaller takes dust in the gaps of uneven combs for sheets; test_reference.py."""
 
     mark_distorted: float = 0.06
@@ -300,8 +300,8 @@ class TrackingSettings:
     equal sheets ("cropped combs", test_a_jump_by_a_pitch_of_nearly_equal_sheets_is_doubted at 3)."""
 
     sheet_nats: float = 0.5
-    """The same for each sheet, where another numbering explains a jump better. Larger leaves jumps that a
-    blurred slip only seems to make, smaller takes noise of the brightnesses for such a slip
+    """Log-likelihood ratio per sheet by which another numbering must explain a jump better. Larger leaves
+    jumps that a blurred slip only seems to make, smaller takes noise of the brightnesses for such a slip
     (test_the_upper_floor_in_poor_jpegs_is_not_given_a_marker_further)."""
 
     anchor_fit: float = 1.5
@@ -336,7 +336,8 @@ class TrackingSettings:
     sheets that touch, smaller withholds ridges that brighten (test_sheets_that_touch_are_one_ridge)."""
 
     merged_width: float = 1.25
-    """The same for its width. Larger passes the middle of two sheets, smaller withholds blurred ones."""
+    """Width over its usual width above which a ridge beside a missing sheet is both sheets. Larger passes the
+    middle of two sheets, smaller withholds blurred ones."""
 
     touching_widths: float = 1.9
     """Distance between neighbours, in ridge widths, below which one that goes missing is behind the other.
@@ -344,7 +345,8 @@ class TrackingSettings:
     (test_a_sheet_behind_its_neighbour_is_not_given_as_the_other)."""
 
     touching_pitches: float = 0.75
-    """The same in pitches, which limits it: in dense combs all sheets are within two widths."""
+    """Distance between neighbours, in pitches, above which none is behind the other, whatever the width: in
+    dense combs all sheets are within two widths. Larger withholds more of them, smaller confuses two."""
 
     # --- frames, blur and distortion (film.py, distortion.py) ---
 
@@ -430,9 +432,9 @@ class TrackingSettings:
     errors, smaller understates them (test_distortion.py)."""
 
     distortion_slope: float = 0.9
-    """The same over the difference between the fits with and without a slope of the background: 0.2 (haze) to
-    5 (reflections). Larger overstates errors in haze, smaller misses objects about as wide as a ridge beside
-    it, such as graph paper (test_distortion.py)."""
+    """Error of a distorted position over the difference between the fits with and without a slope of the
+    background: 0.2 (haze) to 5 (reflections). Larger overstates errors in haze, smaller misses objects about
+    as wide as a ridge beside it, such as graph paper (test_distortion.py)."""
 
     static_scale: tuple[float, float, float] = (1.05, 1.15, 0.65)
     """Relative error of displacements over the changes of a ridge that moves past dirt: those of the

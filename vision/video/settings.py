@@ -119,7 +119,7 @@ class VideoSettings:
     """Share of the usual contrast below which frames are blank. Larger loses frames in dimmed light, smaller
     takes noise for a picture; test_strip has both."""
     bright_contrast: float = 0.35
-    """The same for contrast over level, in frames that are brighter than usual. Smaller tracks
+    """Share of the usual contrast over level below which frames brighter than usual are blank. Smaller tracks
     overexposed frames with a gradient (test_an_overexposed_frame_is_blank); larger loses blurred ones."""
     bright_level: float = 1.3
     """Factor over the median level above which frames are brighter than usual. Smaller lets flicker cost
