@@ -452,6 +452,12 @@ FORCE = Schema(
 # --- stick-slip events --------------------------------------------------------------------------------------
 
 
+RegimeName = Literal["stick-slip", "oscillation", "cycles", "noise"]
+ThresholdHow = Literal["", "noise", "jumps", "gap", "given"]
+LowpassHow = Literal["recorded", "given", "found", "doubtful", "none"]
+LowpassDoubt = Literal["", "differs", "shape"]
+
+
 @dataclass(frozen=True, kw_only=True)
 class StickMetadata(Metadata):
     """How the stick-slip events were found.
@@ -499,14 +505,14 @@ class StickMetadata(Metadata):
 
     noise_N: float = math.nan
     threshold_N: float = math.nan
-    threshold_how: str = ""
+    threshold_how: ThresholdHow = ""
     period_samples: float = math.nan
     spikes: int = 0
     lowpass_s: float = 0.0
-    lowpass_how: str = "none"
+    lowpass_how: LowpassHow = "none"
     lowpass_proposed_s: float = math.nan
     lowpass_proven: bool = False
-    lowpass_doubt: str = ""
+    lowpass_doubt: LowpassDoubt = ""
     lowpass_dF_share: float = 0.0
     lowpass_K_share: float = 0.0
     lowpass_peak_mm: float = 0.0
@@ -515,7 +521,7 @@ class StickMetadata(Metadata):
     bend_share: float = 0.0
     hum_Hz: float = math.nan
     hum_N: float = 0.0
-    regime: str = "stick-slip"
+    regime: RegimeName = "stick-slip"
     fall_over_rise: float = math.nan
     warnings: Sequence[str] = field(default_factory=list)
     first_slip_s: float = math.nan

@@ -14,6 +14,7 @@ from vision.data import (
     FORCE,
     STICKS,
     ForceMetadata,
+    LowpassHow,
     StickMetadata,
     changed_settings,
     joined_flags,
@@ -230,7 +231,7 @@ class _SlipAnalysis:
     extremes: Extremes  # of the load as recorded, about its own slips, which lag behind the corrected corners
     regime: Regime
     found: Lowpass  # low-pass that the transients suggest
-    how: str  # as ``lowpass_how`` of `StickMetadata`
+    how: LowpassHow  # as ``lowpass_how`` of `StickMetadata`
 
 
 def _analyse_slips(
@@ -251,7 +252,8 @@ def _analyse_slips(
             if bent:
                 corners = find_corners(signal, slips, two_slopes=bent, settings=settings)
                 found = find_lowpass(signal, slips, corners, settings)
-    tau, how = (given, "given") if given else (0.0, "recorded" if lowpass_s == 0 else "none")
+    tau = given
+    how: LowpassHow = "given" if given else "recorded" if lowpass_s == 0 else "none"
     if lowpass_s == "auto" and found.samples:
         tau, how = (found.samples, "found") if found.proven else (0.0, "doubtful")
     if tau:

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 import scipy
 
+from vision.data import LowpassDoubt
 from vision.force.corners import Corners, SlipTransients, find_corners
 from vision.force.lines import lagged_hinge
 from vision.force.settings import ForceSettings
@@ -24,7 +25,7 @@ class Lowpass:
     samples: float = 0.0  # time constant; 0 for none
     # Why it is not proven: "differs" (among large and small slips, or those after long and short sticks) or
     # "shape" (slips without it still have a tail); "" where it is.
-    doubt: str = ""
+    doubt: LowpassDoubt = ""
 
     @property
     def proven(self) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from numpy.lib.stride_tricks import sliding_window_view
 
-from vision.data import has_flag
+from vision.data import RegimeName, has_flag
 from vision.force.corners import Extremes
 from vision.force.lines import fit_lines
 from vision.force.settings import ForceSettings
@@ -24,7 +24,7 @@ class Regime:
 
     # "stick-slip"; "oscillation": rises and falls are equally long, and rises are rounded; "cycles": both are
     # equally long and straight; "noise": the load jumps upward about as far as it drops
-    name: str
+    name: RegimeName
     fall_over_rise: float  # median duration of falls over that of rises
     upward_share: float  # median of the largest upward jumps within sticks over the median drop
 
@@ -38,7 +38,7 @@ def find_regime(y: Floats, slips: Slips, extremes: Extremes, settings: ForceSett
     rise, fall = extremes.rise, extremes.fall[1:]
     known = (rise >= 4) & (fall >= 2)
     upward = upward_share(y, slips.edge, settings)
-    name = "noise" if upward > settings.upward_share else "stick-slip"
+    name: RegimeName = "noise" if upward > settings.upward_share else "stick-slip"
     if known.sum() < 2:
         return Regime(name, float("nan"), upward)
     ratio = float(np.median(fall[known] / rise[known]))

@@ -12,6 +12,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from vision.data import ThresholdHow
 from vision.force.lines import LEAST_FOR_KNEE, Lines, bend_squares, fit_lines, fit_polynomials
 from vision.force.settings import ForceSettings
 from vision.numeric import Floats, Ints, flat_ranges, nan_median
@@ -27,7 +28,7 @@ class Slips:
     threshold: float  # smallest drop that counts as a slip
     # "noise": a multiple of the noise; "jumps": above the upward jumps; "gap": between small and large drops;
     # "given"
-    threshold_how: str
+    threshold_how: ThresholdHow
     left_out: Floats  # drops that exceed the white noise but not the threshold
     # Upward jumps within the sticks: positions, heights between lines, and rises within five samples.
     jump_edge: Ints
@@ -39,7 +40,7 @@ class Slips:
         """Median samples from slip to slip; NaN with fewer than two."""
         return float(np.median(np.diff(self.edge))) if self.edge.size > 1 else float("nan")
 
-    def above(self, threshold: float, how: str) -> Slips:
+    def above(self, threshold: float, how: ThresholdHow) -> Slips:
         """Return the slips whose drops reach a threshold above that which found them."""
         keep = self.drop >= threshold
         return replace(
@@ -125,7 +126,8 @@ def find_slips(
     # From here on drops and jumps are as high as if the noise were the usual one everywhere.
     noise = float(np.median(sigma))
     height, jump = drop * (noise / sigma[edge]), jump_N * (noise / sigma[jump_edge])
-    least, how = (settings.threshold_sigmas * noise, "noise") if threshold is None else (threshold, "given")
+    least = settings.threshold_sigmas * noise if threshold is None else threshold
+    how: ThresholdHow = "noise" if threshold is None else "given"
     keep, left_out = (height if threshold is None else drop) >= least, np.empty(0)
     if threshold is None and jump.size:
         # Choose the threshold with most slips, less `jump_cost` for each upward jump above it except one.
