@@ -256,7 +256,7 @@ def _from_slips(
         )
     error, drift_error, offset_error = found.errors()
     # The force may fall with the first or with the last of the sheets.
-    constant = float(np.hypot(drops.attrs["lag_s"], seen.attrs["spread_s"] / 2))
+    constant = float(np.hypot(drops["lag_s"].iloc[0], seen["spread_s"].iloc[0] / 2))
     clocks, fits = found.clocks, found.fits
     drift = float(clocks.drift[0])
     clock = _clock_of(found.trains, clocks, fits, "events")

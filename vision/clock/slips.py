@@ -38,9 +38,8 @@ def force_slips(
     - time_s: middle of the slip on the force clock, in order;
     - error_s: its random standard error;
     - drop_N: size of the slip, the mean of its own drop and of the rises before and after it, because the
-      sheets may follow either; NaN for the first and last slip, which lack one of the rises.
-
-    ``attrs``: delay_s, which was subtracted from the times, and lag_s, their common standard error.
+      sheets may follow either; NaN for the first and last slip, which lack one of the rises;
+    - lag_s: standard error that is common to all times, the same in each row.
 
     Notes
     -----
@@ -54,18 +53,23 @@ def force_slips(
     time, load = good["time_s"].to_numpy().astype(float), good["load_N"].to_numpy().astype(float)
     begin, end, drop = _bounds(sticks)
     if not len(begin) or len(time) < 3:
-        return pd.DataFrame(dict.fromkeys(("time_s", "error_s", "drop_N"), np.empty(0)))
+        return pd.DataFrame(dict.fromkeys(("time_s", "error_s", "drop_N", "lag_s"), np.empty(0)))
     interval = float(np.median(np.diff(time)))
     steepest, of = np.unique(_steepest(time, load, begin, end), return_index=True)
     middle, delay, duration, largest = _mean_times(time, load, steepest, settings)
     order = np.argsort(middle)
     # A drop within one interval may lie anywhere in it; one that spreads over several is timed by its mean.
     error = np.full(len(order), max(largest, 0.5) * interval / np.sqrt(12))
-    table = pd.DataFrame({"time_s": (middle - delay)[order], "error_s": error, "drop_N": drop[of][order]})
     # Remaining errors of the delay, of the sampling, and of the shape of a drop.
     lag = np.multiply((0.25, 0.12, 0.02), (delay, interval, duration))
-    table.attrs |= {"delay_s": delay, "lag_s": float(np.sqrt(lag @ lag))}
-    return table
+    return pd.DataFrame(
+        {
+            "time_s": (middle - delay)[order],
+            "error_s": error,
+            "drop_N": drop[of][order],
+            "lag_s": float(np.sqrt(lag @ lag)),
+        }
+    )
 
 
 def _bounds(sticks: pd.DataFrame) -> tuple[Floats, Floats, Floats]:
@@ -168,9 +172,8 @@ def video_slips(tracks: xr.Dataset, *, settings: ClockSettings = ClockSettings()
     Returns
     -------
     A table, empty without steps, with the columns time_s, error_s (standard error), step_px (of a typical
-    outer sheet), step_err_px and frames (number of movements between frames that the step spans). ``attrs``:
-    noise_px, the noise of the common movement; share_exposed, the part of the frame time during which the
-    shutter is open; and spread_s, the time from the first to the last sheet in a slip.
+    outer sheet), step_err_px, frames (number of movements between frames that the step spans) and spread_s
+    (time from the first to the last sheet in a slip, the same in each row).
 
     Raises
     ------
@@ -198,19 +201,17 @@ def video_slips(tracks: xr.Dataset, *, settings: ClockSettings = ClockSettings()
         above, error, creep = _common_movement(steps, pattern, noise, settings)
         first, last = _find_steps(above, error, creep, settings)
         pattern = _updated_pattern(steps, pattern, first, last)
-    time_s, error_s, share = _step_times(steps.time_s, above, first, last)
-    table = pd.DataFrame(
+    time_s, error_s = _step_times(steps.time_s, above, first, last)
+    return pd.DataFrame(
         {
             "time_s": time_s,
             "error_s": error_s,
             "step_px": _sums(above, first, last),
             "step_err_px": error[first],
             "frames": last - first + 1,
+            "spread_s": _spread_of_sheets(steps, noise, first, last),
         }
     )
-    spread = _spread_of_sheets(steps, noise, first, last)
-    table.attrs |= {"noise_px": float(np.median(error)), "share_exposed": share, "spread_s": spread}
-    return table
 
 
 def _steps(tracks: xr.Dataset, least_sheets: float) -> _Steps:
@@ -385,12 +386,12 @@ def _spread_of_sheets(steps: _Steps, noise: Floats, first: Ints, last: Ints) -> 
     return float(np.sqrt(12 * variance - frame_time**2))
 
 
-def _step_times(time_s: Floats, above: Floats, first: Ints, last: Ints) -> tuple[Floats, Floats, float]:
-    """Time and standard error of each step, s, and the share of the frame time that is exposed.
+def _step_times(time_s: Floats, above: Floats, first: Ints, last: Ints) -> tuple[Floats, Floats]:
+    """Time and standard error of each step, s.
 
-    The exposed share is the fraction of steps with a frame in an intermediate position. A step without such
-    a frame may lie anywhere between two exposures. A step with it lies within the exposure, at a time given
-    by the part of the step that the frame shows.
+    The share of the frame time that is exposed is the fraction of steps with a frame in an intermediate
+    position. A step without such a frame may lie anywhere between two exposures. A step with it lies within
+    the exposure, at a time given by the part of the step that the frame shows.
     """
     above = np.maximum(above, 0.0)
     middle, length = 0.5 * (time_s[1:] + time_s[:-1]), np.diff(time_s)
@@ -407,4 +408,4 @@ def _step_times(time_s: Floats, above: Floats, first: Ints, last: Ints) -> tuple
     error = np.select(
         [movements == 1, movements == 2], [unexposed, share_err_s / 2 + 0.03 * frame_time], 0.3 * frame_time
     )
-    return time, error, float(share)
+    return time, error
