@@ -37,6 +37,7 @@ from vision.models import Estimate, ModelFits, equations
 from vision.numeric import Floats
 from vision.sample import Sample
 
+FIRST_SLIPS = 10  # in the first view of the clocks, of a film with more than twice as many
 SHOWN_STICKS = 5  # events from first to last, or of the early or late part of a test
 MOST_SAMPLES = 30_000  # of force or motion in the figure of the clocks
 CURVE_POINTS = 300
@@ -90,7 +91,7 @@ def clocks_figure(
 ) -> Figure:
     """Return force and mean outward displacement of the sheets on the force clock: slips must coincide.
 
-    With `sticks`, the page first shows a few of them in the middle of the video.
+    With `sticks`, a few slips in the middle of a long video are shown first.
     """
     time = clock.to_force_s(time_axis(tracks)[0])
     scale, unit = displacement_unit(pixel_size_um)
@@ -102,9 +103,11 @@ def clocks_figure(
     if not near.any():  # the whole force, which shows that they do not overlap
         near[:] = True
     t_force, load = minmax_decimate(t_force[near], load[near], most=MOST_SAMPLES)
+    first_view = _some_sticks(t_video, sticks)
+    shown = "" if first_view is None else f" First shown: {FIRST_SLIPS} slips in the middle of the video."
     panel = Panel(
         x_label=FORCE_TIME,
-        first_view=_some_sticks(t_video, sticks),
+        first_view=first_view,
         y_label=load_label("F", load_unit(force)),
         y2_label=f"outward motion ({unit})",
         series=(
@@ -118,7 +121,7 @@ def clocks_figure(
         panel,
         "Force (solid, left axis, above) and mean outward displacement of all sheets (dashed, right axis, "
         f"below) on the force clock, t(force) = t_0 + (1 + r) t(video) with t_0 = {offset_text(clock)} and "
-        f"r = {drift_text(clock)}. Zoom in to one slip: the steps must coincide. {_agreement(clock)}",
+        f"r = {drift_text(clock)}. Zoom in to one slip: the steps must coincide. {_agreement(clock)}{shown}",
         title="Clock check: force and sheets on one time axis",
         notes=(ambiguous,) if clock.status == "ambiguous" else (),
     )
@@ -180,12 +183,19 @@ def _agreement(clock: Clock) -> str:
 
 
 def _some_sticks(t_video: Floats, sticks: pd.DataFrame | None) -> Range | None:
-    """Return the times of ten stick phases in the middle of the video; None if it is not longer."""
-    if sticks is None or len(sticks) < 2:
+    """Return the times of `FIRST_SLIPS` slips in the middle of the video; None if it has not many more.
+
+    The ends are in the middle of stick phases, so that no slip is cut.
+    """
+    if sticks is None:
         return None
-    middle, period = float(np.median(t_video)), float(np.median(np.diff(sticks["t_p_s"])))
-    start, stop = middle - 5 * period, middle + 5 * period
-    return (start, stop) if start > t_video[0] and stop < t_video[-1] else None
+    slips = np.sort(sticks["t_p_s"].to_numpy(float))
+    slips = slips[(slips > t_video[0]) & (slips < t_video[-1])]
+    if slips.size <= 2 * FIRST_SLIPS:
+        return None
+    between = (slips[1:] + slips[:-1]) / 2
+    start = (slips.size - FIRST_SLIPS) // 2
+    return float(between[start - 1]), float(between[start + FIRST_SLIPS - 1])
 
 
 # --- stick phases -------------------------------------------------------------------------------------------
