@@ -99,6 +99,17 @@ def test_force_and_sheets_step_together_on_the_force_clock(pulled):
     assert np.abs(wrong[:, None] - drop).min(axis=1).max() > 0.1
 
 
+def test_shown_events_are_marked_at_both_ends_and_panels_leave_no_hole(pulled):
+    """A failure means drops without a mark, as if they were missed, or an empty quarter of force.png."""
+    figure = force_overview_figure(pulled.force, pulled.sticks, pulled.fits)
+    curve, _, peaks, valleys = figure.panels[1].series
+    assert curve.x[[0, -1]] == pytest.approx([valleys.x[0], peaks.x[-1]], abs=0.01)
+    assert figure.panels[1].x_label == "t (s)"  # without a video there is no other clock
+    still = pulled.sticks.assign(K_N_per_mm=np.nan)
+    three = force_overview_figure(pulled.force, still)
+    assert (len(figure.panels), figure.columns, len(three.panels), three.columns) == (4, 2, 3, 3)
+
+
 @pytest.mark.parametrize(("slips", "cut"), [(12, False), (60, True)])
 def test_the_first_view_of_the_clocks_cuts_no_slip(slips, cut):
     """A failure means a short film of which matched slips are out of view, or a view that ends in a slip."""

@@ -372,12 +372,14 @@ def force_overview_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFi
         title += f"\n(corrected for the load cell's low-pass of {lowpass}; F as recorded)"
     some = _events_panel(force, sticks.iloc[start : start + 6], title, against_d=False)
     shown = [panel for panel in (some, drops.panel, stiffness.panel) if not panel.empty]
-    return _in_two_columns(
+    panels = [replace(whole, title=found), *shown]
+    return _in_columns(
         "force_overview",
         "The force recording and its stick-slip events",
         "The whole recording, a few events in its middle, and the amplitude and stiffness of every event, as "
         "far as they are known.",
-        [replace(whole, title=found), *shown],
+        # There is no other clock in it.
+        [replace(panel, x_label=panel.x_label.replace(", force clock", "")) for panel in panels],
         width_in=13.0,
     )
 
@@ -387,7 +389,8 @@ def force_insets_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFits
     whole = force_figure(force, sticks, fits).panel
     usable = sticks[sticks["d_v_mm"].notna()]
     rise = float(usable["t_p_s"].iloc[0]) if len(usable) else np.inf  # to the first slip
-    first = (_force_curve(force, (-np.inf, rise), against_d=True),)
+    marks = _event_marks(usable.iloc[:1], against_d=True) if len(usable) else ()
+    first = (_force_curve(force, (-np.inf, rise), against_d=True), *marks)
     panels = [
         replace(whole, title="Whole test"),
         _force_panel(force, "Initial response", first, against_d=True),
@@ -396,38 +399,44 @@ def force_insets_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFits
         start = int(share * len(usable))
         some = usable.iloc[start : start + SHOWN_STICKS]
         panels.append(_events_panel(force, some, title, against_d=True))
-    return _in_two_columns(
+    return _in_columns(
         "force_insets",
         "Traction force and stages of the test",
-        "Traction force against separation with the fit of Eq. 1 to the peaks; the first rise of the force; "
-        "and events of an early and a late stage of the test (peaks filled, valleys hollow).",
+        "Traction force against separation with the fit of Eq. 1 to the peaks; the first rise of the force, "
+        "to the peak of the first event; and events of an early and a late stage of the test (peaks filled, "
+        "valleys hollow).",
         panels,
         width_in=8.0,
     )
 
 
-def _in_two_columns(name: str, title: str, caption: str, panels: list[Panel], *, width_in: float) -> Figure:
-    """Return panels of one shape, two side by side."""
+def _in_columns(name: str, title: str, caption: str, panels: list[Panel], *, width_in: float) -> Figure:
+    """Return panels of one shape, two side by side, or three if there are three."""
     shown = tuple(replace(panel, aspect=0.6) for panel in panels)
-    return Figure(name=name, title=title, caption=caption, panels=shown, columns=2, width_in=width_in)
+    columns = 3 if len(shown) == 3 else 2
+    return Figure(name=name, title=title, caption=caption, panels=shown, columns=columns, width_in=width_in)
 
 
 def _events_panel(force: xr.Dataset, events: pd.DataFrame, title: str, *, against_d: bool) -> Panel:
-    """Return F of these events against d or time, with peaks, valleys and the lines between them."""
-    names = ("t_v_s", "t_p_s", "d_v_mm", "d_p_mm", "F_v_N", "F_p_N")
-    t_v, t_p, d_v, d_p, f_v, f_p = (events[name].to_numpy(float) for name in names)
+    """Return F from the first valley to the last peak of these events, with their marks."""
     series: tuple[Series, ...] = ()
     if len(events):
-        x_v, x_p = (d_v, d_p) if against_d else (t_v, t_p)
-        margin, gap = 0.15 * (t_p[-1] - t_v[0]), np.full(len(events), np.nan)
-        lines_x, lines_f = (np.stack(parts, axis=1).ravel() for parts in ((x_v, x_p, x_p), (f_v, f_p, gap)))
-        series = (
-            _force_curve(force, (t_v[0] - margin, t_p[-1] + margin), against_d=against_d),
-            Series(label="stick phases", x=lines_x, y=lines_f, ink=MODEL),
-            Series.points("peaks", x_p, f_p, PEAK),
-            Series.points("valleys", x_v, f_v, VALLEY, hollow=True),
-        )
+        ends = float(events["t_v_s"].iloc[0]), float(events["t_p_s"].iloc[-1])
+        series = (_force_curve(force, ends, against_d=against_d), *_event_marks(events, against_d=against_d))
     return _force_panel(force, title, series, against_d=against_d)
+
+
+def _event_marks(events: pd.DataFrame, *, against_d: bool) -> tuple[Series, ...]:
+    """Return peaks, valleys and the lines between them."""
+    names = ("d_v_mm", "d_p_mm") if against_d else ("t_v_s", "t_p_s")
+    x_v, x_p, f_v, f_p = (events[name].to_numpy(float) for name in (*names, "F_v_N", "F_p_N"))
+    gap = np.full(len(events), np.nan)
+    lines_x, lines_f = (np.stack(parts, axis=1).ravel() for parts in ((x_v, x_p, x_p), (f_v, f_p, gap)))
+    return (
+        Series(label="stick phases", x=lines_x, y=lines_f, ink=MODEL),
+        Series.points("peaks", x_p, f_p, PEAK),
+        Series.points("valleys", x_v, f_v, VALLEY, hollow=True),
+    )
 
 
 def _force_curve(force: xr.Dataset, time_s: Range = (-np.inf, np.inf), *, against_d: bool) -> Series:
