@@ -402,6 +402,11 @@ def kymograph_figure(
         )
         for k, diagram in enumerate(diagrams)
     )
+    if windows and len({diagram.sizes["x"] for diagram in diagrams}) == 1:
+        # Centred on sheets between columns, they differ by parts of a pixel; with one range all have the
+        # same ticks.
+        lows, highs = zip(*(panel.y_range for panel in panels if panel.y_range), strict=True)
+        panels = tuple(replace(panel, y_range=(max(lows), min(highs))) for panel in panels)
     return Figure(
         name="kymograph",
         title="Space-time diagrams",

@@ -114,7 +114,7 @@ def _page(figure: Figure, *, interactive: bool = False) -> Page:
         ax = page.add_axes(box)
         draw_panel(ax, panel)
         if not (panel.x_log or panel.empty):  # so that long numbers do not touch
-            nbins = int(np.clip(width / _Inches.NUMBER, 3, 9))
+            nbins = int(np.clip(width / _Inches.NUMBER, 4, 9))
             ax.locator_params(axis="x", nbins=nbins, integer=panel.whole_numbers)
         # By default matplotlib measures the tick labels at each drawing to place the axis labels.
         ax.xaxis.set_label_coords(0.5, -_Inches.X_LABEL / height)
