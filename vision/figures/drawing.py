@@ -301,13 +301,16 @@ def _draw_ticks(ax: Axes, groups: list[Series], x_lines: tuple[float, ...]) -> N
 
 def _draw_inset(ax: Axes, panel: Panel) -> None:
     bottom, top = ax.get_ylim()
-    ax.set_ylim(bottom, bottom + 1.75 * (top - bottom))  # room above the points
-    small = ax.inset_axes((0.52, 0.58, 0.46, 0.40))
+    ticks = [tick for tick in ax.get_yticks() if bottom <= tick <= top]
+    ax.set_ylim(bottom, bottom + 1.6 * (top - bottom))  # room above the points, without ticks
+    ax.set_yticks(ticks)
+    small = ax.inset_axes((0.55, 0.62, 0.43, 0.37))
     for series in panel.series:
         _draw_series(small, replace(series, label=""))
-    small.set_xlabel(to_mathtext(panel.x_label), fontsize=8, labelpad=1)
-    small.set_ylabel(to_mathtext(panel.y_label), fontsize=8, labelpad=1)
-    small.tick_params(labelsize=7)
+    small.set_xlabel(to_mathtext(panel.x_label), fontsize=8, labelpad=3)
+    small.set_ylabel(to_mathtext(panel.y_label), fontsize=8, labelpad=4)
+    small.tick_params(labelsize=7, pad=2)
+    small.locator_params(nbins=4)
     for line in small.lines:
         line.set_markersize(2.0)
 
