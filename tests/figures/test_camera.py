@@ -303,6 +303,20 @@ def test_a_frame_keeps_its_shape_unless_nothing_could_be_seen(tracks, rows, squa
         assert abs(b - a) == pytest.approx(abs(b - a)[0], rel=1e-6)
 
 
+@pytest.mark.parametrize("pitch", [20.0, 8.0])
+def test_the_numbers_of_sheets_stand_beside_the_axis(pitch):
+    """A failure means "1|" where the axis crosses a number, or a side without its first number."""
+    tracks = make_tracks(sawtooth(10, 50, pitch_px=pitch), pitch_px=pitch)
+    tracks = tracks.assign_attrs(strip_z0=0, strip_z1=30)
+    ax = frame_figure(np.zeros((30, int(50 * pitch))), tracks).plot()
+    ax.figure.draw_without_rendering()
+    axis = ax.transData.transform((tracks.attrs["axis_px"], 0))[0]
+    boxes = [(text.get_text(), text.get_window_extent()) for text in ax.texts]
+    assert all(box.x1 < axis or axis < box.x0 for _, box in boxes)
+    assert [box.x1 < axis for text, box in boxes if text == "1"] == [True, False]
+    np.testing.assert_array_equal(ax.get_yticks(), [0, 29])  # both ends of a flat frame
+
+
 def test_one_definition_of_displacement(tracks):
     """A failure means that overview.png and the report subtract different things."""
     x = tracks["x_px"].values.copy()

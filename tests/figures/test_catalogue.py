@@ -255,6 +255,7 @@ def test_space_time_of_two_sheets_over_four_slips(pulled):
     figure = single_sheets_figure(pulled.strip, pulled.tracks, slips, pixel_size_um=10.0)
     assert source == "the force"
     assert [panel.title.split("\n")[0] for panel in figure.panels] == ["right, n = 23", "right, n = 10"]
+    assert len({panel.y_range for panel in figure.panels}) == 1  # and so the same ticks
     inside = slips[(slips > 0) & (slips < float(pulled.tracks["time_s"][-1]))]
     np.testing.assert_allclose(figure.panels[0].marks, inside[:4])
     assert single_sheets_figure(pulled.strip, pulled.tracks, inside[:1]) is None

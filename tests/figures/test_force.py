@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from tests.figures.conftest import JUMP_PX, by_label
@@ -10,6 +11,8 @@ from tests.scenes.report_data import make_tracks
 from vision.clock import video_slips
 from vision.figures import figures_of, force_overview_figure
 from vision.figures.force import (
+    FIRST_SLIPS,
+    _some_sticks,
     clock_residuals_figure,
     clocks_figure,
     force_figure,
@@ -94,6 +97,28 @@ def test_force_and_sheets_step_together_on_the_force_clock(pulled):
     shifted = clocks_figure(pulled.force, pulled.tracks, late, pulled.sticks).panel.series[1]
     wrong = _slip_times(shifted.x, shifted.y, 0.2)
     assert np.abs(wrong[:, None] - drop).min(axis=1).max() > 0.1
+
+
+def test_shown_events_are_marked_at_both_ends_and_panels_leave_no_hole(pulled):
+    """A failure means drops without a mark, as if they were missed, or an empty quarter of force.png."""
+    figure = force_overview_figure(pulled.force, pulled.sticks, pulled.fits)
+    curve, _, peaks, valleys = figure.panels[1].series
+    assert curve.x[[0, -1]] == pytest.approx([valleys.x[0], peaks.x[-1]], abs=0.01)
+    assert figure.panels[1].x_label == "t (s)"  # without a video there is no other clock
+    still = pulled.sticks.assign(K_N_per_mm=np.nan)
+    three = force_overview_figure(pulled.force, still)
+    assert (len(figure.panels), figure.columns, len(three.panels), three.columns) == (4, 2, 3, 3)
+
+
+@pytest.mark.parametrize(("slips", "cut"), [(12, False), (60, True)])
+def test_the_first_view_of_the_clocks_cuts_no_slip(slips, cut):
+    """A failure means a short film of which matched slips are out of view, or a view that ends in a slip."""
+    t_p = 0.3 + np.arange(slips) + np.random.default_rng(0).uniform(-0.2, 0.2, slips)
+    view = _some_sticks(np.linspace(0, slips, 100), pd.DataFrame({"t_p_s": t_p}))
+    assert (view is not None) == cut
+    if view is not None:
+        assert ((t_p > view[0]) & (t_p < view[1])).sum() == FIRST_SLIPS
+        assert min(np.abs(t_p - end).min() for end in view) > 0.25
 
 
 def test_residuals_of_the_clocks_are_in_ms_and_grow_with_the_offset(pulled):

@@ -26,6 +26,16 @@ def scene(frames=600, *, drift_px=0.0):
     return x + np.linspace(0, drift_px, frames)[:, None]
 
 
+def test_the_frames_of_the_origin_are_named():
+    """A failure means curves that do not start at 0 although the title says so, without a reason."""
+    x = scene()
+    x[:7] = np.nan  # from the first frame in which sheets are seen
+    figure = tracks_figure(make_tracks(x))
+    wanted = "its median over frames 7 to 26 (t = 0.117 to 0.433 s)"
+    assert wanted in figure.panel.title and wanted in figure.caption
+    assert "frames 0 to 4 (" in tracks_figure(make_tracks(scene(5))).panel.title
+
+
 def test_gaps_shift_no_curve():
     """A failure means that a sheet that is lost for a while is drawn beside where it would be."""
     whole = scene(drift_px=10.0)

@@ -54,6 +54,17 @@ def test_stick_phases_in_the_video_are_not_counted_without_a_clock(pulled):
     assert answers(pulled)[1].value == str(pulled.motion.sizes["event"])
 
 
+def test_a_stage_that_could_not_run_is_a_warning(pulled, tmp_path):
+    """A failure means "0 stick phases" and a green "No warnings." on the page of a command that failed."""
+    reasons = {"clock": "expected at least 4 slips to align the clocks; found 3"}
+    refused = replace(pulled, clock=None, motion=None, shells=None, reasons=reasons)
+    phases = next(one for one in answers(refused) if one.what == "stick phases in the video")
+    assert phases.value == "not known (no common clock)" and phases.doubt
+    page = write_report(tmp_path / "report.html", refused, {}).read_text(encoding="utf-8")
+    (warned,) = re.findall(r'<div class="warnings".*?</div>', page, re.DOTALL)
+    assert "found 3" in warned and "No warnings." not in page
+
+
 def test_the_clock_is_stated_with_its_errors(pulled, tmp_path):
     """A failure means a drift that is all noise, published as if it were measured."""
     clock = replace(pulled.clock, drift_ppm=231.0, drift_err_ppm=635.0, offset_err_s=0.012)

@@ -246,7 +246,7 @@ def collapse_figure(found: Comparison, events: pd.DataFrame) -> Figure | None:
         "collapse",
         Panel(
             x_label="d̂ = d_v / Λ̂",
-            y_label="K (effective sheets)",
+            y_label="K / K_eff (effective sheets)",
             series=(*_by_test(named, "d_hat", "sheets"), *masters),
             y_range=(0.0, top),
             inset=inset,

@@ -35,7 +35,8 @@ from vision.words import is_word
 
 MOST_ROWS = 1200  # of an image
 X_PX, GREY_LEVELS = "x (px)", "I (grey levels)"  # labels of axes
-FLATTEST, TALLEST = 0.06, 1.5  # height over width of a frame; beyond them it is stretched
+FLATTEST, TALLEST = 0.09, 1.5  # height over width of a frame; beyond them it is stretched
+NUMBERS = 0.03  # height of the sheets' numbers above the strip, over the width of the frame
 SHOWN_SLIPS = 4  # of single sheets, as in the publication
 KYMOGRAPH_CAPTION = (
     "Intensity I(x,t) averaged over the strip's rows, one frame below the other, time downwards. "
@@ -72,12 +73,12 @@ def frame_figure(
     across = None if x is None else (float(x[0]) - 0.5, float(x[-1]) + 0.5)
     axis_px = TrackMetadata.of(tracks).axis_px if axis else math.nan
     numbers = "sheet numbers n, symmetry axis (dashed)" if axis else "index from the left (axis not known)"
-    # The range includes the numbers above the strip.
-    z_range = min(-0.5, z0 - 0.02 * (rows + columns)), rows - 0.5
-    aspect = (z_range[1] - z_range[0]) / columns
+    aspect = rows / columns
     shown = float(np.clip(aspect, FLATTEST, TALLEST))
-    times = max(shown / aspect, aspect / shown)
-    stretched = f"; {'z' if shown > aspect else 'x'} stretched {times:.2g} times" if shown != aspect else ""
+    z_scale = shown / aspect  # over that of x
+    times = max(z_scale, 1 / z_scale)
+    stretched = f"; {'z' if z_scale > 1 else 'x'} stretched {times:.2g} times" if shown != aspect else ""
+    z_range = min(-0.5, z0 - NUMBERS * columns / z_scale), rows - 0.5
     which = _which_frame(tracks)
     panel = Panel(
         title=f"{which}: averaged rows (outlined), {numbers}{stretched}",
@@ -98,7 +99,7 @@ def frame_figure(
         x_range=(-0.5, columns - 0.5),
         y_range=z_range,
         downwards=True,
-        aspect=shown,
+        aspect=z_scale * (z_range[1] - z_range[0]) / columns,
         square_pixels=shown == aspect,
     )
     return Figure.of(
@@ -402,6 +403,11 @@ def kymograph_figure(
         )
         for k, diagram in enumerate(diagrams)
     )
+    if windows and len({diagram.sizes["x"] for diagram in diagrams}) == 1:
+        # Centred on sheets between columns, they differ by parts of a pixel; with one range all have the
+        # same ticks.
+        lows, highs = zip(*(panel.y_range for panel in panels if panel.y_range), strict=True)
+        panels = tuple(replace(panel, y_range=(max(lows), min(highs))) for panel in panels)
     return Figure(
         name="kymograph",
         title="Space-time diagrams",

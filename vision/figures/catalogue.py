@@ -160,8 +160,8 @@ def overview(figures: Iterable[Figure]) -> Figure | None:
         title="Overview",
         caption=(
             "One frame with the averaged rows and the numbered sheets; intensity I(x,t) of these rows with "
-            "the positions x(n,t); each sheet's position less x₀, its median over the first frames (left "
-            "blue and dashed, right orange)."
+            "the positions x(n,t); each sheet's position less x₀, its median over the frames that the title "
+            "names (left blue and dashed, right orange)."
         ),
         panels=panels,
         width_in=camera.page_width_in(named["frame"]) if "frame" in named else 13.0,

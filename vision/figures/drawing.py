@@ -33,6 +33,7 @@ MOST_LINES = 40  # marked times that get a line across; more are marked only at 
 # Without alpha channel, with little compression and the "up" filter: a sixth of the time of `savefig`.
 _PNG = (cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_UP)
 _DASHES = (0, (4, 2))
+FLAT = 0.25  # height over width of images that have ticks only at their first and last row
 _MANY_POINTS = 150  # more points of a series are drawn smaller, with faint error bars
 _STYLE: dict[str, Any] = {
     "font.family": "DejaVu Sans",  # part of matplotlib, with all characters that figures need
@@ -82,7 +83,7 @@ def draw_panel(ax: Axes, panel: Panel) -> Axes:
             ax.axvline(x, color=colour, lw=1, ls=dashes)
     _set_axes(ax, right, panel)
     _draw_arrows(ax, panel.arrows)
-    _draw_ticks(ax, [series for series in panel.series if series.look == "ticks"])
+    _draw_ticks(ax, [series for series in panel.series if series.look == "ticks"], panel.x_lines)
     if panel.inset is not None:
         _draw_inset(ax, panel.inset)
     if panel.marks is not None and panel.marks.size:
@@ -114,7 +115,7 @@ def _page(figure: Figure, *, interactive: bool = False) -> Page:
         ax = page.add_axes(box)
         draw_panel(ax, panel)
         if not (panel.x_log or panel.empty):  # so that long numbers do not touch
-            nbins = int(np.clip(width / _Inches.NUMBER, 3, 9))
+            nbins = int(np.clip(width / _Inches.NUMBER, 4, 9))
             ax.locator_params(axis="x", nbins=nbins, integer=panel.whole_numbers)
         # By default matplotlib measures the tick labels at each drawing to place the axis labels.
         ax.xaxis.set_label_coords(0.5, -_Inches.X_LABEL / height)
@@ -263,8 +264,11 @@ def _line_style(series: Series) -> dict[str, Any]:
     return style
 
 
-def _draw_ticks(ax: Axes, groups: list[Series]) -> None:
-    """Draw strokes at both ends of every tick, and as many numbers as fit. The x range must be set."""
+def _draw_ticks(ax: Axes, groups: list[Series], x_lines: tuple[float, ...]) -> None:
+    """Draw strokes at both ends of every tick, and as many numbers as fit, the smallest first.
+
+    Numbers are beside vertical lines, not on them. The x range must be set.
+    """
     low, high = ax.get_xlim()
     character = abs(high - low) / max(_width_in(ax), 0.1) * _Inches.CHARACTER  # in units of the axis
     taken: list[tuple[float, float]] = []  # ranges of x with a number
@@ -279,23 +283,34 @@ def _draw_ticks(ax: Axes, groups: list[Series]) -> None:
         stroke = 0.2 * (series.high - series.low)  # leaves the ridge visible between the two
         ax.vlines(series.x, series.low, series.low + stroke, color=series.ink[0], lw=0.9)
         ax.vlines(series.x, series.high - stroke, series.high, color=series.ink[0], lw=0.9)
-        for x, y, text in zip(series.x, series.low, series.text, strict=True):
-            half = character * (0.6 + len(text)) / 2
-            span = (x - half, x + half)
-            if (int(text) - 1) % step == 0 and not any(span[0] < b and a < span[1] for a, b in taken):
-                taken.append(span)
-                ax.annotate(text, (x, y), (0, 3), fontsize=7, **style)
+    numbers = [
+        number
+        for series in groups
+        if series.low is not None
+        for number in zip(map(int, series.text), series.x, series.low, strict=True)
+        if (number[0] - 1) % step == 0
+    ]
+    for number, x, y in sorted(numbers):
+        half = character * (0.6 + len(str(number))) / 2
+        on = [line for line in x_lines if abs(x - line) < 1.2 * half]
+        at = on[0] + math.copysign(1.2 * half, x - on[0]) if on else x
+        if not any(at - half < b and a < at + half for a, b in taken):
+            taken.append((at - half, at + half))
+            ax.annotate(str(number), (at, y), (0, 3), fontsize=7, **style)
 
 
 def _draw_inset(ax: Axes, panel: Panel) -> None:
     bottom, top = ax.get_ylim()
-    ax.set_ylim(bottom, bottom + 1.75 * (top - bottom))  # room above the points
-    small = ax.inset_axes((0.52, 0.58, 0.46, 0.40))
+    ticks = [tick for tick in ax.get_yticks() if bottom <= tick <= top]
+    ax.set_ylim(bottom, bottom + 1.6 * (top - bottom))  # room above the points, without ticks
+    ax.set_yticks(ticks)
+    small = ax.inset_axes((0.55, 0.62, 0.43, 0.37))
     for series in panel.series:
         _draw_series(small, replace(series, label=""))
-    small.set_xlabel(to_mathtext(panel.x_label), fontsize=8, labelpad=1)
-    small.set_ylabel(to_mathtext(panel.y_label), fontsize=8, labelpad=1)
-    small.tick_params(labelsize=7)
+    small.set_xlabel(to_mathtext(panel.x_label), fontsize=8, labelpad=3)
+    small.set_ylabel(to_mathtext(panel.y_label), fontsize=8, labelpad=4)
+    small.tick_params(labelsize=7, pad=2)
+    small.locator_params(nbins=4)
     for line in small.lines:
         line.set_markersize(2.0)
 
@@ -351,7 +366,9 @@ def _set_axes(ax: Axes, right: Axes | None, panel: Panel) -> None:
     if panel.image is None:
         ax.grid(alpha=0.25)
     elif panel.downwards:  # no ticks above the first row of the image
-        ax.set_yticks([tick for tick in ax.get_yticks() if -0.5 <= tick <= panel.image.bottom])
+        last = panel.image.bottom - 0.5
+        inside = [tick for tick in ax.get_yticks() if -0.5 <= tick <= last]
+        ax.set_yticks([0, last] if panel.aspect < FLAT else inside)
     if right is not None:
         right.set_ylabel(to_mathtext(panel.y2_label))
         right.spines["right"].set_visible(True)

@@ -37,6 +37,7 @@ from vision.models import Estimate, ModelFits, equations
 from vision.numeric import Floats
 from vision.sample import Sample
 
+FIRST_SLIPS = 10  # in the first view of the clocks, of a film with more than twice as many
 SHOWN_STICKS = 5  # events from first to last, or of the early or late part of a test
 MOST_SAMPLES = 30_000  # of force or motion in the figure of the clocks
 CURVE_POINTS = 300
@@ -90,7 +91,7 @@ def clocks_figure(
 ) -> Figure:
     """Return force and mean outward displacement of the sheets on the force clock: slips must coincide.
 
-    With `sticks`, the page first shows a few of them in the middle of the video.
+    With `sticks`, a few slips in the middle of a long video are shown first.
     """
     time = clock.to_force_s(time_axis(tracks)[0])
     scale, unit = displacement_unit(pixel_size_um)
@@ -102,9 +103,11 @@ def clocks_figure(
     if not near.any():  # the whole force, which shows that they do not overlap
         near[:] = True
     t_force, load = minmax_decimate(t_force[near], load[near], most=MOST_SAMPLES)
+    first_view = _some_sticks(t_video, sticks)
+    shown = "" if first_view is None else f" First shown: {FIRST_SLIPS} slips in the middle of the video."
     panel = Panel(
         x_label=FORCE_TIME,
-        first_view=_some_sticks(t_video, sticks),
+        first_view=first_view,
         y_label=load_label("F", load_unit(force)),
         y2_label=f"outward motion ({unit})",
         series=(
@@ -118,7 +121,7 @@ def clocks_figure(
         panel,
         "Force (solid, left axis, above) and mean outward displacement of all sheets (dashed, right axis, "
         f"below) on the force clock, t(force) = t_0 + (1 + r) t(video) with t_0 = {offset_text(clock)} and "
-        f"r = {drift_text(clock)}. Zoom in to one slip: the steps must coincide. {_agreement(clock)}",
+        f"r = {drift_text(clock)}. Zoom in to one slip: the steps must coincide. {_agreement(clock)}{shown}",
         title="Clock check: force and sheets on one time axis",
         notes=(ambiguous,) if clock.status == "ambiguous" else (),
     )
@@ -180,12 +183,19 @@ def _agreement(clock: Clock) -> str:
 
 
 def _some_sticks(t_video: Floats, sticks: pd.DataFrame | None) -> Range | None:
-    """Return the times of ten stick phases in the middle of the video; None if it is not longer."""
-    if sticks is None or len(sticks) < 2:
+    """Return the times of `FIRST_SLIPS` slips in the middle of the video; None if it has not many more.
+
+    The ends are in the middle of stick phases, so that no slip is cut.
+    """
+    if sticks is None:
         return None
-    middle, period = float(np.median(t_video)), float(np.median(np.diff(sticks["t_p_s"])))
-    start, stop = middle - 5 * period, middle + 5 * period
-    return (start, stop) if start > t_video[0] and stop < t_video[-1] else None
+    slips = np.sort(sticks["t_p_s"].to_numpy(float))
+    slips = slips[(slips > t_video[0]) & (slips < t_video[-1])]
+    if slips.size <= 2 * FIRST_SLIPS:
+        return None
+    between = (slips[1:] + slips[:-1]) / 2
+    start = (slips.size - FIRST_SLIPS) // 2
+    return float(between[start - 1]), float(between[start + FIRST_SLIPS - 1])
 
 
 # --- stick phases -------------------------------------------------------------------------------------------
@@ -362,12 +372,14 @@ def force_overview_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFi
         title += f"\n(corrected for the load cell's low-pass of {lowpass}; F as recorded)"
     some = _events_panel(force, sticks.iloc[start : start + 6], title, against_d=False)
     shown = [panel for panel in (some, drops.panel, stiffness.panel) if not panel.empty]
-    return _in_two_columns(
+    panels = [replace(whole, title=found), *shown]
+    return _in_columns(
         "force_overview",
         "The force recording and its stick-slip events",
         "The whole recording, a few events in its middle, and the amplitude and stiffness of every event, as "
         "far as they are known.",
-        [replace(whole, title=found), *shown],
+        # There is no other clock in it.
+        [replace(panel, x_label=panel.x_label.replace(", force clock", "")) for panel in panels],
         width_in=13.0,
     )
 
@@ -377,7 +389,8 @@ def force_insets_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFits
     whole = force_figure(force, sticks, fits).panel
     usable = sticks[sticks["d_v_mm"].notna()]
     rise = float(usable["t_p_s"].iloc[0]) if len(usable) else np.inf  # to the first slip
-    first = (_force_curve(force, (-np.inf, rise), against_d=True),)
+    marks = _event_marks(usable.iloc[:1], against_d=True) if len(usable) else ()
+    first = (_force_curve(force, (-np.inf, rise), against_d=True), *marks)
     panels = [
         replace(whole, title="Whole test"),
         _force_panel(force, "Initial response", first, against_d=True),
@@ -386,38 +399,44 @@ def force_insets_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFits
         start = int(share * len(usable))
         some = usable.iloc[start : start + SHOWN_STICKS]
         panels.append(_events_panel(force, some, title, against_d=True))
-    return _in_two_columns(
+    return _in_columns(
         "force_insets",
         "Traction force and stages of the test",
-        "Traction force against separation with the fit of Eq. 1 to the peaks; the first rise of the force; "
-        "and events of an early and a late stage of the test (peaks filled, valleys hollow).",
+        "Traction force against separation with the fit of Eq. 1 to the peaks; the first rise of the force, "
+        "to the peak of the first event; and events of an early and a late stage of the test (peaks filled, "
+        "valleys hollow).",
         panels,
         width_in=8.0,
     )
 
 
-def _in_two_columns(name: str, title: str, caption: str, panels: list[Panel], *, width_in: float) -> Figure:
-    """Return panels of one shape, two side by side."""
+def _in_columns(name: str, title: str, caption: str, panels: list[Panel], *, width_in: float) -> Figure:
+    """Return panels of one shape, two side by side, or three if there are three."""
     shown = tuple(replace(panel, aspect=0.6) for panel in panels)
-    return Figure(name=name, title=title, caption=caption, panels=shown, columns=2, width_in=width_in)
+    columns = 3 if len(shown) == 3 else 2
+    return Figure(name=name, title=title, caption=caption, panels=shown, columns=columns, width_in=width_in)
 
 
 def _events_panel(force: xr.Dataset, events: pd.DataFrame, title: str, *, against_d: bool) -> Panel:
-    """Return F of these events against d or time, with peaks, valleys and the lines between them."""
-    names = ("t_v_s", "t_p_s", "d_v_mm", "d_p_mm", "F_v_N", "F_p_N")
-    t_v, t_p, d_v, d_p, f_v, f_p = (events[name].to_numpy(float) for name in names)
+    """Return F from the first valley to the last peak of these events, with their marks."""
     series: tuple[Series, ...] = ()
     if len(events):
-        x_v, x_p = (d_v, d_p) if against_d else (t_v, t_p)
-        margin, gap = 0.15 * (t_p[-1] - t_v[0]), np.full(len(events), np.nan)
-        lines_x, lines_f = (np.stack(parts, axis=1).ravel() for parts in ((x_v, x_p, x_p), (f_v, f_p, gap)))
-        series = (
-            _force_curve(force, (t_v[0] - margin, t_p[-1] + margin), against_d=against_d),
-            Series(label="stick phases", x=lines_x, y=lines_f, ink=MODEL),
-            Series.points("peaks", x_p, f_p, PEAK),
-            Series.points("valleys", x_v, f_v, VALLEY, hollow=True),
-        )
+        ends = float(events["t_v_s"].iloc[0]), float(events["t_p_s"].iloc[-1])
+        series = (_force_curve(force, ends, against_d=against_d), *_event_marks(events, against_d=against_d))
     return _force_panel(force, title, series, against_d=against_d)
+
+
+def _event_marks(events: pd.DataFrame, *, against_d: bool) -> tuple[Series, ...]:
+    """Return peaks, valleys and the lines between them."""
+    names = ("d_v_mm", "d_p_mm") if against_d else ("t_v_s", "t_p_s")
+    x_v, x_p, f_v, f_p = (events[name].to_numpy(float) for name in (*names, "F_v_N", "F_p_N"))
+    gap = np.full(len(events), np.nan)
+    lines_x, lines_f = (np.stack(parts, axis=1).ravel() for parts in ((x_v, x_p, x_p), (f_v, f_p, gap)))
+    return (
+        Series(label="stick phases", x=lines_x, y=lines_f, ink=MODEL),
+        Series.points("peaks", x_p, f_p, PEAK),
+        Series.points("valleys", x_v, f_v, VALLEY, hollow=True),
+    )
 
 
 def _force_curve(force: xr.Dataset, time_s: Range = (-np.inf, np.inf), *, against_d: bool) -> Series:

@@ -55,8 +55,9 @@ def tracks_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> 
         if len(at) < frames
         else ""
     )
+    origin = _origin_text(tracks)
     panel = Panel(
-        title="Displacement of every sheet from x₀, its median over the first frames",
+        title=f"Displacement of every sheet from x₀, {origin}",
         x_label=time_axis(tracks)[1],
         y_label=f"x − x₀ ({unit})",
         series=sheet_series(tracks, at, displacement, inks=sheet_inks(tracks)),
@@ -66,9 +67,9 @@ def tracks_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> 
     return Figure.of(
         "tracks",
         panel,
-        "Position of each sheet less x₀, its median over the first frames in which most sheets were "
-        "measured. Left sheets are dashed and blue, right ones solid and orange; the tone changes from the "
-        f"centre outwards.{decimated}",
+        f"Position of each sheet less x₀, {origin}, the first in which most sheets were measured. A sheet "
+        "may move in these frames, and then does not start at 0. Left sheets are dashed and blue, right ones "
+        f"solid and orange; the tone changes from the centre outwards.{decimated}",
         title="x(n,t): displacement of every sheet",
     )
 
@@ -378,6 +379,18 @@ def origin_px(tracks: xr.Dataset) -> Floats:
         shift = np.interp(signed[sheet], signed[early[order]], displacement[order]) if order.size else 0.0
         origin[sheet] = np.median(x[frames, sheet]) - shift
     return origin
+
+
+def _origin_text(tracks: xr.Dataset) -> str:
+    """Return which frames the origin of `origin_px` is the median over."""
+    known = np.isfinite(tracks["x_px"].values)
+    if not known.any():
+        return "its median over the first frames"
+    first, last = _first_stretch(known)
+    frames = tracks["frame"].values[[first, last - 1]]
+    time, label = time_axis(tracks)
+    span = "" if label == "frame" else f" (t = {time[first]:.3g} to {time[last - 1]:.3g} s)"
+    return f"its median over frames {frames[0]} to {frames[1]}{span}"
 
 
 def _first_stretch(known: Bools) -> tuple[int, int]:

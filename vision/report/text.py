@@ -85,8 +85,9 @@ def _sticks(results: Results) -> Answer | None:
     if results.strip is None:
         return Answer("stick phases", str(found), good)
     what, detail = "stick phases in the video", f"{found} in the force recording, {good}"
-    if results.motion is None and results.clock is not None and results.clock.status == "ambiguous":
-        return Answer(what, "not known (clocks ambiguous)", detail, doubt=True)
+    if results.motion is None and (results.clock is None or results.clock.status == "ambiguous"):
+        why = "no common clock" if results.clock is None else "clocks ambiguous"
+        return Answer(what, f"not known ({why})", detail, doubt=True)
     inside = 0 if results.motion is None else results.motion.sizes["event"]
     return Answer(what, str(inside), f"of {detail}", doubt=inside == 0)
 

@@ -130,7 +130,7 @@
     c.save(); c.beginPath(); c.rect(box.left, box.top - above, box.width, box.height + above); c.clip();
     c.setLineDash([]);
     c.font = `${11 * r}px system-ui, sans-serif`; c.textAlign = "center"; c.textBaseline = "bottom";
-    const taken = [], numbered = chart.series.filter((s) => s.text && s.text.length);
+    const labels = [], numbered = chart.series.filter((s) => s.text && s.text.length);
     const step = Math.max(1, ...numbered.map((s) => labelStep(u, c, arrays[s.x], s.text)));
     chart.series.forEach((s, k) => {
       if (s.low === undefined || !u.series[k + 1].show) return;
@@ -142,14 +142,20 @@
         const at = u.valToPos(x + s.shift, "x", true), y0 = u.valToPos(low[i], key, true), y1 = u.valToPos(high[i], key, true);
         const stroke = s.text ? 0.2 * (y1 - y0) : (y1 - y0) / 2; /* the ridge between two strokes stays in view */
         c.beginPath(); c.moveTo(at, y0); c.lineTo(at, y0 + stroke); c.moveTo(at, y1 - stroke); c.lineTo(at, y1); c.stroke();
-        if (!s.text || (Number(s.text[i]) - 1) % step) return;
-        const half = c.measureText(s.text[i]).width / 2 + 2 * r, top = Math.min(y0, y1) - 2 * r;
-        if (taken.some((other) => Math.abs(other - at) < 2 * half)) return;
-        taken.push(at);
-        c.fillStyle = "rgba(0,0,0,0.62)"; c.fillRect(at - half, top - 13 * r, 2 * half, 14 * r);
-        c.fillStyle = "#fff"; c.fillText(s.text[i], at, top);
+        if (s.text && (Number(s.text[i]) - 1) % step === 0) labels.push([Number(s.text[i]), at, Math.min(y0, y1) - 2 * r]);
       });
     });
+    /* Numbers, the smallest first, beside the axis and not on it. */
+    const lines = chart.x_lines.map((x) => u.valToPos(x, "x", true)), taken = [];
+    for (let [n, at, top] of labels.sort((a, b) => a[0] - b[0])) {
+      const half = c.measureText(n).width / 2 + 2 * r, beside = half + 2 * r;
+      for (const line of lines) if (Math.abs(at - line) < beside) at = at < line ? line - beside : line + beside;
+      if (taken.some(([from, to]) => at - half < to + r && at + half > from - r)) continue;
+      taken.push([at - half, at + half]);
+      c.globalAlpha = 1;
+      c.fillStyle = "rgba(0,0,0,0.62)"; c.fillRect(at - half, top - 13 * r, 2 * half, 14 * r);
+      c.fillStyle = "#fff"; c.fillText(n, at, top);
+    }
     c.restore();
   }
 
@@ -253,6 +259,10 @@
       : [axis(xLabel, Object.assign({ space: 60 }, below)), axis(yLabel, side)];
     if (chart.whole_numbers) axes[0].incrs = [1, 2, 5, 10, 20, 50, 100, 200, 500];
     if (both) axes.forEach((a) => { a.grid = { show: false }; });
+    if (chart.downwards) { /* rows of a frame: the first and the last in view */
+      const last = chart.picture.bottom - 0.5;
+      axes[1].splits = (u, axis, low, high) => [...new Set([Math.max(0, Math.ceil(low)), Math.min(last, Math.floor(high))])];
+    }
     if (chart.y2_label) axes.push(axis(y2Label, Object.assign({ scale: "y2", side: 1, grid: { show: false } }, side)));
     return Object.assign(sizeOf(chart, holder), {
       scales: scalesOf(chart, arrays), axes,
