@@ -10,6 +10,7 @@ import vision
 from tests.scenes.comparison import campaign, events, write_campaign, write_run
 from tests.scenes.undrawn import undrawn
 from vision.command.main import run
+from vision.comparison.comparison import answers
 from vision.comparison.figures import compare_sections
 from vision.comparison.runs import read_tests
 from vision.errors import InputError
@@ -161,6 +162,26 @@ def test_input_that_cannot_be_used(six, tmp_path, arguments, said, capsys):
     assert len(lines) == 1
     assert said in lines[0]
     assert {path.name for path in tmp_path.iterdir()} == before
+
+
+def test_the_label_of_one_mu_says_which_errors_it_contains(tmp_path):
+    """A failure means that an error of d0 that nobody gave is said to be contained."""
+    drift = {"load_drift": {"mu": 0.01}}
+    given = {"budget": drift, "input_errors": {"d0_mm": 0.05}}
+    made = [
+        write_run(tmp_path / f"r{k}", events(seed=k), models=models)
+        for k, models in enumerate((given, given, {"budget": drift}, {"budget": drift}))
+    ]
+
+    def one_mu(folders):
+        said = answers(vision.compare(folders))[0]
+        return f"{said.value}; {said.detail}"
+
+    assert "(stat. and d_0) ±" in one_mu(made[:2]) and "without" not in one_mu(made[:2])
+    assert "(stat. and d_0 where given) ±" in one_mu(made[1:3])
+    assert "without the error of d0, which is not given in r2" in one_mu(made[1:3])
+    assert "(stat.) ±" in one_mu(made[2:])
+    assert one_mu(made[2:]).endswith("without the error of d0, which is not given")
 
 
 def test_a_table_alone_and_one_with_semicolons(six, tmp_path):
