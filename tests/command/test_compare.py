@@ -184,6 +184,22 @@ def test_the_label_of_one_mu_says_which_errors_it_contains(tmp_path):
     assert one_mu(made[2:]).endswith("without the error of d0, which is not given")
 
 
+def test_one_test_has_no_joint_mu(six, capsys):
+    """A failure means that the main line of a comparison is absent, and nothing says why."""
+    assert run(["compare", six[0], "--no-report"]) == 0
+    assert "not fitted, needs at least two tests; that of test00 is 0.8" in capsys.readouterr().out
+
+
+def test_a_wrong_argument_is_named_even_if_the_folder_exists(six, capsys):
+    """A failure means that a user deletes a folder, and only then learns of the wrong argument."""
+    assert run(["compare", *six[:2], "--no-report", "--quiet"]) == 0
+    assert run(["compare", six[0], "nope"]) == 2
+    first, last = capsys.readouterr().err.splitlines()
+    assert first.startswith("track: nope: expected") and "comparison: expected" in last
+    assert run(["compare", "nope"]) == 2
+    assert "the runs: expected at least one that can be used; found nope" in capsys.readouterr().err
+
+
 def test_a_table_alone_and_one_with_semicolons(six, tmp_path):
     """The table may name the runs; decimal commas and a byte-order mark are no obstacle."""
     table = pd.read_csv("tests.csv")

@@ -296,6 +296,9 @@ def answers(found: Comparison) -> list[Answer]:
         )
         for one in found.joint
     ]
+    if not boxes:
+        detail = f"needs at least two tests; that of {found.tests[0].run} is {plus_minus(found.mu)}"
+        boxes.append(Answer("one μ of all tests", "not fitted", detail))
     source = ", ".join(found.modulus_from[:3]) + (" …" if len(found.modulus_from) > 3 else "")
     boxes.append(Answer("Y_eff, held fixed", f"{plus_minus(found.modulus)} GPa", f"from {source}"))
     if (c := found.collapse) is not None:
