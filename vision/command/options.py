@@ -363,6 +363,12 @@ def names_given(*groups: Any) -> list[str]:
     return [one.name for group, one in pairs if getattr(group, one.name) != one.default]
 
 
+def with_point(text: str) -> str:
+    """Return how a number with a decimal comma is written; "" if the text is no such number."""
+    comma = re.fullmatch(r"\s*([-+]?[0-9]*),([0-9]+)\s*", text)
+    return f"write it with a decimal point: {comma[1]}.{comma[2]}" if comma else ""
+
+
 def flag_of(name: str) -> str:
     """Return the option of a group's field: --pixel-size for pixel_size."""
     return f"--{name.replace('_', '-')}"

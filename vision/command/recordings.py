@@ -85,7 +85,8 @@ def modulus(file: Path, options: ModulusOptions, output: OutputOptions) -> int:
     started = time.perf_counter()
     target = output.out or Path(f"{file.stem}_modulus")
     check_results(target, overwrite=output.overwrite, mark="cycles")
-    shares = parse_pair(options.part, "--part", "two shares A:B with 0 <= A < B <= 1", most=1)
+    wanted = "two shares A:B with 0 <= A < B <= 1"
+    shares = parse_pair(options.part, "--part", wanted, most=1, advice="write 0.4:0.9")
     columns = parse_columns(options.force_columns) if options.force_columns else None
     with known_as(columns="force_columns"):
         force = read_force(file, columns=columns)
@@ -145,7 +146,8 @@ def friction(files: Sequence[Path], options: FrictionOptions, output: OutputOpti
     target = output.out or Path(f"{files[0].stem}_friction")
     check_results(target, overwrite=output.overwrite, mark="measurements")
     wanted = "two angles A:B in degrees with 0 <= A < B"
-    settings = FrictionSettings(dynamic_deg=parse_pair(options.dynamic, "--dynamic", wanted))
+    angles = parse_pair(options.dynamic, "--dynamic", wanted, advice="write 0.3:120")
+    settings = FrictionSettings(dynamic_deg=angles)
     found = _measure(files, _loads(options.normal_force, len(files)), options.radius, settings)
     if not found.measured:
         for line in found.failures:

@@ -121,8 +121,8 @@ class JointFriction:
     """Joint μ of several tests of one sample.
 
     The standard error of μ includes everything that differs from test to test: noise, the error of each d0
-    (where it is given), and further scatter of the individual μ. The systematic error includes that of the geometry, which all
-    tests of a sample share, and those of the force recordings; it is NaN if none is known.
+    (where it is given), and further scatter of the individual μ. The systematic error includes that of the
+    geometry, which all tests of a sample share, and those of the force recordings; NaN if none is known.
     """
 
     sample: str  # name of the sample
