@@ -198,12 +198,12 @@ class CompareOptions:
 class ModulusOptions:
     """The sheet and the machine of push–pull cycles."""
 
-    thickness: float = 0.1
-    """Thickness of the sheet, mm."""
-    width: float = 45.0
-    """Width of the sheet, mm."""
-    length: float = 16.8
-    """Length of the sheet between the clamps, mm."""
+    thickness: float | str = 0.1
+    """Thickness of the sheet, mm; with its error as 0.1±0.002."""
+    width: float | str = 45.0
+    """Width of the sheet, mm; with its error as 45±0.2."""
+    length: float | str = 16.8
+    """Length of the sheet between the clamps, mm; with its error as 16.8±0.1."""
     clamp_distance: float | None = _sets("clamp_distance_mm")
     """Distance of the clamps at the first sample, mm, if it is neither the displacement nor the length."""
     machine_stiffness: float | None = None
