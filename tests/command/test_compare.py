@@ -10,6 +10,7 @@ import vision
 from tests.scenes.comparison import campaign, events, write_campaign, write_run
 from tests.scenes.undrawn import undrawn
 from vision.command.main import run
+from vision.comparison.comparison import answers
 from vision.comparison.figures import compare_sections
 from vision.comparison.runs import read_tests
 from vision.errors import InputError
@@ -161,6 +162,42 @@ def test_input_that_cannot_be_used(six, tmp_path, arguments, said, capsys):
     assert len(lines) == 1
     assert said in lines[0]
     assert {path.name for path in tmp_path.iterdir()} == before
+
+
+def test_the_label_of_one_mu_says_which_errors_it_contains(tmp_path):
+    """A failure means that an error of d0 that nobody gave is said to be contained."""
+    drift = {"load_drift": {"mu": 0.01}}
+    given = {"budget": drift, "input_errors": {"d0_mm": 0.05}}
+    made = [
+        write_run(tmp_path / f"r{k}", events(seed=k), models=models)
+        for k, models in enumerate((given, given, {"budget": drift}, {"budget": drift}))
+    ]
+
+    def one_mu(folders):
+        said = answers(vision.compare(folders))[0]
+        return f"{said.value}; {said.detail}"
+
+    assert "(stat. and d_0) ±" in one_mu(made[:2]) and "without" not in one_mu(made[:2])
+    assert "(stat. and d_0 where given) ±" in one_mu(made[1:3])
+    assert "without the error of d0, which is not given in r2" in one_mu(made[1:3])
+    assert "(stat.) ±" in one_mu(made[2:])
+    assert one_mu(made[2:]).endswith("without the error of d0, which is not given")
+
+
+def test_one_test_has_no_joint_mu(six, capsys):
+    """A failure means that the main line of a comparison is absent, and nothing says why."""
+    assert run(["compare", six[0], "--no-report"]) == 0
+    assert "not fitted, needs at least two tests; that of test00 is 0.8" in capsys.readouterr().out
+
+
+def test_a_wrong_argument_is_named_even_if_the_folder_exists(six, capsys):
+    """A failure means that a user deletes a folder, and only then learns of the wrong argument."""
+    assert run(["compare", *six[:2], "--no-report", "--quiet"]) == 0
+    assert run(["compare", six[0], "nope"]) == 2
+    first, last = capsys.readouterr().err.splitlines()
+    assert first.startswith("track: nope: expected") and "comparison: expected" in last
+    assert run(["compare", "nope"]) == 2
+    assert "the runs: expected at least one that can be used; found nope" in capsys.readouterr().err
 
 
 def test_a_table_alone_and_one_with_semicolons(six, tmp_path):

@@ -50,6 +50,22 @@ def test_another_sheet_and_a_soft_machine() -> None:
     assert content["sheet"]["thickness_mm"] == 0.2
 
 
+def test_a_size_with_its_error(capsys: pytest.CaptureFixture[str]) -> None:
+    """A failure means that a size as `track` takes it is refused, or that its error is lost."""
+    write_cycles("sheet.txt", CyclesTest())
+    assert run(["modulus", "sheet.txt", "--thickness", "0.1±0.002", "--width", "45+-0.3"]) == 0
+    content = json.loads(Path("sheet_modulus/modulus.json").read_text("utf-8"))
+    assert content["Y_p_GPa"]["systematic_error"] == pytest.approx(2.5 * np.hypot(0.02, 0.3 / 45), rel=0.01)
+    assert content["sheet"] == {"thickness_mm": 0.1, "width_mm": 45.0, "length_mm": 16.8}
+    assert content["sheet_err"] == {"thickness_mm": 0.002, "width_mm": 0.3}
+    assert "(stat.) ± 0.0527 (syst.) GPa" in capsys.readouterr().out
+    assert run(["modulus", "sheet.txt", "--thickness", "0,1", "--out", "again"]) == 2
+    assert (
+        "--thickness: expected a number of mm from 0, or with its error; found '0,1'"
+        in capsys.readouterr().err
+    )
+
+
 @pytest.mark.parametrize("option", [["--thickness", "100"], ["--width", "0.045"], ["--length", "16800"]])
 def test_a_size_in_another_unit(option: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     """A failure means that a thickness in µm gives a modulus of no material, and nothing is said."""

@@ -131,6 +131,33 @@ def test_what_must_be_positive_is_said_so(capsys):
     assert "--fps: expected a number above 0; found" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["film.avi", "--fps", "59,94"],
+        ["film.avi", "--offset=-59,94"],
+        ["modulus", "sheet.txt", "--clamp-distance", "59,94"],
+        ["friction", "discs.csv", "--radius", "59,94"],
+        ["simulate", "made", "--d-end", "59,94"],
+    ],
+)
+def test_a_decimal_comma_is_recognised(arguments, tmp_path, capsys):
+    """A failure means that users of decimal commas are told of Python's floats."""
+    assert run(arguments) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert ": expected a number; found '" in line
+    assert line.endswith("59,94'; write it with a decimal point: " + "-" * ("=-" in arguments[-1]) + "59.94")
+    (tmp_path / "options.toml").write_text("fps = '59,94'")
+    with pytest.raises(InputError, match=r"found '59,94'; write it with a decimal point: 59\.94"):
+        merged(VideoOptions(), config=tmp_path / "options.toml")
+
+
+def test_a_number_that_is_none_is_said_so(capsys):
+    """A failure means that a word in place of a number is told of Python's floats."""
+    assert run(["film.avi", "--fps", "fast"]) == 2
+    assert capsys.readouterr().err == "track: --fps: expected a number; found 'fast'\n"
+
+
 def test_a_file_of_options_gives_what_it_says(tmp_path):
     """A failure means that the checks refuse what is right."""
     (tmp_path / "a.toml").write_text(

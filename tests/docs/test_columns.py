@@ -13,7 +13,8 @@ from vision.run import Origin, write_run
 from vision.run.tables import sheets_table
 from vision.shells import deformation_table
 
-PAGE = Path(__file__).parents[2] / "docs" / "columns.md"
+PROJECT = Path(__file__).parents[2]
+PAGE = PROJECT / "docs" / "columns.md"
 
 
 def documented():
@@ -44,6 +45,14 @@ def test_every_column_has_its_unit_and_meaning(name, declared, written):
     known = [column for column in page if column in declared.variables]
     assert len(known) >= 7
     assert {c: page[c] for c in known} == {c: (declared[c].units, declared[c].long_name) for c in known}
+
+
+def test_every_flag_of_a_deformation_is_explained():
+    """A failure means that a reader meets a flag in deformation.csv that the page does not explain."""
+    code = (PROJECT / "vision" / "deformation" / "motion.py").read_text(encoding="utf-8")
+    given = re.findall(r'^ +"(\w+)": ', code.partition("flags = {")[2].partition("}")[0], re.MULTILINE)
+    assert sorted(documented()["Flags of deformation.csv"]) == sorted([*given, "ok"])
+    assert len(given) == 5
 
 
 def test_every_entry_of_the_json_files_is_explained(tmp_path):

@@ -6,6 +6,7 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 import pytest
+import xarray as xr
 
 from vision.command.main import run
 
@@ -45,6 +46,11 @@ def test_the_examples_give_what_they_promise(folder, monkeypatch):
     assert len(tables["outermost"]) == len(tables["x_um"]) == 240
     assert tables["moved_err_px"] > tables["first"].x_err_px > 0
     assert np.isfinite(tables["ratio"]["median"]).sum() >= 40
+    with xr.open_dataset(LATE / "truth.nc") as truth:
+        innermost = truth.ratio[:, truth.n.values == 1].values
+    found = tables["usable"][tables["usable"].n == 1].ratio
+    assert found.size == 22  # two sheets in eleven sticks; 14 of them are positive
+    assert found.median() == pytest.approx(innermost.mean(), abs=0.002)  # 0.0082 without `below_noise`
     exec(BLOCKS[3], cells)
     assert cells["outermost"].dims == ("frame",)
     assert np.isfinite(cells["outermost"].values).all()

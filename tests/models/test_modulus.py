@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from vision.force.recording import read_force
 from vision.models.modulus import (
     CYCLES,
     PUBLISHED_SHEET,
+    MeanValue,
     ModulusSettings,
     cycles_seen,
     mean_over_cycles,
@@ -236,6 +238,25 @@ def test_the_strip_is_the_publications() -> None:
         16.8,
         45.0,
     )
+
+
+@pytest.mark.parametrize("clamp_distance_mm", [None, PUBLISHED_SHEET.length_mm])
+def test_errors_of_the_size_are_those_of_a_sheet_of_another_size(clamp_distance_mm: float | None) -> None:
+    """A failure means a modulus whose error misses that of a thickness measured to 2 %."""
+    force, errors = _dataset(cycles_record(TEST)), {"thickness_mm": 0.002, "width_mm": 0.3, "length_mm": 0.1}
+
+    def means(sheet: Sample, **sheet_err: float) -> dict[str, MeanValue]:
+        cycles = measure_cycles(force, sheet=sheet, clamp_distance_mm=clamp_distance_mm)
+        return summarise_modulus(cycles, sheet_err)
+
+    usual = means(PUBLISHED_SHEET)
+    for name in ("Y_p_GPa", "Y_slope_GPa"):
+        assert math.isnan(usual[name].systematic_error)
+        for size, error in errors.items():
+            other = means(replace(PUBLISHED_SHEET, **{size: getattr(PUBLISHED_SHEET, size) + error}))
+            shift = abs(other[name].value - usual[name].value)
+            stated = means(PUBLISHED_SHEET, **{size: error})[name].systematic_error
+            assert (0.0 if math.isnan(stated) else stated) == pytest.approx(shift, rel=0.03, abs=1e-9)
 
 
 def test_push_and_pull_of_blocks_that_only_slide() -> None:

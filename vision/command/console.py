@@ -13,9 +13,9 @@ from contextlib import contextmanager, suppress
 from io import TextIOWrapper
 from typing import TextIO, TypeVar
 
-from cyclopts import CycloptsError, UnknownOptionError, UnusedCliTokensError
+from cyclopts import CoercionError, CycloptsError, UnknownOptionError, UnusedCliTokensError
 
-from vision.command.options import option_names
+from vision.command.options import option_names, with_point
 from vision.errors import InputError, with_options
 from vision.files import Progress
 
@@ -179,6 +179,10 @@ def one_line(error: Exception) -> str:
         error = InputError(" ".join(error.unused_tokens or ()), "one input", "more", advice)
     elif isinstance(error, UnknownOptionError) and (near := _abbreviated(error.token.value)):
         return f"Unknown option: {error.token.value}. Did you mean {near}? (track --help lists the options)"
+    elif isinstance(error, CoercionError) and error.target_type in (int, float) and error.token is not None:
+        typed, kind = error.token.value, "number" if error.target_type is float else "whole number"
+        advice = with_point(typed) if kind == "number" else ""
+        error = InputError(error.token.keyword or "an argument", f"a {kind}", f"'{typed}'", advice)
     elif isinstance(error, CycloptsError):
         return " ".join(str(error).split()) + " (track --help lists the options)"
     elif isinstance(error, OSError):

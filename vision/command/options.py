@@ -198,12 +198,12 @@ class CompareOptions:
 class ModulusOptions:
     """The sheet and the machine of push–pull cycles."""
 
-    thickness: float = 0.1
-    """Thickness of the sheet, mm."""
-    width: float = 45.0
-    """Width of the sheet, mm."""
-    length: float = 16.8
-    """Length of the sheet between the clamps, mm."""
+    thickness: float | str = 0.1
+    """Thickness of the sheet, mm; with its error as 0.1±0.002."""
+    width: float | str = 45.0
+    """Width of the sheet, mm; with its error as 45±0.2."""
+    length: float | str = 16.8
+    """Length of the sheet between the clamps, mm; with its error as 16.8±0.1."""
     clamp_distance: float | None = _sets("clamp_distance_mm")
     """Distance of the clamps at the first sample, mm, if it is neither the displacement nor the length."""
     machine_stiffness: float | None = None
@@ -361,6 +361,12 @@ def names_given(*groups: Any) -> list[str]:
     """Return the names of the options of these groups that differ from their defaults."""
     pairs = ((group, one) for group in groups for one in fields(group))
     return [one.name for group, one in pairs if getattr(group, one.name) != one.default]
+
+
+def with_point(text: str) -> str:
+    """Return how a number with a decimal comma is written; "" if the text is no such number."""
+    comma = re.fullmatch(r"\s*([-+]?[0-9]*),([0-9]+)\s*", text)
+    return f"write it with a decimal point: {comma[1]}.{comma[2]}" if comma else ""
 
 
 def flag_of(name: str) -> str:

@@ -11,14 +11,14 @@ from typing import Any
 import pandas as pd
 
 from vision.command.console import complain, conclude, frame_progress, one_line
-from vision.command.options import FrictionOptions, ModulusOptions, OutputOptions, SimulateOptions
-from vision.command.settings import merged, parameters_given, parse_pair, settings_of
+from vision.command.options import FrictionOptions, ModulusOptions, OutputOptions, SimulateOptions, flag_of
+from vision.command.settings import merged, parameters_given, parse_pair, parse_with_error, settings_of
 from vision.command.track import finish, origin_of
 from vision.errors import InputError, known_as
 from vision.experiment import preset as ready_made
 from vision.experiment import settings_from_toml, with_settings
 from vision.experiment import simulate as make_test
-from vision.figures import Figure, plus_minus, save_figures
+from vision.figures import Figure, both_errors, plus_minus, save_figures
 from vision.figures.single_sheets import friction_figure, modulus_figure
 from vision.figures.style import counted, with_minus
 from vision.folder import run_folder, write_json
@@ -85,11 +85,18 @@ def modulus(file: Path, options: ModulusOptions, output: OutputOptions) -> int:
     started = time.perf_counter()
     target = output.out or Path(f"{file.stem}_modulus")
     check_results(target, overwrite=output.overwrite, mark="cycles")
-    shares = parse_pair(options.part, "--part", "two shares A:B with 0 <= A < B <= 1", most=1)
+    wanted = "two shares A:B with 0 <= A < B <= 1"
+    shares = parse_pair(options.part, "--part", wanted, most=1, advice="write 0.4:0.9")
     columns = parse_columns(options.force_columns) if options.force_columns else None
     with known_as(columns="force_columns"):
         force = read_force(file, columns=columns)
-    sheet = Sample(thickness_mm=options.thickness, width_mm=options.width, length_mm=options.length)
+    typed = {
+        f"{name}_mm": (getattr(options, name), flag_of(name)) for name in ("thickness", "width", "length")
+    }
+    sizes = {name: parse_with_error(text, option) for name, (text, option) in typed.items()}
+    given: dict[str, Any] = {name: size for name, (size, _) in sizes.items()}
+    sheet = Sample(**given)
+    sheet_err = {name: error for name, (_, error) in sizes.items() if error is not None}
     cycles = measure_cycles(
         force,
         sheet=sheet,
@@ -97,7 +104,7 @@ def modulus(file: Path, options: ModulusOptions, output: OutputOptions) -> int:
         machine_stiffness_N_per_mm=options.machine_stiffness,
         settings=ModulusSettings(part=shares),
     )
-    means = summarise_modulus(cycles)
+    means = summarise_modulus(cycles, sheet_err)
     measured = CyclesMetadata.of(cycles)
     notes, warnings = list(measured.notes), measured.warnings
     if sheet == PUBLISHED_SHEET:
@@ -105,7 +112,8 @@ def modulus(file: Path, options: ModulusOptions, output: OutputOptions) -> int:
     content = {
         **means,
         "cycles": len(cycles),
-        "sheet": {name: getattr(sheet, name) for name in ("thickness_mm", "width_mm", "length_mm")},
+        "sheet": {name: getattr(sheet, name) for name in typed},
+        "sheet_err": sheet_err,
         "clamp_distance_from": measured.clamp_distance_from,
         "machine_stiffness_N_per_mm": options.machine_stiffness,
         "notes": notes,
@@ -128,7 +136,9 @@ def _modulus_lines(means: Mapping[str, MeanValue], cycles: int) -> list[str]:
     for name, key in (("Y_p = |F0|/(εW)", "Y_p_GPa"), ("kL/(εW)", "Y_slope_GPa")):
         mean = means[key]
         scatter = f", scatter {mean.scatter:.2g} GPa" if cycles > 1 else ""
-        lines.append(f"{name} {plus_minus(Estimate(mean.value, mean.error))} GPa{scatter}")
+        lines.append(
+            f"{name} {both_errors(Estimate(mean.value, mean.error, mean.systematic_error))} GPa{scatter}"
+        )
     drift_N = means["drift_N"].value
     lines.append(
         f"peak {means['F_max_N'].value:.4g} N, drifting by {with_minus(f'{drift_N:.2g}')} N a cycle; "
@@ -145,7 +155,8 @@ def friction(files: Sequence[Path], options: FrictionOptions, output: OutputOpti
     target = output.out or Path(f"{files[0].stem}_friction")
     check_results(target, overwrite=output.overwrite, mark="measurements")
     wanted = "two angles A:B in degrees with 0 <= A < B"
-    settings = FrictionSettings(dynamic_deg=parse_pair(options.dynamic, "--dynamic", wanted))
+    angles = parse_pair(options.dynamic, "--dynamic", wanted, advice="write 0.3:120")
+    settings = FrictionSettings(dynamic_deg=angles)
     found = _measure(files, _loads(options.normal_force, len(files)), options.radius, settings)
     if not found.measured:
         for line in found.failures:

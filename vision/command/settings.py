@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from cyclopts import App, CycloptsError
 
-from vision.command.options import GROUPS, SETTINGS, flag_of, names_given
+from vision.command.options import GROUPS, SETTINGS, flag_of, names_given, with_point
 from vision.data import PIXEL_SIZE_UM
 from vision.errors import InputError
 from vision.files import AGAIN, read_toml, reading, shortened
@@ -132,7 +132,8 @@ def parse_option(source: Path, name: str, value: Any) -> Any:
             parse_with_error(getattr(options, name), flag_of(name))
     except (CycloptsError, ValueError, OverflowError) as error:
         found = shortened(repr(value))
-        raise InputError(source, f"a value for '{name}' as on the command line", found) from error
+        wanted = f"a value for '{name}' as on the command line"
+        raise InputError(source, wanted, found, with_point(str(value))) from error
     return getattr(options, name)
 
 

@@ -391,9 +391,14 @@ def certify(run: Path, films: int, most_frames: int, output: OutputOptions) -> i
 def compare(runs: Sequence[Path], options: CompareOptions, output: OutputOptions) -> int:
     """Compare several runs, and return the exit status."""
     target = output.out or Path("comparison")
-    check_results(target, overwrite=output.overwrite, mark=MARK)
     table, main_sample, fix_yeff = options.table, options.main_sample, options.fix_yeff
     found = compare_runs(runs, table, main_sample=main_sample, modulus_GPa=fix_yeff)
+    try:
+        check_results(target, overwrite=output.overwrite, mark=MARK)
+    except InputError:
+        for line in found.failures:  # wrong arguments first: a folder that exists is no reason for them
+            complain(line)
+        raise
     given = parameters_given(table=table, main_sample=main_sample, fix_yeff=fix_yeff)
     origin = origin_of([table] if table else [], given)
     write_comparison(found, target, origin, overwrite=output.overwrite, report=options.report)

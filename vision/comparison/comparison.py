@@ -13,7 +13,6 @@ import pandas as pd
 
 from vision.comparison.figures import compare_figures, compare_sections, velocity
 from vision.comparison.joint import (
-    JOINT_ERROR,
     QUANTITIES,
     Collapse,
     CompareSettings,
@@ -291,12 +290,15 @@ def answers(found: Comparison) -> list[Answer]:
     boxes = [
         Answer(
             f"one μ of {one.sample or 'all tests'}",
-            both_errors(one.mu, JOINT_ERROR) if one.fits else "none fits the tests",
+            both_errors(one.mu, one.error_contains) if one.fits else "none fits the tests",
             f"for {len(one.runs)} tests{_joint_detail(one)}",
             doubt=one.disagrees or bool(one.at_limit),
         )
         for one in found.joint
     ]
+    if not boxes:
+        detail = f"needs at least two tests; that of {found.tests[0].run} is {plus_minus(found.mu)}"
+        boxes.append(Answer("one μ of all tests", "not fitted", detail))
     source = ", ".join(found.modulus_from[:3]) + (" …" if len(found.modulus_from) > 3 else "")
     boxes.append(Answer("Y_eff, held fixed", f"{plus_minus(found.modulus)} GPa", f"from {source}"))
     if (c := found.collapse) is not None:
@@ -334,6 +336,10 @@ def _joint_detail(one: JointFriction) -> str:
         line += f", A {plus_minus(one.amplitude)}"
     if one.disagrees:
         line += f"; the tests differ by more than their errors (χ²/dof {one.disagreement:.3g})"
+    if one.without_d0_error and one.fits:
+        missing = one.without_d0_error
+        which = f" in {', '.join(missing[:3])}{' …' * (len(missing) > 3)}" if missing != one.runs else ""
+        line += f"; without the error of d0, which is not given{which}"
     if one.at_limit:
         line += f"; 𝒯0 at its limit in {', '.join(one.at_limit)}"
     return line

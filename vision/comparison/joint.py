@@ -120,9 +120,9 @@ class TestFit:
 class JointFriction:
     """Joint μ of several tests of one sample.
 
-    The standard error of μ includes everything that differs from test to test: noise, the error of each d0,
-    and further scatter of the individual μ. The systematic error includes that of the geometry, which all
-    tests of a sample share, and those of the force recordings; it is NaN if none is known.
+    The standard error of μ includes everything that differs from test to test: noise, the error of each d0
+    (where it is given), and further scatter of the individual μ. The systematic error includes that of the
+    geometry, which all tests of a sample share, and those of the force recordings; NaN if none is known.
     """
 
     sample: str  # name of the sample
@@ -134,6 +134,14 @@ class JointFriction:
     amplitude: Estimate  # A, weighted mean of the slow tests
     misfit: float  # χ²/dof of all peaks about the joint curve, relative to that about the individual ones
     fits: bool  # whether the joint curve fits the peaks nearly as well as the individual ones
+    without_d0_error: tuple[str, ...] = ()  # runs that state no error of d0: that of μ does not contain it
+
+    @property
+    def error_contains(self) -> str:
+        """What the standard error of μ contains, as its label."""
+        if not self.without_d0_error:
+            return JOINT_ERROR
+        return "stat." if len(self.without_d0_error) == len(self.runs) else f"{JOINT_ERROR} where given"
 
     @property
     def disagrees(self) -> bool:
@@ -374,6 +382,9 @@ def fit_joint(
         amplitude=weighted_mean(slow),
         misfit=chi2,
         fits=chi2 < settings.joint_misfit,
+        without_d0_error=tuple(
+            test.run for test, fit in zip(tests, fits, strict=True) if "d0" not in fit.shifts
+        ),
     )
 
 

@@ -8,7 +8,7 @@ Source: Plati, Restagno & Poulard, appendix "Single sheets characterization".
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -471,11 +471,15 @@ def _remarks(table: pd.DataFrame, sheet: Sample, machine: float) -> list[str]:
 
 @dataclass(frozen=True, kw_only=True)
 class MeanValue:
-    """Mean over cycles, its standard error, and the scatter (standard deviation) of single cycles."""
+    """Mean over cycles, its standard error, and the scatter (standard deviation) of single cycles.
+
+    The systematic error of a modulus is that of the sheet's size; NaN if none is given.
+    """
 
     value: float
     error: float
     scatter: float
+    systematic_error: float = math.nan
 
 
 def mean_over_cycles(cycles: pd.DataFrame, column: str) -> MeanValue:
@@ -502,8 +506,29 @@ def mean_over_cycles(cycles: pd.DataFrame, column: str) -> MeanValue:
     return MeanValue(value=float(values.mean()), error=error, scatter=scatter)
 
 
-def summarise_modulus(cycles: pd.DataFrame) -> dict[str, MeanValue]:
-    """Means over the cycles of the moduli, of the fitted lines, and of the loops, by column."""
+def summarise_modulus(
+    cycles: pd.DataFrame, sheet_err: Mapping[str, float] | None = None
+) -> dict[str, MeanValue]:
+    """Means over the cycles of the moduli, of the fitted lines, and of the loops, by column.
+
+    sheet_err: errors of the sheet's thickness_mm, width_mm and length_mm, as far as they are known, which
+    enter the systematic error of the moduli.
+    """
     moduli = ("Y_p_GPa", "Y_slope_GPa", "k_N_per_mm", "F0_N", "delta0_mm")
     loops = ("loop_mJ", "residual_mm", "F_max_N", "K_tangent_N_per_mm", "drift_N")
-    return {name: mean_over_cycles(cycles, name) for name in (*moduli, *loops)}
+    means = {name: mean_over_cycles(cycles, name) for name in (*moduli, *loops)}
+    if not sheet_err:
+        return means
+    measured, error = CyclesMetadata.of(cycles), dict.fromkeys(_SIZES, 0.0) | dict(sheet_err)
+    relative = {name: error[name] / size for name, size in zip(_SIZES, measured.sheet, strict=True)}
+    # L changes |F0| = k Δ0 only as the origin of Δ; where Δ is known otherwise, it does not.
+    by_length = {"Y_slope_GPa": relative["length_mm"], "Y_p_GPa": 0.0}
+    if measured.clamp_distance_from == "length":
+        by_length["Y_p_GPa"] = error["length_mm"] / abs(means["delta0_mm"].value)
+    for name, part in by_length.items():
+        total = math.hypot(relative["thickness_mm"], relative["width_mm"], part)
+        means[name] = replace(means[name], systematic_error=means[name].value * total or math.nan)
+    return means
+
+
+_SIZES = ("thickness_mm", "width_mm", "length_mm")
