@@ -227,12 +227,17 @@ def _spacing_warning(tracks: xr.Dataset) -> list[str]:
                 " pair is the two edges of one sheet, n and the stiff shell count edges, two for each sheet;"
                 f" if not, give `sheets` as {len(spacing) + 1}"
             ]
-    if places := TrackMetadata.of(tracks).wide_spacings:
-        return [
-            f"sheets may be missing at x = {', '.join(places)}; n of all sheets further out would then be too"
-            " small: check these positions (dirt, faint sheets), or give the number of sheets (`sheets`)"
-        ]
-    return []
+    found = TrackMetadata.of(tracks)
+    if not found.wide_spacings:
+        return []
+    assumed = found.axis_how == "geometry"
+    axis = ", and the axis, only the middle of the comb, and with it n of both sides may be wrong"
+    give = ", give the axis (`axis_px`)"
+    return [
+        f"sheets may be missing at x = {', '.join(found.wide_spacings)}: n of the sheets further out would"
+        f" then be too small{axis * assumed}: check these positions (dirt, faint sheets){give * assumed}, and"
+        f" confirm the {found.sheets} ridges found with `sheets`"
+    ]
 
 
 def overexposure(frame: Pixels, rows: slice, settings: VideoSettings) -> list[str]:

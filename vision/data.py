@@ -294,6 +294,9 @@ class TrackMetadata(Metadata):
     axis_px, axis_how, axis_low_px, axis_high_px
         Position of the symmetry axis; "given", "motion" or "geometry"; interval in which the axis lies
         according to the motion of the sheets (NaN without motion).
+    axis_missing
+        Number of sheets that seem to be missing in wide spacings and count where the axis is the middle of
+        the comb ("geometry").
     least_margin
         Smallest difference in log-likelihood between the chosen assignment of identities and the next best.
     ridges_dropped
@@ -333,6 +336,7 @@ class TrackMetadata(Metadata):
     axis_how: str = "given"
     axis_low_px: float = math.nan
     axis_high_px: float = math.nan
+    axis_missing: int = 0
     least_margin: float = math.nan
     ridges_dropped: int = 0
     wide_spacings: Sequence[str] = field(default_factory=list)

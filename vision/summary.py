@@ -216,6 +216,8 @@ def ridges_line(found: TrackMetadata) -> str:
 
 def _axis(found: TrackMetadata, innermost: int) -> str:
     how = AXIS_HOW[found.axis_how]
+    if found.axis_how == "geometry" and found.axis_missing:
+        how += f" and {found.axis_missing} that seem{'s' * (found.axis_missing == 1)} to be missing"
     if found.axis_how == "given":
         unseen = f"; n begins at {innermost}, as {innermost - 1} more sheets fit between it and those in view"
         return how + unseen * (innermost > 1)

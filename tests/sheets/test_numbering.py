@@ -1,13 +1,21 @@
 """Axis, side and n: from the motion where there is any, else from the middle."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+import xarray as xr
 
 from tests.scenes.combs import comb, ridges, strip
+from vision import open_video, strip_profile
+from vision.checks import tracking_warnings
 from vision.errors import InputError
+from vision.figures import Results
 from vision.sheets import pixel_size_of, track_sheets
 from vision.sheets.numbering import number_sheets
+from vision.summary import summary_lines
 
+HOSTILE = Path(__file__).parents[2] / "fixtures" / "hostile"
 PITCH = 20.0
 
 
@@ -126,6 +134,46 @@ def test_odd_number():
     assert abs(tracks.attrs["axis_px"] - 600) < 0.55 * PITCH
     assert set(np.unique(tracks.side)) == {-1, 1}
     assert len(np.unique(np.stack([tracks.side, tracks.n]), axis=1).T) == 49
+
+
+@pytest.mark.parametrize("gone", [[6], [6, 12], [40], [37, 43], [10, 11], [24], [25], [3, 45], [5, 10, 15]])
+@pytest.mark.parametrize("first", [0, 1])
+def test_missing_sheets_count_where_the_axis_is_the_middle(gone, first):
+    """Still combs of 50 and 49 sheets with gaps. A failure means that every n is wrong, on both sides, where
+    sheets of one side are not seen."""
+    x = np.delete(comb(1, uneven=0.1), gone, axis=1)[:, first:]
+    left = 25 - sum(one < 25 for one in gone) - first  # an odd comb has its axis on the first on the right
+    numbering = number_sheets(np.repeat(x, 30, axis=0))
+    assert (numbering.how, numbering.missing) == ("geometry", len(gone))
+    np.testing.assert_array_equal(numbering.n, numbered(left, x.shape[1] - left))
+    beside = 24 in gone or 25 in gone  # the gap next to the axis hides where in it the axis is
+    assert numbering.axis_px == pytest.approx(600 + first * PITCH / 2, abs=(0.6 if beside else 0.3) * PITCH)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_two_sheets_that_one_side_lacks_leave_the_axis_in_its_place(mirrored):
+    """Two faint sheets on the left are not found, and the motion leaves the axis open. A failure means that
+    the axis is one sheet aside, that n of the other side is wrong, or that the warning does not say so."""
+    profile = strip_profile(open_video(HOSTILE / "video.mkv"))
+    with xr.open_dataset(HOSTILE / "truth.nc", engine="h5netcdf") as truth:
+        x_true, n_true = truth["x_px"].values.mean(axis=0), truth["n"].values
+    if mirrored:
+        profile = profile.isel(x=slice(None, None, -1)).assign_coords(x=profile["x"].values)
+        x_true = profile["x"].values[-1] - x_true
+    tracks = track_sheets(profile)
+    assert tracks.attrs["axis_how"] == "geometry"
+    assert tracks.attrs["axis_px"] == pytest.approx(599.5, abs=2.0)
+    nearest = np.abs(x_true - tracks["x_mean_px"].values[:, None]).argmin(axis=1)
+    short = n_true[nearest] - tracks["n"].values
+    whole, lacking = (-1, 1) if mirrored else (1, -1)
+    assert not short[tracks["side"].values == whole].any()
+    assert sorted(set(short[tracks["side"].values == lacking])) == [0, 1, 2]
+    (line,) = [line for line in tracking_warnings(tracks) if line.startswith("sheets may be missing")]
+    assert "the axis" in line
+    assert "n of both sides may be wrong" in line
+    assert "`axis_px`" in line
+    (line,) = [line for line in summary_lines(Results(tracks=tracks)) if line.startswith("axis")]
+    assert "the middle of the ridges in view and 2 that seem to be missing" in line
 
 
 @pytest.mark.parametrize("right", [True, False])

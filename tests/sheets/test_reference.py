@@ -64,6 +64,21 @@ def test_a_speck_far_outside_does_not_make_up_the_number():
         track_sheets(picture, sheets=17)
 
 
+@pytest.mark.parametrize("sheets", [16, 17])
+def test_a_refused_number_names_one_that_is_tracked(sheets):
+    """One of sixteen sheets is hardly there, and a speck lies far outside. A failure means that 16 is refused
+    with another number of ridges than 17 is, or that no number that is named can be tracked."""
+    truth = comb(60, per_side=8, axis_px=260, slip=0.2, uneven=0.08)
+    speck = np.full((60, 1), truth.max() + 90)
+    contrast = np.r_[np.where(np.arange(16) == 4, 0.01, 1.0), 0.4]
+    picture = strip(ridges(np.c_[truth, speck], width=560, contrast=contrast))
+    with pytest.raises(InputError, match=r"found 15 and 1 far outside .*`sheets` as 15 .*`axis_px`"):
+        track_sheets(picture, sheets=sheets)
+    (line,) = [one for one in tracking_warnings(track_sheets(picture)) if one.startswith("sheets may be")]
+    assert "the 15 ridges found" in line
+    assert track_sheets(picture, sheets=15).sizes["sheet"] == 15
+
+
 @pytest.mark.parametrize("away_px", [-9.5, 10.0])
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_mark_beside_sheets_that_hardly_move_has_no_position(away_px, seed):

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from vision.numeric import NORMAL_MEDIAN, Floats, Ints, median_size, nan_median, row_parts
+from vision.sheets.reference import spacing_sizes
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.sheets.subpixel import position_noise
 from vision.signals import mean_over
@@ -21,7 +22,8 @@ class Numbering:
 
     axis_px: the symmetry axis. how: "given", or found from "motion", or from "geometry": the middle of the
     comb. side: −1 left, +1 right of the axis; n: from the centre outwards, from 1; both (N,). low_px,
-    high_px: limits that the motion sets to the axis; NaN where it sets none.
+    high_px: limits that the motion sets to the axis; NaN where it sets none. missing: number of sheets that
+    seem to be missing in wide spacings, and count where the middle of the comb is looked for.
     """
 
     axis_px: float
@@ -30,6 +32,7 @@ class Numbering:
     n: Ints
     low_px: float = np.nan
     high_px: float = np.nan
+    missing: int = 0
 
 
 def number_sheets(
@@ -40,8 +43,9 @@ def number_sheets(
     Both sides move inwards in a stick phase and outwards in a slip; the axis is where the motion changes
     sign. The stiff centre hardly moves, so that several positions are equally good, and more if the camera
     vibrates. The axis is in the middle of the comb if that is one of them, or if there is no significant
-    motion or no slip, else in the middle of these positions. With one side in view all sheets move alike, and
-    the axis lies beyond the end that moves least. A sheet on the axis (odd number) is the first on the right.
+    motion or no slip, else in the middle of these positions. Sheets that seem to be missing in wide spacings
+    count for the middle of the comb, but not for n. With one side in view all sheets move alike, and the axis
+    lies beyond the end that moves least. A sheet on the axis (odd number) is the first on the right.
 
     With one side in view, n counts from the sheet nearest to the axis, unless the axis is given as axis_px:
     then the sheets that fit between both at the comb's median spacing count as well. x_px: positions
@@ -54,7 +58,10 @@ def number_sheets(
     """
     position = _rest(x_px)
     sheets = len(position)
-    split, how, limits = _split_by_motion(x_px, settings)
+    place = _places(position, settings)
+    all_sheets = int(place[-1]) + 1
+    even = int(np.searchsorted(place, all_sheets // 2))
+    split, how, limits = _split_by_motion(x_px, even, settings)
     low = high = np.nan
     if limits is not None:
         edge = np.r_[_axis(position, 0), 0.5 * (position[1:] + position[:-1]), _axis(position, sheets)]
@@ -67,7 +74,10 @@ def number_sheets(
         if spacing > 0:  # the axis is half a spacing from the innermost sheet
             n += int(beyond / spacing)
         return Numbering(float(axis_px), "given", side, n, float(low), float(high))
-    return Numbering(_axis(position, split), how, *_side_and_n(split, sheets), float(low), float(high))
+    on_sheet = all_sheets % 2 == 1 and split == even and int(place[split]) == all_sheets // 2
+    axis_px = _axis(position, split, on_sheet=on_sheet)
+    missing = all_sheets - sheets if how == "geometry" else 0
+    return Numbering(axis_px, how, *_side_and_n(split, sheets), float(low), float(high), missing)
 
 
 def _rest(x_px: Floats) -> Floats:
@@ -85,6 +95,21 @@ def _rest(x_px: Floats) -> Floats:
     return np.asarray(np.interp(index, known, position[known]) + beyond * spacing, np.float64)
 
 
+def _places(position: Floats, settings: TrackingSettings) -> Ints:
+    """Return the place of each sheet in the comb, from 0, if those that seem to be missing count, (N,).
+
+    In each wide spacing at least one is missing. How many is counted in spacings of the whole comb, as the
+    nine around a gap scatter too much.
+    """
+    gap = np.diff(np.sort(position))  # manual corrections may have swapped sheets
+    with np.errstate(divide="ignore", invalid="ignore"):  # sheets at the same position, or none with any
+        _, wide = spacing_sizes(np.sort(position), settings=settings)
+    step = np.ones(len(gap), np.int64)
+    if wide.any():
+        step[wide] = np.maximum(np.rint(gap[wide] / np.median(gap)), 2)
+    return np.insert(np.cumsum(step), 0, 0)
+
+
 def _side_and_n(split: int, sheets: int) -> tuple[Ints, Ints]:
     """Return side and n if `split` sheets are left of the axis."""
     index = np.arange(sheets)
@@ -94,19 +119,20 @@ def _side_and_n(split: int, sheets: int) -> tuple[Ints, Ints]:
 
 
 def _split_by_motion(
-    x_px: Floats, settings: TrackingSettings
+    x_px: Floats, even: int, settings: TrackingSettings
 ) -> tuple[int, AxisHow, tuple[float, float] | None]:
     """Return the number of sheets left of the axis, how it was found, and the limits set by the motion.
 
     Splits are equally good within the noise of positions. The limits also allow for steps that are no
     opening: vibration in all frames, and in slips, whose sizes differ, a comb that is carried along or an
-    avalanche on one side (White 1980, with the residuals of MacKinnon & White 1985).
+    avalanche on one side (White 1980, with the residuals of MacKinnon & White 1985). even: number of sheets
+    left of the middle of the comb.
     """
     sheets = x_px.shape[1]
     step, apart, noise = _slips(x_px, settings)
     power = float((apart**2).sum())
     if sheets < 3 or power == 0:
-        return sheets // 2, "geometry", None
+        return even, "geometry", None
     opening, error = apart @ step / power, noise / np.sqrt(power)
     contrast = _contrast(opening)
     best = int(contrast.argmax())
@@ -123,7 +149,7 @@ def _split_by_motion(
     in_slips = np.array([np.linalg.norm(weight * column) for column in other.T])
     spread = np.maximum(vibration, in_slips) / power
     possible = np.flatnonzero(worse <= slack + settings.vibration_sigmas * spread)
-    middle, even = float(good[0] + good[-1]) / 2, sheets // 2
+    middle = float(good[0] + good[-1]) / 2
     low, high = middle - good[0] + possible[0], middle - good[-1] + possible[-1]
     if np.floor(low) <= even <= high:
         return even, "motion" if high - low <= settings.decided_sheets else "geometry", (low, high)
@@ -168,17 +194,17 @@ def _slips(x_px: Floats, settings: TrackingSettings) -> tuple[Floats, Floats, Fl
     return step, apart, noise
 
 
-def _axis(position: Floats, split: int) -> float:
-    """Return the middle of the three innermost pairs of sheets, or half a spacing beyond the end if all
-    sheets are on one side."""
+def _axis(position: Floats, split: int, *, on_sheet: bool = False) -> float:
+    """Return the middle of the three innermost pairs of sheets, half a spacing beyond the end if all sheets
+    are on one side, or the position of the middle sheet if the axis is on it."""
     sheets = len(position)
     spacing = float(np.median(np.diff(position))) if sheets > 1 else 0.0
+    if on_sheet:
+        return float(position[split] - 0.01 * spacing)  # it is the first on the right
     if split == 0:
         return float(position[0] - spacing / 2)
     if split == sheets:
         return float(position[-1] + spacing / 2)
     pairs = min(3, split, sheets - split)
     inner = np.r_[position[split - pairs : split], position[split : split + pairs]]
-    if sheets % 2 and split == sheets // 2:
-        return float(position[split] - 0.01 * spacing)  # the middle sheet is on the axis
     return float(inner.mean())

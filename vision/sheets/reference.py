@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from vision.errors import InputError, NoRidgesError
+from vision.errors import NoRidgesError
 from vision.numeric import (
     NORMAL_MEDIAN,
     Bools,
@@ -121,14 +121,13 @@ def build_reference(
         if unchanged:
             break
     if sheets is not None and reference.sheets < sheets:
-        gaps = ", ".join(f"{x:.0f} px" for x in wide_spacings(reference.x_px, settings=settings)[0])
-        found = f"{reference.sheets}" + (f", and none that stands out in the gaps at {gaps}" if gaps else "")
-        raise NoRidgesError(source, f"{sheets} ridges (`sheets`)", found, "give the number that is in view")
+        raise _too_few(reference.x_px, sheets, source, settings)
     best = reference.only(_choose_sheets(reference, comb, sheets))
     if sheets is None:
         too_many = most is not None and best.sheets > most
         return reference.only(_choose_sheets(reference, comb, most)) if too_many else best
-    _check_ends(best.x_px, sheets, source, settings)
+    if _far_outside(best.x_px, settings):
+        raise _too_few(best.x_px, sheets, source, settings)
     return replace(best, beyond=_beyond(reference, best, comb.pitch_px))
 
 
@@ -145,19 +144,25 @@ def _beyond(everything: ReferenceComb, best: ReferenceComb, pitch_px: float) -> 
     return count
 
 
-def _check_ends(x_px: Floats, sheets: int, source: str, settings: TrackingSettings) -> None:
-    """Refuse a number of nine or more ridges that is reached only with specks far outside the comb."""
+def _far_outside(x_px: Floats, settings: TrackingSettings) -> int:
+    """Return how many of nine or more ridges are specks far outside the comb; 0 of fewer."""
     if len(x_px) < 9:
-        return
+        return 0
     spacing = np.diff(x_px)
-    far = int((spacing[[0, -1]] > settings.far_outside * np.median(spacing)).sum())
-    if far:
-        raise InputError(
-            source,
-            f"{sheets} ridges (`sheets`)",
-            f"{sheets - far} and {far} far outside their comb",
-            "give the number that is in view, or leave `sheets` out",
-        )
+    return int((spacing[[0, -1]] > settings.far_outside * np.median(spacing)).sum())
+
+
+def _too_few(x_px: Floats, sheets: int, source: str, settings: TrackingSettings) -> NoRidgesError:
+    """Return the error for fewer ridges than `sheets`, without those far outside the comb, with a number that
+    can be tracked."""
+    far = _far_outside(x_px, settings)
+    gaps = ", ".join(f"{x:.0f} px" for x in wide_spacings(x_px, settings=settings)[0])
+    found = f"{len(x_px) - far}"
+    found += f" and {far} far outside their comb" if far else ""
+    found += f", and none that stands out in the gaps at {gaps}" if gaps else ""
+    advice = f"give `sheets` as {len(x_px) - far} or leave it out"
+    advice += ", and give the axis (`axis_px`)" if gaps else ""
+    return NoRidgesError(source, f"{sheets} ridges (`sheets`)", found, advice)
 
 
 def _seed(candidates: Candidates, frames: Ints, displacement_px: Floats, pitch_px: float) -> ReferenceComb:

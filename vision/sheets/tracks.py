@@ -314,6 +314,7 @@ class _Tracked:
             axis_how=numbering.how,
             axis_low_px=numbering.low_px + self.origin_px,
             axis_high_px=numbering.high_px + self.origin_px,
+            axis_missing=numbering.missing,
             least_margin=float(np.nan_to_num(self.detected.least_margin, posinf=1e9)),
             ridges_dropped=len(reference.dropped_px),
             ridges_beyond=reference.beyond,
