@@ -95,8 +95,8 @@ class Clock:
     drift_ppm: float
     residual_ms: float = math.nan
     matched: int = 0
-    unmatched_video: int
-    unmatched_force: int
+    unmatched_video: int = 0
+    unmatched_force: int = 0
     only_video_s: tuple[float, ...] = ()
     matched_s: tuple[float, ...] = ()
     holds_from_s: float = math.nan
@@ -191,11 +191,12 @@ def synchronise(
     if StripMetadata.of(tracks).clock_kind == "playback":
         warnings = ("frame times are the file's playback rate, which need not be the camera's: give `fps`",)
     if offset_s is not None:
-        _check_overlap(tracks, force, (offset_s, drift_ppm), "`offset_s`")
-        clock = _given(tracks, force, sticks, (offset_s, drift_ppm), "given", settings)
+        given = Clock(offset_s=offset_s, drift_ppm=drift_ppm, status="given", how="given")
+        _check_overlap(tracks, force, given, "`offset_s`")
+        clock = _given(tracks, force, sticks, given, settings)
     elif (column := clock_from_column(force)) is not None:
         _check_overlap(tracks, force, column, ForceMetadata.of(force).source)
-        clock = _given(tracks, force, sticks, column, "video time column", settings)
+        clock = _given(tracks, force, sticks, column, settings)
     else:
         clock = _from_slips(tracks, force, sticks, settings)
         if "video_time_s" in force:
@@ -204,7 +205,7 @@ def synchronise(
     return replace(clock, warnings=(*warnings, *clock.warnings))
 
 
-def _check_overlap(tracks: xr.Dataset, force: xr.Dataset, line: tuple[float, float], about: str) -> None:
+def _check_overlap(tracks: xr.Dataset, force: xr.Dataset, clock: Clock, about: str) -> None:
     """Raise InputError if this clock puts the video outside the force recording."""
     times = tracks["time_s"].to_numpy()
     times = times[np.isfinite(times)]
@@ -212,7 +213,7 @@ def _check_overlap(tracks: xr.Dataset, force: xr.Dataset, line: tuple[float, flo
         source = StripMetadata.of(tracks).source
         raise InputError(source, "a time for each frame", "none", "give `fps` or `timestamps`")
     machine = good_samples(force)["time_s"].to_numpy()
-    begin, end = (line[0] + (1 + 1e-6 * line[1]) * t for t in (times.min(), times.max()))
+    begin, end = clock.to_force_s([times.min(), times.max()])
     if end < machine[0] or begin > machine[-1]:
         raise InputError(
             about,
@@ -396,28 +397,16 @@ def _clock_of(trains: SlipTrains, clocks: CandidateClocks, fits: ClockFits, how:
 
 
 def _given(
-    tracks: xr.Dataset,
-    force: xr.Dataset,
-    sticks: pd.DataFrame,
-    line: tuple[float, float],
-    how: How,
-    settings: ClockSettings,
+    tracks: xr.Dataset, force: xr.Dataset, sticks: pd.DataFrame, clock: Clock, settings: ClockSettings
 ) -> Clock:
-    """A given clock, with warnings where the slips contradict it."""
+    """A given clock with the slips that match it, and with warnings where they contradict it."""
     seen, drops = video_slips(tracks, settings=settings), force_slips(force, sticks, settings=settings)
     if len(seen) and len(drops) > 1:
         trains = _slip_trains(seen, drops, settings)
-        clocks = CandidateClocks(np.array([line[0]]), np.array([1e-6 * line[1]]), np.zeros(1))
-        given = _clock_of(trains, clocks, fit_clocks(trains, clocks, settings), how)
+        clocks = CandidateClocks(np.array([clock.offset_s]), np.array([1e-6 * clock.drift_ppm]), np.zeros(1))
+        given = _clock_of(trains, clocks, fit_clocks(trains, clocks, settings), clock.how)
     else:
-        given = Clock(
-            offset_s=line[0],
-            drift_ppm=line[1],
-            unmatched_video=len(seen),
-            unmatched_force=len(drops),
-            status="given",
-            how=how,
-        )
+        given = replace(clock, unmatched_video=len(seen), unmatched_force=len(drops))
     if min(len(seen), len(drops)) < settings.least_slips:  # too few for an alignment of their own
         backwards = _if_backwards(tracks, drops, settings)
         return replace(given, warnings=(backwards,) if backwards else ())
@@ -440,8 +429,8 @@ def _contradiction(given: Clock, found: Alignments) -> tuple[str, ...]:
 # --- a column of video times in the force recording ---------------------------------------------------------
 
 
-def clock_from_column(force: xr.Dataset) -> tuple[float, float] | None:
-    """Return (offset_s, drift_ppm) of the line through the video times that the testing machine recorded.
+def clock_from_column(force: xr.Dataset) -> Clock | None:
+    """Return the clock that the video times in the testing machine's recording lie on.
 
     A value is repeated until the next frame arrives, so only its first sample counts. Values more than 5 σ
     off the line are left out. None without a usable column: it needs ten different values, and a rate
@@ -460,7 +449,12 @@ def clock_from_column(force: xr.Dataset) -> tuple[float, float] | None:
     slope, middle = _robust_line(video - centre, machine)
     if not abs(slope - 1) <= 0.02:
         return None
-    return middle - slope * centre, 1e6 * (slope - 1)
+    return Clock(
+        offset_s=middle - slope * centre,
+        drift_ppm=1e6 * (slope - 1),
+        status="given",
+        how="video time column",
+    )
 
 
 def _robust_line(x: Floats, y: Floats) -> tuple[float, float]:
