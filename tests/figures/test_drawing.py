@@ -16,6 +16,7 @@ from tests.scenes.analysed import with_force
 from tests.scenes.report_data import make_tracks, sawtooth
 from vision.figures import (
     Figure,
+    Image,
     Panel,
     Series,
     figures_of,
@@ -24,7 +25,7 @@ from vision.figures import (
     tracks_figure,
 )
 from vision.figures.catalogue import figure_named
-from vision.figures.drawing import label_step, new_figure, picture_style
+from vision.figures.drawing import label_step, new_figure, picture_style, render
 from vision.figures.force import clocks_figure
 from vision.figures.style import DATA
 
@@ -226,3 +227,37 @@ def test_the_legend_is_whole_on_axes_of_pyplot(name):
     legend = ax.get_legend().get_window_extent()
     assert page.bbox.x0 <= legend.x0 <= legend.x1 <= page.bbox.x1
     assert page.bbox.y0 <= legend.y0 <= legend.y1 <= page.bbox.y1
+
+
+def test_sheets_that_coincide_hide_neither_side():
+    """A failure means that one side covers the other where they move alike."""
+    at = np.arange(100.0)
+    inks = {-1: ("#0000ff", "#0000ff"), 1: ("#ff0000", "#ff0000")}
+    series = tuple(
+        Series(label=f"{side} {n}", x=at, y=at, ink=inks[side], dashed=side < 0, sheet=(side, n))
+        for side, most in ((-1, 3), (1, 4))
+        for n in range(1, most + 1)
+    )
+    figure = Figure.of("both", Panel(x_label="t", y_label="x", series=series), "")
+    pixels = render(figure)[..., :3].astype(int)
+    red, blue = pixels[..., 0] - pixels[..., 2] > 100, pixels[..., 2] - pixels[..., 0] > 100
+    assert 0.3 < red.sum() / blue.sum() < 3
+
+
+def test_fast_oscillations_do_not_fill_a_space_time_diagram():
+    """A failure means an image that the zigzag of a track hides."""
+    at = np.linspace(0, 10, 1001)
+    y = np.where(at < 5, 50.0, 50 + 30 * (-1.0) ** np.arange(1001))
+    track = Series(label="right 1", x=at, y=y, ink=("#ff0000", "#ff0000"), sheet=(1, 1))
+    image = Image(pixels=np.full((100, 100), 128, np.uint8), left=0, right=100, top=0, bottom=10)
+    ranges = {"x_range": (0.0, 10.0), "y_range": (0.0, 100.0)}
+    panel = Panel(x_label="t", y_label="x", series=(track,), image=image, time_down=True, **ranges)
+    ax = Figure.of("diagram", panel, "").plot()
+    ax.figure.draw_without_rendering()
+    for collection in ax.collections:
+        (path,) = collection.get_paths()
+        steps = np.abs(np.diff(path.vertices, axis=0))
+        assert np.nanmax(steps[:, 0]) < 1
+    known = np.isfinite(ax.collections[0].get_paths()[0].vertices[:, 0])
+    assert known.sum() == at.size  # every position is still there
+    assert len(ax.lines[-1].get_xdata()) == (at >= 5).sum()  # as dots

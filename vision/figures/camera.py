@@ -357,7 +357,7 @@ def space_time_figure(
         "space_time",
         panel,
         "Intensity I(x,t) averaged over the strip's rows, one frame below the other, time downwards; the "
-        "lines are the positions x(n,t), left of the symmetry axis blue, right orange."
+        "lines are the positions x(n,t), left of the symmetry axis blue, right orange, interrupted at jumps."
         f"{means}{marked} kymograph.tif holds every frame.",
     )
 

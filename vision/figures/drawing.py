@@ -33,6 +33,7 @@ MOST_LINES = 40  # marked times that get a line across; more are marked only at 
 # Without alpha channel, with little compression and the "up" filter: a sixth of the time of `savefig`.
 _PNG = (cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_UP)
 _DASHES = (0, (4, 2))
+_JUMP, _STEEP = 0.004, 4.0  # least length of a jump over the width of a diagram, and across over along
 FLAT = 0.25  # height over width of images that have ticks only at their first and last row
 _MANY_POINTS = 150  # more points of a series are drawn smaller, with faint error bars
 _STYLE: dict[str, Any] = {
@@ -201,28 +202,49 @@ def _draw_bands(ax: Axes, panel: Panel) -> None:
 
 
 def _draw_sheets(ax: Axes, panel: Panel) -> None:
-    """Draw the lines of many sheets, with one collection per side, which is three times as fast.
+    """Draw the lines of many sheets as one collection, which is three times as fast.
 
-    Dots mark isolated positions, which a line does not show, or all positions if they are few.
+    The outer sheets are on top, of each pair the dashed one, so that both sides are seen where they coincide.
+    Dots mark isolated positions, which a line does not show, or all positions if they are few. Over a
+    space-time diagram lines are interrupted at jumps (`_interrupted`).
     """
-    casing: dict[str, Any] = {"colors": CASING, "alpha": 0.7}
-    for dashed in (True, False):
-        mine = [series for series in panel.series if series.dashed == dashed and np.isfinite(series.y).any()]
-        if not mine:
-            continue
-        lines = [np.stack([s.y, s.x] if panel.time_down else [s.x, s.y], axis=1) for s in mine]
-        width = mine[0].width
+    shown = [_interrupted(series, panel) if panel.time_down else series for series in panel.series]
+    known = _bottom_up([series for series in shown if np.isfinite(series.y).any()])
+    if known:
+        lines = [np.stack([s.y, s.x] if panel.time_down else [s.x, s.y], axis=1) for s in known]
+        width = known[0].width
         if panel.image is not None:  # coloured lines are invisible on white ridges without a dark edge
-            ax.add_collection(LineCollection(lines, linewidths=1.9 * width, **casing))
-        inks = [s.ink[0] for s in mine]
-        ax.add_collection(
-            LineCollection(lines, colors=inks, linewidths=width, linestyles=_DASHES if dashed else "-")
-        )
-    for series in panel.series:
+            ax.add_collection(LineCollection(lines, linewidths=1.9 * width, colors=CASING, alpha=0.7))
+        inks, dashes = [s.ink[0] for s in known], [_DASHES if s.dashed else "-" for s in known]
+        ax.add_collection(LineCollection(lines, colors=inks, linewidths=width, linestyles=dashes))
+    size = 1.2 if panel.time_down else 2.5
+    for series in shown:
         dots = np.isfinite(series.y) if series.look == "both" else _isolated(series.y)
         if dots.any():
             x, y = (series.y, series.x) if panel.time_down else (series.x, series.y)
-            ax.plot(x[dots], y[dots], ls="none", marker="o", ms=2.5, color=series.ink[0])
+            ax.plot(x[dots], y[dots], ls="none", marker="o", ms=size, color=series.ink[0])
+
+
+def _bottom_up(sheets: list[Series]) -> list[Series]:
+    """Return sheets in the order in which they are drawn: outwards, and the dashed one of each pair last."""
+    most: dict[int, int] = {}
+    for side, n in (series.sheet or (0, 0) for series in sheets):
+        most[side] = max(n, most.get(side, 0))
+    pairs = min(most.values(), default=0)  # sheets beyond have no partner
+    return sorted(sheets, key=lambda series: (min((series.sheet or (0, 0))[1], pairs), series.dashed))
+
+
+def _interrupted(series: Series, panel: Panel) -> Series:
+    """Return a track with a gap at each jump: far, and much further across the diagram than along it.
+
+    The lines of fast oscillations would otherwise fill areas, and hide the image.
+    """
+    (first, last), (low, high) = panel.x_range or (0.0, np.inf), panel.y_range or (0.0, np.inf)
+    across = np.abs(np.diff(series.y)) / (high - low)  # in widths of the panel
+    along = np.abs(np.diff(series.x)) / (last - first) * panel.aspect
+    jumps = np.flatnonzero((across > _JUMP) & (across > _STEEP * along)) + 1
+    x, y = np.insert(series.x, jumps, series.x[jumps]), np.insert(series.y, jumps, np.nan)
+    return replace(series, x=x, y=y)
 
 
 def _isolated(y: Floats) -> Bools:

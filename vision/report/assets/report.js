@@ -66,19 +66,29 @@
     }
     c.restore();
   }
+  /* One track as a path. A jump in a space-time diagram is a gap, and a position between two jumps a dot: the
+     lines of fast oscillations would fill areas, and hide the image. */
+  function trace(u, chart, k, path) {
+    const xs = u.data[0], r = devicePixelRatio;
+    let last = null;
+    u.data[k].forEach((v, i) => {
+      if (v == null) { last = null; return; }
+      const across = u.valToPos(v, "y", true), along = u.valToPos(xs[i], "x", true);
+      const p = chart.time_down ? [across, along] : [along, across];
+      const far = last && Math.abs(across - last[0]), jump = far > 4 * r && far > 4 * Math.abs(along - last[1]);
+      if (last && !(chart.time_down && jump)) path.lineTo(...p);
+      else { path.moveTo(p[0] - 0.6 * r, p[1]); path.lineTo(p[0] + 0.6 * r, p[1]); path.moveTo(...p); }
+      last = [across, along];
+    });
+  }
   /* A dark edge under tracks, which would be lost on white ridges. */
   function casing(u, chart) {
-    const c = u.ctx, xs = u.data[0], along = xs.map((v) => u.valToPos(v, "x", true));
+    const c = u.ctx;
     c.save(); c.strokeStyle = "rgba(16,16,16,0.7)"; c.setLineDash([]);
     chart.series.forEach((s, k) => {
       if (!u.series[k + 1].show) return;
       c.lineWidth = 1.9 * s.width * devicePixelRatio; c.beginPath();
-      let pen = false;
-      u.data[k + 1].forEach((v, i) => {
-        if (v == null) { pen = false; return; }
-        const across = u.valToPos(v, "y", true), p = chart.time_down ? [across, along[i]] : [along[i], across];
-        c[pen ? "lineTo" : "moveTo"](...p); pen = true;
-      });
+      trace(u, chart, k + 1, c);
       c.stroke();
     });
     c.restore();
@@ -160,6 +170,14 @@
   }
 
   /* ---- one chart ---- */
+  const signed = (s) => s.sheet[0] * s.sheet[1];
+  /* Outer sheets on top, of each pair the dashed one: both sides are seen where they coincide. */
+  function stack(chart) {
+    if (!chart.series.every((s) => s.sheet)) return;
+    const most = [-1, 1].map((side) => Math.max(...chart.series.filter((s) => s.sheet[0] === side).map((s) => s.sheet[1])));
+    const pairs = Math.min(...most.filter(isFinite)), pair = (s) => Math.min(s.sheet[1], pairs);
+    chart.series.sort((a, b) => pair(a) - pair(b) || a.dashed - b.dashed);
+  }
   const crowded = (s, chart) => { const a = chart.arrays[s.x]; return !a.v || a.v.length > 250; };
   /* Values with none before or after them, of which a line shows nothing; null for none. */
   function singles(u, k) {
@@ -176,6 +194,9 @@
       points: { show: points, size: (s.hollow ? 9 : 5) * (crowded(s, chart) ? 0.75 : 1), width: 1.3, stroke: colour, fill: s.hollow ? "transparent" : colour },
     };
     if (s.look === "line" && chart.common_x) out.points.filter = singles;
+    if (s.look === "line" && chart.time_down && chart.common_x) {
+      out.paths = (u, k) => { const stroke = new Path2D(); trace(u, chart, k, stroke); return { stroke, flags: 1 }; };
+    }
     if (s.look === "steps") {
       out.paths = uPlot.paths.bars({ size: [1, Infinity], align: 0 });
       out.fill = () => ink(s.ink) + "80";
@@ -328,8 +349,9 @@
     const cell = (v) => (v == null ? "" : v), lines = [];
     const plain = chart.series.every((s) => s.low === undefined && !s.text);
     if (chart.common_x && plain) {
-      lines.push([chart.x_label, ...chart.series.map((s) => s.label)].map(quote).join(","));
-      const xs = arrays[chart.series[0].x], ys = chart.series.map((s) => arrays[s.y]);
+      const listed = chart.series.every((s) => s.sheet) ? [...chart.series].sort((a, b) => signed(a) - signed(b)) : chart.series;
+      lines.push([chart.x_label, ...listed.map((s) => s.label)].map(quote).join(","));
+      const xs = arrays[listed[0].x], ys = listed.map((s) => arrays[s.y]);
       xs.forEach((x, i) => lines.push([x, ...ys.map((y) => cell(y[i]))].map((v) => (typeof v === "number" ? +v.toPrecision(8) : v)).join(",")));
     } else {
       lines.push(["series", "quantity", chart.x_label, "y", "low", "high", "text"].map(quote).join(","));
@@ -562,6 +584,7 @@
 
   document.querySelectorAll("[data-chart]").forEach((figure) => {
     const chart = page.charts[figure.dataset.chart];
+    stack(chart);
     const ready = (image) => { make(figure, chart, image); figures.push(figure); };
     if (!chart.picture) { ready(null); return; }
     const image = new Image();
