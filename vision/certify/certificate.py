@@ -580,9 +580,10 @@ def _doubts(
     if at_distorted > settings.most_at_distorted:
         lines.append(
             f"something distorts or hides ridges in {100 * disturbed:.1f} % of the film (dirt, a highlight, "
-            f"a hand), and positions that it distorts have {100 * at_distorted:.0f} % of the squared stated "
-            "errors: the films show the recorded pixels there, with true positions predicted from "
-            "neighbouring sheets; the true errors were 0.5 to 4 times these in tests"
+            f"a hand), and {100 * at_distorted:.0f} % of the total error (the sum of squares of the stated "
+            "errors) is that of the positions there. Where these sheets really were is unknown, so the films "
+            "take it from their neighbours, and the certified error is approximate: in tests, the true error "
+            "was 0.5 to 4 times as large. Remove the cause, or track rows without it"
         )
     return lines
 

@@ -89,7 +89,8 @@ def statements(certificate: Certificate) -> list[Answer]:
         Answer(
             "Error of a displacement",
             f"{'about ' if c.uncertain else ''}{_length(c.error_px, c)}",
-            f"RMS over all sheets; from {_length(float(worst.min()), c)} to {_length(float(worst.max()), c)}",
+            f"RMS over all sheets; that of single sheets is from {_length(float(worst.min()), c)} (the best) "
+            f"to {_length(float(worst.max()), c)} (the worst)",
             doubt=c.uncertain,
         ),
         Answer(
@@ -145,7 +146,13 @@ def _signed_percent(share: float) -> str:
 def _length(px: float, c: Certificate) -> str:
     if not math.isfinite(px):
         return "–"
-    return f"{px:.4f} px" + (f" ({px * c.pixel_size_um:.3f} µm)" if c.pixel_size_um else "")
+    return f"{_digits(px)} px" + (f" ({_digits(px * c.pixel_size_um)} µm)" if c.pixel_size_um else "")
+
+
+def _digits(number: float) -> str:
+    """Return a number with three digits, or fewer if the fourth decimal is reached before."""
+    decimals = 4 if number <= 0 else min(max(2 - math.floor(math.log10(number)), 0), 4)
+    return f"{number:.{decimals}f}"
 
 
 def _methods(c: Certificate, films_made: str) -> list[str]:
