@@ -386,7 +386,7 @@ def test_where_something_pulls_ridges_the_certificate_says_so(name, seed, tmp_pa
     assert 0.65 < certificate.error_px / rms(error) < 1.35
     assert certificate.uncertain
     (line,) = [line for line in certificate.warnings if "distorts" in line]
-    assert "Where those sheets really were is not known" in line
+    assert "Where these sheets really were is unknown" in line
     write_certificate(certificate, tmp_path / "out")
     assert "about" in (tmp_path / "out/certificate.html").read_text("utf-8")
 

@@ -245,3 +245,25 @@ def test_an_abbreviated_option_is_recognised(typed, capsys):
     """A failure means that --px suggests --fps."""
     assert run(["v.avi", typed, "10"]) == 2
     assert f"Unknown option: {typed}. Did you mean --pixel-size?" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("typed", "meant"), [("preveiw", "preview"), ("compar", "compare"), ("Force", "force")]
+)
+def test_a_mistyped_command_is_recognised(typed, meant, tmp_path, monkeypatch, capsys):
+    """A failure means that a typo is taken for a film, which is not there."""
+    monkeypatch.chdir(tmp_path)
+    assert run([typed, "film.avi"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.endswith(f"{typed}: expected a command or a video; found neither; did you mean {meant}?")
+    (tmp_path / typed).mkdir()  # a folder of images may have such a name
+    for name in (typed, "preview.avi"):
+        assert run([name]) == 2
+        assert "did you mean" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("option", ["--strip", "--columns", "--frames"])
+def test_a_range_that_is_none_gets_an_example(option, capsys):
+    """A failure means that a user who types 60-144 has to guess what A:B means."""
+    assert run(["film.avi", option, "60-144"]) == 2
+    assert capsys.readouterr().err.endswith("found '60-144'; write 60:144\n")

@@ -57,6 +57,30 @@ def test_remade_it_is_the_same(tmp_path, name):
         assert np.sqrt((difference**2).mean()) < 2
 
 
+def test_the_commands_to_analyse_them_state_the_true_settings():
+    """A failure means that a reader's first command gives lengths, separations or clocks of another test."""
+    text = (FIXTURES / "README.md").read_text("utf-8")
+    commands = [shlex.split(line) for line in text.splitlines() if line.startswith("track fixtures/")]
+    rows = {row[0].strip("` "): row[1:4] for line in text.splitlines() if (row := line.split("|")[1:])}
+    assert sorted(Path(words[1]).parent.name for words in commands) == sorted(COMMANDS)
+    for words in commands:
+        folder, given = (
+            FIXTURES.parent / Path(words[1]).parent,
+            dict(zip(words[2::2], words[3::2], strict=True)),
+        )
+        assert all(
+            (FIXTURES.parent / path).is_file() for path in (words[1], given["--force"], given["--timestamps"])
+        )
+        with xr.open_dataset(folder / "truth.nc") as truth:
+            made = [
+                _settings(truth)["mechanics.d0_mm"],
+                *(truth.attrs[k] for k in ("pixel_size_um", "offset_s")),
+            ]
+        assert [float(given["--d0"]), float(given["--pixel-size"])] == made[:2]
+        assert float(given.get("--offset", made[2])) == made[2]
+        assert [float(cell) for cell in rows[folder.name]] == made
+
+
 def test_a_video_of_another_seed_would_be_noticed(tmp_path):
     """The comparison above is not blind: another seed differs by more than two levels RMS."""
     arguments = [*COMMANDS["paper"], "--quiet", "--set", "camera.duration_s=0.2", "--set", "seed=9"]

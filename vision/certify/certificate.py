@@ -585,7 +585,7 @@ def _doubts(
         lines.append(
             f"something distorts or hides ridges in {100 * disturbed:.1f} % of the film (dirt, a highlight, "
             f"a hand), and {100 * at_distorted:.0f} % of the total error (the sum of squares of the stated "
-            "errors) is that of the positions there. Where those sheets really were is not known, so the films "
+            "errors) is that of the positions there. Where these sheets really were is unknown, so the films "
             "take it from their neighbours, and the certified error is approximate: in tests, the true error "
             "was 0.5 to 4 times as large. Remove the cause, or track rows without it"
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import _thread
 import atexit
+import difflib
 import logging
 import os
 import signal
@@ -19,6 +20,7 @@ from vision import __version__
 from vision.command import commands
 from vision.command.console import attempt, complain, hold_streams, silence_libraries
 from vision.command.review import review
+from vision.errors import InputError
 from vision.files import MOST_PIXELS
 
 HELP = """Track every sheet of a stick-slip video to a hundredth of a pixel.
@@ -151,7 +153,16 @@ def _answer(arguments: Sequence[str]) -> Any:
     app = make_app()
     if arguments in ([], ["--help"]):  # skipping the parser saves a quarter of the time
         return app.help_print([])
+    _check_command(app, arguments[0])
     return app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
+
+
+def _check_command(app: App, first: str) -> None:
+    """Raise InputError if the first word is no file, and nearly a command."""
+    commands = [name for name in app if not name.startswith("-")]
+    near = difflib.get_close_matches(first.lower(), commands, n=1, cutoff=0.7)
+    if near and first not in commands and "." not in first and not os.path.lexists(first):
+        raise InputError(first, "a command or a video", "neither", f"did you mean {near[0]}?")
 
 
 def _stopped(kept: str = "") -> int:

@@ -144,7 +144,7 @@ def parse_range(text: str | None, option: str) -> slice | None:
     match = re.fullmatch(r"\s*([0-9]{0,12})\s*:\s*([0-9]{0,12})\s*", text)
     start, stop = ((int(end) if end else None) for end in match.groups()) if match else (None, None)
     if match is None or (stop is not None and stop <= (start or 0)):
-        raise InputError(option, "two whole numbers A:B with 0 <= A < B", f"'{text}'")
+        raise InputError(option, "two whole numbers A:B with 0 <= A < B", f"'{text}'", "write 60:144")
     return slice(start, stop)
 
 
