@@ -49,7 +49,7 @@ def findings(tracks: xr.Dataset) -> dict[str, Any]:
             "how": strip.strip_how,
             "tilt_deg": strip.tilt_deg,
         },
-        "clock": {"kind": strip.clock_kind, "fps": strip.fps},
+        "clock": {"kind": strip.clock_kind, "file": strip.clock_file, "fps": strip.fps},
         "ridges": {"polarity": found.ridges, "fwhm_px": found.ridge_fwhm_px, "pitch_px": found.pitch_px},
         "sheets": {"count": found.sheets, "other_ridges_left_out": found.ridges_dropped},
         "axis": {
@@ -238,6 +238,9 @@ def frame_rate_text(strip: StripMetadata) -> str:
     """Return the frame rate and its source as text."""
     if not math.isfinite(strip.fps) and strip.clock_kind == "playback":
         return "the file states no frame rate: give the camera's with `fps`"
+    if strip.clock_file:
+        rate = f", about {strip.fps:.4g} frames/s" if math.isfinite(strip.fps) else ""
+        return f"from the time stamps in {strip.clock_file}{rate}"
     kinds: Mapping[str, str] = {
         "playback": " is the file's playback rate: confirm it or give the camera's with `fps`",
         "file": ", from the recording itself",

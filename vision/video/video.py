@@ -62,8 +62,9 @@ class Video:
         Degrees clockwise, a multiple of 90, by which frames are turned after the file's own rotation.
     first, stop
         Range of frame numbers, half-open; stop None is the end.
-    given_fps, given_times_s
-        The camera's clock as given by the user, which takes precedence over the file's.
+    given_fps, given_times_s, timestamps
+        The camera's clock as given by the user, which takes precedence over the file's; the name of the file
+        that the times are from, "" without.
     warnings
         Defects of the file that its headers show.
     pixels_path
@@ -81,6 +82,7 @@ class Video:
     stop: int | None
     given_fps: float | None
     given_times_s: Floats | None
+    timestamps: str
     warnings: tuple[str, ...]
     pixels_path: Path
     stamp: Stamp
@@ -321,6 +323,7 @@ def open_video(
         stop=stop,
         given_fps=fps,
         given_times_s=times_s,
+        timestamps="" if timestamps is None else Path(timestamps).name,
         warnings=tuple(warnings),
         pixels_path=pixels,
         stamp=stamp,
