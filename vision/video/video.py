@@ -260,7 +260,8 @@ def open_video(
     Parameters
     ----------
     path
-        A video file, a TIFF, a cine, a Photron .mraw or .cih, a folder or a glob of numbered images.
+        A video file, a TIFF, a cine, a Photron .mraw or .cih, a folder or a glob of numbered images. Of a
+        folder of films, which the command takes one by one, give a film.
     rotate
         Degrees clockwise by which each frame is turned: 0, 90, 180 or 270. A film that states how it is to be
         turned for display, as phones' films do, is first turned in that way.
@@ -356,6 +357,9 @@ def pixels_file(path: Path) -> Path:
 
 def _open_reader(path: Path) -> Reader:
     """Return the reader for this kind of file, recognised by its first bytes."""
+    if path.is_dir() and (films := files_in(path, FILMS)) and not files_in(path, IMAGES):
+        found, advice = f"a folder of {len(films)} film(s)", f"give a film in it, such as {films[0]}"
+        raise InputError(path, "a film or a folder of images", found, advice)
     if path.is_dir() or (not path.exists() and glob.has_magic(str(path))):
         return open_sequence(path)
     check_regular(path, "a video, a TIFF, a folder or glob of images")
