@@ -63,14 +63,33 @@ def test_an_axis_that_motion_allows_is_not_doubted(picture, pitches):
 
 @pytest.mark.parametrize(
     ("high_px", "said"),
-    [(192.9, "the motion allows no other gap between sheets"), (240.0, "the motion allows 193 to 240 px")],
+    [
+        (192.9, "found from motion; the motion allows no other gap between sheets"),
+        (220.0, "found from motion; the motion allows 192.5 to 220.0 px"),
+        (280.0, "not decided by the motion, which allows 192.5 to 280.0 px"),
+    ],
 )
-def test_an_axis_between_two_sheets_is_given_no_empty_range(picture, high_px, said):
-    """A failure means "192.5 px (the motion allows 193 to 193 px)", which contradicts itself."""
+def test_an_axis_is_said_to_be_where_the_motion_allows_it(picture, high_px, said):
+    """A failure means "192.5 px (the motion allows 193 to 193 px)", which contradicts itself, or that an axis
+    which the motion leaves open by four sheets is called found."""
     found = {"axis_px": 192.5, "axis_how": "motion", "axis_low_px": 192.9, "axis_high_px": high_px}
     tracks = track_sheets(picture).assign_attrs(**found)
     (line,) = [one for one in summary_lines(Results(tracks=tracks)) if one.startswith("axis")]
-    assert line == f"axis       192.5 px (found from motion; {said})"
+    assert line == f"axis       192.5 px ({said})"
+
+
+def test_an_axis_beside_one_side_that_hardly_moves_is_not_called_found():
+    """The innermost sheets of one side move too little to show where the axis is. A failure means that nine
+    sheets of doubt pass for a find, or an axis outside its own range."""
+    side = comb(60, slip=0.05)[:, 25:]
+    tracks = track_sheets(strip(ridges(side), snr=30))
+    assert tracks.attrs["axis_high_px"] - tracks.attrs["axis_low_px"] > 3 * PITCH
+    (line,) = [one for one in summary_lines(Results(tracks=tracks)) if one.startswith("axis")]
+    assert (
+        "half a spacing beyond the innermost sheet in view; not decided by the motion, which allows" in line
+    )
+    axis, low, high = map(float, re.findall(r"\d+\.\d", line))
+    assert low <= axis <= high
 
 
 @pytest.mark.parametrize("told", [40, 44])

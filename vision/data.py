@@ -209,9 +209,9 @@ class StripMetadata(Metadata):
         RMS difference between positions from the upper and the lower half of the strip, and between those
         from its outer and inner half, beyond tilt and noise; error of positions due to the latter. 0 if
         there is no significant difference.
-    clock_kind, fps
-        "file" (time stamps of the recording), "given" or "playback" (rate in the file's header); frames per
-        second, NaN if unknown.
+    clock_kind, clock_file, fps
+        "file" (time stamps of the recording), "given" or "playback" (rate in the file's header); name of the
+        file of time stamps that was given, "" for none; frames per second, NaN if unknown.
     frames_expected, frames_read, frames_lost, frames_blank, frames_corrupt
         Counts of frames: expected = read + lost. The read frames include blank ones, the lost frames
         corrupt ones.
@@ -239,6 +239,7 @@ class StripMetadata(Metadata):
     strip_bow_px: float = 0.0
     strip_err_px: float = 0.0
     clock_kind: str = "playback"
+    clock_file: str = ""
     fps: float = math.nan
     frames_expected: int = 0
     frames_read: int = 0

@@ -16,6 +16,7 @@ from vision.figures.style import both_errors, candidates_text, counted, drift_te
 from vision.numeric import nan_median, two_digits
 from vision.sample import Sample
 from vision.sheets import doubtful_stretches
+from vision.sheets.settings import DEFAULT
 from vision.sheets.tracks import LOSSY
 from vision.systematics import QUANTITIES, SOURCES, Budget, systematic_budget
 
@@ -48,7 +49,7 @@ def findings(tracks: xr.Dataset) -> dict[str, Any]:
             "how": strip.strip_how,
             "tilt_deg": strip.tilt_deg,
         },
-        "clock": {"kind": strip.clock_kind, "fps": strip.fps},
+        "clock": {"kind": strip.clock_kind, "file": strip.clock_file, "fps": strip.fps},
         "ridges": {"polarity": found.ridges, "fwhm_px": found.ridge_fwhm_px, "pitch_px": found.pitch_px},
         "sheets": {"count": found.sheets, "other_ridges_left_out": found.ridges_dropped},
         "axis": {
@@ -130,7 +131,7 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> Iterator
         if strip.codec in LOSSY
         else f", {noise['predicted_px']:.4f} px predicted from the pixels"
     )
-    axis = f"{found.axis_px:.1f} px ({_axis(found, int(tracks['n'].min()))})"
+    axis = f"{found.axis_px:.1f} px ({_axis(found, int(tracks['n'].min()), one_side=len(set(side)) == 1)})"
     ridges = counted(found.sheets, f"{found.ridges} ridge")
     yield (
         "sheets",
@@ -214,7 +215,8 @@ def ridges_line(found: TrackMetadata) -> str:
     return f"{size}; {found.fit} fit over {found.window_px} px"
 
 
-def _axis(found: TrackMetadata, innermost: int) -> str:
+def _axis(found: TrackMetadata, innermost: int, *, one_side: bool) -> str:
+    """Return how the axis is known, and the range that the motion allows, which contains it."""
     how = AXIS_HOW[found.axis_how]
     if found.axis_how == "geometry" and found.axis_missing:
         how += f" and {found.axis_missing} that seem{'s' * (found.axis_missing == 1)} to be missing"
@@ -225,13 +227,20 @@ def _axis(found: TrackMetadata, innermost: int) -> str:
         return f"{how}; the motion does not show the axis"
     if found.axis_high_px == found.axis_low_px:
         return f"{how}; the motion allows no other gap between sheets"
-    return f"{how}; the motion allows {found.axis_low_px:.0f} to {found.axis_high_px:.0f} px"
+    low, high = min(found.axis_low_px, found.axis_px), max(found.axis_high_px, found.axis_px)
+    if found.axis_how == "motion" and high - low > DEFAULT.decided_sheets * found.pitch_px:
+        beyond = "half a spacing beyond the innermost sheet in view; " * one_side
+        return f"{beyond}not decided by the motion, which allows {low:.1f} to {high:.1f} px"
+    return f"{how}; the motion allows {low:.1f} to {high:.1f} px"
 
 
 def frame_rate_text(strip: StripMetadata) -> str:
     """Return the frame rate and its source as text."""
     if not math.isfinite(strip.fps) and strip.clock_kind == "playback":
         return "the file states no frame rate: give the camera's with `fps`"
+    if strip.clock_file:
+        rate = f", about {strip.fps:.4g} frames/s" if math.isfinite(strip.fps) else ""
+        return f"from the time stamps in {strip.clock_file}{rate}"
     kinds: Mapping[str, str] = {
         "playback": " is the file's playback rate: confirm it or give the camera's with `fps`",
         "file": ", from the recording itself",

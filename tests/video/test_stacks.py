@@ -6,7 +6,7 @@ import pytest
 import tifffile
 from PIL import Image
 
-from tests.scenes.films import comb, states, whole
+from tests.scenes.films import comb, states, whole, write_avi
 from vision.errors import InputError
 from vision.sheets.tracks import LOSSY
 from vision.video import open_video, strip_profile
@@ -313,6 +313,20 @@ def test_mixed_folders_are_refused(tmp_path):
     cv2.imwrite(str(tmp_path / "g" / PYLON.format(9, "png")), comb(rows=20)[0])
     with pytest.raises(InputError, match="50 x 12"):
         strip_profile(open_video(tmp_path / "g"), slice(0, 12))
+
+
+def test_a_folder_without_images_is_told_what_it_holds(tmp_path):
+    """Failure: folders are counted as files, films in them seem to be looked for, or who gives the folder of
+    a film is not told which file to give."""
+    (tmp_path / "notes.txt").write_text("3 mm/min")
+    for name in ("test", "later"):
+        (tmp_path / name).mkdir()
+    film = write_avi(tmp_path / "test" / "video.avi", comb())
+    with pytest.raises(InputError, match=r"none among 1 file\(s\) and 2 folder\(s\); .* not looked for"):
+        open_video(tmp_path)
+    with pytest.raises(InputError, match=r"a folder of 1 film\(s\); give a film in it, such as ") as refused:
+        open_video(tmp_path / "test")
+    assert str(refused.value).endswith(str(film))
 
 
 def test_jpeg_images(tmp_path):

@@ -3,7 +3,9 @@ import pytest
 import tifffile
 
 from tests.scenes.films import comb, write_avi, write_encoded
+from vision.data import StripMetadata
 from vision.errors import InputError
+from vision.summary import frame_rate_text
 from vision.video import open_video, read_timestamps, strip_profile
 
 TIMES_S = np.array([0.0, 0.021, 0.04, 0.0605, 0.08, 0.1])
@@ -104,6 +106,7 @@ def test_times_reach_the_profile(tmp_path):
     strip = strip_profile(open_video(video_path, timestamps=tmp_path / "t.txt"), slice(0, 12))
     assert np.array_equal(strip.time_s, TIMES_S)
     assert (strip.clock_kind, round(strip.fps)) == ("given", 50)
+    assert frame_rate_text(StripMetadata.of(strip)) == "from the time stamps in t.txt, about 50 frames/s"
 
 
 @pytest.mark.parametrize(("header", "scale", "told"), [("", 1000, 1), ("time_ms\n", 1000, 0), ("", 1, 0)])

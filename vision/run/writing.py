@@ -168,7 +168,16 @@ def _video_facts(analysis: Analysis) -> dict[str, Any]:
     assert tracks is not None
     recording = asdict(StripMetadata.of(tracks))
     frames = {name: recording.pop(f"frames_{name}") for name in COUNTS}
-    for name in ("warnings", "strip_z0", "strip_z1", "strip_how", "tilt_deg", "clock_kind", "fps"):
+    for name in (
+        "warnings",
+        "strip_z0",
+        "strip_z1",
+        "strip_how",
+        "tilt_deg",
+        "clock_kind",
+        "clock_file",
+        "fps",
+    ):
         recording.pop(name)
     return {
         "found": findings(tracks),

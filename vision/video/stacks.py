@@ -421,9 +421,12 @@ def _image_files(path: Path) -> list[Path]:
         everything = [Path(name) for name in glob.glob(str(path))]  # noqa: PTH207  # may be absolute
     images = [file for file in everything if file.suffix.lower() in IMAGES and file.is_file()]
     if not images:
-        wanted = "numbered images (PNG, TIFF, JPEG, BMP)"
-        found = f"none among {len(everything)} files" if everything else "none"
-        raise InputError(path, wanted, found, "check the folder or the pattern; of a film, give the file")
+        wanted = "a film or numbered images (PNG, TIFF, JPEG, BMP)"
+        folders = sum(file.is_dir() for file in everything)
+        found = f"none among {len(everything) - folders} file(s)" if everything else "none"
+        found += f" and {folders} folder(s)" if folders else ""
+        inside = "give a film, or one folder of images: those inside the folders are not looked for"
+        raise InputError(path, wanted, found, inside if folders else "check the folder or the pattern")
     kinds = Counter(file.suffix.lower() for file in images)
     if len(kinds) > 1:
         found = ", ".join(f"{count} {kind}" for kind, count in kinds.most_common())

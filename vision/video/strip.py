@@ -378,6 +378,7 @@ def _metadata(video: Video, strip: Strip, read: FramesRead, settings: VideoSetti
         strip_bow_px=strip.errors.bow_px,
         strip_err_px=strip.errors.error_px,
         clock_kind=clock.kind,
+        clock_file=video.timestamps,
         fps=math.nan if clock.fps is None else clock.fps,
         frames_expected=expected,
         frames_read=usable,

@@ -62,8 +62,9 @@ class Video:
         Degrees clockwise, a multiple of 90, by which frames are turned after the file's own rotation.
     first, stop
         Range of frame numbers, half-open; stop None is the end.
-    given_fps, given_times_s
-        The camera's clock as given by the user, which takes precedence over the file's.
+    given_fps, given_times_s, timestamps
+        The camera's clock as given by the user, which takes precedence over the file's; the name of the file
+        that the times are from, "" without.
     warnings
         Defects of the file that its headers show.
     pixels_path
@@ -81,6 +82,7 @@ class Video:
     stop: int | None
     given_fps: float | None
     given_times_s: Floats | None
+    timestamps: str
     warnings: tuple[str, ...]
     pixels_path: Path
     stamp: Stamp
@@ -258,7 +260,8 @@ def open_video(
     Parameters
     ----------
     path
-        A video file, a TIFF, a cine, a Photron .mraw or .cih, a folder or a glob of numbered images.
+        A video file, a TIFF, a cine, a Photron .mraw or .cih, a folder or a glob of numbered images. Of a
+        folder of films, which the command takes one by one, give a film.
     rotate
         Degrees clockwise by which each frame is turned: 0, 90, 180 or 270. A film that states how it is to be
         turned for display, as phones' films do, is first turned in that way.
@@ -321,6 +324,7 @@ def open_video(
         stop=stop,
         given_fps=fps,
         given_times_s=times_s,
+        timestamps="" if timestamps is None else Path(timestamps).name,
         warnings=tuple(warnings),
         pixels_path=pixels,
         stamp=stamp,
@@ -353,6 +357,9 @@ def pixels_file(path: Path) -> Path:
 
 def _open_reader(path: Path) -> Reader:
     """Return the reader for this kind of file, recognised by its first bytes."""
+    if path.is_dir() and (films := files_in(path, FILMS)) and not files_in(path, IMAGES):
+        found, advice = f"a folder of {len(films)} film(s)", f"give a film in it, such as {films[0]}"
+        raise InputError(path, "a film or a folder of images", found, advice)
     if path.is_dir() or (not path.exists() and glob.has_magic(str(path))):
         return open_sequence(path)
     check_regular(path, "a video, a TIFF, a folder or glob of images")
