@@ -54,7 +54,7 @@ def test_tests_that_share_their_friction_coefficient(tmp_path, mu):
     assert found.joint[0].disagrees == (mu != 0.89)  # said in the summary, as before
     assert not any("single μ" in line for line in found.warnings)
     peaks = next(figure for figure in found.figures() if figure.name == "peaks")
-    assert [one.label for one in peaks.panel.series] == ["V = 1 mm/min", "Eq. 1"]
+    assert [one.label for one in peaks.panel.series] == ["r0", "r1", "Eq. 1"]  # one velocity
     assert "fitted jointly to all tests" in peaks.caption
 
 
@@ -86,7 +86,8 @@ def test_systematic_errors_of_the_runs_are_taken_over(tmp_path):
         0.035, rel=0.2
     )  # half of the weight is its own
     peaks = next(figure for figure in found.figures() if figure.name == "peaks")
-    assert "(stat. and d_0) ± " in peaks.caption
+    assert "(stat.) ± " in peaks.caption  # no run states an error of d0
+    assert [series.label for series in peaks.panels[0].series][:2] == ["known", "unknown"]  # one velocity
     assert np.isnan(vision.compare(folders[1:]).table["mu_systematic"].iloc[0])
 
 

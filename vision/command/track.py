@@ -40,7 +40,6 @@ OVERLAY = "_overlay"  # follows a run's name in that of the film which `track ov
 LONG_FRAMES = 20_000
 """Number of frames from which a run stores what a review shows first. This takes seconds, where tracking took
 minutes; a review reads shorter runs while its page loads."""
-REFUSED = ("sticks", "clock", "motion", "shells")  # stages whose unusable input gives exit status 2
 
 
 def track(videos: Sequence[Path], groups: Sequence[Any], run: RunOptions, config: Path | None) -> int:
@@ -232,11 +231,8 @@ def finish(
 
 
 def why_refused(analysis: Analysis) -> list[str]:
-    """Return why stages could not use their input; nothing for ambiguous clocks, which are a warning."""
-    if analysis.clock is not None and analysis.clock.status == "ambiguous":
-        return []
-    refused = [name for name in REFUSED if name not in analysis.failures]
-    return [analysis.reasons[name] for name in refused if name in analysis.reasons]
+    """Return why stages could not use their input; unexpected errors are no fault of the input."""
+    return [analysis.reasons[name] for name in analysis.refused() if name not in analysis.failures]
 
 
 # --- several films ------------------------------------------------------------------------------------------

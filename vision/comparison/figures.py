@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from vision.comparison.joint import JOINT_ERROR, with_word
+from vision.comparison.joint import with_word
 from vision.comparison.runs import TractionTest
 from vision.comparison.trends import SYMBOLS, Trend
 from vision.errors import InputError
@@ -82,7 +82,7 @@ def velocity(speed_mm_min: float) -> float:
 
 
 def peaks_figure(found: Comparison, events: pd.DataFrame) -> Figure:
-    """Return F_p − 𝒯0 against d at all velocities, with Eq. 1 if one μ fits all tests.
+    """Return F_p − 𝒯0 against d of all tests, with Eq. 1 if one μ fits all tests.
 
     events: those of all tests, as from `Comparison.events`.
     """
@@ -99,17 +99,18 @@ def peaks_figure(found: Comparison, events: pd.DataFrame) -> Figure:
         series = (*series, eq1)
         whose = f"fitted jointly to {joint.sample or 'all tests'}" if joint else "of the first test"
         t_star = f"T* = {1000 * sample.t_star_N:g} mN"
-        model = f"Dashed: Eq. 1 with μ = {both_errors(mu, JOINT_ERROR)}, {whose}, {t_star}."
+        value = both_errors(mu, joint.error_contains if joint else "stat.")
+        model = f"Dashed: Eq. 1 with μ = {value}, {whose}, {t_star}."
     return Figure.of(
         "peaks",
         Panel(x_label="d_p (mm)", y_label="F_p − 𝒯_0 (N)", series=series),
         f"Peak force of every event less its test's offset 𝒯_0. {model}",
-        title="Peak forces at all velocities",
+        title="Peak forces of all tests",
     )
 
 
 def drops_figure(found: Comparison, events: pd.DataFrame) -> Figure:
-    """Return ΔF against d_v at all velocities, with A times the normal force."""
+    """Return ΔF against d_v of all tests, with A times the normal force."""
     series, model, joint = _points(found, events, "d_v_mm", "dF_N"), "", found.main
     amplitude = joint.amplitude if joint else found.fits[0].values["A"]
     if np.isfinite(amplitude.value) and (joint is None or joint.fits):
@@ -125,12 +126,12 @@ def drops_figure(found: Comparison, events: pd.DataFrame) -> Figure:
             series=series,
         ),
         f"ΔF = F_p − F_v of every event against the separation at its valley.{model}",
-        title="Stick-slip amplitudes at all velocities",
+        title="Stick-slip amplitudes of all tests",
     )
 
 
 def stiffnesses_figure(found: Comparison, events: pd.DataFrame) -> Figure:
-    """Return K against d_v at all velocities, with M_eff K_eff and (L + d)⁻¹."""
+    """Return K against d_v of all tests, with M_eff K_eff and (L + d)⁻¹."""
     d, sample = _span(events, "d_v_mm"), found.tests[0].sample
     scale = float(found.table["Lambda_hat_mm"].median())
     series = _points(found, events, "d_v_mm", "K_N_per_mm")
@@ -144,7 +145,7 @@ def stiffnesses_figure(found: Comparison, events: pd.DataFrame) -> Figure:
         Panel(x_label=VALLEY_SEPARATION, y_label="K (N/mm)", y_range=y_range, series=series),
         "K of every event, the slope of the central part of its stick phase. Dashed: M_eff K_eff with the "
         f"median Λ̂ of the tests and Y_eff = {plus_minus(found.modulus)} GPa. Solid: lengthening alone.",
-        title="Stiffness at all velocities",
+        title="Stiffness of all tests",
     )
 
 
@@ -159,14 +160,16 @@ def _velocity_name(speed_mm_min: float) -> str:
 
 
 def _points(found: Comparison, events: pd.DataFrame, x: str, y: str) -> tuple[Series, ...]:
-    """Return used events by velocity and sample, or by test if no single μ fits them; unused ones hollow and
-    grey. More than `MOST_COLOURS` velocities and samples are shown by velocity."""
+    """Return used events by velocity and sample, or by test if these are the same or no single μ fits them;
+    unused ones hollow and grey. More than `MOST_COLOURS` velocities and samples are shown by velocity."""
     used, rest = events[events["used"]], events[~events["used"]].sort_values(x)
-    if found.main and not found.main.fits:
+    speed = used["V_mm_min"].map(_velocity_name)
+    alike = len(set(speed)) == 1 and len(set(used["sample"])) == 1
+    if alike or (found.main and not found.main.fits):
         series = _by_test(used, x, y)
     else:
         used = used.sort_values(["V_mm_min", "sample"])
-        key = speed = used["V_mm_min"].map(_velocity_name)
+        key = speed = speed[used.index]
         if len(set(used["sample"])) > 1:
             sample = used["sample"].replace("", "sample not named")
             both = sample + ", " + speed if len(set(speed)) > 1 else sample
@@ -246,7 +249,7 @@ def collapse_figure(found: Comparison, events: pd.DataFrame) -> Figure | None:
         "collapse",
         Panel(
             x_label="d̂ = d_v / Λ̂",
-            y_label="K / K_eff (effective sheets)",
+            y_label="K / stiffness of one sheet",
             series=(*_by_test(named, "d_hat", "sheets"), *masters),
             y_range=(0.0, top),
             inset=inset,

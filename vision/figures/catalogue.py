@@ -56,6 +56,15 @@ class Results:
     reasons: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
+    def refused(self) -> list[str]:
+        """Return the names of stages up to the shells without a result although they had data.
+
+        Ambiguous clocks, without which there are no deformation and shells, are a warning.
+        """
+        if self.clock is not None and self.clock.status == "ambiguous":
+            return []
+        return [name for name in ("sticks", "clock", "motion", "shells") if name in self.reasons]
+
     @property
     def results(self) -> Results:
         """These results, for figures that are made from others."""

@@ -30,7 +30,6 @@ from vision.sheets import doubtful_stretches
 from vision.systematics import QUANTITIES, SOURCES, Budget, systematic_budget
 
 PLAIN = 400  # largest number of values of an array that is written as plain numbers
-REFUSED = ("sticks", "clock", "motion", "shells")  # stages whose failure is as serious as a warning
 
 
 def write_report(
@@ -49,7 +48,11 @@ def write_report(
     """
     figures = figures_of(results) if figures is None else figures
     named = dict(options or {})
-    lines = [*map(str, facts.get("warnings", ())), *results.warnings, *_refused(results)]
+    lines = [
+        *map(str, facts.get("warnings", ())),
+        *results.warnings,
+        *(results.reasons[name] for name in results.refused()),
+    ]
     warnings = dict.fromkeys(with_options(line, named) for line in lines)
     tables = [budget_table(results), *([] if results.tracks is None else [doubt_table(results.tracks)])]
     return render_page(
@@ -66,13 +69,6 @@ def write_report(
         citation=citation(),
         tables=[table for table in tables if table.rows],
     )
-
-
-def _refused(results: Results) -> list[str]:
-    """Return why stages have no result although their data were given; ambiguous clocks are a warning."""
-    if results.clock is not None and results.clock.status == "ambiguous":
-        return []
-    return [results.reasons[name] for name in REFUSED if name in results.reasons]
 
 
 def render_page(
