@@ -297,6 +297,25 @@ def test_two_edges_of_every_sheet_are_said_to_be_pairs(apart_px, how):
     assert not any("form pairs" in line for line in tracking_warnings(track_sheets(picture, sheets=32)))
 
 
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_a_ridge_between_pairs_does_not_hide_them(mirrored):
+    """Seven pairs of edges, and a wide ridge between two of them. A failure means that one false ridge is
+    enough for edges to pass for sheets, or that it passes for a sheet itself."""
+    edges = 100 + 100 * np.arange(7)[:, None] + np.array([0.0, 25.0])
+    x, width = np.r_[edges.ravel(), 663.0], np.r_[np.full(14, 9.0), 20.0]
+    x = 825 - x if mirrored else x
+    still = np.tile(x, (60, 1)) + np.random.default_rng(1).normal(0, 0.3, (60, 1))
+    tracks = track_sheets(strip(ridges(still, width=825, fwhm_px=width)))
+    assert tracks.sizes["sheet"] == 15
+    index = 2 if mirrored else 12
+    (line,) = [one for one in tracking_warnings(tracks) if "form pairs" in one]
+    assert f"spacings of 25 and 75 px alternate, but for the ridge of index {index}" in line
+    assert "try `ridges` as dark" in line
+    assert any(
+        f"1 of 15 sheets (index {index}) may be something else" in one for one in consistency_warnings(tracks)
+    )
+
+
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_an_uneven_comb_has_no_pairs(seed):
     """A failure means that sheets at uneven distances, which all change, are called edges."""

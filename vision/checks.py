@@ -13,7 +13,7 @@ import xarray as xr
 from vision.data import ForceMetadata, StripMetadata, TrackMetadata, load_unit, warnings_of
 from vision.models.equations import effective_sheets
 from vision.models.modulus import cycles_seen
-from vision.numeric import Pixels, nan_median, stretches
+from vision.numeric import Floats, Pixels, nan_median, stretches
 from vision.sample import Sample
 from vision.sheets.tracks import comb_is_stationary
 from vision.words import is_word, word_counts
@@ -210,24 +210,23 @@ def _alike_warning(facts: TrackMetadata) -> list[str]:
 def _spacing_warning(tracks: xr.Dataset) -> list[str]:
     """Warn of ridges in pairs, which keep their distance or whose narrow and wide spacings alternate, or of
     missing sheets; no pairs are reported if the number of sheets was given."""
+    found = TrackMetadata.of(tracks)
     apart = np.diff(tracks["x_px"].values, axis=1)
     spacing = nan_median(apart)
-    if np.isfinite(spacing).sum() >= PAIR_SPACINGS and TrackMetadata.of(tracks).sheets_how == "found":
+    if np.isfinite(spacing).sum() >= PAIR_SPACINGS and found.sheets_how == "found":
         least = nan_median(tracks["x_err_px"].values.ravel())
         change = np.fmax(np.sqrt(nan_median((apart - spacing) ** 2)), least)
         beside = np.pad(change, 1, constant_values=np.nan)
         ratio = np.fmin(beside[:-2], beside[2:]) / change
         keep_distance = max(nan_median(ratio[k::2]) for k in (0, 1)) > PAIR_MOTION
-        narrow, wide = sorted((spacing[0::2], spacing[1::2]), key=nan_median)
-        alternate = np.nanquantile(wide, PAIR_TAIL) > PAIR_RATIO * np.nanquantile(narrow, 1 - PAIR_TAIL)
+        alternate = _alternating(spacing)
         if alternate or keep_distance:
-            how = f"spacings of {nan_median(narrow):.0f} and {nan_median(wide):.0f} px alternate"
+            other = "bright" if found.ridges == "dark" else "dark"
             return [
-                f"the ridges form pairs: {how if alternate else 'only every second spacing changes'}; if each"
-                " pair is the two edges of one sheet, n and the stiff shell count edges, two for each sheet;"
-                f" if not, give `sheets` as {len(spacing) + 1}"
+                f"the ridges form pairs: {alternate or 'only every second spacing changes'}; if each"
+                " pair is the two edges of one sheet, n and the stiff shell count edges, two for each sheet:"
+                f" look at the film, and try `ridges` as {other}; if not, give `sheets` as {len(spacing) + 1}"
             ]
-    found = TrackMetadata.of(tracks)
     if not found.wide_spacings:
         return []
     assumed = found.axis_how == "geometry"
@@ -238,6 +237,27 @@ def _spacing_warning(tracks: xr.Dataset) -> list[str]:
         f" then be too small{axis * assumed}: check these positions (dirt, faint sheets){give * assumed}, and"
         f" confirm the {found.sheets} ridges found with `sheets`"
     ]
+
+
+def _alternating(spacing_px: Floats) -> str:
+    """Return which narrow and wide spacings (N − 1,) alternate, or "".
+
+    One ridge between two pairs shifts all pairs that follow. Therefore the spacings that remain without one
+    of the ridges are tried as well.
+    """
+    place, ridge = np.arange(len(spacing_px) - 1), np.arange(1, len(spacing_px))[:, None]
+    without = spacing_px[place + (place >= ridge)] + np.where(place == ridge - 1, spacing_px[ridge], 0.0)
+    for tried in (spacing_px[None], without)[: 2 if len(place) >= PAIR_SPACINGS else 1]:
+        one, other = tried[:, 0::2], tried[:, 1::2]
+        tails = PAIR_TAIL, 1 - PAIR_TAIL
+        (low, high), (other_low, other_high) = (np.nanquantile(part, tails, axis=1) for part in (one, other))
+        apart = np.nan_to_num(np.maximum(low / other_high, other_low / high))
+        best = int(apart.argmax())
+        if apart[best] > PAIR_RATIO:
+            narrow, wide = sorted((nan_median(one[best]), nan_median(other[best])))
+            but = f", but for the ridge of index {best + 1}" if len(tried) > 1 else ""
+            return f"spacings of {narrow:.0f} and {wide:.0f} px alternate{but}"
+    return ""
 
 
 def overexposure(frame: Pixels, rows: slice, settings: VideoSettings) -> list[str]:
@@ -266,6 +286,12 @@ to 4. A smaller ratio warns of the latter, a larger one overlooks factors of 10.
 LEAST_SPACING_UM = 1.0
 """Spacing below which the pixel size is questioned though the sheets' thickness is not known: mm taken for µm
 make the spacing of paper less than this, which light hardly resolves. Discs of a muscle are 1.8 µm apart."""
+
+
+ODD_WIDTH = 1.75
+"""Width of a ridge, over the median, above which it may be something else. On fixtures and released films
+sheets stay below 1.5, ridges between pairs and gaps taken for sheets exceed 1.9. A smaller factor calls
+sheets of an uneven block something else, a larger one misses those."""
 
 
 def consistency_warnings(
@@ -335,12 +361,13 @@ def _comb_warnings(tracks: xr.Dataset, found: TrackMetadata) -> list[str]:
             f" change every n: give `sheets` as {found.sheets + found.ridges_beyond} or leave it out"
         )
     snr, share = tracks["snr"].values, tracks["found"].values
-    weak = np.flatnonzero((snr < 0.1 * nan_median(snr)) | (share < 0.25))
+    wide = tracks["fwhm_px"].values > ODD_WIDTH * nan_median(tracks["fwhm_px"].values)
+    weak = np.flatnonzero((snr < 0.1 * nan_median(snr)) | (share < 0.25) | wide)
     if len(weak) and found.sheets > 1:
         which = ", ".join(map(str, weak[:6])) + " …" * (len(weak) > 6)
         lines.append(
-            f"{len(weak)} of {found.sheets} sheets (index {which}) may be something else (little contrast, or"
-            " found in few frames): restrict `columns` or give `sheets`"
+            f"{len(weak)} of {found.sheets} sheets (index {which}) may be something else (little contrast,"
+            " found in few frames, or far wider than the others): restrict `columns` or give `sheets`"
         )
     if not _motion_allows_axis(tracks, found):
         lines.append(
