@@ -13,7 +13,7 @@ import xarray as xr
 from vision.data import ForceMetadata, StripMetadata, TrackMetadata, load_unit, warnings_of
 from vision.models.equations import effective_sheets
 from vision.models.modulus import cycles_seen
-from vision.numeric import Floats, Pixels, nan_median, stretches
+from vision.numeric import Floats, Pixels, nan_median, nan_quantile, stretches
 from vision.sample import Sample
 from vision.sheets.tracks import comb_is_stationary
 from vision.words import is_word, word_counts
@@ -249,8 +249,8 @@ def _alternating(spacing_px: Floats) -> str:
     without = spacing_px[place + (place >= ridge)] + np.where(place == ridge - 1, spacing_px[ridge], 0.0)
     for tried in (spacing_px[None], without)[: 2 if len(place) >= PAIR_SPACINGS else 1]:
         one, other = tried[:, 0::2], tried[:, 1::2]
-        tails = PAIR_TAIL, 1 - PAIR_TAIL
-        (low, high), (other_low, other_high) = (np.nanquantile(part, tails, axis=1) for part in (one, other))
+        low, other_low = (nan_quantile(part, PAIR_TAIL, axis=1) for part in (one, other))
+        high, other_high = (nan_quantile(part, 1 - PAIR_TAIL, axis=1) for part in (one, other))
         apart = np.nan_to_num(np.maximum(low / other_high, other_low / high))
         best = int(apart.argmax())
         if apart[best] > PAIR_RATIO:
