@@ -263,6 +263,36 @@ STRIP = Schema(
     kind=xr.DataArray,
 )
 
+
+@dataclass(frozen=True, kw_only=True)
+class DiagramMetadata(Metadata):
+    """What a space-time diagram shows.
+
+    Parameters
+    ----------
+    pixel_size_um
+        µm per pixel; NaN if it is unknown.
+    sheet, sheet_index
+        Side and n, such as "right:23", and index of the sheet in the middle of the window; "" and -1 for the
+        whole strip.
+    centre_px
+        Column of the middle of the window, the sheet's mean position; NaN for the whole strip.
+    follow
+        Whether the window follows the sheet.
+    """
+
+    pixel_size_um: float = math.nan
+    sheet: str = ""
+    sheet_index: int = -1
+    centre_px: float = math.nan
+    follow: bool = False
+
+    @property
+    def size_um(self) -> float | None:
+        """µm per pixel; None if it is unknown."""
+        return None if math.isnan(self.pixel_size_um) else self.pixel_size_um
+
+
 STRIP_PARTS = Schema(
     "parts of the strip",
     "vision.video.strip_profiles",

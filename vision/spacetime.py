@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from vision.data import STRIP, TRACKS, record
+from vision.data import STRIP, TRACKS, DiagramMetadata, record
 from vision.errors import InputError
 from vision.numeric import Bools, Floats, Floats32, Ints
 
@@ -60,8 +62,7 @@ def space_time(
         float32 "intensity" (frame, x) in grey levels with the strip's coordinates; a view for the whole
         strip. x is the column number or, if the window follows the sheet, the distance from it in px. Values
         are NaN outside the picture and in lost frames. x_sheet_px (frame) is the measured position of the
-        sheet, NaN if unknown. The attributes describe the window: sheet, sheet_index, centre_px, follow,
-        pixel_size_um.
+        sheet, NaN if unknown. `vision.data.DiagramMetadata` describes the window.
 
     Raises
     ------
@@ -70,7 +71,7 @@ def space_time(
     """
     STRIP.check(strip)
     part = _part(strip, frames, time_s)
-    attrs: dict[str, Any] = {} if pixel_size_um is None else {"pixel_size_um": pixel_size_um}
+    facts = DiagramMetadata(pixel_size_um=math.nan if pixel_size_um is None else pixel_size_um)
     given: dict[str, Any] = {
         "sheet": sheet,
         "width_um": width_um,
@@ -87,19 +88,19 @@ def space_time(
         if around is not None or width_um is not None or width_px is not None or follow:
             advice = 'give `sheet`, such as ("right", 1)'
             raise InputError("the window", "a sheet to centre it on", "none", advice)
-        return record(part.assign_attrs(attrs), "space_time", **given)
+        return record(part.assign_attrs(facts.attrs()), "space_time", **given)
     TRACKS.check(around)
     index, name, x_px = _find(around, sheet, part)
     width = _width(width_um, width_px, pixel_size_um, part)
     centre = float(np.nanmedian(x_px))
     values, x = _following(part, x_px, width) if follow else _fixed(part, centre, width)
     diagram = part.isel(x=slice(0, 1)).drop_vars("x").squeeze("x")  # only the coordinates along time
-    attrs |= {"sheet": name, "sheet_index": index, "centre_px": centre, "follow": int(follow)}
+    facts = replace(facts, sheet=name, sheet_index=index, centre_px=centre, follow=follow)
     diagram = (
         diagram.expand_dims(x=x, axis=1)
         .copy(data=values)
         .assign_coords(x_sheet_px=("frame", x_px, {"units": "px", "long_name": "the sheet"}))
-        .assign_attrs(attrs)
+        .assign_attrs(facts.attrs())
     )
     return record(diagram, "space_time", **given)
 

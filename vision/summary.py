@@ -49,7 +49,7 @@ def findings(tracks: xr.Dataset) -> dict[str, Any]:
             "how": strip.strip_how,
             "tilt_deg": strip.tilt_deg,
         },
-        "clock": {"kind": strip.clock_kind, "file": strip.clock_file, "fps": strip.fps},
+        "clock": {"kind": strip.clock_kind, "fps": strip.fps},
         "ridges": {"polarity": found.ridges, "fwhm_px": found.ridge_fwhm_px, "pitch_px": found.pitch_px},
         "sheets": {"count": found.sheets, "other_ridges_left_out": found.ridges_dropped},
         "axis": {
@@ -215,11 +215,20 @@ def ridges_line(found: TrackMetadata) -> str:
     return f"{size}; {found.fit} fit over {found.window_px} px"
 
 
+def axis_source(found: TrackMetadata) -> str:
+    """Return how the axis is known: given, decided by the motion, or the middle of the ridges."""
+    if found.axis_how == "geometry" and found.axis_missing:
+        seem = f"{found.axis_missing} that seem{'s' * (found.axis_missing == 1)} to be missing"
+        return f"{AXIS_HOW['geometry']} and {seem}"
+    open_px = found.axis_high_px - found.axis_low_px
+    if found.axis_how == "motion" and open_px > DEFAULT.decided_sheets * found.pitch_px:
+        return "not decided by the motion"
+    return AXIS_HOW[found.axis_how]
+
+
 def _axis(found: TrackMetadata, innermost: int, *, one_side: bool) -> str:
     """Return how the axis is known, and the range that the motion allows, which contains it."""
-    how = AXIS_HOW[found.axis_how]
-    if found.axis_how == "geometry" and found.axis_missing:
-        how += f" and {found.axis_missing} that seem{'s' * (found.axis_missing == 1)} to be missing"
+    how = axis_source(found)
     if found.axis_how == "given":
         unseen = f"; n begins at {innermost}, as {innermost - 1} more sheets fit between it and those in view"
         return how + unseen * (innermost > 1)
@@ -228,9 +237,9 @@ def _axis(found: TrackMetadata, innermost: int, *, one_side: bool) -> str:
     if found.axis_high_px == found.axis_low_px:
         return f"{how}; the motion allows no other gap between sheets"
     low, high = min(found.axis_low_px, found.axis_px), max(found.axis_high_px, found.axis_px)
-    if found.axis_how == "motion" and high - low > DEFAULT.decided_sheets * found.pitch_px:
+    if found.axis_how == "motion" and how != AXIS_HOW["motion"]:
         beyond = "half a spacing beyond the innermost sheet in view; " * one_side
-        return f"{beyond}not decided by the motion, which allows {low:.1f} to {high:.1f} px"
+        return f"{beyond}{how}, which allows {low:.1f} to {high:.1f} px"
     return f"{how}; the motion allows {low:.1f} to {high:.1f} px"
 
 

@@ -6,7 +6,7 @@ import itertools
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +38,7 @@ from vision.command.track import OVERLAY, one_film, origin_of, run_name
 from vision.comparison import compare as compare_runs
 from vision.comparison import write_comparison
 from vision.comparison.comparison import MARK, answers
-from vision.data import StripMetadata, TrackMetadata, warnings_of
+from vision.data import DiagramMetadata, StripMetadata, TrackMetadata, warnings_of
 from vision.errors import InputError
 from vision.figures import kymograph_figure, load_figures, preview_figure
 from vision.figures.camera import sides_known
@@ -187,7 +187,8 @@ def kymograph(
     slips = _slips_shown(data, diagrams[0])
     facts = origin_of(files, parameters | parameters_given(window)).facts(warnings=warnings)
     facts |= {DIAGRAMS: list(map(_diagram_facts, diagrams)), "slips": slips}
-    names = [f"kymograph_{d.attrs.get('sheet', 'strip').replace(':', '')}.tif" for d in diagrams]
+    shown = [DiagramMetadata.of(diagram).sheet or "strip" for diagram in diagrams]
+    names = [f"kymograph_{sheet.replace(':', '')}.tif" for sheet in shown]
     figure = kymograph_figure(diagrams, slips_s=data.slips_s, slips_from=data.slips_from)
     size = data.pixel_size_um
     with run_folder(target, overwrite=output.overwrite) as folder:
@@ -268,7 +269,7 @@ def _diagrams(
     width = width or ({"width_px": pitch} if size is None else {"width_um": 200.0})
     part |= {"around": data.tracks, "follow": follow, "pixel_size_um": size, **width}
     diagrams = [space_time(data.strip, sheet=sheet, **part) for sheet in sheets]
-    return list({diagram.attrs["sheet"]: diagram for diagram in diagrams}.values())  # each sheet once
+    return list({DiagramMetadata.of(diagram).sheet: diagram for diagram in diagrams}.values())  # each once
 
 
 def _warnings(diagrams: list[xr.DataArray]) -> list[str]:
@@ -279,21 +280,22 @@ def _warnings(diagrams: list[xr.DataArray]) -> list[str]:
     if empty := int((~recorded).sum()):
         lines.append(f"{empty} of {recorded.size} frames shown are empty")
     for diagram in diagrams:
-        if "sheet" in diagram.attrs and (lost := int((diagram["x_sheet_px"].isnull() & recorded).sum())):
-            name = diagram.attrs["sheet"]
+        name = DiagramMetadata.of(diagram).sheet
+        if name and (lost := int((diagram["x_sheet_px"].isnull() & recorded).sum())):
             lines.append(f"sheet {name}: not found in {lost} of {recorded.size} frames shown")
     return lines
 
 
 def _diagram_facts(diagram: xr.DataArray) -> dict[str, Any]:
     """Return what run.json says of one diagram."""
-    names = ("sheet", "sheet_index", "centre_px", "follow", "pixel_size_um")
+    facts = DiagramMetadata.of(diagram)
+    window = asdict(facts) if facts.sheet else {"pixel_size_um": facts.pixel_size_um}
     frame, x = diagram["frame"].values, diagram["x"].values
     return {
         "frames": [frame[0], frame[-1]],
         "columns": [x[0], x[-1]],
         "s_per_row": frame_step_s(diagram["time_s"].values),
-        **{name: diagram.attrs[name] for name in names if name in diagram.attrs},
+        **window,
     }
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from vision.clock import video_slips
-from vision.data import StripMetadata, TrackMetadata
+from vision.data import DiagramMetadata, StripMetadata, TrackMetadata
 from vision.errors import InputError
 from vision.figures.decimate import grey_levels, grey_limits, time_rows
 from vision.figures.figure import Band, Figure, Image, Panel, Range, Series
@@ -386,14 +386,14 @@ def kymograph_figure(
         Source of the times, for the label.
     """
     limits = grey_limits(*(diagram.values for diagram in diagrams))
-    windows = "sheet" in diagrams[0].attrs
+    windows = bool(DiagramMetadata.of(diagrams[0]).sheet)
     rows = max(len(diagram) for diagram in diagrams)
     height = float(np.clip(rows / 75, 3, 8)) if windows else 6.5
     width = 13.0 if not windows else 1.1 + 2.3 * len(diagrams)
     panels = tuple(
         _diagram_panel(
             diagram,
-            pixel_size_um=diagram.attrs.get("pixel_size_um"),
+            pixel_size_um=DiagramMetadata.of(diagram).size_um,
             limits=limits,
             title=_window_title(diagram),
             slips_s=slips_s,
@@ -471,23 +471,25 @@ def _columns(diagram: xr.DataArray, size: float | None) -> tuple[Floats, str]:
     """
     x = np.asarray(diagram["x"].values, np.float64)
     edges = np.append(x - 0.5, x[-1] + 0.5)
-    if "sheet" not in diagram.attrs:
+    facts = DiagramMetadata.of(diagram)
+    if not facts.sheet:
         scale, unit = position_unit(size, x.size)
         return edges * scale, f"x ({unit})"
     name = "x − x(n,t)"
-    if not diagram.attrs["follow"]:
-        edges, name = edges - diagram.attrs["centre_px"], "x − x₀"
+    if not facts.follow:
+        edges, name = edges - facts.centre_px, "x − x₀"
     scale, unit = displacement_unit(size)
     return edges * scale, f"{name} ({unit})"
 
 
 def _window_title(diagram: xr.DataArray) -> str:
-    if "sheet" not in diagram.attrs:
+    facts = DiagramMetadata.of(diagram)
+    if not facts.sheet:
         return "Space-time diagram of the strip"
-    side, n = diagram.attrs["sheet"].split(":")
-    size, centre = diagram.attrs.get("pixel_size_um"), diagram.attrs["centre_px"]
+    side, n = facts.sheet.split(":")
+    size, centre = facts.size_um, facts.centre_px
     x_0 = f"{centre:.1f} px" if size is None else f"{centre * size / UM_PER_MM:.2f} mm"
-    return f"{side}, n = {n}" + ("" if diagram.attrs["follow"] else f"\nx₀ = {x_0}")
+    return f"{side}, n = {n}" + ("" if facts.follow else f"\nx₀ = {x_0}")
 
 
 # --- single sheets ------------------------------------------------------------------------------------------

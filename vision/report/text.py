@@ -25,7 +25,7 @@ from vision.figures import Results, both_errors, percent, plus_minus
 from vision.figures.style import candidates_text, drift_text, offset_text
 from vision.models import Estimate, ModelFits
 from vision.sheets.tracks import LOSSY
-from vision.summary import AXIS_HOW, noise_figures
+from vision.summary import axis_source, noise_figures
 from vision.words import is_word
 
 PAPER = (
@@ -259,7 +259,7 @@ def _tracking(tracks: xr.Dataset) -> str:
         else ""
     )
     axis = (
-        f"n counts outwards from the symmetry axis at {t.axis_px:.1f} px ({AXIS_HOW[t.axis_how]})"
+        f"n counts outwards from the symmetry axis at {t.axis_px:.1f} px ({axis_source(t)})"
         if math.isfinite(t.axis_px)
         else "the symmetry axis is not known"
     )
