@@ -8,6 +8,7 @@ from the creep of each sheet in other sticks.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 import scipy
@@ -110,7 +111,7 @@ class BothSides:
     right: Ints
     slow_px: Floats  # half the movement to the right by the mean positions in all sticks, (stick, sheet)
     least_pairs: int
-    movement = "vibration and drift subtracted"
+    movement: ClassVar[str] = "vibration and drift subtracted"
 
     @classmethod
     def of(
@@ -294,7 +295,7 @@ class OneSide:
     near: Floats  # weights of the neighbouring sticks, (stick, stick)
     unknown_px: Floats  # error of the drift where it cannot be measured, (stick,)
     settings: DeformationSettings
-    movement = "vibration subtracted, and the part of drift that one side shows"
+    movement: ClassVar[str] = "vibration subtracted, and the part of drift that one side shows"
 
     @classmethod
     def of(

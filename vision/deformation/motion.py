@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -152,7 +152,8 @@ def horizontal_deformation(
     start, stop = (events[name].to_numpy(float) for name in ("t_v_s", "t_p_s"))
     every = frames_of_sticks(time, start, stop, margin_s=0.0, interval_s=interval)
     frames = frames_of_sticks(time, start, stop, margin_s=margin, interval_s=interval)
-    motion, noise, movement, moving = _measure(tracks, events, frames, pixel, common_mode, settings)
+    measured = _measure(tracks, events, frames, pixel, common_mode, settings)
+    motion, noise = measured.motion, measured.noise
     motion["frames_left_out"] = "event", every.counts - frames.counts, MOTION["frames_left_out"].attrs
     facts = MotionMetadata(
         source=source,
@@ -161,8 +162,8 @@ def horizontal_deformation(
         interval_s=interval,
         noise_share=noise.share,
         noise_rho=noise.rho,
-        camera_movement=movement,
-        warnings=[*warnings, *moving],
+        camera_movement=measured.camera_movement,
+        warnings=[*warnings, *measured.warnings],
     )
     return record(
         motion.assign_attrs(facts.attrs()),
@@ -301,6 +302,15 @@ def _uninterrupted(
 # --- measurement --------------------------------------------------------------------------------------------
 
 
+class _Measured(NamedTuple):
+    """The deformation, the correlation of its noise, what was subtracted as the camera's, and warnings."""
+
+    motion: xr.Dataset
+    noise: AR1Noise
+    camera_movement: str
+    warnings: list[str]
+
+
 def _measure(
     tracks: xr.Dataset,
     events: pd.DataFrame,
@@ -308,8 +318,8 @@ def _measure(
     pixel_um: float,
     common_mode: bool,
     settings: DeformationSettings,
-) -> tuple[xr.Dataset, AR1Noise, str, list[str]]:
-    """Deformation in the usable frames, the noise's correlation, the camera movement subtracted, warnings."""
+) -> _Measured:
+    """Measure the deformation in the usable frames."""
     x_px, side = np.asarray(tracks["x_px"].values, float)[frames.frame], tracks["side"].values
     terms = 4 if np.median(frames.counts) >= settings.cubic_frames else 3
     steady = _without_locking(x_px, tracks, frames, terms, settings)
@@ -355,7 +365,7 @@ def _measure(
     }
     index = {"event": events["event"].to_numpy(), "sheet": tracks["sheet"].values}
     motion = xr.Dataset(declared, index).set_coords(list(coords))
-    return motion, noise.correlation, camera.movement if camera else "not subtracted", warnings
+    return _Measured(motion, noise.correlation, camera.movement if camera else "not subtracted", warnings)
 
 
 def _relative_to_length(

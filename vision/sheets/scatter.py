@@ -28,12 +28,13 @@ from vision.sheets.settings import DEFAULT, LEAST_FRAMES, TrackingSettings
 FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 OPENING = 10  # sheets that show the opening of the comb
 NOISE_LAGS = range(2, 9)  # frames: an error that repeats itself vanishes at some of them
-FITTED = {True: 3.0, False: 1.25}  # sheets whose scatter medians of a line, or of a level, remove
 ONE_SIGMA = 0.6827  # share of values that lie within one standard deviation
-LAGS = {True: (12, 8, 6, 4, 3, 2, 1), False: (4, 3, 2, 1)}
-"""Lags, in frames, of second differences in time, for codecs that predict frames from others (True) and for
-all others. Content that a codec keeps unchanged shows at longer lags; but so do bent creep and the individual
-motion of sheets, and stick phases must be longer than two lags."""
+LAGS = (4, 3, 2, 1)
+"""Lags, in frames, of second differences in time."""
+LONG_LAGS = (12, 8, 6, *LAGS)
+"""The lags for codecs that predict frames from others. Content that a codec keeps unchanged shows at longer
+lags; but so do bent creep and the individual motion of sheets, and stick phases must be longer than two
+lags."""
 BLOCK = 256  # frames over which a vibration keeps its frequency and phase
 LEAST_BLOCK = 48  # frames that show a line in a spectrum
 LINES = 4  # removed from one sheet in a round at most
@@ -94,6 +95,11 @@ class BetweenSlips:
         return np.asarray(self.slips[frames:] == self.slips[:-frames], bool)
 
 
+def _fitted(sheets: int) -> float:
+    """Return how many sheets' scatter is lost with the median motion: a line along n, or of few a level."""
+    return 3.0 if sheets >= OPENING else 1.25
+
+
 def spatial_scatter(positions: BetweenSlips, *, between_frames: bool) -> Floats:
     """Return the scatter of each sheet's position against its neighbours, px, (N,).
 
@@ -103,7 +109,7 @@ def spatial_scatter(positions: BetweenSlips, *, between_frames: bool) -> Floats:
     it includes errors that a codec carries from one frame to the next. NaN for fewer than five sheets, and
     where slips leave too few frames between them.
     """
-    x, lags = positions.x_px, LAGS[between_frames]
+    x, lags = positions.x_px, LONG_LAGS if between_frames else LAGS
     sheets = x.shape[1]
     if sheets < len(FOURTH) or not len(positions.second(lags, x[:, :1])):
         return np.full(sheets, np.nan)
@@ -153,10 +159,10 @@ def noise_excess(positions: BetweenSlips, err_px: Floats, settings: TrackingSett
 
     sizes = np.array([size(lag) for lag in NOISE_LAGS])
     total, count = np.nansum(sizes**2, axis=0), np.isfinite(sizes).sum(axis=0)
-    excess = np.sqrt(total / np.where(count, count, np.nan) / (1 - FITTED[sheets >= OPENING] / sheets))
+    excess = np.sqrt(total / np.where(count, count, np.nan) / (1 - _fitted(sheets) / sheets))
     usual = np.nan_to_num(nan_median(excess), nan=1.0)
-    own = np.where(excess > settings.own_excess[0] * usual, excess, usual)
-    return np.fmin(own, settings.own_excess[1] * usual)
+    own = np.where(excess > settings.own_excess * usual, excess, usual)
+    return np.fmin(own, settings.most_own_excess * usual)
 
 
 def _slips_of_sheets(x_px: Floats, settings: TrackingSettings) -> NDArray[np.int32]:
@@ -190,10 +196,10 @@ def shared_error(positions: BetweenSlips) -> float:
     if sheets < len(FOURTH) + 3 or positions.frames < 2 * LEAST_FRAMES:
         return 0.0
     own = float(np.nan_to_num(nan_median(spatial_scatter(positions, between_frames=True))))
-    second = positions.second(LAGS[False])
+    second = positions.second(LAGS)
     between = _deviation_of_all(_fourth_differences(second))
     apart = min(_deviation_of_all(values) for values in _without_motion(second))
-    apart /= np.sqrt(1 - FITTED[sheets >= OPENING] / sheets)
+    apart /= np.sqrt(1 - _fitted(sheets) / sheets)
     ratio = apart / max(between, 1e-9)
     blocks = own * float(np.sqrt(max(0.0, ratio**2 - 1)))
     shaking = _deviation_of_all(positions.second((1,), nan_median(positions.x_px, axis=1)[:, None]))

@@ -467,11 +467,14 @@ class TrackingSettings:
     sharpen and errors are reduced. Smaller reduces them by chance, larger overstates those of sharpened film
     (test_noise_that_a_camera_sharpens_is_in_the_errors)."""
 
-    own_excess: tuple[float, float] = (1.3, 2.0)
-    """Scatter of a sheet's positions over its error, as multiples of the usual one, between which it counts
-    instead of the usual one. A smaller first one enlarges errors by chance; a larger second one takes the
-    motion of a single sheet for noise, and a smaller one understates errors where flicker shifts some sheets
-    by far more than others (test_scatter.py)."""
+    own_excess: float = 1.3
+    """Scatter of a sheet's positions over its error, as a multiple of the usual one, from which it counts
+    instead of the usual one. Smaller enlarges errors by chance, larger understates those of sheets that
+    scatter more than others (test_scatter.py)."""
+
+    most_own_excess: float = 2.0
+    """The most that it counts for. Larger takes the motion of a single sheet for noise, smaller understates
+    errors where flicker shifts some sheets by far more than others (test_scatter.py)."""
 
     slip_sigmas: float = 5.0
     """Step of a sheet, over the scatter of its steps, from which it is a slip and no noise. Larger takes the
