@@ -222,12 +222,11 @@ def flat_ranges(start: Ints, stop: Ints) -> tuple[Ints, Ints]:
 def peak_offset(before: ArrayLike, at: ArrayLike, after: ArrayLike) -> Floats:
     """Return how far the maximum of a parabola through three equally spaced values lies after the middle one.
 
-    It is in units of their distance, from -0.5 to 0.5, and 0 where the parabola has no maximum.
+    It is in units of their distance: within ±0.5 if the middle one is the largest. 0 without a maximum.
     """
     before, at, after = (np.asarray(values, np.float64) for values in (before, at, after))
     bend = before - 2 * at + after
-    offset = np.where(bend < 0, 0.5 * (before - after) / np.where(bend < 0, bend, -1.0), 0.0)
-    return np.clip(offset, -0.5, 0.5)
+    return np.where(bend < 0, 0.5 * (before - after) / np.where(bend < 0, bend, -1.0), 0.0)
 
 
 def nearest(candidates: NDArray[np.floating], at: NDArray[np.floating]) -> tuple[Ints, Floats]:

@@ -349,5 +349,5 @@ def _strongest_line(values: Floats) -> tuple[Floats, Floats]:
     ratio[:PADDED] = ratio[-PADDED:] = 0.0  # no sine and cosine can be told apart there
     best, sheet = np.argmax(ratio, axis=0), np.arange(values.shape[1])
     near = np.clip(best + np.array([[-1], [0], [1]]), 1, len(power) - 1)
-    shift = peak_offset(*np.log(np.maximum(power[near, sheet], TINY)))
+    shift = np.clip(peak_offset(*np.log(np.maximum(power[near, sheet], TINY))), -0.5, 0.5)
     return (best + shift) / (PADDED * frames), ratio[best, sheet]
