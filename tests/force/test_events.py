@@ -921,6 +921,16 @@ def test_slips_that_the_noise_hides_are_told() -> None:
     assert find_stick_slip(test.force).attrs["warnings"] == []
 
 
+def test_a_load_that_rings_on_is_not_called_sampled_too_slowly_alone() -> None:
+    """A failure means that 80 samples in each stick are said to be too few, and nothing else."""
+    test = plain(sticks=40, samples=80, snr=1e3, jitter=0.1)
+    load, time = test.force["load_N"].to_numpy(), np.arange(40)
+    swing = np.exp(-0.08 * time) * np.cos(2.1 * time)
+    ringing = np.convolve(np.minimum(np.diff(load, prepend=load[0]), 0.0), swing)[: load.size]
+    with pytest.raises(InputError, match=r"more samples.*the load rings after each slip: damp"):
+        find_stick_slip(test.force.assign(load_N=("time_s", load + ringing)))
+
+
 def test_ringing_after_a_slip_is_no_valley() -> None:
     """A failure means that the load cell's own swing below the stick line is taken for the valley, with an
     error that does not tell."""

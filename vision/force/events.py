@@ -34,6 +34,9 @@ from vision.force.slips import Slips, find_slips, size_gap, stick_drops, stick_l
 from vision.force.sticks import filter_length, measure_sticks
 from vision.numeric import Bools, Floats, Ints, nan_median, spread_indices
 
+RINGING = "if there are as many, the load rings after each slip: damp the grips, or filter the load"
+"""What else makes a load fall from sample to sample."""
+
 
 def find_stick_slip(
     force: xr.Dataset,
@@ -148,7 +151,7 @@ def _check_load(signal: Signal, source: str, settings: ForceSettings) -> None:
             source,
             f"at most {100 * settings.most_spikes:g} % of spikes",
             f"{100 * signal.is_spike.mean():.0f} %: the load jumps from sample to sample",
-            "record more samples per second: 30 or more in each stick",
+            f"record more samples per second: 30 or more in each stick; {RINGING}",
         )
 
 
@@ -166,7 +169,7 @@ def _too_few_slips(signal: Signal, slips: Slips, source: str) -> InputError:
             source,
             "30 samples or more in each stick",
             f"falls of {-np.median(step[falls]):.3g} every {1 / np.mean(falls):.2g} samples",
-            "record more samples per second",
+            f"record more samples per second; {RINGING}",
         )
     return InputError(
         source,
