@@ -66,6 +66,18 @@ def rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(known**2))) if known.size else np.nan
 
 
+def correlation_inflation(residual: Floats, most: float) -> float:
+    r"""Return :math:`(1 + \rho)/(1 - \rho)`, by which AR(1) noise enlarges the variance of a mean or slope.
+
+    :math:`\rho` is the correlation of neighbouring residuals, from 0 to `most`, which few residuals exceed by
+    chance.
+    """
+    squares = float(residual @ residual)
+    rho = float(residual[1:] @ residual[:-1]) / squares if squares > 0 else 0.0
+    rho = min(max(rho, 0.0), most)
+    return (1 + rho) / (1 - rho)
+
+
 def nan_median(values: NDArray[np.floating], axis: int = 0) -> Floats:
     """Return the median along an axis, ignoring NaN; NaN, without a warning, if all values are NaN."""
     return _of_lanes(_median, np.moveaxis(np.asarray(values), axis, -1))

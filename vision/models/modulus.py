@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from vision.data import FORCE, ForceMetadata, Metadata, Schema, Variable, load_unit, record
 from vision.errors import InputError, check_positive
-from vision.numeric import Floats, Ints
+from vision.numeric import Floats, Ints, correlation_inflation
 from vision.sample import LEAST_GPA, MOST_GPA, Sample, is_plausible_modulus
 from vision.signals import find_maxima, running_mean
 
@@ -393,10 +393,7 @@ def _line(delta: Floats, load: Floats, sheet: Sample) -> dict[str, float]:
     if slope <= 0:
         return {"k_N_per_mm": slope}
     residual = y - slope * x
-    squares = float(residual @ residual)
-    rho = float(residual[1:] @ residual[:-1]) / squares if squares > 0 else 0.0
-    rho = min(max(rho, 0.0), 0.99)
-    variance = squares / max(delta.size - 2, 1) * (1 + rho) / (1 - rho)
+    variance = float(residual @ residual) / max(delta.size - 2, 1) * correlation_inflation(residual, 0.99)
     slope_err, mean_err = math.sqrt(variance / sxx), math.sqrt(variance / delta.size)
     offset, offset_err = mean_load - slope * mean_delta, math.hypot(mean_err, mean_delta * slope_err)
     area = 1000 * sheet.thickness_mm * sheet.width_mm

@@ -16,6 +16,7 @@ from vision.numeric import (
     Bools,
     Floats,
     Floats32,
+    correlation_inflation,
     median_of_all,
     median_where,
     nan_median,
@@ -259,10 +260,8 @@ def _regression(x: Floats, y: Floats) -> tuple[float, float, int]:
     spread = max(float((x**2).sum()), 1e-12)
     slope = float((x * y).sum()) / spread
     rest = y - slope * x
-    power = float((rest**2).sum())
-    lag1 = float((rest[1:] * rest[:-1]).sum()) / max(power, 1e-12)  # autocorrelation of the residuals
-    lag1 = min(max(lag1, 0.0), 0.95)
-    return slope, power / max(count - 2, 1) / spread * (1 + lag1) / (1 - lag1), count
+    variance = float((rest**2).sum()) / max(count - 2, 1) * correlation_inflation(rest, 0.95)
+    return slope, variance / spread, count
 
 
 def _fit_matrix(shape: Floats, top: int) -> Floats:
