@@ -1,5 +1,7 @@
 """`track certify` as typed, on a simulated test: the certificate against the truth."""
 
+import shutil
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -9,6 +11,7 @@ from tests.scenes.degraded import SCENE
 from vision.certify import CertifySettings, certify_run
 from vision.command.main import run
 from vision.experiment import preset, simulate, with_settings
+from vision.review.saving import _deformation_differs
 from vision.run.reading import read_json, read_run
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
@@ -61,6 +64,27 @@ def test_every_film_is_progress(made):
     settings = CertifySettings(films=1, largest_jump=1.5)
     certify_run(read_run(made[0]), settings=settings, progress=lambda *counts: seen.append(counts))
     assert seen == [(1, 4), (2, 4), (3, 4), (4, 4)]
+
+
+def test_nothing_is_written_into_a_run(made, capsys):
+    """The run is replaced as a whole. A failure means that what was written into it is lost with it."""
+    there = sorted(path.name for path in made[0].iterdir())
+    for command in (["certify", str(made[0]), "--films", "1"], ["figures", str(made[0])]):
+        assert run([*command, "--out", str(made[0] / "more")]) == 2
+        assert "expected a place outside the run folder" in capsys.readouterr().err
+    assert sorted(path.name for path in made[0].iterdir()) == there
+
+
+def test_shells_unknown_before_and_after_are_no_change(made, tmp_path):
+    """A failure means that a review says of sticks with too few sheets that their shells change."""
+    sheets = np.arange(len(xr.load_dataset(made[0] / "tracks.nc", engine="h5netcdf")["sheet"]))
+    folder = tmp_path / "run"
+    shutil.copytree(made[0], folder)
+    shells = pd.read_csv(folder / "shells.csv", dtype={"stiff_sheets": "Int64"})
+    shells.loc[:2, ["stiff_sheets", "stiff_low", "stiff_high"]] = pd.NA
+    shells.to_csv(folder / "shells.csv", index=False)
+    found = _deformation_differs(folder, folder, sheets, sheets)
+    assert [side["other"] for side in found["shells"]] == [0, 0]
 
 
 def test_what_cannot_be_certified(tmp_path, capsys):

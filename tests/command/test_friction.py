@@ -101,6 +101,8 @@ def test_one_load_gives_coefficients_and_no_law(capsys: pytest.CaptureFixture[st
         ["friction", "rheo.csv", "--normal-force", "-1"],
         ["friction", "rheo.csv", "--dynamic", "120:0.3"],
         ["friction", "rheo.csv", "--radius", "0"],
+        ["friction", "rheo.csv", "--mu", "nan"],
+        ["friction", "rheo.csv", "--mu=-1"],
     ],
 )
 def test_bad_input_is_one_line_and_writes_nothing(

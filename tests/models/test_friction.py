@@ -130,6 +130,9 @@ def test_a_drifting_normal_force_is_followed(tmp_path: Path) -> None:
     assert untimed.mu_d == pytest.approx(truth["mu_d"], rel=0.01)
     mean = friction_of_disc(rotation, settings=FrictionSettings(normal_window_s=1000.0))
     assert mean.mu_s > 1.05 * truth["mu_s"]
+    empty = rotation["normal_force_N"].where(rotation.index != 50)  # one cell of the export
+    holed = friction_of_disc(rotation.assign(normal_force_N=empty))
+    assert holed.mu_d_err == pytest.approx(found.mu_d_err, rel=0.02)
 
 
 def test_a_peak_that_is_not_resolved_is_said(tmp_path: Path) -> None:

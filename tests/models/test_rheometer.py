@@ -165,3 +165,28 @@ def test_a_result_that_cannot_be_used_costs_no_other(tmp_path: Path, spoiled, re
         (line,) = rotation.attrs["left_out"]
         assert line.startswith("Friction 0.5 N: ")
         assert reason in line
+
+
+def test_two_results_of_one_name_are_two_measurements(tmp_path: Path) -> None:
+    """A failure means that a second measurement is joined to the first where its angle happens to go on, or
+    that joined intervals lose the number of the last one."""
+    write_rheocompass(tmp_path / "rheo.csv", TEST)
+    text = (tmp_path / "rheo.csv").read_text("utf-16")
+    names = [f"Friction {load:g} N" for load in TEST.loads_N]
+    for name in names:
+        text = text.replace(name, "Friction")
+    (tmp_path / "alike.csv").write_text(text, "utf-16")
+    found = read_rheometer(tmp_path / "alike.csv")
+    assert [rotation.attrs["measurement"] for rotation in found] == [
+        f"Friction, interval 2 (no. {place} in the file) to 3" for place in (2, 5)
+    ]
+
+
+@pytest.mark.parametrize("angles", [("999,5", "1.000,5", "2.000,5"), ("999.5", "1,000.5", "2,000.5")])
+def test_marks_between_thousands(tmp_path: Path, angles: tuple[str, ...]) -> None:
+    """A failure means angles that are wrong by powers of ten, without a word."""
+    rows = "".join(f"{k};1;{angle}\n" for k, angle in enumerate(angles))
+    path = tmp_path / "marks.csv"
+    path.write_text(f"Time [s];Torque [mN·m];Deflection Angle [mrad]\n{rows}", "utf-8")
+    (rotation,) = read_rheometer(path)
+    np.testing.assert_allclose(rotation["angle_rad"], [0, 0.001, 1.001])

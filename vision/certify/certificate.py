@@ -382,7 +382,7 @@ def _measure(like: Likeness, truth_px: Floats, found: xr.Dataset) -> _Measured:
         far = np.abs(off) > half
         wrong += int(far.sum())
         error[:, n] = np.where(far, np.nan, off)
-        stated[:, n] = found["x_err_px"].values[:, k]
+        stated[:, n] = np.where(ok[:, k] & ~far, found["x_err_px"].values[:, k], np.nan)
     return _Measured(error, stated, wrong, _scatter(error, like.residuals.between_frames))
 
 

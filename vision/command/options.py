@@ -293,7 +293,7 @@ class SimulateOptions:
     force_unit: Literal["N", "kN"] | None = _sets("force_file.unit")
     """Unit of force in force.txt."""
     video_time: bool | None = _sets("force_file.video_time")
-    """Write the camera's clock as a column of force.txt."""
+    """Write the camera's clock as a column of force.txt (layout mts only)."""
 
 
 @Option(name="*")

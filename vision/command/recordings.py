@@ -12,7 +12,14 @@ import pandas as pd
 
 from vision.command.console import complain, conclude, frame_progress, one_line
 from vision.command.options import FrictionOptions, ModulusOptions, OutputOptions, SimulateOptions, flag_of
-from vision.command.settings import merged, parameters_given, parse_pair, parse_with_error, settings_of
+from vision.command.settings import (
+    at_least,
+    merged,
+    parameters_given,
+    parse_pair,
+    parse_with_error,
+    settings_of,
+)
 from vision.command.track import finish, origin_of
 from vision.errors import InputError, known_as
 from vision.experiment import preset as ready_made
@@ -155,6 +162,7 @@ def friction(files: Sequence[Path], options: FrictionOptions, output: OutputOpti
     target = output.out or Path(f"{files[0].stem}_friction")
     check_results(target, overwrite=output.overwrite, mark="measurements")
     wanted = "two angles A:B in degrees with 0 <= A < B"
+    at_least(options.mu, "--mu", 1e-9)
     angles = parse_pair(options.dynamic, "--dynamic", wanted, advice="write 0.3:120")
     settings = FrictionSettings(dynamic_deg=angles)
     found = _measure(files, _loads(options.normal_force, len(files)), options.radius, settings)

@@ -48,7 +48,7 @@ from vision.files import reading as reading_of
 from vision.folder import check_new, run_folder, whole_file, write_json
 from vision.numeric import Ints
 from vision.pipeline import Analysis, Settings, analyse, open_recording
-from vision.run import check_results, export_run, is_run, read_run, read_strip
+from vision.run import check_outside, check_results, export_run, is_run, read_run, read_strip
 from vision.run.export import Format
 from vision.run.overlay import write_overlay
 from vision.run.tables import frame_step_s, unevenness_s, write_space_time_tif
@@ -335,6 +335,7 @@ def figures(
     if unknown := [name for name in names if name not in made]:
         raise InputError(run, f"figures of this run ({', '.join(made)})", ", ".join(unknown))
     target = output.out or Path(f"{folder.resolve().name}_figures")
+    check_outside(target, folder)
     files = [target / f"{name}.{to}" for name in names or made]
     for file in files:
         check_new(file, overwrite=output.overwrite)
@@ -377,6 +378,7 @@ def certify(run: Path, films: int, most_frames: int, output: OutputOptions) -> i
             raise InputError(name, f"a whole number from {least}", f"{value}")
     finished = read_run(run)
     target = output.out or Path(f"{finished.folder.resolve().name}_certificate")
+    check_outside(target, finished.folder)
     if (target / "certificate.json").exists():
         check_new(target, overwrite=output.overwrite, kind="folder")
     if target.exists() and not target.is_dir():

@@ -212,8 +212,11 @@ def friction_of_disc(
             f"{int(inside.sum())} (rotation from 0° to {angle.max():.3g}°)",
         )
     mean_load = float(curve["N_N"].to_numpy()[inside].mean())
-    load_err = _noise(rotation["normal_force_N"].to_numpy(float)[inside]) if normal_force_N is None else 0.0
-    load_err /= math.sqrt(float(inside.sum()))
+    load_err = 0.0
+    if normal_force_N is None:
+        load = rotation["normal_force_N"].to_numpy(float)[inside]
+        load = load[np.isfinite(load)]
+        load_err = _noise(load) / math.sqrt(max(load.size, 1))
     mu_d, scatter = _mean_over_angle(angle[inside], mu[inside], settings)
     noise = _noise(mu[inside])
     peak = _first_maximum(angle, mu, noise, mu_d, settings)

@@ -162,6 +162,7 @@ class _Block:
     result: str
     line: int  # line of the file at which the result begins, which distinguishes results of one name
     name: str
+    number: str  # of the interval, as the file gives it
     names: list[str] = field(default_factory=list)  # of the columns
     units: list[str] = field(default_factory=list)  # of the columns, as written
     cells: pd.DataFrame = field(default_factory=pd.DataFrame)  # as text
@@ -212,16 +213,18 @@ def _intervals(lines: list[str], starts: list[int], results: list[int]) -> list[
         result = "" if before < 0 else _words(lines[before], separator)[1]
         announced = _words(lines[start], separator)
         header = next((k for k in range(start, stop) if marks[k] == "Interval data:"), None)
-        name = f"{result or 'result'}, interval {announced[1] or len(blocks) + 1}"
+        number = announced[1] or str(len(blocks) + 1)
+        name = f"{result or 'result'}, interval {number}"
         if header is None or header + 1 >= stop:
             problem = "no 'Interval data:' with columns and rows"
-            blocks.append(_Block(result, before, name, problem=problem))
+            blocks.append(_Block(result, before, name, number, problem=problem))
         else:
-            blocks.append(_interval(result, before, name, lines[header:stop], announced[2]))
+            interval = _Block(result, before, name, number)
+            blocks.append(_read_interval(interval, lines[header:stop], announced[2]))
     repeated = {b.name for b in blocks if sum(b.name == other.name for other in blocks) > 1}
-    for number, block in enumerate(blocks):
+    for place, block in enumerate(blocks, 1):
         if block.name in repeated:
-            block.name += f" (no. {number + 1} in the file)"
+            block.name += f" (no. {place} in the file)"
     return blocks
 
 
@@ -230,8 +233,8 @@ def _words(line: str, separator: str) -> list[str]:
     return [*(cell.strip().strip('"').strip() for cell in line.split(separator)), "", ""]
 
 
-def _interval(result: str, line: int, name: str, lines: list[str], announced: str) -> _Block:
-    """One interval: a row of names, rows of which the last has the units in brackets, then data.
+def _read_interval(block: _Block, lines: list[str], announced: str) -> _Block:
+    """Fill an interval: a row of names, rows of which the last has the units in brackets, then data.
 
     announced: number of points, as written.
     """
@@ -246,9 +249,9 @@ def _interval(result: str, line: int, name: str, lines: list[str], announced: st
             break
     data = cells.iloc[first:, 1:].reset_index(drop=True)
     data = data[(data != "").any(axis=1)]
-    block = _Block(result, line, name, names, units, data)
+    block.names, block.units, block.cells = names, units, data
     if announced.isdecimal() and int(announced) != len(data):
-        block.warnings.append(f"{name} announces {announced} points and has {len(data)}")
+        block.warnings.append(f"{block.name} announces {announced} points and has {len(data)}")
     return block
 
 
@@ -267,7 +270,7 @@ def _plain_table(path: Path, lines: list[str]) -> _Block:
     first = 1
     if len(cells) > 1 and not any(units) and not any(_is_number(str(cell)) for cell in cells.iloc[1]):
         units, first = [str(cell) for cell in cells.iloc[1]], 2
-    return _Block("", -1, path.stem, names, units, cells.iloc[first:].reset_index(drop=True))
+    return _Block("", -1, path.stem, "1", names, units, cells.iloc[first:].reset_index(drop=True))
 
 
 def _looks_like_header(line: str) -> bool:
@@ -339,12 +342,18 @@ def _column(path: Path, block: _Block, quantity: _Quantity) -> pd.Series[float] 
 
 
 def _numbers(cells: pd.Series[Any]) -> pd.Series[float]:
-    """Numbers from text with a decimal point or comma; NaN where the text is not a number."""
+    """Numbers from text with a decimal point or comma; NaN where the text is not a number.
+
+    Where cells have both, the last mark is the decimal one, and the other separates thousands.
+    """
     text = cells.astype(str)
     comma = text.str.contains(",", regex=False)
-    if comma.any():
-        both = bool((comma & text.str.contains(".", regex=False)).any())
-        text = text.str.replace(",", "" if both else ".", regex=False)
+    both = text[comma & text.str.contains(".", regex=False)]
+    if len(both) and (both.str.rfind(",") < both.str.rfind(".")).all():
+        text = text.str.replace(",", "", regex=False)
+    elif comma.any():
+        text = text if both.empty else text.str.replace(".", "", regex=False)
+        text = text.str.replace(",", ".", regex=False)
     numbers: pd.Series[float] = pd.to_numeric(text, errors="coerce").astype(float)
     return numbers
 
@@ -365,7 +374,7 @@ def _measurements(blocks: list[_Block]) -> list[list[_Block]]:
 
 def _continues(first: _Block, second: _Block) -> bool:
     """Whether the second interval continues the first: same result, direction, angle and normal force."""
-    if first.result != second.result:
+    if first.line != second.line:
         return False
     a, b = first.values["angle_rad"].to_numpy(), second.values["angle_rad"].to_numpy()
     direction = np.sign(a[-1] - a[0])
@@ -413,7 +422,7 @@ def _table(path: Path, parts: list[_Block], blocks: list[_Block], left_out: Sequ
     waiting = [block for block in blocks if block.waiting and block.line == parts[0].line]
     name = parts[0].name
     if len(parts) > 1:
-        name += f" to {parts[-1].name.rsplit(' ', 1)[-1]}"
+        name += f" to {parts[-1].number}"
     facts = RotationMetadata(
         source=str(path),
         measurement=name,

@@ -359,7 +359,7 @@ def _deformation_differs(before: Path, after: Path, old: Ints, new: Ints) -> dic
         {
             "side": side,
             "median": [float(part[f"stiff_sheets_{which}"].median()) for which in "xy"],
-            "other": int((part["stiff_sheets_x"] != part["stiff_sheets_y"]).sum()),
+            "other": int((part["stiff_sheets_x"].fillna(-1) != part["stiff_sheets_y"].fillna(-1)).sum()),
             "of": len(part),
         }
         for side in (-1, 1)

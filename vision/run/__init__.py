@@ -2,7 +2,15 @@
 
 from vision.run.export import export_run
 from vision.run.provenance import Checksums, Origin, Parameter, describe_input
-from vision.run.reading import Checkpoint, RunFolder, check_results, is_run, read_run, read_strip
+from vision.run.reading import (
+    Checkpoint,
+    RunFolder,
+    check_outside,
+    check_results,
+    is_run,
+    read_run,
+    read_strip,
+)
 from vision.run.writing import FAILURES, write_run
 
 __all__ = [
@@ -12,6 +20,7 @@ __all__ = [
     "Origin",
     "Parameter",
     "RunFolder",
+    "check_outside",
     "check_results",
     "describe_input",
     "export_run",

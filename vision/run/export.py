@@ -16,7 +16,7 @@ from vision.data import MEASURED, StripMetadata
 from vision.errors import InputError
 from vision.files import AGAIN, harmless, harmless_table, reading
 from vision.folder import check_new, flattened, run_folder, whole_file, write_json
-from vision.run.reading import RunFolder, check_results, read_json
+from vision.run.reading import RunFolder, check_outside, check_results, read_json
 from vision.run.tables import sheets_table, tracks_table
 
 Format = Literal["csv", "xlsx", "parquet", "mat", "trackpy", "napari"]
@@ -50,8 +50,7 @@ def export_run(run: RunFolder, to: Format, *, out: Path | None = None, overwrite
     target = out or Path(f"{run.folder.resolve().name}{ENDINGS.get(to, f'_{to}')}")
     if to == "xlsx" and target.suffix.lower() != ".xlsx" and not target.is_dir():  # or no program opens it
         target = target.with_name(f"{target.name}.xlsx")
-    if target.resolve().is_relative_to(run.folder.resolve()):
-        raise InputError(target, "a place outside the run folder", "one inside", "give another `out`")
+    check_outside(target, run.folder)
     with reading(run.folder, "a run folder as track writes it", AGAIN):  # tables are read and checked here
         if to not in ENDINGS:
             _write_folder(run, to, target, overwrite=overwrite)

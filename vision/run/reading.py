@@ -167,6 +167,12 @@ def check_results(target: Path, *, overwrite: bool, mark: str) -> None:
         raise InputError(target, wanted, "another run", "give another `out`")
 
 
+def check_outside(target: Path, run: Path) -> None:
+    """Check that results are not written into a run, which is replaced as a whole.  Raises: InputError."""
+    if target.resolve().is_relative_to(run.resolve()):
+        raise InputError(target, "a place outside the run folder", "one inside", "give another `out`")
+
+
 def read_run(folder: Path) -> RunFolder:
     """Open a run folder and read its run.json.  Raises: InputError if it is none, or is damaged."""
     if not is_run(folder):
