@@ -156,12 +156,18 @@ def test_what_is_no_table(tmp_path, content, word):
         read(tmp_path / "t.csv")
 
 
-def test_films_that_are_still_to_come(tmp_path):
+def test_films_that_are_still_to_come(tmp_path, monkeypatch):
     """While a folder is watched, its films need not be there; those elsewhere must."""
     path = table(tmp_path / "t.csv", ["cam/t0.tif", "t1.tif"], force=["cam/f.txt", "f.txt"])
     (tmp_path / "cam").mkdir()
     assert [(p.row, p.column) for p in read(path, awaited=tmp_path / "cam")[1]] == [(3, "film"), (3, "force")]
     assert len(read(path)[1]) == 4
+    for name in ("a.avi", "b.avi"):  # the folder itself names no single film, nor does an empty cell
+        (tmp_path / "cam" / name).touch()
+    path = table(tmp_path / "u.csv", ["cam", ""], name=["one", "two"])
+    monkeypatch.chdir(tmp_path)
+    for awaited in (tmp_path / "cam", tmp_path):
+        assert [(p.row, p.column) for p in read(path, awaited=awaited)[1]] == [(2, "film"), (3, "film")]
 
 
 @pytest.mark.parametrize(

@@ -226,9 +226,7 @@ def _row(
     def may_come_later(path: str) -> bool:
         return awaited is not None and Path(path).parent.resolve() == awaited.resolve()
 
-    film, problems = _film(given.get("film", ""), base)
-    if may_come_later(film):
-        problems = []
+    film, problems = _film(given.get("film", ""), base, may_come_later)
     facts, wrong = _conditions(given)
     problems += wrong
     options = {name: text for name, text in given.items() if name not in ("film", "name", *FACTS)}
@@ -247,7 +245,8 @@ def _row(
     return row, problems
 
 
-def _film(text: str, base: Path) -> tuple[str, list[tuple[str, str]]]:
+def _film(text: str, base: Path, may_come_later: Callable[[str], bool]) -> tuple[str, list[tuple[str, str]]]:
+    """Return the path of a row's film, and (column, text) of what is wrong with it."""
     if not text:
         return "", [("film", "expected a film; found an empty cell")]
     if is_remote(text):
@@ -258,6 +257,8 @@ def _film(text: str, base: Path) -> tuple[str, list[tuple[str, str]]]:
         wrong = f"{shortened(film)}: expected one film; found {len(films)}; name one of them, such as {one}"
         return one, [("film", wrong)] if len(films) > 1 else []
     if "\0" not in film and (Path(film).exists() or (glob.has_magic(film) and glob.glob(film))):  # noqa: PTH207
+        return film, []
+    if may_come_later(film):
         return film, []
     return film, [("film", f"{shortened(film)}: expected a film; found no such file")]
 
