@@ -29,18 +29,23 @@ def test_friction_shows_what_was_measured(tmp_path):
     assert "published" in without.panels[2].series[1].label
 
 
-def test_modulus_shows_its_lines(tmp_path):
-    """A failure means that a fitted part is drawn beside the force it was fitted to."""
+@pytest.mark.parametrize("clamp_distance_mm", [None, 18.0])
+def test_modulus_shows_its_lines(tmp_path, clamp_distance_mm):
+    """A failure means that a fitted part is drawn beside the force it was fitted to, also where the first
+    sample, from which the distance of the clamps counts, cannot be used."""
     write_cycles(tmp_path / "sheet.txt", CyclesTest())
     force = read_force(tmp_path / "sheet.txt")
-    cycles = measure_cycles(force, sheet=PUBLISHED_SHEET)
+    if clamp_distance_mm:
+        force["crosshead_mm"][0] += 3
+        force["load_N"][0] = np.nan
+    cycles = measure_cycles(force, sheet=PUBLISHED_SHEET, clamp_distance_mm=clamp_distance_mm)
     figure = modulus_figure(force, cycles)
     lines = figure.panels[0].series[1:]
     assert len(lines) == len(cycles)
     residuals = figure.panels[1]
     for curve in residuals.series:
         inside = (curve.x >= residuals.bands[0].low) & (curve.x <= residuals.bands[0].high)
-        assert np.abs(curve.y[inside]).mean() < 0.05 * float(np.ptp(force["load_N"].values))
+        assert np.abs(curve.y[inside]).mean() < 0.05 * float(np.ptp(force["load_N"].values[1:]))
     np.testing.assert_allclose(figure.panels[2].series[0].y, cycles["Y_p_GPa"])
     assert load_figures(save_figures(tmp_path / "f.npz", [figure]))[0].caption == figure.caption
     figure.save(tmp_path / "m.png")

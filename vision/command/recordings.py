@@ -131,7 +131,7 @@ def modulus(file: Path, options: ModulusOptions, output: OutputOptions) -> int:
         "notes": notes,
         "seconds": {"total": time.perf_counter() - started},
     }
-    figure = modulus_figure(force, cycles, clamp_distance_mm=options.clamp_distance)
+    figure = modulus_figure(force, cycles)
     _write(target, output, "cycles", cycles, figure, content, facts)
     lines = [f"{len(cycles)} loading branches -> {target}/", *_modulus_lines(means, len(cycles)), *notes]
     return conclude(lines, [f"{file.name}: {line}" for line in warnings], quiet=output.quiet)

@@ -13,9 +13,8 @@ from vision.figures.figure import Band, Figure, Panel, Range, Series
 from vision.figures.style import DATA, MODEL, PEAK, QUIET, VALLEY, ordered_inks, plus_minus
 from vision.models import Estimate
 from vision.models.friction import PUBLISHED_FRICTION, DiscFriction, StaticFriction, friction_table
-from vision.models.modulus import CyclesMetadata, clamp_distance, mean_over_cycles
+from vision.models.modulus import CyclesMetadata, mean_over_cycles
 from vision.numeric import Floats
-from vision.sample import Sample
 
 MOST_POINTS = 3000  # of a curve
 
@@ -135,17 +134,13 @@ def _threshold_panel(law: StaticFriction | None, mu: float) -> Panel:
 # --- the modulus of one sheet -------------------------------------------------------------------------------
 
 
-def modulus_figure(
-    force: xr.Dataset, cycles: pd.DataFrame, *, clamp_distance_mm: float | None = None
-) -> Figure:
+def modulus_figure(force: xr.Dataset, cycles: pd.DataFrame) -> Figure:
     """Return F(Δ) with the fitted parts, the loading branches less their lines, and the moduli.
 
-    clamp_distance_mm: as given to `measure_cycles`, which returned the cycles.
+    cycles: from `measure_cycles` of this recording.
     """
     facts = CyclesMetadata.of(cycles)
-    thickness, width, length = facts.sheet
-    sheet = Sample(thickness_mm=thickness, width_mm=width, length_mm=length)
-    delta = clamp_distance(force, sheet=sheet, clamp_distance_mm=clamp_distance_mm)
+    delta = force["crosshead_mm"].to_numpy().astype(float) + facts.shift_mm
     load = force["load_N"].to_numpy().astype(float)
     if np.isfinite(facts.machine_stiffness_N_per_mm):
         delta = delta - load / facts.machine_stiffness_N_per_mm

@@ -60,6 +60,8 @@ class CyclesMetadata(Metadata):
         ε, W and L of the sheet in mm.
     clamp_distance_from
         "given", "column" (the recording contains Δ) or "length" (Δ = L + crosshead).
+    shift_mm
+        Δ minus the displacement of the crosshead, without the correction for the machine.
     machine_stiffness_N_per_mm
         Stiffness for which Δ was corrected; NaN without correction.
     notes, warnings
@@ -69,6 +71,7 @@ class CyclesMetadata(Metadata):
     source: str = "the recording"
     sheet: Sequence[float] = (math.nan,) * 3
     clamp_distance_from: str = "given"
+    shift_mm: float = 0.0
     machine_stiffness_N_per_mm: float = math.nan
     notes: Sequence[str] = field(default_factory=list)
     warnings: Sequence[str] = field(default_factory=list)
@@ -295,15 +298,6 @@ _ORIGINS = {
 }
 
 
-def clamp_distance(
-    force: xr.Dataset, *, sheet: Sample = PUBLISHED_SHEET, clamp_distance_mm: float | None = None
-) -> Floats:
-    """Δ in mm of every sample as in `measure_cycles`, without the correction for the machine."""
-    crosshead = force["crosshead_mm"].values.astype(float)
-    _, shift = _origin(crosshead[np.isfinite(crosshead)], sheet, clamp_distance_mm)
-    return np.asarray(crosshead + shift)
-
-
 def _origin(crosshead: Floats, sheet: Sample, clamp_distance_mm: float | None) -> tuple[str, float]:
     """Source of Δ as in `CyclesMetadata`, and Δ minus the displacement, mm."""
     if clamp_distance_mm is not None:
@@ -362,7 +356,9 @@ def _clean(
     how, shift = _origin(crosshead, sheet, clamp_distance_mm)
     delta = crosshead + shift
     notes = [_ORIGINS[how].format(length=sheet.length_mm)] if how != "given" else []
-    facts = CyclesMetadata(source=source, clamp_distance_from=how, notes=notes, warnings=warnings)
+    facts = CyclesMetadata(
+        source=source, clamp_distance_from=how, shift_mm=shift, notes=notes, warnings=warnings
+    )
     turns = turning_points(delta, settings=settings)
     width = max(int(settings.smoothing * float(np.median(np.diff(turns)))), 1)
     smooth = running_mean(load, width)
