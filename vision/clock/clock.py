@@ -471,7 +471,7 @@ def _robust_line(x: Floats, y: Floats) -> tuple[float, float]:
     for _ in range(10):
         residual = np.abs(y - intercept - slope * x)
         used = residual <= 5 * max(float(np.median(residual)) / NORMAL_MEDIAN, 1e-6)
-        if not (used.any() and np.ptp(x[used]) > 0):
+        if not np.ptp(x[used]) > 0:
             break
         slope, intercept = (float(c) for c in np.polyfit(x[used], y[used], 1))
     return slope, intercept

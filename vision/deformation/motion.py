@@ -302,7 +302,7 @@ def _uninterrupted(
 # --- measurement --------------------------------------------------------------------------------------------
 
 
-class _Measured(NamedTuple):
+class _Deformation(NamedTuple):
     """The deformation, the correlation of its noise, what was subtracted as the camera's, and warnings."""
 
     motion: xr.Dataset
@@ -318,7 +318,7 @@ def _measure(
     pixel_um: float,
     common_mode: bool,
     settings: DeformationSettings,
-) -> _Measured:
+) -> _Deformation:
     """Measure the deformation in the usable frames."""
     x_px, side = np.asarray(tracks["x_px"].values, float)[frames.frame], tracks["side"].values
     terms = 4 if np.median(frames.counts) >= settings.cubic_frames else 3
@@ -365,7 +365,7 @@ def _measure(
     }
     index = {"event": events["event"].to_numpy(), "sheet": tracks["sheet"].values}
     motion = xr.Dataset(declared, index).set_coords(list(coords))
-    return _Measured(motion, noise.correlation, camera.movement if camera else "not subtracted", warnings)
+    return _Deformation(motion, noise.correlation, camera.movement if camera else "not subtracted", warnings)
 
 
 def _relative_to_length(

@@ -56,10 +56,20 @@ class Corners:
         """Samples from the begin to the end of each slip."""
         return self.valley - self.peak
 
+    @property
+    def onset(self) -> Floats:
+        """Samples from the begin to the middle of each slip."""
+        return self.middle - self.peak
+
+    @property
+    def end(self) -> Floats:
+        """Samples from the middle to the end of each slip."""
+        return self.valley - self.middle
+
     def transients(self) -> SlipTransients:
         """Return the stretches between slips, clear of them, in which a low-pass leaves its transients."""
         # A low-pass delays the end of a slip but not its onset, so the onset gives the slip's length.
-        half = np.maximum(1.2 * (self.middle - self.peak), 1.0)
+        half = np.maximum(1.2 * self.onset, 1.0)
         return SlipTransients(
             start=np.ceil(self.middle + half).astype(np.int64)[:-1],
             stop=np.floor(self.middle - half).astype(np.int64)[1:],
@@ -460,7 +470,6 @@ def are_level(corners: Corners, extremes: Extremes, slow: Bools, settings: Force
     if not slow.any():
         return True
     least = 1 - settings.level_share
-    onset, end = corners.middle - corners.peak, corners.valley - corners.middle
     with np.errstate(divide="ignore", invalid="ignore"):
-        shares = ((extremes.fall / corners.length)[slow], (onset / end)[slow])
+        shares = ((extremes.fall / corners.length)[slow], (corners.onset / corners.end)[slow])
     return all(nan_median(share) >= least for share in shares)

@@ -113,7 +113,7 @@ def find_stick_slip(
         signal, slips = _above_slow_noise(signal, slips, settings)
     analysis = _analyse_slips(signal, slips, lowpass_s, two_slopes, settings)
     unloading = is_unloading(signal.travel, analysis.extremes)
-    events, shares = _measure(signal, slips, analysis, 1 / (machine_stiffness_N_per_mm or np.inf), settings)
+    events, shares = _measure(signal, analysis, 1 / (machine_stiffness_N_per_mm or np.inf), settings)
     _check_direction(events, unloading, source)
     events = events.assign(flag=_all_flags(events, analysis, unloading, signal, slips, settings))
     unit = "of the weight" if load_unit(force) == "1" else "N"
@@ -255,12 +255,11 @@ def _analyse_slips(
             if bent:
                 corners = find_corners(signal, slips, two_slopes=bent, settings=settings)
                 found = find_lowpass(signal, slips, corners, settings)
-    tau = given
     how: LowpassHow = "given" if given else "recorded" if lowpass_s == 0 else "none"
-    if lowpass_s == "auto" and found.samples:
-        tau, how = (found.samples, "found") if found.proven else (0.0, "doubtful")
-    if tau:
-        corners = find_corners(signal, slips, lowpass=tau, two_slopes=bent, settings=settings)
+    if given:
+        corners = find_corners(signal, slips, lowpass=given, two_slopes=bent, settings=settings)
+    elif lowpass_s == "auto" and found.corners is not None:
+        corners, how = (found.corners, "found") if found.proven else (corners, "doubtful")
     return _SlipAnalysis(corners, extremes, regime, found, how)
 
 
@@ -363,7 +362,7 @@ def _have_knees(signal: Signal, slips: Slips, lag: float, settings: ForceSetting
 
 
 def _measure(
-    signal: Signal, slips: Slips, analysis: _SlipAnalysis, compliance: float, settings: ForceSettings
+    signal: Signal, analysis: _SlipAnalysis, compliance: float, settings: ForceSettings
 ) -> tuple[pd.DataFrame, dict[str, float]]:
     """Return the events; and, if a low-pass was found but not corrected, what the correction would change.
 
@@ -372,12 +371,9 @@ def _measure(
     corners, found = analysis.corners, analysis.found
     known = bool(corners.lowpass or found.proven)
     events = measure_sticks(signal, corners, analysis.extremes, compliance, settings, filter_known=known)
-    if corners.lowpass or not found.samples:
+    if corners.lowpass or found.corners is None:
         return events, {}
-    corrected = find_corners(
-        signal, slips, lowpass=found.samples, two_slopes=corners.two_slopes, settings=settings
-    )
-    other = measure_sticks(signal, corrected, analysis.extremes, compliance, settings)
+    other = measure_sticks(signal, found.corners, analysis.extremes, compliance, settings)
     return _with_bias(events, other), _lowpass_shares(events, other)
 
 

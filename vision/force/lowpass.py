@@ -23,6 +23,7 @@ class Lowpass:
     """The low-pass that the transients after slips suggest."""
 
     samples: float = 0.0  # time constant; 0 for none
+    corners: Corners | None = None  # of the slips once it is undone; None for none
     # Why it is not proven: "differs" (among large and small slips, or those after long and short sticks) or
     # "shape" (slips without it still have a tail); "" where it is.
     doubt: LowpassDoubt = ""
@@ -50,12 +51,12 @@ def find_lowpass(signal: Signal, slips: Slips, plain: Corners, settings: ForceSe
         if again is None:
             break
         if again.confirms(found, settings):
-            if not _same_everywhere(y, transients, again.samples, settings):
-                return Lowpass(again.samples, "differs")
             corners = find_corners(
                 signal, slips, lowpass=again.samples, two_slopes=plain.two_slopes, settings=settings
             )
-            return Lowpass(again.samples, "shape" if _have_tails(corners, settings) else "")
+            if not _same_everywhere(y, transients, again.samples, settings):
+                return Lowpass(again.samples, corners, "differs")
+            return Lowpass(again.samples, corners, "shape" if _have_tails(corners, settings) else "")
         found = again
     return Lowpass()
 
@@ -83,9 +84,8 @@ def _have_tails(corrected: Corners, settings: ForceSettings) -> bool:
     A first-order low-pass leaves none once it is undone. A filter of higher order falls off gradually, too,
     but is not undone by a single time constant.
     """
-    onset, end = corrected.middle - corrected.peak, corrected.valley - corrected.middle
-    least = (1 - settings.lowpass_tail) * nan_median(end) - settings.corner_error
-    return bool(nan_median(onset) < least)
+    least = (1 - settings.lowpass_tail) * nan_median(corrected.end) - settings.corner_error
+    return bool(nan_median(corrected.onset) < least)
 
 
 @dataclass(frozen=True)

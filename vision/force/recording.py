@@ -84,7 +84,7 @@ def read_force(
     path = Path(path)
     with np.errstate(invalid="ignore"):
         found, facts, blocks = _joined(path, read_tables(path), columns)
-        force = _dataset(path, found, facts, blocks, speed_mm_min, (d0_mm, d0_err_mm), settings)
+        force = _dataset(path, found, facts, blocks, speed_mm_min, d0_mm, d0_err_mm, settings)
     return record(
         force,
         "read_force",
@@ -138,11 +138,11 @@ def _dataset(
     facts: dict[str, str],
     blocks: list[Table],
     speed_mm_min: float | None,
-    separation: tuple[float | None, float | None],
+    d0_mm: float | None,
+    d0_err_mm: float | None,
     settings: ForceSettings,
 ) -> xr.Dataset:
-    """Return the dataset of `read_force` for the columns found. separation: d0 and its error, mm."""
-    d0_mm, d0_err_mm = separation
+    """Return the dataset of `read_force` for the columns found."""
     time, load = found["time"].values, found["load"].values
     crosshead = found["displacement"].values if "displacement" in found else None
     if time.size < 10:

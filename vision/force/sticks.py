@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -109,7 +110,7 @@ def measure_sticks(
     d_v, d_p, d_next, noise_mm = _separations(signal, sticks, valley[-1], f_v, f_p, compliance)
     steady = _steady_speeds(signal, sticks)
     # Where the machine runs steadily, lengths show errors of d that are alike within a stick.
-    odd = d_p - d_v + compliance * (f_p - f_v) - steady[0] * (t_p - t_v)
+    odd = d_p - d_v + compliance * (f_p - f_v) - steady.value * (t_p - t_v)
     noise_mm = np.fmax(noise_mm, nan_median(np.abs(odd)) / (NORMAL_MEDIAN * np.sqrt(2)))
     off, lost = _position_errors(signal, corners, filter_known)
     # A filter lengthens all slips alike: a slow one no more than the shortest of them.
@@ -383,12 +384,9 @@ def _unevenness(
 
 
 def _stiffness(
-    signal: Signal, sticks: _Sticks, steady: tuple[Floats, Floats], two_slopes: bool, compliance: float
+    signal: Signal, sticks: _Sticks, steady: _Speeds, two_slopes: bool, compliance: float
 ) -> dict[str, Floats]:
-    """Return the columns of K: slopes of load against d, corrected for the machine's compliance in series.
-
-    `steady`: as from `_steady_speeds`.
-    """
+    """Return the columns of K: slopes of load against d, corrected for the machine's compliance in series."""
 
     def of_sample(slope: Floats) -> Floats:
         with np.errstate(divide="ignore"):
@@ -401,9 +399,9 @@ def _stiffness(
         """Return K and its error from slopes against time, since noise of d would lower slopes against d."""
         rise = fit_lines(time, load, start, stop, lag=sticks.lag)
         pace = fit_lines(time, travel, start, stop, lag=sticks.lag)
-        known = np.isfinite(steady[0])
-        speed = np.where(known, steady[0], pace.slope)
-        speed_error = np.where(known, steady[1], pace.slope_error)
+        known = np.isfinite(steady.value)
+        speed = np.where(known, steady.value, pace.slope)
+        speed_error = np.where(known, steady.error, pace.slope_error)
         stands = np.abs(speed) < 1e-9 * np.abs(nan_median(speed))  # but for rounding
         with np.errstate(divide="ignore", invalid="ignore"):
             slope = np.where(stands | (speed == 0), np.nan, rise.slope / speed)
@@ -430,8 +428,15 @@ def _stiffness(
     )
 
 
-def _steady_speeds(signal: Signal, sticks: _Sticks) -> tuple[Floats, Floats]:
-    """Return the crosshead's speed at each stick from those around, and its error; NaN where its own counts.
+class _Speeds(NamedTuple):
+    """The crosshead's speed at each stick from those around, and its error; NaN where its own counts."""
+
+    value: Floats
+    error: Floats
+
+
+def _steady_speeds(signal: Signal, sticks: _Sticks) -> _Speeds:
+    """Return the crosshead's speed at each stick from those around.
 
     The error of d, such as its noise or the periodic error of an encoder, may exceed the changes of the
     speed. Then the slopes of the load over this speed scatter less from stick to stick than over the
@@ -440,7 +445,7 @@ def _steady_speeds(signal: Signal, sticks: _Sticks) -> tuple[Floats, Floats]:
     the middles of sticks, so that its error contains noise of any kind.
     """
     settings, number = sticks.settings, np.arange(sticks.v.size)
-    own_speed = np.full(number.size, np.nan), np.full(number.size, np.nan)
+    own_speed = _Speeds(np.full(number.size, np.nan), np.full(number.size, np.nan))
     within = sticks.central(settings.line_part)
     pace, rise = (fit_lines(signal.time, values, *within) for values in (signal.travel, signal.spikeless))
     reach = settings.steady_reach
@@ -470,7 +475,7 @@ def _steady_speeds(signal: Signal, sticks: _Sticks) -> tuple[Floats, Floats]:
     after = fit_lines(pace.mean_x, pace.mean_y, number, end)
     change = float(nan_median(np.abs(after.slope - before.slope))) / NORMAL_MEDIAN
     error = np.hypot(error, 0.5 * np.sqrt(max(change**2 - 12 * float(nan_median(error)) ** 2, 0.0)))
-    return np.where(steady, around.slope, np.nan), np.where(steady, error, np.nan)
+    return _Speeds(np.where(steady, around.slope, np.nan), np.where(steady, error, np.nan))
 
 
 def _beside_standstill(signal: Signal, valley: Floats, peak: Floats, settings: ForceSettings) -> Bools:

@@ -379,11 +379,12 @@ def _shift_by_light(
     light = log_height - nan_median(log_height)
     light -= nan_median(light, axis=1)[:, None]  # exposure
     if light.shape[1] >= ENOUGH:
-        shift, tilt = _slope_across(light, x_px, settings), _tilt(light, x_px, settings)
+        scatter = _scatter_across(light)
+        shift = _slope_across(light, x_px, scatter, settings)
+        np.fmax(shift, _tilt(light, x_px, scatter, settings)[:, None], out=shift)
         for of_sheet in light.T:
             of_sheet[:] = mean_over(of_sheet, settings.distortion_frames)
-        np.fmax(shift, _slope_across(light, x_px, settings), out=shift)
-        np.fmax(shift, tilt[:, None], out=shift)
+        np.fmax(shift, _slope_across(light, x_px, _scatter_across(light), settings), out=shift)
     else:
         with np.errstate(divide="ignore", invalid="ignore"):
             slope = np.diff(light, axis=1) / np.diff(nan_median(x_px))
@@ -395,7 +396,7 @@ def _shift_by_light(
     return pulled_px2
 
 
-def _slope_across(light: Floats, x_px: Floats, settings: TrackingSettings) -> Floats:
+def _slope_across(light: Floats, x_px: Floats, scatter: float, settings: TrackingSettings) -> Floats:
     """Return the slope of the light from sheet to sheet, per px, (frame, N); 0 where it is scatter.
 
     It is the smaller of the slopes to both neighbours if these have the same sign, and its scatter is that of
@@ -404,7 +405,7 @@ def _slope_across(light: Floats, x_px: Floats, settings: TrackingSettings) -> Fl
     apart = np.diff(nan_median(x_px))
     apart_px = float(nan_median(apart))
     apart = np.where(apart > 0, apart, np.nan)
-    least = settings.distortion_sigmas * np.sqrt(2) * _scatter_across(light) / apart_px
+    least = settings.distortion_sigmas * np.sqrt(2) * scatter / apart_px
     across = np.empty(light.shape)
     for rows in row_parts(len(light)):
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -415,7 +416,7 @@ def _slope_across(light: Floats, x_px: Floats, settings: TrackingSettings) -> Fl
     return across
 
 
-def _tilt(light: Floats, x_px: Floats, settings: TrackingSettings) -> Floats:
+def _tilt(light: Floats, x_px: Floats, scatter: float, settings: TrackingSettings) -> Floats:
     """Return the size of the slope of the light over the whole comb, per px, (frame,); 0 where it is scatter.
 
     It is the median over all pairs of sheets that are half the comb apart, which single sheets and shadows do
@@ -425,7 +426,7 @@ def _tilt(light: Floats, x_px: Floats, settings: TrackingSettings) -> Floats:
     apart = rest[half:] - rest[:-half]
     apart = np.where(apart > 0, apart, np.nan)
     slope = np.abs(nan_median((light[:, half:] - light[:, :-half]) / apart, axis=1))
-    of_median = np.sqrt(np.pi / 2 / len(apart)) * np.sqrt(2) * _scatter_across(light) / nan_median(apart)
+    of_median = np.sqrt(np.pi / 2 / len(apart)) * np.sqrt(2) * scatter / nan_median(apart)
     return np.nan_to_num(_if_above(slope, settings.distortion_sigmas * of_median))
 
 

@@ -20,6 +20,7 @@ from vision.numeric import (
     Floats32,
     Ints,
     Ints32,
+    common_change,
     median_step,
     nan_median,
     row_parts,
@@ -195,7 +196,7 @@ def _left_out_beyond(match: Ints32, x: Floats32, ridges: Ridges, comb: RidgeComb
     near as the next sheet would be, and moves along with the last one, or this one moves too little to tell.
     x: positions of the sheets, px, (frame, N)."""
     settings, frame = comb.settings, np.arange(len(x))
-    common, found = nan_median(x - nan_median(x), axis=1), 0
+    common, found = common_change(x, nan_median(x)), 0
     for end, step in ((0, -1), (-1, 1)):
         beside = match[:, end] + step
         known = (match[:, end] >= 0) & (beside >= 0) & (beside < ridges.count)

@@ -79,7 +79,7 @@ def pixel_locking(x_px: Floats, err_px: float, settings: TrackingSettings) -> Pi
     are fitted once more, each by itself and with a part in proportion to its displacement, which is motion;
     the scatter of the first harmonic beyond its errors is the error that remains.
     """
-    rows = spread_indices(len(x_px), min(len(x_px), _MOST_FRAMES))
+    rows = spread_indices(len(x_px), _MOST_FRAMES)
     x = x_px[rows]
     middle = nan_median(x)
     if x.shape[1] < _LEAST_SHEETS or len(x) < _LEAST_LOCKING_FRAMES or _at_one_place(middle):

@@ -101,9 +101,10 @@ def _places(position: Floats, settings: TrackingSettings) -> Ints:
     In each wide spacing at least one is missing. How many is counted in spacings of the whole comb, as the
     nine around a gap scatter too much.
     """
-    gap = np.diff(np.sort(position))  # manual corrections may have swapped sheets
+    ordered = np.sort(position)  # manual corrections may have swapped sheets
+    gap = np.diff(ordered)
     with np.errstate(divide="ignore", invalid="ignore"):  # sheets at the same position, or none with any
-        _, wide = spacing_sizes(np.sort(position), settings=settings)
+        _, wide = spacing_sizes(ordered, settings=settings)
     step = np.ones(len(gap), np.int64)
     if wide.any():
         step[wide] = np.maximum(np.rint(gap[wide] / np.median(gap)), 2)

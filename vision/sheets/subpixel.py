@@ -571,27 +571,39 @@ def intensity_noise(
 
 
 def noise_correlation(
-    profile: NDArray[np.floating], x_px: Floats, frozen: Bools, *, half_px: int, least: float
+    profile: NDArray[np.floating],
+    x_px: Floats,
+    frozen: Bools,
+    *,
+    half_px: int,
+    least_noise: float,
+    least: float,
 ) -> float:
     r"""Return the correlation of the profile's noise between a frame and the next; 0 where it is not clear.
 
-    profile, x_px, frozen, half_px: as for `intensity_noise`.
+    profile, x_px, frozen, half_px: as for `intensity_noise`. A correlation up to `least` is 0.
 
     With the noise :math:`\rho^k` correlated over k frames, second differences at lags of two frames have
     :math:`(1 + \rho)(3 - \rho^2)/(3 - \rho)` times the variance of those at one. Motion that the fitted
     changes do not describe adds to longer lags as well, but not less to four frames than to two. It is not
     clear in films with fewer than `CORRELATED_RIDGES` such differences, and in those whose noise is less than
-    `least` grey levels, which is rounding.
+    `least_noise` grey levels, which is rounding.
     """
-    each = [_noise_variance(profile, x_px, frozen, half_px=half_px, lag=lag) for lag in (1, 2, 4)]
-    if min(variance.size for variance in each) < CORRELATED_RIDGES:
-        return 0.0
-    one, two, four = (float(nan_median(nan_median(variance, axis=0))) for variance in each)
+
+    def typical(lag: int) -> float:
+        """Return the typical variance, NaN from too few differences."""
+        variance = _noise_variance(profile, x_px, frozen, half_px=half_px, lag=lag)
+        if variance.size < CORRELATED_RIDGES:
+            return float("nan")
+        return float(nan_median(nan_median(variance, axis=0)))
+
+    one, two = typical(1), typical(2)
     # Noise that lasts for ever would have twice the variance at twice the lag.
-    if not (one > least**2 and two < 2.1 * one and four / two < two / one):
+    if not (one > least_noise**2 and two < 2.1 * one):
         return 0.0
     rho = np.linspace(0, 1, 101)
-    return float(np.interp(two / one, (1 + rho) * (3 - rho**2) / (3 - rho), rho))
+    found = float(np.interp(two / one, (1 + rho) * (3 - rho**2) / (3 - rho), rho))
+    return found if found > least and typical(4) / two < two / one else 0.0
 
 
 def _noise_variance(

@@ -154,7 +154,14 @@ def track_sheets(
     changes = scene_changes(detections.start_px, detections.contrast, comb)
     lasting = 0.0
     if facts.codec not in BETWEEN_FRAMES:  # these keep noise, or remove it, and their errors are measured
-        lasting = noise_correlation(profile, fitted.x_px, frozen, half_px=window // 2, least=WHOLE_LEVELS)
+        lasting = noise_correlation(
+            profile,
+            fitted.x_px,
+            frozen,
+            half_px=window // 2,
+            least_noise=WHOLE_LEVELS,
+            least=settings.lasting_noise,
+        )
     likelier = ridges if ridges == "auto" else describe_ridges(profile, settings=settings).polarity
     metadata = replace(
         found.metadata(count_given=sheets is not None),
@@ -164,7 +171,7 @@ def track_sheets(
         corrections_applied=len(corrections),
         sheets_alike="yes" if alike else "no",
         large_steps=large.tolist() if alike else [],
-        noise_lasts=lasting if lasting > settings.lasting_noise else 0.0,
+        noise_lasts=lasting,
         scene_changes=[change._asdict() | {"frame": int(number[change.frame])} for change in changes],
     )
     return record(

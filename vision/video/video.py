@@ -357,11 +357,14 @@ def pixels_file(path: Path) -> Path:
 
 def _open_reader(path: Path) -> Reader:
     """Return the reader for this kind of file, recognised by its first bytes."""
-    if path.is_dir() and (films := files_in(path, FILMS)) and not files_in(path, IMAGES):
-        found, advice = f"a folder of {len(films)} film(s)", f"give a film in it, such as {films[0]}"
-        raise InputError(path, "a film or a folder of images", found, advice)
     if path.is_dir() or (not path.exists() and glob.has_magic(str(path))):
-        return open_sequence(path)
+        try:
+            return open_sequence(path)
+        except InputError:
+            if path.is_dir() and (films := files_in(path, FILMS)) and not files_in(path, IMAGES):
+                found, advice = f"a folder of {len(films)} film(s)", f"give a film in it, such as {films[0]}"
+                raise InputError(path, "a film or a folder of images", found, advice) from None
+            raise
     check_regular(path, "a video, a TIFF, a folder or glob of images")
     with path.open("rb") as file:
         head = file.read(12)
