@@ -516,6 +516,9 @@ class StickMetadata(Metadata):
         Median relative change of ΔF and K that this correction would cause.
     lowpass_peak_mm
         Median travel in which a stick rises by as much as this correction would raise its peak.
+    average_s, ringing_s
+        Time over which the load was averaged, 0 for none; period of the load's ringing after slips, NaN for
+        none.
     filter_s
         Duration that a filter of the machine may have given every slip; 0 where a low-pass was found, samples
         were lost, slips last less than 2.5 samples, or the load is level at their ends. Its effect is part of
@@ -551,6 +554,8 @@ class StickMetadata(Metadata):
     lowpass_dF_share: float = 0.0
     lowpass_K_share: float = 0.0
     lowpass_peak_mm: float = 0.0
+    average_s: float = 0.0
+    ringing_s: float = math.nan
     filter_s: float = 0.0
     two_slopes: bool = False
     bend_share: float = 0.0

@@ -116,9 +116,10 @@ class Settings:
     speed_mm_min, d0_mm, d0_err_mm, force_columns
         V if no displacement is recorded, the initial separation with its error, and the recording's columns
         by role.
-    force_threshold_N, force_lowpass_s, machine_stiffness_N_per_mm
+    force_threshold_N, force_lowpass_s, force_average_s, machine_stiffness_N_per_mm
         Smallest drop of the force that counts as a slip; time constant of the load cell to correct for (0:
-        none; "auto": found, if it is proven); stiffness of the machine, by which d is corrected.
+        none; "auto": found, if it is proven); time over which a load that rings is averaged (0: none; "auto":
+        the period of the ringing); stiffness of the machine, by which d is corrected.
     fit_range_mm, mu, modulus_GPa
         Separations between which the models are fitted; friction coefficient and Y_eff if they are known.
     offset_s
@@ -157,6 +158,7 @@ class Settings:
     force_columns: Mapping[str, str] | None = None
     force_threshold_N: float | None = None
     force_lowpass_s: float | Literal["auto"] = 0.0
+    force_average_s: float | Literal["auto"] = 0.0
     fit_range_mm: tuple[float, float] | None = None
     mu: float | None = None
     modulus_GPa: float | None = None
@@ -201,10 +203,13 @@ _CHECKS: tuple[tuple[Callable[..., None], tuple[str, ...]], ...] = (
     (check_positive, ("fps", "pitch_um", "speed_mm_min", "mu", "modulus_GPa", "machine_stiffness_N_per_mm")),
     (partial(check_within, "a number of mm from 0", 0, math.inf), ("d0_mm", "d0_err_mm")),
     (partial(check_within, "a number from 0", 0, math.inf), ("force_threshold_N",)),
-    (partial(check_within, "a number of seconds from 0, or auto", 0, math.inf), ("force_lowpass_s",)),
+    (
+        partial(check_within, "a number of seconds from 0, or auto", 0, math.inf),
+        ("force_lowpass_s", "force_average_s"),
+    ),
 )
 """How the fields of `Settings` are checked when it is made."""
-_AUTO = ("force_lowpass_s",)
+_AUTO = ("force_lowpass_s", "force_average_s")
 """Fields of `Settings` that may also be "auto"."""
 _WORDS: Mapping[str, tuple[object, ...]] = {
     "rotate": (0, 90, 180, 270),
@@ -579,6 +584,7 @@ def _sticks(force: xr.Dataset, chosen: Settings) -> pd.DataFrame:
         threshold_N=chosen.force_threshold_N,
         machine_stiffness_N_per_mm=chosen.machine_stiffness_N_per_mm,
         lowpass_s=chosen.force_lowpass_s,
+        average_s=chosen.force_average_s,
         settings=chosen.tuning.force,
     )
 

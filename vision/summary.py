@@ -286,8 +286,10 @@ def event_sizes(force: xr.Dataset, sticks: pd.DataFrame) -> str:
 
 
 def lowpass_correction(sticks: pd.DataFrame) -> str:
-    """Summarise the load-cell low-pass correction."""
+    """Summarise how the load was averaged, or corrected for the load cell's low-pass."""
     facts = StickMetadata.of(sticks)
+    if facts.average_s:
+        return f"forces averaged twice over {_ms(facts.average_s)}, and corrected for what this cuts off"
     if not facts.lowpass_s:
         proposal = ""
         if facts.lowpass_doubt == "shape":
@@ -301,6 +303,8 @@ def lowpass_correction(sticks: pd.DataFrame) -> str:
                 f"; the slips {proven} a low-pass of {_ms(facts.lowpass_proposed_s)}, which "
                 "`lowpass_s` can correct"
             )
+        if math.isfinite(facts.ringing_s):
+            proposal += f"; the load rings at {1 / facts.ringing_s:.3g} Hz, which `average_s` auto averages"
         return f"forces as recorded{proposal}"
     return f"corrected for a low-pass of {_ms(facts.lowpass_s)} ({facts.lowpass_how})"
 

@@ -6,8 +6,8 @@ from vision.command.main import run
 from vision.command.options import GROUPS, SampleOptions, VideoOptions, option_names
 from vision.command.settings import (
     merged,
+    parse_duration,
     parse_length,
-    parse_lowpass,
     parse_pair,
     parse_scale,
     parse_seconds,
@@ -201,7 +201,7 @@ def test_a_value_with_a_senseless_error_is_refused(text):
 
 def test_low_pass_and_range_of_the_fit():
     """A failure means auto or a range is misread."""
-    read = [parse_lowpass(text, "--force-lowpass") for text in ("auto", "0", "0.003")]
+    read = [parse_duration(text, "--force-lowpass") for text in ("auto", "0", "0.003")]
     assert read == ["auto", 0.0, 0.003]
     assert parse_pair("13.2:17", "--fit-range", "a range") == (13.2, 17.0)
     for wrong in ("17:13", "13", "a:b", ":17"):
@@ -209,7 +209,7 @@ def test_low_pass_and_range_of_the_fit():
             parse_pair(wrong, "--fit-range", "a range")
     for wrong in ("fast", "-1", "nan"):
         with pytest.raises(InputError, match="--force-lowpass"):
-            parse_lowpass(wrong, "--force-lowpass")
+            parse_duration(wrong, "--force-lowpass")
 
 
 def test_options_that_are_not_given_are_the_settings_defaults():

@@ -100,6 +100,8 @@ class ForceOptions:
     """Smallest force drop that counts as a slip, N; found from the noise if not given."""
     force_lowpass: str | None = _sets("force_lowpass_s")
     """Load-cell time constant to correct for, s; 0: no correction; auto: only if the slips show it."""
+    force_average: str | None = _sets("force_average_s")
+    """Time in s over which a load that rings after slips is averaged; auto: the period of the ringing."""
     machine_stiffness: float | None = _sets("machine_stiffness_N_per_mm")
     """Stiffness of the machine in N/mm, to correct d; no correction if not given."""
     fit_range: str | None = _sets("fit_range_mm")
@@ -347,6 +349,7 @@ _OTHER_NAMES: Mapping[str, str] = {
     "d0_err_mm": "--d0 with its error, like 13.0±0.1",
     "threshold_N": "--force-threshold",
     "lowpass_s": "--force-lowpass",
+    "average_s": "--force-average",
     "width_um": "--width",
     "width_px": "--width",
     "runs": "RUN…",

@@ -26,11 +26,12 @@ from vision.spacetime import Sheet
 UM_PER = {"mm": 1000.0, "um": 1.0, "µm": 1.0, "μm": 1.0}  # micro sign and Greek mu
 _GEOMETRY = {SETTINGS[name]: name for name in ("thickness", "width", "length", "t_star")}
 _SAMPLE = ("sheets_per_block", *_GEOMETRY.values())
-_WITH_ERROR = ("d0", "force_lowpass", *_GEOMETRY.values())
+_WITH_ERROR = ("d0", "force_lowpass", "force_average", *_GEOMETRY.values())
 _DEFAULT = Settings()
 DEFAULTS: Mapping[str, Any] = {
     "strip": "auto",
     "force_lowpass": f"{_DEFAULT.force_lowpass_s:g}",
+    "force_average": f"{_DEFAULT.force_average_s:g}",
     "common_mode": "on" if _DEFAULT.common_mode else "off",
     "sheets_per_block": PUBLISHED.sheets_per_block,
     **{name: getattr(_DEFAULT, name) for name in ("ridges", "fit", "rotate", "threshold")},
@@ -165,7 +166,7 @@ def parse_with_error(text: str | float | None, option: str) -> tuple[float | Non
     return parts[0], parts[1] if sign else None
 
 
-def parse_lowpass(text: str | float, option: str) -> float | Literal["auto"]:
+def parse_duration(text: str | float, option: str) -> float | Literal["auto"]:
     """Parse a number of seconds from 0, or "auto".  Raises: InputError."""
     if text == "auto":
         return "auto"
@@ -304,7 +305,8 @@ _PARSERS: Mapping[str, Callable[[Any, str], Any]] = {
     "pitch": parse_pitch,
     "force_columns": lambda text, _: parse_columns(text),
     "force_threshold": partial(at_least, least=0),
-    "force_lowpass": parse_lowpass,
+    "force_lowpass": parse_duration,
+    "force_average": parse_duration,
     "fit_range": partial(parse_pair, wanted="two separations in mm A:B with A < B", advice="write 13.2:17"),
     "offset": partial(at_least, least=-1e12),
     "threshold": partial(at_least, least=1e-6),

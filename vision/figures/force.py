@@ -367,7 +367,9 @@ def force_overview_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFi
     found = f"{len(sticks)} events{kind}, drops above {size}"
     start = max(len(sticks) // 2 - 3, 0)
     title = "A few events, with the lines from valley to peak"
-    if facts.lowpass_s:
+    if facts.average_s:
+        title += f"\n(of the load averaged twice over {1e3 * facts.average_s:.3g} ms; F as recorded)"
+    elif facts.lowpass_s:
         lowpass = f"{1e3 * facts.lowpass_s:.2g} ms"
         title += f"\n(corrected for the load cell's low-pass of {lowpass}; F as recorded)"
     some = _events_panel(force, sticks.iloc[start : start + 6], title, against_d=False)

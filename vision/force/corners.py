@@ -17,6 +17,8 @@ from vision.signals import running_mean
 # The 90 % and 10 % crossings lie at these shares of half the slip's length from its middle: 0.59 for half a
 # cosine, the slip of a spring-block, and 0.8 for a straight fall.
 _HALF_COSINE, _STRAIGHT = 0.59, 0.8
+# Width of one mean after which the crossings of a sudden drop are as far apart as after two of width 1.
+_TWICE = 1.38
 
 # --- corners ------------------------------------------------------------------------------------------------
 
@@ -96,7 +98,7 @@ def find_corners(
     and 10 %, scaled as for half a cosine, give begin and end. With `two_slopes` the stick lines may have a
     knee.
     """
-    seen = _deconvolve(signal.clean, signal.sigma, slips, lowpass)
+    seen = _deconvolve(signal, slips, lowpass)
     base = _Baselines.of(seen, two_slopes, settings)
     high, middle, low = _crossings(seen.load, seen.edge, base)
     stick = np.diff(seen.edge)
@@ -167,8 +169,9 @@ class _DeconvolvedLoad:
     load: Floats  # running mean over `width` samples, since deconvolution amplifies the noise
     edge: Ints  # the first sample after the steepest drop of each slip
     late: float  # samples by which `load` lags behind the time
-    width: int  # samples averaged
+    width: float  # samples averaged
     sigma: float  # noise of `load`
+    averaged: float = 0.0  # samples over which the recording itself was averaged
 
 
 def without_lowpass(y: Floats, tau: float) -> tuple[Floats, float]:
@@ -182,15 +185,17 @@ def without_lowpass(y: Floats, tau: float) -> tuple[Floats, float]:
     return y + gain * np.diff(y, prepend=y[:1]), gain
 
 
-def _deconvolve(y: Floats, sigma: float, slips: Slips, tau: float) -> _DeconvolvedLoad:
+def _deconvolve(signal: Signal, slips: Slips, tau: float) -> _DeconvolvedLoad:
     """Return the load before a first-order low-pass of `tau` samples, and the edges of the slips in it.
 
     The running mean is just wide enough for the median drop to be 6 times the noise, and a tenth of a period
-    at most: in more noise, slips of several samples look shorter than they are. y is the load without spikes,
-    sigma its noise.
+    at most: in more noise, slips of several samples look shorter than they are.
     """
+    y, sigma = signal.clean, signal.sigma
     if not tau:
-        return _DeconvolvedLoad(y, slips.edge, 0.0, 1, sigma)
+        return _DeconvolvedLoad(
+            y, slips.edge, 0.0, max(_TWICE * signal.averaged, 1.0), sigma, signal.averaged
+        )
     load, gain = without_lowpass(y, tau)
     widths = 1 + 2 * np.arange(int(slips.period / 20) + 1)  # up to a tenth of a period
     # The mean of differences is the difference of the ends, so its noise falls with the width, not its root.
@@ -229,8 +234,12 @@ def _half_from_crossing(distance: Floats, slope: Floats, drop: Floats) -> Floats
 
 
 def _errors(seen: _DeconvolvedLoad, drop: Floats, length: float, settings: ForceSettings) -> Floats:
-    """Return the position error of each corner: noise over the slip's slope, sampling, and unknown shape."""
+    """Return the position error of each corner: noise over the slip's slope, sampling, and unknown shape.
+
+    A slip that lasts a fifth of the time over which the load is averaged looks like a sudden one.
+    """
     systematic = np.hypot(settings.corner_error, settings.shape_error * length)
+    systematic = np.hypot(systematic, 0.1 * seen.averaged)
     steepest = np.pi / 2 * np.maximum(drop, seen.sigma) / max(length, seen.width)
     return np.hypot(seen.sigma / steepest, systematic)
 

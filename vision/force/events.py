@@ -28,14 +28,15 @@ from vision.force.lines import fit_broken_lines, fit_lines, fit_polynomials
 from vision.force.lowpass import Lowpass, find_lowpass
 from vision.force.recording import is_compression
 from vision.force.regime import Regime, doubts, find_regime, is_unloading
+from vision.force.ringing import ringing_period
 from vision.force.settings import ForceSettings
 from vision.force.signal import Signal, SlowNoise, with_slow_noise
 from vision.force.slips import Slips, find_slips, size_gap, stick_drops, stick_lines, stick_middles
 from vision.force.sticks import filter_length, measure_sticks
 from vision.numeric import Bools, Floats, Ints, nan_median, spread_indices
 
-RINGING = "if there are as many, the load rings after each slip: damp the grips, or filter the load"
-"""What else makes a load fall from sample to sample."""
+_FEWEST_PERIODS = 8
+"""Periods of ringing from slip to slip, at least: in shorter sticks it spoils K by 0.2 %, and Λ̂ by 2 %."""
 
 
 def find_stick_slip(
@@ -45,6 +46,7 @@ def find_stick_slip(
     machine_stiffness_N_per_mm: float | None = None,
     two_slopes: bool | None = None,
     lowpass_s: float | Literal["auto"] = 0.0,
+    average_s: float | Literal["auto"] = 0.0,
     settings: ForceSettings = ForceSettings(),
 ) -> pd.DataFrame:
     """Return the stick-slip events of a recording, one row per complete stick: valley (v) to peak (p).
@@ -66,6 +68,10 @@ def find_stick_slip(
         Time constant of the load cell's low-pass to correct for; 0 for no correction. "auto" corrects for the
         constant that the transients after slips prove, if any. Either way a constant that was found is
         proposed (``lowpass_proposed_s``).
+    average_s
+        Time over which the load is averaged, for a load cell that rings after slips: one period. 0 for the
+        load as recorded, "auto" for the period of the ringing, if there is any. It cannot be combined with
+        `lowpass_s`.
     settings
         See `ForceSettings`.
 
@@ -87,8 +93,8 @@ def find_stick_slip(
     ------
     InputError
         For a load in compression, a crosshead that goes back in the sticks, too few samples per slip, fewer
-        than two slips, falls that are all unloading, or a `lowpass_s` below 0 or not shorter than the usual
-        time between slips.
+        than two slips, falls that are all unloading, a `lowpass_s` below 0 or not shorter than the usual time
+        between slips, or an `average_s` below 0 or beside a `lowpass_s`.
 
     Notes
     -----
@@ -102,25 +108,32 @@ def find_stick_slip(
     source = ForceMetadata.of(force).source
     _check_times(force, source)
     signal = Signal.of(force, settings)
-    _check_load(signal, source, settings)
-    signal, slips = _search_slips(signal, threshold_N, settings)
+    swing_s = ringing_period(signal.load, settings) * signal.interval_s
+    ringing_s = swing_s if _is_ringing(signal, swing_s, threshold_N, settings) else math.nan
+    signal = signal.average(_average(average_s, ringing_s, lowpass_s), settings)
+    rings = _proposal(ringing_s) if math.isfinite(ringing_s) and not signal.averaged else ""
+    _check_load(signal, source, rings, settings)
+    signal, slips = _slips(signal, threshold_N, settings)
     if slips.edge.size < 2:
-        raise _too_few_slips(signal, slips, source)
-    _check_lowpass(lowpass_s, slips.period * signal.interval_s, source)
-    signal = with_slow_noise(signal, slips, settings)
-    if threshold_N is None:
-        signal, slips = _above_swings(signal, slips, settings)
-        signal, slips = _above_slow_noise(signal, slips, settings)
+        raise _too_few_slips(signal, slips, source, rings)
+    period_s = slips.period * signal.interval_s
+    _check_lowpass(lowpass_s, period_s, source)
     analysis = _analyse_slips(signal, slips, lowpass_s, two_slopes, settings)
     unloading = is_unloading(signal.travel, analysis.extremes)
     events, shares = _measure(signal, analysis, 1 / (machine_stiffness_N_per_mm or np.inf), settings)
     _check_direction(events, unloading, source)
     events = events.assign(flag=_all_flags(events, analysis, unloading, signal, slips, settings))
     unit = "of the weight" if load_unit(force) == "1" else "N"
+    warnings = doubts(events, analysis.regime, signal, slips, unit, rings)
+    if math.isnan(ringing_s) and swing_s < 0.7 * period_s and analysis.regime.name == "stick-slip":
+        warnings.append(
+            f"the load oscillates with a period of {swing_s:.2g} s, a large part of the {period_s:.2g} s "
+            "between slips: some events may be its swings, and averages would cut off the sticks"
+        )
     metadata = replace(
-        _metadata(
-            signal, slips, analysis, shares, doubts(events, analysis.regime, signal, slips, unit), settings
-        ),
+        _metadata(signal, slips, analysis, shares, warnings, settings),
+        average_s=signal.averaged * signal.interval_s,
+        ringing_s=ringing_s,
         machine_stiffness_N_per_mm=machine_stiffness_N_per_mm or float("nan"),
         central_part=settings.central_part,
     )
@@ -132,12 +145,49 @@ def find_stick_slip(
         machine_stiffness_N_per_mm=machine_stiffness_N_per_mm,
         two_slopes=two_slopes,
         lowpass_s=lowpass_s,
+        average_s=average_s,
         settings=changed_settings(settings),
     )
 
 
-def _check_load(signal: Signal, source: str, settings: ForceSettings) -> None:
-    """Raise InputError for a load in compression, or with too many spikes."""
+def _is_ringing(signal: Signal, period_s: float, threshold_N: float | None, settings: ForceSettings) -> bool:
+    """Tell whether an oscillation of this period, NaN for none, is ringing after slips.
+
+    Without it the load shows stick-slip, whose slips are several periods apart.
+    """
+    if math.isnan(period_s):
+        return False
+    calm, slips = _slips(signal.average(period_s, settings), threshold_N, settings)
+    if slips.edge.size < 2 or slips.period < _FEWEST_PERIODS * calm.averaged:
+        return False
+    corners = find_corners(calm, slips, settings=settings)
+    extremes = find_extremes(calm.clean, calm.sigma, corners.middle, corners.length, corners.drop)
+    return find_regime(calm.clean, slips, extremes, settings).name == "stick-slip"
+
+
+def _proposal(ringing_s: float) -> str:
+    """Return that the load rings, and what to do."""
+    return (
+        f"the load rings after each slip, at {1 / ringing_s:.3g} Hz: `average_s` {ringing_s:.3g} averages it "
+        "over one period"
+    )
+
+
+def _average(average_s: float | str, ringing_s: float, lowpass_s: float | str) -> float:
+    """Return the time over which to average the load.  Raises: InputError."""
+    if average_s == "auto":
+        seconds = 0.0 if math.isnan(ringing_s) else ringing_s
+    elif isinstance(average_s, str) or not 0 <= average_s < math.inf:
+        raise InputError("`average_s`", "seconds from 0, or auto", f"'{average_s}'")
+    else:
+        seconds = average_s
+    if seconds and lowpass_s:
+        raise InputError("`average_s`", "no `lowpass_s` beside it", f"{lowpass_s}", "leave one of them out")
+    return seconds
+
+
+def _check_load(signal: Signal, source: str, rings: str, settings: ForceSettings) -> None:
+    """Raise InputError for a load in compression, or with too many spikes.  rings: that the load rings."""
     # A negative load that falls suddenly is a pull whose load cell was zeroed under load.
     if is_compression(signal.load) and np.sum(np.diff(signal.clean) ** 3) > 0:
         raise InputError(
@@ -151,12 +201,12 @@ def _check_load(signal: Signal, source: str, settings: ForceSettings) -> None:
             source,
             f"at most {100 * settings.most_spikes:g} % of spikes",
             f"{100 * signal.is_spike.mean():.0f} %: the load jumps from sample to sample",
-            f"record more samples per second: 30 or more in each stick; {RINGING}",
+            rings or "record more samples per second: 30 or more in each stick, and several in each ringing",
         )
 
 
-def _too_few_slips(signal: Signal, slips: Slips, source: str) -> InputError:
-    """Return the error for fewer than two slips: the sampling or the threshold is the cause.
+def _too_few_slips(signal: Signal, slips: Slips, source: str, rings: str) -> InputError:
+    """Return the error for fewer than two slips: the ringing, the sampling or the threshold is the cause.
 
     Sticks of a few samples rise by most steps from sample to sample, and falls are frequent. The median step
     of noise is near 0, and a break at the end of a test falls once.
@@ -169,7 +219,7 @@ def _too_few_slips(signal: Signal, slips: Slips, source: str) -> InputError:
             source,
             "30 samples or more in each stick",
             f"falls of {-np.median(step[falls]):.3g} every {1 / np.mean(falls):.2g} samples",
-            f"record more samples per second; {RINGING}",
+            rings or "record more samples per second",
         )
     return InputError(
         source,
@@ -246,8 +296,10 @@ def _analyse_slips(
     corners = find_corners(signal, slips, two_slopes=bent, settings=settings)
     extremes = find_extremes(signal.clean, signal.sigma, corners.middle, corners.length, corners.drop)
     regime = find_regime(signal.clean, slips, extremes, settings)
+    if signal.averaged:
+        extremes = _without_average(extremes, signal, slips, settings)
     found = Lowpass()
-    if not given and regime.name == "stick-slip":
+    if not given and not signal.averaged and regime.name == "stick-slip":
         found = find_lowpass(signal, slips, corners, settings)
         if found.samples and not bent and two_slopes is None:
             # The transients of the low-pass may hide the knees.
@@ -263,15 +315,49 @@ def _analyse_slips(
     return _SlipAnalysis(corners, extremes, regime, found, how)
 
 
+def _without_average(extremes: Extremes, signal: Signal, slips: Slips, settings: ForceSettings) -> Extremes:
+    """Return the extremes of the load before it was averaged twice.
+
+    The averages begin to fall by the averaged time before a sudden slip, but at first more slowly than the
+    stick goes on rising.
+    """
+    rise = signal.averaged * np.nan_to_num(stick_lines(signal.clean, slips.edge, settings).slope)
+    before, after = (np.clip(part, 0, slips.drop) for part in (rise[:-1], rise[1:]))
+    return replace(
+        extremes,
+        highest=extremes.highest + before - 0.5 * before**2 / slips.drop,
+        lowest=extremes.lowest - after + 0.5 * after**2 / slips.drop,
+    )
+
+
+def _slips(signal: Signal, threshold_N: float | None, settings: ForceSettings) -> tuple[Signal, Slips]:
+    """Return the slips, fewer than two of which are drops above the noise alone, and the signal with its slow
+    noise."""
+    signal, slips = _search_slips(signal, threshold_N, settings)
+    if slips.edge.size < 2:
+        return signal, slips
+    signal = with_slow_noise(signal, slips, settings)
+    if threshold_N is None:
+        signal, slips = _above_swings(signal, slips, settings)
+        signal, slips = _above_slow_noise(signal, slips, settings)
+    return signal, slips
+
+
 def _search_slips(signal: Signal, threshold_N: float | None, settings: ForceSettings) -> tuple[Signal, Slips]:
     """Return the slips, which are searched in the load without hum, and the signal with the hum as noise.
 
     All that is measured afterwards is measured on the load as recorded.
     """
-    hum = find_hum(signal.clean, settings)
+    # Averages contain little hum, and their noise is not white.
+    hum = [] if signal.averaged else find_hum(signal.clean, settings)
     while True:
         quiet = signal.without(hum, settings)
-        slips = find_slips(quiet.clean, quiet.noise, threshold=threshold_N, settings=settings)
+        slips = find_slips(
+            quiet.clean,
+            quiet.noise,
+            threshold=threshold_N,
+            settings=settings,
+        )
         # If a line was a harmonic of the slips, its subtraction has displaced them: search again without it.
         kept = [line for line in hum if is_hum(line, signal.clean, slips, settings)]
         if len(kept) == len(hum):
@@ -369,7 +455,7 @@ def _measure(
     The errors then include it.
     """
     corners, found = analysis.corners, analysis.found
-    known = bool(corners.lowpass or found.proven)
+    known = bool(corners.lowpass or found.proven or signal.averaged)
     events = measure_sticks(signal, corners, analysis.extremes, compliance, settings, filter_known=known)
     if corners.lowpass or found.corners is None:
         return events, {}
@@ -412,7 +498,7 @@ def _metadata(
     """Return what later stages need to know of the slips and of the low-pass."""
     tau, found, peak = analysis.corners.lowpass, analysis.found, analysis.corners.peak
     widened = 0.0
-    if not (tau or found.samples or signal.is_missing.any()):
+    if not (tau or found.samples or signal.averaged or signal.is_missing.any()):
         widened = filter_length(analysis.corners, analysis.extremes, settings)
     first, last = signal.time_at(peak[[0, -1]])
     return StickMetadata(
@@ -515,7 +601,7 @@ def detection_limit(
     rng = np.random.default_rng(seed)
     chosen = np.sort(rng.choice(len(whole), size=min(injected, len(whole)), replace=False))
     picked = whole.iloc[chosen]
-    recall = np.array([_recall(force, picked, level, metadata.threshold_N, settings) for level in levels])
+    recall = np.array([_recall(force, picked, level, metadata, settings) for level in levels])
     columns = {"dF_N": levels, "dF_over_noise": levels / metadata.noise_N, "recall": recall}
     table = pd.DataFrame(columns).assign(injected=chosen.size)
     good = np.flatnonzero(np.logical_and.accumulate((recall >= 0.95)[::-1])[::-1])
@@ -525,9 +611,10 @@ def detection_limit(
 
 
 def _recall(
-    force: xr.Dataset, picked: pd.DataFrame, drop_N: float, threshold_N: float, settings: ForceSettings
+    force: xr.Dataset, picked: pd.DataFrame, drop_N: float, search: StickMetadata, settings: ForceSettings
 ) -> float:
     """Return the share of the picked sticks in whose middle a slip of `drop_N` is found."""
+    threshold_N, average_s = search.threshold_N, search.average_s
     begin, end, slip = (picked[name].to_numpy() for name in ("t_v_s", "t_p_s", "slip_time_s"))
     middle = 0.5 * (begin + end)
     time = force["time_s"].to_numpy()
@@ -535,7 +622,7 @@ def _recall(
     begun, over = (np.searchsorted(at, time, side="right") for at in (middle, end + 0.5 * slip))
     lowered = force.assign(load_N=force["load_N"] - drop_N * (begun - over))
     try:
-        found = find_stick_slip(lowered, threshold_N=threshold_N, settings=settings)
+        found = find_stick_slip(lowered, threshold_N=threshold_N, average_s=average_s, settings=settings)
     except InputError:
         return 0.0
     peaks = np.r_[StickMetadata.of(found).first_slip_s, found["t_p_s"].to_numpy()]

@@ -89,10 +89,17 @@ _FLAGGED = {
 """Flags of which a warning is given, and what sticks with this flag do."""
 
 
-def doubts(events: pd.DataFrame, regime: Regime, signal: Signal, slips: Slips, unit: str) -> list[str]:
-    """Return why the recording, or a part of its events, may not be stick-slip; unit: of the load."""
+def doubts(
+    events: pd.DataFrame, regime: Regime, signal: Signal, slips: Slips, unit: str, rings: str
+) -> list[str]:
+    """Return why the recording, or a part of its events, may not be stick-slip.
+
+    unit: of the load.  rings: that the load rings, which then explains an oscillation and jumps.
+    """
     lines = []
-    if regime.name == "oscillation":
+    if rings and (regime.name != "stick-slip" or has_flag(events["flag"], "jump").mean() >= 0.5):
+        lines.append(rings)
+    elif regime.name == "oscillation":
         lines.append(
             f"an oscillation, not stick-slip: falls last {regime.fall_over_rise:.2g} times as long as rises, "
             f"which are rounded, and the load varies by {np.ptp(np.percentile(signal.clean, [1, 99])):.3g} "

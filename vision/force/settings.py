@@ -154,6 +154,19 @@ class ForceSettings:
     the recorded valley, is F_v. Larger takes F_v from the swing of a damped load cell, smaller from the line
     where sticks begin steeply (test_events: ringing sticks; test_sheet_film)."""
 
+    ringing_alike: float = 0.35
+    """Autocorrelation of the load's steps, at a period and below its negative at half of it, from which the
+    load rings. Ringing that decays within one period reaches 0.4, ordinary slips, noise and low-passes 0.26;
+    smaller proposes to average what does not ring, larger overlooks ringing (test_ringing)."""
+
+    ringing_steps: float = 0.97
+    """Quantile of the load's steps to which larger ones, the slips, are cut before their autocorrelation.
+    Larger lets slips hide faint ringing, smaller cuts ringing that decays within a tenth of a stick."""
+
+    ringing_fewest: int = 40
+    """Periods of ringing in a recording, at least. Smaller takes sticks for periods, larger overlooks the
+    ringing of short recordings."""
+
     between_samples: float = 0.03
     """Share of the drop by which a stick's line may begin below the lowest sample, since a fast slip may end
     between two samples. Smaller reads drops at 200 Hz 2 % too small, larger believes the line where the load

@@ -14,6 +14,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from vision.force.hum import Hum
 from vision.force.lines import fit_lines, fit_polynomials
 from vision.force.recording import usable
+from vision.force.ringing import averaged
 from vision.force.settings import ForceSettings
 from vision.force.slips import Slips, stick_middles
 from vision.numeric import Bools, Floats, Ints, nan_median, white_noise
@@ -28,7 +29,7 @@ class Signal:
 
     time: Floats  # s
     travel: Floats  # separation, mm
-    load: Floats  # as recorded, N
+    load: Floats  # as recorded, or averaged, N
     clean: Floats  # load with spikes replaced by their neighbours, N
     is_spike: Bools  # samples that are spikes
     is_missing: Bools  # samples put in where the recording lost one
@@ -39,6 +40,7 @@ class Signal:
     wander: float = 0.0  # standard deviation, N, of noise so slow that it moves a stick as a whole
     slow: SlowNoise | None = None  # noise that is not white
     hum: Sequence[Hum] = ()  # the strongest line first; the load contains it, and the noise its rms
+    averaged: float = 0.0  # samples over which the load was averaged, which takes ringing out of it
 
     @classmethod
     def of(cls, force: xr.Dataset, settings: ForceSettings) -> Signal:
@@ -87,6 +89,27 @@ class Signal:
             is_missing=new,
             noise=self.noise[before],
             damage={kind: counted[before] for kind, counted in self.damage.items()},
+        )
+
+    def average(self, average_s: float, settings: ForceSettings) -> Signal:
+        """Return the signal with the load averaged over a time, spikes included; unchanged for 0."""
+        if not average_s:
+            return self
+        load, width = averaged(self.time, self.load, average_s), average_s / self.interval_s
+        # The mean of many averages has the noise that it had without them, in which ringing cancels between
+        # samples one period apart.
+        apart = max(round(width), 1)
+        sigma = max(noise_sigma(self.load[k::apart]) for k in range(min(apart, 8)))
+        noise = np.full(load.shape, sigma)
+        is_spike, clean = find_spikes(load, noise, settings=settings)
+        return replace(
+            self,
+            load=load,
+            clean=clean,
+            is_spike=is_spike & ~self.is_missing,
+            sigma=sigma,
+            noise=noise,
+            averaged=width,
         )
 
     def without(self, hum: Sequence[Hum], settings: ForceSettings) -> Signal:

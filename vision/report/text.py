@@ -319,6 +319,11 @@ def _stick_phases(force: xr.Dataset, sticks: pd.DataFrame) -> str:
 
 
 def _lowpass(sticks: StickMetadata) -> str:
+    if sticks.average_s:
+        return (
+            f" The load was averaged twice over {1e3 * sticks.average_s:.3g} ms, a period of the load cell's "
+            "ringing, and the forces were corrected for what the averages cut off."
+        )
     if not sticks.lowpass_s:
         return " All forces are as recorded."
     source = "found from the transients after slips" if sticks.lowpass_how == "found" else "as given"

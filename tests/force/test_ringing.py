@@ -1,0 +1,141 @@
+"""A load that rings after slips: its period is found, and events are those of the load without it."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from tests.force.test_events import matched
+from tests.scenes.sawtooth import Test, plain
+from vision.errors import InputError
+from vision.force import find_stick_slip
+from vision.force.ringing import averaged, ringing_period
+from vision.force.settings import ForceSettings
+
+SAMPLES = 200  # from slip to slip, at 100 Hz
+
+
+@cache
+def scene():
+    test = plain(sticks=60, samples=SAMPLES, snr=200.0, jitter=0.1)
+    return Test(test.force.assign(load_N=test.force["load_N"] + 1000), test.truth)
+
+
+def resonance(load, period, damping, share=1.0):
+    """The load of a cell whose resonance has this period (samples) and passes on this share of the load."""
+    swing = 2 * np.pi / period
+    decay = np.exp(-damping * swing)
+    poles = [1, -2 * decay * np.cos(swing), decay**2]
+    return share * (load[0] + lfilter([sum(poles)], poles, load - load[0])) + (1 - share) * load
+
+
+def rung(period, damping, share=1.0):
+    test = scene()
+    noise = 0.05 * np.random.default_rng(1).standard_normal(test.force.sizes["time_s"])
+    load = resonance(test.force["load_N"].to_numpy(), period, damping, share) + noise
+    return test.force.assign(load_N=("time_s", load))
+
+
+RINGING = [(20, 0.05, 1.0), (10, 0.03, 1.0), (10, 0.03, 0.1), (10, 0.2, 0.3), (3.4, 0.05, 0.3)]
+
+
+@pytest.mark.parametrize(("period", "damping", "share"), RINGING)
+def test_events_are_those_of_the_load_without_ringing(period, damping, share):
+    """A failure means swings counted as slips, or forces, lengths and K that the average has changed."""
+    events = find_stick_slip(rung(period, damping, share), average_s="auto")
+    assert events.attrs["average_s"] == pytest.approx(0.01 * period, rel=0.1)
+    right, truth = matched(events, scene().truth)
+    assert len(events) == len(right) == len(scene().truth)
+    assert (right["flag"] == "ok").all()
+    assert events.attrs["warnings"] == []
+    for name, error in (
+        ("dF_N", right["dF_err_N"]),
+        ("stick_length_um", right["stick_length_err_um"]),
+        ("K_N_per_mm", right["K_err_N_per_mm"]),
+    ):
+        assert ((right[name] - truth[name]).abs() < 3 * error).mean() > 0.95, name
+        assert (right[name] / truth[name]).median() == pytest.approx(1, abs=0.005), name
+        assert np.median(error / truth[name]) < 0.03, name
+
+
+def test_one_mean_would_leave_ringing_in_the_stiffness():
+    """Two means over a period leave 25 times less of ringing that decays by a fourth in it."""
+    force = rung(20, 0.05)
+    time, load = force["time_s"].to_numpy(), force["load_N"].to_numpy()
+    decaying = np.exp(-0.05 * 2 * np.pi * np.arange(400) / 20) * np.cos(2 * np.pi * np.arange(400) / 20)
+    twice = averaged(time[:400], decaying, 0.2)
+    once = np.convolve(decaying, np.full(20, 1 / 20), "same")
+    middle = slice(60, 140)
+    assert np.ptp(twice[middle]) < 0.1 * np.ptp(once[middle]) < 0.1 * np.ptp(decaying[middle])
+    assert averaged(time, load, 0.2) == pytest.approx(averaged(time, load + 7, 0.2) - 7)
+
+
+@pytest.mark.parametrize(("period", "damping", "share"), RINGING)
+def test_ringing_is_named_and_nothing_is_averaged_unasked(period, damping, share):
+    """A failure means a recording refused, or called an oscillation, without the way out."""
+    try:
+        events = find_stick_slip(rung(period, damping, share))
+    except InputError as error:
+        assert "the load rings after each slip" in str(error)
+        return
+    assert events.attrs["average_s"] == 0
+    assert events.attrs["ringing_s"] == pytest.approx(0.01 * period, rel=0.1)
+    whole = (events["flag"] == "ok").all()
+    assert whole or any("`average_s`" in line for line in events.attrs["warnings"])
+
+
+@pytest.mark.parametrize("period", [10.0, 12.7, 33.3])
+def test_the_period_of_ringing(period):
+    load = rung(period, 0.05, 0.3)["load_N"].to_numpy()
+    assert ringing_period(load, ForceSettings()) == pytest.approx(period, rel=0.02)
+    assert ringing_period(-load, ForceSettings()) == pytest.approx(period, rel=0.02)
+
+
+def test_slips_noise_and_low_passes_do_not_ring():
+    """A failure means that an ordinary recording is said to ring, and `auto` averages it."""
+    load = scene().force["load_N"].to_numpy()
+    white = np.random.default_rng(0).standard_normal(load.size)
+    for other in (
+        load,
+        load + 5 * white,
+        lfilter([0.2], [1, -0.8], load + white),
+        np.cumsum(white),
+        0 * load,
+    ):
+        assert np.isnan(ringing_period(other, ForceSettings()))
+    plain_events = find_stick_slip(scene().force)
+    auto = find_stick_slip(scene().force, average_s="auto")
+    assert auto.attrs["average_s"] == 0
+    assert plain_events.equals(auto)
+
+
+def test_an_oscillation_throughout_is_no_ringing():
+    """A failure means that averaging over its period is proposed, which leaves nothing."""
+    time = scene().force["time_s"].to_numpy()
+    noise = 0.01 * np.random.default_rng(0).standard_normal(time.size)
+    wave = 50 + 10 * np.sin(2 * np.pi * time / 0.4) + noise
+    events = find_stick_slip(scene().force.assign(load_N=("time_s", wave)), average_s="auto")
+    assert events.attrs["regime"] == "oscillation"
+    assert events.attrs["average_s"] == 0
+    assert np.isnan(events.attrs["ringing_s"])
+
+
+def test_swings_that_are_a_large_part_of_the_sticks_are_told():
+    """A failure means that swings are counted as slips without a word."""
+    events = find_stick_slip(rung(50, 0.1, 0.3))
+    assert any("the load oscillates with a period of 0.5" in line for line in events.attrs["warnings"])
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"average_s": -1.0}, "seconds from 0, or auto"),
+        ({"average_s": "often"}, "seconds from 0, or auto"),
+        ({"average_s": 0.1, "lowpass_s": 0.05}, "no `lowpass_s` beside it"),
+        ({"average_s": 60.0}, "at least two slips"),
+    ],
+)
+def test_averages_that_cannot_be(given, message):
+    with pytest.raises(InputError, match=message):
+        find_stick_slip(scene().force, **given)
