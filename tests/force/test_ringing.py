@@ -8,6 +8,7 @@ from scipy.signal import lfilter
 
 from tests.force.test_events import matched
 from tests.scenes.sawtooth import Test, plain
+from vision.clock import force_slips
 from vision.errors import InputError
 from vision.force import find_stick_slip
 from vision.force.ringing import averaged, ringing_period
@@ -22,11 +23,15 @@ def scene():
     return Test(test.force.assign(load_N=test.force["load_N"] + 1000), test.truth)
 
 
-def resonance(load, period, damping, share=1.0):
-    """The load of a cell whose resonance has this period (samples) and passes on this share of the load."""
+def resonance_poles(period, damping):
     swing = 2 * np.pi / period
     decay = np.exp(-damping * swing)
-    poles = [1, -2 * decay * np.cos(swing), decay**2]
+    return [1, -2 * decay * np.cos(swing), decay**2]
+
+
+def resonance(load, period, damping, share=1.0):
+    """The load of a cell whose resonance has this period (samples) and passes on this share of the load."""
+    poles = resonance_poles(period, damping)
     return share * (load[0] + lfilter([sum(poles)], poles, load - load[0])) + (1 - share) * load
 
 
@@ -139,3 +144,16 @@ def test_swings_that_are_a_large_part_of_the_sticks_are_told():
 def test_averages_that_cannot_be(given, message):
     with pytest.raises(InputError, match=message):
         find_stick_slip(scene().force, **given)
+
+
+@pytest.mark.parametrize(("period", "damping", "share"), RINGING[:2])
+def test_the_clock_takes_slips_where_they_are(period, damping, share):
+    """A failure means a slip timed by the first swing, a fourth of a period late."""
+    force = rung(period, damping, share)
+    poles = resonance_poles(period, damping)
+    late = -0.01 * np.dot(poles, range(3)) / sum(poles)  # of a resonance, for all that is slower than it
+    true_s = force_slips(scene().force, find_stick_slip(scene().force))["time_s"].to_numpy() + late
+    sticks = find_stick_slip(force, average_s="auto")
+    assert np.median(np.abs(force_slips(force, sticks)["time_s"] - true_s)) < 0.002
+    sticks.attrs["average_s"] = 0.0  # with the same slips, in the load as recorded
+    assert np.median(force_slips(force, sticks)["time_s"] - true_s) > 0.01

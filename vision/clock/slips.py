@@ -12,6 +12,7 @@ from vision.clock.settings import ClockSettings
 from vision.data import StickMetadata, StripMetadata
 from vision.errors import InputError
 from vision.force.recording import good_samples
+from vision.force.ringing import averaged
 from vision.numeric import NORMAL_MEDIAN, Floats, Ints, flat_ranges, nan_median
 
 # --- slips of the load cell ---------------------------------------------------------------------------------
@@ -54,6 +55,8 @@ def force_slips(
     begin, end, drop = _bounds(sticks)
     if not len(begin) or len(time) < 3:
         return pd.DataFrame(dict.fromkeys(("time_s", "error_s", "drop_N", "lag_s"), np.empty(0)))
+    if average_s := StickMetadata.of(sticks).average_s:
+        load = averaged(time, load, average_s)  # the first swing of a load that rings would be the drop
     interval = float(np.median(np.diff(time)))
     steepest, of = np.unique(_steepest(time, load, begin, end), return_index=True)
     middle, delay, duration, largest = _mean_times(time, load, steepest, settings)
