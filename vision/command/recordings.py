@@ -28,6 +28,7 @@ from vision.experiment import simulate as make_test
 from vision.figures import Figure, both_errors, plus_minus, save_figures
 from vision.figures.single_sheets import friction_figure, modulus_figure
 from vision.figures.style import counted, with_minus
+from vision.files import write_csv
 from vision.folder import run_folder, write_json
 from vision.force import detection_limit, parse_columns, read_force
 from vision.models import Estimate
@@ -51,7 +52,6 @@ from vision.models.modulus import (
 from vision.models.rheometer import RotationMetadata, read_rheometer
 from vision.pipeline import analyse
 from vision.run import check_results, write_run
-from vision.run.tables import write_table
 from vision.sample import Sample
 
 
@@ -208,7 +208,7 @@ def _write(
 ) -> None:
     """Write the run folder: a table, figures.npz, run.json, and JSON and picture named like the figure."""
     with run_folder(target, overwrite=output.overwrite) as folder:
-        write_table(table, folder / f"{name}.csv")
+        write_csv(table, folder / f"{name}.csv")
         write_json(content, folder / f"{figure.name}.json")
         figure.save(folder / f"{figure.name}.png")
         save_figures(folder / "figures.npz", [figure])

@@ -31,12 +31,12 @@ from vision.comparison.trends import SYMBOLS, Irregularity, Trend, find_irregula
 from vision.errors import InputError
 from vision.figures import Figure, both_errors, plus_minus, save_figures
 from vision.figures.style import counted
+from vision.files import write_csv
 from vision.folder import run_folder, write_json
 from vision.models import Estimate
 from vision.report.page import render_page
 from vision.report.text import ANALYSED_WITH, Answer, citation
 from vision.run import Origin
-from vision.run.tables import write_table
 
 MARK = "compare"  # key in run.json that distinguishes a comparison from a run
 PICTURES = ("collapse", "trends")
@@ -362,8 +362,8 @@ def write_comparison(
     facts = origin.facts(warnings=(*found.failures, *found.warnings))
     facts[MARK] = {"runs": [str(test.folder) for test in found.tests], "failures": list(found.failures)}
     with run_folder(target, overwrite=overwrite) as folder:
-        write_table(found.table, folder / "tests.csv")
-        write_table(found.events(), folder / "all_events.csv")
+        write_csv(found.table, folder / "tests.csv")
+        write_csv(found.events(), folder / "all_events.csv")
         write_json(found.to_json(), folder / "trends.json")
         figures = found.figures()
         save_figures(folder / "figures.npz", figures)

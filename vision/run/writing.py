@@ -23,6 +23,7 @@ from vision.figures import (
     publication_figures_of,
     save_figures,
 )
+from vision.files import write_csv
 from vision.folder import run_folder, write_json
 from vision.pipeline import Analysis
 from vision.report import write_report
@@ -30,7 +31,6 @@ from vision.run.provenance import Origin, checksum_of
 from vision.run.tables import (
     sheets_table,
     write_kymograph_tif,
-    write_table,
     write_tracks_csv,
     write_tracks_nc,
 )
@@ -198,10 +198,10 @@ def _write_tables(analysis: Analysis, folder: Path, origin: Origin) -> None:
         size, constant = analysis.pixel_size_um, systematic_budget(analysis).total("x_px")
         path = folder / "tracks.nc"
         write_tracks_nc(analysis.tracks, path, pixel_size_um=size, constant_error_px=constant)
-        sheets_table(analysis.tracks).to_csv(folder / "sheets.csv", index=False, lineterminator="\n")
+        write_csv(sheets_table(analysis.tracks), folder / "sheets.csv")
         write_kymograph_tif(analysis.strip, folder / "kymograph.tif", pixel_size_um=size)
     if analysis.sticks is not None:
-        write_table(analysis.sticks, folder / "events.csv")
+        write_csv(analysis.sticks, folder / "events.csv")
     if analysis.fits is not None:
         write_json(analysis.fits.to_json(), folder / "models.json")
     elif "fits" in analysis.reasons:
@@ -213,9 +213,9 @@ def _write_tables(analysis: Analysis, folder: Path, origin: Origin) -> None:
         )
     if analysis.motion is not None:
         table = deformation_table(analysis.motion, threshold=analysis.threshold)
-        write_table(table, folder / "deformation.csv")
+        write_csv(table, folder / "deformation.csv")
     if analysis.shells is not None:
-        write_table(analysis.shells, folder / "shells.csv")
+        write_csv(analysis.shells, folder / "shells.csv")
 
 
 @contextmanager
