@@ -218,7 +218,8 @@ def finish(
     if not quiet:
         lines = [*analysis.summary(), *aligned([("results", f"{target}/ (look at {picture} first)")])]
         if verbose and analysis.tracks is not None:
-            lines += [f"{name:>22}  {value}" for name, value in findings(analysis.tracks).items()]
+            found = findings(analysis.tracks).items()
+            lines += in_columns([(name, str(value)) for name, value in found], ">")
         say(lines)
     refused = why_refused(analysis)
     for reason in refused:

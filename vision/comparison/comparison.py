@@ -32,11 +32,11 @@ from vision.errors import InputError
 from vision.figures import Figure, both_errors, plus_minus, save_figures
 from vision.figures.style import counted
 from vision.files import write_csv
-from vision.folder import run_folder, write_json
+from vision.folder import write_json
 from vision.models import Estimate
 from vision.report.page import render_page
 from vision.report.text import ANALYSED_WITH, Answer, citation
-from vision.run import Origin
+from vision.run import Origin, results_folder
 
 MARK = "compare"  # key in run.json that distinguishes a comparison from a run
 PICTURES = ("collapse", "trends")
@@ -350,8 +350,8 @@ def _joint_detail(one: JointFriction) -> str:
 
 def write_comparison(
     found: Comparison, target: Path, origin: Origin, *, overwrite: bool = False, report: bool = True
-) -> dict[str, Any]:
-    """Write the tables, figures, report.html and run.json of a comparison; return the content of run.json.
+) -> None:
+    """Write the tables, figures, report.html and run.json of a comparison.
 
     origin: with the inputs besides the runs.
     Raises: InputError if the folder exists (without `overwrite`) or cannot be written; nothing is left then.
@@ -361,7 +361,7 @@ def write_comparison(
     origin = replace(origin, inputs=[*events, *origin.inputs])
     facts = origin.facts(warnings=(*found.failures, *found.warnings))
     facts[MARK] = {"runs": [str(test.folder) for test in found.tests], "failures": list(found.failures)}
-    with run_folder(target, overwrite=overwrite) as folder:
+    with results_folder(target, facts, started=started, overwrite=overwrite) as folder:
         write_csv(found.table, folder / "tests.csv")
         write_csv(found.events(), folder / "all_events.csv")
         write_json(found.to_json(), folder / "trends.json")
@@ -372,9 +372,6 @@ def write_comparison(
                 figure.save(folder / f"{figure.name}.png")
         if report:
             _write_page(folder / "report.html", found, facts, figures)
-        facts["seconds"] = {"writing": time.perf_counter() - started}
-        write_json(facts, folder / "run.json")
-    return facts
 
 
 # --- its page -----------------------------------------------------------------------------------------------

@@ -101,6 +101,20 @@ def write_run(
     return content
 
 
+@contextmanager
+def results_folder(
+    target: Path, facts: Mapping[str, Any], *, started: float, overwrite: bool
+) -> Iterator[Path]:
+    """Yield a folder for a command's results, write its run.json at the end, and put it in place.
+
+    facts: content of run.json besides the time since `started`, a value of `time.perf_counter`.
+    Raises: InputError as `run_folder`.
+    """
+    with run_folder(target, overwrite=overwrite) as folder:
+        yield folder
+        write_json({**facts, "seconds": {"total": time.perf_counter() - started}}, folder / "run.json")
+
+
 def _write_decisions(
     analysis: Analysis, folder: Path, content: Mapping[str, Any], decisions: Decisions | None
 ) -> None:
