@@ -64,6 +64,13 @@ def check_regular(path: Path, wanted: str) -> os.stat_result:
     return facts
 
 
+def members(path: Path) -> list[Path]:
+    """Return what a folder holds, else the path itself or what matches it as a pattern; in no order."""
+    if path.is_dir():
+        return list(path.iterdir())
+    return [path] if path.exists() else [Path(name) for name in glob.glob(str(path))]  # noqa: PTH207  # absolute
+
+
 def no_such_file(path: Path, wanted: str) -> InputError:
     """Return the error for a missing file, which names the file of its folder that may be meant.
 
