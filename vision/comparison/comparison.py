@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vision.comparison.figures import compare_figures, compare_sections, velocity
+from vision.comparison.figures import compare_figures, velocity
 from vision.comparison.joint import (
     QUANTITIES,
     Collapse,
@@ -102,7 +102,7 @@ class Comparison:
 
     def figures(self) -> list[Figure]:
         """Return every figure for which there are data, in reading order."""
-        return compare_figures(self)
+        return [figure for part in compare_figures(self).values() for figure in part]
 
     def to_json(self) -> dict[str, Any]:
         """Return the content of trends.json."""
@@ -365,27 +365,31 @@ def write_comparison(
         write_csv(found.table, folder / "tests.csv")
         write_csv(found.events(), folder / "all_events.csv")
         write_json(found.to_json(), folder / "trends.json")
-        figures = found.figures()
+        sections = compare_figures(found)
+        figures = [figure for part in sections.values() for figure in part]
         save_figures(folder / "figures.npz", figures)
         for figure in figures:
             if figure.name in PICTURES:
                 figure.save(folder / f"{figure.name}.png")
         if report:
-            _write_page(folder / "report.html", found, facts, figures)
+            _write_page(folder / "report.html", found, facts, sections)
 
 
 # --- its page -----------------------------------------------------------------------------------------------
 
 
-def _write_page(path: Path, found: Comparison, facts: Mapping[str, Any], figures: Sequence[Figure]) -> None:
-    """Write report.html of several tests."""
+def _write_page(
+    path: Path, found: Comparison, facts: Mapping[str, Any], figures: Mapping[str, Sequence[Figure]]
+) -> None:
+    """Write report.html of several tests, with the figures of one panel."""
+    shown = {name: [one for one in part if len(one.panels) == 1] for name, part in figures.items()}
     samples = {test.sample_name for test in found.tests}
     speeds = sorted({velocity(test.speed_mm_min) for test in found.tests if test.speed_mm_min > 0})
     tests = counted(len(found.tests), "test")
     pulled = f", V = {', '.join(f'{v:g}' for v in speeds)} mm/min" if speeds else ""
     render_page(
         path,
-        compare_sections(figures),
+        [(heading, part) for heading, part in shown.items() if part],
         facts,
         title=tests,
         kind="comparison",
