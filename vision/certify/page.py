@@ -29,7 +29,7 @@ _ENCODED = (
 def write_certificate(certificate: Certificate, folder: Path) -> None:
     """Write certificate.html, certificate.json and certificate.csv.  Raises: InputError."""
     with whole_file(folder / "certificate.csv") as path:
-        write_csv(certificate.sheets, path)
+        write_csv(certificate.sheets, path, digits=None)
     with whole_file(folder / "certificate.json") as path:
         write_json(certificate.facts, path)
     with whole_file(folder / "certificate.html") as path:

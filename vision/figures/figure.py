@@ -263,7 +263,7 @@ class Figure:
         path = Path(path)
         kind = path.suffix.lower()
         if kind == ".csv":
-            write_csv(self.table(), path)
+            write_csv(self.table(), path, digits=8)
         elif kind in (".png", ".pdf", ".svg"):
             from vision.figures import drawing
 

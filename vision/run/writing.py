@@ -212,7 +212,7 @@ def _write_tables(analysis: Analysis, folder: Path, origin: Origin) -> None:
         size, constant = analysis.pixel_size_um, systematic_budget(analysis).total("x_px")
         path = folder / "tracks.nc"
         write_tracks_nc(analysis.tracks, path, pixel_size_um=size, constant_error_px=constant)
-        write_csv(sheets_table(analysis.tracks), folder / "sheets.csv")
+        write_csv(sheets_table(analysis.tracks), folder / "sheets.csv", digits=None)
         write_kymograph_tif(analysis.strip, folder / "kymograph.tif", pixel_size_um=size)
     if analysis.sticks is not None:
         write_csv(analysis.sticks, folder / "events.csv")
