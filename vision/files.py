@@ -64,6 +64,13 @@ def check_regular(path: Path, wanted: str) -> os.stat_result:
     return facts
 
 
+def members(path: Path) -> list[Path]:
+    """Return what a folder holds, else the path itself or what matches it as a pattern; in no order."""
+    if path.is_dir():
+        return list(path.iterdir())
+    return [path] if path.exists() else [Path(name) for name in glob.glob(str(path))]  # noqa: PTH207  # absolute
+
+
 def no_such_file(path: Path, wanted: str) -> InputError:
     """Return the error for a missing file, which names the file of its folder that may be meant.
 
@@ -413,11 +420,15 @@ def harmless(text: str) -> str:
     return f"'{text}" if text and is_formula and not _NUMBER.fullmatch(text) else text
 
 
-def harmless_table(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the table with `harmless` text and column names, for every table that may contain names."""
+def write_csv(table: pd.DataFrame, path: Path, *, digits: int | None = 9) -> None:
+    """Write a table as CSV, with `harmless` text and column names.
+
+    digits: significant digits of numbers that are not whole; None for all.
+    """
     safe = table.rename(columns=lambda name: harmless(str(name)))
     for k, column in enumerate(safe.columns):
         if safe.iloc[:, k].dtype.kind not in "iufb":
             cells = safe.iloc[:, k].map(lambda cell: harmless(cell) if isinstance(cell, str) else cell)
             safe = safe.assign(**{column: cells})
-    return safe
+    style = None if digits is None else f"%.{digits}g"
+    safe.to_csv(path, index=False, float_format=style, lineterminator="\n")

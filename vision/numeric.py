@@ -60,6 +60,14 @@ def two_digits(value: float) -> str:
     return f"{float(f'{value:.2g}'):g}"
 
 
+def number(value: Any) -> float:
+    """Return text or another value as a number, NaN if it is none."""
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        return np.nan
+
+
 def rms(values: Floats) -> float:
     """Return the root mean square of the finite values; NaN without any."""
     known = values[np.isfinite(values)]

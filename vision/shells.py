@@ -468,10 +468,7 @@ def _draw_profiles(share: Floats32, draws: int) -> Ints:
 
 
 def _count_below(ratio: Floats, threshold: float, length_err: Floats, shared_err: Floats) -> Ints:
-    """Number of ratios below the threshold in each draw, (event, draw).
-
-    The errors of the stick length and of the camera movement, common to all sheets, are drawn as well.
-    """
+    """Number of ratios below the threshold in each draw, also of the errors of all sheets, (event, draw)."""
     length, shift = np.random.default_rng(1).standard_normal((2, ratio.shape[1]))
     limit = threshold * (1 + length_err[:, None] * length) + shared_err[:, None] * shift
     return np.asarray((np.abs(ratio) < limit[..., None]).sum(axis=2))

@@ -8,6 +8,7 @@ from tests.figures.conftest import JUMP_PX, by_label
 from tests.scenes.report_data import make_tracks, sawtooth
 from vision.figures.positions import (
     deformation_figure,
+    origin_frames,
     origin_px,
     outer_inner_figure,
     outer_less_inner_px,
@@ -54,13 +55,14 @@ def test_a_sheet_found_late_starts_where_its_neighbours_are():
     x = scene(drift_px=8.0)
     late = x.copy()
     late[:333, 8] = np.nan
-    np.testing.assert_allclose(origin_px(make_tracks(late)), origin_px(make_tracks(x)), atol=0.03)
+    origins = [origin_px(tracks, origin_frames(tracks)) for tracks in map(make_tracks, (late, x))]
+    np.testing.assert_allclose(*origins, atol=0.03)
 
 
 def test_without_any_position_there_is_no_origin():
     """A failure means an exception where a film shows nothing."""
     nothing = make_tracks(np.full((30, SHEETS), np.nan))
-    assert np.isnan(origin_px(nothing)).all()
+    assert np.isnan(origin_px(nothing, origin_frames(nothing))).all()
     assert np.isnan(outward_px(nothing)).all()
 
 

@@ -5,9 +5,9 @@ import pytest
 
 from tests.scenes.combs import as_strip, ridges, strip
 from vision.errors import InputError
-from vision.sheets import Starts, choose_window, paper_vertex, sliding_vertex, template_shift, track_sheets
+from vision.sheets import Starts, choose_window, paper_vertex, sliding_vertex, track_sheets
 from vision.sheets.ridges import RidgeComb
-from vision.sheets.subpixel import gather
+from vision.sheets.subpixel import gather, match_sheet
 
 PLACES = np.linspace(49.5, 51.5, 201)
 
@@ -56,7 +56,7 @@ def test_a_template_never_moves_the_mean():
     """A failure means positions with a template cannot be compared with those without."""
     profile, starts = one_ridge(snr=50)
     first = sliding_vertex(profile, starts).x_px
-    x = template_shift(profile, starts, np.zeros(len(first), np.int64), first, half_px=6).x_px
+    x = match_sheet(profile, starts.frame, first, 6).x_px
     assert x.mean() == pytest.approx(first.mean(), abs=1e-3)
     assert np.std(x - PLACES) < np.std(first - PLACES)
 
@@ -91,8 +91,7 @@ def test_errors_of_a_template_grow_as_the_light_fades():
     light = np.linspace(1, 0.25, len(PLACES))[:, None]
     noise = np.random.default_rng(1).normal(0, 1, profile.shape)
     first = sliding_vertex(profile, starts).x_px
-    shape = np.zeros(len(first), np.int64)
-    fitted = template_shift(profile * light + noise, starts, shape, first, half_px=6)
+    fitted = match_sheet(profile * light + noise, starts.frame, first, 6)
     at_full_light = fitted.err_per_noise * light[:, 0]
     np.testing.assert_allclose(at_full_light, np.median(at_full_light), rtol=0.15)
 
@@ -104,9 +103,9 @@ def test_what_covers_a_ridge_has_no_position_by_its_template():
     covered = profile.copy()
     covered[60:70] = 100 - profile[60:70]
     covered[120:130] = 40.0 + np.random.default_rng(2).normal(0, 1, (10, 100))
-    shape, first = np.zeros(len(PLACES), np.int64), sliding_vertex(profile, starts).x_px
-    clean = template_shift(profile, starts, shape, first, half_px=6)
-    fitted = template_shift(covered, starts, shape, first, half_px=6)
+    first = sliding_vertex(profile, starts).x_px
+    clean = match_sheet(profile, starts.frame, first, 6)
+    fitted = match_sheet(covered, starts.frame, first, 6)
     hidden = np.isnan(fitted.x_px)
     assert hidden[60:70].all() and hidden[120:130].all() and hidden.sum() == 20
     assert (np.isnan(fitted.err_per_noise) == hidden).all()

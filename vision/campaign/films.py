@@ -16,6 +16,7 @@ from typing import Any
 from vision.comparison.runs import ALIKE, COLUMNS, LIMITS, table_cells
 from vision.errors import InputError
 from vision.files import TIFF, Stamp, answered, shortened
+from vision.numeric import number
 from vision.video import open_video, video_files
 from vision.video.settings import VideoSettings
 from vision.video.video import FILMS, files_in
@@ -173,15 +174,15 @@ def read_campaign(
     header, lines = answered(read, path, settings.answer_s)
     columns, problems = _columns(header, ("film", "name", *FACTS, *options))
     rows: list[Row] = []
-    for number, cells in lines:
+    for line, cells in lines:
         pairs = zip(columns, cells, strict=False)
         given = {name: cell.strip() for name, cell in pairs if name and cell.strip()}
         base = path.absolute().parent
-        read_row = partial(_row, number, given, base, check, name_of, awaited)
+        read_row = partial(_row, line, given, base, check, name_of, awaited)
         row, found = answered(read_row, base / given.get("film", ""), settings.answer_s)
         if any(cell.strip() for cell in cells[len(columns) :]):
             found.append(("", f"expected {len(columns)} cells; found {len(cells)}"))
-        problems += [Problem(row=number, column=column, text=text) for column, text in found]
+        problems += [Problem(row=line, column=column, text=text) for column, text in found]
         rows.append(row)
     problems += _clashes(rows)
     bad = {problem.row for problem in problems}
@@ -214,7 +215,7 @@ def _plain(name: str) -> str:
 
 
 def _row(
-    number: int,
+    line: int,
     given: Mapping[str, str],
     base: Path,
     check: Check,
@@ -241,7 +242,7 @@ def _row(
     if len(name.encode()) > MAX_NAME_BYTES:
         wanted = f"expected a name of at most {MAX_NAME_BYTES} bytes (an accented letter has 2)"
         problems.append(("name", f"{wanted}; found {len(name.encode())}; give one in a column name"))
-    row = Row(row=number, film=film, name=name, options=options, values=checked.values, facts=facts)
+    row = Row(row=line, film=film, name=name, options=options, values=checked.values, facts=facts)
     return row, problems
 
 
@@ -269,11 +270,7 @@ def _conditions(given: Mapping[str, str]) -> tuple[dict[str, Any], list[tuple[st
     for name, (low, high) in LIMITS.items():
         if name not in given:
             continue
-        try:
-            value = float(given[name])
-        except ValueError:
-            value = float("nan")
-        if low <= value <= high:
+        if low <= (value := number(given[name])) <= high:
             facts[name] = value
         else:
             found = shortened(given[name], 40)

@@ -93,7 +93,6 @@ class PlannedFilm:
     frames: int = 0
     rows: int = 0
     columns: int = 0
-    size_bytes: int = 0
     # estimates
     seconds: float = 0.0
     memory_mb: int = 0
@@ -304,12 +303,11 @@ def _header(row: Row) -> dict[str, Any]:
     if is_remote(row.film):
         return {"doubt": "in object storage; its size is not known before it is fetched"}
     try:
-        size = sum(path.stat().st_size for path in video_files(Path(row.film)) if path.is_file())
         video = open_video(row.film, rotate=int(row.values.get("rotate") or 0))
         frames, (rows, columns) = video.estimated or 0, video.shape
     except (InputError, OSError) as error:
         return {"doubt": shortened(str(error))}
-    return {"frames": int(frames), "rows": int(rows), "columns": int(columns), "size_bytes": size}
+    return {"frames": int(frames), "rows": int(rows), "columns": int(columns)}
 
 
 def _fingerprint(path: Path, known: dict[str, Any]) -> str:

@@ -20,15 +20,16 @@ from jinja2 import Environment, StrictUndefined
 
 from vision.campaign.plan import FINISHED, Plan, PlannedFilm, State, read_if_whole
 from vision.comparison import compare, write_comparison
-from vision.comparison.runs import COLUMNS, LIMITS, number
+from vision.comparison.runs import COLUMNS, LIMITS
 from vision.errors import InputError
 from vision.figures.style import counted
-from vision.files import reading
+from vision.files import reading, write_csv
 from vision.folder import whole_file, write_json
+from vision.numeric import number
 from vision.pipeline import Analysis
 from vision.run import Origin, is_run
 from vision.run.reading import read_json
-from vision.run.tables import columns_in_parts, sheets_table, write_table
+from vision.run.tables import columns_in_parts, sheets_table
 from vision.shells import deformation_table
 
 # --- the page -----------------------------------------------------------------------------------------------
@@ -91,7 +92,7 @@ def write_page(plan: Plan, *, live: bool, remarks: tuple[str, ...] = ()) -> None
         for (film, state), run in zip(films, runs, strict=True)
     ]
     with whole_file(plan.out / "campaign.csv") as path:
-        write_table(pd.DataFrame(rows, columns=["film", "state", "reason", "seconds", "run"]), path)
+        write_csv(pd.DataFrame(rows, columns=["film", "state", "reason", "seconds", "run"]), path)
 
 
 def _row(plan: Plan, film: PlannedFilm, state: State, facts: list[str]) -> dict[str, Any]:

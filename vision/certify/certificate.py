@@ -359,10 +359,7 @@ def _parameters(tracks: xr.Dataset) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def _without_locking(strip: xr.DataArray, tracks: xr.Dataset) -> xr.Dataset:
-    """Return positions to learn the motion from: of the sliding fit if the run used the publication's.
-
-    Its error repeats with the fraction of a pixel. It would be taken for motion, and be missing in the error.
-    """
+    """Return positions without the publication's locking to pixels, which would be taken for motion."""
     if TrackMetadata.of(tracks).fit != "paper":
         return tracks
     parameters, known = _parameters(tracks)

@@ -8,6 +8,7 @@ from pathlib import Path
 from vision.certify.certificate import Certificate
 from vision.figures import Figure, Panel, Series
 from vision.figures.style import DATA, PEAK, VALLEY, from_zero, with_minus
+from vision.files import write_csv
 from vision.folder import whole_file, write_json
 from vision.report.page import render_page
 from vision.report.text import ANALYSED_WITH, Answer, citation
@@ -28,7 +29,7 @@ _ENCODED = (
 def write_certificate(certificate: Certificate, folder: Path) -> None:
     """Write certificate.html, certificate.json and certificate.csv.  Raises: InputError."""
     with whole_file(folder / "certificate.csv") as path:
-        certificate.sheets.to_csv(path, index=False, lineterminator="\n")
+        write_csv(certificate.sheets, path, digits=None)
     with whole_file(folder / "certificate.json") as path:
         write_json(certificate.facts, path)
     with whole_file(folder / "certificate.html") as path:

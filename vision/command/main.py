@@ -123,10 +123,7 @@ def _interrupt(number: int, frame: Any) -> None:
 
 
 def _unraisable(ignored: sys.UnraisableHookArgs) -> None:
-    """Repeat an interruption that Python ignored, in a destructor or in a library's callback.
-
-    Other errors there are of libraries that close their files after an error that is reported.
-    """
+    """Repeat an interruption that Python ignored; other errors there follow one that is reported."""
     if issubclass(ignored.exc_type, KeyboardInterrupt):
         again = threading.Timer(0.02, _thread.interrupt_main)  # at once, it would be ignored here as well
         again.daemon = True

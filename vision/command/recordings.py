@@ -28,7 +28,8 @@ from vision.experiment import simulate as make_test
 from vision.figures import Figure, both_errors, plus_minus, save_figures
 from vision.figures.single_sheets import friction_figure, modulus_figure
 from vision.figures.style import counted, with_minus
-from vision.folder import run_folder, write_json
+from vision.files import write_csv
+from vision.folder import write_json
 from vision.force import detection_limit, parse_columns, read_force
 from vision.models import Estimate
 from vision.models.friction import (
@@ -50,9 +51,9 @@ from vision.models.modulus import (
 )
 from vision.models.rheometer import RotationMetadata, read_rheometer
 from vision.pipeline import analyse
-from vision.run import check_results, write_run
-from vision.run.tables import write_table
+from vision.run import check_results, results_folder, write_run
 from vision.sample import Sample
+from vision.summary import aligned
 
 
 def force(
@@ -129,10 +130,10 @@ def modulus(file: Path, options: ModulusOptions, output: OutputOptions) -> int:
         **origin_of([file], parameters_given(options)).facts(warnings=warnings),
         "cycles": len(cycles),
         "notes": notes,
-        "seconds": {"total": time.perf_counter() - started},
     }
     figure = modulus_figure(force, cycles)
-    _write(target, output, "cycles", cycles, figure, content, facts)
+    with results_folder(target, facts, started=started, overwrite=output.overwrite) as folder:
+        _write(folder, "cycles", cycles, figure, content)
     lines = [f"{len(cycles)} loading branches -> {target}/", *_modulus_lines(means, len(cycles)), *notes]
     return conclude(lines, [f"{file.name}: {line}" for line in warnings], quiet=output.quiet)
 
@@ -186,10 +187,10 @@ def friction(files: Sequence[Path], options: FrictionOptions, output: OutputOpti
         **origin.facts(failures=found.failures, warnings=found.warnings),
         "measurements": len(found.measured),
         "notes": [*notes, RIM_CAVEAT],
-        "seconds": {"total": time.perf_counter() - started},
     }
     figure = friction_figure(found.measured, law, mu=options.mu, dynamic_deg=settings.dynamic_deg)
-    _write(target, output, "friction", table, figure, content, facts)
+    with results_folder(target, facts, started=started, overwrite=output.overwrite) as folder:
+        _write(folder, "friction", table, figure, content)
     if law is None:
         complain(note)
     count = f"{counted(len(found.measured), 'measurement')} of {counted(len(files), 'file')}"
@@ -197,22 +198,12 @@ def friction(files: Sequence[Path], options: FrictionOptions, output: OutputOpti
     return conclude(lines, found.warnings, failures=found.failures, quiet=output.quiet)
 
 
-def _write(
-    target: Path,
-    output: OutputOptions,
-    name: str,
-    table: pd.DataFrame,
-    figure: Figure,
-    content: Mapping[str, Any],
-    facts: Mapping[str, Any],
-) -> None:
-    """Write the run folder: a table, figures.npz, run.json, and JSON and picture named like the figure."""
-    with run_folder(target, overwrite=output.overwrite) as folder:
-        write_table(table, folder / f"{name}.csv")
-        write_json(content, folder / f"{figure.name}.json")
-        figure.save(folder / f"{figure.name}.png")
-        save_figures(folder / "figures.npz", [figure])
-        write_json(facts, folder / "run.json")
+def _write(folder: Path, name: str, table: pd.DataFrame, figure: Figure, content: Mapping[str, Any]) -> None:
+    """Write a table, figures.npz, and JSON and picture named like the figure."""
+    write_csv(table, folder / f"{name}.csv")
+    write_json(content, folder / f"{figure.name}.json")
+    figure.save(folder / f"{figure.name}.png")
+    save_figures(folder / "figures.npz", [figure])
 
 
 @dataclass
@@ -308,7 +299,7 @@ def simulate(directory: Path, options: SimulateOptions) -> int:
     size = f"{experiment.camera.width} x {experiment.camera.height} px, {experiment.ridges_in_view} sheets"
     files = {"video": test.video, "force": test.force, "truth": test.truth, "stamps": test.timestamps}
     lines = [f"{test.frames} frames{lost} of {size}, seed {experiment.seed}"]
-    lines += [f"{name:<6} {path}" for name, path in files.items()]
+    lines += aligned((name, str(path)) for name, path in files.items())
     return conclude(lines, (), quiet=options.quiet)
 
 

@@ -17,6 +17,7 @@ from vision.data import PIXEL_SIZE_UM
 from vision.errors import InputError
 from vision.files import AGAIN, read_toml, reading, shortened
 from vision.force import parse_columns
+from vision.numeric import number
 from vision.pipeline import Settings
 from vision.run import Parameter, read_run
 from vision.sample import PUBLISHED, Sample
@@ -92,8 +93,8 @@ def _pixel_size(options: Mapping[str, Parameter]) -> dict[str, Parameter]:
 
 def _plain(name: str, value: Any) -> Any:
     """Convert a value to a number if its option also accepts a word or an error, and it has neither."""
-    number = _float(value) if name in _WITH_ERROR and isinstance(value, str) else math.nan
-    return number if math.isfinite(number) else value
+    plain = number(value) if name in _WITH_ERROR and isinstance(value, str) else math.nan
+    return plain if math.isfinite(plain) else value
 
 
 def read_config(path: Path) -> dict[str, Any]:
@@ -159,7 +160,7 @@ def parse_with_error(text: str | float | None, option: str) -> tuple[float | Non
     unit = "N" if option == flag_of("t_star") else "mm"
     plain = str(text).strip().removesuffix(unit).replace("+-", "±").replace("+/-", "±")
     value, sign, error = plain.partition("±")
-    parts = _float(value), _float(error) if sign else 0.0
+    parts = number(value), number(error) if sign else 0.0
     if not all(0 <= part < math.inf for part in parts):
         advice = f"write it in {unit} with a decimal point, like 13.5 or 13.5±0.1"
         raise InputError(option, f"a number of {unit} from 0, or with its error", f"'{text}'", advice)
@@ -170,7 +171,7 @@ def parse_duration(text: str | float, option: str) -> float | Literal["auto"]:
     """Parse a number of seconds from 0, or "auto".  Raises: InputError."""
     if text == "auto":
         return "auto"
-    value = _float(str(text))
+    value = number(str(text))
     if not 0 <= value < math.inf:
         raise InputError(option, "seconds from 0, or auto", f"'{text}'")
     return value
@@ -181,7 +182,7 @@ def parse_pair(
 ) -> tuple[float, float]:
     """Parse `A:B`, two numbers from 0 to `most`, the second larger.  Raises: InputError."""
     first, _, last = text.partition(":")
-    low, high = _float(first), _float(last)
+    low, high = number(first), number(last)
     if not 0 <= low < high <= most or high == math.inf:
         raise InputError(option, wanted, f"'{text}'", advice)
     return low, high
@@ -209,7 +210,7 @@ def parse_pixel_size(text: str | None) -> float | None:
     if text is None:
         return None
     match = re.fullmatch(r"\s*(\S+?)\s*(mm|um|µm|μm)?(/px)?\s*", text)
-    value = _float(match[1]) * UM_PER[match[2] or "um"] if match else math.nan
+    value = number(match[1]) * UM_PER[match[2] or "um"] if match else math.nan
     if not PIXEL_SIZE_UM[0] <= value <= PIXEL_SIZE_UM[1]:
         wanted = f"a number from {PIXEL_SIZE_UM[0]:g} to {PIXEL_SIZE_UM[1]:g} (µm per px)"
         raise InputError("--pixel-size", wanted, f"'{text}'", "write 10.5, 10.5um or 0.0105mm")
@@ -245,7 +246,7 @@ def parse_length(text: str, option: str) -> dict[str, float]:
     Raises: InputError, also for a number without a unit, which could be in µm or in px.
     """
     match = re.fullmatch(r"\s*([0-9.]+(?:[eE][+-]?[0-9]+)?)\s*(mm|um|µm|μm|px)\s*", text)
-    value = _float(match[1]) if match else math.nan
+    value = number(match[1]) if match else math.nan
     if match is None or not 0 < value < math.inf:
         raise InputError(option, "a length with its unit: mm, um, µm or px", f"'{text}'", "write 0.2mm")
     unit = match[2]
@@ -257,8 +258,8 @@ def parse_seconds(text: str | None, option: str) -> tuple[float | None, float | 
     if text is None:
         return None
     first, colon, last = text.partition(":")
-    start = _float(first) if first.strip() else None
-    stop = _float(last) if last.strip() else None
+    start = number(first) if first.strip() else None
+    stop = number(last) if last.strip() else None
     ends = [end for end in (start, stop) if end is not None]
     if not colon or not ends or not all(map(math.isfinite, ends)) or ends != sorted(set(ends)):
         raise InputError(option, "two times in seconds A:B with A < B", f"'{text}'", "write 40:45.1")
@@ -281,13 +282,6 @@ def _sheet(text: str) -> Sheet:
         wanted = "left or right and a number, or an index"
         raise InputError("--sheet", wanted, f"'{text}'", "write right:23 or 47")
     return side, int(n)
-
-
-def _float(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
 
 
 # --- the pipeline's settings --------------------------------------------------------------------------------

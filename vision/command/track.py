@@ -90,10 +90,7 @@ def one_film(video: Path) -> Path:
 
 
 def _check_force(parameters: Mapping[str, Parameter]) -> None:
-    """Refuse typed options of the force if no recording is given; a configuration file may hold them.
-
-    Raises: InputError.
-    """
+    """Refuse typed options of the force without a recording; a configuration file may hold them."""
     names = [one.name for group in (ForceOptions, TestOptions) for one in fields(group)]
     typed = [flag_of(name) for name in names if parameters[name].how == "given"]
     if typed and parameters["force"].value is None:
@@ -218,7 +215,8 @@ def finish(
     if not quiet:
         lines = [*analysis.summary(), *aligned([("results", f"{target}/ (look at {picture} first)")])]
         if verbose and analysis.tracks is not None:
-            lines += [f"{name:>22}  {value}" for name, value in findings(analysis.tracks).items()]
+            found = findings(analysis.tracks).items()
+            lines += in_columns([(name, str(value)) for name, value in found], ">")
         say(lines)
     refused = why_refused(analysis)
     for reason in refused:

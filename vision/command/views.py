@@ -45,10 +45,10 @@ from vision.figures.camera import sides_known
 from vision.figures.style import counted
 from vision.files import AGAIN
 from vision.files import reading as reading_of
-from vision.folder import check_new, run_folder, whole_file, write_json
+from vision.folder import check_new, whole_file
 from vision.numeric import Ints
 from vision.pipeline import Analysis, Settings, analyse, open_recording
-from vision.run import check_outside, check_results, export_run, is_run, read_run, read_strip
+from vision.run import check_outside, check_results, export_run, is_run, read_run, read_strip, results_folder
 from vision.run.export import Format
 from vision.run.overlay import write_overlay
 from vision.run.tables import frame_step_s, unevenness_s, write_space_time_tif
@@ -191,12 +191,10 @@ def kymograph(
     names = [f"kymograph_{sheet.replace(':', '')}.tif" for sheet in shown]
     figure = kymograph_figure(diagrams, slips_s=data.slips_s, slips_from=data.slips_from)
     size = data.pixel_size_um
-    with run_folder(target, overwrite=output.overwrite) as folder:
+    with results_folder(target, facts, started=started, overwrite=output.overwrite) as folder:
         for name, diagram in zip(names, diagrams, strict=True):
             write_space_time_tif(diagram, folder / name, pixel_size_um=size)
         figure.save(folder / f"kymograph.{picture}")
-        facts["seconds"] = {"total": time.perf_counter() - started}
-        write_json(facts, folder / "run.json")
     rows, columns = diagrams[0].shape
     scale = "" if size is None else f", {size:g} µm per px"
     lines = {

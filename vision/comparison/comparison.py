@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vision.comparison.figures import compare_figures, compare_sections, velocity
+from vision.comparison.figures import compare_figures, velocity
 from vision.comparison.joint import (
     QUANTITIES,
     Collapse,
@@ -31,12 +31,12 @@ from vision.comparison.trends import SYMBOLS, Irregularity, Trend, find_irregula
 from vision.errors import InputError
 from vision.figures import Figure, both_errors, plus_minus, save_figures
 from vision.figures.style import counted
-from vision.folder import run_folder, write_json
+from vision.files import write_csv
+from vision.folder import write_json
 from vision.models import Estimate
 from vision.report.page import render_page
 from vision.report.text import ANALYSED_WITH, Answer, citation
-from vision.run import Origin
-from vision.run.tables import write_table
+from vision.run import Origin, results_folder
 
 MARK = "compare"  # key in run.json that distinguishes a comparison from a run
 PICTURES = ("collapse", "trends")
@@ -102,7 +102,7 @@ class Comparison:
 
     def figures(self) -> list[Figure]:
         """Return every figure for which there are data, in reading order."""
-        return compare_figures(self)
+        return [figure for part in compare_figures(self).values() for figure in part]
 
     def to_json(self) -> dict[str, Any]:
         """Return the content of trends.json."""
@@ -350,8 +350,8 @@ def _joint_detail(one: JointFriction) -> str:
 
 def write_comparison(
     found: Comparison, target: Path, origin: Origin, *, overwrite: bool = False, report: bool = True
-) -> dict[str, Any]:
-    """Write the tables, figures, report.html and run.json of a comparison; return the content of run.json.
+) -> None:
+    """Write the tables, figures, report.html and run.json of a comparison.
 
     origin: with the inputs besides the runs.
     Raises: InputError if the folder exists (without `overwrite`) or cannot be written; nothing is left then.
@@ -361,34 +361,35 @@ def write_comparison(
     origin = replace(origin, inputs=[*events, *origin.inputs])
     facts = origin.facts(warnings=(*found.failures, *found.warnings))
     facts[MARK] = {"runs": [str(test.folder) for test in found.tests], "failures": list(found.failures)}
-    with run_folder(target, overwrite=overwrite) as folder:
-        write_table(found.table, folder / "tests.csv")
-        write_table(found.events(), folder / "all_events.csv")
+    with results_folder(target, facts, started=started, overwrite=overwrite) as folder:
+        write_csv(found.table, folder / "tests.csv")
+        write_csv(found.events(), folder / "all_events.csv")
         write_json(found.to_json(), folder / "trends.json")
-        figures = found.figures()
+        sections = compare_figures(found)
+        figures = [figure for part in sections.values() for figure in part]
         save_figures(folder / "figures.npz", figures)
         for figure in figures:
             if figure.name in PICTURES:
                 figure.save(folder / f"{figure.name}.png")
         if report:
-            _write_page(folder / "report.html", found, facts, figures)
-        facts["seconds"] = {"writing": time.perf_counter() - started}
-        write_json(facts, folder / "run.json")
-    return facts
+            _write_page(folder / "report.html", found, facts, sections)
 
 
 # --- its page -----------------------------------------------------------------------------------------------
 
 
-def _write_page(path: Path, found: Comparison, facts: Mapping[str, Any], figures: Sequence[Figure]) -> None:
-    """Write report.html of several tests."""
+def _write_page(
+    path: Path, found: Comparison, facts: Mapping[str, Any], figures: Mapping[str, Sequence[Figure]]
+) -> None:
+    """Write report.html of several tests, with the figures of one panel."""
+    shown = {name: [one for one in part if len(one.panels) == 1] for name, part in figures.items()}
     samples = {test.sample_name for test in found.tests}
     speeds = sorted({velocity(test.speed_mm_min) for test in found.tests if test.speed_mm_min > 0})
     tests = counted(len(found.tests), "test")
     pulled = f", V = {', '.join(f'{v:g}' for v in speeds)} mm/min" if speeds else ""
     render_page(
         path,
-        compare_sections(figures),
+        [(heading, part) for heading, part in shown.items() if part],
         facts,
         title=tests,
         kind="comparison",

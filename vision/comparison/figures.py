@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -39,38 +39,17 @@ SHOWN_TRENDS = {"n_test": "number of previous tests", "RH_percent": "relative hu
 _UNITS = {"N_hat_N": " (N)", "Lambda_hat_mm": " (mm)"}
 
 
-def compare_figures(found: Comparison) -> list[Figure]:
-    """Return all figures for which there are data, in reading order."""
+def compare_figures(found: Comparison) -> dict[str, list[Figure]]:
+    """Return headings with all figures for which there are data, in reading order."""
     events = found.events()
-    figures = [
-        *(make(found, events) for make in (peaks_figure, drops_figure, stiffnesses_figure)),
-        *sticks_figures(found),
-        collapse_figure(found, events),
-        irregular_figure(found),
-        *trends_figures(found),
-    ]
-    return [figure for figure in figures if figure is not None]
-
-
-def compare_sections(figures: Iterable[Figure]) -> list[tuple[str, list[Figure]]]:
-    """Return headings of the report with their figures of one panel."""
-    sections: dict[str, list[Figure]] = {}
-    for figure in figures:
-        heading = next((text for start, text in _HEADINGS.items() if figure.name.startswith(start)), "")
-        if heading and len(figure.panels) == 1:
-            sections.setdefault(heading, []).append(figure)
-    return list(sections.items())
-
-
-_HEADINGS = {
-    "peaks": "All tests",
-    "drops": "All tests",
-    "stiffnesses": "All tests",
-    "sticks": "Single stick-slip events",
-    "collapse": "The collapse",
-    "irregular": "Where stick-slip becomes irregular",
-    "trend": "Trends",
-}
+    figures: dict[str, Sequence[Figure | None]] = {
+        "All tests": [make(found, events) for make in (peaks_figure, drops_figure, stiffnesses_figure)],
+        "Single stick-slip events": sticks_figures(found),
+        "The collapse": [collapse_figure(found, events)],
+        "Where stick-slip becomes irregular": [irregular_figure(found)],
+        "Trends": trends_figures(found),
+    }
+    return {heading: [one for one in part if one is not None] for heading, part in figures.items()}
 
 
 # --- overlays by velocity -----------------------------------------------------------------------------------

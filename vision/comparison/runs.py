@@ -19,7 +19,7 @@ import pandas as pd
 from vision.data import whole_events
 from vision.errors import InputError, check_kind
 from vision.files import AGAIN, check_regular, reading, shortened
-from vision.numeric import Floats
+from vision.numeric import Floats, number
 from vision.run import RunFolder, is_run, read_run
 from vision.run.provenance import checksum_of
 from vision.run.reading import read_json
@@ -360,11 +360,3 @@ def _sample(content: Any) -> Sample:
     """Return the run's sample; the object PUBLISHED itself if the run does not state one."""
     parts = {part.name for part in fields(Sample)}
     return Sample(**{part: content[part] for part in parts}) if parts <= set(content or ()) else PUBLISHED
-
-
-def number(value: Any) -> float:
-    """Return a value of a JSON file or a table as a number, NaN if it is none."""
-    try:
-        return float(value)
-    except (TypeError, ValueError):
-        return math.nan

@@ -406,10 +406,7 @@ def _rate(near: Floats, time_s: Floats, value: Floats) -> tuple[Floats, Floats]:
 
 
 def _steadiness(profile: Floats) -> Floats:
-    """Weight of each sheet that falls with its creep, (stick, sheet), NaN where the creep is unknown.
-
-    Where sheets do not slip with every slip, they wander as far as they creep.
-    """
+    """Weight of each sheet, which falls with its creep, as it may wander as far, (stick, sheet), or NaN."""
     wander = np.abs(profile) / np.maximum(nan_median(np.abs(profile), axis=1)[:, None], 1e-300)
     return np.asarray(1 / (0.1 + wander**2), np.float64)
 

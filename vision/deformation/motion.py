@@ -61,7 +61,7 @@ def horizontal_deformation(
     sticks: pd.DataFrame,
     clock: Clock,
     *,
-    pixel_size_um: float | None = None,
+    pixel_size_um: float | None,
     margin_s: float | None = None,
     common_mode: bool = True,
     settings: DeformationSettings = DeformationSettings(),

@@ -197,11 +197,7 @@ def _mean_slope(m: Mechanics) -> float:
 
 
 def _stick_shape(u: Floats, m: Mechanics) -> Floats:
-    """Return the fraction of the force rise that is reached at the fraction u of the stick phase.
-
-    The slope decreases linearly by `softening` from start to end, with a mean of one; if there is an early
-    steeper part, it decreases at `early_fraction` by the factor `early_stiffness_ratio` instead.
-    """
+    """Return the fraction of the force rise at the fraction u of a stick phase: softening, or two slopes."""
     if m.early_stiffness_ratio > 1:
         later = 1 / (1 + m.early_fraction * (m.early_stiffness_ratio - 1))
         return later * (u + (m.early_stiffness_ratio - 1) * np.minimum(u, m.early_fraction))

@@ -20,7 +20,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from vision.errors import InputError
-from vision.files import AGAIN, harmless_table, reading
+from vision.files import AGAIN, reading, write_csv
 from vision.numeric import Bools, Floats
 
 if TYPE_CHECKING:
@@ -263,7 +263,7 @@ class Figure:
         path = Path(path)
         kind = path.suffix.lower()
         if kind == ".csv":
-            harmless_table(self.table()).to_csv(path, index=False, float_format="%.8g", lineterminator="\n")
+            write_csv(self.table(), path, digits=8)
         elif kind in (".png", ".pdf", ".svg"):
             from vision.figures import drawing
 

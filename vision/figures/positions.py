@@ -27,7 +27,7 @@ from vision.figures.style import (
     time_axis,
 )
 from vision.models import ModelFits
-from vision.numeric import Bools, Floats, Ints, nan_median, spread_indices
+from vision.numeric import Floats, Ints, nan_median, spread_indices
 
 MOST_POINTS = 1600  # of one sheet
 BINS = 20  # per pixel
@@ -47,15 +47,16 @@ def tracks_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> 
     """Return x(n, t) less each sheet's origin (`origin_px`), in µm, or in px without a pixel size."""
     at, x_px = decimated_tracks(tracks)
     scale, unit = displacement_unit(pixel_size_um)
-    displacement = (x_px - origin_px(tracks)) * scale
-    frames = tracks.sizes["frame"]
+    frames = origin_frames(tracks)
+    displacement = (x_px - origin_px(tracks, frames)) * scale
+    count = tracks.sizes["frame"]
     decimated = (
         f" The lines show the minimum and maximum position in each of {len(at) // 2} intervals of the "
-        f"{frames} frames, so that all slips are visible; tracks.csv holds every frame."
-        if len(at) < frames
+        f"{count} frames, so that all slips are visible; tracks.csv holds every frame."
+        if len(at) < count
         else ""
     )
-    origin = _origin_text(tracks)
+    origin = _origin_text(tracks, frames)
     panel = Panel(
         title=f"Displacement of every sheet from x₀, {origin}",
         x_label=time_axis(tracks)[1],
@@ -351,13 +352,30 @@ def shells_figure(shells: pd.DataFrame, fits: ModelFits | None = None) -> Figure
 # --- displacement from an origin ----------------------------------------------------------------------------
 
 
-def origin_px(tracks: xr.Dataset) -> Floats:
+def origin_frames(tracks: xr.Dataset) -> slice:
+    """Return up to `ORIGIN_FRAMES` frames, the first in which nearly as many sheets as ever have a position.
+
+    The slice is empty if no sheet was ever found.
+    """
+    known = np.isfinite(tracks["x_px"].values)
+    frames, sheets = known.shape
+    length = min(ORIGIN_FRAMES, frames)
+    total = np.concatenate([np.zeros((1, sheets), np.int64), np.cumsum(known, axis=0)])
+    # Number of sheets with positions in all `length` frames, by the first of them.
+    count = (total[length:] - total[:-length] == length).sum(axis=1)
+    if count.any():
+        start = int((count >= LEAST_SHARE * count.max()).argmax())
+        return slice(start, start + length)
+    start = int(known.any(axis=1).argmax())
+    return slice(start, min(start + length, frames)) if known.any() else slice(0)
+
+
+def origin_px(tracks: xr.Dataset, frames: slice) -> Floats:
     """Return the origin from which every sheet's displacement is counted, (sheet,) in px.
 
-    The origin is the median position over up to `ORIGIN_FRAMES` frames, the same for all sheets: the first
-    ones in which nearly as many sheets as ever have a position. For a sheet that has none there, its own
-    first frames are used, and the displacement that its neighbours have by then (linear in n) is subtracted.
-    The origin is NaN for a sheet that was never found.
+    The origin is the median position over the frames of `origin_frames`, the same for all sheets. For a sheet
+    that has none there, its own first frames are used, and the displacement that its neighbours have by then
+    (linear in n) is subtracted. The origin is NaN for a sheet that was never found.
 
     A median over all frames would depend on which of them have a position, and a gap would shift the whole
     curve relative to its neighbours.
@@ -366,45 +384,29 @@ def origin_px(tracks: xr.Dataset) -> Floats:
     known = np.isfinite(x)
     if not known.any():
         return np.full(x.shape[1], np.nan)
-    first, last = _first_stretch(known)
-    origin = nan_median(x[first:last])
+    origin = nan_median(x[frames])
     late = np.flatnonzero(~np.isfinite(origin) & known.any(axis=0))
     early = np.flatnonzero(np.isfinite(origin))
     signed = np.asarray(tracks["side"].values * tracks["n"].values, np.float64)
     for sheet in late:
-        frames = np.flatnonzero(known[:, sheet])[:ORIGIN_FRAMES]
-        displacement = nan_median(x[np.ix_(frames, early)] - origin[early])
+        own = np.flatnonzero(known[:, sheet])[:ORIGIN_FRAMES]
+        displacement = nan_median(x[np.ix_(own, early)] - origin[early])
         measured = np.flatnonzero(np.isfinite(displacement))
         order = measured[np.argsort(signed[early[measured]])]
         shift = np.interp(signed[sheet], signed[early[order]], displacement[order]) if order.size else 0.0
-        origin[sheet] = np.median(x[frames, sheet]) - shift
+        origin[sheet] = np.median(x[own, sheet]) - shift
     return origin
 
 
-def _origin_text(tracks: xr.Dataset) -> str:
-    """Return which frames the origin of `origin_px` is the median over."""
-    known = np.isfinite(tracks["x_px"].values)
-    if not known.any():
+def _origin_text(tracks: xr.Dataset, frames: slice) -> str:
+    """Return which frames the origin is the median over."""
+    numbers = tracks["frame"].values[frames]
+    if not numbers.size:
         return "its median over the first frames"
-    first, last = _first_stretch(known)
-    frames = tracks["frame"].values[[first, last - 1]]
     time, label = time_axis(tracks)
-    span = "" if label == "frame" else f" (t = {time[first]:.3g} to {time[last - 1]:.3g} s)"
-    return f"its median over frames {frames[0]} to {frames[1]}{span}"
-
-
-def _first_stretch(known: Bools) -> tuple[int, int]:
-    """Return the half-open range of frames for the origin.  known: whether x is measured, (frame, N)."""
-    frames, sheets = known.shape
-    length = min(ORIGIN_FRAMES, frames)
-    total = np.concatenate([np.zeros((1, sheets), np.int64), np.cumsum(known, axis=0)])
-    # Number of sheets with positions in all `length` frames, by the first of them.
-    count = (total[length:] - total[:-length] == length).sum(axis=1)
-    if count.max() == 0:
-        start = int(known.any(axis=1).argmax())
-        return start, min(start + length, frames)
-    start = int((count >= LEAST_SHARE * count.max()).argmax())
-    return start, start + length
+    first, last = time[frames][[0, -1]]
+    span = "" if label == "frame" else f" (t = {first:.3g} to {last:.3g} s)"
+    return f"its median over frames {numbers[0]} to {numbers[-1]}{span}"
 
 
 def outward_px(tracks: xr.Dataset, sheets: Ints | None = None) -> Floats:
@@ -418,7 +420,7 @@ def outward_px(tracks: xr.Dataset, sheets: Ints | None = None) -> Floats:
     x = np.asarray(tracks["x_px"].values, np.float64)[:, chosen]
     found = np.isfinite(x).mean(axis=0)
     often = found >= min(LEAST_FOUND, float(found.max(initial=0.0)))
-    outward = (x - origin_px(tracks)[chosen]) * tracks["side"].values[chosen]
+    outward = (x - origin_px(tracks, origin_frames(tracks))[chosen]) * tracks["side"].values[chosen]
     mean = np.asarray(outward[:, often].mean(axis=1)) if often.any() else np.full(len(x), np.nan)
     if np.isfinite(mean).any():
         return mean

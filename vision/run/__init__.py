@@ -11,7 +11,7 @@ from vision.run.reading import (
     read_run,
     read_strip,
 )
-from vision.run.writing import FAILURES, write_run
+from vision.run.writing import FAILURES, results_folder, write_run
 
 __all__ = [
     "FAILURES",
@@ -27,5 +27,6 @@ __all__ = [
     "is_run",
     "read_run",
     "read_strip",
+    "results_folder",
     "write_run",
 ]

@@ -14,7 +14,7 @@ import xarray as xr
 
 from vision.data import MEASURED, StripMetadata
 from vision.errors import InputError
-from vision.files import AGAIN, harmless, harmless_table, reading
+from vision.files import AGAIN, harmless, reading, write_csv
 from vision.folder import check_new, flattened, run_folder, whole_file, write_json
 from vision.run.reading import RunFolder, check_outside, check_results, read_json
 from vision.run.tables import sheets_table, tracks_table
@@ -70,7 +70,7 @@ def _write_folder(run: RunFolder, to: Format, target: Path, *, overwrite: bool) 
     with run_folder(target, overwrite=overwrite) as folder:
         for name, table in tables.items():
             if to == "csv":
-                harmless_table(table).to_csv(folder / f"{name}.csv", index=False, lineterminator="\n")
+                write_csv(table, folder / f"{name}.csv", digits=None)
             else:
                 table.to_parquet(folder / f"{name}.parquet", engine="pyarrow", index=False)
         write_json(facts, folder / "run.json")
@@ -84,7 +84,7 @@ def _write_file(run: RunFolder, to: Format, path: Path) -> list[str]:
         write_mat(run, path)
     else:
         table = trackpy_table(run) if to == "trackpy" else napari_table(run)
-        harmless_table(table).to_csv(path, index=False, lineterminator="\n")
+        write_csv(table, path, digits=None)
     return []
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import glob
 import hashlib
 import importlib.metadata
 import math
@@ -17,7 +16,7 @@ from typing import Any, Literal, Self
 
 import vision
 from vision.errors import InputError, with_options
-from vision.files import Progress, begun
+from vision.files import Progress, begun, members
 
 PACKAGES = ("av", "h5netcdf", "numpy", "opencv-python-headless", "pandas", "scipy", "tifffile", "xarray")
 MIB = 1 << 20
@@ -104,7 +103,7 @@ def describe_input(
     """
     digest = hashlib.sha256()
     try:
-        files = [(file, file.stat()) for file in _files(path)]
+        files = [(file, file.stat()) for file in sorted(members(path)) if file.is_file() or not path.is_dir()]
         size = sum(facts.st_size for _, facts in files)
         whole = whole or size <= PARTS * MIB
         if not whole:
@@ -202,11 +201,3 @@ def _parts(files: Sequence[tuple[Path, int]], *, whole: bool) -> Iterator[bytes]
                 stream.seek(low)
                 for at in range(low, high, MIB):
                     yield stream.read(min(MIB, high - at))
-
-
-def _files(path: Path) -> list[Path]:
-    if path.is_dir():
-        return sorted(file for file in path.iterdir() if file.is_file())
-    if path.exists():
-        return [path]
-    return sorted(Path(name) for name in glob.glob(str(path)))  # noqa: PTH207  # may be absolute

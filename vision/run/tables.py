@@ -23,7 +23,7 @@ from pyarrow import csv
 
 from vision.errors import InputError
 from vision.figures.decimate import grey_limits
-from vision.files import AGAIN, check_regular, harmless_table, reading
+from vision.files import AGAIN, check_regular, reading
 from vision.numeric import Floats, Floats32, row_parts
 from vision.video.frames import FrameStore
 from vision.video.reader import read_fully
@@ -133,11 +133,6 @@ def _encoded_part(text: NDArray[Any]) -> NDArray[np.bytes_]:
     width = max(1, int(np.strings.str_len(wide).max(initial=1)))
     codes = wide.view(np.uint32).reshape(*wide.shape, -1)[..., :width]  # of the characters
     return np.ascontiguousarray(codes, np.uint8).view(f"S{width}")[..., 0]
-
-
-def write_table(table: pd.DataFrame, path: Path) -> None:
-    """Write CSV with nine digits, with text that a spreadsheet would take for a formula made harmless."""
-    harmless_table(table).to_csv(path, index=False, float_format="%.9g", lineterminator="\n")
 
 
 def netcdf_attrs(attrs: Mapping[str, Any]) -> dict[str, Any]:

@@ -23,6 +23,7 @@ from vision.figures import (
     publication_figures_of,
     save_figures,
 )
+from vision.files import write_csv
 from vision.folder import run_folder, write_json
 from vision.pipeline import Analysis
 from vision.report import write_report
@@ -30,7 +31,6 @@ from vision.run.provenance import Origin, checksum_of
 from vision.run.tables import (
     sheets_table,
     write_kymograph_tif,
-    write_table,
     write_tracks_csv,
     write_tracks_nc,
 )
@@ -99,6 +99,20 @@ def write_run(
         content["seconds"] = seconds
         write_json(content, folder / "run.json")
     return content
+
+
+@contextmanager
+def results_folder(
+    target: Path, facts: Mapping[str, Any], *, started: float, overwrite: bool
+) -> Iterator[Path]:
+    """Yield a folder for a command's results, write its run.json at the end, and put it in place.
+
+    facts: content of run.json besides the time since `started`, a value of `time.perf_counter`.
+    Raises: InputError as `run_folder`.
+    """
+    with run_folder(target, overwrite=overwrite) as folder:
+        yield folder
+        write_json({**facts, "seconds": {"total": time.perf_counter() - started}}, folder / "run.json")
 
 
 def _write_decisions(
@@ -198,10 +212,10 @@ def _write_tables(analysis: Analysis, folder: Path, origin: Origin) -> None:
         size, constant = analysis.pixel_size_um, systematic_budget(analysis).total("x_px")
         path = folder / "tracks.nc"
         write_tracks_nc(analysis.tracks, path, pixel_size_um=size, constant_error_px=constant)
-        sheets_table(analysis.tracks).to_csv(folder / "sheets.csv", index=False, lineterminator="\n")
+        write_csv(sheets_table(analysis.tracks), folder / "sheets.csv", digits=None)
         write_kymograph_tif(analysis.strip, folder / "kymograph.tif", pixel_size_um=size)
     if analysis.sticks is not None:
-        write_table(analysis.sticks, folder / "events.csv")
+        write_csv(analysis.sticks, folder / "events.csv")
     if analysis.fits is not None:
         write_json(analysis.fits.to_json(), folder / "models.json")
     elif "fits" in analysis.reasons:
@@ -213,9 +227,9 @@ def _write_tables(analysis: Analysis, folder: Path, origin: Origin) -> None:
         )
     if analysis.motion is not None:
         table = deformation_table(analysis.motion, threshold=analysis.threshold)
-        write_table(table, folder / "deformation.csv")
+        write_csv(table, folder / "deformation.csv")
     if analysis.shells is not None:
-        write_table(analysis.shells, folder / "shells.csv")
+        write_csv(analysis.shells, folder / "shells.csv")
 
 
 @contextmanager

@@ -11,7 +11,6 @@ from vision.sheets.subpixel import (
     choose_window,
     paper_vertex,
     sliding_vertex,
-    template_shift,
 )
 from vision.sheets.tracks import pixel_size_of, track_sheets, with_heights
 
@@ -27,7 +26,6 @@ __all__ = [
     "pixel_size_of",
     "read_corrections",
     "sliding_vertex",
-    "template_shift",
     "track_sheets",
     "wide_spacings",
     "with_heights",

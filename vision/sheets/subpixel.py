@@ -166,49 +166,36 @@ def sliding_vertex(profile: NDArray[np.floating], starts: Starts, *, window_px: 
     return FittedPositions(np.where(found, column + step, np.nan), np.where(found, err, np.nan))
 
 
-def template_shift(
-    profile: NDArray[np.floating], starts: Starts, shape: NDArray[np.integer], x_px: Floats, *, half_px: int
+def match_sheet(
+    profile: NDArray[np.floating], frame: Ints, x_px: Floats, half_px: int, *, dark: bool = False
 ) -> FittedPositions:
-    """Return positions by matching each ridge to the mean shape of its sheet.
+    """Return the positions of one sheet by matching each of its ridges to their mean shape.
 
-    The pixels of all ridges of a sheet, each shifted by its initial position, give the mean shape and its
+    The pixels of all ridges of the sheet, each shifted by its initial position, give the mean shape and its
     derivative at any fraction of a pixel (a least-squares spline). A Gauss-Newton step then fits shift,
     brightness and background together; both are done twice, and the shape is learned from ridges without
-    their brightness and background. The mean shift over the ridges of a sheet is
-    subtracted, so that the template never moves a sheet's mean position.
+    their brightness and background. The mean shift over the ridges is subtracted, so that the template never
+    moves the sheet's mean position.
 
     Parameters
     ----------
     profile
-        Grey levels (frame, x), bright ridges.
-    starts, shape, x_px
-        For each ridge (points,): frame and whole pixel; number of its template; initial position from
-        `sliding_vertex`.
+        Grey levels (frame, x).
+    frame, x_px
+        For each ridge (ridges,): frame, and initial position from `sliding_vertex`, not NaN.
     half_px
         Half-width of the template.
+    dark
+        Whether ridges are dark, so that the negative profile is matched.
 
     Returns
     -------
     FittedPositions
-        NaN where x_px is NaN, the window leaves the frame, or the step is larger than a pixel.
+        NaN where the window leaves the frame, or the step is larger than a pixel.
 
     Notes
     -----
     This is least-squares matching. Its scatter is 1.00–1.04 of the Cramér–Rao bound at FWHM 6–10 px.
-    """
-    position, err = np.full(len(x_px), np.nan), np.full(len(x_px), np.nan)
-    for which in np.unique(shape):
-        mine = np.flatnonzero((shape == which) & np.isfinite(x_px))
-        position[mine], err[mine] = _match_sheet(profile, starts.frame[mine], x_px[mine], half_px)
-    return FittedPositions(position, err)
-
-
-def _match_sheet(
-    profile: NDArray[np.floating], frame: Ints, x_px: Floats, half_px: int, *, dark: bool = False
-) -> tuple[Floats, Floats]:
-    """Return the same for the ridges of one sheet, (ridges,), whose pixels are gathered here.
-
-    dark: whether ridges are dark, so that the negative profile is to be matched.
     """
     centre = np.rint(x_px).astype(np.int64)
     position, err = np.full(len(x_px), np.nan), np.full(len(x_px), np.nan)
@@ -222,7 +209,7 @@ def _match_sheet(
             np.negative(pixels, out=pixels)
         pixels, centre = pixels if inside.all() else pixels[inside], centre[inside]
         position[inside], err[inside] = _match(pixels, x_px[inside] - centre, centre)
-    return np.where(np.isfinite(err), position, np.nan), err
+    return FittedPositions(np.where(np.isfinite(err), position, np.nan), err)
 
 
 def gather(profile: NDArray[np.floating], starts: Starts, offsets: NDArray[np.integer]) -> Floats:
@@ -538,7 +525,7 @@ def _match_all(
         """Match one sheet, whose pixels alone are gathered: those of all sheets would take most memory."""
         frame = np.flatnonzero(np.isfinite(x[:, n]))
         dark = comb.polarity == "dark"
-        out[frame, n], err[frame, n] = _match_sheet(profile, frame, x[frame, n], half, dark=dark)
+        out[frame, n], err[frame, n] = match_sheet(profile, frame, x[frame, n], half, dark=dark)
 
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(match, range(x.shape[1]) if sheets is None else np.flatnonzero(sheets)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import glob
 import math
 import re
 import struct
@@ -21,7 +20,7 @@ from numpy.typing import NDArray
 from PIL import Image as Pillow
 
 from vision.errors import InputError
-from vision.files import check_pixels, in_threads, reading
+from vision.files import check_pixels, in_threads, members, reading
 from vision.numeric import Floats, Ints, Pixels
 from vision.video.reader import (
     AS_STORED,
@@ -144,12 +143,10 @@ def _grey_page(first: tifffile.TiffPage, pixels: Pixels) -> Pixels:
 
 
 def _leads_with_grey(page: tifffile.TiffPage) -> bool:
-    """Return whether the first of several values per pixel is grey: of grey with alpha, of Lab, of YCbCr.
-
-    tifffile converts YCbCr to RGB in JPEG alone.
-    """
+    """Return whether the first of several values per pixel is grey: of grey with alpha, of Lab, of YCbCr."""
     kinds = tifffile.PHOTOMETRIC
     lab = (kinds.CIELAB, kinds.ICCLAB, kinds.ITULAB)
+    # tifffile converts YCbCr to RGB in JPEG alone
     stored_ycbcr = page.photometric == kinds.YCBCR and _codec_of_page(page) != "mjpeg"
     return page.samplesperpixel == 2 or page.photometric in lab or stored_ycbcr
 
@@ -269,10 +266,7 @@ def _declared_frames(tif: tifffile.TiffFile) -> int:
 
 
 def _possible(declared: int, path: Path) -> int:
-    """Return the number of frames in the metadata; 0 if a file of ten times this size could not hold them.
-
-    In a file that was cut short, that number shows how much is missing; an impossible number is damaged.
-    """
+    """Return the number of frames in the metadata; 0 if a file of ten times this size could not hold them."""
     return declared if 0 <= declared <= 10 * path.stat().st_size else 0
 
 
@@ -413,12 +407,7 @@ def _decode_image(file: Path | None, shape: tuple[int, int], dtype: np.dtype[np.
 
 def _image_files(path: Path) -> list[Path]:
     """Return the image files; InputError for none or for several kinds."""
-    if path.is_dir():
-        everything = list(path.iterdir())
-    elif path.exists():
-        everything = [path]
-    else:
-        everything = [Path(name) for name in glob.glob(str(path))]  # noqa: PTH207  # may be absolute
+    everything = members(path)
     images = [file for file in everything if file.suffix.lower() in IMAGES and file.is_file()]
     if not images:
         wanted = "a film or numbered images (PNG, TIFF, JPEG, BMP)"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 import xarray as xr
 
-from vision.data import STRIP, STRIP_PARTS, StripMetadata, record
+from vision.data import STRIP, STRIP_PARTS, StripMetadata, changed_settings, record
 from vision.errors import InputError, check_kind
 from vision.files import Progress, prefetch
 from vision.numeric import Floats32, Pixels, Strings
@@ -233,7 +233,7 @@ class _Plan:
             name="intensity",
             attrs=STRIP["intensity"].attrs | _metadata(video, self.strip, read, settings).attrs(),
         )
-        return record(profile, "strip_profile", **self.asked, settings=asdict(settings))
+        return record(profile, "strip_profile", **self.asked, settings=changed_settings(settings))
 
 
 def reference_frame(video: Video) -> Pixels:

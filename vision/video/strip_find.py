@@ -340,10 +340,7 @@ def _measure_slopes(
 
 
 def _steps(pixels: Floats32) -> Floats:
-    """Return mean square steps along z and along x between pixels of every second row and column, (2, row).
-
-    Steps over 2 px avoid the comb effect of interlaced fields, whose rows differ where sheets move.
-    """
+    """Return mean square steps along z and x of every second pixel, unlike interlaced fields, (2, row)."""
     along_z, along_x = np.diff(pixels, axis=0, append=pixels[-1:]), np.diff(pixels, axis=1)
     return np.stack([np.einsum("zx,zx->z", steps, steps) / steps.shape[1] for steps in (along_z, along_x)])
 
