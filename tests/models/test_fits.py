@@ -11,12 +11,14 @@ import pytest
 import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.signal import butter, sosfilt
 
 from tests.scenes.event_tables import PARAMETERS, build_up_of, pulls
-from tests.scenes.sawtooth import recording
+from tests.scenes.sawtooth import realistic, recording
 from vision.command.options import option_names
 from vision.errors import InputError, with_options
 from vision.folder import plain
+from vision.force import find_stick_slip
 from vision.models import ModelFits, equations, fit_models
 from vision.sample import PUBLISHED, Sample
 
@@ -428,3 +430,20 @@ def test_the_error_of_d0_is_systematic() -> None:
     assert found.mu.systematic_error >= np.hypot(part, found.budget["thickness_mm"]["mu"])
     assert found.budget["thickness_mm"]["mu"] == pytest.approx(0.89 * 0.02, rel=0.1)
     assert set(found.to_json()["budget"]) == {"d0", "load_drift", "thickness_mm"}
+
+
+@pytest.mark.parametrize("hertz", [4.0, 5.0])
+def test_a_filter_that_settles_within_the_sticks_is_an_error_of_the_scale(hertz: float) -> None:
+    """A failure means Λ̂ off by several of its errors, since what a filter leaves of a slip tilts short sticks
+    more than long ones."""
+    made = realistic(tau=0.0, noise=0.1, d1=14.2, softening=0.0)
+    load = made.force["load_N"].to_numpy()
+    found = []
+    for filtered in (load, sosfilt(butter(2, hertz, fs=200.0, output="sos"), load)):
+        force = made.force.assign(load_N=("time_s", filtered))
+        found.append(fit_models(force, find_stick_slip(force)).scale_mm)
+    sharp, blurred = found
+    off = abs(blurred.value - sharp.value)
+    assert off > 2 * np.hypot(blurred.error, sharp.error)
+    assert off < 2 * np.hypot(blurred.error, blurred.systematic_error)
+    assert blurred.systematic_error < 0.05 * blurred.value

@@ -519,7 +519,7 @@ def _unresolved_corners(
         by_filter = none | {name: abs(resolved[name] - one.value) for name, one in fits.named().items()}
         # The rise during the slip is the same loss, measured after the valley.
         by_filter["A"] = max(by_filter["A"] or 0.0, abs(fits.amplitude.value * by_sampling))
-        return {"filter": by_filter}
+        return {"filter": _larger(by_filter, _settling(fits, facts.central_part, events, refit))}
     if not (of_drop or of_k):
         return {"sampling": none | {"A": abs(fits.amplitude.value * by_sampling)}} if by_sampling else {}
     # Both make the valleys too shallow, so the errors add linearly.
@@ -533,7 +533,30 @@ def _unresolved_corners(
         "A": abs(fits.amplitude.value) * (of_drop + abs(by_sampling)),
         "K_N_per_mm": abs(float(events["K_N_per_mm"].median())) * of_k,
     }
+    if facts.lowpass_doubt == "shape":
+        by_lowpass = _larger(by_lowpass, _settling(fits, facts.central_part, events, refit))
     return {"low_pass": by_lowpass}
+
+
+def _larger(first: Mapping[str, float | None], second: Mapping[str, float | None]) -> dict[str, float | None]:
+    return {name: max(one or 0.0, second.get(name) or 0.0) for name, one in first.items()}
+
+
+def _settling(
+    fits: ModelFits,
+    part: float,
+    events: pd.DataFrame,
+    refit: Callable[[pd.DataFrame], dict[str, float]],
+) -> dict[str, float | None]:
+    """What an unknown filter, in which the load settles after slips, may change: as much as the fit to the
+    slopes of the central 30 % of the sticks differs from that to the central `part`, noise aside."""
+    later = refit(events.assign(K_N_per_mm=events["K30_N_per_mm"]))
+    noise = (part / 0.3) ** 3 - 1  # variance that the narrower part adds, over that of the whole
+    return {
+        name: float(np.sqrt(max((later[name] - one.value) ** 2 - noise * one.error**2, 0.0)))
+        for name, one in fits.named().items()
+        if np.isfinite(later[name])
+    }
 
 
 def _drop_lost_by_sampling(force: xr.Dataset, events: pd.DataFrame) -> float:
