@@ -517,8 +517,8 @@ class StickMetadata(Metadata):
     lowpass_peak_mm
         Median travel in which a stick rises by as much as this correction would raise its peak.
     average_s, ringing_s
-        Time over which the load was averaged, 0 for none; period of the load's ringing after slips, NaN for
-        none.
+        Time over which the load was averaged, 0 for none; period of the load's ringing after slips, or
+        of hum; NaN for none.
     filter_s
         Duration that a filter of the machine may have given every slip; 0 where a low-pass was found, samples
         were lost, slips last less than 2.5 samples, or the load is level at their ends. Its effect is part of

@@ -304,7 +304,9 @@ def lowpass_correction(sticks: pd.DataFrame) -> str:
                 "`lowpass_s` can correct"
             )
         if math.isfinite(facts.ringing_s):
-            proposal += f"; the load rings at {1 / facts.ringing_s:.3g} Hz, which `average_s` auto averages"
+            proposal += (
+                f"; the load oscillates at {1 / facts.ringing_s:.3g} Hz, which `average_s` auto averages"
+            )
         return f"forces as recorded{proposal}"
     return f"corrected for a low-pass of {_ms(facts.lowpass_s)} ({facts.lowpass_how})"
 

@@ -166,10 +166,10 @@ def _is_ringing(signal: Signal, period_s: float, threshold_N: float | None, sett
 
 
 def _proposal(ringing_s: float) -> str:
-    """Return that the load rings, and what to do."""
+    """Return that the load oscillates, and what to do."""
     return (
-        f"the load rings after each slip, at {1 / ringing_s:.3g} Hz: `average_s` {ringing_s:.3g} averages it "
-        "over one period"
+        f"the load oscillates at {1 / ringing_s:.3g} Hz (ringing after slips, or hum): `average_s` "
+        f"{ringing_s:.3g} averages it over one period"
     )
 
 
