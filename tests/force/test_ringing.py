@@ -159,7 +159,7 @@ def test_the_clock_takes_slips_where_they_are(period, damping, share):
     assert np.median(force_slips(force, sticks)["time_s"] - true_s) > 0.01
 
 
-@pytest.mark.parametrize("size", [1.0, 20.0])
+@pytest.mark.parametrize("size", [3.0, 20.0])
 def test_hum_is_averaged_as_well(size):
     """A failure means that K is wrong by what hum leaves in it, though the user asked for the average."""
     time = scene().force["time_s"].to_numpy()
