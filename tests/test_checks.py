@@ -39,9 +39,15 @@ def picture():
     return film()
 
 
-def test_a_film_that_agrees_with_itself_raises_nothing(picture):
+@pytest.fixture(scope="module")
+def tracked(picture):
+    """The tracks of it; not to be changed."""
+    return track_sheets(picture)
+
+
+def test_a_film_that_agrees_with_itself_raises_nothing(picture, tracked):
     """A failure means a warning on good films: nobody reads the next one."""
-    assert consistency_warnings(track_sheets(picture)) == []
+    assert consistency_warnings(tracked) == []
     assert consistency_warnings(track_sheets(picture, sheets=SHEETS, axis_px=AXIS)) == []
 
 
@@ -69,11 +75,11 @@ def test_an_axis_that_motion_allows_is_not_doubted(picture, pitches):
         (280.0, "not decided by the motion, which allows 192.5 to 280.0 px"),
     ],
 )
-def test_an_axis_is_said_to_be_where_the_motion_allows_it(picture, high_px, said):
+def test_an_axis_is_said_to_be_where_the_motion_allows_it(tracked, high_px, said):
     """A failure means "192.5 px (the motion allows 193 to 193 px)", which contradicts itself, or that an axis
     which the motion leaves open by four sheets is called found."""
     found = {"axis_px": 192.5, "axis_how": "motion", "axis_low_px": 192.9, "axis_high_px": high_px}
-    tracks = track_sheets(picture).assign_attrs(**found)
+    tracks = tracked.assign_attrs(**found)
     (line,) = [one for one in summary_lines(Results(tracks=tracks)) if one.startswith("axis")]
     assert line == f"axis       192.5 px ({said})"
 
@@ -117,15 +123,14 @@ def test_unequal_sheets_are_sheets():
     assert consistency_warnings(track_sheets(film(uneven, snr=300), sheets=SHEETS)) == []
 
 
-def test_more_ridges_on_a_side_than_the_sample_has_sheets(picture):
+def test_more_ridges_on_a_side_than_the_sample_has_sheets(tracked):
     """A block of 20 sheets cannot show 25 ridges; a sample that nobody gave contradicts nothing."""
-    tracks = track_sheets(picture)
     given = replace(PUBLISHED, sheets_per_block=20)
-    lines = consistency_warnings(tracks, given)
+    lines = consistency_warnings(tracked, given)
     assert len(lines) == 1
     assert "20 sheets per block and side given, but n reaches 25" in lines[0]
     assert "`sheets_per_block`" in lines[0]
-    assert consistency_warnings(tracks, replace(PUBLISHED, sheets_per_block=25, width_mm=44.0)) == []
+    assert consistency_warnings(tracked, replace(PUBLISHED, sheets_per_block=25, width_mm=44.0)) == []
     assert consistency_warnings(track_sheets(strip(ridges(comb(150, per_side=29))))) == []
 
 
@@ -142,11 +147,11 @@ def test_a_side_that_lacks_a_sheet_of_the_sample_is_named():
 
 
 @pytest.mark.parametrize(("size_um", "said"), [(None, 0), (10, 0), (3, 0), (30, 0), (0.01, 1), (10_000, 1)])
-def test_a_pixel_size_in_another_unit(picture, size_um, said):
+def test_a_pixel_size_in_another_unit(tracked, size_um, said):
     """A failure means that µm taken for mm are not noticed, or that a true pixel size is questioned."""
-    lines = consistency_warnings(track_sheets(picture), assumed=PUBLISHED, pixel_size_um=size_um)
+    lines = consistency_warnings(tracked, assumed=PUBLISHED, pixel_size_um=size_um)
     assert sum("check `pixel_size_um`" in line for line in lines) == said
-    unknown = consistency_warnings(track_sheets(picture), pixel_size_um=size_um)  # thickness of the sheets
+    unknown = consistency_warnings(tracked, pixel_size_um=size_um)  # thickness of the sheets
     assert sum("0.2 µm apart" in line for line in unknown) == len(unknown) == (size_um == 0.01)
 
 
@@ -226,9 +231,9 @@ def test_sides_with_different_shells_are_said():
     assert unlike_sides(None, ShellSettings()) == []
 
 
-def test_frames_of_another_scene_are_named(picture):
+def test_frames_of_another_scene_are_named(picture, tracked):
     """A failure means that half a film of something else passes as some missing positions."""
-    assert tracking_warnings(track_sheets(picture)) == []
+    assert tracking_warnings(tracked) == []
     other = picture.copy(deep=True)
     rng = np.random.default_rng(1)
     other.values[90:] = 60 + rng.normal(0, 0.6, other.values[90:].shape)
@@ -262,20 +267,18 @@ def test_a_picture_has_no_noise_to_measure_and_says_so(picture, frames):
     assert "not measured" in _noise(noise_figures(tracks, None), "")
 
 
-def test_a_film_of_few_grey_levels_is_not_called_still(picture):
+def test_a_film_of_few_grey_levels_is_not_called_still(tracked):
     """A failure means that a film that moves is said to consist of equal frames."""
-    tracks = track_sheets(picture)
-    tracks = tracks.assign(x_noise_px=("sheet", np.zeros(tracks.sizes["sheet"])))
+    tracks = tracked.assign(x_noise_px=("sheet", np.zeros(tracked.sizes["sheet"])))
     lines = " ".join(tracking_warnings(tracks))
     assert "too few grey levels" in lines
     assert "all frames are equal" not in lines
 
 
-def test_frames_without_positions_are_not_called_equal(picture):
+def test_frames_without_positions_are_not_called_equal(tracked):
     """A failure means that a noisy film in which no ridge could be fitted is said not to change."""
-    tracks = track_sheets(picture)
-    nothing = np.full_like(tracks.x_noise_px.values, np.nan)
-    tracks = tracks.assign(flag=xr.full_like(tracks.flag, "missing"), x_noise_px=("sheet", nothing))
+    nothing = np.full_like(tracked.x_noise_px.values, np.nan)
+    tracks = tracked.assign(flag=xr.full_like(tracked.flag, "missing"), x_noise_px=("sheet", nothing))
     assert "all frames are equal" not in " ".join(tracking_warnings(tracks))
 
 

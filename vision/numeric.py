@@ -88,12 +88,12 @@ def correlation_inflation(residual: Floats, most: float) -> float:
 
 def nan_median(values: NDArray[np.floating], axis: int = 0) -> Floats:
     """Return the median along an axis, ignoring NaN; NaN, without a warning, if all values are NaN."""
-    return _of_lanes(_median, np.moveaxis(np.asarray(values), axis, -1))
+    return _of_lanes(_median, values, axis)
 
 
 def nan_quantile(values: NDArray[np.floating], fraction: float, axis: int = 0) -> Floats:
     """Return a quantile along an axis, ignoring NaN, interpolated linearly; NaN if all values are NaN."""
-    return _of_lanes(partial(_quantile, fraction), np.moveaxis(np.asarray(values), axis, -1))
+    return _of_lanes(partial(_quantile, fraction), values, axis)
 
 
 def median_of_all(values: Floats) -> float:
@@ -103,15 +103,19 @@ def median_of_all(values: Floats) -> float:
 
 def median_size(values: NDArray[np.floating], middle: Floats | float = 0.0) -> Floats:
     """Return the median distance of each column of (rows, columns) from its `middle`, (columns,), ignoring
-    NaN, one at a time."""
-    each = zip(values.T, np.broadcast_to(middle, values.shape[1]), strict=True)
-    return np.array([nan_median(np.abs(column - at)) for column, at in each], np.float64)
+    NaN, a few at a time."""
+    size, middles = np.empty(values.shape[1]), np.broadcast_to(middle, values.shape[1])
+    for few in column_parts(values):
+        size[few] = nan_median(np.abs(values[:, few] - middles[few]))
+    return size
 
 
 def median_where(known: Bools, values: NDArray[np.floating]) -> Floats:
-    """Return the median of each column of values (rows, columns) where they are known, one at a time."""
-    each = zip(known.T, values.T, strict=True)
-    return np.array([nan_median(np.where(use, column, np.nan)) for use, column in each], np.float64)
+    """Return the median of each column of values (rows, columns) where they are known, a few at a time."""
+    median = np.empty(values.shape[1])
+    for few in column_parts(values):
+        median[few] = nan_median(np.where(known[:, few], values[:, few], np.nan))
+    return median
 
 
 def median_step(values: NDArray[np.floating]) -> Floats:
@@ -141,6 +145,12 @@ def row_parts(rows: int, at_once: int = ROWS_AT_ONCE) -> Iterator[slice]:
     return (slice(start, min(start + at_once, rows)) for start in range(0, rows, at_once))
 
 
+def column_parts(values: NDArray[Any]) -> Iterator[slice]:
+    """Yield slices of consecutive columns of a table (rows, columns), with `AT_ONCE` values or one column."""
+    rows, columns = values.shape
+    return row_parts(columns, max(1, AT_ONCE // max(1, rows)))
+
+
 def weighted_median(values: Floats, weights: Floats) -> float:
     """Return the value up to which the weights add up to half of their sum; (values,), NaN where not known.
 
@@ -163,13 +173,16 @@ def weighted_median(values: Floats, weights: Floats) -> float:
     return float(values[near[min(int(np.searchsorted(up_to, half)), len(near) - 1)]])
 
 
-def _of_lanes(statistic: Callable[[Floats], Floats], values: NDArray[np.floating]) -> Floats:
-    """Return a statistic of values along the last axis, of a part at a time, as each is copied and sorted."""
-    if values.ndim == 1 or values.size <= AT_ONCE:
+def _of_lanes(statistic: Callable[[Floats], Floats], values: NDArray[np.floating], axis: int) -> Floats:
+    """Return a statistic of values along an axis, of a part at a time, as each is copied and sorted."""
+    if np.ndim(values) == 1:  # most often, and then moving the axis takes as long as the median
+        return statistic(np.array(values, np.float64))
+    values = np.moveaxis(np.asarray(values), axis, -1)
+    if values.size <= AT_ONCE:
         return statistic(np.array(values, np.float64, order="C"))
     each = values[0].size
     if each > AT_ONCE and values.ndim > 2:
-        return np.stack([_of_lanes(statistic, part) for part in values])
+        return np.stack([_of_lanes(statistic, part, -1) for part in values])
     rows = max(1, AT_ONCE // each)
     parts = (values[start : start + rows] for start in range(0, len(values), rows))
     return np.concatenate([statistic(np.array(part, np.float64, order="C")) for part in parts])
@@ -218,7 +231,7 @@ def _quantile(fraction: float, lanes: Floats) -> Floats:
 
 def _complete(ordered: Floats) -> bool:
     """Return whether all values of ordered lanes are finite."""
-    return bool(np.isfinite(ordered[..., [0, -1]]).all())
+    return bool(np.isfinite(ordered[..., 0]).all() and np.isfinite(ordered[..., -1]).all())
 
 
 def _in_lanes(lanes: Floats, index: Ints) -> Floats:

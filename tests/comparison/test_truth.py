@@ -168,9 +168,9 @@ def measured_wrongly(folder, rng, *, stated):
 def test_errors_of_the_geometry_and_of_d0_are_in_that_of_the_joint_mu(tmp_path):
     """A failure means a joint μ that is stated ten times better than thickness and d0 are known."""
     off = {}
-    for stated in (True, False):
+    for stated, draws in ((True, 10), (False, 4)):
         rng = np.random.default_rng(5)
-        joint = [measured_wrongly(tmp_path / f"{stated}{k}", rng, stated=stated).mu for k in range(10)]
+        joint = [measured_wrongly(tmp_path / f"{stated}{k}", rng, stated=stated).mu for k in range(draws)]
         total = [np.hypot(one.error, np.nan_to_num(one.systematic_error)) for one in joint]
         off[stated] = np.array([one.value - 0.89 for one in joint]) / total
         if stated:
@@ -178,7 +178,7 @@ def test_errors_of_the_geometry_and_of_d0_are_in_that_of_the_joint_mu(tmp_path):
             own = np.array([one.error for one in joint])
     assert shared == pytest.approx(0.0178, rel=0.1)  # μ ε is what the peaks give
     assert (own < 0.01).all()  # d0: 0.0067 each, halved by four tests, or the scatter that it leaves
-    assert 0.6 < np.sqrt(np.mean(off[True] ** 2)) < 1.6  # 10 draws
+    assert 0.6 < np.sqrt(np.mean(off[True] ** 2)) < 1.6  # 10 draws; few are enough to be wrong
     assert np.sqrt(np.mean(off[False] ** 2)) > 2  # scatter between the tests shows d0, nothing the thickness
 
 

@@ -26,7 +26,7 @@ def chromium() -> Iterator[Any]:
     if CHROMIUM is None:
         _without("no chromium on this machine: apt-get install chromium")
     with sync_playwright() as driver:
-        options = ["--no-sandbox", "--disable-background-networking"]
+        options = ["--no-sandbox", "--disable-background-networking", "--disable-gpu"]
         try:
             opened = driver.chromium.launch(executable_path=CHROMIUM, args=options, timeout=PATIENCE_MS)
         except Error as error:

@@ -346,7 +346,7 @@ for _count in (1, 2, 3, 7):
 
 @case("200 sheets")
 def _() -> Case:
-    x = comb(FRAMES, per_side=100, pitch_px=9, axis_px=960, slip=0.6)
+    x = comb(120, per_side=100, pitch_px=9, axis_px=960, slip=0.6)
     light = ridges(x, width=1920, fwhm_px=4, contrast=brightness(200))
     return Case(x, strip(light), pitch_px=9)
 

@@ -12,7 +12,7 @@ SNR = 100
 FRAMES = 400
 
 
-def scene(*, fwhm_px, snr=SNR, pitch_px=20.0, per_side=25, flat_px=0.0):
+def scene(*, fwhm_px, snr=SNR, pitch_px=20.0, per_side=15, flat_px=0.0):
     """A comb that slips and drifts by three pixels, so that every fraction of a pixel is met."""
     drift = np.linspace(0, 3, FRAMES)[:, None]
     x = comb(FRAMES, pitch_px=pitch_px, per_side=per_side) + drift
@@ -136,7 +136,7 @@ def test_measured_noise_leaves_out_vibration_and_creep():
 
 def test_brighter_noise_on_some_sheets_shows_in_their_errors():
     """A failure means one figure of noise is used for all sheets, though bright ridges are noisier."""
-    truth, picture = scene(fwhm_px=7)
+    truth, picture = scene(fwhm_px=7, per_side=25)
     loud = picture.copy()
     loud.values[:, 600:] += np.random.default_rng(4).normal(0, 3 * 60 / SNR, loud.values[:, 600:].shape)
     tracks = track_sheets(loud)

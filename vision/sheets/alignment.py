@@ -97,10 +97,11 @@ def values_of(match: Ints | Ints32, values: NDArray[Real]) -> NDArray[Real]:
     return found
 
 
-def align(candidates: Candidates, expected: ExpectedSheets) -> Pairing:
+def align(candidates: Candidates, expected: ExpectedSheets, *, margins: bool = True) -> Pairing:
     r"""Find the cheapest order-preserving pairing of each candidate list with the sheets, and its margins.
 
-    The lists are independent of each other; there is one row of expected positions for each.
+    The lists are independent of each other; there is one row of expected positions for each. Margins take
+    half of the time; without them they are NaN.
 
     With the cost :math:`p_{nk}` of pairing sheet n with candidate k (less the cost of leaving both unpaired),
     the cheapest alignment that ends with this pair costs
@@ -121,7 +122,7 @@ def align(candidates: Candidates, expected: ExpectedSheets) -> Pairing:
     margin = np.full(expected.x_px.shape, np.nan)
 
     def run(rows: Ints) -> Pairing:
-        return _align_batch(candidates.take(rows), replace(expected, x_px=expected.x_px[rows]))
+        return _align_batch(candidates.take(rows), replace(expected, x_px=expected.x_px[rows]), margins)
 
     with ThreadPoolExecutor(2) as pool:
         for rows, part in zip(batches, pool.map(run, batches), strict=True):
@@ -129,7 +130,7 @@ def align(candidates: Candidates, expected: ExpectedSheets) -> Pairing:
     return Pairing(match, margin)
 
 
-def _align_batch(candidates: Candidates, expected: ExpectedSheets) -> Pairing:
+def _align_batch(candidates: Candidates, expected: ExpectedSheets, margins: bool) -> Pairing:
     """Align lists of similar length."""
     longest = max(1, int(np.isfinite(candidates.x_px).sum(axis=1).max(initial=1)))
     candidates = candidates.first(longest)
@@ -142,6 +143,9 @@ def _align_batch(candidates: Candidates, expected: ExpectedSheets) -> Pairing:
     fewest = int(np.isfinite(candidates.x_px).sum(axis=1).min())
     steps = steps_between(expected.x_px.shape[1] - fewest)
     forward, origin = _pass(pair, left, candidates.x_px, expected, further, steps)
+    match = _trace(forward + right, origin, steps)
+    if not margins:
+        return Pairing(match, np.full(match.shape, np.nan))
     backward, _ = _pass(
         pair[::-1, :, ::-1], right[::-1, :, ::-1], mirrored_x, expected.mirrored(), further[:, ::-1], steps
     )
@@ -149,7 +153,6 @@ def _align_batch(candidates: Candidates, expected: ExpectedSheets) -> Pairing:
     real = np.isfinite(pair)
     # cost of the best alignment that has this pair
     through = np.where(real, forward + backward - np.where(real, pair, 0.0), np.inf)
-    match = _trace(forward + right, origin, steps)
     return Pairing(match, _margins(through, match))
 
 

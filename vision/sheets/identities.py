@@ -108,12 +108,12 @@ def identify_sheets(
         source=source,
     )
 
-    def align_all(reference: ReferenceComb, rest: Floats) -> Pairing:
+    def align_all(reference: ReferenceComb, rest: Floats, *, margins: bool = True) -> Pairing:
         expected = reference.expected(rest, comb, counted=sheets is not None)
-        return align(segments.candidates, expected)
+        return align(segments.candidates, expected, margins=margins)
 
     rest = reference.x_px + displacement[segments.middle, None]
-    match = segments.in_frames(align_all(reference, rest).match, ridges.count)
+    match = segments.in_frames(align_all(reference, rest, margins=False).match, ridges.count)
     if sheets is None:
         moved = values_of(match, ridges.x_px) - carried
         moved -= _rest_over_time(moved, reference, comb)

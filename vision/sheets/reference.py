@@ -216,7 +216,7 @@ def _revise(
     weight: number of frames of each list.
     """
     rest = reference.x_px + displacement_px[:, None]
-    match = align(candidates, reference.expected(rest, comb)).match
+    match = align(candidates, reference.expected(rest, comb), margins=False).match
     tables = (candidates.x_px, candidates.log_contrast, candidates.log_width)
     x, log_contrast, log_width = (values_of(match, values) for values in tables)
     moved = x - rest

@@ -17,6 +17,7 @@ from vision.numeric import (
     NORMAL_MEDIAN,
     Bools,
     Floats,
+    column_parts,
     median_size,
     nan_median,
     nan_quantile,
@@ -147,14 +148,15 @@ def noise_excess(positions: BetweenSlips, err_px: Floats, settings: TrackingSett
         for values, slip in zip(second.T, slips.T, strict=True):
             values[(slip[2 * lag :] != slip[: -2 * lag])[calm]] = np.nan
 
-        def over_expected(values: Floats, own: Floats) -> Floats:
-            expected = (own[: -2 * lag] + 4 * own[lag:-lag] + own[2 * lag :])[calm] / 6
-            return nan_quantile(np.abs(values) / np.sqrt(expected), ONE_SIGMA)
+        def over_expected(scatter: Floats) -> Floats:
+            of_sheets = np.empty(sheets)
+            for few in column_parts(variance):
+                own = variance[:, few]
+                expected = (own[: -2 * lag] + 4 * own[lag:-lag] + own[2 * lag :])[calm] / 6
+                of_sheets[few] = nan_quantile(np.abs(scatter[:, few]) / np.sqrt(expected), ONE_SIGMA)
+            return of_sheets
 
-        sizes = [
-            np.array([over_expected(*pair) for pair in zip(scatter.T, variance.T, strict=True)])
-            for scatter in _without_motion(second)
-        ]
+        sizes = [over_expected(scatter) for scatter in _without_motion(second)]
         return min(sizes, key=lambda of_sheets: float(nan_median(of_sheets)))
 
     sizes = np.array([size(lag) for lag in NOISE_LAGS])
