@@ -97,7 +97,7 @@ def doubts(
     unit: of the load.  rings: that the load rings, which then explains an oscillation and jumps.
     """
     lines = []
-    if rings and (regime.name != "stick-slip" or has_flag(events["flag"], "jump").mean() >= 0.5):
+    if rings and (regime.name != "stick-slip" or has_flag(events["flag"], "jump").any()):
         lines.append(rings)
     elif regime.name == "oscillation":
         lines.append(
