@@ -10,7 +10,7 @@ import pytest
 from vision.experiment.mechanics import normal_N, pull_sheets
 from vision.experiment.settings import Mechanics
 from vision.models import equations
-from vision.models.spring_block import SpringBlock, stick_slip
+from vision.models.equations import SpringBlock, stick_slip
 from vision.sample import PUBLISHED, Sample
 
 PULL = Mechanics(d_end_mm=13.08)

@@ -467,18 +467,3 @@ def is_slow(corners: Corners, settings: ForceSettings) -> Bools:
     shorter = np.minimum(np.r_[rise[:1], rise], np.r_[rise, rise[-1:]])
     slow = fall > settings.slow_slip * np.maximum(shorter, 1e-9)
     return np.asarray(slow | (slow.mean() >= 0.5), np.bool_)
-
-
-def are_level(corners: Corners, extremes: Extremes, slow: Bools, settings: ForceSettings) -> bool:
-    """Tell whether the load is level where the `slow` slips begin and end, as at those of a moving block.
-
-    Half a cosine takes as long from peak to valley as its crossings say, and as long before its middle as
-    after it. A straight fall, as a moving mean makes it of a sudden slip, begins and ends in less; a filter
-    with a tail takes longer after the middle.
-    """
-    if not slow.any():
-        return True
-    least = 1 - settings.level_share
-    with np.errstate(divide="ignore", invalid="ignore"):
-        shares = ((extremes.fall / corners.length)[slow], (corners.onset / corners.end)[slow])
-    return all(nan_median(share) >= least for share in shares)

@@ -23,14 +23,13 @@ from vision.data import (
 )
 from vision.errors import InputError, check_positive, check_within
 from vision.force.corners import Corners, Extremes, find_corners, find_extremes, is_slow
-from vision.force.hum import find_hum, is_hum, rms_of
 from vision.force.lines import fit_broken_lines, fit_lines, fit_polynomials
 from vision.force.lowpass import Lowpass, find_lowpass
 from vision.force.recording import is_compression
 from vision.force.regime import Regime, doubts, find_regime, is_unloading
 from vision.force.ringing import ringing_period
 from vision.force.settings import ForceSettings
-from vision.force.signal import Signal, SlowNoise, with_slow_noise
+from vision.force.signal import Signal, SlowNoise, find_hum, is_hum, rms_of, with_slow_noise
 from vision.force.slips import Slips, find_slips, size_gap, stick_drops, stick_lines, stick_middles
 from vision.force.sticks import filter_length, measure_sticks
 from vision.numeric import Bools, Floats, Ints, nan_median, spread_indices

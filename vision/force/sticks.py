@@ -13,7 +13,6 @@ from vision.force.corners import (
     Corners,
     Extremes,
     Shape,
-    are_level,
     find_extremes,
     is_slow,
     without_lowpass,
@@ -113,9 +112,7 @@ def measure_sticks(
     odd = d_p - d_v + compliance * (f_p - f_v) - steady.value * (t_p - t_v)
     noise_mm = np.fmax(noise_mm, nan_median(np.abs(odd)) / (NORMAL_MEDIAN * np.sqrt(2)))
     off, lost = _position_errors(signal, corners, filter_known)
-    # A filter lengthens all slips alike: a slow one no more than the shortest of them.
-    level = are_level(corners, extremes, slow, settings)
-    lost = np.fmin(lost, 0.0 if level else np.quantile(lost, 0.1))
+    lost = np.fmin(lost, filter_length(corners, extremes, settings) / np.sqrt(2))
     error_v, error_p = _corner_errors(
         signal, sticks, ends, (f_v, f_p), (off[:-1], off[1:]), (lost[:-1], lost[1:])
     )
@@ -176,13 +173,16 @@ def _position_errors(signal: Signal, corners: Corners, filter_known: bool) -> tu
 def filter_length(corners: Corners, extremes: Extremes, settings: ForceSettings) -> float:
     """Return by how many samples a filter of the machine may have lengthened every slip; 0 for none.
 
-    A filter lengthens all slips alike, so by no more than the shortest last; and not at all those that are
-    slow and level at their ends.
+    A filter lengthens all slips alike, so by no more than the shortest last; and not at all where slow ones
+    are level at their ends, as those of a moving block are. Half a cosine takes as long from peak to valley
+    as its crossings say, and as long before its middle as after it. A straight fall, as a moving mean makes
+    it of a sudden slip, begins and ends in less; a filter with a tail takes longer after the middle.
     """
-    slow = is_slow(corners, settings)
-    length = float(np.quantile(corners.length, 0.1))
-    resolved = slow.mean() >= 0.5 and are_level(corners, extremes, slow, settings)
-    return 0.0 if resolved or length < UNRESOLVED else length
+    length, slow = float(np.quantile(corners.length, 0.1)), is_slow(corners, settings)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shares = ((extremes.fall / corners.length)[slow], (corners.onset / corners.end)[slow])
+    level = slow.any() and all(nan_median(share) >= 1 - settings.level_share for share in shares)
+    return 0.0 if level or length < UNRESOLVED else length
 
 
 def _corner_errors(
