@@ -91,6 +91,11 @@ def nan_median(values: NDArray[np.floating], axis: int = 0) -> Floats:
     return _of_lanes(_median, values, axis)
 
 
+def sigma_about_zero(values: NDArray[np.floating], axis: int = 0) -> Floats:
+    """Estimate the standard deviation of normal values about 0 from their median size, ignoring NaN."""
+    return nan_median(np.abs(values), axis) / NORMAL_MEDIAN
+
+
 def nan_quantile(values: NDArray[np.floating], fraction: float, axis: int = 0) -> Floats:
     """Return a quantile along an axis, ignoring NaN, interpolated linearly; NaN if all values are NaN."""
     return _of_lanes(partial(_quantile, fraction), values, axis)

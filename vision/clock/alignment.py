@@ -19,7 +19,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from vision.clock.settings import ClockSettings
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, mad_sigma
+from vision.numeric import Bools, Floats, Ints, mad_sigma, sigma_about_zero
 from vision.signals import running_median
 
 # --- trains of slips ----------------------------------------------------------------------------------------
@@ -46,7 +46,7 @@ class SlipSizes:
         if known.sum() < 5:  # too few for a scatter
             return cls(score, 0.0)
         deviation = _subtract_trend(np.log(size[known]), settings)
-        scatter = float(np.median(np.abs(deviation))) / NORMAL_MEDIAN
+        scatter = float(sigma_about_zero(deviation))
         noise = float(np.median(np.broadcast_to(error, size.shape)[known] / size[known]))
         if not scatter > max(noise, 1e-9):
             return cls(score, 0.0)

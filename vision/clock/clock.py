@@ -28,7 +28,7 @@ from vision.data import FORCE, STICKS, TRACKS, ForceMetadata, StripMetadata
 from vision.errors import InputError, check_number
 from vision.files import html_table
 from vision.force.recording import good_samples
-from vision.numeric import NORMAL_MEDIAN, Floats, nan_median, two_digits
+from vision.numeric import Floats, nan_median, sigma_about_zero, two_digits
 
 Status = Literal["ok", "ambiguous", "given"]
 How = Literal["given", "video time column", "events"]
@@ -470,7 +470,7 @@ def _robust_line(x: Floats, y: Floats) -> tuple[float, float]:
     intercept = float(np.median(y - slope * x))
     for _ in range(10):
         residual = np.abs(y - intercept - slope * x)
-        used = residual <= 5 * max(float(np.median(residual)) / NORMAL_MEDIAN, 1e-6)
+        used = residual <= 5 * max(float(sigma_about_zero(residual)), 1e-6)
         if not np.ptp(x[used]) > 0:
             break
         slope, intercept = (float(c) for c in np.polyfit(x[used], y[used], 1))

@@ -13,7 +13,7 @@ from vision.data import StickMetadata, StripMetadata
 from vision.errors import InputError
 from vision.force.recording import good_samples
 from vision.force.ringing import averaged
-from vision.numeric import NORMAL_MEDIAN, Floats, Ints, flat_ranges, nan_median
+from vision.numeric import Floats, Ints, flat_ranges, nan_median, sigma_about_zero
 
 # --- slips of the load cell ---------------------------------------------------------------------------------
 
@@ -239,7 +239,7 @@ def _steps(tracks: xr.Dataset, least_sheets: float) -> _Steps:
 def _noise(moved_px: Floats) -> Floats:
     """Standard deviation of the movements of each sheet, (sheet,), by a median, which few slips affect."""
     deviation = moved_px - nan_median(moved_px)
-    noise = nan_median(np.abs(deviation)) / NORMAL_MEDIAN
+    noise = sigma_about_zero(deviation)
     known = noise[np.isfinite(noise)]
     floor = max(0.1 * float(np.median(known)), 1e-6) if known.size else 1.0
     return np.asarray(np.maximum(np.where(np.isfinite(noise), noise, np.inf), floor))

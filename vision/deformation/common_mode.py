@@ -15,7 +15,7 @@ import scipy
 
 from vision.deformation.creep import Creep, Noise, StickFrames, coefficient_errors, without_common_part
 from vision.deformation.settings import DeformationSettings
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, nan_median
+from vision.numeric import Bools, Floats, Ints, nan_median, sigma_about_zero
 
 LEAST_REPEATS = 5  # values from which a sheet's own movement is told: fewer do not show their scatter
 
@@ -374,7 +374,7 @@ def _without_pushes_between(middle_px: Floats, frames: StickFrames, settings: De
 def _random_walk_step(position_px: Floats) -> float:
     """RMS step, px, of the camera's random walk from stick to stick; steady drift does not count."""
     change_px = np.diff(position_px, n=2)
-    return float(np.median(np.abs(change_px))) / NORMAL_MEDIAN / np.sqrt(2) if change_px.size else 0.0
+    return float(sigma_about_zero(change_px)) / np.sqrt(2) if change_px.size else 0.0
 
 
 def _is_jump(common_px: Floats, settings: DeformationSettings) -> Bools:
@@ -453,7 +453,7 @@ def repeated_bends(creep: Creep, noise: Noise, settings: DeformationSettings) ->
     known = np.where(used, creep.coefficient, 0.0)
     bend = np.where(used, without_common_part(known[..., 2:], known[..., 1:2], used), np.nan)
     usual = nan_median(bend)
-    scatter = nan_median(np.abs(bend - usual)) / NORMAL_MEDIAN
+    scatter = sigma_about_zero(bend - usual)
     scatter = np.fmax(scatter, nan_median(np.where(used, coefficient_errors(creep, noise), np.nan)[..., 2:]))
     error = scatter * np.sqrt(np.pi / 2 / np.maximum(used.sum(axis=0), 1))  # of a median
     error[used.sum(axis=0)[:, 0] < LEAST_REPEATS] = np.inf
@@ -469,7 +469,7 @@ def _net_rate(middle_px: Floats, frames: StickFrames) -> tuple[Floats, Floats]:
     elapsed_s = (frames.middle_s[apart:] - frames.middle_s[:-apart])[:, None]
     rates = (middle_px[apart:] - middle_px[:-apart]) / elapsed_s
     rate = nan_median(rates)
-    scatter = nan_median(np.abs(rates - rate)) / NORMAL_MEDIAN
+    scatter = sigma_about_zero(rates - rate)
     error = scatter / np.sqrt(max(len(rates) / apart, 1.0))  # pairs that have no stick in common
     return rate, np.where(np.isfinite(rates).sum(axis=0) < LEAST_REPEATS, np.inf, error)
 

@@ -14,7 +14,7 @@ from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
 from vision.deformation.settings import DeformationSettings
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, nan_median
+from vision.numeric import Bools, Floats, Ints, nan_median, sigma_about_zero
 from vision.sheets import TrackingSettings
 
 # --- frames of sticks ---------------------------------------------------------------------------------------
@@ -282,7 +282,7 @@ def _extrapolation_error(residual: Floats, end: Bools, creep: Creep, frames: Sti
     """Standard error of the residuals at the ends, which are not fitted, px, (F, sheet); NaN elsewhere."""
     terms = creep.coefficient.shape[2]
     count = max(float(np.median(creep.count)), terms + 1)
-    noise = nan_median(np.abs(residual)) / NORMAL_MEDIAN * np.sqrt(count / (count - terms))
+    noise = sigma_about_zero(residual) * np.sqrt(count / (count - terms))
     left_out = np.flatnonzero(end[:, 0])
     design = legendre(frames.u[left_out], terms)
     variance = 1 + np.einsum("fa,fsab,fb->fs", design, creep.inverse[frames.row[left_out]], design)

@@ -50,7 +50,7 @@ from vision.deformation.creep import (
 )
 from vision.deformation.settings import DeformationSettings
 from vision.errors import InputError, shown
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, nan_median
+from vision.numeric import Bools, Floats, Ints, nan_median, sigma_about_zero
 
 LEAST_STEADY = 5  # sticks needed to measure how steady the pull is
 ENDS = ("t_v_s", "t_p_s", "d_v_mm", "d_p_mm")  # of a stick, as far as they are known
@@ -557,7 +557,7 @@ def _length_errors(events: pd.DataFrame, end_slope: Floats) -> tuple[Floats, Flo
     if len(length) < LEAST_STEADY:
         return sigma, sigma
     speed = length / (events["t_p_s"] - events["t_v_s"]).to_numpy(float)
-    uneven = nan_median(np.abs(speed / nan_median(speed) - 1)) / NORMAL_MEDIAN
+    uneven = sigma_about_zero(speed / nan_median(speed) - 1)
     return sigma, np.hypot(np.fmin(stated, uneven), stated * end_slope)
 
 

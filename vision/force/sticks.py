@@ -20,7 +20,7 @@ from vision.force.corners import (
 from vision.force.lines import BrokenLines, Lines, fit_broken_lines, fit_lines
 from vision.force.settings import ForceSettings
 from vision.force.signal import Signal, step_between
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, nan_median
+from vision.numeric import Bools, Floats, Ints, nan_median, sigma_about_zero
 
 # Samples below which a slip may be sudden, where each sample is the mean since the one before.
 UNRESOLVED = 2.5
@@ -110,7 +110,7 @@ def measure_sticks(
     steady = _steady_speeds(signal, sticks)
     # Where the machine runs steadily, lengths show errors of d that are alike within a stick.
     odd = d_p - d_v + compliance * (f_p - f_v) - steady.value * (t_p - t_v)
-    noise_mm = np.fmax(noise_mm, nan_median(np.abs(odd)) / (NORMAL_MEDIAN * np.sqrt(2)))
+    noise_mm = np.fmax(noise_mm, sigma_about_zero(odd) / np.sqrt(2))
     off, lost = _position_errors(signal, corners, filter_known)
     lost = np.fmin(lost, filter_length(corners, extremes, settings) / np.sqrt(2))
     error_v, error_p = _corner_errors(
@@ -462,7 +462,7 @@ def _steady_speeds(signal: Signal, sticks: _Sticks) -> _Speeds:
 
     off = np.where(known, pace.slope / np.where(known, around.slope, 1.0) - 1, np.nan)
     middle = nan_median(off)
-    usual = float(nan_median(np.abs(off - middle))) / NORMAL_MEDIAN
+    usual = float(sigma_about_zero(off - middle))
     agree = abs(middle) < 4 * usual / np.sqrt(known.sum())
     if not (agree and scatter(around.slope) < settings.steady_gain * scatter(pace.slope)):
         return own_speed
@@ -473,7 +473,7 @@ def _steady_speeds(signal: Signal, sticks: _Sticks) -> _Speeds:
     # much more the speed changes.
     before = fit_lines(pace.mean_x, pace.mean_y, begin, number + 1)
     after = fit_lines(pace.mean_x, pace.mean_y, number, end)
-    change = float(nan_median(np.abs(after.slope - before.slope))) / NORMAL_MEDIAN
+    change = float(sigma_about_zero(after.slope - before.slope))
     error = np.hypot(error, 0.5 * np.sqrt(max(change**2 - 12 * float(nan_median(error)) ** 2, 0.0)))
     return _Speeds(np.where(steady, around.slope, np.nan), np.where(steady, error, np.nan))
 

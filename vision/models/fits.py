@@ -31,7 +31,7 @@ from vision.models.single_fits import (
     largest_chi2,
     with_friction,
 )
-from vision.numeric import NORMAL_MEDIAN, Floats, two_digits
+from vision.numeric import Floats, sigma_about_zero, two_digits
 from vision.sample import PUBLISHED, Sample, is_plausible_modulus
 from vision.signals import running_median
 
@@ -302,7 +302,7 @@ def _maximum(peaks: Floats) -> int:
     """Index of the largest peak, smoothed over seven; 0 if the rise to it is not beyond the scatter."""
     smooth = running_median(peaks, min(7, peaks.size), ends="symmetric")
     top = int(np.argmax(smooth))
-    scatter = float(np.median(np.abs(np.diff(peaks)))) / (NORMAL_MEDIAN * np.sqrt(2))
+    scatter = float(sigma_about_zero(np.diff(peaks))) / np.sqrt(2)
     rise = smooth[top] - np.median(peaks[: max(min(3, top), 1)])
     return top if rise > 3 * scatter and peaks.size - top >= _LEAST_EVENTS else 0
 

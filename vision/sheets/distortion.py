@@ -22,6 +22,7 @@ from vision.numeric import (
     nan_median,
     nan_quantile,
     row_parts,
+    sigma_about_zero,
     spread_indices,
     weighted_median,
 )
@@ -70,7 +71,7 @@ def two_in_one(x_px: Floats, fwhm_px: Floats32, comb: RidgeComb) -> Bools:
     near[order[:-1][gap]] = near[order[1:][gap]] = True
     wide = np.log(median_where(np.isfinite(x_px), fwhm_px))
     wide = wide - nan_median(wide)
-    scatter = nan_median(np.abs(wide)) / NORMAL_MEDIAN
+    scatter = sigma_about_zero(wide)
     least = max(np.log(comb.settings.wide_by_a_gap), comb.settings.distortion_sigmas * scatter)
     return np.asarray(near & (wide > least), bool)
 

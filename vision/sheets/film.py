@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vision.numeric import (
-    NORMAL_MEDIAN,
     Bools,
     Floats,
     Floats32,
     nan_median,
     nan_quantile,
     row_parts,
+    sigma_about_zero,
     spread_indices,
 )
 from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb, profile_noise
@@ -124,7 +124,7 @@ def _frames_around(values: Floats, frames: int) -> list[Floats]:
 def _excess(values: Floats, least: float) -> Floats:
     """Return how far values of a sheet (frame,) exceed their median plus `least`, in standard deviations."""
     off = values - nan_median(values)
-    spread = nan_median(np.abs(off)) / NORMAL_MEDIAN
+    spread = sigma_about_zero(off)
     return np.nan_to_num(np.maximum(off - least, 0.0) / np.maximum(spread, 0.004))
 
 

@@ -25,6 +25,7 @@ from vision.numeric import (
     nan_median,
     row_parts,
     shifted,
+    sigma_about_zero,
     without_common_change,
 )
 from vision.sheets.alignment import Candidates, Pairing, align, values_of
@@ -440,7 +441,7 @@ def _jump_costs(x: Floats, level: Floats, after: Ints) -> tuple[Floats, Floats]:
     step = np.diff(x, axis=0)
     common = nan_median(step, axis=1)[:, None]
     least_change = ((common, 1.0), (step - common, 0.5), (np.diff(level, axis=0), 0.02))  # whole pixels
-    usual = [least + float(np.nanmedian(np.abs(change))) / NORMAL_MEDIAN for change, least in least_change]
+    usual = [least + float(sigma_about_zero(change.ravel())) for change, least in least_change]
     known = np.isfinite(x[after - 1]).sum(axis=1)
     slip, sheets = np.empty((2, len(CHANGES), len(after)))
     for i, by in enumerate(CHANGES.tolist()):

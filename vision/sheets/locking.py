@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats, nan_median, spread_indices
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, nan_median, sigma_about_zero, spread_indices
 from vision.sheets.settings import TrackingSettings
 
 _HARMONICS = 2  # of a period of one pixel; sharper edges lock at once, at 1/20 of the second harmonic
@@ -125,7 +125,7 @@ def _against_neighbours(values: Floats) -> Floats:
 def without_outliers(values: Floats) -> tuple[Bools, Floats]:
     """Return which values (frame, N) are near the median of their sheet, and their difference from it."""
     off = values - nan_median(values)
-    return np.abs(off) < _OUTLIER * nan_median(np.abs(off)) / NORMAL_MEDIAN, off
+    return np.abs(off) < _OUTLIER * sigma_about_zero(off), off
 
 
 def normal_equations(regressors: Floats, values: Floats, known: Bools) -> tuple[Floats, Floats]:

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from vision.errors import NoRidgesError
 from vision.numeric import (
-    NORMAL_MEDIAN,
     Bools,
     Floats,
     Ints,
@@ -23,6 +22,7 @@ from vision.numeric import (
     median_size,
     nan_median,
     nearest,
+    sigma_about_zero,
     spread_indices,
 )
 from vision.sheets.alignment import Candidates, ExpectedSheets, align, values_of
@@ -284,7 +284,7 @@ def _choose_sheets(reference: ReferenceComb, comb: RidgeComb, sheets: int | None
     off = np.abs(np.log(np.where(gap > 0, gap, 1.0) / ((local[None, :] + local[:, None]) / 2)))
     cost = np.where(gap > 0, settings.uneven_cost * off, np.inf)  # of entry j following entry i
     if sheets is None and len(x_px) >= 6:
-        scatter = np.median(np.abs(np.log(np.maximum(np.diff(x_px), 1e-3) / local[:-1]))) / NORMAL_MEDIAN
+        scatter = sigma_about_zero(np.log(np.maximum(np.diff(x_px), 1e-3) / local[:-1]))
         cost /= max(1.0, float(scatter) / settings.even_spread)
     return _best_chain(np.maximum(score, 0.3), cost, sheets)
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import numpy as np
 
 from vision.numeric import (
-    NORMAL_MEDIAN,
     Bools,
     Floats,
     Floats32,
@@ -19,6 +18,7 @@ from vision.numeric import (
     nan_median,
     row_parts,
     shifted,
+    sigma_about_zero,
 )
 from vision.sheets.reference import rest_positions
 from vision.sheets.ridges import RidgeComb, Ridges, in_blocks
@@ -110,7 +110,7 @@ def numbered_by_a_neighbour(
     middle = nan_median(known, axis=1)[:, None]
     known = _without_light(known, middle)
     middle = nan_median(known, axis=1)[:, None]
-    scatter = nan_median(np.abs(known - middle), axis=1)[:, None] / NORMAL_MEDIAN
+    scatter = sigma_about_zero(known - middle, axis=1)[:, None]
     scatter = np.fmax(scatter, LEAST_SCATTER)
     for part in row_parts(len(rows)):
         some = rows[part]
@@ -133,7 +133,7 @@ def _shifted_below(
     """
     found = np.isfinite(looks[0])
     off = (looks - middle) / scatter
-    worse = np.fmax(nan_median(np.abs(off), axis=2)[..., None] / NORMAL_MEDIAN, 1.0)
+    worse = np.fmax(sigma_about_zero(off, axis=2)[..., None], 1.0)
     above, its_scatter = (shifted(part[:, 0], 1)[:, None] for part in (middle, scatter))
     other = (looks - above) / np.fmax(scatter, its_scatter)
     own_cost, other_cost = (np.fmin(z**2 / (2 * worse), TERM_LIMIT) / worse for z in (off, other))

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vision.numeric import NORMAL_MEDIAN, Floats, Ints, peak_offset
+from vision.numeric import Floats, Ints, peak_offset, sigma_about_zero
 from vision.video.settings import VideoSettings
 
 
@@ -188,7 +188,7 @@ def _beside_parabola(shifts: RowShifts) -> Floats:
         for _ in range(10):
             fit = np.linalg.lstsq(basis * weight[:, None], d * weight, rcond=None)[0]
             residual[:, segment] = off = d - basis @ fit
-            usual = max(float(np.median(np.abs(off))) / NORMAL_MEDIAN, 1e-9)
+            usual = max(float(sigma_about_zero(off)), 1e-9)
             weight = np.clip(1 - (off / (4 * usual)) ** 2, 0.0, None)  # Tukey's biweight
     return residual
 
