@@ -38,6 +38,7 @@ SOURCES = {
     "load_drift": "drift of the load cell",
     "low_pass": "load cell's low-pass",
     "filter": "filter that may have lengthened slips",
+    "average": "average of a load that rings",
     "sampling": "rise of the force during a slip",
     "thickness_mm": "thickness of a sheet",
     "width_mm": "width of the sheets",

@@ -7,7 +7,7 @@ import pytest
 
 import vision
 from vision.errors import InputError
-from vision.experiment import Camera, Experiment, profiles, simulate
+from vision.experiment import Camera, Experiment, profiles, simulate, with_settings
 
 
 @pytest.fixture(scope="module")
@@ -63,3 +63,22 @@ def test_forces_give_back_the_models(minute):
     assert fits.mu.value == pytest.approx(0.89, abs=4 * fits.mu.error + 0.005)
     assert fits.amplitude.value == pytest.approx(0.34, rel=0.05)
     assert fits.n_hat_N.value == pytest.approx(0.57, abs=4 * fits.n_hat_N.error + 0.03)
+
+
+def test_a_load_cell_that_rings_leaves_clocks_ratios_and_models_as_they_are(minute, tmp_path):
+    """A failure means that averaging the ringing shifts the slips, the sticks or the forces."""
+    tracks, plain, _, _, truth = minute
+    tiny = Camera(width=1920, height=4, strip_rows=4, duration_s=0.2)
+    ringing = with_settings(replace(Experiment(), camera=tiny), {"load_cell.ringing_Hz": 15.0})
+    force = vision.read_force(simulate(ringing, tmp_path / "test").force, d0_mm=13.0)
+    assert np.abs(force["load_N"].values - plain["load_N"].values).max() > 20
+    assert any("oscillates at 15" in line for line in vision.find_stick_slip(force).attrs["warnings"])
+    sticks = vision.find_stick_slip(force, average_s="auto")
+    clock = vision.synchronise(tracks, force, sticks)
+    assert (sticks["flag"] == "ok").all()
+    assert clock.status == "ok"
+    true = truth.attrs["offset_s"] + 30 * (1 + truth.attrs["drift_ppm"] * 1e-6)
+    late = 0.003 + 0.1 / (2 * np.pi * 15)  # of the low-pass and of the resonance, which the average hides
+    assert float(clock.to_force_s(np.array([30.0]))[0]) - late == pytest.approx(true, abs=0.002)
+    test_ratios_and_shells_are_true((tracks, force, sticks, clock, truth))
+    test_forces_give_back_the_models((tracks, force, sticks, clock, truth))

@@ -204,6 +204,10 @@ class LoadCell:
 
     lowpass_s: NonNegative = 0.003
     """Time constant of the first-order low-pass."""
+    ringing_Hz: NonNegative = 0.0
+    """Frequency at which the load cell rings after slips; 0 for none."""
+    ringing_damping: Positive = 0.05
+    """Damping of the ringing, as a fraction of the critical one."""
     noise_N: NonNegative = 0.05
     """RMS white noise."""
     drift_N: float = 0.2

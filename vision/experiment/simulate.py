@@ -313,11 +313,13 @@ def _write(scene: Scene, folder: Path, container: str, progress: Progress | None
 def force_recording(experiment: Experiment, pull: Pull) -> pd.DataFrame:
     """Return the machine's recording of a pull: columns time_s, crosshead_mm, load_N and video_time_s.
 
-    The exact force is filtered by a first-order low-pass on a time grid fine enough for the slip and sampled;
-    drift and white noise are added, and the sum is rounded to the quantum.
+    The exact force is filtered by a first-order low-pass and by the resonance of the load cell on a time grid
+    fine enough for the slip and sampled; drift and white noise are added, and the sum is rounded to the
+    quantum.
     """
     cell, rate = experiment.load_cell, experiment.clocks.force_rate_Hz
-    finest = min(pull.settings.slip_s / 4, cell.lowpass_s / 5 or np.inf)
+    ringing_s = 1 / cell.ringing_Hz if cell.ringing_Hz else np.inf
+    finest = min(pull.settings.slip_s / 4, cell.lowpass_s / 5 or np.inf, ringing_s / 20)
     oversampling = max(int(np.ceil(1 / (rate * finest))), 1)
     samples = int(pull.stop_s * rate) + 1
     fine = np.arange((samples - 1) * oversampling + 1) / (rate * oversampling)
@@ -325,6 +327,10 @@ def force_recording(experiment: Experiment, pull: Pull) -> pd.DataFrame:
     if cell.lowpass_s:
         keep = np.exp(-1 / (rate * oversampling * cell.lowpass_s))
         force = scipy.signal.lfilter([1 - keep], [1, -keep], force)
+    if cell.ringing_Hz:
+        turn = 2 * np.pi * cell.ringing_Hz
+        resonance = ([turn**2], [1, 2 * cell.ringing_damping * turn, turn**2])
+        force = scipy.signal.lfilter(*scipy.signal.bilinear(*resonance, rate * oversampling), force)
     time = fine[::oversampling]
     rng = random_stream(experiment.seed, "load cell")
     drift = cell.drift_N * time / pull.stop_s

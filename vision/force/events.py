@@ -34,8 +34,9 @@ from vision.force.slips import Slips, find_slips, size_gap, stick_drops, stick_l
 from vision.force.sticks import filter_length, measure_sticks
 from vision.numeric import Bools, Floats, Ints, nan_median, spread_indices
 
-_FEWEST_PERIODS = 8
-"""Periods of ringing from slip to slip, at least: in shorter sticks it spoils K by 0.2 %, and Λ̂ by 2 %."""
+_FEWEST_PERIODS = 5
+"""Periods of ringing from slip to slip, at least, in the median: the averages leave too little of shorter
+sticks."""
 
 
 def find_stick_slip(

@@ -511,15 +511,17 @@ def _unresolved_corners(
     by_sampling = _drop_lost_by_sampling(force, events)
     facts = StickMetadata.of(events)
     of_drop, of_k = abs(facts.lowpass_dF_share), abs(facts.lowpass_K_share)
-    if facts.filter_s:
-        # The stick rises on while the filter still falls: both corners are off by the slip's length in
-        # squares, as in the errors of the events, but all events alike.
-        cut = events["dF_N"] * facts.filter_s / (events["t_p_s"] - events["t_v_s"])
+    # As in the errors of the events, but all alike: a filter may have lengthened the slips, or a slip of a
+    # fifth of the averaged time looks like a sudden one.
+    source, length_s = ("filter", facts.filter_s) if facts.filter_s else ("average", 0.14 * facts.average_s)
+    if length_s:
+        # The stick rises on while the load still falls: both corners are off, together by this length.
+        cut = events["dF_N"] * length_s / (events["t_p_s"] - events["t_v_s"])
         resolved = refit(events.assign(F_p_N=events["F_p_N"] + cut / np.sqrt(2), dF_N=events["dF_N"] + cut))
         by_filter = none | {name: abs(resolved[name] - one.value) for name, one in fits.named().items()}
         # The rise during the slip is the same loss, measured after the valley.
         by_filter["A"] = max(by_filter["A"] or 0.0, abs(fits.amplitude.value * by_sampling))
-        return {"filter": _larger(by_filter, _settling(fits, facts.central_part, events, refit))}
+        return {source: _larger(by_filter, _settling(fits, facts.central_part, events, refit))}
     if not (of_drop or of_k):
         return {"sampling": none | {"A": abs(fits.amplitude.value * by_sampling)}} if by_sampling else {}
     # Both make the valleys too shallow, so the errors add linearly.
@@ -548,8 +550,8 @@ def _settling(
     events: pd.DataFrame,
     refit: Callable[[pd.DataFrame], dict[str, float]],
 ) -> dict[str, float | None]:
-    """What an unknown filter, in which the load settles after slips, may change: as much as the fit to the
-    slopes of the central 30 % of the sticks differs from that to the central `part`, noise aside."""
+    """What an unknown filter, or ringing, may change, after which the load settles within the sticks: as much
+    as the fit to the slopes of their central 30 % differs from that to the central `part`, noise aside."""
     later = refit(events.assign(K_N_per_mm=events["K30_N_per_mm"]))
     noise = (part / 0.3) ** 3 - 1  # variance that the narrower part adds, over that of the whole
     return {
