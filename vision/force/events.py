@@ -319,10 +319,15 @@ def _without_average(extremes: Extremes, signal: Signal, slips: Slips, settings:
     """Return the extremes of the load before it was averaged twice.
 
     The averages begin to fall by the averaged time before a sudden slip, but at first more slowly than the
-    stick goes on rising.
+    stick goes on rising: as it rises in as much time before that, or as its line in sticks too short for it.
     """
-    rise = signal.averaged * np.nan_to_num(stick_lines(signal.clean, slips.edge, settings).slope)
-    before, after = (np.clip(part, 0, slips.drop) for part in (rise[:-1], rise[1:]))
+    width, edge = signal.averaged, slips.edge - 0.5
+    line = width * np.nan_to_num(stick_lines(signal.clean, slips.edge, settings).slope)
+    near, far = (np.interp(edge + k * width, np.arange(signal.clean.size), signal.clean) for k in (1, 2))
+    after = np.where(np.diff(edge, append=signal.clean.size) > 3 * width, far - near, line[1:])
+    near, far = (np.interp(edge - k * width, np.arange(signal.clean.size), signal.clean) for k in (1, 2))
+    before = np.where(np.diff(edge, prepend=0) > 3 * width, near - far, line[:-1])
+    before, after = (np.clip(part, 0, slips.drop) for part in (before, after))
     return replace(
         extremes,
         highest=extremes.highest + before - 0.5 * before**2 / slips.drop,
