@@ -331,7 +331,7 @@ def _without_average(extremes: Extremes, signal: Signal, slips: Slips, settings:
     """
     lines = signal.averaged * np.nan_to_num(stick_lines(signal.clean, slips.edge, settings).slope)
     average_s = signal.averaged * signal.interval_s
-    slip_s = signal.time_at(slips.edge - 0.5)
+    slip_s = signal.time_at(np.asarray(slips.edge - 0.5, np.float64))
     long = np.diff(np.r_[signal.time[0], slip_s, signal.time[-1]]) > 3 * average_s
     levels = (np.interp(slip_s + k * average_s, signal.time, signal.clean) for k in (-2, -1, 1, 2))
     early, before, after, late = levels
