@@ -115,6 +115,63 @@ def test_slips_noise_and_low_passes_do_not_ring():
     assert plain_events.equals(auto)
 
 
+COARSE = 25.0  # N, in which the drops are 146 steps and the noise is lost
+
+
+@cache
+def large():
+    return plain(sticks=60, samples=SAMPLES, snr=146 * COARSE, jitter=0.1)
+
+
+def coarse(load):
+    return large().force.assign(load_N=("time_s", np.round(load / COARSE) * COARSE))
+
+
+def test_the_steps_of_a_coarse_load_do_not_ring():
+    """A failure means that the regular steps of a coarse load are called an oscillation."""
+    load = large().force["load_N"].to_numpy()
+    assert np.isnan(find_stick_slip(coarse(load + 1000)).attrs["ringing_s"])
+
+
+@pytest.mark.parametrize(("period", "damping", "share"), [(10, 0.05, 1.0), (8, 0.03, 0.5)])
+def test_a_coarse_load_that_rings_is_not_one_that_is_filled_in(period, damping, share):
+    """A failure means that swings above the step are taken for the ends of lines, and the rest left out."""
+    load = resonance(large().force["load_N"].to_numpy() + 1000, period, damping, share)
+    events = find_stick_slip(coarse(load), average_s="auto")
+    assert events.attrs["average_s"] == pytest.approx(0.01 * period, rel=0.02)
+    right, truth = matched(events, large().truth)
+    assert len(events) == len(right) == len(large().truth)
+    assert (right["K_N_per_mm"] / truth["K_N_per_mm"]).median() == pytest.approx(1, abs=0.005)
+
+
+def test_ringing_after_slips_as_long_as_half_its_period():
+    """A failure means slips of several samples that hide the ringing, or errors without their length."""
+    slip = 5
+    sharp = np.pad(scene().force["load_N"].to_numpy(), slip // 2, "edge")
+    load = resonance(np.convolve(sharp, np.full(slip, 1 / slip), "valid"), 10, 0.1, 0.5)
+    events = find_stick_slip(scene().force.assign(load_N=("time_s", load)), average_s="auto")
+    assert events.attrs["average_s"] == pytest.approx(0.1, rel=0.1)
+    right, truth = matched(events, scene().truth)
+    assert len(right) == len(scene().truth)
+    shorter = 1 - 0.01 * slip / (truth["t_p_s"] - truth["t_v_s"])
+    for name, error in (("dF_N", "dF_err_N"), ("stick_length_um", "stick_length_err_um")):
+        z = (right[name] - shorter * truth[name]) / right[error]
+        assert np.sqrt(np.mean(z**2)) < 2, name
+
+
+def test_errors_contain_slow_noise_below_the_average():
+    """A failure means K and dF whose errors count pink noise as white, since the average hides its kind."""
+    force, n = rung(10, 0.04, 0.3), scene().force.sizes["time_s"]
+    frequency = np.maximum(np.fft.rfftfreq(n), 1 / n)
+    pink = np.fft.irfft(np.fft.rfft(np.random.default_rng(2).standard_normal(n)) / np.sqrt(frequency), n)
+    noisy = force.assign(load_N=force["load_N"] + pink / pink.std())
+    right, truth = matched(find_stick_slip(noisy, average_s="auto"), scene().truth)
+    assert len(right) == len(scene().truth)
+    for name, error in (("K_N_per_mm", "K_err_N_per_mm"), ("dF_N", "dF_err_N")):
+        z = (right[name] - truth[name]) / right[error]
+        assert np.sqrt(np.mean(z**2)) < 1.5, name
+
+
 def test_an_oscillation_throughout_is_no_ringing():
     """A failure means that averaging over its period is proposed, which leaves nothing."""
     time = scene().force["time_s"].to_numpy()
@@ -138,12 +195,22 @@ def test_swings_that_are_a_large_part_of_the_sticks_are_told():
         ({"average_s": -1.0}, "seconds from 0, or auto"),
         ({"average_s": "often"}, "seconds from 0, or auto"),
         ({"average_s": 0.1, "lowpass_s": 0.05}, "no `lowpass_s` beside it"),
-        ({"average_s": 60.0}, "at least two slips"),
+        ({"average_s": 60.0}, "give a shorter `average_s`"),
     ],
 )
 def test_averages_that_cannot_be(given, message):
     with pytest.raises(InputError, match=message):
         find_stick_slip(scene().force, **given)
+
+
+def test_an_average_that_is_too_short_is_told_the_period():
+    """A failure means advice to sample faster, or an oscillation, though the ringing is known."""
+    force = rung(20, 0.05, 1.0)
+    try:
+        lines = find_stick_slip(force, average_s=0.02).attrs["warnings"]
+    except InputError as error:
+        lines = [str(error)]
+    assert any("`average_s` 0.2" in line for line in lines)
 
 
 @pytest.mark.parametrize(("period", "damping", "share"), RINGING[:2])

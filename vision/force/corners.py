@@ -146,7 +146,8 @@ def _half_lengths(
     slow = 2 * np.minimum(onset, end) > _HALF_COSINE * settings.slow_slip * beside
     clear = base.drop > 20 * seen.sigma  # noise scatters the lengths of smaller slips
     clear &= np.isfinite(onset) & np.isfinite(end)
-    if usual_onset + usual_end < 1.0:
+    # In averages, sticks that begin steeply look like slips of half the averaged time.
+    if usual_onset + usual_end < max(1.0, 0.2 * seen.averaged):
         # Not resolved: few slips have a sample within, so that the mean tells the length, not the median.
         # Half of it may come from the sampling, or from a low-pass too short to detect.
         several = (onset + end)[clear & ~slow]
@@ -236,10 +237,10 @@ def _half_from_crossing(distance: Floats, slope: Floats, drop: Floats) -> Floats
 def _errors(seen: _DeconvolvedLoad, drop: Floats, length: float, settings: ForceSettings) -> Floats:
     """Return the position error of each corner: noise over the slip's slope, sampling, and unknown shape.
 
-    A slip that lasts a fifth of the time over which the load is averaged looks like a sudden one.
+    A slip that lasts two fifths of the time over which the load is averaged looks like a sudden one.
     """
     systematic = np.hypot(settings.corner_error, settings.shape_error * length)
-    systematic = np.hypot(systematic, 0.1 * seen.averaged)
+    systematic = np.hypot(systematic, 0.2 * seen.averaged)
     steepest = np.pi / 2 * np.maximum(drop, seen.sigma) / max(length, seen.width)
     return np.hypot(seen.sigma / steepest, systematic)
 

@@ -111,7 +111,8 @@ def find_stick_slip(
     swing_s = ringing_period(signal.load, settings) * signal.interval_s
     ringing_s = swing_s if _is_ringing(signal, swing_s, threshold_N, settings) else math.nan
     signal = signal.average(_average(average_s, ringing_s, lowpass_s), settings)
-    rings = _proposal(ringing_s) if math.isfinite(ringing_s) and not signal.averaged else ""
+    still_rings = signal.averaged * signal.interval_s < 0.7 * ringing_s  # not where there is no ringing
+    rings = _proposal(ringing_s) if still_rings else ""
     _check_load(signal, source, rings, settings)
     signal, slips = _slips(signal, threshold_N, settings)
     if slips.edge.size < 2:
@@ -206,11 +207,18 @@ def _check_load(signal: Signal, source: str, rings: str, settings: ForceSettings
 
 
 def _too_few_slips(signal: Signal, slips: Slips, source: str, rings: str) -> InputError:
-    """Return the error for fewer than two slips: the ringing, the sampling or the threshold is the cause.
+    """Return the error for fewer than two slips, whose cause is the average, ringing, sampling or threshold.
 
     Sticks of a few samples rise by most steps from sample to sample, and falls are frequent. The median step
     of noise is near 0, and a break at the end of a test falls once.
     """
+    if signal.averaged and not rings:
+        return InputError(
+            source,
+            "at least two slips",
+            f"{slips.edge.size} in the load averaged over {signal.averaged * signal.interval_s:.3g} s",
+            "give a shorter `average_s`, one period of the ringing",
+        )
     step = np.diff(signal.load)
     usual = float(np.mean(np.abs(step)))
     falls = step < -usual
@@ -319,10 +327,17 @@ def _without_average(extremes: Extremes, signal: Signal, slips: Slips, settings:
     """Return the extremes of the load before it was averaged twice.
 
     The averages begin to fall by the averaged time before a sudden slip, but at first more slowly than the
-    stick goes on rising.
+    stick goes on rising: as it rises in as much time before that, or as its line in sticks too short for it.
     """
-    rise = signal.averaged * np.nan_to_num(stick_lines(signal.clean, slips.edge, settings).slope)
-    before, after = (np.clip(part, 0, slips.drop) for part in (rise[:-1], rise[1:]))
+    lines = signal.averaged * np.nan_to_num(stick_lines(signal.clean, slips.edge, settings).slope)
+    average_s = signal.averaged * signal.interval_s
+    slip_s = signal.time_at(np.asarray(slips.edge - 0.5, np.float64))
+    long = np.diff(np.r_[signal.time[0], slip_s, signal.time[-1]]) > 3 * average_s
+    levels = (np.interp(slip_s + k * average_s, signal.time, signal.clean) for k in (-2, -1, 1, 2))
+    early, before, after, late = levels
+    before = np.where(long[:-1], before - early, lines[:-1])
+    after = np.where(long[1:], late - after, lines[1:])
+    before, after = (np.clip(part, 0, slips.drop) for part in (before, after))
     return replace(
         extremes,
         highest=extremes.highest + before - 0.5 * before**2 / slips.drop,

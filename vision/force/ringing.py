@@ -9,20 +9,36 @@ from vision.force.settings import ForceSettings
 from vision.numeric import Floats, peak_offset
 
 
+def quantum(y: Floats) -> float:
+    """Return the smallest step between the values that occur, but for rounding errors; 0 for one value."""
+    steps = np.diff(np.unique(y))
+    return float(np.min(steps, where=steps > 1e-6 * np.ptp(y), initial=np.inf)) if steps.size else 0.0
+
+
 def ringing_period(load: Floats, settings: ForceSettings) -> float:
     """Return the period of an oscillation that follows the slips, in samples; NaN for none.
 
     The autocorrelation of the load's steps falls below minus `ringing_alike` and then rises above it. Slips,
-    which are the largest steps, are cut to the size of the others. A load that oscillates throughout also has
-    such a period.
+    which are the largest steps, are cut to the size of the others: three times as many where that shows no
+    period, as slips may be slow. A load that oscillates throughout also has such a period. The steps of a
+    coarse load, by one quantum at regular times, are no oscillation.
     """
     step = np.diff(load)
     step -= np.median(step)
-    most = np.quantile(np.abs(step), settings.ringing_steps)
-    step = np.clip(step, -most, most)
-    step -= step.mean()
+    size, least = np.abs(step), 1.5 * quantum(load)
+    for cut in (1 - settings.ringing_steps, 3 * (1 - settings.ringing_steps)):
+        most = float(np.quantile(size, 1 - cut))
+        period = _period(np.clip(step, -most, most), settings) if most > least else float("nan")
+        if np.isfinite(period):
+            break
+    return period
+
+
+def _period(step: Floats, settings: ForceSettings) -> float:
+    """Return the period of steps, in samples; NaN for none."""
+    step = step - step.mean()
     longest = step.size // settings.ringing_fewest
-    if longest < 4 or most == 0:
+    if longest < 4:
         return float("nan")
     power = np.abs(scipy.fft.rfft(step, scipy.fft.next_fast_len(step.size + longest, real=True))) ** 2
     alike = scipy.fft.irfft(power)[:longest]

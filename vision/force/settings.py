@@ -160,8 +160,9 @@ class ForceSettings:
     smaller proposes to average what does not ring, larger overlooks ringing (test_ringing)."""
 
     ringing_steps: float = 0.97
-    """Quantile of the load's steps to which larger ones, the slips, are cut before their autocorrelation.
-    Larger lets slips hide faint ringing, smaller cuts ringing that decays within a tenth of a stick."""
+    """Quantile of the load's steps to which larger ones, the slips, are cut before their autocorrelation;
+    where that shows no ringing, three times as many are. Larger lets slips hide faint ringing, smaller cuts
+    ringing that decays within a tenth of a stick (test_ringing)."""
 
     ringing_fewest: int = 40
     """Periods of ringing in a recording, at least. Smaller takes sticks for periods, larger overlooks the

@@ -14,7 +14,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from vision.force.lines import fit_lines, fit_polynomials
 from vision.force.recording import usable
-from vision.force.ringing import averaged
+from vision.force.ringing import averaged, quantum
 from vision.force.settings import ForceSettings
 from vision.force.slips import Slips, stick_middles
 from vision.numeric import Bools, Floats, Ints, nan_median, peak_offset, white_noise
@@ -155,7 +155,9 @@ def _filled_in(load: Floats) -> Bools:
     rounding = 3 * float(np.min(steps, where=steps > 1e-9 * np.ptp(load), initial=np.inf))
     repeats = np.diff(load, prepend=np.nan) == 0
     bends = np.r_[True, np.abs(np.diff(load, 2)) > rounding, True]
-    bends[1:] &= ~bends[:-1]
+    second = bends[1:] & bends[:-1]
+    second[1:] &= ~bends[:-2]  # three in a row are a curve, as of a load that rings
+    bends[1:] &= ~second
     for measured, most in ((~repeats, load.size), (bends, 25)):
         length = np.diff(np.append(np.flatnonzero(measured), load.size))
         usual = np.median(length)
@@ -176,11 +178,9 @@ def noise_sigma(y: Floats) -> float:
 
     .. math:: \\sigma = \\max(\\mathrm{MAD}(\\Delta^2 y) / (0.674\\,\\sqrt 6),\\; q / \\sqrt{12})
     """
-    range_ = float(np.ptp(y))
-    steps = np.diff(np.unique(y))
-    steps = steps[steps > 1e-6 * range_]  # smaller ones are rounding errors
-    quantum = float(steps.min()) if steps.size else 0.0
-    return float(max(white_noise(y), quantum / np.sqrt(12.0), 1e-9 * range_, np.finfo(float).tiny))
+    return float(
+        max(white_noise(y), quantum(y) / np.sqrt(12.0), 1e-9 * float(np.ptp(y)), np.finfo(float).tiny)
+    )
 
 
 def noise_levels(y: Floats, settings: ForceSettings) -> Floats:
@@ -257,7 +257,8 @@ def with_slow_noise(signal: Signal, slips: Slips, settings: ForceSettings) -> Si
     # A sample beside lost ones, which are interpolated, counts more than once.
     known = np.flatnonzero(~signal.is_missing)
     more = float(np.mean((known[2:] - known[:-2]) ** 2 / 4) * known.size / signal.time.size)
-    slow = fit_slow_noise(signal.clean, start, stop, rise, spread * float(np.sqrt(more)), settings)
+    white_N = spread * float(np.sqrt(more))
+    slow = fit_slow_noise(signal.clean, start, stop, rise, white_N, signal.averaged, settings)
     if slow is None:
         return white
     length = int(np.median(stop - start))
@@ -299,11 +300,18 @@ class SlowNoise:
 
 
 def fit_slow_noise(
-    y: Floats, start: Ints, stop: Ints, rise_N: Floats, white_N: float, settings: ForceSettings
+    y: Floats,
+    start: Ints,
+    stop: Ints,
+    rise_N: Floats,
+    white_N: float,
+    averaged: float,
+    settings: ForceSettings,
 ) -> SlowNoise | None:
     """Return the noise within the sticks [start, stop) if it is not white; None if it is.
 
-    `rise_N` is how far each stick rises, `white_N` the noise if it is white.
+    `rise_N` is how far each stick rises, `white_N` the noise if it is white. Of a load that was averaged
+    twice over `averaged` samples, the noise that it had before is returned.
 
     White noise and one kind of slow noise are fitted to the variance of a contrast at time scales of m = 1,
     2, 4 … samples: of four neighbouring means of m samples the outer two minus the inner two, which is 0 on a
@@ -318,6 +326,7 @@ def fit_slow_noise(
         return None
     length = int(np.median(stop - start))
     scales = 2 ** np.arange(int(np.log2(length // 4)) + 1)
+    scales = scales[scales >= min(averaged, scales[-2:][0])]  # the averages leave next to no noise below
     total, bend = np.r_[0.0, np.cumsum(y - y.mean())], rise_N / (stop - start) ** 2
     found = [_contrasts(total, start, stop, bend, int(m), length) for m in scales]
     variance = np.array([np.quantile(np.abs(values), _WITHIN) ** 2 for values in found])
@@ -331,13 +340,15 @@ def fit_slow_noise(
     sine, width = np.sin(np.pi * f), 2 * np.gradient(f)
     phase = np.pi * f * scales[:, np.newaxis]
     contrast = (8 * np.sin(phase) ** 3 * np.cos(phase) / (scales[:, np.newaxis] * sine)) ** 2
+    contrast *= np.sinc(averaged * f) ** 4
+    even = contrast @ width if averaged else 4 / scales
     corners = 2 * np.pi * 0.5 ** np.arange(2, np.log2(y.size))
     kinds = [(power, 0.0) for power in np.arange(0.5, 2.01, 0.25)] + [(2.0, corner) for corner in corners]
     root = np.sqrt(weight)[:, np.newaxis]
 
     def fit(other: Floats) -> tuple[Floats, float]:
         """Return the shares of white noise and of the other part, and the misfit."""
-        parts = np.stack([4 / scales, other], axis=1) / variance[:, np.newaxis]
+        parts = np.stack([even, other], axis=1) / variance[:, np.newaxis]
         share, _ = scipy.optimize.nnls(parts * root, root[:, 0])
         return share, float(weight @ np.log(np.maximum(parts @ share, 1e-9)) ** 2)
 
