@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import errno
 import os
 import re
@@ -20,6 +21,7 @@ from vision.errors import InputError, with_options
 from vision.files import Progress
 
 T = TypeVar("T")
+M_MMAP_THRESHOLD = -3  # from malloc.h
 
 
 def hold_streams() -> None:
@@ -51,6 +53,16 @@ def silence_libraries() -> None:
         sys.stderr = open(  # noqa: SIM115, PTH123  # for as long as the program runs
             python, "w", buffering=1, encoding=sys.stderr.encoding, errors="replace"
         )
+
+
+def return_freed_memory() -> None:
+    """Make the C library return arrays of 4 MiB or more to the system when they are freed.
+
+    By default it keeps arrays of up to 32 MB, and the gaps that they leave, for later use: of 100 000 frames
+    with 24 sheets 55 MB while sheets are tracked, and 180 MB afterwards.
+    """
+    with suppress(OSError, AttributeError):  # only the GNU C library has this setting
+        ctypes.CDLL(None).mallopt(M_MMAP_THRESHOLD, 4 << 20)
 
 
 def say(lines: Iterable[str]) -> None:

@@ -18,7 +18,13 @@ from cyclopts import App
 
 from vision import __version__
 from vision.command import commands
-from vision.command.console import attempt, complain, hold_streams, silence_libraries
+from vision.command.console import (
+    attempt,
+    complain,
+    hold_streams,
+    return_freed_memory,
+    silence_libraries,
+)
 from vision.command.review import review
 from vision.errors import InputError
 from vision.files import MOST_PIXELS
@@ -134,6 +140,7 @@ def run(arguments: Sequence[str]) -> int:
     """Run a command line and return its exit status: 0, 1 (warning), 2 (bad input) or 3 (unexpected)."""
     logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # our reader reports truncated files
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # a read-only home directory does no harm
+    return_freed_memory()
     try:
         returned, status, why = attempt(lambda: _answer(list(arguments)))
     except KeyboardInterrupt as stop:

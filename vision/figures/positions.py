@@ -183,10 +183,9 @@ def _density_modulo_one(x_px: Floats) -> tuple[Floats, float]:
     Sheets are the independent observations. The error is the root mean square over the bins, which are alike
     without locking; for a single sheet it is 1.
     """
-    frame, sheet = np.nonzero(np.isfinite(x_px))
-    bin_of = np.minimum((x_px[frame, sheet] % 1.0 * BINS).astype(np.int64), BINS - 1)
-    sheets = x_px.shape[1]
-    counts = np.bincount(sheet * BINS + bin_of, minlength=sheets * BINS).reshape(sheets, BINS)
+    known_px = (of_sheet[np.isfinite(of_sheet)] for of_sheet in x_px.T)
+    bins = (np.minimum((x % 1.0 * BINS).astype(np.int64), BINS - 1) for x in known_px)
+    counts = np.array([np.bincount(of_sheet, minlength=BINS) for of_sheet in bins])
     per_sheet = counts.sum(axis=1, keepdims=True)
     total, known = max(1, int(per_sheet.sum())), int((per_sheet > 0).sum())
     share = counts.sum(axis=0) / total
@@ -358,11 +357,12 @@ def origin_frames(tracks: xr.Dataset) -> slice:
     The slice is empty if no sheet was ever found.
     """
     known = np.isfinite(tracks["x_px"].values)
-    frames, sheets = known.shape
+    frames = len(known)
     length = min(ORIGIN_FRAMES, frames)
-    total = np.concatenate([np.zeros((1, sheets), np.int64), np.cumsum(known, axis=0)])
-    # Number of sheets with positions in all `length` frames, by the first of them.
-    count = (total[length:] - total[:-length] == length).sum(axis=1)
+    count = np.zeros(frames - length + 1, np.int64)  # sheets with positions in `length` frames, by the first
+    for of_sheet in known.T:  # one at a time: their sums would take as much memory as all positions
+        total = np.concatenate([[0], np.cumsum(of_sheet)])
+        count += total[length:] - total[:-length] == length
     if count.any():
         start = int((count >= LEAST_SHARE * count.max()).argmax())
         return slice(start, start + length)

@@ -6,7 +6,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -133,26 +134,19 @@ def distortion(
     if not np.isfinite(shape).all():
         return Distortion.none(x_px)
     fits = _fit_matrix(shape, min(max(2, round(0.5 * comb.fwhm_px)), half - 1))
-    away = np.arange(-half, half + 1)
-    height, apart, sloping, pulled_px2 = (np.empty(x_px.shape) for _ in range(4))
-
-    def fit(rows: slice) -> None:
-        around = _around(comb.bright(profile[rows]), x_px[rows], half)
-        found = fits @ around
-        with np.errstate(divide="ignore", invalid="ignore"):
-            shift = found[:, 1::2] / found[:, ::2]
-            level = around.mean(axis=1) / found[:, 0]  # in units of the height, as the mean shape has none
-            pulled_px2[rows] = np.abs(fits[1] @ away * level + fits[1] @ (away * shape))
-        height[rows] = found[:, 0]
-        apart[rows], sloping[rows] = shift[:, 1] - shift[:, 0], shift[:, 2] - shift[:, 0]
-
-    in_blocks(fit, len(profile))
+    height, apart, sloping, pulled_px2 = _fit_shape(profile, x_px, shape, fits, comb)
     height[blurred], apart[blurred], sloping[blurred] = np.nan, np.nan, np.nan
     height[~(height > 0)] = np.nan
     log_height = np.log(height, out=height)
     narrow = comb.fwhm_px < settings.sampled_well_px
     if narrow:
         _subtract_pixel_phase((log_height, apart, sloping), x_px)
+    shapes = [log_height, apart, sloping]
+    if comb.fwhm_px > settings.overlap * comb.pitch_px:
+        del shapes[1:]
+    scale = displacement_scale_error(x_px, shapes, settings)
+    size = _shift_by_light(x_px, log_height, pulled_px2, settings)
+    del height, log_height, shapes  # each is as large as the positions
     differences = [
         _Difference(
             differs,
@@ -164,11 +158,6 @@ def distortion(
             (sloping, settings.distortion_slope, 5),
         )
     ]
-    size = _shift_by_light(x_px, log_height, pulled_px2, settings)
-    shapes = [log_height, apart, sloping]
-    if comb.fwhm_px > settings.overlap * comb.pitch_px:
-        del shapes[1:]
-    scale = displacement_scale_error(x_px, shapes, settings)
     usual_px = np.empty(x_px.shape[1])
     own_noise = [position_noise(one.px) for one in differences]
     for n, x in enumerate(x_px.T):
@@ -188,6 +177,32 @@ def distortion(
     pull = np.abs(pull - nan_median(pull))
     least = np.fmax(settings.distortion_sigmas * nan_median(pull) / NORMAL_MEDIAN, settings.distortion_floor)
     return Distortion(size, usual_px, settings.distortion_error * _if_above(pull, least), scale)
+
+
+def _fit_shape(
+    profile: Floats32, x_px: Floats, shape: Floats, fits: Floats, comb: RidgeComb
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Fit the mean shape (u,) to the pixels around positions, with the matrix of `_fit_matrix`.
+
+    Returns the height, by how much the fits to the top and with a slope shift the position, and its shift per
+    slope of the light (`_shift_by_light`), all (frame, N).
+    """
+    half = len(shape) // 2
+    away = np.arange(-half, half + 1)
+    height, apart, sloping, pulled_px2 = (np.empty(x_px.shape) for _ in range(4))
+
+    def fit(rows: slice) -> None:
+        around = _around(comb.bright(profile[rows]), x_px[rows], half)
+        found = fits @ around
+        with np.errstate(divide="ignore", invalid="ignore"):
+            shift = found[:, 1::2] / found[:, ::2]
+            level = around.mean(axis=1) / found[:, 0]  # in units of the height, as the mean shape has none
+            pulled_px2[rows] = np.abs(fits[1] @ away * level + fits[1] @ (away * shape))
+        height[rows] = found[:, 0]
+        apart[rows], sloping[rows] = shift[:, 1] - shift[:, 0], shift[:, 2] - shift[:, 0]
+
+    in_blocks(fit, len(profile))
+    return height, apart, sloping, pulled_px2
 
 
 def _subtract_pixel_phase(tables: Sequence[Floats], x_px: Floats) -> None:
@@ -288,30 +303,34 @@ def _error_over(
     opposite ones, the results are :math:`\sqrt{q}\,|k|` and :math:`\sqrt{1 - q^2}\,u`, u being the usual one.
     """
 
-    moved, changed = (_relative_change(of, settings.distortion_frames) for of in (x_px, values))
-    total, along = np.zeros((2, moved.shape[1]))
-    for k, (move, change) in enumerate(zip(moved.T, changed.T, strict=True)):
-        both = move * change
-        weight = np.where(np.isfinite(both), np.abs(change), 0.0)
+    frames = settings.distortion_frames
+    ratio, weights = np.empty((2, max(0, len(values) - frames), max(0, values.shape[1] - 2)))
+    total, along = np.zeros((2, ratio.shape[1]))
+    both = zip(_relative_changes(x_px, frames), _relative_changes(values, frames), strict=True)
+    for k, (move, change) in enumerate(both):
+        product = move * change
+        weight = np.where(np.isfinite(product), np.abs(change), 0.0)
         known = weight > 0
-        total[k], along[k] = weight.sum(), np.where(known, np.copysign(weight, both), 0.0).sum()
-        move[:] = np.divide(move, change, where=known, out=np.full(len(move), np.nan))  # now the ratio
-        change[:] = weight
-    if not (changed > 0).any():
+        total[k], along[k] = weight.sum(), np.where(known, np.copysign(weight, product), 0.0).sum()
+        ratio[:, k] = np.divide(move, change, where=known, out=np.full(len(move), np.nan))
+        weights[:, k] = weight
+    if not (weights > 0).any():
         return 0.0, usual
     share = abs(float(np.mean(along[total > 0] / total[total > 0])))
-    median = weighted_median(moved.ravel(), changed.ravel())
+    median = weighted_median(ratio.ravel(), weights.ravel())
     return float(np.sqrt(share) * abs(median)), float(np.sqrt(1 - share**2) * usual)
 
 
-def _relative_change(values: Floats, frames: int) -> Floats:
-    """Return changes of means over `frames` frames, relative to both neighbours, (frame − frames, N − 2)."""
-    mean = np.stack([mean_over(of_sheet, frames) for of_sheet in values.T], axis=1)
-    change = np.empty((max(0, len(values) - frames), max(0, values.shape[1] - 2)))
-    for k, column in enumerate(change.T):
-        relative = mean[:, k + 1] - (mean[:, k] + mean[:, k + 2]) / 2
-        column[:] = relative[frames:] - relative[:-frames]
-    return change
+def _relative_changes(values: Floats, frames: int) -> Iterator[Floats]:
+    """Yield the changes of each sheet's means over `frames` frames, relative to both neighbours, (frame −
+    frames,), for all sheets (frame, N) but the first and last."""
+    means: deque[Floats] = deque(maxlen=3)
+    for of_sheet in values.T:
+        means.append(mean_over(of_sheet, frames))
+        if len(means) == 3:
+            left, own, right = means
+            relative = own - (left + right) / 2
+            yield relative[frames:] - relative[:-frames]
 
 
 def _significant(values: Floats, noise: Floats, settings: TrackingSettings) -> tuple[Floats, Floats]:
@@ -368,7 +387,8 @@ def _shift_by_light(
     r"""Return the shift of each ridge due to light L that falls off over it, px, (frame, N).
 
     pulled_px2: shift of each ridge per slope :math:`L'/L`, px², (frame, N): that of the fit of the mean shape
-    to :math:`u\,(a + b\,S(u))`, since the light between the ridges slopes as well. It is changed in place.
+    to :math:`u\,(a + b\,S(u))`, since the light between the ridges slopes as well. It and log_height, (frame,
+    N), are changed in place.
 
     A Gaussian in such light remains a Gaussian, shifted by :math:`\sigma_r^2 L'/L`, so that only heights
     reveal the shift. A lamp that moves, or the edge of a shadow, shows as a slope between a sheet and its
@@ -377,15 +397,17 @@ def _shift_by_light(
     sheets do not show that scatter: every change of the slope between two sheets, beyond its noise in time,
     then counts as light.
     """
-    light = log_height - nan_median(log_height)
+    light = log_height
+    light -= nan_median(light)
     light -= nan_median(light, axis=1)[:, None]  # exposure
     if light.shape[1] >= ENOUGH:
         scatter = _scatter_across(light)
-        shift = _slope_across(light, x_px, scatter, settings)
+        shift = np.zeros(light.shape)
         np.fmax(shift, _tilt(light, x_px, scatter, settings)[:, None], out=shift)
+        _raise_to_slope_across(shift, light, x_px, scatter, settings)
         for of_sheet in light.T:
             of_sheet[:] = mean_over(of_sheet, settings.distortion_frames)
-        np.fmax(shift, _slope_across(light, x_px, _scatter_across(light), settings), out=shift)
+        _raise_to_slope_across(shift, light, x_px, _scatter_across(light), settings)
     else:
         with np.errstate(divide="ignore", invalid="ignore"):
             slope = np.diff(light, axis=1) / np.diff(nan_median(x_px))
@@ -397,8 +419,10 @@ def _shift_by_light(
     return pulled_px2
 
 
-def _slope_across(light: Floats, x_px: Floats, scatter: float, settings: TrackingSettings) -> Floats:
-    """Return the slope of the light from sheet to sheet, per px, (frame, N); 0 where it is scatter.
+def _raise_to_slope_across(
+    size: Floats, light: Floats, x_px: Floats, scatter: float, settings: TrackingSettings
+) -> None:
+    """Raise `size` to the slope of the light from sheet to sheet, per px, (frame, N), where it is no scatter.
 
     It is the smaller of the slopes to both neighbours if these have the same sign, and its scatter is that of
     single sheets against the mean of their neighbours. The first and last sheet have that of their neighbour.
@@ -407,14 +431,13 @@ def _slope_across(light: Floats, x_px: Floats, scatter: float, settings: Trackin
     apart_px = float(nan_median(apart))
     apart = np.where(apart > 0, apart, np.nan)
     least = settings.distortion_sigmas * np.sqrt(2) * scatter / apart_px
-    across = np.empty(light.shape)
     for rows in row_parts(len(light)):
         with np.errstate(divide="ignore", invalid="ignore"):
             slope = np.diff(light[rows], axis=1) / apart
         left, right = slope[:, :-1], slope[:, 1:]
         smaller = np.where(left * right > 0, np.fmin(np.abs(left), np.abs(right)), 0.0)
-        across[rows] = np.pad(_if_above(smaller, least), ((0, 0), (1, 1)), "edge")
-    return across
+        across = np.pad(_if_above(smaller, least), ((0, 0), (1, 1)), "edge")
+        np.fmax(size[rows], across, out=size[rows])
 
 
 def _tilt(light: Floats, x_px: Floats, scatter: float, settings: TrackingSettings) -> Floats:
@@ -426,7 +449,9 @@ def _tilt(light: Floats, x_px: Floats, scatter: float, settings: TrackingSetting
     half, rest = light.shape[1] // 2, nan_median(x_px)
     apart = rest[half:] - rest[:-half]
     apart = np.where(apart > 0, apart, np.nan)
-    slope = np.abs(nan_median((light[:, half:] - light[:, :-half]) / apart, axis=1))
+    slope = np.empty(len(light))
+    for rows in row_parts(len(light)):
+        slope[rows] = np.abs(nan_median((light[rows, half:] - light[rows, :-half]) / apart, axis=1))
     of_median = np.sqrt(np.pi / 2 / len(apart)) * np.sqrt(2) * scatter / nan_median(apart)
     return np.nan_to_num(_if_above(slope, settings.distortion_sigmas * of_median))
 

@@ -341,22 +341,26 @@ def pattern_shift(log_contrast: Floats, log_width: Floats, settings: TrackingSet
     log_contrast -= common_change(log_contrast, nan_median(log_contrast))[:, None]
     log_width -= common_change(log_width, nan_median(log_width))[:, None]
     features = (log_contrast, log_width)
-    medians = np.empty((2, frames - span + 1, sheets))
-    for middle, values in zip(medians, features, strict=True):
-        windows = np.lib.stride_tricks.sliding_window_view(values, span, axis=0)
+    windows = [np.lib.stride_tricks.sliding_window_view(values, span, axis=0) for values in features]
 
-        def of_block(rows: slice, middle: Floats = middle, windows: Floats = windows) -> None:
-            middle[rows] = nan_median(windows[rows], axis=-1)
+    def medians(first: slice | Ints) -> Floats:
+        """Return medians over the frames from each of some, (kinds, frame, N)."""
+        return np.stack([nan_median(values[first], axis=-1) for values in windows])
 
-        in_blocks(of_block, len(windows))
-    before, after = medians[:, :-span], medians[:, span:]
-    own = _feature_change(before, after, 0, settings)
+    own = np.empty(frames - 2 * span + 1)
+
+    def change(rows: slice) -> None:
+        around = medians(slice(rows.start, rows.stop + span))
+        own[rows] = _feature_change(around[:, :-span], around[:, span:], 0, settings)
+
+    in_blocks(change, len(own))
     own, usual = np.where(own < np.inf, own, 0.0), np.median(own)
-    changed = own > settings.pattern_change * usual
     others = np.full((len(SHIFTS), len(own)), np.inf)
-    others[:, changed] = [
-        _feature_change(before[:, changed], after[:, changed], by, settings) for by in SHIFTS
-    ]
+    changed = np.flatnonzero(own > settings.pattern_change * usual)
+    for part in row_parts(len(changed)):
+        rows = changed[part]
+        before, after = medians(rows), medians(rows + span)
+        others[:, rows] = [_feature_change(before, after, by, settings) for by in SHIFTS]
     least = others.min(axis=0)
     found = np.flatnonzero(least < own / settings.pattern_ratio)
     events: list[int] = []
@@ -366,7 +370,7 @@ def pattern_shift(log_contrast: Floats, log_width: Floats, settings: TrackingSet
     for event in events:  # medians date the jump to about two frames; the single frames decide the rest
         first, last = event + span // 2 + 1, event + span + span // 2
         near = np.stack([values[first:last] for values in features])
-        as_before = np.broadcast_to(before[:, [event]], near.shape)
+        as_before = np.broadcast_to(medians(np.array([event])), near.shape)
         each = np.stack([_feature_change(as_before, near, by, settings) for by in (0, *SHIFTS)])
         shift[first:last] += np.array((0, *SHIFTS))[each.argmin(axis=0)]
         shift[last:] += SHIFTS[int(np.argmin(others[:, event]))]

@@ -294,8 +294,9 @@ def exchanged(
     rows = np.flatnonzero(off.any(axis=1))
     if not len(rows):
         return np.zeros(x_px.shape, bool)
-    off, here, last_x, step = off[rows], moved[1 + rows], last[rows], moved[1:] - last
-    usual_step = float(nan_median(np.abs(step, out=step).ravel()))
+    off, here, last_x = off[rows], moved[1 + rows], last[rows]
+    np.subtract(moved[1:], last, out=last)
+    usual_step = float(nan_median(np.abs(last, out=last).ravel()))
     step = here - last_x
     del moved, last
     level = without_common_change(np.log(contrast.astype(np.float64)))

@@ -8,6 +8,8 @@ measures errors that persist from frame to frame, `shared_error` those that neig
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -17,6 +19,7 @@ from vision.numeric import (
     NORMAL_MEDIAN,
     Bools,
     Floats,
+    Ints,
     column_parts,
     median_size,
     nan_median,
@@ -226,11 +229,16 @@ def _without_motion(second: Floats) -> Iterator[Floats]:
     along = np.array([(opening[seen] * own[seen]).sum() for seen, own in zip(known.T, second.T, strict=True)])
     share = along / np.maximum(power, np.finfo(float).tiny)
     beside = np.pad(share, 1, "reflect", reflect_type="odd")
-    for of in (place / (sheets - third), (beside[:-2] + beside[2:]) / 2):
-        rest = second.copy()
-        for rows in row_parts(len(second)):
-            rest[rows] -= opening[rows, None] * of
-        yield rest
+    linear, as_beside = place / (sheets - third), (beside[:-2] + beside[2:]) / 2
+    yield _less_opening(second.copy(), opening, linear)
+    yield _less_opening(second, opening, as_beside)
+
+
+def _less_opening(second: Floats, opening: Floats, share: Floats) -> Floats:
+    """Return second differences (frame, N) less a share (N,) in the opening (frame,), changed in place."""
+    for rows in row_parts(len(second)):
+        second[rows] -= opening[rows, None] * share
+    return second
 
 
 def _fourth_differences(x_px: Floats) -> Floats:
@@ -294,13 +302,17 @@ def own_vibration(x_px: Floats, settings: TrackingSettings = DEFAULT) -> Floats:
         step -= nan_median(step)
         for moved, usual in zip(step.T, median_size(step), strict=True):
             moved[np.abs(moved) > JUMP * usual / NORMAL_MEDIAN] = np.nan
-        more = [
-            _of_block(step[rows[0] : rows[-1]], (found[rows] != 0).any(axis=0), settings) for rows in blocks
-        ]
-        for rows, part in zip(blocks, more, strict=True):
-            found[rows] += part
-        blocks = [rows for rows, part in zip(blocks, more, strict=True) if part.any()]
+        with ThreadPoolExecutor(2) as pool:
+            more = list(pool.map(partial(_add_of_block, found, step, settings), blocks))
+        blocks = [rows for rows, some in zip(blocks, more, strict=True) if some]
     return found
+
+
+def _add_of_block(found: Floats, step: Floats, settings: TrackingSettings, rows: Ints) -> bool:
+    """Add the vibration in a block of frames to what is found, (frame, N); return whether there is any."""
+    more = _of_block(step[rows[0] : rows[-1]], (found[rows] != 0).any(axis=0), settings)
+    found[rows] += more
+    return bool(more.any())
 
 
 def _of_block(step: Floats, vibrates: Bools, settings: TrackingSettings) -> Floats:

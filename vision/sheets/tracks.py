@@ -243,17 +243,20 @@ def _assess_ridges(
     blurred, blur_px = motion_blur(changing, detections.contrast, detections.fwhm_px, comb)
     del changing
     smeared = (blur_px > 0) | blurred
+    smears, blur2 = np.nonzero(blur_px), blur_px[blur_px != 0] ** 2  # few ridges
+    del blur_px
     x_px[smeared & _beside_missing(detections.flag)] = np.nan
     distorted_px, usual_px, lasting_px, scale = distortion(profile, x_px, err, smeared, comb)
     not_a_sheet = not_one_ridge(profile, x_px, comb) | two_in_one(x_px, detections.fwhm_px, comb)
     not_a_sheet |= lasting_px > comb.settings.most_distorted * comb.fwhm_px
     not_a_sheet |= marks(x_px, err, np.hypot(lasting_px, usual_px), comb)
     flag = np.where((detections.flag == Flag.OK) & not_a_sheet, np.uint8(Flag.MERGED), detections.flag)
-    is_distorted = np.empty(x_px.shape, bool)
-    for rows in row_parts(len(x_px)):
-        is_distorted[rows] = distorted_px[rows] > np.fmax(err[rows], comb.settings.distortion_floor)
-        err[rows] = np.sqrt(err[rows] ** 2 + blur_px[rows] ** 2 + distorted_px[rows] ** 2)
-    del blur_px, distorted_px
+    is_distorted = distorted_px > np.fmax(err, comb.settings.distortion_floor)
+    np.square(err, out=err)
+    err[smears] += blur2
+    err += np.square(distorted_px, out=distorted_px)
+    np.sqrt(err, out=err)
+    del distorted_px
     usual = median_where(np.isfinite(x_px), err)
     excess = noise_excess(BetweenSlips(_unrepeated(x_px, frozen), comb.settings), err, comb.settings)
     np.hypot(err, np.nan_to_num(usual) * np.sqrt(np.fmax(excess**2 - 1.0, 0.0)), out=err)

@@ -1,0 +1,30 @@
+"""What the command asks of the C library."""
+
+import platform
+import subprocess
+import sys
+
+import pytest
+
+FREED = """
+import numpy as np
+from vision.command.console import return_freed_memory
+
+def resident_mib():
+    lines = open("/proc/self/status").read().splitlines()
+    return int(next(line.split()[1] for line in lines if line.startswith("VmRSS"))) >> 10
+
+return_freed_memory()
+np.ones(2 << 20)  # the first that is freed raises the size of arrays that are kept
+arrays = [np.ones(2 << 20) for _ in range(8)]
+before = resident_mib()
+del arrays[:-1]
+print(before - resident_mib())
+"""
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="a setting of the GNU C library")
+def test_freed_arrays_return_to_the_system():
+    """A failure means that a run holds memory of arrays that it no longer has."""
+    done = subprocess.run([sys.executable, "-c", FREED], capture_output=True, text=True, check=True)
+    assert int(done.stdout) > 100  # MiB of 112
