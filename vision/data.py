@@ -389,7 +389,7 @@ TRACKS = Schema(
     {
         "x_px": Variable(_FRAME_SHEET, "px", "position of the sheet"),
         "x_err_px": Variable(
-            _FRAME_SHEET, "px", "standard error of a displacement, without the error shared by all frames"
+            _FRAME_SHEET, "px", "random standard error of a position, without the error shared by all frames"
         ),
         "flag": Variable(_FRAME_SHEET, "", "ok, blurred, or why there is no position"),
         "why": Variable(_FRAME_SHEET, "", "why the identity is doubtful"),

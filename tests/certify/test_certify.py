@@ -229,10 +229,10 @@ def test_files(tmp_path, monkeypatch):
     page = (tmp_path / "out/certificate.html").read_text("utf-8")
     assert facts["error_px"] == pytest.approx(certificate.error_px)
     assert list(table["n"]) == list(tracks["n"].values)
-    assert re.search(r"Error of a displacement.*?0\.\d{3,4} px \(\d?\.?\d{2,4} µm\)", page, re.DOTALL)
+    assert re.search(r"Random error of a position.*?0\.\d{3,4} px \(\d?\.?\d{2,4} µm\)", page, re.DOTALL)
     assert "that of single sheets is from 0." in page and "(the worst)" in page
     (panel,) = certificate_figure(certificate).panels
-    errors = next(line.y for line in panel.series if line.label == "RMS error of a displacement")
+    errors = next(line.y for line in panel.series if line.label == "RMS random error of a position")
     assert panel.y_label == "thousandths of a pixel"
     assert rms(errors) == pytest.approx(1000 * certificate.error_px, rel=0.1)
     assert facts["threshold"] is None

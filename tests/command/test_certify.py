@@ -33,7 +33,7 @@ def test_the_certificate_of_a_run(made, tmp_path, capsys, monkeypatch):
     target, truth = made
     monkeypatch.chdir(tmp_path)
     assert run(["certify", str(target), "--films", "1"]) == 0
-    assert "Error of a displacement" in capsys.readouterr().out
+    assert "Random error of a position" in capsys.readouterr().out
     facts = read_json(tmp_path / "sim_tracks_certificate/certificate.json")
     error = _positions(target / "tracks.nc") - _positions(truth)
     actual = np.sqrt(np.mean((error - error.mean(axis=0)) ** 2))

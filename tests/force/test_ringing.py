@@ -210,7 +210,7 @@ def test_an_average_that_is_too_short_is_told_the_period():
         lines = find_stick_slip(force, average_s=0.02).attrs["warnings"]
     except InputError as error:
         lines = [str(error)]
-    assert any("`average_s` 0.2" in line for line in lines)
+    assert any("`average_s` auto, or 0.2" in line for line in lines)
 
 
 @pytest.mark.parametrize(("period", "damping", "share"), RINGING[:2])

@@ -67,7 +67,7 @@ class Certificate:
     frames, films, pixel_size_um
         Number of frames of a film, number of films, and the pixel size if known.
     sheets
-        One row per sheet: index, side, n, x_px, error_px (RMS error of a displacement), stated_px (median
+        One row per sheet: index, side, n, x_px, error_px (RMS random error of a position), stated_px (median
         x_err_px), within_error (share of positions within it), found, locking_px (peak to peak),
         sweep_error_px and smallest_sweep_px (in a stick phase).
     error_px, within_error, found, wrong

@@ -71,7 +71,7 @@ def certificate_figure(certificate: Certificate) -> Figure:
         x_label="position of the sheet (px)",
         y_label="thousandths of a pixel",
         series=(
-            Series.points("RMS error of a displacement", x, error, DATA),
+            Series.points("RMS random error of a position", x, error, DATA),
             Series(label="stated by the run, x_err", x=x, y=stated, ink=DATA, dashed=True),
             Series.points("smallest sweep in a stick phase", x, sweep, PEAK, hollow=True),
             Series(label="pixel locking, peak to peak", x=x, y=locking, ink=VALLEY),
@@ -88,7 +88,7 @@ def statements(certificate: Certificate) -> list[Answer]:
     c, worst = certificate, certificate.sheets["error_px"]
     answers = [
         Answer(
-            "Error of a displacement",
+            "Random error of a position",
             f"{'about ' if c.uncertain else ''}{_length(c.error_px, c)}",
             f"RMS over all sheets; that of single sheets is from {_length(float(worst.min()), c)} (the best) "
             f"to {_length(float(worst.max()), c)} (the worst)",

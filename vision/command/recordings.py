@@ -299,7 +299,11 @@ def simulate(directory: Path, options: SimulateOptions) -> int:
     size = f"{experiment.camera.width} x {experiment.camera.height} px, {experiment.ridges_in_view} sheets"
     files = {"video": test.video, "force": test.force, "truth": test.truth, "stamps": test.timestamps}
     lines = [f"{test.frames} frames{lost} of {size}, seed {experiment.seed}"]
-    lines += aligned((name, str(path)) for name, path in files.items())
+    track = (
+        f"track {test.video} --pixel-size {experiment.camera.pixel_size_um:g} --timestamps {test.timestamps} "
+        f"--force {test.force} --d0 {experiment.mechanics.d0_mm:g}"
+    )
+    lines += aligned([*((name, str(path)) for name, path in files.items()), ("next", track)])
     return conclude(lines, (), quiet=options.quiet)
 
 

@@ -168,12 +168,15 @@ def parse_with_error(text: str | float | None, option: str) -> tuple[float | Non
 
 
 def parse_duration(text: str | float, option: str) -> float | Literal["auto"]:
-    """Parse a number of seconds from 0, or "auto".  Raises: InputError."""
+    """Parse a number of seconds from 0, of milliseconds with "ms", or "auto".  Raises: InputError."""
     if text == "auto":
         return "auto"
-    value = number(str(text))
+    in_ms = str(text).strip().removesuffix("ms")
+    value = number(str(text)) if in_ms == str(text).strip() else 1e-3 * number(in_ms)
     if not 0 <= value < math.inf:
-        raise InputError(option, "seconds from 0, or auto", f"'{text}'")
+        raise InputError(
+            option, "seconds from 0, such as 0.05 or 50ms, or auto", f"'{text}'", with_point(in_ms)
+        )
     return value
 
 

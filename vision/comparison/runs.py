@@ -252,7 +252,9 @@ def _check_unique(run: RunFolder, name: str, recordings: dict[Any, str]) -> None
     other = recordings.setdefault(marks[0], name)
     if other != name:
         found = f"that of {other}, which would count twice"
-        raise InputError(run.folder, "a force recording that no other run has", found, "name one of the two")
+        raise InputError(
+            run.folder, "a force recording that no other run has", found, "leave one of them out"
+        )
 
 
 def _read_test(made: RunFolder, name: str, row: Row, warnings: list[str]) -> TractionTest:

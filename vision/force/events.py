@@ -169,8 +169,8 @@ def _is_ringing(signal: Signal, period_s: float, threshold_N: float | None, sett
 def _proposal(ringing_s: float) -> str:
     """Return that the load oscillates, and what to do."""
     return (
-        f"the load oscillates at {1 / ringing_s:.3g} Hz (ringing after slips, or hum): `average_s` "
-        f"{ringing_s:.3g} averages it over one period"
+        f"the load oscillates at {1 / ringing_s:.3g} Hz (ringing after slips, or hum): give `average_s` "
+        f"auto, or {ringing_s:.3g}, to average it over one period"
     )
 
 
@@ -198,11 +198,13 @@ def _check_load(signal: Signal, source: str, rings: str, settings: ForceSettings
             "if tension counts negative on this machine give `columns` load=-NAME",
         )
     if signal.is_spike.mean() > settings.most_spikes:
+        if rings:
+            raise InputError(source, "stick-slip", f"{100 * signal.is_spike.mean():.0f} % of spikes", rings)
         raise InputError(
             source,
             f"at most {100 * settings.most_spikes:g} % of spikes",
             f"{100 * signal.is_spike.mean():.0f} %: the load jumps from sample to sample",
-            rings or "record more samples per second: 30 or more in each stick, and several in each ringing",
+            "record more samples per second: 30 or more in each stick, and several in each ringing",
         )
 
 

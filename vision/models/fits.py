@@ -39,6 +39,8 @@ _LEAST_EVENTS = 6
 _LARGEST_OFFSET_N = 10.0  # limit of |T0| in the publication: the largest error of a load cell's zero
 _CLEAR_OFFSET = 5.0  # T0 over its error above which it differs significantly from 0
 _UNLIKE_DROPS = 0.4  # relative scatter of drops: 0.05 to 0.2 in a test, 0.5 if half of them are small
+_MOST_UNFITTED = 0.25  # share of the events that Eq. 1 may leave out after the build-up without a warning
+_SUSPECTS = "check `d0_mm`, the sample's geometry and the load's zero"
 _CONTRADICTS = 3.0  # χ²/dof above which a model contradicts its points
 _GEOMETRY = ("thickness_mm", "width_mm", "length_mm", "t_star_N")
 
@@ -263,7 +265,7 @@ def _complete_events(sticks: pd.DataFrame, sample: Sample, force: xr.Dataset) ->
     if from_zero or high >= sample.length_mm:
         raise InputError(
             "the force recording",
-            f"separations between 0 and {sample.length_mm:g} mm",
+            f"separations between 0 and {sample.length_mm:g} mm, well above 0",
             f"{low:.5g} to {high:.5g} mm{', as of a displacement that begins at 0' if from_zero else ''}",
             f"give the initial separation with `d0_mm`, check `length_mm`, or {_read_as(force)}",
         )
@@ -600,7 +602,7 @@ def _degeneracies(fits: ModelFits) -> list[str]:
 def _events_used(fits: ModelFits, left_out: Mapping[str, int], given_range: bool) -> list[str]:
     """Note on the events that were fitted, if some were left out or a range was given."""
     used = fits.goodness["peaks"].points
-    reasons = {"build_up": "of the build-up", "misfit": "later ones that Eq. 1 does not fit"}
+    reasons = {"build_up": "of the build-up", "misfit": "after the build-up, before Eq. 1 fits"}
     without = [f"{left_out[name]} {reason}" for name, reason in reasons.items() if left_out.get(name)]
     if without:
         return [
@@ -618,10 +620,16 @@ def _remarks(
     """Notes and warnings on the events used, the misfit, the offset, the speed and systematic errors."""
     notes = _degeneracies(fits) + _events_used(fits, left_out, given_range)
     warnings: list[str] = []
+    unfitted, all_events = left_out.get("misfit", 0), fits.goodness["peaks"].points + sum(left_out.values())
+    if unfitted > _MOST_UNFITTED * all_events:
+        warnings.append(
+            f"Eq. 1 does not fit {unfitted} of {all_events} events, those at the smaller separations after "
+            f"the build-up, which are left out: {_SUSPECTS}"
+        )
     for name, good in fits.goodness.items():
         if good.chi2_dof > largest_chi2(good.points):
             line = f"the model does not follow the {name} (χ²/dof {good.chi2_dof:.3g}): "
-            line += f"errors widened {two_digits(np.sqrt(good.chi2_dof))} times"
+            line += f"errors widened {two_digits(np.sqrt(good.chi2_dof))} times; {_SUSPECTS}"
             (warnings if good.chi2_dof > _CONTRADICTS else notes).append(line)
     if abs(fits.t0_N.value) - 2 * fits.t0_N.error > _LARGEST_OFFSET_N:  # short tests hardly determine it
         warnings.append(
@@ -631,8 +639,9 @@ def _remarks(
     elif abs(fits.t0_N.value) > _CLEAR_OFFSET * fits.t0_N.error > 0:
         away = two_digits(abs(fits.t0_N.value) / fits.t0_N.error)
         notes.append(
-            f"𝒯0 = {fits.t0_N.value:.3g} N is {away} statistical errors from 0: the load cell's zero, drift"
-            " or low-pass, `d0_mm` or the sample's geometry (in the systematic error, as far as known)"
+            f"𝒯0 = {fits.t0_N.value:.3g} N is {away} statistical errors from 0, as where the load cell's "
+            "zero or drift, its low-pass, `d0_mm` or the sample's geometry is wrong; known errors of these "
+            "are in the systematic error"
         )
     if fits.scale_mm.value > 0.999 * LARGEST_SCALE * fits.d_mm[1]:
         warnings.append("K does not fall with d as M_eff does: Λ̂, N̂ and Y_eff are not determined")

@@ -157,7 +157,7 @@ def _noise(results: Results) -> Answer | None:
     return Answer(
         what,
         f"{measured:.2g} px" + ("" if size is None else f" = {measured * size:.2g} µm"),
-        f"median of the sheets, from frame to frame; {check}; stated error of displacements, x_err_px: "
+        f"median of the sheets, from frame to frame; {check}; stated random error of a position, x_err_px: "
         f"{noise['stated_px']:.2g} px",
         doubt=bool(not hidden and measured > 3 * predicted),
     )

@@ -104,7 +104,7 @@ def write_tracks_nc(
     data["frame"].attrs["long_name"] = "frame number"
     data["sheet"].attrs["long_name"] = "sheet, counted from the left"
     if math.isfinite(constant_error_px):
-        comment = "x_err_px: error of a displacement; constant_error_px: of a position, equal in all frames"
+        comment = "x_err_px: random error of a position; constant_error_px: equal in all frames"
         about = {"constant_error_px": constant_error_px, "comment": comment}
         data["x_px"] = data["x_px"].assign_attrs(about)
     if pixel_size_um is not None:
