@@ -301,7 +301,7 @@ def lowpass_correction(sticks: pd.DataFrame) -> str:
             proven = "show" if facts.lowpass_proven else "may show (they differ)"
             proposal = (
                 f"; the slips {proven} a low-pass of {_ms(facts.lowpass_proposed_s)}, which "
-                "`lowpass_s` can correct"
+                "`lowpass_s` auto can correct"
             )
         if math.isfinite(facts.ringing_s):
             proposal += (
