@@ -11,6 +11,7 @@ from vision.figures.style import (
     VALLEY,
     both_errors,
     counted,
+    from_zero,
     ordered_inks,
     percent,
     plus_minus,
@@ -149,3 +150,10 @@ def test_dollars_in_names_are_no_mathematics():
 def test_one_is_not_a_plural():
     """A failure means "1 tests" at the top of a campaign's page."""
     assert [counted(n, "test") for n in (0, 1, 2)] == ["0 tests", "1 test", "2 tests"]
+
+
+def test_the_axis_of_drops_shows_every_drop_that_is_no_outlier():
+    """A failure means that the largest drops of a test lie above the axis, or that an outlier hides all."""
+    drops = np.geomspace(90, 10, 600)
+    assert from_zero(drops, share=0.98) == pytest.approx((0, 1.15 * 90))
+    assert from_zero(np.r_[drops, 900.0], share=0.98)[1] < 150

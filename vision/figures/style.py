@@ -200,11 +200,14 @@ def position_unit(pixel_size_um: float | None, width_px: float) -> tuple[float, 
 
 
 def from_zero(*values: Floats, share: float = 1.0) -> tuple[float, float] | None:
-    """Return the range of an axis from 0 to above this share of the values; None if none is positive."""
+    """Return the range of an axis from 0 to above this share of the values, or above all of them if none is
+    far off; None if none is positive."""
     known = np.concatenate([np.asarray(part, np.float64).ravel() for part in values])
     known = known[np.isfinite(known)]
-    margin = 1.15 if share == 1 else 1.25  # for the outliers
-    top = margin * float(np.quantile(known, share)) if known.size else 0.0
+    if not known.size:
+        return None
+    top, largest = 1.15 * float(np.quantile(known, share)), 1.15 * float(known.max())
+    top = largest if largest < 2 * top else 1.25 / 1.15 * top  # the rest are outliers
     return (0.0, top) if top > 0 else None
 
 
