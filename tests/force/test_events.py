@@ -930,7 +930,7 @@ def test_a_load_that_rings_on_is_not_called_sampled_too_slowly_alone() -> None:
     load, time = test.force["load_N"].to_numpy(), np.arange(40)
     swing = np.exp(-0.08 * time) * np.cos(2.1 * time)
     ringing = np.convolve(np.minimum(np.diff(load, prepend=load[0]), 0.0), swing)[: load.size]
-    with pytest.raises(InputError, match=r"the load oscillates at 33.* Hz .*: give `average_s` auto, or 0.03"):
+    with pytest.raises(InputError, match=r"oscillates at 33.* Hz .*: give `average_s` auto, or 0.03"):
         find_stick_slip(test.force.assign(load_N=("time_s", load + ringing)))
 
 
