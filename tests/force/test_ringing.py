@@ -237,3 +237,9 @@ def test_hum_is_averaged_as_well(size):
     assert len(right) == len(scene().truth)
     assert (right["K_N_per_mm"] / truth["K_N_per_mm"]).median() == pytest.approx(1, abs=0.002)
     assert np.isnan(events.attrs["hum_Hz"])
+
+
+def test_an_average_longer_than_the_recording_is_refused_in_words():
+    """A failure means a threshold of nan, or a warning of NumPy, where milliseconds were meant."""
+    with pytest.raises(InputError, match=r"averaged over 500 s; give a shorter `average_s`"):
+        find_stick_slip(scene().force, average_s=500.0)

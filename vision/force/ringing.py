@@ -40,16 +40,16 @@ def _period(step: Floats, settings: ForceSettings) -> float:
     longest = step.size // settings.ringing_fewest
     if longest < 4:
         return float("nan")
-    power = np.abs(scipy.fft.rfft(step, scipy.fft.next_fast_len(step.size + longest, real=True))) ** 2
-    alike = scipy.fft.irfft(power)[:longest]
+    size = scipy.fft.next_fast_len(step.size + longest, real=True)
+    alike = scipy.fft.irfft(np.abs(scipy.fft.rfft(step, size)) ** 2, size)[:longest]
     alike /= alike[0]
     below = np.flatnonzero(alike < 0)
     if not below.size:
         return float("nan")
     again = below[0] + np.flatnonzero(alike[below[0] :] > 0)
-    if not again.size:
-        return float("nan")
     period = float("nan")
+    if not again.size:
+        return period
     first = int(again[0] + np.argmax(alike[again[0] : 2 * again[0]]))
     if alike[below[0] : first].min() > -settings.ringing_alike or alike[first] < settings.ringing_alike:
         return period

@@ -98,7 +98,7 @@ class Signal:
         load, width = averaged(self.time, self.load, average_s), average_s / self.interval_s
         # The mean of many averages has the noise that it had without them, in which ringing cancels between
         # samples one period apart.
-        apart = max(round(width), 1)
+        apart = max(min(round(width), self.load.size // 10), 1)
         sigma = max(noise_sigma(self.load[k::apart]) for k in range(min(apart, 8)))
         noise = np.full(load.shape, sigma)
         is_spike, clean = find_spikes(load, noise, settings=settings)
