@@ -55,6 +55,12 @@ def white_noise(values: Floats) -> float:
     return float(mad_sigma(np.diff(values, 2)) / np.sqrt(6.0))
 
 
+def quantum(y: Floats) -> float:
+    """Return the smallest step between the values that occur, but for rounding errors; 0 for one value."""
+    steps = np.diff(np.unique(y))
+    return float(np.min(steps, where=steps > 1e-6 * np.ptp(y), initial=np.inf)) if steps.size else 0.0
+
+
 def two_digits(value: float) -> str:
     """Return a number with two significant digits, from 1e-4 to 1e6 without a power of ten: 170."""
     return f"{float(f'{value:.2g}'):g}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -299,11 +300,10 @@ def simulate(directory: Path, options: SimulateOptions) -> int:
     size = f"{experiment.camera.width} x {experiment.camera.height} px, {experiment.ridges_in_view} sheets"
     files = {"video": test.video, "force": test.force, "truth": test.truth, "stamps": test.timestamps}
     lines = [f"{test.frames} frames{lost} of {size}, seed {experiment.seed}"]
-    track = (
-        f"track {test.video} --pixel-size {experiment.camera.pixel_size_um:g} --timestamps {test.timestamps} "
-        f"--force {test.force} --d0 {experiment.mechanics.d0_mm:g}"
-    )
-    lines += aligned([*((name, str(path)) for name, path in files.items()), ("next", track)])
+    scale, d0 = f"{experiment.camera.pixel_size_um:g}", f"{experiment.mechanics.d0_mm:g}"
+    track = ["track", str(test.video), "--pixel-size", scale, "--timestamps", str(test.timestamps)]
+    track += ["--force", str(test.force), "--d0", d0]
+    lines += aligned([*((name, str(path)) for name, path in files.items()), ("next", shlex.join(track))])
     return conclude(lines, (), quiet=options.quiet)
 
 

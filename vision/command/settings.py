@@ -171,11 +171,11 @@ def parse_duration(text: str | float, option: str) -> float | Literal["auto"]:
     """Parse a number of seconds from 0, of milliseconds with "ms", or "auto".  Raises: InputError."""
     if text == "auto":
         return "auto"
-    in_ms = str(text).strip().removesuffix("ms")
-    value = number(str(text)) if in_ms == str(text).strip() else 1e-3 * number(in_ms)
+    figures, ms, rest = str(text).strip().partition("ms")
+    value = math.nan if rest else number(figures) * (1e-3 if ms else 1.0)
     if not 0 <= value < math.inf:
         raise InputError(
-            option, "seconds from 0, such as 0.05 or 50ms, or auto", f"'{text}'", with_point(in_ms)
+            option, "seconds from 0, such as 0.05 or 50ms, or auto", f"'{text}'", with_point(figures)
         )
     return value
 

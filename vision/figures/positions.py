@@ -409,18 +409,23 @@ def _origin_text(tracks: xr.Dataset, frames: slice) -> str:
     return f"its median over frames {numbers[0]} to {numbers[-1]}{span}"
 
 
-def outward_px(tracks: xr.Dataset, sheets: Ints | None = None) -> Floats:
-    """Return the mean outward displacement of sheets from their origins, px, (frame,).
+def outward_px(tracks: xr.Dataset) -> Floats:
+    """Return the mean outward displacement of all sheets from their origins, px, (frame,).
 
-    sheets: indices of the sheets, by default all. The mean is over those with a position in at least
-    `LEAST_FOUND` of the frames, or those with most positions. It is NaN in frames in which one of them has
-    none, where the mean would jump. If no frame is left, the mean is over the sheets that have a position.
+    The mean is over those with a position in at least `LEAST_FOUND` of the frames, or those with most
+    positions. It is NaN in frames in which one of them has none, where the mean would jump. If no frame is
+    left, the mean is over the sheets that have a position.
     """
-    chosen = np.arange(tracks.sizes["sheet"]) if sheets is None else sheets
+    origin = origin_px(tracks, origin_frames(tracks))
+    return _outward_px(tracks, origin, np.arange(tracks.sizes["sheet"]))
+
+
+def _outward_px(tracks: xr.Dataset, origin: Floats, chosen: Ints) -> Floats:
+    """Return the same of the sheets with these indices; origin: of every sheet, px."""
     x = np.asarray(tracks["x_px"].values, np.float64)[:, chosen]
     found = np.isfinite(x).mean(axis=0)
     often = found >= min(LEAST_FOUND, float(found.max(initial=0.0)))
-    outward = (x - origin_px(tracks, origin_frames(tracks))[chosen]) * tracks["side"].values[chosen]
+    outward = (x - origin[chosen]) * tracks["side"].values[chosen]
     mean = np.asarray(outward[:, often].mean(axis=1)) if often.any() else np.full(len(x), np.nan)
     if np.isfinite(mean).any():
         return mean
@@ -436,11 +441,12 @@ def outer_less_inner_px(tracks: xr.Dataset) -> dict[int, Floats]:
     sheets are left out.
     """
     n, side = np.asarray(tracks["n"].values), np.asarray(tracks["side"].values)
-    curves = {}
+    origin, curves = origin_px(tracks, origin_frames(tracks)), {}
     for which in (-1, 1):
         sheets = np.flatnonzero(side == which)
         third = sheets.size // 3
         if third:
             ordered = sheets[np.argsort(n[sheets])]
-            curves[which] = outward_px(tracks, ordered[-third:]) - outward_px(tracks, ordered[:third])
+            outer, inner = (_outward_px(tracks, origin, part) for part in (ordered[-third:], ordered[:third]))
+            curves[which] = outer - inner
     return curves

@@ -206,8 +206,8 @@ def from_zero(*values: Floats, share: float = 1.0) -> tuple[float, float] | None
     known = known[np.isfinite(known)]
     if not known.size:
         return None
-    top, largest = 1.15 * float(np.quantile(known, share)), 1.15 * float(known.max())
-    top = largest if largest < 2 * top else 1.25 / 1.15 * top  # the rest are outliers
+    usual, largest = float(np.quantile(known, share)), float(known.max())
+    top = 1.15 * largest if largest < 2 * usual else 1.25 * usual  # the rest are outliers
     return (0.0, top) if top > 0 else None
 
 

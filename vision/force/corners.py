@@ -19,6 +19,9 @@ from vision.signals import running_mean
 _HALF_COSINE, _STRAIGHT = 0.59, 0.8
 # Width of one mean after which the crossings of a sudden drop are as far apart as after two of width 1.
 _TWICE = 1.38
+# Error of a corner, as a share of the time over which the load is averaged: a slip of two fifths of it looks
+# like a sudden one.
+AVERAGE_ERROR = 0.2
 
 # --- corners ------------------------------------------------------------------------------------------------
 
@@ -235,12 +238,9 @@ def _half_from_crossing(distance: Floats, slope: Floats, drop: Floats) -> Floats
 
 
 def _errors(seen: _DeconvolvedLoad, drop: Floats, length: float, settings: ForceSettings) -> Floats:
-    """Return the position error of each corner: noise over the slip's slope, sampling, and unknown shape.
-
-    A slip that lasts two fifths of the time over which the load is averaged looks like a sudden one.
-    """
+    """Return the position error of each corner: noise over the slip's slope, sampling, and unknown shape."""
     systematic = np.hypot(settings.corner_error, settings.shape_error * length)
-    systematic = np.hypot(systematic, 0.2 * seen.averaged)
+    systematic = np.hypot(systematic, AVERAGE_ERROR * seen.averaged)
     steepest = np.pi / 2 * np.maximum(drop, seen.sigma) / max(length, seen.width)
     return np.hypot(seen.sigma / steepest, systematic)
 

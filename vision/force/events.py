@@ -109,12 +109,15 @@ def find_stick_slip(
     _check_times(force, source)
     signal = Signal.of(force, settings)
     swing_s = ringing_period(signal.load, settings) * signal.interval_s
-    ringing_s = swing_s if _is_ringing(signal, swing_s, threshold_N, settings) else math.nan
-    signal = signal.average(_average(average_s, ringing_s, lowpass_s), settings)
+    calm = _without_ringing(signal, swing_s, threshold_N, settings)
+    ringing_s = swing_s if calm else math.nan
+    seconds = _average(average_s, ringing_s, lowpass_s)
+    known = calm if seconds == ringing_s else None  # what was searched to tell ringing is not searched again
+    signal = known[0] if known else signal.average(seconds, settings)
     still_rings = signal.averaged * signal.interval_s < 0.7 * ringing_s  # not where there is no ringing
     rings = _proposal(ringing_s) if still_rings else ""
     _check_load(signal, source, rings, settings)
-    signal, slips = _slips(signal, threshold_N, settings)
+    signal, slips = known or _slips(signal, threshold_N, settings)
     if slips.edge.size < 2:
         raise _too_few_slips(signal, slips, source, rings)
     period_s = slips.period * signal.interval_s
@@ -151,19 +154,22 @@ def find_stick_slip(
     )
 
 
-def _is_ringing(signal: Signal, period_s: float, threshold_N: float | None, settings: ForceSettings) -> bool:
-    """Tell whether an oscillation of this period, NaN for none, is ringing after slips.
+def _without_ringing(
+    signal: Signal, period_s: float, threshold_N: float | None, settings: ForceSettings
+) -> tuple[Signal, Slips] | None:
+    """Return the averaged signal and its slips if an oscillation of this period, NaN for none, is ringing.
 
     Without it the load shows stick-slip, whose slips are several periods apart.
     """
     if math.isnan(period_s):
-        return False
+        return None
     calm, slips = _slips(signal.average(period_s, settings), threshold_N, settings)
     if slips.edge.size < 2 or slips.period < _FEWEST_PERIODS * calm.averaged:
-        return False
+        return None
     corners = find_corners(calm, slips, settings=settings)
     extremes = find_extremes(calm.clean, calm.sigma, corners.middle, corners.length, corners.drop)
-    return find_regime(calm.clean, slips, extremes, settings).name == "stick-slip"
+    regime = find_regime(calm.clean, slips, extremes, settings)
+    return (calm, slips) if regime.name == "stick-slip" else None
 
 
 def _proposal(ringing_s: float) -> str:
@@ -369,12 +375,7 @@ def _search_slips(signal: Signal, threshold_N: float | None, settings: ForceSett
     hum = [] if signal.averaged else find_hum(signal.clean, settings)
     while True:
         quiet = signal.without(hum, settings)
-        slips = find_slips(
-            quiet.clean,
-            quiet.noise,
-            threshold=threshold_N,
-            settings=settings,
-        )
+        slips = find_slips(quiet.clean, quiet.noise, threshold=threshold_N, settings=settings)
         # If a line was a harmonic of the slips, its subtraction has displaced them: search again without it.
         kept = [line for line in hum if is_hum(line, signal.clean, slips, settings)]
         if len(kept) == len(hum):

@@ -6,13 +6,7 @@ import numpy as np
 import scipy
 
 from vision.force.settings import ForceSettings
-from vision.numeric import Floats, peak_offset
-
-
-def quantum(y: Floats) -> float:
-    """Return the smallest step between the values that occur, but for rounding errors; 0 for one value."""
-    steps = np.diff(np.unique(y))
-    return float(np.min(steps, where=steps > 1e-6 * np.ptp(y), initial=np.inf)) if steps.size else 0.0
+from vision.numeric import Floats, peak_offset, quantum
 
 
 def ringing_period(load: Floats, settings: ForceSettings) -> float:
@@ -25,13 +19,13 @@ def ringing_period(load: Floats, settings: ForceSettings) -> float:
     """
     step = np.diff(load)
     step -= np.median(step)
-    size, least = np.abs(step), 1.5 * quantum(load)
+    size = np.abs(step)
     for cut in (1 - settings.ringing_steps, 3 * (1 - settings.ringing_steps)):
         most = float(np.quantile(size, 1 - cut))
-        period = _period(np.clip(step, -most, most), settings) if most > least else float("nan")
+        period = _period(np.clip(step, -most, most), settings) if most else float("nan")
         if np.isfinite(period):
-            break
-    return period
+            return period if most > 1.5 * quantum(load) else float("nan")
+    return float("nan")
 
 
 def _period(step: Floats, settings: ForceSettings) -> float:

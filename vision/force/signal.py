@@ -14,10 +14,10 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from vision.force.lines import fit_lines, fit_polynomials
 from vision.force.recording import usable
-from vision.force.ringing import averaged, quantum
+from vision.force.ringing import averaged
 from vision.force.settings import ForceSettings
 from vision.force.slips import Slips, stick_middles
-from vision.numeric import Bools, Floats, Ints, nan_median, peak_offset, white_noise
+from vision.numeric import Bools, Floats, Ints, nan_median, peak_offset, quantum, white_noise
 from vision.signals import running_mean, running_median
 
 _WITHIN = 0.683  # share of normally distributed values within one standard deviation

@@ -16,6 +16,7 @@ import xarray as xr
 
 from vision.data import FORCE, ForceMetadata, StickMetadata, load_unit, whole_events
 from vision.errors import InputError, check_kind, check_positive, shown
+from vision.force.corners import AVERAGE_ERROR
 from vision.models import equations
 from vision.models.single_fits import (
     FIT_ERRORS,
@@ -513,9 +514,10 @@ def _unresolved_corners(
     by_sampling = _drop_lost_by_sampling(force, events)
     facts = StickMetadata.of(events)
     of_drop, of_k = abs(facts.lowpass_dF_share), abs(facts.lowpass_K_share)
-    # As in the errors of the events, but all alike: a filter may have lengthened the slips, or a slip of two
-    # fifths of the averaged time looks like a sudden one.
-    source, length_s = ("filter", facts.filter_s) if facts.filter_s else ("average", 0.28 * facts.average_s)
+    # As in the errors of the events, but all alike: a filter may have lengthened the slips, or both corners
+    # of a stick, in squares, err by the average.
+    of_average = 1.4 * AVERAGE_ERROR * facts.average_s
+    source, length_s = ("filter", facts.filter_s) if facts.filter_s else ("average", of_average)
     if length_s:
         # The stick rises on while the load still falls: both corners are off, together by this length.
         cut = events["dF_N"] * length_s / (events["t_p_s"] - events["t_v_s"])
