@@ -112,16 +112,16 @@ def test_a_displacement_that_counts_the_other_way_is_refused() -> None:
 
 def test_small_slips_below_a_gap_are_told() -> None:
     """A failure means that true small slips between large ones are lost without a word."""
-    drops = np.tile([45.0, 5.0], 30)
+    drops = np.tile([45.0, 45.0, 5.0], 20)
     load = np.concatenate([500 + np.linspace(0, drop, int(10 * drop), endpoint=False) for drop in drops])
     load += np.random.default_rng(2).normal(0, 0.2, load.size)
     time = np.arange(load.size) * 0.01
     force = recording(time, load, 13 + time / 60, 1.0)
     (line,) = find_stick_slip(force).attrs["warnings"]
-    assert re.search(r"^(28|29|30) drops of .* N lie below a gap", line)
+    assert re.search(r"^(19|20) drops of .* N lie below a gap", line)
     least = float(line.split("`threshold_N` ")[1].split()[0])
     events = find_stick_slip(force, threshold_N=least)
-    assert np.sum(events["dF_N"] < 20) == pytest.approx(29, abs=2)
+    assert np.sum(events["dF_N"] < 20) == pytest.approx(19, abs=2)
     assert events.attrs["warnings"] == []
 
 

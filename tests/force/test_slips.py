@@ -43,6 +43,25 @@ def test_a_gap_between_small_and_large_drops_moves_the_threshold() -> None:
     assert slips.drop.min() > 50
 
 
+@pytest.mark.parametrize(("least", "most"), [(0.12, 0.9), (0.12, 0.12)])
+def test_small_slips_close_to_large_ones_are_found(least: float, most: float) -> None:
+    """One slip of three is small, and the load is back at its peak as soon as it has risen by as much. A
+    failure means events that hold two sticks, of which no warning tells."""
+    rng = np.random.default_rng(4)
+    drops = 50 * (1 + 0.07 * rng.standard_normal(90))
+    drops[1::3] *= rng.permutation(np.geomspace(least, most, 30))
+    stick = [np.arange(drop, 0, -1 / 3) for drop in drops]
+    load = 500 - np.concatenate(stick) + 0.1 * rng.standard_normal(sum(map(len, stick)))
+    true = np.cumsum([len(part) for part in stick])[:-1]
+    slips = find_slips(load, 0.1)
+    if least == most:  # small ones below a gap are counted
+        assert slips.threshold_how == "gap"
+        assert slips.left_out.size == pytest.approx(30, abs=1)
+        return
+    assert slips.edge.size == pytest.approx(true.size, abs=1)
+    assert np.mean(np.abs(slips.edge[:, None] - true).min(axis=0) <= 2) > 0.98
+
+
 def test_knees_are_not_slips() -> None:
     """A failure means the change of slope within the sticks of fast pulls counts as an event of its own."""
     test = plain(sticks=40, samples=200, snr=2000, jitter=0.1, scatter=0.05, seed=3)

@@ -49,6 +49,11 @@ class ForceSettings:
     """Half the width of the step filter, in periods. Wider averages more noise, narrower follows irregular
     slips; shown by recall at drops of six sigmas."""
 
+    close_share: float = 0.05
+    """Smallest drop, over those beside it, of a slip that is closer to them than the step filter tells apart.
+    Smaller takes the tail of a low-pass for slips, larger misses small slips among large ones; shown by
+    load cells with a low-pass, and by slips of which some have a tenth of the drop."""
+
     candidate_sigmas: float = 5.5
     """Prominence, in standard deviations of the step filter's output, that makes a drop a candidate. Smaller
     costs time and admits noise, larger misses small slips."""

@@ -121,6 +121,7 @@ def find_slips(
     sigma = np.broadcast_to(sigma, y.shape)
     edge = _edges(y, _first_period(y, sigma, settings), sigma, settings)
     edge = _edges(y, _local_period(edge, y.size), sigma, settings)
+    edge = _with_close(y, edge, sigma, settings)
     drop = stick_drops(y, edge, settings)
     jump_edge, jump_N = _jumps_upward(y, edge, sigma, settings)
     # From here on drops and jumps are as high as if the noise were the usual one everywhere.
@@ -255,8 +256,45 @@ def _peaks(y: Floats, half: Ints, sigma: Floats, settings: ForceSettings) -> Int
 
 def _edges(y: Floats, period: Floats, sigma: Floats, settings: ForceSettings) -> Ints:
     """Return the edges of a signal whose period, in samples, is known at every sample."""
-    edge = _join_weak(y, _peaks(y, _half_widths(period, settings), sigma, settings), sigma, settings)
+    return _join(y, _peaks(y, _half_widths(period, settings), sigma, settings), sigma, settings)
+
+
+def _join(y: Floats, edge: Ints, sigma: Floats, settings: ForceSettings) -> Ints:
+    """Join neighbouring sticks between which there is no slip."""
+    edge = _join_weak(y, edge, sigma, settings)
     return _join_knees(y, _join_parts(y, edge, settings), sigma, settings)
+
+
+def _with_close(y: Floats, edge: Ints, sigma: Floats, settings: ForceSettings) -> Ints:
+    """Return the edges, and those between them that are closer than the step filter tells apart.
+
+    The filter is halved until it has two samples on either side. What it proposes must pass the same tests,
+    and be clear: a drop of twice the usual threshold and of `close_share` of those beside it, which stay as
+    they are, between sticks that rise half as steeply as the one that it divides. Parts of a slow slip do
+    not rise, and the tail of a low-pass is no drop.
+    """
+    half = _half_widths(_local_period(edge, y.size), settings)
+    while edge.size > 1 and (half > 2).any():
+        half = np.maximum(half // 2, 2)
+        close = _peaks(y, half, sigma, settings)
+        close = close[(close > edge[0]) & (close < edge[-1])]
+        after = np.searchsorted(edge, close)
+        close = close[np.minimum(close - edge[after - 1], edge[after] - close) > half[close]]
+        joined = _join(y, np.union1d(edge, close), sigma, settings)
+        at = np.flatnonzero(~np.isin(joined, edge))
+        after = np.searchsorted(edge, joined[at])
+        drop, slope = stick_drops(y, edge, settings), stick_lines(y, edge, settings).slope
+        parts, part_slope = stick_drops(y, joined, settings), stick_lines(y, joined, settings).slope
+        now = np.zeros(edge.size)
+        now[np.isin(edge, joined)] = parts[np.isin(joined, edge)]
+        stays = now > 0.5 * drop
+        clear = np.maximum(
+            2 * settings.threshold_sigmas * sigma[joined[at]],
+            settings.close_share * np.minimum(drop[after - 1], drop[after]),
+        )
+        rises = np.minimum(part_slope[at], part_slope[at + 1]) > 0.5 * slope[after]
+        edge = np.union1d(edge, joined[at[(parts[at] > clear) & rises & stays[after - 1] & stays[after]]])
+    return edge
 
 
 def _half_widths(period: Floats, settings: ForceSettings) -> Ints:
