@@ -270,8 +270,8 @@ def _with_close(y: Floats, edge: Ints, sigma: Floats, settings: ForceSettings) -
 
     The filter is halved until it has two samples on either side. What it proposes must pass the same tests,
     and be clear: a drop of twice the usual threshold and of `close_share` of those beside it, which stay as
-    they are, between sticks that rise half as steeply as the one that it divides. Parts of a slow slip do
-    not rise, and the tail of a low-pass is no drop.
+    they are, between sticks that rise by as much, and half as steeply as the one that it divides. Parts of
+    a slow slip do not rise, and the tail of a low-pass is no drop.
     """
     half = _half_widths(_local_period(edge, y.size), settings)
     while edge.size > 1 and (half > 2).any():
@@ -288,12 +288,13 @@ def _with_close(y: Floats, edge: Ints, sigma: Floats, settings: ForceSettings) -
         now = np.zeros(edge.size)
         now[np.isin(edge, joined)] = parts[np.isin(joined, edge)]
         stays = now > 0.5 * drop
-        clear = np.maximum(
-            2 * settings.threshold_sigmas * sigma[joined[at]],
-            settings.close_share * np.minimum(drop[after - 1], drop[after]),
-        )
-        rises = np.minimum(part_slope[at], part_slope[at + 1]) > 0.5 * slope[after]
-        edge = np.union1d(edge, joined[at[(parts[at] > clear) & rises & stays[after - 1] & stays[after]]])
+        share = settings.close_share * np.minimum(drop[after - 1], drop[after])
+        clear = np.maximum(2 * settings.threshold_sigmas * sigma[joined[at]], share)
+        shorter = np.minimum(joined[at] - joined[at - 1], joined[at + 1] - joined[at])
+        good = np.minimum(parts[at], slope[after] * shorter) > clear
+        good &= stays[after - 1] & stays[after]
+        good &= np.minimum(part_slope[at], part_slope[at + 1]) > 0.5 * slope[after]
+        edge = np.union1d(edge, joined[at[good]])
     return edge
 
 
