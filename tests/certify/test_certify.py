@@ -80,6 +80,7 @@ def rms(values, axis=None):
     return np.sqrt(np.nanmean(values**2, axis=axis))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("fit", ["sliding", "template"])
 @pytest.mark.parametrize("name", FILMS)
 def test_predicted_error_is_the_actual_one(name, fit):
@@ -93,6 +94,7 @@ def test_predicted_error_is_the_actual_one(name, fit):
     assert ((each > 0.65) & (each < 1.45)).all()  # 120 frames tell an error to 6 %, textures differ
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", OTHERS)
 def test_other_films_are_certified_by_the_fit_of_their_run(name):
     """Within 15 %, also where a film would choose another fit. Where each sheet slips by itself, some motion
@@ -117,6 +119,7 @@ def slipping_alone(seed):
     return picture, tracks, moved(error)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("known_less_well", "during"),
     [((), slice(None)), ((3, 9, 14), slice(None)), ((3, 9, 14), slice(40, 80))],
@@ -144,6 +147,7 @@ def test_the_certificate_compares_its_films_with_the_recording():
     assert not certify(picture, tracks, settings=ONE_FILM).uncertain
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["narrow", "narrow and bright"])
 def test_the_papers_fit_is_certified_with_its_locking(name):
     """A failure means that pull towards whole pixels, of 60 mpx and more there, is not seen, or counts for
@@ -184,6 +188,7 @@ def test_slips_are_found_where_they_are():
     assert len(found) <= 2 * len(jumps)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("codec", ["MJPEG 90", "MJPEG 60", "H.264 crf 23"])
 def test_compressed_films(codec, tmp_path):
     """Still pictures: within 15 %.  Codecs that chain frames hide errors as motion: the certificate says so.
@@ -278,6 +283,7 @@ def encoded_film(crf, folder, seed=41):
     return path, strip, tracks, moved(tracks.x_px.values - film.truth_px[:80])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("crf", [12, 28])
 def test_films_encoded_again_have_the_errors_of_the_recording(crf, tmp_path):
     """Within 15 %, where residuals put in again fail: H.264 holds sheets still while they creep."""
@@ -294,6 +300,7 @@ def test_films_encoded_again_have_the_errors_of_the_recording(crf, tmp_path):
         assert residuals.encoding == "" and any("carries content" in line for line in residuals.warnings)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("codec", ["MPEG-4 q 3", "H.264 crf 18"])
 def test_films_have_as_much_common_motion_as_the_codec_left_out(codec, tmp_path):
     """A failure means that films of textured paper before a shaking camera move more or less than it."""
@@ -319,6 +326,7 @@ def test_a_film_that_is_gone_or_of_another_codec_is_not_encoded_again(tmp_path):
     assert read_encoder(path, (0, 30), (0, 600)) is None
 
 
+@pytest.mark.thorough
 def test_texture_of_the_paper_moves_with_the_sheets(tmp_path):
     """On 64 rows, of which each shows other grains: 0.9 of the error, and 1.12 where grains stand still on
     the film while sheets move through them: no block is then as predicted from the one before, moved."""
@@ -370,6 +378,7 @@ def damaged(name, folder, seed=36):
     return strip, tracks, moved(np.where(np.abs(error) < 10, error, np.nan))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "name", ["frozen frames", "dropped frames", "duplicated frames", "auto-exposure steps"]
 )
@@ -382,6 +391,7 @@ def test_what_happens_to_a_recording_happens_to_its_films(name, tmp_path):
     assert not certificate.uncertain
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("name", "seed"), [("dirt", 36), ("dirt", 31), ("glare", 36), ("passing hand", 36)])
 def test_where_something_pulls_ridges_the_certificate_says_so(name, seed, tmp_path):
     """A failure means a number that looks sure where dirt, a highlight or a hand shift sheets by more; dirt
@@ -407,6 +417,7 @@ def test_the_sheets_own_time_skips_what_was_dropped():
     assert np.array_equal(still, np.arange(len(x)))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("codec", "ending", "options"),
     [

@@ -370,6 +370,7 @@ def test_a_terminal_without_greek_letters_is_no_failure(place):
     assert Path("run/force.png").stat().st_size > 10_000
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("words", "nowhere"),
     [

@@ -249,6 +249,7 @@ def test_a_checksum_covers_every_byte_of_the_film(video):
     assert film["sha256"] == hashlib.sha256(video.read_bytes()).hexdigest()
 
 
+@pytest.mark.thorough
 def test_a_run_without_force_loads_only_what_it_needs(video):
     """A failure means half a second more for every run: statistics and solvers that nobody asked for."""
     unused = ("scipy.signal", "scipy.stats", "scipy.optimize", "scipy.interpolate", "matplotlib.pyplot", "av")

@@ -165,6 +165,7 @@ def test_the_picture_says_what_its_marks_are(tmp_path):
     assert "magenta" not in path.read_text()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("panels", [1, 2, 5, 12])
 @pytest.mark.parametrize("frames", [1, 2, 60, 3000])
 def test_any_number_of_panels_fits(panels, frames):

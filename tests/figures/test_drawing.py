@@ -62,6 +62,7 @@ def test_nobody_s_settings_change_the_files(tmp_path):
         assert mpl.rcParams["font.size"] == 30
 
 
+@pytest.mark.thorough
 def test_pyplot_is_not_imported_unless_it_is_used():
     """A failure means a slower start, or a window where there is no screen."""
     code = """
@@ -165,6 +166,7 @@ def test_many_tracks_leave_the_image_visible(video_only):
     assert many.series[0].width == 0.25
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("width", [2, 3.5, 6, 12])
 def test_every_legend_fits_above_its_axes(pulled, width):
     """A failure means legends cut off at the edge of the file, or over the data."""

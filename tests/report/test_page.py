@@ -134,6 +134,7 @@ def test_parameters_and_command_are_listed(pulled, tmp_path):
     assert "track test.avi &lt;script&gt;" in page
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("frames", "sheets", "width"), [(100_000, 50, 300), (1500, 200, 4100), (600, 7, 1200)]
 )
