@@ -11,6 +11,7 @@ import pandas as pd
 import xarray as xr
 
 from vision.data import ForceMetadata, StripMetadata, TrackMetadata, load_unit, warnings_of
+from vision.errors import counted
 from vision.models.equations import effective_sheets
 from vision.models.modulus import cycles_seen
 from vision.numeric import Floats, Pixels, nan_median, nan_quantile, stretches
@@ -95,7 +96,8 @@ def tracking_warnings(tracks: xr.Dataset) -> list[str]:
     lines, flags = _polarity_warning(TrackMetadata.of(tracks)), flag_counts(tracks)
     total = max(1, sum(flags.values()))
     if frozen := flags.get("frozen", 0) // tracks.sizes["sheet"]:
-        lines.append(f"{frozen} frame(s) are copies of the frame before and have no positions (flag frozen)")
+        copies = f"{counted(frozen, 'frame')} repeated from the frame before"
+        lines.append(f"{copies}, without positions (flag frozen)")
     if uncertain := sum(flags.get(flag, 0) for flag in DOUBTFUL):
         line = f"{uncertain} of {total} positions left out{why_left_out(flags)}"
         # With 0.2 there is no advice if a hand always covers part of the comb and other positions are wrong.
@@ -151,7 +153,7 @@ def _motion_warning(tracks: xr.Dataset, *, measured: bool) -> str:
     """Return a warning if neither motion nor noise is seen, or only noise, or ""."""
     frames = tracks.sizes["frame"]
     if frames < 3:
-        return f"only {frames} frame(s): neither motion nor noise can be measured"
+        return f"only {counted(frames, 'frame')}: neither motion nor noise can be measured"
     if frames >= 10 and measured and not (tracks["x_noise_px"].values > 0).any():
         if np.ptp(np.nan_to_num(tracks["x_px"].values), axis=0).any():
             return (
@@ -200,10 +202,11 @@ def _alike_warning(facts: TrackMetadata) -> list[str]:
     if not facts.large_steps:
         return []
     named = ", ".join(map(str, facts.large_steps[:5])) + " …" * (len(facts.large_steps) > 5)
+    many = "s" * (len(facts.large_steps) > 1)
     return [
         "the sheets look alike and neither end of the comb is in view: displacements of the whole comb may be"
-        f" wrong by multiples of the spacing ({facts.pitch_px:.1f} px) after its large steps before frame(s)"
-        f" {named}: film an end of the comb, or mark a sheet"
+        f" wrong by multiples of the spacing ({facts.pitch_px:.1f} px) after its large steps before"
+        f" frame{many} {named}: film an end of the comb, or mark a sheet"
     ]
 
 

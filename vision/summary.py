@@ -12,7 +12,8 @@ import xarray as xr
 
 from vision.checks import flag_counts
 from vision.data import ForceMetadata, StickMetadata, StripMetadata, TrackMetadata, load_unit
-from vision.figures.style import both_errors, candidates_text, counted, drift_text, offset_text
+from vision.errors import counted
+from vision.figures.style import both_errors, candidates_text, drift_text, offset_text
 from vision.numeric import nan_median, two_digits
 from vision.sample import Sample
 from vision.sheets import doubtful_stretches

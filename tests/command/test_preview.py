@@ -124,4 +124,4 @@ def test_frames_without_a_picture_are_told_whatever_the_film_is_called(tmp_path,
     frames[5] = 0
     film = write_video(tmp_path / "missing.tif", frames)
     assert run(["preview", str(film), "--fps", "20", "--out", str(tmp_path / "blank.png")]) == 1
-    assert "1 frame(s) blank" in capsys.readouterr().err
+    assert "1 frame blank" in capsys.readouterr().err

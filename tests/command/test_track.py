@@ -166,7 +166,7 @@ def test_a_blank_frame_is_flagged_and_sets_the_exit_status(tmp_path, monkeypatch
     pixels[30] = 255
     write_video(tmp_path / "blank.tif", pixels)
     assert run(["blank.tif", "--quiet"]) == 1
-    assert "1 frame(s) blank" in capsys.readouterr().err
+    assert "1 frame blank" in capsys.readouterr().err
     table = pd.read_csv("blank_tracks/tracks.csv")
     gone = table[table.frame == 30]
     assert (gone.flag == "blank").all()

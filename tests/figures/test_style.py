@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from tests.scenes.report_data import make_tracks, sawtooth
+from vision.errors import counted
 from vision.figures.style import (
     DATA,
     MODEL,
     PEAK,
     VALLEY,
     both_errors,
-    counted,
     from_zero,
     ordered_inks,
     percent,

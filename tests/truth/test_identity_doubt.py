@@ -165,7 +165,7 @@ def test_large_steps_of_sheets_that_are_alike_are_named():
     means that nobody is told of it, or that combs with a pattern, or with an end in view, get the warning."""
     far = np.where(np.arange(FRAMES) < 50, 0.0, 0.4 * PITCH)[:, None]
     _, picture = cropped(far, equal=True)
-    assert "large steps before frame(s) 50:" in " ".join(tracking_warnings(track_sheets(picture)))
+    assert "large steps before frame 50:" in " ".join(tracking_warnings(track_sheets(picture)))
     for picture in (cropped(far)[1], strip(ridges(comb(FRAMES, slip=0.4, axis_px=480)[:, 4:], width=960))):
         assert "large steps" not in " ".join(tracking_warnings(track_sheets(picture)))
 

@@ -14,6 +14,7 @@ import xarray as xr
 
 from vision.clock.alignment import Alignments
 from vision.clock.settings import ClockSettings
+from vision.errors import counted
 from vision.force.recording import usable
 from vision.numeric import Bools, Floats, Ints, Strings, nan_median
 
@@ -31,11 +32,11 @@ class Break:
     @property
     def warning(self) -> str:
         """Line for the user."""
-        alone = {"slip(s) of the film": self.film, "drop(s) of the force": self.force}
-        counted = " and ".join(f"{count} {name}" for name, count in alone.items() if count)
+        alone = {"slip": (self.film, "of the film"), "drop": (self.force, "of the force")}
+        found = " and ".join(f"{counted(count, noun)} {of}" for noun, (count, of) in alone.items() if count)
         return (
-            f"{'after' if self.at_end else 'before'} {self.slip_s:.6g} s of the force clock {counted} match"
-            " no slip of the other recording, unlike the rest: samples or frames may be lost there, or a"
+            f"{'after' if self.at_end else 'before'} {self.slip_s:.6g} s of the force clock, {found} without"
+            " a match in the other recording, unlike the rest: samples or frames may be lost there, or a"
             " clock jumps; stick phases there are left out"
         )
 

@@ -22,13 +22,13 @@ from vision.command.settings import (
     settings_of,
 )
 from vision.command.track import finish, origin_of
-from vision.errors import InputError, known_as
+from vision.errors import InputError, counted, known_as
 from vision.experiment import preset as ready_made
 from vision.experiment import settings_from_toml, with_settings
 from vision.experiment import simulate as make_test
 from vision.figures import Figure, both_errors, plus_minus, save_figures
 from vision.figures.single_sheets import friction_figure, modulus_figure
-from vision.figures.style import counted, with_minus
+from vision.figures.style import with_minus
 from vision.files import write_csv
 from vision.folder import write_json
 from vision.force import detection_limit, parse_columns, read_force

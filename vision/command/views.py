@@ -39,10 +39,9 @@ from vision.comparison import compare as compare_runs
 from vision.comparison import write_comparison
 from vision.comparison.comparison import MARK, answers
 from vision.data import DiagramMetadata, StripMetadata, TrackMetadata, warnings_of
-from vision.errors import InputError
+from vision.errors import InputError, counted
 from vision.figures import kymograph_figure, load_figures, preview_figure
 from vision.figures.camera import sides_known
-from vision.figures.style import counted
 from vision.files import AGAIN
 from vision.files import reading as reading_of
 from vision.folder import check_new, whole_file

@@ -11,8 +11,7 @@ import pandas as pd
 import scipy
 
 from vision.comparison.runs import INSTRUMENT, TractionTest
-from vision.errors import InputError
-from vision.figures.style import counted
+from vision.errors import InputError, counted
 from vision.models import Estimate, equations
 from vision.models.single_fits import (
     FIT_ERRORS,

@@ -12,7 +12,7 @@ import scipy
 
 from vision.comparison.joint import CompareSettings, with_word
 from vision.comparison.runs import TractionTest
-from vision.figures.style import counted
+from vision.errors import counted
 from vision.numeric import Bools, Floats, Ints, rms
 
 SYMBOLS = {"mu": "μ", "N_hat_N": "N̂", "Lambda_hat_mm": "Λ̂"}  # by columns of tests.csv

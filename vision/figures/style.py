@@ -132,11 +132,6 @@ def both_errors(estimate: Estimate, contained: str = "stat.") -> str:
     )
 
 
-def counted(count: int, noun: str) -> str:
-    """Return "1 film" or "2 films"."""
-    return f"{count} {noun}{'s' * (count != 1)}"
-
-
 def percent(fraction: float) -> str:
     """Return a fraction as a percentage with one decimal, rounded down so that 99.96 is not 100."""
     return f"{math.floor(1000 * fraction) / 10:g} %"
