@@ -17,6 +17,10 @@ class CertifySettings:
     """Number of films, each with the residuals in another order.  More take longer and average over more
     combinations of noise and motion."""
 
+    least_frames: int = 30
+    """Smallest number of frames that show the sheets.  Fewer leave the noise in the mean picture: of 30 it
+    holds a thirtieth of the variance."""
+
     grid_per_px: int = 4
     """Points per pixel of the mean picture.  Ridges narrower than 3 px need more."""
 
@@ -36,6 +40,10 @@ class CertifySettings:
     least_piece: int = 8
     """Smallest number of frames between two slips to which a polynomial is fitted; shorter pieces are left as
     measured."""
+
+    least_sharing: int = 5
+    """Smallest number of sheets whose common motion is separated from that of each.  With fewer, their median
+    is hardly more than the noise of single sheets."""
 
     step_errors: float = 6.0
     """Excess of the sheets' steps from frame to frame over the usual size that makes a slip, in median
