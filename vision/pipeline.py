@@ -321,15 +321,7 @@ def analyse(
     """
     if video is None and force is None and earlier is None:
         raise InputError("`video` and `force`", "at least one of them", "none")
-    advice = "`settings` is the third argument: analyse(video, force, settings)"
-    if isinstance(force, Settings):
-        raise InputError("`force`", "a file or a recording", "Settings", advice)
-    check_kind(
-        (Video, *PATH, NoneType), "the path of a video, or what `vision.open_video` returns", video=video
-    )
-    recordings = "the path of a force recording, or what `vision.read_force` returns"
-    check_kind((xr.Dataset, *PATH, NoneType), recordings, force=force)
-    check_kind(Settings | None, "a `Settings`, as in Settings(pixel_size_um=10)", settings=settings)
+    _check_arguments(video, force, settings)
     chosen = settings or Settings()
     if chosen.strips != 1 and follow is not None:
         raise InputError("`strips` and `follow`", "one of the two", "both", "track again when it is complete")
@@ -362,6 +354,18 @@ def analyse(
     tuning, samples = chosen.tuning, (chosen.sample, found.assumed_sample)
     warnings = all_warnings(found, *samples, tuning.video, tuning.shells, tuning.checks)
     return replace(found, warnings=warnings)
+
+
+def _check_arguments(video: object, force: object, settings: object) -> None:
+    """Refuse arguments of another kind than `analyse` takes.  Raises: InputError."""
+    if isinstance(force, Settings):
+        advice = "`settings` is the third argument: analyse(video, force, settings)"
+        raise InputError("`force`", "a file or a recording", "Settings", advice)
+    films = "the path of a video, or what `vision.open_video` returns"
+    check_kind((Video, *PATH, NoneType), films, video=video)
+    recordings = "the path of a force recording, or what `vision.read_force` returns"
+    check_kind((xr.Dataset, *PATH, NoneType), recordings, force=force)
+    check_kind(Settings | None, "a `Settings`, as in Settings(pixel_size_um=10)", settings=settings)
 
 
 def _reusable(earlier: Analysis | None, new: Analysis) -> Analysis:
