@@ -89,6 +89,20 @@ class CertifySettings:
     shows of it.  Smaller lacks motion that strong compression hides; larger adds motion where the recording
     shows nothing but errors of the codec."""
 
+    read_frames: int = 600
+    """Number of frames from which it is read how a film was encoded.  Fewer may miss key frames; more take
+    longer to decode."""
+
+    tried_frames: int = 60
+    """Number of frames that are encoded to find the noise of such a film.  With a third of them the noise is
+    the same within 0.1 grey levels (tests/certify); more take longer."""
+
+    most_noise_grey: float = 12.0
+    """Largest pixel noise that is tried, more than films that can be tracked have.  Larger takes longer."""
+
+    noise_error_grey: float = 0.03
+    """Tolerance of the noise.  Larger makes films unlike the recording; smaller takes longer."""
+
     gain_step: float = 0.03
     """Relative step of the brightness across which residuals are not exchanged.  Smaller leaves few frames
     for exchange in flickering light; larger moves clipped pixels into frames that have none."""
