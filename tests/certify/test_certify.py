@@ -15,7 +15,7 @@ from scipy.ndimage import gaussian_filter1d
 from tests.scenes.combs import comb, ridges, strip
 from tests.scenes.degraded import CODECS, DEGRADATIONS, FPS, FRAMES, SCENE, clean
 from tests.scenes.films import write_encoded
-from vision.certify import CertifySettings, certify, encoder, write_certificate
+from vision.certify import CertifySettings, certify, write_certificate
 from vision.certify.encoder import read_encoder
 from vision.certify.likeness import find_slips, learn, own_time
 from vision.certify.page import certificate_figure
@@ -26,8 +26,11 @@ from vision.run.reading import read_json
 from vision.sheets import track_sheets
 from vision.video import open_video, strip_profile
 
-ONE_FILM = CertifySettings(films=1, largest_jump=1.0)
-TWO_FILMS = CertifySettings(films=2, largest_jump=1.0)  # where codecs make films differ by a tenth
+# A third of the frames that the program encodes to find the noise, and a third of the accuracy: a quarter of
+# the time, and the noise is the same within 0.1 grey levels.
+QUICK = CertifySettings(films=1, tried_frames=20, noise_error_grey=0.1)
+ONE_FILM = replace(QUICK, largest_jump=1.0)
+TWO_FILMS = replace(ONE_FILM, films=2)  # where codecs make films differ by a tenth
 FILMS = {
     "as usual": {},
     "noisy": {"camera.full_well_e": 1000},
@@ -53,14 +56,6 @@ OTHERS = {
     },
 }
 LOCKING = {"narrow and bright": {"optics.fwhm_px": 6, "camera.full_well_e": 20000}}
-
-
-@pytest.fixture(autouse=True)
-def fewer_frames_tried(monkeypatch):
-    """A third of the frames that the program encodes to find the noise, and a third of the accuracy: a
-    quarter of the time, and the noise is the same within 0.1 grey levels."""
-    monkeypatch.setattr(encoder, "TRIED_FRAMES", 20)
-    monkeypatch.setattr(encoder, "NOISE_ERROR", 0.1)
 
 
 @cache
@@ -289,7 +284,9 @@ def test_films_encoded_again_have_the_errors_of_the_recording(crf, tmp_path):
     """Within 15 %, where residuals put in again fail: H.264 holds sheets still while they creep."""
     path, strip, tracks, error = encoded_film(crf, tmp_path)
     columns = (0, strip.sizes["x"])
-    encoder = read_encoder(path, (tracks.attrs["strip_z0"], tracks.attrs["strip_z1"]), columns)
+    encoder = read_encoder(
+        path, (tracks.attrs["strip_z0"], tracks.attrs["strip_z1"]), columns, settings=QUICK
+    )
     assert encoder.quantiser == crf
     found = certify(strip, tracks, encoder=encoder, settings=TWO_FILMS)
     assert 0.85 < found.error_px / rms(error) < 1.15
@@ -314,7 +311,9 @@ def test_films_have_as_much_common_motion_as_the_codec_left_out(codec, tmp_path)
     path = CODECS[codec](tmp_path, np.clip(np.rint(pixels), 0, 255).astype(np.uint8))
     strip = strip_profile(open_video(path))
     tracks = track_sheets(strip)
-    encoder = read_encoder(path, (tracks.attrs["strip_z0"], tracks.attrs["strip_z1"]), (0, 400))
+    encoder = read_encoder(
+        path, (tracks.attrs["strip_z0"], tracks.attrs["strip_z1"]), (0, 400), settings=QUICK
+    )
     found = certify(strip, tracks, encoder=encoder, settings=ONE_FILM)
     assert 0.85 < found.error_px / rms(moved(tracks.x_px.values - x)) < 1.15
 
@@ -345,7 +344,9 @@ def test_texture_of_the_paper_moves_with_the_sheets(tmp_path):
     path = CODECS["H.264 crf 12"](tmp_path, pixels)
     strip = strip_profile(open_video(path))
     tracks = track_sheets(strip)
-    encoder = read_encoder(path, (tracks.attrs["strip_z0"], tracks.attrs["strip_z1"]), (0, 490))
+    encoder = read_encoder(
+        path, (tracks.attrs["strip_z0"], tracks.attrs["strip_z1"]), (0, 490), settings=QUICK
+    )
     middle = certify(strip, tracks, encoder=encoder, settings=replace(ONE_FILM, most_frames=60))
     error = moved(tracks.x_px.values[30:90] - scene.seen_px(slice(30, 90)))
     assert 0.85 < middle.error_px / rms(error) < 1.05
@@ -361,7 +362,9 @@ def test_noise_is_found_from_the_bits(tmp_path):
         strip = strip_profile(open_video(path))
         like = learn(strip, track_sheets(strip), CertifySettings())
         drawn, shown = like.film(like.motion_px, number=None).values, like.shown_px(like.motion_px)
-        encoder = read_encoder(path, (strip.attrs["strip_z0"], strip.attrs["strip_z1"]), (0, 320))
+        encoder = read_encoder(
+            path, (strip.attrs["strip_z0"], strip.attrs["strip_z1"]), (0, 320), settings=QUICK
+        )
         found.append(encoder.fitted(drawn, shown, strip.values))
     assert 0.5 < found[0].noise_grey < 2.5 < found[1].noise_grey < 5
 
@@ -436,6 +439,8 @@ def test_other_codecs_are_encoded_again_too(codec, ending, options, tmp_path):
     )
     strip = strip_profile(open_video(path))
     tracks = track_sheets(strip)
-    encoder = read_encoder(path, (tracks.attrs["strip_z0"], tracks.attrs["strip_z1"]), (0, 600))
+    encoder = read_encoder(
+        path, (tracks.attrs["strip_z0"], tracks.attrs["strip_z1"]), (0, 600), settings=QUICK
+    )
     certificate = certify(strip, tracks, encoder=encoder, settings=ONE_FILM)
     assert 0.8 < certificate.error_px / rms(moved(tracks.x_px.values - film.truth_px[:80])) < 1.2

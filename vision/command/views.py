@@ -48,8 +48,7 @@ from vision.folder import check_new, whole_file
 from vision.numeric import Ints
 from vision.pipeline import Analysis, Settings, analyse, open_recording
 from vision.run import check_outside, check_results, export_run, is_run, read_run, read_strip, results_folder
-from vision.run.export import Format
-from vision.run.overlay import write_overlay
+from vision.run.export import Format, write_overlay
 from vision.run.tables import frame_step_s, unevenness_s, write_space_time_tif
 from vision.sheets.ridges import describe_ridges, find_ridges
 from vision.sheets.tracks import LOSSY
