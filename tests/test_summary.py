@@ -116,6 +116,14 @@ def test_the_clock_s_errors_are_printed():
     )
 
 
+def test_the_drift_of_a_given_offset_is_called_assumed():
+    """A failure means that a drift of 0, which nobody measured, is printed as a result."""
+    found = with_force()
+    given = replace(found.clock, status="given", drift_ppm=0.0, drift_err_ppm=np.nan)
+    assert "drift 0 ppm (assumed)" in clocks_line(replace(found, clock=given))
+    assert "assumed" not in clocks_line(replace(found, clock=replace(given, status="ok")))
+
+
 def test_ambiguous_clocks_list_their_candidates():
     """A failure means that a user cannot choose between the offsets that the slips allow."""
     found = with_force()

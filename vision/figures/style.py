@@ -146,6 +146,8 @@ def offset_text(clock: Clock) -> str:
 
 def drift_text(clock: Clock) -> str:
     """Return a clock's drift, with its error if known."""
+    if clock.status == "given" and clock.drift_ppm == 0:  # an offset alone says nothing about the drift
+        return "0 ppm (assumed)"
     error = clock.drift_err_ppm
     if not error > 0:
         return with_minus(f"{clock.drift_ppm:+.0f} ppm")
