@@ -233,7 +233,7 @@ def test_files(tmp_path, monkeypatch):
     assert "that of single sheets is from 0." in page and "(the worst)" in page
     (panel,) = certificate_figure(certificate).panels
     errors = next(line.y for line in panel.series if line.label == "RMS random error of a position")
-    assert panel.y_label == "thousandths of a pixel"
+    assert panel.y_label == "error, sweep (10⁻³ px)"
     assert rms(errors) == pytest.approx(1000 * certificate.error_px, rel=0.1)
     assert facts["threshold"] is None
     assert math.isfinite(table["error_px"].sum())

@@ -10,7 +10,7 @@ from tests.scenes.comb_video import frames_of, positions, write_video
 from vision.command.main import run
 from vision.command.options import VideoOptions
 from vision.command.settings import merged, settings_of
-from vision.command.views import make_preview
+from vision.command.views import make_preview, preview_summary
 from vision.figures import preview_figure
 from vision.video.reader import MappedReader
 
@@ -78,6 +78,15 @@ def test_the_picture_shows_the_measured_numbers(found):
     assert "µm" in noise.y_label
     assert np.allclose(noise.series[1].y, 10 * np.median(found.start.tracks["x_err_px"].values, axis=0))
     assert frame.image is not None
+
+
+@pytest.mark.parametrize("fit", ["auto", "sliding"])
+def test_what_decides_the_fit_of_the_run_is_told(film, fit):
+    """A failure means that the preview announces the sliding fit and the run then uses the template."""
+    shown = make_preview(film, settings_of(merged(VideoOptions(fit=fit))))
+    (line,) = (line for line in preview_summary(shown) if line.startswith("ridges"))
+    assert "sliding fit over" in line
+    assert ("template if it is learned well, from 100 frames" in line) == (fit == "auto")
 
 
 def test_without_an_axis_sheets_are_numbered_from_the_left():

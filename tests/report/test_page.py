@@ -219,6 +219,15 @@ def test_methods_tell_what_this_run_lacks(pulled):
     assert "The pixel size is not known." in text
 
 
+def test_methods_tell_that_the_error_of_d0_is_not_known(pulled):
+    """A failure means that a paper states systematic errors without the largest source, in silence."""
+    known, unknown = (replace(pulled.fits, input_errors=errors) for errors in ({"d0_mm": 0.1}, {}))
+    assert "d0" not in " ".join(methods(replace(pulled, fits=known)))
+    text = " ".join(methods(replace(pulled, fits=unknown)))
+    assert "systematic errors; the latter without that of d0, which is not known)" in text
+    assert re.search(r"the noise is [\d.]+ N\)", text)
+
+
 def test_systematic_errors_are_a_table_of_the_page(pulled, tmp_path):
     """A failure means that a reader finds statistical errors only."""
     page = page_of(pulled, tmp_path)

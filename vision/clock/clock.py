@@ -28,7 +28,7 @@ from vision.data import FORCE, STICKS, TRACKS, ForceMetadata, StripMetadata
 from vision.errors import InputError, check_number
 from vision.files import html_table
 from vision.force.recording import good_samples
-from vision.numeric import Floats, nan_median, sigma_about_zero, two_digits
+from vision.numeric import Floats, nan_median, sigma_about_zero, two_digits, with_minus
 
 Status = Literal["ok", "ambiguous", "given"]
 How = Literal["given", "video time column", "events"]
@@ -273,9 +273,10 @@ def _from_slips(
         warnings = [part.warning for part in breaks] + _unmatched_warnings(clock, settings)
         if abs(drift) - 2 * drift_error > 1e-6 * settings.usual_drift_ppm:
             rate = _frame_rate(StripMetadata.of(tracks), 1 + drift)
+            percent = with_minus(f"{100 * drift:+.2f}")
             warnings.append(
-                f"the clocks of film and machine differ by {100 * drift:+.2f} %, more than real clocks: they"
-                f" agree at {rate}; check `fps`"
+                f"the clocks of film and machine differ by {percent} %, more than real clocks: they agree at"
+                f" {rate}; check `fps`"
             )
     return replace(
         clock,

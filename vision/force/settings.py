@@ -129,10 +129,10 @@ class ForceSettings:
     short sticks, must agree to prove a low-pass. Larger finds one in paper on paper, which has none."""
 
     lowpass_tail: float = 0.2
-    """Share by which slips may be shorter before their middle than after it once a low-pass is undone. Half
-    cosines behind a first-order low-pass stay below 0.1, Butterworth filters of 2.5 to 8 Hz reach 0.4, and
-    damped load cells 0.26 to 0.6 (test_slips: a second-order filter). Larger undoes a low-pass that the
-    load did not pass, smaller doubts true ones."""
+    """Share by which slips may be shorter before their middle than after it when corrected for a low-pass.
+    Half cosines behind a first-order low-pass stay below 0.1, Butterworth filters of 2.5 to 8 Hz reach 0.4,
+    and damped load cells 0.26 to 0.6 (test_slips: a second-order filter). Larger corrects for a low-pass that
+    the load did not pass, smaller doubts true ones."""
 
     # what was recorded at the ends of the sticks
     slow_slip: float = 0.2
