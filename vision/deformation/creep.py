@@ -419,6 +419,9 @@ def _fit_correlation(
         log_det = np.linalg.slogdet(creep.inverse[creep.good])[1].sum()
         return float(log_variance + creep.log_det.sum() - log_det)
 
+    def of_mixture(share_and_rho: Floats) -> float:
+        return deviance(float(share_and_rho[0]), float(share_and_rho[1]))
+
     required_gain = 9.0  # decrease of the deviance required of one more parameter: 3 standard errors
     white = fit_creep(x_px, part, terms, settings)
     if white.dof.sum() < 30 or not np.nansum(white.square) > _LEAST_VARIANCE_PX2 * white.dof.sum():
@@ -429,7 +432,7 @@ def _fit_correlation(
     if pure.fun + required_gain > deviance(0.0, 0.0):
         return AR1Noise()
     mixed = scipy.optimize.minimize(
-        lambda share_and_rho: deviance(float(share_and_rho[0]), float(share_and_rho[1])),
+        of_mixture,
         [0.5, max(0.5, pure.x)],
         method="Nelder-Mead",
         bounds=[(0.01, 1.0), (0.02, 0.97)],
