@@ -500,14 +500,14 @@ def _flags(strip: xr.DataArray, found: _Tracked) -> Codes:
 # --- from tracks to more ------------------------------------------------------------------------------------
 
 
-def comb_is_stationary(tracks: xr.Dataset) -> bool:
+def comb_is_stationary(tracks: xr.Dataset, settings: TrackingSettings = DEFAULT) -> bool:
     """Return whether hardly any sheet moves relative to the comb; False for fewer than three sheets."""
     x = tracks["x_px"].values
     moved = x - nan_median(x)
     moved -= nan_median(moved, axis=1)[:, None]
     noise = nan_median(tracks["x_err_px"].values)  # not the scatter from frame to frame: it contains slips
-    moving = nan_quantile(np.abs(moved, out=moved), 0.95) > DEFAULT.still_sigmas * noise
-    return bool(moving.mean() < DEFAULT.still_share) and x.shape[1] >= 3
+    moving = nan_quantile(np.abs(moved, out=moved), 0.95) > settings.still_sigmas * noise
+    return bool(moving.mean() < settings.still_share) and x.shape[1] >= 3
 
 
 def with_heights(
