@@ -344,7 +344,7 @@ class TrackMetadata(Metadata):
         Number of ridges that resemble the sheets and continue the comb beyond the given number of sheets.
     locking_px, locking_err_px
         Locking of positions to whole pixels that was subtracted, rms, and what remains of it in the errors,
-        px; 0 for none (`vision.sheets.locking`).
+        px; 0 for none (`vision.sheets.distortion`).
     noise_lasts
         Correlation of the pixels' noise between a frame and the next if the camera averages in time, else 0.
     corrections_applied

@@ -168,6 +168,10 @@ class ForceSettings:
     """Periods of ringing in a recording, at least. Smaller takes sticks for periods, larger overlooks the
     ringing of short recordings."""
 
+    ringing_between: float = 5.0
+    """Periods of ringing from slip to slip, at least, in the median. Smaller averages sticks of which too
+    little is left, larger leaves the ringing in short ones (test_ringing)."""
+
     between_samples: float = 0.03
     """Share of the drop by which a stick's line may begin below the lowest sample, since a fast slip may end
     between two samples. Smaller reads drops at 200 Hz 2 % too small, larger believes the line where the load
