@@ -1,17 +1,22 @@
 """Findings that contradict each other are said, with what to do; findings that agree are not."""
 
 import re
-from dataclasses import replace
+from dataclasses import fields, replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
 
+import vision.checks
+import vision.pipeline
 from tests.scenes.analysed import with_force
 from tests.scenes.combs import comb, ridges, strip
 from tests.scenes.reviewed import FORCE, SETTINGS, VIDEO, clean
 from vision.checks import (
+    CheckSettings,
+    all_warnings,
     consistency_warnings,
     overexposure,
     shells_against_fits,
@@ -19,7 +24,7 @@ from vision.checks import (
     unlike_sides,
 )
 from vision.figures import Results
-from vision.pipeline import analyse
+from vision.pipeline import Analysis, Settings, analyse
 from vision.sample import PUBLISHED
 from vision.sheets import track_sheets
 from vision.shells import ShellSettings
@@ -49,6 +54,23 @@ def test_a_film_that_agrees_with_itself_raises_nothing(picture, tracked):
     """A failure means a warning on good films: nobody reads the next one."""
     assert consistency_warnings(tracked) == []
     assert consistency_warnings(track_sheets(picture, sheets=SHEETS, axis_px=AXIS)) == []
+
+
+@pytest.mark.parametrize("name", [field.name for field in fields(CheckSettings)])
+def test_every_setting_is_used(name):
+    """A failure means that somebody turns a knob that is connected to nothing."""
+    source = "".join(Path(part.__file__).read_text("utf-8") for part in (vision.checks, vision.pipeline))
+    assert re.search(rf"\b(settings|checks)\.{name}\b", source)
+
+
+def test_settings_reach_the_warnings(tracked):
+    """A failure means that `tuning.checks` stops somewhere on the way."""
+    data = Analysis(settings=Settings(pixel_size_um=10.0), tracks=tracked)
+    video, shells = VideoSettings(), ShellSettings()
+    assert not all_warnings(data, None, PUBLISHED, video, shells, CheckSettings())
+    strict = CheckSettings(odd_width=0.5, unlikely_spacing=1.0)
+    wide, apart = all_warnings(data, None, PUBLISHED, video, shells, strict)
+    assert "50 of 50 sheets" in wide and "0.2 mm apart" in apart
 
 
 @pytest.mark.parametrize("axis_px", [AXIS - 10 * PITCH, AXIS + 10 * PITCH])

@@ -198,6 +198,7 @@ def test_a_large_film_has_its_report_too(monkeypatch, tmp_path):
     assert digest in (out / "report.html").read_text()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("kind", "entry", "kept"),
     [

@@ -23,6 +23,7 @@ SHAPES = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("rho", [0.0, 0.5])
 @pytest.mark.parametrize("noise", [0.02, 0.05])
 @pytest.mark.parametrize("where", STAGES)

@@ -1,5 +1,6 @@
 """The summary prints every result with its errors, and nothing that was not measured."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -24,6 +25,29 @@ def test_both_errors_are_printed():
     lines = summary_lines(with_force())
     models = next(line for line in lines if line.startswith("models"))
     assert models.count("(stat.)") == models.count("(syst.)") == 3
+
+
+def test_negative_numbers_have_a_minus_sign():
+    """A failure means hyphens beside minus signs in the same ten lines."""
+    test = with_force()
+    lines = summary_lines(replace(test, tracks=test.tracks.assign_attrs(tilt_deg=-0.7)))
+    assert any("tilt −0.70°" in line for line in lines)
+    assert not [line for line in lines if re.search(r"[ (]-[\d.]", line)]
+
+
+def test_the_spread_of_the_shells_is_printed_where_there_is_one():
+    """A failure means "13 (13 to 13)", or a smallest ratio of 9.3e-05."""
+    test = with_force()
+    ratio = test.motion["ratio"].copy()
+    ratio[:, 0] = 9.3e-5
+    same = test.shells.assign(stiff_sheets=13)
+    lines = summary_lines(replace(test, shells=same, motion=test.motion.assign(ratio=ratio)))
+    (line,) = (line for line in lines if line.startswith("shells"))
+    assert "stiff sheets per side 13 in each; median σ_x/Λ_st of a sheet 0.000 to " in line
+    mixed = same.assign(stiff_sheets=[12, *same["stiff_sheets"][1:]])
+    assert any(
+        "stiff sheets per side 13 (12 to 13)" in line for line in summary_lines(replace(test, shells=mixed))
+    )
 
 
 def test_events_of_an_oscillation_are_not_called_stick_slip():
@@ -90,6 +114,14 @@ def test_the_clock_s_errors_are_printed():
     assert "offset 36.2000 s, drift +231 ppm" in clocks_line(
         replace(found, clock=replace(known, offset_err_s=np.nan, drift_err_ppm=np.nan))
     )
+
+
+def test_the_drift_of_a_given_offset_is_called_assumed():
+    """A failure means that a drift of 0, which nobody measured, is printed as a result."""
+    found = with_force()
+    given = replace(found.clock, status="given", drift_ppm=0.0, drift_err_ppm=np.nan)
+    assert "drift 0 ppm (assumed)" in clocks_line(replace(found, clock=given))
+    assert "assumed" not in clocks_line(replace(found, clock=replace(given, status="ok")))
 
 
 def test_ambiguous_clocks_list_their_candidates():

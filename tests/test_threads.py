@@ -160,6 +160,7 @@ except InputError as error:
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("kind", "decode"), [("images", "_decode_image"), ("stack", "_decode_page")])
 def test_a_process_ends_whose_disk_dies_while_images_are_decoded(tmp_path, kind, decode):
     """Failure: the line is printed, and then the process waits for ever for the threads that decode."""

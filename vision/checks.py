@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +12,7 @@ import pandas as pd
 import xarray as xr
 
 from vision.data import ForceMetadata, StripMetadata, TrackMetadata, load_unit, warnings_of
+from vision.errors import counted
 from vision.models.equations import effective_sheets
 from vision.models.modulus import cycles_seen
 from vision.numeric import Floats, Pixels, nan_median, nan_quantile, stretches
@@ -25,16 +27,70 @@ if TYPE_CHECKING:
     from vision.video import VideoSettings
 
 
+@dataclass(frozen=True, kw_only=True)
+class CheckSettings:
+    """Tunable constants of these warnings, and of the advice if no ridges are found."""
+
+    most_saturated: float = 0.5
+    """Share of saturated pixels above which they are named as the reason why no ridges are found.  Smaller
+    blames a bright background; larger lets a saturated picture pass as one without sheets."""
+
+    most_left_out: float = 0.1
+    """Share of the positions left out above which others are said to be doubtful too.  With 0.2 there is no
+    advice if a hand always covers part of the comb and other positions are wrong; smaller advises on gaps
+    that harm nothing else."""
+
+    usual_missing: float = 0.01
+    """Share of the positions that may be missing without a warning: fewer are the usual gaps at the edges of
+    the picture.  Smaller warns of nearly every film; larger overlooks sheets that are lost for a while."""
+
+    pair_spacings: int = 9
+    """Smallest number of spacings in which pairs of ridges are looked for.  Fewer may alternate by chance;
+    more leave out small combs."""
+
+    pair_tail: float = 0.1
+    """Quantile of the wide spacings, and from above of the narrow ones, that is compared by `pair_ratio`.
+    Smaller lets a single spacing decide; larger calls an uneven comb one of pairs."""
+
+    pair_ratio: float = 1.5
+    """Ratio of these quantiles from which ridges form pairs.  Smaller calls an uneven comb one of pairs;
+    larger misses the edges of thick sheets (`test_two_edges_of_every_sheet_are_said_to_be_pairs`)."""
+
+    pair_motion: float = 4.0
+    """Ridges also form pairs if the spacings beside every second one change by this factor more than that
+    does, in the median.  On 590 films of single sheets the factor is at most 1.2; on films that show two
+    edges of every sheet it is 12 to 87.  Smaller calls noise pairs; larger misses edges in noisy films."""
+
+    odd_width: float = 1.75
+    """Width of a ridge, over the median, above which it may be something else.  On fixtures and released
+    films sheets stay below 1.5, ridges between pairs and gaps taken for sheets exceed 1.9.  Smaller calls
+    sheets of an uneven block something else; larger misses those."""
+
+    unlikely_spacing: float = 10.0
+    """Ratio of the sheets' spacing to two thicknesses, or its inverse, above which the pixel size is
+    questioned.  A wrong unit changes the ratio by 1000; sheets that bulge, or of which only every second one
+    is seen, by 2 to 4.  Smaller warns of the latter; larger overlooks factors of 10."""
+
+    least_spacing_um: float = 1.0
+    """Spacing below which the pixel size is questioned though the sheets' thickness is not known: mm taken
+    for µm make the spacing of paper less than this, which light hardly resolves.  Discs of a muscle are
+    1.8 µm apart: larger would question their films."""
+
+
+DEFAULT = CheckSettings()
+
+
 def all_warnings(
     results: Results,
     sample: Sample | None,
     assumed: Sample | None,
     video: VideoSettings,
     shells: ShellSettings,
+    settings: CheckSettings,
 ) -> tuple[str, ...]:
     """Return the warnings that matter for the results, in the order of the stages, without repetition.
 
-    sample, assumed: as for `consistency_warnings`.
+    sample, assumed: as for `consistency_warnings`.  video, shells: settings of these stages.
     """
     lines: list[str] = []
     if (tracks := results.tracks) is not None:
@@ -42,9 +98,11 @@ def all_warnings(
         if results.frame is not None:
             strip = StripMetadata.of(tracks)
             lines += overexposure(results.frame, slice(strip.strip_z0, strip.strip_z1), video)
-        lines += tracking_warnings(tracks)
+        lines += tracking_warnings(tracks, settings)
         size_um = results.pixel_size_um
-        lines += consistency_warnings(tracks, sample, assumed=assumed, pixel_size_um=size_um)
+        lines += consistency_warnings(
+            tracks, sample, assumed=assumed, pixel_size_um=size_um, settings=settings
+        )
     if results.force is not None:
         lines += warnings_of(results.force, results.sticks)
         lines += filter(None, [cycles_seen(results.force)])
@@ -77,29 +135,19 @@ DOUBTFUL = {
     "merged": "where a sheet shares a ridge with another or a mark",
 }
 """Flags of positions that are left out because they may belong to another sheet, and why."""
-PAIR_SPACINGS = 9
-"""Smallest number of spacings in which pairs of ridges are looked for: fewer may alternate by chance."""
-PAIR_TAIL, PAIR_RATIO = 0.1, 1.5
-"""Ridges form pairs if this quantile of the wide spacings exceeds the same quantile from above of the
-narrow ones by this ratio. A smaller ratio calls an uneven comb one of pairs, a larger one misses the edges of
-thick sheets (`test_two_edges_of_every_sheet_are_said_to_be_pairs`)."""
-PAIR_MOTION = 4.0
-"""Ridges also form pairs if the spacings beside every second one change by this factor more than that does,
-in the median. On 590 films of single sheets the factor is at most 1.2; on films that show two edges of every
-sheet it is 12 to 87. A smaller factor calls noise pairs, a larger one misses edges in noisy films."""
 
 
-def tracking_warnings(tracks: xr.Dataset) -> list[str]:
+def tracking_warnings(tracks: xr.Dataset, settings: CheckSettings = DEFAULT) -> list[str]:
     """Return warnings about polarity, frozen or averaged frames, doubtful or missing positions, motion,
     missed sheets."""
     lines, flags = _polarity_warning(TrackMetadata.of(tracks)), flag_counts(tracks)
     total = max(1, sum(flags.values()))
     if frozen := flags.get("frozen", 0) // tracks.sizes["sheet"]:
-        lines.append(f"{frozen} frame(s) are copies of the frame before and have no positions (flag frozen)")
+        copies = f"{counted(frozen, 'frame')} repeated from the frame before"
+        lines.append(f"{copies}, without positions (flag frozen)")
     if uncertain := sum(flags.get(flag, 0) for flag in DOUBTFUL):
         line = f"{uncertain} of {total} positions left out{why_left_out(flags)}"
-        # With 0.2 there is no advice if a hand always covers part of the comb and other positions are wrong.
-        if uncertain > 0.1 * total:
+        if uncertain > settings.most_left_out * total:
             jumps = 2 * is_word(tracks["why"], "jump").sum() > uncertain
             line += "; with so many, other positions may also be wrong: " + (
                 "film an end of the comb, mark a sheet or film faster, as the comb jumps by unknown pitches"
@@ -108,7 +156,7 @@ def tracking_warnings(tracks: xr.Dataset) -> list[str]:
             )
         lines.append(line)
     missing = flags.get("missing", 0) + flags.get("edge", 0) + flags.get("unfit", 0)
-    if missing > 0.01 * total:  # fewer are the usual gaps at the edges of the picture
+    if missing > settings.usual_missing * total:
         lines.append(f"{missing} of {total} positions missing (flags missing, edge, unfit in tracks.csv)")
     if line := _frames_with_few_sheets(tracks):
         lines.append(line)
@@ -124,7 +172,7 @@ def tracking_warnings(tracks: xr.Dataset) -> list[str]:
         )
     lines += _lasting_noise_warning(TrackMetadata.of(tracks))
     lines += _alike_warning(TrackMetadata.of(tracks))
-    lines += _spacing_warning(tracks)
+    lines += _spacing_warning(tracks, settings)
     return lines
 
 
@@ -151,7 +199,7 @@ def _motion_warning(tracks: xr.Dataset, *, measured: bool) -> str:
     """Return a warning if neither motion nor noise is seen, or only noise, or ""."""
     frames = tracks.sizes["frame"]
     if frames < 3:
-        return f"only {frames} frame(s): neither motion nor noise can be measured"
+        return f"only {counted(frames, 'frame')}: neither motion nor noise can be measured"
     if frames >= 10 and measured and not (tracks["x_noise_px"].values > 0).any():
         if np.ptp(np.nan_to_num(tracks["x_px"].values), axis=0).any():
             return (
@@ -200,26 +248,27 @@ def _alike_warning(facts: TrackMetadata) -> list[str]:
     if not facts.large_steps:
         return []
     named = ", ".join(map(str, facts.large_steps[:5])) + " …" * (len(facts.large_steps) > 5)
+    many = "s" * (len(facts.large_steps) > 1)
     return [
         "the sheets look alike and neither end of the comb is in view: displacements of the whole comb may be"
-        f" wrong by multiples of the spacing ({facts.pitch_px:.1f} px) after its large steps before frame(s)"
-        f" {named}: film an end of the comb, or mark a sheet"
+        f" wrong by multiples of the spacing ({facts.pitch_px:.1f} px) after its large steps before"
+        f" frame{many} {named}: film an end of the comb, or mark a sheet"
     ]
 
 
-def _spacing_warning(tracks: xr.Dataset) -> list[str]:
+def _spacing_warning(tracks: xr.Dataset, settings: CheckSettings) -> list[str]:
     """Warn of ridges in pairs, which keep their distance or whose narrow and wide spacings alternate, or of
     missing sheets; no pairs are reported if the number of sheets was given."""
     found = TrackMetadata.of(tracks)
     apart = np.diff(tracks["x_px"].values, axis=1)
     spacing = nan_median(apart)
-    if np.isfinite(spacing).sum() >= PAIR_SPACINGS and found.sheets_how == "found":
+    if np.isfinite(spacing).sum() >= settings.pair_spacings and found.sheets_how == "found":
         least = nan_median(tracks["x_err_px"].values.ravel())
         change = np.fmax(np.sqrt(nan_median((apart - spacing) ** 2)), least)
         beside = np.pad(change, 1, constant_values=np.nan)
         ratio = np.fmin(beside[:-2], beside[2:]) / change
-        keep_distance = max(nan_median(ratio[k::2]) for k in (0, 1)) > PAIR_MOTION
-        alternate = _alternating(spacing)
+        keep_distance = max(nan_median(ratio[k::2]) for k in (0, 1)) > settings.pair_motion
+        alternate = _alternating(spacing, settings)
         if alternate or keep_distance:
             other = "bright" if found.ridges == "dark" else "dark"
             return [
@@ -239,7 +288,7 @@ def _spacing_warning(tracks: xr.Dataset) -> list[str]:
     ]
 
 
-def _alternating(spacing_px: Floats) -> str:
+def _alternating(spacing_px: Floats, settings: CheckSettings) -> str:
     """Return which narrow and wide spacings (N − 1,) alternate, or "".
 
     One ridge between two pairs shifts all pairs that follow. Therefore the spacings that remain without one
@@ -247,13 +296,14 @@ def _alternating(spacing_px: Floats) -> str:
     """
     place, ridge = np.arange(len(spacing_px) - 1), np.arange(1, len(spacing_px))[:, None]
     without = spacing_px[place + (place >= ridge)] + np.where(place == ridge - 1, spacing_px[ridge], 0.0)
-    for tried in (spacing_px[None], without)[: 2 if len(place) >= PAIR_SPACINGS else 1]:
+    tail = settings.pair_tail
+    for tried in (spacing_px[None], without)[: 2 if len(place) >= settings.pair_spacings else 1]:
         one, other = tried[:, 0::2], tried[:, 1::2]
-        low, other_low = (nan_quantile(part, PAIR_TAIL, axis=1) for part in (one, other))
-        high, other_high = (nan_quantile(part, 1 - PAIR_TAIL, axis=1) for part in (one, other))
+        low, other_low = (nan_quantile(part, tail, axis=1) for part in (one, other))
+        high, other_high = (nan_quantile(part, 1 - tail, axis=1) for part in (one, other))
         apart = np.nan_to_num(np.maximum(low / other_high, other_low / high))
         best = int(apart.argmax())
-        if apart[best] > PAIR_RATIO:
+        if apart[best] > settings.pair_ratio:
             narrow, wide = sorted((nan_median(one[best]), nan_median(other[best])))
             but = f", but for the ridge of index {best + 1}" if len(tried) > 1 else ""
             return f"spacings of {narrow:.0f} and {wide:.0f} px alternate{but}"
@@ -279,20 +329,6 @@ def overexposure(frame: Pixels, rows: slice, settings: VideoSettings) -> list[st
 
 # --- warnings about results that contradict each other ------------------------------------------------------
 
-UNLIKELY_SPACING = 10.0
-"""Ratio of the sheets' spacing to two thicknesses, or its inverse, above which the pixel size is questioned.
-A wrong unit changes the ratio by 1000; sheets that bulge, or of which only every second one is seen, by 2
-to 4. A smaller ratio warns of the latter, a larger one overlooks factors of 10."""
-LEAST_SPACING_UM = 1.0
-"""Spacing below which the pixel size is questioned though the sheets' thickness is not known: mm taken for µm
-make the spacing of paper less than this, which light hardly resolves. Discs of a muscle are 1.8 µm apart."""
-
-
-ODD_WIDTH = 1.75
-"""Width of a ridge, over the median, above which it may be something else. On fixtures and released films
-sheets stay below 1.5, ridges between pairs and gaps taken for sheets exceed 1.9. A smaller factor calls
-sheets of an uneven block something else, a larger one misses those."""
-
 
 def consistency_warnings(
     tracks: xr.Dataset,
@@ -300,6 +336,7 @@ def consistency_warnings(
     *,
     assumed: Sample | None = None,
     pixel_size_um: float | None = None,
+    settings: CheckSettings = DEFAULT,
 ) -> list[str]:
     """Return warnings about findings that contradict each other, each with what to do about it.
 
@@ -307,7 +344,7 @@ def consistency_warnings(
     assumed: the sample that is assumed if none was given.
     """
     found, used, most = TrackMetadata.of(tracks), sample or assumed, int(tracks["n"].max())
-    lines = _comb_warnings(tracks, found)
+    lines = _comb_warnings(tracks, found, settings)
     one_side = len(np.unique(tracks["side"].values)) == 1
     if used is not None and one_side and found.axis_how != "given" and most < used.sheets_per_block:
         lines.append(
@@ -325,13 +362,13 @@ def consistency_warnings(
             " sheets in view (`sheets`)"
         )
     spacing = math.nan if pixel_size_um is None else found.pitch_px * pixel_size_um / 1000
-    if used is None and 1000 * spacing < LEAST_SPACING_UM:
+    if used is None and 1000 * spacing < settings.least_spacing_um:
         lines.append(
             f"with this pixel size, the sheets are {1000 * spacing:.2g} µm apart, closer than paper is thick:"
             " check `pixel_size_um` (µm)"
         )
     ratio = math.nan if used is None else spacing / (2 * used.thickness_mm)
-    if used is not None and (ratio <= 1 / UNLIKELY_SPACING or ratio >= UNLIKELY_SPACING):
+    if used is not None and (ratio <= 1 / settings.unlikely_spacing or ratio >= settings.unlikely_spacing):
         lines.append(
             f"with this pixel size, sheets {used.thickness_mm:g} mm thick are {spacing:.3g} mm apart: check"
             " `pixel_size_um` (µm)"
@@ -345,7 +382,7 @@ def consistency_warnings(
     return lines
 
 
-def _comb_warnings(tracks: xr.Dataset, found: TrackMetadata) -> list[str]:
+def _comb_warnings(tracks: xr.Dataset, found: TrackMetadata, settings: CheckSettings) -> list[str]:
     """Warn of further or doubtful ridges of the comb, and of an axis that the motion excludes."""
     lines = []
     if found.ridges_beyond and found.sheets_how == "found":
@@ -361,7 +398,7 @@ def _comb_warnings(tracks: xr.Dataset, found: TrackMetadata) -> list[str]:
             f" change every n: give `sheets` as {found.sheets + found.ridges_beyond} or leave it out"
         )
     snr, share = tracks["snr"].values, tracks["found"].values
-    wide = tracks["fwhm_px"].values > ODD_WIDTH * nan_median(tracks["fwhm_px"].values)
+    wide = tracks["fwhm_px"].values > settings.odd_width * nan_median(tracks["fwhm_px"].values)
     weak = np.flatnonzero((snr < 0.1 * nan_median(snr)) | (share < 0.25) | wide)
     if len(weak) and found.sheets > 1:
         which = ", ".join(map(str, weak[:6])) + " …" * (len(weak) > 6)

@@ -344,7 +344,7 @@ class TrackMetadata(Metadata):
         Number of ridges that resemble the sheets and continue the comb beyond the given number of sheets.
     locking_px, locking_err_px
         Locking of positions to whole pixels that was subtracted, rms, and what remains of it in the errors,
-        px; 0 for none (`vision.sheets.locking`).
+        px; 0 for none (`vision.sheets.distortion`).
     noise_lasts
         Correlation of the pixels' noise between a frame and the next if the camera averages in time, else 0.
     corrections_applied
@@ -510,8 +510,8 @@ class StickMetadata(Metadata):
         "doubtful" (seen but not proven, not corrected) or "none" (not seen).
     lowpass_proposed_s, lowpass_proven, lowpass_doubt
         Time constant suggested by the transients after slips but not corrected for (NaN: none); whether slips
-        of different size and spacing agree on it, and it leaves no tail when undone; else which of the two is
-        not so, "differs" or "shape". Its effect is part of the errors.
+        of different size and spacing agree on it, and it leaves no tail when corrected; else which of the
+        two is not so, "differs" or "shape". Its effect is part of the errors.
     lowpass_dF_share, lowpass_K_share
         Median relative change of ΔF and K that this correction would cause.
     lowpass_peak_mm

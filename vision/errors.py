@@ -93,6 +93,11 @@ def check_number(**values: Any) -> None:
     check_within("a number", -math.inf, math.inf, **values)
 
 
+def counted(count: int, noun: str) -> str:
+    """Return "1 film" or "2 films"."""
+    return f"{count} {noun}{'s' * (count != 1)}"
+
+
 def shown(value: Any) -> str:
     """Return a value of an argument for a message: a number, a text, or its type."""
     if value is None:

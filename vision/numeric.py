@@ -66,6 +66,11 @@ def two_digits(value: float) -> str:
     return f"{float(f'{value:.2g}'):g}"
 
 
+def with_minus(text: str) -> str:
+    """Return text of numbers with minus signs instead of hyphens."""
+    return text.replace("-", "−")
+
+
 def number(value: Any) -> float:
     """Return text or another value as a number, NaN if it is none."""
     try:

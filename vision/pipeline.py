@@ -23,13 +23,9 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vision.checks import all_warnings
+from vision.checks import CheckSettings, all_warnings
 from vision.clock import Clock, ClockSettings, synchronise
-from vision.data import (
-    STIFF_BELOW,
-    check_pixel_size,
-    check_threshold,
-)
+from vision.data import STIFF_BELOW, check_pixel_size, check_threshold
 from vision.deformation import DeformationSettings, horizontal_deformation
 from vision.errors import (
     PATH,
@@ -70,8 +66,6 @@ from vision.video import (
 )
 
 Result = TypeVar("Result")
-MOST_SATURATED = 0.5
-"""Share of saturated pixels above which they are named as the reason why no ridges are found."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,6 +78,7 @@ class Tuning:
     clock: ClockSettings = field(default_factory=ClockSettings)
     deformation: DeformationSettings = field(default_factory=DeformationSettings)
     shells: ShellSettings = field(default_factory=ShellSettings)
+    checks: CheckSettings = field(default_factory=CheckSettings)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -326,15 +321,7 @@ def analyse(
     """
     if video is None and force is None and earlier is None:
         raise InputError("`video` and `force`", "at least one of them", "none")
-    advice = "`settings` is the third argument: analyse(video, force, settings)"
-    if isinstance(force, Settings):
-        raise InputError("`force`", "a file or a recording", "Settings", advice)
-    check_kind(
-        (Video, *PATH, NoneType), "the path of a video, or what `vision.open_video` returns", video=video
-    )
-    recordings = "the path of a force recording, or what `vision.read_force` returns"
-    check_kind((xr.Dataset, *PATH, NoneType), recordings, force=force)
-    check_kind(Settings | None, "a `Settings`, as in Settings(pixel_size_um=10)", settings=settings)
+    _check_arguments(video, force, settings)
     chosen = settings or Settings()
     if chosen.strips != 1 and follow is not None:
         raise InputError("`strips` and `follow`", "one of the two", "both", "track again when it is complete")
@@ -365,7 +352,20 @@ def analyse(
         seconds=stages.seconds,
     )
     tuning, samples = chosen.tuning, (chosen.sample, found.assumed_sample)
-    return replace(found, warnings=all_warnings(found, *samples, tuning.video, tuning.shells))
+    warnings = all_warnings(found, *samples, tuning.video, tuning.shells, tuning.checks)
+    return replace(found, warnings=warnings)
+
+
+def _check_arguments(video: object, force: object, settings: object) -> None:
+    """Refuse arguments of another kind than `analyse` takes.  Raises: InputError."""
+    if isinstance(force, Settings):
+        advice = "`settings` is the third argument: analyse(video, force, settings)"
+        raise InputError("`force`", "a file or a recording", "Settings", advice)
+    films = "the path of a video, or what `vision.open_video` returns"
+    check_kind((Video, *PATH, NoneType), films, video=video)
+    recordings = "the path of a force recording, or what `vision.read_force` returns"
+    check_kind((xr.Dataset, *PATH, NoneType), recordings, force=force)
+    check_kind(Settings | None, "a `Settings`, as in Settings(pixel_size_um=10)", settings=settings)
 
 
 def _reusable(earlier: Analysis | None, new: Analysis) -> Analysis:
@@ -514,8 +514,8 @@ def _suggesting_rotation(film: Video | None, chosen: Settings, work: Callable[[]
     try:
         return work()
     except InputError as error:
-        no_ridges = isinstance(error, NoRidgesError)
-        if film is not None and no_ridges and (share := _saturated(film)) > MOST_SATURATED:
+        share = _saturated(film) if film is not None and isinstance(error, NoRidgesError) else 0.0
+        if film is not None and share > chosen.tuning.checks.most_saturated:
             found = f"a saturated picture: {100 * share:.0f} % of the pixels are at the brightest grey level"
             raise InputError(film.path, "upright ridges", found, "film with less light") from None
         rows_given = chosen.rows is not None or chosen.columns is not None

@@ -12,8 +12,9 @@ import xarray as xr
 
 from vision.checks import flag_counts
 from vision.data import ForceMetadata, StickMetadata, StripMetadata, TrackMetadata, load_unit
-from vision.figures.style import both_errors, candidates_text, counted, drift_text, offset_text
-from vision.numeric import nan_median, two_digits
+from vision.errors import counted
+from vision.figures.style import both_errors, candidates_text, drift_text, offset_text
+from vision.numeric import nan_median, two_digits, with_minus
 from vision.sample import Sample
 from vision.sheets import doubtful_stretches
 from vision.sheets.settings import DEFAULT
@@ -120,7 +121,7 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> Iterator
     side, flags = tracks["side"].values, flag_counts(tracks)
     noise = noise_figures(tracks, pixel_size_um)
     length = "" if pixel_size_um is None else f" = {noise['measured_um']:.3g} µm"
-    tilt = f", tilt {strip.tilt_deg:+.2f}°" if math.isfinite(strip.tilt_deg) else ""
+    tilt = f", tilt {with_minus(f'{strip.tilt_deg:+.2f}')}°" if math.isfinite(strip.tilt_deg) else ""
     corrupt = f" ({strip.frames_corrupt} of them corrupt)" if strip.frames_corrupt else ""
     frozen = f", {count} frozen" if (count := flags.get("frozen", 0) // side.size) else ""
     unseen = "; they look alike: a jump by their spacing would be invisible" * (found.sheets_alike == "yes")
@@ -205,7 +206,7 @@ def heights_line(tracks: xr.Dataset) -> str:
     lost = f"; {missing} positions without a fit" if missing else ""
     return (
         f"{len(z)} strips from row {z[0]:.1f} to {z[-1]:.1f}, x_z_px in tracks.nc; sheets are "
-        f"tilted by {tilt:+.3f} px between them{lost}"
+        f"tilted by {with_minus(f'{tilt:+.3f}')} px between them{lost}"
     )
 
 
@@ -338,9 +339,12 @@ def _clocks(clock: Clock) -> str:
 
 def _shells(motion: xr.Dataset, shells: pd.DataFrame) -> str:
     size = shells["stiff_sheets"].dropna().astype(float)
-    found = f"{size.median():.0f} ({size.min():.0f} to {size.max():.0f})" if len(size) else "not known"
+    found = "not known"
+    if len(size):
+        least, most = int(size.min()), int(size.max())
+        found = f"{size.median():.0f}" + (f" ({least} to {most})" if least < most else " in each")
     if (ratio := nan_median(motion["ratio"].values)).size and np.isfinite(ratio).any():  # of each sheet
-        found += f"; median σ_x/Λ_st of a sheet {np.nanmin(ratio):.2g} to {np.nanmax(ratio):.2g}"
+        found += f"; median σ_x/Λ_st of a sheet {np.nanmin(ratio):.3f} to {np.nanmax(ratio):.3f}"
     return f"{motion.sizes['event']} stick phases in the video; stiff sheets per side {found}"
 
 

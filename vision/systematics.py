@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 
 from vision.data import MotionMetadata, StickMetadata, StripMetadata, TrackMetadata
-from vision.numeric import FWHM, nan_median, spread_indices
+from vision.numeric import FWHM, nan_median, rms, spread_indices
 
 if TYPE_CHECKING:
     from vision.figures import Results
@@ -160,5 +160,5 @@ def uneven_light_px(strip: xr.DataArray, tracks: xr.Dataset) -> float | None:
     variance = (found.ridge_fwhm_px / FWHM) ** 2 + found.window_px**2 / 20
     with np.errstate(divide="ignore", invalid="ignore"):
         shift = slope / level * top / height * variance
-    shift = shift[np.isfinite(shift)]
-    return float(np.sqrt(np.mean(shift**2))) if shift.size else None
+    size = rms(shift)
+    return size if math.isfinite(size) else None

@@ -36,6 +36,7 @@ def start(arguments, folder):
     )  # fmt: skip
 
 
+@pytest.mark.thorough
 def test_all_good_films_are_done_and_the_bad_one_is_named(tmp_path, monkeypatch, capsys):
     """The whole way: a table, one film that is none, two that are done, one of them with its force recording,
     the pool; and a second call that finds nothing to do.

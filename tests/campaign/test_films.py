@@ -289,6 +289,7 @@ def test_rows_wait_for_all_their_files(tmp_path, clock):
     assert names() == ["other", "t", "t.tiff"]
 
 
+@pytest.mark.thorough
 def test_a_wrong_table_is_told_in_few_lines(tmp_path, capsys):
     """A failure means thousands of lines for a table that is no campaign, or that has many wrong rows."""
     path = tmp_path / "tracks.csv"

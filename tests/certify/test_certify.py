@@ -15,7 +15,7 @@ from scipy.ndimage import gaussian_filter1d
 from tests.scenes.combs import comb, ridges, strip
 from tests.scenes.degraded import CODECS, DEGRADATIONS, FPS, FRAMES, SCENE, clean
 from tests.scenes.films import write_encoded
-from vision.certify import CertifySettings, certify, encoder, write_certificate
+from vision.certify import CertifySettings, certify, write_certificate
 from vision.certify.encoder import read_encoder
 from vision.certify.likeness import find_slips, learn, own_time
 from vision.certify.page import certificate_figure
@@ -26,8 +26,11 @@ from vision.run.reading import read_json
 from vision.sheets import track_sheets
 from vision.video import open_video, strip_profile
 
-ONE_FILM = CertifySettings(films=1, largest_jump=1.0)
-TWO_FILMS = CertifySettings(films=2, largest_jump=1.0)  # where codecs make films differ by a tenth
+# A third of the frames that the program encodes to find the noise, and a third of the accuracy: a quarter of
+# the time, and the noise is the same within 0.1 grey levels.
+QUICK = CertifySettings(films=1, tried_frames=20, noise_error_grey=0.1)
+ONE_FILM = replace(QUICK, largest_jump=1.0)
+TWO_FILMS = replace(ONE_FILM, films=2)  # where codecs make films differ by a tenth
 FILMS = {
     "as usual": {},
     "noisy": {"camera.full_well_e": 1000},
@@ -55,14 +58,6 @@ OTHERS = {
 LOCKING = {"narrow and bright": {"optics.fwhm_px": 6, "camera.full_well_e": 20000}}
 
 
-@pytest.fixture(autouse=True)
-def fewer_frames_tried(monkeypatch):
-    """A third of the frames that the program encodes to find the noise, and a third of the accuracy: a
-    quarter of the time, and the noise is the same within 0.1 grey levels."""
-    monkeypatch.setattr(encoder, "TRIED_FRAMES", 20)
-    monkeypatch.setattr(encoder, "NOISE_ERROR", 0.1)
-
-
 @cache
 def drawn(name, fit="sliding", seed=21):
     """Strip, tracks, and errors of displacements (frame, sheet)."""
@@ -80,6 +75,7 @@ def rms(values, axis=None):
     return np.sqrt(np.nanmean(values**2, axis=axis))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("fit", ["sliding", "template"])
 @pytest.mark.parametrize("name", FILMS)
 def test_predicted_error_is_the_actual_one(name, fit):
@@ -93,6 +89,7 @@ def test_predicted_error_is_the_actual_one(name, fit):
     assert ((each > 0.65) & (each < 1.45)).all()  # 120 frames tell an error to 6 %, textures differ
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", OTHERS)
 def test_other_films_are_certified_by_the_fit_of_their_run(name):
     """Within 15 %, also where a film would choose another fit. Where each sheet slips by itself, some motion
@@ -117,6 +114,7 @@ def slipping_alone(seed):
     return picture, tracks, moved(error)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("known_less_well", "during"),
     [((), slice(None)), ((3, 9, 14), slice(None)), ((3, 9, 14), slice(40, 80))],
@@ -144,6 +142,7 @@ def test_the_certificate_compares_its_films_with_the_recording():
     assert not certify(picture, tracks, settings=ONE_FILM).uncertain
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["narrow", "narrow and bright"])
 def test_the_papers_fit_is_certified_with_its_locking(name):
     """A failure means that pull towards whole pixels, of 60 mpx and more there, is not seen, or counts for
@@ -184,6 +183,7 @@ def test_slips_are_found_where_they_are():
     assert len(found) <= 2 * len(jumps)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("codec", ["MJPEG 90", "MJPEG 60", "H.264 crf 23"])
 def test_compressed_films(codec, tmp_path):
     """Still pictures: within 15 %.  Codecs that chain frames hide errors as motion: the certificate says so.
@@ -233,7 +233,7 @@ def test_files(tmp_path, monkeypatch):
     assert "that of single sheets is from 0." in page and "(the worst)" in page
     (panel,) = certificate_figure(certificate).panels
     errors = next(line.y for line in panel.series if line.label == "RMS random error of a position")
-    assert panel.y_label == "thousandths of a pixel"
+    assert panel.y_label == "error, sweep (10⁻³ px)"
     assert rms(errors) == pytest.approx(1000 * certificate.error_px, rel=0.1)
     assert facts["threshold"] is None
     assert math.isfinite(table["error_px"].sum())
@@ -278,12 +278,15 @@ def encoded_film(crf, folder, seed=41):
     return path, strip, tracks, moved(tracks.x_px.values - film.truth_px[:80])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("crf", [12, 28])
 def test_films_encoded_again_have_the_errors_of_the_recording(crf, tmp_path):
     """Within 15 %, where residuals put in again fail: H.264 holds sheets still while they creep."""
     path, strip, tracks, error = encoded_film(crf, tmp_path)
     columns = (0, strip.sizes["x"])
-    encoder = read_encoder(path, (tracks.attrs["strip_z0"], tracks.attrs["strip_z1"]), columns)
+    encoder = read_encoder(
+        path, (tracks.attrs["strip_z0"], tracks.attrs["strip_z1"]), columns, settings=QUICK
+    )
     assert encoder.quantiser == crf
     found = certify(strip, tracks, encoder=encoder, settings=TWO_FILMS)
     assert 0.85 < found.error_px / rms(error) < 1.15
@@ -294,6 +297,7 @@ def test_films_encoded_again_have_the_errors_of_the_recording(crf, tmp_path):
         assert residuals.encoding == "" and any("carries content" in line for line in residuals.warnings)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("codec", ["MPEG-4 q 3", "H.264 crf 18"])
 def test_films_have_as_much_common_motion_as_the_codec_left_out(codec, tmp_path):
     """A failure means that films of textured paper before a shaking camera move more or less than it."""
@@ -307,7 +311,9 @@ def test_films_have_as_much_common_motion_as_the_codec_left_out(codec, tmp_path)
     path = CODECS[codec](tmp_path, np.clip(np.rint(pixels), 0, 255).astype(np.uint8))
     strip = strip_profile(open_video(path))
     tracks = track_sheets(strip)
-    encoder = read_encoder(path, (tracks.attrs["strip_z0"], tracks.attrs["strip_z1"]), (0, 400))
+    encoder = read_encoder(
+        path, (tracks.attrs["strip_z0"], tracks.attrs["strip_z1"]), (0, 400), settings=QUICK
+    )
     found = certify(strip, tracks, encoder=encoder, settings=ONE_FILM)
     assert 0.85 < found.error_px / rms(moved(tracks.x_px.values - x)) < 1.15
 
@@ -319,6 +325,7 @@ def test_a_film_that_is_gone_or_of_another_codec_is_not_encoded_again(tmp_path):
     assert read_encoder(path, (0, 30), (0, 600)) is None
 
 
+@pytest.mark.thorough
 def test_texture_of_the_paper_moves_with_the_sheets(tmp_path):
     """On 64 rows, of which each shows other grains: 0.9 of the error, and 1.12 where grains stand still on
     the film while sheets move through them: no block is then as predicted from the one before, moved."""
@@ -337,7 +344,9 @@ def test_texture_of_the_paper_moves_with_the_sheets(tmp_path):
     path = CODECS["H.264 crf 12"](tmp_path, pixels)
     strip = strip_profile(open_video(path))
     tracks = track_sheets(strip)
-    encoder = read_encoder(path, (tracks.attrs["strip_z0"], tracks.attrs["strip_z1"]), (0, 490))
+    encoder = read_encoder(
+        path, (tracks.attrs["strip_z0"], tracks.attrs["strip_z1"]), (0, 490), settings=QUICK
+    )
     middle = certify(strip, tracks, encoder=encoder, settings=replace(ONE_FILM, most_frames=60))
     error = moved(tracks.x_px.values[30:90] - scene.seen_px(slice(30, 90)))
     assert 0.85 < middle.error_px / rms(error) < 1.05
@@ -353,7 +362,9 @@ def test_noise_is_found_from_the_bits(tmp_path):
         strip = strip_profile(open_video(path))
         like = learn(strip, track_sheets(strip), CertifySettings())
         drawn, shown = like.film(like.motion_px, number=None).values, like.shown_px(like.motion_px)
-        encoder = read_encoder(path, (strip.attrs["strip_z0"], strip.attrs["strip_z1"]), (0, 320))
+        encoder = read_encoder(
+            path, (strip.attrs["strip_z0"], strip.attrs["strip_z1"]), (0, 320), settings=QUICK
+        )
         found.append(encoder.fitted(drawn, shown, strip.values))
     assert 0.5 < found[0].noise_grey < 2.5 < found[1].noise_grey < 5
 
@@ -370,6 +381,7 @@ def damaged(name, folder, seed=36):
     return strip, tracks, moved(np.where(np.abs(error) < 10, error, np.nan))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "name", ["frozen frames", "dropped frames", "duplicated frames", "auto-exposure steps"]
 )
@@ -382,6 +394,7 @@ def test_what_happens_to_a_recording_happens_to_its_films(name, tmp_path):
     assert not certificate.uncertain
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("name", "seed"), [("dirt", 36), ("dirt", 31), ("glare", 36), ("passing hand", 36)])
 def test_where_something_pulls_ridges_the_certificate_says_so(name, seed, tmp_path):
     """A failure means a number that looks sure where dirt, a highlight or a hand shift sheets by more; dirt
@@ -407,6 +420,7 @@ def test_the_sheets_own_time_skips_what_was_dropped():
     assert np.array_equal(still, np.arange(len(x)))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("codec", "ending", "options"),
     [
@@ -425,6 +439,8 @@ def test_other_codecs_are_encoded_again_too(codec, ending, options, tmp_path):
     )
     strip = strip_profile(open_video(path))
     tracks = track_sheets(strip)
-    encoder = read_encoder(path, (tracks.attrs["strip_z0"], tracks.attrs["strip_z1"]), (0, 600))
+    encoder = read_encoder(
+        path, (tracks.attrs["strip_z0"], tracks.attrs["strip_z1"]), (0, 600), settings=QUICK
+    )
     certificate = certify(strip, tracks, encoder=encoder, settings=ONE_FILM)
     assert 0.8 < certificate.error_px / rms(moved(tracks.x_px.values - film.truth_px[:80])) < 1.2

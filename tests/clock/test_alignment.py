@@ -322,6 +322,7 @@ def unrelated_pairs(runs):
         ).trains
 
 
+@pytest.mark.thorough
 def test_recordings_of_different_tests_are_never_believed():
     """A failure means that a force file that does not belong to the video goes unnoticed."""
     assert all(align(trains).ambiguity for trains in unrelated_pairs(300))

@@ -352,6 +352,7 @@ def test_there_and_back():
     np.testing.assert_allclose(clock.to_video_s(clock.to_force_s([0.0, 10.0])), [0.0, 10.0], atol=1e-9)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("name", "changes", "allowed_s"),
     [

@@ -68,7 +68,7 @@ def test_a_time_column_that_jumps_ahead_after_the_first_slip_is_said():
     assert (whole.status, whole.warnings) == ("ok", ())
     assert broken.status == "ok"
     (line,) = broken.warnings
-    assert line.startswith("before ") and "1 slip(s) of the film match" in line
+    assert line.startswith("before ") and "1 slip of the film without a match" in line
 
 
 def test_sound_clocks_and_single_missed_slips_are_not_doubted():

@@ -247,7 +247,7 @@ def test_one_frame_and_any_name_will_do(name, place, frames, capsys):
         write_video(place / name, frames[:1])
     assert run([f"./{name}", "--quiet", "--out", "run"]) == 1
     said = capsys.readouterr().err
-    assert said == "track: warning: only 1 frame(s): neither motion nor noise can be measured\n"
+    assert said == "track: warning: only 1 frame: neither motion nor noise can be measured\n"
     assert (pd.read_csv("run/tracks.csv")["flag"] == "ok").all()
 
 
@@ -370,6 +370,7 @@ def test_a_terminal_without_greek_letters_is_no_failure(place):
     assert Path("run/force.png").stat().st_size > 10_000
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("words", "nowhere"),
     [

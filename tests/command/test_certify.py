@@ -28,6 +28,7 @@ def made(tmp_path_factory):
     return target, test.truth
 
 
+@pytest.mark.thorough
 def test_the_certificate_of_a_run(made, tmp_path, capsys, monkeypatch):
     """A failure means that the command does not certify a run, or not with what the errors were."""
     target, truth = made
@@ -46,6 +47,7 @@ def test_the_certificate_of_a_run(made, tmp_path, capsys, monkeypatch):
     assert "--overwrite" in capsys.readouterr().err
 
 
+@pytest.mark.thorough
 def test_a_run_without_a_force_recording(made, tmp_path, capsys, monkeypatch):
     """A failure means exit status 1, as after a warning that matters, for every film without a force."""
     monkeypatch.chdir(tmp_path)

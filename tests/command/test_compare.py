@@ -72,6 +72,7 @@ def test_the_folder(six, tmp_path, capsys):
     assert "https://" not in page.split("<script")[0]
 
 
+@pytest.mark.thorough
 def test_figures_of_a_comparison(six, tmp_path, capsys):
     """A failure means that the figures of several tests cannot be had for a manuscript."""
     assert run(["compare", *six, "--table", "tests.csv", "--out", "all", "--quiet"]) == 1
@@ -213,6 +214,7 @@ def test_a_table_alone_and_one_with_semicolons(six, tmp_path):
         vision.compare()
 
 
+@pytest.mark.thorough
 def test_force_recordings_go_all_the_way(tmp_path, monkeypatch):
     """Two simulated recordings at two velocities, through `track force`: one μ, and single sticks drawn."""
     monkeypatch.chdir(tmp_path)

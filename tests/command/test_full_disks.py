@@ -82,6 +82,7 @@ def filled(disk, finished):
     return subprocess.run(child, capture_output=True, text=True, env=environment, check=False)
 
 
+@pytest.mark.thorough
 def test_every_command_on_a_full_disk_ends_in_one_line(disk, finished):
     """A failure means a killed process (a mapped file that does not fit), a traceback, or rubbish."""
     done = filled(disk, finished)

@@ -282,6 +282,7 @@ def damaged(there):
     return there
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("case", BAD)
 def test_bad_input_ends_in_one_line_and_status_2(case, damaged, capsys):
     """A failure means a traceback, a silent guess or half a result for bad input."""

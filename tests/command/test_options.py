@@ -248,6 +248,21 @@ def test_an_abbreviated_option_is_recognised(typed, capsys):
 
 
 @pytest.mark.parametrize(
+    ("typed", "advice"),
+    [
+        (["force"], "track force --help"),
+        (["kymograph", "--sheeet", "1", "run"], "track kymograph --help"),
+        (["modulus", "a.txt", "b.txt"], "track modulus --help"),
+        (["v.avi", "--bandwidth", "10"], "track --help"),
+    ],
+)
+def test_the_help_named_is_that_of_the_command(typed, advice, capsys):
+    """A failure means that `track force` without a file sends its user to the options of `track`."""
+    assert run(typed) == 2
+    assert f"{advice} lists the options" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
     ("typed", "meant"), [("preveiw", "preview"), ("compar", "compare"), ("Force", "force")]
 )
 def test_a_mistyped_command_is_recognised(typed, meant, tmp_path, monkeypatch, capsys):

@@ -10,7 +10,7 @@ from tests.scenes.comb_video import frames_of, positions, write_video
 from vision.command.main import run
 from vision.command.options import VideoOptions
 from vision.command.settings import merged, settings_of
-from vision.command.views import make_preview
+from vision.command.views import make_preview, preview_summary
 from vision.figures import preview_figure
 from vision.video.reader import MappedReader
 
@@ -80,6 +80,15 @@ def test_the_picture_shows_the_measured_numbers(found):
     assert frame.image is not None
 
 
+@pytest.mark.parametrize("fit", ["auto", "sliding"])
+def test_what_decides_the_fit_of_the_run_is_told(film, fit):
+    """A failure means that the preview announces the sliding fit and the run then uses the template."""
+    shown = make_preview(film, settings_of(merged(VideoOptions(fit=fit))))
+    (line,) = (line for line in preview_summary(shown) if line.startswith("ridges"))
+    assert "sliding fit over" in line
+    assert ("template if it is learned well, from 100 frames" in line) == (fit == "auto")
+
+
 def test_without_an_axis_sheets_are_numbered_from_the_left():
     """In its first frames the film moves so little that its axis may be anywhere in most of the comb. A
     failure means a picture with an axis that is only the middle of the comb, and sheets numbered from it."""
@@ -124,4 +133,4 @@ def test_frames_without_a_picture_are_told_whatever_the_film_is_called(tmp_path,
     frames[5] = 0
     film = write_video(tmp_path / "missing.tif", frames)
     assert run(["preview", str(film), "--fps", "20", "--out", str(tmp_path / "blank.png")]) == 1
-    assert "1 frame(s) blank" in capsys.readouterr().err
+    assert "1 frame blank" in capsys.readouterr().err

@@ -68,7 +68,7 @@ def test_warnings_name_their_film(films, capsys):
     write_video(Path("t1.tif"), pixels)
     assert run([*films, "--no-report"]) == 1
     said = capsys.readouterr()
-    assert said.err.startswith("track: warning: t1.tif: 4 frame(s) blank")
+    assert said.err.startswith("track: warning: t1.tif: 4 frames blank")
     assert "1 warning" in said.out.splitlines()[2]
 
 

@@ -27,6 +27,15 @@ def test_options_toml_and_set_in_that_order(tmp_path, capsys):
     assert out.err == ""
 
 
+def test_options_and_set_are_checked_together(tmp_path):
+    """A failure means that 90 sheets are refused, although --set allows 45 per side."""
+    arguments = ["simulate", str(tmp_path / "t"), "--sheets", "90", "--set", "sheets.per_side=45"]
+    arguments += ["--width", "2000", "--pitch", "20", "--height", "20", "--duration", "0.1", "--quiet"]
+    assert run(arguments) == 0
+    with xr.open_dataset(tmp_path / "t" / "truth.nc", engine="h5netcdf") as truth:
+        assert truth.sizes["sheet"] == 90
+
+
 @pytest.mark.parametrize(
     "bad",
     [

@@ -166,7 +166,7 @@ def test_a_blank_frame_is_flagged_and_sets_the_exit_status(tmp_path, monkeypatch
     pixels[30] = 255
     write_video(tmp_path / "blank.tif", pixels)
     assert run(["blank.tif", "--quiet"]) == 1
-    assert "1 frame(s) blank" in capsys.readouterr().err
+    assert "1 frame blank" in capsys.readouterr().err
     table = pd.read_csv("blank_tracks/tracks.csv")
     gone = table[table.frame == 30]
     assert (gone.flag == "blank").all()
@@ -249,6 +249,7 @@ def test_a_checksum_covers_every_byte_of_the_film(video):
     assert film["sha256"] == hashlib.sha256(video.read_bytes()).hexdigest()
 
 
+@pytest.mark.thorough
 def test_a_run_without_force_loads_only_what_it_needs(video):
     """A failure means half a second more for every run: statistics and solvers that nobody asked for."""
     unused = ("scipy.signal", "scipy.stats", "scipy.optimize", "scipy.interpolate", "matplotlib.pyplot", "av")

@@ -66,6 +66,7 @@ def test_events_of_a_recording_give_back_the_models(test: Test) -> None:
     assert fits.modulus_GPa.value == pytest.approx(3.8, rel=0.02)
 
 
+@pytest.mark.thorough
 def test_what_the_low_pass_takes_from_the_peaks_is_in_the_errors() -> None:
     """A low-pass of 3 ms moves μ by more than its other errors: a failure means that none of them says so."""
     made = realistic(d1=18, noise=0.05).force
@@ -107,6 +108,7 @@ def test_what_a_moving_mean_takes_from_the_drops_is_in_the_errors(mean_s: float)
     assert fits.amplitude.systematic_error < 2 * off
 
 
+@pytest.mark.thorough
 def test_a_run_folder_is_complete_and_kept(
     file: Path, test: Test, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -161,6 +163,7 @@ def test_without_d0_there_are_events_and_no_models(file: Path, capsys: pytest.Ca
     assert force_axis() == "d (mm)"
 
 
+@pytest.mark.thorough
 def test_without_speed_or_displacement(file: Path, test: Test, capsys: pytest.CaptureFixture[str]) -> None:
     """A failure means a missing speed is guessed, or costs the events that need none."""
     bare = Path("bare.csv")

@@ -51,6 +51,7 @@ def test_flagged_events_are_named(tmp_path):
         vision.compare([run])
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("error::RuntimeWarning")
 def test_random_events(tmp_path):
     """A failure means a traceback for numbers that some instrument will write one day."""

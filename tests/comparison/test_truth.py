@@ -12,6 +12,8 @@ from vision.comparison.trends import find_irregular, find_trends
 from vision.models import equations
 from vision.sample import Sample
 
+pytestmark = pytest.mark.thorough
+
 
 def campaigns(folder, seeds):
     for seed in seeds:

@@ -29,6 +29,7 @@ def test_a_noise_free_sweep_gives_its_length_over_root_12():
 CASES = list(itertools.product((0.3, 1.0, 5.0), (8, 25, 100), (0.02, 0.08), (0.0, 0.6)))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("sweep", "frames", "noise", "rho"), CASES)
 def test_the_ratio_is_right_and_so_is_its_error(sweep, frames, noise, rho):
     """A failure means ratios that are off by more than 0.01 on average, or errors that cannot be believed."""

@@ -65,6 +65,7 @@ def simulated(request):
     return deformation(*run(name, **{"camera.duration_s": seconds}))
 
 
+@pytest.mark.thorough
 def test_ratios_and_errors(simulated):
     """A failure means that errors of the whole chain from the picture on are larger than it says."""
     truth, motion = simulated
@@ -75,6 +76,7 @@ def test_ratios_and_errors(simulated):
     assert within_two > 0.93
 
 
+@pytest.mark.thorough
 def test_the_publications_fit_is_let_go():
     """A failure means that locking to whole pixels, a tenth of a late sweep and more, passes for motion."""
     truth, tracks, sticks, clock = run("late", fit="paper", **{"camera.duration_s": 8.0})
@@ -88,6 +90,7 @@ def test_the_publications_fit_is_let_go():
 LONG = {"camera.fps": 160, "camera.duration_s": 8.0, "mechanics.speed_mm_min": 0.5}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("name", "changes"), [("fresh", {"camera.duration_s": 12.0}), ("paper", LONG)])
 def test_unequal_pixels_count_in_long_sticks(name, changes):
     """A failure means that the error of a long stick falls with the number of frames without end."""
@@ -113,6 +116,7 @@ def test_very_unequal_pixels_are_found():
 LATE_SLIPS = {"camera.duration_s": 10.0, "sheets.slip_delay_s": 0.02}
 
 
+@pytest.mark.thorough
 def test_sheets_that_slip_late():
     """A failure means that frames in which a sheet has not slipped yet shrink its creep, by all of it."""
     wrong, within_one, within_two = score(*deformation(*run("late", **LATE_SLIPS)))

@@ -25,6 +25,7 @@ def test_the_gallery_has_its_scripts():
     ]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
 def test_a_script_of_the_gallery_draws_its_picture(script, tmp_path, monkeypatch):
     """A failure means that an example which readers copy fails, warns or draws an empty page."""

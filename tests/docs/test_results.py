@@ -36,6 +36,7 @@ def folder(tmp_path_factory):
     return place
 
 
+@pytest.mark.thorough
 def test_the_examples_give_what_they_promise(folder, monkeypatch):
     """A failure means that a line which readers copy fails, or finds nothing."""
     monkeypatch.chdir(folder)

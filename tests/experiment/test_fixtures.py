@@ -37,6 +37,7 @@ def _settings(truth):
     return seed | {f"{group}.{key}": value for group, of in groups.items() for key, value in of.items()}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", sorted(COMMANDS))
 def test_remade_it_is_the_same(tmp_path, name):
     """Same truth, same force, same pixels; lossy codecs may change a little with their release."""

@@ -38,6 +38,7 @@ def test_a_longer_video_begins_like_a_shorter_one():
     assert np.allclose(profiles(calm)[1].x_px, profiles(longer)[1].x_px[:30])
 
 
+@pytest.mark.thorough
 def test_memory_does_not_grow_with_the_video():
     """A failure means a full test (18 000 frames) would not fit: four times the frames, the same peak."""
 

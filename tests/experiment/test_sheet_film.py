@@ -51,6 +51,7 @@ def test_the_ratio_is_that_of_the_positions(scene: Scene) -> None:
         assert motion.ratio[k, 24:26].max() < 0.05
 
 
+@pytest.mark.thorough
 def test_the_pipeline_measures_the_shell_of_the_springs(scene: Scene, tmp_path: Path) -> None:
     """Creep that begins within a stick, sheet after sheet: ratios and shells as in the truth.
 
@@ -103,6 +104,7 @@ def recorded(scene: Scene, folder: Path, lowpass_s: float) -> xr.Dataset:
     return vision.read_force(folder / "f.txt", d0_mm=13.0)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("length", "lowpass_s"), [("long", 0.003), ("short", 0.003), ("short", 0.0)])
 def test_a_lies_within_its_stated_error(
     scenes: dict[str, Scene], tmp_path: Path, length: str, lowpass_s: float
@@ -121,6 +123,7 @@ def test_a_lies_within_its_stated_error(
     assert abs(found.value - true) > 1.5 * np.hypot(found.error, drift)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("lowpass_s", [0.003, 0.01])
 def test_drops_of_curved_sticks_without_the_load_cell(
     scenes: dict[str, Scene], tmp_path: Path, lowpass_s: float

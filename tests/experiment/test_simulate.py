@@ -108,6 +108,7 @@ def read(path):
     return np.concatenate([block.pixels for block in open_video(path).blocks()])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("container", "bits"),
     [

@@ -22,7 +22,7 @@ from vision.figures import (
     space_time_figure,
     tracks_figure,
 )
-from vision.figures.decimate import grey_limits
+from vision.figures.decimate import grey_levels, grey_limits
 from vision.figures.drawing import MOST_LINES, new_figure
 from vision.figures.positions import MOST_POINTS
 from vision.figures.style import LEFT_ON_GREY, MISSING, RIGHT_ON_GREY
@@ -165,6 +165,7 @@ def test_the_picture_says_what_its_marks_are(tmp_path):
     assert "magenta" not in path.read_text()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("panels", [1, 2, 5, 12])
 @pytest.mark.parametrize("frames", [1, 2, 60, 3000])
 def test_any_number_of_panels_fits(panels, frames):
@@ -301,6 +302,53 @@ def test_a_frame_keeps_its_shape_unless_nothing_could_be_seen(tracks, rows, squa
     if square:
         a, b = ax.transData.transform([(0, 0), (100, 100)])
         assert abs(b - a) == pytest.approx(abs(b - a)[0], rel=1e-6)
+
+
+@pytest.mark.parametrize(("first_row", "numbers_z"), [(0, -0.5), (4, -0.5), (100, 99.5)])
+def test_numbers_never_cover_the_edge_of_the_picture(tracks, first_row, numbers_z):
+    """A failure means that numbers hide the rows between the picture's edge and the strip."""
+    figure = frame_figure(np.zeros((200, 220)), tracks.assign_attrs(strip_z0=first_row, strip_z1=200))
+    assert {series.text_y for series in figure.panel.series} == {numbers_z}
+    ax = figure.plot()
+    ax.figure.draw_without_rendering()
+    edge = ax.transData.transform((0, -0.5))[1]
+    boxes = [text.get_window_extent() for text in ax.texts]
+    assert boxes
+    assert all(box.y0 >= edge or box.y1 <= edge for box in boxes)
+    assert all(box.y1 <= ax.get_window_extent().y1 for box in boxes)
+
+
+def test_indices_are_numbered_from_0(tracks):
+    """A failure means that every second index is shown from 1 on, so that the first sheet has no number."""
+    crowded = make_tracks(sawtooth(10, 50, pitch_px=8.0), pitch_px=8.0)
+    crowded = crowded.assign_attrs(strip_z0=0, strip_z1=30)
+    ax = frame_figure(np.zeros((30, 400)), crowded, axis=False).plot()
+    shown = sorted(int(text.get_text()) for text in ax.texts)
+    assert shown[0] == 0
+    assert len(set(np.diff(shown))) == 1
+    assert shown[1] > 1
+
+
+def test_a_window_is_interpolated_between_its_pixels():
+    """A failure means that a window of 20 px shows squares, which hide motion of half a pixel; or that the
+    picture is another than that of the pixels."""
+    x = np.arange(200, 220)
+    at = 209.5 + np.linspace(-1, 1, 60)[:, None]
+    values = 100 * np.exp(-((x - at) ** 2) / 18)
+    values[30] = np.nan
+    diagram = diagram_of(columns=20, **WINDOW).copy(data=values.astype(np.float32))
+    image = kymograph_figure([diagram]).panel.image
+    assert image.pixels.shape == (60, 240)
+    assert (image.left, image.right) == (-10.0, 10.0)
+    assert image.missing[30].all() and image.missing.sum() == 240
+    fine = 199.5 + (np.arange(240) + 0.5) / 12
+    expected = grey_levels(100 * np.exp(-((fine - at) ** 2) / 18), image.black, image.white)
+    inside = (fine > 200) & (fine < 219)
+    difference = np.abs(image.pixels.astype(int) - expected)[:, inside][np.arange(60) != 30]
+    assert difference.max() <= 3
+    whole = kymograph_figure([diagram_of(columns=20)])
+    assert whole.panel.image.pixels.shape == (60, 20)
+    assert "Interpolated" not in whole.caption
 
 
 @pytest.mark.parametrize("pitch", [20.0, 8.0])

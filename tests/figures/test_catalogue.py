@@ -49,6 +49,7 @@ def scene(*, sheets=7, frames=40, rows=60, columns=400, times_s=None, nothing_fo
     return Found(frame=frame, strip=strip, tracks=tracks, pixel_size_um=10.0)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "options",
     [

@@ -62,6 +62,7 @@ def test_nobody_s_settings_change_the_files(tmp_path):
         assert mpl.rcParams["font.size"] == 30
 
 
+@pytest.mark.thorough
 def test_pyplot_is_not_imported_unless_it_is_used():
     """A failure means a slower start, or a window where there is no screen."""
     code = """
@@ -165,6 +166,29 @@ def test_many_tracks_leave_the_image_visible(video_only):
     assert many.series[0].width == 0.25
 
 
+def test_a_small_space_time_diagram_has_thinner_tracks(video_only):
+    """A failure means that the tracks of 50 sheets hide the ridges in a figure for a manuscript."""
+    figure = space_time_figure(video_only.strip, make_tracks(sawtooth(60, 50)))
+    small, wide = (
+        replace(figure, width_in=width).plot().collections[-1].get_linewidth()[0] for width in (6, 13)
+    )
+    assert wide == pytest.approx(1.0, abs=0.03)
+    assert small == pytest.approx(5.0 / 12, abs=0.03)
+
+
+@pytest.mark.parametrize(("period", "crowded"), [(200, False), (20, True)])
+def test_many_slips_of_many_sheets_are_no_solid_block(period, crowded):
+    """A failure means that the displacements of a long test fill their panel, or that lines of a short one
+    are faint without need."""
+    ax = tracks_figure(make_tracks(sawtooth(1000, 50, period=period))).plot()
+    faint = np.asarray(ax.collections[0].get_alpha()) < 1
+    assert len(ax.collections[0].get_paths()) == 50
+    assert np.count_nonzero(~faint) == (8 if crowded else 50)
+    named = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert all(text.endswith("; faint except 4, 11, 18, 25") == crowded for text in named)
+
+
+@pytest.mark.thorough
 @pytest.mark.parametrize("width", [2, 3.5, 6, 12])
 def test_every_legend_fits_above_its_axes(pulled, width):
     """A failure means legends cut off at the edge of the file, or over the data."""

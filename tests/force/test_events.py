@@ -34,6 +34,7 @@ def median_ratio(test: Test, column: str, **options: Any) -> float:
     return float((events[column] / truth[column]).median())
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("samples", [30, 100])
 def test_recall_and_false_events_at_six_sigma(samples: int, seed: int) -> None:
@@ -150,6 +151,7 @@ def test_a_threshold_too_low_or_high_fails() -> None:
     assert find_stick_slip(test.force, threshold_N=3).attrs["threshold_how"] == "given"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "settings",
     [
@@ -203,6 +205,7 @@ def test_spikes_are_not_slips() -> None:
     assert events.attrs["spikes"] > 0.8 * hit.size
 
 
+@pytest.mark.thorough
 def test_machine_compliance_is_corrected_only_when_asked() -> None:
     """A failure means K is silently the machine's and the sample's in series, or the correction is wrong."""
     test = realistic(compliance=1e-5, softening=0.0)
@@ -221,6 +224,7 @@ def test_machine_compliance_shortens_sticks_and_lengthens_slips() -> None:
     assert (corrected["slip_length_um"] > events["slip_length_um"]).all()
 
 
+@pytest.mark.thorough
 def test_two_slopes_of_fast_pulls() -> None:
     """A failure means the double stiffness of fast pulls is not measured, or seen where it is not."""
     test = plain(sticks=40, samples=200, snr=400, jitter=0.0, scatter=0.0)
@@ -268,6 +272,7 @@ def test_compression_is_refused() -> None:
         find_stick_slip(force.assign(load_N=-force["load_N"]))
 
 
+@pytest.mark.thorough
 def test_detection_limit_lies_where_detection_fails() -> None:
     """A failure means the stated smallest slip is not the smallest slip."""
     test = realistic(d1=13.5, noise=0.5)
@@ -284,6 +289,7 @@ def test_drops_whose_end_lies_between_two_samples() -> None:
     assert median_ratio(test, "dF_N", settings=ForceSettings(between_samples=0.0)) < 0.985
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("settings", [FAST | {"tau": 0.003}, {"rate": 200.0}, {"rate": 100.0, "tau": 0.01}])
 def test_stick_lengths_carry_an_honest_error(settings: dict[str, float]) -> None:
     """A failure means stick_length_err_um is too small to be used in σ_x/Λ_st."""
@@ -333,6 +339,7 @@ def test_what_is_no_recording_is_refused_by_name() -> None:
         find_stick_slip(realistic(d1=13.2).force.drop_vars("load_N"))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("part", [25, 16, 9, 3, 1])
 @pytest.mark.parametrize("seed", range(3))
 def test_slips_are_found_through_mains_hum(seed: int, part: int) -> None:
@@ -381,6 +388,7 @@ def test_forces_are_measured_with_the_hum_and_err_by_it() -> None:
         assert 0.05 < np.std(off) < 1.2, name
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("jitter", [0.0, 0.01, 0.05])
 @pytest.mark.parametrize("samples", [37, 100, 333])
 def test_the_harmonics_of_regular_stick_slip_are_no_hum(samples: int, jitter: float) -> None:
@@ -450,6 +458,7 @@ def test_a_coarse_displacement_spoils_no_stiffness(how: str) -> None:
         assert np.mean(np.abs(right[name] - truth[name]) < 2 * right[error]) > 0.92, name
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("rate", "slip_s"), [(100.0, 0.004), (200.0, 0.004), (500.0, 0.0016)])
 def test_slips_shorter_than_a_sample_do_not_lengthen_the_sticks(rate: float, slip_s: float) -> None:
     """A failure means that sticks are too long by most of a slip in which hardly ever a sample lies, and that
@@ -587,6 +596,7 @@ def test_forces_at_the_ends_of_curved_sticks(power: float, snr: float, largest: 
         assert np.mean(np.abs(off) < right[name.replace("_N", "_err_N")]) > 0.65, name
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("averaged", [3, 5, 9])
 @pytest.mark.parametrize(("softening", "noise_after"), [(0.0, 0.0), (0.3, 0.0), (0.0, 1.0)])
 def test_a_machine_that_averages_its_samples(averaged: int, softening: float, noise_after: float) -> None:
@@ -686,6 +696,7 @@ def test_a_drift_that_wanders_makes_no_slips(seed: int) -> None:
     assert np.mean(off < 2 * right["dF_err_N"]) > 0.82
 
 
+@pytest.mark.thorough
 def test_slow_noise_moves_sticks_as_a_whole() -> None:
     """A failure means that a fifth of the errors of F_v and F_p hold, as a random walk of the load cell is
     slower than the sticks, within which it was measured."""
@@ -713,6 +724,7 @@ def coloured(power: float, count: int, rng: np.random.Generator) -> np.ndarray:
     return np.fft.irfft(spectrum / np.arange(1, spectrum.size + 1) ** (power / 2), count)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("power", [1.0, 2.0, 9.5])
 def test_the_errors_know_the_kind_of_slow_noise(power: float) -> None:
     """A failure means that noise with a time constant is continued as a random walk, which makes the errors
@@ -992,6 +1004,7 @@ def test_what_returns_to_its_level_is_no_slip(seed: int) -> None:
     assert any("upward jump" in line for line in events.attrs["warnings"])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("steps", [5, 8])
 def test_a_coarse_load_widens_the_errors(steps: int) -> None:
     """A failure means errors as of independent samples, though hundreds have the same rounding."""
@@ -1017,6 +1030,7 @@ def test_noise_that_grows_does_not_raise_the_forces() -> None:
     assert abs(later.mean()) < 2  # of 200 N
 
 
+@pytest.mark.thorough
 def test_a_filter_that_overshoots_enters_the_errors() -> None:
     """A failure means an F_p beyond the true one by the overshoot of a symmetrical filter, called exact."""
     test = plain(sticks=30, samples=4000, snr=200, jitter=0.1)

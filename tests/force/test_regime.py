@@ -26,6 +26,7 @@ def half_cosine(slip_s: float, *, noise: float = 0.01, speed: float = 10.0) -> x
     return recording(time, load, 13 + speed / 60 * time, speed)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("slip_s", [0.01, 0.02, 0.03])
 def test_slow_slips_are_measured_at_recorded_extremes(slip_s: float) -> None:
     """A failure means slow slips are read larger than the recording swings, or too short."""
@@ -44,6 +45,7 @@ def test_extrapolation_through_slow_slips_fails() -> None:
     assert lines["slip_length_um"].median() < 0.85 * extremes["slip_length_um"].median()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("noise", [0.003, 0.01, 0.03, 0.1])
 @pytest.mark.parametrize(("fall", "rise"), [(60, 120), (100, 150), (40, 60)])
 def test_noise_does_not_lengthen_slow_slips(fall: int, rise: int, noise: float) -> None:
@@ -74,6 +76,7 @@ def test_a_sinusoid_is_an_oscillation() -> None:
     assert events["dF_N"].median() == pytest.approx(0.16, rel=0.06)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("white", [0.0, 0.02])
 def test_slow_noise_alone_gives_no_event_called_ok(white: float, seed: int) -> None:
@@ -105,6 +108,7 @@ def test_a_purely_elastic_triangle_is_no_stick_slip(known: bool) -> None:
         assert events["flag"].str.contains("cycles").all()
 
 
+@pytest.mark.thorough
 def test_negative_friction_is_flagged() -> None:
     """A failure means friction that pushes is reported without a word."""
     force = half_cosine(0.001)
@@ -113,6 +117,7 @@ def test_negative_friction_is_flagged() -> None:
     assert not find_stick_slip(force)["flag"].str.contains("negative").any()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("speed", [4.9975, 5.0])
 def test_knees_are_seen_in_the_sticks_not_in_the_speed(speed: float) -> None:
     """A failure means ΔF jumps by 8 % between two speeds that nobody can tell apart."""

@@ -11,8 +11,8 @@ from tests.scenes.sawtooth import Test, plain
 from vision.clock import force_slips
 from vision.errors import InputError
 from vision.force import find_stick_slip
-from vision.force.ringing import averaged, ringing_period
 from vision.force.settings import ForceSettings
+from vision.force.signal import averaged, ringing_period
 
 SAMPLES = 200  # from slip to slip, at 100 Hz
 

@@ -123,6 +123,7 @@ def median_ratios(test: Test, **options: float | str) -> dict[str, float]:
     return {name: float((events[name] / truth[name]).median()) for name in columns}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("tau", [0.001, 0.003, 0.01])
 def test_fast_pulls_behind_a_slow_chain_come_out_true(tau: float) -> None:
     """A failure means force drops and stick lengths of fast pulls are the amplifier's, not the sample's."""
@@ -217,6 +218,7 @@ def test_a_given_low_pass_is_used() -> None:
     assert (attrs["lowpass_s"], attrs["lowpass_how"]) == (pytest.approx(0.01), "given")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("lowpass_s", [0.0, 0.003])
 def test_the_stiffness_of_fast_pulls_is_that_after_the_knee(lowpass_s: float) -> None:
     """A failure means K, and with it N̂ and Y_eff, mixes the two slopes of a fast stick."""
@@ -245,6 +247,7 @@ def test_a_time_constant_longer_than_a_stick_is_refused(lowpass_s: float) -> Non
         find_stick_slip(plain(sticks=20).force, lowpass_s=lowpass_s)
 
 
+@pytest.mark.thorough
 def test_a_long_hold_among_short_sticks() -> None:
     """A failure means that one long stick makes all others take as much memory."""
     rng = np.random.default_rng(0)
@@ -263,6 +266,7 @@ def test_a_long_hold_among_short_sticks() -> None:
     assert most < 20e6
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("ramp_s", [0.0, 1.0])
 @pytest.mark.parametrize(("before_s", "after_s"), [(2, 0), (3, 30), (10, 0), (30, 0), (100, 10)])
 def test_a_rest_before_or_after_the_pull_changes_no_event(
@@ -289,6 +293,7 @@ def test_a_rest_before_or_after_the_pull_changes_no_event(
     np.testing.assert_allclose(with_rest, without, atol=0.4)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("hold_s", [3, 10])
 def test_a_stick_in_which_the_machine_was_held_is_flagged(hold_s: int) -> None:
     """A failure means that the line through a stick and a hold gives a wrong event without any flag."""

@@ -23,6 +23,7 @@ def quiet():
         yield
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", range(PARTS))
 def test_a_damaged_file_is_read_or_refused(seed, tmp_path):
     """A failure means that a damaged file ends in a traceback, a hang, or takes all memory."""
@@ -30,6 +31,7 @@ def test_a_damaged_file_is_read_or_refused(seed, tmp_path):
     assert not failures, "\n".join(f"{f.file}: {f.what}" for f in failures[:3])
 
 
+@pytest.mark.thorough
 def test_a_damaged_run_folder_is_read_or_refused(tmp_path):
     """A failure means that a run folder from elsewhere ends a command in a traceback, or writes outside."""
     outcomes, failures = [], []

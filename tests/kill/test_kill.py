@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="processes cannot be forked here")
 def test_killed_at_random_moments(tmp_path):
     """A failure means a mixed or lost run, rubbish beside it, or a resumed run with other positions."""

@@ -36,6 +36,7 @@ def late(number, frame):
     raise TimeoutError("no answer within the limit")
 
 
+@pytest.mark.thorough
 def test_every_damaged_file_ends_in_a_line_or_says_what_is_missing(files, tmp_path, monkeypatch, capsys):
     """A failure means a traceback, a hang, or frames that are lost without a word."""
     monkeypatch.chdir(tmp_path)

@@ -28,6 +28,7 @@ def events_of(name):
     return find_stick_slip(recorded(name))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", SPEED_MM_MIN)
 def test_every_force_lies_within_what_was_recorded(name):
     """A failure means a peak, a valley or a drop that no sample shows; nothing is deconvolved unasked."""
@@ -40,6 +41,7 @@ def test_every_force_lies_within_what_was_recorded(name):
     assert StickMetadata.of(events).lowpass_s == 0
 
 
+@pytest.mark.thorough
 def test_the_slow_pull_is_a_clean_sawtooth():
     """375 s at 2 kHz with impulsive noise: stick-slip at a steady pace, no event of which is doubtful; K is
     the spring's over the weight."""
@@ -88,6 +90,7 @@ def test_the_stiff_spring_oscillates(lowpass_s):
     assert not (events["flag"] == "ok").any()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("two_slopes", [False, True])
 @pytest.mark.parametrize("name", ["k168Nm_v1100", "k1002Nm_v4300"])
 def test_transients_that_fit_no_single_filter_are_not_corrected(name, two_slopes):

@@ -18,6 +18,8 @@ from vision.figures.style import DATA, to_unicode
 from vision.report import write_report
 from vision.report.page import render_page
 
+pytestmark = pytest.mark.thorough
+
 
 @pytest.fixture(scope="module")
 def report(pulled, tmp_path_factory):

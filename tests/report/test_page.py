@@ -134,6 +134,7 @@ def test_parameters_and_command_are_listed(pulled, tmp_path):
     assert "track test.avi &lt;script&gt;" in page
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("frames", "sheets", "width"), [(100_000, 50, 300), (1500, 200, 4100), (600, 7, 1200)]
 )
@@ -216,6 +217,15 @@ def test_methods_tell_what_this_run_lacks(pulled):
     assert "One sheet appears as a " in text
     assert "px apart" not in text
     assert "The pixel size is not known." in text
+
+
+def test_methods_tell_that_the_error_of_d0_is_not_known(pulled):
+    """A failure means that a paper states systematic errors without the largest source, in silence."""
+    known, unknown = (replace(pulled.fits, input_errors=errors) for errors in ({"d0_mm": 0.1}, {}))
+    assert "d0" not in " ".join(methods(replace(pulled, fits=known)))
+    text = " ".join(methods(replace(pulled, fits=unknown)))
+    assert "systematic errors; the latter without that of d0, which is not known)" in text
+    assert re.search(r"the noise is [\d.]+ N\)", text)
 
 
 def test_systematic_errors_are_a_table_of_the_page(pulled, tmp_path):

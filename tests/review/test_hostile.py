@@ -18,6 +18,7 @@ from vision.review.session import Session
 from vision.run import read_run
 from vision.sheets.corrections import read_decisions
 
+pytestmark = pytest.mark.thorough
 PROJECT = Path(__file__).parents[2]
 LEFT_OUT = {"kind": "leave_out", "sheet": 5, "frames": "0:10"}
 

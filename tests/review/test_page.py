@@ -27,6 +27,7 @@ from vision.review.session import Session
 from vision.run import Origin, Parameter, write_run
 from vision.run.reading import read_run
 
+pytestmark = pytest.mark.thorough
 SHOTS = os.environ.get("SHEETVISION_SCREENSHOTS")
 
 
@@ -690,8 +691,11 @@ def test_a_late_answer_does_not_hide_the_end(browser, run):
         def hold(route):
             waiting.append(route)
 
-        with page.expect_request("**/api/state"):
-            page.route("**/api/state", hold)
+        page.route("**/api/state", hold)
+        for _ in range(PATIENCE_MS // 50):
+            if waiting:
+                break
+            page.wait_for_timeout(50)
         page.click("#close")
         visit.reads("notice", "The review has ended")
         waiting[0].fulfill(json=state | {"other_windows": 2})

@@ -58,6 +58,7 @@ def off_px(tracks):
     return float(np.nan_to_num(np.abs(x_px - known), nan=np.inf).max())
 
 
+@pytest.mark.thorough
 def test_planted_mistakes_are_put_right_and_saved(session):
     """A failure means that a person who sees what is wrong cannot make the run right."""
     before = read_run(session.folder)
@@ -283,6 +284,7 @@ def clocked(unplanted, tmp_path):
         yield opened
 
 
+@pytest.mark.thorough
 def test_another_strip_is_tracked_before_it_is_kept(clocked, monkeypatch):
     """A failure means that a person chooses rows without knowing what they do to positions and shells, or
     that something else is kept than what was shown."""

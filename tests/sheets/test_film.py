@@ -54,6 +54,7 @@ def test_frames_averaged_in_time_are_said_to_be(how):
     assert "noise reduction" in line
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("period", [0, 3, 4, 5.5, 8, 13])
 @pytest.mark.parametrize("size_px", [0.3, 3.0])
 def test_frames_of_a_camera_that_vibrates_are_not_averaged(period, size_px):

@@ -6,7 +6,7 @@ import pytest
 from tests.scenes.combs import as_strip, comb, ridges, strip
 from vision.data import TrackMetadata
 from vision.sheets import track_sheets
-from vision.sheets.locking import NO_LOCKING, PixelLocking, pixel_locking
+from vision.sheets.distortion import NO_LOCKING, PixelLocking, pixel_locking
 from vision.sheets.settings import DEFAULT, TrackingSettings
 
 

@@ -3,6 +3,7 @@
 import tracemalloc
 
 import numpy as np
+import pytest
 
 from tests.scenes.combs import as_strip, comb, ridges, strip
 from vision.sheets import track_sheets
@@ -11,6 +12,7 @@ FRAMES, SHEETS = 20_000, 24  # in shorter films the largest part does not grow w
 MOST_TABLES = 11.8  # 10.8 here; copies in every stage made 34
 
 
+@pytest.mark.thorough
 def test_tracking_holds_few_tables_of_frames_and_sheets():
     """A failure means that long films fill the memory of a computer that could track them."""
     few = strip(ridges(comb(100, per_side=SHEETS // 2, axis_px=260), width=520)).values

@@ -210,6 +210,7 @@ def swaying(rng, x):
     return rng.normal(0, 0.1, x.shape[1]) * np.sin(2 * np.pi * 0.05 * np.arange(len(x)))[:, None]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("shifts", [turbulent, flickering, swaying])
 @pytest.mark.parametrize("seed", range(3))
 def test_shifts_that_leave_no_trace_in_a_ridge_are_in_the_errors(shifts, seed):

@@ -37,6 +37,7 @@ def usual(request):
     return request.param, truth, cache(lambda fit: track_sheets(picture, fit=fit))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("fit", ["auto", "sliding"])
 def test_the_usual_fits_are_near_the_bound_and_do_not_lock(usual, fit):
     """A failure means positions are noisier than the light allows, or biased with the fraction of a pixel."""
@@ -85,6 +86,7 @@ def test_stated_errors_follow_the_noise(snr):
     assert 0.9 < rms(tracks.x_err_px.values) / rms(tracks.x_px.values - truth) < 1.1
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("fit", ["sliding", "template"])
 @pytest.mark.parametrize(
     ("edge_px", "flat_px", "pitch_px", "per_side"),

@@ -38,6 +38,7 @@ def outcome(name, folder):
     return measured(clean(1), folder, name)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", TRUSTED)
 def test_stated_errors_hold(name, tmp_path):
     """A failure means that such recordings lose sheets, take one for another, or misstate their errors.
@@ -54,6 +55,7 @@ def test_stated_errors_hold(name, tmp_path):
     assert found.rms_px < (0.12 if name.startswith("H.264") else 0.04)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["HEVC crf 18", "MPEG-4 q 3", "VP9 crf 20"])
 def test_stated_errors_hold_on_average_for_other_codecs(name, tmp_path):
     """Over three films, since a film's few sticks move its share by ±8 %.  A failure means that errors of
@@ -64,6 +66,7 @@ def test_stated_errors_hold_on_average_for_other_codecs(name, tmp_path):
     assert 0.6 < np.mean([one.coverage_moved for one in found]) < (0.79 if name == "VP9 crf 20" else 0.76)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("name", "gross"),
     [("dirt", 1e-3), ("glare", 1e-3), ("passing hand", 1e-3), ("shadow", 1e-3), ("scale bar", 1e-3)],

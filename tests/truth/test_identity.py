@@ -17,6 +17,7 @@ def check(case: Case, tracks) -> None:
     assert np.array_equal(given, np.isfinite(x))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", CASES)
 def test_no_sheet_is_taken_for_another(name):
     """A failure means sheets are swapped, lost or invented in this recording without a word."""

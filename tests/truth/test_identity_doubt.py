@@ -40,6 +40,7 @@ MOTIONS = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", MOTIONS)
 def test_brightness_tells_sheets_of_a_cropped_comb(name):
     """A failure means the count of sheets in view outweighs their looks, with the ends out of view."""
@@ -106,6 +107,7 @@ def shaken(how, scatter):
     return x, strip(ridges(x, width=320, contrast=height, fwhm_px=7 * width))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("how", SHAKING)
 @pytest.mark.parametrize("scatter", [0.1, 0.25])
 def test_the_pattern_tells_the_sheets_of_a_cropped_comb_that_is_shaken(how, scatter):
@@ -118,6 +120,7 @@ def test_the_pattern_tells_the_sheets_of_a_cropped_comb_that_is_shaken(how, scat
     assert wrong_positions(blind, truth) > 0 or (blind.flag == "ok").values.mean() < 0.5
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("how", SHAKING)
 @pytest.mark.parametrize("scatter", [0.0, 0.03])
 def test_a_cropped_comb_without_a_pattern_that_is_shaken_is_doubted(how, scatter, monkeypatch):
@@ -162,7 +165,7 @@ def test_large_steps_of_sheets_that_are_alike_are_named():
     means that nobody is told of it, or that combs with a pattern, or with an end in view, get the warning."""
     far = np.where(np.arange(FRAMES) < 50, 0.0, 0.4 * PITCH)[:, None]
     _, picture = cropped(far, equal=True)
-    assert "large steps before frame(s) 50:" in " ".join(tracking_warnings(track_sheets(picture)))
+    assert "large steps before frame 50:" in " ".join(tracking_warnings(track_sheets(picture)))
     for picture in (cropped(far)[1], strip(ridges(comb(FRAMES, slip=0.4, axis_px=480)[:, 4:], width=960))):
         assert "large steps" not in " ".join(tracking_warnings(track_sheets(picture)))
 

@@ -23,6 +23,7 @@ def minute(tmp_path_factory):
     return tracks, force, sticks, vision.synchronise(tracks, force, sticks), truth
 
 
+@pytest.mark.thorough
 def test_the_clocks_meet_within_two_milliseconds(minute):
     """A failure means that stick phases are cut at the wrong frames."""
     _, _, _, clock, truth = minute

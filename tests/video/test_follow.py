@@ -145,6 +145,7 @@ def same(strip, whole):
     assert repr(StripMetadata.of(strip)) == repr(StripMetadata.of(whole))  # NaN is not itself
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", GROWING)
 def test_a_growing_film_gives_what_the_whole_one_gives(name, clock, tmp_path, frames):
     """A failure means that frames are lost, doubled or half-written where the file was opened again."""

@@ -234,7 +234,7 @@ def test_gaps_in_given_times_reach_counts_and_warnings(tmp_path):
     path = write_avi(tmp_path / "a.avi", frames)
     strip = strip_profile(open_video(path, timestamps=tmp_path / "t.txt"), slice(0, 12))
     assert (strip.frames_expected, strip.frames_read, strip.frames_lost) == (43, 40, 3)
-    assert "3 frame(s) lost according to gaps in its times, the first after frame 19" in strip.warnings[0]
+    assert "3 frames lost according to gaps in its times, the first after frame 19" in strip.warnings[0]
     part = open_video(path, timestamps=tmp_path / "t.txt", frames=slice(10, None))
     assert "the first after frame 19" in strip_profile(part, slice(0, 12)).warnings[0]
     whole = strip_profile(open_video(path, fps=25), slice(0, 12))

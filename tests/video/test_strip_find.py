@@ -292,6 +292,7 @@ def test_level_ridges(noise):
     assert not any("rotate" in warning for warning in find_strip(level, settings=quiet).warnings)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("height", [120, 480])
 @pytest.mark.parametrize("first", range(40, 50))
 def test_a_comb_between_dark_margins_is_not_said_to_lie_level(first, height):

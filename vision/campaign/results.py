@@ -21,8 +21,7 @@ from jinja2 import Environment, StrictUndefined
 from vision.campaign.plan import FINISHED, Plan, PlannedFilm, State, read_if_whole
 from vision.comparison import compare, write_comparison
 from vision.comparison.runs import COLUMNS, LIMITS
-from vision.errors import InputError
-from vision.figures.style import counted
+from vision.errors import InputError, counted
 from vision.files import reading, write_csv
 from vision.folder import whole_file, write_json
 from vision.numeric import number

@@ -149,13 +149,13 @@ def certify_run(
         sticks=run.table("events"),
         clock=None if clock is None or clock.status == "ambiguous" else clock,
         threshold=STIFF_BELOW if given is None else float(given),
-        encoder=_encoder(run, strip),
+        encoder=_encoder(run, strip, settings),
         settings=settings,
         progress=progress,
     )
 
 
-def _encoder(run: RunFolder, strip: xr.DataArray) -> Encoder | None:
+def _encoder(run: RunFolder, strip: xr.DataArray, settings: CertifySettings) -> Encoder | None:
     """Return how the run's film was encoded, if it exists and its codec predicts frames from others."""
     facts = StripMetadata.of(strip)
     if facts.codec not in BETWEEN_FRAMES:
@@ -166,7 +166,8 @@ def _encoder(run: RunFolder, strip: xr.DataArray) -> Encoder | None:
         return None
     columns = (int(strip["x"].values[0]), int(strip["x"].values[-1]) + 1)
     rows = (facts.strip_z0, facts.strip_z1)
-    return read_encoder(film, rows, columns, rotate=facts.rotate, first=int(strip["frame"].values[0]))
+    first = int(strip["frame"].values[0])
+    return read_encoder(film, rows, columns, rotate=facts.rotate, first=first, settings=settings)
 
 
 def certify(

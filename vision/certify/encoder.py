@@ -20,6 +20,7 @@ import numpy as np
 import scipy
 from av.video.frame import PictureType
 
+from vision.certify.settings import CertifySettings
 from vision.errors import InputError
 from vision.numeric import Floats, Floats32, Pixels
 from vision.video import open_video
@@ -49,9 +50,6 @@ PRESETS = {
     10: "veryslow",
 }
 """x264's presets by the effort of its motion search (subme), which x264 writes into its films."""
-TRIED_FRAMES, READ_FRAMES = 60, 600  # from which the noise, and how the film was encoded, is found
-NOISE_GREY, NOISE_ERROR = 12.0, 0.03
-"""Largest pixel noise that is tried, more than films that can be tracked have, and its tolerance."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +68,7 @@ class Encoder:
     b_frames: bool = True  # whether there are B frames, which are predicted from earlier and later ones
     preset: str = "medium"  # preset of x264; medium if the film does not state it
     noise_grey: float = 0.0  # standard deviation of the pixel noise before encoding
+    settings: CertifySettings = CertifySettings()
 
     @property
     def described(self) -> str:
@@ -111,7 +110,8 @@ class Encoder:
         If the quantiser is not known, it is chosen so that I(x, t) also changes as much from frame to frame
         as recorded.
         """
-        part, recorded = profile[:TRIED_FRAMES], recorded[:TRIED_FRAMES, : self.width]
+        tried_frames = self.settings.tried_frames
+        part, recorded = profile[:tried_frames], recorded[:tried_frames, : self.width]
         best, chosen = np.inf, self
         for quantiser in (self.quantiser,) if self.quantiser_known else QUANTISERS[self.codec]:
             tried, found, off = replace(self, quantiser=quantiser)._with_noise(part, shown)
@@ -130,8 +130,9 @@ class Encoder:
                 tried[noise] = values, float(np.log(bits / self.bits_per_pixel))
             return tried[noise][1]
 
-        if too_many(0.0) < 0 < too_many(NOISE_GREY):
-            scipy.optimize.brentq(too_many, 0.0, NOISE_GREY, xtol=NOISE_ERROR)
+        most = self.settings.most_noise_grey
+        if too_many(0.0) < 0 < too_many(most):
+            scipy.optimize.brentq(too_many, 0.0, most, xtol=self.settings.noise_error_grey)
         noise = min(tried, key=lambda noise: abs(tried[noise][1]))
         return replace(self, noise_grey=round(noise, 2)), tried[noise][0], abs(tried[noise][1])
 
@@ -198,7 +199,13 @@ def _change(values: Floats32) -> float:
 
 
 def read_encoder(
-    path: Path, rows: tuple[int, int], columns: tuple[int, int], *, rotate: int = 0, first: int = 0
+    path: Path,
+    rows: tuple[int, int],
+    columns: tuple[int, int],
+    *,
+    rotate: int = 0,
+    first: int = 0,
+    settings: CertifySettings = CertifySettings(),
 ) -> Encoder | None:
     """Read how a recording was encoded; None if it cannot be read, or there is no such encoder.
 
@@ -212,6 +219,8 @@ def read_encoder(
         Degrees clockwise by which the run turned frames.
     first
         Number of the run's first frame, which becomes the picture.
+    settings
+        Tunable constants.
     """
     try:
         with open_container(path) as film:
@@ -224,7 +233,7 @@ def read_encoder(
             stream.thread_type = "NONE"
             quantisers, keys, size, decoded, b_frames = [], [], 0, 0, False
             for n, packet in enumerate(film.demux(stream)):
-                if n >= READ_FRAMES:
+                if n >= settings.read_frames:
                     break
                 size += packet.size
                 header += bytes(packet)[:4096] if n == 0 else b""  # x264 and x265 write their settings here
@@ -244,7 +253,7 @@ def read_encoder(
     if not (is_grey and decoded and (quantisers or codec in QUANTISERS)):
         return None
     effort = _setting(header, b"x264", b"subme")
-    even, top = _part_to_encode(picture, rows)
+    even, top = _part_to_encode(picture, rows, settings.tried_frames)
     return Encoder(
         codec=codec,
         quantiser=round(float(np.median(quantisers))) if quantisers else QUANTISERS[codec][0],
@@ -256,17 +265,18 @@ def read_encoder(
         picture=even,
         rows=(rows[0] - top, min(rows[1] - top, len(even))),
         columns=(columns[0], min(columns[1], even.shape[1])),
+        settings=settings,
     )
 
 
-def _part_to_encode(picture: Pixels, rows: tuple[int, int]) -> tuple[Floats, int]:
+def _part_to_encode(picture: Pixels, rows: tuple[int, int], tried_frames: int) -> tuple[Floats, int]:
     """Return the part of a picture around the strip that films are encoded with, and its first row.
 
     Encoders demand even numbers. Large pictures are cropped to fewer rows, so that a film for finding the
     noise has at most 60 million pixels, unless the strip itself has more.
     """
     even = picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2].astype(np.float64)
-    most = 60_000_000 // (TRIED_FRAMES * even.shape[1])
+    most = 60_000_000 // (tried_frames * even.shape[1])
     if len(even) <= most:
         return even, 0
     top = max(0, min(rows[0], (rows[0] + rows[1] - most) // 2)) // 2 * 2

@@ -29,9 +29,6 @@ from vision.sheets.doubts import predicted_by_neighbours
 from vision.sheets.subpixel import position_noise
 from vision.sheets.tracks import BETWEEN_FRAMES
 
-LEAST_FRAMES = 30
-LEAST_SHARING = 5  # smallest number of sheets whose common motion can be separated from individual motion
-
 
 @dataclass(frozen=True)
 class MeanPicture:
@@ -199,7 +196,7 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
     Raises
     ------
     InputError
-        For fewer than 30 frames that show all but a few sheets.
+        For fewer than `settings.least_frames` that show all but a few sheets.
     """
     start, frames = np.asarray(tracks["x_px"].values[0]), tracks.sizes["frame"]
     first = max(0, (frames - settings.most_frames) // 2)
@@ -220,7 +217,7 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
         x_px, slips, settings, between_frames=between_frames, distorted=distorted
     )
     usable = whole & ~beside
-    if usable.sum() < LEAST_FRAMES:
+    if usable.sum() < settings.least_frames:
         usable = whole
     disturbed = _around(distorted | (~np.isfinite(x_px) & ~frozen[:, None]), motion, values.shape[1])
     disturbed[~np.isfinite(values).all(axis=1)] = False
@@ -263,12 +260,12 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
 
 
 def _whole(x_px: Floats, values: Floats32, settings: CertifySettings) -> Bools:
-    """Return which frames show all but a few sheets, (frame,).  Raises: InputError for fewer than 30."""
+    """Return which frames show all but a few sheets, (frame,).  Raises: InputError for too few."""
     seen = np.isfinite(x_px).mean(axis=1)
     least = min(settings.least_ok, float(np.median(seen)))
     whole = np.asarray((seen >= least) & (seen > 0) & np.isfinite(values).all(axis=1))
-    if whole.sum() < LEAST_FRAMES:
-        expected, found = f"{LEAST_FRAMES} frames that show the sheets", f"{int(whole.sum())}"
+    if whole.sum() < settings.least_frames:
+        expected, found = f"{settings.least_frames} frames that show the sheets", f"{int(whole.sum())}"
         raise InputError("the run", expected, found, "take a longer part")
     return whole
 
@@ -429,8 +426,8 @@ def smooth_motion(
     for start, stop in pairwise(edges):
         parts = max(1, round((stop - start) / settings.longest_piece))
         waiting += [(piece, np.arange(sheets)) for piece in np.array_split(np.arange(start, stop), parts)]
-    common = np.zeros(frames)
-    for piece, which in waiting if sheets >= LEAST_SHARING else ():
+    common, shared = np.zeros(frames), sheets >= settings.least_sharing
+    for piece, which in waiting if shared else ():
         inner = piece[~blurred[piece]]
         if piece.size >= settings.least_piece:
             off = filled[inner] - _smoothed(time, piece, inner, filled, which)[0][~blurred[piece]]
@@ -448,9 +445,9 @@ def smooth_motion(
         left[np.ix_(inner, which[fits])] = 1 - leverage[:, None]
         waiting += [(half, which[~fits]) for half in np.array_split(piece, 2)]
     # Of N sheets, each less their median, 1 - 2/N + (π/2)/N of the noise's variance is left.
-    shared = 1 - (2 - np.pi / 2) / sheets if sheets >= LEAST_SHARING else 1.0
+    share = 1 - (2 - np.pi / 2) / sheets if shared else 1.0
     motion += np.where(left > 0, common[:, None], 0.0)
-    return motion, common, left * shared
+    return motion, common, left * share
 
 
 def _smoothed(time: Floats, piece: Ints, inner: Ints, x_px: Floats, which: Ints) -> tuple[Floats, Floats]:
@@ -473,7 +470,7 @@ def own_time(x_px: Floats, slips: Ints, settings: CertifySettings) -> Floats:
     frames = len(x_px)
     new = np.flatnonzero(np.isfinite(x_px).mean(axis=1) > 0.5)
     taken = np.diff(new).astype(float)
-    if new.size < 2 * settings.least_piece or x_px.shape[1] < LEAST_SHARING:
+    if new.size < 2 * settings.least_piece or x_px.shape[1] < settings.least_sharing:
         return np.arange(frames, dtype=float)
     step = np.diff(x_px[new], axis=0)
     step = step - nan_median(step, axis=1)[:, None]

@@ -7,9 +7,10 @@ from pathlib import Path
 
 from vision.certify.certificate import Certificate
 from vision.figures import Figure, Panel, Series
-from vision.figures.style import DATA, PEAK, VALLEY, from_zero, with_minus
+from vision.figures.style import DATA, PEAK, VALLEY, from_zero
 from vision.files import write_csv
 from vision.folder import whole_file, write_json
+from vision.numeric import with_minus
 from vision.report.page import render_page
 from vision.report.text import ANALYSED_WITH, Answer, citation
 
@@ -69,10 +70,10 @@ def certificate_figure(certificate: Certificate) -> Figure:
     )
     panel = Panel(
         x_label="position of the sheet (px)",
-        y_label="thousandths of a pixel",
+        y_label="error, sweep (10⁻³ px)",
         series=(
             Series.points("RMS random error of a position", x, error, DATA),
-            Series(label="stated by the run, x_err", x=x, y=stated, ink=DATA, dashed=True),
+            Series(label="stated by the run, x_err_px", x=x, y=stated, ink=DATA, dashed=True),
             Series.points("smallest sweep in a stick phase", x, sweep, PEAK, hollow=True),
             Series(label="pixel locking, peak to peak", x=x, y=locking, ink=VALLEY),
         ),

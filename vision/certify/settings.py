@@ -17,6 +17,10 @@ class CertifySettings:
     """Number of films, each with the residuals in another order.  More take longer and average over more
     combinations of noise and motion."""
 
+    least_frames: int = 30
+    """Smallest number of frames that show the sheets.  Fewer leave the noise in the mean picture: of 30 it
+    holds a thirtieth of the variance."""
+
     grid_per_px: int = 4
     """Points per pixel of the mean picture.  Ridges narrower than 3 px need more."""
 
@@ -36,6 +40,10 @@ class CertifySettings:
     least_piece: int = 8
     """Smallest number of frames between two slips to which a polynomial is fitted; shorter pieces are left as
     measured."""
+
+    least_sharing: int = 5
+    """Smallest number of sheets whose common motion is separated from that of each.  With fewer, their median
+    is hardly more than the noise of single sheets."""
 
     step_errors: float = 6.0
     """Excess of the sheets' steps from frame to frame over the usual size that makes a slip, in median
@@ -80,6 +88,20 @@ class CertifySettings:
     """Largest common motion of the sheets of films that are encoded again, relative to what the recording
     shows of it.  Smaller lacks motion that strong compression hides; larger adds motion where the recording
     shows nothing but errors of the codec."""
+
+    read_frames: int = 600
+    """Number of frames from which it is read how a film was encoded.  Fewer may miss key frames; more take
+    longer to decode."""
+
+    tried_frames: int = 60
+    """Number of frames that are encoded to find the noise of such a film.  With a third of them the noise is
+    the same within 0.1 grey levels (tests/certify); more take longer."""
+
+    most_noise_grey: float = 12.0
+    """Largest pixel noise that is tried, more than films that can be tracked have.  Larger takes longer."""
+
+    noise_error_grey: float = 0.03
+    """Tolerance of the noise.  Larger makes films unlike the recording; smaller takes longer."""
 
     gain_step: float = 0.03
     """Relative step of the brightness across which residuals are not exchanged.  Smaller leaves few frames

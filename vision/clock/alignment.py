@@ -19,7 +19,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from vision.clock.settings import ClockSettings
-from vision.numeric import Bools, Floats, Ints, mad_sigma, sigma_about_zero
+from vision.numeric import Bools, Floats, Ints, mad_sigma, sigma_about_zero, with_minus
 from vision.signals import running_median
 
 # --- trains of slips ----------------------------------------------------------------------------------------
@@ -502,9 +502,10 @@ def _jump(trains: SlipTrains, clocks: CandidateClocks, settings: ClockSettings) 
     row, slips = np.unravel_index(int(np.argmax(after if at_end else before)), after.shape)
     slips += settings.least_jump_slips
     first = trains.video_s[common][-slips if at_end else slips - 1]
+    step = with_minus(f"{shift[row]:+.3g}")
     return (
         f"the {slips} slips {'from' if at_end else 'up to'} {first:.6g} s of the film fit better"
-        f" {shift[row]:+.3g} s from the offset of the others (lost frames or samples? a clock that jumps?)"
+        f" {step} s from the offset of the others (lost frames or samples? a clock that jumps?)"
     )
 
 

@@ -22,6 +22,9 @@ class ClockSettings:
     """Standard errors that part of a step must exceed to be one. Larger → slips during an exposure are timed
     less well; smaller → noise counts as parts of steps, and at 1.5 the errors are two to four times those
     stated."""
+    reach_s: float = 0.025
+    """Time before and after a step within which single sheets may follow it. Larger → creep passes for slips;
+    smaller → late sheets are overlooked (`test_the_time_from_the_first_to_the_last_sheet_is_measured`)."""
     bad_frame_return: float = 0.6
     """Fraction of a step that a neighbouring movement must reverse for it to be a bad frame. Larger → bad
     frames count as slips (at 1.2 in `test_inward_steps_and_bad_single_frames_are_no_slips` only they do)."""

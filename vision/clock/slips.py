@@ -12,7 +12,7 @@ from vision.clock.settings import ClockSettings
 from vision.data import StickMetadata, StripMetadata
 from vision.errors import InputError
 from vision.force.recording import good_samples
-from vision.force.ringing import averaged
+from vision.force.signal import averaged
 from vision.numeric import Floats, Ints, flat_ranges, nan_median, sigma_about_zero
 
 # --- slips of the load cell ---------------------------------------------------------------------------------
@@ -142,11 +142,6 @@ def _drop_extent(profile: Floats, centre: int, end: float) -> tuple[int, int]:
     return int(first), int(last)
 
 
-REACH_S = 0.025
-"""Time before and after a step within which single sheets may follow it. Larger: creep passes for slips.
-Smaller: late sheets are overlooked (`test_the_time_from_the_first_to_the_last_sheet_is_measured`)."""
-
-
 # --- slips of the camera ------------------------------------------------------------------------------------
 
 
@@ -212,7 +207,7 @@ def video_slips(tracks: xr.Dataset, *, settings: ClockSettings = ClockSettings()
             "step_px": _sums(above, first, last),
             "step_err_px": error[first],
             "frames": last - first + 1,
-            "spread_s": _spread_of_sheets(steps, noise, first, last),
+            "spread_s": _spread_of_sheets(steps, noise, first, last, settings),
         }
     )
 
@@ -352,7 +347,9 @@ def _updated_pattern(steps: _Steps, pattern: Floats, first: Ints, last: Ints) ->
     return np.asarray(typical / scale) if scale > 0 else pattern
 
 
-def _spread_of_sheets(steps: _Steps, noise: Floats, first: Ints, last: Ints) -> float:
+def _spread_of_sheets(
+    steps: _Steps, noise: Floats, first: Ints, last: Ints, settings: ClockSettings
+) -> float:
     r"""Time from the first to the last sheet in a slip, s, if all times between are equally likely.
 
     It follows from the variance of the movement between two frames in which each sheet passes half of its
@@ -364,7 +361,8 @@ def _spread_of_sheets(steps: _Steps, noise: Floats, first: Ints, last: Ints) -> 
         return 0.0
     time_s = 0.5 * (steps.time_s[1:] + steps.time_s[:-1])
     frame_time = float(np.median(np.diff(steps.time_s)))
-    beside = int(np.ceil(REACH_S / frame_time))  # sheets that slip early or late need not be part of the step
+    # Sheets that slip early or late need not be part of the step.
+    beside = int(np.ceil(settings.reach_s / frame_time))
     apart = np.flatnonzero(np.diff(first, prepend=-np.inf) > 2 * beside)  # a slow slip may be several steps
     begin, end = first[apart] - beside, np.maximum.reduceat(last, apart) + beside + 1
     row, index = flat_ranges(np.maximum(begin, 0), np.minimum(end, len(time_s)))

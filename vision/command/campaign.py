@@ -38,8 +38,7 @@ from vision.command.console import attempt, complain, in_columns, say
 from vision.command.options import SETTINGS, CampaignOptions, RunOptions, option_names
 from vision.command.settings import at_least, parse_option, read_config, settings_of, with_config
 from vision.command.track import origin_of, run_name, track_one, why_refused
-from vision.errors import InputError, with_options
-from vision.figures.style import counted
+from vision.errors import InputError, counted, with_options
 from vision.files import usable_cores
 from vision.run import FAILURES, Parameter
 from vision.summary import aligned

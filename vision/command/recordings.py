@@ -22,13 +22,12 @@ from vision.command.settings import (
     settings_of,
 )
 from vision.command.track import finish, origin_of
-from vision.errors import InputError, known_as
+from vision.errors import InputError, counted, known_as
 from vision.experiment import preset as ready_made
 from vision.experiment import settings_from_toml, with_settings
 from vision.experiment import simulate as make_test
 from vision.figures import Figure, both_errors, plus_minus, save_figures
 from vision.figures.single_sheets import friction_figure, modulus_figure
-from vision.figures.style import counted, with_minus
 from vision.files import write_csv
 from vision.folder import write_json
 from vision.force import detection_limit, parse_columns, read_force
@@ -51,6 +50,7 @@ from vision.models.modulus import (
     summarise_modulus,
 )
 from vision.models.rheometer import RotationMetadata, read_rheometer
+from vision.numeric import with_minus
 from vision.pipeline import analyse
 from vision.run import check_results, results_folder, write_run
 from vision.sample import Sample
@@ -150,7 +150,7 @@ def _modulus_lines(means: Mapping[str, MeanValue], cycles: int) -> list[str]:
         )
     drift_N = means["drift_N"].value
     lines.append(
-        f"peak {means['F_max_N'].value:.4g} N, drifting by {with_minus(f'{drift_N:.2g}')} N a cycle; "
+        f"peak {means['F_max_N'].value:.4g} N, drifting by {with_minus(f'{drift_N:.2g}')} N per cycle; "
         f"tangent K {means['K_tangent_N_per_mm'].value:.4g} N/mm; loop {means['loop_mJ'].value:.3g} mJ"
     )
     return lines
@@ -261,7 +261,7 @@ def _law(measured: Sequence[DiscFriction]) -> tuple[StaticFriction | None, str]:
 
 def _friction_summary(found: _Measurements, law: StaticFriction | None) -> list[str]:
     lines = [
-        f"N {one.N_N:.4g} N: μ_s {plus_minus(Estimate(one.mu_s, one.mu_s_err))}, "
+        f"N = {one.N_N:.4g} N: μ_s {plus_minus(Estimate(one.mu_s, one.mu_s_err))}, "
         f"μ_d {plus_minus(Estimate(one.mu_d, one.mu_d_err))}"
         for one in found.measured
     ]
@@ -290,9 +290,9 @@ def _loads(text: str | None, files: int) -> list[float | None]:
 def simulate(directory: Path, options: SimulateOptions) -> int:
     """Make a synthetic traction test with known truth, and return the exit status."""
     experiment = ready_made(options.preset)
-    from_file = settings_from_toml(options.toml) if options.toml else {}
-    for changes in (from_file, _given(options), dict(map(_pair, options.set_))):
-        experiment = with_settings(experiment, changes)
+    changes = settings_from_toml(options.toml) if options.toml else {}
+    changes |= _given(options) | dict(map(_pair, options.set_))
+    experiment = with_settings(experiment, changes)  # at once, as some settings are valid only with others
     container, overwrite = options.container, options.overwrite
     with frame_progress("drawing", quiet=options.quiet) as progress:
         test = make_test(experiment, directory, container=container, overwrite=overwrite, progress=progress)

@@ -23,8 +23,7 @@ from vision.command.options import ForceOptions, RunOptions, TestOptions, flag_o
 from vision.command.review import keep_first_view
 from vision.command.settings import merged, settings_of
 from vision.data import MEASURED, StripMetadata
-from vision.errors import InputError
-from vision.figures.style import counted
+from vision.errors import InputError, counted
 from vision.files import TIFF, answered, no_such_file
 from vision.folder import check_target
 from vision.pipeline import Analysis, Settings, analyse, track_strip

@@ -39,18 +39,16 @@ from vision.comparison import compare as compare_runs
 from vision.comparison import write_comparison
 from vision.comparison.comparison import MARK, answers
 from vision.data import DiagramMetadata, StripMetadata, TrackMetadata, warnings_of
-from vision.errors import InputError
+from vision.errors import InputError, counted
 from vision.figures import kymograph_figure, load_figures, preview_figure
 from vision.figures.camera import sides_known
-from vision.figures.style import counted
 from vision.files import AGAIN
 from vision.files import reading as reading_of
 from vision.folder import check_new, whole_file
-from vision.numeric import Ints
+from vision.numeric import Ints, with_minus
 from vision.pipeline import Analysis, Settings, analyse, open_recording
 from vision.run import check_outside, check_results, export_run, is_run, read_run, read_strip, results_folder
-from vision.run.export import Format
-from vision.run.overlay import write_overlay
+from vision.run.export import Format, write_overlay
 from vision.run.tables import frame_step_s, unevenness_s, write_space_time_tif
 from vision.sheets.ridges import describe_ridges, find_ridges
 from vision.sheets.tracks import LOSSY
@@ -129,7 +127,9 @@ def preview_summary(found: Preview) -> list[str]:
         count = f"about {count}"
     noise = noise_figures(tracks, pixel_size_um)
     length = "" if pixel_size_um is None else f" = {noise['stated_um']:.3f} µm"
-    tilt = "tilt not measured" if math.isnan(strip.tilt_deg) else f"tilt {strip.tilt_deg:+.2f}°"
+    tilt = (
+        "tilt not measured" if math.isnan(strip.tilt_deg) else f"tilt {with_minus(f'{strip.tilt_deg:+.2f}')}°"
+    )
     flags = flag_counts(tracks)
     low, high = int(found.ridge_counts.min()), int(found.ridge_counts.max())
     seen = f"{low}" if low == high else f"{low} to {high}"
@@ -143,7 +143,7 @@ def preview_summary(found: Preview) -> list[str]:
         f"{strip.strip_err_px:.3f} px error from the choice of rows",
         "sheets": f"{comb.sheets} {comb.ridges} ridges{sides}; {seen} ridges, sheets or not, in "
         f"{found.ridge_counts.size} frames over the film",
-        "ridges": ridges_line(comb),
+        "ridges": ridges_line(comb) + _fit_of_the_run(found.start.settings, comb),
         "light": f"ridges {comb.contrast:.3g} grey levels high, profile noise {comb.profile_noise:.2g}",
         "positions": f"{flags.get('ok', 0)} in the first {frames} frames; {other_flags(flags)}",
         "noise": f"x_err_px {noise['stated_px']:.4f} px{length}; {noise['measured_px']:.4f} px scatter "
@@ -151,6 +151,14 @@ def preview_summary(found: Preview) -> list[str]:
         "scale": scale_line(pixel_size_um, strip),
     }
     return aligned(lines.items())
+
+
+def _fit_of_the_run(settings: Settings, comb: TrackMetadata) -> str:
+    """Return what decides which fit `auto` uses for the whole film, as the few frames here do not; or ""."""
+    if settings.fit != "auto" or comb.fit != "sliding":
+        return ""
+    frames = settings.tuning.tracking.template_frames
+    return f"; a run uses the template if it is learned well, from {frames} frames or more (`fit`)"
 
 
 # --- kymograph ----------------------------------------------------------------------------------------------

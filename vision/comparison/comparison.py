@@ -28,9 +28,8 @@ from vision.comparison.joint import (
 )
 from vision.comparison.runs import TractionTest, read_tests
 from vision.comparison.trends import SYMBOLS, Irregularity, Trend, find_irregular, find_trends
-from vision.errors import InputError
+from vision.errors import InputError, counted
 from vision.figures import Figure, both_errors, plus_minus, save_figures
-from vision.figures.style import counted
 from vision.files import write_csv
 from vision.folder import write_json
 from vision.models import Estimate

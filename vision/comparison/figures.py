@@ -26,10 +26,9 @@ from vision.figures.style import (
     from_zero,
     ordered_inks,
     plus_minus,
-    with_minus,
 )
 from vision.models import Estimate, equations
-from vision.numeric import Floats
+from vision.numeric import Floats, with_minus
 
 if TYPE_CHECKING:
     from vision.comparison.comparison import Comparison

@@ -11,8 +11,7 @@ import pandas as pd
 import scipy
 
 from vision.comparison.runs import INSTRUMENT, TractionTest
-from vision.errors import InputError
-from vision.figures.style import counted
+from vision.errors import InputError, counted
 from vision.models import Estimate, equations
 from vision.models.single_fits import (
     FIT_ERRORS,
@@ -56,12 +55,18 @@ class CompareSettings:
     test_misfit: float = 3.0
     """χ²/dof of the fits of one test above which it gets a warning; 1 is expected. Smaller warns of chance in
     tests with few events, larger accepts a wrong modulus (`test_a_wrong_modulus_shows`)."""
+    least_side: int = 10
+    """Smallest number of events on either side of a change of the scatter. Fewer make a chance run of large
+    events a change, more miss changes near the ends of a test."""
     change_p: float = 0.01
     """Largest p value of a change of the scatter. A larger value claims changes in even scatter
     (`test_regular_sticks_have_no_change`), a smaller one misses late changes."""
     change_ratio: float = 1.5
     """Smallest rise of the scatter at a change. A smaller value claims invisible changes, a larger one misses
     those of tests that are irregular from the start."""
+    least_tests: int = 5
+    """Smallest number of tests in which trends are examined. With four the smallest possible p value is 2/24,
+    above `significance`; a larger number leaves out trends that could be found."""
     draws: int = 4000
     """Permutations per p value, whose standard error is √(p/draws): 0.0035 at p = 0.05."""
     significance: float = 0.05

@@ -12,12 +12,11 @@ import scipy
 
 from vision.comparison.joint import CompareSettings, with_word
 from vision.comparison.runs import TractionTest
-from vision.figures.style import counted
+from vision.errors import counted
 from vision.numeric import Bools, Floats, Ints, rms
 
 SYMBOLS = {"mu": "μ", "N_hat_N": "N̂", "Lambda_hat_mm": "Λ̂"}  # by columns of tests.csv
 PREDICTORS = ("n_test", "RH_percent")
-LEAST_TESTS = 5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,8 +104,9 @@ def _trend(
     known: Bools = np.isfinite(y) & np.isfinite(x) & (error > 0)
     count = int(known.sum())
     about: dict[str, Any] = {"quantity": quantity, "predictor": predictor, "tests": count}
-    if count < LEAST_TESTS:
-        return Trend(**about, reason=f"{counted(count, 'test')} with both, at least {LEAST_TESTS} needed")
+    if count < settings.least_tests:
+        reason = f"{counted(count, 'test')} with both, at least {settings.least_tests} needed"
+        return Trend(**about, reason=reason)
     if not np.ptp(x[known]) > 0:
         return Trend(**about, reason=f"{predictor} never changes")
     rng = np.random.default_rng(settings.seed)
@@ -124,7 +124,7 @@ def _trend(
     trend = Trend(**about, **found, intercept=float(line[0]), scatter=scatter, spearman=rho, p=p)
     z = table[PREDICTORS[1 - PREDICTORS.index(predictor)]].to_numpy(float)
     known &= np.isfinite(z)
-    if known.sum() < LEAST_TESTS + 1 or not (np.ptp(z[known]) > 0 and np.ptp(x[known]) > 0):
+    if known.sum() < settings.least_tests + 1 or not (np.ptp(z[known]) > 0 and np.ptp(x[known]) > 0):
         return trend
     if abs(np.corrcoef(x[known], z[known])[0, 1]) > 0.999:
         return trend  # the predictors are collinear, so neither can be held fixed
@@ -195,8 +195,6 @@ def _t_of_slope(design: Floats, y: Floats) -> Floats:
 
 # --- a change within one test -------------------------------------------------------------------------------
 
-LEAST_SIDE = 10  # smallest number of events on either side of a change
-
 
 @dataclass(frozen=True, kw_only=True)
 class Irregularity:
@@ -225,8 +223,8 @@ def find_irregular(test: TractionTest, settings: CompareSettings = CompareSettin
     """
     d, drop = test.column("d_v_mm"), test.column("dF_N")
     about: dict[str, Any] = {"run": test.run, "speed_mm_min": test.speed_mm_min, "d_mm": d}
-    window = settings.smooth_events | 1
-    if d.size < max(2 * window, 2 * LEAST_SIDE + 1):
+    window, least = settings.smooth_events | 1, settings.least_side
+    if d.size < max(2 * window, 2 * least + 1):
         reason = f"{d.size} events, at least {2 * window} needed"
         return Irregularity(**about, variation=np.full(d.size, np.nan), reason=reason)
     r = drop / np.maximum(scipy.signal.savgol_filter(drop, window, 2), 1e-3 * float(drop.max())) - 1
@@ -234,12 +232,12 @@ def find_irregular(test: TractionTest, settings: CompareSettings = CompareSettin
     r *= 1 / np.sqrt(1 - weight)  # the smoothed course follows part of the scatter
     square, count = (np.convolve(part, np.ones(window), "same") for part in (r**2, np.ones(d.size)))
     level = np.log(np.abs(r) + 0.05 * float(np.median(np.abs(r))) + 1e-12)
-    at = int(_splits(level[np.newaxis])[0])
+    at = int(_splits(level[np.newaxis], least)[0])
     rng = np.random.default_rng(settings.seed)
     draws = min(settings.draws, 500)  # enough to distinguish 1 % from 2 %
     shuffled = rng.permuted(np.tile(level, (draws, 1)), axis=1)
-    best = _gains(level[np.newaxis])[0].max()
-    p = float((1 + np.sum(_gains(shuffled).max(axis=1) >= best)) / (draws + 1))
+    best = _gains(level[np.newaxis], least)[0].max()
+    p = float((1 + np.sum(_gains(shuffled, least).max(axis=1) >= best)) / (draws + 1))
     before, after = (rms(part) for part in (r[:at], r[at:]))
     both = rms(r)
     reason, error = "", np.nan
@@ -251,7 +249,7 @@ def find_irregular(test: TractionTest, settings: CompareSettings = CompareSettin
         reason = "the scatter rises smoothly, without a change point"
     else:
         parts = [rng.choice(part, (200, part.size)) for part in (level[:at], level[at:])]
-        splits = _splits(np.concatenate(parts, axis=1))
+        splits = _splits(np.concatenate(parts, axis=1), least)
         error = float(np.hypot(np.std(d[splits]), np.median(np.diff(d))))
     return Irregularity(
         **about,
@@ -265,18 +263,18 @@ def find_irregular(test: TractionTest, settings: CompareSettings = CompareSettin
     )
 
 
-def _gains(level: Floats) -> Floats:
-    """Return by how much each split of each row lowers the sum of squares, (row, split from LEAST_SIDE)."""
+def _gains(level: Floats, least: int) -> Floats:
+    """Return by how much each split of each row lowers the sum of squares, (row, split from `least`)."""
     n = level.shape[1]
     centred = level - level.mean(axis=1, keepdims=True)
-    left = np.cumsum(centred, axis=1)[:, LEAST_SIDE - 1 : n - LEAST_SIDE]
-    count = np.arange(LEAST_SIDE, n - LEAST_SIDE + 1)
+    left = np.cumsum(centred, axis=1)[:, least - 1 : n - least]
+    count = np.arange(least, n - least + 1)
     return np.asarray(left**2 * (1 / count + 1 / (n - count)))
 
 
-def _splits(level: Floats) -> Ints:
+def _splits(level: Floats, least: int) -> Ints:
     """Return the index of the first event after the best split of each row."""
-    return np.asarray(_gains(level).argmax(axis=1) + LEAST_SIDE)
+    return np.asarray(_gains(level, least).argmax(axis=1) + least)
 
 
 def _smooth_rise_is_better(level: Floats, d: Floats, at: int) -> bool:

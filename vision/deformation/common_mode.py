@@ -431,7 +431,7 @@ def own_movement(
 ) -> Floats:
     """Half the steady movement of each sheet in a stick that slips do not return, px, (stick, sheet).
 
-    Paper that settles moves so, and a book or a side that slides; it cannot be told whether the pull causes
+    Paper that settles moves so, and a block that slides; it cannot be told whether the pull causes
     it.  What all sheets share does not count, nor what is proportional to their creep: slips may return a
     little more or less than it.  middle_px: mean positions; slope_px: half the movement to the right, px,
     (stick, sheet).

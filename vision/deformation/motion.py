@@ -410,7 +410,7 @@ def _relative_to_length(
 def _own_warnings(own_px: Floats, bends_px: Floats, error_px: Floats) -> list[str]:
     """Warnings of movement of their own, beyond the other errors, in at least a fifth of the sheets."""
     causes = {
-        "move steadily, though slips return the others (paper that settles, a book or a side that slides):"
+        "move steadily, though slips return the others (paper that settles, a block that slides):"
         " let the sample rest before the test": nan_median(own_px),
         "bend alike in every stick, as sheets do that slip in turn: see the slips in the space-time diagram,"
         " and check the clocks": bends_px,

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import xarray as xr
+from scipy.interpolate import CubicSpline
 
 from vision.clock import video_slips
 from vision.data import DiagramMetadata, StripMetadata, TrackMetadata
@@ -29,11 +30,12 @@ from vision.figures.style import (
     position_unit,
     time_axis,
 )
-from vision.numeric import Floats, Pixels, nan_median
+from vision.numeric import Floats, Floats32, Pixels, nan_median
 from vision.spacetime import space_time
 from vision.words import is_word
 
 MOST_ROWS = 1200  # of an image
+WINDOW_COLUMNS = 240  # least of the image of a window, which is interpolated to it
 X_PX, GREY_LEVELS = "x (px)", "I (grey levels)"  # labels of axes
 FLATTEST, TALLEST = 0.09, 1.5  # height over width of a frame; beyond them it is stretched
 NUMBERS = 0.03  # height of the sheets' numbers above the strip, over the width of the frame
@@ -42,6 +44,7 @@ KYMOGRAPH_CAPTION = (
     "Intensity I(x,t) averaged over the strip's rows, one frame below the other, time downwards. "
     "Pale blue: not recorded."
 )
+INTERPOLATED = " Interpolated between pixels along x; the TIFF files hold the pixels."
 
 
 def sides_known(tracks: xr.Dataset) -> bool:
@@ -78,13 +81,16 @@ def frame_figure(
     z_scale = shown / aspect  # over that of x
     times = max(z_scale, 1 / z_scale)
     stretched = f"; {'z' if z_scale > 1 else 'x'} stretched {times:.2g} times" if shown != aspect else ""
-    z_range = min(-0.5, z0 - NUMBERS * columns / z_scale), rows - 0.5
+    number_height = NUMBERS * columns / z_scale
+    # Numbers that do not fit between the picture's edge and the strip are above the picture.
+    numbers_z = z0 - 0.5 if z0 > number_height else -0.5
+    z_range = min(-0.5, numbers_z - number_height), rows - 0.5
     which = _which_frame(tracks)
     panel = Panel(
         title=f"{which}: averaged rows (outlined), {numbers}{stretched}",
         x_label=X_PX,
         y_label="z (px)",
-        series=_strokes(tracks, z0, z1, axis=axis),
+        series=_strokes(tracks, z0, z1, numbers_z, axis=axis),
         image=Image(
             pixels=grey_levels(grey, low, high),
             left=-0.5,
@@ -123,10 +129,10 @@ def _which_frame(tracks: xr.Dataset) -> str:
     return f"Frame {int(tracks['frame'].values[first])}{at}"
 
 
-def _strokes(tracks: xr.Dataset, z0: float, z1: float, *, axis: bool) -> tuple[Series, ...]:
+def _strokes(tracks: xr.Dataset, z0: float, z1: float, numbers_z: float, *, axis: bool) -> tuple[Series, ...]:
     """Return vertical strokes from row z0 to z1 at every sheet that the first tracked frame shows.
 
-    Their text is n, in one series per side, or without an axis the index from the left.
+    Their text, at numbers_z, is n, in one series per side, or without an axis the index from the left.
     """
     x_px = tracks["x_px"].values
     x = np.asarray(x_px[int(np.argmax(np.isfinite(x_px).any(axis=1)))], np.float64)
@@ -147,6 +153,7 @@ def _strokes(tracks: xr.Dataset, z0: float, z1: float, *, axis: bool) -> tuple[S
             low=np.full(len(mine), z0 - 0.5),
             high=np.full(len(mine), z1 - 0.5),
             text=tuple(str(number) for number in numbers[mine]),
+            text_y=numbers_z,
             ink=ink,
             look="ticks",
         )
@@ -411,7 +418,7 @@ def kymograph_figure(
     return Figure(
         name="kymograph",
         title="Space-time diagrams",
-        caption=KYMOGRAPH_CAPTION,
+        caption=KYMOGRAPH_CAPTION + INTERPOLATED * windows,
         panels=panels,
         columns=len(panels),
         width_in=width,
@@ -436,6 +443,8 @@ def _diagram_panel(
     edges_x, x_label = _columns(diagram, pixel_size_um)
     thin = max(1, -(-diagram.shape[1] // (2 * MOST_ROWS)))
     rows, edges = time_rows(np.asarray(diagram.values)[:, ::thin], time, most=MOST_ROWS)
+    if DiagramMetadata.of(diagram).sheet:
+        rows = _finer(rows)
     missing = ~np.isfinite(rows)
     marks = np.empty(0)
     if slips_s is not None and time_label != "frame":
@@ -462,6 +471,21 @@ def _diagram_panel(
         time_down=True,
         aspect=aspect,
     )
+
+
+def _finer(rows: Floats32) -> Floats32:
+    """Interpolate rows of an image between its pixels, with cubic splines along x, (rows, k · columns).
+
+    Drawn as squares, the pixels of a narrow window hide motion of less than a pixel.
+    """
+    columns = rows.shape[1]
+    finer = -(-WINDOW_COLUMNS // columns)
+    at = np.clip((np.arange(finer * columns) + 0.5) / finer - 0.5, 0, columns - 1)
+    known = np.isfinite(rows)
+    if finer == 1 or columns < 2 or not known.any():
+        return rows
+    fine = CubicSpline(np.arange(columns), np.where(known, rows, 0.0), axis=1)(at)
+    return np.where(known[:, np.rint(at).astype(int)], fine, np.nan).astype(np.float32)
 
 
 def _columns(diagram: xr.DataArray, size: float | None) -> tuple[Floats, str]:
@@ -537,7 +561,7 @@ def single_sheets_figure(
         title="Space-time diagrams of single sheets",
         caption=(
             f"Intensity in a window around {sheets}, one frame below the other, over {shown.size} slips "
-            f"(magenta, from {slips_from}). Outer sheets move more."
+            f"(magenta, from {slips_from}), interpolated between pixels along x. Outer sheets move more."
         ),
     )
 

@@ -35,6 +35,12 @@ _PNG = (cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_
 _DASHES = (0, (4, 2))
 _JUMP, _STEEP = 0.004, 4.0  # least length of a jump over the width of a diagram, and across over along
 FLAT = 0.25  # height over width of images that have ticks only at their first and last row
+_MOST_TRAVEL = 600
+"""Heights of a panel by which all lines of sheets together may rise and fall before most are drawn faint.
+Larger makes long tests a solid block, smaller fades lines that can be told apart. Five slips of 50 sheets
+have 300, twelve have 670."""
+_IN_FULL = 4  # sheets per side, the outermost and others evenly inwards, that are then drawn in full
+_WIDE_IN = 12.0  # width of a panel for which the widths of many lines are given
 _MANY_POINTS = 150  # more points of a series are drawn smaller, with faint error bars
 _STYLE: dict[str, Any] = {
     "font.family": "DejaVu Sans",  # part of matplotlib, with all characters that figures need
@@ -204,25 +210,47 @@ def _draw_bands(ax: Axes, panel: Panel) -> None:
 def _draw_sheets(ax: Axes, panel: Panel) -> None:
     """Draw the lines of many sheets as one collection, which is three times as fast.
 
-    The outer sheets are on top, of each pair the dashed one, so that both sides are seen where they coincide.
-    Dots mark isolated positions, which a line does not show, or all positions if they are few. Over a
-    space-time diagram lines are interrupted at jumps (`_interrupted`).
+    If all would cover the panel, most are faint. The outer sheets are on top, of each pair the dashed one, so
+    that both sides are seen where they coincide. Dots mark isolated positions, which a line does not show, or
+    all positions if they are few. Over a space-time diagram lines are interrupted at jumps (`_interrupted`).
     """
     shown = [_interrupted(series, panel) if panel.time_down else series for series in panel.series]
     known = _bottom_up([series for series in shown if np.isfinite(series.y).any()])
     if known:
         lines = [np.stack([s.y, s.x] if panel.time_down else [s.x, s.y], axis=1) for s in known]
-        width = known[0].width
+        width, full = known[0].width, _in_full(panel)
+        if panel.image is not None or len(full) < len(
+            panel.series
+        ):  # thinner in a small figure, not to fill it
+            width *= min(1.0, _width_in(ax) / _WIDE_IN)
         if panel.image is not None:  # coloured lines are invisible on white ridges without a dark edge
             ax.add_collection(LineCollection(lines, linewidths=1.9 * width, colors=CASING, alpha=0.7))
         inks, dashes = [s.ink[0] for s in known], [_DASHES if s.dashed else "-" for s in known]
-        ax.add_collection(LineCollection(lines, colors=inks, linewidths=width, linestyles=dashes))
+        widths = [width if s.sheet in full else 0.5 * width for s in known]
+        alphas = [1.0 if s.sheet in full else 0.35 for s in known]
+        style: dict[str, Any] = {"linewidths": widths, "linestyles": dashes, "alpha": alphas}
+        ax.add_collection(LineCollection(lines, colors=inks, **style))
     size = 1.2 if panel.time_down else 2.5
     for series in shown:
         dots = np.isfinite(series.y) if series.look == "both" else _isolated(series.y)
         if dots.any():
             x, y = (series.y, series.x) if panel.time_down else (series.x, series.y)
             ax.plot(x[dots], y[dots], ls="none", marker="o", ms=size, color=series.ink[0])
+
+
+def _in_full(panel: Panel) -> set[tuple[int, int]]:
+    """Return the sheets whose lines are drawn in full: all, or a few if all would cover the panel."""
+    sheets = {series.sheet for series in panel.series if series.sheet is not None}
+    known = [series.y[np.isfinite(series.y)] for series in panel.series]
+    heights = np.concatenate([np.empty(0), *known])
+    travel = sum(float(np.abs(np.diff(y)).sum()) for y in known)
+    if panel.image is not None or not heights.size or travel <= _MOST_TRAVEL * np.ptp(heights):
+        return sheets
+    full: set[tuple[int, int]] = set()
+    for side in (-1, 1):
+        outwards = sorted(sheet for sheet in sheets if side * sheet[0] > 0)
+        full.update(outwards[:: -max(1, -(-len(outwards) // _IN_FULL))])
+    return full
 
 
 def _bottom_up(sheets: list[Series]) -> list[Series]:
@@ -309,16 +337,22 @@ def _draw_ticks(ax: Axes, groups: list[Series], x_lines: tuple[float, ...]) -> N
         number
         for series in groups
         if series.low is not None
-        for number in zip(map(int, series.text), series.x, series.low, strict=True)
-        if (number[0] - 1) % step == 0
+        for number in zip(map(int, series.text), series.x, _text_y(series), strict=True)
     ]
-    for number, x, y in sorted(numbers):
+    first = min((1, *(number for number, _, _ in numbers)))  # indices begin at 0
+    for number, x, y in sorted(number for number in numbers if (number[0] - first) % step == 0):
         half = character * (0.6 + len(str(number))) / 2
         on = [line for line in x_lines if abs(x - line) < 1.2 * half]
         at = on[0] + math.copysign(1.2 * half, x - on[0]) if on else x
         if not any(at - half < b and a < at + half for a, b in taken):
             taken.append((at - half, at + half))
             ax.annotate(str(number), (at, y), (0, 3), fontsize=7, **style)
+
+
+def _text_y(series: Series) -> Floats:
+    """Return where the numbers of ticks stand: at their upper ends, or above the picture."""
+    assert series.low is not None
+    return series.low if series.text_y is None else np.full(series.x.size, series.text_y)
 
 
 def _draw_inset(ax: Axes, panel: Panel) -> None:
@@ -440,10 +474,14 @@ def _legend_entries(panel: Panel) -> list[tuple[Series | Band, str]]:
         parts: list[Series | Band] = [series for series in panel.series if np.isfinite(series.y).any()]
         return [(part, part.label) for part in (*parts, *panel.bands) if part.label]
     entries: list[tuple[Series | Band, str]] = []
+    full = _in_full(panel)
     for side, name in ((-1, "left"), (1, "right")):
         mine = {s.sheet[1]: s for s in panel.series if s.sheet is not None and s.sheet[0] == side}
         if mine:
             span = f"{min(mine)} (dark) to {max(mine)} (bright)" if len(mine) > 1 else f"{max(mine)}"
+            strong = [n for n in sorted(mine) if (side, n) in full]
+            if len(strong) < len(mine):
+                span += f"; faint except {', '.join(map(str, strong))}"
             entries.append((mine[sorted(mine)[len(mine) // 2]], f"{name}, n = {span}"))
     return entries
 

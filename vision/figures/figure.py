@@ -44,6 +44,7 @@ class Series:
     low: Floats | None = None  # lower ends of error bars, (k,)
     high: Floats | None = None  # upper ends
     text: tuple[str, ...] = ()  # labels of "ticks", one per point
+    text_y: float | None = None  # y of the labels' lower ends; None for `low`
     dashed: bool = False  # distinguishes lines without colour
     hollow: bool = False  # distinguishes points without colour
     shift: float = 0.0  # added to x in drawings, not in tables, so that points do not overlap

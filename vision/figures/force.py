@@ -353,7 +353,7 @@ def stiffness_residuals_figure(sticks: pd.DataFrame, fits: ModelFits, *, unit: s
         panel,
         "K of every stick phase less M_eff K_eff at its d_v, with the standard error of K. If the points are "
         "not scattered evenly about zero, the model does not describe them.",
-        title="Stiffness less its model",
+        title="Residuals of the stiffness",
     )
 
 

@@ -196,7 +196,7 @@ def _branches_panel(force: xr.Dataset, delta: Floats, load: Floats, cycles: pd.D
     inside = [s.y[(s.x >= low) & (s.x <= high)] for s in series]
     reach = 2.5 * max((float(np.nanmax(np.abs(y))) for y in inside if y.size), default=1.0) or 1.0
     return Panel(
-        title="Branches less their lines",
+        title="Residuals of the fitted lines",
         x_label="Δ (mm)",
         y_label="F − (kΔ + F0) (N)",
         series=tuple(series),

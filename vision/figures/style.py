@@ -18,7 +18,7 @@ from markupsafe import Markup, escape
 from vision.data import StripMetadata
 from vision.figures.figure import Ink
 from vision.models import Estimate
-from vision.numeric import Floats
+from vision.numeric import Floats, with_minus
 
 if TYPE_CHECKING:
     from vision.clock import Clock
@@ -100,11 +100,6 @@ def to_mathtext(text: str) -> str:
 # --- numbers ------------------------------------------------------------------------------------------------
 
 
-def with_minus(text: str) -> str:
-    """Return text of numbers with minus signs instead of hyphens."""
-    return text.replace("-", "−")
-
-
 def plus_minus(estimate: Estimate) -> str:
     """Return a value ± its standard error, to two digits of the error; four digits without an error."""
     value, error = estimate.value, estimate.error
@@ -117,24 +112,19 @@ def plus_minus(estimate: Estimate) -> str:
 def both_errors(estimate: Estimate, contained: str = "stat.") -> str:
     """Return a value with its statistical and, if known, its systematic error.
 
-    The smaller error has two digits, or one where the larger would have more than three. contained: what the
-    first error contains.
+    The larger error has two digits and the value as many decimals; the smaller error has at least its first
+    digit. contained: what the first error contains.
     """
     systematic = estimate.systematic_error
     if not (math.isfinite(systematic) and systematic > 0):
         return plus_minus(estimate)
     known = [e for e in (estimate.error, systematic) if math.isfinite(e) and e > 0]
-    least, most = (math.floor(math.log10(e)) for e in (min(known), max(known)))
-    digits = max(0, -least, min(1 - least, 2 - most))
-    error = f"{estimate.error:.{digits}f}" if math.isfinite(estimate.error) else "?"
-    return with_minus(
-        f"{estimate.value:.{digits}f} ± {error} ({contained}) ± {systematic:.{digits}f} (syst.)"
+    digits = max(0, 1 - math.floor(math.log10(max(known))))
+    first, second = (
+        f"{e:.{max(digits, -math.floor(math.log10(e)) if e > 0 else 0)}f}" if math.isfinite(e) else "?"
+        for e in (estimate.error, systematic)
     )
-
-
-def counted(count: int, noun: str) -> str:
-    """Return "1 film" or "2 films"."""
-    return f"{count} {noun}{'s' * (count != 1)}"
+    return with_minus(f"{estimate.value:.{digits}f} ± {first} ({contained}) ± {second} (syst.)")
 
 
 def percent(fraction: float) -> str:
@@ -151,6 +141,8 @@ def offset_text(clock: Clock) -> str:
 
 def drift_text(clock: Clock) -> str:
     """Return a clock's drift, with its error if known."""
+    if clock.status == "given" and clock.drift_ppm == 0:  # an offset alone says nothing about the drift
+        return "0 ppm (assumed)"
     error = clock.drift_err_ppm
     if not error > 0:
         return with_minus(f"{clock.drift_ppm:+.0f} ppm")

@@ -27,16 +27,11 @@ from vision.force.lines import fit_broken_lines, fit_lines, fit_polynomials
 from vision.force.lowpass import Lowpass, find_lowpass
 from vision.force.recording import is_compression
 from vision.force.regime import Regime, doubts, find_regime, is_unloading
-from vision.force.ringing import ringing_period
 from vision.force.settings import ForceSettings
-from vision.force.signal import Signal, SlowNoise, find_hum, is_hum, rms_of, with_slow_noise
+from vision.force.signal import Signal, SlowNoise, find_hum, is_hum, ringing_period, rms_of, with_slow_noise
 from vision.force.slips import Slips, find_slips, size_gap, stick_drops, stick_lines, stick_middles
 from vision.force.sticks import filter_length, measure_sticks
 from vision.numeric import Bools, Floats, Ints, nan_median, spread_indices
-
-_FEWEST_PERIODS = 5
-"""Periods of ringing from slip to slip, at least, in the median: the averages leave too little of shorter
-sticks."""
 
 
 def find_stick_slip(
@@ -164,7 +159,7 @@ def _without_ringing(
     if math.isnan(period_s):
         return None
     calm, slips = _slips(signal.average(period_s, settings), threshold_N, settings)
-    if slips.edge.size < 2 or slips.period < _FEWEST_PERIODS * calm.averaged:
+    if slips.edge.size < 2 or slips.period < settings.ringing_between * calm.averaged:
         return None
     corners = find_corners(calm, slips, settings=settings)
     extremes = find_extremes(calm.clean, calm.sigma, corners.middle, corners.length, corners.drop)

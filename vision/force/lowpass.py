@@ -23,7 +23,7 @@ class Lowpass:
     """The low-pass that the transients after slips suggest."""
 
     samples: float = 0.0  # time constant; 0 for none
-    corners: Corners | None = None  # of the slips once it is undone; None for none
+    corners: Corners | None = None  # of the slips once corrected for it; None for none
     # Why it is not proven: "differs" (among large and small slips, or those after long and short sticks) or
     # "shape" (slips without it still have a tail); "" where it is.
     doubt: LowpassDoubt = ""
@@ -81,8 +81,8 @@ def _same_everywhere(y: Floats, transients: SlipTransients, tau: float, settings
 def _have_tails(corrected: Corners, settings: ForceSettings) -> bool:
     """Return whether slips in the corrected load last longer after their middle than before it.
 
-    A first-order low-pass leaves none once it is undone. A filter of higher order falls off gradually, too,
-    but is not undone by a single time constant.
+    A first-order low-pass leaves none once it is corrected for. A filter of higher order falls off gradually,
+    too, but is not corrected by a single time constant.
     """
     least = (1 - settings.lowpass_tail) * nan_median(corrected.end) - settings.corner_error
     return bool(nan_median(corrected.onset) < least)

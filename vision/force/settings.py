@@ -134,10 +134,10 @@ class ForceSettings:
     short sticks, must agree to prove a low-pass. Larger finds one in paper on paper, which has none."""
 
     lowpass_tail: float = 0.2
-    """Share by which slips may be shorter before their middle than after it once a low-pass is undone. Half
-    cosines behind a first-order low-pass stay below 0.1, Butterworth filters of 2.5 to 8 Hz reach 0.4, and
-    damped load cells 0.26 to 0.6 (test_slips: a second-order filter). Larger undoes a low-pass that the
-    load did not pass, smaller doubts true ones."""
+    """Share by which slips may be shorter before their middle than after it when corrected for a low-pass.
+    Half cosines behind a first-order low-pass stay below 0.1, Butterworth filters of 2.5 to 8 Hz reach 0.4,
+    and damped load cells 0.26 to 0.6 (test_slips: a second-order filter). Larger corrects for a low-pass that
+    the load did not pass, smaller doubts true ones."""
 
     # what was recorded at the ends of the sticks
     slow_slip: float = 0.2
@@ -172,6 +172,10 @@ class ForceSettings:
     ringing_fewest: int = 40
     """Periods of ringing in a recording, at least. Smaller takes sticks for periods, larger overlooks the
     ringing of short recordings."""
+
+    ringing_between: float = 5.0
+    """Periods of ringing from slip to slip, at least, in the median. Smaller averages sticks of which too
+    little is left, larger leaves the ringing in short ones (test_ringing)."""
 
     between_samples: float = 0.03
     """Share of the drop by which a stick's line may begin below the lowest sample, since a fast slip may end

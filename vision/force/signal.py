@@ -1,4 +1,4 @@
-"""The good samples of a recording: lost and filled-in ones, spikes, noise, white and slow, and mains hum."""
+"""The good samples of a recording: lost and filled-in ones, spikes, ringing, white and slow noise, hum."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from vision.force.lines import fit_lines, fit_polynomials
 from vision.force.recording import usable
-from vision.force.ringing import averaged
 from vision.force.settings import ForceSettings
 from vision.force.slips import Slips, stick_middles
 from vision.numeric import Bools, Floats, Ints, nan_median, peak_offset, quantum, white_noise
@@ -53,7 +52,7 @@ class Signal:
         many = np.bincount(run, ~good)[run] >= settings.gap_intervals
         good[np.flatnonzero(good)[_filled_in(force["load_N"].to_numpy()[good].astype(float))]] = False
         time, travel, load = (force[k].to_numpy()[good].astype(float) for k in ("time_s", "d_mm", "load_N"))
-        sigma, noise = noise_sigma(load), noise_levels(load, settings)
+        noise, sigma = noise_levels(load, settings)
         is_spike, clean = find_spikes(load, noise, settings=settings)
         kinds = ("gap", "nan", "saturated", "repeated", "backwards")
         bad = {kind: (flags == kind) & (many | (kind in {"gap", "saturated"})) for kind in kinds}
@@ -117,7 +116,8 @@ class Signal:
         if not hum:
             return self
         clean = self.clean - np.sum([line.wave for line in hum], axis=0)
-        return replace(self, clean=clean, sigma=noise_sigma(clean), noise=noise_levels(clean, settings))
+        noise, sigma = noise_levels(clean, settings)
+        return replace(self, clean=clean, sigma=sigma, noise=noise)
 
     @cached_property
     def interval_s(self) -> float:
@@ -151,8 +151,7 @@ def _filled_in(load: Floats) -> Bools:
     load. Where the ends of a line lie between samples, the first sample after each counts as measured. Fewer
     than ten runs show no rule.
     """
-    steps = np.diff(np.unique(load[:20_000]))  # enough to find the last digit written
-    rounding = 3 * float(np.min(steps, where=steps > 1e-9 * np.ptp(load), initial=np.inf))
+    rounding = 3 * quantum(load[:20_000])  # enough to find the last digit written
     repeats = np.diff(load, prepend=np.nan) == 0
     bends = np.r_[True, np.abs(np.diff(load, 2)) > rounding, True]
     second = bends[1:] & bends[:-1]
@@ -183,15 +182,15 @@ def noise_sigma(y: Floats) -> float:
     )
 
 
-def noise_levels(y: Floats, settings: ForceSettings) -> Floats:
-    """Return `noise_sigma` at every sample: of all unless its parts differ by `noise_ratio`."""
+def noise_levels(y: Floats, settings: ForceSettings) -> tuple[Floats, float]:
+    """Return `noise_sigma` at every sample, of all unless the parts differ by `noise_ratio`; and of all."""
     whole = noise_sigma(y)
     parts = np.array_split(y, min(y.size // 500 + 1, 32))
     level = np.maximum(running_median(np.array([noise_sigma(part) for part in parts]), 3), 0.05 * whole)
     if level.max() < settings.noise_ratio * level.min():
-        return np.full(y.shape, whole)
+        return np.full(y.shape, whole), whole
     level = np.max(sliding_window_view(np.pad(level, 1, "edge"), 3), axis=1)  # a change lies within a part
-    return np.repeat(level, [part.size for part in parts])
+    return np.repeat(level, [part.size for part in parts]), whole
 
 
 def find_spikes(
@@ -229,6 +228,73 @@ def step_between(values: Floats) -> float:
     """Return the median step between the values that occur; 0 where nearly all values differ."""
     different = np.unique(values[np.isfinite(values)])
     return float(np.median(np.diff(different))) if 2 < different.size < 0.2 * values.size else 0.0
+
+
+# --- ringing ------------------------------------------------------------------------------------------------
+
+
+def ringing_period(load: Floats, settings: ForceSettings) -> float:
+    """Return the period of an oscillation that follows the slips, in samples; NaN for none.
+
+    The autocorrelation of the load's steps falls below minus `ringing_alike` and then rises above it. Slips,
+    which are the largest steps, are cut to the size of the others: three times as many where that shows no
+    period, as slips may be slow. A load that oscillates throughout also has such a period. The steps of a
+    coarse load, by one quantum at regular times, are no oscillation.
+    """
+    step = np.diff(load)
+    step -= np.median(step)
+    size = np.abs(step)
+    for cut in (1 - settings.ringing_steps, 3 * (1 - settings.ringing_steps)):
+        most = float(np.quantile(size, 1 - cut))
+        period = _period(np.clip(step, -most, most), settings) if most else float("nan")
+        if np.isfinite(period):
+            return period if most > 1.5 * quantum(load) else float("nan")
+    return float("nan")
+
+
+def _period(step: Floats, settings: ForceSettings) -> float:
+    """Return the period of steps, in samples; NaN for none."""
+    step = step - step.mean()
+    longest = step.size // settings.ringing_fewest
+    if longest < 4:
+        return float("nan")
+    size = scipy.fft.next_fast_len(step.size + longest, real=True)
+    alike = scipy.fft.irfft(np.abs(scipy.fft.rfft(step, size)) ** 2, size)[:longest]
+    alike /= alike[0]
+    below = np.flatnonzero(alike < 0)
+    if not below.size:
+        return float("nan")
+    again = below[0] + np.flatnonzero(alike[below[0] :] > 0)
+    period = float("nan")
+    if not again.size:
+        return period
+    first = int(again[0] + np.argmax(alike[again[0] : 2 * again[0]]))
+    if alike[below[0] : first].min() > -settings.ringing_alike or alike[first] < settings.ringing_alike:
+        return period
+    # Later maxima tell the period better, as long as they are clear.
+    place, count = float(first), 1
+    while True:
+        k = round(place)
+        if k < 2 or k + 1 >= longest or alike[k] < settings.ringing_alike:
+            return period
+        k += int(np.argmax(alike[k - 1 : k + 2])) - 1
+        period = (k + float(peak_offset(*alike[k - 1 : k + 2]))) / count
+        count += 1
+        place = count * period
+
+
+def averaged(time_s: Floats, load: Floats, average_s: float) -> Floats:
+    """Return the load averaged twice over a time around each sample, or over less of it at the ends.
+
+    One mean over the period of ringing that decays leaves a few per cent of it, two leave a thousandth. A
+    cubic spline through the samples is averaged, so that periods of a few samples cancel as well.
+    """
+    start = np.maximum(time_s - average_s / 2, time_s[0])
+    stop = np.minimum(time_s + average_s / 2, time_s[-1])
+    for _ in range(2):
+        sums = scipy.interpolate.CubicSpline(time_s, load).antiderivative()
+        load = np.asarray((sums(stop) - sums(start)) / (stop - start), np.float64)
+    return load
 
 
 # --- slow noise ---------------------------------------------------------------------------------------------

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vision.data import ThresholdHow
+from vision.errors import counted
 from vision.force.lines import LEAST_FOR_KNEE, Lines, bend_squares, fit_lines, fit_polynomials
 from vision.force.settings import ForceSettings
 from vision.numeric import Floats, Ints, flat_ranges, nan_median
@@ -68,13 +69,14 @@ class Slips:
         lines = []
         if self.left_out.size:
             low, high = self.left_out.min(), self.left_out.max()
+            sizes = f"{low:.3g}" if self.left_out.size == 1 else f"{low:.3g} to {high:.3g}"
             why = {
-                "jumps": "are no larger than the load's own jumps upward",
-                "gap": "lie below a gap in the sizes of drops",
-                "noise": "are no larger than four errors, since the noise is slow,",
+                "jumps": "no larger than the load's own jumps upward",
+                "gap": "below a gap in the sizes of drops",
+                "noise": "no larger than four errors, since the noise is slow",
             }[self.threshold_how]
             lines.append(
-                f"{self.left_out.size} drops of {low:.3g} to {high:.3g} {unit} {why} and are not counted: "
+                f"{counted(self.left_out.size, 'drop')} of {sizes} {unit} not counted, {why}: "
                 f"`threshold_N` {0.9 * low:.2g} counts them"
             )
         usual = float(np.median(self.drop))

@@ -32,7 +32,7 @@ from vision.models.single_fits import (
     largest_chi2,
     with_friction,
 )
-from vision.numeric import Floats, sigma_about_zero, two_digits
+from vision.numeric import Floats, sigma_about_zero, two_digits, with_minus
 from vision.sample import PUBLISHED, Sample, is_plausible_modulus
 from vision.signals import running_median
 
@@ -593,12 +593,16 @@ def _degeneracies(fits: ModelFits) -> list[str]:
     """Notes on degenerate parameters and on the range of d."""
     notes = []
     if (correlation := fits.correlation.get("mu,T_star_N")) is not None:
-        notes.append(f"T* and μ are degenerate (correlation {correlation:.3f}): use them only together")
+        notes.append(_degenerate("T* and μ", correlation))
     if abs(correlation := fits.correlation["Lambda_hat_mm,Y_eff_GPa"]) > 0.98:
-        notes.append(f"Λ̂ and Y_eff are degenerate (correlation {correlation:.3f}): use them only together")
+        notes.append(_degenerate("Λ̂ and Y_eff", correlation))
     if fits.d_mm[1] > fits.scale_mm.value:
         notes.append(f"d goes beyond {fits.scale_mm.value:.2f} mm, where M_eff is 0")
     return notes
+
+
+def _degenerate(names: str, correlation: float) -> str:
+    return f"{names} are degenerate (correlation {with_minus(f'{correlation:.3f}')}): use them only together"
 
 
 def _events_used(fits: ModelFits, left_out: Mapping[str, int], given_range: bool) -> list[str]:

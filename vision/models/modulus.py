@@ -267,7 +267,7 @@ def measure_cycles(
 
 
 def _implausible(table: pd.DataFrame, sheet: Sample) -> list[str]:
-    """Return a warning if one of the moduli is none that sheets have, by which a wrong unit shows."""
+    """Return a warning if a modulus is implausible for a sheet, which reveals a wrong unit."""
     for name, symbol in (("Y_p_GPa", "Y_p"), ("Y_slope_GPa", "kL/(εW)")):
         if not is_plausible_modulus(modulus := float(table[name].mean())):
             size = f"{sheet.thickness_mm:g} x {sheet.width_mm:g} x {sheet.length_mm:g} mm"

@@ -22,9 +22,9 @@ from PIL import Image as Pillow
 from vision.data import ForceMetadata, StripMetadata
 from vision.errors import with_options
 from vision.figures import Figure, Image, Panel, Results, Series, figures_of, missing_parts, sections_of
-from vision.figures.style import MISSING, rgb, to_html, to_unicode, with_minus
+from vision.figures.style import MISSING, rgb, to_html, to_unicode
 from vision.folder import flattened
-from vision.numeric import Floats, two_digits
+from vision.numeric import Floats, two_digits, with_minus
 from vision.report.text import answers, citation, methods, subtitle
 from vision.sheets import doubtful_stretches
 from vision.systematics import QUANTITIES, SOURCES, Budget, systematic_budget
@@ -181,7 +181,7 @@ def _series_data(series: Series, index_of: Callable[[Floats], int]) -> dict[str,
     data |= {"x": index_of(series.x), "y": index_of(series.y)}
     if series.low is not None and series.high is not None:
         data |= {"low": index_of(series.low), "high": index_of(series.high)}
-    return data | ({"text": series.text} if series.text else {})
+    return data | ({"text": series.text, "textY": series.text_y} if series.text else {})
 
 
 def image_uri(image: Image, *, most_bytes: int) -> str:
@@ -308,7 +308,7 @@ def _digits(value: float | None, *, places: int | None = None) -> str:
 
 
 def _two_digits(error: float | None, unknown: str = "—") -> str:
-    return unknown if error is None or not np.isfinite(error) else two_digits(error)
+    return unknown if error is None or not np.isfinite(error) else with_minus(two_digits(error))
 
 
 def provenance(facts: Mapping[str, Any]) -> list[FactsTable]:

@@ -310,7 +310,7 @@ def _stick_phases(force: xr.Dataset, sticks: pd.DataFrame) -> str:
     unit = "of the weight" if load_unit(force) == "1" else load_unit(force)
     return (
         f"The traction force was recorded while the blocks were pulled apart{pulled}. Slips are drops of "
-        f"more than {s.threshold_N:.3g} {unit} ({source}; the noise is {s.noise_N:.2g}), located "
+        f"more than {s.threshold_N:.3g} {unit} ({source}; the noise is {s.noise_N:.2g} {unit}), located "
         f"at the steepest fall; {len(sticks)} stick phases were found. Peak and valley forces F_p and F_v "
         "are those of a line through the central 80 % of each stick phase, extended to its ends but not "
         "beyond the recorded forces, and beside slow slips the recorded extremes. The "
@@ -364,6 +364,7 @@ def _deformation(motion: xr.Dataset, threshold: float) -> str:
 
 def _models(fits: ModelFits) -> str:
     sample = fits.sample
+    lacking = "" if "d0_mm" in fits.input_errors else "; the latter without that of d0, which is not known"
     return (
         "Peak forces were fitted with Eq. 1 of the publication and a constant offset, stick-slip "
         "amplitudes with A times the total normal force, and K with M_eff K_eff, for "
@@ -372,5 +373,5 @@ def _models(fits: ModelFits) -> str:
         f"{sample.length_mm:g} mm from clamp to end, and "
         f"T* = {1000 * fits.t_star_N.value:.3g} mN: μ = {both_errors(fits.mu)}, "
         f"A = {both_errors(fits.amplitude)}, N̂ = {both_errors(fits.n_hat_N)} N, "
-        f"Y_eff = {both_errors(fits.modulus_GPa)} GPa (statistical and systematic errors)."
+        f"Y_eff = {both_errors(fits.modulus_GPa)} GPa (statistical and systematic errors{lacking})."
     )

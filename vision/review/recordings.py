@@ -189,7 +189,7 @@ class Tiles:
         return levels
 
     def _coarse_levels(self) -> list[Grey]:
-        """Return the levels held in memory, from `first_kept` on."""
+        """Return the levels held in memory, from `FIRST_KEPT` on."""
         step, wanted = TILE_FACTOR**FIRST_KEPT, self.levels - FIRST_KEPT
         if wanted <= 0:
             return []

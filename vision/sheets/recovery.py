@@ -28,16 +28,20 @@ from vision.numeric import (
     stretches,
 )
 from vision.sheets.alignment import values_of
-from vision.sheets.doubts import doubts_of, hops, shifted_pattern, unlike_neighbours
-from vision.sheets.identities import DOUBTS, Doubt, Identities, exchanged, fill_rows, last_seen
-from vision.sheets.renumbered import (
+from vision.sheets.doubts import (
     LIKE_ITSELF,
+    doubts_of,
+    hops,
     numbered_by_a_neighbour,
     numbered_off_the_end,
-    usual_frames,
+    shifted_pattern,
+    unlike_neighbours,
 )
+from vision.sheets.identities import DOUBTS, Doubt, Identities, exchanged, fill_rows, last_seen
 from vision.sheets.ridges import RidgeComb, Ridges, find_ridges
 from vision.words import is_word
+
+USUAL_FRAMES = 2000  # of the film, from which the usual brightnesses and widths are taken
 
 
 class Flag(IntEnum):
@@ -88,7 +92,7 @@ def assign_detections(
     off = exchanged(x, contrast, identities.margin, comb)
     del x, contrast
     why[off & (why == Doubt.NONE)] = Doubt.EXCHANGE
-    sample = usual_frames(len(why))
+    sample = slice(None, None, 1 + len(why) // USUAL_FRAMES)
     certain = np.where(why[sample] == Doubt.NONE, paired[1:, sample], np.nan)
     _reassign_hops(ridges, paired, why, comb)
     expected = _expected(np.where(why == Doubt.NONE, paired[0], np.nan), identities.rest_px)

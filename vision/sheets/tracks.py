@@ -26,11 +26,17 @@ from vision.numeric import (
     row_parts,
 )
 from vision.sheets.corrections import Correction, apply_corrections, last_of
-from vision.sheets.distortion import distortion, not_one_ridge, two_in_one
+from vision.sheets.distortion import (
+    NO_LOCKING,
+    PixelLocking,
+    distortion,
+    not_one_ridge,
+    pixel_locking,
+    two_in_one,
+)
 from vision.sheets.doubts import predicted_by_neighbours, sheets_alike
 from vision.sheets.film import motion_blur, repeated_frames, scene_changes
 from vision.sheets.identities import WHYS, Doubt, identify_sheets
-from vision.sheets.locking import NO_LOCKING, PixelLocking, pixel_locking
 from vision.sheets.numbering import Numbering, number_sheets
 from vision.sheets.recovery import FLAGS, Detections, Flag, assign_detections
 from vision.sheets.reference import ReferenceComb, marks, wide_spacings
@@ -119,9 +125,10 @@ def track_sheets(
     scatter by more (`vision.sheets.scatter.noise_excess`), where the ridge moves during the exposure
     (`vision.sheets.film.motion_blur`), and where the ridge is distorted
     (`vision.sheets.distortion.distortion`). Positions of ridges sharper than their pixels are corrected for
-    locking to whole pixels (`vision.sheets.locking`), except with ``fit="paper"``: x_err_px includes it. For
-    lossy video it is the scatter between sheets, since compression hides the noise and adds its own
-    artefacts. It does not include errors that are the same in all frames (uneven light, the choice of rows).
+    locking to whole pixels (`vision.sheets.distortion.pixel_locking`), except with ``fit="paper"``: x_err_px
+    includes it. For lossy video it is the scatter between sheets, since compression hides the noise and adds
+    its own artefacts. It does not include errors that are the same in all frames (uneven light, the choice of
+    rows).
     """
     STRIP.check(strip)
     check_word(("bright", "dark", "auto"), ridges=ridges)
@@ -245,7 +252,9 @@ def _assess_ridges(
     smeared = (blur_px > 0) | blurred
     smears, blur2 = np.nonzero(blur_px), blur_px[blur_px != 0] ** 2  # few ridges
     del blur_px
-    x_px[smeared & _beside_missing(detections.flag)] = np.nan
+    # An object that covers a sheet also cuts the next ridge, which then jumps and changes its shape as if it
+    # were blurred, and may be off by half of its width.
+    x_px[smeared & beside(detections.flag == Flag.MISSING)] = np.nan
     distorted_px, usual_px, lasting_px, scale = distortion(profile, x_px, err, smeared, comb)
     not_a_sheet = not_one_ridge(profile, x_px, comb) | two_in_one(x_px, detections.fwhm_px, comb)
     not_a_sheet |= lasting_px > comb.settings.most_distorted * comb.fwhm_px
@@ -266,15 +275,6 @@ def _assess_ridges(
 def _unrepeated(x_px: Floats, frozen: Bools) -> Floats:
     """Return positions (frame, N), NaN in repeated frames."""
     return np.where(frozen[:, None], np.nan, x_px) if frozen.any() else x_px
-
-
-def _beside_missing(flag: Codes) -> Bools:
-    """Return which positions are next to a sheet that is missing in that frame, (frame, N).
-
-    An object that covers a sheet also cuts the next ridge, which then jumps and changes its shape as if it
-    were blurred, and may be off by half of its width.
-    """
-    return beside(flag == Flag.MISSING)
 
 
 class _Errors(NamedTuple):

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from vision.errors import InputError
+from vision.errors import InputError, counted
 from vision.files import Stamp, answered
 from vision.numeric import Bools, Floats, Floats32, Ints, Strings, row_parts
 from vision.video.reader import Block
@@ -172,12 +172,12 @@ def expected_frames(
         which = np.flatnonzero(status == state)
         if which.size:
             where = f"the first is frame {video.first + which[0]}"
-            warnings.append(f"{name}: {which.size} frame(s) {reason}, {where}")
+            warnings.append(f"{name}: {counted(which.size, 'frame')} {reason}, {where}")
     measured = video.clock.kind == "file" or (video.clock.kind == "given" and _uneven(times_s))
     between, first = lost_between(times_s, settings=settings) if measured else (0, 0)
     if between:
         where = f"according to gaps in its times, the first after frame {video.first + first}"
-        warnings.append(f"{name}: {between} frame(s) lost {where}")
+        warnings.append(f"{name}: {counted(between, 'frame')} lost {where}")
     if measured and (thinned := thinned_from(times_s, settings=settings)) is not None:
         what = f"from frame {video.first + thinned} on, frames come at half or a third of the usual rate"
         warnings.append(f"{name}: {what}: the camera was slower, or frames are lost evenly")

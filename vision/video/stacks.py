@@ -19,7 +19,7 @@ import tifffile
 from numpy.typing import NDArray
 from PIL import Image as Pillow
 
-from vision.errors import InputError
+from vision.errors import InputError, counted
 from vision.files import check_pixels, in_threads, members, reading
 from vision.numeric import Floats, Ints, Pixels
 from vision.video.reader import (
@@ -412,8 +412,8 @@ def _image_files(path: Path) -> list[Path]:
     if not images:
         wanted = "a film or numbered images (PNG, TIFF, JPEG, BMP)"
         folders = sum(file.is_dir() for file in everything)
-        found = f"none among {len(everything) - folders} file(s)" if everything else "none"
-        found += f" and {folders} folder(s)" if folders else ""
+        found = f"none among {counted(len(everything) - folders, 'file')}" if everything else "none"
+        found += f" and {counted(folders, 'folder')}" if folders else ""
         inside = "give a film, or one folder of images: those inside the folders are not looked for"
         raise InputError(path, wanted, found, inside if folders else "check the folder or the pattern")
     kinds = Counter(file.suffix.lower() for file in images)

@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 
 from vision.errors import InputError
-from vision.numeric import Bools, Floats, Floats32, Ints, Pixels
+from vision.numeric import Bools, Floats, Floats32, Ints, Pixels, with_minus
 from vision.video.settings import VideoSettings
 from vision.video.strip_rows import (
     StripErrors,
@@ -243,8 +243,9 @@ def _described(slopes: _Slopes, first: int, last: int, strip: Strip, tilt: float
     errors = strip_errors(row_shifts(bands, per_band, slopes.settings), slopes.settings)
     warnings = []
     if smear > slopes.settings.max_smear * ridge:
+        tilted = with_minus(f"{tilt_deg:+.2f}")
         warnings.append(
-            f"ridges are tilted by {tilt_deg:+.2f}°, {smear:.1f} px over the {height} rows of the strip, and "
+            f"ridges are tilted by {tilted}°, {smear:.1f} px over the {height} rows of the strip, and "
             f"are about {ridge:.0f} px wide: turn the camera, or choose fewer rows (`rows`)"
         )
     if errors.error_px > slopes.settings.strip_warning_px:

@@ -142,6 +142,7 @@
     c.font = `${11 * r}px system-ui, sans-serif`; c.textAlign = "center"; c.textBaseline = "bottom";
     const labels = [], numbered = chart.series.filter((s) => s.text && s.text.length);
     const step = Math.max(1, ...numbered.map((s) => labelStep(u, c, arrays[s.x], s.text)));
+    const first = Math.min(1, ...numbered.flatMap((s) => s.text.map(Number))); /* indices begin at 0 */
     chart.series.forEach((s, k) => {
       if (s.low === undefined || !u.series[k + 1].show) return;
       const xs = arrays[s.x], low = arrays[s.low], high = arrays[s.high], key = s.axis === "right" ? "y2" : "y";
@@ -152,7 +153,8 @@
         const at = u.valToPos(x + s.shift, "x", true), y0 = u.valToPos(low[i], key, true), y1 = u.valToPos(high[i], key, true);
         const stroke = s.text ? 0.2 * (y1 - y0) : (y1 - y0) / 2; /* the ridge between two strokes stays in view */
         c.beginPath(); c.moveTo(at, y0); c.lineTo(at, y0 + stroke); c.moveTo(at, y1 - stroke); c.lineTo(at, y1); c.stroke();
-        if (s.text && (Number(s.text[i]) - 1) % step === 0) labels.push([Number(s.text[i]), at, Math.min(y0, y1) - 2 * r]);
+        const top = s.textY == null ? Math.min(y0, y1) : u.valToPos(s.textY, key, true);
+        if (s.text && (Number(s.text[i]) - first) % step === 0) labels.push([Number(s.text[i]), at, top - 2 * r]);
       });
     });
     /* Numbers, the smallest first, beside the axis and not on it. */
