@@ -283,7 +283,9 @@ def _with_close(y: Floats, edge: Ints, sigma: Floats, settings: ForceSettings) -
         after = np.searchsorted(edge, close)
         close = close[np.minimum(close - edge[after - 1], edge[after] - close) > half[close]]
         joined = _join(y, np.union1d(edge, close), sigma, settings)
-        at = np.flatnonzero(~np.isin(joined, edge))
+        new = ~np.isin(joined, edge)
+        new[:1] = new[-1:] = False  # a search may have moved the outermost
+        at = np.flatnonzero(new & (joined > edge[0]) & (joined < edge[-1]))
         after = np.searchsorted(edge, joined[at])
         drop, slope = stick_drops(y, edge, settings), stick_lines(y, edge, settings).slope
         parts, part_slope = stick_drops(y, joined, settings), stick_lines(y, joined, settings).slope
