@@ -58,7 +58,7 @@ def test_a_size_with_its_error(capsys: pytest.CaptureFixture[str]) -> None:
     assert content["Y_p_GPa"]["systematic_error"] == pytest.approx(2.5 * np.hypot(0.02, 0.3 / 45), rel=0.01)
     assert content["sheet"] == {"thickness_mm": 0.1, "width_mm": 45.0, "length_mm": 16.8}
     assert content["sheet_err"] == {"thickness_mm": 0.002, "width_mm": 0.3}
-    assert "(stat.) ± 0.053 (syst.) GPa" in capsys.readouterr().out
+    assert "(stat.) ± 0.0527 (syst.) GPa" in capsys.readouterr().out
     assert run(["modulus", "sheet.txt", "--thickness", "0,1", "--out", "again"]) == 2
     assert (
         "--thickness: expected a number of mm from 0, or with its error; found '0,1'"

