@@ -276,29 +276,37 @@ def _with_close(y: Floats, edge: Ints, sigma: Floats, settings: ForceSettings) -
     a slow slip do not rise, and the tail of a low-pass is no drop.
     """
     half = _half_widths(_local_period(edge, y.size), settings)
+    least = 2 * settings.threshold_sigmas * sigma
+    drop, slope = stick_drops(y, edge, settings), stick_lines(y, edge, settings).slope
     while edge.size > 1 and (half > 2).any():
         half = np.maximum(half // 2, 2)
         close = _peaks(y, half, sigma, settings)
         close = close[(close > edge[0]) & (close < edge[-1])]
         after = np.searchsorted(edge, close)
-        close = close[np.minimum(close - edge[after - 1], edge[after] - close) > half[close]]
-        joined = _join(y, np.union1d(edge, close), sigma, settings)
+        apart = np.minimum(close - edge[after - 1], edge[after] - close) > half[close]
+        # Most peaks are noise: where a slip is, the filter shows at least half of its drop.
+        apart &= _step_filter(y, half)[close] + slope[after] * half[close] > 0.5 * least[close]
+        if not apart.any():
+            continue
+        joined = _join(y, np.union1d(edge, close[apart]), sigma, settings)
         new = ~np.isin(joined, edge)
         new[:1] = new[-1:] = False  # a search may have moved the outermost
         at = np.flatnonzero(new & (joined > edge[0]) & (joined < edge[-1]))
+        if not at.size:
+            continue
         after = np.searchsorted(edge, joined[at])
-        drop, slope = stick_drops(y, edge, settings), stick_lines(y, edge, settings).slope
         parts, part_slope = stick_drops(y, joined, settings), stick_lines(y, joined, settings).slope
         now = np.zeros(edge.size)
         now[np.isin(edge, joined)] = parts[np.isin(joined, edge)]
         stays = now > 0.5 * drop
         share = settings.close_share * np.minimum(drop[after - 1], drop[after])
-        clear = np.maximum(2 * settings.threshold_sigmas * sigma[joined[at]], share)
         shorter = np.minimum(joined[at] - joined[at - 1], joined[at + 1] - joined[at])
-        good = np.minimum(parts[at], slope[after] * shorter) > clear
+        good = np.minimum(parts[at], slope[after] * shorter) > np.maximum(least[joined[at]], share)
         good &= stays[after - 1] & stays[after]
         good &= np.minimum(part_slope[at], part_slope[at + 1]) > 0.5 * slope[after]
-        edge = np.union1d(edge, joined[at[good]])
+        if good.any():
+            edge = np.union1d(edge, joined[at[good]])
+            drop, slope = stick_drops(y, edge, settings), stick_lines(y, edge, settings).slope
     return edge
 
 
