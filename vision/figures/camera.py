@@ -6,9 +6,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import xarray as xr
-from scipy.interpolate import CubicSpline
 
 from vision.clock import video_slips
 from vision.data import DiagramMetadata, StripMetadata, TrackMetadata
@@ -474,18 +474,18 @@ def _diagram_panel(
 
 
 def _finer(rows: Floats32) -> Floats32:
-    """Interpolate rows of an image between its pixels, with cubic splines along x, (rows, k · columns).
+    """Interpolate rows of an image between its pixels along x, with cubic curves, (rows, k · columns).
 
     Drawn as squares, the pixels of a narrow window hide motion of less than a pixel.
     """
     columns = rows.shape[1]
     finer = -(-WINDOW_COLUMNS // columns)
-    at = np.clip((np.arange(finer * columns) + 0.5) / finer - 0.5, 0, columns - 1)
     known = np.isfinite(rows)
     if finer == 1 or columns < 2 or not known.any():
         return rows
-    fine = CubicSpline(np.arange(columns), np.where(known, rows, 0.0), axis=1)(at)
-    return np.where(known[:, np.rint(at).astype(int)], fine, np.nan).astype(np.float32)
+    size = finer * columns, len(rows)
+    fine = cv2.resize(np.where(known, rows, 0.0).astype(np.float32), size, interpolation=cv2.INTER_CUBIC)
+    return np.where(known.repeat(finer, axis=1), fine, np.float32(np.nan))
 
 
 def _columns(diagram: xr.DataArray, size: float | None) -> tuple[Floats, str]:
