@@ -162,12 +162,12 @@ class ForceSettings:
     ringing_alike: float = 0.35
     """Autocorrelation of the load's steps, at a period and below its negative at half of it, from which the
     load rings. Ringing that decays within one period reaches 0.4, ordinary slips, noise and low-passes 0.26;
-    smaller proposes to average what does not ring, larger overlooks ringing (test_ringing)."""
+    smaller proposes to average what does not ring, larger overlooks ringing (test_signal)."""
 
     ringing_steps: float = 0.97
     """Quantile of the load's steps to which larger ones, the slips, are cut before their autocorrelation;
     where that shows no ringing, three times as many are. Larger lets slips hide faint ringing, smaller cuts
-    ringing that decays within a tenth of a stick (test_ringing)."""
+    ringing that decays within a tenth of a stick (test_signal)."""
 
     ringing_fewest: int = 40
     """Periods of ringing in a recording, at least. Smaller takes sticks for periods, larger overlooks the
@@ -175,7 +175,7 @@ class ForceSettings:
 
     ringing_between: float = 5.0
     """Periods of ringing from slip to slip, at least, in the median. Smaller averages sticks of which too
-    little is left, larger leaves the ringing in short ones (test_ringing)."""
+    little is left, larger leaves the ringing in short ones (test_signal)."""
 
     between_samples: float = 0.03
     """Share of the drop by which a stick's line may begin below the lowest sample, since a fast slip may end

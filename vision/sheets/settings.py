@@ -55,7 +55,7 @@ class TrackingSettings:
     """Evidence of this kind that decides among fewer than five stripes, and that overrules the background
     beside the comb if the stripes are also narrower; with the logarithm of how much narrower they are, less
     is warned of where no background is in view. Larger takes gaps between boards for sheets (1.7 in the least
-    clear scene of test_polarity.py), smaller lets noise overrule the background."""
+    clear scene of test_ridges.py), smaller lets noise overrule the background."""
 
     dark_width_ratio: float = 0.9
     """Where nothing else decides, ridges are dark if the dark stripes are narrower than the bright ones by
@@ -98,7 +98,7 @@ class TrackingSettings:
     locking_sigmas: float = 6.0
     """Standard errors from which locking to whole pixels is corrected. Smaller corrects by chance, where
     motion happens to follow the pixels; larger leaves sharp ridges locked by up to 0.07 px
-    (test_locking.py)."""
+    (test_distortion.py)."""
 
     least_locking: float = 0.3
     """Locking, rms, over the error of a position by noise from which it is corrected. Smaller adds work that
