@@ -44,6 +44,11 @@ class ForceSettings:
     Smaller takes chance for hum, which 15 averaged spectra of noise reach at 3; larger leaves faint hum in
     the search for slips, where it hides or cuts sticks; shown by hum of 0.3 to 30 % of the drop."""
 
+    hum_in_phase: float = 0.7
+    """Mean resultant length of a line's phases at ten slips in a row from which it belongs to the slips: 0.28
+    by chance, near 1 for harmonics of regular slips. Smaller leaves hum in the search for slips (test_events
+    at 0.35), larger takes harmonics of irregular slips for hum."""
+
     # slips
     step_width: float = 0.15
     """Half the width of the step filter, in periods. Wider averages more noise, narrower follows irregular
