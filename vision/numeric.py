@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
@@ -159,6 +163,12 @@ def without_common_change(values: NDArray[np.floating]) -> Floats:
 def row_parts(rows: int, at_once: int = ROWS_AT_ONCE) -> Iterator[slice]:
     """Yield slices of consecutive rows: what is computed of a part at a time takes little memory."""
     return (slice(start, min(start + at_once, rows)) for start in range(0, rows, at_once))
+
+
+def in_two_threads(work: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
+    """Return the results of `work` for all items, in order, found by two threads."""
+    with ThreadPoolExecutor(2) as pool:
+        return list(pool.map(work, items))
 
 
 def column_parts(values: NDArray[Any]) -> Iterator[slice]:

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
-from tests.scenes.sawtooth import signal_of
+from tests.force.test_events import matched
+from tests.scenes.sawtooth import Test, plain, signal_of
+from vision.clock import force_slips
+from vision.errors import InputError
+from vision.force import find_stick_slip
 from vision.force.settings import ForceSettings
-from vision.force.signal import find_spikes, noise_sigma, with_slow_noise
+from vision.force.signal import averaged, find_spikes, noise_sigma, ringing_period, with_slow_noise
 from vision.force.slips import find_slips
 
 
@@ -55,3 +61,237 @@ def test_noise_is_that_of_the_sticks_with_good_samples(whole: int) -> None:
         assert found.slow is None
     else:
         assert found.alike == pytest.approx(with_slow_noise(signal, slips, ForceSettings()).alike, rel=0.5)
+
+
+# --- ringing of the load after slips ------------------------------------------------------------------------
+
+
+SAMPLES = 200  # from slip to slip, at 100 Hz
+
+
+@cache
+def scene():
+    test = plain(sticks=60, samples=SAMPLES, snr=200.0, jitter=0.1)
+    return Test(test.force.assign(load_N=test.force["load_N"] + 1000), test.truth)
+
+
+def resonance_poles(period, damping):
+    swing = 2 * np.pi / period
+    decay = np.exp(-damping * swing)
+    return [1, -2 * decay * np.cos(swing), decay**2]
+
+
+def resonance(load, period, damping, share=1.0):
+    """The load of a cell whose resonance has this period (samples) and passes on this share of the load."""
+    poles = resonance_poles(period, damping)
+    return share * (load[0] + lfilter([sum(poles)], poles, load - load[0])) + (1 - share) * load
+
+
+def rung(period, damping, share=1.0):
+    test = scene()
+    noise = 0.05 * np.random.default_rng(1).standard_normal(test.force.sizes["time_s"])
+    load = resonance(test.force["load_N"].to_numpy(), period, damping, share) + noise
+    return test.force.assign(load_N=("time_s", load))
+
+
+RINGING = [(20, 0.05, 1.0), (10, 0.03, 1.0), (10, 0.03, 0.1), (10, 0.2, 0.3), (3.4, 0.05, 0.3)]
+
+
+@pytest.mark.parametrize(("period", "damping", "share"), RINGING)
+def test_events_are_those_of_the_load_without_ringing(period, damping, share):
+    """A failure means swings counted as slips, or forces, lengths and K that the average has changed."""
+    events = find_stick_slip(rung(period, damping, share), average_s="auto")
+    assert events.attrs["average_s"] == pytest.approx(0.01 * period, rel=0.1)
+    right, truth = matched(events, scene().truth)
+    assert len(events) == len(right) == len(scene().truth)
+    assert (right["flag"] == "ok").all()
+    assert events.attrs["warnings"] == []
+    for name, error in (
+        ("dF_N", right["dF_err_N"]),
+        ("stick_length_um", right["stick_length_err_um"]),
+        ("K_N_per_mm", right["K_err_N_per_mm"]),
+    ):
+        assert ((right[name] - truth[name]).abs() < 3 * error).mean() > 0.95, name
+        assert (right[name] / truth[name]).median() == pytest.approx(1, abs=0.005), name
+        assert np.median(error / truth[name]) < 0.03, name
+
+
+def test_one_mean_would_leave_ringing_in_the_stiffness():
+    """Two means over a period leave 25 times less of ringing that decays by a fourth in it."""
+    force = rung(20, 0.05)
+    time, load = force["time_s"].to_numpy(), force["load_N"].to_numpy()
+    decaying = np.exp(-0.05 * 2 * np.pi * np.arange(400) / 20) * np.cos(2 * np.pi * np.arange(400) / 20)
+    twice = averaged(time[:400], decaying, 0.2)
+    once = np.convolve(decaying, np.full(20, 1 / 20), "same")
+    middle = slice(60, 140)
+    assert np.ptp(twice[middle]) < 0.1 * np.ptp(once[middle]) < 0.1 * np.ptp(decaying[middle])
+    assert averaged(time, load, 0.2) == pytest.approx(averaged(time, load + 7, 0.2) - 7)
+
+
+@pytest.mark.parametrize(("period", "damping", "share"), RINGING)
+def test_ringing_is_named_and_nothing_is_averaged_unasked(period, damping, share):
+    """A failure means a recording refused, or called an oscillation, without the way out."""
+    try:
+        events = find_stick_slip(rung(period, damping, share))
+    except InputError as error:
+        assert "the load oscillates at" in str(error)
+        return
+    assert events.attrs["average_s"] == 0
+    assert events.attrs["ringing_s"] == pytest.approx(0.01 * period, rel=0.1)
+    whole = (events["flag"] == "ok").all()
+    assert whole or any("`average_s`" in line for line in events.attrs["warnings"])
+
+
+@pytest.mark.parametrize("period", [10.0, 12.7, 33.3])
+def test_the_period_of_ringing(period):
+    load = rung(period, 0.05, 0.3)["load_N"].to_numpy()
+    assert ringing_period(load, ForceSettings()) == pytest.approx(period, rel=0.02)
+    assert ringing_period(-load, ForceSettings()) == pytest.approx(period, rel=0.02)
+
+
+def test_slips_noise_and_low_passes_do_not_ring():
+    """A failure means that an ordinary recording is said to ring, and `auto` averages it."""
+    load = scene().force["load_N"].to_numpy()
+    white = np.random.default_rng(0).standard_normal(load.size)
+    for other in (
+        load,
+        load + 5 * white,
+        lfilter([0.2], [1, -0.8], load + white),
+        np.cumsum(white),
+        0 * load,
+    ):
+        assert np.isnan(ringing_period(other, ForceSettings()))
+    plain_events = find_stick_slip(scene().force)
+    auto = find_stick_slip(scene().force, average_s="auto")
+    assert auto.attrs["average_s"] == 0
+    assert plain_events.equals(auto)
+
+
+COARSE = 25.0  # N, in which the drops are 146 steps and the noise is lost
+
+
+@cache
+def large():
+    return plain(sticks=60, samples=SAMPLES, snr=146 * COARSE, jitter=0.1)
+
+
+def coarse(load):
+    return large().force.assign(load_N=("time_s", np.round(load / COARSE) * COARSE))
+
+
+def test_the_steps_of_a_coarse_load_do_not_ring():
+    """A failure means that the regular steps of a coarse load are called an oscillation."""
+    load = large().force["load_N"].to_numpy()
+    assert np.isnan(find_stick_slip(coarse(load + 1000)).attrs["ringing_s"])
+
+
+@pytest.mark.parametrize(("period", "damping", "share"), [(10, 0.05, 1.0), (8, 0.03, 0.5)])
+def test_a_coarse_load_that_rings_is_not_one_that_is_filled_in(period, damping, share):
+    """A failure means that swings above the step are taken for the ends of lines, and the rest left out."""
+    load = resonance(large().force["load_N"].to_numpy() + 1000, period, damping, share)
+    events = find_stick_slip(coarse(load), average_s="auto")
+    assert events.attrs["average_s"] == pytest.approx(0.01 * period, rel=0.02)
+    right, truth = matched(events, large().truth)
+    assert len(events) == len(right) == len(large().truth)
+    assert (right["K_N_per_mm"] / truth["K_N_per_mm"]).median() == pytest.approx(1, abs=0.005)
+
+
+def test_ringing_after_slips_as_long_as_half_its_period():
+    """A failure means slips of several samples that hide the ringing, or errors without their length."""
+    slip = 5
+    sharp = np.pad(scene().force["load_N"].to_numpy(), slip // 2, "edge")
+    load = resonance(np.convolve(sharp, np.full(slip, 1 / slip), "valid"), 10, 0.1, 0.5)
+    events = find_stick_slip(scene().force.assign(load_N=("time_s", load)), average_s="auto")
+    assert events.attrs["average_s"] == pytest.approx(0.1, rel=0.1)
+    right, truth = matched(events, scene().truth)
+    assert len(right) == len(scene().truth)
+    shorter = 1 - 0.01 * slip / (truth["t_p_s"] - truth["t_v_s"])
+    for name, error in (("dF_N", "dF_err_N"), ("stick_length_um", "stick_length_err_um")):
+        z = (right[name] - shorter * truth[name]) / right[error]
+        assert np.sqrt(np.mean(z**2)) < 2, name
+
+
+def test_errors_contain_slow_noise_below_the_average():
+    """A failure means K and dF whose errors count pink noise as white, since the average hides its kind."""
+    force, n = rung(10, 0.04, 0.3), scene().force.sizes["time_s"]
+    frequency = np.maximum(np.fft.rfftfreq(n), 1 / n)
+    pink = np.fft.irfft(np.fft.rfft(np.random.default_rng(2).standard_normal(n)) / np.sqrt(frequency), n)
+    noisy = force.assign(load_N=force["load_N"] + pink / pink.std())
+    right, truth = matched(find_stick_slip(noisy, average_s="auto"), scene().truth)
+    assert len(right) == len(scene().truth)
+    for name, error in (("K_N_per_mm", "K_err_N_per_mm"), ("dF_N", "dF_err_N")):
+        z = (right[name] - truth[name]) / right[error]
+        assert np.sqrt(np.mean(z**2)) < 1.5, name
+
+
+def test_an_oscillation_throughout_is_no_ringing():
+    """A failure means that averaging over its period is proposed, which leaves nothing."""
+    time = scene().force["time_s"].to_numpy()
+    noise = 0.01 * np.random.default_rng(0).standard_normal(time.size)
+    wave = 50 + 10 * np.sin(2 * np.pi * time / 0.4) + noise
+    events = find_stick_slip(scene().force.assign(load_N=("time_s", wave)), average_s="auto")
+    assert events.attrs["regime"] == "oscillation"
+    assert events.attrs["average_s"] == 0
+    assert np.isnan(events.attrs["ringing_s"])
+
+
+def test_swings_that_are_a_large_part_of_the_sticks_are_told():
+    """A failure means that swings are counted as slips without a word."""
+    events = find_stick_slip(rung(50, 0.1, 0.3))
+    assert any("the load oscillates with a period of 0.5" in line for line in events.attrs["warnings"])
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"average_s": -1.0}, "seconds from 0, or auto"),
+        ({"average_s": "often"}, "seconds from 0, or auto"),
+        ({"average_s": 0.1, "lowpass_s": 0.05}, "no `lowpass_s` beside it"),
+        ({"average_s": 60.0}, "give a shorter `average_s`"),
+    ],
+)
+def test_averages_that_cannot_be(given, message):
+    with pytest.raises(InputError, match=message):
+        find_stick_slip(scene().force, **given)
+
+
+def test_an_average_that_is_too_short_is_told_the_period():
+    """A failure means advice to sample faster, or an oscillation, though the ringing is known."""
+    force = rung(20, 0.05, 1.0)
+    try:
+        lines = find_stick_slip(force, average_s=0.02).attrs["warnings"]
+    except InputError as error:
+        lines = [str(error)]
+    assert any("`average_s` auto, or 0.2" in line for line in lines)
+
+
+@pytest.mark.parametrize(("period", "damping", "share"), RINGING[:2])
+def test_the_clock_takes_slips_where_they_are(period, damping, share):
+    """A failure means a slip timed by the first swing, a fourth of a period late."""
+    force = rung(period, damping, share)
+    poles = resonance_poles(period, damping)
+    late = -0.01 * np.dot(poles, range(3)) / sum(poles)  # of a resonance, for all that is slower than it
+    true_s = force_slips(scene().force, find_stick_slip(scene().force))["time_s"].to_numpy() + late
+    sticks = find_stick_slip(force, average_s="auto")
+    assert np.median(np.abs(force_slips(force, sticks)["time_s"] - true_s)) < 0.002
+    sticks.attrs["average_s"] = 0.0  # with the same slips, in the load as recorded
+    assert np.median(force_slips(force, sticks)["time_s"] - true_s) > 0.01
+
+
+@pytest.mark.parametrize("size", [3.0, 20.0])
+def test_hum_is_averaged_as_well(size):
+    """A failure means that K is wrong by what hum leaves in it, though the user asked for the average."""
+    time = scene().force["time_s"].to_numpy()
+    hum = size * np.sin(2 * np.pi * 16 * time)
+    events = find_stick_slip(scene().force.assign(load_N=scene().force["load_N"] + hum), average_s="auto")
+    assert events.attrs["average_s"] == pytest.approx(1 / 16, rel=0.01)
+    right, truth = matched(events, scene().truth)
+    assert len(right) == len(scene().truth)
+    assert (right["K_N_per_mm"] / truth["K_N_per_mm"]).median() == pytest.approx(1, abs=0.002)
+    assert np.isnan(events.attrs["hum_Hz"])
+
+
+def test_an_average_longer_than_the_recording_is_refused_in_words():
+    """A failure means a threshold of nan, or a warning of NumPy, where milliseconds were meant."""
+    with pytest.raises(InputError, match=r"averaged over 500 s; give a shorter `average_s`"):
+        find_stick_slip(scene().force, average_s=500.0)

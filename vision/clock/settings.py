@@ -114,10 +114,10 @@ class ClockSettings:
     least_end_lead: float = 4.5
     """Log-likelihood above which the first or last slips, of film or force alone, count as disagreeing, and
     their stick phases are left out. Larger → a jump before the second slip passes; smaller → a single missed
-    slip at an end counts as a jump. `test_ends.py`."""
+    slip at an end counts as a jump. `test_clock.py`."""
     least_gap_lead: float = 2.0
     """`least_end_lead` beside a gap of the force recording, where one such slip is enough. Larger → a jump of
-    the clock in the gap is overlooked; smaller → a missed slip beside it counts as one. `test_ends.py`."""
+    the clock in the gap is overlooked; smaller → a missed slip beside it counts as one. `test_clock.py`."""
     usual_drift_ppm: float = 500.0
     """Difference of the clocks' rates that two standard errors must exceed for a warning about the frame
     rate. Larger → a rate wrong by a thousandth passes; smaller → poor but correct clocks get a warning."""

@@ -44,6 +44,11 @@ class ForceSettings:
     Smaller takes chance for hum, which 15 averaged spectra of noise reach at 3; larger leaves faint hum in
     the search for slips, where it hides or cuts sticks; shown by hum of 0.3 to 30 % of the drop."""
 
+    hum_in_phase: float = 0.7
+    """Mean resultant length of a line's phases at ten slips in a row from which it belongs to the slips: 0.28
+    by chance, near 1 for harmonics of regular slips. Smaller leaves hum in the search for slips (test_events
+    at 0.35), larger takes harmonics of irregular slips for hum."""
+
     # slips
     step_width: float = 0.15
     """Half the width of the step filter, in periods. Wider averages more noise, narrower follows irregular
@@ -162,12 +167,12 @@ class ForceSettings:
     ringing_alike: float = 0.35
     """Autocorrelation of the load's steps, at a period and below its negative at half of it, from which the
     load rings. Ringing that decays within one period reaches 0.4, ordinary slips, noise and low-passes 0.26;
-    smaller proposes to average what does not ring, larger overlooks ringing (test_ringing)."""
+    smaller proposes to average what does not ring, larger overlooks ringing (test_signal)."""
 
     ringing_steps: float = 0.97
     """Quantile of the load's steps to which larger ones, the slips, are cut before their autocorrelation;
     where that shows no ringing, three times as many are. Larger lets slips hide faint ringing, smaller cuts
-    ringing that decays within a tenth of a stick (test_ringing)."""
+    ringing that decays within a tenth of a stick (test_signal)."""
 
     ringing_fewest: int = 40
     """Periods of ringing in a recording, at least. Smaller takes sticks for periods, larger overlooks the
@@ -175,7 +180,7 @@ class ForceSettings:
 
     ringing_between: float = 5.0
     """Periods of ringing from slip to slip, at least, in the median. Smaller averages sticks of which too
-    little is left, larger leaves the ringing in short ones (test_ringing)."""
+    little is left, larger leaves the ringing in short ones (test_signal)."""
 
     between_samples: float = 0.03
     """Share of the drop by which a stick's line may begin below the lowest sample, since a fast slip may end

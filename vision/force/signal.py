@@ -456,7 +456,6 @@ _MOST_PERIODS = 6  # of which one amplitude is measured
 _MOST_LINES = 4  # mains and three of its harmonics
 _TOGETHER = 10  # slips within which hum and slips keep their phase, if they do
 _FEWEST = 8  # slips whose phases tell hum from harmonics
-_IN_PHASE = 0.7  # mean resultant length of ten phases: 0.28 by chance, near 1 for harmonics of regular slips
 
 
 class Hum(NamedTuple):
@@ -535,7 +534,7 @@ def is_hum(hum: Hum, y: Floats, slips: Slips, settings: ForceSettings) -> bool:
         return False
     turn = np.exp(-2j * np.pi * hum.frequency * slips.edge)
     groups = np.array_split(turn, turn.size // _TOGETHER + 1)
-    if np.mean([abs(group.mean()) for group in groups]) > _IN_PHASE:
+    if np.mean([abs(group.mean()) for group in groups]) > settings.hum_in_phase:
         return False
     x, sticks = np.arange(y.size, dtype=float), stick_middles(slips.edge, y.size, settings)
     with_it, without = (np.nansum(fit_lines(x, load, *sticks).squares) for load in (y, y - hum.wave))

@@ -10,14 +10,13 @@ brightness; and, weakly, displacements, since a whole comb may jump by pitches.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vision.numeric import Floats, Ints, Ints32, row_parts
+from vision.numeric import Floats, Ints, Ints32, in_two_threads, row_parts
 from vision.sheets.settings import DEFAULT, TrackingSettings
 
 Real = TypeVar("Real", bound=np.floating)
@@ -124,9 +123,8 @@ def align(candidates: Candidates, expected: ExpectedSheets, *, margins: bool = T
     def run(rows: Ints) -> Pairing:
         return _align_batch(candidates.take(rows), replace(expected, x_px=expected.x_px[rows]), margins)
 
-    with ThreadPoolExecutor(2) as pool:
-        for rows, part in zip(batches, pool.map(run, batches), strict=True):
-            match[rows], margin[rows] = part.match, part.margin
+    for rows, part in zip(batches, in_two_threads(run, batches), strict=True):
+        match[rows], margin[rows] = part.match, part.margin
     return Pairing(match, margin)
 
 

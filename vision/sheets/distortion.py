@@ -35,7 +35,6 @@ from vision.sheets.settings import LEAST_FRAMES, TrackingSettings
 from vision.sheets.subpixel import Starts, gather, position_noise
 from vision.signals import mean_over, running_median
 
-NEIGHBOURHOOD = 5  # sheets whose shapes change alike as they creep
 ENOUGH = 5  # sheets of which neighbours show what is usual
 PHASE_FRAMES = 20  # in which a sheet shows how its own shape depends on its place in the pixels
 
@@ -49,8 +48,6 @@ _LEAST_LOCKING_FRAMES = 100  # fewer do not tell it from the motion of slips
 _MOST_FRAMES = 1000  # spread over the film: enough, and memory does not grow with it
 _OUTLIER = 5.0  # median deviations: slips and exchanged sheets
 _PARTS = 10  # of the film, for the errors of single sheets' locking
-_ALIKE = 0.5  # mean resultant length of the sheets' places in their pixels: by chance 0.2 for 24 sheets
-_CLEAR_SCATTER = 9.0  # over the square of its error: ordinary ridges reach 3, sharp unlike ones 50 to 4000
 _WELL_SEEN = 0.1  # variance of cosine and sine of a position beside its motion: 0.3 and 0.7 over a pixel
 
 
@@ -116,7 +113,7 @@ def pixel_locking(x_px: Floats, err_px: float, settings: TrackingSettings) -> Pi
     rows = spread_indices(len(x_px), _MOST_FRAMES)
     x = x_px[rows]
     middle = nan_median(x)
-    if x.shape[1] < _LEAST_SHEETS or len(x) < _LEAST_LOCKING_FRAMES or _at_one_place(middle):
+    if x.shape[1] < _LEAST_SHEETS or len(x) < _LEAST_LOCKING_FRAMES or _at_one_place(middle, settings):
         return NO_LOCKING
     moved = x - middle
     known, against = without_outliers(_against_neighbours(moved))
@@ -130,7 +127,7 @@ def pixel_locking(x_px: Floats, err_px: float, settings: TrackingSettings) -> Pi
         found, variance = np.zeros_like(found), np.zeros_like(variance)
     own = against - np.einsum("a,afn->fn", found, regressors)
     regressors = np.concatenate([regressors, moved[np.newaxis, :, 1:-1]])
-    scatter = _scatter_of_sheets(regressors, own, known)
+    scatter = _scatter_of_sheets(regressors, own, known, settings)
     locking = PixelLocking(found, float(np.sqrt(0.5 * np.sum(variance) + 0.5 * np.sum(scatter))))
     matters = np.hypot(locking.rms_px, locking.error_px) > settings.least_locking * err_px
     return locking if matters else NO_LOCKING
@@ -142,13 +139,13 @@ def pixel_waves(x_px: Floats) -> Floats:
     return np.stack([wave(k * turn) for k in range(1, _HARMONICS + 1) for wave in (np.cos, np.sin)])
 
 
-def _at_one_place(x_px: Floats) -> bool:
+def _at_one_place(x_px: Floats, settings: TrackingSettings) -> bool:
     """Return whether sheets lie at the same place in their pixels, or at two places half a pixel apart.
 
     Their shifts are then in proportion to their motion, which none of the waves may take away.
     """
     turns = np.exp(2j * np.pi * x_px[np.isfinite(x_px)])
-    return any(abs(np.sum(turns**k)) > _ALIKE * len(turns) for k in range(1, _HARMONICS + 1))
+    return any(abs(np.sum(turns**k)) > settings.locking_alike * len(turns) for k in range(1, _HARMONICS + 1))
 
 
 def _against_neighbours(values: Floats) -> Floats:
@@ -177,7 +174,9 @@ def normal_equations(regressors: Floats, values: Floats, known: Bools) -> tuple[
     return np.einsum("afn,bfn->nab", rows, rows), np.einsum("afn,fn->na", rows, centred(values))
 
 
-def _scatter_of_sheets(regressors: Floats, values: Floats, known: Bools) -> Floats:
+def _scatter_of_sheets(
+    regressors: Floats, values: Floats, known: Bools, settings: TrackingSettings
+) -> Floats:
     """Return the variance, between sheets, of the two amplitudes of the first harmonic, beyond their errors.
 
     Only sheets that moved over whole pixels tell: there these waves vary by themselves, the other regressors
@@ -204,7 +203,7 @@ def _scatter_of_sheets(regressors: Floats, values: Floats, known: Bools) -> Floa
     error = (_PARTS - 1) * np.var(without, axis=0)
     # Medians, since some sheets are seen in few places of their pixels, and know little of either.
     error, scatter = (np.median(values, axis=0) / NORMAL_MEDIAN**2 for values in (error, whole**2))
-    return np.where(scatter > _CLEAR_SCATTER * error, scatter - error, 0.0)
+    return np.where(scatter > settings.locking_scatter * error, scatter - error, 0.0)
 
 
 # --- distorted ridges ---------------------------------------------------------------------------------------
@@ -432,7 +431,7 @@ def displacement_scale_error(x_px: Floats, shape: Sequence[Floats], settings: Tr
     for values, factor in zip(shape, settings.static_scale, strict=False):
         each = [_regression(x, y) for x, y in zip(x_px.T, values.T, strict=True)]
         slope, error2, count = np.array(each, np.float64).reshape(-1, 3).T
-        slope = slope - running_median(slope, NEIGHBOURHOOD)
+        slope = slope - running_median(slope, settings.leaning_sheets)
         found = (slope**2 > settings.distortion_sigmas**2 * error2) & (count > LEAST_FRAMES)
         square += np.where(found, factor**2 * (slope**2 - error2), 0.0)
     return _if_above(np.sqrt(square), np.full(square.shape, settings.static_floor))

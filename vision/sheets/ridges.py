@@ -7,10 +7,9 @@ the candidates of every frame. Which candidate is which sheet is decided later, 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal, NamedTuple, TypeVar
+from typing import Literal, NamedTuple
 
 import cv2
 import numpy as np
@@ -24,7 +23,9 @@ from vision.numeric import (
     Floats,
     Floats32,
     Ints,
+    Result,
     flat_ranges,
+    in_two_threads,
     row_parts,
     spread_indices,
 )
@@ -32,7 +33,6 @@ from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.signals import find_maxima, half_widths
 
 Polarity = Literal["bright", "dark"]
-Result = TypeVar("Result")
 SEARCH_SIGMA_PX = 1.0  # standard deviation of the smoothing with which a comb is described
 NEAREST = 3  # stripes whose levels stand for the comb's end
 FEWEST = 5  # stripes of a comb; fewer can be found in any picture
@@ -439,8 +439,7 @@ def find_ridges(profile: Floats32, comb: RidgeComb) -> Ridges:
 
 def in_blocks(work: Callable[[slice], Result], frames: int) -> list[Result]:
     """Return the results of `work` for consecutive blocks of frames, found in two threads."""
-    with ThreadPoolExecutor(2) as pool:
-        return list(pool.map(work, row_parts(frames, FRAMES_PER_BLOCK)))
+    return in_two_threads(work, row_parts(frames, FRAMES_PER_BLOCK))
 
 
 def _find_block(profile: Floats32, comb: RidgeComb) -> tuple[Ints, Floats32]:

@@ -8,7 +8,6 @@ measures errors that persist from frame to frame, `shared_error` those that neig
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 import numpy as np
@@ -21,6 +20,7 @@ from vision.numeric import (
     Floats,
     Ints,
     column_parts,
+    in_two_threads,
     median_size,
     nan_median,
     nan_quantile,
@@ -46,7 +46,6 @@ PADDED = 4  # frequencies per independent one
 BESIDE = 15  # independent frequencies on either side that show the level of the spectrum
 ROUNDS = 3  # each knows the common motion of vibrating sheets better than the one before
 TINY = np.finfo(float).tiny
-JUMP = 5.0  # robust standard deviations of a sheet's steps above which a step is left out as a slip
 
 
 class BetweenSlips:
@@ -280,9 +279,9 @@ def own_vibration(x_px: Floats, settings: TrackingSettings = DEFAULT) -> Floats:
     x_px: positions (frame, N), NaN where missing.
 
     Steps from frame to frame, without the median of all sheets, are searched for spectral lines in blocks of
-    some `BLOCK` frames. A line is vibration of the sheet if its power exceeds that of the frequencies beside
-    and a share of all, and if sheets do not share it in phase: with :math:`C_m` the amplitudes of all sheets
-    at that frequency, :math:`|\sum_m C_m^2| / \max_m |C_m|^2` counts sheets that move in phase or in
+    some `BLOCK` frames. A line is vibration of the sheet if its power exceeds that of the frequencies
+    beside and a share of all, and if sheets do not share it in phase: with :math:`C_m` the amplitudes of all
+    sheets at that frequency, :math:`|\sum_m C_m^2| / \max_m |C_m|^2` counts sheets that move in phase or in
     antiphase, as lamps that flicker and cameras that nod move sheets that lean. A line in the steps at the
     angular frequency :math:`\omega` with amplitude C is one in the positions with
     :math:`C / (e^{i\omega} - 1)`. The strongest line is fitted and subtracted, up to `LINES` times; all of it
@@ -301,9 +300,8 @@ def own_vibration(x_px: Floats, settings: TrackingSettings = DEFAULT) -> Floats:
         step -= nan_median(step, axis=1)[:, None]
         step -= nan_median(step)
         for moved, usual in zip(step.T, median_size(step), strict=True):
-            moved[np.abs(moved) > JUMP * usual / NORMAL_MEDIAN] = np.nan
-        with ThreadPoolExecutor(2) as pool:
-            more = list(pool.map(partial(_add_of_block, found, step, settings), blocks))
+            moved[np.abs(moved) > settings.slip_sigmas * usual / NORMAL_MEDIAN] = np.nan
+        more = in_two_threads(partial(_add_of_block, found, step, settings), blocks)
         blocks = [rows for rows, some in zip(blocks, more, strict=True) if some]
     return found
 

@@ -55,7 +55,7 @@ class TrackingSettings:
     """Evidence of this kind that decides among fewer than five stripes, and that overrules the background
     beside the comb if the stripes are also narrower; with the logarithm of how much narrower they are, less
     is warned of where no background is in view. Larger takes gaps between boards for sheets (1.7 in the least
-    clear scene of test_polarity.py), smaller lets noise overrule the background."""
+    clear scene of test_ridges.py), smaller lets noise overrule the background."""
 
     dark_width_ratio: float = 0.9
     """Where nothing else decides, ridges are dark if the dark stripes are narrower than the bright ones by
@@ -98,11 +98,21 @@ class TrackingSettings:
     locking_sigmas: float = 6.0
     """Standard errors from which locking to whole pixels is corrected. Smaller corrects by chance, where
     motion happens to follow the pixels; larger leaves sharp ridges locked by up to 0.07 px
-    (test_locking.py)."""
+    (test_distortion.py)."""
 
     least_locking: float = 0.3
     """Locking, rms, over the error of a position by noise from which it is corrected. Smaller adds work that
     changes no number, larger leaves errors too small by up to a tenth of themselves."""
+
+    locking_alike: float = 0.5
+    """Share of the sheets, as a sum of vectors, that lie at the same place in their pixels from which locking
+    is not measured; 0.2 by chance for 24 sheets. Smaller leaves sharp ridges locked (at 0.25), larger takes
+    the sheets' motion for locking (at 1; test_distortion.py)."""
+
+    locking_scatter: float = 9.0
+    """Scatter of the locking between sheets over the square of its error, from which it enters the errors of
+    positions. Smaller adds it to ordinary ridges, which reach 3, larger leaves it out of the errors of sharp
+    ones of different widths, 50 to 4000 (test_distortion.py)."""
 
     # --- segments (identities.py) ---
 
@@ -442,6 +452,11 @@ class TrackingSettings:
     overstates the errors of clean sheets, smaller understates those of sheets beside dirt
     (test_distortion.py: specks on the lens)."""
 
+    leaning_sheets: int = 5
+    """Neighbouring sheets that change alike as the paper leans, whose median change is no dirt. Smaller
+    overstates the errors of clean sheets (test_distortion.py at 2), larger overlooks dirt on several of
+    them."""
+
     overlap: float = 0.44
     """Ridge width over pitch above which only the height counts for this, since flanks that overlap change
     shape with the distance of the neighbour. Larger overstates the errors of crowded combs
@@ -478,7 +493,8 @@ class TrackingSettings:
 
     slip_sigmas: float = 5.0
     """Step of a sheet, over the scatter of its steps, from which it is a slip and no noise. Larger takes the
-    slips of a few sheets for noise (test_scatter.py at 20), smaller leaves out noise (there at 1.5)."""
+    slips of a few sheets for noise (test_scatter.py at 20), smaller leaves out noise (there at 1.5). So are
+    steps left out of the search for vibration, which fails at 2.5 and at 10 (there)."""
 
     # --- vibration of single sheets (scatter.py) ---
 

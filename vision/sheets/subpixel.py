@@ -9,7 +9,6 @@ pass the negative profile for dark ones. `fit_sheets` fits all sheets in all fra
 from __future__ import annotations
 
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Literal, NamedTuple
 
 import cv2
@@ -24,6 +23,7 @@ from vision.numeric import (
     Floats,
     Floats32,
     Ints,
+    in_two_threads,
     median_size,
     nan_median,
     row_parts,
@@ -35,6 +35,7 @@ from vision.sheets.settings import TrackingSettings
 FitName = Literal["sliding", "paper", "template"]
 FitChoice = Literal["auto", "sliding", "paper", "template"]
 
+WHOLE_LEVELS = 0.05  # grey: noise assumed where a profile, averaged over some rows, shows none
 STEADY_FRAMES = 9  # whose mean height gives the error of a template position: single heights are noisy
 LEAST_EXPLAINED = 0.5  # share of the variance of a ridge's pixels; below it most of them show something else
 RIDGES_AT_ONCE = 8192  # whose pixels are matched at once
@@ -527,8 +528,8 @@ def _match_all(
         dark = comb.polarity == "dark"
         out[frame, n], err[frame, n] = match_sheet(profile, frame, x[frame, n], half, dark=dark)
 
-    with ThreadPoolExecutor(2) as pool:
-        list(pool.map(match, range(x.shape[1]) if sheets is None else np.flatnonzero(sheets)))
+    chosen = np.ones(x.shape[1], bool) if sheets is None else sheets
+    in_two_threads(match, np.flatnonzero(chosen).tolist())
     return out, err
 
 
@@ -563,7 +564,6 @@ def noise_correlation(
     frozen: Bools,
     *,
     half_px: int,
-    least_noise: float,
     least: float,
 ) -> float:
     r"""Return the correlation of the profile's noise between a frame and the next; 0 where it is not clear.
@@ -574,7 +574,7 @@ def noise_correlation(
     :math:`(1 + \rho)(3 - \rho^2)/(3 - \rho)` times the variance of those at one. Motion that the fitted
     changes do not describe adds to longer lags as well, but not less to four frames than to two. It is not
     clear in films with fewer than `CORRELATED_RIDGES` such differences, and in those whose noise is less than
-    `least_noise` grey levels, which is rounding.
+    `WHOLE_LEVELS`, which is rounding.
     """
 
     def typical(lag: int) -> float:
@@ -586,7 +586,7 @@ def noise_correlation(
 
     one, two = typical(1), typical(2)
     # Noise that lasts for ever would have twice the variance at twice the lag.
-    if not (one > least_noise**2 and two < 2.1 * one):
+    if not (one > WHOLE_LEVELS**2 and two < 2.1 * one):
         return 0.0
     rho = np.linspace(0, 1, 101)
     found = float(np.interp(two / one, (1 + rho) * (3 - rho**2) / (3 - rho), rho))

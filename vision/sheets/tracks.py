@@ -44,6 +44,7 @@ from vision.sheets.ridges import RidgeComb, describe_ridges, find_ridges, no_rid
 from vision.sheets.scatter import BetweenSlips, noise_excess, shared_error, spatial_scatter
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.sheets.subpixel import (
+    WHOLE_LEVELS,
     FitChoice,
     FitName,
     choose_window,
@@ -61,7 +62,6 @@ _MICROSOFT = {"msmpeg4v1", "msmpeg4v2", "msmpeg4v3", "wmv1", "wmv2", "wmv3", "vc
 BETWEEN_FRAMES = frozenset(_MPEG | _OTHERS | _MICROSOFT)
 """Codecs that predict a frame from other frames, and so carry errors from frame to frame."""
 LOSSY = BETWEEN_FRAMES | {"mjpeg", "mjpegb", "amv", "jpeg2000", "dvvideo", "dnxhd", "prores", "cfhd"}
-WHOLE_LEVELS = 0.05  # grey: noise assumed where a profile, averaged over some rows, shows none
 LEAST_ERROR_PX = 1e-4
 QUARTER_PIXEL = 0.25 / np.sqrt(12)  # px: standard deviation of a rounding to quarter pixels
 
@@ -166,7 +166,6 @@ def track_sheets(
             fitted.x_px,
             frozen,
             half_px=window // 2,
-            least_noise=WHOLE_LEVELS,
             least=settings.lasting_noise,
         )
     likelier = ridges if ridges == "auto" else describe_ridges(profile, settings=settings).polarity
