@@ -129,6 +129,21 @@ def test_of_exchanged_sheets_those_beside_a_missing_sheet_are_doubted():
     assert doubtful.sum() == 150
 
 
+def test_a_sheet_is_not_given_the_ridge_of_the_next_until_two_that_form_one_ridge_part():
+    """Until frame 99 the sheets 47 and 48 form one ridge, sheet 48 is on the ridge of the last one, and the
+    last is missing. At frame 100 a ridge comes on which no sheet was. A failure means that sheet 48 is given a
+    pitch off, as in films in which the outer sheets touch until the first slip."""
+    x, contrast = moving(), np.tile(np.exp(0.3 * np.sin(2.5 * np.arange(50))), (FRAMES, 1))
+    margin = np.full(x.shape, 12.0)
+    for values in (x, contrast):
+        values[:100, 48] = values[:100, 49]
+    for values in (x, contrast, margin):
+        values[:100, 49] = np.nan
+    doubtful = exchanged(x, contrast, margin, COMB)
+    assert doubtful[:100, 48].all()
+    assert doubtful.sum() == 100
+
+
 def looks(contrast):
     rng = np.random.default_rng(3)
     return [np.log(value) + rng.normal(0, 0.02, (FRAMES, 50)) for value in (contrast, np.full(50, 7.0))]

@@ -278,9 +278,18 @@ def exchanged(
 
     then exceeds by half of `anchor_nats` the same sum for u and b from the last position and brightness of
     another sheet. Of the positions of a sheet before and after, those that `_weaker_side` names are doubtful.
+    A ridge that comes, as two sheets part that formed one, is found in the film played backwards.
     x_px, contrast and margin are (frame, N), NaN where missing, and the first two where too doubtful to be
     compared.
     """
+    forwards = _exchanged_forwards(x_px, contrast, margin, comb)
+    return forwards | _exchanged_forwards(x_px[::-1], contrast[::-1], margin[::-1], comb)[::-1]
+
+
+def _exchanged_forwards(
+    x_px: NDArray[np.floating], contrast: NDArray[np.floating], margin: Floats, comb: RidgeComb
+) -> Bools:
+    """Return where a ridge that vanishes may have shifted the identities beyond it, (frame, N)."""
     sheets = x_px.shape[1]
     moved = without_common_change(x_px)
     last = np.empty((len(moved) - 1, sheets))
