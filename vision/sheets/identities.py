@@ -330,11 +330,13 @@ def _exchanged_forwards(
     gain = cost(0) - np.fmin.reduce([cost(by) for by in SHIFTS])
     part = np.cumsum(np.diff(off, axis=1, prepend=False), axis=1)
     part += (sheets + 1) * np.arange(len(rows))[:, None]
+    least = comb.settings.anchor_nats / 2
     known = off & np.isfinite(gain)
+    known[:, [0, -1]] &= gain[:, [0, -1]] > least  # these may be on a ridge beyond the comb
     count = np.bincount(part[known], minlength=part.max() + 1)
     mean = np.bincount(part[known], gain[known], minlength=len(count)) / np.maximum(count, 1)
     exchange = np.zeros(x_px.shape, np.int64)
-    exchange[1 + rows] = off & (mean > comb.settings.anchor_nats / 2)[part]
+    exchange[1 + rows] = off & (mean > least)[part]
     return _weaker_side(exchange, np.isfinite(x_px), margin)
 
 
