@@ -129,6 +129,37 @@ def test_of_exchanged_sheets_those_beside_a_missing_sheet_are_doubted():
     assert doubtful.sum() == 150
 
 
+def test_a_sheet_is_not_given_the_ridge_of_the_next_until_two_that_form_one_ridge_part():
+    """Until frame 99 the sheets 47 and 48 form one ridge, sheet 48 is on the ridge of the last one, and the
+    last is missing. At frame 100 a ridge comes on which no sheet was. A failure means that sheet 48 is given
+    a pitch off, as in films in which the outer sheets touch until the first slip."""
+    x, contrast = moving(), np.tile(np.exp(0.3 * np.sin(2.5 * np.arange(50))), (FRAMES, 1))
+    margin = np.full(x.shape, 12.0)
+    for values in (x, contrast):
+        values[:100, 48] = values[:100, 49]
+    for values in (x, contrast, margin):
+        values[:100, 49] = np.nan
+    doubtful = exchanged(x, contrast, margin, COMB)
+    assert doubtful[:100, 48].all()
+    assert doubtful.sum() == 100
+
+
+@pytest.mark.parametrize("with_brightness", [True, False])
+def test_the_last_sheet_on_a_ridge_beyond_the_comb_does_not_hide_an_exchange(with_brightness):
+    """From frame 100 on the last but one is where the last was, which is a pitch further, where no sheet was.
+    With the brightness of the last it is on its ridge; with its own it slipped there. A failure means that
+    the sheets at the end of a comb that has one more than was found pass for each other."""
+    x, contrast = moving(), np.tile(np.exp(0.3 * np.sin(2.5 * np.arange(50))), (FRAMES, 1))
+    x[100:, 48], x[100:, 49] = x[100:, 49], x[100:, 49] + PITCH
+    if with_brightness:
+        contrast[100:, 48] = contrast[100:, 49]
+    margin = np.full(x.shape, 12.0)
+    margin[:100] = 20.0
+    doubtful = exchanged(x, contrast, margin, COMB)
+    assert doubtful[100:, 48:].all() == with_brightness
+    assert doubtful.sum() == 200 * with_brightness
+
+
 def looks(contrast):
     rng = np.random.default_rng(3)
     return [np.log(value) + rng.normal(0, 0.02, (FRAMES, 50)) for value in (contrast, np.full(50, 7.0))]

@@ -278,9 +278,18 @@ def exchanged(
 
     then exceeds by half of `anchor_nats` the same sum for u and b from the last position and brightness of
     another sheet. Of the positions of a sheet before and after, those that `_weaker_side` names are doubtful.
+    A ridge that comes, as two sheets part that formed one, is found in the film played backwards.
     x_px, contrast and margin are (frame, N), NaN where missing, and the first two where too doubtful to be
     compared.
     """
+    forwards = _exchanged_forwards(x_px, contrast, margin, comb)
+    return forwards | _exchanged_forwards(x_px[::-1], contrast[::-1], margin[::-1], comb)[::-1]
+
+
+def _exchanged_forwards(
+    x_px: NDArray[np.floating], contrast: NDArray[np.floating], margin: Floats, comb: RidgeComb
+) -> Bools:
+    """Return where a ridge that vanishes may have shifted the identities beyond it, (frame, N)."""
     sheets = x_px.shape[1]
     moved = without_common_change(x_px)
     last = np.empty((len(moved) - 1, sheets))
@@ -321,11 +330,13 @@ def exchanged(
     gain = cost(0) - np.fmin.reduce([cost(by) for by in SHIFTS])
     part = np.cumsum(np.diff(off, axis=1, prepend=False), axis=1)
     part += (sheets + 1) * np.arange(len(rows))[:, None]
+    least = comb.settings.anchor_nats / 2
     known = off & np.isfinite(gain)
+    known[:, [0, -1]] &= gain[:, [0, -1]] > least  # these may be on a ridge beyond the comb
     count = np.bincount(part[known], minlength=part.max() + 1)
     mean = np.bincount(part[known], gain[known], minlength=len(count)) / np.maximum(count, 1)
     exchange = np.zeros(x_px.shape, np.int64)
-    exchange[1 + rows] = off & (mean > comb.settings.anchor_nats / 2)[part]
+    exchange[1 + rows] = off & (mean > least)[part]
     return _weaker_side(exchange, np.isfinite(x_px), margin)
 
 
