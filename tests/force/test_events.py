@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
-from scipy.signal import firwin, lfilter
+from scipy.signal import butter, firwin, lfilter, sosfilt
 
 from tests.scenes.sawtooth import Test, plain, realistic, recording
 from vision.data import STICKS, StickMetadata
@@ -632,6 +632,19 @@ def test_a_moving_mean_that_makes_slips_slow() -> None:
     assert off.median() > 0.15
     z = (right["dF_N"] - truth["dF_N"]) / right["dF_err_N"]
     assert 0.5 < np.sqrt(np.mean(z**2)) < 1.3
+
+
+@pytest.mark.parametrize(
+    ("hertz", "slip_s", "told"), [(2.0, 0.001, True), (8.0, 0.001, False), (0.0, 0.3, False)]
+)
+def test_a_filter_that_takes_much_of_the_sticks_is_told(hertz: float, slip_s: float, told: bool) -> None:
+    """A failure means K off by 10 % and N̂ by 16 errors without a word, or a doubt about true slow slips."""
+    made = realistic(tau=0.0, noise=0.1, d0=13.5, d1=14.7, softening=0.0, slip_s=slip_s)
+    load = made.force["load_N"].to_numpy()
+    if hertz:
+        load = sosfilt(butter(2, hertz, fs=200.0, output="sos"), load)
+    warnings = StickMetadata.of(find_stick_slip(made.force.assign(load_N=("time_s", load)))).warnings
+    assert any("filter the load less, or pull more slowly" in line for line in warnings) == told
 
 
 def test_slow_slips_that_are_level_at_their_ends_are_resolved() -> None:

@@ -439,7 +439,7 @@ def test_the_error_of_d0_is_systematic() -> None:
 
 
 def test_a_noisy_speed_does_not_favour_small_stiffness() -> None:
-    """Speeds err by 20 %, so that the error of K grows as its square. A failure means Y_eff off by 4 errors."""
+    """Speeds err by 20 %, so that the error of K grows as its square. A failure means Y_eff 4 errors off."""
     off = []
     for seed in range(8):
         made = events(seed=seed)

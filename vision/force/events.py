@@ -129,8 +129,10 @@ def find_stick_slip(
             f"the load oscillates with a period of {swing_s:.2g} s, a large part of the {period_s:.2g} s "
             "between slips: some events may be its swings, and averages would cut off the sticks"
         )
+    metadata = _metadata(signal, slips, analysis, shares, warnings, settings)
+    warnings += _filter_warnings(events, metadata, settings)
     metadata = replace(
-        _metadata(signal, slips, analysis, shares, warnings, settings),
+        metadata,
         average_s=signal.averaged * signal.interval_s,
         ringing_s=ringing_s,
         machine_stiffness_N_per_mm=machine_stiffness_N_per_mm or float("nan"),
@@ -504,6 +506,20 @@ def _lowpass_shares(events: pd.DataFrame, other: pd.DataFrame) -> dict[str, floa
     }
     finite = {name: change[np.isfinite(change)] for name, change in changes.items()}
     return {name: float(change.median()) for name, change in finite.items() if len(change)}
+
+
+def _filter_warnings(events: pd.DataFrame, metadata: StickMetadata, settings: ForceSettings) -> list[str]:
+    """Return that a filter, which is not corrected, may have smoothed much of the sticks."""
+    slip, stick = (
+        float(values.median()) for values in (events["slip_time_s"], events["t_p_s"] - events["t_v_s"])
+    )
+    if not ((metadata.filter_s or metadata.lowpass_doubt) and slip > settings.filter_share * stick):
+        return []
+    return [
+        f"slips last {slip / stick:.2g} times as long as sticks, and the load is not level at their ends, as "
+        "where a filter has smoothed it: F_p and ΔF, and K, Λ̂, N̂ and Y_eff, may be wrong by more than their "
+        "errors; filter the load less, or pull more slowly"
+    ]
 
 
 def _metadata(
