@@ -29,7 +29,15 @@ from vision.force.recording import is_compression
 from vision.force.regime import Regime, doubts, find_regime, is_unloading
 from vision.force.settings import ForceSettings
 from vision.force.signal import Signal, SlowNoise, find_hum, is_hum, ringing_period, rms_of, with_slow_noise
-from vision.force.slips import Slips, find_slips, size_gap, stick_drops, stick_lines, stick_middles
+from vision.force.slips import (
+    Slips,
+    find_slips,
+    missed_slips,
+    size_gap,
+    stick_drops,
+    stick_lines,
+    stick_middles,
+)
 from vision.force.sticks import BY_DISPLACEMENT, filter_length, measure_sticks
 from vision.numeric import Bools, Floats, Ints, nan_median, spread_indices
 
@@ -124,6 +132,8 @@ def find_stick_slip(
     events = events.assign(flag=_all_flags(events, analysis, unloading, signal, slips, settings))
     unit = "of the weight" if load_unit(force) == "1" else "N"
     warnings = doubts(events, analysis.regime, signal, slips, unit, rings)
+    if threshold_N is None and analysis.regime.name == "stick-slip" and not rings:
+        warnings += _missed_warnings(signal, slips, analysis, unit, settings)
     if math.isnan(ringing_s) and swing_s < 0.7 * period_s and analysis.regime.name == "stick-slip":
         warnings.append(
             f"the load oscillates with a period of {swing_s:.2g} s, a large part of the {period_s:.2g} s "
@@ -506,6 +516,22 @@ def _lowpass_shares(events: pd.DataFrame, other: pd.DataFrame) -> dict[str, floa
     }
     finite = {name: change[np.isfinite(change)] for name, change in changes.items()}
     return {name: float(change.median()) for name, change in finite.items() if len(change)}
+
+
+def _missed_warnings(
+    signal: Signal, slips: Slips, analysis: _SlipAnalysis, unit: str, settings: ForceSettings
+) -> list[str]:
+    """Return how many slips were missed, as far as the steps within the sticks tell; see `missed_slips`."""
+    start, stop = analysis.corners.valley[:-1], analysis.corners.peak[1:]
+    missed, height = missed_slips(signal.clean, signal.sigma, slips.edge, start, stop, settings)
+    missed -= slips.left_out.size  # of which there is a warning
+    if missed < settings.missed_share * slips.edge.size:
+        return []
+    return [
+        f"about {missed} slips of {height:.2g} {unit} were missed beside the {slips.edge.size} found: the "
+        f"sticks contain so many more steps downward than upward; `threshold_N` {2 * height:.2g} leaves out "
+        "all small slips, less noise or more samples per second find them"
+    ]
 
 
 def _filter_warnings(events: pd.DataFrame, metadata: StickMetadata, settings: ForceSettings) -> list[str]:

@@ -49,6 +49,11 @@ class ForceSettings:
     """Half the width of the step filter, in periods. Wider averages more noise, narrower follows irregular
     slips; shown by recall at drops of six sigmas."""
 
+    missed_share: float = 0.05
+    """Excess of downward over upward steps within the sticks, over the slips found, from which a warning says
+    that slips were missed. Smaller warns of a few, larger of many only; shown by small slips near the noise,
+    and by curved sticks, hum, low-passes, slow noise and a coarse load, which have none."""
+
     close_share: float = 0.05
     """Smallest drop, over those beside it, of a slip that is closer to them than the step filter tells apart.
     Smaller takes the tail of a low-pass for slips, larger misses small slips among large ones; shown by
