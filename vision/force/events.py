@@ -132,7 +132,7 @@ def find_stick_slip(
     events = events.assign(flag=_all_flags(events, analysis, unloading, signal, slips, settings))
     unit = "of the weight" if load_unit(force) == "1" else "N"
     warnings = doubts(events, analysis.regime, signal, slips, unit, rings)
-    if threshold_N is None and analysis.regime.name == "stick-slip" and not rings:
+    if threshold_N is None and analysis.regime.name == "stick-slip" and not (rings or signal.averaged):
         warnings += _missed_warnings(signal, slips, analysis, unit, settings)
     if math.isnan(ringing_s) and swing_s < 0.7 * period_s and analysis.regime.name == "stick-slip":
         warnings.append(
