@@ -516,6 +516,9 @@ class StickMetadata(Metadata):
         Median relative change of ΔF and K that this correction would cause.
     lowpass_peak_mm
         Median travel in which a stick rises by as much as this correction would raise its peak.
+    K_err_by_d
+        Median error of K from that of the displacement within each stick, over K, where it is the larger part
+        of the error; else 0.
     average_s, ringing_s
         Time over which the load was averaged, 0 for none; period of the load's ringing after slips, or
         of hum; NaN for none.
@@ -554,6 +557,7 @@ class StickMetadata(Metadata):
     lowpass_dF_share: float = 0.0
     lowpass_K_share: float = 0.0
     lowpass_peak_mm: float = 0.0
+    K_err_by_d: float = 0.0
     average_s: float = 0.0
     ringing_s: float = math.nan
     filter_s: float = 0.0

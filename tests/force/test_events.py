@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
-from scipy.signal import firwin, lfilter
+from scipy.signal import butter, firwin, lfilter, sosfilt
 
 from tests.scenes.sawtooth import Test, plain, realistic, recording
 from vision.data import STICKS, StickMetadata
@@ -634,6 +634,19 @@ def test_a_moving_mean_that_makes_slips_slow() -> None:
     assert 0.5 < np.sqrt(np.mean(z**2)) < 1.3
 
 
+@pytest.mark.parametrize(
+    ("hertz", "slip_s", "told"), [(2.0, 0.001, True), (8.0, 0.001, False), (0.0, 0.3, False)]
+)
+def test_a_filter_that_takes_much_of_the_sticks_is_told(hertz: float, slip_s: float, told: bool) -> None:
+    """A failure means K off by 10 % and N̂ by 16 errors without a word, or a doubt about true slow slips."""
+    made = realistic(tau=0.0, noise=0.1, d0=13.5, d1=14.7, softening=0.0, slip_s=slip_s)
+    load = made.force["load_N"].to_numpy()
+    if hertz:
+        load = sosfilt(butter(2, hertz, fs=200.0, output="sos"), load)
+    warnings = StickMetadata.of(find_stick_slip(made.force.assign(load_N=("time_s", load)))).warnings
+    assert any("filter the load less, or pull more slowly" in line for line in warnings) == told
+
+
 def test_slow_slips_that_are_level_at_their_ends_are_resolved() -> None:
     """A failure means that the slips of a block on a spring, half cosines, have the errors of a filter."""
     rng = np.random.default_rng(8)
@@ -934,6 +947,60 @@ def test_slips_that_the_noise_hides_are_told() -> None:
     hidden = find_stick_slip(test.force.assign(load_N=test.force["load_N"] + fast))
     assert any("slips may be missed" in line for line in hidden.attrs["warnings"])
     assert find_stick_slip(test.force).attrs["warnings"] == []
+
+
+def sticks_with_small_slips(share: float) -> tuple[np.ndarray, int]:
+    """Load that rises by 0.33 N per sample and drops by 50 N, or at this share of the slips by 5 N, after
+    which it is back at its peak 15 samples later; and the number of the slips."""
+    rng = np.random.default_rng(4)
+    drops = 50 * (1 + 0.07 * rng.standard_normal(150))
+    drops[rng.random(150) < share] *= 0.1
+    return 500 - np.concatenate([np.arange(drop, 0, -1 / 3) for drop in drops]), 149
+
+
+def missed_slips_told(load: np.ndarray) -> tuple[int, int]:
+    """Return the number of slips found, and of those that a warning calls missed."""
+    index = np.arange(load.size)
+    events = find_stick_slip(recording(0.005 * index, load, 13 + 1e-4 * index, 1.2))
+    lines = [line for line in StickMetadata.of(events).warnings if "were missed" in line]
+    return len(events) + 1, int(lines[0].split()[1]) if lines else 0
+
+
+@pytest.mark.parametrize("noise", [1.0, 2.0])
+def test_small_slips_that_were_missed_are_told(noise: float) -> None:
+    """A failure means that a third of the slips is missed without a word."""
+    load, slips = sticks_with_small_slips(0.4)
+    found, told = missed_slips_told(load + np.random.default_rng(5).normal(0, noise, load.size))
+    assert slips - found > 20
+    assert 0.3 * (slips - found) < told <= 1.2 * (slips - found)
+
+
+@pytest.mark.parametrize(
+    "kind", ["white", "curved", "low-pass", "filter", "hum", "pink", "coarse", "coarser"]
+)
+def test_no_slips_are_called_missed_where_none_are(kind: str) -> None:
+    """A failure means that the shape of the sticks, or noise that is not white, counts as slips."""
+    load, slips = sticks_with_small_slips(0.0)
+    size, rng = load.size, np.random.default_rng(5)
+    if kind == "curved":
+        load += 0.3 * (load.max() - load) * (load - load.min()) / 50
+    if kind == "low-pass":
+        load = lfilter([0.1], [1, -0.9], load - load[0]) + load[0]
+    if kind == "filter":
+        load = sosfilt(butter(2, 5, fs=200.0, output="sos"), load - load[0]) + load[0]
+    if kind == "hum":
+        load += 5 * np.sin(2 * np.pi * 50.03 / 200 * np.arange(size))
+    load += rng.normal(0, 0.1 if kind in ("curved", "low-pass", "filter") else 1.0, size)
+    if kind == "pink":
+        spectrum = np.fft.rfft(rng.standard_normal(size)) / np.sqrt(np.maximum(np.arange(size // 2 + 1), 1))
+        pink = np.fft.irfft(spectrum, size)
+        load += 3 * pink / pink.std()
+    if kind.startswith("coarse"):
+        step = 1.0 if kind == "coarse" else 5.0
+        load = np.round(load / step) * step
+    found, told = missed_slips_told(load)
+    assert found == pytest.approx(slips, abs=3)
+    assert told == 0
 
 
 def test_a_load_that_rings_on_is_not_called_sampled_too_slowly_alone() -> None:

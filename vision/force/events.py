@@ -29,8 +29,16 @@ from vision.force.recording import is_compression
 from vision.force.regime import Regime, doubts, find_regime, is_unloading
 from vision.force.settings import ForceSettings
 from vision.force.signal import Signal, SlowNoise, find_hum, is_hum, ringing_period, rms_of, with_slow_noise
-from vision.force.slips import Slips, find_slips, size_gap, stick_drops, stick_lines, stick_middles
-from vision.force.sticks import filter_length, measure_sticks
+from vision.force.slips import (
+    Slips,
+    find_slips,
+    missed_slips,
+    size_gap,
+    stick_drops,
+    stick_lines,
+    stick_middles,
+)
+from vision.force.sticks import BY_DISPLACEMENT, filter_length, measure_sticks
 from vision.numeric import Bools, Floats, Ints, nan_median, spread_indices
 
 
@@ -124,13 +132,17 @@ def find_stick_slip(
     events = events.assign(flag=_all_flags(events, analysis, unloading, signal, slips, settings))
     unit = "of the weight" if load_unit(force) == "1" else "N"
     warnings = doubts(events, analysis.regime, signal, slips, unit, rings)
+    if threshold_N is None and analysis.regime.name == "stick-slip" and not (rings or signal.averaged):
+        warnings += _missed_warnings(signal, slips, analysis, unit, settings)
     if math.isnan(ringing_s) and swing_s < 0.7 * period_s and analysis.regime.name == "stick-slip":
         warnings.append(
             f"the load oscillates with a period of {swing_s:.2g} s, a large part of the {period_s:.2g} s "
             "between slips: some events may be its swings, and averages would cut off the sticks"
         )
+    metadata = _metadata(signal, slips, analysis, shares, warnings, settings)
+    warnings += _filter_warnings(events, metadata, settings)
     metadata = replace(
-        _metadata(signal, slips, analysis, shares, warnings, settings),
+        metadata,
         average_s=signal.averaged * signal.interval_s,
         ringing_s=ringing_s,
         machine_stiffness_N_per_mm=machine_stiffness_N_per_mm or float("nan"),
@@ -463,17 +475,23 @@ def _have_knees(signal: Signal, slips: Slips, lag: float, settings: ForceSetting
 def _measure(
     signal: Signal, analysis: _SlipAnalysis, compliance: float, settings: ForceSettings
 ) -> tuple[pd.DataFrame, dict[str, float]]:
-    """Return the events; and, if a low-pass was found but not corrected, what the correction would change.
+    """Return the events, and what `StickMetadata` says of the errors of K.
 
-    The errors then include it.
+    If a low-pass was found but not corrected, it also says what the correction would change, and the errors
+    include it.
     """
     corners, found = analysis.corners, analysis.found
     known = bool(corners.lowpass or found.proven or signal.averaged)
     events = measure_sticks(signal, corners, analysis.extremes, compliance, settings, filter_known=known)
+    by_d = events.pop(BY_DISPLACEMENT)
+    main = 2 * by_d**2 > events["K_err_N_per_mm"] ** 2
+    shares = {"K_err_by_d": float(nan_median((by_d / events["K_N_per_mm"])[main].to_numpy(float)))}
+    if not main.mean() > 0.5:
+        shares = {}
     if corners.lowpass or found.corners is None:
-        return events, {}
+        return events, shares
     other = measure_sticks(signal, found.corners, analysis.extremes, compliance, settings)
-    return _with_bias(events, other), _lowpass_shares(events, other)
+    return _with_bias(events, other), shares | _lowpass_shares(events, other)
 
 
 def _with_bias(events: pd.DataFrame, other: pd.DataFrame) -> pd.DataFrame:
@@ -498,6 +516,36 @@ def _lowpass_shares(events: pd.DataFrame, other: pd.DataFrame) -> dict[str, floa
     }
     finite = {name: change[np.isfinite(change)] for name, change in changes.items()}
     return {name: float(change.median()) for name, change in finite.items() if len(change)}
+
+
+def _missed_warnings(
+    signal: Signal, slips: Slips, analysis: _SlipAnalysis, unit: str, settings: ForceSettings
+) -> list[str]:
+    """Return how many slips were missed, as far as the steps within the sticks tell; see `missed_slips`."""
+    start, stop = analysis.corners.valley[:-1], analysis.corners.peak[1:]
+    missed, height = missed_slips(signal.clean, signal.sigma, slips.edge, start, stop, settings)
+    missed -= slips.left_out.size  # of which there is a warning
+    if missed < settings.missed_share * slips.edge.size:
+        return []
+    return [
+        f"about {missed} slips of {height:.2g} {unit} were missed beside the {slips.edge.size} found: the "
+        f"sticks contain so many more steps downward than upward; `threshold_N` {2 * height:.2g} leaves out "
+        "all small slips, less noise or more samples per second find them"
+    ]
+
+
+def _filter_warnings(events: pd.DataFrame, metadata: StickMetadata, settings: ForceSettings) -> list[str]:
+    """Return that a filter, which is not corrected, may have smoothed much of the sticks."""
+    slip, stick = (
+        float(values.median()) for values in (events["slip_time_s"], events["t_p_s"] - events["t_v_s"])
+    )
+    if not ((metadata.filter_s or metadata.lowpass_doubt) and slip > settings.filter_share * stick):
+        return []
+    return [
+        f"slips last {slip / stick:.2g} times as long as sticks, and the load is not level at their ends, as "
+        "where a filter has smoothed it: F_p and ΔF, and K, Λ̂, N̂ and Y_eff, may be wrong by more than their "
+        "errors; filter the load less, or pull more slowly"
+    ]
 
 
 def _metadata(

@@ -54,6 +54,11 @@ class ForceSettings:
     """Half the width of the step filter, in periods. Wider averages more noise, narrower follows irregular
     slips; shown by recall at drops of six sigmas."""
 
+    missed_share: float = 0.05
+    """Excess of downward over upward steps within the sticks, over the slips found, from which a warning says
+    that slips were missed. Smaller warns of a few, larger of many only; shown by small slips near the noise,
+    and by curved sticks, hum, low-passes, slow noise and a coarse load, which have none."""
+
     close_share: float = 0.05
     """Smallest drop, over those beside it, of a slip that is closer to them than the step filter tells apart.
     Smaller takes the tail of a low-pass for slips, larger misses small slips among large ones; shown by
@@ -154,6 +159,11 @@ class ForceSettings:
     than after it, with the load still level at their ends. Half a cosine and paper on paper stay below 0.03,
     moving means reach 0.15 and Butterworth filters 0.24 (test_events: a moving mean); smaller
     widens the errors of slips that are resolved, larger trusts what a filter has cut."""
+
+    filter_share: float = 0.3
+    """Length of slips over that of sticks from which a filter that may have lengthened them leaves too little
+    of the sticks for K. Behind Butterworth filters K is off by 4 % at 0.35 and by 10 % at 0.5; smaller doubts
+    recordings that are resolved, larger is silent about a wrong N̂ (test_events)."""
 
     extreme_sigmas: float = 4.0
     """Noise by which the extreme of many samples may differ from the load. Larger leaves F_v of steep sticks

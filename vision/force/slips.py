@@ -171,6 +171,42 @@ def _jumps_upward(y: Floats, edge: Ints, sigma: Floats, settings: ForceSettings)
     return found[high], height[high]
 
 
+def missed_slips(
+    y: Floats, sigma: float, edge: Ints, start: Floats, stop: Floats, settings: ForceSettings
+) -> tuple[int, float]:
+    """Return how many more downward than upward steps the sticks contain, 0 where that is chance, and their
+    median height.
+
+    Noise of any kind steps upward as often as downward about the parabola of a stick, but slips only fall. A
+    step exceeds `threshold_sigmas` of the noise, and `close_share` of the usual drop. The begin of the
+    sticks, where a filter or ringing leaves its tail, does not count.
+    """
+    half = np.maximum(_half_widths(_local_period(edge, y.size), settings) // 3, 2)
+    first, last = np.ceil(start).astype(np.int64), np.floor(stop).astype(np.int64) + 1
+    whole = last - first > 6 * half[edge[:-1]]
+    first, last = first[whole], last[whole]
+    if not first.size:
+        return 0, 0.0
+    residual = np.zeros(y.size)
+    inside = flat_ranges(first, last)[1]
+    residual[inside] = fit_polynomials(y, first, last, 2)[1]
+    wide = half[first]
+    searched = flat_ranges(first + np.maximum(wide, (last - first) // 5), last - wide)[1]
+    step = np.nan_to_num(_step_filter(residual, half)[searched])
+    usual = float(np.median(stick_drops(y, edge, settings)))
+    least = np.maximum(
+        settings.threshold_sigmas * sigma * np.sqrt(2 / half[searched]), settings.close_share * usual
+    )
+    down, up = (
+        enforce_distance(searched[high], np.abs(step[high]), int(2 * half.min()))
+        for high in (step > least, -step > least)
+    )
+    excess = int(down.size - up.size)
+    if excess < max(settings.missed_share * edge.size, 4 * np.sqrt(down.size + up.size)):
+        return 0, 0.0
+    return excess, float(np.median(step[np.isin(searched, down)]))
+
+
 def upward_share(y: Floats, edge: Ints, settings: ForceSettings) -> float:
     """Return how far the load jumps upward within its sticks, over how far it drops at the slips.
 

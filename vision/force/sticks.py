@@ -24,6 +24,8 @@ from vision.numeric import Bools, Floats, Ints, nan_median, sigma_about_zero
 
 # Samples below which a slip may be sudden, where each sample is the mean since the one before.
 UNRESOLVED = 2.5
+BY_DISPLACEMENT = "K_err_by_d_N_per_mm"
+"""Column of `measure_sticks` that holds the part of the error of K from the displacement."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -395,8 +397,9 @@ def _stiffness(
     time, travel, load, wider = signal.time, signal.travel, signal.spikeless, np.sqrt(signal.alike)
     settings = sticks.settings
 
-    def with_error(start: Ints, stop: Ints) -> tuple[Floats, Floats]:
-        """Return K and its error from slopes against time, since noise of d would lower slopes against d."""
+    def with_error(start: Ints, stop: Ints) -> tuple[Floats, Floats, Floats]:
+        """Return K, its error and the part of it from d, from slopes against time, since noise of d would
+        lower slopes against d."""
         rise = fit_lines(time, load, start, stop, lag=sticks.lag)
         pace = fit_lines(time, travel, start, stop, lag=sticks.lag)
         known = np.isfinite(steady.value)
@@ -408,19 +411,23 @@ def _stiffness(
             uneven = (
                 1.0 if sticks.lag else _unevenness(signal, rise, start, stop, wider * rise.spread, settings)
             )
-            error = np.hypot(wider * uneven * rise.slope_error, slope * speed_error)
-            error /= np.abs(speed)
-            return of_sample(slope), error * (of_sample(slope) / slope) ** 2
+            by_d = slope * speed_error
+            error = np.hypot(wider * uneven * rise.slope_error, by_d)
+            error, by_d = error / np.abs(speed), by_d / np.abs(speed)
+            gain = (of_sample(slope) / slope) ** 2
+            return of_sample(slope), error * gain, by_d * gain
 
     part = settings.central_part
-    (k, error), (narrow, _), (wide, _) = (with_error(*sticks.central(share)) for share in (part, 0.3, 0.7))
-    columns = {"K_N_per_mm": k, "K_err_N_per_mm": error}
+    (k, error, by_d), (narrow, *_), (wide, *_) = (
+        with_error(*sticks.central(share)) for share in (part, 0.3, 0.7)
+    )
+    columns = {"K_N_per_mm": k, "K_err_N_per_mm": error, BY_DISPLACEMENT: by_d}
     columns |= {"K30_N_per_mm": narrow, "K70_N_per_mm": wide}
     names = ("K1_N_per_mm", "K2_N_per_mm", "K2_err_N_per_mm", "knee", "knee_gain")
     if not two_slopes or not np.isfinite(travel).any():
         return columns | dict.fromkeys(names, np.full(k.size, np.nan))
     broken = sticks.broken(travel, load)
-    after, after_error = with_error(*sticks.one_slope(part))
+    after, after_error, _ = with_error(*sticks.one_slope(part))
     bent = np.isfinite(sticks.knee)
     second = np.where(bent, after, of_sample(broken.second)), np.where(bent, after_error, error)
     return columns | dict(

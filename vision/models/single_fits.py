@@ -16,10 +16,12 @@ import pandas as pd
 import scipy
 from numpy.typing import ArrayLike
 
+from vision.data import StickMetadata
 from vision.files import html_table
 from vision.models import equations
 from vision.numeric import Bools, Floats, two_digits
 from vision.sample import Sample
+from vision.signals import running_median
 
 FIT_ERRORS = (ValueError, ArithmeticError, RuntimeError, np.linalg.LinAlgError)  # of a fit to unusual events
 PARAMETERS = {
@@ -31,6 +33,8 @@ PARAMETERS = {
     "Lambda_hat_mm": "scale_mm",
 }
 """Names of the fitted parameters in models.json, and their fields in `ModelFits`."""
+_NOISY_SPEED = 0.02  # relative error of K by that of the speed above which it matters that it grows with K
+_AROUND = 31  # events around whose median K is the usual one
 LARGEST_SCALE = 20.0  # largest Λ̂/d that is fitted; there K no longer decreases as M_eff does
 
 
@@ -312,13 +316,23 @@ def fit_stiffness(events: pd.DataFrame, sample: Sample, *, modulus_GPa: float | 
 
 
 def stiffness_errors(events: pd.DataFrame) -> Floats:
-    """Errors of K, with half the median error added in quadrature, so that no single event dominates."""
+    """Errors of K, with half the median error added in quadrature, so that no single event dominates.
+
+    The error of a noisy speed grows with K as the square, so that a K that is too large by chance counts too
+    little. Each error is then that of the usual K of the events around; and those above it have larger errors
+    than those below, in the ratio that makes the mean of 1/K, which is proportional to the speed, unbiased.
+    """
     error = np.full(len(events), np.nan)
     if "K_err_N_per_mm" in events:
         error = events["K_err_N_per_mm"].to_numpy(float)
     known: Bools = np.isfinite(error) & (error > 0)
     median = float(np.median(error[known] if known.any() else 0.05 * events["K_N_per_mm"]))
-    return np.hypot(np.where(known, error, median), 0.5 * median)
+    error = np.where(known, error, median)
+    if not StickMetadata.of(events).K_err_by_d > _NOISY_SPEED:
+        return np.asarray(np.hypot(error, 0.5 * median), np.float64)
+    k = events["K_N_per_mm"].to_numpy(float)
+    over_usual = k / running_median(k, min(_AROUND, k.size), ends="symmetric")
+    return np.asarray(np.hypot(error / over_usual**2, 0.5 * median) * np.sqrt(over_usual), np.float64)
 
 
 def with_friction(fit: Callable[[float], Fit], mu: Estimate) -> Fit:
