@@ -963,7 +963,7 @@ def missed_slips_told(load: np.ndarray) -> tuple[int, int]:
     index = np.arange(load.size)
     events = find_stick_slip(recording(0.005 * index, load, 13 + 1e-4 * index, 1.2))
     lines = [line for line in StickMetadata.of(events).warnings if "were missed" in line]
-    return len(events) + 1, int(lines[0].split()[1]) if lines else 0
+    return len(events) + 1, int(lines[0].split()[2]) if lines else 0
 
 
 @pytest.mark.parametrize("noise", [1.0, 2.0])

@@ -528,9 +528,9 @@ def _missed_warnings(
     if missed < settings.missed_share * slips.edge.size:
         return []
     return [
-        f"about {missed} slips of {height:.2g} {unit} were missed beside the {slips.edge.size} found: the "
-        f"sticks contain so many more steps downward than upward; `threshold_N` {2 * height:.2g} leaves out "
-        "all small slips, less noise or more samples per second find them"
+        f"at least {missed} slips of about {height:.2g} {unit} were missed beside {slips.edge.size} found, as "
+        "sticks contain so many more steps downward than upward: less noise or more samples per second find "
+        f"them; `threshold_N` {2 * height:.2g} leaves out all small slips"
     ]
 
 
