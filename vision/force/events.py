@@ -529,8 +529,8 @@ def _missed_warnings(
         return []
     return [
         f"at least {missed} slips of about {height:.2g} {unit} were missed beside {slips.edge.size} found, "
-        "as sticks contain so many more steps downward than upward: less noise or more samples per second find "
-        f"them; `threshold_N` {2 * height:.2g} leaves out all small slips"
+        "as sticks contain so many more steps downward than upward: less noise or more samples per second "
+        f"find them; `threshold_N` {2 * height:.2g} leaves out all small slips"
     ]
 
 
