@@ -263,7 +263,7 @@ def test_the_loss_of_about_one_slip_is_noticed(monkeypatch):
 def test_where_a_clock_jumps_is_said(first):
     """A failure means that the user looks for the lost frames in the wrong place."""
     rng, named = np.random.default_rng(6), 0
-    side, shift = ("up to", "-0.4") if first == 8 else ("from", "+0.4")
+    side, shift = ("up to", "−0.4") if first == 8 else ("from", "+0.4")
     for _ in range(10):
         trains = after_a_loss(rng, 0.41, jitter=0.1, first=first)
         if "fit better" in (said := align(trains).ambiguity):  # otherwise another test noticed it

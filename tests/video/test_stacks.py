@@ -322,7 +322,7 @@ def test_a_folder_without_images_is_told_what_it_holds(tmp_path):
     for name in ("test", "later"):
         (tmp_path / name).mkdir()
     film = write_avi(tmp_path / "test" / "video.avi", comb())
-    with pytest.raises(InputError, match=r"none among 1 file\(s\) and 2 folder\(s\); .* not looked for"):
+    with pytest.raises(InputError, match=r"none among 1 file and 2 folders; .* not looked for"):
         open_video(tmp_path)
     with pytest.raises(InputError, match=r"a folder of 1 film\(s\); give a film in it, such as ") as refused:
         open_video(tmp_path / "test")
