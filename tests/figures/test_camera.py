@@ -346,8 +346,10 @@ def test_a_window_is_interpolated_between_its_pixels():
     inside = (fine > 200) & (fine < 219)
     difference = np.abs(image.pixels.astype(int) - expected)[:, inside][np.arange(60) != 30]
     assert difference.max() <= 3
+    assert image.scale.endswith(", interpolated along x")
     whole = kymograph_figure([diagram_of(columns=20)])
     assert whole.panel.image.pixels.shape == (60, 20)
+    assert "interpolated" not in whole.panel.image.scale
     assert "Interpolated" not in whole.caption
 
 

@@ -443,8 +443,8 @@ def _diagram_panel(
     edges_x, x_label = _columns(diagram, pixel_size_um)
     thin = max(1, -(-diagram.shape[1] // (2 * MOST_ROWS)))
     rows, edges = time_rows(np.asarray(diagram.values)[:, ::thin], time, most=MOST_ROWS)
-    if DiagramMetadata.of(diagram).sheet:
-        rows = _finer(rows)
+    shown = _finer(rows) if DiagramMetadata.of(diagram).sheet else rows
+    interpolated, rows = shown.shape != rows.shape, shown
     missing = ~np.isfinite(rows)
     marks = np.empty(0)
     if slips_s is not None and time_label != "frame":
@@ -463,6 +463,7 @@ def _diagram_panel(
             missing=missing if missing.any() else None,
             black=limits[0],
             white=limits[1],
+            interpolated=interpolated,
         ),
         marks=marks,
         marks_label=f"magenta: slips, from {slips_from}" if marks.size else "",

@@ -77,6 +77,7 @@ class Image:
     missing: Bools | None = None  # True where nothing was recorded, (row, column); None if nowhere
     black: float | None = None  # grey level of the recording that is drawn black; None without a grey scale
     white: float | None = None  # grey level that is drawn white
+    interpolated: bool = False  # between the recording's pixels along x
 
     @property
     def scale(self) -> str:
@@ -86,7 +87,8 @@ class Image:
         black, white = (
             f"{level:.3g}" if abs(level) < 1000 else f"{level:.0f}" for level in (self.black, self.white)
         )
-        return f"black to white: grey levels {black} to {white}"
+        how = ", interpolated along x" if self.interpolated else ""
+        return f"black to white: grey levels {black} to {white}{how}"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
