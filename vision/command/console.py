@@ -185,25 +185,23 @@ def _abbreviated(typed: str) -> str:
 
 
 def _help_of(error: CycloptsError) -> str:
-    """Return the command line that lists the options of the command in which the error was found."""
-    return " ".join(("track", *(error.command_chain or ()), "--help"))
+    """Return which command line lists the options of the command in which the error was found."""
+    return " ".join(("track", *(error.command_chain or ()), "--help lists the options"))
 
 
 def one_line(error: Exception) -> str:
     """Return an exception as one line: where, what is wrong, and what to do."""
     if isinstance(error, UnusedCliTokensError):
-        advice = f"quote a glob of images; {_help_of(error)} lists the options"
+        advice = f"quote a glob of images; {_help_of(error)}"
         error = InputError(" ".join(error.unused_tokens or ()), "one input", "more", advice)
     elif isinstance(error, UnknownOptionError) and (near := _abbreviated(error.token.value)):
-        return (
-            f"Unknown option: {error.token.value}. Did you mean {near}? ({_help_of(error)} lists the options)"
-        )
+        return f"Unknown option: {error.token.value}. Did you mean {near}? ({_help_of(error)})"
     elif isinstance(error, CoercionError) and error.target_type in (int, float) and error.token is not None:
         typed, kind = error.token.value, "number" if error.target_type is float else "whole number"
         advice = with_point(typed) if kind == "number" else ""
         error = InputError(error.token.keyword or "an argument", f"a {kind}", f"'{typed}'", advice)
     elif isinstance(error, CycloptsError):
-        return " ".join(str(error).split()) + f" ({_help_of(error)} lists the options)"
+        return " ".join(str(error).split()) + f" ({_help_of(error)})"
     elif isinstance(error, OSError):
         about = error.filename if isinstance(error.filename, str) else "the disk"
         found, full = (error.strerror or str(error)).lower(), error.errno == errno.ENOSPC

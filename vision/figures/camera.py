@@ -415,10 +415,11 @@ def kymograph_figure(
         # same ticks.
         lows, highs = zip(*(panel.y_range for panel in panels if panel.y_range), strict=True)
         panels = tuple(replace(panel, y_range=(max(lows), min(highs))) for panel in panels)
+    interpolated = any(panel.image is not None and panel.image.interpolated for panel in panels)
     return Figure(
         name="kymograph",
         title="Space-time diagrams",
-        caption=KYMOGRAPH_CAPTION + INTERPOLATED * windows,
+        caption=KYMOGRAPH_CAPTION + INTERPOLATED * interpolated,
         panels=panels,
         columns=len(panels),
         width_in=width,
@@ -443,9 +444,8 @@ def _diagram_panel(
     edges_x, x_label = _columns(diagram, pixel_size_um)
     thin = max(1, -(-diagram.shape[1] // (2 * MOST_ROWS)))
     rows, edges = time_rows(np.asarray(diagram.values)[:, ::thin], time, most=MOST_ROWS)
-    shown = _finer(rows) if DiagramMetadata.of(diagram).sheet else rows
-    interpolated, rows = shown.shape != rows.shape, shown
-    missing = ~np.isfinite(rows)
+    drawn = _finer(rows) if DiagramMetadata.of(diagram).sheet else rows
+    missing = ~np.isfinite(drawn)
     marks = np.empty(0)
     if slips_s is not None and time_label != "frame":
         marks = slips_s[(slips_s >= edges[0]) & (slips_s <= edges[-1])]
@@ -455,7 +455,7 @@ def _diagram_panel(
         y_label=x_label,
         series=series,
         image=Image(
-            pixels=grey_levels(rows, *limits),
+            pixels=grey_levels(drawn, *limits),
             left=float(edges_x[0]),
             right=float(edges_x[-1]),
             top=float(edges[0]),
@@ -463,7 +463,7 @@ def _diagram_panel(
             missing=missing if missing.any() else None,
             black=limits[0],
             white=limits[1],
-            interpolated=interpolated,
+            interpolated=drawn.shape != rows.shape,
         ),
         marks=marks,
         marks_label=f"magenta: slips, from {slips_from}" if marks.size else "",
@@ -562,7 +562,7 @@ def single_sheets_figure(
         title="Space-time diagrams of single sheets",
         caption=(
             f"Intensity in a window around {sheets}, one frame below the other, over {shown.size} slips "
-            f"(magenta, from {slips_from}), interpolated between pixels along x. Outer sheets move more."
+            f"(magenta, from {slips_from}). Outer sheets move more."
         ),
     )
 

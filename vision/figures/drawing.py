@@ -219,9 +219,7 @@ def _draw_sheets(ax: Axes, panel: Panel) -> None:
     if known:
         lines = [np.stack([s.y, s.x] if panel.time_down else [s.x, s.y], axis=1) for s in known]
         width, full = known[0].width, _in_full(panel)
-        if panel.image is not None or len(full) < len(
-            panel.series
-        ):  # thinner in a small figure, not to fill it
+        if panel.image is not None or len(full) < len(panel.series):  # not to fill a small figure
             width *= min(1.0, _width_in(ax) / _WIDE_IN)
         if panel.image is not None:  # coloured lines are invisible on white ridges without a dark edge
             ax.add_collection(LineCollection(lines, linewidths=1.9 * width, colors=CASING, alpha=0.7))
@@ -241,10 +239,12 @@ def _draw_sheets(ax: Axes, panel: Panel) -> None:
 def _in_full(panel: Panel) -> set[tuple[int, int]]:
     """Return the sheets whose lines are drawn in full: all, or a few if all would cover the panel."""
     sheets = {series.sheet for series in panel.series if series.sheet is not None}
+    if panel.image is not None:
+        return sheets
     known = [series.y[np.isfinite(series.y)] for series in panel.series]
     heights = np.concatenate([np.empty(0), *known])
     travel = sum(float(np.abs(np.diff(y)).sum()) for y in known)
-    if panel.image is not None or not heights.size or travel <= _MOST_TRAVEL * np.ptp(heights):
+    if not heights.size or travel <= _MOST_TRAVEL * np.ptp(heights):
         return sheets
     full: set[tuple[int, int]] = set()
     for side in (-1, 1):

@@ -140,9 +140,9 @@ def find_stick_slip(
             "between slips: some events may be its swings, and averages would cut off the sticks"
         )
     metadata = _metadata(signal, slips, analysis, shares, warnings, settings)
-    warnings += _filter_warnings(events, metadata, settings)
     metadata = replace(
         metadata,
+        warnings=[*warnings, *_filter_warnings(events, metadata, settings)],
         average_s=signal.averaged * signal.interval_s,
         ringing_s=ringing_s,
         machine_stiffness_N_per_mm=machine_stiffness_N_per_mm or float("nan"),
@@ -484,10 +484,9 @@ def _measure(
     known = bool(corners.lowpass or found.proven or signal.averaged)
     events = measure_sticks(signal, corners, analysis.extremes, compliance, settings, filter_known=known)
     by_d = events.pop(BY_DISPLACEMENT)
-    main = 2 * by_d**2 > events["K_err_N_per_mm"] ** 2
-    shares = {"K_err_by_d": float(nan_median((by_d / events["K_N_per_mm"])[main].to_numpy(float)))}
-    if not main.mean() > 0.5:
-        shares = {}
+    shares, main = {}, 2 * by_d**2 > events["K_err_N_per_mm"] ** 2
+    if main.mean() > 0.5:
+        shares["K_err_by_d"] = float(nan_median((by_d / events["K_N_per_mm"])[main].to_numpy(float)))
     if corners.lowpass or found.corners is None:
         return events, shares
     other = measure_sticks(signal, found.corners, analysis.extremes, compliance, settings)
@@ -536,9 +535,7 @@ def _missed_warnings(
 
 def _filter_warnings(events: pd.DataFrame, metadata: StickMetadata, settings: ForceSettings) -> list[str]:
     """Return that a filter, which is not corrected, may have smoothed much of the sticks."""
-    slip, stick = (
-        float(values.median()) for values in (events["slip_time_s"], events["t_p_s"] - events["t_v_s"])
-    )
+    slip, stick = events["slip_time_s"].median(), (events["t_p_s"] - events["t_v_s"]).median()
     if not ((metadata.filter_s or metadata.lowpass_doubt) and slip > settings.filter_share * stick):
         return []
     return [

@@ -159,12 +159,13 @@ def _jumps_upward(y: Floats, edge: Ints, sigma: Floats, settings: ForceSettings)
     _, residual, _ = fit_polynomials(y, bounds[whole], bounds[whole + 1], 2)
     mirrored = y.copy()
     mirrored[flat_ranges(bounds[whole], bounds[whole + 1])[1]] -= 2 * residual
-    period = _local_period(edge, y.size)
+    half = _half_widths(_local_period(edge, y.size), settings)
+    peaks = _peaks(_step_filter(mirrored, half), half, sigma, settings)
     # The slips themselves are excluded. An upward jump must also show between the lines through the load.
     slips = np.concatenate([edge + away for away in range(-3, 4)])
-    if not np.setdiff1d(_peaks(mirrored, _half_widths(period, settings), sigma, settings), slips).size:
+    if not np.setdiff1d(peaks, slips).size:
         return np.empty(0, np.int64), np.empty(0)
-    found = np.setdiff1d(_edges(mirrored, period, sigma, settings), slips)
+    found = np.setdiff1d(_join(mirrored, peaks, sigma, settings), slips)
     both = np.union1d(edge, found)
     height = -stick_drops(y, both, settings)[np.searchsorted(both, found)]
     high = height >= settings.threshold_sigmas * sigma[found]
@@ -202,7 +203,7 @@ def missed_slips(
         for high in (step > least, -step > least)
     )
     excess = int(down.size - up.size)
-    if excess < max(settings.missed_share * edge.size, 4 * np.sqrt(down.size + up.size)):
+    if excess < max(1.0, 4 * np.sqrt(down.size + up.size)):
         return 0, 0.0
     return excess, float(np.median(step[np.isin(searched, down)]))
 
@@ -282,19 +283,20 @@ def _step_filter(y: Floats, half: Ints) -> Floats:
     return np.where(inside, step, np.nan)
 
 
-def _peaks(y: Floats, half: Ints, sigma: Floats, settings: ForceSettings) -> Ints:
-    """Return the peaks of the step filter whose prominence exceeds `candidate_sigmas` for white noise.
+def _peaks(step: Floats, half: Ints, sigma: Floats, settings: ForceSettings) -> Ints:
+    """Return the peaks of a step filter's output whose prominence exceeds `candidate_sigmas` for white noise.
 
     Heights would not do: on a stick the filter's level depends on the stiffness and on its own width.
     """
-    standard = np.nan_to_num(_step_filter(y, half) / (sigma * np.sqrt(2.0 / half)), nan=-np.inf)
+    standard = np.nan_to_num(step / (sigma * np.sqrt(2.0 / half)), nan=-np.inf)
     found = find_maxima(standard, least_prominence=settings.candidate_sigmas, reach=8 * int(half.max()))
     return enforce_distance(found.at, standard[found.at], max(int(half.min()), 1))
 
 
 def _edges(y: Floats, period: Floats, sigma: Floats, settings: ForceSettings) -> Ints:
     """Return the edges of a signal whose period, in samples, is known at every sample."""
-    return _join(y, _peaks(y, _half_widths(period, settings), sigma, settings), sigma, settings)
+    half = _half_widths(period, settings)
+    return _join(y, _peaks(_step_filter(y, half), half, sigma, settings), sigma, settings)
 
 
 def _join(y: Floats, edge: Ints, sigma: Floats, settings: ForceSettings) -> Ints:
@@ -316,12 +318,13 @@ def _with_close(y: Floats, edge: Ints, sigma: Floats, settings: ForceSettings) -
     drop, slope = stick_drops(y, edge, settings), stick_lines(y, edge, settings).slope
     while edge.size > 1 and (half > 2).any():
         half = np.maximum(half // 2, 2)
-        close = _peaks(y, half, sigma, settings)
+        step = _step_filter(y, half)
+        close = _peaks(step, half, sigma, settings)
         close = close[(close > edge[0]) & (close < edge[-1])]
         after = np.searchsorted(edge, close)
         apart = np.minimum(close - edge[after - 1], edge[after] - close) > half[close]
         # Most peaks are noise: where a slip is, the filter shows at least half of its drop.
-        apart &= _step_filter(y, half)[close] + slope[after] * half[close] > 0.5 * least[close]
+        apart &= step[close] + slope[after] * half[close] > 0.5 * least[close]
         if not apart.any():
             continue
         joined = _join(y, np.union1d(edge, close[apart]), sigma, settings)
@@ -354,7 +357,8 @@ def _half_widths(period: Floats, settings: ForceSettings) -> Ints:
 def _first_period(y: Floats, sigma: Floats, settings: ForceSettings) -> Floats:
     """Return the period, in samples, at every sample, from the filter width that suits each stretch best."""
     scales = np.unique(np.geomspace(2, max(y.size // 12, 3), 24).astype(np.int64))
-    found = [_peaks(y, np.full(1, scale), sigma, settings) for scale in scales]
+    widths = [np.full(1, scale) for scale in scales]
+    found = [_peaks(_step_filter(y, half), half, sigma, settings) for half in widths]
     whole = _best_scale(scales, found, 0, y.size) or (y.size / 3, 0)
     stretches = int(np.clip(whole[1] // 20, 1, 64))  # each of 20 events or more, for a median
     bounds = np.linspace(0, y.size, stretches + 1)
