@@ -139,6 +139,29 @@ def test_sheets_in_black_background(picture):
     assert "restrict `columns`" in lines[0]
 
 
+@pytest.mark.parametrize("end", [0, -1])
+def test_a_still_edge_beyond_the_comb(end):
+    """The edge of a lamp's light a spacing beyond the comb, in all frames. A failure means that it passes
+    for the outermost sheet, which moves most of all, or that such a sheet is doubted."""
+    x_px = comb(150)
+    assert consistency_warnings(track_sheets(strip(ridges(x_px)))) == []
+    x_px[:, end] = x_px[0, end]
+    (line,) = consistency_warnings(track_sheets(strip(ridges(x_px))))
+    assert f"1 of 50 sheets (index {end % 50}) may be something else" in line
+    assert "still at the comb's end" in line
+
+
+def test_an_axis_that_no_motion_shows_is_assumed():
+    """One side of a comb that hardly moves. A failure means that half of the sheets get another side, and all
+    of them another number, without a word; or that the warning comes where both sides move."""
+    still = track_sheets(strip(ridges(comb(60, slip=0.0)[:, 25:])))
+    assert still.attrs["axis_how"] == "geometry"
+    (line,) = consistency_warnings(still, PUBLISHED)
+    assert "the middle of the ridges is assumed" in line
+    assert "give `axis_px`" in line
+    assert consistency_warnings(still) == []
+
+
 def test_unequal_sheets_are_sheets():
     """A fifth of the height is a faint sheet, no background."""
     uneven = np.where(np.arange(SHEETS) % 7 == 3, 0.2, 1.0)

@@ -15,7 +15,7 @@ from vision.data import ForceMetadata, StripMetadata, TrackMetadata, load_unit, 
 from vision.errors import counted
 from vision.models.equations import effective_sheets
 from vision.models.modulus import cycles_seen
-from vision.numeric import Floats, Pixels, nan_median, nan_quantile, stretches
+from vision.numeric import Bools, Floats, Pixels, nan_median, nan_quantile, stretches
 from vision.sample import Sample
 from vision.sheets.tracks import comb_is_stationary
 from vision.words import is_word, word_counts
@@ -65,6 +65,15 @@ class CheckSettings:
     """Width of a ridge, over the median, above which it may be something else.  On fixtures and released
     films sheets stay below 1.5, ridges between pairs and gaps taken for sheets exceed 1.9.  Smaller calls
     sheets of an uneven block something else; larger misses those."""
+
+    end_still: float = 0.25
+    """Motion of an outermost sheet, over that of the next two, below which it may be something else. Sheets
+    move more than those further in; edges of the background are at 0 to 0.1. Smaller overlooks edges that
+    the sheet beside them pulls along; larger doubts sheets that stick to something outside."""
+
+    end_moves: float = 5.0
+    """Motion of those two, in errors of a position, from which that is judged. Smaller judges noise; larger
+    leaves edges beside sheets that hardly move (`test_a_still_edge_beyond_the_comb`)."""
 
     unlikely_spacing: float = 10.0
     """Ratio of the sheets' spacing to two thicknesses, or its inverse, above which the pixel size is
@@ -346,6 +355,11 @@ def consistency_warnings(
     found, used, most = TrackMetadata.of(tracks), sample or assumed, int(tracks["n"].max())
     lines = _comb_warnings(tracks, found, settings)
     one_side = len(np.unique(tracks["side"].values)) == 1
+    if used is not None and found.axis_how == "geometry" and not _two_sides_move(tracks, found):
+        lines.append(
+            "the motion does not show where the axis is, and the middle of the ridges is assumed: if only one"
+            " side is in view, side and n of all sheets are wrong: look at overview.png, and give `axis_px`"
+        )
     if used is not None and one_side and found.axis_how != "given" and most < used.sheets_per_block:
         lines.append(
             f"only {most} of {used.sheets_per_block} sheets of one side are in view, and n counts from the"
@@ -399,12 +413,13 @@ def _comb_warnings(tracks: xr.Dataset, found: TrackMetadata, settings: CheckSett
         )
     snr, share = tracks["snr"].values, tracks["found"].values
     wide = tracks["fwhm_px"].values > settings.odd_width * nan_median(tracks["fwhm_px"].values)
-    weak = np.flatnonzero((snr < 0.1 * nan_median(snr)) | (share < 0.25) | wide)
-    if len(weak) and found.sheets > 1:
+    odd = (snr < 0.1 * nan_median(snr)) | (share < 0.25) | wide | _stationary_ends(tracks, settings)
+    if (weak := np.flatnonzero(odd)).size and found.sheets > 1:
         which = ", ".join(map(str, weak[:6])) + " …" * (len(weak) > 6)
         lines.append(
             f"{len(weak)} of {found.sheets} sheets (index {which}) may be something else (little contrast,"
-            " found in few frames, or far wider than the others): restrict `columns` or give `sheets`"
+            " found in few frames, far wider than the others, or still at the comb's end): restrict `columns`"
+            " or give `sheets`"
         )
     if not _motion_allows_axis(tracks, found):
         lines.append(
@@ -413,6 +428,36 @@ def _comb_warnings(tracks: xr.Dataset, found: TrackMetadata, settings: CheckSett
             " sides are in view"
         )
     return lines
+
+
+def _stationary_ends(tracks: xr.Dataset, settings: CheckSettings) -> Bools:
+    """Return which sheets are the outermost and still while the next two, which move less, do move, (N,).
+
+    Compared are displacements along x, the camera's own included, which all share.
+
+    A still edge of the background or of a lamp's light may lie where the next sheet would.
+    """
+    x_px = tracks["x_px"].values - nan_median(tracks["x_px"].values)
+    still = np.zeros(x_px.shape[1], bool)
+    if len(still) < 5:
+        return still
+    sides = tracks["side"].values
+    outer = [(0, -1, slice(1, 3)), (-1, 1, slice(-3, -1))]
+    for end, beside in ((end, x_px[:, two]) for end, side, two in outer if sides[end] == side):
+        inner, known = beside.mean(axis=1), np.isfinite(beside).all(axis=1) & np.isfinite(x_px[:, end])
+        power = float((inner[known] ** 2).sum())
+        noise = float(nan_median(tracks["x_err_px"].values[:, end]))
+        # Edges stay in view; a sheet that leaves it is seen where it has moved less.
+        moving = known.mean() > 0.8 and power > known.sum() * (settings.end_moves * noise) ** 2
+        still[end] = moving and (inner * x_px[:, end])[known].sum() < settings.end_still * power
+    return still
+
+
+def _two_sides_move(tracks: xr.Dataset, found: TrackMetadata) -> bool:
+    """Return whether the motion limits the axis to positions between the outermost sheets."""
+    x_px = nan_median(tracks["x_px"].values)
+    low, high = np.nanmin(x_px, initial=math.inf), np.nanmax(x_px, initial=-math.inf)
+    return bool(low < found.axis_low_px and found.axis_high_px < high)
 
 
 def _motion_allows_axis(tracks: xr.Dataset, found: TrackMetadata) -> bool:

@@ -152,6 +152,8 @@ def _split_by_motion(
     possible = np.flatnonzero(worse <= slack + settings.vibration_sigmas * spread)
     middle = float(good[0] + good[-1]) / 2
     low, high = middle - good[0] + possible[0], middle - good[-1] + possible[-1]
+    # What is equally good may go on beyond the picture, and its middle then lies elsewhere.
+    low, high = low if possible[0] else 0.0, high if possible[-1] < sheets else float(sheets)
     if np.floor(low) <= even <= high:
         return even, "motion" if high - low <= settings.decided_sheets else "geometry", (low, high)
     outside = good[(good == 0) | (good == sheets)]  # all sheets move alike: one side is in view
@@ -183,7 +185,7 @@ def _slips(x_px: Floats, settings: TrackingSettings) -> tuple[Floats, Floats, Fl
     apart = step[:, ends[1]] - step[:, ends[0]]
     step[~known] = 0.0
     noise = np.nan_to_num(position_noise(x_px), nan=1.0) * np.sqrt(2)
-    least = 5 * noise[ends].max()
+    least = 5 * np.hypot(*noise[ends])
     even = mean_over(apart, settings.axis_frames)
     slips = bool((np.abs(apart - even) > least).any())
     apart = np.where(slips & (np.abs(apart) > least), apart, 0.0)
