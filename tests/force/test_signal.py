@@ -46,6 +46,28 @@ def test_spikes_are_found_and_corners_are_not() -> None:
     assert not find_spikes(saw, 0.2)[0].any()
 
 
+@pytest.mark.parametrize("tail", [0.0, 0.5])
+@pytest.mark.parametrize("place", [0.0, 0.3, 0.7])
+def test_steep_begins_of_sticks_are_no_spikes(place: float, tail: float) -> None:
+    """Sticks that rise steeply at first, as of sheets that let go in turn, sampled at several places of the
+    slip; and spikes in their middle, some with a tail. A failure means that the lowest load after each slip
+    is replaced by a later one, or that spikes pass for such lows."""
+    rng = np.random.default_rng(1)
+    phase = (np.arange(4000) - place) % 50
+    saw = 60 + 30 * phase / 50 - 25 * np.exp(-phase / 3) - 20 * np.exp(-phase / 20)
+    noisy = saw + 0.1 * rng.standard_normal(4000)
+    assert not find_spikes(noisy, 0.1)[0].any()
+    hit = np.arange(25, 4000, 50)
+    for sign in (-1, 1):
+        spiky = noisy.copy()
+        spiky[hit] += 15 * sign
+        spiky[hit + 1] += 15 * sign * tail
+        found, clean = find_spikes(spiky, 0.1)
+        assert found[hit].all()
+        assert not np.setdiff1d(np.flatnonzero(found), np.r_[hit, hit + 1, hit + 2]).size
+        assert np.abs(clean - saw)[hit].max() < 3
+
+
 @pytest.mark.parametrize("whole", [5, 20])
 def test_noise_is_that_of_the_sticks_with_good_samples(whole: int) -> None:
     """A failure means sticks of which all samples are spikes, as of a ringing load, end the analysis or

@@ -210,6 +210,7 @@ def find_spikes(
     around, is_spike = sliding_window_view(np.pad(rise, 50, "edge"), 101), np.zeros(y.size, np.bool_)
     for some in np.array_split(suspect, suspect.size // 65_536 + 1):  # so that memory does not grow with them
         is_spike[some] = off[some] > 2.0 * np.median(around[some], axis=1)
+    is_spike[is_spike] = ~_begins_bent(y, np.flatnonzero(is_spike), sigma)
     clean = np.where(is_spike, middle, y)
     jump = np.diff(clean)
     high = np.flatnonzero(np.abs(jump) > settings.pulse_sigmas * np.broadcast_to(sigma, y.shape)[1:])
@@ -222,6 +223,25 @@ def find_spikes(
             inside, ends = np.arange(before + 1, before + width + 1), [before, before + width + 1]
             is_spike[inside], clean[inside] = True, np.interp(inside, ends, clean[ends])
     return is_spike, clean
+
+
+def _begins_bent(y: Floats, at: Ints, sigma: Floats | float) -> Bools:
+    """Return which samples `at` are an end of a stick that is steep there, as of sheets that let go in turn.
+
+    The step to the next sample is within a factor of three of those further on, which are clear of the noise,
+    and the load on the other side is on another level. After a spike, the steps are as small as all others.
+    """
+    bent = np.zeros(at.size, np.bool_)
+    for way in (1, -1):
+        here, beside, far = (y[np.clip(at + k * way, 0, y.size - 1)] for k in (0, 1, 3))
+        near, further = beside - here, (far - beside) / 2
+        alike = (
+            (near * further > 0) & (np.abs(near) < 3 * np.abs(further)) & (np.abs(further) < 3 * np.abs(near))
+        )
+        clear = np.abs(further) > 3 * np.broadcast_to(sigma, y.shape)[at]
+        slip = np.abs(far - y[np.clip(at - 3 * way, 0, y.size - 1)]) > 3 * np.abs(near)
+        bent |= alike & clear & slip
+    return bent
 
 
 def step_between(values: Floats) -> float:
