@@ -644,11 +644,12 @@ def _remarks(
         )
     elif abs(fits.t0_N.value) > _CLEAR_OFFSET * fits.t0_N.error > 0:
         away = two_digits(abs(fits.t0_N.value) / fits.t0_N.error)
-        notes.append(
-            f"𝒯0 = {fits.t0_N.value:.3g} N is {away} statistical errors from 0, as where the load cell's "
-            "zero or drift, its low-pass, `d0_mm` or the sample's geometry is wrong; known errors of these "
-            "are in the systematic error"
-        )
+        line = f"𝒯0 = {fits.t0_N.value:.3g} N is {away} statistical errors from 0, as where the load cell's "
+        line += "zero or drift, its low-pass, `d0_mm` or the sample's geometry is wrong"
+        if np.isfinite(ForceMetadata.of(force).d0_err_mm):
+            notes.append(f"{line}; known errors of these are in the systematic error")
+        else:
+            warnings.append(f"{line}; the error of d0 is in no result: give `d0_err_mm`")
     if fits.scale_mm.value > 0.999 * LARGEST_SCALE * fits.d_mm[1]:
         warnings.append("K does not fall with d as M_eff does: Λ̂, N̂ and Y_eff are not determined")
     if (scatter := fits.goodness["drops"].scatter) > _UNLIKE_DROPS:
