@@ -620,6 +620,22 @@ def _events_used(fits: ModelFits, left_out: Mapping[str, int], given_range: bool
     return []
 
 
+def _offset_remarks(offset: Estimate, *, d0_err_mm: float) -> tuple[list[str], list[str]]:
+    """Notes and warnings on an offset 𝒯0 that is no zero."""
+    if abs(offset.value) - 2 * offset.error > _LARGEST_OFFSET_N:  # short tests hardly determine it
+        line = f"𝒯0 = {offset.value:.3g} N exceeds ±{_LARGEST_OFFSET_N:g} N, the largest error of a zero: "
+        return [], [line + "check `d0_mm`, the sample's geometry, the zero and the units"]
+    if not abs(offset.value) > _CLEAR_OFFSET * offset.error > 0:
+        return [], []
+    line = (
+        f"𝒯0 = {offset.value:.3g} N is {two_digits(abs(offset.value) / offset.error)} statistical errors from"
+        " 0, as where the load cell's zero or drift, its low-pass, `d0_mm` or the sample's geometry is wrong"
+    )
+    if np.isfinite(d0_err_mm):
+        return [f"{line}; known errors of these are in the systematic error"], []
+    return [], [f"{line}; the error of d0 is in no result: give `d0_err_mm`"]
+
+
 def _remarks(
     fits: ModelFits, force: xr.Dataset, left_out: Mapping[str, int], given_range: bool
 ) -> tuple[list[str], tuple[str, ...]]:
@@ -637,19 +653,9 @@ def _remarks(
             line = f"the model does not follow the {name} (χ²/dof {good.chi2_dof:.3g}): "
             line += f"errors widened {two_digits(np.sqrt(good.chi2_dof))} times; {_SUSPECTS}"
             (warnings if good.chi2_dof > _CONTRADICTS else notes).append(line)
-    if abs(fits.t0_N.value) - 2 * fits.t0_N.error > _LARGEST_OFFSET_N:  # short tests hardly determine it
-        warnings.append(
-            f"𝒯0 = {fits.t0_N.value:.3g} N exceeds ±{_LARGEST_OFFSET_N:g} N, the largest error of a zero: "
-            "check `d0_mm`, the sample's geometry, the zero and the units"
-        )
-    elif abs(fits.t0_N.value) > _CLEAR_OFFSET * fits.t0_N.error > 0:
-        away = two_digits(abs(fits.t0_N.value) / fits.t0_N.error)
-        line = f"𝒯0 = {fits.t0_N.value:.3g} N is {away} statistical errors from 0, as where the load cell's "
-        line += "zero or drift, its low-pass, `d0_mm` or the sample's geometry is wrong"
-        if np.isfinite(ForceMetadata.of(force).d0_err_mm):
-            notes.append(f"{line}; known errors of these are in the systematic error")
-        else:
-            warnings.append(f"{line}; the error of d0 is in no result: give `d0_err_mm`")
+    offset_notes, offset_warnings = _offset_remarks(fits.t0_N, d0_err_mm=ForceMetadata.of(force).d0_err_mm)
+    notes += offset_notes
+    warnings += offset_warnings
     if fits.scale_mm.value > 0.999 * LARGEST_SCALE * fits.d_mm[1]:
         warnings.append("K does not fall with d as M_eff does: Λ̂, N̂ and Y_eff are not determined")
     if (scatter := fits.goodness["drops"].scatter) > _UNLIKE_DROPS:
