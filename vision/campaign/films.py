@@ -313,10 +313,7 @@ class FolderWatch:
     A film is complete when its size and modification time have not changed for some time and its index can be
     read. A film that remains truncated (the camera's computer failed) is taken later, with its warnings.
 
-    Raises
-    ------
-    InputError
-        If it is not a folder, and from `rows` if its disk does not answer.
+    Raises: InputError if it is not a folder, and from `rows` if its disk does not answer.
     """
 
     def __init__(

@@ -136,10 +136,7 @@ def certify_run(
 ) -> Certificate:
     """Return the certificate of a finished run, using its events and clock if it has them.
 
-    Raises
-    ------
-    InputError
-        For a run without a video, or with sheets in too few frames.
+    Raises: InputError for a run without a video, or with sheets in too few frames.
     """
     clock, given, strip = run.clock, run.value("threshold"), read_strip(run)
     return certify(

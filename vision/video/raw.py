@@ -31,10 +31,7 @@ from vision.video.reader import (
 def open_raw(path: Path, head: bytes) -> Reader | None:
     """Return the reader of a file that begins with `head`, 12 bytes; None for a file of another kind.
 
-    Raises
-    ------
-    InputError
-        For a damaged file, or one whose pixels cannot be read.
+    Raises: InputError for a damaged file, or one whose pixels cannot be read.
     """
     if is_photron(path):
         return _open_photron(path)
@@ -340,10 +337,7 @@ def is_photron(path: Path) -> bool:
 def photron_files(path: Path) -> tuple[Path, Path]:
     """Return both files (.mraw, .cih or .cihx) of the recording to which this file belongs.
 
-    Raises
-    ------
-    InputError
-        If the other file is not beside it.
+    Raises: InputError if the other file is not beside it.
     """
     wanted = HEADERS if path.suffix.lower() == PIXELS else (PIXELS,)
     beside = sorted(path.parent.glob("*"))
