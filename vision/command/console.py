@@ -22,7 +22,6 @@ from vision.errors import InputError, with_options
 from vision.files import Progress
 
 T = TypeVar("T")
-M_MMAP_THRESHOLD = -3  # from malloc.h
 
 
 def hold_streams() -> None:
@@ -63,7 +62,7 @@ def return_freed_memory() -> None:
     with 24 sheets 55 MB while sheets are tracked, and 180 MB afterwards.
     """
     with suppress(OSError, AttributeError):  # only the GNU C library has this setting
-        ctypes.CDLL(None).mallopt(M_MMAP_THRESHOLD, 4 << 20)
+        ctypes.CDLL(None).mallopt(-3, 4 << 20)  # M_MMAP_THRESHOLD of malloc.h
 
 
 def say(lines: Iterable[str]) -> None:

@@ -28,10 +28,6 @@ from vision.video.strip import row_means
 if TYPE_CHECKING:
     from vision.review.session import Session
 
-STICKS_AROUND = 3
-"""Stick phases on each side of one, from which noise and camera movement are measured for a preview. Using
-all of them takes three times as long and changes a ratio by a thirtieth of its error, and a shell by one
-sheet in one of thirty stick phases."""
 SHOWN_ROWS = 400  # rows of a preview
 MAX_ROWS = 2000  # rows in which a stick phase and its neighbours are measured
 NOISE_FRAMES = 16  # frames from which the noise in another strip is measured
@@ -208,7 +204,13 @@ class Effects:
         return self._measured(self.run.positions, near)
 
     def _near(self, event: int, clock: Clock | None = None) -> StickAndNeighbours:
-        """Return a stick phase with its neighbours.  Raises: InputError if events or clock are missing."""
+        """Return a stick phase with its neighbours, three on each side or fewer if they are long.
+
+        Noise and camera movement are measured from them. All stick phases would take three times as long and
+        change a ratio by a thirtieth of its error, and a shell by one sheet in one of thirty.
+
+        Raises: InputError if events or clock are missing.
+        """
         clock, events = clock or self.run.clock, self.run.events
         if clock is None or events is None:
             raise InputError("the run", "a force recording and its clock", "none", "give `force` to track")
@@ -219,7 +221,7 @@ class Effects:
             raise InputError("the event", "one of events.csv", f"{event}")
         time = clock.to_force_s(self.run.positions.time_s)
         step = float(np.nanmedian(np.diff(time[: min(len(time), 1000)])))
-        for around in range(STICKS_AROUND, -1, -1):
+        for around in (3, 2, 1, 0):
             sticks = events.iloc[max(0, at[0] - around) : at[0] + around + 1]
             first, last = sticks["t_v_s"].min() - 2 * step, sticks["t_p_s"].max() + 2 * step
             rows = np.flatnonzero((time >= first) & (time <= last))

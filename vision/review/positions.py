@@ -159,7 +159,6 @@ def _codes(stored: StoredTracks, name: str, words: Sequence[str]) -> Codes:
 # --- decisions ----------------------------------------------------------------------------------------------
 
 BLOCK = 2048  # frames in which a ridge is followed at a time, so that candidates take little memory
-MEDIAN_ROWS = 2000  # frames from which the median position of a sheet is computed
 SAME_RIDGE_PX = 2.0
 """Distance within which a position and the whole pixel of a candidate are the same ridge: fits end this close
 to their start. A larger value would join neighbours that are 4 px apart."""
@@ -198,12 +197,12 @@ def _step(
 
 
 def median_positions(positions: Positions) -> Floats:
-    """Return the median position of every sheet, from frames spread over the run."""
+    """Return the median position of every sheet, from 2000 frames spread over the run."""
     return _medians(positions.x_px)
 
 
 def _medians(values: Floats32) -> Floats:
-    return nan_median(values[:: max(1, len(values) // MEDIAN_ROWS)].astype(np.float64))
+    return nan_median(values[:: max(1, len(values) // 2000)].astype(np.float64))
 
 
 def apply(positions: Positions, decision: Correction, diagram: Diagram) -> tuple[Positions, UndoStep]:
