@@ -53,14 +53,7 @@ from vision.run.tables import frame_step_s, unevenness_s, write_space_time_tif
 from vision.sheets.ridges import describe_ridges, find_ridges
 from vision.sheets.tracks import LOSSY
 from vision.spacetime import Sheet, space_time
-from vision.summary import (
-    aligned,
-    frame_rate_text,
-    noise_figures,
-    other_flags,
-    ridges_line,
-    scale_line,
-)
+from vision.summary import aligned, frame_rate_text, noise_figures, other_flags, ridges_line, scale_line
 from vision.video import Video, strip_profile, video_files
 from vision.video.strip import row_means
 from vision.video.strip_find import choose_strip

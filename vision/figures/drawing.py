@@ -454,11 +454,7 @@ def _draw_legend(ax: Axes, panel: Panel) -> None:
         place: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1, 1), "borderaxespad": 0.1}
         place |= {"ncols": columns, "frameon": False}
         if _Inches.LEGEND_ROW * -(-len(entries) // columns) > _above_in(ax):
-            place = {
-                "loc": "best",
-                "ncols": 1,
-                "framealpha": 0.8,
-            }  # of axes that others made without the room
+            place = {"loc": "best", "ncols": 1, "framealpha": 0.8}  # axes of others may lack the room
         ax.legend(handles=handles, fontsize=8, columnspacing=1.2, **place)
 
 

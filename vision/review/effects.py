@@ -163,7 +163,6 @@ class Effects:
         return {
             "rows": [top, bottom],
             "frame": int(self.run.positions.frame[at]),
-            "profile": profile[here],
             "ridges": seen.x_px[here][known].astype(float) + first,
             "contrast": comb.contrast,
             "fwhm_px": comb.fwhm_px,
