@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
 SHOWN_ROWS = 400  # rows of a preview
 MAX_ROWS = 2000  # rows in which a stick phase and its neighbours are measured
-NOISE_FRAMES = 16  # frames from which the noise in another strip is measured
 
 
 class Effects:
@@ -172,11 +171,12 @@ class Effects:
         }
 
     def _read_pictures(self, row: int) -> tuple[list[Pixels], int]:
-        """Return the readable frames around a row, and the index of its own frame among them."""
+        """Return the readable ones of 16 frames around a row, and the index of its own frame among them."""
+        count = 16
         with self.run.lock:
             film, positions = self.run.recordings.film(), self.run.positions
-            first = max(0, min(row - NOISE_FRAMES // 2, len(positions.frame) - NOISE_FRAMES))
-            rows = range(first, min(first + NOISE_FRAMES, len(positions.frame)))
+            first = max(0, min(row - count // 2, len(positions.frame) - count))
+            rows = range(first, min(first + count, len(positions.frame)))
             found = {k: film.picture(int(positions.frame[k]), float(positions.time_s[k])) for k in rows}
             pictures = {k: picture for k, picture in found.items() if picture is not None}
             if row not in pictures:

@@ -30,9 +30,6 @@ from vision.sheets.subpixel import FitName, fit_sheets
 
 CELLS = ("x_px", "err_px", "withheld_px", "flag", "why")
 """Names of the arrays of (frame, sheet)."""
-SLIP_ROWS = 10_000
-"""Rows in which slips are searched at a time. All of 100 000 rows would take 250 MB of memory; in parts with
-fewer than about ten slips their typical size is poorly known."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,8 +97,10 @@ class Positions:
 
     def slips_s(self) -> Floats:
         """Return the times at which the sheets step outwards, s on the camera's clock."""
-        frames = len(self.frame)
-        parts = [slice(k, min(k + SLIP_ROWS, frames) + 1) for k in range(0, frames, SLIP_ROWS)]
+        # All of 100 000 rows at once would take 250 MB of memory; in parts with fewer than about ten slips
+        # their typical size is poorly known.
+        frames, at_once = len(self.frame), 10_000
+        parts = [slice(k, min(k + at_once, frames) + 1) for k in range(0, frames, at_once)]
         return np.concatenate([_slips_in(self.tracks(part)) for part in parts])
 
     def row_of(self, frame: int) -> int:
