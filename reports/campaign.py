@@ -134,16 +134,8 @@ def file_server(folder: Path) -> tuple[list[str], dict[str, float]]:
     rows, rates = [], {}
     for container in CONTAINERS:
         where = folder / container
-        size = [
-            "--duration",
-            str(FRAMES / FPS),
-            "--fps",
-            str(FPS),
-            "--height",
-            str(ROWS),
-            "--width",
-            str(COLUMNS),
-        ]
+        camera = {"duration_s": FRAMES / FPS, "fps": FPS, "height": ROWS, "width": COLUMNS}
+        size = [word for name, value in camera.items() for word in ("--set", f"camera.{name}={value}")]
         cost([*TRACK, "simulate", str(where), *size, "--container", container], folder)
         video = next(where.glob("video.*"))
         few, all_ = (

@@ -36,7 +36,7 @@ class CheckSettings:
     blames a bright background; larger lets a saturated picture pass as one without sheets."""
 
     most_left_out: float = 0.1
-    """Share of the positions left out above which others are said to be doubtful too.  With 0.2 there is no
+    """Share of the positions left out above which a warning doubts others, too.  With 0.2 there is no
     advice if a hand always covers part of the comb and other positions are wrong; smaller advises on gaps
     that harm nothing else."""
 
@@ -480,8 +480,8 @@ def shells_against_fits(
 ) -> list[str]:
     """Return a warning if M_eff of the fits contradicts the stiff shells that the video shows.
 
-    An M_eff from k to k + 1 predicts k stiff sheets. A side on which all sheets in view are stiff gives no
-    upper limit. Only the statistical error of Λ̂ is used, as an error of d0 shifts d and Λ̂ alike.
+    An M_eff from k to k + 1 predicts k stiff sheets. Where all sheets of one side in view are stiff,
+    there is no upper limit. Only the statistical error of Λ̂ is used, as an error of d0 shifts d and Λ̂ alike.
     """
     if shells is None or fits is None:
         return []

@@ -189,7 +189,6 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 Made = queue.Queue[tuple[Item] | Exception | None]
 
-HELD = 32  # items that `in_threads` works on at once
 LEAVE_S = 0.5  # longest wait for a thread that is no longer needed: Ctrl-C ends within a second
 
 
@@ -282,9 +281,7 @@ def usable_cores() -> int:
     return os.cpu_count() or 1
 
 
-def in_threads(
-    work: Callable[[Item], Result], items: Iterable[Item], *, held: int = HELD
-) -> Iterator[Result]:
+def in_threads(work: Callable[[Item], Result], items: Iterable[Item], *, held: int = 32) -> Iterator[Result]:
     """Yield the result of `work` for each item in order, on all cores.
 
     `held` items are drawn and worked on before the next are drawn, since both may read the same file.

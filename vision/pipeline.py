@@ -371,10 +371,7 @@ def _check_arguments(video: object, force: object, settings: object) -> None:
 def _reusable(earlier: Analysis | None, new: Analysis) -> Analysis:
     """Return `new` with the earlier strip, tracks and clock, unless a changed correction affects them.
 
-    Raises
-    ------
-    InputError
-        If the strip must be read again but there is no film.
+    Raises: InputError if the strip must be read again but there is no film.
     """
     if earlier is None:
         return new

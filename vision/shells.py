@@ -111,7 +111,7 @@ def classify_shells(
     """Estimate the size of the stiff inner shell of each side in each stick phase.
 
     The ratio is expected not to decrease with n. Some thousand increasing profiles, from power laws to steps,
-    are weighted by how well they fit all sheets of a side. True ratios are drawn about them, the nearer to
+    are weighted by how well they fit all sheets on one side. True ratios are drawn about them, the nearer to
     the measurement of a sheet the smaller its error, and those below the threshold are counted in each draw.
     The size is the median; the interval contains the share `certainty` of the draws. Sheets far from every
     profile are counted by their own measurement. The errors of the stick length and of the camera movement

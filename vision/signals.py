@@ -20,14 +20,8 @@ def running_median(
 ) -> Floats:
     """Return the running median; for an even `size`, the upper of the two middle values.
 
-    Parameters
-    ----------
-    values
-        (samples,), without NaN.
-    size
-        Length of the window in samples.
-    ends
-        Padding beyond the ends: the outermost value, or the mirrored signal.
+    values: (samples,), without NaN.  size: length of the window in samples.  ends: padding beyond the ends:
+    the outermost value, or the mirrored signal.
     """
     padded = np.pad(np.asarray(values, np.float64), (size // 2, (size - 1) // 2), ends)
     windows, middle = sliding_window_view(padded, size), size // 2
@@ -126,12 +120,7 @@ def find_maxima(
 def half_widths(line: NDArray[np.floating], maxima: Maxima) -> Floats:
     """Return the widths of maxima at half their prominence, (K,), as `scipy.signal.peak_widths` does.
 
-    Parameters
-    ----------
-    line
-        The signal in which the maxima were found.
-    maxima
-        From `find_maxima`.
+    line: the signal in which the maxima were found.  maxima: from `find_maxima`.
     """
     half = line[maxima.at] - 0.5 * maxima.prominence
     with np.errstate(invalid="ignore"):  # the signal may end with -inf
@@ -194,14 +183,7 @@ def _to_half(line: NDArray[np.floating], at: Ints, half: Floats, step: int) -> F
 def enforce_distance(at: Ints, height: NDArray[np.floating], least: float) -> Ints:
     """Select maxima that are at least a given distance apart; of closer ones the highest remains.
 
-    Parameters
-    ----------
-    at
-        Indices in ascending order.
-    height
-        Height of each maximum.
-    least
-        Smallest distance.
+    at: indices in ascending order.  height: height of each maximum.  least: smallest distance.
     """
     kept, near = np.ones(len(at), np.bool_), np.diff(at) < least
     crowded = np.flatnonzero(np.r_[near, False] | np.r_[False, near])  # only these few need the loop

@@ -1,4 +1,4 @@
-"""The budget of systematic errors, which are the same in all frames or events.
+"""The budget of systematic errors, which every frame or event shares.
 
 The statistical error of each number does not contain them. Their sources are the initial separation, the
 sample's geometry, drift of the load cell, the pixel size, the choice of the strip's rows, uneven light, the

@@ -38,12 +38,7 @@ class _Words(BackendArray):
 def words(codes: Codes, listed: Sequence[str]) -> indexing.MemoryCachedArray:
     """Return the data of a variable whose values are words.
 
-    Parameters
-    ----------
-    codes
-        Number of each word in the list.
-    listed
-        The words.
+    codes: number of each word in the list.  listed: the words.
 
     Returns
     -------

@@ -50,7 +50,7 @@ with tempfile.TemporaryDirectory() as scratch:
     run(["friction", str(FIXTURES / "discs.csv"), "--out", str(work / "friction"), "--quiet"])
     run(["modulus", str(FIXTURES / "strip.txt"), "--out", str(work / "modulus"), "--quiet"])
 
-    # As `track figures --compare comparison` and `track figures friction` give them.
+    # As `track figures comparison` and `track figures friction` give them.
     made = [
         figure
         for one in ("comparison", "friction", "modulus")

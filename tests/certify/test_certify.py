@@ -16,6 +16,7 @@ from tests.scenes.combs import comb, ridges, strip
 from tests.scenes.degraded import CODECS, DEGRADATIONS, FPS, FRAMES, SCENE, clean
 from tests.scenes.films import write_encoded
 from vision.certify import CertifySettings, certify, write_certificate
+from vision.certify.certificate import StickPhases
 from vision.certify.encoder import read_encoder
 from vision.certify.likeness import find_slips, learn, own_time
 from vision.certify.page import certificate_figure
@@ -214,8 +215,8 @@ def test_one_side_in_view_keeps_its_axis():
     deep = Path(__file__).parents[2] / "fixtures/deep"
     settings = Settings(fps=20, pixel_size_um=10, d0_mm=13, offset_s=36.0)
     found = analyse(deep / "video.tif", deep / "force.txt", settings)
-    pulled = {"sticks": found.sticks, "clock": found.clock, "pixel_size_um": 10}
-    certificate = certify(found.strip, found.tracks, **pulled, settings=ONE_FILM)
+    phases = StickPhases(sticks=found.sticks, clock=found.clock)
+    certificate = certify(found.strip, found.tracks, pixel_size_um=10, phases=phases, settings=ONE_FILM)
     assert abs(certificate.threshold.bias) < 0.05
 
 

@@ -138,7 +138,7 @@ def test_what_must_be_positive_is_said_so(capsys):
         ["film.avi", "--offset=-59,94"],
         ["modulus", "sheet.txt", "--clamp-distance", "59,94"],
         ["friction", "discs.csv", "--radius", "59,94"],
-        ["simulate", "made", "--d-end", "59,94"],
+        ["simulate", "made", "--duration", "59,94"],
     ],
 )
 def test_a_decimal_comma_is_recognised(arguments, tmp_path, capsys):
@@ -245,6 +245,16 @@ def test_an_abbreviated_option_is_recognised(typed, capsys):
     """A failure means that --px suggests --fps."""
     assert run(["v.avi", typed, "10"]) == 2
     assert f"Unknown option: {typed}. Did you mean --pixel-size?" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("typed", "meant"), [("--pixl-size", "--pixel-size"), ("--frame", "--frames"), ("--foo", "")]
+)
+def test_only_an_option_that_is_close_is_suggested(typed, meant, capsys):
+    """A failure means that --foo suggests --out."""
+    assert run(["v.avi", typed, "10"]) == 2
+    suggestion = f" Did you mean {meant}?" if meant else ""
+    assert f"Unknown option: {typed}.{suggestion} (track --help" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

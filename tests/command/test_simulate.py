@@ -8,12 +8,13 @@ from vision.command.main import run
 
 
 def test_options_toml_and_set_in_that_order(tmp_path, capsys):
-    """The preset gives way to TOML, TOML to options, options to --set."""
+    """The preset gives way to TOML, and TOML to options and --set."""
     toml = tmp_path / "a.toml"
     toml.write_text("[camera]\nfps = 20\nheight = 30\n[optics]\ntilt_deg = 0.0\n", "utf-8")
-    arguments = ["simulate", str(tmp_path / "t"), "--preset", "late", "--toml", str(toml), "--fps", "25"]
-    arguments += ["--duration", "0.4", "--width", "1100", "--seed", "3", "--set", "optics.tilt_deg=0.1"]
-    arguments += ["--exposure", "2", "--set", "sheets.count=40", "--container", "tiff"]
+    arguments = ["simulate", str(tmp_path / "t"), "--preset", "late", "--toml", str(toml)]
+    arguments += ["--duration", "0.4", "--set", "camera.width=1100", "--set", "camera.fps=25"]
+    arguments += ["--seed", "3", "--set", "optics.tilt_deg=0.1", "--set", "camera.exposure_s=0.002"]
+    arguments += ["--set", "sheets.count=40", "--container", "tiff"]
     assert run(arguments) == 0
     with xr.open_dataset(tmp_path / "t" / "truth.nc", engine="h5netcdf") as truth:
         settings = truth.attrs["settings"]
@@ -27,10 +28,11 @@ def test_options_toml_and_set_in_that_order(tmp_path, capsys):
     assert out.err == ""
 
 
-def test_options_and_set_are_checked_together(tmp_path):
-    """A failure means that 90 sheets are refused, although --set allows 45 per side."""
-    arguments = ["simulate", str(tmp_path / "t"), "--sheets", "90", "--set", "sheets.per_side=45"]
-    arguments += ["--width", "2000", "--pitch", "20", "--height", "20", "--duration", "0.1", "--quiet"]
+def test_settings_are_checked_together(tmp_path):
+    """A failure means that 90 sheets are refused, although the next setting allows 45 per side."""
+    sizes = ("sheets.count=90", "sheets.per_side=45", "camera.width=2000", "sheets.pitch_px=20")
+    arguments = ["simulate", str(tmp_path / "t"), "--duration", "0.1", "--quiet"]
+    arguments += [word for size in (*sizes, "camera.height=20") for word in ("--set", size)]
     assert run(arguments) == 0
     with xr.open_dataset(tmp_path / "t" / "truth.nc", engine="h5netcdf") as truth:
         assert truth.sizes["sheet"] == 90
@@ -39,10 +41,10 @@ def test_options_and_set_are_checked_together(tmp_path):
 @pytest.mark.parametrize(
     "bad",
     [
-        ["--sheets", "200"],
+        ["--set", "sheets.count=200"],
         ["--container", "wmv"],
         ["--preset", "nice"],
-        ["--d-end", "80"],
+        ["--set", "mechanics.d_end_mm=80"],
         ["--set", "load_cell.noise_N=-1"],
         ["--set", "tilt"],
         ["--toml", "none.toml"],

@@ -51,7 +51,8 @@ def test_tests_that_share_their_friction_coefficient(tmp_path, mu):
     """A failure means a warning about tests that differ by less than events scatter, or no curve."""
     made = (events(seed=1), events(mu=mu, seed=2))
     found = vision.compare([write_run(tmp_path / f"r{k}", one) for k, one in enumerate(made)])
-    assert found.joint[0].disagrees == (mu != 0.89)  # said in the summary, as before
+    assert found.joint[0].disagrees == (mu != 0.89)
+    assert found.joint[0].disagrees == any("differ by more than their" in s for s in found.warnings)
     assert not any("single μ" in line for line in found.warnings)
     peaks = next(figure for figure in found.figures() if figure.name == "peaks")
     assert [one.label for one in peaks.panel.series] == ["r0", "r1", "Eq. 1"]  # one velocity

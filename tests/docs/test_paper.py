@@ -23,7 +23,7 @@ def test_every_figure_and_function_it_names_is_there():
     """A failure means a command that answers with an error."""
     drawn = set(re.findall(r"`track figures RUN (\w+)`", TEXT))
     assert drawn <= set(FIGURES)
-    assert set(re.findall(r"`track figures --compare DIR (\w+)`", TEXT)) <= OF_SEVERAL
+    assert set(re.findall(r"`track figures DIR (\w+)`", TEXT)) <= OF_SEVERAL
     for name in ("amplification", "traction", "normal_force", "effective_sheets", "assembly_stiffness"):
         assert f"`{name}`" in TEXT
         assert hasattr(equations, name)

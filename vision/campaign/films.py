@@ -88,7 +88,6 @@ class CampaignSettings:
 FACTS = (*COLUMNS[1:], "notes")  # columns that describe the test
 PATHS = ("force", "timestamps", "corrections")  # options that name a file, relative to the table
 NO_FILMS = "expected a column film; found none"
-MAX_NAME_BYTES = 150  # of a name in UTF-8, from which the names of folders and files are made
 # Usual names of the columns. A message about an unknown column suggests the nearest of them.
 _ALIKE = ALIKE | {
     "video": "film", "file": "film", "movie": "film", "path": "film", "recording": "force", "load": "force",
@@ -239,8 +238,8 @@ def _row(
     checked = check({name: text for name, text in options.items() if name not in dict(problems)})
     problems += checked.problems
     name = safe_name(given.get("name", "") or name_of(Path(film)))
-    if len(name.encode()) > MAX_NAME_BYTES:
-        wanted = f"expected a name of at most {MAX_NAME_BYTES} bytes (an accented letter has 2)"
+    if len(name.encode()) > 150:  # the names of folders and files are longer
+        wanted = "expected a name of at most 150 bytes (an accented letter has 2)"
         problems.append(("name", f"{wanted}; found {len(name.encode())}; give one in a column name"))
     row = Row(row=line, film=film, name=name, options=options, values=checked.values, facts=facts)
     return row, problems
@@ -313,10 +312,7 @@ class FolderWatch:
     A film is complete when its size and modification time have not changed for some time and its index can be
     read. A film that remains truncated (the camera's computer failed) is taken later, with its warnings.
 
-    Raises
-    ------
-    InputError
-        If it is not a folder, and from `rows` if its disk does not answer.
+    Raises: InputError if it is not a folder, and from `rows` if its disk does not answer.
     """
 
     def __init__(

@@ -204,13 +204,7 @@ Work = Callable[[PlannedFilm, Path, Path], Outcome]
 """Function that analyses a film. Arguments: the film, the path to read it from, the run folder to write."""
 
 
-def run_job(
-    plan: Plan,
-    job: str,
-    work: Work,
-    *,
-    fetched: Sequence[Path] = (),
-) -> int:
+def run_job(plan: Plan, job: str, work: Work, *, fetched: Sequence[Path] = ()) -> int:
     """Analyse every unfinished film of a job; return 0 if all are finished then, else 1.
 
     The films are analysed in a child process, forked after the imports. If it dies (a crashing decoder, lack
@@ -277,11 +271,7 @@ def _until_parent_ends(work: Callable[[], None]) -> None:
 
 
 def _run_each(
-    plan: Plan,
-    films: Sequence[PlannedFilm],
-    work: Work,
-    copies: dict[str, Path],
-    current: mmap.mmap,
+    plan: Plan, films: Sequence[PlannedFilm], work: Work, copies: dict[str, Path], current: mmap.mmap
 ) -> None:
     """Analyse films one after the other and write their states; `current` holds the index of the film."""
     for number, film in enumerate(films):

@@ -165,19 +165,10 @@ def make_plan(
 ) -> Plan:
     """Fingerprint the films, estimate their time and memory, and divide the unfinished ones into jobs.
 
-    Parameters
-    ----------
-    out, config, stage, report
-        As in `Plan`; the folder need not exist.
-    cores
-        Number of jobs that run at a time.
-    keep
-        Whether the fingerprints are stored for the next time; if False nothing is written.
-
-    Raises
-    ------
-    InputError
-        If ``out`` is not a campaign, or one of another version, or the disk of a film does not answer.
+    out, config, stage, report: as in `Plan`; the folder need not exist.  cores: number of jobs that run at a
+    time.  keep: whether the fingerprints are stored for the next time; if False nothing is written.
+    Raises: InputError if ``out`` is not a campaign, or one of another version, or the disk of a film does not
+    answer.
     """
     check_folder(out)
     known = read_if_whole(out / FINGERPRINTS)  # if not, all files are read again

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -54,6 +54,15 @@ class Threshold:
     scatter: float
     stated: float
     called_stiff: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class StickPhases:
+    """What the results about σ_x/Λ_st need besides the pixel size: events, clock, and the threshold."""
+
+    sticks: pd.DataFrame
+    clock: Clock
+    threshold: float = STIFF_BELOW
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,19 +145,18 @@ def certify_run(
 ) -> Certificate:
     """Return the certificate of a finished run, using its events and clock if it has them.
 
-    Raises
-    ------
-    InputError
-        For a run without a video, or with sheets in too few frames.
+    Raises: InputError for a run without a video, or with sheets in too few frames.
     """
-    clock, given, strip = run.clock, run.value("threshold"), read_strip(run)
+    clock, sticks, given, strip = run.clock, run.table("events"), run.value("threshold"), read_strip(run)
+    phases = None
+    if sticks is not None and clock is not None and clock.status != "ambiguous":
+        threshold = STIFF_BELOW if given is None else float(given)
+        phases = StickPhases(sticks=sticks, clock=clock, threshold=threshold)
     return certify(
         strip,
         run.tracks,
         pixel_size_um=run.pixel_size_um,
-        sticks=run.table("events"),
-        clock=None if clock is None or clock.status == "ambiguous" else clock,
-        threshold=STIFF_BELOW if given is None else float(given),
+        phases=phases,
         encoder=_encoder(run, strip, settings),
         settings=settings,
         progress=progress,
@@ -175,9 +183,7 @@ def certify(
     tracks: xr.Dataset,
     *,
     pixel_size_um: float | None = None,
-    sticks: pd.DataFrame | None = None,
-    clock: Clock | None = None,
-    threshold: float = STIFF_BELOW,
+    phases: StickPhases | None = None,
     encoder: Encoder | None = None,
     settings: CertifySettings = CertifySettings(),
     progress: Progress | None = None,
@@ -188,10 +194,8 @@ def certify(
     ----------
     strip, tracks
         I(x, t) and x(n, t) of the recording, as `strip_profile` and `track_sheets` return them.
-    pixel_size_um, sticks, clock
-        Pixel size, stick-slip events and clock, which the results about σ_x/Λ_st need.
-    threshold
-        σ_x/Λ_st below which a sheet is stiff.
+    pixel_size_um, phases
+        Pixel size and stick phases, both of which the results about σ_x/Λ_st need.
     encoder
         How the recording was encoded, from `vision.certify.encoder.read_encoder`. Films are then encoded
         again instead of getting the recording's residuals.
@@ -219,11 +223,9 @@ def certify(
     """
     like, track, recorded_px = _imitated(strip, tracks, encoder, settings)
     scales = [scale for scale in (1.5, 2.0, 3.0, 4.0) if scale <= settings.largest_jump]
-    of_sticks = None  # what the ratio at the threshold needs
-    if sticks is not None and clock is not None and pixel_size_um is not None:
-        of_sticks = sticks, clock, pixel_size_um
+    phases = None if pixel_size_um is None else phases
     if progress is not None:
-        films = settings.films if of_sticks is None else 2 * settings.films
+        films = settings.films if phases is None else 2 * settings.films
         track = _counting(track, progress, films + 1 + len(scales))
     measured = [
         _measure(like, like.motion_px, track(like.film(like.motion_px, number=number)))
@@ -234,8 +236,12 @@ def certify(
     locking = _locking(like, track)
     sweeps, stick_frames = _sweep_errors(like, measured)
     margin, tried = _identity_margin(like, track, measured, scales)
-    at_threshold = of_sticks and _at_threshold(like, track, settings.films, *of_sticks, threshold, tracks)
     metadata, facts = TrackMetadata.of(tracks), StripMetadata.of(strip)
+    at_threshold = None
+    if phases is not None and pixel_size_um is not None:
+        creeping = _creep_at_threshold(like, phases, pixel_size_um, metadata.axis_px)
+        tracked = (track(like.film(creeping, number=number)) for number in range(settings.films))
+        at_threshold = _at_threshold(tracked, phases, pixel_size_um)
     imitated = tracks.isel(frame=like.frames)
     sheets = _sheet_table(like, tracks, error, stated, locking, sweeps, settings.errors_resolved)
     known = np.isfinite(error)
@@ -462,30 +468,26 @@ def _identity_margin(
     return margin, tried
 
 
-def _at_threshold(
-    like: Likeness,
-    track: Tracker,
-    films: int,
-    sticks: pd.DataFrame,
-    clock: Clock,
-    pixel_size_um: float,
-    threshold: float,
-    tracks: xr.Dataset,
-) -> Threshold | None:
-    """Analyse films in which every sheet creeps by √12 × threshold × Λ_st in every stick phase."""
-    time = np.asarray(clock.to_force_s(np.asarray(like.strip["time_s"].values, float)), float)
-    side = np.where(
-        like.picture.rest_px < TrackMetadata.of(tracks).axis_px - float(like.strip["x"].values[0]), -1, 1
-    )
+def _creep_at_threshold(like: Likeness, phases: StickPhases, pixel_size_um: float, axis_px: float) -> Floats:
+    """Return positions (frame, sheet) that creep by √12 × threshold × Λ_st in every stick phase, px."""
+    sticks = phases.sticks
+    time = np.asarray(phases.clock.to_force_s(np.asarray(like.strip["time_s"].values, float)), float)
+    side = np.where(like.picture.rest_px < axis_px - float(like.strip["x"].values[0]), -1, 1)
     length = sticks["stick_length_um"].to_numpy(float)
     start, stop = sticks["t_v_s"].to_numpy(float), sticks["t_p_s"].to_numpy(float)
     inward = np.zeros(time.size)
     for begin, end, long in zip(start, stop, length, strict=True):
         inside = (time >= begin) & (time <= end)
         share = (time[inside] - begin) / max(end - begin, 1e-9) - 0.5
-        inward[inside] = share * np.sqrt(12) * threshold * np.nan_to_num(long) / pixel_size_um
-    motion = like.picture.rest_px - side * inward[:, None]
-    tracked = (track(like.film(motion, number=number)) for number in range(films))
+        inward[inside] = share * np.sqrt(12) * phases.threshold * np.nan_to_num(long) / pixel_size_um
+    return np.asarray(like.picture.rest_px - side * inward[:, None])
+
+
+def _at_threshold(
+    tracked: Iterable[xr.Dataset], phases: StickPhases, pixel_size_um: float
+) -> Threshold | None:
+    """Return σ_x/Λ_st where it is the threshold for every sheet; None if it cannot be measured."""
+    sticks, clock, threshold = phases.sticks, phases.clock, phases.threshold
     try:
         moved = [horizontal_deformation(one, sticks, clock, pixel_size_um=pixel_size_um) for one in tracked]
     except InputError:

@@ -186,17 +186,8 @@ def _material(columns: Floats, at_px: Floats, rest_px: Floats, rigid_px: Floats)
 def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) -> Likeness:
     """Separate a recording into mean picture, motion and residuals.
 
-    Parameters
-    ----------
-    strip, tracks
-        I(x, t) and x(n, t) of a run, with the same frames.
-    settings
-        Tunable constants.
-
-    Raises
-    ------
-    InputError
-        For fewer than `settings.least_frames` that show all but a few sheets.
+    strip, tracks: I(x, t) and x(n, t) of a run, with the same frames.  settings: tunable constants.
+    Raises: InputError for fewer than `settings.least_frames` that show all but a few sheets.
     """
     start, frames = np.asarray(tracks["x_px"].values[0]), tracks.sizes["frame"]
     first = max(0, (frames - settings.most_frames) // 2)
@@ -410,10 +401,9 @@ def smooth_motion(
     are used, as steps about them are no motion. At positions that are `distorted`, a sheet moves like its
     neighbours.
 
-    Returns
-    -------
-    Positions without noise, (frame, sheet); the common motion in single frames, (frame,); and the share of
-    the noise's variance that is not in them, (frame, sheet), which is 0 where positions are as measured.
+    Returns: positions without noise, (frame, sheet); the common motion in single frames, (frame,); and the
+    share of the noise's variance that is not in them, (frame, sheet), which is 0 where positions are as
+    measured.
     """
     frames, sheets = x_px.shape
     x_px, raw = (x_px, x_px) if distorted is None else (np.where(distorted, np.nan, x_px), x_px)

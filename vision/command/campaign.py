@@ -43,8 +43,6 @@ from vision.files import usable_cores
 from vision.run import FAILURES, Parameter
 from vision.summary import aligned
 
-MOST_PROBLEMS = 10  # of a table that are printed
-
 
 def campaign(table: Path | None, options: CampaignOptions) -> int:
     """Plan and track the films of a table, a watched folder, or both; return the exit status."""
@@ -153,7 +151,7 @@ def _read(table: Path, check: Check, awaited: Path | None) -> list[Row]:
     if problems:
         if any((p.row, p.column, p.text) == (1, "film", NO_FILMS) for p in problems):
             raise InputError(table, "a column film, with a film in each row", "none", "is it another table?")
-        shown = [(str(p.row), p.column, p.text) for p in problems[:MOST_PROBLEMS]]
+        shown = [(str(p.row), p.column, p.text) for p in problems[:10]]
         for line in in_columns([("row", "column", "problem"), *shown], "><"):
             complain(line)
         if more := len(problems) - len(shown):

@@ -150,16 +150,15 @@ def export(
 
 
 def figures(
-    run: Path | None = None,
+    run: Path,
     /,
     *names: str,
-    compare: Path | None = None,
     to: Literal["pdf", "svg", "png", "csv"] = "pdf",
     output: OutputOptions = OutputOptions(),
 ) -> int:
     """Write the figures of a finished run for a manuscript, or their numbers as csv.
 
-    Writes one file per figure into the folder RUN_figures.
+    A comparison of several tests has figures, too. Writes one file per figure into the folder RUN_figures.
 
     For example:
 
@@ -167,22 +166,20 @@ def figures(
 
         track figures test_tracks deformation shells --to pdf --out manuscript
 
-        track figures --compare comparison collapse trends
+        track figures comparison collapse trends
 
     Parameters
     ----------
     run
-        Run folder.
+        Run folder, or the folder that `track compare` wrote.
     names
-        Names of figures; all of the run if none is given.
-    compare
-        Folder that `track compare` wrote, instead of a run.
+        Names of figures; all if none is given.
     to
         Format.
     """
     from vision.command import views
 
-    return views.figures(run, names, compare, to, output)
+    return views.figures(run, names, to, output)
 
 
 def overlay(

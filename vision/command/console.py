@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import difflib
 import errno
 import os
 import re
@@ -21,7 +22,6 @@ from vision.errors import InputError, with_options
 from vision.files import Progress
 
 T = TypeVar("T")
-M_MMAP_THRESHOLD = -3  # from malloc.h
 
 
 def hold_streams() -> None:
@@ -62,7 +62,7 @@ def return_freed_memory() -> None:
     with 24 sheets 55 MB while sheets are tracked, and 180 MB afterwards.
     """
     with suppress(OSError, AttributeError):  # only the GNU C library has this setting
-        ctypes.CDLL(None).mallopt(M_MMAP_THRESHOLD, 4 << 20)
+        ctypes.CDLL(None).mallopt(-3, 4 << 20)  # M_MMAP_THRESHOLD of malloc.h
 
 
 def say(lines: Iterable[str]) -> None:
@@ -172,16 +172,22 @@ def _unexpected(error: Exception) -> str:
     return f"unexpected error ({what}); please report it with {file.name}"
 
 
-def _abbreviated(typed: str) -> str:
-    """Return the only option that a typed one abbreviates: --px and --pix for --pixel-size; "" for none."""
+def _unknown_option(error: UnknownOptionError) -> str:
+    """Return the message on an unknown option.
+
+    It suggests the only option of the command that the typed one abbreviates (--px and --pix for
+    --pixel-size), or one that is spelled almost like it.
+    """
+    typed = (error.token.keyword or error.token.value).partition("=")[0]
+    options = [name for one in error.argument_collection if one.parse for name in one.names]
 
     def abbreviates(option: str) -> bool:
         rest = iter(option.lstrip("-"))
         return option.startswith(typed[:3]) and all(letter in rest for letter in typed.lstrip("-"))
 
-    options = set(option_names().values()) - {typed}
-    found = [option for option in options if re.fullmatch("--[a-z0-9-]+", typed) and abbreviates(option)]
-    return found[0] if len(found) == 1 else ""
+    near = [option for option in options if re.fullmatch("--[a-z0-9-]+", typed) and abbreviates(option)]
+    near = near if len(near) == 1 else difflib.get_close_matches(typed, options, 1, cutoff=0.8)
+    return f"Unknown option: {typed}." + "".join(f" Did you mean {option}?" for option in near)
 
 
 def _help_of(error: CycloptsError) -> str:
@@ -194,8 +200,8 @@ def one_line(error: Exception) -> str:
     if isinstance(error, UnusedCliTokensError):
         advice = f"quote a glob of images; {_help_of(error)}"
         error = InputError(" ".join(error.unused_tokens or ()), "one input", "more", advice)
-    elif isinstance(error, UnknownOptionError) and (near := _abbreviated(error.token.value)):
-        return f"Unknown option: {error.token.value}. Did you mean {near}? ({_help_of(error)})"
+    elif isinstance(error, UnknownOptionError):
+        return f"{_unknown_option(error)} ({_help_of(error)})"
     elif isinstance(error, CoercionError) and error.target_type in (int, float) and error.token is not None:
         typed, kind = error.token.value, "number" if error.target_type is float else "whole number"
         advice = with_point(typed) if kind == "number" else ""

@@ -18,13 +18,7 @@ from cyclopts import App
 
 from vision import __version__
 from vision.command import commands
-from vision.command.console import (
-    attempt,
-    complain,
-    hold_streams,
-    return_freed_memory,
-    silence_libraries,
-)
+from vision.command.console import attempt, complain, hold_streams, return_freed_memory, silence_libraries
 from vision.command.review import review
 from vision.errors import InputError
 from vision.files import MOST_PIXELS

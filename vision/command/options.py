@@ -243,7 +243,7 @@ class SimulateOptions:
     toml: Path | None = None
     """TOML file of settings in the tables sample, mechanics, sheets, optics, camera, clocks, load_cell."""
     set_: Annotated[tuple[str, ...], Option(name="--set", show_default=False)] = ()
-    """Any setting by name, such as --set optics.tilt_deg=0.5; can be repeated."""
+    """Any setting by name, such as --set camera.fps=25 or --set optics.tilt_deg=0.5; can be repeated."""
     overwrite: Flag = False
     """Replace an earlier synthetic test."""
     quiet: Flag = False
@@ -252,50 +252,6 @@ class SimulateOptions:
     """Seed of the random numbers: the same seed gives the same data."""
     duration: float | None = _sets("camera.duration_s")
     """Length of the video, s."""
-    fps: float | None = _sets("camera.fps")
-    """Frames per second."""
-    width: int | None = _sets("camera.width")
-    """Width of a frame, px."""
-    height: int | None = _sets("camera.height")
-    """Height of a frame, px."""
-    pixel_size: float | None = _sets("camera.pixel_size_um")
-    """Micrometres per pixel."""
-    exposure: float | None = _sets("camera.exposure_s")
-    """Exposure, ms."""
-    bits: int | None = _sets("camera.bits")
-    """Bits per pixel, 8 to 16."""
-    speed: float | None = _sets("mechanics.speed_mm_min")
-    """Pulling speed V, mm/min."""
-    d0: float | None = _sets("mechanics.d0_mm")
-    """Separation at the start, mm."""
-    d_end: float | None = _sets("mechanics.d_end_mm")
-    """Separation at the end, mm."""
-    offset: float | None = _sets("clocks.offset_s")
-    """Time on the force clock at video time 0, s."""
-    sheets: int | None = _sets("sheets.count")
-    """Number of ridges in view."""
-    pitch: float | None = _sets("sheets.pitch_px")
-    """Distance between ridges, px."""
-    fwhm: float | None = _sets("optics.fwhm_px")
-    """Full width of a ridge at half its height, px."""
-    contrast: float | None = _sets("optics.contrast")
-    """Michelson contrast of the ridges."""
-    ridges: Literal["bright", "dark"] | None = _sets("optics.polarity")
-    """Whether ridges are brighter or darker than the gaps between them."""
-    dropped: float | None = _sets("clocks.dropped")
-    """Fraction of frames lost."""
-    force_rate: float | None = _sets("clocks.force_rate_Hz")
-    """Force samples per second."""
-    force_layout: Literal["mts", "instron", "zwick", "csv"] | None = _sets("force_file.layout")
-    """Layout of force.txt."""
-    force_decimal: Literal[".", ","] | None = _sets("force_file.decimal")
-    """Decimal mark in force.txt."""
-    force_encoding: Literal["utf-8-sig", "utf-8", "latin-1"] | None = _sets("force_file.encoding")
-    """Encoding of force.txt."""
-    force_unit: Literal["N", "kN"] | None = _sets("force_file.unit")
-    """Unit of force in force.txt."""
-    video_time: bool | None = _sets("force_file.video_time")
-    """Write the camera's clock as a column of force.txt (layout mts only)."""
 
 
 @Option(name="*")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -291,7 +291,9 @@ def simulate(directory: Path, options: SimulateOptions) -> int:
     """Make a synthetic traction test with known truth, and return the exit status."""
     experiment = ready_made(options.preset)
     changes = settings_from_toml(options.toml) if options.toml else {}
-    changes |= _given(options) | dict(map(_pair, options.set_))
+    typed = {"seed": options.seed, "camera.duration_s": options.duration}
+    changes |= {name: value for name, value in typed.items() if value is not None}
+    changes |= dict(map(_pair, options.set_))
     experiment = with_settings(experiment, changes)  # at once, as some settings are valid only with others
     container, overwrite = options.container, options.overwrite
     with frame_progress("drawing", quiet=options.quiet) as progress:
@@ -305,16 +307,6 @@ def simulate(directory: Path, options: SimulateOptions) -> int:
     track += ["--force", str(test.force), "--d0", d0]
     lines += aligned([*((name, str(path)) for name, path in files.items()), ("next", shlex.join(track))])
     return conclude(lines, (), quiet=options.quiet)
-
-
-def _given(options: SimulateOptions) -> dict[str, Any]:
-    """Return the given options by the names of their settings; milliseconds become seconds."""
-    setting_of = {one.metadata["setting"]: one.name for one in fields(options) if one.metadata}
-    values = {setting: getattr(options, name) for setting, name in setting_of.items()}
-    given = {setting: value for setting, value in values.items() if value is not None}
-    if options.exposure is not None:
-        given["camera.exposure_s"] = options.exposure / 1000
-    return given
 
 
 def _pair(text: str) -> tuple[str, str]:

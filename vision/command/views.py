@@ -53,14 +53,7 @@ from vision.run.tables import frame_step_s, unevenness_s, write_space_time_tif
 from vision.sheets.ridges import describe_ridges, find_ridges
 from vision.sheets.tracks import LOSSY
 from vision.spacetime import Sheet, space_time
-from vision.summary import (
-    aligned,
-    frame_rate_text,
-    noise_figures,
-    other_flags,
-    ridges_line,
-    scale_line,
-)
+from vision.summary import aligned, frame_rate_text, noise_figures, other_flags, ridges_line, scale_line
 from vision.video import Video, strip_profile, video_files
 from vision.video.strip import row_means
 from vision.video.strip_find import choose_strip
@@ -327,15 +320,8 @@ def export(run: Path, to: Format, output: OutputOptions) -> int:
     return conclude([f"{to} -> {exported.target}{folder}"], (), quiet=output.quiet)
 
 
-def figures(
-    run: Path | None, names: Sequence[str], compare: Path | None, to: str, output: OutputOptions
-) -> int:
+def figures(run: Path, names: Sequence[str], to: str, output: OutputOptions) -> int:
     """Write the figures of a run or of a comparison, one file each, and return the exit status."""
-    if compare is not None:  # the first argument is then not a run but the name of a figure
-        names = names if run is None else (str(run), *names)
-        run = compare
-    if run is None:
-        raise InputError("track figures", "a run folder", "none", "give RUN, or --compare DIR")
     folder = read_run(run).folder
     made = {figure.name: figure for figure in load_figures(folder / "figures.npz")}
     if unknown := [name for name in names if name not in made]:

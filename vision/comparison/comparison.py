@@ -178,6 +178,12 @@ def compare(
         for one in joint
         if not one.fits
     ]
+    warnings += [
+        f"{one.sample or 'all tests'}: the individual μ of {len(one.runs)} tests differ by more than their "
+        f"errors (χ²/dof {one.disagreement:.3g}): use the μ of each test, in tests.csv"
+        for one in joint
+        if one.fits and one.disagrees
+    ]
     rows = _table(tests, fits)
     shared = {name: shared_shifts(tests, fits, name) for name in QUANTITIES}
     individual = {with_word(name, "err"): [fit.individual_error(name) for fit in fits] for name in QUANTITIES}

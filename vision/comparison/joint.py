@@ -25,7 +25,6 @@ from vision.models.single_fits import (
 from vision.numeric import Bools, Floats, rms, two_digits
 from vision.sample import Sample
 
-DISAGREES = 4.0  # χ²/dof of the individual μ above which the tests are reported to differ
 JOINT_ERROR = "stat. and d_0"
 """What the error of a joint μ contains."""
 QUANTITIES = ("mu", "T0_N", "A", "N_hat_N", "Lambda_hat_mm")  # columns of tests.csv
@@ -52,6 +51,10 @@ class CompareSettings:
     """Ratio of χ²/dof of the peaks about the joint curve and about the individual ones from which no single μ
     fits. Smaller warns of less than the scatter of events, larger accepts curves that miss the points. Tests
     with μ of 0.890 to 0.894 give 1.2, those with 0.89 and 0.91 give 8."""
+    most_disagreement: float = 4.0
+    """χ²/dof of the individual μ of several tests above which a warning says that they differ by more than
+    their errors; 1 is expected. Smaller warns of chance in few tests, larger passes tests whose errors lack a
+    source (`test_tests_that_share_their_friction_coefficient`)."""
     test_misfit: float = 3.0
     """χ²/dof of the fits of one test above which it gets a warning; 1 is expected. Smaller warns of chance in
     tests with few events, larger accepts a wrong modulus (`test_a_wrong_modulus_shows`)."""
@@ -136,6 +139,7 @@ class JointFriction:
     t0_N: tuple[float, ...]  # offset of each test
     at_limit: tuple[str, ...]  # runs whose offset reaches the limit
     disagreement: float  # χ²/dof of the individual μ about the joint one
+    disagrees: bool  # whether they differ by more than their errors
     amplitude: Estimate  # A, weighted mean of the slow tests
     misfit: float  # χ²/dof of all peaks about the joint curve, relative to that about the individual ones
     fits: bool  # whether the joint curve fits the peaks nearly as well as the individual ones
@@ -147,11 +151,6 @@ class JointFriction:
         if not self.without_d0_error:
             return JOINT_ERROR
         return "stat." if len(self.without_d0_error) == len(self.runs) else f"{JOINT_ERROR} where given"
-
-    @property
-    def disagrees(self) -> bool:
-        """Whether the individual μ differ by more than their errors."""
-        return self.disagreement > DISAGREES
 
 
 def usable_range(test: TractionTest) -> Bools:
@@ -377,13 +376,15 @@ def fit_joint(
     free = max(sum(int(fit.used.sum()) for fit in fits) - len(fits) - 1, 1)
     chi2 = misfit(mu) / free  # relative: residuals are in units of the scatter about the individual curves
     errors = np.array([fit.individual_error("mu") for fit in fits])
+    disagreement = float(np.sum(((individual - mu) / errors) ** 2) / (individual.size - 1))
     return JointFriction(
         sample=sample,
         runs=tuple(offsets),
         mu=_joint_mu(mu, tests, fits, information),
         t0_N=tuple(offsets.values()),
         at_limit=tuple(run for run, t0 in offsets.items() if abs(t0) >= limit),
-        disagreement=float(np.sum(((individual - mu) / errors) ** 2) / (individual.size - 1)),
+        disagreement=disagreement,
+        disagrees=disagreement > settings.most_disagreement,
         amplitude=weighted_mean(slow),
         misfit=chi2,
         fits=chi2 < settings.joint_misfit,

@@ -25,7 +25,6 @@ from vision.run.provenance import checksum_of
 from vision.run.reading import read_json
 from vision.sample import PUBLISHED, Sample
 
-MAX_BYTES = 1 << 24  # size of a table
 COLUMNS = ("run", "sample", "V_mm_min", "n_test", "RH_percent", "T_C")
 Row = Mapping[Hashable, Any]  # cells of one row of the table, by column
 LIMITS = {"V_mm_min": (1e-6, 1e4), "n_test": (0.0, 1e6), "RH_percent": (0.0, 100.0), "T_C": (-90.0, 200.0)}
@@ -159,7 +158,7 @@ def table_cells(path: Path, wanted: str) -> tuple[list[str], list[tuple[int, lis
 
     wanted: what the file should be, for the message.  Raises: InputError.
     """
-    if check_regular(path, wanted).st_size > MAX_BYTES:
+    if check_regular(path, wanted).st_size > 1 << 24:
         raise InputError(path, wanted, "a far larger file", "check its name")
     try:
         text = path.read_text(encoding="utf-8-sig")

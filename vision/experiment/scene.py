@@ -217,8 +217,6 @@ def camera_time(machine_s: Floats, experiment: Experiment) -> Floats:
 
 # --- the scene ----------------------------------------------------------------------------------------------
 
-_CELLS_PER_PX = 8
-
 
 def strip_slice(experiment: Experiment) -> slice:
     """Return the default strip: the middle `strip_rows` rows, or all rows of a smaller frame."""
@@ -296,9 +294,8 @@ class Scene:
         if not (g.tilt or g.bow_px or g.distortion):  # all rows show the same positions
             return Line(start_px=-0.5, per_px=1, cells=g.width)
         largest_shift = abs(g.tilt) * g.height / 2 + 2.25 * abs(g.bow_px) + abs(g.distortion) * g.width
-        margin = int(np.ceil(largest_shift)) + 3
-        cells = (g.width + 2 * margin) * _CELLS_PER_PX
-        return Line(start_px=-0.5 - margin, per_px=_CELLS_PER_PX, cells=cells)
+        margin, per_px = int(np.ceil(largest_shift)) + 3, 8
+        return Line(start_px=-0.5 - margin, per_px=per_px, cells=(g.width + 2 * margin) * per_px)
 
     @cached_property
     def base(self) -> Floats:

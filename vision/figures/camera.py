@@ -35,10 +35,7 @@ from vision.spacetime import space_time
 from vision.words import is_word
 
 MOST_ROWS = 1200  # of an image
-WINDOW_COLUMNS = 240  # least of the image of a window, which is interpolated to it
 X_PX, GREY_LEVELS = "x (px)", "I (grey levels)"  # labels of axes
-FLATTEST, TALLEST = 0.09, 1.5  # height over width of a frame; beyond them it is stretched
-NUMBERS = 0.03  # height of the sheets' numbers above the strip, over the width of the frame
 SHOWN_SLIPS = 4  # of single sheets, as in the publication
 KYMOGRAPH_CAPTION = (
     "Intensity I(x,t) averaged over the strip's rows, one frame below the other, time downwards. "
@@ -77,11 +74,11 @@ def frame_figure(
     axis_px = TrackMetadata.of(tracks).axis_px if axis else math.nan
     numbers = "sheet numbers n, symmetry axis (dashed)" if axis else "index from the left (axis not known)"
     aspect = rows / columns
-    shown = float(np.clip(aspect, FLATTEST, TALLEST))
+    shown = float(np.clip(aspect, 0.09, 1.5))
     z_scale = shown / aspect  # over that of x
     times = max(z_scale, 1 / z_scale)
     stretched = f"; {'z' if z_scale > 1 else 'x'} stretched {times:.2g} times" if shown != aspect else ""
-    number_height = NUMBERS * columns / z_scale
+    number_height = 0.03 * columns / z_scale
     # Numbers that do not fit between the picture's edge and the strip are above the picture.
     numbers_z = z0 - 0.5 if z0 > number_height else -0.5
     z_range = min(-0.5, numbers_z - number_height), rows - 0.5
@@ -480,7 +477,7 @@ def _finer(rows: Floats32) -> Floats32:
     Drawn as squares, the pixels of a narrow window hide motion of less than a pixel.
     """
     columns = rows.shape[1]
-    finer = -(-WINDOW_COLUMNS // columns)
+    finer = -(-240 // columns)  # so that a window has at least 240 columns
     known = np.isfinite(rows)
     if finer == 1 or columns < 2 or not known.any():
         return rows

@@ -85,7 +85,7 @@ def _means(values: NDArray[np.floating], starts: NDArray[np.integer[Any]]) -> Fl
 
 
 def grey_limits(*pictures: NDArray[np.floating]) -> tuple[float, float]:
-    """Return the grey levels that are drawn black and white in all of the pictures (rows, columns).
+    """Return the grey levels that are drawn black and white in every picture (rows, columns).
 
     These are the quantiles at 0.2 and 99.8 %. The extremes would be those of a few dead pixels or
     reflections; with 0.5 and 99.5 % narrow ridges, bright or dark, would be cut off. About 500 rows and

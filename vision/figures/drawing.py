@@ -30,17 +30,7 @@ from vision.figures.style import CASING, HIGHLIGHT, MISSING, MODEL, QUIET, SLIPS
 from vision.numeric import Bools, Floats
 
 MOST_LINES = 40  # marked times that get a line across; more are marked only at the edges
-# Without alpha channel, with little compression and the "up" filter: a sixth of the time of `savefig`.
-_PNG = (cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_UP)
 _DASHES = (0, (4, 2))
-_JUMP, _STEEP = 0.004, 4.0  # least length of a jump over the width of a diagram, and across over along
-FLAT = 0.25  # height over width of images that have ticks only at their first and last row
-_MOST_TRAVEL = 600
-"""Heights of a panel by which all lines of sheets together may rise and fall before most are drawn faint.
-Larger makes long tests a solid block, smaller fades lines that can be told apart. Five slips of 50 sheets
-have 300, twelve have 670."""
-_IN_FULL = 4  # sheets per side, the outermost and others evenly inwards, that are then drawn in full
-_WIDE_IN = 12.0  # width of a panel for which the widths of many lines are given
 _MANY_POINTS = 150  # more points of a series are drawn smaller, with faint error bars
 _STYLE: dict[str, Any] = {
     "font.family": "DejaVu Sans",  # part of matplotlib, with all characters that figures need
@@ -169,7 +159,9 @@ def write_png(pixels: NDArray[np.uint8], path: Path) -> None:
 
 def png(pixels: NDArray[np.uint8]) -> bytes:
     """Return the content of a PNG file of pixels as returned by `render`."""
-    return cv2.imencode(".png", cv2.cvtColor(pixels, cv2.COLOR_RGBA2BGR), _PNG)[1].tobytes()
+    # Without alpha channel, with little compression and the "up" filter: a sixth of the time of `savefig`.
+    options = (cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_UP)
+    return cv2.imencode(".png", cv2.cvtColor(pixels, cv2.COLOR_RGBA2BGR), options)[1].tobytes()
 
 
 def picture_style() -> AbstractContextManager[None]:
@@ -220,7 +212,7 @@ def _draw_sheets(ax: Axes, panel: Panel) -> None:
         lines = [np.stack([s.y, s.x] if panel.time_down else [s.x, s.y], axis=1) for s in known]
         width, full = known[0].width, _in_full(panel)
         if panel.image is not None or len(full) < len(panel.series):  # not to fill a small figure
-            width *= min(1.0, _width_in(ax) / _WIDE_IN)
+            width *= min(1.0, _width_in(ax) / 12.0)  # in a panel 12 inches wide lines have their width
         if panel.image is not None:  # coloured lines are invisible on white ridges without a dark edge
             ax.add_collection(LineCollection(lines, linewidths=1.9 * width, colors=CASING, alpha=0.7))
         inks, dashes = [s.ink[0] for s in known], [_DASHES if s.dashed else "-" for s in known]
@@ -237,19 +229,23 @@ def _draw_sheets(ax: Axes, panel: Panel) -> None:
 
 
 def _in_full(panel: Panel) -> set[tuple[int, int]]:
-    """Return the sheets whose lines are drawn in full: all, or a few if all would cover the panel."""
+    """Return the sheets whose lines are drawn in full: all, or a few if all would cover the panel.
+
+    Together the lines may rise and fall by 600 heights of the panel. More would make long tests a solid
+    block, less would fade lines that can be told apart: five slips of 50 sheets have 300, twelve have 670.
+    """
     sheets = {series.sheet for series in panel.series if series.sheet is not None}
     if panel.image is not None:
         return sheets
     known = [series.y[np.isfinite(series.y)] for series in panel.series]
     heights = np.concatenate([np.empty(0), *known])
     travel = sum(float(np.abs(np.diff(y)).sum()) for y in known)
-    if not heights.size or travel <= _MOST_TRAVEL * np.ptp(heights):
+    if not heights.size or travel <= 600 * np.ptp(heights):
         return sheets
     full: set[tuple[int, int]] = set()
     for side in (-1, 1):
         outwards = sorted(sheet for sheet in sheets if side * sheet[0] > 0)
-        full.update(outwards[:: -max(1, -(-len(outwards) // _IN_FULL))])
+        full.update(outwards[:: -max(1, -(-len(outwards) // 4))])  # the outermost and others, evenly inwards
     return full
 
 
@@ -263,14 +259,14 @@ def _bottom_up(sheets: list[Series]) -> list[Series]:
 
 
 def _interrupted(series: Series, panel: Panel) -> Series:
-    """Return a track with a gap at each jump: far, and much further across the diagram than along it.
+    """Return a track with a gap at each jump: over 0.4 % of the diagram, and four times as far as along it.
 
     The lines of fast oscillations would otherwise fill areas, and hide the image.
     """
     (first, last), (low, high) = panel.x_range or (0.0, np.inf), panel.y_range or (0.0, np.inf)
     across = np.abs(np.diff(series.y)) / (high - low)  # in widths of the panel
     along = np.abs(np.diff(series.x)) / (last - first) * panel.aspect
-    jumps = np.flatnonzero((across > _JUMP) & (across > _STEEP * along)) + 1
+    jumps = np.flatnonzero((across > 0.004) & (across > 4 * along)) + 1
     x, y = np.insert(series.x, jumps, series.x[jumps]), np.insert(series.y, jumps, np.nan)
     return replace(series, x=x, y=y)
 
@@ -424,7 +420,7 @@ def _set_axes(ax: Axes, right: Axes | None, panel: Panel) -> None:
     elif panel.downwards:  # no ticks above the first row of the image
         last = panel.image.bottom - 0.5
         inside = [tick for tick in ax.get_yticks() if -0.5 <= tick <= last]
-        ax.set_yticks([0, last] if panel.aspect < FLAT else inside)
+        ax.set_yticks([0, last] if panel.aspect < 0.25 else inside)  # flat images have no room for more
     if right is not None:
         right.set_ylabel(to_mathtext(panel.y2_label))
         right.spines["right"].set_visible(True)
@@ -458,11 +454,7 @@ def _draw_legend(ax: Axes, panel: Panel) -> None:
         place: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1, 1), "borderaxespad": 0.1}
         place |= {"ncols": columns, "frameon": False}
         if _Inches.LEGEND_ROW * -(-len(entries) // columns) > _above_in(ax):
-            place = {
-                "loc": "best",
-                "ncols": 1,
-                "framealpha": 0.8,
-            }  # of axes that others made without the room
+            place = {"loc": "best", "ncols": 1, "framealpha": 0.8}  # axes of others may lack the room
         ax.legend(handles=handles, fontsize=8, columnspacing=1.2, **place)
 
 

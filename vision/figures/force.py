@@ -39,7 +39,6 @@ from vision.sample import Sample
 
 FIRST_SLIPS = 10  # in the first view of the clocks, of a film with more than twice as many
 SHOWN_STICKS = 5  # events from first to last, or of the early or late part of a test
-MOST_SAMPLES = 30_000  # of force or motion in the figure of the clocks
 CURVE_POINTS = 300
 SAME_SLIP = 0.25  # largest distance of the same slip on both clocks, over the time between slips
 # flags of completely measured events
@@ -95,14 +94,15 @@ def clocks_figure(
     """
     time = clock.to_force_s(time_axis(tracks)[0])
     scale, unit = displacement_unit(pixel_size_um)
-    t_video, opened = minmax_decimate(time, outward_px(tracks) * scale, most=MOST_SAMPLES)
+    most = 30_000  # of force or motion
+    t_video, opened = minmax_decimate(time, outward_px(tracks) * scale, most=most)
     good = good_samples(force)
     t_force, load = good["time_s"].to_numpy(), good["load_N"].to_numpy()
     margin = 0.1 * float(time[-1] - time[0])
     near = (t_force > time[0] - margin) & (t_force < time[-1] + margin)
     if not near.any():  # the whole force, which shows that they do not overlap
         near[:] = True
-    t_force, load = minmax_decimate(t_force[near], load[near], most=MOST_SAMPLES)
+    t_force, load = minmax_decimate(t_force[near], load[near], most=most)
     first_view = _some_sticks(t_video, sticks)
     shown = "" if first_view is None else f" First shown: {FIRST_SLIPS} slips in the middle of the video."
     panel = Panel(

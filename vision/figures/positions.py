@@ -34,10 +34,6 @@ BINS = 20  # per pixel
 ORIGIN_FRAMES = 20
 """Number of frames whose median is the origin of a displacement. The noise of the origin is then about a
 quarter of that of a position. More frames would include motion of the first stick phase."""
-LEAST_SHARE = 0.9
-"""Share of the sheets that must have positions in the frames for the origin. A larger one would wait for
-sheets that come into view late, while others already move; with a smaller one, more origins would be
-interpolated between neighbours."""
 LEAST_FOUND = 0.95
 """Share of the frames in which a sheet must have a position to be in a mean over sheets. With a smaller one,
 sheets that are often missing would leave fewer frames; with a larger one, too few sheets remain."""
@@ -354,7 +350,9 @@ def shells_figure(shells: pd.DataFrame, fits: ModelFits | None = None) -> Figure
 def origin_frames(tracks: xr.Dataset) -> slice:
     """Return up to `ORIGIN_FRAMES` frames, the first in which nearly as many sheets as ever have a position.
 
-    The slice is empty if no sheet was ever found.
+    Nine tenths of the sheets must have one: more would wait for sheets that come into view late, while others
+    already move; with less, more origins would be interpolated between neighbours. The slice is empty if no
+    sheet was ever found.
     """
     known = np.isfinite(tracks["x_px"].values)
     frames = len(known)
@@ -364,7 +362,7 @@ def origin_frames(tracks: xr.Dataset) -> slice:
         total = np.concatenate([[0], np.cumsum(of_sheet)])
         count += total[length:] - total[:-length] == length
     if count.any():
-        start = int((count >= LEAST_SHARE * count.max()).argmax())
+        start = int((count >= 0.9 * count.max()).argmax())
         return slice(start, start + length)
     start = int(known.any(axis=1).argmax())
     return slice(start, min(start + length, frames)) if known.any() else slice(0)

@@ -25,14 +25,6 @@ from vision.review.recordings import TILE_COLUMNS, TILE_FACTOR, TILE_ROWS, Grey
 from vision.review.server import FIRST_VIEW, failed, read_first_view, refused, write_first_view
 from vision.review.session import Session
 
-MAX_POINTS = 20_000  # points of one curve
-MAX_THREADS = 4
-"""Requests answered at a time. More are no faster on a few cores, and each thread needs memory."""
-FIRST_ROWS = 4096
-"""Rows of the finest level that is stored for the first view. A page with more than half as many pixels along
-time requests a finer level, which takes as long as reading the run."""
-FORCE_POINTS = 4096  # points of the whole force recording that a page requests first
-
 
 def session_app(session: Session, stop: Callable[[], None]) -> ASGIApp:
     """Return the application that answers requests about an open run; `stop` ends the server."""
@@ -55,11 +47,12 @@ def first_answers(session: Session) -> dict[str, bytes]:
     """Return, by address, the answers to a page's first requests: the whole test, and the first frame."""
     first, frames, tiles = int(session.positions.frame[0]), session.diagram.frames, session.tiles
     addresses = [f"/api/{name}" for name in ("times", "film", f"frame/{first}.png", f"ridges/{first}")]
-    addresses += [f"/api/force?points={FORCE_POINTS}"]
+    addresses += ["/api/force?points=4096"]  # as a page requests it first
     addresses += [f"/api/stick/{one['event']}" for one in session.sticks()[:1]]
     for level in range(tiles.levels):
         scale = TILE_FACTOR**level
-        step, shown = TILE_ROWS * scale, frames <= FIRST_ROWS * scale
+        # A page with more than 2048 pixels along time requests a finer level, which takes as long as reading.
+        step, shown = TILE_ROWS * scale, frames <= 4096 * scale
         if not (shown or level == 0):
             continue
         for k, begin in enumerate(range(first, first + (frames if shown else 1), step)):
@@ -98,7 +91,8 @@ class Api:
 
     def __init__(self, session: Session, stop: Callable[[], None]) -> None:
         self.session, self._stop = session, stop
-        self._threads = anyio.CapacityLimiter(MAX_THREADS)
+        # Requests answered at a time: more are no faster on a few cores, and each thread needs memory.
+        self._threads = anyio.CapacityLimiter(4)
         self._windows: dict[str, float] = {}  # time of the last request of each browser window
 
     def routes(self) -> list[Route]:
@@ -251,7 +245,7 @@ def _number(request: Request, name: str, default: int) -> int:
 
 
 def _points(request: Request) -> int:
-    return max(2, min(_number(request, "points", 2000), MAX_POINTS))
+    return max(2, min(_number(request, "points", 2000), 20_000))
 
 
 def _seconds(request: Request, name: str, default: float) -> float:

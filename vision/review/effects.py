@@ -28,13 +28,8 @@ from vision.video.strip import row_means
 if TYPE_CHECKING:
     from vision.review.session import Session
 
-STICKS_AROUND = 3
-"""Stick phases on each side of one, from which noise and camera movement are measured for a preview. Using
-all of them takes three times as long and changes a ratio by a thirtieth of its error, and a shell by one
-sheet in one of thirty stick phases."""
 SHOWN_ROWS = 400  # rows of a preview
 MAX_ROWS = 2000  # rows in which a stick phase and its neighbours are measured
-NOISE_FRAMES = 16  # frames from which the noise in another strip is measured
 
 
 class Effects:
@@ -167,7 +162,6 @@ class Effects:
         return {
             "rows": [top, bottom],
             "frame": int(self.run.positions.frame[at]),
-            "profile": profile[here],
             "ridges": seen.x_px[here][known].astype(float) + first,
             "contrast": comb.contrast,
             "fwhm_px": comb.fwhm_px,
@@ -177,11 +171,12 @@ class Effects:
         }
 
     def _read_pictures(self, row: int) -> tuple[list[Pixels], int]:
-        """Return the readable frames around a row, and the index of its own frame among them."""
+        """Return the readable ones of 16 frames around a row, and the index of its own frame among them."""
+        count = 16
         with self.run.lock:
             film, positions = self.run.recordings.film(), self.run.positions
-            first = max(0, min(row - NOISE_FRAMES // 2, len(positions.frame) - NOISE_FRAMES))
-            rows = range(first, min(first + NOISE_FRAMES, len(positions.frame)))
+            first = max(0, min(row - count // 2, len(positions.frame) - count))
+            rows = range(first, min(first + count, len(positions.frame)))
             found = {k: film.picture(int(positions.frame[k]), float(positions.time_s[k])) for k in rows}
             pictures = {k: picture for k, picture in found.items() if picture is not None}
             if row not in pictures:
@@ -208,7 +203,13 @@ class Effects:
         return self._measured(self.run.positions, near)
 
     def _near(self, event: int, clock: Clock | None = None) -> StickAndNeighbours:
-        """Return a stick phase with its neighbours.  Raises: InputError if events or clock are missing."""
+        """Return a stick phase with its neighbours, three on each side or fewer if they are long.
+
+        Noise and camera movement are measured from them. All stick phases would take three times as long and
+        change a ratio by a thirtieth of its error, and a shell by one sheet in one of thirty.
+
+        Raises: InputError if events or clock are missing.
+        """
         clock, events = clock or self.run.clock, self.run.events
         if clock is None or events is None:
             raise InputError("the run", "a force recording and its clock", "none", "give `force` to track")
@@ -219,7 +220,7 @@ class Effects:
             raise InputError("the event", "one of events.csv", f"{event}")
         time = clock.to_force_s(self.run.positions.time_s)
         step = float(np.nanmedian(np.diff(time[: min(len(time), 1000)])))
-        for around in range(STICKS_AROUND, -1, -1):
+        for around in (3, 2, 1, 0):
             sticks = events.iloc[max(0, at[0] - around) : at[0] + around + 1]
             first, last = sticks["t_v_s"].min() - 2 * step, sticks["t_p_s"].max() + 2 * step
             rows = np.flatnonzero((time >= first) & (time <= last))

@@ -30,9 +30,6 @@ from vision.sheets.subpixel import FitName, fit_sheets
 
 CELLS = ("x_px", "err_px", "withheld_px", "flag", "why")
 """Names of the arrays of (frame, sheet)."""
-SLIP_ROWS = 10_000
-"""Rows in which slips are searched at a time. All of 100 000 rows would take 250 MB of memory; in parts with
-fewer than about ten slips their typical size is poorly known."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,8 +97,10 @@ class Positions:
 
     def slips_s(self) -> Floats:
         """Return the times at which the sheets step outwards, s on the camera's clock."""
-        frames = len(self.frame)
-        parts = [slice(k, min(k + SLIP_ROWS, frames) + 1) for k in range(0, frames, SLIP_ROWS)]
+        # All of 100 000 rows at once would take 250 MB of memory; in parts with fewer than about ten slips
+        # their typical size is poorly known.
+        frames, at_once = len(self.frame), 10_000
+        parts = [slice(k, min(k + at_once, frames) + 1) for k in range(0, frames, at_once)]
         return np.concatenate([_slips_in(self.tracks(part)) for part in parts])
 
     def row_of(self, frame: int) -> int:
@@ -159,7 +158,6 @@ def _codes(stored: StoredTracks, name: str, words: Sequence[str]) -> Codes:
 # --- decisions ----------------------------------------------------------------------------------------------
 
 BLOCK = 2048  # frames in which a ridge is followed at a time, so that candidates take little memory
-MEDIAN_ROWS = 2000  # frames from which the median position of a sheet is computed
 SAME_RIDGE_PX = 2.0
 """Distance within which a position and the whole pixel of a candidate are the same ridge: fits end this close
 to their start. A larger value would join neighbours that are 4 px apart."""
@@ -198,12 +196,12 @@ def _step(
 
 
 def median_positions(positions: Positions) -> Floats:
-    """Return the median position of every sheet, from frames spread over the run."""
+    """Return the median position of every sheet, from 2000 frames spread over the run."""
     return _medians(positions.x_px)
 
 
 def _medians(values: Floats32) -> Floats:
-    return nan_median(values[:: max(1, len(values) // MEDIAN_ROWS)].astype(np.float64))
+    return nan_median(values[:: max(1, len(values) // 2000)].astype(np.float64))
 
 
 def apply(positions: Positions, decision: Correction, diagram: Diagram) -> tuple[Positions, UndoStep]:

@@ -119,9 +119,6 @@ def claim(folder: Path) -> IO[str]:
 # --- I(x, t) ------------------------------------------------------------------------------------------------
 
 
-PARTS_KEPT = 4
-"""Parts of the file in memory, shared by neighbouring tiles. More need more memory, up to 8 MB each."""
-PART_VALUES = 1 << 20  # values read at a time while levels are built: 4 MB
 Grey = NDArray[np.uint8]
 
 
@@ -138,7 +135,7 @@ class Diagram:
         self._file = path.open("rb")  # remains open, because saving replaces the file
         self.close = self._file.close
         self._lock = Lock()
-        self.shared_rows = lru_cache(PARTS_KEPT)(self.rows)
+        self.shared_rows = lru_cache(4)(self.rows)  # parts that neighbouring tiles share, up to 8 MB each
 
     def rows(self, start: int, stop: int) -> Floats32:
         """Return frames in grey levels, (frame, x); lost frames are NaN."""
@@ -164,7 +161,6 @@ with 8 the page shrinks pictures so much that single frames fade."""
 FIRST_KEPT = 2
 """Finest level held in memory. Level 1 would need half the size of the recording's 8-bit diagram, and is as
 fast to compute from the file: 2 MB per tile."""
-SAMPLED_ROWS = 512  # frames from which the grey scale is taken
 
 
 class Tiles:
@@ -177,7 +173,7 @@ class Tiles:
 
     def __init__(self, diagram: Diagram, *, bright: bool) -> None:
         self.diagram, self.bright = diagram, bright
-        self.low, self.high = grey_limits(diagram.sample(SAMPLED_ROWS))
+        self.low, self.high = grey_limits(diagram.sample(512))
         self._kept = self._coarse_levels()
 
     @property
@@ -195,7 +191,7 @@ class Tiles:
             return []
         frames, columns = self.diagram.frames, self.diagram.columns
         level = np.empty((-(-frames // step), columns), np.float32)
-        block = max(1, PART_VALUES // (step * columns))
+        block = max(1, (1 << 20) // (step * columns))  # 4 MB are read at a time
         for row in range(0, len(level), block):
             part = self.diagram.rows(row * step, (row + block) * step)
             level[row : row + block] = _extremes(part, step, bright=self.bright)
@@ -240,11 +236,6 @@ def _extremes(values: Floats32, step: int, *, bright: bool) -> Floats32:
 # --- film and force -----------------------------------------------------------------------------------------
 
 
-AHEAD_S = 1.0
-"""Time ahead up to which frames are decoded one after the other; for a longer jump the decoder seeks. Twice
-this value makes jumps slower, half of it seeks at each longer step."""
-
-
 class Film:
     """Random access to a recording, opened as the run read it.
 
@@ -285,7 +276,9 @@ class Film:
         if np.isnan(time_s):
             return None
         reach_s = 0.5 / (reader.facts.playback_fps or 1.0)
-        if not self._shown_s < time_s <= self._shown_s + AHEAD_S:
+        # Frames up to a second ahead are decoded one after the other; for a longer jump the decoder seeks.
+        # Two seconds make jumps slower, half a second seeks at each longer step.
+        if not self._shown_s < time_s <= self._shown_s + 1.0:
             self._frames, self._ahead = reader.from_key_frame(time_s), None
         while True:
             entry = self._ahead or next(self._frames, None)

@@ -259,7 +259,6 @@ async def _run(server: uvicorn.Server, listening: socket.socket, ready: Callable
 FIRST_VIEW = "first_view.zip"
 READ = ("run.json", "corrections.toml")
 SIZED = ("tracks.nc", "kymograph.tif", "events.csv", "clock.json")
-MAX_BYTES = 64 << 20  # a larger file is not a first view
 
 
 def read_first_view(folder: Path, film: Path | None = None) -> dict[str, bytes]:
@@ -270,7 +269,7 @@ def read_first_view(folder: Path, film: Path | None = None) -> dict[str, bytes]:
     try:
         with ZipFile(folder / FIRST_VIEW) as file:
             size = sum(one.file_size for one in file.filelist)
-            if file.comment != _digest(folder, film) or size > MAX_BYTES:
+            if file.comment != _digest(folder, film) or size > 64 << 20:  # too large for a first view
                 return {}
             return {name: file.read(name) for name in file.namelist()}
     except (OSError, ValueError, RuntimeError, EOFError, BadZipFile, zlib.error):  # all that ZipFile raises

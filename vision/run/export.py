@@ -293,8 +293,8 @@ def write_overlay(
 ) -> tuple[int, tuple[int, int], float]:
     """Write a film with marks at every sheet: strokes at both ends of the strip, and the number n above.
 
-    One frame is in memory at a time. The same grey levels are black and white in all frames. Sheets left of
-    the axis are blue, right ones orange; positions with a flag other than "ok" are white. Frames without a
+    One frame is in memory at a time. The same grey levels are black and white in every frame. Sheets left
+    of the axis are blue, right ones orange; positions with a flag other than "ok" are white. Frames without a
     picture are black and show their status.
 
     film: as `RunFolder.input` returns it.  frames: half-open range of frame numbers; all by default.

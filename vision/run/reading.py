@@ -263,11 +263,8 @@ class Checkpoint:
     are numbered without gaps (`vision.video.reader.Reader`), and each row is computed from its frame alone,
     the result is the same bit for bit. If the disk is full, the run continues without a checkpoint.
 
-    Raises
-    ------
-    InputError
-        With `resume`: on entering, if another process reads into the same folder; from `begin`, if the film
-        or the settings differ.
+    Raises: InputError with `resume`: on entering, if another process reads into the same folder; from
+    `begin`, if the film or the settings differ.
     """
 
     def __init__(

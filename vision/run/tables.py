@@ -31,7 +31,6 @@ from vision.video.stacks import check_tiff
 
 _JSON = ("[", "{", '"')  # first character of an attribute that is read back as JSON
 ROWS_PER_CHUNK = 1 << 17  # of the table of positions that are in memory
-ROWS_PER_BATCH = 1 << 15  # formatted at once: Arrow's 1024 take a quarter longer
 ROWS = 4096  # written or read at once, so that memory does not grow with the recording
 IMAGEJ_BYTES = (1 << 32) - (1 << 20)  # ImageJ's TIFF holds less than 4 GiB
 
@@ -44,7 +43,8 @@ def write_tracks_csv(
     Positions have four decimals and are empty if not measured. Arrow writes five times as fast as pandas: a
     test of 100 000 frames has five million rows.
     """
-    style = csv.WriteOptions(include_header=False, quoting_style="none", batch_size=ROWS_PER_BATCH)
+    # Arrow formats 1024 rows at once by default, which takes a quarter longer.
+    style = csv.WriteOptions(include_header=False, quoting_style="none", batch_size=1 << 15)
     with path.open("wb") as file:
         for k, columns in enumerate(columns_in_parts(tracks, pixel_size_um)):
             if stop is not None and stop.is_set():
@@ -97,7 +97,7 @@ def write_tracks_nc(
 ) -> None:
     """Write netCDF-4 with CF units and long names; x_um only if the pixel size is known; flags as characters.
 
-    `constant_error_px`, an attribute of x_px, is the error of positions that is the same in all frames. The
+    `constant_error_px`, an attribute of x_px, is the error of positions that every frame has. The
     file is made in memory, because HDF5 crashes the process if a disk fills up.  Raises: OSError.
     """
     data = tracks.assign_coords(index=("sheet", tracks["sheet"].values, {"long_name": "index from the left"}))

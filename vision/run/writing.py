@@ -28,12 +28,7 @@ from vision.folder import run_folder, write_json
 from vision.pipeline import Analysis
 from vision.report import write_report
 from vision.run.provenance import Origin, checksum_of
-from vision.run.tables import (
-    sheets_table,
-    write_kymograph_tif,
-    write_tracks_csv,
-    write_tracks_nc,
-)
+from vision.run.tables import sheets_table, write_kymograph_tif, write_tracks_csv, write_tracks_nc
 from vision.sample import PUBLISHED
 from vision.sheets import doubtful_stretches
 from vision.sheets.corrections import Decisions, corrections_text, ordered
@@ -182,7 +177,7 @@ def _video_facts(analysis: Analysis) -> dict[str, Any]:
     assert tracks is not None
     recording = asdict(StripMetadata.of(tracks))
     frames = {name: recording.pop(f"frames_{name}") for name in COUNTS}
-    for name in (
+    elsewhere = (
         "warnings",
         "strip_z0",
         "strip_z1",
@@ -191,7 +186,8 @@ def _video_facts(analysis: Analysis) -> dict[str, Any]:
         "clock_kind",
         "clock_file",
         "fps",
-    ):
+    )
+    for name in elsewhere:
         recording.pop(name)
     return {
         "found": findings(tracks),

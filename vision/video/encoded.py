@@ -56,10 +56,7 @@ class EncodedReader:
     frames that the camera dropped; None for other containers. most_frames: more cannot be in the file.
     shift: bits by which FFmpeg widens the pixels of a packed cine, and which are taken back.
 
-    Raises
-    ------
-    InputError
-        While reading, if a frame has another size than the first.
+    Raises: InputError while reading, if a frame has another size than the first.
     """
 
     path: Path

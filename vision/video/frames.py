@@ -311,10 +311,8 @@ def await_video(
 
     `path` need not exist yet; `opened` opens it.
 
-    Raises
-    ------
-    InputError
-        If it cannot be opened and nothing has been written to it for `settings.follow_give_up_s`.
+    Raises: InputError if it cannot be opened and nothing has been written to it for
+    `settings.follow_give_up_s`.
     """
     film = Path(path)
     pixels = answered(lambda: pixels_file(film), film, settings.answer_s)
@@ -344,10 +342,7 @@ def growth(video: Video, follow: Follow, settings: VideoSettings) -> Iterator[tu
     Each pause is as long as the reading before it, so that formats that must be decoded from their start are
     not decoded all the time.
 
-    Raises
-    ------
-    InputError
-        If it was removed or replaced, or no longer grows and cannot be opened.
+    Raises: InputError if it was removed or replaced, or no longer grows and cannot be opened.
     """
     watch = _Watch(video.pixels_path, settings.answer_s)
     while not follow.stop.is_set():

@@ -31,10 +31,7 @@ from vision.video.reader import (
 def open_raw(path: Path, head: bytes) -> Reader | None:
     """Return the reader of a file that begins with `head`, 12 bytes; None for a file of another kind.
 
-    Raises
-    ------
-    InputError
-        For a damaged file, or one whose pixels cannot be read.
+    Raises: InputError for a damaged file, or one whose pixels cannot be read.
     """
     if is_photron(path):
         return _open_photron(path)
@@ -47,7 +44,6 @@ def open_raw(path: Path, head: bytes) -> Reader | None:
 
 # --- AVI ----------------------------------------------------------------------------------------------------
 
-_PLAIN = {bytes(4), b"DIB ", b"RGB ", b"RAW "}
 _MASKED = b"\3\0\0\0"  # masks of red, green and blue follow the header
 _GREY_BITS = {
     b"Y800": 8,
@@ -129,7 +125,7 @@ def _open_avi(path: Path) -> MappedReader | None:
     if len(header.strf) < 40:
         raise InputError(path, "an AVI with a video stream", "none in its header", "record or copy it again")
     _, width, height, _, stored, fourcc, _, _, _, used, _ = struct.unpack_from("<IiiHH4sIiiII", header.strf)
-    plain = fourcc in _PLAIN or (fourcc == _MASKED and stored == 32)
+    plain = fourcc in (bytes(4), b"DIB ", b"RGB ", b"RAW ") or (fourcc == _MASKED and stored == 32)
     if not plain and fourcc not in _GREY_BITS:
         return None
     bits, channels, name = _pixel_format(path, fourcc, stored)
@@ -340,10 +336,7 @@ def is_photron(path: Path) -> bool:
 def photron_files(path: Path) -> tuple[Path, Path]:
     """Return both files (.mraw, .cih or .cihx) of the recording to which this file belongs.
 
-    Raises
-    ------
-    InputError
-        If the other file is not beside it.
+    Raises: InputError if the other file is not beside it.
     """
     wanted = HEADERS if path.suffix.lower() == PIXELS else (PIXELS,)
     beside = sorted(path.parent.glob("*"))

@@ -65,11 +65,8 @@ def open_stack(path: Path) -> Reader:
     one page, gives every whole frame the file holds. Grey values are as stored, also under a look-up table
     or "white is zero".
 
-    Raises
-    ------
-    InputError
-        For a damaged file, several dimensions (time and channel, say), pages of several sizes, signed or
-        64-bit pixels.
+    Raises: InputError for a damaged file, several dimensions (time and channel, say), pages of several sizes,
+    signed or 64-bit pixels.
     """
     is_whole = check_tiff(path)
     with reading(path, "a TIFF stack"), tifffile.TiffFile(path) as tif:
@@ -339,11 +336,8 @@ def open_sequence(path: Path) -> ImagesReader:
     Files are ordered by the last number in their names, as cameras count (`…_175055809_0008.tiff` is number
     8). A file that cannot be decoded gives a "corrupt" frame.
 
-    Raises
-    ------
-    InputError
-        For no images, several kinds or series of them, or only damaged ones; while reading, for an image of
-        another size or depth.
+    Raises: InputError for no images, several kinds or series of them, or only damaged ones; while reading,
+    for an image of another size or depth.
     """
     found = _image_files(path)
     files, warnings = _numbered(found, path)
@@ -522,11 +516,8 @@ def check_tiff(path: Path) -> bool:
 
     Return False if the chain of its pages leaves the file, which was cut short.
 
-    Raises
-    ------
-    InputError
-        For a chain that returns to an earlier page, more tags than a page has, or tags that together point to
-        more than the file holds.
+    Raises: InputError for a chain that returns to an earlier page, more tags than a page has, or tags that
+    together point to more than the file holds.
     """
     size = path.stat().st_size
     with path.open("rb") as file:

@@ -209,10 +209,7 @@ class _Plan:
     def assembled(self, video: Video, read: FramesRead, first: int = 0) -> xr.DataArray:
         """Return I(x, t) of the frames read; `first` is the number of frames read before them.
 
-        Raises
-        ------
-        InputError
-            If no frame can be used.
+        Raises: InputError if no frame can be used.
         """
         intensity, status, settings = read.intensity, read.status, self.settings
         readable, saturated = status == "ok", video.saturation_level
@@ -298,10 +295,7 @@ def _readable(blocks: Iterator[Block]) -> Iterator[Block]:
 def _continued(video: Video, blocks: Iterator[Block], known: FramesRead) -> Iterator[Block]:
     """Yield the blocks without the frames that are already known.
 
-    Raises
-    ------
-    InputError
-        If those frames have changed.
+    Raises: InputError if those frames have changed.
     """
     count = known.status.size
     for block in blocks:

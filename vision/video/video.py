@@ -184,10 +184,7 @@ class Video:
     def blocks(self, rows: slice | None = None, columns: slice | None = None) -> Iterator[Block]:
         """Read all frames in one sequential pass, cut after rotation.
 
-        Raises
-        ------
-        InputError
-            For a cut outside the frame.
+        Raises: InputError for a cut outside the frame.
         """
         height, width = self.shape
         r = cut(rows, height, what=f"{self.path}: `rows`")
@@ -447,10 +444,7 @@ def read_timestamps(path: Path) -> tuple[Floats, tuple[str, ...]]:
     to the header. Without a header the last of two columns (number, time) is used, and the unit is s. Decimal
     commas are recognised where no commas separate columns, also in lines such as 0,016667.
 
-    Raises
-    ------
-    InputError
-        For a missing or empty file, text in place of a number, or commas of unknown meaning.
+    Raises: InputError for a missing or empty file, text in place of a number, or commas of unknown meaning.
     """
     wanted = "a readable file of time stamps"
     if check_regular(path, wanted).st_size > 1 << 28:  # ten million frames
