@@ -489,6 +489,25 @@ def test_a_time_column_that_jumps_ahead_after_the_first_slip_is_said():
     assert line.startswith("before ") and "1 slip of the film without a match" in line
 
 
+def test_slips_in_gaps_do_not_set_the_clock():
+    """Ten gaps lie about slips, and the clock is told from the others.  A failure means that the middle of a
+    gap is taken for the time of the slip, or its length for the delay of the low-pass."""
+    off = []
+    for seed in (1, 7, 9, 19):
+        rng = np.random.default_rng(seed)
+        slips = 3.0 + np.r_[0, slip_times(rng, 40, period_s=0.61)]
+        film = tracks(rng, slips, stop_s=slips[-1] + 1)
+        force = sawtooth(rng, slips, stop_s=slips[-1] + 1)
+        middle = rng.choice(slips, 10, replace=False) + rng.uniform(-0.04, 0.04, 10)
+        lost = (np.abs(force["time_s"].to_numpy()[:, None] - middle) < 0.075).any(axis=1)
+        broken = force.isel(time_s=~lost)
+        clock = synchronise(film, broken, sticks_of(slips))
+        assert clock.status == "ok"
+        off.append(1e3 * off_s(clock, 0.0, 15.0) / clock.error_ms)
+        assert len(force_slips(broken, sticks_of(slips))) == 31
+    assert np.max(np.abs(off)) < 3
+
+
 def test_sound_clocks_and_single_missed_slips_are_not_doubted():
     """A failure means a warning for each film whose first slip one of the recordings does not show."""
     for missing in (0, 1, 29, None):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.scenes.creeping import PIXEL_UM, Clock, errors, make, measure, profile, uniform
+from tests.scenes.creeping import PIXEL_UM, Clock, errors, make, measure, profile, relaxing, uniform
 from vision.data import warnings_of
 from vision.deformation import DeformationSettings, horizontal_deformation
 from vision.deformation.common_mode import BothSides, common_mode_motion, common_mode_noise_factor
@@ -222,6 +222,31 @@ def test_sheets_that_slip_in_turn_are_in_the_errors():
     assert np.mean(off < 1) > 0.85
     assert np.mean(off < 2) > 0.95
     assert "sheets bend alike in every stick" in motion.attrs["warnings"][0]
+
+
+@pytest.mark.parametrize("share", [1e-4, 1e-3, 5e-3])
+@pytest.mark.parametrize("frequency_Hz", [0.4, 1.3])
+@pytest.mark.parametrize("m_eff", [14.0, 5.0])
+def test_a_magnification_that_breathes_is_in_the_errors(share, frequency_Hz, m_eff):
+    """A failure means that the lens, or a camera that vibrates along its axis, passes for creep with errors
+    that do not know it, or that nobody is told."""
+    made = make(profile(np.full(40, m_eff)), noise_px=0.03, frames=40, seed=3)
+    x_px, time_s = made.tracks["x_px"], made.tracks["time_s"]
+    made.tracks["x_px"] = x_px + share * (x_px - 960) * np.sin(2 * np.pi * frequency_Hz * time_s + 0.3)
+    motion = measure(made)
+    off = (motion["ratio_signed"].to_numpy() - made.ratio) / motion["ratio_err"].to_numpy()
+    assert np.sqrt(np.mean(off**2)) < 1.4
+    assert np.mean(np.abs(off) > 4) < 0.01
+    assert any("in proportion to their distance" in line for line in motion.attrs["warnings"])
+
+
+@pytest.mark.parametrize("made_of", [{"noise_px": 0.005}, {"shape": relaxing(2.0), "jitter": 0.2}])
+def test_shells_and_sticks_that_change_do_not_breathe(made_of):
+    """A failure means errors that are far too large, with a warning, where sheets creep as they should."""
+    made = make(profile(np.linspace(14, 4, 40)), frames=30, **({"noise_px": 0.03} | made_of))
+    wrong, stated = errors(made, motion := measure(made))
+    assert motion.attrs["warnings"] == []
+    assert np.sqrt(np.mean((wrong / stated) ** 2)) > 0.5
 
 
 def test_the_bends_of_few_sticks_may_be_noise():

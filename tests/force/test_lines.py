@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from vision.force.lines import fit_broken_lines, fit_lines
+from vision.force import lines as module
+from vision.force.lines import FittedLoad, fit_broken_lines, fit_lines
 from vision.numeric import flat_ranges
 
 
@@ -29,6 +30,26 @@ def test_lines_are_those_of_polyfit() -> None:
         assert lines.slope_error[k] == pytest.approx(np.sqrt(covariance[0, 0]))
         assert lines.at(np.zeros(3))[k] == pytest.approx(expected[1])
     assert np.isnan(lines.slope[2])
+
+
+def test_stretches_are_fitted_once_and_blocks_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A failure means lines of other stretches, or stretches that are fitted again, which takes half the time
+    of a search for slips."""
+    y = np.random.default_rng(0).normal(size=200_000)
+    start = np.arange(0, 190_000, 5000)
+    alone = [
+        fit_lines(np.arange(y.size, dtype=float), y, start[k : k + 1], start[k : k + 1] + 8000)
+        for k in range(38)
+    ]
+    load, fitted = FittedLoad(y), []
+    once = module.fit_lines
+    monkeypatch.setattr(module, "fit_lines", lambda *given: fitted.append(given[2].size) or once(*given))
+    some = np.array([7, 3, 3, 20])
+    load.lines(start[some], start[some] + 8000)
+    lines = load.lines(start, start + 8000)  # overlapping
+    np.testing.assert_array_equal(lines.slope, [line.slope[0] for line in alone])
+    np.testing.assert_array_equal(lines.spread, [line.spread[0] for line in alone])
+    assert fitted == [3, 35]
 
 
 def test_lines_behind_a_low_pass_are_the_lines_before_it() -> None:

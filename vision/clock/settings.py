@@ -39,6 +39,10 @@ class ClockSettings:
     drop_end: float = 0.01
     """Fraction of the steepest slope below which a drop ends. Larger → the transient is cut off and slips are
     late (by 0.2 ms at 0.02); smaller → noise is taken for a transient."""
+    longest_drop: float = 3.0
+    """Usual sampling intervals from which the interval of a drop is a gap, which leaves the time of the slip
+    open. Larger → gaps displace the clock (`test_slips_in_gaps_do_not_set_the_clock`); smaller → slips are
+    left out where times are recorded unevenly."""
 
     # Candidates
     largest_drift_ppm: float = 4000.0

@@ -34,7 +34,7 @@ def force_slips(
 
     Returns
     -------
-    A table, empty where `sticks` is, with the columns
+    A table, empty where `sticks` is, without the slips during which samples are lost; with the columns
 
     - time_s: middle of the slip on the force clock, in order;
     - error_s: its random standard error;
@@ -54,11 +54,15 @@ def force_slips(
     time, load = good["time_s"].to_numpy().astype(float), good["load_N"].to_numpy().astype(float)
     begin, end, drop = _bounds(sticks)
     if not len(begin) or len(time) < 3:
-        return pd.DataFrame(dict.fromkeys(("time_s", "error_s", "drop_N", "lag_s"), np.empty(0)))
+        return _NO_SLIPS.copy()
     if average_s := StickMetadata.of(sticks).average_s:
         load = averaged(time, load, average_s)  # the first swing of a load that rings would be the drop
     interval = float(np.median(np.diff(time)))
     steepest, of = np.unique(_steepest(time, load, begin, end), return_index=True)
+    timed = time[steepest + 1] - time[steepest] < settings.longest_drop * _usual_interval(time, steepest)
+    if not timed.any():
+        return _NO_SLIPS.copy()
+    steepest, of = steepest[timed], of[timed]
     middle, delay, duration, largest = _mean_times(time, load, steepest, settings)
     order = np.argsort(middle)
     # A drop within one interval may lie anywhere in it; one that spreads over several is timed by its mean.
@@ -73,6 +77,15 @@ def force_slips(
             "lag_s": float(np.sqrt(lag @ lag)),
         }
     )
+
+
+_NO_SLIPS = pd.DataFrame(dict.fromkeys(("time_s", "error_s", "drop_N", "lag_s"), np.empty(0)))
+
+
+def _usual_interval(time: Floats, at: Ints) -> Floats:
+    """Return the median of the ten sampling intervals on either side of each sample."""
+    around = np.clip(at[:, None] + np.arange(-10, 11), 0, len(time) - 2)
+    return np.asarray(np.median(time[around + 1] - time[around], axis=1))
 
 
 def _bounds(sticks: pd.DataFrame) -> tuple[Floats, Floats, Floats]:
@@ -116,9 +129,13 @@ def _mean_times(
     around = np.arange(-reach, reach + 1)
     inside = (steepest >= reach) & (steepest < len(time) - 1 - reach)
     middle = 0.5 * (time[steepest] + time[steepest + 1])
+    index = steepest[:, None] + around
+    # Beside a gap the mean time is that of what was recorded.
+    whole = np.max(np.diff(time)[np.clip(index, 0, len(time) - 2)], axis=1)
+    inside &= whole < settings.longest_drop * _usual_interval(time, steepest)
     if not inside.any():
         return middle, 0.0, 0.0, 1.0
-    index = steepest[inside, None] + around
+    index = index[inside]
     drop = load[index] - load[index + 1]
     drop = drop - np.median(drop, axis=1, keepdims=True)  # without the rise of the stick phase
     first, last = _drop_extent(drop.sum(axis=0), reach, settings.drop_end)

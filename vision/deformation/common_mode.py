@@ -7,6 +7,7 @@ from the creep of each sheet in other sticks.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -458,6 +459,45 @@ def repeated_bends(creep: Creep, noise: Noise, settings: DeformationSettings) ->
     error = scatter * np.sqrt(np.pi / 2 / np.maximum(used.sum(axis=0), 1))  # of a median
     error[used.sum(axis=0)[:, 0] < LEAST_REPEATS] = np.inf
     return np.asarray(np.sqrt((_beyond(usual, error, settings) ** 2).sum(axis=-1)))
+
+
+def breathing(creep: Creep, error: Floats, settings: DeformationSettings) -> tuple[Floats, Floats]:
+    """Scatter of slopes and bends, px, (sheet,), by a magnification that changes within the sticks.
+
+    It moves each sheet in proportion to its distance from the middle, by another amount in each stick. That
+    is what bends have beyond those in the sticks around, and slopes beyond a part of those there. Both are 0
+    where errors explain the bends, since slopes also change with the shell. creep: a parabola.  error: of its
+    coefficients, px, (stick, sheet, term).
+    """
+    slope, bend = creep.coefficient[..., 1], creep.coefficient[..., 2]
+    away = nan_median(creep.coefficient[..., 0])
+    away, constant = away - nan_median(away), np.ones_like(away)
+    stick = np.arange(len(slope))
+    apart = np.abs(stick[:, None] - stick)
+    usual, bent = (_weighted_mean((apart > 0) & (apart <= 2.0), part) for part in (slope, bend))
+    longer = np.nansum(slope * usual, axis=1) / np.maximum(np.nansum(usual**2, axis=1), 1e-300)
+    of_bend = _proportional(bend - longer[:, None] * bent, error[..., 2], (away, constant), settings)
+    of_slope = of_bend and _proportional(slope, error[..., 1], (away, constant, usual), settings)
+    return of_slope * np.abs(away), of_bend * np.abs(away)
+
+
+def _proportional(
+    value: Floats, error: Floats, columns: Sequence[Floats], settings: DeformationSettings
+) -> float:
+    """Scatter over the sticks of the part of the values (stick, sheet) that is proportional to the first of
+    the columns, fitted with the others; 0 where the errors, and a quarter of their variance, explain it."""
+    design = np.stack([np.broadcast_to(column, value.shape) for column in columns], axis=-1)
+    known = np.isfinite(design).all(axis=-1) & np.isfinite(value) & np.isfinite(error)
+    design, value, error = np.where(known[..., None], design, 0), np.where(known, value, 0), error * known
+    transposed = design.swapaxes(1, 2)
+    weight = (np.linalg.pinv(transposed @ design, hermitian=True)[:, :1] @ transposed)[:, 0]
+    used = known.sum(axis=1) >= settings.least_sheets
+    if used.sum() < LEAST_REPEATS:
+        return 0.0
+    scatter = float(sigma_about_zero((weight * value).sum(axis=1)[used]))
+    variance = 1.25 * float(nan_median((weight**2 * np.nan_to_num(error) ** 2).sum(axis=1)[used]))
+    clear = scatter > np.sqrt(variance) * (1 + settings.scaling_errors / np.sqrt(used.sum()))
+    return float(np.sqrt(scatter**2 - variance)) if clear else 0.0
 
 
 def _net_rate(middle_px: Floats, frames: StickFrames) -> tuple[Floats, Floats]:

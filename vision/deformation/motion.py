@@ -27,6 +27,7 @@ from vision.deformation.common_mode import (
     BothSides,
     Drift,
     OneSide,
+    breathing,
     camera_pushes,
     common_mode_motion,
     common_mode_noise_factor,
@@ -345,8 +346,11 @@ def _measure(
     curve = _Curve.of(line, parabola, errors, camera, settings).shortened(slips)
     own_px = own_movement(curve.middle, curve.straight, frames, settings)
     bends_px = repeated_bends(close, noise, settings)
-    warnings = _own_warnings(own_px, bends_px, curve.slope_err)
-    curve = replace(curve, slope_err=np.sqrt(curve.slope_err**2 + own_px**2 + bends_px**2))
+    of_slope, of_bend = breathing(parabola, errors[1], settings)
+    scaled_px = np.fmax(of_slope, of_bend)
+    warnings = _own_warnings(own_px, bends_px, scaled_px, curve.slope_err)
+    slope_err = np.sqrt(curve.slope_err**2 + own_px**2 + bends_px**2 + scaled_px**2)
+    curve = replace(curve, slope_err=slope_err, bend_err=np.hypot(curve.bend_err, of_bend))
     values = {
         "sigma_x_um": np.where(line.good, _rms(x_px, frames), np.nan) * pixel_um,
         **_relative_to_length(curve, line, noise.excess > 1, events, side, pixel_um, settings),
@@ -407,13 +411,15 @@ def _relative_to_length(
     }
 
 
-def _own_warnings(own_px: Floats, bends_px: Floats, error_px: Floats) -> list[str]:
-    """Warnings of movement of their own, beyond the other errors, in at least a fifth of the sheets."""
+def _own_warnings(own_px: Floats, bends_px: Floats, scaled_px: Floats, error_px: Floats) -> list[str]:
+    """Warnings of movement that is no creep, beyond the other errors, in at least a fifth of the sheets."""
     causes = {
         "move steadily, though slips return the others (paper that settles, a block that slides):"
         " let the sample rest before the test": nan_median(own_px),
         "bend alike in every stick, as sheets do that slip in turn: see the slips in the space-time diagram,"
         " and check the clocks": bends_px,
+        "move in proportion to their distance from the middle, differently in each stick (a magnification"
+        " that changes, an uneven pull): fix the focus, and hold camera and sample still": scaled_px,
     }
     usual = nan_median(error_px)
     lines = []
@@ -511,7 +517,7 @@ class _Curve:
     @property
     def mean_square(self) -> Floats:
         """Mean square displacement over the whole stick, px²."""
-        bent = np.where(self.bend == 0, 0.0, self.bend**2 - self.bend_err**2)
+        bent = np.where(self.bend == 0, 0.0, np.maximum(self.bend**2 - self.bend_err**2, 0.0))
         return np.asarray(self.slope**2 / 3 + bent / 5, np.float64)
 
     @property

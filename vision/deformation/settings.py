@@ -95,3 +95,8 @@ class DeformationSettings:
     one_side_contrast: float = 25.0
     """Variance of the creep over the sheets, in units of its noise, above which drift is measured with one
     side in view.  Smaller finds false drift where all sheets creep alike (test_common_mode)."""
+
+    scaling_errors: float = 6.0
+    """Excess of the scatter of sticks, over the root of their number, from which sheets move in proportion to
+    their distance from the middle.  Smaller widens errors where shells of sheets change, larger overlooks a
+    magnification that changes by 0.01 % (test_common_mode: a magnification that breathes)."""

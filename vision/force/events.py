@@ -131,14 +131,9 @@ def find_stick_slip(
     _check_direction(events, unloading, source)
     events = events.assign(flag=_all_flags(events, analysis, unloading, signal, slips, settings))
     unit = "of the weight" if load_unit(force) == "1" else "N"
-    warnings = doubts(events, analysis.regime, signal, slips, unit, rings)
+    warnings = doubts(events, analysis.regime, signal, slips, unit, rings, math.nan if calm else swing_s)
     if threshold_N is None and analysis.regime.name == "stick-slip" and not (rings or signal.averaged):
         warnings += _missed_warnings(signal, slips, analysis, unit, settings)
-    if math.isnan(ringing_s) and swing_s < 0.7 * period_s and analysis.regime.name == "stick-slip":
-        warnings.append(
-            f"the load oscillates with a period of {swing_s:.2g} s, a large part of the {period_s:.2g} s "
-            "between slips: some events may be its swings, and averages would cut off the sticks"
-        )
     metadata = _metadata(signal, slips, analysis, shares, warnings, settings)
     metadata = replace(
         metadata,

@@ -90,11 +90,18 @@ _FLAGGED = {
 
 
 def doubts(
-    events: pd.DataFrame, regime: Regime, signal: Signal, slips: Slips, unit: str, rings: str
+    events: pd.DataFrame,
+    regime: Regime,
+    signal: Signal,
+    slips: Slips,
+    unit: str,
+    rings: str,
+    swing_s: float,
 ) -> list[str]:
     """Return why the recording, or a part of its events, may not be stick-slip.
 
-    unit: of the load.  rings: that the load rings, which then explains an oscillation and jumps.
+    unit: of the load.  rings: that the load rings, which then explains an oscillation and jumps.  swing_s:
+    period of an oscillation that cannot be averaged; NaN for none.
     """
     lines = []
     if rings and (regime.name != "stick-slip" or has_flag(events["flag"], "jump").any()):
@@ -115,6 +122,12 @@ def doubts(
             "stick-slip is not clearly visible: within the sticks the load jumps upward by "
             f"{regime.upward_share:.2g} times the median drop, as noise does, so all events are flagged "
             "noise; a larger `threshold_N` leaves out the smaller drops"
+        )
+    period_s = slips.period * signal.interval_s
+    if swing_s < 0.7 * period_s and regime.name == "stick-slip":
+        lines.append(
+            f"the load oscillates with a period of {swing_s:.2g} s, a large part of the {period_s:.2g} s "
+            "between slips: some events may be its swings, and averages would cut off the sticks"
         )
     for column, values, what, unit_of_steps in (
         ("stick_length_um", 1e3 * signal.travel, "lengths and K are not resolved: the displacement", "µm"),

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from vision.data import ThresholdHow
 from vision.errors import counted
-from vision.force.lines import LEAST_FOR_KNEE, Lines, bend_squares, fit_lines, fit_polynomials
+from vision.force.lines import LEAST_FOR_KNEE, FittedLoad, Lines, bend_squares, fit_polynomials
 from vision.force.settings import ForceSettings
 from vision.numeric import Floats, Ints, flat_ranges, nan_median
 from vision.signals import enforce_distance, find_maxima, running_median
@@ -121,11 +121,11 @@ def find_slips(
         See `ForceSettings`.
     """
     sigma = np.broadcast_to(sigma, y.shape)
-    edge = _edges(y, _first_period(y, sigma, settings), sigma, settings)
-    edge = _edges(y, _local_period(edge, y.size), sigma, settings)
-    edge = _with_close(y, edge, sigma, settings)
-    drop = stick_drops(y, edge, settings)
-    jump_edge, jump_N = _jumps_upward(y, edge, sigma, settings)
+    load = FittedLoad(y)
+    edge = _edges(load, _first_period(y, sigma, settings), sigma, settings)
+    edge = _edges(load, _local_period(edge, y.size), sigma, settings)
+    edge, drop = _with_close(load, edge, sigma, settings)
+    jump_edge, jump_N = _jumps_upward(load, edge, sigma, settings)
     # From here on drops and jumps are as high as if the noise were the usual one everywhere.
     noise = float(np.median(sigma))
     height, jump = drop * (noise / sigma[edge]), jump_N * (noise / sigma[jump_edge])
@@ -148,12 +148,15 @@ def find_slips(
     return Slips(edge[keep], drop[keep], least, how, left_out, jump_edge, jump_N, step)
 
 
-def _jumps_upward(y: Floats, edge: Ints, sigma: Floats, settings: ForceSettings) -> tuple[Ints, Floats]:
+def _jumps_upward(
+    load: FittedLoad, edge: Ints, sigma: Floats, settings: ForceSettings
+) -> tuple[Ints, Floats]:
     """Return the positions and heights of the upward jumps between the edges that exceed the noise.
 
     They are the drops of the mirrored load: each stick is mirrored about the parabola fitted to it, which
     keeps the rise of the stick and inverts the deviations from it.
     """
+    y = load.y
     bounds = np.r_[0, edge, y.size]
     whole = np.flatnonzero(np.diff(bounds) > 2 * settings.few_samples)
     _, residual, _ = fit_polynomials(y, bounds[whole], bounds[whole + 1], 2)
@@ -165,9 +168,9 @@ def _jumps_upward(y: Floats, edge: Ints, sigma: Floats, settings: ForceSettings)
     slips = np.concatenate([edge + away for away in range(-3, 4)])
     if not np.setdiff1d(peaks, slips).size:
         return np.empty(0, np.int64), np.empty(0)
-    found = np.setdiff1d(_join(mirrored, peaks, sigma, settings), slips)
+    found = np.setdiff1d(_join(FittedLoad(mirrored), peaks, sigma, settings), slips)
     both = np.union1d(edge, found)
-    height = -stick_drops(y, both, settings)[np.searchsorted(both, found)]
+    height = -stick_drops(load, both, settings)[np.searchsorted(both, found)]
     high = height >= settings.threshold_sigmas * sigma[found]
     return found[high], height[high]
 
@@ -227,21 +230,21 @@ def upward_share(y: Floats, edge: Ints, settings: ForceSettings) -> float:
     return float(nan_median(upward)) / usual if usual > 0 else float("inf")
 
 
-def stick_lines(y: Floats, edge: Ints, settings: ForceSettings) -> Lines:
+def stick_lines(load: Floats | FittedLoad, edge: Ints, settings: ForceSettings) -> Lines:
     """Return lines through the central part of each stretch between edges: one more than edges."""
-    return fit_lines(np.arange(y.size, dtype=float), y, *stick_middles(edge, y.size, settings))
+    load = load if isinstance(load, FittedLoad) else FittedLoad(load)
+    return load.lines(*stick_middles(edge, load.y.size, settings))
 
 
-def _lines_beside(y: Floats, edge: Ints, settings: ForceSettings) -> tuple[Lines, Lines]:
+def _lines_beside(load: FittedLoad, edge: Ints, settings: ForceSettings) -> tuple[Lines, Lines]:
     """Return the stick lines before and after each edge, through at most `line_reach` usual spacings.
 
     Two lines fit a rest and the rise after it better than one wherever within the rest the edge is.
     """
-    start, stop = stick_middles(edge, y.size, settings)
-    reach = np.ceil(settings.line_reach * _local_period(edge, y.size)[edge]).astype(np.int64)
+    start, stop = stick_middles(edge, load.y.size, settings)
+    reach = np.ceil(settings.line_reach * _local_period(edge, load.y.size)[edge]).astype(np.int64)
     before, after = np.maximum(start[:-1], stop[:-1] - reach), np.minimum(stop[1:], start[1:] + reach)
-    x = np.arange(y.size, dtype=float)
-    return fit_lines(x, y, before, stop[:-1]), fit_lines(x, y, start[1:], after)
+    return load.lines(before, stop[:-1]), load.lines(start[1:], after)
 
 
 def _stretch_bounds(edge: Ints, size: int) -> Ints:
@@ -275,12 +278,17 @@ def _step_filter(y: Floats, half: Ints) -> Floats:
     NaN at the ends.
     """
     total = np.r_[0.0, np.cumsum(y - y.mean())]
+    step = np.full(y.size, np.nan)
+    if half.size == 1:  # the same at every index, for which slices are faster
+        k, last = half[0], y.size - half[0] + 1
+        if k < last:
+            step[k:last] = (2 * total[k:last] - total[: last - k] - total[2 * k :]) / k
+        return step
     index = np.arange(y.size)
-    low, high = index - half, index + half
-    inside = (low >= 0) & (high <= y.size)
-    low, high = np.where(inside, low, 0), np.where(inside, high, 0)
-    step = (2 * total[index] - total[low] - total[high]) / half
-    return np.where(inside, step, np.nan)
+    inside = np.flatnonzero((index >= half) & (index + half <= y.size))
+    k = half[inside]
+    step[inside] = (2 * total[inside] - total[inside - k] - total[inside + k]) / k
+    return step
 
 
 def _peaks(step: Floats, half: Ints, sigma: Floats, settings: ForceSettings) -> Ints:
@@ -293,32 +301,32 @@ def _peaks(step: Floats, half: Ints, sigma: Floats, settings: ForceSettings) -> 
     return enforce_distance(found.at, standard[found.at], max(int(half.min()), 1))
 
 
-def _edges(y: Floats, period: Floats, sigma: Floats, settings: ForceSettings) -> Ints:
+def _edges(load: FittedLoad, period: Floats, sigma: Floats, settings: ForceSettings) -> Ints:
     """Return the edges of a signal whose period, in samples, is known at every sample."""
     half = _half_widths(period, settings)
-    return _join(y, _peaks(_step_filter(y, half), half, sigma, settings), sigma, settings)
+    return _join(load, _peaks(_step_filter(load.y, half), half, sigma, settings), sigma, settings)
 
 
-def _join(y: Floats, edge: Ints, sigma: Floats, settings: ForceSettings) -> Ints:
+def _join(load: FittedLoad, edge: Ints, sigma: Floats, settings: ForceSettings) -> Ints:
     """Join neighbouring sticks between which there is no slip."""
-    edge = _join_weak(y, edge, sigma, settings)
-    return _join_knees(y, _join_parts(y, edge, settings), sigma, settings)
+    edge = _join_weak(load, edge, sigma, settings)
+    return _join_knees(load, _join_parts(load, edge, settings), sigma, settings)
 
 
-def _with_close(y: Floats, edge: Ints, sigma: Floats, settings: ForceSettings) -> Ints:
-    """Return the edges, and those between them that are closer than the step filter tells apart.
+def _with_close(load: FittedLoad, edge: Ints, sigma: Floats, settings: ForceSettings) -> tuple[Ints, Floats]:
+    """Return the edges, with those between them that the step filter does not tell apart, and all drops.
 
     The filter is halved until it has two samples on either side. What it proposes must pass the same tests,
     and be clear: a drop of twice the usual threshold and of `close_share` of those beside it, which stay as
     they are, between sticks that rise by as much, and half as steeply as the one that it divides. Parts of
     a slow slip do not rise, and the tail of a low-pass is no drop.
     """
-    half = _half_widths(_local_period(edge, y.size), settings)
+    half = _half_widths(_local_period(edge, load.y.size), settings)
     least = 2 * settings.threshold_sigmas * sigma
-    drop, slope = stick_drops(y, edge, settings), stick_lines(y, edge, settings).slope
+    drop, slope = stick_drops(load, edge, settings), stick_lines(load, edge, settings).slope
     while edge.size > 1 and (half > 2).any():
         half = np.maximum(half // 2, 2)
-        step = _step_filter(y, half)
+        step = _step_filter(load.y, half)
         close = _peaks(step, half, sigma, settings)
         close = close[(close > edge[0]) & (close < edge[-1])]
         after = np.searchsorted(edge, close)
@@ -327,14 +335,14 @@ def _with_close(y: Floats, edge: Ints, sigma: Floats, settings: ForceSettings) -
         apart &= step[close] + slope[after] * half[close] > 0.5 * least[close]
         if not apart.any():
             continue
-        joined = _join(y, np.union1d(edge, close[apart]), sigma, settings)
+        joined = _join(load, np.union1d(edge, close[apart]), sigma, settings)
         new = ~np.isin(joined, edge)
         new[:1] = new[-1:] = False  # a search may have moved the outermost
         at = np.flatnonzero(new & (joined > edge[0]) & (joined < edge[-1]))
         if not at.size:
             continue
         after = np.searchsorted(edge, joined[at])
-        parts, part_slope = stick_drops(y, joined, settings), stick_lines(y, joined, settings).slope
+        parts, part_slope = stick_drops(load, joined, settings), stick_lines(load, joined, settings).slope
         now = np.zeros(edge.size)
         now[np.isin(edge, joined)] = parts[np.isin(joined, edge)]
         stays = now > 0.5 * drop
@@ -345,8 +353,8 @@ def _with_close(y: Floats, edge: Ints, sigma: Floats, settings: ForceSettings) -
         good &= np.minimum(part_slope[at], part_slope[at + 1]) > 0.5 * slope[after]
         if good.any():
             edge = np.union1d(edge, joined[at[good]])
-            drop, slope = stick_drops(y, edge, settings), stick_lines(y, edge, settings).slope
-    return edge
+            drop, slope = stick_drops(load, edge, settings), stick_lines(load, edge, settings).slope
+    return edge, drop
 
 
 def _half_widths(period: Floats, settings: ForceSettings) -> Ints:
@@ -395,10 +403,10 @@ def _best_scale(scales: Ints, found: list[Ints], start: float, stop: float) -> t
     return best
 
 
-def _join_weak(y: Floats, edge: Ints, sigma: Floats, settings: ForceSettings) -> Ints:
+def _join_weak(load: FittedLoad, edge: Ints, sigma: Floats, settings: ForceSettings) -> Ints:
     """Join neighbouring sticks that one line fits as well as two, the least certain edge first."""
     while edge.size:
-        score = _split_gain(*_lines_beside(y, edge, settings)) / sigma[edge] ** 2
+        score = _split_gain(*_lines_beside(load, edge, settings)) / sigma[edge] ** 2
         weak = ~(score > settings.split_sigmas**2)
         if not weak.any():
             break
@@ -408,17 +416,17 @@ def _join_weak(y: Floats, edge: Ints, sigma: Floats, settings: ForceSettings) ->
     return edge
 
 
-def _join_parts(y: Floats, edge: Ints, settings: ForceSettings) -> Ints:
+def _join_parts(load: FittedLoad, edge: Ints, settings: ForceSettings) -> Ints:
     """Join the parts of one slip: stretches in which the load falls, or that are too short for a line.
 
     A stretch that is joined to a rising stick counts as rising, though the line through both may fall.
     """
-    rises = stick_lines(y, edge, settings).slope > 0
+    rises = stick_lines(load, edge, settings).slope > 0
     while edge.size > 1:
         falling = np.flatnonzero(~rises[1:-1])
         if not falling.size:
             break
-        drop = np.nan_to_num(stick_drops(y, edge, settings), nan=-np.inf)
+        drop = np.nan_to_num(stick_drops(load, edge, settings), nan=-np.inf)
         gone = np.where(drop[falling] < drop[falling + 1], falling, falling + 1)
         remaining = np.setdiff1d(np.arange(edge.size), gone)
         rises = np.logical_or.reduceat(rises, np.r_[0, remaining + 1])
@@ -426,22 +434,21 @@ def _join_parts(y: Floats, edge: Ints, settings: ForceSettings) -> Ints:
     return edge
 
 
-def _join_knees(y: Floats, edge: Ints, sigma: Floats, settings: ForceSettings) -> Ints:
+def _join_knees(load: FittedLoad, edge: Ints, sigma: Floats, settings: ForceSettings) -> Ints:
     """Join neighbouring sticks that one continuous line with a knee fits as well as two lines.
 
     The load never falls at a knee, but two lines that meet a little before an edge differ at the edge. From
     then on a joined stretch is judged by the residuals about its knee. One straight line would fit it so
     badly that a knee anywhere would improve the fit, and slip after slip would be joined to it.
     """
-    x = np.arange(y.size, dtype=float)
-    bounds = _stretch_bounds(edge, y.size)
+    bounds = _stretch_bounds(edge, load.y.size)
     begin, end = bounds[0], bounds[-1]
-    squares = fit_lines(x, y, bounds[:-1], bounds[1:]).squares
+    squares = load.lines(bounds[:-1], bounds[1:]).squares
     candidates = np.arange(edge.size)
     while candidates.size:
         bounds = np.r_[begin, edge, end]
         low, at, high = bounds[candidates], edge[candidates], bounds[candidates + 2]
-        bent = _squares_with_knee(x, y, low, at, high)
+        bent = _squares_with_knee(load, low, at, high)
         least = (settings.split_sigmas * sigma[at]) ** 2
         knee = bent - (squares[candidates] + squares[candidates + 1]) < least
         # Remove one of two neighbouring edges at a time: the other may be a slip once the sticks are joined.
@@ -455,18 +462,18 @@ def _join_knees(y: Floats, edge: Ints, sigma: Floats, settings: ForceSettings) -
     return edge
 
 
-def _squares_with_knee(x: Floats, y: Floats, low: Ints, edge: Ints, high: Ints) -> Floats:
+def _squares_with_knee(load: FittedLoad, low: Ints, edge: Ints, high: Ints) -> Floats:
     """Return the squared residuals over [low, high) of a line whose knee is where both sides' lines meet.
 
     Infinite where the lines before and after the edge do not meet within the range.
     """
-    before, after = fit_lines(x, y, low, edge), fit_lines(x, y, edge, high)
+    before, after = load.lines(low, edge), load.lines(edge, high)
     here = np.asarray(edge - 0.5, dtype=float)
     with np.errstate(divide="ignore", invalid="ignore"):
         meet = here - (before.at(here) - after.at(here)) / (before.slope - after.slope)
     knee = (meet > low) & (meet < high) & (high - low >= LEAST_FOR_KNEE)
     squares = np.full(edge.size, np.inf)
-    squares[knee] = bend_squares(x, y, low[knee], high[knee], meet[knee])
+    squares[knee] = bend_squares(load.y, low[knee], high[knee], meet[knee])
     return squares
 
 
@@ -480,9 +487,9 @@ def _split_gain(a: Lines, b: Lines) -> Floats:
     return weight * apart_y**2 + a.slope**2 * a.sxx + b.slope**2 * b.sxx - joint_sxy**2 / joint_sxx
 
 
-def stick_drops(y: Floats, edge: Ints, settings: ForceSettings) -> Floats:
+def stick_drops(load: Floats | FittedLoad, edge: Ints, settings: ForceSettings) -> Floats:
     """Return the difference of the stick lines before and after each edge, at the edge."""
-    lines = stick_lines(y, edge, settings)
+    lines = stick_lines(load, edge, settings)
     here = np.asarray(edge - 0.5, dtype=float)
     return lines.take(slice(None, -1)).at(here) - lines.take(slice(1, None)).at(here)
 

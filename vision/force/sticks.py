@@ -118,7 +118,7 @@ def measure_sticks(
     error_v, error_p = _corner_errors(
         signal, sticks, ends, (f_v, f_p), (off[:-1], off[1:]), (lost[:-1], lost[1:])
     )
-    relative = np.hypot(off[:-1], off[1:]) / (p - v)
+    relative = np.hypot(off[:-1], off[1:]) / np.where(p == v, np.nan, p - v)
     table = pd.DataFrame(
         {
             "event": np.arange(v.size),
