@@ -1,12 +1,14 @@
 """Identities held against the sheets around and the pattern: scenes with known mistakes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from tests.scenes.combs import comb, ridges, strip
 from tests.scenes.identity_cases import brightness
 from vision.sheets import TrackingSettings, track_sheets
-from vision.sheets.doubts import anchored, hops, predicted_by_neighbours, unmoved
+from vision.sheets.doubts import anchored, hops, numbered_between_tears, predicted_by_neighbours, unmoved
 from vision.sheets.identities import exchanged
 from vision.sheets.ridges import RidgeComb
 
@@ -236,3 +238,22 @@ def test_a_comb_that_lies_where_it_was_and_will_be_has_not_jumped_by_a_pitch(
     x[150:] += jump_px
     found = unmoved(x, ~unsettled, unsettled, COMB)
     assert found[60 : 60 + frames, :].all() if settled else not found.any()
+
+
+@pytest.mark.parametrize(("hidden", "missing"), [(20, 23), (44, 49)])
+def test_a_sheet_lost_where_there_is_no_room_for_it_is_doubted(hidden, missing):
+    """Of equal sheets, one hides from frame 100 on. Numbered rightly, it leaves a spacing twice as wide. If
+    the sheets after it are on the ridges of the next ones, no sheet is missing in that spacing, but one is
+    where there is no room for it, or at the end. A failure means that sheets are given the ridges of the next
+    ones, or that the sheets beside a gap are withheld."""
+    x, view = moving(), replace(COMB, width_px=1200)
+    x[100:, hidden] = np.nan
+    assert not numbered_between_tears(x, np.isnan(x), view).any()
+    x[100:, hidden:missing] = x[100:, hidden + 1 : missing + 1]
+    x[100:, missing] = np.nan
+    doubtful = numbered_between_tears(x, np.isnan(x), view)
+    assert doubtful[100:, hidden:missing].all()
+    assert not doubtful[:100].any()
+    assert not doubtful[100:, : hidden - 4].any()
+    blind = replace(view, settings=TrackingSettings(room_pitches=3.0))
+    assert not numbered_between_tears(x, np.isnan(x), blind).any()

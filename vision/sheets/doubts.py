@@ -44,6 +44,8 @@ LIKE_ITSELF = 0.7
 """Change of log contrast up to which a ridge may be the sheet that is expected there: a factor of two."""
 LIKE_A_SHEET = 1.1  # the same for a ridge that touches another and so stands out less: a factor of three
 LEAST_SCATTER = np.array([0.02, 0.03])[:, None, None]  # of log contrast and log width: specks, pixels
+MOST_COMPLETE = 0.95  # quantile of the number of sheets found from which on frames tell the usual spacings
+LEFT_AT_END = 0.4  # pitches by which a spacing is narrower that a missing sheet at an end does not leave
 BESIDE = 4  # sheets on each side whose common change of brightness or width is one of light or focus
 
 
@@ -478,6 +480,70 @@ def numbered_off_the_end(ridges: Ridges, paired: Floats32, comb: RidgeComb) -> B
             beyond = (way * ridge - np.fmax.reduce(place, axis=1)[:, None]) / comb.pitch_px
             off[rows] |= np.isnan(place[:, 0]) & (alike & (beyond > 0.5) & (beyond < 1.5)).any(axis=1)
     return np.asarray(off[:, None] & np.isfinite(x), bool)
+
+
+def numbered_between_tears(x: NDArray[np.floating], missing: Bools, comb: RidgeComb) -> Bools:
+    r"""Return which sheets may be on the ridge of the next, as another spacing has room for a missing one.
+
+    A missing sheet leaves a spacing twice as wide. If that spacing is narrower and another one wider, the
+    sheet may be missing in the other one, and each of the k sheets between both be on the ridge of the next.
+    With the changes of both spacings from the usual ones in pitches, :math:`t_m` where the sheet is missing
+    and :math:`t_w` where it may be, these sheets are doubtful if
+
+    .. math:: t_w - t_m > t_0 + k\,t_1
+
+    with `room_pitches` :math:`t_0` and `room_per_sheet` :math:`t_1`; at 1 both readings fit equally well. A
+    sheet that is missing in view at an end of the comb leaves no spacing; :math:`t_m` is -`LEFT_AT_END`.
+    Spacings are usual in the frames that show most sheets.
+
+    Parameters
+    ----------
+    x
+        Positions of the sheets, px, NaN where missing or doubtful, (frame, N).
+    missing
+        Whether a sheet has no ridge, (frame, N).
+    comb
+        The ridges' appearance.
+
+    Returns
+    -------
+    numpy.ndarray
+        Whether a sheet with a position is doubtful, (frame, N).
+    """
+    found = np.isfinite(x)
+    count, doubtful = found.sum(axis=1), np.zeros(found.shape, bool)
+    usual_px = rest_positions(x[count >= np.quantile(count, MOST_COMPLETE)])
+    lacking = np.flatnonzero(missing.any(axis=1) & (count > 0))
+    per_sheet = comb.settings.room_per_sheet * np.arange(x.shape[1] + 1)
+    for part in row_parts(len(lacking)):
+        rows = lacking[part]
+        narrow, wide = _spacing_changes(x[rows].astype(np.float64), missing[rows], usual_px, comb)
+        for turn in (slice(None), slice(None, None, -1)):  # sheet n has the spacings up to n on its left
+            least = np.minimum.accumulate(narrow[:, turn] - per_sheet, axis=1)[:, :-1]
+            most = np.maximum.accumulate((wide[:, turn] - per_sheet)[:, ::-1], axis=1)[:, ::-1][:, 1:]
+            doubtful[rows] |= found[rows] & (most - least > comb.settings.room_pitches)[:, turn]
+    return doubtful
+
+
+def _spacing_changes(
+    x: Floats, missing: Bools, usual_px: NDArray[np.floating], comb: RidgeComb
+) -> tuple[Floats, Floats]:
+    """Return by how many pitches the spacing before each sheet, and that after the last one, is wider than
+    usual, (frame, N + 1): inf where no sheet is missing in it, and the same, -inf where it is none."""
+    number, found = np.arange(x.shape[1] + 1), np.isfinite(x)
+    here = np.pad(found, ((0, 0), (0, 1)), constant_values=True)
+    before = np.maximum.accumulate(np.where(found, number[:-1], -1), axis=1)
+    before = np.pad(before, ((0, 0), (1, 0)), constant_values=-1)
+    moved = np.pad((x - usual_px) / comb.pitch_px, ((0, 0), (0, 1)), constant_values=np.nan)
+    wider = moved - np.take_along_axis(moved, np.maximum(before, 0), axis=1)
+    at_end = here & ((before < 0) | (number == number[-1]))
+    wider[at_end] = np.nan
+    end_px = np.stack([np.nanmin(x, axis=1), comb.width_px - 1 - np.nanmax(x, axis=1)], axis=1)
+    in_view = np.where(number < number[-1], end_px[:, :1], end_px[:, 1:]) > comb.pitch_px
+    narrow = np.where(at_end & in_view, -LEFT_AT_END, wider)
+    lost = np.pad(np.cumsum(missing, axis=1), ((0, 0), (1, 0)))  # before each spacing
+    narrow[~here | (lost == np.take_along_axis(lost, before + 1, axis=1))] = np.inf
+    return np.nan_to_num(narrow, nan=np.inf), np.nan_to_num(wider, nan=-np.inf)
 
 
 def numbered_by_a_neighbour(

@@ -32,6 +32,7 @@ from vision.sheets.doubts import (
     LIKE_ITSELF,
     doubts_of,
     hops,
+    numbered_between_tears,
     numbered_by_a_neighbour,
     numbered_off_the_end,
     shifted_pattern,
@@ -108,6 +109,9 @@ def assign_detections(
         found[:, rows, sheet] = faint
         off = hops(unlike_neighbours(found[0]), comb)
         found[:, off & unpaired] = np.nan
+    off = numbered_between_tears(found[0], np.isnan(found[0]) & ~doubtful, comb)
+    why[off], withheld[off] = Doubt.NEIGHBOUR, found[0, off]
+    doubtful |= off
     flag = np.where(np.isfinite(found[0]), Flag.OK, Flag.MISSING).astype(np.uint8)
     flag[_merged(found, expected, comb)] = Flag.MERGED
     flag[_hidden(found[0], doubtful, comb)] = Flag.MERGED

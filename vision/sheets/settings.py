@@ -337,6 +337,16 @@ class TrackingSettings:
     which sheets look alike. It is 0.3 to 0.6 for equal sheets and 10 or more for paper. Larger warns of combs
     that have a pattern, smaller overlooks combs without one (test_identity_doubt.py)."""
 
+    room_pitches: float = 0.4
+    """Pitches by which one spacing is wider than usual and one with a missing sheet narrower, together, above
+    which the sheet may be missing in the other one. Larger gives sheets the ridges of the next ones
+    (test_a_sheet_lost_where_there_is_no_room_for_it_is_doubted), smaller withholds sheets that slip beside a
+    missing one."""
+
+    room_per_sheet: float = 0.1
+    """The same for each sheet between both. Larger overlooks several sheets on wrong ridges, smaller
+    withholds more of them where sheets part and meet."""
+
     merged_widths: float = 0.8
     """Two sheets nearer to each other than this, in ridge widths, are one ridge: the resolution of two
     Gaussians."""
