@@ -231,7 +231,8 @@ def wrong_d0():
 def test_a_wrong_d0_contradicts_the_shells(wrong_d0):
     """The force then implies 9.1 stiff sheets per side where the film shows 7 to 8; with the right d0 it
     implies 8.2, which is 8. A failure means that a wrong separation passes, or a right one is doubted."""
-    (line,) = wrong_d0.warnings
+    offset, line = wrong_d0.warnings
+    assert "𝒯0 = 5.99 N is" in offset and "give `d0_err_mm`" in offset
     assert "M_eff of the fits (9.1) lies outside the stiff shell's interval (7 to 8 sheets)" in line
     assert "check `d0_mm`" in line
     assert clean().warnings == ()
