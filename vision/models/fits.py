@@ -569,19 +569,20 @@ def _drop_lost_by_sampling(force: xr.Dataset, events: pd.DataFrame) -> float:
     """Median share of ΔF by which the force rises again during a slip; 0 if sticks are straight.
 
     In sticks with a knee, or that begin steeply, the force rises fastest right after a slip, as from the
-    lowest sample to the next. The rise before the recorded valley is lost: it lasts as long as the slip and
-    the delay of the load cell, at least one sample, and cannot be recovered by a line through later samples.
+    lowest sample to those after it. The rise before the recorded valley is lost: it lasts as long as the slip
+    and the delay of the load cell, at least one sample, and cannot be recovered by a line through later
+    samples. At the lowest sample the rise and the tail of a low-pass cancel, so the next two steps count too.
     """
     facts = StickMetadata.of(events)
     if not facts.two_slopes and not facts.bend_share < 0:
         return 0.0
     time, load = force["time_s"].values, force["load_N"].values
     near = np.searchsorted(time, events["t_v_s"].to_numpy(float))[:, np.newaxis] + np.arange(-3, 4)
-    near = np.clip(near, 0, load.size - 2)
+    near = np.clip(near, 0, load.size - 4)
     lowest = np.take_along_axis(near, np.argmin(load[near], axis=1)[:, np.newaxis], axis=1)[:, 0]
     slip_s = events["slip_time_s"].to_numpy(float) + np.nan_to_num(facts.lowpass_proposed_s)
     samples = np.maximum(slip_s / (time[lowest + 1] - time[lowest]), 1)
-    rise = (load[lowest + 1] - load[lowest]) * samples
+    rise = np.fmax(load[lowest + 1] - load[lowest], (load[lowest + 3] - load[lowest + 1]) / 2) * samples
     share = float(np.nanmedian(rise / events["dF_N"].to_numpy(float)))
     return share if np.isfinite(share) else 0.0
 
