@@ -392,7 +392,8 @@ def _fit_all(events: pd.DataFrame, given: _Given) -> ModelFits:
     if given.free_t_star:
         t_star = replace(peaks.estimate(2), value=abs(float(peaks.value[2])))
     if not mu.value > mu.error:  # also where either is NaN
-        raise _undetermined(f"friction coefficient {mu.value:.3g} ± {two_digits(mu.error)}")
+        known = f" ± {two_digits(mu.error)}" if mu.error > 0 else ", its error not determined"
+        raise _undetermined(f"friction coefficient {with_minus(f'{mu.value:.3g}')}{known}")
     sample = replace(given.sample, t_star_N=t_star.value)
     drops = with_friction(lambda m: fit_drops(events, sample, m), mu)
     stiffness = fit_stiffness(events, sample, modulus_GPa=given.modulus_GPa)
