@@ -188,6 +188,16 @@ def test_lines_run_from_valley_to_peak_along_the_force(pulled):
     assert np.isnan(lines[:, 2]).all()  # no line from one stick to the next
 
 
+def test_an_oscillation_has_rises_and_no_stick_phases(pulled):
+    """A failure means that the picture calls stick phases what the run says is no stick-slip."""
+    sticks = pulled.sticks.copy()
+    sticks.attrs = pulled.sticks.attrs | {"regime": "oscillation"}
+    whole, some = force_overview_figure(pulled.force, sticks, pulled.fits).panels[:2]
+    labels = [one.label for one in some.series]
+    assert "rises" in labels and "stick phases" not in labels
+    assert "(oscillation), drops between fitted lines above" in whole.title
+
+
 def test_a_recording_without_separation_says_so(pulled, tmp_path):
     """A failure means no picture, or empty axes, where no speed was given."""
     blind = pulled.sticks.assign(d_v_mm=np.nan, d_p_mm=np.nan, K_N_per_mm=np.nan)
