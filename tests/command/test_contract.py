@@ -72,6 +72,8 @@ def test_defaults_and_facts_are_recorded():
     facts = json.loads(Path("run/run.json").read_text())
     assert {name: facts["parameters"][name]["value"] for name in DEFAULTS} == DEFAULTS
     assert {facts["parameters"][name]["how"] for name in DEFAULTS} == {"default"}
+    every = {"out", "overwrite", "resume", "follow", "report", "checksum", "quiet", "verbose", "config"}
+    assert every <= set(facts["parameters"])
     assert facts["found"]["window_px"] == 9  # ridges 7 px wide
     assert facts["frames"]["lost"] == 0
     assert facts["command"].startswith("track") and {"sheetvision", "numpy"} <= set(facts["versions"])

@@ -323,9 +323,9 @@ def names_given(*groups: Any) -> list[str]:
 
 
 def with_point(text: str) -> str:
-    """Return how a number with a decimal comma is written; "" if the text is no such number."""
-    comma = re.fullmatch(r"\s*([-+]?[0-9]*),([0-9]+)\s*", text)
-    return f"write it with a decimal point: {comma[1]}.{comma[2]}" if comma else ""
+    """Return how a text whose numbers have decimal commas is written; "" if none has."""
+    pointed = re.sub(r"(?<![\w.,])([0-9]*),([0-9]+)(?![0-9.,])", r"\1.\2", text.strip())
+    return f"write it with a decimal point: {pointed}" if pointed != text.strip() else ""
 
 
 def flag_of(name: str) -> str:

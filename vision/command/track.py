@@ -21,7 +21,7 @@ from vision.checks import flag_counts
 from vision.command.console import attempt, complain, frame_progress, in_columns, say
 from vision.command.options import ForceOptions, RunOptions, TestOptions, flag_of, option_names
 from vision.command.review import keep_first_view
-from vision.command.settings import merged, settings_of
+from vision.command.settings import merged, parameters_given, settings_of
 from vision.data import MEASURED, StripMetadata
 from vision.errors import InputError, counted
 from vision.files import TIFF, answered, no_such_file
@@ -131,6 +131,7 @@ def track_one(
         if analysis.pixel_size_um != settings.pixel_size_um:
             parameters = {**parameters, "pixel_size": Parameter(analysis.pixel_size_um, "found")}
         analysis = _warn_of_other_film(analysis, parameters["corrections"].value, inputs[0])
+        parameters = {**parameters, **parameters_given(run, config=config)}
         origin = origin_of(inputs, parameters, checksum=run.checksum, described=sums.found())
         facts = {"frames_resumed": checkpoint.resumed} if checkpoint.resumed else None
         write_run(analysis, target, origin, overwrite=run.overwrite, report=run.report, facts=facts)

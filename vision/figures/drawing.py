@@ -543,11 +543,12 @@ def _layout(figure: Figure) -> tuple[list[Box], tuple[float, float]]:
 
 def _top(figure: Figure, row: Sequence[Panel], width_in: float) -> float:
     """Return the height of titles, which end at one height, and legends above a row of panels, inches."""
-    legends, below = (max(heights) for heights in zip(*(_head(one, width_in) for one in row), strict=True))
+    heads = [_head(panel, width_in) for panel in row]
+    legend, below = max(height for height, _ in heads), max(height for _, height in heads)
     if not figure.shows_titles:
-        return legends
+        return legend
     lines = max(1 + _title(panel, width_in).count("\n") for panel in row)
-    return max(_Inches.TITLE * lines + below, legends)
+    return max(_Inches.TITLE * lines + below, legend)
 
 
 def _title(panel: Panel, width_in: float) -> str:

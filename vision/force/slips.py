@@ -77,14 +77,13 @@ class Slips:
             }[self.threshold_how]
             lines.append(
                 f"{counted(self.left_out.size, 'drop')} between fitted lines of {sizes} {unit} not counted, "
-                f"{why}: "
-                f"`threshold_N` {0.9 * low:.2g} counts them"
+                f"{why}: `threshold_N` {0.9 * low:.2g} counts them"
             )
         usual = float(np.median(self.drop))
         if self.threshold_how == "noise" and self.threshold > 0.5 * usual:
             lines.append(
-                f"drops between fitted lines below {self.threshold:.3g} {unit} are not told from the noise: slips may be missed, "
-                f"since the median drop is {usual:.3g} {unit}"
+                f"drops between fitted lines below {self.threshold:.3g} {unit} are not told from the noise: "
+                f"slips may be missed, since the median drop is {usual:.3g} {unit}"
             )
         return lines
 
