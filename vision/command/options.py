@@ -141,7 +141,7 @@ class RunOptions:
     resume: Flag = False
     """Continue an interrupted run of the same film."""
     follow: Flag = False
-    """Track a film or folder while a camera writes it, until it is closed or Ctrl-C is pressed."""
+    """Track a film or folder while a camera writes it, until nothing was added for 10 s or Ctrl-C."""
     report: Report = True
     """Write report.html."""
     checksum: Flag = False

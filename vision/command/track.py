@@ -26,7 +26,7 @@ from vision.data import MEASURED, StripMetadata
 from vision.errors import InputError, counted
 from vision.files import TIFF, answered, no_such_file
 from vision.folder import check_target
-from vision.pipeline import Analysis, Settings, analyse, track_strip
+from vision.pipeline import Analysis, Settings, analyse, open_recording, track_strip
 from vision.run import FAILURES, Checkpoint, Checksums, Origin, Parameter, describe_input, is_run, write_run
 from vision.sheets.corrections import read_decisions
 from vision.summary import aligned, findings, noise_figures
@@ -159,7 +159,12 @@ def _check_run(video: Path, target: Path, run: RunOptions, settings: Settings) -
     if is_run(video):
         found, advice = "a run folder", "track review, figures and export take it"
         raise InputError(video, "a video or a folder of images", found, advice)
-    check_target(target, overwrite=run.overwrite)
+    try:
+        check_target(target, overwrite=run.overwrite)
+    except InputError:
+        if not run.follow:
+            open_recording(video, settings)  # what is no film is said first
+        raise
 
 
 def _warn_of_other_film(analysis: Analysis, corrections: Path | None, film: Path) -> Analysis:
