@@ -224,6 +224,15 @@ def test_error_bars_and_arrows_are_in_view(pulled):
     assert length.y[0] < panel.y_range[1]
 
 
+def test_the_legend_of_the_central_parts_has_no_event_s_colour(pulled):
+    """A failure means that the dots of one event seem to be the only ones from which K is measured."""
+    panel = sticks_figure(pulled.force, pulled.sticks).panel
+    curves = [series.ink for series in panel.series if series.label.startswith("d_v")]
+    dots = [series for series in panel.series if series.look == "points"]
+    assert dots[0].label == "K is measured here" and dots[0].ink not in curves
+    assert [series.ink for series in dots[1:]] == curves
+
+
 def test_a_recording_without_events_has_its_picture(pulled, tmp_path):
     """A failure means a traceback for a recording in which nothing slips."""
     figure = force_overview_figure(pulled.force, pulled.sticks.iloc[:0])

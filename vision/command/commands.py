@@ -97,8 +97,8 @@ def kymograph(
     Writes the folder NAME_kymograph with one 16-bit TIFF per diagram, which Fiji opens in µm and s, and one
     picture of all with axes. Slips are marked: those of the run's force recording, or without one the common
     outward steps of the sheets. The options of a video below are for films; with a run only --columns,
-    --frames and --pixel-size count, as the others were decided when it was made. Those of ridges and sheets
-    (--strips to --corrections, and --pitch) count for a film only with --sheet, as it is then tracked.
+    --frames and --pixel-size count, as the others were decided when it was made. Those of sheets
+    (--sheets to --corrections) count only where a film is tracked, with --sheet or --pitch.
 
     For example:
 

@@ -266,8 +266,10 @@ def _central_parts(chosen: pd.DataFrame, curves: tuple[Series, ...], part: float
         inside = np.flatnonzero(np.abs(curve.x - length / 2) <= part * length / 2)
         inside = inside[:: max(1, inside.size // 12)]
         if inside.size:
-            label = "" if dots else "K is measured here"
-            dots.append(Series.points(label, curve.x[inside], curve.y[inside], MODEL))
+            x, y = curve.x[inside], curve.y[inside]
+            if not dots:  # for the legend, under the first dot: that of one event would have its colour
+                dots.append(Series.points("K is measured here", x[:1], y[:1], QUIET))
+            dots.append(Series.points("", x, y, curve.ink))
     return tuple(dots)
 
 
