@@ -125,14 +125,14 @@ def fit_models(
                 error.advice = "; ".join(filter(None, (error.advice, unit_doubt)))
             raise
         except FIT_ERRORS as error:
-            raise _undetermined(str(error), unit_doubt) from error
+            raise _undetermined("a fit that does not converge", unit_doubt) from error
         if not all(np.isfinite((one.value, one.error)).all() for one in fits.named().values()):
             raise _undetermined("values or errors that are not finite", unit_doubt)
         left_out = {"flagged": len(sticks) - len(complete)} | left_out
         fits = _with_systematics(fits, force, events, given, errors)
         misread = _misread_lengths(fits, complete, given, force)
         if abs(fits.t0_N.value) > float(events["F_p_N"].abs().max()):
-            reason = f"an offset 𝒯0 of {fits.t0_N.value:.2g} N, larger than the peaks"
+            reason = f"an offset 𝒯0 of {with_minus(f'{fits.t0_N.value:.2g}')} N, larger than the peaks"
             raise _undetermined(reason, misread or unit_doubt)
     notes, warnings = _remarks(fits, force, left_out, fit_range_mm is not None)
     warnings = (*(line for line in (unit_doubt, misread) if line), *warnings)
