@@ -97,7 +97,7 @@ class ForceOptions:
     force_columns: str | None = None
     """Columns by name or number, such as time=Time,load=Load:kN,displacement=3."""
     force_threshold: float | None = _sets("force_threshold_N")
-    """Smallest force drop that counts as a slip, N; found from the noise if not given."""
+    """Smallest drop between fitted lines that counts as a slip, N; found from the noise if not given."""
     force_lowpass: str | None = _sets("force_lowpass_s")
     """Load-cell time constant to correct for, s; 0: no correction; auto: only if the slips show it."""
     force_average: str | None = _sets("force_average_s")
