@@ -12,7 +12,7 @@ import pytest
 from scipy.io import savemat
 
 from vision.errors import InputError
-from vision.files import READ_HDF5, READ_MATLAB, check_regular, try_out
+from vision.files import READ_HDF5, READ_MATLAB, check_regular, read_toml, reading, try_out
 
 
 @pytest.fixture
@@ -34,9 +34,9 @@ def test_whole_files_pass(matlab, tmp_path):
     [
         ("import os; os.kill(os.getpid(), 11)", "SIGSEGV", 60),
         ("while True: pass", "does not end", 0.5),
-        ("bytearray(1 << 40)", "MemoryError", 60),
-        ("raise TypeError('a\\nb')", "TypeError: a b", 60),
-        ("import os; os._exit(7)", "status 7", 60),
+        ("bytearray(1 << 40)", "asks for more memory", 60),
+        ("raise TypeError('a\\nb')", "found a damaged or incomplete one; save", 60),
+        ("import os; os._exit(7)", "damaged or incomplete", 60),
     ],
 )
 def test_whatever_a_parser_does_is_one_line(parser, found, seconds, matlab):
@@ -44,6 +44,31 @@ def test_whatever_a_parser_does_is_one_line(parser, found, seconds, matlab):
     with pytest.raises(InputError, match=found) as caught:
         try_out(matlab, parser, "a .mat file", seconds=seconds)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("error", "found"),
+    [
+        (TypeError("'<' not supported between instances of 'tuple' and 'int'"), "found a damaged one; copy"),
+        (AssertionError(), "found a damaged one; copy"),
+        (ValueError("Error tokenizing data. C error: EOF inside string"), "a quotation mark is never closed"),
+        (KeyError("offset_s"), "'offset_s' is missing"),
+        (KeyError(270), "found a damaged one; copy"),
+        (UnicodeDecodeError("utf-8", b"\xff", 0, 1, "invalid start byte"), "its text is not UTF-8"),
+    ],
+)
+def test_a_damaged_file_is_described_without_words_of_python(error, found, tmp_path):
+    """A failure means that a user reads "AssertionError" where the file should be copied again."""
+    with pytest.raises(InputError, match=found) as caught, reading(tmp_path / "a", "a recording"):
+        raise error
+    assert "Error" not in str(caught.value)
+
+
+def test_what_is_wrong_with_a_toml_file_is_said(tmp_path):
+    """A failure means that a typing error in a long file of options is not found."""
+    (tmp_path / "a.toml").write_text("strip = '60:144'\nfps 60\n")
+    with pytest.raises(InputError, match="line 2"):
+        read_toml(tmp_path / "a.toml", "options", "mend it")
 
 
 def test_folders_that_an_import_puts_first_for_a_while_do_not_matter(matlab, monkeypatch):

@@ -114,8 +114,19 @@ def reading(path: Path, wanted: str, advice: str = "copy or export it again") ->
         found = f"one that cannot be read ({str(error.strerror or error).lower()})"
         raise InputError(path, wanted, found, advice) from error
     except Exception as error:
-        what = f"{type(error).__name__}: {error}"
-        raise InputError(path, wanted, f"a damaged one ({shortened(what)})", advice) from error
+        why = _plain_reason(error)
+        raise InputError(path, wanted, "a damaged one" + (f" ({why})" if why else ""), advice) from error
+
+
+def _plain_reason(error: Exception) -> str:
+    """Return what an exception says of a file if a user understands it; "" for what only a decoder does."""
+    if isinstance(error, tomllib.TOMLDecodeError | json.JSONDecodeError):
+        return shortened(str(error))
+    if isinstance(error, UnicodeDecodeError):
+        return "its text is not UTF-8"
+    if isinstance(error, KeyError) and error.args and isinstance(error.args[0], str):
+        return f"'{shortened(error.args[0], 40)}' is missing"
+    return "a quotation mark is never closed" if "inside string" in str(error) else ""
 
 
 def read_toml(path: Path, wanted: str, advice: str) -> dict[str, Any]:
@@ -333,8 +344,7 @@ except (ImportError, OSError, ValueError, AttributeError):
 try:
     exec(parser, {"path": path})
 except BaseException as error:
-    print(json.dumps(type(error).__name__ + ": " + str(error)))
-    sys.exit(1)
+    sys.exit(2 if isinstance(error, MemoryError) else 1)
 """
 
 
@@ -359,13 +369,13 @@ def try_out(path: Path, parser: str, wanted: str, *, seconds: float | None = Non
     child = subprocess.Popen(
         [sys.executable, "-I", "-c", _CHILD],
         stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         env=os.environ | quiet,
     )
     try:  # leaving a `with` would wait for a process that never ends
-        out, _ = child.communicate(task.encode() + b"\n", timeout=wall_s)
-        found = _found(child.returncode, out, seconds)
+        child.communicate(task.encode() + b"\n", timeout=wall_s)
+        found = _found(child.returncode, seconds)
     except subprocess.TimeoutExpired:
         found = f"one whose reading does not end within {wall_s:g} s"
     finally:
@@ -376,7 +386,7 @@ def try_out(path: Path, parser: str, wanted: str, *, seconds: float | None = Non
         raise InputError(path, wanted, found, "save or copy it again")
 
 
-def _found(status: int, out: bytes, seconds: float) -> str:
+def _found(status: int, seconds: float) -> str:
     """Return what is wrong with the file; "" if nothing is."""
     if status == 0:
         return ""
@@ -384,11 +394,7 @@ def _found(status: int, out: bytes, seconds: float) -> str:
         return f"one whose reading does not end within {seconds:g} s of computing"
     if status < 0:
         return f"one that ends its reader ({signal.Signals(-status).name})"
-    try:
-        why = str(json.loads(out.decode().splitlines()[-1]))
-    except (ValueError, IndexError):
-        why = f"status {status}"
-    return f"one that cannot be read ({shortened(why)})"
+    return "one that asks for more memory than there is" if status == 2 else "a damaged or incomplete one"
 
 
 # --- text of files and names, in the program's output -------------------------------------------------------

@@ -196,6 +196,8 @@ def test_dry_run_says_what_would_run_and_writes_nothing(tmp_path, capsys):
     said = capsys.readouterr().out
     assert "30 frames x 180 px" in said
     assert "3 of 4 films would run" in said
+    wall_s = float(re.search(r"([0-9.]+) s with", said)[1])
+    assert wall_s >= CampaignSettings().campaign_seconds + CampaignSettings().start_seconds
     assert re.search(r"bad +would fail  .*bad\.avi: expected", said)
     assert "nothing was written" in said
     assert sorted(out.rglob("*")) == before

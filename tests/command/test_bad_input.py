@@ -170,6 +170,15 @@ def test_what_is_no_recording_is_refused_in_one_line(case, place, frames, capsys
     assert expected in said
 
 
+def test_what_is_no_film_is_said_before_the_folder_that_exists(place, capsys):
+    """A failure means that who types test.txt for test.avi is told to replace the run of test.avi."""
+    Path("test.txt").write_text("no film")
+    Path("test_tracks").mkdir()
+    (Path("test_tracks") / "run.json").write_text("{}")
+    line = refused(capsys, "test.txt")
+    assert "test.txt: expected" in line and "--overwrite" not in line
+
+
 def test_a_run_is_no_video(place, capsys):
     """A failure means that whoever names the run in place of the film reads of images of two kinds."""
     (place / "run").mkdir()

@@ -10,6 +10,8 @@ import xarray as xr
 
 from tests.scenes.comb_video import frames_of, positions, write_video
 from vision.command.main import make_app, run
+from vision.sheets.identities import WHYS
+from vision.sheets.recovery import FLAGS
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
 
@@ -72,6 +74,8 @@ def test_defaults_and_facts_are_recorded():
     facts = json.loads(Path("run/run.json").read_text())
     assert {name: facts["parameters"][name]["value"] for name in DEFAULTS} == DEFAULTS
     assert {facts["parameters"][name]["how"] for name in DEFAULTS} == {"default"}
+    every = {"out", "overwrite", "resume", "follow", "report", "checksum", "quiet", "verbose", "config"}
+    assert every <= set(facts["parameters"])
     assert facts["found"]["window_px"] == 9  # ridges 7 px wide
     assert facts["frames"]["lost"] == 0
     assert facts["command"].startswith("track") and {"sheetvision", "numpy"} <= set(facts["versions"])
@@ -85,6 +89,10 @@ def test_every_variable_of_tracks_nc_says_what_it_is():
     with xr.open_dataset("run/tracks.nc", engine="h5netcdf") as data:
         assert data.x_px.dims == ("frame", "sheet")
         assert [name for name in data.variables if not data[name].attrs.get("long_name")] == []
+        whole = ("frame", "sheet", "index", "side", "n")
+        assert [data[name].attrs["units"] for name in whole] == ["1"] * 5
+        assert {part.partition(": ")[0] for part in data.flag.meanings.split("; ")} == set(FLAGS)
+        assert {part.partition(": ")[0] for part in data.why.meanings.split("; ")} == set(WHYS) - {""}
         measured = [name for name in data.data_vars if data[name].dtype.kind == "f"]
         assert [name for name in measured if not data[name].attrs.get("units")] == []
         units = {name.rpartition("_")[2]: data[name].attrs["units"] for name in measured if "_" in name}

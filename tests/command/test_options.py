@@ -9,6 +9,8 @@ from vision.command.settings import (
     parse_duration,
     parse_length,
     parse_pair,
+    parse_pitch,
+    parse_pixel_size,
     parse_scale,
     parse_seconds,
     parse_sheets,
@@ -197,6 +199,25 @@ def test_a_value_with_a_senseless_error_is_refused(text):
     """A failure means a typing error becomes a length, or advice with a value of another option."""
     with pytest.raises(InputError, match=r"--thickness: .*; write it in mm with a decimal point"):
         parse_with_error(text, "--thickness")
+
+
+@pytest.mark.parametrize(
+    ("parse", "text", "pointed"),
+    [
+        (parse_pixel_size, "0,01mm", "0.01mm"),
+        (lambda text: parse_pitch(text, "--pitch"), "0,2mm", "0.2mm"),
+        (lambda text: parse_length(text, "--width"), "1,5 px", "1.5 px"),
+        (parse_scale, "1,5mm=103,5px", "1.5mm=103.5px"),
+        (lambda text: parse_pair(text, "--fit-range", "a range"), "13,2:17", "13.2:17"),
+        (lambda text: parse_seconds(text, "--time"), "40:45,1", "40:45.1"),
+        (lambda text: parse_duration(text, "--force-lowpass"), "0,05", "0.05"),
+    ],
+)
+def test_a_decimal_comma_is_answered_with_the_point(parse, text, pointed):
+    """A failure means that who writes 0,2mm is told to write 0.2mm "with its unit"."""
+    with pytest.raises(InputError) as caught:
+        parse(text)
+    assert str(caught.value).endswith(f"write it with a decimal point: {pointed}")
 
 
 def test_low_pass_and_range_of_the_fit():

@@ -129,6 +129,8 @@ def test_a_run_folder_is_complete_and_kept(
     assert {"chi2_dof", "sample"} <= set(models)
     facts = json.loads((folder / "run.json").read_text(encoding="utf-8"))
     assert facts["parameters"]["d0"] == {"value": 13, "how": "given"}
+    assert {"out", "overwrite", "quiet", "detection_limit", "config"} <= set(facts["parameters"])
+    assert "give --d0 with its error" in " ".join(models["notes"])  # not the argument of Python
     assert facts["force"]["separation_from"] == "displacement"
     assert len(facts["inputs"][0]["sha256"]) == 64
     assert (folder / "force.png").is_file()

@@ -182,6 +182,18 @@ def test_any_number_of_panels_fits(panels, frames):
     assert all(a.x1 <= b.x0 for a, b in itertools.pairwise(labels) if a.y0 == b.y0 and a.x0 < b.x0)
 
 
+@pytest.mark.parametrize("panels", [1, 3])
+def test_the_note_below_a_narrow_window_is_whole(panels):
+    """A failure means that the note on grey levels begins outside the picture."""
+    window = diagram_of(columns=20, **WINDOW)
+    page = kymograph_figure([window] * panels, slips_s=np.array([1.0])).plot().figure
+    FigureCanvasAgg(page).draw()
+    (note,) = (text for text in page.texts if "black to white" in text.get_text())
+    assert "interpolated along x" in note.get_text().replace("\n", " ")
+    box = note.get_window_extent()
+    assert box.x0 >= 0 and box.y0 >= 0 and box.y1 < page.axes[0].xaxis.label.get_window_extent().y0
+
+
 def test_panels_share_one_grey_scale():
     """A failure means that brightness cannot be compared between panels."""
     low, high = grey_limits(diagram_of().values, diagram_of().values * 2)

@@ -122,6 +122,19 @@ def test_a_title_is_wrapped_to_its_panel():
     assert below.y1 < page.axes[0].get_window_extent().y0 and below.y0 > page.axes[1].get_window_extent().y1
 
 
+def test_titles_of_a_row_stand_at_one_height():
+    """A failure means that a long legend lifts one title above those beside it."""
+    curves = [Series(label=f"{k} N", x=np.arange(3.0), y=np.arange(3.0), ink=DATA) for k in range(9)]
+    panels = [
+        Panel(title=f"after {n}", x_label="x", y_label="y", series=tuple(curves[:n])) for n in (9, 1, 3)
+    ]
+    page = new_figure(Figure(name="row", title="", caption="", panels=tuple(panels), columns=3, width_in=13))
+    FigureCanvasAgg(page).draw()
+    assert len({text.get_position()[1] for text in page.texts}) == 1
+    lowest = min(text.get_window_extent().y0 for text in page.texts)
+    assert lowest >= max(ax.get_legend().get_window_extent().y1 for ax in page.axes[1:])
+
+
 def test_legends_name_the_sides_and_hide_nothing():
     """A failure means that the highest peaks disappear behind the legend."""
     ax = tracks_figure(make_tracks(sawtooth(100, 6))).plot()

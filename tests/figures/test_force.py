@@ -188,6 +188,16 @@ def test_lines_run_from_valley_to_peak_along_the_force(pulled):
     assert np.isnan(lines[:, 2]).all()  # no line from one stick to the next
 
 
+def test_an_oscillation_has_rises_and_no_stick_phases(pulled):
+    """A failure means that the picture calls stick phases what the run says is no stick-slip."""
+    sticks = pulled.sticks.copy()
+    sticks.attrs = pulled.sticks.attrs | {"regime": "oscillation"}
+    whole, some = force_overview_figure(pulled.force, sticks, pulled.fits).panels[:2]
+    labels = [one.label for one in some.series]
+    assert "rises" in labels and "stick phases" not in labels
+    assert "(oscillation), drops between fitted lines above" in whole.title
+
+
 def test_a_recording_without_separation_says_so(pulled, tmp_path):
     """A failure means no picture, or empty axes, where no speed was given."""
     blind = pulled.sticks.assign(d_v_mm=np.nan, d_p_mm=np.nan, K_N_per_mm=np.nan)
@@ -212,6 +222,15 @@ def test_error_bars_and_arrows_are_in_view(pulled):
     assert length.y[0] > max(series.y.max() for series in curves)
     assert drop.x[0] < panel.x_range[1]
     assert length.y[0] < panel.y_range[1]
+
+
+def test_the_legend_of_the_central_parts_has_no_event_s_colour(pulled):
+    """A failure means that the dots of one event seem to be the only ones from which K is measured."""
+    panel = sticks_figure(pulled.force, pulled.sticks).panel
+    curves = [series.ink for series in panel.series if series.label.startswith("d_v")]
+    dots = [series for series in panel.series if series.look == "points"]
+    assert dots[0].label == "K is measured here" and dots[0].ink not in curves
+    assert [series.ink for series in dots[1:]] == curves
 
 
 def test_a_recording_without_events_has_its_picture(pulled, tmp_path):

@@ -119,7 +119,7 @@ def test_small_slips_below_a_gap_are_told() -> None:
     time = np.arange(load.size) * 0.01
     force = recording(time, load, 13 + time / 60, 1.0)
     (line,) = find_stick_slip(force).attrs["warnings"]
-    assert re.search(r"^(19|20) drops of .* N not counted, below a gap", line)
+    assert re.search(r"^(19|20) drops between fitted lines of .* N not counted, below a gap", line)
     least = float(line.split("`threshold_N` ")[1].split()[0])
     events = find_stick_slip(force, threshold_N=least)
     assert np.sum(events["dF_N"] < 20) == pytest.approx(19, abs=2)

@@ -43,6 +43,9 @@ class CampaignSettings:
     start_seconds: float = 2.2
     """Time for starting a job's process and loading the libraries, before its first film. Without it a plan
     of many jobs of short films states half of its time (`reports/campaign.md`)."""
+    campaign_seconds: float = 5.0
+    """Time for starting Snakemake and comparing the finished tests, once for a campaign. Without it a dry run
+    of a few short films states half of their time."""
     base_memory_mb: float = 600.0
     """Memory for libraries, figures and report."""
     memory_mb_per_megasample: float = 40.0

@@ -37,7 +37,8 @@ def track(
     """Track every sheet of a video: positions x(n,t), their errors, pictures and tables in a new folder.
 
     Several videos are tracked one after the other, each into its own folder. If one cannot be used, the
-    others are still tracked. --out is then the folder that holds their folders.
+    others are still tracked, and the exit status is the highest of all, here 2. --out is then the folder that
+    holds their folders.
 
     Parameters
     ----------
@@ -95,7 +96,9 @@ def kymograph(
 
     Writes the folder NAME_kymograph with one 16-bit TIFF per diagram, which Fiji opens in µm and s, and one
     picture of all with axes. Slips are marked: those of the run's force recording, or without one the common
-    outward steps of the sheets. For a run only the columns, frames and pixel size can be chosen.
+    outward steps of the sheets. The options of a video below are for films; with a run only --columns,
+    --frames and --pixel-size count, as the others were decided when it was made. Those of sheets
+    (--sheets to --corrections) count only where a film is tracked, with --sheet or --pitch.
 
     For example:
 
@@ -251,8 +254,8 @@ def compare(
     """Compare several finished tests: one table, one μ, the collapse, change points and trends.
 
     Writes the folder comparison: tests.csv (one row per run), trends.json, all_events.csv, figures.npz,
-    collapse.png, trends.png, report.html and run.json. A run that cannot be used is named, the others are
-    compared, and the exit status is 1.
+    collapse.png, trends.png (if conditions vary), report.html and run.json. A run that cannot be used is
+    named, the others are compared, and the exit status is 1.
 
     For example:
 

@@ -29,6 +29,7 @@ The results of test.avi go to a new folder test_tracks in the working directory:
 then at tracks.csv, tracks.nc, sheets.csv, kymograph.tif and run.json. Examples:
 
     track test.avi --pixel-size 10 --fps 60
+    track test.avi --pixel-size 10 --fps 60 --force test.txt --d0 16.6
     track test.avi --strip 60:144 --sheets 50 --out results
     track beam.cine --rotate 90
     track markers.avi --ridges dark --sheets 7
@@ -36,7 +37,8 @@ then at tracks.csv, tracks.nc, sheets.csv, kymograph.tif and run.json. Examples:
     track *.avi --out series
 
 Exit status: 0 done, 1 finished with a warning that matters, 2 input that cannot be used, 3 an unexpected \
-error (earlier results are written).
+error (earlier results are written); of several films the highest. compare, friction and campaign end with 1 \
+if some of their inputs cannot be used.
 """
 
 

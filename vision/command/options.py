@@ -97,7 +97,7 @@ class ForceOptions:
     force_columns: str | None = None
     """Columns by name or number, such as time=Time,load=Load:kN,displacement=3."""
     force_threshold: float | None = _sets("force_threshold_N")
-    """Smallest force drop that counts as a slip, N; found from the noise if not given."""
+    """Smallest drop between fitted lines that counts as a slip, N; found from the noise if not given."""
     force_lowpass: str | None = _sets("force_lowpass_s")
     """Load-cell time constant to correct for, s; 0: no correction; auto: only if the slips show it."""
     force_average: str | None = _sets("force_average_s")
@@ -141,7 +141,7 @@ class RunOptions:
     resume: Flag = False
     """Continue an interrupted run of the same film."""
     follow: Flag = False
-    """Track a film or folder while a camera writes it, until it is closed or Ctrl-C is pressed."""
+    """Track a film or folder while a camera writes it, until nothing was added for 10 s or Ctrl-C."""
     report: Report = True
     """Write report.html."""
     checksum: Flag = False
@@ -323,9 +323,9 @@ def names_given(*groups: Any) -> list[str]:
 
 
 def with_point(text: str) -> str:
-    """Return how a number with a decimal comma is written; "" if the text is no such number."""
-    comma = re.fullmatch(r"\s*([-+]?[0-9]*),([0-9]+)\s*", text)
-    return f"write it with a decimal point: {comma[1]}.{comma[2]}" if comma else ""
+    """Return how a text whose numbers have decimal commas is written; "" if none has."""
+    pointed = re.sub(r"(?<![\w.,])([0-9]*),([0-9]+)(?![0-9.,])", r"\1.\2", text.strip())
+    return f"write it with a decimal point: {pointed}" if pointed != text.strip() else ""
 
 
 def flag_of(name: str) -> str:

@@ -75,7 +75,7 @@ def force(
     target = output.out or Path(f"{file.stem}_force")
     check_results(target, overwrite=output.overwrite, mark="detection_limit")
     analysis = analyse(None, file, replace(settings_of(parameters), t_star_fitted=free_t_star))
-    parameters |= parameters_given(free_t_star=free_t_star)
+    parameters |= parameters_given(output, free_t_star=free_t_star, detection_limit=limit, config=config)
     inputs = (file,) if config is None else (file, config)
     found = None
     if limit and analysis.force is not None and analysis.sticks is not None:
@@ -118,6 +118,7 @@ def modulus(file: Path, options: ModulusOptions, output: OutputOptions) -> int:
     notes, warnings = list(measured.notes), measured.warnings
     if sheet == PUBLISHED_SHEET:
         notes.append("sheet of ε = 0.1, W = 45, L = 16.8 mm, the publication's size")
+    origin = origin_of([file], parameters_given(options, output))
     content = {
         **means,
         "cycles": len(cycles),
@@ -125,13 +126,9 @@ def modulus(file: Path, options: ModulusOptions, output: OutputOptions) -> int:
         "sheet_err": sheet_err,
         "clamp_distance_from": measured.clamp_distance_from,
         "machine_stiffness_N_per_mm": options.machine_stiffness,
-        "notes": notes,
+        "notes": origin.named(notes),
     }
-    facts = {
-        **origin_of([file], parameters_given(options)).facts(warnings=warnings),
-        "cycles": len(cycles),
-        "notes": notes,
-    }
+    facts = {**origin.facts(warnings=warnings, notes=notes), "cycles": len(cycles)}
     figure = modulus_figure(force, cycles)
     with results_folder(target, facts, started=started, overwrite=output.overwrite) as folder:
         _write(folder, "cycles", cycles, figure, content)
@@ -175,19 +172,17 @@ def friction(files: Sequence[Path], options: FrictionOptions, output: OutputOpti
     law, note = _law(found.measured)
     notes = [*found.notes, *filter(None, [note])]
     table = friction_table(found.measured)
+    origin = origin_of([file for file in files if file.is_file()], parameters_given(options, output))
     content: dict[str, Any] = dict.fromkeys(("a", "a_err", "b_N", "b_err_N", "chi2_dof"))
     content |= asdict(law) if law else {}
     content |= {
         "mu": options.mu,
         "thresholds_equal_at_N": law.crossing_N(options.mu) if law and options.mu > law.a else None,
         "caveat": RIM_CAVEAT,
-        "notes": notes,
+        "notes": origin.named(notes),
     }
-    origin = origin_of([file for file in files if file.is_file()], parameters_given(options))
-    facts = {
-        **origin.facts(failures=found.failures, warnings=found.warnings),
-        "measurements": len(found.measured),
-        "notes": [*notes, RIM_CAVEAT],
+    facts = origin.facts(failures=found.failures, warnings=found.warnings, notes=[*notes, RIM_CAVEAT]) | {
+        "measurements": len(found.measured)
     }
     figure = friction_figure(found.measured, law, mu=options.mu, dynamic_deg=settings.dynamic_deg)
     with results_folder(target, facts, started=started, overwrite=output.overwrite) as folder:

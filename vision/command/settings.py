@@ -187,7 +187,7 @@ def parse_pair(
     first, _, last = text.partition(":")
     low, high = number(first), number(last)
     if not 0 <= low < high <= most or high == math.inf:
-        raise InputError(option, wanted, f"'{text}'", advice)
+        raise InputError(option, wanted, f"'{text}'", with_point(text) or advice)
     return low, high
 
 
@@ -216,7 +216,8 @@ def parse_pixel_size(text: str | None) -> float | None:
     value = number(match[1]) * UM_PER[match[2] or "um"] if match else math.nan
     if not PIXEL_SIZE_UM[0] <= value <= PIXEL_SIZE_UM[1]:
         wanted = f"a number from {PIXEL_SIZE_UM[0]:g} to {PIXEL_SIZE_UM[1]:g} (µm per px)"
-        raise InputError("--pixel-size", wanted, f"'{text}'", "write 10.5, 10.5um or 0.0105mm")
+        advice = with_point(text) or "write 10.5, 10.5um or 0.0105mm"
+        raise InputError("--pixel-size", wanted, f"'{text}'", advice)
     return value
 
 
@@ -231,7 +232,8 @@ def parse_scale(text: str | None) -> float | None:
     except (InputError, KeyError):
         size = math.nan
     if not 1e-6 <= size < math.inf:
-        raise InputError("--scale", "a length and its pixels", f"'{text}'", "write 1mm=103px")
+        advice = with_point(text) or "write 1mm=103px"
+        raise InputError("--scale", "a length and its pixels", f"'{text}'", advice)
     return size
 
 
@@ -251,7 +253,8 @@ def parse_length(text: str, option: str) -> dict[str, float]:
     match = re.fullmatch(r"\s*([0-9.]+(?:[eE][+-]?[0-9]+)?)\s*(mm|um|µm|μm|px)\s*", text)
     value = number(match[1]) if match else math.nan
     if match is None or not 0 < value < math.inf:
-        raise InputError(option, "a length with its unit: mm, um, µm or px", f"'{text}'", "write 0.2mm")
+        wanted = "a length with its unit: mm, um, µm or px"
+        raise InputError(option, wanted, f"'{text}'", with_point(text) or "write 0.2mm")
     unit = match[2]
     return {"width_px": value} if unit == "px" else {"width_um": value * UM_PER[unit]}
 
@@ -265,7 +268,8 @@ def parse_seconds(text: str | None, option: str) -> tuple[float | None, float | 
     stop = number(last) if last.strip() else None
     ends = [end for end in (start, stop) if end is not None]
     if not colon or not ends or not all(map(math.isfinite, ends)) or ends != sorted(set(ends)):
-        raise InputError(option, "two times in seconds A:B with A < B", f"'{text}'", "write 40:45.1")
+        wanted = "two times in seconds A:B with A < B"
+        raise InputError(option, wanted, f"'{text}'", with_point(text) or "write 40:45.1")
     return start, stop
 
 

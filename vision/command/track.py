@@ -21,12 +21,12 @@ from vision.checks import flag_counts
 from vision.command.console import attempt, complain, frame_progress, in_columns, say
 from vision.command.options import ForceOptions, RunOptions, TestOptions, flag_of, option_names
 from vision.command.review import keep_first_view
-from vision.command.settings import merged, settings_of
+from vision.command.settings import merged, parameters_given, settings_of
 from vision.data import MEASURED, StripMetadata
 from vision.errors import InputError, counted
 from vision.files import TIFF, answered, no_such_file
 from vision.folder import check_target
-from vision.pipeline import Analysis, Settings, analyse, track_strip
+from vision.pipeline import Analysis, Settings, analyse, open_recording, track_strip
 from vision.run import FAILURES, Checkpoint, Checksums, Origin, Parameter, describe_input, is_run, write_run
 from vision.sheets.corrections import read_decisions
 from vision.summary import aligned, findings, noise_figures
@@ -131,6 +131,7 @@ def track_one(
         if analysis.pixel_size_um != settings.pixel_size_um:
             parameters = {**parameters, "pixel_size": Parameter(analysis.pixel_size_um, "found")}
         analysis = _warn_of_other_film(analysis, parameters["corrections"].value, inputs[0])
+        parameters = {**parameters, **parameters_given(run, config=config)}
         origin = origin_of(inputs, parameters, checksum=run.checksum, described=sums.found())
         facts = {"frames_resumed": checkpoint.resumed} if checkpoint.resumed else None
         write_run(analysis, target, origin, overwrite=run.overwrite, report=run.report, facts=facts)
@@ -158,7 +159,12 @@ def _check_run(video: Path, target: Path, run: RunOptions, settings: Settings) -
     if is_run(video):
         found, advice = "a run folder", "track review, figures and export take it"
         raise InputError(video, "a video or a folder of images", found, advice)
-    check_target(target, overwrite=run.overwrite)
+    try:
+        check_target(target, overwrite=run.overwrite)
+    except InputError:
+        if not run.follow:
+            open_recording(video, settings)  # what is no film is said first
+        raise
 
 
 def _warn_of_other_film(analysis: Analysis, corrections: Path | None, film: Path) -> Analysis:

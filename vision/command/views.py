@@ -186,7 +186,7 @@ def kymograph(
     diagrams = _diagrams(data, sheets, width, follow=window.follow, **part)
     warnings = [*data.warnings, *_warnings(diagrams)]
     slips = _slips_shown(data, diagrams[0])
-    facts = origin_of(files, parameters | parameters_given(window)).facts(warnings=warnings)
+    facts = origin_of(files, parameters | parameters_given(window, output)).facts(warnings=warnings)
     facts |= {DIAGRAMS: list(map(_diagram_facts, diagrams)), "slips": slips}
     shown = [DiagramMetadata.of(diagram).sheet or "strip" for diagram in diagrams]
     names = [f"kymograph_{sheet.replace(':', '')}.tif" for sheet in shown]
@@ -395,8 +395,7 @@ def compare(runs: Sequence[Path], options: CompareOptions, output: OutputOptions
         for line in found.failures:  # wrong arguments first: a folder that exists is no reason for them
             complain(line)
         raise
-    given = parameters_given(table=table, main_sample=main_sample, fix_yeff=fix_yeff)
-    origin = origin_of([table] if table else [], given)
+    origin = origin_of([table] if table else [], parameters_given(options, output))
     write_comparison(found, target, origin, overwrite=output.overwrite, report=options.report)
     rows = [(one.what, ", ".join(filter(None, (one.value, one.detail)))) for one in answers(found)]
     lines = [f"{counted(len(found.tests), 'test')} -> {target}/", *in_columns(rows, "<")]

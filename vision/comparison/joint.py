@@ -22,7 +22,7 @@ from vision.models.single_fits import (
     stiffness_errors,
     with_friction,
 )
-from vision.numeric import Bools, Floats, rms, two_digits
+from vision.numeric import Bools, Floats, rms, two_digits, with_minus
 from vision.sample import Sample
 
 JOINT_ERROR = "stat. and d_0"
@@ -186,14 +186,18 @@ def fit_test(test: TractionTest, modulus: Estimate, settings: CompareSettings = 
         values, chi2, scatter = _fit(events, test.sample, modulus.value)
     except FIT_ERRORS as error:
         wanted = "events that follow the publication's models"
-        raise InputError(test.folder, wanted, f"others ({error})", "check `d0_mm`") from error
+        raise InputError(
+            test.folder, wanted, "others (a fit that does not converge)", "check `d0_mm`"
+        ) from error
     mu, t0 = values["mu"], values["T0_N"]
     if not (0.05 < mu.value < 5.0 and mu.value > 2 * mu.error):
-        found = f"others (μ = {mu.value:.3g} ± {two_digits(mu.error)})"
+        found = f"others (μ = {with_minus(f'{mu.value:.3g}')} ± {two_digits(mu.error)})"
         raise InputError(test.folder, "peak forces that fall with d as Eq. 1 does", found, "check `d0_mm`")
     notes, warnings = [], []
     if abs(t0.value) > settings.t0_limit_N:
-        warnings.append(f"offset 𝒯0 = {t0.value:.3g} N lies beyond ±{settings.t0_limit_N:g} N")
+        warnings.append(
+            f"offset 𝒯0 = {with_minus(f'{t0.value:.3g}')} N lies beyond ±{settings.t0_limit_N:g} N"
+        )
     if not settings.slow(test):
         notes.append(f"A, N̂ and Λ̂ are defined for V up to {settings.slow_mm_min:g} mm/min")
     if not np.isfinite(values["Lambda_hat_mm"].value):

@@ -420,7 +420,7 @@ def kymograph_figure(
         panels=panels,
         columns=len(panels),
         width_in=width,
-        panel_titles=windows,
+        panel_titles=True,
     )
 
 

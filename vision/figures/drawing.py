@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import sys
 import textwrap
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
@@ -53,7 +54,8 @@ class _Inches:
     TOP, BOTTOM = 0.12, 0.55  # above and below each panel
     FOOT = 0.16  # height of a line below the labels of a panel
     TITLE, LEGEND_ROW = 0.26, 0.24  # heights
-    CHARACTER, MARKER, TITLE_CHARACTER = 0.075, 0.55, 0.08  # widths in a legend and of a title's letters
+    CHARACTER, MARKER = 0.075, 0.55  # widths in a legend
+    TITLE_CHARACTER, FOOT_CHARACTER = 0.08, 0.065  # widths of letters
     NUMBER = 0.8  # width for each number of the x axis
     X_LABEL, Y_LABEL = 0.3, 0.64  # from an axis to its label
     LEAST_HEIGHT, MOST_HEIGHT = 0.35, 9.0  # of a panel
@@ -120,14 +122,15 @@ def _page(figure: Figure, *, interactive: bool = False) -> Page:
         if panel.y2_label:
             page.axes[-1].yaxis.set_label_coords(1 + _Inches.Y_LABEL / width, 0.5)
         if figure.shows_titles:
-            top = bottom + height + 0.06 + _head(panel, width)[1]
+            row = [other for other, box in zip(figure.panels, boxes, strict=True) if box[1] == bottom]
+            top = bottom + height + 0.06 + max(_head(other, width)[1] for other in row)
             page.text(box[0], top / size[1], to_mathtext(_title(panel, width)), fontsize=11)
         if not _labelled(panel):
             ax.tick_params(labelleft=False)
         following = figure.panels[k + 1].foot if k + 1 < len(boxes) and boxes[k + 1][1] == bottom else ""
         if panel.foot != following:  # once for panels side by side
             below = (left + width) / size[0], (bottom - _Inches.BOTTOM) / size[1]
-            page.text(*below, panel.foot, color=QUIET[0], fontsize=8, ha="right", va="top")
+            page.text(*below, _foot(panel, width), color=QUIET[0], fontsize=8, ha="right", va="top")
     return page
 
 
@@ -338,8 +341,8 @@ def _draw_ticks(ax: Axes, groups: list[Series], x_lines: tuple[float, ...]) -> N
     first = min((1, *(number for number, _, _ in numbers)))  # indices begin at 0
     for number, x, y in sorted(number for number in numbers if (number[0] - first) % step == 0):
         half = character * (0.6 + len(str(number))) / 2
-        on = [line for line in x_lines if abs(x - line) < 1.2 * half]
-        at = on[0] + math.copysign(1.2 * half, x - on[0]) if on else x
+        on = [line for line in x_lines if abs(x - line) < 1.6 * half]
+        at = on[0] + math.copysign(1.6 * half, x - on[0]) if on else x
         if not any(at - half < b and a < at + half for a, b in taken):
             taken.append((at - half, at + half))
             ax.annotate(str(number), (at, y), (0, 3), fontsize=7, **style)
@@ -528,28 +531,38 @@ def _layout(figure: Figure) -> tuple[list[Box], tuple[float, float]]:
     for row in grid:
         tallest = width * max(panel.aspect for panel in row)
         height = float(np.clip(tallest, _Inches.LEAST_HEIGHT, _Inches.MOST_HEIGHT))
-        y -= _Inches.TOP + max(_top(figure, panel, width) for panel in row) + height
+        y -= _Inches.TOP + _top(figure, row, width) + height
         x = 0.0
         for column in range(len(row)):
             x += before[column]
             boxes.append((x, y, width, height))
             x += width + after[column]
-        y -= _Inches.BOTTOM + _Inches.FOOT * max(len(panel.foot.splitlines()) for panel in row)
+        y -= _Inches.BOTTOM + _Inches.FOOT * max(len(_foot(panel, width).splitlines()) for panel in row)
     return [(x, bottom - y, width, height) for x, bottom, width, height in boxes], (figure.width_in, -y)
 
 
-def _top(figure: Figure, panel: Panel, width_in: float) -> float:
-    """Return the height of title and legend above a panel, inches."""
-    legend, below = _head(panel, width_in)
+def _top(figure: Figure, row: Sequence[Panel], width_in: float) -> float:
+    """Return the height of titles, which end at one height, and legends above a row of panels, inches."""
+    heads = [_head(panel, width_in) for panel in row]
+    legend, below = max(height for height, _ in heads), max(height for _, height in heads)
     if not figure.shows_titles:
         return legend
-    return max(_Inches.TITLE * (1 + _title(panel, width_in).count("\n")) + below, legend)
+    lines = max(1 + _title(panel, width_in).count("\n") for panel in row)
+    return max(_Inches.TITLE * lines + below, legend)
 
 
 def _title(panel: Panel, width_in: float) -> str:
     """Return the title, wrapped to the width of the panel."""
-    fitting = int(width_in / _Inches.TITLE_CHARACTER)
-    return "\n".join(textwrap.fill(line, fitting) for line in panel.title.split("\n"))
+    return _wrapped(panel.title, width_in / _Inches.TITLE_CHARACTER)
+
+
+def _foot(panel: Panel, width_in: float) -> str:
+    """Return the lines below a panel, wrapped to its width."""
+    return _wrapped(panel.foot, width_in / _Inches.FOOT_CHARACTER)
+
+
+def _wrapped(text: str, characters: float) -> str:
+    return "\n".join(textwrap.fill(line, int(characters)) for line in text.split("\n"))
 
 
 def _labelled(panel: Panel) -> bool:

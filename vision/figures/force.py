@@ -266,8 +266,10 @@ def _central_parts(chosen: pd.DataFrame, curves: tuple[Series, ...], part: float
         inside = np.flatnonzero(np.abs(curve.x - length / 2) <= part * length / 2)
         inside = inside[:: max(1, inside.size // 12)]
         if inside.size:
-            label = "" if dots else "K is measured here"
-            dots.append(Series.points(label, curve.x[inside], curve.y[inside], curve.ink))
+            x, y = curve.x[inside], curve.y[inside]
+            if not dots:  # for the legend, under the first dot: that of one event would have its colour
+                dots.append(Series.points("K is measured here", x[:1], y[:1], QUIET))
+            dots.append(Series.points("", x, y, curve.ink))
     return tuple(dots)
 
 
@@ -364,7 +366,7 @@ def force_overview_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFi
     drops, stiffness = (make(sticks, fits, unit=unit) for make in (force_drop_figure, stiffness_figure))
     kind = "" if facts.regime == "stick-slip" else f" ({facts.regime})"
     size = f"{facts.threshold_N:.3g} {'of the weight' if unit == '1' else unit}"
-    found = f"{len(sticks)} events{kind}, drops above {size}"
+    found = f"{len(sticks)} events{kind}, drops between fitted lines above {size}"
     start = max(len(sticks) // 2 - 3, 0)
     title = "A few events, with the lines from valley to peak"
     if facts.average_s:
@@ -372,7 +374,8 @@ def force_overview_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFi
     elif facts.lowpass_s:
         lowpass = f"{1e3 * facts.lowpass_s:.2g} ms"
         title += f"\n(corrected for the load cell's low-pass of {lowpass}; F as recorded)"
-    some = _events_panel(force, sticks.iloc[start : start + 6], title, against_d=False)
+    lines = "stick phases" if facts.regime == "stick-slip" else "rises"
+    some = _events_panel(force, sticks.iloc[start : start + 6], title, against_d=False, lines=lines)
     shown = [panel for panel in (some, drops.panel, stiffness.panel) if not panel.empty]
     panels = [replace(whole, title=found), *shown]
     return _in_columns(
@@ -419,23 +422,29 @@ def _in_columns(name: str, title: str, caption: str, panels: list[Panel], *, wid
     return Figure(name=name, title=title, caption=caption, panels=shown, columns=columns, width_in=width_in)
 
 
-def _events_panel(force: xr.Dataset, events: pd.DataFrame, title: str, *, against_d: bool) -> Panel:
-    """Return F from the first valley to the last peak of these events, with their marks."""
+def _events_panel(
+    force: xr.Dataset, events: pd.DataFrame, title: str, *, against_d: bool, lines: str = "stick phases"
+) -> Panel:
+    """Return F from the first valley to the last peak of these events, with their marks.
+
+    lines: what the lines from valley to peak are.
+    """
     series: tuple[Series, ...] = ()
     if len(events):
         ends = float(events["t_v_s"].iloc[0]), float(events["t_p_s"].iloc[-1])
-        series = (_force_curve(force, ends, against_d=against_d), *_event_marks(events, against_d=against_d))
+        marks = _event_marks(events, against_d=against_d, lines=lines)
+        series = (_force_curve(force, ends, against_d=against_d), *marks)
     return _force_panel(force, title, series, against_d=against_d)
 
 
-def _event_marks(events: pd.DataFrame, *, against_d: bool) -> tuple[Series, ...]:
+def _event_marks(events: pd.DataFrame, *, against_d: bool, lines: str = "stick phases") -> tuple[Series, ...]:
     """Return peaks, valleys and the lines between them."""
     names = ("d_v_mm", "d_p_mm") if against_d else ("t_v_s", "t_p_s")
     x_v, x_p, f_v, f_p = (events[name].to_numpy(float) for name in (*names, "F_v_N", "F_p_N"))
     gap = np.full(len(events), np.nan)
     lines_x, lines_f = (np.stack(parts, axis=1).ravel() for parts in ((x_v, x_p, x_p), (f_v, f_p, gap)))
     return (
-        Series(label="stick phases", x=lines_x, y=lines_f, ink=MODEL),
+        Series(label=lines, x=lines_x, y=lines_f, ink=MODEL),
         Series.points("peaks", x_p, f_p, PEAK),
         Series.points("valleys", x_v, f_v, VALLEY, hollow=True),
     )

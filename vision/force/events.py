@@ -242,7 +242,8 @@ def _too_few_slips(signal: Signal, slips: Slips, source: str, rings: str) -> Inp
     return InputError(
         source,
         "at least two slips",
-        f"{slips.edge.size} drops above {slips.threshold:.3g} (noise {signal.sigma:.2g})",
+        f"{slips.edge.size} drops between fitted lines above {slips.threshold:.3g} "
+        f"(noise {signal.sigma:.2g})",
         "lower `threshold_N` if smaller drops are slips",
     )
 

@@ -25,7 +25,7 @@ class Slips:
     """Drops of the load, each between two samples."""
 
     edge: Ints  # index of the first sample after the steepest drop
-    drop: Floats  # height between the stick lines on both sides there
+    drop: Floats  # height between the stick lines on both sides there; ΔF of an event may be smaller
     threshold: float  # smallest drop that counts as a slip
     # "noise": a multiple of the noise; "jumps": above the upward jumps; "gap": between small and large drops;
     # "given"
@@ -76,14 +76,14 @@ class Slips:
                 "noise": "no larger than four errors, since the noise is slow",
             }[self.threshold_how]
             lines.append(
-                f"{counted(self.left_out.size, 'drop')} of {sizes} {unit} not counted, {why}: "
-                f"`threshold_N` {0.9 * low:.2g} counts them"
+                f"{counted(self.left_out.size, 'drop')} between fitted lines of {sizes} {unit} not counted, "
+                f"{why}: `threshold_N` {0.9 * low:.2g} counts them"
             )
         usual = float(np.median(self.drop))
         if self.threshold_how == "noise" and self.threshold > 0.5 * usual:
             lines.append(
-                f"drops below {self.threshold:.3g} {unit} are not told from the noise: slips may be missed, "
-                f"since the median drop is {usual:.3g} {unit}"
+                f"drops between fitted lines below {self.threshold:.3g} {unit} are not told from the noise: "
+                f"slips may be missed, since the median drop is {usual:.3g} {unit}"
             )
         return lines
 

@@ -126,14 +126,14 @@ def fit_models(
                 error.advice = "; ".join(filter(None, (error.advice, unit_doubt)))
             raise
         except FIT_ERRORS as error:
-            raise _undetermined(str(error), unit_doubt) from error
+            raise _undetermined("a fit that does not converge", unit_doubt) from error
         if not all(np.isfinite((one.value, one.error)).all() for one in fits.named().values()):
             raise _undetermined("values or errors that are not finite", unit_doubt)
         left_out = {"flagged": len(sticks) - len(complete)} | left_out
         fits = _with_systematics(fits, force, events, given, errors)
         misread = _misread_lengths(fits, complete, given, force)
         if abs(fits.t0_N.value) > float(events["F_p_N"].abs().max()):
-            reason = f"an offset 𝒯0 of {fits.t0_N.value:.2g} N, larger than the peaks"
+            reason = f"an offset 𝒯0 of {with_minus(f'{fits.t0_N.value:.2g}')} N, larger than the peaks"
             raise _undetermined(reason, misread or unit_doubt)
     peak_N = events["F_p_N"].median()
     notes, warnings = _remarks(fits, force, left_out, peak_N, given_range=fit_range_mm is not None)
@@ -394,7 +394,8 @@ def _fit_all(events: pd.DataFrame, given: _Given) -> ModelFits:
     if given.free_t_star:
         t_star = replace(peaks.estimate(2), value=abs(float(peaks.value[2])))
     if not mu.value > mu.error:  # also where either is NaN
-        raise _undetermined(f"friction coefficient {mu.value:.3g} ± {two_digits(mu.error)}")
+        known = f" ± {two_digits(mu.error)}" if mu.error > 0 else ", its error not determined"
+        raise _undetermined(f"friction coefficient {with_minus(f'{mu.value:.3g}')}{known}")
     sample = replace(given.sample, t_star_N=t_star.value)
     drops = with_friction(lambda m: fit_drops(events, sample, m), mu)
     stiffness = fit_stiffness(events, sample, modulus_GPa=given.modulus_GPa)

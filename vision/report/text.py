@@ -309,12 +309,12 @@ def _stick_phases(force: xr.Dataset, sticks: pd.DataFrame) -> str:
     }.get(s.threshold_how, s.threshold_how)
     unit = "of the weight" if load_unit(force) == "1" else load_unit(force)
     return (
-        f"The traction force was recorded while the blocks were pulled apart{pulled}. Slips are drops of "
-        f"more than {s.threshold_N:.3g} {unit} ({source}; the noise is {s.noise_N:.2g} {unit}), located "
-        f"at the steepest fall; {len(sticks)} stick phases were found. Peak and valley forces F_p and F_v "
-        "are those of a line through the central 80 % of each stick phase, extended to its ends but not "
-        "beyond the recorded forces, and beside slow slips the recorded extremes. The "
-        f"stiffness K is the slope of the central {100 * s.central_part:.0f} %.{_lowpass(s)}"
+        f"The traction force was recorded while the blocks were pulled apart{pulled}. Slips are falls "
+        f"at which the lines fitted on both sides are apart by more than {s.threshold_N:.3g} {unit} "
+        f"({source}; the noise is {s.noise_N:.2g} {unit}); {len(sticks)} stick phases were found. Peak and "
+        "valley forces F_p and F_v are those of a line through the central 80 % of each stick phase, "
+        "extended to its ends but not beyond the recorded forces, and beside slow slips the recorded "
+        f"extremes. The stiffness K is the slope of the central {100 * s.central_part:.0f} %.{_lowpass(s)}"
     )
 
 

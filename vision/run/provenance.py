@@ -9,7 +9,7 @@ import platform
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Future
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, is_dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -20,6 +20,8 @@ from vision.files import Progress, begun, members
 
 PACKAGES = ("av", "h5netcdf", "numpy", "opencv-python-headless", "pandas", "scipy", "tifffile", "xarray")
 MIB = 1 << 20
+_MESSAGES = frozenset({"notes", "warnings", "reason"})
+"""Entries of JSON files that hold messages."""
 PARTS = 64
 """Number of MiB in a fingerprint: the first, the last, and others evenly between. More would read more of a
 film of 100 GB than the strip needs; fewer could miss that a film was cut or partly replaced."""
@@ -52,6 +54,19 @@ class Origin:
     def named(self, lines: Iterable[str]) -> list[str]:
         """Return messages with the command's options in place of Python's arguments."""
         return [with_options(line, self.options) if self.options else line for line in lines]
+
+    def worded(self, content: Any, *, message: bool = False) -> Any:
+        """Return the content of a JSON file, with the command's options in its notes and warnings."""
+        if is_dataclass(content) and not isinstance(content, type):
+            content = asdict(content)
+        if isinstance(content, Mapping):
+            return {
+                name: self.worded(part, message=message or name in _MESSAGES)
+                for name, part in content.items()
+            }
+        if isinstance(content, list | tuple):
+            return [self.worded(part, message=message) for part in content]
+        return self.named([content])[0] if message and isinstance(content, str) else content
 
     def describe(self) -> Callable[[], list[Mapping[str, Any]]]:
         """Start to read the inputs in threads; return a function that waits for their descriptions."""

@@ -25,6 +25,8 @@ from vision.errors import InputError
 from vision.figures.decimate import grey_limits
 from vision.files import AGAIN, check_regular, reading
 from vision.numeric import Floats, Floats32, row_parts
+from vision.sheets.identities import DOUBTS
+from vision.sheets.recovery import FLAG_MEANINGS
 from vision.video.frames import FrameStore
 from vision.video.reader import read_fully
 from vision.video.stacks import check_tiff
@@ -101,8 +103,14 @@ def write_tracks_nc(
     file is made in memory, because HDF5 crashes the process if a disk fills up.  Raises: OSError.
     """
     data = tracks.assign_coords(index=("sheet", tracks["sheet"].values, {"long_name": "index from the left"}))
-    data["frame"].attrs["long_name"] = "frame number"
-    data["sheet"].attrs["long_name"] = "sheet, counted from the left"
+    data["frame"] = data["frame"].assign_attrs(long_name="frame number")
+    data["sheet"] = data["sheet"].assign_attrs(long_name="sheet, counted from the left")
+    for whole in ("frame", "sheet", "index", "side", "n"):
+        data[whole] = data[whole].assign_attrs(units="1")
+    for words, meanings in (("flag", FLAG_MEANINGS), ("why", DOUBTS)):
+        if words in data:
+            text = "; ".join(f"{word}: {meaning}" for word, meaning in meanings.items())
+            data[words] = data[words].assign_attrs(meanings=text)
     if math.isfinite(constant_error_px):
         comment = "x_err_px: random error of a position; constant_error_px: equal in all frames"
         about = {"constant_error_px": constant_error_px, "comment": comment}

@@ -92,7 +92,7 @@ def write_run(
             content["failures"] = list(failures)
         seconds["total"] = sum(analysis.seconds.values()) + time.perf_counter() - started
         content["seconds"] = seconds
-        write_json(content, folder / "run.json")
+        write_json(origin.worded(content), folder / "run.json")
     return content
 
 
@@ -213,14 +213,11 @@ def _write_tables(analysis: Analysis, folder: Path, origin: Origin) -> None:
     if analysis.sticks is not None:
         write_csv(analysis.sticks, folder / "events.csv")
     if analysis.fits is not None:
-        write_json(analysis.fits.to_json(), folder / "models.json")
+        write_json(origin.worded(analysis.fits.to_json()), folder / "models.json")
     elif "fits" in analysis.reasons:
-        write_json({"reason": origin.named([analysis.reasons["fits"]])[0]}, folder / "models.json")
+        write_json(origin.worded({"reason": analysis.reasons["fits"]}), folder / "models.json")
     if analysis.clock is not None:
-        write_json(
-            asdict(analysis.clock) | {"warnings": origin.named(analysis.clock.warnings)},
-            folder / "clock.json",
-        )
+        write_json(origin.worded(analysis.clock), folder / "clock.json")
     if analysis.motion is not None:
         table = deformation_table(analysis.motion, threshold=analysis.threshold)
         write_csv(table, folder / "deformation.csv")

@@ -53,6 +53,21 @@ class Flag(IntEnum):
 
 FLAGS = tuple(flag.name.lower() for flag in Flag)
 """Name of each `Flag`, as in tracks.csv."""
+FLAG_MEANINGS = {
+    "ok": "measured",
+    "blurred": "measured, with a larger error: the ridge moved while the shutter was open",
+    "edge": "outside the picture",
+    "missing": "no ridge",
+    "merged": "several sheets, or a sheet and a mark, in one ridge",
+    "unfit": "no fit, or partly hidden by what hides the next sheet",
+    "left_out": "left out by a manual decision",
+    "frozen": "the film repeats the frame before",
+    "blank": "a blank frame",
+    "corrupt": "a corrupt frame",
+    "lost": "a lost frame",
+    "doubtful": "the identity of the sheet is uncertain",
+}
+"""Meaning of each of `FLAGS`."""
 
 
 @dataclass(frozen=True)

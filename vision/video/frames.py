@@ -166,7 +166,7 @@ def expected_frames(
     if video.expected is not None and status.size < video.expected:
         missing = video.expected - status.size
         found = f"{status.size} of {video.expected} expected frames are in the file"
-        warnings.append(f"{name}: {found}; {missing} are missing")
+        warnings.append(f"{name}: {found}; {missing} {'is' if missing == 1 else 'are'} missing")
     reasons = {"corrupt": "corrupt", "lost": "lost by the camera", "blank": "blank"}
     for state, reason in reasons.items():
         which = np.flatnonzero(status == state)
