@@ -355,7 +355,8 @@ def consistency_warnings(
     found, used, most = TrackMetadata.of(tracks), sample or assumed, int(tracks["n"].max())
     lines = _comb_warnings(tracks, found, settings)
     one_side = len(np.unique(tracks["side"].values)) == 1
-    if used is not None and found.axis_how == "geometry" and not _two_sides_move(tracks, found):
+    one_at_most = used is not None and tracks.sizes["sheet"] <= used.sheets_per_block
+    if one_at_most and found.axis_how == "geometry" and not _two_sides_move(tracks, found):
         lines.append(
             "the motion does not show where the axis is, and the middle of the ridges is assumed: if only one"
             " side is in view, side and n of all sheets are wrong: look at overview.png, and give `axis_px`"

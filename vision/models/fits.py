@@ -626,13 +626,14 @@ def _events_used(fits: ModelFits, left_out: Mapping[str, int], given_range: bool
 
 def _offset_remarks(offset: Estimate, peak_N: float, d0_err_mm: float) -> tuple[list[str], list[str]]:
     """Notes and warnings on an offset 𝒯0 that is no zero; peak_N: the usual F_p."""
+    value = with_minus(f"{offset.value:.3g}")
     if abs(offset.value) - 2 * offset.error > _LARGEST_OFFSET_N:  # short tests hardly determine it
-        line = f"𝒯0 = {offset.value:.3g} N exceeds ±{_LARGEST_OFFSET_N:g} N, the largest error of a zero: "
+        line = f"𝒯0 = {value} N exceeds ±{_LARGEST_OFFSET_N:g} N, the largest error of a zero: "
         return [], [line + "check `d0_mm`, the sample's geometry, the zero and the units"]
     if not abs(offset.value) > _CLEAR_OFFSET * offset.error > 0:
         return [], []
     line = (
-        f"𝒯0 = {offset.value:.3g} N is {two_digits(abs(offset.value) / offset.error)} statistical errors from"
+        f"𝒯0 = {value} N is {two_digits(abs(offset.value) / offset.error)} statistical errors from"
         " 0, as where the load cell's zero or drift, its low-pass, `d0_mm` or the sample's geometry is wrong"
     )
     if np.isfinite(d0_err_mm) or abs(offset.value) < _LARGE_OFFSET * peak_N:
