@@ -1,5 +1,7 @@
 """Width, pitch, contrast and polarity of a comb; and the candidates of every frame."""
 
+import math
+
 import numpy as np
 import pytest
 from scipy.signal import find_peaks
@@ -10,6 +12,7 @@ from vision.errors import InputError
 from vision.figures import Results
 from vision.sheets import track_sheets
 from vision.sheets.ridges import describe_ridges, find_ridges, profile_noise
+from vision.sheets.settings import TrackingSettings
 from vision.signals import find_maxima, half_widths
 from vision.summary import summary_lines
 
@@ -219,7 +222,8 @@ def test_boards_beside_the_comb_are_not_its_background(sign, fwhm, away_px):
     position is that of a gap, or that nobody is told that the evidence is contradictory."""
     x = comb(FRAMES, per_side=10, pitch_px=16.0, axis_px=WIDTH / 2, uneven=0.12)
     light = ridges(x, width=WIDTH, fwhm_px=fwhm, contrast=np.random.default_rng(8).normal(1, 0.08, 20))
-    tracks = track_sheets(strip(light + boards(x, away_px=away_px), sign=sign))
+    film = strip(light + boards(x, away_px=away_px), sign=sign)
+    tracks = track_sheets(film)
     found = tracks.x_px.values
     away = np.abs(found[..., None] - x[:, None, :]).min(axis=2)
     assert np.isfinite(found).mean() > 0.9
@@ -227,6 +231,10 @@ def test_boards_beside_the_comb_are_not_its_background(sign, fwhm, away_px):
     (line,) = polarity_warnings(tracks)
     assert "`ridges`" in line
     assert "background" in line
+    # Evidence that is too little to overrule the background is told all the same.
+    trusting = describe_ridges(film.values, settings=TrackingSettings(clear_evidence=math.inf))
+    assert trusting.polarity == ("dark" if sign > 0 else "bright")
+    assert "background" in trusting.doubt
 
 
 @pytest.mark.parametrize("sign", [1, -1])

@@ -312,8 +312,8 @@ def _likelier(
     varied, clear, doubt = widths + heights, settings.clear_evidence, ""
     if abs(background) > 1 / 3:
         is_bright = background > 0
-        if varied * background < 0 and abs(varied) >= clear:
-            if varied * narrower > 0:
+        if varied * background < 0 and abs(varied) >= settings.polarity_evidence:
+            if abs(varied) >= clear and varied * narrower > 0:
                 is_bright = varied > 0
             doubt = "the background beside the comb says one thing, what varies along the comb the other"
     else:

@@ -48,8 +48,8 @@ class TrackingSettings:
     polarity_evidence: float = 0.5
     """Least evidence that decides which stripes of a comb without ends are the sheets: the logarithm of how
     much more the others change their widths and differ in width, times how much more they themselves differ
-    in brightness. Larger leaves more combs to their widths alone, smaller decides by chance where nothing
-    moves and all sheets are alike."""
+    in brightness. As much against the background beside the comb is warned of. Larger leaves more combs to
+    their widths alone, smaller decides by chance where nothing moves and all sheets are alike."""
 
     clear_evidence: float = 1.0
     """Evidence of this kind that decides among fewer than five stripes, and that overrules the background
