@@ -434,9 +434,8 @@ def _comb_warnings(tracks: xr.Dataset, found: TrackMetadata, settings: CheckSett
 def _stationary_ends(tracks: xr.Dataset, settings: CheckSettings) -> Bools:
     """Return which sheets are the outermost and still while the next two, which move less, do move, (N,).
 
-    Compared are displacements along x, the camera's own included, which all share.
-
-    A still edge of the background or of a lamp's light may lie where the next sheet would.
+    A still edge of the background or of a lamp's light may lie where the next sheet would. Compared are
+    displacements along x; the camera's own are in all of them.
     """
     x_px = tracks["x_px"].values - nan_median(tracks["x_px"].values)
     still = np.zeros(x_px.shape[1], bool)
@@ -456,9 +455,14 @@ def _stationary_ends(tracks: xr.Dataset, settings: CheckSettings) -> Bools:
 
 def _two_sides_move(tracks: xr.Dataset, found: TrackMetadata) -> bool:
     """Return whether the motion limits the axis to positions between the outermost sheets."""
+    first, last = _outermost_px(tracks)
+    return first < found.axis_low_px and found.axis_high_px < last
+
+
+def _outermost_px(tracks: xr.Dataset) -> tuple[float, float]:
+    """Return the median positions of the first and the last sheet, px."""
     x_px = nan_median(tracks["x_px"].values)
-    low, high = np.nanmin(x_px, initial=math.inf), np.nanmax(x_px, initial=-math.inf)
-    return bool(low < found.axis_low_px and found.axis_high_px < high)
+    return float(np.nanmin(x_px, initial=math.inf)), float(np.nanmax(x_px, initial=-math.inf))
 
 
 def _motion_allows_axis(tracks: xr.Dataset, found: TrackMetadata) -> bool:
@@ -469,8 +473,7 @@ def _motion_allows_axis(tracks: xr.Dataset, found: TrackMetadata) -> bool:
     """
     if not (math.isfinite(found.axis_low_px) and math.isfinite(found.axis_high_px)):
         return True
-    slack, x_px = 0.75 * found.pitch_px, nan_median(tracks["x_px"].values)
-    first, last = np.nanmin(x_px, initial=math.inf), np.nanmax(x_px, initial=-math.inf)
+    slack, (first, last) = 0.75 * found.pitch_px, _outermost_px(tracks)
     low = -math.inf if found.axis_low_px <= first else found.axis_low_px - slack
     high = math.inf if found.axis_high_px >= last else found.axis_high_px + slack
     return bool(low <= found.axis_px <= high)

@@ -54,16 +54,17 @@ def force_slips(
     time, load = good["time_s"].to_numpy().astype(float), good["load_N"].to_numpy().astype(float)
     begin, end, drop = _bounds(sticks)
     if not len(begin) or len(time) < 3:
-        return _NO_SLIPS.copy()
+        return _no_slips()
     if average_s := StickMetadata.of(sticks).average_s:
         load = averaged(time, load, average_s)  # the first swing of a load that rings would be the drop
     interval = float(np.median(np.diff(time)))
     steepest, of = np.unique(_steepest(time, load, begin, end), return_index=True)
-    timed = time[steepest + 1] - time[steepest] < settings.longest_drop * _usual_interval(time, steepest)
+    longest = settings.longest_drop * _usual_interval(time, steepest)
+    timed = time[steepest + 1] - time[steepest] < longest
     if not timed.any():
-        return _NO_SLIPS.copy()
+        return _no_slips()
     steepest, of = steepest[timed], of[timed]
-    middle, delay, duration, largest = _mean_times(time, load, steepest, settings)
+    middle, delay, duration, largest = _mean_times(time, load, steepest, longest[timed], settings)
     order = np.argsort(middle)
     # A drop within one interval may lie anywhere in it; one that spreads over several is timed by its mean.
     error = np.full(len(order), max(largest, 0.5) * interval / np.sqrt(12))
@@ -79,7 +80,8 @@ def force_slips(
     )
 
 
-_NO_SLIPS = pd.DataFrame(dict.fromkeys(("time_s", "error_s", "drop_N", "lag_s"), np.empty(0)))
+def _no_slips() -> pd.DataFrame:
+    return pd.DataFrame(dict.fromkeys(("time_s", "error_s", "drop_N", "lag_s"), np.empty(0)))
 
 
 def _usual_interval(time: Floats, at: Ints) -> Floats:
@@ -119,10 +121,13 @@ def _steepest(time: Floats, load: Floats, begin: Floats, end: Floats) -> Ints:
 
 
 def _mean_times(
-    time: Floats, load: Floats, steepest: Ints, settings: ClockSettings
+    time: Floats, load: Floats, steepest: Ints, longest: Floats, settings: ClockSettings
 ) -> tuple[Floats, float, float, float]:
     """Mean time of each drop, delay of the low-pass, and duration of a drop (`drop_end`), s; and the part of
-    a drop within its steepest interval."""
+    a drop within its steepest interval.
+
+    longest: interval from which there is a gap, for each drop, s.
+    """
     spacing = float(np.median(np.diff(steepest))) if len(steepest) > 1 else 0.0
     # At most 100 samples, which limits the memory at high sampling rates.
     reach = int(np.clip(settings.window_of_period * spacing, 1, 100))
@@ -132,7 +137,7 @@ def _mean_times(
     index = steepest[:, None] + around
     # Beside a gap the mean time is that of what was recorded.
     whole = np.max(np.diff(time)[np.clip(index, 0, len(time) - 2)], axis=1)
-    inside &= whole < settings.longest_drop * _usual_interval(time, steepest)
+    inside &= whole < longest
     if not inside.any():
         return middle, 0.0, 0.0, 1.0
     index = index[inside]

@@ -180,15 +180,12 @@ def _dry_run(plan: Plan, cores: int) -> int:
     say(in_columns(lines, "<<"))
     seconds = [job.seconds for job in plan.jobs.values()]
     memory = max((job.memory_mb for job in plan.jobs.values()), default=0)
-    total, longest, once = (
-        sum(seconds),
-        max(seconds, default=0.0),
-        jobs.SETTINGS.campaign_seconds * bool(seconds),
-    )
+    once = jobs.SETTINGS.campaign_seconds if seconds else 0.0
+    total, longest = sum(seconds) + once, max(sum(seconds) / cores, *seconds, 0.0) + once
     films, jobs_ = counted(len(plan.films), "film"), counted(len(plan.jobs), "job")
     line = (
         f"{running} of {films} would run in {jobs_}: about "
-        f"{duration(total + once)} of computing, {duration(max(total / cores, longest) + once)} with "
+        f"{duration(total)} of computing, {duration(longest)} with "
         f"{cores} at a time, up to {memory / 1000:.1f} GB for each; nothing was written"
     )
     say([line])

@@ -226,7 +226,7 @@ def find_spikes(
 
 
 def _begins_bent(y: Floats, at: Ints, sigma: Floats | float) -> Bools:
-    """Return which samples `at` are an end of a stick that is steep there, as of sheets that let go in turn.
+    """Return which samples `at` are an end of a stick that is steep there, as of sheets that slip in turn.
 
     The step to the next sample is within a factor of three of those further on, which are clear of the noise,
     and the load on the other side is on another level. After a spike, the steps are as small as all others.

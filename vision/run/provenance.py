@@ -20,7 +20,7 @@ from vision.files import Progress, begun, members
 
 PACKAGES = ("av", "h5netcdf", "numpy", "opencv-python-headless", "pandas", "scipy", "tifffile", "xarray")
 MIB = 1 << 20
-_MESSAGES = frozenset({"notes", "warnings", "reason"})
+_MESSAGES = frozenset({"notes", "warnings", "reason", "not_measured"})
 """Entries of JSON files that hold messages."""
 PARTS = 64
 """Number of MiB in a fingerprint: the first, the last, and others evenly between. More would read more of a

@@ -92,7 +92,7 @@ def write_run(
             content["failures"] = list(failures)
         seconds["total"] = sum(analysis.seconds.values()) + time.perf_counter() - started
         content["seconds"] = seconds
-        write_json(origin.worded(content), folder / "run.json")
+        write_json(content, folder / "run.json")
     return content
 
 
@@ -168,8 +168,9 @@ def run_facts(analysis: Analysis, origin: Origin, inputs: Callable[[], Any]) -> 
     tuning = analysis.settings.tuning
     changed = {one.name: changed_settings(getattr(tuning, one.name)) for one in fields(tuning)}
     facts["tuning"] = {stage: values for stage, values in changed.items() if values}
-    reasons = dict(zip(analysis.reasons, origin.named(analysis.reasons.values()), strict=True))
-    return facts | {"warnings": origin.named(analysis.warnings), "not_measured": reasons}
+    facts |= {"warnings": analysis.warnings, "not_measured": analysis.reasons}
+    content: dict[str, Any] = origin.worded(facts)
+    return content
 
 
 def _video_facts(analysis: Analysis) -> dict[str, Any]:
