@@ -8,6 +8,7 @@ VISION = Path(__file__).parents[1] / "vision"
 LAYERS = (
     "errors",
     "numeric",
+    "mapped",
     "words",
     "signals",
     "files",

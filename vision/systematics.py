@@ -16,7 +16,9 @@ import numpy as np
 import xarray as xr
 
 from vision.data import MotionMetadata, StickMetadata, StripMetadata, TrackMetadata
+from vision.mapped import some_rows
 from vision.numeric import FWHM, nan_median, rms, spread_indices
+from vision.sheets.ridges import frames_with_values
 
 if TYPE_CHECKING:
     from vision.figures import Results
@@ -145,12 +147,12 @@ def uneven_light_px(strip: xr.DataArray, tracks: xr.Dataset) -> float | None:
     """
     found = TrackMetadata.of(tracks)
     x = nan_median(tracks["x_px"].values) - float(strip["x"].values[0])  # column of each sheet
-    known = np.isfinite(strip.values[:, :1]).all(axis=1)
+    known = frames_with_values(strip.values[:, :1])
     if x.size < 3 or not known.any() or not math.isfinite(found.pitch_px):
         return None
     frames = np.flatnonzero(known)
     sample = frames[spread_indices(frames.size, 50)]
-    mean = np.asarray(strip.values[sample], np.float64).mean(axis=0)
+    mean = some_rows(strip.values, sample).astype(np.float64).mean(axis=0)
     column = np.arange(mean.size)
     gaps = np.interp(x[:-1] + np.diff(x) / 2, column, mean)
     level = (gaps[1:] + gaps[:-1]) / 2

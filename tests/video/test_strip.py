@@ -162,12 +162,15 @@ def test_a_full_disk_for_a_long_recording_is_reported(monkeypatch):
 
     monkeypatch.setattr(os, "posix_fallocate", full, raising=False)
     with pytest.raises(InputError, match=r"GiB for I\(x, t\).*no space left"):
-        FrameStore(100, expected=1000, spill_bytes=1000)
+        FrameStore(100, expected=1000, spill_bytes=1000, memory_bytes=100_000)
+    kept = FrameStore(100, expected=1000, spill_bytes=1000)  # fits into memory
+    kept.append(np.ones((1000, 100), np.float32))
+    assert (kept.rows() == 1).all()
 
 
 def test_an_absurd_frame_count_takes_no_memory():
     """Failure: a damaged header that announces 4 thousand million frames ends as out of memory."""
-    store = FrameStore(1920, expected=2**32 - 1, spill_bytes=1 << 16)
+    store = FrameStore(1920, expected=2**32 - 1, spill_bytes=1 << 16, memory_bytes=1 << 16)
     for n in range(20):
         store.append(np.full((8, 1920), n, np.float32))
     assert store.rows().nbytes == 20 * 8 * 1920 * 4

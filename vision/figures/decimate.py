@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vision.mapped import give_back, some_rows
 from vision.numeric import Floats, Floats32
 
 _ROWS_AT_ONCE = 64  # of an image, so that memory stays at a few copies of them
@@ -68,6 +69,7 @@ def time_rows(values: NDArray[np.floating], time: Floats, *, most: int) -> tuple
         filled = np.flatnonzero(np.diff(part) > 0)
         if filled.size:
             rows[start + filled] = _means(values[part[0] : part[-1]], part[filled] - part[0])
+            give_back(values[part[0] : part[-1]])
     single = np.flatnonzero(~has_frame[1:-1] & has_frame[:-2] & has_frame[2:]) + 1
     rows[single] = rows[single - 1]
     return rows, edges
@@ -91,7 +93,11 @@ def grey_limits(*pictures: NDArray[np.floating]) -> tuple[float, float]:
     reflections; with 0.5 and 99.5 % narrow ridges, bright or dark, would be cut off. About 500 rows and
     columns are used; NaN is ignored.
     """
-    samples = [p[:: max(1, p.shape[0] // 500), :: max(1, p.shape[1] // 500)] for p in pictures]
+    steps = [[max(1, size // 500) for size in picture.shape] for picture in pictures]
+    samples = [
+        some_rows(picture, np.arange(0, len(picture), down))[:, ::across]
+        for picture, (down, across) in zip(pictures, steps, strict=True)
+    ]
     known = np.concatenate([np.empty(0), *(part[np.isfinite(part)] for part in samples)])
     if not known.size:
         return 0.0, 1.0

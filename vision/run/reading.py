@@ -339,7 +339,7 @@ class Checkpoint:
             if self._file is None:
                 self._start()
             for start in range(self.kept, frames.count, PART):
-                self._write(frames.part(start, min(start + PART, frames.count)))
+                self._write(frames.copy(start, min(start + PART, frames.count)))
         except (OSError, InputError):  # the run continues without a checkpoint
             self.remove()
             self._off = True

@@ -24,6 +24,7 @@ from pyarrow import csv
 from vision.errors import InputError
 from vision.figures.decimate import grey_limits
 from vision.files import AGAIN, check_regular, reading
+from vision.mapped import parts_in_turn
 from vision.numeric import Floats, Floats32, row_parts
 from vision.sheets.identities import DOUBTS
 from vision.sheets.recovery import FLAG_MEANINGS
@@ -33,7 +34,7 @@ from vision.video.stacks import check_tiff
 
 _JSON = ("[", "{", '"')  # first character of an attribute that is read back as JSON
 ROWS_PER_CHUNK = 1 << 17  # of the table of positions that are in memory
-ROWS = 4096  # written or read at once, so that memory does not grow with the recording
+ROWS = 1024  # written or read at once, so that memory does not grow with the recording
 IMAGEJ_BYTES = (1 << 32) - (1 << 20)  # ImageJ's TIFF holds less than 4 GiB
 
 
@@ -175,10 +176,14 @@ def write_kymograph_tif(strip: xr.DataArray, path: Path, *, pixel_size_um: float
     file is a plain BigTIFF without them.
     """
     values = np.asarray(strip.values, np.float32)
-    if values.nbytes > IMAGEJ_BYTES:
-        tifffile.imwrite(path, values, bigtiff=True)
-        return
-    tifffile.imwrite(path, values, imagej=True, **_calibration(strip, pixel_size_um))
+    large = values.nbytes > IMAGEJ_BYTES
+    form = {"bigtiff": True} if large else {"imagej": True, **_calibration(strip, pixel_size_um)}
+    place = tifffile.imwrite(path, shape=values.shape, dtype=values.dtype, returnoffset=True, **form)
+    assert place is not None
+    with path.open("r+b") as file:
+        file.seek(place[0])
+        for part in parts_in_turn(values, ROWS):
+            file.write(np.ascontiguousarray(values[part]).data)
 
 
 def write_space_time_tif(diagram: xr.DataArray, path: Path, *, pixel_size_um: float | None) -> None:

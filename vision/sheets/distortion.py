@@ -14,6 +14,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
+from vision.mapped import some_rows
 from vision.numeric import (
     NORMAL_MEDIAN,
     Bools,
@@ -251,7 +252,7 @@ def _sampled_profiles(profile: Floats32, x_px: Floats, half: int, comb: RidgeCom
     """Return the pixels at offsets u from the positions in some frames, with mean 0 and standard deviation 1,
     (frame, u, N), and their median over all sheets and frames, (u,)."""
     sample = spread_indices(len(profile), 200)
-    level = _around(comb.bright(profile[sample]), x_px[sample], half)
+    level = _around(comb.bright(some_rows(profile, sample)), x_px[sample], half)
     level -= level.mean(axis=1, keepdims=True)
     level /= level.std(axis=1, keepdims=True)
     return level, nan_median(level.swapaxes(1, 2).reshape(-1, level.shape[1]))
@@ -371,7 +372,7 @@ def _fit_shape(
         height[rows] = found[:, 0]
         apart[rows], sloping[rows] = shift[:, 1] - shift[:, 0], shift[:, 2] - shift[:, 0]
 
-    in_blocks(fit, len(profile))
+    in_blocks(fit, profile)
     return height, apart, sloping, pulled_px2
 
 

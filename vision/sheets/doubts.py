@@ -174,7 +174,7 @@ def predicted_by_neighbours(x_px: NDArray[np.floating]) -> Floats:
     def predict(rows: slice) -> None:
         predicted[rows] = _displacements(x_px[rows] - rest, rest)
 
-    in_blocks(predict, len(x_px))
+    in_blocks(predict, x_px)
     for n, (x, own) in enumerate(zip(x_px.T, predicted.T, strict=True)):
         predicted[:, n] += rest[n] + nan_median(x - rest[n] - own)
     return predicted
@@ -362,7 +362,7 @@ def pattern_shift(log_contrast: Floats, log_width: Floats, settings: TrackingSet
         around = medians(slice(rows.start, rows.stop + span))
         own[rows] = _feature_change(around[:, :-span], around[:, span:], 0, settings)
 
-    in_blocks(change, len(own))
+    in_blocks(change, own)
     own, usual = np.where(own < np.inf, own, 0.0), np.median(own)
     others = np.full((len(SHIFTS), len(own)), np.inf)
     changed = np.flatnonzero(own > settings.pattern_change * usual)
@@ -668,4 +668,4 @@ def _without_light(looks: Floats, usual: Floats) -> Floats:
         off = np.pad(looks[:, rows] - usual, ((0, 0), (0, 0), (BESIDE, BESIDE)), constant_values=np.nan)
         return nan_median(np.lib.stride_tricks.sliding_window_view(off, 2 * BESIDE + 1, axis=2), axis=-1)
 
-    return np.asarray(looks - np.concatenate(in_blocks(common, looks.shape[1]), axis=1), np.float64)
+    return np.asarray(looks - np.concatenate(in_blocks(common, looks[0]), axis=1), np.float64)

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from vision.mapped import parts_in_turn, some_rows
 from vision.numeric import (
     Bools,
     Floats,
@@ -43,7 +44,7 @@ def repeated_frames(profile: Floats32, settings: TrackingSettings = DEFAULT) -> 
     gap no frame is repeated: under vibration, frames near a turning point also change by less than most.
     """
     change = np.empty(max(0, len(profile) - 1))
-    for rows in row_parts(len(change), FRAMES_PER_BLOCK):
+    for rows in parts_in_turn(profile[:-1], FRAMES_PER_BLOCK):
         step = np.diff(profile[rows.start : rows.stop + 1], axis=0)
         change[rows] = np.sqrt(np.square(step).mean(axis=1, dtype=np.float64))
     moving = change[np.isfinite(change) & (change > 0)]
@@ -55,7 +56,7 @@ def repeated_frames(profile: Floats32, settings: TrackingSettings = DEFAULT) -> 
         if gaps.size:
             known = np.flatnonzero(np.isfinite(change))
             some = known[spread_indices(len(known), 200)]
-            frozen[1:] = change <= min(quiet[gaps[-1]], np.sqrt(2) * profile_noise(profile[some]))
+            frozen[1:] = change <= min(quiet[gaps[-1]], np.sqrt(2) * profile_noise(some_rows(profile, some)))
     return frozen
 
 

@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
+from vision.mapped import some_rows
 from vision.numeric import (
     Bools,
     Codes,
@@ -210,7 +211,7 @@ def _faint_in_part(
 
     wanted: the missing sheets. usual: the contrast of each.
     """
-    faint = find_ridges(profile[rows], replace(comb, contrast=0.0))
+    faint = find_ridges(some_rows(profile, rows), replace(comb, contrast=0.0))
     row, sheet = np.nonzero(wanted[rows])
     frame = rows[row]
     best, distance = nearest(faint.x_px[row], expected[frame, sheet])

@@ -9,13 +9,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from vision.data import TrackMetadata
 from vision.errors import InputError, NoRidgesError
+from vision.mapped import give_back, some_rows
 from vision.numeric import (
     FWHM,
     NORMAL_MEDIAN,
@@ -139,6 +141,11 @@ def describe_ridges(
     return _likelier(sample, found[0], found[1], settings) if len(found) == 2 else found[0].comb
 
 
+def frames_with_values(profile: Floats32) -> Bools:
+    """Return which frames of a profile (frame, x) have no NaN, (frame,)."""
+    return np.concatenate(in_blocks(lambda rows: np.isfinite(profile[rows]).all(axis=1), profile))
+
+
 def no_ridges(profile: Floats32, source: str) -> NoRidgesError:
     """Return the error for a strip without ridges, which names a periodic pattern too fine to be resolved."""
     sample = _sample(profile).astype(np.float64)
@@ -188,11 +195,11 @@ def _noise_floor(noise: float, smoothing_px: float, settings: TrackingSettings) 
 
 def _sample(profile: Floats32) -> Floats32:
     """Return frames spread over the recording, without those that contain NaN."""
-    good = np.flatnonzero(np.isfinite(profile[:, :1]).all(axis=1))
+    good = np.flatnonzero(frames_with_values(profile[:, :1]))
     if not good.size:
         raise InputError("the strip", "at least one frame that shows something", "none")
     picked = good[spread_indices(len(good), 48)]
-    return np.ascontiguousarray(profile[picked], np.float32)
+    return np.ascontiguousarray(some_rows(profile, picked), np.float32)
 
 
 def _measure(
@@ -426,7 +433,7 @@ def find_ridges(profile: Floats32, comb: RidgeComb) -> Ridges:
     contrast set the threshold; with `contrast` 0, its noise alone. Shoulders have no prominence; maxima much
     narrower than a ridge are hot pixels. Source: paper, appendix B (local maxima of I(x)).
     """
-    parts = in_blocks(lambda rows: _find_block(profile[rows], comb), len(profile))
+    parts = in_blocks(lambda rows: _find_block(profile[rows], comb), profile)
     most = max((int(counts.max()) for counts, _ in parts), default=1)
     tables = np.full((3, len(profile), max(1, most)), np.nan, np.float32)
     start = 0
@@ -437,9 +444,16 @@ def find_ridges(profile: Floats32, comb: RidgeComb) -> Ridges:
     return Ridges(*tables)
 
 
-def in_blocks(work: Callable[[slice], Result], frames: int) -> list[Result]:
-    """Return the results of `work` for consecutive blocks of frames, found in two threads."""
-    return in_two_threads(work, row_parts(frames, FRAMES_PER_BLOCK))
+def in_blocks(work: Callable[[slice], Result], table: NDArray[Any]) -> list[Result]:
+    """Return the results of `work` for consecutive blocks of frames of a table (frame, ...), found in two
+    threads. The memory of a block in a temporary file is given back."""
+
+    def of_block(rows: slice) -> Result:
+        result = work(rows)
+        give_back(table[rows])
+        return result
+
+    return in_two_threads(of_block, row_parts(len(table), FRAMES_PER_BLOCK))
 
 
 def _find_block(profile: Floats32, comb: RidgeComb) -> tuple[Ints, Floats32]:

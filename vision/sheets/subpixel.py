@@ -17,6 +17,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from vision.errors import InputError, shown
+from vision.mapped import give_back, some_rows
 from vision.numeric import (
     NORMAL_MEDIAN,
     Bools,
@@ -204,6 +205,7 @@ def match_sheet(
     pixels = np.empty((len(frame), len(offsets)), profile.dtype)
     for rows in row_parts(len(frame), RIDGES_AT_ONCE):
         pixels[rows] = gather(profile, Starts(frame[rows], centre[rows]), offsets)
+        give_back(profile)
     inside = np.isfinite(pixels).all(axis=1)
     if inside.any():
         if dark:
@@ -462,7 +464,7 @@ def fit_sheets(
             done = sliding_vertex(bright, starts, window_px=window_px)
         x[rows][frame, sheet], err[rows][frame, sheet] = done
 
-    in_blocks(run, len(profile))
+    in_blocks(run, profile)
     return _match_all(profile, x, comb) if fit == "template" else (x, err)
 
 
@@ -610,7 +612,8 @@ def _noise_variance(
         frame = new[middle + step]
         common = np.nan_to_num(nan_median(x_px[frame] - x, axis=1))
         column = centre + np.rint(common).astype(np.int64)[:, None]
-        return gather(profile, Starts(np.repeat(frame, x.shape[1]), column.ravel()), offsets)
+        row = np.repeat(np.arange(len(frame)), x.shape[1])
+        return gather(some_rows(profile, frame), Starts(row, column.ravel()), offsets)
 
     before, now, after = around(-lag), around(0), around(lag)
     variance = _residual_variance(before + after - 2 * now, (before + now + after) / 3)

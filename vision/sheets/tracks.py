@@ -40,7 +40,13 @@ from vision.sheets.identities import WHYS, Doubt, identify_sheets
 from vision.sheets.numbering import Numbering, number_sheets
 from vision.sheets.recovery import FLAGS, Detections, Flag, assign_detections
 from vision.sheets.reference import ReferenceComb, marks, wide_spacings
-from vision.sheets.ridges import RidgeComb, describe_ridges, find_ridges, no_ridges
+from vision.sheets.ridges import (
+    RidgeComb,
+    describe_ridges,
+    find_ridges,
+    frames_with_values,
+    no_ridges,
+)
 from vision.sheets.scatter import BetweenSlips, noise_excess, shared_error, spatial_scatter
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.sheets.subpixel import (
@@ -333,7 +339,7 @@ class _Tracked:
 
 def _check(profile: Floats32, source: str) -> None:
     """Refuse a profile without usable frames, with too few columns, or without any contrast."""
-    good = np.flatnonzero(np.isfinite(profile).all(axis=1))
+    good = np.flatnonzero(frames_with_values(profile))
     if not len(good):
         raise InputError(source, "at least one usable frame", "none", "look at the frames' status")
     if profile.shape[1] < 8:
@@ -492,7 +498,7 @@ def _flags(strip: xr.DataArray, found: _Tracked) -> Codes:
         for status in ("blank", "corrupt", "lost"):
             flag[strip["status"].values == status] = Flag[status.upper()]
     else:
-        flag[~np.isfinite(strip.values).all(axis=1)] = Flag.BLANK
+        flag[~frames_with_values(strip.values)] = Flag.BLANK
     return flag
 
 

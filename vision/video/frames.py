@@ -16,12 +16,14 @@ import xarray as xr
 
 from vision.errors import InputError, counted
 from vision.files import Stamp, answered
-from vision.numeric import Bools, Floats, Floats32, Ints, Strings, row_parts
+from vision.mapped import give_back, parts_in_turn, table_in_file
+from vision.numeric import Bools, Floats, Floats32, Ints, Strings
 from vision.video.reader import Block
 from vision.video.settings import VideoSettings
 from vision.video.video import Video, open_video, pixels_file
 
 STATUS_TYPE = "<U7"  # ok, blank, corrupt, lost
+_COPIED = 4096  # rows at a time
 _NEAR = 9  # frames before and after a step between times that are compared with it
 
 
@@ -39,7 +41,8 @@ class FrameStore:
     time.
 
     A row has `columns` values, and about `expected` rows will come. Above `spill_bytes` they are stored in a
-    temporary file in `folder`, by default the system's; InputError if that disk is full.
+    temporary file in `folder`, by default the system's. If that disk is full they stay in memory, and above
+    `memory_bytes` InputError is raised.
     """
 
     def __init__(
@@ -48,15 +51,16 @@ class FrameStore:
         *,
         expected: int | None,
         spill_bytes: int = VideoSettings.spill_bytes,
+        memory_bytes: int = VideoSettings.memory_bytes,
         folder: Path | None = None,
     ) -> None:
         self._columns = columns
         self._folder = folder
-        self._spill_bytes = spill_bytes
+        self._spill_bytes, self._memory_bytes = spill_bytes, memory_bytes
         self._marks = np.zeros(1024, [("status", STATUS_TYPE), ("time_s", np.float64)])
         self.count = 0
         """Number of rows so far."""
-        most = max(1, 2 * spill_bytes // (4 * columns))  # a damaged header may state any number
+        most = max(1, 2 * memory_bytes // (4 * columns))  # a damaged header may state any number
         self._rows = self._allocate(max(1, min(expected or 1024, most)))
 
     def append(self, rows: Floats32) -> None:
@@ -65,8 +69,9 @@ class FrameStore:
         if needed > self._rows.shape[0]:
             old = self.rows()
             self._rows = self._allocate(max(needed, 2 * self._rows.shape[0]))
-            self._rows[: self.count] = old
-        self._rows[self.count : needed] = rows
+            for part in parts_in_turn(old, _COPIED):
+                self._put(part.start, old[part])
+        self._put(self.count, rows)
         self.count = needed
 
     def add(self, frames: FramesRead) -> None:
@@ -91,26 +96,30 @@ class FrameStore:
     def copy(self, start: int, stop: int) -> FramesRead:
         """Return frames `start` to before `stop`, copied."""
         part = self.part(start, stop)
-        return replace(part, intensity=part.intensity.copy())
+        copied = replace(part, intensity=part.intensity.copy())
+        give_back(part.intensity)
+        return copied
+
+    def _put(self, start: int, rows: Floats32) -> None:
+        place = self._rows[start : start + len(rows)]
+        place[:] = rows
+        give_back(place)
 
     def _allocate(self, capacity: int) -> Floats32:
         size = capacity * self._columns * 4
-        if size <= self._spill_bytes:
-            return np.empty((capacity, self._columns), np.float32)
-        with tempfile.TemporaryFile(prefix="sheetvision-", dir=self._folder) as file:  # the mapping keeps it
-            try:  # reserve the whole length: writing to a mapping on a full disk kills the process
-                if hasattr(os, "posix_fallocate"):
-                    os.posix_fallocate(file.fileno(), 0, size)
-                else:
-                    os.truncate(file.fileno(), size)
+        if size > self._spill_bytes:
+            try:
+                return table_in_file(capacity, self._columns, self._folder)
             except OSError as error:
-                wanted = f"{size / (1 << 30):.1f} GiB for I(x, t)"
-                found = (error.strerror or str(error)).lower()
-                advice = (
-                    "give another `out`, or `columns`" if self._folder else "set TMPDIR, or give `columns`"
-                )
-                raise InputError(self._folder or tempfile.gettempdir(), wanted, found, advice) from error
-            return np.memmap(file, np.float32, "r+", shape=(capacity, self._columns))
+                if size > self._memory_bytes:
+                    raise self._no_room(size, error) from error
+        return np.empty((capacity, self._columns), np.float32)
+
+    def _no_room(self, size: int, error: OSError) -> InputError:
+        wanted = f"{size / (1 << 30):.1f} GiB for I(x, t)"
+        found = (error.strerror or str(error)).lower()
+        advice = "give another `out`, or `columns`" if self._folder else "set TMPDIR, or give `columns`"
+        return InputError(self._folder or tempfile.gettempdir(), wanted, found, advice)
 
 
 # --- blank frames -------------------------------------------------------------------------------------------
@@ -133,7 +142,7 @@ def is_blank(
     found; saturation_level is None for float.
     """
     level, contrast, darkest = np.empty((3, len(profiles)))
-    for span in row_parts(len(profiles), 256):  # parts that fit into the processor's cache
+    for span in parts_in_turn(profiles, 256):  # parts that fit into the processor's cache
         values = profiles[span].astype(np.float64)
         level[span], contrast[span] = values.mean(axis=1), values.std(axis=1)
         darkest[span] = values.min(axis=1)

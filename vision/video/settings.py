@@ -176,6 +176,11 @@ class VideoSettings:
     the last ones in another order. More lags behind the camera, fewer reads half-written frames."""
 
     # memory
-    spill_bytes: int = 1 << 30
-    """Size of I(x, t) above which it is stored in a temporary file. 1 GiB is 140 000 frames of 1920 columns;
-    smaller saves memory and costs time. The values are the same (test_spilled_profile_is_the_same)."""
+    spill_bytes: int = 32 << 20
+    """Size of I(x, t) above which it is stored in a temporary file, of which little is in memory at a time.
+    32 MiB are 4400 frames of 1920 columns; larger takes that memory, smaller writes files for short films.
+    The values are the same (test_spilled_profile_is_the_same)."""
+    memory_bytes: int = 1 << 30
+    """Size of I(x, t) above which a disk without room for that file is an error; up to it, memory is used.
+    Larger may take all memory, smaller refuses films that would fit
+    (test_a_full_disk_for_a_long_recording_is_reported)."""

@@ -1,0 +1,77 @@
+"""Large tables in temporary files, of which only the part in use is in memory."""
+
+from __future__ import annotations
+
+import mmap
+import os
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.lib.array_utils import byte_bounds
+from numpy.typing import NDArray
+
+from vision.numeric import Floats32, Ints, row_parts
+
+_AT_ONCE = 16  # rows far from each other in the file
+
+
+class _TemporaryFile(mmap.mmap):
+    """A shared mapping of a file without a name, which goes when the last array in it does.
+
+    The file keeps what is written to a shared mapping, so that its pages can be given back.
+    """
+
+    def __init__(self, *_: Any) -> None:
+        self.address: int = np.frombuffer(self, np.uint8).ctypes.data
+
+
+def table_in_file(rows: int, columns: int, folder: Path | None) -> Floats32:
+    """Return a table of zeros (rows, columns) in a temporary file in `folder`, by default the system's.
+
+    It is used as any array; `give_back` lets go of the memory of a part.
+
+    Raises: OSError if the disk is full.
+    """
+    size = 4 * rows * columns
+    with tempfile.TemporaryFile(prefix="sheetvision-", dir=folder) as file:  # the mapping keeps it
+        if hasattr(os, "posix_fallocate"):  # writing to a mapping on a full disk would kill the process
+            os.posix_fallocate(file.fileno(), 0, size)
+        else:
+            os.truncate(file.fileno(), size)
+        return np.ndarray((rows, columns), np.float32, _TemporaryFile(file.fileno(), size))
+
+
+def give_back(values: NDArray[Any]) -> None:
+    """Give the memory of values in a temporary file back to the system, which reads them again when needed.
+
+    Nothing happens to values that are in memory alone, or where the system has no such call.
+    """
+    owner: Any = values
+    while isinstance(owner, np.ndarray):
+        owner = owner.base
+    if isinstance(owner, _TemporaryFile) and values.size and hasattr(mmap, "MADV_DONTNEED"):
+        start, stop = (int(place) - owner.address for place in byte_bounds(values))
+        start -= start % mmap.PAGESIZE
+        owner.madvise(mmap.MADV_DONTNEED, start, stop - start)
+
+
+def parts_in_turn(table: NDArray[Any], at_once: int) -> Iterator[slice]:
+    """Yield slices of consecutive rows of a table, and give back the memory of each before the next."""
+    for rows in row_parts(len(table), at_once):
+        yield rows
+        give_back(table[rows])
+
+
+def some_rows(table: NDArray[Any], rows: Ints) -> NDArray[Any]:
+    """Return some rows of a table, copied.
+
+    A few are copied at a time, since each can bring the megabytes around it in the file into memory.
+    """
+    found = np.empty((len(rows), *table.shape[1:]), table.dtype)
+    for part in row_parts(len(rows), _AT_ONCE):
+        found[part] = table[rows[part]]
+        give_back(table)
+    return found
