@@ -490,7 +490,13 @@ def _strip(
     rows = chosen.rows if correction is None or correction.rows is None else slice(*correction.rows)
     if chosen.strips != 1:
         return strip_profiles(
-            video, chosen.strips, rows, columns=chosen.columns, progress=progress, settings=settings
+            video,
+            chosen.strips,
+            rows,
+            columns=chosen.columns,
+            progress=progress,
+            settings=settings,
+            folder=None if log is None else log.folder,
         )
     whole = strip_profile(
         video, rows, columns=chosen.columns, progress=progress, settings=settings, log=log, follow=follow

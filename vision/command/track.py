@@ -107,7 +107,7 @@ def track_one(
     config: Path | None = None,
 ) -> tuple[int, Analysis]:
     """Track one film into one run folder; return the exit status and the analysis, of a long film without
-    I(x, t).
+    I(x, t), and without the tracks unless it is one of many.
 
     one_of_many: whether several films are tracked. Each warning then names its film, and the summary is
     printed only if `run.verbose`, as a table of all films follows.  copy: copy of the film, which is read
@@ -145,7 +145,8 @@ def track_one(
         about=f"{video.name}: " if one_of_many else "",
     )
     if analysis.tracks is not None and analysis.tracks.sizes["frame"] >= LONG_FRAMES:
-        analysis = replace(analysis, strip=None)  # it is in the run folder, and most of what is in memory
+        # These are in the run folder, and most of what is in memory; tracks of many films may be pooled.
+        analysis = replace(analysis, strip=None, tracks=analysis.tracks if one_of_many else None)
         keep_first_view(target, settings)
     return status, analysis
 

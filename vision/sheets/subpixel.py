@@ -40,6 +40,7 @@ WHOLE_LEVELS = 0.05  # grey: noise assumed where a profile, averaged over some r
 STEADY_FRAMES = 9  # whose mean height gives the error of a template position: single heights are noisy
 LEAST_EXPLAINED = 0.5  # share of the variance of a ridge's pixels; below it most of them show something else
 RIDGES_AT_ONCE = 8192  # whose pixels are matched at once
+FRAMES_AT_ONCE = 512  # of which a sheet's pixels are gathered at once: each takes a page of a file or more
 LEAST_TRIPLES = 8  # groups of three consecutive frames that a measurement of noise needs
 CORRELATED_RIDGES = 400  # differences of three ridges that tell correlated noise from chance
 
@@ -203,7 +204,7 @@ def match_sheet(
     position, err = np.full(len(x_px), np.nan), np.full(len(x_px), np.nan)
     offsets = np.arange(-half_px, half_px + 1)
     pixels = np.empty((len(frame), len(offsets)), profile.dtype)
-    for rows in row_parts(len(frame), RIDGES_AT_ONCE):
+    for rows in row_parts(len(frame), FRAMES_AT_ONCE):
         pixels[rows] = gather(profile, Starts(frame[rows], centre[rows]), offsets)
         give_back(profile)
     inside = np.isfinite(pixels).all(axis=1)

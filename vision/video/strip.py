@@ -106,7 +106,7 @@ def strip_profile(
     check_kind(slice | None, RANGE, rows=rows, columns=columns)
     plan = _Plan.of(video, rows, columns, settings)
     folder = None if log is None else log.folder
-    store = FrameStore(plan.width, expected=video.estimated, spill_bytes=settings.spill_bytes, folder=folder)
+    store = _store(plan.width, video, settings, folder)
     for part in () if log is None else log.begin(video, plan.strip.rows, plan.columns):
         store.add(part)
     for latest, block in _blocks(video, plan, store, follow):
@@ -137,6 +137,7 @@ def strip_profiles(
     columns: slice | None = None,
     progress: Progress | None = None,
     settings: VideoSettings = VideoSettings(),
+    folder: Path | None = None,
 ) -> tuple[xr.DataArray, xr.DataArray]:
     r"""Return I(x, t) of the strip, and I(x, z, t) of parts of it at several heights, from one pass.
 
@@ -146,6 +147,8 @@ def strip_profiles(
         As for `strip_profile`.
     strips
         Number of parts, 2 or more; their heights differ by at most one row.
+    folder
+        Where the temporary file of a long film is made; by default the system's folder for these.
 
     Returns
     -------
@@ -165,7 +168,7 @@ def strip_profiles(
         raise InputError("`strips`", wanted, f"{strips} of {height} rows")
     edges = np.linspace(0, height, strips + 1).round().astype(int)
     parts = [slice(None), *(slice(*pair) for pair in pairwise(edges))]
-    store = FrameStore((1 + strips) * width, expected=video.estimated, spill_bytes=settings.spill_bytes)
+    store = _store((1 + strips) * width, video, settings, folder)
     for block in prefetch(video.blocks(plan.strip.rows, plan.columns), video.path, settings.answer_s):
         store.add(_reduced(video, block, parts))
         if progress is not None:
@@ -183,6 +186,17 @@ def strip_profiles(
         attrs=STRIP_PARTS["intensity"].attrs,
     )
     return whole, record(heights, "strip_profiles", strips=strips)
+
+
+def _store(columns: int, video: Video, settings: VideoSettings, folder: Path | None) -> FrameStore:
+    """Return an empty storage for the frames of a recording."""
+    return FrameStore(
+        columns,
+        expected=video.estimated,
+        spill_bytes=settings.spill_bytes,
+        memory_bytes=settings.memory_bytes,
+        folder=folder,
+    )
 
 
 @dataclass(frozen=True)
