@@ -1,6 +1,6 @@
 """Memory at growing numbers of frames, for every format that is read, and for the whole command.
 
-Run from the checkout: python -m reports.memory [--folder /tmp/films] [--most 16000]. Takes five minutes and
+Run from the checkout: python -m reports.memory [--folder /tmp/films] [--most 16000]. Takes eight minutes and
 some GB of disk. Writes reports/memory.md.
 """
 
@@ -28,11 +28,19 @@ from reports.writing import head, row, write_report
 from tests.scenes.comb_video import frames_of, positions
 from tests.scenes.films import avi_header
 from vision.numeric import Pixels
+from vision.video import VideoSettings
 
 ROWS, COLUMNS = 800, 1280
 STRIP = (360, 440)
 GOP = 24  # frames that are encoded; longer films repeat them
 WHOLE = (25_000, 100_000)  # frames of 600 x 24 for the whole command
+RUNS = {
+    "`--no-report`": (WHOLE, ["--no-report"]),
+    "with the report": (WHOLE, []),
+    "`--strips 4`": (WHOLE[:1], ["--strips", "4"]),
+    "`--force`": (WHOLE[:1], ["--force", "FORCE", "--d0", "13", "--offset", "0", "--pixel-size", "10"]),
+}
+"""Options of the whole command, and the numbers of frames for which they are measured."""
 MIB = 1 << 20
 
 PEAK = """
@@ -192,20 +200,34 @@ def formats(folder: Path, most: int) -> list[str]:
     return rows
 
 
+def force(path: Path, frames: int) -> None:
+    """Write the force of a test in which the sheets slip every 20 frames, at 25 frames a second."""
+    time_s = np.arange(0, frames / 25, 0.02)
+    noise = np.random.default_rng(0).normal(0, 0.05, time_s.size)
+    table = np.stack([0.01 * time_s, 20 + 5 * (time_s / 0.8 % 1) + noise, time_s], axis=1)
+    head = "Crosshead\tLoad\tTime\nmm\tN\ts"
+    np.savetxt(path, table, fmt="%.5f", delimiter="\t", header=head, comments="")
+
+
 def whole(folder: Path) -> list[str]:
-    """Return the peak memory of `track FILM --no-report`, imports included."""
+    """Return the peak memory of the whole command with each of the options, imports included."""
     rows = []
-    for frames in WHOLE:
-        moving = frames_of(positions(frames=60, sheets=24), width_px=600, rows=24)
-        film = folder / "a.avi"
-        raw_avi(film, frames, moving, repeated=True)
-        words = [str(film), "--no-report", "--quiet", "--overwrite", "--out", str(folder / "out")]
-        child = [sys.executable, "-c", PEAK + COMMAND, *words]
-        done = subprocess.run(child, capture_output=True, text=True, check=True)
-        peak = json.loads(done.stdout.splitlines()[-1])[1] / MIB
-        rows.append(row([frames, f"{peak:.0f} MiB", f"{4 * 600 * frames / MIB:.0f} MiB"]))
-        sys.stdout.write(rows[-1] + "\n")
-        film.unlink()
+    moving = frames_of(positions(frames=60, sheets=24), width_px=600, rows=24)
+    film, load = folder / "a.avi", folder / "force.txt"
+    for name, (lengths, options) in RUNS.items():
+        for frames in lengths:
+            raw_avi(film, frames, moving, repeated=True)
+            force(load, frames)
+            words = [str(film), "--quiet", "--overwrite", "--out", str(folder / "out")]
+            words += [str(load) if word == "FORCE" else word for word in options]
+            child = [sys.executable, "-c", PEAK + COMMAND, *words]
+            done = subprocess.run(child, capture_output=True, text=True, check=True)
+            peak = json.loads(done.stdout.splitlines()[-1])[1] / MIB
+            strip = 4 * 600 * frames / MIB * (5 if "--strips" in options else 1)
+            cells = [name, frames, f"{peak:.0f} MiB", f"{strip:.0f} MiB", f"{peak - strip:.0f} MiB"]
+            rows.append(row(cells))
+            sys.stdout.write(rows[-1] + "\n")
+            sys.stdout.flush()
     return rows
 
 
@@ -228,12 +250,14 @@ def main() -> None:
         *head(["format", "few frames", "four times as many", "sixteen times"]),
         *formats(folder, given.most),
         "",
-        "I(x, t) itself, 4 bytes a column and frame, is in memory up to 1 GiB (`VideoSettings.spill_bytes`)",
-        "and in a temporary file beyond, beside the run folder where `track` reads the film.",
+        "I(x, t) itself, 4 bytes a column and frame, is in memory up to",
+        f"{VideoSettings.spill_bytes // MIB} MiB (`VideoSettings.spill_bytes`) and in a temporary file beyond, beside the run folder where `track`",
+        "reads the film. Of the file, only the part in use is in memory.",
         "",
-        "The whole command, raw film of 600 x 24 px with 24 sheets, `--no-report`; all of the process:",
+        "The whole command, raw film of 600 x 24 px with 24 sheets; peak of all of the process, imports",
+        "included. Tables of positions, of 4 or 8 bytes a frame and sheet, grow with the film.",
         "",
-        *head(["frames", "peak", "of which I(x, t)"]),
+        *head(["options", "frames", "peak", "I(x, t)", "peak less I(x, t)"]),
         *whole(folder),
     ]
     shutil.rmtree(folder)

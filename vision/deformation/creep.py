@@ -142,7 +142,7 @@ def fit_creep(
     good = (count >= 4) & (span >= settings.least_cover)
     middle = frames.sums(np.where(known, x_px, 0.0)) / np.maximum(count, 1)
     displacement = x_px - middle[frames.row]  # otherwise rounding would affect the sums of squares
-    blocks = np.array_split(np.arange(x_px.shape[1]), max(1, x_px.size // 500_000))  # limits the memory
+    blocks = np.array_split(np.arange(x_px.shape[1]), max(1, x_px.size // 100_000))  # limits the memory
     parts = [_normal_equations(displacement[:, block], frames, terms, noise) for block in blocks]
     matrix, log_det = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
     inverse = np.full((*good.shape, terms, terms), np.nan)

@@ -193,9 +193,9 @@ def read_json(path: Path) -> dict[str, Any]:
 def read_strip(run: RunFolder) -> xr.DataArray:
     """Read I(x, t) from kymograph.tif, with the coordinates and attributes that `strip_profile` set.
 
-    The values are a copy, above 1 GiB in a temporary file. The file itself is not memory-mapped: if it became
-    shorter, access would kill the process. A frame's status is "ok" if its row has values, else the flag of
-    its sheets.
+    The values are a copy, of a long film in a temporary file. The file itself is not memory-mapped: if it
+    became shorter, access would kill the process. A frame's status is "ok" if its row has values, else the
+    flag of its sheets.
 
     Raises: InputError if the file is missing or damaged, or does not fit the tracks.
     """
