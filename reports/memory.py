@@ -54,11 +54,12 @@ from vision.command.main import run
 print(json.dumps([run(sys.argv[1:]), peak()]))
 """
 CHILD = """
-from vision.video import open_video, strip_profile
+from vision.video import VideoSettings, open_video, strip_profile
 path, first, last = json.loads(sys.argv[1])
 before = peak()
 strip = strip_profile(open_video(path), slice(first, last))
-print(json.dumps([strip.sizes["frame"], strip.nbytes, before, peak()]))
+in_memory = strip.nbytes if strip.nbytes <= VideoSettings.spill_bytes else 0
+print(json.dumps([strip.sizes["frame"], in_memory, before, peak()]))
 """
 
 
@@ -175,7 +176,7 @@ FORMATS: dict[str, tuple[str, Callable[[Path, int, Pixels], None], int]] = {
 
 
 def read(path: Path) -> tuple[int, int, int, int]:
-    """Return frames, bytes of I(x, t), and the peak memory before and after reading, bytes."""
+    """Return frames, bytes of I(x, t) in memory, and the peak memory before and after reading, bytes."""
     task = json.dumps([str(path), *STRIP])
     done = subprocess.run(
         [sys.executable, "-c", PEAK + CHILD, task], capture_output=True, text=True, check=True
@@ -241,7 +242,7 @@ def main() -> None:
     lines = [
         "# Memory",
         "",
-        "Peak of the resident memory beyond that of the imports and of",
+        "Peak of the resident memory beyond that of the imports and, where it is in memory, of",
         f"I(x, t), for films of {COLUMNS} x {ROWS} px of which rows {STRIP[0]} to {STRIP[1]} are",
         f"averaged; in brackets the frames. {os.cpu_count()} cores, Python {platform.python_version()}.",
         "It fills what is read ahead, four blocks of 4 MiB and up to 32 whole frames, and stays there",
@@ -251,8 +252,8 @@ def main() -> None:
         *formats(folder, given.most),
         "",
         "I(x, t) itself, 4 bytes a column and frame, is in memory up to",
-        f"{VideoSettings.spill_bytes // MIB} MiB (`VideoSettings.spill_bytes`) and in a temporary file beyond, beside the run folder where `track`",
-        "reads the film. Of the file, only the part in use is in memory.",
+        f"{VideoSettings.spill_bytes // MIB} MiB (`VideoSettings.spill_bytes`) and in a temporary file beyond,",
+        "beside the run folder where `track` reads the film. Of the file, only the part in use is in memory.",
         "",
         "The whole command, raw film of 600 x 24 px with 24 sheets; peak of all of the process, imports",
         "included. Tables of positions, of 4 or 8 bytes a frame and sheet, grow with the film.",

@@ -23,7 +23,7 @@ from vision.video.settings import VideoSettings
 from vision.video.video import Video, open_video, pixels_file
 
 STATUS_TYPE = "<U7"  # ok, blank, corrupt, lost
-_COPIED = 4096  # rows at a time
+_COPIED = 1024  # rows that are copied or changed at a time
 _NEAR = 9  # frames before and after a step between times that are compared with it
 
 
@@ -157,6 +157,12 @@ def is_blank(
         flat = contrast * usual_level < settings.bright_contrast * usual_contrast * level
         blank |= flat & (level > settings.bright_level * usual_level)
     return np.asarray(blank & readable, bool)
+
+
+def blank_out(intensity: Floats32, unusable: Bools) -> None:
+    """Set the intensity (frame, x) of unusable frames (frame) to NaN, in place."""
+    for rows in parts_in_turn(intensity, _COPIED):
+        intensity[rows][unusable[rows]] = np.nan
 
 
 # --- lost frames --------------------------------------------------------------------------------------------

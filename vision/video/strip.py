@@ -23,6 +23,7 @@ from vision.video.frames import (
     Follow,
     FramesRead,
     FrameStore,
+    blank_out,
     expected_frames,
     growth,
     held_back,
@@ -176,7 +177,8 @@ def strip_profiles(
     read = store.part(0, store.count)
     whole = plan.assembled(video, replace(read, intensity=read.intensity[:, :width]))
     intensity = read.intensity[:, width:].reshape(-1, strips, width).swapaxes(0, 1)
-    intensity[:, whole["status"].values != "ok"] = np.nan
+    for part in intensity:
+        blank_out(part, whole["status"].values != "ok")
     z = first + (edges[:-1] + edges[1:] - 1) / 2
     heights = xr.DataArray(
         intensity,
@@ -228,7 +230,7 @@ class _Plan:
         intensity, status, settings = read.intensity, read.status, self.settings
         readable, saturated = status == "ok", video.saturation_level
         status[is_blank(intensity, readable, saturation_level=saturated, settings=settings)] = "blank"
-        intensity[status != "ok"] = np.nan
+        blank_out(intensity, status != "ok")
         if not (status == "ok").any():
             raise _nothing_to_see(video, status)
         frames = video.first + first + np.arange(status.size, dtype=np.int64)
