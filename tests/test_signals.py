@@ -1,5 +1,7 @@
 """Running medians and means, and maxima that are apart, against SciPy's."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -51,3 +53,15 @@ def test_a_width_is_that_at_half_the_height():
     found = find_maxima(line, least_prominence=1.0, reach=200)
     assert found.at.tolist() == [100]
     assert half_widths(line, found)[0] == pytest.approx(2.3548 * 6.0, rel=5e-3)
+
+
+def test_running_median_takes_little_memory():
+    """Failure: a recording of a million samples takes a GB, as the windows of all are kept."""
+    values = np.random.default_rng(3).normal(size=50_000)
+    running_median(values[:1000], 101)
+    tracemalloc.start()
+    found = running_median(values, 101)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 15 * values.nbytes
+    assert found[777] == np.median(values[777 - 50 : 777 + 51])

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from vision.numeric import Floats, Ints
+from vision.numeric import AT_ONCE, Floats, Ints, row_parts
 
 
 def running_median(
@@ -25,12 +25,10 @@ def running_median(
     """
     padded = np.pad(np.asarray(values, np.float64), (size // 2, (size - 1) // 2), ends)
     windows, middle = sliding_window_view(padded, size), size // 2
-    block = 1 << 16  # more windows at a time take more memory and are no faster
-    parts = [
-        np.partition(windows[start : start + block], middle, axis=1)[:, middle]
-        for start in range(0, len(windows), block)
-    ]
-    return np.concatenate(parts) if parts else np.empty(0)
+    median = np.empty(len(windows))
+    for part in row_parts(len(windows), max(1, 4 * AT_ONCE // size)):
+        median[part] = np.partition(windows[part], middle, axis=1)[:, middle]
+    return median
 
 
 def running_mean(values: NDArray[np.floating], size: int) -> Floats:
