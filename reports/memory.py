@@ -225,7 +225,7 @@ def whole(folder: Path) -> list[str]:
             done = subprocess.run(child, capture_output=True, text=True, check=True)
             peak = json.loads(done.stdout.splitlines()[-1])[1] / MIB
             strip = 4 * 600 * frames / MIB * (5 if "--strips" in options else 1)
-            cells = [name, frames, f"{peak:.0f} MiB", f"{strip:.0f} MiB", f"{peak - strip:.0f} MiB"]
+            cells = [name, frames, f"{peak:.0f} MiB", f"{strip:.0f} MiB"]
             rows.append(row(cells))
             sys.stdout.write(rows[-1] + "\n")
             sys.stdout.flush()
@@ -259,7 +259,7 @@ def main() -> None:
         "The whole command, raw film of 600 x 24 px with 24 sheets; peak of all of the process, imports",
         "included. Tables of positions, of 4 or 8 bytes a frame and sheet, grow with the film.",
         "",
-        *head(["options", "frames", "peak", "I(x, t)", "peak less I(x, t)"]),
+        *head(["options", "frames", "peak", "I(x, t), on disk"]),
         *whole(folder),
     ]
     shutil.rmtree(folder)
