@@ -122,12 +122,13 @@ def find_maxima(
     return Maxima(at[candidates[enough]], prominence[enough])
 
 
-def half_widths(line: NDArray[np.floating], maxima: Maxima) -> Floats:
+def half_widths(line: NDArray[np.floating], maxima: Maxima, *, below: float = 0.5) -> Floats:
     """Return the widths of maxima at half their prominence, (K,), as `scipy.signal.peak_widths` does.
 
-    line: the signal in which the maxima were found.  maxima: from `find_maxima`.
+    line: the signal in which the maxima were found.  maxima: from `find_maxima`.  below: another share of the
+    prominence below the top.
     """
-    half = line[maxima.at] - 0.5 * maxima.prominence
+    half = line[maxima.at] - below * maxima.prominence
     with np.errstate(invalid="ignore"):  # the signal may end with -inf
         return _to_half(line, maxima.at, half, -1) + _to_half(line, maxima.at, half, 1)
 

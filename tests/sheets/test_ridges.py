@@ -194,6 +194,19 @@ def test_sheets_of_a_comb_that_leaves_the_picture_are_measured():
     assert away[there].max() < 0.5
 
 
+@pytest.mark.parametrize("uneven", [0.1, 0.15])
+def test_gaps_of_an_overexposed_comb_are_no_sheets(uneven):
+    """Ridges whose tops are clipped to one level are wider than the gaps, which then differ more in
+    brightness than the ridges do. A failure means that every position is that of a gap."""
+    x = comb(FRAMES, per_side=10, pitch_px=20.0, axis_px=WIDTH / 2, uneven=uneven, slip=0.3)
+    film = strip(ridges(x, width=WIDTH, fwhm_px=11.0, contrast=shades(20)))
+    film = film.copy(data=np.minimum(4 * (film.values - 25), 250).astype(np.float32))
+    tracks = track_sheets(film)
+    assert tracks.attrs["ridges"] == "bright"
+    assert polarity_warnings(tracks) == []
+    assert np.nanmedian(np.abs(tracks.x_px.values[..., None] - x[:, None]).min(axis=2)) < 0.3
+
+
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_lit_field_that_ends_beside_the_comb_is_not_the_background(sign):
     """Dark sheets before a lamp that is a little wider than the comb; beyond the lamp it is dark again. A

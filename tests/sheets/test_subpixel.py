@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.scenes.combs import as_strip, ridges, strip
+from tests.scenes.combs import as_strip, comb, ridges, strip
 from vision.errors import InputError
 from vision.sheets import Starts, choose_window, paper_vertex, sliding_vertex, track_sheets
 from vision.sheets.ridges import RidgeComb
@@ -135,6 +135,21 @@ def test_the_window_follows_the_width_outside_6_to_14_px(fwhm, expected):
     """A failure means the publication's window is used where it does not fit, or not where it does."""
     comb = RidgeComb("bright", fwhm, pitch_px=60.0, contrast=50.0, noise=1.0, count=10.0, width_px=600)
     assert choose_window(comb, None) == expected
+
+
+def test_texture_on_flat_ridges_is_no_motion():
+    """Ridges with flat tops 13 px wide creep under light with a texture that stands still. A failure means
+    that the window lies on the flat top, and that positions are those of the texture, by up to ten errors."""
+    x = comb(120, per_side=8, axis_px=220.0, pitch_px=26.0, period=40.0, slip=0.25)
+    texture = np.random.default_rng(3).normal(size=460)
+    texture = 0.02 * np.convolve(texture, np.hanning(9) / np.linalg.norm(np.hanning(9)), "same")
+    light = ridges(x, width=460, fwhm_px=2.5, flat_px=13.0) * (1 + texture)
+    tracks = track_sheets(strip(light, snr=300))
+    away = tracks.x_px.values - x
+    away = np.abs(away - np.nanmedian(away, axis=0))
+    assert tracks.attrs["window_px"] > 13
+    assert np.nanmax(away) < 0.2
+    assert np.nanmean(away > 5 * tracks.x_err_px.values) < 0.01
 
 
 @pytest.mark.parametrize("window", [8, 1, -3])

@@ -51,7 +51,7 @@ class VideoOptions:
     fit: Literal["auto", "sliding", "paper", "template"] | None = None
     """auto (template where it is learned well, else sliding), sliding, paper (as published) or template."""
     window: str | None = _sets("window_px")
-    """Fit window in px, odd, or auto to follow the ridge width; 9 if ridges are 6 to 14 px wide."""
+    """Fit window in px, odd, or auto to follow the ridge width; 9 if ridges are 6 to 14 px wide and round."""
     corrections: Path | None = None
     """TOML file of manual decisions: accept, leave_out, swap, assign, add, delete, axis, strip, clock."""
     pixel_size: str | None = _sets("pixel_size_um")

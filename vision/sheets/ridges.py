@@ -55,6 +55,7 @@ class RidgeComb:
     width_px: int  # width of the profile
     settings: TrackingSettings = DEFAULT  # thresholds and costs of the tracking
     doubt: str = ""  # why the polarity that was found may be wrong
+    top: float = 0.0  # width of a ridge where it has lost 15 % of its height, over that at half; 0: not known
 
     @classmethod
     def of(cls, found: TrackMetadata, width_px: int, settings: TrackingSettings = DEFAULT) -> RidgeComb:
@@ -249,7 +250,8 @@ def _measure_within(
     counts = np.bincount(frame[main], minlength=len(sample))
     contrast, ends = float(np.median(prominence[main])), np.cumsum(counts)[:-1]
     count, width_px = float(np.median(counts)), sample.shape[1]
-    comb = RidgeComb(polarity, fwhm, pitch, contrast, noise, count, width_px, settings)
+    top = float(np.median((half_widths(walled.ravel(), maxima, below=0.15) / widths)[main]))
+    comb = RidgeComb(polarity, fwhm, pitch, contrast, noise, count, width_px, settings, top=top)
     x = at[main] % walled.shape[1] - 1  # without the wall
     return _MainRidges(comb, np.split(x, ends), np.split(widths[main], ends))
 
@@ -315,7 +317,7 @@ def _likelier(
         even = bool((quartiles[:, 1] <= settings.even_spacing * quartiles[:, 0]).all())
         background = _background(line, bright, dark, pitch, settings.background_margin)
         if even:
-            widths, heights = _variation(line, bright, dark, pitch)
+            widths, heights = _variation(line, bright, dark, pitch, settings)
     varied, clear, doubt = widths + heights, settings.clear_evidence, ""
     if abs(background) > 1 / 3:
         is_bright = background > 0
@@ -328,28 +330,41 @@ def _likelier(
         decided = abs(varied) >= (settings.polarity_evidence if many else clear)
         is_bright = varied > 0 if decided else narrower >= np.log(settings.dark_width_ratio)
         contradict = widths * heights < 0 and min(abs(widths), abs(heights)) >= clear
-        if varied and even and many and (contradict or abs(varied + narrower) < clear):
+        little = abs(varied + narrower) < clear or heights == 0
+        if varied and even and many and (contradict or little):
             doubt = (
                 "no clear background is beside the comb, and widths and brightness tell little or disagree"
             )
     return replace((bright if is_bright else dark).comb, doubt=doubt)
 
 
-def _variation(line: Floats32, bright: _MainRidges, dark: _MainRidges, pitch: float) -> tuple[float, float]:
+def _variation(
+    line: Floats32, bright: _MainRidges, dark: _MainRidges, pitch: float, settings: TrackingSettings
+) -> tuple[float, float]:
     """Return what the variation of widths and of levels say: a positive number if the bright stripes are the
     sheets, a negative one if the dark ones are, 0 if nothing tells.
 
     Sheets are alike in width and keep their widths, while gaps do not. And two sheets differ in brightness,
-    while two gaps show the same background. `line` is the sample, lightly smoothed.
+    while two gaps show the same background. Where the film is overexposed, levels tell nothing: all that is
+    bright has the same. `line` is the sample, lightly smoothed.
     """
     halves = _halfway(line, bright, dark)
     changes = [_width_change(stripes, pitch) for stripes in halves]
     widths = [_bend(stripes.width) for stripes in halves]
     heights = [_bend([row[x] for row, x in zip(line, stripes.x, strict=True)]) for stripes in (bright, dark)]
-    if not min(*changes, *widths, *heights) > 0:
+    if not min(*changes, *widths) > 0:
         return 0.0, 0.0
     said = float(np.log(changes[1] / changes[0] * widths[1] / widths[0]))
+    if _clipped(line, bright, settings) or not min(heights) > 0:
+        return said, 0.0
     return said, float(np.log(heights[0] / heights[1]))
+
+
+def _clipped(line: Floats32, bright: _MainRidges, settings: TrackingSettings) -> bool:
+    """Return whether most bright stripes reach the same level, which is then the camera's ceiling."""
+    tops = np.concatenate([row[x] for row, x in zip(line, bright.x, strict=True)])
+    level = np.median(tops)
+    return bool(np.median(np.abs(tops - level)) <= settings.same_level * level)
 
 
 def _halfway(line: Floats32, bright: _MainRidges, dark: _MainRidges) -> tuple[_MainRidges, _MainRidges]:

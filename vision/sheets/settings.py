@@ -57,6 +57,12 @@ class TrackingSettings:
     is warned of where no background is in view. Larger takes gaps between boards for sheets (1.7 in the least
     clear scene of test_ridges.py), smaller lets noise overrule the background."""
 
+    same_level: float = 1 / 255
+    """Median difference of the bright stripes' levels, as a share of their median, up to which the film
+    counts as overexposed, so that levels tell nothing of which stripes are the sheets. Smaller misses
+    ceilings that a codec blurs (`test_gaps_of_an_overexposed_comb_are_no_sheets`); larger ignores what even
+    light tells."""
+
     dark_width_ratio: float = 0.9
     """Where nothing else decides, ridges are dark if the dark stripes are narrower than the bright ones by
     this factor. Nearer to 1 flips even stripes to dark, smaller misses broad dark ridges."""
@@ -77,6 +83,12 @@ class TrackingSettings:
     standard_widths_px: tuple[float, float] = (6.0, 14.0)
     """Ridge widths that this window suits; with it, narrower and flat ridges lose up to five times the
     accuracy (test_accuracy.py)."""
+
+    flat_top: float = 0.57
+    """Width of a ridge where it has lost 15 % of its height, over that at half, above which the window
+    follows the width. A Gaussian has 0.48, sheets on fixtures 0.47 to 0.49, a flat top 0.6 to 0.8. Larger
+    lets the texture on flat tops shift positions by ten errors (test_texture_on_flat_ridges_is_no_motion),
+    smaller gives up the publication's window for ridges that it suits."""
 
     window_per_width: float = 1.4
     """Window for other ridges, in ridge widths. Larger includes flanks and neighbours, smaller more noise;

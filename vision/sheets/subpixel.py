@@ -424,7 +424,8 @@ def choose_window(comb: RidgeComb, asked: int | Literal["auto"] | None) -> int:
         Width and pitch of the ridges.
     asked
         A given width; "auto" for a width that follows that of the ridges; None for the publication's width if
-        it suits the ridges, else as for "auto".
+        it suits the ridges, else as for "auto". On a ridge with a flat top it sees no flank, and its
+        positions are those of the texture on the top.
 
     Raises
     ------
@@ -438,9 +439,12 @@ def choose_window(comb: RidgeComb, asked: int | Literal["auto"] | None) -> int:
             raise InputError("`window_px`", narrower, str(asked), "try `window_px` auto")
         return int(asked)
     narrow, wide = comb.settings.standard_widths_px
-    if asked is None and narrow <= comb.fwhm_px <= wide:
+    flat = comb.top > comb.settings.flat_top
+    if asked is None and narrow <= comb.fwhm_px <= wide and not flat:
         return comb.settings.standard_window_px
     widest = max(5.0, 0.9 * comb.pitch_px)
+    if flat:  # the flanks stand at half the width, and those of close neighbours must stay outside
+        widest = max(5.0, comb.fwhm_px + 0.25 * (comb.pitch_px - comb.fwhm_px))
     return 2 * round((min(max(5.0, comb.settings.window_per_width * comb.fwhm_px), widest) - 1) / 2) + 1
 
 

@@ -101,8 +101,8 @@ def track_sheets(
         "sliding", "paper" (exactly the publication's fit), "template", or "auto". "auto" uses the template
         for the sheets for which it is learned well, provided that these are most sheets, else "sliding".
     window_px
-        Odd width of the fit window. None means 9 px for ridges 6–14 px wide. For other ridges, and for
-        "auto", the window follows their width.
+        Odd width of the fit window. None means 9 px for ridges 6–14 px wide without a flat top. For other
+        ridges, and for "auto", the window follows their width.
     corrections
         Manual decisions from `vision.sheets.corrections.read_corrections`. Those about identities and about
         the axis are applied; the latter takes precedence over `axis_px`.
