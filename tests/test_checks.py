@@ -151,6 +151,18 @@ def test_a_still_edge_beyond_the_comb(end):
     assert "still at the comb's end" in line
 
 
+def test_stripes_of_the_background_that_continue_the_comb():
+    """Stripes with the sheets' spacing beyond both ends stand still. A failure means that they pass for
+    sheets, which shifts n of all sheets, or that sheets which move against their neighbours are doubted."""
+    x_px = comb(150)
+    x_px[:, :3], x_px[:, -2:] = x_px[0, :3], x_px[0, -2:]
+    (line,) = consistency_warnings(track_sheets(strip(ridges(x_px))))
+    assert "5 of 50 sheets (index 0, 1, 2, 48, 49) may be something else" in line
+    opposed = comb(150)
+    opposed[:, :3] = 2 * opposed[0, :3] - opposed[:, :3]
+    assert "still" not in str(consistency_warnings(track_sheets(strip(ridges(opposed)))))
+
+
 def test_an_axis_that_no_motion_shows_is_assumed():
     """One side of a comb that hardly moves. A failure means that half of the sheets get another side, and all
     of them another number, without a word; or that the warning comes where both sides move."""

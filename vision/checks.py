@@ -434,22 +434,31 @@ def _comb_warnings(tracks: xr.Dataset, found: TrackMetadata, settings: CheckSett
 def _stationary_ends(tracks: xr.Dataset, settings: CheckSettings) -> Bools:
     """Return which sheets are the outermost and still while the next two, which move less, do move, (N,).
 
-    A still edge of the background or of a lamp's light may lie where the next sheet would. Compared are
-    displacements along x; the camera's own are in all of them.
+    A still edge of the background or of a lamp's light may lie where the next sheet would, and stripes of the
+    background where the next ones would. Compared are displacements along x; the camera's own are in all of
+    them.
     """
     x_px = tracks["x_px"].values - nan_median(tracks["x_px"].values)
     still = np.zeros(x_px.shape[1], bool)
     if len(still) < 5:
         return still
-    sides = tracks["side"].values
-    outer = [(0, -1, slice(1, 3)), (-1, 1, slice(-3, -1))]
-    for end, beside in ((end, x_px[:, two]) for end, side, two in outer if sides[end] == side):
-        inner, known = beside.mean(axis=1), np.isfinite(beside).all(axis=1) & np.isfinite(x_px[:, end])
-        power = float((inner[known] ** 2).sum())
-        noise = float(nan_median(tracks["x_err_px"].values[:, end]))
+    noise, sides = nan_median(tracks["x_err_px"].values), tracks["side"].values
+    seen = np.isfinite(x_px).any(axis=0)
+    for inwards, side in ((slice(None), -1), (slice(None, None, -1), 1)):
+        n = np.flatnonzero((sides[inwards] == side) & seen[inwards])
+        if len(n) < 3:
+            continue
+        known = np.isfinite(x_px[:, inwards][:, n])
+        moved = np.where(known, x_px[:, inwards][:, n], 0.0)
+        two = known[:, 1:-1] & known[:, 2:]  # the next two of the first, of the second, …
+        inner = (moved[:, 1:-1] + moved[:, 2:]) / 2 * two
+        both, power = known.T @ two.astype(float), known.T @ inner**2
         # Edges stay in view; a sheet that leaves it is seen where it has moved less.
-        moving = known.mean() > 0.8 and power > known.sum() * (settings.end_moves * noise) ** 2
-        still[end] = moving and (inner * x_px[:, end])[known].sum() < settings.end_still * power
+        least = (settings.end_moves * noise[inwards][n, None]) ** 2
+        stands = (both > 0.8 * len(known)) & (power > both * least)
+        stands &= np.fmax(moved.T @ inner, (moved**2).T @ two) < settings.end_still * power
+        row = np.flatnonzero(np.logical_and.accumulate(stands, axis=0).diagonal())
+        still[inwards][n[: row.max(initial=-1) + 1]] = True
     return still
 
 
