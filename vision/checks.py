@@ -443,7 +443,7 @@ def _stationary_ends(tracks: xr.Dataset, settings: CheckSettings) -> Bools:
     if len(still) < 5:
         return still
     noise, sides = nan_median(tracks["x_err_px"].values), tracks["side"].values
-    seen = np.isfinite(x_px).any(axis=0)
+    seen = np.asarray(np.isfinite(x_px).any(axis=0), bool)
     for inwards, side in ((slice(None), -1), (slice(None, None, -1), 1)):
         n = np.flatnonzero((sides[inwards] == side) & seen[inwards])
         if len(n) < 3:

@@ -148,6 +148,7 @@ def test_texture_on_flat_ridges_is_no_motion():
     away = tracks.x_px.values - x
     away = np.abs(away - np.nanmedian(away, axis=0))
     assert tracks.attrs["window_px"] > 13
+    assert track_sheets(strip(light, snr=300), fit="paper").attrs["window_px"] == 9
     assert np.nanmax(away) < 0.2
     assert np.nanmean(away > 5 * tracks.x_err_px.values) < 0.01
 

@@ -101,8 +101,8 @@ def track_sheets(
         "sliding", "paper" (exactly the publication's fit), "template", or "auto". "auto" uses the template
         for the sheets for which it is learned well, provided that these are most sheets, else "sliding".
     window_px
-        Odd width of the fit window. None means 9 px for ridges 6–14 px wide without a flat top. For other
-        ridges, and for "auto", the window follows their width.
+        Odd width of the fit window. None means 9 px for ridges 6–14 px wide without a flat top (with
+        "paper" also for flat ones). For other ridges, and for "auto", the window follows their width.
     corrections
         Manual decisions from `vision.sheets.corrections.read_corrections`. Those about identities and about
         the axis are applied; the latter takes precedence over `axis_px`.
@@ -149,7 +149,8 @@ def track_sheets(
     first_px, last_px = (float(x) for x in strip["x"].values[[0, -1]])
     check_axis(axis_px, first_px, last_px)
     comb = describe_ridges(profile, polarity=ridges, sheets=sheets, source=facts.source, settings=settings)
-    window = choose_window(comb, window_px)
+    round_comb = replace(comb, top=0.0)  # the publication's fit keeps its window on flat ridges
+    window = choose_window(round_comb if fit == "paper" else comb, window_px)
     number = strip["frame"].values
 
     detected = _detect(profile, comb, sheets, facts.source, corrections, number, first_px)
