@@ -317,10 +317,12 @@ def _likelier(
         even = bool((quartiles[:, 1] <= settings.even_spacing * quartiles[:, 0]).all())
         background = _background(line, bright, dark, pitch, settings.background_margin)
         if even:
-            widths, heights = _variation(line, bright, dark, pitch, settings)
+            widths, heights = _variation(line, bright, dark, pitch)
     varied, clear, doubt = widths + heights, settings.clear_evidence, ""
     if abs(background) > 1 / 3:
         is_bright = background > 0
+        if _clipped(line, bright, settings):  # all that is bright has the same level
+            varied = widths
         if varied * background < 0 and abs(varied) >= settings.polarity_evidence:
             if abs(varied) >= clear and varied * narrower > 0:
                 is_bright = varied > 0
@@ -330,33 +332,27 @@ def _likelier(
         decided = abs(varied) >= (settings.polarity_evidence if many else clear)
         is_bright = varied > 0 if decided else narrower >= np.log(settings.dark_width_ratio)
         contradict = widths * heights < 0 and min(abs(widths), abs(heights)) >= clear
-        little = abs(varied + narrower) < clear or heights == 0
-        if varied and even and many and (contradict or little):
+        if varied and even and many and (contradict or abs(varied + narrower) < clear):
             doubt = (
                 "no clear background is beside the comb, and widths and brightness tell little or disagree"
             )
     return replace((bright if is_bright else dark).comb, doubt=doubt)
 
 
-def _variation(
-    line: Floats32, bright: _MainRidges, dark: _MainRidges, pitch: float, settings: TrackingSettings
-) -> tuple[float, float]:
+def _variation(line: Floats32, bright: _MainRidges, dark: _MainRidges, pitch: float) -> tuple[float, float]:
     """Return what the variation of widths and of levels say: a positive number if the bright stripes are the
     sheets, a negative one if the dark ones are, 0 if nothing tells.
 
     Sheets are alike in width and keep their widths, while gaps do not. And two sheets differ in brightness,
-    while two gaps show the same background. Where the film is overexposed, levels tell nothing: all that is
-    bright has the same. `line` is the sample, lightly smoothed.
+    while two gaps show the same background. `line` is the sample, lightly smoothed.
     """
     halves = _halfway(line, bright, dark)
     changes = [_width_change(stripes, pitch) for stripes in halves]
     widths = [_bend(stripes.width) for stripes in halves]
     heights = [_bend([row[x] for row, x in zip(line, stripes.x, strict=True)]) for stripes in (bright, dark)]
-    if not min(*changes, *widths) > 0:
+    if not min(*changes, *widths, *heights) > 0:
         return 0.0, 0.0
     said = float(np.log(changes[1] / changes[0] * widths[1] / widths[0]))
-    if _clipped(line, bright, settings) or not min(heights) > 0:
-        return said, 0.0
     return said, float(np.log(heights[0] / heights[1]))
 
 

@@ -59,7 +59,7 @@ class TrackingSettings:
 
     same_level: float = 1 / 255
     """Median difference of the bright stripes' levels, as a share of their median, up to which the film
-    counts as overexposed, so that levels tell nothing of which stripes are the sheets. Smaller misses
+    counts as overexposed, and levels do not speak against the background beside the comb. Smaller misses
     ceilings that a codec blurs (`test_gaps_of_an_overexposed_comb_are_no_sheets`); larger ignores what even
     light tells."""
 
