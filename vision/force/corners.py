@@ -405,6 +405,11 @@ class Extremes:
     lowest: Floats  # single smallest sample
 
     @property
+    def furthest(self) -> Floats:
+        """Smallest and largest sample at the ends of each stick, (2, stick)."""
+        return np.stack([self.lowest[:-1], self.highest[1:]])
+
+    @property
     def fall(self) -> Floats:
         """Samples from each peak to the next valley."""
         return self.valley - self.peak

@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from vision.data import joined_flags
-from vision.force.corners import (
-    Corners,
-    Extremes,
-    Shape,
-    find_extremes,
-    is_slow,
-    without_lowpass,
-)
+from vision.force.corners import Corners, Extremes, Shape, find_extremes, is_slow, without_lowpass
 from vision.force.lines import BrokenLines, Lines, fit_broken_lines, fit_lines
 from vision.force.settings import ForceSettings
 from vision.force.signal import Signal, step_between
@@ -28,40 +22,35 @@ BY_DISPLACEMENT = "K_err_by_d_N_per_mm"
 """Column of `measure_sticks` that holds the part of the error of K from the displacement."""
 
 
+_OUTWARDS = np.array([[-1.0], [1.0]])  # from the middle of a stick to its valley and to its peak
+
+
 @dataclass(frozen=True, kw_only=True)
 class _Sticks:
-    """Position of each stick, in samples, and the recorded extremes at its ends."""
+    """Where each stick begins, its valley, and ends, its peak; what was recorded there, (2, stick)."""
 
-    v: Floats  # valley, where the stick begins
-    p: Floats  # peak, where it ends
-    knee: Floats  # NaN for none
-    slow_v: Bools  # whether the slip before is slow: v is then where the lowest load was recorded
-    slow_p: Bools  # the same of the slip after
-    extremes: Extremes  # of the slips, one more than sticks
+    position: Floats  # in samples
+    slow: Bools  # whether the slip there is slow: `position` is then that of the extreme
+    extreme: Floats  # lowest load at the valley and highest at the peak, averaged
+    furthest: Floats  # the same of single samples
+    width: int  # samples averaged
+    knee: Floats  # position of the knee, (stick,); NaN for none
     lag: float  # time constant of the low-pass that is corrected for; 0 for none
     settings: ForceSettings
 
-    @property
-    def lowest(self) -> Floats:
-        """Smallest sample at each valley."""
-        return self.extremes.lowest[:-1]
-
-    @property
-    def highest(self) -> Floats:
-        """Largest sample at each peak."""
-        return self.extremes.highest[1:]
-
     def central(self, part: float) -> tuple[Ints, Ints]:
         """Return the half-open range of the central part of each stick."""
-        margin = 0.5 * (1 - part) * (self.p - self.v)
-        return _between(self.v + margin, self.p - margin)
+        valley, peak = self.position
+        margin = 0.5 * (1 - part) * (peak - valley)
+        return _between(valley + margin, peak - margin)
 
     def one_slope(self, part: float) -> tuple[Ints, Ints]:
         """Return the range of the central part after the knee, or before it where the knee is late."""
-        length = self.p - self.v
+        valley, peak = self.position
+        length = peak - valley
         margin, clear = 0.5 * (1 - part) * length, 0.03 * length
-        start, stop = self.v + margin, self.p - margin
-        early = self.knee - self.v < 0.65 * length
+        start, stop = valley + margin, peak - margin
+        early = self.knee - valley < 0.65 * length
         start = np.where(early, np.fmax(start, self.knee + clear), start)
         return _between(start, np.where(early, stop, np.fmin(stop, self.knee - clear)))
 
@@ -73,6 +62,11 @@ class _Sticks:
 def _between(start: Floats, stop: Floats) -> tuple[Ints, Ints]:
     """Return the half-open range of the samples from start to stop."""
     return np.ceil(start).astype(np.int64), np.floor(stop).astype(np.int64) + 1
+
+
+def _beside(of_slips: NDArray[Any]) -> NDArray[Any]:
+    """Return values of the slips before and after each stick, (2, stick)."""
+    return np.stack([of_slips[:-1], of_slips[1:]])
 
 
 def measure_sticks(
@@ -94,34 +88,32 @@ def measure_sticks(
     recorded = slow & (corners.lowpass == 0)
     valley = np.where(recorded, extremes.valley, corners.valley)
     peak = np.where(recorded, extremes.peak, corners.peak)
-    v, p = valley[:-1], peak[1:]
     sticks = _Sticks(
-        v=v,
-        p=p,
+        position=np.stack([valley[:-1], peak[1:]]),
+        slow=_beside(recorded),
+        extreme=np.stack([extremes.low[:-1], extremes.high[1:]]),
+        furthest=extremes.furthest,
+        width=extremes.width,
         knee=corners.knee[1:-1],
-        slow_v=recorded[:-1],
-        slow_p=recorded[1:],
-        extremes=extremes,
         lag=corners.lowpass,
         settings=settings,
     )
-    t_v, t_p, t_next = (signal.time_at(position) for position in (v, p, valley[1:]))
-    ends = _ends(signal, sticks, t_v, t_p, corners.shape)
-    f_v, f_p = _forces(signal, corners, sticks, ends)
-    d_v, d_p, d_next, noise_mm = _separations(signal, sticks, valley[-1], f_v, f_p, compliance)
+    samples, time = sticks.position[1] - sticks.position[0], signal.time_at(sticks.position)
+    ends = _ends(signal, sticks, time, corners.shape)
+    force = _forces(signal, corners, sticks, ends)
+    d, d_next, noise_mm = _separations(signal, sticks, valley[-1], force, compliance)
+    (f_v, f_p), (t_v, t_p), (d_v, d_p) = force, time, d
     steady = _steady_speeds(signal, sticks)
     # Where the machine runs steadily, lengths show errors of d that are alike within a stick.
     odd = d_p - d_v + compliance * (f_p - f_v) - steady.value * (t_p - t_v)
     noise_mm = np.fmax(noise_mm, sigma_about_zero(odd) / np.sqrt(2))
     off, lost = _position_errors(signal, corners, filter_known)
     lost = np.fmin(lost, filter_length(corners, extremes, settings) / np.sqrt(2))
-    error_v, error_p = _corner_errors(
-        signal, sticks, ends, (f_v, f_p), (off[:-1], off[1:]), (lost[:-1], lost[1:])
-    )
-    relative = np.hypot(off[:-1], off[1:]) / np.where(p == v, np.nan, p - v)
+    error = _corner_errors(signal, sticks, ends, force, _beside(off), _beside(lost))
+    relative = np.hypot(*_beside(off)) / np.where(samples == 0, np.nan, samples)
     table = pd.DataFrame(
         {
-            "event": np.arange(v.size),
+            "event": np.arange(samples.size),
             "t_v_s": t_v,
             "t_p_s": t_p,
             "d_v_mm": d_v,
@@ -132,20 +124,20 @@ def measure_sticks(
             "stick_length_um": 1e3 * (d_p - d_v),
             "slip_length_um": 1e3 * (d_next - d_p),
             **_stiffness(signal, sticks, steady, corners.two_slopes, compliance),
-            "F_v_raw_N": sticks.lowest,
-            "F_p_raw_N": sticks.highest,
-            "F_v_err_N": np.hypot(ends.error_v, error_v),
-            "F_p_err_N": np.hypot(ends.error_p, error_p),
-            "dF_err_N": np.hypot(ends.error_rise, np.hypot(error_v, error_p)),
+            "F_v_raw_N": sticks.furthest[0],
+            "F_p_raw_N": sticks.furthest[1],
+            "F_v_err_N": np.hypot(ends.error, error)[0],
+            "F_p_err_N": np.hypot(ends.error, error)[1],
+            "dF_err_N": np.hypot(ends.error_rise, np.hypot(*error)),
             "stick_length_err_um": 1e3 * np.hypot((d_p - d_v) * relative, np.sqrt(2) * noise_mm),
             "K_lowpass_share": 0.0,
-            "slip_time_s": t_next - t_p,
-            "samples": (p - v).astype(int),
+            "slip_time_s": signal.time_at(valley[1:]) - t_p,
+            "samples": samples.astype(int),
         }
     )
     marks = {
         "falling": ~(ends.slope > 0),
-        "slow": slow[:-1] | slow[1:],
+        "slow": _beside(slow).any(axis=0),
         "still": _beside_standstill(signal, valley, peak, settings),
     }
     return table.assign(flag=_event_flags(signal, sticks, corners, marks))
@@ -188,93 +180,74 @@ def filter_length(corners: Corners, extremes: Extremes, settings: ForceSettings)
 
 
 def _corner_errors(
-    signal: Signal,
-    sticks: _Sticks,
-    ends: _Ends,
-    forces: tuple[Floats, Floats],
-    positions: tuple[Floats, Floats],
-    lost: tuple[Floats, Floats],
-) -> tuple[Floats, Floats]:
-    """Return the errors of F_v and F_p (`forces`) from those of the corners' `positions`, in samples.
+    signal: Signal, sticks: _Sticks, ends: _Ends, force: Floats, off: Floats, lost: Floats
+) -> Floats:
+    """Return the errors of F_v and F_p (`force`) from those of the corners, (2, stick).
 
-    At the extreme of a slow slip the load is level, so that an error of its position causes none; but it is
-    the largest of several means, errs by the noise of one, and half of its samples lie on the rising stick.
-    Where the load is not level there, a filter of the machine may have made a sudden slip slow, which cuts
-    off what the stick rises in `lost` samples.
+    `off` is the error of each corner's position, in samples. At the extreme of a slow slip the load is level,
+    so that an error of its position causes none; but it is the largest of several means, errs by the noise
+    of one, and half of its samples lie on the rising stick. Where the load is not level there, a filter of
+    the machine may have made a sudden slip slow, which cuts off what the stick rises in `lost` samples.
     Ringing oscillates about the stick line, a filter may overshoot it before the slip as well, a stick may
     bend too sharply for it, and a coarse load ends below it: what was recorded beyond the line, noise aside,
     is part of the error, and so is how far the force was moved from the line to what was recorded.
     """
-    (f_v, f_p), (off_v, off_p) = forces, positions
-    line_v, line_p = np.where(sticks.slow_v, f_v, ends.f_v), np.where(sticks.slow_p, f_p, ends.f_p)
-    noise_v, noise_p = (sticks.settings.extreme_sigmas * signal.noise_at(at) for at in (sticks.v, sticks.p))
-    beyond_v = np.fmax(line_v - sticks.lowest - noise_v, np.abs(f_v - line_v))
-    beyond_p = np.fmax(sticks.highest - line_p - noise_p, np.abs(f_p - line_p))
-    width = sticks.extremes.width
-    own_v, own_p = (
-        np.where(
-            slow, np.hypot(signal.sigma / np.sqrt(width), np.hypot(rise * width / 8, rise * cut)), rise * off
-        )
-        for rise, slow, off, cut in (
-            (ends.rise_v, sticks.slow_v, off_v, lost[0]),
-            (ends.rise_p, sticks.slow_p, off_p, lost[1]),
-        )
-    )
-    return np.hypot(own_v, beyond_v), np.hypot(own_p, beyond_p)
+    line = np.where(sticks.slow, force, ends.force)
+    noise = sticks.settings.extreme_sigmas * signal.noise_at(sticks.position)
+    beyond = np.fmax(_OUTWARDS * (sticks.furthest - line) - noise, np.abs(force - line))
+    at_extreme = np.hypot(signal.sigma / np.sqrt(sticks.width), ends.rise * np.hypot(sticks.width / 8, lost))
+    return np.hypot(np.where(sticks.slow, at_extreme, ends.rise * off), beyond)
 
 
 def _separations(
-    signal: Signal, sticks: _Sticks, last: float, f_v: Floats, f_p: Floats, compliance: float
-) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return d at the valley, the peak and the next valley of each stick, and the error of one sample of it.
+    signal: Signal, sticks: _Sticks, last: float, force: Floats, compliance: float
+) -> tuple[Floats, Floats, Floats]:
+    """Return d at the ends of each stick, (2, stick), at its next valley, and the error of one sample of it.
 
     `last`: position of the last valley. The error contains the noise and the steps of d.
     """
-    pace = fit_lines(signal.time, signal.travel, *_between(sticks.v, sticks.p))
+    pace = fit_lines(signal.time, signal.travel, *_between(*sticks.position))
     # The machine's stretch is subtracted at the corners only: at every sample it would add the load's noise.
-    d_v = _travel_at(signal, sticks.v, sticks.v + 1, pace) - compliance * f_v
-    d_p = _travel_at(signal, sticks.p, sticks.p - 1, pace) - compliance * f_p
+    d = _travel_at(signal, sticks, pace) - compliance * force
     d_last = (
         np.interp(last, np.arange(signal.time.size), signal.travel) - compliance * signal.clean[int(last)]
     )
-    return d_v, d_p, np.r_[d_v[1:], d_last], np.nan_to_num(pace.spread)
+    return d, np.r_[d[0, 1:], d_last], np.nan_to_num(pace.spread)
 
 
-def _travel_at(signal: Signal, corner: Floats, inside: Floats, pace: Lines) -> Floats:
-    """Return d at one corner of each stick; all positions in samples.
+def _travel_at(signal: Signal, sticks: _Sticks, pace: Lines) -> Floats:
+    """Return the recorded d at the ends of each stick, (2, stick).
 
-    A displacement of the sample jumps during the slip. Where it does, it is read from the sample `inside` the
+    A displacement of the sample jumps during the slip. Where it does, it is read from the sample within the
     stick next to the corner.
     """
     index = np.arange(signal.time.size)
-    near = np.interp(corner, index, signal.travel)
-    first = np.rint(np.clip(inside, 0, index[-1])).astype(np.int64)
-    within = signal.travel[first] + pace.slope * (signal.time_at(corner) - signal.time[first])
+    near = np.interp(sticks.position, index, signal.travel)
+    first = np.rint(np.clip(sticks.position - _OUTWARDS, 0, index[-1])).astype(np.int64)
+    within = signal.travel[first] + pace.slope * (signal.time_at(sticks.position) - signal.time[first])
     usual = np.fmax(4 * pace.spread, np.abs(pace.slope) * signal.interval_s)
     return np.where(np.abs(near - within) > usual, within, near)
 
 
-def _forces(signal: Signal, corners: Corners, sticks: _Sticks, ends: _Ends) -> tuple[Floats, Floats]:
-    """Return F_v and F_p: the ends of the stick lines, limited to what was recorded.
+def _forces(signal: Signal, corners: Corners, sticks: _Sticks, ends: _Ends) -> Floats:
+    """Return F_v and F_p, (2, stick): the ends of the stick lines, limited to what was recorded.
 
     Beside slow slips they are the recorded extremes. Of a load that is corrected for a low-pass, only those
     of sticks with a knee are limited.
     """
     if not sticks.lag:
-        f_v, f_p = _within_recorded(signal, sticks, ends)
-        low, high = sticks.extremes.low[:-1], sticks.extremes.high[1:]
-        return np.where(sticks.slow_v, low, f_v), np.where(sticks.slow_p, high, f_p)
+        return np.where(sticks.slow, sticks.extreme, _within_recorded(signal, sticks, ends))
     load, gain = without_lowpass(signal.clean, sticks.lag)
     noise = signal.noise * float(np.sqrt(1 + 2 * gain * (1 + gain)))
     extremes = find_extremes(load, signal.sigma, corners.middle, corners.length, corners.drop)
-    corrected = replace(sticks, extremes=extremes)
-    f_v, f_p = _within_recorded(replace(signal, clean=load, noise=noise), corrected, ends)
-    bent = np.isfinite(sticks.knee)
-    return np.where(bent, f_v, ends.f_v), np.where(bent, f_p, ends.f_p)
+    limited = _within_recorded(
+        replace(signal, clean=load, noise=noise), replace(sticks, furthest=extremes.furthest), ends
+    )
+    return np.where(np.isfinite(sticks.knee), limited, ends.force)
 
 
-def _within_recorded(signal: Signal, sticks: _Sticks, ends: _Ends) -> tuple[Floats, Floats]:
-    """Return F_v and F_p of the stick lines, limited to what was recorded there.
+def _within_recorded(signal: Signal, sticks: _Sticks, ends: _Ends) -> Floats:
+    """Return F_v and F_p of the stick lines, (2, stick), limited to what was recorded there.
 
     A stick ends between two samples, so either force may exceed the recorded one by the rise from
     sample to sample there. At valleys a small share of the drop is added, since the load cell
@@ -282,14 +255,17 @@ def _within_recorded(signal: Signal, sticks: _Sticks, ends: _Ends) -> tuple[Floa
     Lines cut the corners of sticks that begin steeply, or end with a small slip before the large one: the
     recorded peak and, unless the load rings, valley hold, except for the noise of single samples.
     """
-    highest, lowest, settings = sticks.highest, sticks.lowest, sticks.settings
-    margin = ends.rise_v + settings.between_samples * np.maximum(highest - lowest, 0)
-    f_v = np.fmax(ends.f_v, np.maximum(lowest - margin, signal.clean.min()))
-    f_p = np.fmin(ends.f_p, np.minimum(highest + ends.rise_p, signal.clean.max()))
-    noise_v, noise_p = (settings.extreme_sigmas * signal.noise_at(at) for at in (sticks.v, sticks.p))
+    (lowest, highest), settings = sticks.furthest, sticks.settings
+    margin = ends.rise.copy()
+    margin[0] += settings.between_samples * np.maximum(highest - lowest, 0)
+    limit = np.array([[-signal.clean.min()], [signal.clean.max()]])
+    f_v, f_p = _OUTWARDS * np.fmin(
+        _OUTWARDS * ends.force, np.minimum(_OUTWARDS * sticks.furthest + margin, limit)
+    )
+    noise_v, noise_p = settings.extreme_sigmas * signal.noise_at(sticks.position)
     if not _rings(signal, ends, sticks):
         f_v = np.fmin(f_v, lowest + noise_v)
-    return f_v, np.fmax(f_p, np.fmin(highest - noise_p, highest + ends.rise_p))
+    return np.stack([f_v, np.fmax(f_p, highest - noise_p)])
 
 
 def _rings(signal: Signal, ends: _Ends, sticks: _Sticks) -> bool:
@@ -300,16 +276,16 @@ def _rings(signal: Signal, ends: _Ends, sticks: _Sticks) -> bool:
     second quarter by `ringing_share` of the first swing or more. The load of a stick that begins steeply only
     rises to that level.
     """
-    length = sticks.p - sticks.v
+    length = sticks.position[1] - sticks.position[0]
     quarter = int(np.median(length) / 4)
     some = np.flatnonzero(length >= 2 * quarter)
     if quarter < 4 or some.size < 4:
         return False
-    begin, length = np.ceil(sticks.v[some]), length[some]
-    index = np.minimum(begin[:, np.newaxis] + np.arange(2 * quarter), signal.clean.size - 1).astype(np.int64)
-    along = (index - sticks.v[some][:, np.newaxis]) / length[:, np.newaxis]
-    low, rise = (values[some][:, np.newaxis] for values in (ends.f_v, ends.f_p - ends.f_v))
-    course = np.median((signal.clean[index] - low) / np.maximum(rise, 1e-300) - along, axis=0)
+    valley, length = (part[some, np.newaxis] for part in (sticks.position[0], length))
+    index = np.minimum(np.ceil(valley) + np.arange(2 * quarter), signal.clean.size - 1).astype(np.int64)
+    low, high = ends.force[:, some, np.newaxis]
+    along = (index - valley) / length
+    course = np.median((signal.clean[index] - low) / np.maximum(high - low, 1e-300) - along, axis=0)
     level = np.median(course[quarter:])
     swing = int(np.argmin(course[:quarter]))
     above = np.max(course[swing:quarter]) - level
@@ -318,44 +294,37 @@ def _rings(signal: Signal, ends: _Ends, sticks: _Sticks) -> bool:
 
 @dataclass(frozen=True)
 class _Ends:
-    """Both ends of each stick line."""
+    """Both ends of each stick line, (2, stick), and its rise, (stick,)."""
 
-    f_v: Floats  # N
-    f_p: Floats
-    error_v: Floats  # of the line alone, without that of the corner's position
-    error_p: Floats
-    error_rise: Floats  # of the difference of the two, whose errors are opposite
+    force: Floats  # N
+    error: Floats  # of the line alone, without that of the corner's position
+    rise: Floats  # from sample to sample, N
     slope: Floats  # N/s
-    rise_v: Floats  # from sample to sample, N
-    rise_p: Floats
+    error_rise: Floats  # of the difference of the two ends, whose errors are opposite
 
 
-def _ends(signal: Signal, sticks: _Sticks, t_v: Floats, t_p: Floats, shape: Shape) -> _Ends:
+def _ends(signal: Signal, sticks: _Sticks, time: Floats, shape: Shape) -> _Ends:
     """Extend the stick lines to the corners, with the common curvature or the line on that side of a knee."""
     central = sticks.central(sticks.settings.line_part)
     line = fit_lines(signal.time, signal.spikeless, *central, lag=sticks.lag)
-    bent = np.isfinite(sticks.knee)
-    rise = np.maximum(line.slope * (t_p - t_v), 0.0)
-    f_v, f_p = line.at(t_v) + shape.begin * rise, line.at(t_p) + shape.end * rise
+    bent, duration = np.isfinite(sticks.knee), time[1] - time[0]
+    rise = np.maximum(line.slope * duration, 0.0)
+    force = line.at(time) + np.array([[shape.begin], [shape.end]]) * rise
     if bent.any():
         broken = sticks.broken(signal.time, signal.spikeless)
-        f_v = np.where(bent, broken.first_at(t_v), f_v)
-        f_p = np.where(bent, broken.second_at(t_p), f_p)
+        force = np.where(bent, [broken.first_at(time[0]), broken.second_at(time[1])], force)
     # The common curvature is in the residuals of the lines, but is no noise.
     straight = np.sqrt(np.maximum(line.spread**2 - (shape.spread * rise) ** 2, 0))
     noise = np.sqrt(signal.alike) * np.fmax(straight, np.fmin(line.spread, signal.sigma))
     if not sticks.lag:
         noise = noise * np.where(bent, 1.0, _unevenness(signal, line, *central, noise, sticks.settings))
-    shape_v, shape_p = shape.begin_error * rise, shape.end_error * rise
+    of_shape = np.array([[shape.begin_error], [shape.end_error]]) * rise
     return _Ends(
-        f_v,
-        f_p,
-        error_v=np.hypot(np.hypot(noise * line.lever(t_v), shape_v), signal.wander),
-        error_p=np.hypot(np.hypot(noise * line.lever(t_p), shape_p), signal.wander),
-        error_rise=np.hypot(noise / np.sqrt(line.sxx) * (t_p - t_v), shape.difference_error * rise),
+        force,
+        error=np.hypot(np.hypot(noise * line.lever(time), of_shape), signal.wander),
+        rise=np.abs(line.slope) * signal.interval_at(sticks.position),
         slope=line.slope,
-        rise_v=np.abs(line.slope) * signal.interval_at(sticks.v),
-        rise_p=np.abs(line.slope) * signal.interval_at(sticks.p),
+        error_rise=np.hypot(noise / np.sqrt(line.sxx) * duration, shape.difference_error * rise),
     )
 
 
@@ -451,7 +420,7 @@ def _steady_speeds(signal: Signal, sticks: _Sticks) -> _Speeds:
     and the machine must run as steadily beside a stick as elsewhere. The speed is the slope of a line through
     the middles of sticks, so that its error contains noise of any kind.
     """
-    settings, number = sticks.settings, np.arange(sticks.v.size)
+    settings, number = sticks.settings, np.arange(sticks.knee.size)
     own_speed = _Speeds(np.full(number.size, np.nan), np.full(number.size, np.nan))
     within = sticks.central(settings.line_part)
     pace, rise = (fit_lines(signal.time, values, *within) for values in (signal.travel, signal.spikeless))
@@ -527,7 +496,7 @@ def _beside_standstill(signal: Signal, valley: Floats, peak: Floats, settings: F
 
 def _event_flags(signal: Signal, sticks: _Sticks, corners: Corners, found: dict[str, Bools]) -> list[str]:
     """Return what is wrong within each stick, `found` included, joined by "+", or "ok"."""
-    v, p, last = sticks.v, sticks.p, signal.time.size - 1
+    (v, p), last = sticks.position, signal.time.size - 1
     # Both neighbouring slips count: bad samples in them hide how high or low the load was.
     begin, end = np.fmin(corners.peak[:-1], v), np.fmax(corners.valley[1:], p)
     first, final = (np.clip(at, 0, last).astype(int) for at in (np.floor(begin), np.ceil(end)))

@@ -313,33 +313,18 @@ def _maximum(peaks: Floats) -> int:
 
 
 def _first_that_fits(events: pd.DataFrame, given: _Given, top: int) -> int:
-    """Index of the first event from which Eq. 1 fits the peaks, at the beginning and over the whole range.
+    """Index of the first event from which Eq. 1 fits the peaks, after what a build-up has left in them.
 
-    Starts from the maximum of the peaks (`top`) to half of the later events are tried. If none fits, they are
-    tried less strictly, so that peaks with slightly correlated scatter do not leave in the whole build-up: at
-    a correlation of 0.4, 65 % of the errors of μ contain the truth, without it 58 %. If still none fits, the
-    result is `top`.
+    Starts from the maximum of the peaks (`top`) to half of the later events are tried; the result is `top` if
+    Eq. 1 fits from none.
     """
     count = len(events) - top
-    steps = np.r_[0.0, np.geomspace(0.01, 0.5, 12)] * count
-    misfits: dict[int, float] = {}  # χ²/dof − 1 over its limit, by start; only where the first peaks fit
-    for start in top + np.unique(steps.astype(np.int64)):
+    for start in top + np.unique((np.r_[0.0, np.geomspace(0.01, 0.5, 12)] * count).astype(np.int64)):
         part = events.iloc[int(start) :]
         if len(part) < _LEAST_EVENTS:
             break
-        fit = given.fit_peaks(part)
-        first = fit.residual[: max(5, len(part) // 20)]
-        noise = np.sqrt(np.mean(np.diff(fit.residual) ** 2) / 2)
-        if abs(float(first.mean())) < 2 * noise / np.sqrt(first.size):
-            misfits[int(start)] = (fit.goodness.chi2_dof - 1) / (largest_chi2(len(part)) - 1)
-            if misfits[int(start)] < 1:
-                break
-    for limit in (1, 2):
-        fitting = [start for start, misfit in misfits.items() if misfit < limit]
-        if fitting:
-            end = _end_of_build_up(events, given, fitting[0]) if fitting[0] else 0
-            latest = len(events) - max(2 * _LEAST_EVENTS, len(events) // 4)
-            return int(max(fitting[0], min(end, latest)))
+        if given.fit_peaks(part).goodness.chi2_dof < largest_chi2(len(part)):
+            return _end_of_build_up(events, given, int(start)) if start else 0
     return top
 
 
@@ -358,7 +343,6 @@ def _end_of_build_up(events: pd.DataFrame, given: _Given, start: int) -> int:
     expected = steady(*after.value[:2])
     # At the very beginning the scatter relative to the force differs from that of the later peaks.
     first = int(np.argmax(peak > 0.5 * expected))
-    span = max(float(np.ptp(d)), 1e-9)
 
     def missing_share(q: Floats) -> Floats:
         """Share of the steady force that is not built up yet, at most 1, with length exp(q[2])."""
@@ -368,19 +352,20 @@ def _end_of_build_up(events: pd.DataFrame, given: _Given, start: int) -> int:
         return (steady(q[0], q[1]) * (1 - missing_share(q)))[first:]
 
     missing = max(1 - float(peak[first] / expected[first]), 0.01)
-    length = max(float(d[start] - d[first]) / 4, span / 1000)
+    length = max(float(d[start] - d[first]) / 4, float(np.ptp(d)) / 1000)
     guess = [*after.value[:2], np.log(length), np.log(-np.log(missing))]
     fit = fit_weighted(model, peak[first:], None, guess)
     share, force = missing_share(fit.value), steady(*fit.value[:2])
     by_mu = (steady(fit.value[0] * 1.001, fit.value[1]) - force) / (0.001 * fit.value[0])
     by_t0 = np.ones_like(d)
     slopes = np.array([by_t0] if given.mu is not None else [by_mu, by_t0]).T / force[:, np.newaxis]
-    for begin in range(start, d.size):
+    latest = d.size - max(2 * _LEAST_EVENTS, d.size // 4)
+    for begin in range(start, latest):
         inverse = np.linalg.pinv(slopes[begin:])
         error = fit.goodness.scatter * np.sqrt(np.sum(inverse**2, axis=1))
         if (np.abs(inverse @ share[begin:]) <= 0.1 * error).all():
             return begin
-    return start
+    return max(start, latest)
 
 
 # --- the fits -----------------------------------------------------------------------------------------------
@@ -528,7 +513,7 @@ def _unresolved_corners(
         by_filter = none | {name: abs(resolved[name] - one.value) for name, one in fits.named().items()}
         # The rise during the slip is the same loss, measured after the valley.
         by_filter["A"] = max(by_filter["A"] or 0.0, abs(fits.amplitude.value * by_sampling))
-        return {source: _larger(by_filter, _settling(fits, facts.central_part, events, refit))}
+        return {source: by_filter}
     if not (of_drop or of_k):
         return {"sampling": none | {"A": abs(fits.amplitude.value * by_sampling)}} if by_sampling else {}
     # Both make the valleys too shallow, so the errors add linearly.
@@ -542,30 +527,7 @@ def _unresolved_corners(
         "A": abs(fits.amplitude.value) * (of_drop + abs(by_sampling)),
         "K_N_per_mm": abs(float(events["K_N_per_mm"].median())) * of_k,
     }
-    if facts.lowpass_doubt == "shape":
-        by_lowpass = _larger(by_lowpass, _settling(fits, facts.central_part, events, refit))
     return {"low_pass": by_lowpass}
-
-
-def _larger(first: Mapping[str, float | None], second: Mapping[str, float | None]) -> dict[str, float | None]:
-    return {name: max(one or 0.0, second.get(name) or 0.0) for name, one in first.items()}
-
-
-def _settling(
-    fits: ModelFits,
-    part: float,
-    events: pd.DataFrame,
-    refit: Callable[[pd.DataFrame], dict[str, float]],
-) -> dict[str, float | None]:
-    """What an unknown filter, or ringing, may change, after which the load settles within the sticks: as much
-    as the fit to the slopes of their central 30 % differs from that to the central `part`, noise aside."""
-    later = refit(events.assign(K_N_per_mm=events["K30_N_per_mm"]))
-    noise = (part / 0.3) ** 3 - 1  # variance that the narrower part adds, over that of the whole
-    return {
-        name: float(np.sqrt(max((later[name] - one.value) ** 2 - noise * one.error**2, 0.0)))
-        for name, one in fits.named().items()
-        if np.isfinite(later[name])
-    }
 
 
 def _drop_lost_by_sampling(force: xr.Dataset, events: pd.DataFrame) -> float:
