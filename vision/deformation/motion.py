@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -36,7 +36,6 @@ from vision.deformation.common_mode import (
     repeated_bends,
 )
 from vision.deformation.creep import (
-    AR1Noise,
     Creep,
     LateSlips,
     StickFrames,
@@ -153,18 +152,14 @@ def horizontal_deformation(
     start, stop = (events[name].to_numpy(float) for name in ("t_v_s", "t_p_s"))
     every = frames_of_sticks(time, start, stop, margin_s=0.0, interval_s=interval)
     frames = frames_of_sticks(time, start, stop, margin_s=margin, interval_s=interval)
-    measured = _measure(tracks, events, frames, pixel, common_mode, settings)
-    motion, noise = measured.motion, measured.noise
+    motion, found = _measure(tracks, events, frames, pixel, common_mode, settings)
     motion["frames_left_out"] = "event", every.counts - frames.counts, MOTION["frames_left_out"].attrs
     facts = MotionMetadata(
         source=source,
         pixel_size_um=pixel,
         margin_s=margin,
         interval_s=interval,
-        noise_share=noise.share,
-        noise_rho=noise.rho,
-        camera_movement=measured.camera_movement,
-        warnings=[*warnings, *measured.warnings],
+        **found | {"warnings": [*warnings, *found["warnings"]]},
     )
     return record(
         motion.assign_attrs(facts.attrs()),
@@ -303,15 +298,6 @@ def _uninterrupted(
 # --- measurement --------------------------------------------------------------------------------------------
 
 
-class _Deformation(NamedTuple):
-    """The deformation, the correlation of its noise, what was subtracted as the camera's, and warnings."""
-
-    motion: xr.Dataset
-    noise: AR1Noise
-    camera_movement: str
-    warnings: list[str]
-
-
 def _measure(
     tracks: xr.Dataset,
     events: pd.DataFrame,
@@ -319,8 +305,8 @@ def _measure(
     pixel_um: float,
     common_mode: bool,
     settings: DeformationSettings,
-) -> _Deformation:
-    """Measure the deformation in the usable frames."""
+) -> tuple[xr.Dataset, dict[str, Any]]:
+    """Measure the deformation in the usable frames; also return fields of `MotionMetadata`."""
     x_px, side = np.asarray(tracks["x_px"].values, float)[frames.frame], tracks["side"].values
     terms = 4 if np.median(frames.counts) >= settings.cubic_frames else 3
     steady = _without_locking(x_px, tracks, frames, terms, settings)
@@ -369,7 +355,12 @@ def _measure(
     }
     index = {"event": events["event"].to_numpy(), "sheet": tracks["sheet"].values}
     motion = xr.Dataset(declared, index).set_coords(list(coords))
-    return _Deformation(motion, noise.correlation, camera.movement if camera else "not subtracted", warnings)
+    return motion, {
+        "noise_share": noise.correlation.share,
+        "noise_rho": noise.correlation.rho,
+        "camera_movement": camera.movement if camera else "not subtracted",
+        "warnings": warnings,
+    }
 
 
 def _relative_to_length(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 from numpy.polynomial.legendre import legvander
@@ -105,14 +105,16 @@ def find_corners(
     base = _Baselines.of(seen, two_slopes, settings)
     high, middle, low = _crossings(seen.load, seen.edge, base)
     stick = np.diff(seen.edge)
-    length = 2 * nan_median(np.fmin(middle - high, low - middle))
+    halves = np.stack([middle - high, low - middle])
+    length = 2 * nan_median(np.fmin(*halves))
     if stick.size and length < settings.shape_slip * np.median(stick):
         # Slow noise explains that the curvatures of the sticks scatter: they then count as bent alike.
         shape = Shape.of(seen.load, seen.edge, signal.slow is not None, settings)
-        if shape.begin or shape.end:
+        if shape.ends.any():
             base = _Baselines.of(seen, two_slopes, settings, shape)
             high, middle, low = _crossings(seen.load, seen.edge, base)
-    before, after, usual = _half_lengths(seen, base, middle - high, low - middle, settings)
+            halves = np.stack([middle - high, low - middle])
+    (before, after), usual = _half_lengths(seen, base, halves, settings)
     middle = middle - seen.late
     last = seen.load.size - 1.0
     return Corners(
@@ -129,41 +131,36 @@ def find_corners(
 
 
 def _half_lengths(
-    seen: _DeconvolvedLoad, base: _Baselines, onset: Floats, end: Floats, settings: ForceSettings
-) -> tuple[Floats, Floats, float]:
-    """Return how long each slip lasts before and after its middle, in samples, and the usual whole length.
+    seen: _DeconvolvedLoad, base: _Baselines, halves: Floats, settings: ForceSettings
+) -> tuple[Floats, float]:
+    """Return how long each slip lasts before and after its middle, (2, slip), and the usual whole length.
 
-    `onset` and `end` are the samples from 90 to 50 % and from 50 to 10 % of the drop. The individual length
-    of a slip is used where its drop exceeds 20 sigma, else the median of the recording. Where the median is
-    too short to be resolved, slips count as half as long as they appear on average, but slow ones keep their
-    own length.
+    `halves` are the samples from 90 to 50 % and from 50 to 10 % of the drop. The individual length of a slip
+    is used where its drop exceeds 20 sigma, else the median of the recording. Where the median is too short
+    to be resolved, slips count as half as long as they appear on average, but slow ones keep their own
+    length.
     """
     # Sampling and smoothing widen even a sudden drop: its 90 % and 50 % crossings are 0.4 samples apart, and
     # more where deconvolution leaves a sample part of the way down. This blur is subtracted in squares.
     blur = np.hypot(0.4 * seen.width, 0.5 if seen.late else 0.0)
-    onset, end = (np.sqrt(np.maximum(part**2 - blur**2, 0.0)) for part in (onset, end))
-    usual_onset, usual_end = (float(np.nan_to_num(nan_median(part))) for part in (onset, end))
+    halves = np.sqrt(np.maximum(halves**2 - blur**2, 0.0))
+    usual = np.nan_to_num(nan_median(halves, axis=1))[:, np.newaxis]
     # A single slow slip among sudden ones has its own length. A drift lengthens one half of a sudden one.
     sticks = np.diff(np.r_[0, seen.edge, seen.load.size])
-    beside = np.minimum(sticks[:-1], sticks[1:])
-    slow = 2 * np.minimum(onset, end) > _HALF_COSINE * settings.slow_slip * beside
+    slow = 2 * halves.min(axis=0) > _HALF_COSINE * settings.slow_slip * np.minimum(sticks[:-1], sticks[1:])
     clear = base.drop > 20 * seen.sigma  # noise scatters the lengths of smaller slips
-    clear &= np.isfinite(onset) & np.isfinite(end)
+    clear &= np.isfinite(halves).all(axis=0)
     # In averages, sticks that begin steeply look like slips of half the averaged time.
-    if usual_onset + usual_end < max(1.0, 0.2 * seen.averaged):
+    if usual.sum() < max(1.0, 0.2 * seen.averaged):
         # Not resolved: few slips have a sample within, so that the mean tells the length, not the median.
         # Half of it may come from the sampling, or from a low-pass too short to detect.
-        several = (onset + end)[clear & ~slow]
-        mean = float(np.minimum(several, 2.0).mean()) if several.size else usual_onset + usual_end
-        usual_onset = usual_end = 0.25 * mean
-        onset, end = np.where(slow, onset, usual_onset), np.where(slow, end, usual_end)
-    onset = np.where(clear, onset, usual_onset)
-    end = np.where(clear, np.where(slow, end, np.minimum(end, usual_end * 2)), usual_end)
-    return (
-        _half_from_crossing(onset, base.before_slope, base.drop),
-        _half_from_crossing(end, base.after_slope, base.drop),
-        (usual_onset + usual_end) / _HALF_COSINE,
-    )
+        several = halves.sum(axis=0)[clear & ~slow]
+        mean = np.minimum(several, 2.0).mean() if several.size else usual.sum()
+        usual = np.full((2, 1), 0.25 * mean)
+        halves = np.where(slow, halves, usual)
+    halves[1] = np.where(slow, halves[1], np.minimum(halves[1], 2 * usual[1]))
+    halves = np.where(clear, halves, usual)
+    return _half_from_crossing(halves, base.slope, base.drop), float(usual.sum()) / _HALF_COSINE
 
 
 @dataclass(frozen=True)
@@ -247,43 +244,39 @@ def _errors(seen: _DeconvolvedLoad, drop: Floats, length: float, settings: Force
 
 @dataclass(frozen=True)
 class _Baselines:
-    """The stick lines before and after each edge: their slopes, and values half a sample before the edge."""
+    """The stick lines before and after each edge, (2, edge)."""
 
-    before: Floats
-    before_slope: Floats
-    after: Floats
-    after_slope: Floats
-    knee: Floats
+    level: Floats  # value half a sample before the edge
+    slope: Floats
+    knee: Floats  # position in each stick, (edge + 1,); NaN for none
     shape: Shape
 
     @property
     def drop(self) -> Floats:
         """Difference of the lines before and after each edge."""
-        return self.before - self.after
+        return np.asarray(self.level[0] - self.level[1], np.float64)
 
     @classmethod
     def of(
         cls, seen: _DeconvolvedLoad, two_slopes: bool, settings: ForceSettings, shape: Shape | None = None
     ) -> _Baselines:
         """Fit straight lines, lines with a knee where they fit clearly better, or lines of a common shape."""
-        y, edge = seen.load, seen.edge
+        y, edge, shape = seen.load, seen.edge, shape or Shape()
         lines = stick_lines(y, edge, settings)
-        here = np.asarray(edge - 0.5, dtype=float)
         # Edges at begin and end of each stick; the first stick has no begin, the last no end.
-        begin, end = np.insert(here, 0, np.nan), np.append(here, np.nan)
-        shape = shape or Shape()
-        rise = np.nan_to_num(lines.slope * (end - begin))
-        at_begin, at_end = lines.at(begin) + shape.begin * rise, lines.at(end) + shape.end * rise
-        early, late = lines.slope, lines.slope
+        begin, end = ends = np.stack([np.r_[np.nan, edge - 0.5], np.r_[edge - 0.5, np.nan]])
+        level = lines.at(ends) + shape.ends * np.nan_to_num(lines.slope * (end - begin))
+        slope = np.stack([lines.slope, lines.slope])
         knee = np.full(edge.size + 1, np.nan)
         if two_slopes:
             middles = stick_middles(edge, y.size, settings)
             broken = fit_broken_lines(np.arange(y.size, dtype=float), y, *middles)
             bent = (broken.gain > settings.knee_gain) & (broken.first > 0) & (broken.second > 0)
             knee = np.where(bent, broken.knee_x, np.nan)
-            at_begin, early = np.where(bent, [broken.first_at(begin), broken.first], [at_begin, early])
-            at_end, late = np.where(bent, [broken.second_at(end), broken.second], [at_end, late])
-        return cls(at_end[:-1], late[:-1], at_begin[1:], early[1:], knee, shape)
+            level = np.where(bent, [broken.first_at(begin), broken.second_at(end)], level)
+            slope = np.where(bent, [broken.first, broken.second], slope)
+        # The end of a stick lies before an edge, the begin of the next one after it.
+        return cls(*(np.stack([part[1, :-1], part[0, 1:]]) for part in (level, slope)), knee, shape)
 
 
 def _crossings(y: Floats, edge: Ints, base: _Baselines) -> tuple[Floats, Floats, Floats]:
@@ -291,8 +284,8 @@ def _crossings(y: Floats, edge: Ints, base: _Baselines) -> tuple[Floats, Floats,
     reach = np.maximum((0.3 * np.diff(np.r_[0, edge, y.size])).astype(np.int64), 2)  # into either stick
     row, index = flat_ranges(np.maximum(edge - reach[:-1], 0), np.minimum(edge + reach[1:], y.size - 1))
     # Both stick lines end at the edge, so that lines of different slope do not cross.
-    slope = np.where(index < edge[row], base.before_slope[row], base.after_slope[row])
-    line = base.after[row] + slope * (index - edge[row] + 0.5)
+    slope = base.slope[(index >= edge[row]).astype(np.int64), row]
+    line = base.level[1, row] + slope * (index - edge[row] + 0.5)
     u = (y[index] - line) / base.drop[row]
     middle = _half_way(u, row, index, edge.size)
     # A slip interrupted by the next one may never reach 50 %: its middle is then the steepest drop.
@@ -338,15 +331,13 @@ def _interpolated(u: Floats, index: Ints, level: float, at: Ints) -> Floats:
 
 @dataclass(frozen=True)
 class Shape:
-    """Deviation of curved sticks from their lines at either end, as a share of the lines' rise.
+    """Deviation of curved sticks from their lines at begin and end, (2, 1), as a share of the lines' rise.
 
     It is common to all sticks of a recording, and 0 where they are straight.
     """
 
-    begin: float = 0.0
-    end: float = 0.0
-    begin_error: float = 0.0  # of a single stick, whose curvature may differ from the common one
-    end_error: float = 0.0
+    ends: Floats = field(default_factory=lambda: np.zeros((2, 1)))
+    errors: Floats = field(default_factory=lambda: np.zeros((2, 1)))  # of a single stick, which may differ
     difference_error: float = 0.0  # of end minus begin: a bend moves both alike
     spread: float = 0.0  # root mean square of the deviations within `line_part`
 
@@ -370,8 +361,8 @@ class Shape:
         reach = float(np.median(length[some] / (stop - 1 - start)[some]))
         ends = legvander(np.array([-reach, reach]), 4)[:, 2:]
         kept = np.where(clear, middle, 0.0)
-        begin, end = (ends * kept).sum(axis=1)
-        if not clear.any() or max(abs(begin), abs(end)) > 1.0:  # no stick deviates that far
+        off = (ends * kept).sum(axis=1)
+        if not clear.any() or np.abs(off).max() > 1.0:  # no stick deviates that far
             return cls()
         # What the terms left out, and those beyond the last, may add: as much as the last one.
         unknown = np.where(clear & (np.arange(2, 5) < 4), standard, np.abs(middle))
@@ -384,9 +375,8 @@ class Shape:
         difference = ends[1] - ends[0]
         difference[2] = np.hypot(*ends[:, 2])  # stands for all terms beyond
         errors = np.linalg.norm(np.vstack([ends, difference]) * unknown, axis=1)
-        begin_error, end_error, difference_error = map(float, errors)
-        spread = np.sqrt(np.sum(kept**2 / (2 * np.arange(2, 5) + 1)))
-        return cls(float(begin), float(end), begin_error, end_error, difference_error, float(spread))
+        spread = float(np.sqrt(np.sum(kept**2 / (2 * np.arange(2, 5) + 1))))
+        return cls(off[:, np.newaxis], errors[:2, np.newaxis], float(errors[2]), spread)
 
 
 # --- recorded extremes --------------------------------------------------------------------------------------

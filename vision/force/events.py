@@ -569,7 +569,7 @@ def _metadata(
         **shares,
         filter_s=widened * signal.interval_s,
         two_slopes=analysis.corners.two_slopes,
-        bend_share=analysis.corners.shape.begin,
+        bend_share=float(analysis.corners.shape.ends[0, 0]),
         hum_Hz=signal.hum[0].frequency / signal.interval_s if signal.hum else float("nan"),
         hum_N=rms_of(signal.hum),
         regime=analysis.regime.name,

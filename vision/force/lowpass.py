@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -201,68 +200,28 @@ class _Blocks:
     def fit(self, tau: float, knee: float) -> tuple[float, Floats]:
         """Return the squared residuals of all rows and the heights of the transients.
 
-        tau in blocks; knee as a share of the stick.
+        tau in blocks, 0 for no transient; knee as a share of the stick, 1 for none.
         """
-        fitted, _ = self._parabola.with_column(self._hinges(tau, (knee,)))
-        fitted, length = fitted.with_column(self._transient(tau))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return fitted.squares, fitted.along[:, -1] / length
+        block = np.arange(float(self.load.shape[1]))
+        begin = self.valley - (tau - self.corrected / self.size)  # the low-pass delays the end of the slip
+        at_knee = begin + knee * (self.peak - begin)
+        hinge = lagged_hinge(block - at_knee[:, None], tau) if knee < 1 else np.zeros_like(self.load)
+        transient = np.broadcast_to(np.exp(-block / tau) if tau else np.zeros_like(block), self.load.shape)
+        columns = np.concatenate([self._parabola, np.stack([hinge, transient], axis=1)], axis=1)
+        columns = columns * self.known[:, None]
+        products = columns @ columns.swapaxes(1, 2)
+        # Columns may be 0, or depend on each other.
+        products += np.eye(5) * np.maximum(1e-12 * products, np.finfo(float).tiny)
+        solution = np.linalg.solve(products, columns @ self.load[..., None])
+        residual = self.load - (solution.swapaxes(1, 2) @ columns)[:, 0]
+        return float(np.sum(residual**2)), solution[:, 4, 0]
 
     def over_knees(self, tau: float) -> list[float]:
         """Return the squared residuals for each of the knees; tau in blocks, 0 for no transient."""
-        common = self._parabola
-        if tau:
-            common, _ = common.with_column(self._transient(tau))
-        _, along, _ = common.beside(self._hinges(tau, self.knees[:-1]))
-        return [*(common.squares - np.square(along).sum(axis=0)), common.squares]
+        return [self.fit(tau, knee)[0] for knee in self.knees]
 
     @cached_property
-    def _parabola(self) -> _Directions:
-        """A parabola fitted to each row."""
+    def _parabola(self) -> Floats:
+        """The powers 0 to 2 of the time in the stick, (stick, 3, block)."""
         u = (np.arange(float(self.load.shape[1])) - self.valley[:, None]) / (self.peak - self.valley)[:, None]
-        fitted = _Directions(self.load, np.empty((len(u), 0, u.shape[1])), np.empty((len(u), 0)))
-        for power in range(3):
-            fitted, _ = fitted.with_column((u**power * self.known)[:, None])
-        return fitted
-
-    def _hinges(self, tau: float, knees: Sequence[float]) -> Floats:
-        """Return what rises linearly from each of the knees on, after the low-pass: (stick, knee, block)."""
-        begin = self.valley - (tau - self.corrected / self.size)  # the low-pass delays the end of the slip
-        at_knee = begin[:, None] + np.asarray(knees) * (self.peak - begin)[:, None]
-        block = np.arange(float(self.load.shape[1]))
-        return lagged_hinge(block - at_knee[..., None], tau) * self.known[:, None]
-
-    def _transient(self, tau: float) -> Floats:
-        return (np.exp(-np.arange(float(self.load.shape[1])) / tau) * self.known)[:, None]
-
-
-@dataclass(frozen=True)
-class _Directions:
-    """Orthonormal directions in the space of each row, and the load along them.
-
-    Gram-Schmidt treats all rows at once; LAPACK's QR of each small matrix takes three times as long.
-    """
-
-    load: Floats  # (row, block)
-    directions: Floats  # (row, direction, block)
-    along: Floats  # (row, direction)
-
-    def beside(self, columns: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return the direction of what each column (row, column, block) has beside the directions, 0 if that
-        is only rounding; the load along it; and the norm of this part."""
-        rest = columns - (columns @ self.directions.swapaxes(1, 2)) @ self.directions
-        length = np.linalg.norm(rest, axis=2)
-        independent = length > 1e-6 * np.linalg.norm(columns, axis=2)  # less is rounding, magnified
-        new = rest * np.divide(1, length, out=np.zeros_like(length), where=independent)[..., None]
-        return new, (new @ self.load[..., None])[..., 0], length
-
-    def with_column(self, column: Floats) -> tuple[_Directions, Floats]:
-        """Add the direction of one column, (row, 1, block); return the norm of its new part, too."""
-        new, along, length = self.beside(column)
-        directions = np.concatenate([self.directions, new], axis=1)
-        return _Directions(self.load, directions, np.concatenate([self.along, along], axis=1)), length[:, 0]
-
-    @property
-    def squares(self) -> float:
-        """Squared residuals of all rows."""
-        return float(np.sum(self.load**2) - np.sum(np.square(self.along)))
+        return u[:, None] ** np.arange(3.0)[:, None]

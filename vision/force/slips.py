@@ -159,9 +159,7 @@ def _jumps_upward(
     y = load.y
     bounds = np.r_[0, edge, y.size]
     whole = np.flatnonzero(np.diff(bounds) > 2 * settings.few_samples)
-    _, residual, _ = fit_polynomials(y, bounds[whole], bounds[whole + 1], 2)
-    mirrored = y.copy()
-    mirrored[flat_ranges(bounds[whole], bounds[whole + 1])[1]] -= 2 * residual
+    mirrored = y - 2 * _about_parabolas(y, bounds[whole], bounds[whole + 1])
     half = _half_widths(_local_period(edge, y.size), settings)
     peaks = _peaks(_step_filter(mirrored, half), half, sigma, settings)
     # The slips themselves are excluded. An upward jump must also show between the lines through the load.
@@ -191,12 +189,9 @@ def missed_slips(
     first, last = first[whole], last[whole]
     if not first.size:
         return 0, 0.0
-    residual = np.zeros(y.size)
-    inside = flat_ranges(first, last)[1]
-    residual[inside] = fit_polynomials(y, first, last, 2)[1]
     wide = half[first]
     searched = flat_ranges(first + np.maximum(wide, (last - first) // 5), last - wide)[1]
-    step = np.nan_to_num(_step_filter(residual, half)[searched])
+    step = np.nan_to_num(_step_filter(_about_parabolas(y, first, last), half)[searched])
     usual = float(np.median(stick_drops(y, edge, settings)))
     least = np.maximum(
         settings.threshold_sigmas * sigma * np.sqrt(2 / half[searched]), settings.close_share * usual
@@ -209,6 +204,13 @@ def missed_slips(
     if excess < max(1.0, 4 * np.sqrt(down.size + up.size)):
         return 0, 0.0
     return excess, float(np.median(step[np.isin(searched, down)]))
+
+
+def _about_parabolas(y: Floats, start: Ints, stop: Ints) -> Floats:
+    """Return the deviations of the load from a parabola fitted to each stretch; 0 outside the stretches."""
+    residual = np.zeros(y.size)
+    residual[flat_ranges(start, stop)[1]] = fit_polynomials(y, start, stop, 2)[1]
+    return residual
 
 
 def upward_share(y: Floats, edge: Ints, settings: ForceSettings) -> float:

@@ -309,7 +309,7 @@ def _ends(signal: Signal, sticks: _Sticks, time: Floats, shape: Shape) -> _Ends:
     line = fit_lines(signal.time, signal.spikeless, *central, lag=sticks.lag)
     bent, duration = np.isfinite(sticks.knee), time[1] - time[0]
     rise = np.maximum(line.slope * duration, 0.0)
-    force = line.at(time) + np.array([[shape.begin], [shape.end]]) * rise
+    force = line.at(time) + shape.ends * rise
     if bent.any():
         broken = sticks.broken(signal.time, signal.spikeless)
         force = np.where(bent, [broken.first_at(time[0]), broken.second_at(time[1])], force)
@@ -318,10 +318,9 @@ def _ends(signal: Signal, sticks: _Sticks, time: Floats, shape: Shape) -> _Ends:
     noise = np.sqrt(signal.alike) * np.fmax(straight, np.fmin(line.spread, signal.sigma))
     if not sticks.lag:
         noise = noise * np.where(bent, 1.0, _unevenness(signal, line, *central, noise, sticks.settings))
-    of_shape = np.array([[shape.begin_error], [shape.end_error]]) * rise
     return _Ends(
         force,
-        error=np.hypot(np.hypot(noise * line.lever(time), of_shape), signal.wander),
+        error=np.hypot(np.hypot(noise * line.lever(time), shape.errors * rise), signal.wander),
         rise=np.abs(line.slope) * signal.interval_at(sticks.position),
         slope=line.slope,
         error_rise=np.hypot(noise / np.sqrt(line.sxx) * duration, shape.difference_error * rise),

@@ -159,8 +159,7 @@ def read_rheometer(path: str | Path) -> list[pd.DataFrame]:
 class _Block:
     """One interval of a result."""
 
-    result: str
-    line: int  # line of the file at which the result begins, which distinguishes results of one name
+    line: int  # line of the file at which its result begins, which distinguishes results of one name
     name: str
     number: str  # of the interval, as the file gives it
     names: list[str] = field(default_factory=list)  # of the columns
@@ -204,23 +203,22 @@ def _intervals(lines: list[str], starts: list[int], results: list[int]) -> list[
     """The intervals of a RheoCompass export."""
     marks = [_mark(line) for line in lines]
     blocks: list[_Block] = []
-    for start in starts:
+    for place, start in enumerate(starts, 1):
         stop = next(
             (k for k in range(start + 1, len(lines)) if marks[k] not in ("", "Interval data:")), len(lines)
         )
         before = max((k for k in results if k < start), default=-1)
         separator = _separator(lines[start])
         result = "" if before < 0 else _words(lines[before], separator)[1]
-        announced = _words(lines[start], separator)
-        header = next((k for k in range(start, stop) if marks[k] == "Interval data:"), None)
-        number = announced[1] or str(len(blocks) + 1)
-        name = f"{result or 'result'}, interval {number}"
-        if header is None or header + 1 >= stop:
-            problem = "no 'Interval data:' with columns and rows"
-            blocks.append(_Block(result, before, name, number, problem=problem))
+        _, number, announced, *_ = _words(lines[start], separator)
+        number = number or str(place)
+        block = _Block(before, f"{result or 'result'}, interval {number}", number)
+        header = next((k for k in range(start, stop) if marks[k] == "Interval data:"), stop)
+        if header + 1 >= stop:
+            block.problem = "no 'Interval data:' with columns and rows"
         else:
-            interval = _Block(result, before, name, number)
-            blocks.append(_read_interval(interval, lines[header:stop], announced[2]))
+            _read_interval(block, lines[header:stop], announced)
+        blocks.append(block)
     repeated = {b.name for b in blocks if sum(b.name == other.name for other in blocks) > 1}
     for place, block in enumerate(blocks, 1):
         if block.name in repeated:
@@ -233,26 +231,24 @@ def _words(line: str, separator: str) -> list[str]:
     return [*(cell.strip().strip('"').strip() for cell in line.split(separator)), "", ""]
 
 
-def _read_interval(block: _Block, lines: list[str], announced: str) -> _Block:
+def _read_interval(block: _Block, lines: list[str], announced: str) -> None:
     """Fill an interval: a row of names, rows of which the last has the units in brackets, then data.
 
     announced: number of points, as written.
     """
     cells = _cells(lines, _separator(lines[0])).map(str.strip)
-    names = [str(cell) for cell in cells.iloc[0, 1:]]
-    units = [""] * len(names)
+    block.names = [str(cell) for cell in cells.iloc[0, 1:]]
+    block.units = [""] * len(block.names)
     first = 1
     for row in range(1, min(4, len(cells))):
         written = [str(cell) for cell in cells.iloc[row, 1:]]
         if any(cell.startswith("[") for cell in written):
-            units, first = written, row + 1
+            block.units, first = written, row + 1
             break
     data = cells.iloc[first:, 1:].reset_index(drop=True)
-    data = data[(data != "").any(axis=1)]
-    block.names, block.units, block.cells = names, units, data
+    data = block.cells = data[(data != "").any(axis=1)]
     if announced.isdecimal() and int(announced) != len(data):
         block.warnings.append(f"{block.name} announces {announced} points and has {len(data)}")
-    return block
 
 
 def _plain_table(path: Path, lines: list[str]) -> _Block:
@@ -270,7 +266,7 @@ def _plain_table(path: Path, lines: list[str]) -> _Block:
     first = 1
     if len(cells) > 1 and not any(units) and not any(_is_number(str(cell)) for cell in cells.iloc[1]):
         units, first = [str(cell) for cell in cells.iloc[1]], 2
-    return _Block("", -1, path.stem, "1", names, units, cells.iloc[first:].reset_index(drop=True))
+    return _Block(-1, path.stem, "1", names, units, cells.iloc[first:].reset_index(drop=True))
 
 
 def _looks_like_header(line: str) -> bool:
