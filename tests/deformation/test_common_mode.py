@@ -8,7 +8,7 @@ import pytest
 from tests.scenes.creeping import PIXEL_UM, Clock, errors, make, measure, profile, relaxing, uniform
 from vision.data import warnings_of
 from vision.deformation import DeformationSettings, horizontal_deformation
-from vision.deformation.common_mode import BothSides, common_mode_motion, common_mode_noise_factor
+from vision.deformation.common_mode import BothSides, common_mode_motion
 from vision.shells import classify_shells
 
 
@@ -328,10 +328,10 @@ def test_common_movement_of_quiet_and_noisy_sheets():
     shake = 0.1 * rng.standard_normal(400)
     residual = shake[:, None] + spread * rng.standard_normal((400, 12))
     residual[100:110, 3] += 50.0
-    found = common_mode_motion(residual, DeformationSettings())
+    found, _ = common_mode_motion(residual, DeformationSettings())
     assert np.std(found - shake) < 0.02
     assert np.abs(found - shake)[100:110].max() < 0.05
-    few = common_mode_motion(residual[:, :4], DeformationSettings())
+    few, _ = common_mode_motion(residual[:, :4], DeformationSettings())
     np.testing.assert_array_equal(few, 0)
 
 
@@ -339,10 +339,11 @@ def test_noise_that_goes_with_the_common_movement():
     """A failure means that the noise of few sheets is understated by what their mean takes from each."""
     noise = 0.05 * np.random.default_rng(3).standard_normal((4000, 6))
     settings = DeformationSettings()
-    left = noise - common_mode_motion(noise, settings)[:, None]
-    regained = left.var(axis=0) * common_mode_noise_factor(noise, settings)
+    motion, factor = common_mode_motion(noise, settings)
+    left = noise - motion[:, None]
+    regained = left.var(axis=0) * factor
     np.testing.assert_allclose(regained, 0.05**2, rtol=0.1)
-    np.testing.assert_array_equal(common_mode_noise_factor(noise[:, :3], settings), 1)
+    np.testing.assert_array_equal(common_mode_motion(noise[:, :3], settings)[1], 1)
 
 
 @pytest.mark.parametrize("shift", [-1, 0, 2])

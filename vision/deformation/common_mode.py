@@ -23,36 +23,27 @@ LEAST_REPEATS = 5  # values from which a sheet's own movement is told: fewer do 
 # --- vibration ----------------------------------------------------------------------------------------------
 
 
-def common_mode_motion(residual: Floats, settings: DeformationSettings) -> Floats:
+def common_mode_motion(residual: Floats, settings: DeformationSettings) -> tuple[Floats, Floats]:
     """Common motion in each frame beyond the creep, px, (F,); 0 in frames with too few sheets.
 
     It is the mean of the residuals about the creep of each sheet, px, (F, sheet), weighted by the inverse of
-    each sheet's variance, without outliers.
+    each sheet's variance, without outliers. Also returns the factor on each sheet's noise variance that
+    restores what subtracting this motion removes, (sheet,).
     """
-    spread, weight = _spread_and_weight(residual)
+    spread = nan_median(np.abs(residual))
+    typical = nan_median(spread)
+    spread = np.maximum(spread, 0.1 * typical if typical > 0 else 1e-6)
+    weight = np.where(np.isfinite(spread), spread**-2, 0.0)
     with np.errstate(invalid="ignore"):
         deviation = np.abs(residual - nan_median(residual, axis=1)[:, None])
         known = (deviation <= 8 * spread) & (weight > 0)  # outliers do not move with the others
     enough = known.sum(axis=1) >= settings.least_sheets
     total = (known * weight).sum(axis=1)
     moved = np.where(known, residual, 0.0) @ weight
-    return np.asarray(np.divide(moved, total, out=np.zeros_like(total), where=enough))
-
-
-def common_mode_noise_factor(residual: Floats, settings: DeformationSettings) -> Floats:
-    """Factor on each sheet's noise variance to restore what `common_mode_motion` removes, (sheet,)."""
-    _, weight = _spread_and_weight(residual)
+    motion = np.divide(moved, total, out=np.zeros_like(total), where=enough)
     if (weight > 0).sum() < settings.least_sheets:
-        return np.ones(weight.size)
-    return np.asarray(1 / (1 - np.minimum(weight / weight.sum(), 0.5)))
-
-
-def _spread_and_weight(residual: Floats) -> tuple[Floats, Floats]:
-    """Median residual of each sheet, px, and its inverse square, (sheet,); the weight is 0 where unknown."""
-    spread = nan_median(np.abs(residual))
-    typical = nan_median(spread)
-    spread = np.maximum(spread, 0.1 * typical if typical > 0 else 1e-6)
-    return spread, np.where(np.isfinite(spread), spread**-2, 0.0)
+        return motion, np.ones(weight.size)
+    return motion, np.asarray(1 / (1 - np.minimum(weight / weight.sum(), 0.5)))
 
 
 def camera_pushes(x_px: Floats, frames: StickFrames, settings: DeformationSettings) -> Floats:

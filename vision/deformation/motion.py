@@ -30,7 +30,6 @@ from vision.deformation.common_mode import (
     breathing,
     camera_pushes,
     common_mode_motion,
-    common_mode_noise_factor,
     drift_model,
     own_movement,
     repeated_bends,
@@ -438,8 +437,8 @@ def _without_vibration(
     and the factor on each sheet's noise variance that restores what the subtraction removed."""
     unpushed = x_px - camera_pushes(x_px, frames, settings)[:, None]
     residual = unpushed - fit_creep(unpushed, frames, terms, settings).at(frames)
-    vibration = common_mode_motion(residual, settings)
-    return unpushed - vibration[:, None], vibration, common_mode_noise_factor(residual, settings)
+    vibration, factor = common_mode_motion(residual, settings)
+    return unpushed - vibration[:, None], vibration, factor
 
 
 def _rms(x_px: Floats, frames: StickFrames) -> Floats:
