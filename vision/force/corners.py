@@ -276,7 +276,8 @@ class _Baselines:
             level = np.where(bent, [broken.first_at(begin), broken.second_at(end)], level)
             slope = np.where(bent, [broken.first, broken.second], slope)
         # The end of a stick lies before an edge, the begin of the next one after it.
-        return cls(*(np.stack([part[1, :-1], part[0, 1:]]) for part in (level, slope)), knee, shape)
+        level, slope = (np.stack([part[1, :-1], part[0, 1:]]) for part in (level, slope))
+        return cls(level, slope, knee, shape)
 
 
 def _crossings(y: Floats, edge: Ints, base: _Baselines) -> tuple[Floats, Floats, Floats]:

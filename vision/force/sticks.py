@@ -137,7 +137,7 @@ def measure_sticks(
     )
     marks = {
         "falling": ~(ends.slope > 0),
-        "slow": _beside(slow).any(axis=0),
+        "slow": slow[:-1] | slow[1:],
         "still": _beside_standstill(signal, valley, peak, settings),
     }
     return table.assign(flag=_event_flags(signal, sticks, corners, marks))

@@ -488,16 +488,15 @@ def _with_systematics(
         slope = events["K_N_per_mm"] + load_N / span
         return refit(events.assign(F_p_N=events["F_p_N"] + ramp, K_N_per_mm=slope))
 
+    def resized(name: str) -> Callable[[float], dict[str, float]]:
+        size = getattr(fits.sample, name)
+        return lambda by_mm: refit(events, replace(fits.sample, **{name: size + by_mm}))
+
     unknown: dict[str, float | None] = dict.fromkeys((*PARAMETERS, "K_N_per_mm"))
     budget = {"d0": by(shifted, d0_err) if np.isfinite(d0_err) else unknown}
     budget["load_drift"] = by(drifted, drift) | {"T0_N": drift}
     budget |= _unresolved_corners(fits, force, events, refit)
-    for name, error in geometry.items():
-        size = getattr(fits.sample, name)
-        budget[name] = by(
-            lambda by_mm, name=name, size=size: refit(events, replace(fits.sample, **{name: size + by_mm})),
-            error,
-        )
+    budget |= {name: by(resized(name), error) for name, error in geometry.items()}
 
     def systematic(name: str, estimate: Estimate) -> Estimate:
         parts = [part for source in budget.values() if (part := source[name]) is not None]
