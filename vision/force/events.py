@@ -403,7 +403,7 @@ def _above_swings(signal: Signal, slips: Slips, settings: ForceSettings) -> tupl
     if small.any():
         slow = is_slow(find_corners(signal, slips, settings=settings), settings)
         if slow[small].mean() >= 0.5:
-            slips = slips.above(gap, "gap")
+            slips = slips.kept(~small, gap, "gap")
             spread = float(nan_median(stick_lines(signal.clean, slips.edge, settings).spread))
             signal = with_slow_noise(replace(signal, sigma=max(signal.sigma, spread)), slips, settings)
     return signal, slips
@@ -429,11 +429,9 @@ def _above_slow_noise(signal: Signal, slips: Slips, settings: ForceSettings) -> 
             break
         keep[keep] = above
         least = max(settings.threshold_sigmas * float(np.median(drop / now)), slips.threshold)
-        clear = replace(slips, edge=slips.edge[keep], drop=slips.drop[keep], threshold=least)
+        clear = slips.kept(keep, least, "noise")
         signal = with_slow_noise(signal, clear, settings)
-    if not keep.all():
-        slips = replace(clear, threshold_how="noise", left_out=slips.drop[~keep])
-    return signal, slips
+    return signal, slips if keep.all() else clear
 
 
 def _drop_errors(slow: SlowNoise, edge: Ints, size: int, settings: ForceSettings) -> Floats:

@@ -16,7 +16,7 @@ from vision.data import ThresholdHow
 from vision.errors import counted
 from vision.force.lines import LEAST_FOR_KNEE, FittedLoad, Lines, bend_squares, fit_polynomials
 from vision.force.settings import ForceSettings
-from vision.numeric import Floats, Ints, flat_ranges, nan_median
+from vision.numeric import Bools, Floats, Ints, flat_ranges, nan_median
 from vision.signals import enforce_distance, find_maxima, running_median
 
 
@@ -41,9 +41,8 @@ class Slips:
         """Median samples from slip to slip; NaN with fewer than two."""
         return float(np.median(np.diff(self.edge))) if self.edge.size > 1 else float("nan")
 
-    def above(self, threshold: float, how: ThresholdHow) -> Slips:
-        """Return the slips whose drops reach a threshold above that which found them."""
-        keep = self.drop >= threshold
+    def kept(self, keep: Bools, threshold: float, how: ThresholdHow) -> Slips:
+        """Return some of the slips, above a higher threshold, and the others as left out."""
         return replace(
             self,
             edge=self.edge[keep],
