@@ -40,19 +40,18 @@ def find_lowpass(signal: Signal, slips: Slips, plain: Corners, settings: ForceSe
     # No sign of a transient: slow noise wanders like one after some of the slips.
     if found is None or found.gain <= 2.5 * signal.alike:
         return Lowpass()
+
+    def corrected(samples: float) -> Corners:
+        return find_corners(signal, slips, lowpass=samples, two_slopes=plain.two_slopes, settings=settings)
+
     # Corrected corners show the transients from their begin, so a low-pass must be found there again.
     for _ in range(3):
-        corners = find_corners(
-            signal, slips, lowpass=found.samples, two_slopes=plain.two_slopes, settings=settings
-        )
-        transients = corners.transients()
+        transients = corrected(found.samples).transients()
         again = estimate_lowpass(y, transients, found.samples)
         if again is None:
             break
         if again.confirms(found, settings):
-            corners = find_corners(
-                signal, slips, lowpass=again.samples, two_slopes=plain.two_slopes, settings=settings
-            )
+            corners = corrected(again.samples)
             if not _same_everywhere(y, transients, again.samples, settings):
                 return Lowpass(again.samples, corners, "differs")
             return Lowpass(again.samples, corners, "shape" if _have_tails(corners, settings) else "")
@@ -92,9 +91,8 @@ class LowpassEstimate:
     """A time constant and the evidence for it."""
 
     samples: float  # the time constant
-    gain: (
-        float  # decrease of the squared residuals over that which one more parameter a stick gives by chance
-    )
+    # Decrease of the squared residuals over that which one more parameter a stick gives by chance.
+    gain: float
     # Transients extrapolated to the middle of their slips, over the drops: the median, and the interquartile
     # range over the median. A low-pass leaves transients of equal height, half of the drop or more.
     height: float
