@@ -248,7 +248,7 @@ class SimulateOptions:
     """Replace an earlier synthetic test."""
     quiet: Flag = False
     """Print no progress bar and no summary."""
-    seed: int | None = _sets("seed")
+    seed: int | None = None
     """Seed of the random numbers: the same seed gives the same data."""
     duration: float | None = _sets("camera.duration_s")
     """Length of the video, s."""

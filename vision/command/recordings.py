@@ -99,13 +99,13 @@ def modulus(file: Path, options: ModulusOptions, output: OutputOptions) -> int:
     columns = parse_columns(options.force_columns) if options.force_columns else None
     with known_as(columns="force_columns"):
         force = read_force(file, columns=columns)
-    typed = {
-        f"{name}_mm": (getattr(options, name), flag_of(name)) for name in ("thickness", "width", "length")
-    }
-    sizes = {name: parse_with_error(text, option) for name, (text, option) in typed.items()}
-    given: dict[str, Any] = {name: size for name, (size, _) in sizes.items()}
-    sheet = Sample(**given)
-    sheet_err = {name: error for name, (_, error) in sizes.items() if error is not None}
+    size: dict[str, Any] = {}
+    sheet_err: dict[str, float] = {}
+    for name in ("thickness", "width", "length"):
+        size[f"{name}_mm"], error = parse_with_error(getattr(options, name), flag_of(name))
+        if error is not None:
+            sheet_err[f"{name}_mm"] = error
+    sheet = Sample(**size)
     cycles = measure_cycles(
         force,
         sheet=sheet,
@@ -122,7 +122,7 @@ def modulus(file: Path, options: ModulusOptions, output: OutputOptions) -> int:
     content = {
         **means,
         "cycles": len(cycles),
-        "sheet": {name: getattr(sheet, name) for name in typed},
+        "sheet": size,
         "sheet_err": sheet_err,
         "clamp_distance_from": measured.clamp_distance_from,
         "machine_stiffness_N_per_mm": options.machine_stiffness,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -37,23 +38,24 @@ def friction_figure(
         if law is not None
         else " Too few measurements to fit the law: the publication's thresholds are shown."
     )
-    return Figure(
-        name="friction",
-        title="Friction of two sheets",
-        caption=(
+    return _side_by_side(
+        "friction",
+        "Friction of two sheets",
+        (
             "Left: μ = 3τ/2RN against the angle, larger loads brighter, with the first maximum of each, μ_s; "
             "shaded: range over which μ_d is the mean. Middle: both coefficients against the normal force, "
             f"with standard errors.{fitted} Right: static friction force at the loads inside the blocks, "
             "with a constant coefficient and with this law. Compare figure 10 of the publication."
         ),
-        panels=(
-            _angle_panel(measured, dynamic_deg),
-            _coefficient_panel(measured, law, mu),
-            _threshold_panel(law, mu),
-        ),
-        columns=3,
-        width_in=13.0,
+        _angle_panel(measured, dynamic_deg),
+        _coefficient_panel(measured, law, mu),
+        _threshold_panel(law, mu),
     )
+
+
+def _side_by_side(name: str, title: str, caption: str, *panels: Panel) -> Figure:
+    high = tuple(replace(panel, aspect=0.9) for panel in panels)
+    return Figure(name=name, title=title, caption=caption, panels=high, columns=len(panels), width_in=13.0)
 
 
 def _angle_panel(measured: Sequence[DiscFriction], dynamic_deg: tuple[float, float]) -> Panel:
@@ -79,7 +81,6 @@ def _angle_panel(measured: Sequence[DiscFriction], dynamic_deg: tuple[float, flo
         x_range=(least_deg, max(last, 10 * least_deg)),
         y_range=(0.0, 1.15 * top) if top else None,
         x_log=True,
-        aspect=0.9,
     )
 
 
@@ -104,7 +105,6 @@ def _coefficient_panel(measured: Sequence[DiscFriction], law: StaticFriction | N
         y_range=(0.0, 1.2 * top),
         x_range=(float(at[0]), float(at[-1])),
         x_log=True,
-        aspect=0.9,
     )
 
 
@@ -127,7 +127,6 @@ def _threshold_panel(law: StaticFriction | None, mu: float) -> Panel:
         x_range=(float(load.min()), float(load.max())),
         x_log=True,
         y_log=True,
-        aspect=0.9,
     )
 
 
@@ -144,22 +143,18 @@ def modulus_figure(force: xr.Dataset, cycles: pd.DataFrame) -> Figure:
     load = force["load_N"].to_numpy().astype(float)
     if np.isfinite(facts.machine_stiffness_N_per_mm):
         delta = delta - load / facts.machine_stiffness_N_per_mm
-    return Figure(
-        name="modulus",
-        title="Young's modulus of one sheet",
-        caption=(
+    return _side_by_side(
+        "modulus",
+        "Young's modulus of one sheet",
+        (
             f"Left: force against the distance of the clamps, {len(cycles)} loading branches with the fitted "
             "parts F = kΔ + F0 in colour. Middle: the branches less their lines; shaded: the fitted range. "
             "Right: modulus of each cycle with its standard error, and the means (dashed). Compare figure 11 "
             "of the publication."
         ),
-        panels=(
-            _cycles_panel(delta, load, cycles),
-            _branches_panel(force, delta, load, cycles),
-            _moduli(cycles),
-        ),
-        columns=3,
-        width_in=13.0,
+        _cycles_panel(delta, load, cycles),
+        _branches_panel(force, delta, load, cycles),
+        _moduli(cycles),
     )
 
 
@@ -175,7 +170,6 @@ def _cycles_panel(delta: Floats, load: Floats, cycles: pd.DataFrame) -> Panel:
         x_label="distance of the clamps Δ (mm)",
         y_label="F (N)",
         series=tuple(series),
-        aspect=0.9,
     )
 
 
@@ -203,7 +197,6 @@ def _branches_panel(force: xr.Dataset, delta: Floats, load: Floats, cycles: pd.D
         bands=(Band(low=low, high=high, label="fitted", of_x=True),),
         x_range=view,
         y_range=(-reach, reach),
-        aspect=0.9,
     )
 
 
@@ -226,5 +219,4 @@ def _moduli(cycles: pd.DataFrame) -> Panel:
         y_label="Young's modulus (GPa)",
         series=tuple(series),
         whole_numbers=True,
-        aspect=0.9,
     )

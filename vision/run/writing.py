@@ -39,6 +39,8 @@ from vision.systematics import systematic_budget
 FAILURES = "failures.txt"
 CORRECTIONS = "corrections.toml"
 COUNTS = ("expected", "read", "lost", "blank", "corrupt")
+# facts about the strip that other entries of run.json hold
+ELSEWHERE = {"warnings", "strip_z0", "strip_z1", "strip_how", "tilt_deg", "clock_kind", "clock_file", "fps"}
 
 
 def write_run(
@@ -178,21 +180,9 @@ def _video_facts(analysis: Analysis) -> dict[str, Any]:
     assert tracks is not None
     recording = asdict(StripMetadata.of(tracks))
     frames = {name: recording.pop(f"frames_{name}") for name in COUNTS}
-    elsewhere = (
-        "warnings",
-        "strip_z0",
-        "strip_z1",
-        "strip_how",
-        "tilt_deg",
-        "clock_kind",
-        "clock_file",
-        "fps",
-    )
-    for name in elsewhere:
-        recording.pop(name)
     return {
         "found": findings(tracks),
-        "recording": recording,
+        "recording": {name: value for name, value in recording.items() if name not in ELSEWHERE},
         "frames": frames,
         "positions": flag_counts(tracks),
         "noise": noise_figures(tracks, analysis.pixel_size_um),
