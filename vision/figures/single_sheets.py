@@ -54,6 +54,7 @@ def friction_figure(
 
 
 def _side_by_side(name: str, title: str, caption: str, *panels: Panel) -> Figure:
+    """Return a figure with these panels in one row, nearly square."""
     high = tuple(replace(panel, aspect=0.9) for panel in panels)
     return Figure(name=name, title=title, caption=caption, panels=high, columns=len(panels), width_in=13.0)
 
