@@ -198,21 +198,26 @@ class _Blocks:
     def fit(self, tau: float, knee: float) -> tuple[float, Floats]:
         """Return the squared residuals of all rows and the heights of the transients.
 
-        tau in blocks, 0 for no transient; knee as a share of the stick, 1 for none.
+        tau in blocks, 0 for no transient; knee as a share of the stick, 1 for none. As each stick has a
+        parabola of its own, the others are fitted to what it leaves, by normal equations.
         """
         block = np.arange(float(self.load.shape[1]))
         begin = self.valley - (tau - self.corrected / self.size)  # the low-pass delays the end of the slip
         at_knee = begin + knee * (self.peak - begin)
-        hinge = lagged_hinge(block - at_knee[:, None], tau) if knee < 1 else np.zeros_like(self.load)
-        transient = np.broadcast_to(np.exp(-block / tau) if tau else np.zeros_like(block), self.load.shape)
-        columns = np.concatenate([self._parabola, np.stack([hinge, transient], axis=1)], axis=1)
-        columns = columns * self.known[:, None]
+        columns: Floats = np.zeros((len(self.load), 2, len(block)))
+        if knee < 1:
+            columns[:, 0] = lagged_hinge(block - at_knee[:, None], tau) * self.known
+        if tau:
+            columns[:, 1] = np.exp(-block / tau) * self.known
+        squares = np.square(columns).sum(axis=2)
+        columns -= (columns @ self._parabola) @ self._parabola.swapaxes(1, 2)
         products = columns @ columns.swapaxes(1, 2)
-        # Columns may be 0, or depend on each other.
-        products += np.eye(5) * np.maximum(1e-12 * products, np.finfo(float).tiny)
-        solution = np.linalg.solve(products, columns @ self.load[..., None])
-        residual = self.load - (solution.swapaxes(1, 2) @ columns)[:, 0]
-        return float(np.sum(residual**2)), solution[:, 4, 0]
+        # Columns may be 0, or depend on each other or on the parabola.
+        products[:, [0, 1], [0, 1]] += np.maximum(1e-12 * squares, np.finfo(float).tiny)
+        along = (columns @ self._beyond_parabola[..., None])[..., 0]
+        solution = np.linalg.solve(products, along[..., None])[..., 0]
+        residual = self._beyond_parabola - (solution[:, None] @ columns)[:, 0]
+        return float(np.sum(residual**2)), np.asarray(solution[:, 1], np.float64)
 
     def over_knees(self, tau: float) -> list[float]:
         """Return the squared residuals for each of the knees; tau in blocks, 0 for no transient."""
@@ -220,6 +225,13 @@ class _Blocks:
 
     @cached_property
     def _parabola(self) -> Floats:
-        """The powers 0 to 2 of the time in the stick, (stick, 3, block)."""
+        """Orthonormal parabolas of the time in the stick, (stick, block, 3)."""
         u = (np.arange(float(self.load.shape[1])) - self.valley[:, None]) / (self.peak - self.valley)[:, None]
-        return u[:, None] ** np.arange(3.0)[:, None]
+        powers = u[..., None] ** np.arange(3.0) * self.known[..., None]
+        return np.asarray(np.linalg.qr(powers)[0], np.float64)
+
+    @cached_property
+    def _beyond_parabola(self) -> Floats:
+        """The load less a parabola fitted to each stick, (stick, block)."""
+        along = self._parabola.swapaxes(1, 2) @ self.load[..., None]
+        return self.load - (self._parabola @ along)[..., 0]
