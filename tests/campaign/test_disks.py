@@ -12,7 +12,12 @@ from vision.campaign.jobs import _source, copy_or_give_up
 from vision.campaign.plan import State, make_plan, vanished_rows, write_state
 from vision.errors import InputError
 
-SHORT = CampaignSettings(answer_s=0.2)
+
+@pytest.fixture(autouse=True)
+def short_wait(monkeypatch):
+    """A disk is given up after 0.2 s."""
+    for module in ("films", "plan", "jobs"):
+        monkeypatch.setattr(f"vision.campaign.{module}.SETTINGS", CampaignSettings(answer_s=0.2))
 
 
 @pytest.fixture
@@ -47,7 +52,6 @@ def test_a_table_whose_disk_dies_ends_in_one_line(tmp_path, dies, name, asked):
             options=("force",),
             check=lambda _: Checked(values={}),
             name_of=lambda p: p.stem,
-            settings=SHORT,
         )
     assert ("table.csv" if name == "table.csv" else "t0.tif" if name == "f.csv" else name) in str(
         caught.value
@@ -60,17 +64,17 @@ def test_a_plan_whose_disk_dies_ends_in_one_line(tmp_path, dies, asked):
     paths = films(tmp_path, 2)
     dies(paths[1], asked)
     with pytest.raises(InputError, match=r"t1\.tif: expected a disk .* no answer for 0\.2 s"):
-        make_plan(rows(paths), tmp_path / "out", settings=SHORT)
+        make_plan(rows(paths), tmp_path / "out")
 
 
 @pytest.mark.parametrize("asked", ["iterdir", "is_dir"])
 def test_a_watched_folder_whose_disk_dies_ends_in_one_line(tmp_path, dies, asked):
     """A failure means that a campaign that watches a camera's folder stands still, unnoticed."""
     folder = films(tmp_path / "camera", 1)[0].parent
-    watch = FolderWatch(folder, SHORT)
+    watch = FolderWatch(folder)
     dies(folder, asked)
     with pytest.raises(InputError, match=r"camera: expected a disk .* no answer for 0\.2 s"):
-        FolderWatch(folder, SHORT) if asked == "is_dir" else watch.rows([], lambda _: None)
+        FolderWatch(folder) if asked == "is_dir" else watch.rows([], lambda _: None)
 
 
 def test_a_film_that_left_a_folder_whose_disk_dies(tmp_path, dies):
@@ -82,7 +86,7 @@ def test_a_film_that_left_a_folder_whose_disk_dies(tmp_path, dies):
     write_state(plan.out, State(name="t0", key=plan.films[0].key, state="done"))
     dies(paths[0], "exists")
     with pytest.raises(InputError, match=r"camera: expected a disk .* no answer for 0\.2 s"):
-        vanished_rows(tmp_path / "out", lambda _: Checked(values={}), tmp_path / "camera", settings=SHORT)
+        vanished_rows(tmp_path / "out", lambda _: Checked(values={}), tmp_path / "camera")
 
 
 def test_a_film_whose_disk_dies_before_it_is_copied(tmp_path, dies):
@@ -91,7 +95,7 @@ def test_a_film_whose_disk_dies_before_it_is_copied(tmp_path, dies):
     film = planned(tmp_path / "out", paths).films[0]
     dies(paths[0], "is_file")
     told = pytest.raises(InputError, match=r"t0\.tif: expected a disk .* no answer for 0\.2 s")
-    with told, _source(film, {}, SHORT.answer_s, stage=True):
+    with told, _source(film, {}, stage=True):
         pass
 
 

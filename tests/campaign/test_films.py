@@ -6,7 +6,7 @@ import pytest
 
 from tests.campaign.scenes import films, table
 from tests.scenes.comb_video import frames_of, positions, write_video
-from vision.campaign.films import CampaignSettings, FolderWatch, Row, read_campaign, safe_name
+from vision.campaign.films import FolderWatch, Row, read_campaign, safe_name
 from vision.command.campaign import _checker
 from vision.command.main import run
 from vision.command.options import SETTINGS
@@ -205,9 +205,6 @@ def test_names_are_one_part_of_a_path_and_one_line():
 # --- a folder that is watched -------------------------------------------------------------------------------
 
 
-TUNING = CampaignSettings(still_seconds=10.0, abandoned_seconds=600.0)
-
-
 class Clock:
     """Seconds that a test sets."""
 
@@ -228,7 +225,7 @@ def complete(watch):
 
 def test_a_film_is_taken_when_it_stands_still(tmp_path, clock):
     """A failure means that half a film is analysed, or that a film is never taken."""
-    watch = FolderWatch(tmp_path, TUNING, clock)
+    watch = FolderWatch(tmp_path, clock)
     whole = write_video(tmp_path / "whole.tif", frames_of(positions(30))).read_bytes()
     film = tmp_path / "film.tif"
     film.write_bytes(whole[:20_000])
@@ -248,7 +245,7 @@ def test_a_film_is_taken_when_it_stands_still(tmp_path, clock):
 
 def test_a_cut_film_is_taken_in_the_end(tmp_path, clock):
     """The camera's computer failed: nobody will finish this film, and it should be named."""
-    watch = FolderWatch(tmp_path, TUNING, clock)
+    watch = FolderWatch(tmp_path, clock)
     content = write_video(tmp_path / "t.tif", frames_of(positions(30))).read_bytes()
     (tmp_path / "t.tif").write_bytes(content[:30_000])
     assert complete(watch) == []
@@ -260,7 +257,7 @@ def test_a_cut_film_is_taken_in_the_end(tmp_path, clock):
 
 def test_two_files_of_one_recording_come_together(tmp_path, clock):
     """A failure means that frames are analysed before the file that says what they are has come."""
-    watch = FolderWatch(tmp_path, TUNING, clock)
+    watch = FolderWatch(tmp_path, clock)
     (tmp_path / "p.mraw").write_bytes(bytes(100))
     clock.now = 700.0
     assert complete(watch) == []
@@ -268,7 +265,7 @@ def test_two_files_of_one_recording_come_together(tmp_path, clock):
 
 def test_rows_wait_for_all_their_files(tmp_path, clock):
     """A failure means that a film is analysed without the force recording that its row names."""
-    watch = FolderWatch(tmp_path, TUNING, clock)
+    watch = FolderWatch(tmp_path, clock)
     film = write_video(tmp_path / "t.tif", frames_of(positions(30)))
     for name in ("t.tiff", "other.tif"):
         (tmp_path / name).write_bytes(film.read_bytes())

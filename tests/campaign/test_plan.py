@@ -102,15 +102,14 @@ def film(name, seconds):
 
 def test_short_films_share_jobs_and_long_ones_do_not():
     """A failure means that starts of processes take longer than the films, or that cores idle at the end."""
-    tuning = CampaignSettings()
-    jobs = share([film(f"s{k}", 1.0) for k in range(200)] + [film("long", 600.0)], 1.0, 2, tuning)
+    jobs = share([film(f"s{k}", 1.0) for k in range(200)] + [film("long", 600.0)], 1.0, 2)
     assert [f.name for f in jobs[0]] == ["long"]
     sizes = [len(job) for job in jobs[1:]]
     assert sizes == [25] * 8  # even, and enough of them that both cores end together
     assert sum(sizes) == 200
-    assert len(share([film(f"s{k}", 1.0) for k in range(6)], 1.0, 2, tuning)) == 2
+    assert len(share([film(f"s{k}", 1.0) for k in range(6)], 1.0, 2)) == 2
     # what was measured counts: with films twenty times as slow each is a job
-    assert len(share([film(f"s{k}", 2.0) for k in range(6)], 20.0, 2, tuning)) == 6
+    assert len(share([film(f"s{k}", 2.0) for k in range(6)], 20.0, 2)) == 6
 
 
 def test_a_plan_is_read_as_it_was_written(tmp_path):
@@ -226,10 +225,11 @@ def test_planning_again_reads_no_film(tmp_path, monkeypatch):
     assert read == []
 
 
-def test_a_batch_system_is_asked_for_minutes(tmp_path):
+def test_a_batch_system_is_asked_for_minutes(tmp_path, monkeypatch):
     """A film of ten minutes with the start of its process, doubled for safety, and five minutes for a slow
     start: 25 minutes.  A failure means that jobs are cut off, or wait for hours in a queue."""
     tuning = CampaignSettings(base_seconds=590.0, start_seconds=9.5, margin=2.0, spare_minutes=5)
-    (job,) = make_plan(rows(films(tmp_path, 1)), tmp_path / "out", settings=tuning).jobs.values()
+    monkeypatch.setattr("vision.campaign.plan.SETTINGS", tuning)
+    (job,) = make_plan(rows(films(tmp_path, 1)), tmp_path / "out").jobs.values()
     assert job.seconds == pytest.approx(599.5, abs=0.1)
     assert job.minutes == 25

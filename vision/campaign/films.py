@@ -85,6 +85,9 @@ class CampaignSettings:
     """Width of the pictures in index.html. Larger ones slow the page down with hundreds of films."""
 
 
+SETTINGS = CampaignSettings()
+
+
 # --- the table ----------------------------------------------------------------------------------------------
 
 
@@ -150,7 +153,6 @@ def read_campaign(
     check: Check,
     name_of: Callable[[Path], str],
     awaited: Path | None = None,
-    settings: CampaignSettings = CampaignSettings(),
 ) -> tuple[tuple[Row, ...], tuple[Problem, ...]]:
     """Read a table of films; return the rows without problems, and the problems in order of the rows.
 
@@ -173,7 +175,7 @@ def read_campaign(
         If the file is not a table or has no rows, or a disk does not answer.
     """
     read = partial(table_cells, path, "a CSV table with a column film")
-    header, lines = answered(read, path, settings.answer_s)
+    header, lines = answered(read, path, SETTINGS.answer_s)
     columns, problems = _columns(header, ("film", "name", *FACTS, *options))
     rows: list[Row] = []
     for line, cells in lines:
@@ -181,7 +183,7 @@ def read_campaign(
         given = {name: cell.strip() for name, cell in pairs if name and cell.strip()}
         base = path.absolute().parent
         read_row = partial(_row, line, given, base, check, name_of, awaited)
-        row, found = answered(read_row, base / given.get("film", ""), settings.answer_s)
+        row, found = answered(read_row, base / given.get("film", ""), SETTINGS.answer_s)
         if any(cell.strip() for cell in cells[len(columns) :]):
             found.append(("", f"expected {len(columns)} cells; found {len(cells)}"))
         problems += [Problem(row=line, column=column, text=text) for column, text in found]
@@ -318,18 +320,12 @@ class FolderWatch:
     Raises: InputError if it is not a folder, and from `rows` if its disk does not answer.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        settings: CampaignSettings = CampaignSettings(),
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        is_folder, exists = answered(lambda: (folder.is_dir(), folder.exists()), folder, settings.answer_s)
+    def __init__(self, folder: Path, clock: Callable[[], float] = time.monotonic) -> None:
+        is_folder, exists = answered(lambda: (folder.is_dir(), folder.exists()), folder, SETTINGS.answer_s)
         if not is_folder:
             found = "a file" if exists else "no such folder"
             raise InputError(folder, "a folder to watch", found, "check the path")
         self.folder = folder
-        self._settings = settings
         self._clock = clock
         self._seen: dict[Path, tuple[Stamp, float]] = {}
 
@@ -343,20 +339,20 @@ class FolderWatch:
             ages = [self._unchanged_for(file) for file in video_files(film)]
         except InputError:
             return False  # one of the two files of a recording is still to come
-        if min(ages) < self._settings.still_seconds:
+        if min(ages) < SETTINGS.still_seconds:
             return False
         try:
             whole = not open_video(film).reader.facts.warnings
         except InputError:
             whole = False
-        return whole or min(ages) >= self._settings.abandoned_seconds
+        return whole or min(ages) >= SETTINGS.abandoned_seconds
 
     def rows(self, table: Sequence[Row], new: Callable[[Path], Row]) -> list[Row]:
         """Return the rows of the table whose files no longer change, and rows for complete films not in it.
 
         `new` makes a row for such a film; films of the same name (a.avi, a.mp4) keep their endings.
         """
-        return answered(lambda: self._rows(table, new), self.folder, self._settings.answer_s)
+        return answered(lambda: self._rows(table, new), self.folder, SETTINGS.answer_s)
 
     def _rows(self, table: Sequence[Row], new: Callable[[Path], Row]) -> list[Row]:
         named = {Path(row.film).resolve() for row in table}
@@ -376,7 +372,7 @@ class FolderWatch:
         ages = [self._unchanged_for(file) for file in given if self._in_folder(file)]
         film = Path(row.film)
         complete = not self._in_folder(film) or self.complete(film)
-        return complete and min(ages, default=math.inf) >= self._settings.still_seconds
+        return complete and min(ages, default=math.inf) >= SETTINGS.still_seconds
 
     def _in_folder(self, file: Path) -> bool:
         return file.parent.resolve() == self.folder.resolve()

@@ -25,7 +25,7 @@ from typing import Literal
 
 from PIL import Image
 
-from vision.campaign.films import CampaignSettings, is_remote
+from vision.campaign.films import SETTINGS, is_remote
 from vision.campaign.plan import PLAN, Plan, PlannedFilm, State, Word, inputs_of, write_plan, write_state
 from vision.campaign.results import page_age, write_page, write_partitions
 from vision.errors import InputError, install_advice
@@ -186,7 +186,6 @@ def _last_line(log: Path) -> str:
 # --- one job ------------------------------------------------------------------------------------------------
 
 
-SETTINGS = CampaignSettings()
 STATE_OF_STATUS: dict[int, Word] = {0: "done", 1: "warnings"}  # others: partial
 
 
@@ -303,7 +302,7 @@ def _try_to_write(out: Path, state: State) -> None:
 def _run_one(plan: Plan, film: PlannedFilm, work: Work, copies: dict[str, Path]) -> State:
     """Analyse one film, write its tables for the pool and its thumbnail, and return its state."""
     target = plan.run_of(film.name)
-    with _source(film, copies, SETTINGS.answer_s, stage=plan.stage) as source:
+    with _source(film, copies, stage=plan.stage) as source:
         outcome = work(film, source, target)
     state = State(name=film.name, state="failed", reason=outcome.reason)
     if outcome.analysis is None or not is_run(target):
@@ -320,7 +319,7 @@ def _run_one(plan: Plan, film: PlannedFilm, work: Work, copies: dict[str, Path])
 
 
 @contextmanager
-def _source(film: PlannedFilm, copies: dict[str, Path], answer_s: float, *, stage: bool) -> Iterator[Path]:
+def _source(film: PlannedFilm, copies: dict[str, Path], *, stage: bool) -> Iterator[Path]:
     """Return the path to read a film from: its own, Snakemake's copy, or a copy on the node's local disk.
 
     Raises: InputError if the disk has no room for the copy, or the film's disk stops answering.
@@ -331,21 +330,21 @@ def _source(film: PlannedFilm, copies: dict[str, Path], answer_s: float, *, stag
         yield copies[film.film]
         return
     path = Path(film.film)
-    if not stage or not answered(path.is_file, path, answer_s):
+    if not stage or not answered(path.is_file, path, SETTINGS.answer_s):
         yield path
         return
 
     def sizes() -> dict[Path, int]:
         return {file: file.stat().st_size for file in inputs_of(film.film, {}) if file.is_file()}
 
-    files = answered(sizes, path, answer_s)
+    files = answered(sizes, path, SETTINGS.answer_s)
     room, needed = shutil.disk_usage(tempfile.gettempdir()).free, sum(files.values())
     if needed > 0.95 * room:
         wanted, found = f"room for {needed / 1e9:.1f} GB of {path.name}", f"{room / 1e9:.1f} GB free"
         raise InputError(tempfile.gettempdir(), wanted, found, "set TMPDIR")
     with tempfile.TemporaryDirectory(prefix="track-") as folder:
         for file in files:
-            copy_or_give_up(file, Path(folder) / file.name, answer_s)
+            copy_or_give_up(file, Path(folder) / file.name, SETTINGS.answer_s)
         yield Path(folder) / path.name
 
 

@@ -19,7 +19,7 @@ from typing import Any, Literal
 import numpy as np
 
 import vision
-from vision.campaign.films import PATHS, CampaignSettings, Check, Row, is_remote
+from vision.campaign.films import PATHS, SETTINGS, Check, Row, is_remote
 from vision.errors import InputError
 from vision.files import Stamp, answered, reading, shortened
 from vision.folder import plain, whole_file, write_json
@@ -160,7 +160,6 @@ def make_plan(
     stage: bool = False,
     report: bool = True,
     cores: int = 1,
-    settings: CampaignSettings = CampaignSettings(),
     keep: bool = True,
 ) -> Plan:
     """Fingerprint the films, estimate their time and memory, and divide the unfinished ones into jobs.
@@ -172,9 +171,7 @@ def make_plan(
     """
     check_folder(out)
     known = read_if_whole(out / FINGERPRINTS)  # if not, all files are read again
-    films = [
-        answered(partial(_film, row, known, settings), Path(row.film), settings.answer_s) for row in rows
-    ]
+    films = [answered(partial(_film, row, known), Path(row.film), SETTINGS.answer_s) for row in rows]
     if keep:
         with whole_file(out / FINGERPRINTS) as path:
             write_json(known, path)
@@ -182,15 +179,13 @@ def make_plan(
     factor = _time_correction(plan)
     waiting = [film for film in films if plan.finished(film) is None]
     jobs = {
-        _digest([(film.name, film.key) for film in job])[:12]: _job(job, factor, settings)
-        for job in share(waiting, factor, cores, settings)
+        _digest([(film.name, film.key) for film in job])[:12]: _job(job, factor)
+        for job in share(waiting, factor, cores)
     }
     return replace(plan, jobs=jobs)
 
 
-def vanished_rows(
-    out: Path, check: Check, folder: Path, *, settings: CampaignSettings = CampaignSettings()
-) -> list[Row]:
+def vanished_rows(out: Path, check: Check, folder: Path) -> list[Row]:
     """Return rows for finished films of the earlier plan that have since left the watched folder.
 
     `check` converts options into values, as for the table.  Raises: InputError if the plan is damaged or the
@@ -214,7 +209,7 @@ def vanished_rows(
             facts=film.facts,
         )
         for film in plan.films
-        if plan.finished(film) is not None and answered(partial(has_left, film), folder, settings.answer_s)
+        if plan.finished(film) is not None and answered(partial(has_left, film), folder, SETTINGS.answer_s)
     ]
 
 
@@ -262,15 +257,15 @@ def read_plan(path: Path) -> Plan:
 # --- one film -----------------------------------------------------------------------------------------------
 
 
-def _film(row: Row, known: dict[str, Any], settings: CampaignSettings) -> PlannedFilm:
+def _film(row: Row, known: dict[str, Any]) -> PlannedFilm:
     values = {name: value for name, value in row.values.items() if name not in PATHS}
     remote = is_remote(row.film)
     contents = [] if remote else [_fingerprint(path, known) for path in inputs_of(row.film, row.values)]
     facts = _header(row)
     megasamples = facts.get("frames", 0) * facts.get("columns", 0) / 1e6
-    per_megasample = settings.seconds_per_megasample
-    per_megasample += facts.get("rows", 0) / 1000 * settings.seconds_per_gigapixel
-    fixed = settings.base_seconds + settings.force_seconds * (row.values.get("force") is not None)
+    per_megasample = SETTINGS.seconds_per_megasample
+    per_megasample += facts.get("rows", 0) / 1000 * SETTINGS.seconds_per_gigapixel
+    fixed = SETTINGS.base_seconds + SETTINGS.force_seconds * (row.values.get("force") is not None)
     return PlannedFilm(
         name=row.name,
         film=row.film,
@@ -278,7 +273,7 @@ def _film(row: Row, known: dict[str, Any], settings: CampaignSettings) -> Planne
         facts=dict(row.facts),
         key=_digest([LAYOUT, row.film if remote else "", contents, values]),
         seconds=round(fixed + megasamples * per_megasample, 2),
-        memory_mb=math.ceil(settings.base_memory_mb + megasamples * settings.memory_mb_per_megasample),
+        memory_mb=math.ceil(SETTINGS.base_memory_mb + megasamples * SETTINGS.memory_mb_per_megasample),
         **facts,
     )
 
@@ -341,9 +336,7 @@ def _time_correction(plan: Plan) -> float:
     return float(np.clip(np.median(ratios), 0.2, 20.0)) if len(ratios) > 2 else 1.0
 
 
-def share(
-    films: Iterable[PlannedFilm], factor: float, cores: int, settings: CampaignSettings
-) -> list[list[PlannedFilm]]:
+def share(films: Iterable[PlannedFilm], factor: float, cores: int) -> list[list[PlannedFilm]]:
     """Divide films into jobs: each long film has its own, short films share one.
 
     Shared jobs are long enough for their start not to dominate, and short enough for all cores to finish at
@@ -352,21 +345,21 @@ def share(
     """
     alone, short = [], []
     for film in sorted(films, key=lambda film: -film.seconds):
-        if film.seconds * factor >= settings.job_seconds / 2 or is_remote(film.film):
+        if film.seconds * factor >= SETTINGS.job_seconds / 2 or is_remote(film.film):
             alone.append([film])
         else:
             short.append(film)
     total = factor * sum(film.seconds for film in short)
-    even = min(cores * settings.jobs_per_core, max(cores, int(total / settings.least_job_seconds)))
-    count = max(even, math.ceil(total / settings.job_seconds))
+    even = min(cores * SETTINGS.jobs_per_core, max(cores, int(total / SETTINGS.least_job_seconds)))
+    count = max(even, math.ceil(total / SETTINGS.job_seconds))
     return alone + [part for k in range(count) if (part := short[k::count])]
 
 
-def _job(films: Sequence[PlannedFilm], factor: float, settings: CampaignSettings) -> Job:
-    seconds = settings.start_seconds + factor * sum(film.seconds for film in films)
+def _job(films: Sequence[PlannedFilm], factor: float) -> Job:
+    seconds = SETTINGS.start_seconds + factor * sum(film.seconds for film in films)
     return Job(
         films=tuple(film.name for film in films),
         seconds=round(seconds, 1),
         memory_mb=max(film.memory_mb for film in films),
-        minutes=math.ceil(settings.margin * seconds / 60) + settings.spare_minutes,
+        minutes=math.ceil(SETTINGS.margin * seconds / 60) + SETTINGS.spare_minutes,
     )

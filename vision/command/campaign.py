@@ -22,6 +22,7 @@ from vision.campaign.films import (
     read_campaign,
     safe_name,
 )
+from vision.campaign.films import SETTINGS as CAMPAIGN
 from vision.campaign.jobs import Outcome, run_job
 from vision.campaign.plan import (
     Plan,
@@ -180,7 +181,7 @@ def _dry_run(plan: Plan, cores: int) -> int:
     say(in_columns(lines, "<<"))
     seconds = [job.seconds for job in plan.jobs.values()]
     memory = max((job.memory_mb for job in plan.jobs.values()), default=0)
-    once = jobs.SETTINGS.campaign_seconds if seconds else 0.0
+    once = CAMPAIGN.campaign_seconds if seconds else 0.0
     total, longest = sum(seconds) + once, max(sum(seconds) / cores, *seconds, 0.0) + once
     films, jobs_ = counted(len(plan.films), "film"), counted(len(plan.jobs), "job")
     line = (
