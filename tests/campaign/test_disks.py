@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.campaign.scenes import films, planned, rows, table
-from vision.campaign.films import CampaignSettings, Checked, FolderWatch, read_campaign
+from vision.campaign.films import CampaignSettings, FolderWatch, read_campaign
 from vision.campaign.jobs import _source, copy_or_give_up
 from vision.campaign.plan import State, make_plan, vanished_rows, write_state
 from vision.errors import InputError
@@ -50,7 +50,7 @@ def test_a_table_whose_disk_dies_ends_in_one_line(tmp_path, dies, name, asked):
         read_campaign(
             file,
             options=("force",),
-            check=lambda _: Checked(values={}),
+            check=lambda _: ({}, []),
             name_of=lambda p: p.stem,
         )
     assert ("table.csv" if name == "table.csv" else "t0.tif" if name == "f.csv" else name) in str(
@@ -86,7 +86,7 @@ def test_a_film_that_left_a_folder_whose_disk_dies(tmp_path, dies):
     write_state(plan.out, State(name="t0", key=plan.films[0].key, state="done"))
     dies(paths[0], "exists")
     with pytest.raises(InputError, match=r"camera: expected a disk .* no answer for 0\.2 s"):
-        vanished_rows(tmp_path / "out", lambda _: Checked(values={}), tmp_path / "camera")
+        vanished_rows(tmp_path / "out", lambda _: ({}, []), tmp_path / "camera")
 
 
 def test_a_film_whose_disk_dies_before_it_is_copied(tmp_path, dies):

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.campaign.scenes import films, planned, rows
-from vision.campaign.films import CampaignSettings, Checked
+from vision.campaign.films import CampaignSettings
 from vision.campaign.plan import (
     PlannedFilm,
     State,
@@ -68,7 +68,7 @@ def test_films_that_were_done_and_moved_away_stay_in_the_pool(tmp_path):
     finish(plan, "t0", "t2")
     for path in paths[:2]:
         path.unlink()
-    gone = vanished_rows(out, lambda options: Checked(values={}), tmp_path / "camera")
+    gone = vanished_rows(out, lambda options: ({}, []), tmp_path / "camera")
     assert [row.name for row in gone] == ["t0"]  # t1 was never done, t2 is still there
     after = make_plan([*gone, *rows(paths[2:])], out)
     assert [film.key for film in after.films] == [plan.film(name).key for name in ("t0", "t2")]

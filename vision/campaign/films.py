@@ -125,15 +125,8 @@ class Row:
     facts: Mapping[str, Any] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Checked:
-    """Options of one row as the command line validates them, and (column, text) of each error."""
-
-    values: Mapping[str, Any]
-    problems: Sequence[tuple[str, str]] = ()
-
-
-Check = Callable[[Mapping[str, str]], Checked]
+Check = Callable[[Mapping[str, str]], tuple[Mapping[str, Any], Sequence[tuple[str, str]]]]
+"""Returns the options of one row as the command line validates them, and (column, text) of each error."""
 
 
 def is_remote(film: str) -> bool:
@@ -240,13 +233,13 @@ def _row(
             options[name] = str(base / options[name])
             if not Path(options[name]).is_file() and not may_come_later(options[name]):
                 problems.append((name, f"{options[name]}: expected a file; found none"))
-    checked = check({name: text for name, text in options.items() if name not in dict(problems)})
-    problems += checked.problems
+    values, refused = check({name: text for name, text in options.items() if name not in dict(problems)})
+    problems += refused
     name = safe_name(given.get("name", "") or name_of(Path(film)))
     if len(name.encode()) > 150:  # the names of folders and files are longer
         wanted = "expected a name of at most 150 bytes (an accented letter has 2)"
         problems.append(("name", f"{wanted}; found {len(name.encode())}; give one in a column name"))
-    row = Row(row=line, film=film, name=name, options=options, values=checked.values, facts=facts)
+    row = Row(row=line, film=film, name=name, options=options, values=values, facts=facts)
     return row, problems
 
 

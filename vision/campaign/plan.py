@@ -205,7 +205,7 @@ def vanished_rows(out: Path, check: Check, folder: Path) -> list[Row]:
             film=film.film,
             name=film.name,
             options=film.options,
-            values=check(film.options).values,
+            values=check(film.options)[0],
             facts=film.facts,
         )
         for film in plan.films

@@ -15,7 +15,6 @@ from vision.campaign import jobs
 from vision.campaign.films import (
     NO_FILMS,
     Check,
-    Checked,
     FolderWatch,
     Row,
     is_remote,
@@ -80,7 +79,7 @@ def campaign(table: Path | None, options: CampaignOptions) -> int:
 
     def new(film: Path) -> Row:
         name = safe_name(run_name(film))
-        return Row(row=0, film=str(film.absolute()), name=name, values=check({}).values)
+        return Row(row=0, film=str(film.absolute()), name=name, values=check({})[0])
 
     with jobs.campaign_lock(target):
         if watcher is None:
@@ -121,7 +120,7 @@ def _checker(config: Path | None) -> Check:
         settings_of(_parameters({name: value}))
         return value
 
-    def check(options: Mapping[str, str]) -> Checked:
+    def check(options: Mapping[str, str]) -> tuple[dict[str, Any], list[tuple[str, str]]]:
         values: dict[str, Any] = {}
         problems: list[tuple[str, str]] = []
         for name, text in options.items():
@@ -133,8 +132,8 @@ def _checker(config: Path | None) -> Check:
             parameters = _parameters(values, config)
             settings_of(parameters)
         except InputError as error:
-            return Checked(values={}, problems=[*problems, ("", str(error))])
-        return Checked(values={name: one.value for name, one in parameters.items()}, problems=problems)
+            return {}, [*problems, ("", str(error))]
+        return {name: one.value for name, one in parameters.items()}, problems
 
     return check
 
