@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -164,14 +164,18 @@ def friction(files: Sequence[Path], options: FrictionOptions, output: OutputOpti
     at_least(options.mu, "--mu", 1e-9)
     angles = parse_pair(options.dynamic, "--dynamic", wanted, advice="write 0.3:120")
     settings = FrictionSettings(dynamic_deg=angles)
-    found = _measure(files, _loads(options.normal_force, len(files)), options.radius, settings)
-    if not found.measured:
-        for line in found.failures:
+    loads = _loads(options.normal_force, len(files))
+    measured, failures, notes = _measure(files, loads, options.radius, settings)
+    if not measured:
+        for line in failures:
             complain(line)
         return 2
-    law, note = _law(found.measured)
-    notes = [*found.notes, *filter(None, [note])]
-    table = friction_table(found.measured)
+    law, note = _law(measured)
+    notes += filter(None, [note])
+    warnings = [
+        f"{Path(one.source).name}, {one.measurement}: {line}" for one in measured for line in one.warnings
+    ]
+    table = friction_table(measured)
     origin = origin_of([file for file in files if file.is_file()], parameters_given(options, output))
     content: dict[str, Any] = dict.fromkeys(("a", "a_err", "b_N", "b_err_N", "chi2_dof"))
     content |= asdict(law) if law else {}
@@ -181,17 +185,17 @@ def friction(files: Sequence[Path], options: FrictionOptions, output: OutputOpti
         "caveat": RIM_CAVEAT,
         "notes": origin.named(notes),
     }
-    facts = origin.facts(failures=found.failures, warnings=found.warnings, notes=[*notes, RIM_CAVEAT]) | {
-        "measurements": len(found.measured)
+    facts = origin.facts(failures=failures, warnings=warnings, notes=[*notes, RIM_CAVEAT]) | {
+        "measurements": len(measured)
     }
-    figure = friction_figure(found.measured, law, mu=options.mu, dynamic_deg=settings.dynamic_deg)
+    figure = friction_figure(measured, law, mu=options.mu, dynamic_deg=settings.dynamic_deg)
     with results_folder(target, facts, started=started, overwrite=output.overwrite) as folder:
         _write(folder, "friction", table, figure, content)
     if law is None:
         complain(note)
-    count = f"{counted(len(found.measured), 'measurement')} of {counted(len(files), 'file')}"
-    lines = [f"{count} -> {target}/", *_friction_summary(found, law), RIM_CAVEAT]
-    return conclude(lines, found.warnings, failures=found.failures, quiet=output.quiet)
+    count = f"{counted(len(measured), 'measurement')} of {counted(len(files), 'file')}"
+    lines = [f"{count} -> {target}/", *_friction_summary(measured, law), RIM_CAVEAT]
+    return conclude(lines, warnings, failures=failures, quiet=output.quiet)
 
 
 def _write(folder: Path, name: str, table: pd.DataFrame, figure: Figure, content: Mapping[str, Any]) -> None:
@@ -202,41 +206,31 @@ def _write(folder: Path, name: str, table: pd.DataFrame, figure: Figure, content
     save_figures(folder / "figures.npz", [figure])
 
 
-@dataclass
-class _Measurements:
-    """Friction coefficients of all files, failures (one line each), and notes."""
-
-    measured: list[DiscFriction] = field(default_factory=list)
-    failures: list[str] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-
-    @property
-    def warnings(self) -> list[str]:
-        """Warnings of all measurements, each with its file and measurement."""
-        pairs = [(one, line) for one in self.measured for line in one.warnings]
-        return [f"{Path(one.source).name}, {one.measurement}: {line}" for one, line in pairs]
-
-
 def _measure(
     files: Sequence[Path], loads: Sequence[float | None], radius_mm: float, settings: FrictionSettings
-) -> _Measurements:
-    """Evaluate every measurement of every file; one that fails is named and costs no other."""
-    found = _Measurements()
+) -> tuple[list[DiscFriction], list[str], list[str]]:
+    """Return the friction in every measurement of every file, failures (one line each), and notes.
+
+    A file or measurement that fails costs no other.
+    """
+    measured: list[DiscFriction] = []
+    failures: list[str] = []
+    notes: list[str] = []
     for file, load in zip(files, loads, strict=True):
         try:
             rotations = read_rheometer(file)
         except (InputError, OSError) as error:
-            found.failures.append(one_line(error))
+            failures.append(one_line(error))
             continue
-        found.failures += [f"{file}: {line}" for line in RotationMetadata.of(rotations[0]).left_out]
+        failures += [f"{file}: {line}" for line in RotationMetadata.of(rotations[0]).left_out]
         for rotation in rotations:
-            found.notes += [f"{file.name}: {line}" for line in RotationMetadata.of(rotation).notes]
+            notes += [f"{file.name}: {line}" for line in RotationMetadata.of(rotation).notes]
             try:
                 one = friction_of_disc(rotation, radius_mm=radius_mm, normal_force_N=load, settings=settings)
-                found.measured.append(one)
+                measured.append(one)
             except InputError as error:
-                found.failures.append(str(error))
-    return found
+                failures.append(str(error))
+    return measured, failures, notes
 
 
 def _law(measured: Sequence[DiscFriction]) -> tuple[StaticFriction | None, str]:
@@ -254,11 +248,11 @@ def _law(measured: Sequence[DiscFriction]) -> tuple[StaticFriction | None, str]:
     )
 
 
-def _friction_summary(found: _Measurements, law: StaticFriction | None) -> list[str]:
+def _friction_summary(measured: Sequence[DiscFriction], law: StaticFriction | None) -> list[str]:
     lines = [
         f"N = {one.N_N:.4g} N: μ_s {plus_minus(Estimate(one.mu_s, one.mu_s_err))}, "
         f"μ_d {plus_minus(Estimate(one.mu_d, one.mu_d_err))}"
-        for one in found.measured
+        for one in measured
     ]
     if law is not None:
         a, b = Estimate(law.a, law.a_err), Estimate(law.b_N, law.b_err_N)
