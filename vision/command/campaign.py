@@ -89,8 +89,8 @@ def campaign(table: Path | None, options: CampaignOptions) -> int:
         return _watch(watcher, rows, new, lambda ready: run([*gone, *ready]), options.idle)
 
 
-def job(plan: Path, name: str, fetched: Sequence[Path]) -> int:
-    """Track the films of one job of a plan, and return the exit status."""
+def job(plan: Path, name: str, /, *fetched: Path) -> int:
+    """Track the films of one job of a plan, and return the exit status: for the Snakefile."""
     content = read_plan(plan)
     if name not in content.jobs:
         raise InputError(plan, "a plan with this job", f"no '{name}'", "run track campaign again")
@@ -100,8 +100,8 @@ def job(plan: Path, name: str, fetched: Sequence[Path]) -> int:
     return run_job(content, name, partial(_track_film, content), fetched=copies)
 
 
-def pool_runs(plan: Path) -> int:
-    """Compare the finished runs of a plan, and return the exit status."""
+def pool_runs(plan: Path, /) -> int:
+    """Compare the finished runs of a plan, and return the exit status: for the Snakefile."""
     pool(read_plan(plan), origin_of((), {}))
     return 0
 

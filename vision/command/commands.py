@@ -387,17 +387,3 @@ def campaign(table: Path | None = None, /, options: CampaignOptions = CampaignOp
     from vision.command import campaign
 
     return campaign.campaign(table, options)
-
-
-def campaign_job(plan: Path, job: str, /, *fetched: Path) -> int:
-    """Track the films of one job of a plan: for the Snakefile."""
-    from vision.command import campaign
-
-    return campaign.job(plan, job, fetched)
-
-
-def campaign_pool(plan: Path, /) -> int:
-    """Compare the finished runs of a plan: for the Snakefile."""
-    from vision.command import campaign
-
-    return campaign.pool_runs(plan)

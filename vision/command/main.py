@@ -69,8 +69,9 @@ def make_app() -> App:
         commands.modulus,
     ):
         app.command(command, help_format="markdown")
-    app.command(commands.campaign_job, show=False)  # for the Snakefile
-    app.command(commands.campaign_pool, show=False)
+    # Those for the Snakefile are imported when they are called.
+    app.command("vision.command.campaign:job", name="campaign-job", show=False)
+    app.command("vision.command.campaign:pool_runs", name="campaign-pool", show=False)
     return app
 
 
