@@ -11,7 +11,13 @@ from tests.scenes.identity_cases import brightness
 from vision.data import TrackMetadata
 from vision.experiment import preset, profiles, with_settings
 from vision.sheets import track_sheets
-from vision.sheets.distortion import NO_LOCKING, Distortion, PixelLocking, pixel_locking
+from vision.sheets.distortion import (
+    NO_LOCKING,
+    Distortion,
+    PixelLocking,
+    _significant,
+    pixel_locking,
+)
 from vision.sheets.settings import DEFAULT, TrackingSettings
 
 
@@ -282,6 +288,24 @@ def test_slight_differences_between_sheets_are_no_distortion(seed):
     off = tracks.x_px.values - x
     within = np.abs(off - off.mean(axis=0)) <= tracks.x_err_px.values
     assert 0.62 < within.mean() < 0.72
+
+
+def test_dirt_that_passes_a_ridge_is_in_its_error_all_the_way():
+    """Dirt that passes a ridge distorts it to one side and then to the other. A failure means that in the
+    frames in between, in which the position may be off by as much, the error is that of noise; or that it
+    remains where the dirt is gone."""
+    frame, noise = np.arange(200), np.full(200, 0.01)
+    passing = [(frame - at) / 6 for at in (50, 150)]
+    values = sum(0.3 * u * np.exp((1 - u**2) / 2) for u in passing)
+    values += noise * np.random.default_rng(1).normal(size=200)
+    size, _ = _significant(values, noise, DEFAULT)
+    without, _ = _significant(values, noise, replace(DEFAULT, distortion_gap=0))
+    for at in (50, 150):
+        beside = min(without[at - 6], without[at + 6])
+        assert without[at] < 0.3 * beside
+        assert size[at] > 0.8 * beside / np.sqrt(2)
+    np.testing.assert_array_equal(size[np.r_[:20, 80:120, 180:200]], without[np.r_[:20, 80:120, 180:200]])
+    assert (size[85:115] == 0).all()
 
 
 def test_specks_on_the_lens_are_in_the_errors_of_displacements():

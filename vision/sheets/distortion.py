@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple, Self
 
+import cv2
 import numpy as np
 
 from vision.mapped import some_rows
@@ -509,7 +510,9 @@ def _significant(values: Floats, noise: Floats, settings: TrackingSettings) -> t
     noise.
 
     The largest of three sizes counts: the value itself, the mean over `distortion_frames` around it, and the
-    usual size of that mean in the whole film, if they exceed `distortion_sigmas` times their noise. In the
+    usual size of that mean in the whole film, if they exceed `distortion_sigmas` times their noise. Between
+    two such means, at most `distortion_gap` frames have at least the root mean square of what swings between
+    them, which is the smaller of the two over the square root of 2. In the
     second result the usual size, less noise, counts as soon as chance does not explain it. noise: standard
     deviation of a single value, (frame,), independent from frame to frame; at least that which the values
     show (`position_noise`), as tops may be clipped, and a codec adds its own.
@@ -518,7 +521,12 @@ def _significant(values: Floats, noise: Floats, settings: TrackingSettings) -> t
     single, mean = np.abs(values), np.abs(mean_over(values, frames))
     least = settings.distortion_sigmas * noise
     of_mean = least / np.sqrt(frames)
-    above = np.fmax(_if_above(single, least), _if_above(mean, of_mean))
+    lasting = _if_above(mean, of_mean)
+    if lasting.any():  # what passes a ridge changes its shape to one side and to the other, not in between
+        gap = np.ones((settings.distortion_gap + 1, 1), np.uint8)
+        swings = cv2.morphologyEx(lasting[:, None], cv2.MORPH_CLOSE, gap)[:, 0]
+        lasting = np.fmax(lasting, swings / np.sqrt(2))
+    above = np.fmax(_if_above(single, least), lasting)
     usual, usual_noise = nan_median(mean) / NORMAL_MEDIAN, nan_median(noise) / np.sqrt(frames)
     chance = 1 + 2 * np.sqrt(2 * frames / len(values))  # of so many means of noise
     excess = np.sqrt(np.where(usual**2 > chance * usual_noise**2, np.abs(usual**2 - usual_noise**2), 0.0))

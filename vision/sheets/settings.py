@@ -458,6 +458,11 @@ class TrackingSettings:
     """Frames over which the differences and the slope are averaged. More detect smaller distortions, fewer
     follow faster ones."""
 
+    distortion_gap: int = 24
+    """Frames that a distortion lasts unseen between frames that show it, as where dirt passes the middle of a
+    ridge. More also states it where it has gone, fewer leave errors too small in between
+    (`test_dirt_that_passes_a_ridge_is_in_its_error_all_the_way`)."""
+
     distortion_error: float = 2.0
     """Error of a distorted position over the difference of the fit of its top, where the film does not show
     it. In films with known positions it is 0.6 (haze, focus) to 7 (reflections that move). Larger overstates
