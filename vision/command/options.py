@@ -29,6 +29,7 @@ def _sets(setting: str, default: Any = None) -> Any:
 Whole = Annotated[int, Option(converter=_whole)]
 Flag = Annotated[bool, Option(negative="", show_default=False)]
 Report = Annotated[bool, Option(show_default=False)]  # also --no-report
+Quiet = Annotated[Flag, Option(help="Print no progress bar and no summary.")]
 
 
 @Option(name="*", group=Group.create_ordered("Video"))
@@ -146,8 +147,7 @@ class RunOptions:
     """Write report.html."""
     checksum: Flag = False
     """Store the SHA-256 of every whole input file instead of a fingerprint of 64 MiB of it."""
-    quiet: Flag = False
-    """Print no progress bar and no summary."""
+    quiet: Quiet = False
     verbose: Flag = False
     """Print all findings of run.json in the summary."""
 
@@ -161,8 +161,7 @@ class OutputOptions:
     """Where the results go, instead of the name given above."""
     overwrite: Flag = False
     """Replace what an earlier command wrote there."""
-    quiet: Flag = False
-    """Print no progress bar and no summary."""
+    quiet: Quiet = False
 
 
 @Option(name="*")
@@ -246,8 +245,7 @@ class SimulateOptions:
     """Any setting by name, such as --set camera.fps=25 or --set optics.tilt_deg=0.5; can be repeated."""
     overwrite: Flag = False
     """Replace an earlier synthetic test."""
-    quiet: Flag = False
-    """Print no progress bar and no summary."""
+    quiet: Quiet = False
     seed: int | None = None
     """Seed of the random numbers: the same seed gives the same data."""
     duration: float | None = _sets("camera.duration_s")
