@@ -182,7 +182,7 @@ def write_kymograph_tif(strip: xr.DataArray, path: Path, *, pixel_size_um: float
     assert place is not None
     with path.open("r+b") as file:
         file.seek(place[0])
-        for part in parts_in_turn(values, ROWS):
+        for part in parts_in_turn(values):
             file.write(np.ascontiguousarray(values[part]).data)
 
 

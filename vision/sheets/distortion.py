@@ -512,10 +512,10 @@ def _significant(values: Floats, noise: Floats, settings: TrackingSettings) -> t
     The largest of three sizes counts: the value itself, the mean over `distortion_frames` around it, and the
     usual size of that mean in the whole film, if they exceed `distortion_sigmas` times their noise. Between
     two such means, at most `distortion_gap` frames have at least the root mean square of what swings between
-    them, which is the smaller of the two over the square root of 2. In the
-    second result the usual size, less noise, counts as soon as chance does not explain it. noise: standard
-    deviation of a single value, (frame,), independent from frame to frame; at least that which the values
-    show (`position_noise`), as tops may be clipped, and a codec adds its own.
+    them, which is the smaller of the two over the square root of 2. In the second result the usual size, less
+    noise, counts as soon as chance does not explain it. noise: standard deviation of a single value,
+    (frame,), independent from frame to frame; at least that which the values show (`position_noise`), as tops
+    may be clipped, and a codec adds its own.
     """
     frames = settings.distortion_frames
     single, mean = np.abs(values), np.abs(mean_over(values, frames))

@@ -415,17 +415,19 @@ def check_window(window_px: Any) -> None:
         raise InputError("`window_px`", expected, shown(window_px), "try `window_px` auto")
 
 
-def choose_window(comb: RidgeComb, asked: int | Literal["auto"] | None) -> int:
+def choose_window(comb: RidgeComb, asked: int | Literal["auto"] | None, *, fit: FitChoice = "auto") -> int:
     """Return the width of the fit window, px, odd.
 
     Parameters
     ----------
     comb
-        Width and pitch of the ridges.
+        Width, top and pitch of the ridges.
     asked
         A given width; "auto" for a width that follows that of the ridges; None for the publication's width if
-        it suits the ridges, else as for "auto". On a ridge with a flat top it sees no flank, and its
-        positions are those of the texture on the top.
+        it suits the ridges, else as for "auto". On a ridge with a flat top the publication's window sees no
+        flank, and its positions are those of the texture on the top.
+    fit
+        With "paper", the publication's fit, tops count as round.
 
     Raises
     ------
@@ -439,13 +441,13 @@ def choose_window(comb: RidgeComb, asked: int | Literal["auto"] | None) -> int:
             raise InputError("`window_px`", narrower, str(asked), "try `window_px` auto")
         return int(asked)
     narrow, wide = comb.settings.standard_widths_px
-    flat = comb.top > comb.settings.flat_top
+    flat = fit != "paper" and comb.top > comb.settings.flat_top
     if asked is None and narrow <= comb.fwhm_px <= wide and not flat:
         return comb.settings.standard_window_px
-    widest = max(5.0, 0.9 * comb.pitch_px)
-    if flat:  # the flanks stand at half the width, and those of close neighbours must stay outside
-        widest = max(5.0, comb.fwhm_px + 0.25 * (comb.pitch_px - comb.fwhm_px))
-    return 2 * round((min(max(5.0, comb.settings.window_per_width * comb.fwhm_px), widest) - 1) / 2) + 1
+    # The flanks of a flat ridge stand at half its width, and those of close neighbours must stay outside.
+    widest = comb.fwhm_px + 0.25 * (comb.pitch_px - comb.fwhm_px) if flat else 0.9 * comb.pitch_px
+    width = max(5.0, min(comb.settings.window_per_width * comb.fwhm_px, widest))
+    return 2 * round((width - 1) / 2) + 1
 
 
 def fit_sheets(

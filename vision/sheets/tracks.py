@@ -149,8 +149,7 @@ def track_sheets(
     first_px, last_px = (float(x) for x in strip["x"].values[[0, -1]])
     check_axis(axis_px, first_px, last_px)
     comb = describe_ridges(profile, polarity=ridges, sheets=sheets, source=facts.source, settings=settings)
-    round_comb = replace(comb, top=0.0)  # the publication's fit keeps its window on flat ridges
-    window = choose_window(round_comb if fit == "paper" else comb, window_px)
+    window = choose_window(comb, window_px, fit=fit)
     number = strip["frame"].values
 
     detected = _detect(profile, comb, sheets, facts.source, corrections, number, first_px)

@@ -23,7 +23,6 @@ from vision.video.settings import VideoSettings
 from vision.video.video import Video, open_video, pixels_file
 
 STATUS_TYPE = "<U7"  # ok, blank, corrupt, lost
-_COPIED = 1024  # rows that are copied or changed at a time
 _NEAR = 9  # frames before and after a step between times that are compared with it
 
 
@@ -69,7 +68,7 @@ class FrameStore:
         if needed > self._rows.shape[0]:
             old = self.rows()
             self._rows = self._allocate(max(needed, 2 * self._rows.shape[0]))
-            for part in parts_in_turn(old, _COPIED):
+            for part in parts_in_turn(old):
                 self._put(part.start, old[part])
         self._put(self.count, rows)
         self.count = needed
@@ -161,7 +160,7 @@ def is_blank(
 
 def blank_out(intensity: Floats32, unusable: Bools) -> None:
     """Set the intensity (frame, x) of unusable frames (frame) to NaN, in place."""
-    for rows in parts_in_turn(intensity, _COPIED):
+    for rows in parts_in_turn(intensity):
         intensity[rows][unusable[rows]] = np.nan
 
 
