@@ -1,6 +1,7 @@
 """The likelihood of one clock, pairs of slips and their sizes as evidence; and which clocks are ambiguous."""
 
 import re
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -96,6 +97,22 @@ def test_a_hundred_slips_set_the_clocks_to_two_milliseconds():
     found, error = aligned(1, 30)
     assert believed(found).all()
     assert np.sqrt(np.mean(error**2)) < 2e-3  # 50 ms/sqrt(12 * 100) is 1.4 ms
+
+
+@pytest.mark.parametrize("drift_ppm", [3000.0, -500.0])
+def test_thousands_of_slips_are_aligned(drift_ppm):
+    """A failure means that a long film takes minutes and gigabytes, or that its parts mislead."""
+    rng = np.random.default_rng(2)
+    damage = {"missed": (0.1, 0.05), "false": (0.1, 0.02)}
+    long = pair(rng, video=2500, frame_s=FRAME_S, drift_ppm=drift_ppm, **damage)
+    tracemalloc.start()
+    found = align(long.trains)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert not found.ambiguity
+    assert abs(long.error_s(found)) < 1e-3
+    assert found.clocks.drift[0] == pytest.approx(long.rate - 1, abs=3e-6)
+    assert peak < 80e6  # 300 MB with all pairs at once
 
 
 @pytest.mark.parametrize("slips", [12, 16, 20])

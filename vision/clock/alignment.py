@@ -12,7 +12,7 @@ unrelated trains can agree by chance. An alignment is accepted only if it passes
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Self
 
 import numpy as np
@@ -20,7 +20,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from vision.clock.settings import ClockSettings
 from vision.numeric import Bools, Floats, Ints, mad_sigma, sigma_about_zero, with_minus
-from vision.signals import running_median
+from vision.signals import nearest, running_median
 
 # --- trains of slips ----------------------------------------------------------------------------------------
 
@@ -62,9 +62,13 @@ def _subtract_trend(values: Floats, settings: ClockSettings) -> Floats:
     return residual - running_median(residual, window) if len(residual) >= 2 * window else residual
 
 
-def _theil_sen(values: Floats) -> tuple[float, float]:
-    """Median of the slopes between all pairs, and the intercept through the medians."""
-    index = np.arange(len(values), dtype=float)
+def _theil_sen(values: Floats, most: int = 1000) -> tuple[float, float]:
+    """Median of the slopes between all pairs, and the intercept through the medians.
+
+    Of more than `most` values some are left out evenly, since the number of pairs grows with the square.
+    """
+    index = np.arange(len(values), dtype=float)[:: 1 + len(values) // (most + 1)]
+    values = values[:: 1 + len(values) // (most + 1)]
     later, earlier = np.tril_indices(len(values), -1)
     slope = float(np.median((values[later] - values[earlier]) / (index[later] - index[earlier])))
     return slope, float(np.median(values) - slope * np.median(index))
@@ -163,7 +167,7 @@ def fit_clocks(
     does.
     """
     mapped = clocks.map(trains.video_s)
-    partner = _nearest(trains.force_s, mapped)
+    partner = nearest(trains.force_s, mapped)
     residual = mapped - trains.force_s[partner]
     mutual = _is_mutual(partner, np.abs(residual), len(trains.force_s))
     video, force = _in_common_time(trains, mapped)
@@ -189,13 +193,6 @@ def fit_clocks(
         video=video,
         force=force,
     )
-
-
-def _nearest(force_s: Floats, mapped_s: Floats) -> Ints:
-    """Index of the force slip nearest to each time, any shape."""
-    right = np.clip(np.searchsorted(force_s, mapped_s), 1, len(force_s) - 1)
-    closer = mapped_s - force_s[right - 1] < force_s[right] - mapped_s
-    return np.asarray(np.where(closer, right - 1, right))
 
 
 def _is_mutual(partner: Ints, distance_s: Floats, force_slips: int) -> Bools:
@@ -269,6 +266,24 @@ def find_alignments(
 def _vote(trains: SlipTrains, settings: ClockSettings) -> CandidateClocks:
     """The offsets with the highest scores over all drifts.
 
+    The work grows with the third power of the number of slips: with the pairs, and with the drifts that a
+    longer train can tell apart. A long train therefore votes in parts, each for the offsets at its own
+    middle, which `_refine` extends to the whole train.
+    """
+    slips = np.arange(len(trains.video_s))
+    parts = np.array_split(slips, -(-slips.size // settings.voting_slips))
+    votes = [
+        _vote_of_part(replace(trains, video_s=trains.video_s[part], error_s=trains.error_s[part]), settings)
+        for part in parts
+    ]
+    middle, drift, centre, score = np.concatenate(votes, axis=1)
+    best = np.argsort(-score, kind="stable")[: settings.candidates]
+    return CandidateClocks(middle, drift, centre).take(best)
+
+
+def _vote_of_part(trains: SlipTrains, settings: ClockSettings) -> Floats:
+    """Middle, drift and centre of the clocks with the highest scores, and these scores, (4, K).
+
     Every pair of a camera slip and a force slip votes for the offset at which they coincide. The score of an
     offset is its approximate log-likelihood: votes within three bins count as pairs without residual.
     """
@@ -287,7 +302,7 @@ def _vote(trains: SlipTrains, settings: ClockSettings) -> CandidateClocks:
         score, best = np.maximum(score, with_drift), np.where(with_drift > score, drift, best)
     chosen = _local_maxima(score, settings.candidates)
     middle = low + centre + width * (chosen + 0.5)
-    return CandidateClocks(middle, best[chosen], np.full(len(chosen), centre))
+    return np.stack([middle, best[chosen], np.full(len(chosen), centre), score[chosen]])
 
 
 def _bin_s(trains: SlipTrains) -> float:
@@ -343,7 +358,7 @@ def _refine(trains: SlipTrains, clocks: CandidateClocks, settings: ClockSettings
     widest = 1.4 * _bin_s(trains) / trains.typical_error_s
     for widening in np.r_[np.geomspace(widest, 1.0, 4), 1.0, 1.0]:
         mapped = clocks.map(v)
-        target = trains.force_s[_nearest(trains.force_s, mapped)]
+        target = trains.force_s[nearest(trains.force_s, mapped)]
         z2 = ((mapped - target) / (widening * trains.error_s)) ** 2
         # Probability of a true pair: nearly constant for small residuals, because a slip between two frames
         # has a uniform error, and one half at 2.5 errors.
@@ -486,13 +501,20 @@ def _jump(trains: SlipTrains, clocks: CandidateClocks, settings: ClockSettings) 
     slack = 3 * trains.typical_error_s  # slips before or after the force was recorded would fit any offset
     common = (mapped > trains.force_s[0] - slack) & (mapped < trains.force_s[-1] + slack)
     mapped, error, most = mapped[common], trains.error_s[common], trains.pair_gain(settings)[common]
-    shift = (trains.force_s - mapped[:, None]).ravel()
-    shift = shift[(np.abs(shift) > 0.25 * period) & (np.abs(shift) < settings.largest_jump_periods * period)]
-    shift = np.sort(shift)[:: 1 + len(shift) // settings.jumps]
-    shifted = mapped + np.r_[0.0, shift][:, None]
-    z2 = ((shifted - trains.force_s[_nearest(trains.force_s, shifted)]) / error) ** 2
-    gain = np.maximum(most - 0.5 * z2, 0.0)
-    lead = gain[1:] - gain[0]  # of each slip, if it is shifted
+    reach = settings.largest_jump_periods * period
+    first, stop = (np.searchsorted(trains.force_s, mapped + side * reach) for side in (-1, 1))
+    near = first[:, None] + np.arange((stop - first).max(initial=0))  # force slips that a jump can reach
+    shift = trains.force_s[np.minimum(near, len(trains.force_s) - 1)] - mapped[:, None]
+    shift = np.sort(shift[(near < stop[:, None]) & (np.abs(shift) > 0.25 * period)])
+    shift = shift[:: 1 + len(shift) * len(mapped) // settings.jumped_slips]
+
+    def gain(by_s: Floats) -> Floats:
+        """Log-likelihood of each slip beyond that of an unpaired one after a jump, (jumps, slips)."""
+        jumped = mapped + by_s[:, None]
+        z2 = ((jumped - trains.force_s[nearest(trains.force_s, jumped)]) / error) ** 2
+        return np.maximum(most - 0.5 * z2, 0.0)
+
+    lead = gain(shift) - gain(np.zeros(1))
     beyond = settings.least_jump_slips - 1
     before = np.cumsum(lead, axis=1)[:, beyond:]
     after = np.cumsum(lead[:, ::-1], axis=1)[:, beyond:]

@@ -17,6 +17,7 @@ import scipy
 from vision.deformation.creep import Creep, Noise, StickFrames, coefficient_errors, without_common_part
 from vision.deformation.settings import DeformationSettings
 from vision.numeric import Bools, Floats, Ints, nan_median, sigma_about_zero
+from vision.signals import sums_around
 
 LEAST_REPEATS = 5  # values from which a sheet's own movement is told: fewer do not show their scatter
 
@@ -463,13 +464,17 @@ def breathing(creep: Creep, error: Floats, settings: DeformationSettings) -> tup
     slope, bend = creep.coefficient[..., 1], creep.coefficient[..., 2]
     away = nan_median(creep.coefficient[..., 0])
     away, constant = away - nan_median(away), np.ones_like(away)
-    stick = np.arange(len(slope))
-    apart = np.abs(stick[:, None] - stick)
-    usual, bent = (_weighted_mean((apart > 0) & (apart <= 2.0), part) for part in (slope, bend))
+    usual, bent = _mean_of_neighbours(slope), _mean_of_neighbours(bend)
     longer = np.nansum(slope * usual, axis=1) / np.maximum(np.nansum(usual**2, axis=1), 1e-300)
     of_bend = _proportional(bend - longer[:, None] * bent, error[..., 2], (away, constant), settings)
     of_slope = of_bend and _proportional(slope, error[..., 1], (away, constant, usual), settings)
     return of_slope * np.abs(away), of_bend * np.abs(away)
+
+
+def _mean_of_neighbours(value: Floats) -> Floats:
+    """Mean over the two sticks before and the two after, (stick, sheet); NaN where none is known."""
+    total, count = sums_around(value, 2) - sums_around(value, 0)
+    return np.where(count > 0, total / np.maximum(count, 1.0), np.nan)
 
 
 def _proportional(

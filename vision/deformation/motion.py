@@ -268,16 +268,20 @@ def _uninterrupted(
     A slip near either end of a stick is the one between two sticks, timed differently, unless the film shows
     that one as well.
     """
-    start, stop = (events[name].to_numpy(float)[:, None] for name in ("t_v_s", "t_p_s"))
-    slip_s, near_s = np.array(clock.only_video_s), settings.slip_near_end * (stop - start)
-    inside = (slip_s > start) & (slip_s < stop)
-    for end in (start, stop):
-        shown = (np.abs(np.array(clock.matched_s) - end) < near_s).any(axis=1, keepdims=True)
-        inside &= np.abs(slip_s - end) > np.where(shown, np.minimum(settings.slip_delay_s, near_s), near_s)
-    whole: Bools = ~np.asarray(inside.any(axis=1))
+    start, stop = (events[name].to_numpy(float) for name in ("t_v_s", "t_p_s"))
+    near_s = settings.slip_near_end * (stop - start)
+    after_s, before_s = (
+        np.where(
+            _any_between(clock.matched_s, end - near_s, end + near_s),
+            np.minimum(settings.slip_delay_s, near_s),
+            near_s,
+        )
+        for end in (start, stop)
+    )
+    whole = ~_any_between(clock.only_video_s, start + after_s, stop - before_s)
     length, length_err = _lengths(events)
-    fastest = (length + 3 * np.nan_to_num(length_err)) / (stop - start)[:, 0]
-    usual = pd.Series(length / (stop - start)[:, 0]).rolling(5, center=True, min_periods=1).median()
+    fastest = (length + 3 * np.nan_to_num(length_err)) / (stop - start)
+    usual = pd.Series(length / (stop - start)).rolling(5, center=True, min_periods=1).median()
     still = "flag" in events and has_flag(events["flag"], "still")
     paused = whole & (still | (fastest < settings.least_speed * usual.to_numpy()))  # not if length is unknown
     whole &= ~paused
@@ -292,6 +296,12 @@ def _uninterrupted(
     line = f"{paused.sum()} of {len(events)} stick phases are left out of σ_x/Λ_st (events {numbers}): "
     line += "the machine moved more slowly in them than in those around, or its displacement stands still"
     return events.loc[whole], [line]
+
+
+def _any_between(times_s: Sequence[float], after_s: Floats, before_s: Floats) -> Bools:
+    """Whether any of the times is after the one and before the other, of each stick."""
+    times = np.sort(times_s)
+    return np.asarray(np.searchsorted(times, before_s) > np.searchsorted(times, after_s, side="right"))
 
 
 # --- measurement --------------------------------------------------------------------------------------------
