@@ -163,6 +163,25 @@ def test_stripes_of_the_background_that_continue_the_comb():
     assert "still" not in str(consistency_warnings(track_sheets(strip(ridges(opposed)))))
 
 
+@pytest.mark.parametrize(("share", "left"), [(0.0, 25), (0.1, 33), (0.6, 44)])
+def test_an_axis_that_the_camera_moves(share, left):
+    """A machine that goes back and forth, and a camera that moves along by a share of the outermost sheets'
+    motion. A failure means that such an axis passes as found, or that a good one is questioned."""
+    stick = comb(24)
+    course = np.tile(np.r_[0:24, 23:-1:-1], 4)
+    camera = share * (stick[:, 0] - stick[:, 0].mean())
+    picture = strip(ridges(stick[course] + camera[course, None]), snr=60)
+    tracks = track_sheets(picture)
+    assert (tracks["side"].values < 0).sum() == left
+    lines = consistency_warnings(tracks, columns=picture["x"].values)
+    if share:
+        assert len(lines) == 1
+        assert f"{left} sheets on the left of the axis but {50 - left} on the right" in lines[0]
+    else:
+        assert lines == []
+    assert consistency_warnings(tracks) == []  # the comb may go on outside the picture
+
+
 def test_an_axis_that_no_motion_shows_is_assumed():
     """One side of a comb that hardly moves. A failure means that half of the sheets get another side, and all
     of them another number, without a word; or that the warning comes where both sides move."""

@@ -75,6 +75,12 @@ class CheckSettings:
     """Motion of those two, in errors of a position, from which that is judged. Smaller judges noise; larger
     leaves edges beside sheets that hardly move (`test_a_still_edge_beyond_the_comb`)."""
 
+    unequal_sides: float = 1.3
+    """Ratio of the sheets on the two sides, less two sheets, above which an axis found from motion is
+    questioned.  A camera that moves a tenth as far as the outermost sheets, in time with them, makes 33
+    sheets and 17 of 25 each.  Smaller questions samples in which some sheets are dark; larger lets such axes
+    pass (`test_an_axis_that_the_camera_moves`)."""
+
     unlikely_spacing: float = 10.0
     """Ratio of the sheets' spacing to two thicknesses, or its inverse, above which the pixel size is
     questioned.  A wrong unit changes the ratio by 1000; sheets that bulge, or of which only every second one
@@ -108,9 +114,14 @@ def all_warnings(
             strip = StripMetadata.of(tracks)
             lines += overexposure(results.frame, slice(strip.strip_z0, strip.strip_z1), video)
         lines += tracking_warnings(tracks, settings)
-        size_um = results.pixel_size_um
+        columns = None if results.strip is None else results.strip["x"].values
         lines += consistency_warnings(
-            tracks, sample, assumed=assumed, pixel_size_um=size_um, settings=settings
+            tracks,
+            sample,
+            assumed=assumed,
+            pixel_size_um=results.pixel_size_um,
+            columns=columns,
+            settings=settings,
         )
     if results.force is not None:
         lines += warnings_of(results.force, results.sticks)
@@ -345,12 +356,14 @@ def consistency_warnings(
     *,
     assumed: Sample | None = None,
     pixel_size_um: float | None = None,
+    columns: Floats | None = None,
     settings: CheckSettings = DEFAULT,
 ) -> list[str]:
     """Return warnings about findings that contradict each other, each with what to do about it.
 
     sample: the given sample, which is compared with the ridges per side and their spacing.
     assumed: the sample that is assumed if none was given.
+    columns: the columns of I(x,t), px; None where they are not known, so that the comb's ends may be outside.
     """
     found, used, most = TrackMetadata.of(tracks), sample or assumed, int(tracks["n"].max())
     lines = _comb_warnings(tracks, found, settings)
@@ -375,6 +388,15 @@ def consistency_warnings(
             f"{left} sheets on the left but {right} on the right: if one is overlooked, n of those beyond it"
             " is too small: look for a wide spacing or a sheet outside the picture, or give the number of"
             " sheets in view (`sheets`)"
+        )
+    first, last = _outermost_px(tracks)
+    reach = 1.5 * found.pitch_px
+    whole = columns is not None and first - reach > columns[0] and last + reach < columns[-1]
+    if whole and found.axis_how == "motion" and fewer and more > settings.unequal_sides * fewer + 2:
+        lines.append(
+            f"{left} sheets on the left of the axis but {right} on the right, though the whole comb is in"
+            " view: the axis is where the sheets do not move, which is wrong if the camera moves along with"
+            " them: look at overview.png, and give `axis_px`"
         )
     spacing = math.nan if pixel_size_um is None else found.pitch_px * pixel_size_um / 1000
     if used is None and 1000 * spacing < settings.least_spacing_um:

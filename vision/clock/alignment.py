@@ -512,7 +512,7 @@ def _jump(trains: SlipTrains, clocks: CandidateClocks, settings: ClockSettings) 
         """Log-likelihood of each slip beyond that of an unpaired one after a jump, (jumps, slips)."""
         jumped = mapped + by_s[:, None]
         z2 = ((jumped - trains.force_s[nearest(trains.force_s, jumped)]) / error) ** 2
-        return np.maximum(most - 0.5 * z2, 0.0)
+        return np.asarray(np.maximum(most - 0.5 * z2, 0.0))
 
     lead = gain(shift) - gain(np.zeros(1))
     beyond = settings.least_jump_slips - 1
