@@ -1,8 +1,6 @@
 """Figures as data: tables, files, and figures kept in a file."""
 
 from dataclasses import fields, is_dataclass
-from types import GenericAlias, SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -18,7 +16,6 @@ from vision.figures import (
     overview,
     save_figures,
 )
-from vision.figures.figure import _has_type
 from vision.figures.force import clocks_figure
 from vision.figures.positions import shells_figure, tracks_figure
 
@@ -73,13 +70,6 @@ def test_figures_come_back_from_their_file(pulled, tmp_path):
     assert not same(figures[2], figures[1])  # the comparison can fail
     assert [f.panel.common_x for f in back] == [f.panel.common_x for f in figures]  # tables keep their form
     assert same(overview(figures), overview(back))
-
-
-def test_the_type_of_an_array_may_be_an_alias():
-    """As from NumPy 2.5 on; a failure means that with it no stored figure can be read."""
-    array = GenericAlias(SimpleNamespace(__value__=np.ndarray[Any, np.dtype[Any]]), (np.float64,))
-    assert _has_type(np.zeros(3), array)
-    assert not _has_type([0.0], array)
 
 
 def test_the_same_figures_give_the_same_file(pulled, tmp_path):

@@ -12,8 +12,7 @@ import zipfile
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields
 from pathlib import Path
-from types import UnionType
-from typing import TYPE_CHECKING, Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -385,33 +384,5 @@ def _decode(value: Any, stored: dict[str, NDArray[Any]], curves: dict[tuple[int,
             return stored[array]
         start, stop = array
         return curves.setdefault((start, stop), stored["curves"][start:stop])
-    kind = _CLASSES[value["class"]]
     parts = {name: _decode(item, stored, curves) for name, item in value.items() if name != "class"}
-    hints = get_type_hints(kind)
-    if wrong := [name for name, part in parts.items() if not _has_type(part, hints[name])]:
-        raise TypeError(f"{value['class']}.{wrong[0]} is no {hints[wrong[0]]}")
-    decoded = kind(**parts)
-    if isinstance(decoded, Series):
-        optional = (decoded.low, decoded.high, decoded.text or None)
-        columns = [decoded.y, *(part for part in optional if part is not None)]
-        if decoded.x.ndim != 1 or any(len(column) != len(decoded.x) for column in columns):
-            raise ValueError(f"a series of {decoded.x.shape} points with values of another number")
-    return decoded
-
-
-def _has_type(value: Any, kind: Any) -> bool:
-    """Tell whether a value has the declared type, for the types of fields in this module."""
-    origin, inner = get_origin(kind), get_args(kind)
-    if alias := getattr(origin, "__value__", None):  # of NDArray, from NumPy 2.5 on
-        origin = get_origin(alias)
-    if origin is Literal:
-        return value in inner
-    if origin in (Union, UnionType):
-        return any(_has_type(value, one) for one in inner)
-    if origin is tuple and isinstance(value, tuple):
-        if inner[-1] is Ellipsis:
-            return all(_has_type(item, inner[0]) for item in value)
-        return len(value) == len(inner) and all(map(_has_type, value, inner))
-    if kind is float:
-        return isinstance(value, (int, float)) and not isinstance(value, bool)
-    return isinstance(value, origin or kind)
+    return _CLASSES[value["class"]](**parts)
