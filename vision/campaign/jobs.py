@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import ctypes
 import importlib.util
-import mmap
 import multiprocessing
 import os
 import shutil
@@ -29,6 +28,7 @@ from vision.campaign.films import SETTINGS, is_remote
 from vision.campaign.plan import PLAN, Plan, PlannedFilm, State, Word, inputs_of, write_plan, write_state
 from vision.campaign.results import page_age, write_page, write_partitions
 from vision.errors import InputError, install_advice
+from vision.figures import drawing  # noqa: F401  # loads matplotlib once, before the films' processes begin
 from vision.files import answered, prefetch, shortened
 from vision.folder import held_elsewhere, unwritable
 from vision.pipeline import Analysis
@@ -206,27 +206,21 @@ Work = Callable[[PlannedFilm, Path, Path], Outcome]
 def run_job(plan: Plan, job: str, work: Work, *, fetched: Sequence[Path] = ()) -> int:
     """Analyse every unfinished film of a job; return 0 if all are finished then, else 1.
 
-    The films are analysed in a child process, forked after the imports. If it dies (a crashing decoder, lack
-    of memory), the current film is marked as failed and another child takes the rest. `fetched` are local
-    copies of the job's films in object storage, in their order.
+    Each film has a process of its own, forked after the imports: if it dies (a crashing decoder, lack of
+    memory), this film is marked as failed and the next begins. `fetched` are local copies of the job's films
+    in object storage, in their order.
     """
     copies = dict(zip(plan.remote(job), fetched, strict=False))
     films = [plan.film(name) for name in plan.jobs[job].films]
-    left = [film for film in films if plan.finished(film) is None]
-    with mmap.mmap(-1, mmap.PAGESIZE) as current:  # shared with the child: index of the film it analyses
-        while left:
-            todo, current[0:8] = tuple(left), bytes(8)
-            code = _in_child(partial(_run_each, plan, todo, work, copies, current))
-            if code == 0:
-                break
-            at = int.from_bytes(current[0:8], "little")
-            state = plan.state(todo[at])
-            if state.state == "running":  # the process died during this film
-                how = f"signal {-code} ({signal.strsignal(-code)})" if code < 0 else f"status {code}"
-                why = f"the process of this film ended with {how}"
-                seconds = time.time() - state.at
-                _try_to_write(plan.out, replace(state, state="failed", reason=why, seconds=seconds))
-            left = list(todo[at + 1 :])
+    for film in films:
+        if plan.finished(film) is not None:
+            continue
+        code = _in_child(partial(_run, plan, film, work, copies))
+        state = plan.state(film)
+        if code != 0 and state.state == "running":  # the process died
+            how = f"signal {-code} ({signal.strsignal(-code)})" if code < 0 else f"status {code}"
+            why, seconds = f"the process of this film ended with {how}", time.time() - state.at
+            _try_to_write(plan.out, replace(state, state="failed", reason=why, seconds=seconds))
     return 0 if all(plan.finished(film) for film in films) else 1
 
 
@@ -269,28 +263,24 @@ def _until_parent_ends(work: Callable[[], None]) -> None:
         os._exit(130)
 
 
-def _run_each(
-    plan: Plan, films: Sequence[PlannedFilm], work: Work, copies: dict[str, Path], current: mmap.mmap
-) -> None:
-    """Analyse films one after the other and write their states; `current` holds the index of the film."""
-    for number, film in enumerate(films):
-        current[0:8] = number.to_bytes(8, "little")
-        before = plan.state(film)
-        begun = replace(before, state="running", attempts=before.attempts + 1, reason="", seconds=0.0)
-        _try_to_write(plan.out, begun)
-        started = time.perf_counter()
-        try:
-            ended = _run_one(plan, film, work, copies)
-        except KeyboardInterrupt:
-            _try_to_write(plan.out, replace(begun, state="waiting", reason="interrupted"))
-            raise
-        except (InputError, OSError) as error:  # the tables or the thumbnail could not be written
-            ended = State(name=film.name, state="failed", reason=shortened(str(error), 300))
-        seconds = time.perf_counter() - started
-        _try_to_write(plan.out, replace(ended, key=film.key, seconds=seconds, attempts=begun.attempts))
-        if page_age(plan.out) > SETTINGS.page_seconds * (1 + len(plan.films) / 100):
-            with suppress(InputError):  # a full disk also fails the films, which report it
-                write_page(plan, live=True)
+def _run(plan: Plan, film: PlannedFilm, work: Work, copies: dict[str, Path]) -> None:
+    """Analyse a film and write its state, and now and then the page."""
+    before = plan.state(film)
+    begun = replace(before, state="running", attempts=before.attempts + 1, reason="", seconds=0.0)
+    _try_to_write(plan.out, begun)
+    started = time.perf_counter()
+    try:
+        ended = _run_one(plan, film, work, copies)
+    except KeyboardInterrupt:
+        _try_to_write(plan.out, replace(begun, state="waiting", reason="interrupted"))
+        raise
+    except (InputError, OSError) as error:  # the tables or the thumbnail could not be written
+        ended = State(name=film.name, state="failed", reason=shortened(str(error), 300))
+    seconds = time.perf_counter() - started
+    _try_to_write(plan.out, replace(ended, key=film.key, seconds=seconds, attempts=begun.attempts))
+    if page_age(plan.out) > SETTINGS.page_seconds * (1 + len(plan.films) / 100):
+        with suppress(InputError):  # a full disk also fails the films, which report it
+            write_page(plan, live=True)
 
 
 def _try_to_write(out: Path, state: State) -> None:
