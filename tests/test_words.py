@@ -8,7 +8,7 @@ import xarray as xr
 
 from tests.scenes.combs import comb, ridges, strip
 from vision.sheets import track_sheets
-from vision.words import is_word, word_counts, words
+from vision.words import is_word, word_codes, word_counts, words, words_of_characters
 
 LISTED = ("ok", "missing", "left_out")
 CODES = np.random.default_rng(0).integers(0, 3, (5000, 4)).astype(np.uint8)
@@ -102,3 +102,30 @@ def test_tracks_are_written_and_tabulated_with_their_flags(tmp_path):
     with xr.open_dataset(tmp_path / "tracks.nc", engine="h5netcdf") as stored:
         np.testing.assert_array_equal(stored["flag"].values.astype(str), flag)
         np.testing.assert_array_equal(stored["why"].values.astype(str), tracks["why"].values)
+
+
+def characters(text):
+    """Each word as characters, along a further axis."""
+    text = np.asarray(text, "S")
+    return text.view("S1").reshape(*text.shape, text.itemsize)
+
+
+def test_words_are_read_from_their_characters():
+    """A failure means that the flags of a run are others than those that were written."""
+    flags = np.array([["ok", "missing", "ok"], ["edge", "ok", ""]])
+    read = xr.Variable(("frame", "sheet"), words_of_characters(characters(flags)))
+    assert read.values.tolist() == flags.tolist()
+    assert read[1, :2].values.tolist() == ["edge", "ok"]
+
+
+def test_text_that_is_no_table_of_words_is_refused():
+    """A failure means that a damaged file gives wrong flags."""
+    with pytest.raises((ValueError, OverflowError)):
+        words_of_characters(characters([[f"{number}" for number in range(300)]]))
+
+
+def test_words_are_numbered_as_in_the_list():
+    """A failure means that a review shows other flags than the run has."""
+    text = xr.DataArray([["ok", "new", "edge"], ["edge", "ok", "other"]], dims=("frame", "sheet"))
+    assert word_codes(text, ["missing", "ok", "edge"]).tolist() == [[1, 0, 2], [2, 1, 0]]
+    assert word_codes(text[:0], ["ok"]).shape == (0, 3)

@@ -50,6 +50,40 @@ def words(codes: Codes, listed: Sequence[str]) -> indexing.MemoryCachedArray:
     return indexing.MemoryCachedArray(indexing.CopyOnWriteArray(read_later))  # type: ignore[no-untyped-call]
 
 
+def words_of_characters(characters: NDArray[np.bytes_]) -> indexing.MemoryCachedArray:
+    """Return the data of a variable of words that a file holds as characters, (rows, …, character).
+
+    Raises: ValueError or OverflowError if they are no text, or more than 256 different words.
+    """
+    codes = np.empty(characters.shape[:-1], np.uint8)
+    listed: list[bytes] = []
+    for rows in row_parts(len(characters)):
+        whole = np.ascontiguousarray(characters[rows]).view(f"S{characters.shape[-1]}")
+        codes[rows] = _codes(whole[..., 0], listed)
+    return words(codes, [word.decode() for word in listed])
+
+
+def word_codes(text: xr.DataArray, listed: Sequence[str]) -> Codes:
+    """Return the number of each word of a table (rows, …) in a list; 0 for words that are not in it."""
+    known = list(listed)
+    parts = [_codes(text[rows].values, known) for rows in row_parts(len(text))]
+    codes = np.concatenate([np.empty((0, *text.shape[1:]), np.uint8), *parts])
+    return np.where(codes < len(listed), codes, np.uint8(0))
+
+
+def _codes(text: NDArray[Any], listed: list[Any]) -> Codes:
+    """Return the number of each word in a list, to which words that it lacks are added."""
+    flat, codes, left = text.ravel(), np.empty(text.size, np.uint8), np.arange(text.size)
+    while left.size:  # there are about a dozen words; np.unique would sort all of them
+        word = flat[left[0]].item()
+        if word not in listed:
+            listed.append(word)
+        other = flat[left] != word
+        codes[left[~other]] = listed.index(word)
+        left = left[other]
+    return codes.reshape(text.shape)
+
+
 def is_word(text: xr.DataArray, *wanted: str) -> Bools:
     """Return where a table of words (rows, …) has one of those that are wanted; a part is read at a time."""
     found = np.zeros(text.shape, bool)
@@ -64,7 +98,7 @@ def word_counts(text: xr.DataArray) -> dict[str, int]:
     counts: Counter[str] = Counter()
     for rows in row_parts(len(text)):
         left = text[rows].values.ravel()
-        while left.size:  # there are about a dozen words; np.unique would sort all of them
+        while left.size:
             other = left != left[0]
             counts[str(left[0])] += left.size - int(other.sum())
             left = left[other]

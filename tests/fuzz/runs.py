@@ -20,7 +20,6 @@ from tests.scenes.comparison import events, write_run
 from vision.command.console import attempt
 from vision.command.main import run as track
 from vision.command.settings import settings_of_run
-from vision.review import tracks_file
 from vision.review.session import Session
 from vision.run import reading
 
@@ -98,7 +97,7 @@ def run_cases(cases: int, seed: int, place: Path) -> Iterator[tuple[int, str, Fa
     """(number, command and outcome, failure) of each case; case n of a seed is always the same folder."""
     place.mkdir(parents=True, exist_ok=True)
     whole = write_seed(place)
-    here, tried, parsed = Path.cwd(), reading.try_out, tracks_file.try_out
+    here, tried = Path.cwd(), reading.try_out
     os.chdir(place)
     weights = np.array([weight for _, weight in COMMANDS.values()]) / sum(w for _, w in COMMANDS.values())
     try:
@@ -114,7 +113,6 @@ def run_cases(cases: int, seed: int, place: Path) -> Iterator[tuple[int, str, Fa
             damage(folder / file, random)
             damaged = file == "tracks.nc"  # else no process of its own is needed
             reading.try_out = tried if damaged else lambda *_, **__: None
-            tracks_file.try_out = parsed if damaged else parse_here
             os.chdir(work)
             ended = one_case(COMMANDS[name][0])
             os.chdir(place)
@@ -128,13 +126,8 @@ def run_cases(cases: int, seed: int, place: Path) -> Iterator[tuple[int, str, Fa
                 failure = Failure(case, folder / file, ended)
             yield case, f"{name} {ended.splitlines()[-1]}", failure
     finally:
-        reading.try_out, tracks_file.try_out = tried, parsed
+        reading.try_out = tried
         os.chdir(here)
-
-
-def parse_here(path: Path, parser: str, wanted: str) -> None:
-    """As `try_out`, in this process."""
-    exec(parser, {"path": str(path)})
 
 
 def one_case(words: list[str]) -> str:

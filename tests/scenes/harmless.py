@@ -15,7 +15,6 @@ from typing import Any
 
 import pytest
 
-from vision.review import tracks_file
 from vision.run import reading, writing
 
 
@@ -23,7 +22,7 @@ from vision.run import reading, writing
 def harmless_files() -> Iterator[None]:
     """For as long as the block lasts."""
     known: set[bytes] = set()
-    parse, try_out, write = tracks_file.try_out, reading.try_out, writing.write_tracks_nc
+    try_out, write = reading.try_out, writing.write_tracks_nc
 
     def written(tracks: Any, path: Path, **how: Any) -> None:
         write(tracks, path, **how)
@@ -35,18 +34,9 @@ def harmless_files() -> Iterator[None]:
             try_out(path, *how, **limits)
             known.add(content)
 
-    def parsed(path: Path, parser: str, *how: Any, **limits: Any) -> None:
-        content = _digest(path)
-        if content in known:
-            exec(parser, {"path": str(path)})
-        else:
-            parse(path, parser, *how, **limits)
-            known.add(content)
-
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(writing, "write_tracks_nc", written)
         patch.setattr(reading, "try_out", tried)
-        patch.setattr(tracks_file, "try_out", parsed)
         yield
 
 

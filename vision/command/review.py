@@ -1,6 +1,6 @@
 """`track review RUN`: serve a run to a browser.
 
-The page is served first. The modules that read the run are imported after that, while its tracks are read.
+The page is served first. The modules that read the run are imported after that.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ import glob
 import importlib.util
 import webbrowser
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -110,19 +109,12 @@ def review(
 
 
 def _open_app(folder: Path, film: Path | None, cleanup: ExitStack, stop: Callable[[], None]) -> ASGIApp:
-    """Open the run and return the application that serves it; `cleanup` closes the run.
+    """Open the run and return the application that serves it; `cleanup` closes the run."""
+    from vision.command.settings import settings_of_run
+    from vision.review.api import keep_first_view, session_app
+    from vision.review.session import Session
 
-    The tracks are read in a thread while modules are imported.
-    """
-    from vision.review.tracks_file import read_tracks
-
-    with ThreadPoolExecutor(1) as pool:
-        tracks = pool.submit(read_tracks, folder / "tracks.nc")
-        from vision.command.settings import settings_of_run
-        from vision.review.api import keep_first_view, session_app
-        from vision.review.session import Session
-
-        session = Session(folder, settings_of_run(folder), film=film, options=option_names(), tracks=tracks)
+    session = Session(folder, settings_of_run(folder), film=film, options=option_names())
     cleanup.enter_context(session)
     cleanup.callback(keep_first_view, session)
     return session_app(session, stop)

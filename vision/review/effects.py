@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,9 +15,8 @@ from vision.clock import Clock
 from vision.deformation import horizontal_deformation
 from vision.errors import InputError, with_options
 from vision.numeric import Ints, Pixels
-from vision.review.positions import Positions, apply, median_positions, nearest_ridges, positions_of
+from vision.review.positions import Positions, apply, median_positions, nearest_ridges
 from vision.review.recordings import decided_clock
-from vision.review.tracks_file import read_tracks
 from vision.sheets.corrections import OF_STRETCHES, Correction
 from vision.sheets.ridges import describe_ridges, find_ridges
 from vision.sheets.subpixel import fit_sheets, position_noise
@@ -64,11 +62,11 @@ class Effects:
         first = decision.first if decision.kind in OF_STRETCHES else 0
         return int(np.sum((self.run.positions.frame >= first) & (self.run.positions.frame < stop)))
 
-    def preview_of(self, tracks: Path, frame: int) -> dict[str, Any]:
-        """Return what another run's tracks.nc would change: positions near a frame, numbering, the stick."""
+    def preview_of(self, after: Positions, frame: int) -> dict[str, Any]:
+        """Return what positions of another run would change: those near a frame, numbering, the stick."""
         at = self.run.positions.row_of(frame)
         near, rows = self._rows_for(Correction(kind="strip"), at)
-        return self._compared(positions_of(read_tracks(tracks, rows)), at, near, rows)
+        return self._compared(after.copied(rows), at, near, rows)
 
     def _compared(
         self, after: Positions, at: int, near: StickAndNeighbours | None, rows: slice

@@ -5,7 +5,7 @@ A test of 100 000 frames and 50 sheets takes 70 MB.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,8 +18,6 @@ from vision.data import TRACKS, StripMetadata, TrackMetadata
 from vision.errors import InputError
 from vision.numeric import Bools, Codes, Floats, Floats32, Ints, nan_median, nearest
 from vision.review.recordings import Diagram
-from vision.review.tracks_file import StoredTracks
-from vision.run.tables import attrs_of_netcdf
 from vision.sheets.corrections import OF_SHEETS, Corrected, Correction, follow_ridge
 from vision.sheets.doubts import predicted_by_neighbours
 from vision.sheets.identities import WHYS
@@ -27,6 +25,7 @@ from vision.sheets.numbering import number_sheets
 from vision.sheets.recovery import FLAGS, Flag
 from vision.sheets.ridges import RidgeComb, Ridges, find_ridges
 from vision.sheets.subpixel import FitName, fit_sheets
+from vision.words import word_codes
 
 CELLS = ("x_px", "err_px", "withheld_px", "flag", "why")
 """Names of the arrays of (frame, sheet)."""
@@ -129,30 +128,25 @@ def _slips_in(tracks: xr.Dataset) -> Floats:
         return np.empty(0)
 
 
-def positions_of(stored: StoredTracks) -> Positions:
-    """Convert stored tracks into positions."""
-    arrays, shape = stored.arrays, stored.arrays["x_px"].shape
-    attrs = {name: value for name, value in stored.attrs.items() if name not in ("Conventions", "title")}
+def positions_of(tracks: xr.Dataset) -> Positions:
+    """Convert tracks, as read from a run folder, into positions."""
+    unknown = xr.full_like(tracks["x_px"], np.nan)
+
+    def single(name: str) -> Floats32:
+        return tracks.get(name, unknown).values.astype(np.float32)
+
     return Positions(
-        frame=arrays["frame"],
-        time_s=arrays["time_s"],
-        x_px=arrays["x_px"],
-        err_px=arrays["x_err_px"],
-        withheld_px=arrays.get("x_withheld_px", np.full(shape, np.nan, np.float32)),
-        flag=_codes(stored, "flag", FLAGS),
-        why=_codes(stored, "why", WHYS),
-        side=arrays["side"],
-        n=arrays["n"],
-        attrs=attrs_of_netcdf(attrs),
+        frame=tracks["frame"].values,
+        time_s=tracks["time_s"].values,
+        x_px=single("x_px"),
+        err_px=single("x_err_px"),
+        withheld_px=single("x_withheld_px"),
+        flag=word_codes(tracks["flag"], FLAGS),
+        why=word_codes(tracks["why"], WHYS) if "why" in tracks else np.zeros(unknown.shape, np.uint8),
+        side=tracks["side"].values,
+        n=tracks["n"].values,
+        attrs={name: value for name, value in tracks.attrs.items() if name not in ("Conventions", "title")},
     )
-
-
-def _codes(stored: StoredTracks, name: str, words: Sequence[str]) -> Codes:
-    """Return the stored words of an array as indices in `words`; 0 for those that are not in it."""
-    if name not in stored.arrays:
-        return np.zeros(stored.arrays["x_px"].shape, np.uint8)
-    code = [words.index(word) if word in words else 0 for word in stored.words[name]]
-    return np.take(np.array([*code, 0], np.uint8), stored.arrays[name])
 
 
 # --- decisions ----------------------------------------------------------------------------------------------

@@ -28,9 +28,8 @@ from vision.numeric import Floats, Ints
 from vision.pipeline import Analysis, Settings, analyse, open_recording
 from vision.review.positions import Positions, UndoStep, median_positions, positions_of
 from vision.review.recordings import StoredRun
-from vision.review.tracks_file import read_tracks
 from vision.run.provenance import Origin, Parameter
-from vision.run.reading import read_run, read_strip
+from vision.run.reading import read_run, read_strip, read_tracks
 from vision.run.writing import write_run
 from vision.sheets.corrections import Decisions
 
@@ -246,6 +245,7 @@ class Trial:
         self.run = run
         self._folder: Path | None = None  # of the new run
         self._found: Mapping[str, Any] | None = None
+        self._positions: Positions | None = None  # of the new run, once they are shown
 
     def start(self, request: Mapping[str, Any]) -> None:
         """Start tracking.  Raises: InputError if the decision is not valid or another job is running."""
@@ -268,7 +268,9 @@ class Trial:
         Raises: InputError if there is no finished trial.
         """
         with self.run.lock:
-            return self.run.effects.preview_of(self._finished() / "tracks.nc", frame)
+            tracks = self._finished() / "tracks.nc"
+            self._positions = self._positions or positions_of(read_tracks(tracks))
+            return self.run.effects.preview_of(self._positions, frame)
 
     def _finished(self) -> Path:
         """Return the folder of the new run."""
@@ -300,7 +302,7 @@ class Trial:
             if self.run.saver.running and self._found is None:
                 self.run.saver.cancel()
             self.sweep()
-            self._folder = self._found = None
+            self._folder = self._found = self._positions = None
 
     def sweep(self) -> None:
         """Remove the folder of a trial, including one left by a killed review."""

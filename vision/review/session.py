@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta
 from functools import lru_cache
 from pathlib import Path
@@ -34,7 +33,7 @@ from vision.review.recordings import (
     decided_clock,
 )
 from vision.review.saving import SaveJob, Saver, Trial, pack_steps, read_steps
-from vision.review.tracks_file import StoredTracks, read_tracks
+from vision.run.reading import read_tracks
 from vision.run.writing import CORRECTIONS
 from vision.sheets.corrections import (
     KEYS,
@@ -60,7 +59,7 @@ class Session:
 
     settings: those of the run; its corrections are read from the folder.  film: its path, if it has been
     moved since it was tracked.  options: the command-line option that the report shows in place of each
-    argument's name.  tracks: the run's tracks, if they are being read already.
+    argument's name.
     """
 
     def __init__(
@@ -70,7 +69,6 @@ class Session:
         *,
         film: Path | None = None,
         options: Mapping[str, str] | None = None,
-        tracks: Future[StoredTracks] | None = None,
     ) -> None:
         self.folder, self.settings, self.options = folder, settings, dict(options or {})
         self.saver, self.effects, self.trial = Saver(), Effects(self), Trial(self)
@@ -83,14 +81,14 @@ class Session:
         )
         try:
             with reading(folder, "a run folder as track writes it", AGAIN):
-                self._load(tracks)
+                self._load()
                 self.revision = 0  # stored answers to a page's first requests have revision 0
                 self.recordings = Recordings(self.stored, settings, film)
         except BaseException:
             self._claim.close()
             raise
 
-    def _load(self, tracks: Future[StoredTracks] | None = None) -> None:
+    def _load(self) -> None:
         """Read the folder, then apply the decisions that are not in its tables yet."""
         self.stored = StoredRun.of(self.folder)
         self.events, self.saved_clock = self.stored.events, self.stored.clock
@@ -98,20 +96,17 @@ class Session:
         first = (columns.start or 0) if columns else 0
         self.diagram = Diagram(self.folder / "kymograph.tif", first, self.settings.tuning.tracking)
         try:
-            self._load_tracks(tracks)
+            self._load_positions()
             self._load_decisions()
         except BaseException:
             self.diagram.close()
             raise
 
-    def _load_tracks(self, tracks: Future[StoredTracks] | None) -> None:
-        """Read the positions; meanwhile build the tiles of the diagram."""
+    def _load_positions(self) -> None:
+        """Read the positions, and build the tiles of the diagram."""
         ridges = self.stored.facts.get("found", {}).get("ridges", {}).get("polarity", "bright")
-        with ThreadPoolExecutor(1) as pool:
-            tiles = pool.submit(Tiles, self.diagram, bright=ridges == "bright")
-            stored = tracks.result() if tracks else read_tracks(self.folder / "tracks.nc")
-            self.positions = positions_of(stored)
-            self.tiles = tiles.result()
+        self.positions = positions_of(read_tracks(self.folder / "tracks.nc"))
+        self.tiles = Tiles(self.diagram, bright=ridges == "bright")
         if len(self.positions.frame) != self.diagram.frames:
             frames = f"{len(self.positions.frame)} rows, one per frame of tracks.nc"
             raise InputError(self.diagram.path, frames, f"{self.diagram.frames}", AGAIN)

@@ -37,6 +37,7 @@ from vision.folder import (
 from vision.run.provenance import Parameter, describe_input
 from vision.run.tables import attrs_of_netcdf, read_kymograph_tif
 from vision.video import FramesRead, FrameStore, Video, VideoSettings, video_files
+from vision.words import words_of_characters
 
 _NUMBERS: dict[Any, Callable[[Any], float]] = {"float": float, "int": int}  # by the type of a field
 TEXT_COLUMNS = ("flag", "shell")  # of the tables of a run; all others hold numbers
@@ -84,7 +85,7 @@ class RunFolder:
         if not self.of_video:
             found, advice = "no tracks.nc in it", "give the run of a video"
             raise InputError(self.folder, "a run of a video", found, advice)
-        return _read_tracks(self.folder / "tracks.nc")
+        return read_tracks(self.folder / "tracks.nc")
 
     @cached_property
     def clock(self) -> Clock | None:
@@ -218,16 +219,19 @@ def read_strip(run: RunFolder) -> xr.DataArray:
     )
 
 
-def _read_tracks(path: Path) -> xr.Dataset:
-    """Read tracks.nc, first in a separate process, as HDF5 can crash or hang on a damaged file."""
+def read_tracks(path: Path) -> xr.Dataset:
+    """Read tracks.nc as `track_sheets` returned it.  Raises: InputError if it is missing or damaged.
+
+    It is first read in a separate process, as HDF5 can crash or hang on a damaged file.
+    """
     wanted = "tracks as track writes them"
     try_out(path, READ_HDF5, wanted)
     with reading(path, wanted, AGAIN):
-        with xr.open_dataset(path, engine="h5netcdf") as data:
+        with xr.open_dataset(path, engine="h5netcdf", concat_characters=False) as data:
             tracks = data.load()
         tracks.attrs = attrs_of_netcdf(tracks.attrs)
-        words = [name for name in ("flag", "why") if name in tracks]
-        tracks = tracks.assign({name: tracks[name].astype(str) for name in words})
+        words = {name: _words(tracks[name]) for name in ("flag", "why") if name in tracks}
+        tracks = tracks.assign(words)
         try:
             TRACKS.check(tracks)
             TrackMetadata.of(tracks)
@@ -239,6 +243,12 @@ def _read_tracks(path: Path) -> xr.Dataset:
         if odd:
             raise InputError(path, wanted, f"no numbers in {', '.join(odd)}", AGAIN)
     return tracks
+
+
+def _words(characters: xr.DataArray) -> xr.Variable:
+    """Return the words that a file holds as characters."""
+    attrs = {name: value for name, value in characters.attrs.items() if name != "_Encoding"}
+    return xr.Variable(characters.dims[:-1], words_of_characters(characters.values), attrs)
 
 
 # --- checkpoint of an interrupted run -----------------------------------------------------------------------
