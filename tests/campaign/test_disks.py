@@ -9,7 +9,7 @@ import pytest
 from tests.campaign.scenes import films, planned, rows, table
 from vision.campaign.films import CampaignSettings, FolderWatch, read_campaign
 from vision.campaign.jobs import _source, copy_or_give_up
-from vision.campaign.plan import State, make_plan, vanished_rows, write_state
+from vision.campaign.plan import State, make_plan, vanished_films, write_state
 from vision.errors import InputError
 
 
@@ -86,7 +86,7 @@ def test_a_film_that_left_a_folder_whose_disk_dies(tmp_path, dies):
     write_state(plan.out, State(name="t0", key=plan.films[0].key, state="done"))
     dies(paths[0], "exists")
     with pytest.raises(InputError, match=r"camera: expected a disk .* no answer for 0\.2 s"):
-        vanished_rows(tmp_path / "out", lambda _: ({}, []), tmp_path / "camera")
+        vanished_films(tmp_path / "out", tmp_path / "camera")
 
 
 def test_a_film_whose_disk_dies_before_it_is_copied(tmp_path, dies):

@@ -18,7 +18,7 @@ from vision.campaign.plan import (
     read_plan,
     read_state,
     share,
-    vanished_rows,
+    vanished_films,
     write_plan,
     write_state,
 )
@@ -68,9 +68,9 @@ def test_films_that_were_done_and_moved_away_stay_in_the_pool(tmp_path):
     finish(plan, "t0", "t2")
     for path in paths[:2]:
         path.unlink()
-    gone = vanished_rows(out, lambda options: ({}, []), tmp_path / "camera")
-    assert [row.name for row in gone] == ["t0"]  # t1 was never done, t2 is still there
-    after = make_plan([*gone, *rows(paths[2:])], out)
+    gone = vanished_films(out, tmp_path / "camera")
+    assert [film.name for film in gone] == ["t0"]  # t1 was never done, t2 is still there
+    after = make_plan(rows(paths[2:]), out, earlier=gone)
     assert [film.key for film in after.films] == [plan.film(name).key for name in ("t0", "t2")]
     assert after.jobs == {}
 

@@ -19,7 +19,7 @@ from typing import Any, Literal
 import numpy as np
 
 import vision
-from vision.campaign.films import PATHS, SETTINGS, Check, Row, is_remote
+from vision.campaign.films import PATHS, SETTINGS, Row, is_remote
 from vision.errors import InputError
 from vision.files import Stamp, answered, reading, shortened
 from vision.folder import plain, whole_file, write_json
@@ -161,17 +161,21 @@ def make_plan(
     report: bool = True,
     cores: int = 1,
     keep: bool = True,
+    earlier: Sequence[PlannedFilm] = (),
 ) -> Plan:
     """Fingerprint the films, estimate their time and memory, and divide the unfinished ones into jobs.
 
     out, config, stage, report: as in `Plan`; the folder need not exist.  cores: number of jobs that run at a
     time.  keep: whether the fingerprints are stored for the next time; if False nothing is written.
+    earlier: films of an earlier plan that are gone and stay in this one.
+
     Raises: InputError if ``out`` is not a campaign, or one of another version, or the disk of a film does not
     answer.
     """
     check_folder(out)
     known = read_if_whole(out / FINGERPRINTS)  # if not, all files are read again
-    films = [answered(partial(_film, row, known), Path(row.film), SETTINGS.answer_s) for row in rows]
+    new = [answered(partial(_film, row, known), Path(row.film), SETTINGS.answer_s) for row in rows]
+    films = [*earlier, *new]
     if keep:
         with whole_file(out / FINGERPRINTS) as path:
             write_json(known, path)
@@ -185,11 +189,10 @@ def make_plan(
     return replace(plan, jobs=jobs)
 
 
-def vanished_rows(out: Path, check: Check, folder: Path) -> list[Row]:
-    """Return rows for finished films of the earlier plan that have since left the watched folder.
+def vanished_films(out: Path, folder: Path) -> list[PlannedFilm]:
+    """Return the finished films of the earlier plan that have since left the watched folder.
 
-    `check` converts options into values, as for the table.  Raises: InputError if the plan is damaged or the
-    folder's disk does not answer.
+    Raises: InputError if the plan is damaged or the folder's disk does not answer.
     """
     if not (out / PLAN).is_file():
         return []
@@ -200,14 +203,7 @@ def vanished_rows(out: Path, check: Check, folder: Path) -> list[Row]:
         return path.parent.resolve() == folder.resolve() and not path.exists()
 
     return [
-        Row(
-            row=0,
-            film=film.film,
-            name=film.name,
-            options=film.options,
-            values=check(film.options)[0],
-            facts=film.facts,
-        )
+        film
         for film in plan.films
         if plan.finished(film) is not None and answered(partial(has_left, film), folder, SETTINGS.answer_s)
     ]

@@ -30,7 +30,7 @@ from vision.campaign.plan import (
     check_folder,
     make_plan,
     read_plan,
-    vanished_rows,
+    vanished_films,
     write_plan,
 )
 from vision.campaign.results import duration, needs_pool, pool, read_remarks, write_page
@@ -74,19 +74,17 @@ def campaign(table: Path | None, options: CampaignOptions) -> int:
     profile = _profile(options)
     watcher = None if options.watch is None else FolderWatch(options.watch)
 
-    def run(rows: Sequence[Row]) -> int:
-        return _carry_out(make(rows), options, profile)
-
     def new(film: Path) -> Row:
         name = safe_name(run_name(film))
         return Row(row=0, film=str(film.absolute()), name=name, values=check({})[0])
 
     with jobs.campaign_lock(target):
         if watcher is None:
-            return run(rows)
+            return _carry_out(make(rows), options, profile)
         # Films that were tracked and then moved away stay in the comparison.
-        gone = vanished_rows(target, check, watcher.folder)
-        return _watch(watcher, rows, new, lambda ready: run([*gone, *ready]), options.idle)
+        make = partial(make, earlier=vanished_films(target, watcher.folder))
+        run = partial(_carry_out, options=options, profile=profile)
+        return _watch(watcher, rows, new, lambda ready: run(make(ready)), options.idle)
 
 
 def job(plan: Path, name: str, /, *fetched: Path) -> int:
