@@ -71,6 +71,16 @@ def test_the_help_of_a_command_keeps_its_examples_and_arguments(command, capsys,
         assert explanation.rstrip(".").replace("`", "") in said
 
 
+def test_the_list_of_commands_has_the_first_line_of_their_help():
+    """A failure means that `track --help` says something else of a command than its own help."""
+    brief, whole = make_app(brief=True), make_app()
+    shown = [name for name in COMMANDS if whole[name].show]
+    assert len(shown) > 12
+    assert [brief[name].help.splitlines()[0] for name in shown] == [
+        whole[name].help.splitlines()[0] for name in shown
+    ]
+
+
 @pytest.mark.parametrize("example", EXAMPLES)
 def test_examples_have_no_option_that_does_not_exist(example, tmp_path, monkeypatch, capsys):
     """A failure means that the first command a reader copies is refused."""

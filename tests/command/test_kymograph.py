@@ -14,7 +14,7 @@ from tests.scenes.comb_video import frames_of, positions, write_video
 from tests.scenes.undrawn import undrawn
 from vision.command import views
 from vision.command.main import run
-from vision.command.options import OutputOptions, VideoOptions, WindowOptions
+from vision.command.options import VideoOptions, WindowOptions
 from vision.figures import Results
 from vision.run import read_run
 
@@ -262,8 +262,6 @@ def test_a_width_without_a_scale_is_refused_before_the_film_is_read(there, monke
             there / "comb.tif",
             WindowOptions(sheet=("right:4",), width="0.2mm"),
             VideoOptions(pixel_size="10"),
-            "png",
-            OutputOptions(),
         )
 
 

@@ -15,7 +15,7 @@ from starlette.testclient import TestClient
 
 from tests.scenes.reviewed import FIXTURE, SETTINGS, remedies, truth
 from tests.scenes.served import HERE, PATIENCE_S, PORT, TOKEN, Address, Served, app_of, page_of
-from vision.command.commands import track
+from vision.command.main import track
 from vision.command.options import RunOptions, VideoOptions
 from vision.command.settings import settings_of_run
 from vision.errors import InputError

@@ -44,8 +44,32 @@ from vision.run import FAILURES, Parameter
 from vision.summary import aligned
 
 
-def campaign(table: Path | None, options: CampaignOptions) -> int:
-    """Plan and track the films of a table, a watched folder, or both; return the exit status."""
+def campaign(table: Path | None = None, /, options: CampaignOptions = CampaignOptions()) -> int:
+    """Track many films, on all cores of this machine or on a cluster, each only once.
+
+    The table has one row per test. Its columns are film, force, any option of track, and the conditions
+    sample, V_mm_min, n_test, RH_percent and T_C. All rows are checked before anything starts. A film is
+    tracked again only if its files or options have changed. One that fails is tried twice; the others
+    continue.
+
+    Writes a run folder for each film in runs/, campaign.csv, index.html (updated while it runs), the
+    comparison of the finished tests in pool/ and their tables as Parquet in tables/.
+
+    For example:
+
+        track campaign tests.csv --dry-run
+
+        track campaign tests.csv --out series
+
+        track campaign tests.csv --executor slurm --stage
+
+        track campaign --watch /data/camera --config setup.toml
+
+    Parameters
+    ----------
+    table
+        CSV file; paths in it are relative to its folder.
+    """
     named = table or options.watch
     if named is None:
         wanted = "a table of tests, or a folder to watch"

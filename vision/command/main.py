@@ -12,13 +12,20 @@ import sys
 import threading
 import warnings
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from cyclopts import App
 
 from vision import __version__
-from vision.command import commands
 from vision.command.console import attempt, complain, hold_streams, return_freed_memory, silence_libraries
+from vision.command.options import (
+    ForceOptions,
+    RunOptions,
+    SampleOptions,
+    TestOptions,
+    VideoOptions,
+)
 from vision.command.review import review
 from vision.errors import InputError
 from vision.files import MOST_PIXELS
@@ -42,8 +49,55 @@ if some of their inputs cannot be used.
 """
 
 
-def make_app() -> App:
-    """Return the application with all its commands."""
+def track(
+    *videos: Path,
+    reading: VideoOptions = VideoOptions(),
+    test: TestOptions = TestOptions(),
+    machine: ForceOptions = ForceOptions(),
+    sample: SampleOptions = SampleOptions(),
+    run: RunOptions = RunOptions(),
+    config: Path | None = None,
+) -> int:
+    """Track every sheet of a video: positions x(n,t), their errors, pictures and tables in a new folder.
+
+    Several videos are tracked one after the other, each into its own folder. If one cannot be used, the
+    others are still tracked, and the exit status is the highest of all, here 2. --out is then the folder that
+    holds their folders.
+
+    Parameters
+    ----------
+    videos
+        One or several: a video file, a TIFF stack, a folder of films or images, or a quoted glob of images.
+    config
+        TOML file with any of these options; the command line takes precedence.
+    """
+    from vision.command.track import track_films  # takes a second, which `--help` does not need
+
+    return track_films(videos, (reading, test, machine, sample), run, config)
+
+
+_OTHERS = {
+    "views:preview": "Show within seconds the frame, the strip, the ridges and their noise.",
+    "views:overlay": "Draw the tracks of a finished run on its film, to see whether they follow the sheets.",
+    "recordings:force": "Find stick-slip events, stiffness and model fits from a force recording alone.",
+    "recordings:simulate": "Make a synthetic traction test: a film, a force recording, and their truth.",
+    "views:kymograph": "Draw space-time diagrams of the whole strip, or of windows around sheets.",
+    "views:export": "Write the tables of a finished run in another program's format.",
+    "views:figures": "Write the figures of a finished run for a manuscript, or their numbers as csv.",
+    "views:certify": "Measure what the recording of a run can resolve, from similar films with known truth.",
+    "views:compare": "Compare several tests: one table, one μ, the collapse, change points and trends.",
+    "campaign:campaign": "Track many films, on all cores of this machine or on a cluster, each only once.",
+    "recordings:friction": "Measure friction of two sheets from rheometer files, and fit μ_s = a(1 + b/N).",
+    "recordings:modulus": "Measure Young's modulus of one sheet from push–pull cycles.",
+}
+"""Commands in modules that are imported when they are called, with the first line of their help."""
+
+
+def make_app(*, brief: bool = False) -> App:
+    """Return the application with all its commands.
+
+    brief: of the commands, only the first lines of their help are needed; nothing is imported for these.
+    """
     app = App(
         name="track",
         help=HELP,
@@ -52,24 +106,12 @@ def make_app() -> App:
         help_format="plaintext",
         suppress_keyboard_interrupt=False,
     )
-    app.default(commands.track)
-    for command in (
-        commands.preview,
-        commands.overlay,
-        commands.force,
-        commands.simulate,
-        commands.kymograph,
-        commands.export,
-        commands.figures,
-        commands.certify,
-        commands.compare,
-        review,
-        commands.campaign,
-        commands.friction,
-        commands.modulus,
-    ):
-        app.command(command, help_format="markdown")
-    # Those for the Snakefile are imported when they are called.
+    app.default(track)
+    app.command(review, help_format="markdown")
+    for place, first_line in _OTHERS.items():
+        shown = {"help": first_line} if brief else {}
+        app.command(f"vision.command.{place}", help_format="markdown", **shown)
+    # for the Snakefile
     app.command("vision.command.campaign:job", name="campaign-job", show=False)
     app.command("vision.command.campaign:pool_runs", name="campaign-pool", show=False)
     return app
@@ -151,9 +193,9 @@ def run(arguments: Sequence[str]) -> int:
 
 def _answer(arguments: Sequence[str]) -> Any:
     """Call the command and return its result."""
-    app = make_app()
     if arguments in ([], ["--help"]):  # skipping the parser saves a quarter of the time
-        return app.help_print([])
+        return make_app(brief=True).help_print([])
+    app = make_app()
     _check_command(app, arguments[0])
     return app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
 

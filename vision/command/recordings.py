@@ -12,7 +12,16 @@ from typing import Any
 import pandas as pd
 
 from vision.command.console import complain, conclude, frame_progress, one_line
-from vision.command.options import FrictionOptions, ModulusOptions, OutputOptions, SimulateOptions, flag_of
+from vision.command.options import (
+    Flag,
+    ForceOptions,
+    FrictionOptions,
+    ModulusOptions,
+    OutputOptions,
+    SampleOptions,
+    SimulateOptions,
+    flag_of,
+)
 from vision.command.settings import (
     at_least,
     merged,
@@ -30,7 +39,8 @@ from vision.figures import Figure, both_errors, plus_minus, save_figures
 from vision.figures.single_sheets import friction_figure, modulus_figure
 from vision.files import write_csv
 from vision.folder import write_json
-from vision.force import detection_limit, parse_columns, read_force
+from vision.force import detection_limit as smallest_found
+from vision.force import parse_columns, read_force
 from vision.models import Estimate
 from vision.models.friction import (
     RIM_CAVEAT,
@@ -59,27 +69,42 @@ from vision.summary import aligned
 
 def force(
     file: Path,
-    groups: Sequence[Any],
-    config: Path | None,
-    output: OutputOptions,
+    /,
+    machine: ForceOptions = ForceOptions(),
+    sample: SampleOptions = SampleOptions(),
     *,
-    free_t_star: bool,
-    limit: bool,
+    free_t_star: Flag = False,
+    detection_limit: Flag = False,
+    config: Path | None = None,
+    output: OutputOptions = OutputOptions(),
 ) -> int:
-    """Analyse a force recording alone, and return the exit status.
+    """Find stick-slip events, stiffness and model fits from a force recording alone.
 
-    groups: options of the recording and the sample.  free_t_star: whether T* is fitted too.
-    limit: whether the detection limit is measured.
+    Writes the folder FILE_force: events.csv, models.json, run.json and force.png. Exit status 1 if there is a
+    warning that matters.
+
+    Parameters
+    ----------
+    file
+        Recording of a testing machine: text, CSV, .TRA, .xlsx or .mat.
+    free_t_star
+        Also fit T* (the data hardly separate it from the friction coefficient).
+    detection_limit
+        Also measure the smallest slip that is found, by adding known slips to the recording.
+    config
+        TOML file with any of these options; the command line takes precedence.
     """
-    parameters = merged(*groups, config=config)
+    parameters = merged(machine, sample, config=config)
     target = output.out or Path(f"{file.stem}_force")
     check_results(target, overwrite=output.overwrite, mark="detection_limit")
     analysis = analyse(None, file, replace(settings_of(parameters), t_star_fitted=free_t_star))
-    parameters |= parameters_given(output, free_t_star=free_t_star, detection_limit=limit, config=config)
+    parameters |= parameters_given(
+        output, free_t_star=free_t_star, detection_limit=detection_limit, config=config
+    )
     inputs = (file,) if config is None else (file, config)
     found = None
-    if limit and analysis.force is not None and analysis.sticks is not None:
-        table = detection_limit(analysis.force, analysis.sticks)
+    if detection_limit and analysis.force is not None and analysis.sticks is not None:
+        table = smallest_found(analysis.force, analysis.sticks)
         found = {"limit_N": table.attrs["limit_N"], "tried": table.to_dict("records")}
     origin = origin_of(inputs, parameters)
     write_run(analysis, target, origin, overwrite=output.overwrite, facts={"detection_limit": found})
@@ -89,8 +114,19 @@ def force(
 # --- single sheets ------------------------------------------------------------------------------------------
 
 
-def modulus(file: Path, options: ModulusOptions, output: OutputOptions) -> int:
-    """Measure Young's modulus from push–pull cycles, and return the exit status."""
+def modulus(
+    file: Path, /, options: ModulusOptions = ModulusOptions(), *, output: OutputOptions = OutputOptions()
+) -> int:
+    """Measure Young's modulus of one sheet from push–pull cycles.
+
+    Writes the folder FILE_modulus: cycles.csv, modulus.json, run.json, modulus.png and figures.npz. Exit
+    status 1 if there is a warning that matters.
+
+    Parameters
+    ----------
+    file
+        Recording of a testing machine with time, load and displacement.
+    """
     started = time.perf_counter()
     target = output.out or Path(f"{file.stem}_modulus")
     check_results(target, overwrite=output.overwrite, mark="cycles")
@@ -153,8 +189,19 @@ def _modulus_lines(means: Mapping[str, MeanValue], cycles: int) -> list[str]:
     return lines
 
 
-def friction(files: Sequence[Path], options: FrictionOptions, output: OutputOptions) -> int:
-    """Measure the friction of two sheets from a rheometer's files, and return the exit status."""
+def friction(
+    *files: Path, options: FrictionOptions = FrictionOptions(), output: OutputOptions = OutputOptions()
+) -> int:
+    """Measure friction of two sheets from rheometer files, and fit μ_s = a(1 + b/N).
+
+    Writes the folder FIRSTFILE_friction: friction.csv, friction.json, run.json, friction.png and figures.npz.
+    A file or measurement that cannot be used is named, the others are used, and the exit status is 1.
+
+    Parameters
+    ----------
+    files
+        RheoCompass exports (UTF-16 or UTF-8, several results and intervals), or tables with units.
+    """
     started = time.perf_counter()
     if not files:
         raise InputError("track friction", "one or more files", "none", "name the rheometer's files")
@@ -276,8 +323,17 @@ def _loads(text: str | None, files: int) -> list[float | None]:
 # --- a synthetic test ---------------------------------------------------------------------------------------
 
 
-def simulate(directory: Path, options: SimulateOptions) -> int:
-    """Make a synthetic traction test with known truth, and return the exit status."""
+def simulate(directory: Path, /, options: SimulateOptions = SimulateOptions()) -> int:
+    """Make a synthetic traction test: a film, a force recording, and their truth.
+
+    Writes video.*, force.txt, truth.nc and the camera's timestamps.txt. Settings are taken from the preset,
+    then the TOML file, then the options, then --set; later ones override.
+
+    Parameters
+    ----------
+    directory
+        Folder to make.
+    """
     experiment = ready_made(options.preset)
     changes = settings_from_toml(options.toml) if options.toml else {}
     typed = {"seed": options.seed, "camera.duration_s": options.duration}

@@ -82,11 +82,11 @@ def review(
     if not (folder / "run.json").is_file():  # as `vision.run.is_run`, which takes a second to import
         if not run_or_video.exists() and not glob.has_magic(str(run_or_video)):
             raise no_such_file(folder, "a run folder or a video")
-        from vision.command.track import one_film, run_name, track
+        from vision.command.track import one_film, run_name, track_films
 
         run_or_video = one_film(run_or_video)
         folder = run.out or Path(f"{run_name(run_or_video)}_tracks")
-        status = track([run_or_video], groups, replace(run, out=folder), config)
+        status = track_films([run_or_video], groups, replace(run, out=folder), config)
         if status > 1:
             return status
     elif given := [*map(flag_of, names_given(*groups, run)), *(["--config"] if config else [])]:

@@ -41,7 +41,7 @@ LONG_FRAMES = 20_000
 minutes; a review reads shorter runs while its page loads."""
 
 
-def track(videos: Sequence[Path], groups: Sequence[Any], run: RunOptions, config: Path | None) -> int:
+def track_films(videos: Sequence[Path], groups: Sequence[Any], run: RunOptions, config: Path | None) -> int:
     """Track one video or several, and return the exit status.
 
     groups: options of the video, the test, the force recording and the sample.

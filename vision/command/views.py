@@ -8,7 +8,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import xarray as xr
@@ -74,8 +74,32 @@ class Preview:
     warnings: tuple[str, ...]
 
 
-def preview(video: Path, reading: VideoOptions, config: Path | None, output: OutputOptions) -> int:
-    """Write the picture of a preview, print its summary, and return the exit status."""
+def preview(
+    video: Path,
+    /,
+    reading: VideoOptions = VideoOptions(),
+    *,
+    config: Path | None = None,
+    output: OutputOptions = OutputOptions(),
+) -> int:
+    """Show within seconds the frame, the strip, the ridges and their noise.
+
+    Reads some tens of frames: the first ones, which are tracked, and others spread over the film. Prints ten
+    lines and writes NAME_preview.png, or with --out also a .pdf or .svg file.
+
+    For example:
+
+        track preview test.avi
+
+        track preview beam.cine --rotate 90 --strip 14:630
+
+    Parameters
+    ----------
+    video
+        A video as for track.
+    config
+        TOML file with any of these options; the command line takes precedence.
+    """
     video, settings = one_film(video), settings_of(merged(reading, config=config))
     target = output.out or Path(f"{run_name(video)}_preview.png")
     if output.out is not None:
@@ -158,9 +182,35 @@ def _fit_of_the_run(settings: Settings, comb: TrackMetadata) -> str:
 
 
 def kymograph(
-    video_or_run: Path, window: WindowOptions, reading: VideoOptions, picture: str, output: OutputOptions
+    video_or_run: Path,
+    /,
+    window: WindowOptions = WindowOptions(),
+    reading: VideoOptions = VideoOptions(),
+    *,
+    picture: Literal["png", "pdf", "svg"] = "png",
+    output: OutputOptions = OutputOptions(),
 ) -> int:
-    """Write space-time diagrams of a video or of a run, and return the exit status."""
+    """Draw space-time diagrams of the whole strip, or of windows around sheets.
+
+    Writes the folder NAME_kymograph with one 16-bit TIFF per diagram, which Fiji opens in µm and s, and one
+    picture of all, side by side with axes. Slips are marked: those of the run's force recording, or without
+    one the common outward steps of the sheets. The options of a video below are for films; with a run only
+    --columns, --frames and --pixel-size count, as the others were decided when it was made. Those of sheets
+    (--sheets to --corrections) count only where a film is tracked, with --sheet or --pitch.
+
+    For example:
+
+        track kymograph test_tracks --sheet right:23 --sheet right:10 --width 0.2mm --time 40:45.1
+
+        track kymograph test.avi --frames 0:600
+
+    Parameters
+    ----------
+    video_or_run
+        A run folder, or a video as for track.
+    picture
+        Format of the picture.
+    """
     started = time.perf_counter()
     sheets, width = _windows_of(window)
     part: dict[str, Any] = {"time_s": parse_seconds(window.time, "--time")}
@@ -311,8 +361,35 @@ def _slips_shown(data: Analysis, diagram: xr.DataArray) -> str:
 # --- finished runs: export, figures, overlay, certify, compare ----------------------------------------------
 
 
-def export(run: Path, to: Format, output: OutputOptions) -> int:
-    """Write the tables of a run for another program, and return the exit status."""
+def export(
+    run: Path,
+    /,
+    *,
+    to: Format,
+    output: OutputOptions = OutputOptions(),
+) -> int:
+    """Write the tables of a finished run in another program's format.
+
+    csv and parquet: a folder with one file per table. xlsx: one worksheet per table. mat: matrices and
+    structs for MATLAB. trackpy: x, y, frame, particle. napari: track_id, t, y, x. The unit is the last part
+    of a column's name; trackpy and napari use px. The file or folder has the run's name.
+
+    Positions that were not measured are empty in csv, xlsx and parquet, NaN in mat, and left out for trackpy
+    and napari.
+
+    For example:
+
+        track export test_tracks --to xlsx
+
+        track export test_tracks --to mat --out for_matlab.mat
+
+    Parameters
+    ----------
+    run
+        Run folder.
+    to
+        Format.
+    """
     exported = export_run(read_run(run), to, out=output.out, overwrite=output.overwrite)
     for note in exported.notes:
         complain(note)
@@ -320,8 +397,34 @@ def export(run: Path, to: Format, output: OutputOptions) -> int:
     return conclude([f"{to} -> {exported.target}{folder}"], (), quiet=output.quiet)
 
 
-def figures(run: Path, names: Sequence[str], to: str, output: OutputOptions) -> int:
-    """Write the figures of a run or of a comparison, one file each, and return the exit status."""
+def figures(
+    run: Path,
+    /,
+    *names: str,
+    to: Literal["pdf", "svg", "png", "csv"] = "pdf",
+    output: OutputOptions = OutputOptions(),
+) -> int:
+    """Write the figures of a finished run for a manuscript, or their numbers as csv.
+
+    A comparison of several tests has figures, too. Writes one file per figure into the folder RUN_figures.
+
+    For example:
+
+        track figures test_tracks --to svg
+
+        track figures test_tracks deformation shells --to pdf --out manuscript
+
+        track figures comparison collapse trends
+
+    Parameters
+    ----------
+    run
+        Run folder, or the folder that `track compare` wrote.
+    names
+        Names of figures; all if none is given.
+    to
+        Format.
+    """
     folder = read_run(run).folder
     made = {figure.name: figure for figure in load_figures(folder / "figures.npz")}
     if unknown := [name for name in names if name not in made]:
@@ -337,8 +440,33 @@ def figures(run: Path, names: Sequence[str], to: str, output: OutputOptions) -> 
     return conclude([f"{counted(len(files), 'figure')} -> {target}/"], (), quiet=output.quiet)
 
 
-def overlay(run: Path, film: Path | None, frames: str | None, output: OutputOptions) -> int:
-    """Write the film of a run with its tracks drawn on it, and return the exit status."""
+def overlay(
+    run: Path,
+    /,
+    *,
+    film: Path | None = None,
+    frames: str | None = None,
+    output: OutputOptions = OutputOptions(),
+) -> int:
+    """Draw the tracks of a finished run on its film, to see whether they follow the sheets.
+
+    Writes RUN_overlay.mp4.
+
+    For example:
+
+        track overlay test_tracks
+
+        track overlay test_tracks --frames 300:600 --film /archive/test.avi
+
+    Parameters
+    ----------
+    run
+        Run folder.
+    film
+        Path of the film, if it was moved since it was tracked.
+    frames
+        Part of the film, A:B, with frame numbers as in tracks.csv.
+    """
     part = parse_range(frames, "--frames")
     made = read_run(run)
     target = output.out or Path(f"{made.folder.resolve().name}{OVERLAY}.mp4")
@@ -363,8 +491,32 @@ def _slower(played: float, recorded: float) -> str:
     return f" ({how} than recorded, at {recorded:.4g})"
 
 
-def certify(run: Path, films: int, most_frames: int, output: OutputOptions) -> int:
-    """Write the certificate of a run, and return the exit status."""
+def certify(
+    run: Path, /, *, films: int = 3, most_frames: int = 600, output: OutputOptions = OutputOptions()
+) -> int:
+    """Measure what the recording of a run can resolve, from similar films with known truth.
+
+    Synthetic films are made from the run's own mean ridges, light, motion and residuals, and analysed in the
+    same way. Writes the folder RUN_certificate: certificate.html states on one page the error of each sheet,
+    the smallest sweep in a stick phase, the pixel locking, how certain identities are, and the bias of
+    σ_x/Λ_st at the threshold; certificate.csv and certificate.json hold the numbers. Exit status 1 if the
+    certificate does not cover everything.
+
+    For example:
+
+        track certify test_tracks
+
+        track certify test_tracks --films 6 --out certified
+
+    Parameters
+    ----------
+    run
+        Run folder.
+    films
+        Number of synthetic films. More take longer and average over more noise and motion.
+    most_frames
+        Largest number of frames of a film, from the middle of the run.
+    """
     for name, value, least in (("--films", films, 1), ("--most-frames", most_frames, 30)):
         if value < least:
             raise InputError(name, f"a whole number from {least}", f"{value}")
@@ -384,8 +536,26 @@ def certify(run: Path, films: int, most_frames: int, output: OutputOptions) -> i
     return conclude(lines, certificate.warnings, quiet=output.quiet)
 
 
-def compare(runs: Sequence[Path], options: CompareOptions, output: OutputOptions) -> int:
-    """Compare several runs, and return the exit status."""
+def compare(
+    *runs: Path, options: CompareOptions = CompareOptions(), output: OutputOptions = OutputOptions()
+) -> int:
+    """Compare several tests: one table, one μ, the collapse, change points and trends.
+
+    Writes the folder comparison: tests.csv (one row per run), trends.json, all_events.csv, figures.npz,
+    collapse.png, trends.png (if conditions vary), report.html and run.json. A run that cannot be used is
+    named, the others are compared, and the exit status is 1.
+
+    For example:
+
+        track compare old_tracks new_tracks --table tests.csv
+
+        track compare --table tests.csv --main-sample A --out two_samples
+
+    Parameters
+    ----------
+    runs
+        Run folders with a force recording; those of the table if none is given.
+    """
     target = output.out or Path("comparison")
     table, main_sample, fix_yeff = options.table, options.main_sample, options.fix_yeff
     found = compare_runs(runs, table, main_sample=main_sample, modulus_GPa=fix_yeff)
