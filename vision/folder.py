@@ -15,7 +15,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from vision.errors import InputError
 
@@ -162,18 +162,27 @@ def lock_open_file(handle: int) -> None:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
-def held_elsewhere(handle: int) -> bool:
-    """Lock an open file as `lock_open_file` does; return whether another process holds the lock.
+def claim(path: Path, taken: InputError, advice: str) -> IO[str]:
+    """Lock a file, made if there is none, for this process; closing the returned file unlocks it.
 
-    On a file server without locks nothing is locked.
+    The lock ends with the process, however that ends. Where there are no such locks (Windows, some file
+    servers) nothing is locked.
+
+    Raises: `taken` if another process holds the lock, InputError if the file cannot be written.
     """
     try:
-        lock_open_file(handle)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = path.open("w", encoding="utf-8")
+    except OSError as error:
+        raise unwritable(path.parent, error, advice) from error
+    try:
+        lock_open_file(file.fileno())
     except BlockingIOError:
-        return True
+        file.close()
+        raise taken from None
     except OSError:
         pass
-    return False
+    return file
 
 
 def put_in_place(made: Path, target: Path, *, overwrite: bool, known_by: str = RUN_JSON) -> None:

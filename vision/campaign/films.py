@@ -149,23 +149,12 @@ def read_campaign(
 ) -> tuple[tuple[Row, ...], tuple[Problem, ...]]:
     """Read a table of films; return the rows without problems, and the problems in order of the rows.
 
-    Parameters
-    ----------
-    path
-        CSV with commas, semicolons or tabs. The column ``film`` is required; ``force``, ``name``, every
-        option of `track` and ``sample, V_mm_min, n_test, RH_percent, T_C, notes`` are optional. Paths in it
-        are relative to the table.
-    options, check
-        Names of the options; function that converts those of one row into values.
-    name_of
-        Returns the default name of a film.
-    awaited
-        A watched folder. Films in it, and their other files, need not exist yet.
+    path: CSV with commas, semicolons or tabs, and a column ``film``. Others may be ``name``, `FACTS` and
+    options; paths in it are relative to it.  options, check: names of the options of `track`, and a function
+    that converts those of one row into values.  name_of: returns the default name of a film.  awaited: a
+    watched folder; films in it, and their other files, need not exist yet.
 
-    Raises
-    ------
-    InputError
-        If the file is not a table or has no rows, or a disk does not answer.
+    Raises: InputError if the file is not a table or has no rows, or a disk does not answer.
     """
     read = partial(table_cells, path, "a CSV table with a column film")
     header, lines = answered(read, path, SETTINGS.answer_s)

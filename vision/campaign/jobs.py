@@ -30,7 +30,6 @@ from vision.campaign.results import page_age, write_page, write_partitions
 from vision.errors import InputError, install_advice
 from vision.figures import drawing  # noqa: F401  # loads matplotlib once, before the films' processes begin
 from vision.files import answered, prefetch, shortened
-from vision.folder import held_elsewhere, unwritable
 from vision.pipeline import Analysis
 from vision.run import is_run
 
@@ -61,25 +60,6 @@ def check_engine(executor: str, films: Iterable[str] = ()) -> None:
         if is_remote(film) and importlib.util.find_spec(f"snakemake_storage_plugin_{plugin}") is None:
             advice = f"pip install snakemake-storage-plugin-{plugin}"
             raise InputError(film, f"Snakemake's storage plugin for {kind}://", "none", advice)
-
-
-@contextmanager
-def campaign_lock(out: Path) -> Iterator[None]:
-    """Lock a campaign's folder for this process; the lock ends with the process, however that ends.
-
-    Raises: InputError if another campaign runs there, or the folder cannot be written.
-    """
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        handle = os.open(out / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
-    except OSError as error:
-        raise unwritable(out, error, "give another `out`") from error
-    try:
-        if held_elsewhere(handle):
-            raise InputError(out, "a campaign that is not running", "a running one", "wait for its end")
-        yield
-    finally:
-        os.close(handle)
 
 
 def run_snakemake(

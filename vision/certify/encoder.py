@@ -209,18 +209,8 @@ def read_encoder(
 ) -> Encoder | None:
     """Read how a recording was encoded; None if it cannot be read, or there is no such encoder.
 
-    Parameters
-    ----------
-    path
-        The recording.
-    rows, columns
-        The strip, half-open.
-    rotate
-        Degrees clockwise by which the run turned frames.
-    first
-        Number of the run's first frame, which becomes the picture.
-    settings
-        Tunable constants.
+    rows, columns: the strip, half-open.  rotate: degrees clockwise by which the run turned frames.  first:
+    number of the run's first frame, which becomes the picture.
     """
     try:
         with open_container(path) as film:

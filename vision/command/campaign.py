@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from vision.campaign import jobs
 from vision.campaign.films import (
@@ -40,6 +40,7 @@ from vision.command.settings import at_least, parse_option, read_config, setting
 from vision.command.track import origin_of, run_name, track_one, why_refused
 from vision.errors import InputError, counted, with_options
 from vision.files import usable_cores
+from vision.folder import claim
 from vision.run import FAILURES, Parameter
 from vision.summary import aligned
 
@@ -92,7 +93,7 @@ def campaign(table: Path | None = None, /, options: CampaignOptions = CampaignOp
     if options.dry_run:
         return _dry_run(make(rows, keep=False), options.cores or usable_cores())
     if options.plan:
-        with jobs.campaign_lock(target):
+        with _claimed(target):
             write_plan(make(rows))
         return 0
     profile = _profile(options)
@@ -102,13 +103,19 @@ def campaign(table: Path | None = None, /, options: CampaignOptions = CampaignOp
         name = safe_name(run_name(film))
         return Row(row=0, film=str(film.absolute()), name=name, values=check({})[0])
 
-    with jobs.campaign_lock(target):
+    with _claimed(target):
         if watcher is None:
             return _carry_out(make(rows), options, profile)
         # Films that were tracked and then moved away stay in the comparison.
         make = partial(make, earlier=vanished_films(target, watcher.folder))
         run = partial(_carry_out, options=options, profile=profile)
         return _watch(watcher, rows, new, lambda ready: run(make(ready)), options.idle)
+
+
+def _claimed(out: Path) -> IO[str]:
+    """Lock a campaign's folder until the returned file is closed.  Raises: InputError."""
+    busy = InputError(out, "a campaign that is not running", "a running one", "wait for its end")
+    return claim(out / ".lock", busy, "give another `out`")
 
 
 def job(plan: Path, name: str, /, *fetched: Path) -> int:

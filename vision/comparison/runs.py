@@ -76,24 +76,12 @@ class TestSet:
 
 
 def read_tests(runs: Sequence[str | Path] = (), table: str | Path | pd.DataFrame | None = None) -> TestSet:
-    """Read finished run folders and the table of tests.
+    """Read finished run folders and the table of tests, as `vision.compare` takes them.
 
-    Parameters
-    ----------
-    runs
-        Run folders of `track` or `track force`; by default those named in the table.
-    table
-        CSV with any of the columns run, sample, V_mm_min, n_test, RH_percent and T_C, or such a data frame.
-        Folders in it are relative to the file. Without a column ``run``, row k describes run k.
+    Folders in the table are relative to its file. Without a column ``run``, row k describes run k.
 
-    Returns
-    -------
-    The tests, and one line for each run, cell or column that cannot be used.
-
-    Raises
-    ------
-    InputError
-        If there is neither a table nor a run, the table cannot be read, or no run can be used.
+    Returns: the tests, and one line for each run, cell or column that cannot be used.
+    Raises: InputError if there is neither a table nor a run, the table cannot be read, or no run can be used.
     """
     check_kind(tuple | list, "a list of run folders", runs=runs)
     rows, base, warnings = _read_table(table)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 from threading import Lock
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -22,7 +22,7 @@ from vision.clock import Clock
 from vision.errors import InputError
 from vision.figures.decimate import grey_levels, grey_limits, minmax_decimate
 from vision.files import AGAIN, Stamp
-from vision.folder import RUN_JSON, held_elsewhere, unwritable
+from vision.folder import RUN_JSON
 from vision.numeric import Floats, Floats32, Pixels, row_parts, spread_indices
 from vision.pipeline import Settings, open_force, open_recording
 from vision.run.provenance import checksum_of
@@ -93,27 +93,6 @@ def decided_clock(earlier: Clock | None, decision: Correction) -> Clock:
     known |= {name: getattr(earlier, name) for name in (*kept, "warnings")} if earlier else {}
     offset_s, drift_ppm = decision.offset_s or 0.0, decision.drift_ppm
     return Clock(offset_s=offset_s, drift_ppm=drift_ppm, status="given", how="given", **known)
-
-
-def claim(folder: Path) -> IO[str]:
-    """Lock a run folder for this review; closing the returned file unlocks it.
-
-    The file lies beside the folder, because saving replaces the folder. The lock ends with the process,
-    however that ends. Where there are no such locks (Windows, some file servers) nothing is locked.
-
-    Raises: InputError if another process reviews the run, or the file cannot be written.
-    """
-    path = folder.resolve()
-    path = path.with_name(f".{path.name}.review")
-    try:
-        file = path.open("w", encoding="utf-8")
-    except OSError as error:
-        raise unwritable(path, error, "copy the run folder") from error
-    if held_elsewhere(file.fileno()):
-        file.close()
-        found, advice = "a review of it that is open", "go to its window, or end it there"
-        raise InputError(folder, "a run that nobody reviews now", found, advice)
-    return file
 
 
 # --- I(x, t) ------------------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from vision.clock import Clock
 from vision.errors import InputError
 from vision.figures.decimate import minmax_decimate
 from vision.files import AGAIN, reading
-from vision.folder import plain, whole_file
+from vision.folder import claim, plain, whole_file
 from vision.numeric import Floats, Floats32, Ints, nearest, stretches
 from vision.pipeline import Settings
 from vision.review.effects import Effects
@@ -29,7 +29,6 @@ from vision.review.recordings import (
     Recordings,
     StoredRun,
     Tiles,
-    claim,
     decided_clock,
 )
 from vision.review.saving import SaveJob, Saver, Trial, pack_steps, read_steps
@@ -74,7 +73,11 @@ class Session:
         self.saver, self.effects, self.trial = Saver(), Effects(self), Trial(self)
         self.lock = RLock()
         self.revision = 0
-        self._claim = claim(folder)
+        path, taken = folder.resolve(), "a review of it that is open"
+        advice = "go to its window, or end it there"
+        busy = InputError(folder, "a run that nobody reviews now", taken, advice)
+        # beside the folder, because saving replaces the folder
+        self._claim = claim(path.with_name(f".{path.name}.review"), busy, "copy the run folder")
         self.trial.sweep()  # remove what a killed review left
         self._slips_at_revision = lru_cache(1)(
             lambda revision: np.unique(self._frames_at(self.positions.slips_s()))
