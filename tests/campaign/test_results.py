@@ -19,9 +19,9 @@ from vision.campaign.films import Row
 from vision.campaign.plan import State, make_plan, write_state
 from vision.campaign.results import (
     as_arrow,
-    close_tables,
     duration,
     open_tables,
+    remove_others,
     write_page,
     write_partitions,
     write_tests,
@@ -47,7 +47,6 @@ def test_each_film_is_a_partition_and_all_are_one_table(tmp_path, analyses):
     for name, analysis in zip(names, analyses, strict=True):
         write_partitions(tmp_path, name, analysis)
     write_tests(tmp_path, {names[0]: {"sample": "a", "n": 1.0}, names[1]: {"sample": None, "n": np.nan}})
-    close_tables(tmp_path, names)
     positions = open_tables(tmp_path, "positions")
     for name, analysis in zip(names, analyses, strict=True):
         table = positions.to_table(filter=ds.field("film") == name).to_pandas()
@@ -58,7 +57,7 @@ def test_each_film_is_a_partition_and_all_are_one_table(tmp_path, analyses):
     assert tests.loc[names[0], "sample"] == "a"
     assert pd.isna(tests.loc[names[1], "sample"])
     assert open_tables(tmp_path, "sheets").count_rows() == 16
-    close_tables(tmp_path, names[:1])  # the other film is no longer in the table
+    remove_others(tmp_path, names[:1])  # the other film is no longer in the table
     assert open_tables(tmp_path, "positions").count_rows() == 240
     with pytest.raises(InputError, match="tables of a campaign"):
         open_tables(tmp_path, "sticks")
@@ -70,7 +69,6 @@ def test_other_programs_read_the_folder_as_one_table(tmp_path, analyses):
     """As pandas does, which knows nothing of campaigns."""
     for name, analysis in zip("ab", analyses, strict=True):
         write_partitions(tmp_path, name, analysis)
-    close_tables(tmp_path, "ab")
     table = pd.read_parquet(tmp_path / "tables" / "sheets")
     assert table["film"].astype(str).value_counts().to_dict() == {"a": 8, "b": 8}
 
@@ -100,7 +98,6 @@ def test_a_hundred_million_rows_open_lazily(tmp_path):
     others[0].write_bytes(values)
     for other in others[1:]:
         os.link(part if "film=t42/" in str(other) else others[0], other)
-    close_tables(tmp_path, [f"t{k}" for k in range(100)])
     table = open_tables(tmp_path, "positions")
     assert table.count_rows() == 100 * rows
     one = table.to_table(columns=["x_px"], filter=(ds.field("film") == "t42") & (ds.field("frame") < 10))

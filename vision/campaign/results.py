@@ -167,9 +167,7 @@ def open_tables(out: str | Path, table: str) -> ds.Dataset:
     if not files:
         raise InputError(folder, "tables of a campaign", "none", "run track campaign first")
     with reading(folder, "tables as track campaign writes them", "run track campaign again"):
-        # Films may differ in columns; the pool has written the columns of all films together.
-        paths = [path for path in (files[0], folder / "_common_metadata") if path.is_file()]
-        schema = pa.unify_schemas([pq.read_schema(path) for path in paths])
+        schema = pa.unify_schemas([pq.read_schema(file) for file in files])  # films may differ in columns
         film = pa.field("film", pa.string())
         partitioning = ds.HivePartitioning(pa.schema([film]), segment_encoding="uri")
         return ds.dataset(
@@ -215,21 +213,12 @@ def write_tests(out: Path, tests: Mapping[str, Mapping[str, Any]]) -> None:
         _write(_partition(out, "tests", film), [pd.DataFrame([facts])])
 
 
-def close_tables(out: Path, films: Collection[str]) -> None:
-    """Remove the partitions of other films and write the common schema of each table.  Raises: InputError."""
+def remove_others(out: Path, films: Collection[str]) -> None:
+    """Remove the partitions of all films but these."""
     kept = {_partition(out, "x", film).parent.name for film in films}
-    for table in TABLES:
-        folder = out / FOLDER / table
-        for part in folder.glob("film=*"):
-            if part.name not in kept:
-                shutil.rmtree(part, ignore_errors=True)
-        schemas = []
-        for file in sorted(folder.glob(f"film=*/{FILE}")):
-            with reading(file, "a table as track campaign writes it", "run track campaign again"):
-                schemas.append(pq.read_schema(file))
-        if schemas:
-            with whole_file(folder / "_common_metadata") as path:
-                pq.write_metadata(pa.unify_schemas(schemas), path)
+    for part in (out / FOLDER).glob("*/film=*"):
+        if part.name not in kept:
+            shutil.rmtree(part, ignore_errors=True)
 
 
 def _partition(out: Path, table: str, film: str) -> Path:
@@ -268,7 +257,7 @@ def pool(plan: Plan, origin: Origin) -> None:
     """
     done = [(film, state) for film in plan.films if (state := plan.finished(film))]
     write_tests(plan.out, {film.name: _test_row(plan, film, state) for film, state in done})
-    close_tables(plan.out, [film.name for film, _ in done])
+    remove_others(plan.out, [film.name for film, _ in done])
     remarks = _compare([film for film, _ in done], plan, origin)
     with whole_file(plan.out / REMARKS) as path:
         write_json({"key": plan.pool_key(), "remarks": remarks}, path)
