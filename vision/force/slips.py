@@ -10,6 +10,7 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from vision.data import ThresholdHow
@@ -17,7 +18,7 @@ from vision.errors import counted
 from vision.force.lines import LEAST_FOR_KNEE, FittedLoad, Lines, bend_squares, fit_polynomials
 from vision.force.settings import ForceSettings
 from vision.numeric import Bools, Floats, Ints, flat_ranges, nan_median
-from vision.signals import enforce_distance, find_maxima, running_median
+from vision.signals import enforce_distance, running_median
 
 
 @dataclass(frozen=True)
@@ -298,8 +299,11 @@ def _peaks(step: Floats, half: Ints, sigma: Floats, settings: ForceSettings) -> 
     Heights would not do: on a stick the filter's level depends on the stiffness and on its own width.
     """
     standard = np.nan_to_num(step / (sigma * np.sqrt(2.0 / half)), nan=-np.inf)
-    found = find_maxima(standard, least_prominence=settings.candidate_sigmas, reach=8 * int(half.max()))
-    return enforce_distance(found.at, standard[found.at], max(int(half.min()), 1))
+    reach = 8 * int(half.max())  # within which the base of a peak is searched, on either side
+    found, _ = scipy.signal.find_peaks(
+        standard, prominence=settings.candidate_sigmas, wlen=2 * reach + 1, plateau_size=(None, reach)
+    )
+    return enforce_distance(found, standard[found], max(int(half.min()), 1))
 
 
 def _edges(load: FittedLoad, period: Floats, sigma: Floats, settings: ForceSettings) -> Ints:

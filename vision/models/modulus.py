@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+import scipy
 import xarray as xr
 from numpy.typing import ArrayLike
 
@@ -21,7 +22,7 @@ from vision.data import FORCE, ForceMetadata, Metadata, Schema, Variable, load_u
 from vision.errors import InputError, check_positive
 from vision.numeric import Floats, Ints, correlation_inflation
 from vision.sample import LEAST_GPA, MOST_GPA, Sample, is_plausible_modulus
-from vision.signals import find_maxima, running_mean
+from vision.signals import running_mean
 
 PUBLISHED_SHEET = Sample(length_mm=16.8)
 """The publication's single sheet between its clamps: ε = 0.1, W = 45, L = 16.8 mm."""
@@ -132,9 +133,9 @@ def _extrema(values: Floats, least: float) -> Ints:
     prominence = least * float(np.ptp(values))
     # The padding lets values at the ends be extrema; they are removed and added again below.
     padded = np.concatenate([[values.min()], values, [values.min()]])
-    high = find_maxima(padded, least_prominence=prominence, reach=padded.size).at
+    high, _ = scipy.signal.find_peaks(padded, prominence=prominence)
     padded = np.concatenate([[values.max()], values, [values.max()]])
-    low = find_maxima(-padded, least_prominence=prominence, reach=padded.size).at
+    low, _ = scipy.signal.find_peaks(-padded, prominence=prominence)
     inner = np.union1d(high, low).astype(np.int64) - 1
     inner = inner[(inner > 0) & (inner < values.size - 1)]
     # An extremum near an end value is noise beside that end.
