@@ -34,12 +34,12 @@ from vision.sheets.doubts import (
     doubts_of,
     hops,
     numbered_between_tears,
-    numbered_by_a_neighbour,
     numbered_off_the_end,
     shifted_pattern,
     unlike_neighbours,
 )
 from vision.sheets.identities import DOUBTS, Doubt, Identities, exchanged, fill_rows, last_seen
+from vision.sheets.looks import numbered_by_a_neighbour, numbered_in_part
 from vision.sheets.ridges import RidgeComb, Ridges, find_ridges
 from vision.words import is_word
 
@@ -115,6 +115,8 @@ def assign_detections(
     expected = _expected(np.where(why == Doubt.NONE, paired[0], np.nan), identities.rest_px)
     off = numbered_by_a_neighbour(ridges, identities.match, paired, certain, expected, comb)
     why[off & (why == Doubt.NONE)] = Doubt.NEIGHBOUR
+    off = numbered_in_part(np.where(why == Doubt.NONE, paired[1:], np.nan), certain, comb.settings)
+    why[off] = Doubt.PATTERN
     doubtful, unpaired = why != Doubt.NONE, np.isnan(paired[0])
     withheld = np.where(doubtful, paired[0], np.nan)
     found = paired

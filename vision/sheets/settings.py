@@ -326,6 +326,11 @@ class TrackingSettings:
     jumps that a blurred slip only seems to make, smaller takes noise of the brightnesses for such a slip
     (test_the_upper_floor_in_poor_jpegs_is_not_given_a_marker_further)."""
 
+    part_nats: float = 13.5
+    """Log-likelihood ratio by which a part of the comb must look like the sheets beside it to be doubtful.
+    Larger passes sides numbered by a neighbour (test_looks.py), smaller withholds sheets whose brightness
+    wanders (sarcomeres at 9)."""
+
     anchor_fit: float = 1.5
     """Mean cost of a feature, nats, up to which a frame's pattern is the learned one (usually 0.5)."""
 
