@@ -256,3 +256,21 @@ def test_tracking_holds_few_tables_of_frames_and_sheets():
     assert tracks.sizes == {"frame": FRAMES, "sheet": SHEETS}
     assert peak / table < MOST_TABLES
     assert held / table < 5
+
+
+@pytest.mark.parametrize("grey", [0.9, 1.4])
+def test_a_ridge_cut_by_what_hides_the_next_has_no_position(grey):
+    """A hand moves over the comb and stays.  A failure means the edge of the hand, or what is left of a ridge
+    beside it, passes as the position of a sheet."""
+    truth = comb(240, per_side=12, axis_px=300)
+    picture = ridges(truth, width=600, contrast=np.exp(0.2 * np.sin(2.5 * np.arange(24))))
+    x, texture = np.arange(600), 0.03 * np.sin(np.arange(600) / 3.1)
+    for frame in range(90, 200):
+        end = min(6.0 * (frame - 90) + 40, 420.0)
+        hand = 1 / (1 + np.exp((np.abs(x - end + 70) - 70) / 1.2))
+        picture[frame] = picture[frame] * (1 - hand) + hand * (grey + texture)
+    tracks = track_sheets(strip(picture))
+    ok = (tracks.flag == "ok").values
+    off = np.where(ok, tracks.x_px.values - truth, np.nan)
+    assert np.nanmax(np.abs(off)) < 0.5
+    assert ok.mean() > 0.8

@@ -428,6 +428,18 @@ class TrackingSettings:
     blur_fraction: float = 0.2
     """Motion over a few frames, in ridge widths, from which a ridge can be blurred. Smaller flags noise."""
 
+    cut_sigmas: float = 4.0
+    """Loss of height and width, in standard deviations, from which a ridge beside a missing sheet is cut by
+    what hides that sheet. Larger gives positions at the edge of a hand (test_tracks.py), smaller withholds
+    sheets beside a gap for noise."""
+
+    cut_height: float = 0.02
+    """Least standard deviation of the logarithm of the height for this: the light. Larger passes ridges that
+    are cut a little, smaller withholds those in uneven light."""
+
+    cut_width: float = 0.03
+    """The same for the width: the pixels."""
+
     blur_error: float = 0.795
     """Error of a blurred position over lost height times motion; in test_film.py it must cover 62 to 74 of
     100 true positions."""

@@ -13,6 +13,7 @@ import xarray as xr
 from vision.data import PIXEL_SIZE_UM, STRIP, STRIP_PARTS, TRACKS, StripMetadata, TrackMetadata, record
 from vision.errors import InputError, NoRidgesError, check_number, check_within, check_word
 from vision.numeric import (
+    NORMAL_MEDIAN,
     Bools,
     Codes,
     Floats,
@@ -257,9 +258,8 @@ def _assess_ridges(
     smeared = (blur_px > 0) | blurred
     smears, blur2 = np.nonzero(blur_px), blur_px[blur_px != 0] ** 2  # few ridges
     del blur_px
-    # An object that covers a sheet also cuts the next ridge, which then jumps and changes its shape as if it
-    # were blurred, and may be off by half of its width.
-    x_px[smeared & beside(detections.flag == Flag.MISSING)] = np.nan
+    # An object that covers a sheet also cuts the next ridge, which may be off by half of its width.
+    x_px[smeared & beside(detections.flag == Flag.MISSING) | _cut(detections, comb)] = np.nan
     distorted_px, usual_px, lasting_px, scale = distortion(profile, x_px, err, smeared, comb)
     not_a_sheet = not_one_ridge(profile, x_px, comb) | two_in_one(x_px, detections.fwhm_px, comb)
     not_a_sheet |= lasting_px > comb.settings.most_distorted * comb.fwhm_px
@@ -275,6 +275,29 @@ def _assess_ridges(
     excess = noise_excess(BetweenSlips(_unrepeated(x_px, frozen), comb.settings), err, comb.settings)
     np.hypot(err, np.nan_to_num(usual) * np.sqrt(np.fmax(excess**2 - 1.0, 0.0)), out=err)
     return _Assessed(x_px, flag, err, blurred, is_distorted, lasting_px, scale)
+
+
+def _cut(detections: Detections, comb: RidgeComb) -> Bools:
+    """Return which ridges beside a missing sheet are lower or narrower than usual, beyond what
+    light and focus change in all ridges of the frame, (frame, N): what hides that sheet cuts them as well.
+
+    What is usual is measured where no sheet is missing beside.
+    """
+    settings, missing = comb.settings, detections.flag == Flag.MISSING
+    changed, alone = beside(missing), ~beside(missing)
+    rows = np.flatnonzero(changed.any(axis=1))
+    away = np.zeros((len(rows), missing.shape[1]))
+    for sizes, least in (
+        (detections.contrast, settings.cut_height),
+        (detections.fwhm_px, settings.cut_width),
+    ):
+        usual = np.log(median_where(alone, sizes))
+        scatter = median_where(alone, np.abs(np.log(sizes) - usual)) / NORMAL_MEDIAN
+        off = np.log(sizes[rows].astype(np.float64)) - usual
+        off -= nan_median(off, axis=1)[:, None]
+        away += np.nan_to_num(np.minimum(off, 0.0) / np.fmax(scatter, least)) ** 2
+    changed[rows] &= away > settings.cut_sigmas**2
+    return changed
 
 
 def _unrepeated(x_px: Floats, frozen: Bools) -> Floats:
