@@ -285,3 +285,19 @@ def test_sheets_of_different_shades_that_fill_the_picture_are_not_doubted(sign):
     """A failure means a warning on clear films: nobody reads the next one."""
     _, light = wide_sheets(per_side=18, contrast=shades(36))
     assert not describe_ridges(strip(light, sign=sign).values).doubt
+
+
+@pytest.mark.parametrize("phase", [2.8, 3.5])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_background_on_the_slope_of_the_light_does_not_turn_faint_sheets_into_gaps(phase, seed):
+    """Sheets of 2.5 grey levels in light that varies by up to 15 along the picture: beside the comb it is as
+    bright as the sheets, or as dark as the gaps, because of the light alone.  A failure means that gaps are
+    tracked without a warning."""
+    rng = np.random.default_rng(seed)
+    x = comb(60, per_side=16, pitch_px=12, axis_px=240, uneven=0.05)
+    width, height = (np.exp(rng.normal(0, scatter, 32)) for scatter in (0.1, 0.05))
+    light = 60 + 15 * np.sin(3 * np.arange(480) / 480 + phase)
+    profile = light + 2.5 * ridges(x, width=480, fwhm_px=5.5 * width, contrast=height)
+    found = describe_ridges((profile + rng.normal(0, 0.13, profile.shape)).astype(np.float32))
+    assert found.polarity == "bright"
+    assert "no clear background" in found.doubt

@@ -37,6 +37,7 @@ from vision.signals import find_maxima, half_widths
 Polarity = Literal["bright", "dark"]
 SEARCH_SIGMA_PX = 1.0  # standard deviation of the smoothing with which a comb is described
 NEAREST = 3  # stripes whose levels stand for the comb's end
+SLOPING = 8  # stripes over which the light at the comb's end slopes
 FEWEST = 5  # stripes of a comb; fewer can be found in any picture
 FRAMES_PER_BLOCK = 128  # processed at once, so that intermediate arrays fit into a core's cache
 
@@ -395,21 +396,41 @@ def _background(line: Floats32, bright: _MainRidges, dark: _MainRidges, pitch: f
     the bright ones.
 
     It is the mean over both ends and all frames in which more than a pitch is in view there: 0 where the
-    background is neither, and 0 if these are less than a tenth of all.
+    background is neither, and 0 if these are less than a tenth of all. An end says nothing if it does so only
+    with, or only without, the slope of the light along the comb's first stripes.
     """
     sides = []
     for row, up, down in zip(line, bright.x, dark.x, strict=True):
         if min(len(up), len(down)) < NEAREST:
             continue
-        last = len(row) - 1
-        for at, ups, downs in ((row, up, down), (row[::-1], last - up[::-1], last - down[::-1])):
+        last, bright_px, dark_px = len(row) - 1, np.asarray(up, np.int64), np.asarray(down, np.int64)
+        from_right = row[::-1], last - bright_px[::-1], last - dark_px[::-1]
+        for at, ups, downs in ((row, bright_px, dark_px), from_right):
             end = min(ups[0], downs[0])
             if end > 1.3 * pitch:
-                beside = at[max(0, int(end - 2.3 * pitch)) : int(end - 0.7 * pitch) + 1]
-                high, low = at[ups[:NEAREST]].mean(), at[downs[:NEAREST]].mean()
-                level = (np.quantile(beside, [0.1, 0.9]) - low) / (high - low) - 0.5
-                sides.append(float(level[1] < -margin) - float(level[0] > margin))
+                level = at - np.arange(len(at)) * _slope_at_end(at, ups, downs)
+                said = [_beside_end(one, ups, downs, end, pitch, margin) for one in (at, level)]
+                sides.append(said[0] if said[0] == said[1] else 0.0)
     return float(np.mean(sides)) if len(sides) > 0.1 * 2 * len(line) else 0.0
+
+
+def _beside_end(
+    line: Floats32 | Floats, ups: Ints, downs: Ints, end: int, pitch: float, margin: float
+) -> float:
+    """Return +1 if the background before the comb's `end` is as dark as the first dark stripes, -1 if as
+    bright as the first bright ones, else 0. ups, downs: places of the bright and dark stripes in a line."""
+    beside = line[max(0, int(end - 2.3 * pitch)) : int(end - 0.7 * pitch) + 1]
+    high, low = line[ups[:NEAREST]].mean(), line[downs[:NEAREST]].mean()
+    level = (np.quantile(beside, [0.1, 0.9]) - low) / (high - low) - 0.5
+    return float(level[1] < -margin) - float(level[0] > margin)
+
+
+def _slope_at_end(line: Floats32, ups: Ints, downs: Ints) -> float:
+    """Return the slope of the light over the first stripes of a line (x,), grey levels per px."""
+    stripes = ups[:SLOPING], downs[:SLOPING]
+    away = np.concatenate([x - x.mean() for x in stripes])
+    off = np.concatenate([line[x] - line[x].mean() for x in stripes])
+    return float(away @ off / (away @ away))
 
 
 def _width_change(stripes: _MainRidges, pitch: float) -> float:
