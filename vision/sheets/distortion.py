@@ -37,6 +37,7 @@ from vision.sheets.settings import LEAST_FRAMES, TrackingSettings
 from vision.sheets.subpixel import Starts, gather, position_noise
 from vision.signals import mean_over, running_median
 
+FWHM = 2.3548  # of a Gaussian, over its standard deviation
 ENOUGH = 5  # sheets of which neighbours show what is usual
 PHASE_FRAMES = 20  # in which a sheet shows how its own shape depends on its place in the pixels
 
@@ -298,7 +299,8 @@ def distortion(
 
     Light that falls off over a ridge hardly changes its shape; it shows in the heights (`_shift_by_light`).
     What stands still where a ridge moves changes all displacements of its sheet by the same factor
-    (`displacement_scale_error`).
+    (`displacement_scale_error`). A texture of the light does so to all sheets, up to a ridge width or so; it
+    shows in the heights of all of them together (`texture_error`).
     """
     settings = comb.settings
     half = comb.half_px(0.9)
@@ -313,9 +315,11 @@ def distortion(
     narrow = comb.fwhm_px < settings.sampled_well_px
     if narrow:
         _subtract_pixel_phase((log_height, apart, sloping), x_px)
-    shapes = [log_height, apart, sloping]
+    shapes, texture = [log_height, apart, sloping], 0.0
     if comb.fwhm_px > settings.overlap * comb.pitch_px:
         del shapes[1:]
+    else:  # otherwise heights change with the distance of the neighbours
+        texture = texture_error(x_px, log_height, comb)
     scale = displacement_scale_error(x_px, shapes, settings)
     size = _shift_by_light(x_px, log_height, pulled_px2, settings)
     del height, log_height, shapes  # each is as large as the positions
@@ -330,7 +334,7 @@ def distortion(
             (sloping, settings.distortion_slope, 5),
         )
     ]
-    usual_px = np.empty(x_px.shape[1])
+    usual_px, reach_px = np.empty(x_px.shape[1]), settings.texture_reach * comb.fwhm_px
     own_noise = [position_noise(one.px) for one in differences]
     for n, x in enumerate(x_px.T):
         found = slight = size[:, n]
@@ -339,7 +343,9 @@ def distortion(
             certain, likely = _significant(values, np.fmax(one.noise * err_px[:, n], own[n]), settings)
             found = np.fmax(found, np.hypot(one.assumed * certain, one.confirmed * likely))
             slight = np.fmax(slight, np.hypot(one.assumed, one.confirmed) * likely)
-        found = np.fmax(found, scale[n] * np.abs(x - nan_median(x)))
+        away = np.abs(x - nan_median(x))
+        apart_px = reach_px * np.sqrt(-2 * np.expm1(-((away / reach_px) ** 2) / 2))
+        found = np.fmax(found, np.fmax(scale[n] * away, texture * apart_px))
         within = np.where(np.isfinite(apart[:, n]), comb.fwhm_px, 0.0)  # what is fitted lies in the ridge
         size[:, n] = np.fmin(found, within)
         usual_px[n] = nan_median(np.fmin(slight, within))
@@ -437,6 +443,55 @@ def displacement_scale_error(x_px: Floats, shape: Sequence[Floats], settings: Tr
         found = (slope**2 > settings.distortion_sigmas**2 * error2) & (count > LEAST_FRAMES)
         square += np.where(found, factor**2 * (slope**2 - error2), 0.0)
     return _if_above(np.sqrt(square), np.full(square.shape, settings.static_floor))
+
+
+def texture_error(x_px: Floats, log_height: Floats, comb: RidgeComb) -> float:
+    r"""Return the usual relative error of displacements by a texture of the light that stands still.
+
+    Stripes and spots of a lamp, of a background or of a window shift each ridge that moves through them. They
+    change its height as well, by the slope :math:`s = \mathrm{d} \ln L/\mathrm{d}x`, and the shift
+    :math:`\sigma_r^2 s` changes over a length of about the standard deviation :math:`\sigma_r` of a ridge, as
+    it sees nothing finer. The relative error of displacements is therefore `texture_shift` times
+    :math:`\sigma_r` times the root mean square of s: of all sheets, since s is not known to lie where it
+    changes. It holds up to a distance of `texture_reach` ridge widths, beyond which shifts are independent.
+
+    log_height: logarithms of the heights, (frame, N). They count relative to the mean of both neighbours,
+    which excludes the exposure and light that tilts; the texture under the neighbours adds half the square.
+    0 for fewer than five sheets, and where chance explains half of it.
+    """
+    sheets = x_px.shape[1]
+    if sheets < ENOUGH:
+        return 0.0
+    square = np.full((2, sheets), np.nan)
+    for n in range(1, sheets - 1):
+        relative = log_height[:, n] - (log_height[:, n - 1] + log_height[:, n + 1]) / 2
+        square[:, n] = _slopes_in_cells(x_px[:, n], relative, comb.settings.texture_cell * comb.fwhm_px)
+    found, chance = np.nan_to_num(nan_median(square, axis=1)) / NORMAL_MEDIAN**2
+    slope = float(np.sqrt((found - chance) / 1.5)) if found > 2 * chance else 0.0
+    return comb.settings.texture_shift * comb.fwhm_px / FWHM * slope
+
+
+def _slopes_in_cells(x: Floats, y: Floats, width: float) -> tuple[float, float]:
+    """Return the mean square of the slopes of y over x, both (frame,), each within a cell of this width, and
+    what chance adds to it; NaN for few values.
+
+    Cells count by their spread of x. In a single cell the slope is that of `_regression`.
+    """
+    known = np.isfinite(x) & np.isfinite(y)
+    if known.sum() <= LEAST_FRAMES:
+        return np.nan, np.nan
+    x, y = x[known], y[known]
+    cell = np.rint((x - np.median(x)) / width).astype(np.int64)
+    cell -= cell.min()
+    count = np.bincount(cell)
+    x, y = (v - (np.bincount(cell, v) / np.maximum(count, 1))[cell] for v in (x, y))
+    spread = np.maximum(np.bincount(cell, x * x), 1e-12)
+    shared = np.bincount(cell, x * y)
+    rest = y - (shared / spread)[cell] * x
+    cells = int((count > 1).sum())
+    variance = float(rest @ rest) / max(len(x) - 2 * cells, 1) * correlation_inflation(rest, 0.95)
+    total = float(spread.sum())
+    return float(np.sum(shared**2 / spread)) / total, cells * variance / total
 
 
 def _regression(x: Floats, y: Floats) -> tuple[float, float, int]:

@@ -496,15 +496,30 @@ class TrackingSettings:
     overstates the errors of clean sheets, smaller understates those of sheets beside dirt
     (test_distortion.py: specks on the lens)."""
 
+    texture_shift: float = 0.3
+    """Relative error of displacements over the slope of the light's logarithm times the standard deviation of
+    a ridge, where light is uneven in all places. In films with known positions the factor is 0.3 to 1; other
+    terms contain part of it. Larger overstates errors, smaller understates them (test_distortion.py: a
+    texture of the light)."""
+
+    texture_cell: float = 0.6
+    """Length, in ridge widths, over which that slope is measured. Larger averages out its changes
+    (test_distortion.py at 6), smaller leaves noise."""
+
+    texture_reach: float = 0.6
+    """Displacement, in ridge widths, up to which its error grows in proportion. Larger overstates the errors
+    of combs that move by pitches, smaller understates them (there)."""
+
     leaning_sheets: int = 5
     """Neighbouring sheets that change alike as the paper leans, whose median change is no dirt. Smaller
     overstates the errors of clean sheets (test_distortion.py at 2), larger overlooks dirt on several of
     them."""
 
     overlap: float = 0.44
-    """Ridge width over pitch above which only the height counts for this, since flanks that overlap change
-    shape with the distance of the neighbour. Larger overstates the errors of crowded combs
-    (test_slight_differences_between_sheets_are_no_distortion at 0.5), smaller overlooks dirt."""
+    """Ridge width over pitch above which only the height counts for this, and no texture, since flanks that
+    overlap change the shape, and in part the height, with the distance of the neighbour. Larger overstates
+    the errors of crowded combs (test_slight_differences_between_sheets_are_no_distortion at 0.5), smaller
+    overlooks dirt."""
 
     static_floor: float = 0.01
     """Least of these relative errors. Smaller counts unequal pixels twice, since `fixed_pattern` of the
