@@ -12,7 +12,7 @@ import pytest
 import xarray as xr
 from scipy.signal import butter, firwin, lfilter, sosfilt
 
-from tests.scenes.sawtooth import Test, plain, realistic, recording
+from tests.scenes.sawtooth import Test, plain, realistic, recording, slow_among_sudden
 from vision.data import STICKS, StickMetadata
 from vision.errors import InputError
 from vision.force import ForceSettings, detection_limit, find_stick_slip
@@ -44,6 +44,48 @@ def test_recall_and_false_events_at_six_sigma(samples: int, seed: int) -> None:
     right, _ = matched(events, test.truth)
     assert len(right) >= 0.98 * len(test.truth)
     assert len(events) - len(right) <= 0.01 * len(events)
+
+
+def test_sticks_with_a_slip_that_was_not_found_are_flagged() -> None:
+    """A slip that lasts longer than a stick may be a part of the stick beside it, whose K is too small."""
+    wrong = {0.1: 0, 100.0: 0}
+    for falling_share in wrong:
+        for seed in (8, 9, 11):
+            force = slow_among_sudden(seed)
+            events = find_stick_slip(force, settings=ForceSettings(falling_share=falling_share))
+            off = abs(events["K_N_per_mm"] / 600 - 1) > 0.3
+            told = any("flag falling" in line for line in StickMetadata.of(events).warnings)
+            assert told or falling_share > 1
+            wrong[falling_share] += int(np.sum(off & (events["flag"] == "ok")))
+    assert wrong[0.1] == 0
+    assert wrong[100.0] >= 4
+
+
+def test_what_coarse_steps_do_not_resolve_has_no_error_of_zero() -> None:
+    """Within sticks of two steps the load, or the displacement, may not change at all."""
+    test = realistic(speed=1.0, rate=200.0, noise=0.02, d1=13.4)
+    drop = test.truth["dF_N"].median()
+    load = np.round(test.force["load_N"] / (0.6 * drop)) * 0.6 * drop
+    events = find_stick_slip(test.force.assign(load_N=load))
+    known = np.isfinite(events["K_N_per_mm"])
+    assert (events["K_err_N_per_mm"][known] > 1e-3 * events["K_N_per_mm"].median()).all()
+    step_mm = 1e-3 * test.truth["stick_length_um"].median()
+    events = find_stick_slip(test.force.assign(d_mm=np.round(test.force["d_mm"] / step_mm) * step_mm))
+    assert (events["stick_length_err_um"] > 200 * step_mm).all()
+
+
+def test_uneven_times_are_no_slow_noise() -> None:
+    """Over the numbers of its samples, of which a tenth is lost at uneven times, the load wanders about the
+    lines of the sticks as in slow noise; the errors of F_p and F_v were then forty times too large."""
+    rng = np.random.default_rng(3)
+    test = plain(samples=60, snr=100)
+    kept = np.flatnonzero(rng.random(test.force.sizes["time_s"]) > 0.1)
+    off = 0.9 * rng.uniform(-0.5, 0.5, kept.size)  # of an interval, in which the load rises by 100/60 N
+    force = test.force.isel(time_s=kept)
+    force["load_N"] = force["load_N"] + off * 100 / 60
+    force = force.assign_coords(time_s=force["time_s"].to_numpy() + 0.01 * off)
+    even = find_stick_slip(test.force)["F_p_err_N"].median()
+    assert find_stick_slip(force)["F_p_err_N"].median() < 2 * even
 
 
 def test_noise_alone_gives_no_events() -> None:

@@ -81,6 +81,7 @@ _FLAGGED = {
     "unloading": "lie beside a fall while the crosshead went back",
     "jump": "contain or adjoin an upward jump of the load, as large as slips: noise, knocks, ringing, a "
     "loose cable or a change of range",
+    "falling": "contain a fall of the load, as of a slip that lasts longer than they do and was not found",
     "still": "lie in or beside a stretch in which the displacement does not change: the pull had ended or "
     "was held, or the sensor is at the end of its range",
     "short": "are shorter than the load cell's own response allows",

@@ -238,6 +238,11 @@ class ForceSettings:
     walks less well."""
 
     # flags of sticks
+    falling_share: float = 0.1
+    """Fall of the load within a stick, over its rise, from which it is flagged "falling". Smaller flags small
+    slips and noise, larger takes K and Λ_st across slips that were not found; shown by slips that last for
+    seconds among sudden ones (test_events)."""
+
     still_share: float = 0.003
     """Speed of the crosshead in a stick, over the usual one, below which it stands still. Smaller overlooks a
     sensor that creeps at the end of its range, larger flags the slow part of a test whose speed changes."""

@@ -16,7 +16,7 @@ from vision.force.lines import fit_lines, fit_polynomials
 from vision.force.recording import usable
 from vision.force.settings import ForceSettings
 from vision.force.slips import Slips, stick_middles
-from vision.numeric import Bools, Floats, Ints, nan_median, peak_offset, quantum, white_noise
+from vision.numeric import Bools, Floats, Ints, flat_ranges, nan_median, peak_offset, quantum, white_noise
 from vision.signals import running_mean, running_median
 
 _WITHIN = 0.683  # share of normally distributed values within one standard deviation
@@ -329,7 +329,14 @@ def with_slow_noise(signal: Signal, slips: Slips, settings: ForceSettings) -> Si
         return white
     some = some[:: some.size // 400 + 1]  # enough for a median
     start, stop = start[some], stop[some]
-    lines = fit_lines(np.arange(signal.clean.size, dtype=float), signal.spikeless, start, stop)
+    clean, index = signal.clean, np.arange(signal.clean.size, dtype=float)
+    # Samples at uneven times leave a line over their numbers as far as the load rises meanwhile.
+    pace, load = fit_lines(index, signal.time, start, stop), fit_lines(signal.time, clean, start, stop)
+    row, inside = flat_ranges(start, stop)
+    early = pace.mean_y[row] + pace.slope[row] * (inside - pace.mean_x[row]) - signal.time[inside]
+    clean = clean.copy()
+    clean[inside] += np.nan_to_num(load.slope)[row] * early
+    lines = fit_lines(index, np.where(np.isnan(signal.spikeless), np.nan, clean), start, stop)
     # Where the load rings, all samples of a short stick may be spikes.
     some = np.flatnonzero(np.isfinite(lines.spread))
     if some.size < 8:
@@ -338,13 +345,13 @@ def with_slow_noise(signal: Signal, slips: Slips, settings: ForceSettings) -> Si
     rise = lines.slope * (stop - start)
     rise = np.maximum(rise, 0.1 * np.median(np.abs(rise)) + np.finfo(float).tiny)
     # The curvature of the sticks is no noise: it would hide a filter whose noise is smaller.
-    bend = fit_polynomials(signal.clean, start, stop, degree=2)[0][:, 2]
+    bend = fit_polynomials(clean, start, stop, degree=2)[0][:, 2]
     spread = float(np.median(np.sqrt(np.maximum(lines.spread**2 - bend**2 / 5, 0))))
     # A sample beside lost ones, which are interpolated, counts more than once.
     known = np.flatnonzero(~signal.is_missing)
     more = float(np.mean((known[2:] - known[:-2]) ** 2 / 4) * known.size / signal.time.size)
     white_N = spread * float(np.sqrt(more))
-    slow = fit_slow_noise(signal.clean, start, stop, rise, white_N, signal.averaged, settings)
+    slow = fit_slow_noise(clean, start, stop, rise, white_N, signal.averaged, settings)
     if slow is None:
         return white
     length = int(np.median(stop - start))

@@ -136,11 +136,29 @@ def measure_sticks(
         }
     )
     marks = {
-        "falling": ~(ends.slope > 0),
+        "falling": ~(ends.slope > 0) | _contain_falls(signal, sticks, f_p - f_v),
         "slow": slow[:-1] | slow[1:],
         "still": _beside_standstill(signal, valley, peak, settings),
     }
     return table.assign(flag=_event_flags(signal, sticks, corners, marks))
+
+
+def _contain_falls(signal: Signal, sticks: _Sticks, rise: Floats) -> Bools:
+    """Return in which sticks the load falls by `falling_share` of their `rise`, clear of the noise.
+
+    They contain a slip that was not found, such as one that lasts longer than they do. Means over
+    `uneven_parts` of each stick are compared.
+    """
+    parts, start, stop = sticks.settings.uneven_parts, *sticks.central(sticks.settings.line_part)
+    edge = start + np.arange(parts + 1)[:, np.newaxis] * (stop - start) // parts
+    mean = fit_lines(signal.time, signal.spikeless, edge[:-1].ravel(), edge[1:].ravel()).mean_y
+    mean = mean.reshape(parts, -1)
+    fall = np.fmax.reduce(np.fmax.accumulate(mean) - mean)
+    samples = np.maximum((stop - start) / parts, 1)
+    noise = signal.noise_at(sticks.position[0]) * np.sqrt(2 * signal.alike / samples)
+    return np.asarray(
+        fall > np.fmax(sticks.settings.falling_share * rise, sticks.settings.spike_sigmas * noise), np.bool_
+    )
 
 
 def _position_errors(signal: Signal, corners: Corners, filter_known: bool) -> tuple[Floats, Floats]:
@@ -212,7 +230,9 @@ def _separations(
     d_last = (
         np.interp(last, np.arange(signal.time.size), signal.travel) - compliance * signal.clean[int(last)]
     )
-    return d, np.r_[d[0, 1:], d_last], np.nan_to_num(pace.spread)
+    # d may stand still within a stick that is as long as a step of its digits.
+    step = step_between(signal.travel) / np.sqrt(12)
+    return d, np.r_[d[0, 1:], d_last], np.fmax(np.nan_to_num(pace.spread), step)
 
 
 def _travel_at(signal: Signal, sticks: _Sticks, pace: Lines) -> Floats:
@@ -373,7 +393,9 @@ def _stiffness(
         known = np.isfinite(steady.value)
         speed = np.where(known, steady.value, pace.slope)
         speed_error = np.where(known, steady.error, pace.slope_error)
-        stands = np.abs(speed) < 1e-9 * np.abs(nan_median(speed))  # but for rounding
+        # But for rounding; a load in coarse steps may not change, either.
+        stands = np.abs(speed) < 1e-9 * np.abs(nan_median(speed))
+        stands |= np.abs(rise.slope) < 1e-9 * np.abs(nan_median(rise.slope))
         with np.errstate(divide="ignore", invalid="ignore"):
             slope = np.where(stands | (speed == 0), np.nan, rise.slope / speed)
             uneven = (
