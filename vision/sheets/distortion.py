@@ -17,6 +17,7 @@ import numpy as np
 
 from vision.mapped import some_rows
 from vision.numeric import (
+    FWHM,
     NORMAL_MEDIAN,
     Bools,
     Floats,
@@ -37,7 +38,6 @@ from vision.sheets.settings import LEAST_FRAMES, TrackingSettings
 from vision.sheets.subpixel import Starts, gather, position_noise
 from vision.signals import mean_over, running_median
 
-FWHM = 2.3548  # of a Gaussian, over its standard deviation
 ENOUGH = 5  # sheets of which neighbours show what is usual
 PHASE_FRAMES = 20  # in which a sheet shows how its own shape depends on its place in the pixels
 

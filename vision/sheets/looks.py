@@ -26,7 +26,8 @@ from vision.sheets.doubts import TERM_LIMIT
 from vision.sheets.ridges import RidgeComb, Ridges, in_blocks
 from vision.sheets.settings import TrackingSettings
 
-LIKE_A_SHEET = 1.1  # the same for a ridge that touches another and so stands out less: a factor of three
+LIKE_A_SHEET = 1.1
+"""Log contrast below the median down to which a ridge may be a sheet that touches another: a third of it."""
 LEAST_SCATTER = np.array([0.02, 0.03])[:, None, None]  # of log contrast and log width: specks, pixels
 BESIDE = 4  # sheets on each side whose common change of brightness or width is one of light or focus
 AROUND = 2  # frames before or after a frame whose looks are judged together
