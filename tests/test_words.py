@@ -107,7 +107,7 @@ def test_tracks_are_written_and_tabulated_with_their_flags(tmp_path):
 def characters(text):
     """Each word as characters, along a further axis."""
     text = np.asarray(text, "S")
-    return text.view("S1").reshape(*text.shape, text.itemsize)
+    return xr.DataArray(text.view("S1").reshape(*text.shape, text.itemsize))
 
 
 def test_words_are_read_from_their_characters():

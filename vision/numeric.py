@@ -299,6 +299,13 @@ def nearest(candidates: NDArray[np.floating], at: NDArray[np.floating]) -> tuple
     return best, distance[np.arange(len(best)), best]
 
 
+def nearest_sorted(values: Floats, wanted: Floats) -> Ints:
+    """Return the index of the value nearest to each wanted one. Values are ascending, and at least two."""
+    right = np.clip(np.searchsorted(values, wanted), 1, len(values) - 1)
+    closer = wanted - values[right - 1] < values[right] - wanted
+    return np.asarray(np.where(closer, right - 1, right))
+
+
 def shifted(values: NDArray[Any], by: int) -> NDArray[Any]:
     """Shift values (rows, columns) to the left by `by` columns; columns that become free are NaN."""
     moved = np.full_like(values, np.nan)

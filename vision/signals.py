@@ -39,13 +39,6 @@ def running_mean(values: NDArray[np.floating], size: int) -> Floats:
     return np.asarray(level + (total[size:] - total[:-size]) / size, np.float64)
 
 
-def nearest(at: Floats, wanted: Floats) -> Ints:
-    """Return the index of the value of `at`, in order and at least two, nearest to each wanted one."""
-    right = np.clip(np.searchsorted(at, wanted), 1, len(at) - 1)
-    closer = wanted - at[right - 1] < at[right] - wanted
-    return np.asarray(np.where(closer, right - 1, right))
-
-
 def mean_over(values: NDArray[np.floating], samples: int) -> Floats:
     """Return the mean of the known values among the `samples` around each, NaN where the value is unknown."""
     total, count = sums_around(values, samples // 2)

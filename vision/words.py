@@ -50,15 +50,17 @@ def words(codes: Codes, listed: Sequence[str]) -> indexing.MemoryCachedArray:
     return indexing.MemoryCachedArray(indexing.CopyOnWriteArray(read_later))  # type: ignore[no-untyped-call]
 
 
-def words_of_characters(characters: NDArray[np.bytes_]) -> indexing.MemoryCachedArray:
+def words_of_characters(characters: xr.DataArray) -> indexing.MemoryCachedArray:
     """Return the data of a variable of words that a file holds as characters, (rows, …, character).
+
+    The file is read a few rows at a time.
 
     Raises: ValueError or OverflowError if they are no text, or more than 256 different words.
     """
     codes = np.empty(characters.shape[:-1], np.uint8)
     listed: list[bytes] = []
     for rows in row_parts(len(characters)):
-        whole = np.ascontiguousarray(characters[rows]).view(f"S{characters.shape[-1]}")
+        whole = np.ascontiguousarray(characters[rows].values).view(f"S{characters.shape[-1]}")
         codes[rows] = _codes(whole[..., 0], listed)
     return words(codes, [word.decode() for word in listed])
 

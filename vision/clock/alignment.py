@@ -19,8 +19,8 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from vision.clock.settings import ClockSettings
-from vision.numeric import Bools, Floats, Ints, mad_sigma, sigma_about_zero, with_minus
-from vision.signals import nearest, running_median
+from vision.numeric import Bools, Floats, Ints, mad_sigma, nearest_sorted, sigma_about_zero, with_minus
+from vision.signals import running_median
 
 # --- trains of slips ----------------------------------------------------------------------------------------
 
@@ -167,7 +167,7 @@ def fit_clocks(
     does.
     """
     mapped = clocks.map(trains.video_s)
-    partner = nearest(trains.force_s, mapped)
+    partner = nearest_sorted(trains.force_s, mapped)
     residual = mapped - trains.force_s[partner]
     mutual = _is_mutual(partner, np.abs(residual), len(trains.force_s))
     video, force = _in_common_time(trains, mapped)
@@ -358,7 +358,7 @@ def _refine(trains: SlipTrains, clocks: CandidateClocks, settings: ClockSettings
     widest = 1.4 * _bin_s(trains) / trains.typical_error_s
     for widening in np.r_[np.geomspace(widest, 1.0, 4), 1.0, 1.0]:
         mapped = clocks.map(v)
-        target = trains.force_s[nearest(trains.force_s, mapped)]
+        target = trains.force_s[nearest_sorted(trains.force_s, mapped)]
         z2 = ((mapped - target) / (widening * trains.error_s)) ** 2
         # Probability of a true pair: nearly constant for small residuals, because a slip between two frames
         # has a uniform error, and one half at 2.5 errors.
@@ -511,7 +511,7 @@ def _jump(trains: SlipTrains, clocks: CandidateClocks, settings: ClockSettings) 
     def gain(by_s: Floats) -> Floats:
         """Log-likelihood of each slip beyond that of an unpaired one after a jump, (jumps, slips)."""
         jumped = mapped + by_s[:, None]
-        z2 = ((jumped - trains.force_s[nearest(trains.force_s, jumped)]) / error) ** 2
+        z2 = ((jumped - trains.force_s[nearest_sorted(trains.force_s, jumped)]) / error) ** 2
         return np.asarray(np.maximum(most - 0.5 * z2, 0.0))
 
     lead = gain(shift) - gain(np.zeros(1))

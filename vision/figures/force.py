@@ -34,9 +34,8 @@ from vision.figures.style import (
 )
 from vision.force import good_samples
 from vision.models import Estimate, ModelFits, equations
-from vision.numeric import Floats
+from vision.numeric import Floats, nearest_sorted
 from vision.sample import Sample
-from vision.signals import nearest
 
 FIRST_SLIPS = 10  # in the first view of the clocks, of a film with more than twice as many
 SHOWN_STICKS = 5  # events from first to last, or of the early or late part of a test
@@ -139,7 +138,7 @@ def clock_residuals_figure(
     if not len(steps) or len(drops) < 2:
         return None
     camera, machine = clock.to_force_s(steps["time_s"].to_numpy()), drops["time_s"].to_numpy()
-    residual = camera - machine[nearest(machine, camera)]
+    residual = camera - machine[nearest_sorted(machine, camera)]
     same = np.abs(residual) < SAME_SLIP * float(np.median(np.diff(machine)))
     error = 1000 * steps["error_s"].to_numpy()[same]
     at, residual = camera[same], 1000 * residual[same]

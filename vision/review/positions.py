@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from vision.data import TRACKS, StripMetadata, TrackMetadata
 from vision.errors import InputError
 from vision.numeric import Bools, Codes, Floats, Floats32, Ints, nan_median, nearest
 from vision.review.recordings import Diagram
+from vision.run.reading import read_tracks
 from vision.sheets.corrections import OF_SHEETS, Corrected, Correction, follow_ridge
 from vision.sheets.doubts import predicted_by_neighbours
 from vision.sheets.identities import WHYS
@@ -128,12 +130,14 @@ def _slips_in(tracks: xr.Dataset) -> Floats:
         return np.empty(0)
 
 
-def positions_of(tracks: xr.Dataset) -> Positions:
-    """Convert tracks, as read from a run folder, into positions."""
-    unknown = xr.full_like(tracks["x_px"], np.nan)
+def read_positions(path: Path) -> Positions:
+    """Read the positions of a run from its tracks.nc.  Raises: InputError if it is missing or damaged."""
+    tracks = read_tracks(path, without=["x_expected_px"])
+    shape = tracks["x_px"].shape
 
     def single(name: str) -> Floats32:
-        return tracks.get(name, unknown).values.astype(np.float32)
+        values = tracks[name].values if name in tracks else np.broadcast_to(np.nan, shape)
+        return values.astype(np.float32)
 
     return Positions(
         frame=tracks["frame"].values,
@@ -142,7 +146,7 @@ def positions_of(tracks: xr.Dataset) -> Positions:
         err_px=single("x_err_px"),
         withheld_px=single("x_withheld_px"),
         flag=word_codes(tracks["flag"], FLAGS),
-        why=word_codes(tracks["why"], WHYS) if "why" in tracks else np.zeros(unknown.shape, np.uint8),
+        why=word_codes(tracks["why"], WHYS) if "why" in tracks else np.zeros(shape, np.uint8),
         side=tracks["side"].values,
         n=tracks["n"].values,
         attrs={name: value for name, value in tracks.attrs.items() if name not in ("Conventions", "title")},

@@ -26,10 +26,10 @@ from vision.files import PACKAGE_PATHS
 from vision.folder import clean_up, plain, put_in_place, unwritable
 from vision.numeric import Floats, Ints
 from vision.pipeline import Analysis, Settings, analyse, open_recording
-from vision.review.positions import Positions, UndoStep, median_positions, positions_of
+from vision.review.positions import Positions, UndoStep, median_positions, read_positions
 from vision.review.recordings import StoredRun
 from vision.run.provenance import Origin, Parameter
-from vision.run.reading import read_run, read_strip, read_tracks
+from vision.run.reading import read_run, read_strip
 from vision.run.writing import write_run
 from vision.sheets.corrections import Decisions
 
@@ -269,7 +269,7 @@ class Trial:
         """
         with self.run.lock:
             tracks = self._finished() / "tracks.nc"
-            self._positions = self._positions or positions_of(read_tracks(tracks))
+            self._positions = self._positions or read_positions(tracks)
             return self.run.effects.preview_of(self._positions, frame)
 
     def _finished(self) -> Path:
@@ -333,7 +333,7 @@ def differences(before: Path, after: Path) -> dict[str, Any]:
 
     Raises: InputError for damaged files.
     """
-    old, new = (positions_of(read_tracks(folder / "tracks.nc")) for folder in (before, after))
+    old, new = (read_positions(folder / "tracks.nc") for folder in (before, after))
     pairs = _pairs(median_positions(old), median_positions(new), old.track_facts.pitch_px)
     return _positions_differ(old, new, *pairs) | _deformation_differs(before, after, *pairs)
 

@@ -19,7 +19,7 @@ from vision.folder import claim, plain, whole_file
 from vision.numeric import Floats, Floats32, Ints, nearest, stretches
 from vision.pipeline import Settings
 from vision.review.effects import Effects
-from vision.review.positions import SAME_RIDGE_PX, apply, median_positions, positions_of, undo
+from vision.review.positions import SAME_RIDGE_PX, apply, median_positions, read_positions, undo
 from vision.review.recordings import (
     TILE_COLUMNS,
     TILE_FACTOR,
@@ -32,7 +32,6 @@ from vision.review.recordings import (
     decided_clock,
 )
 from vision.review.saving import SaveJob, Saver, Trial, pack_steps, read_steps
-from vision.run.reading import read_tracks
 from vision.run.writing import CORRECTIONS
 from vision.sheets.corrections import (
     KEYS,
@@ -108,7 +107,7 @@ class Session:
     def _load_positions(self) -> None:
         """Read the positions, and build the tiles of the diagram."""
         ridges = self.stored.facts.get("found", {}).get("ridges", {}).get("polarity", "bright")
-        self.positions = positions_of(read_tracks(self.folder / "tracks.nc"))
+        self.positions = read_positions(self.folder / "tracks.nc")
         self.tiles = Tiles(self.diagram, bright=ridges == "bright")
         if len(self.positions.frame) != self.diagram.frames:
             frames = f"{len(self.positions.frame)} rows, one per frame of tracks.nc"

@@ -9,7 +9,7 @@ import math
 import os
 import shutil
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property, partial
 from pathlib import Path
@@ -219,19 +219,20 @@ def read_strip(run: RunFolder) -> xr.DataArray:
     )
 
 
-def read_tracks(path: Path) -> xr.Dataset:
-    """Read tracks.nc as `track_sheets` returned it.  Raises: InputError if it is missing or damaged.
+def read_tracks(path: Path, *, without: Sequence[str] = ()) -> xr.Dataset:
+    """Read tracks.nc as `track_sheets` returned it, without some variables.
 
     It is first read in a separate process, as HDF5 can crash or hang on a damaged file.
+
+    Raises: InputError if it is missing or damaged.
     """
     wanted = "tracks as track writes them"
     try_out(path, READ_HDF5, wanted)
     with reading(path, wanted, AGAIN):
         with xr.open_dataset(path, engine="h5netcdf", concat_characters=False) as data:
-            tracks = data.load()
+            words = {name: _words(data[name]) for name in ("flag", "why") if name in data}
+            tracks = data.drop_vars([*words, *without], errors="ignore").load().assign(words)
         tracks.attrs = attrs_of_netcdf(tracks.attrs)
-        words = {name: _words(tracks[name]) for name in ("flag", "why") if name in tracks}
-        tracks = tracks.assign(words)
         try:
             TRACKS.check(tracks)
             TrackMetadata.of(tracks)
@@ -248,7 +249,7 @@ def read_tracks(path: Path) -> xr.Dataset:
 def _words(characters: xr.DataArray) -> xr.Variable:
     """Return the words that a file holds as characters."""
     attrs = {name: value for name, value in characters.attrs.items() if name != "_Encoding"}
-    return xr.Variable(characters.dims[:-1], words_of_characters(characters.values), attrs)
+    return xr.Variable(characters.dims[:-1], words_of_characters(characters), attrs)
 
 
 # --- checkpoint of an interrupted run -----------------------------------------------------------------------
