@@ -389,10 +389,8 @@ def consistency_warnings(
             " is too small: look for a wide spacing or a sheet outside the picture, or give the number of"
             " sheets in view (`sheets`)"
         )
-    first, last = _outermost_px(tracks)
-    reach = 1.5 * found.pitch_px
-    whole = columns is not None and first - reach > columns[0] and last + reach < columns[-1]
-    if whole and found.axis_how == "motion" and fewer and more > settings.unequal_sides * fewer + 2:
+    unequal = fewer > 0 and more > settings.unequal_sides * fewer + 2
+    if unequal and found.axis_how == "motion" and columns is not None and _is_whole(tracks, found, columns):
         lines.append(
             f"{left} sheets on the left of the axis but {right} on the right, though the whole comb is in"
             " view: the axis is where the sheets do not move, which is wrong if the camera moves along with"
@@ -488,6 +486,12 @@ def _two_sides_move(tracks: xr.Dataset, found: TrackMetadata) -> bool:
     """Return whether the motion limits the axis to positions between the outermost sheets."""
     first, last = _outermost_px(tracks)
     return first < found.axis_low_px and found.axis_high_px < last
+
+
+def _is_whole(tracks: xr.Dataset, found: TrackMetadata, columns: Floats) -> bool:
+    """Return whether both ends of the comb are within these columns, with room for another sheet."""
+    (first, last), room_px = _outermost_px(tracks), 1.5 * found.pitch_px
+    return bool(columns[0] < first - room_px and last + room_px < columns[-1])
 
 
 def _outermost_px(tracks: xr.Dataset) -> tuple[float, float]:

@@ -104,8 +104,7 @@ def find_maxima(
     dip = np.flatnonzero(np.append(True, ~rises) & np.append(rises, True))  # before and after each maximum
     at = (first[top] + last[top]) // 2
     extrema = _Extrema(line, at, level[top], level[dip], reach)
-    narrow = last[top] - first[top] < (len(line) if widest is None else widest)
-    candidates = np.flatnonzero(narrow)
+    candidates = np.flatnonzero(last[top] - first[top] < (len(line) if widest is None else widest))
     left = extrema.lowest(candidates, last[dip], to_right=False)
     high = level[top[candidates]] - left >= least_prominence
     candidates, left = candidates[high], left[high]

@@ -6,6 +6,7 @@ Snakemake only schedules. The results of films are read from their states, and a
 from __future__ import annotations
 
 import ctypes
+import importlib
 import importlib.util
 import multiprocessing
 import os
@@ -28,7 +29,6 @@ from vision.campaign.films import SETTINGS, is_remote
 from vision.campaign.plan import PLAN, Plan, PlannedFilm, State, Word, inputs_of, write_plan, write_state
 from vision.campaign.results import page_age, write_page, write_partitions
 from vision.errors import InputError, install_advice
-from vision.figures import drawing  # noqa: F401  # loads matplotlib once, before the films' processes begin
 from vision.files import answered, prefetch, shortened
 from vision.pipeline import Analysis
 from vision.run import is_run
@@ -190,6 +190,7 @@ def run_job(plan: Plan, job: str, work: Work, *, fetched: Sequence[Path] = ()) -
     memory), this film is marked as failed and the next begins. `fetched` are local copies of the job's films
     in object storage, in their order.
     """
+    importlib.import_module("vision.figures.drawing")  # matplotlib, once for all the films' processes
     copies = dict(zip(plan.remote(job), fetched, strict=False))
     films = [plan.film(name) for name in plan.jobs[job].films]
     for film in films:

@@ -67,8 +67,8 @@ def _theil_sen(values: Floats, most: int = 1000) -> tuple[float, float]:
 
     Of more than `most` values some are left out evenly, since the number of pairs grows with the square.
     """
-    index = np.arange(len(values), dtype=float)[:: 1 + len(values) // (most + 1)]
-    values = values[:: 1 + len(values) // (most + 1)]
+    every = 1 + len(values) // (most + 1)
+    index, values = np.arange(len(values), dtype=float)[::every], values[::every]
     later, earlier = np.tril_indices(len(values), -1)
     slope = float(np.median((values[later] - values[earlier]) / (index[later] - index[earlier])))
     return slope, float(np.median(values) - slope * np.median(index))

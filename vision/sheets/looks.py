@@ -181,9 +181,9 @@ def numbered_in_part(looks: Floats32, certain: Floats32, settings: TrackingSetti
         Thresholds.
     """
     doubtful = np.zeros(looks.shape[1:], bool)
-    middle, scatter = _usual_looks(certain)
     if looks.shape[2] < settings.pattern_sheets:
         return doubtful
+    middle, scatter = _usual_looks(certain)
     for rows in row_parts(len(doubtful)):
         near = np.log(looks[:, max(0, rows.start - AROUND) : rows.stop + AROUND].astype(np.float64))
         at = np.arange(min(rows.start, AROUND), len(near[0]))[: rows.stop - rows.start]

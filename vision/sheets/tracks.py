@@ -283,10 +283,11 @@ def _cut(detections: Detections, comb: RidgeComb) -> Bools:
 
     What is usual is measured where no sheet is missing beside.
     """
-    settings, missing = comb.settings, detections.flag == Flag.MISSING
-    changed, alone = beside(missing), ~beside(missing)
-    rows = np.flatnonzero(changed.any(axis=1))
-    away = np.zeros((len(rows), missing.shape[1]))
+    settings, changed = comb.settings, beside(detections.flag == Flag.MISSING)
+    rows, alone = np.flatnonzero(changed.any(axis=1)), ~changed
+    if not len(rows):
+        return changed
+    away = np.zeros((len(rows), changed.shape[1]))
     for sizes, least in (
         (detections.contrast, settings.cut_height),
         (detections.fwhm_px, settings.cut_width),
