@@ -37,6 +37,7 @@ from vision.deformation.common_mode import (
 from vision.deformation.creep import (
     Creep,
     LateSlips,
+    Noise,
     StickFrames,
     coefficient_errors,
     correct_pixel_locking,
@@ -50,6 +51,7 @@ from vision.deformation.creep import (
 from vision.deformation.settings import DeformationSettings
 from vision.errors import InputError, shown
 from vision.numeric import Bools, Floats, Ints, nan_median, sigma_about_zero
+from vision.sheets import BETWEEN_FRAMES
 
 LEAST_STEADY = 5  # sticks needed to measure how steady the pull is
 ENDS = ("t_v_s", "t_p_s", "d_v_mm", "d_p_mm")  # of a stick, as far as they are known
@@ -129,6 +131,9 @@ def horizontal_deformation(
     sheet does by itself in every stick: steady movement that slips do not return, of which it cannot be told
     whether the pull causes it, and bends that other sheets do not show.  The errors exclude that of the pixel
     size.
+    Of films whose codec predicts frames from others (H.264), the noise is at least the stated error of the
+    positions: sheets that creep by less than the codec's rounding are repeated, and their residuals are near
+    zero.
     An error of the ends of a stick, if `sticks` states it, changes σ_x and Λ_st by the same factor. The error
     of their ratio contains only the part that results from an unsteady pull or creep.
 
@@ -327,6 +332,9 @@ def _measure(
     noise = measure_noise(steady, frames, terms, settings)
     line, parabola, close = (fit_creep(steady, frames, k, settings, noise.correlation) for k in (2, 3, terms))
     noise = replace(noise, noise_px=noise.noise_px * np.sqrt(factor))
+    held = ""
+    if StripMetadata.of(tracks).codec in BETWEEN_FRAMES and "x_err_px" in tracks:
+        noise, held = _with_noise_of_codec(noise, nan_median(tracks["x_err_px"].values), settings)
     pattern = scale = np.zeros(side.size)
     if TrackMetadata.of(tracks).fit != "unknown":  # measured in a picture, with errors of unequal pixels
         pattern = fixed_pattern_px(close, coefficient_errors(close, noise), noise, settings)
@@ -343,7 +351,7 @@ def _measure(
     bends_px = repeated_bends(close, noise, settings)
     of_slope, of_bend = breathing(parabola, errors[1], settings)
     scaled_px = np.fmax(of_slope, of_bend)
-    warnings = _own_warnings(own_px, bends_px, scaled_px, curve.slope_err)
+    warnings = [held] * bool(held) + _own_warnings(own_px, bends_px, scaled_px, curve.slope_err)
     slope_err = np.sqrt(curve.slope_err**2 + own_px**2 + bends_px**2 + scaled_px**2)
     curve = replace(curve, slope_err=slope_err, bend_err=np.hypot(curve.bend_err, of_bend))
     values = {
@@ -409,6 +417,21 @@ def _relative_to_length(
         "stick_length_um": length[:, 0],
         "length_err": length_err,
     }
+
+
+def _with_noise_of_codec(noise: Noise, error_px: Floats, settings: DeformationSettings) -> tuple[Noise, str]:
+    """Noise of at least the stated error of positions (sheet,), for codecs that predict frames from others.
+
+    Such a codec repeats a sheet that creeps by less than its rounding, so that its residuals are near zero
+    while it is wrong by up to its movement. Also return a warning if many sheets are held still, or "".
+    """
+    held = noise.noise_px < settings.held_noise * error_px
+    raised = replace(noise, noise_px=np.fmax(noise.noise_px, error_px))
+    if held.sum() < 0.2 * held.size:
+        return raised, ""
+    what = f"the film's compression holds {held.sum()} of {held.size} sheets still between slips"
+    bias = "their σ_x/Λ_st are too small by about their errors, alike in all sticks"
+    return raised, f"{what}: {bias}: record raw, FFV1 or MJPEG"
 
 
 def _own_warnings(own_px: Floats, bends_px: Floats, scaled_px: Floats, error_px: Floats) -> list[str]:

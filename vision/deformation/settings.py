@@ -73,6 +73,11 @@ class DeformationSettings:
     """Weight of the noise of all sheets against the residuals of one, as degrees of freedom.  It stabilises
     sheets seen in few frames; larger hides sheets noisier than the others (test_creep: a noisy sheet)."""
 
+    held_noise: float = 0.5
+    """Noise of a sheet, over the stated error of its positions, below which a codec that predicts frames from
+    others holds it still.  Larger warns of every compressed film, smaller not of sheets that it moves now
+    and then (test_sheets_that_a_codec_holds_still_have_its_error)."""
+
     uneven_probability: float = 1e-6
     """Probability below which residuals are too large for the sheet's noise.  Larger flags normal sticks
     "uneven"; smaller accepts jumps within a stick as noise (test_creep: a sheet that slips by itself)."""

@@ -12,9 +12,10 @@ from vision.sheets.subpixel import (
     paper_vertex,
     sliding_vertex,
 )
-from vision.sheets.tracks import pixel_size_of, track_sheets, with_heights
+from vision.sheets.tracks import BETWEEN_FRAMES, pixel_size_of, track_sheets, with_heights
 
 __all__ = [
+    "BETWEEN_FRAMES",
     "Correction",
     "FitChoice",
     "FitName",
