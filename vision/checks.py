@@ -78,8 +78,8 @@ class CheckSettings:
     unequal_sides: float = 1.3
     """Ratio of the sheets on the two sides, less two sheets, above which an axis found from motion is
     questioned.  A camera that moves a tenth as far as the outermost sheets, in time with them, makes 33
-    sheets and 17 of 25 each.  Smaller questions samples in which some sheets are dark; larger lets such axes
-    pass (`test_an_axis_that_the_camera_moves`)."""
+    sheets and 17 of 25 each, if their motion does not show the middle.  Smaller questions samples in which
+    some sheets are dark; larger lets such axes pass (`test_an_axis_that_the_camera_moves`)."""
 
     unlikely_spacing: float = 10.0
     """Ratio of the sheets' spacing to two thicknesses, or its inverse, above which the pixel size is

@@ -218,6 +218,41 @@ def test_a_comb_that_every_slip_carries_along_keeps_its_axis(seed):
     assert numbering.low_px < 600 < numbering.high_px
 
 
+def opening_comb(left, right, *, along=0.0, seed=1):
+    """Positions of sheets of which the outermost creep inwards by 4 px in 30 frames, with a scatter of 15 %
+    between sheets, while all move by `along` of that to the right."""
+    rng, n = np.random.default_rng(seed), numbered(left, right)
+    side = np.repeat([-1, 1], [left, right])
+    share = (n / 25) ** 2 * (1 + 0.15 * rng.standard_normal(len(n)))
+    phase = (np.arange(300)[:, None] % 30) / 30
+    return (
+        60 + PITCH * np.arange(len(n)) + 4.0 * phase * (along - side * share) + rng.normal(0, 0.01, (300, 1))
+    )
+
+
+@pytest.mark.parametrize("along", [-0.1, -0.02, 0.02, 0.1])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_comb_that_moves_along_with_its_opening(along, seed):
+    """The load carries camera or sample along, and every slip returns them. A failure means that this numbers
+    all sheets of a comb that is in view from end to end from another place than its middle."""
+    truth = opening_comb(25, 25, along=along, seed=seed)
+    whole = number_sheets(truth, width_px=int(truth[0, -1]) + 60)
+    np.testing.assert_array_equal(whole.n, numbered(25, 25))
+    assert whole.low_px <= truth[0, 24:26].mean() + PITCH / 2
+    crop = number_sheets(truth, width_px=int(truth[0, -1]) + 10)
+    assert (crop.side != whole.side).any()
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize(("left", "right"), [(25, 19), (17, 25)])
+def test_a_whole_comb_with_unequal_sides_has_its_axis_from_motion(left, right, seed):
+    """A failure means that the middle of the comb is preferred to what the motion shows."""
+    truth = opening_comb(left, right, seed=seed)
+    numbering = number_sheets(truth, width_px=int(truth[0, -1]) + 60)
+    assert numbering.how == "motion"
+    assert abs(int((numbering.side < 0).sum()) - left) <= 1
+
+
 @pytest.mark.parametrize("seed", range(1, 7))
 def test_avalanches_that_reach_a_part_of_the_comb_keep_the_axis_in_its_middle(seed):
     """Avalanches begin anywhere, run a sheet further in every frame, and end somewhere. A failure means that

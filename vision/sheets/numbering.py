@@ -36,7 +36,11 @@ class Numbering:
 
 
 def number_sheets(
-    x_px: Floats, *, axis_px: float | None = None, settings: TrackingSettings = DEFAULT
+    x_px: Floats,
+    *,
+    axis_px: float | None = None,
+    width_px: int | None = None,
+    settings: TrackingSettings = DEFAULT,
 ) -> Numbering:
     r"""Find the symmetry axis, and number the sheets of each side from it.
 
@@ -46,6 +50,11 @@ def number_sheets(
     motion or no slip, else in the middle of these positions. Sheets that seem to be missing in wide spacings
     count for the middle of the comb, but not for n. With one side in view all sheets move alike, and the axis
     lies beyond the end that moves least. A sheet on the axis (odd number) is the first on the right.
+
+    A camera that moves along with the sheets, or a sample that the load carries along, shifts the place where
+    the motion changes sign. If the whole comb is within a picture of `width_px` columns, and the motion less
+    a shift of all sheets is clearly more symmetric about the comb's middle than the motion is about that
+    place, the axis may be in the middle.
 
     With one side in view, n counts from the sheet nearest to the axis, unless the axis is given as axis_px:
     then the sheets that fit between both at the comb's median spacing count as well. x_px: positions
@@ -61,7 +70,9 @@ def number_sheets(
     place = _places(position, settings)
     all_sheets = int(place[-1]) + 1
     even = int(np.searchsorted(place, all_sheets // 2))
-    split, how, limits = _split_by_motion(x_px, even, settings)
+    room_px = 1.5 * float(np.median(np.diff(position))) if sheets > 1 else 0.0
+    whole = width_px is not None and position[0] > room_px and position[-1] < width_px - 1 - room_px
+    split, how, limits = _split_by_motion(x_px, even, settings, whole=whole)
     low = high = np.nan
     if limits is not None:
         edge = np.r_[_axis(position, 0), 0.5 * (position[1:] + position[:-1]), _axis(position, sheets)]
@@ -120,14 +131,14 @@ def _side_and_n(split: int, sheets: int) -> tuple[Ints, Ints]:
 
 
 def _split_by_motion(
-    x_px: Floats, even: int, settings: TrackingSettings
+    x_px: Floats, even: int, settings: TrackingSettings, *, whole: bool
 ) -> tuple[int, AxisHow, tuple[float, float] | None]:
     """Return the number of sheets left of the axis, how it was found, and the limits set by the motion.
 
     Splits are equally good within the noise of positions. The limits also allow for steps that are no
     opening: vibration in all frames, and in slips, whose sizes differ, a comb that is carried along or an
     avalanche on one side (White 1980, with the residuals of MacKinnon & White 1985). even: number of sheets
-    left of the middle of the comb.
+    left of the middle of the comb. whole: whether the whole comb is in view.
     """
     sheets = x_px.shape[1]
     step, apart, noise = _slips(x_px, settings)
@@ -154,6 +165,9 @@ def _split_by_motion(
     low, high = middle - good[0] + possible[0], middle - good[-1] + possible[-1]
     # What is equally good may go on beyond the picture, and its middle then lies elsewhere.
     low, high = low if possible[0] else 0.0, high if possible[-1] < sheets else float(sheets)
+    of_middle = _asymmetry(opening, even, shifted=True)
+    if whole and of_middle < settings.carried_symmetry * _asymmetry(opening, best):
+        low, high = min(low, even), max(high, even)
     if np.floor(low) <= even <= high:
         return even, "motion" if high - low <= settings.decided_sheets else "geometry", (low, high)
     outside = good[(good == 0) | (good == sheets)]  # all sheets move alike: one side is in view
@@ -167,6 +181,21 @@ def _contrast(step: Floats) -> Floats:
     """Return the motion right of each split less that left of it, (..., N + 1)."""
     total = np.cumsum(np.insert(step, 0, 0.0, axis=-1), axis=-1)
     return np.asarray(total[..., -1:] - 2 * total, np.float64)
+
+
+def _asymmetry(opening: Floats, split: int, *, shifted: bool = False) -> float:
+    """Return the RMS of the sums of the motions (N,) of two sheets of equal n, left and right of a split.
+
+    shifted: without what all pairs share, as where all sheets are carried along. The middle sheet of an odd
+    comb has no pair. NaN with too few pairs.
+    """
+    right = opening[split + (2 * split + 1 == len(opening)) :]
+    pairs = min(split, len(right))
+    if pairs <= shifted:
+        return np.nan
+    total = right[:pairs] + opening[split - pairs : split][::-1]
+    total -= shifted * total.mean()
+    return float(np.sqrt((total**2).sum() / (pairs - shifted)))
 
 
 def _slips(x_px: Floats, settings: TrackingSettings) -> tuple[Floats, Floats, Floats]:

@@ -592,6 +592,12 @@ class TrackingSettings:
     Larger leaves the axis open, smaller lets them move it; test_numbering.py has lopsided and centred combs
     that vibrate, are carried along, or slip in avalanches."""
 
+    carried_symmetry: float = 0.8
+    """Asymmetry of the motion about the comb's middle, over that about the place where it changes sign, below
+    which all sheets may be carried along with every slip. Larger puts the axis of combs that lack two sheets
+    of one side in the middle, smaller lets the camera place it
+    (test_a_comb_that_moves_along_with_its_opening)."""
+
     decided_sheets: int = 2
     """Sheets by which the axis may lie elsewhere for the motion still to have found it."""
 

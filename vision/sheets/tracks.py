@@ -160,7 +160,8 @@ def track_sheets(
     errors = _errors(fitted, frozen, facts.codec, settings)
     assessed = _assess_ridges(profile, fitted.x_px, errors, detections, frozen, comb)
     axis = None if axis_px is None else axis_px - first_px
-    numbering = number_sheets(assessed.x_px, axis_px=axis, settings=settings)
+    width = profile.shape[1]
+    numbering = number_sheets(assessed.x_px, axis_px=axis, width_px=width, settings=settings)
     found = _Tracked(comb, detected, numbering, fitted, errors, assessed, frozen, first_px)
     alike = sheets_alike(assessed.x_px, detections.contrast, detections.fwhm_px, comb)
     step = median_step(np.where(np.isnan(assessed.x_px), detections.withheld_px, assessed.x_px))
