@@ -261,7 +261,7 @@ def bending_length_mm(
 
 @dataclass(frozen=True, kw_only=True)
 class SpringBlock:
-    r"""A block pulled through a spring: its parameters.
+    r"""A block pulled through a spring at the speed v, and its stationary stick-slip.
 
     The friction coefficient is μ_s at rest and μ_d < μ_s while the block slides. The elongation u of the
     spring grows as v t until k u = μ_s w; then, until the block is at rest again (u̇ = v),
@@ -289,111 +289,57 @@ class SpringBlock:
 
     def __post_init__(self) -> None:
         check_positive(**{name: value for name, value in vars(self).items() if name != "mu_dynamic"})
-        if not 0 <= self.mu_dynamic < math.inf:
-            raise InputError("`mu_dynamic`", "zero or more", f"{self.mu_dynamic!r}")
-        if self.mu_dynamic >= self.mu_static:
-            raise InputError("`mu_dynamic`", f"less than μ_s = {self.mu_static:g}", f"{self.mu_dynamic:g}")
-
-    @property
-    def stiffness_N_per_m(self) -> float:
-        """k in N/m."""
-        return 1000 * self.stiffness_N_per_mm
+        if not 0 <= self.mu_dynamic < self.mu_static:
+            wanted = f"at least 0 and less than μ_s = {self.mu_static:g}"
+            raise InputError("`mu_dynamic`", wanted, f"{self.mu_dynamic!r}")
 
     @property
     def critical_speed_mm_s(self) -> float:
         """v_c = (μ_s − μ_d) w / √(mk); pulling is slow if v is far below it."""
-        drop = (self.mu_static - self.mu_dynamic) * self.load_N
-        return 1000 * drop / math.sqrt(self.mass_kg * self.stiffness_N_per_m)
+        return 500 * self.force_drop_N / math.sqrt(1000 * self.mass_kg * self.stiffness_N_per_mm)
+
+    @property
+    def force_drop_N(self) -> float:
+        """Δf = 2 (μ_s − μ_d) w."""
+        return 2 * (self.mu_static - self.mu_dynamic) * self.load_N
+
+    @property
+    def lowest_elongation_mm(self) -> float:
+        """u0 = (2 μ_d − μ_s) w / k, at the end of a slip."""
+        return (2 * self.mu_dynamic - self.mu_static) * self.load_N / self.stiffness_N_per_mm
+
+    def stick_time_s(self, speed_mm_s: ArrayLike) -> Floats:
+        """t_st = 2 (μ_s − μ_d) w / (k v)."""
+        return self.force_drop_N / (self.stiffness_N_per_mm * np.asarray(speed_mm_s, float))
+
+    def slip_time_s(self, speed_mm_s: ArrayLike, *, slow: bool = False) -> Floats:
+        r"""Duration of a slip, exact or in the limit of slow pulling, as printed.
+
+        .. math:: t_{sl} = 2\sqrt{\frac{m}{k}}\left[\pi - \arctan\frac{v_c}{v}\right]
+                  \approx \pi\sqrt{\frac{m}{k}}
+
+        The limit is too short by 6 % at v = 0.1 v_c, 33 % at v_c and 47 % at 5 v_c. The pulled end moves by
+        Λ_sl = v t_sl meanwhile.
+        """
+        over_v = self.critical_speed_mm_s / np.asarray(speed_mm_s, float)
+        angle = np.full(over_v.shape, np.pi / 2) if slow else np.pi - np.arctan(over_v)
+        return np.asarray(2 * math.sqrt(1e-3 * self.mass_kg / self.stiffness_N_per_mm) * angle)
 
 
-@dataclass(frozen=True, kw_only=True)
-class StickSlipCycle:
-    """One period of the stationary motion; each field has the shape of the speeds."""
-
-    stick_time_s: Floats  # t_st
-    slip_time_s: Floats  # t_sl
-    slip_length_mm: Floats  # Λ_sl = v t_sl, displacement of the pulled end during the slip
-    lowest_elongation_mm: Floats  # u0, at the end of the slip
-    highest_elongation_mm: Floats  # μ_s w / k, at its start
-    force_drop_N: Floats  # Δf = 2 (μ_s − μ_d) w
-
-
-def stick_slip(block: SpringBlock, speed_mm_s: ArrayLike, *, slow: bool = False) -> StickSlipCycle:
-    r"""Stationary cycle at the pulling speed v, mm/s: exact, or as printed for slow pulling.
-
-    Raises
-    ------
-    InputError
-        If a speed is not positive.
-
-    Notes
-    -----
-    .. math:: t_{st} = \frac{2(\mu_s-\mu_d)w}{kv}, \quad u_0 = \frac{(2\mu_d-\mu_s)w}{k}, \quad
-              t_{sl} = 2\sqrt{\frac{m}{k}}\left[\pi - \arctan\frac{(\mu_s-\mu_d)w}{v\sqrt{mk}}\right],
-              \quad \Lambda_{sl} = v\,t_{sl}
-
-    The slow limit differs only in t_sl = π √(m/k), which is too short by 6 % at v = 0.1 v_c, 33 % at v_c and
-    47 % at 5 v_c; `slow_speed_limit_mm_s` gives the speed up to which it is accurate.
-    """
-    speed = _speeds(speed_mm_s)
-    angle = (
-        0.5 * np.pi * np.ones_like(speed) if slow else np.pi - np.arctan(block.critical_speed_mm_s / speed)
-    )
-    slip_s = 2 * math.sqrt(block.mass_kg / block.stiffness_N_per_m) * angle
-    k, w, ones = block.stiffness_N_per_mm, block.load_N, np.ones_like(speed)
-    drop = 2 * (block.mu_static - block.mu_dynamic) * w
-    return StickSlipCycle(
-        stick_time_s=drop / (k * speed),
-        slip_time_s=slip_s,
-        slip_length_mm=speed * slip_s,
-        lowest_elongation_mm=(2 * block.mu_dynamic - block.mu_static) * w / k * ones,
-        highest_elongation_mm=block.mu_static * w / k * ones,
-        force_drop_N=drop * ones,
-    )
-
-
-def _speeds(speed_mm_s: ArrayLike) -> Floats:
-    """Return the speeds as an array; raise InputError if one is not positive."""
-    speed = np.asarray(speed_mm_s, float)
-    if not (np.isfinite(speed) & (speed > 0)).all():
-        raise InputError("`speed_mm_s`", "positive speeds", f"{speed_mm_s!r}")
-    return speed
-
-
-def slow_speed_limit_mm_s(block: SpringBlock, *, tolerance: float = 0.05) -> float:
-    r"""Speed above which the slip time of the slow limit is too short by more than the tolerance.
-
-    The tolerance is a fraction of the exact slip time.
-
-    Raises
-    ------
-    InputError
-        If the tolerance is not between 0 and 0.5; the relative error is below 0.5 at every speed.
-
-    Notes
-    -----
-    .. math:: \frac{v}{v_c} = \tan\left(\frac{\pi}{2}\,\frac{p}{1 - p}\right)
-
-    with the tolerance p; the result is 0.083 v_c for 5 %.
-    """
-    if not 0 < tolerance < 0.5:
-        raise InputError("`tolerance`", "a share between 0 and 0.5", f"{tolerance!r}")
-    return block.critical_speed_mm_s * math.tan(0.5 * math.pi * tolerance / (1 - tolerance))
-
-
-# --- rate-and-state friction --------------------------------------------------------------------------------
-
-
-def critical_stiffness_N_per_mm(
+def onset_of_stick_slip(
     *, a: float, b: float, critical_length_um: float, load_N: float, speed_mm_s: float, mass_kg: float = 0.0
-) -> float:
-    r"""Stiffness of the spring below which steady sliding is unstable and stick-slip begins.
+) -> tuple[float, float]:
+    r"""Stiffness in N/mm of the spring below which steady sliding is unstable, and the period there, s.
 
-    The friction depends on the speed V and on the age θ of the contacts:
+    The friction depends on the speed V and on the age θ of the contacts (rate and state):
 
     .. math:: \mu = \mu_0 + a \ln\frac{V}{V_0} + b \ln\frac{V_0 \theta}{D_c}, \qquad
-        \dot\theta = 1 - \frac{V \theta}{D_c}, \qquad
-        k_c = \frac{(b - a) N}{D_c} \left[1 + \frac{m V^2}{a N D_c}\right]
+        \dot\theta = 1 - \frac{V \theta}{D_c}
+
+    It follows from the linear stability of steady sliding (Rice and Ruina 1983) that
+
+    .. math:: k_c = \frac{(b - a) N}{D_c} \left[1 + \frac{m V^2}{a N D_c}\right], \qquad
+        t_c = 2 \pi \frac{D_c}{V} \sqrt{\frac{a}{b - a}}
 
     Parameters
     ----------
@@ -408,28 +354,10 @@ def critical_stiffness_N_per_mm(
     ------
     InputError
         If a number is not positive and finite, or b ≤ a, where steady sliding is always stable.
-
-    Notes
-    -----
-    It follows from the linear stability of steady sliding (Rice and Ruina 1983).
     """
-    _check_rate_state(a, b, critical_length_um)
-    length = 1e-6 * critical_length_um
-    inertia = mass_kg * (1e-3 * speed_mm_s) ** 2 / (a * load_N * length)
-    return 1e-3 * (b - a) * load_N / length * (1 + inertia)
-
-
-def onset_period_s(*, a: float, b: float, critical_length_um: float, speed_mm_s: float) -> float:
-    r"""Period of the oscillation at the onset of this instability, for any mass.
-
-    .. math:: 2 \pi \frac{D_c}{V} \sqrt{\frac{a}{b - a}}
-    """
-    _check_rate_state(a, b, critical_length_um)
-    return 2e-3 * math.pi * critical_length_um / speed_mm_s * math.sqrt(a / (b - a))
-
-
-def _check_rate_state(a: float, b: float, critical_length_um: float) -> None:
-    """Raise InputError if steady sliding is always stable, or a number is not positive."""
-    check_positive(a=a, b=b, critical_length_um=critical_length_um)
+    check_positive(a=a, b=b, critical_length_um=critical_length_um, load_N=load_N, speed_mm_s=speed_mm_s)
     if b <= a:
         raise InputError("`b`", f"more than a = {a:g}", f"{b:g}")
+    length, speed = 1e-6 * critical_length_um, 1e-3 * speed_mm_s
+    stiffness = 1e-3 * (b - a) * load_N / length * (1 + mass_kg * speed**2 / (a * load_N * length))
+    return stiffness, 2 * math.pi * length / speed * math.sqrt(a / (b - a))
