@@ -36,21 +36,11 @@ AnyData = TypeVar("AnyData", xr.DataArray, xr.Dataset, pd.DataFrame)
 
 @dataclass(frozen=True)
 class Variable:
-    """One variable, coordinate or column.
+    """One variable, coordinate or column."""
 
-    Parameters
-    ----------
-    dims
-        Names of its dimensions; ``("event",)`` for a column of a table of events.
-    units
-        As in ``attrs["units"]``; "" for text and flags, "1" for a ratio.
-    long_name
-        Description, used for axis labels and in netCDF files.
-    """
-
-    dims: tuple[str, ...]
-    units: str
-    long_name: str
+    dims: tuple[str, ...]  # names of its dimensions; ``("event",)`` for a column of a table of events
+    units: str  # as in ``attrs["units"]``; "" for text and flags, "1" for a ratio
+    long_name: str  # description, used for axis labels and in netCDF files
 
     @property
     def attrs(self) -> dict[str, str]:
@@ -60,26 +50,12 @@ class Variable:
 
 @dataclass(frozen=True)
 class Schema:
-    """The declared variables of one dataset.
+    """The declared variables of one dataset."""
 
-    Parameters
-    ----------
-    name
-        Name of the dataset in messages.
-    made_by
-        The function that returns the dataset.
-    variables
-        Every variable, coordinate and column with its declaration.
-    needs
-        Variables that every later stage needs; None for all.
-    kind
-        Its type.
-    """
-
-    name: str
-    made_by: str
-    variables: Mapping[str, Variable]
-    needs: Sequence[str] | None = None
+    name: str  # in messages
+    made_by: str  # the function that returns the dataset
+    variables: Mapping[str, Variable]  # every variable, coordinate and column
+    needs: Sequence[str] | None = None  # variables that every later stage needs; None for all
     kind: type[Data] = xr.Dataset
 
     def __getitem__(self, name: str) -> Variable:
@@ -182,71 +158,40 @@ def warnings_of(*parts: Data | None) -> list[str]:
 
 @dataclass(frozen=True, kw_only=True)
 class StripMetadata(Metadata):
-    """How the strip was read.
+    """How the strip was read."""
 
-    Parameters
-    ----------
-    source
-        The video's path.
-    codec
-        Codec as FFmpeg names it ("mjpeg" also for JPEG images and JPEG in TIFF), "uncompressed", "packed",
-        the compression of a TIFF, or the suffix of an image file. A lossy codec hides the noise.
-    container, pixel_format, decoder, grey
-        Kind of file, how a pixel is stored, which program decoded it ("none" if none was needed), and how
-        grey values follow from pixels.
-    file_pixel_size_um, file_scale_unused
-        µm per pixel that the file states, NaN without; a scale in it that is not used, and why.
-    rotate
-        Degrees clockwise by which the frames were rotated.
-    depth_bits, saturation_level
-        Significant bits per pixel (32 for float) and the value of a saturated pixel (NaN for float).
-    strip_z0, strip_z1, strip_how, strip_clarity
-        Averaged rows, half-open; "found", "given" or "all rows" (if no strip stood out); correlation of the
-        ridges' slopes in odd and even rows, 0 to 1.
-    tilt_deg
-        Tilt of the ridges against the columns; NaN if unknown.
-    strip_halves_px, strip_bow_px, strip_err_px
-        RMS difference between positions from the upper and the lower half of the strip, and between those
-        from its outer and inner half, beyond tilt and noise; error of positions due to the latter. 0 if
-        there is no significant difference.
-    clock_kind, clock_file, fps
-        "file" (time stamps of the recording), "given" or "playback" (rate in the file's header); name of the
-        file of time stamps that was given, "" for none; frames per second, NaN if unknown.
-    frames_expected, frames_read, frames_lost, frames_blank, frames_corrupt
-        Counts of frames: expected = read + lost. The read frames include blank ones, the lost frames
-        corrupt ones.
-    warnings
-        Problems that may affect the results.
-    """
-
-    source: str = "the video"
-    container: str = ""
+    source: str = "the video"  # path
+    container: str = ""  # kind of file
+    # As FFmpeg names it ("mjpeg" also for JPEG images and JPEG in TIFF), "uncompressed", "packed", the
+    # compression of a TIFF, or the suffix of an image file. A lossy codec hides the noise.
     codec: str = ""
-    pixel_format: str = ""
-    decoder: str = ""
-    grey: str = ""
-    file_pixel_size_um: float = math.nan
-    file_scale_unused: str = ""
-    rotate: int = 0
-    depth_bits: int = 32
-    saturation_level: float = math.nan
-    strip_z0: int = 0
+    pixel_format: str = ""  # how a pixel is stored
+    decoder: str = ""  # the program that decoded it, "none" if none was needed
+    grey: str = ""  # how grey values follow from pixels
+    file_pixel_size_um: float = math.nan  # µm per pixel that the file states
+    file_scale_unused: str = ""  # a scale in the file that is not used, and why
+    rotate: int = 0  # degrees clockwise by which the frames were rotated
+    depth_bits: int = 32  # significant bits per pixel; 32 for float
+    saturation_level: float = math.nan  # value of a saturated pixel; NaN for float
+    strip_z0: int = 0  # averaged rows, half-open
     strip_z1: int = 1
-    strip_how: str = "given"
-    strip_clarity: float = math.nan
-    tilt_deg: float = math.nan
+    strip_how: str = "given"  # or "found", or "all rows" if no strip stood out
+    strip_clarity: float = math.nan  # correlation of the ridges' slopes in odd and even rows, 0 to 1
+    tilt_deg: float = math.nan  # of the ridges against the columns
+    # RMS difference between positions from the upper and the lower half of the strip, and between those from
+    # its outer and inner half, beyond tilt and noise, 0 if not significant; error of positions by the latter.
     strip_halves_px: float = 0.0
     strip_bow_px: float = 0.0
     strip_err_px: float = 0.0
-    clock_kind: str = "playback"
-    clock_file: str = ""
-    fps: float = math.nan
-    frames_expected: int = 0
-    frames_read: int = 0
-    frames_lost: int = 0
+    clock_kind: str = "playback"  # rate in the file's header, "file" (the recording's time stamps) or "given"
+    clock_file: str = ""  # name of the file of time stamps that was given
+    fps: float = math.nan  # frames per second
+    frames_expected: int = 0  # read and lost
+    frames_read: int = 0  # including blank ones
+    frames_lost: int = 0  # including corrupt ones
     frames_blank: int = 0
     frames_corrupt: int = 0
-    warnings: Sequence[str] = field(default_factory=list)
+    warnings: Sequence[str] = field(default_factory=list)  # problems that may affect the results
 
 
 STRIP = Schema(
@@ -266,26 +211,13 @@ STRIP = Schema(
 
 @dataclass(frozen=True, kw_only=True)
 class DiagramMetadata(Metadata):
-    """What a space-time diagram shows.
-
-    Parameters
-    ----------
-    pixel_size_um
-        µm per pixel; NaN if it is unknown.
-    sheet, sheet_index
-        Side and n, such as "right:23", and index of the sheet in the middle of the window; "" and -1 for the
-        whole strip.
-    centre_px
-        Column of the middle of the window, the sheet's mean position; NaN for the whole strip.
-    follow
-        Whether the window follows the sheet.
-    """
+    """What a space-time diagram shows."""
 
     pixel_size_um: float = math.nan
-    sheet: str = ""
-    sheet_index: int = -1
-    centre_px: float = math.nan
-    follow: bool = False
+    sheet: str = ""  # side and n, such as "right:23", of the sheet in the middle; "" for the whole strip
+    sheet_index: int = -1  # of this sheet
+    centre_px: float = math.nan  # column of the middle of the window, the sheet's mean position
+    follow: bool = False  # whether the window follows the sheet
 
     @property
     def size_um(self) -> float | None:
@@ -309,76 +241,38 @@ STRIP_PARTS = Schema(
 
 @dataclass(frozen=True, kw_only=True)
 class TrackMetadata(Metadata):
-    """How the sheets were found. The attributes of the tracks also hold the strip's metadata.
+    """How the sheets were found. The attributes of the tracks also hold the strip's metadata."""
 
-    Parameters
-    ----------
-    fit, fit_asked, window_px
-        Subpixel method used ("unknown" for positions from another program), the requested method, and its
-        window. The error of positions depends on method and window.
-    ridges, ridges_likelier, ridges_doubt, sheets, sheets_how
-        Polarity ("bright" or "dark"), that which the film suggests if another was given ("" if not), why the
-        polarity that was found may be wrong ("" if it is clear or given), number of sheets, and
-        whether it was given.
-    ridge_fwhm_px, pitch_px, contrast, profile_noise
-        Width and spacing of the ridges; their height and the noise in grey levels.
-    axis_px, axis_how, axis_low_px, axis_high_px
-        Position of the symmetry axis; "given", "motion" or "geometry"; interval in which the axis lies
-        according to the motion of the sheets (NaN without motion).
-    axis_missing
-        Number of sheets that seem to be missing in wide spacings and count where the axis is the middle of
-        the comb ("geometry").
-    least_margin
-        Smallest difference in log-likelihood between the chosen assignment of identities and the next best.
-    ridges_dropped
-        Number of persistent ridges that are not sheets.
-    wide_spacings
-        Spacings in which a sheet may have been overlooked, such as "748 px (1.9 pitches)".
-    scene_changes
-        Permanent changes of the picture: first frame of the new scene (``frame``), common displacement of
-        all sheets (``moved_px``), change of the logarithm of their relative brightness (``brightness``).
-    sheets_alike, large_steps
-        "yes" if the sheets look so alike that a picture does not show which sheets it contains, else "no"; if
-        "yes", frames before which the whole comb moved so far that the number of spacings is uncertain.
-    ridges_beyond
-        Number of ridges that resemble the sheets and continue the comb beyond the given number of sheets.
-    locking_px, locking_err_px
-        Locking of positions to whole pixels that was subtracted, rms, and what remains of it in the errors,
-        px; 0 for none (`vision.sheets.distortion`).
-    noise_lasts
-        Correlation of the pixels' noise between a frame and the next if the camera averages in time, else 0.
-    corrections_applied
-        Number of manual corrections; they are listed among the operations.
-    """
-
-    fit: str = "unknown"
-    fit_asked: str = "unknown"
-    window_px: int = 9
-    ridges: str = "bright"
-    ridges_likelier: str = ""
-    ridges_doubt: str = ""
+    fit: str = "unknown"  # subpixel method; "unknown" for positions from another program
+    fit_asked: str = "unknown"  # the requested method
+    window_px: int = 9  # of the fit
+    ridges: str = "bright"  # or "dark"
+    ridges_likelier: str = ""  # the polarity that the film suggests if another was given
+    ridges_doubt: str = ""  # why the polarity that was found may be wrong
     sheets: int = 0
     sheets_how: Literal["given", "found"] = "found"
     ridge_fwhm_px: float = math.nan
     pitch_px: float = math.nan
-    contrast: float = math.nan
-    profile_noise: float = math.nan
-    axis_px: float = math.nan
-    axis_how: str = "given"
-    axis_low_px: float = math.nan
+    contrast: float = math.nan  # height of the ridges, grey levels
+    profile_noise: float = math.nan  # grey levels
+    axis_px: float = math.nan  # position of the symmetry axis
+    axis_how: str = "given"  # or "motion" or "geometry", the middle of the comb
+    axis_low_px: float = math.nan  # interval in which the motion of the sheets puts the axis
     axis_high_px: float = math.nan
-    axis_missing: int = 0
-    least_margin: float = math.nan
-    ridges_dropped: int = 0
-    wide_spacings: Sequence[str] = field(default_factory=list)
+    axis_missing: int = 0  # sheets that seem to be missing in wide spacings, and count for "geometry"
+    least_margin: float = math.nan  # least log-likelihood of the identities over that of the next best
+    ridges_dropped: int = 0  # persistent ridges that are not sheets
+    wide_spacings: Sequence[str] = field(default_factory=list)  # "748 px (1.9 pitches)": a sheet overlooked
+    # Permanent changes of the picture: first frame of the new scene (``frame``), common displacement of all
+    # sheets (``moved_px``), change of the logarithm of their relative brightness (``brightness``).
     scene_changes: Sequence[Mapping[str, float]] = field(default_factory=list)
-    sheets_alike: Literal["yes", "no"] = "no"
-    large_steps: Sequence[int] = field(default_factory=list)
-    ridges_beyond: int = 0
-    locking_px: float = 0.0
-    locking_err_px: float = 0.0
-    noise_lasts: float = 0.0
-    corrections_applied: int = 0
+    sheets_alike: Literal["yes", "no"] = "no"  # whether a picture does not show which sheets it contains
+    large_steps: Sequence[int] = field(default_factory=list)  # if so: frames before which the comb moved far
+    ridges_beyond: int = 0  # ridges like sheets that continue the comb beyond the given number of sheets
+    locking_px: float = 0.0  # locking to whole pixels that was subtracted, rms (`vision.sheets.distortion`)
+    locking_err_px: float = 0.0  # what remains of it in the errors
+    noise_lasts: float = 0.0  # correlation of a frame's noise with the next if the camera averages in time
+    corrections_applied: int = 0  # manual ones; they are listed among the operations
 
 
 MEASURED = ("ok", "blurred")  # flags of positions that were measured
@@ -429,39 +323,23 @@ TRACKS = Schema(
 
 @dataclass(frozen=True, kw_only=True)
 class ForceMetadata(Metadata):
-    """How the testing machine's file was read.
+    """How the testing machine's file was read."""
 
-    Parameters
-    ----------
-    source
-        The file's path.
-    separation_from
-        How the separation d was obtained: "displacement", "speed" (d = d0 + V t) or "none" (unknown).
-    speed_mm_min, d0_mm, d0_err_mm
-        Speed V, measured if a displacement was recorded; initial separation d0 and its error. NaN if unknown.
-    layout, encoding, separator, decimal, columns, blocks, columns_seen
-        Format of the file, and the meaning of its columns.
-    displacement_unit
-        "stated", or "assumed" if the file states none.
-    notes, warnings
-        Assumptions, and problems that may affect the results.
-    """
-
-    source: str = "the force recording"
-    separation_from: str = "none"
-    speed_mm_min: float = math.nan
-    d0_mm: float = math.nan
+    source: str = "the force recording"  # path
+    separation_from: str = "none"  # unknown, or "displacement" or "speed" (d = d0 + V t)
+    speed_mm_min: float = math.nan  # V, measured if a displacement was recorded
+    d0_mm: float = math.nan  # initial separation
     d0_err_mm: float = math.nan
-    layout: str = ""
+    layout: str = ""  # format of the file, and the meaning of its columns
     encoding: str = ""
     separator: str = ""
     decimal: str = ""
     columns: str = ""
     blocks: str = ""
     columns_seen: str = ""
-    displacement_unit: Literal["stated", "assumed"] = "stated"
-    notes: Sequence[str] = field(default_factory=list)
-    warnings: Sequence[str] = field(default_factory=list)
+    displacement_unit: Literal["stated", "assumed"] = "stated"  # in the file
+    notes: Sequence[str] = field(default_factory=list)  # assumptions
+    warnings: Sequence[str] = field(default_factory=list)  # problems that may affect the results
 
     @property
     def lacks_d0(self) -> bool:
@@ -495,84 +373,48 @@ LowpassDoubt = Literal["", "differs", "shape"]
 
 @dataclass(frozen=True, kw_only=True)
 class StickMetadata(Metadata):
-    """How the stick-slip events were found.
+    """How the stick-slip events were found."""
 
-    Parameters
-    ----------
-    noise_N, threshold_N, threshold_how
-        Noise of the load; smallest drop that counts as a slip; its source: "noise" (a multiple of the noise),
-        "jumps" (above the load's upward jumps), "gap" (between small and large drops) or "given".
-    period_samples, spikes
-        Typical number of samples from slip to slip; number of single-sample spikes that were ignored.
-    lowpass_s, lowpass_how
-        Time constant of the load cell's low-pass that was corrected for, 0 for none; "recorded" (no
-        correction requested, the default), "given", or the result of the search: "found" (proven),
-        "doubtful" (seen but not proven, not corrected) or "none" (not seen).
-    lowpass_proposed_s, lowpass_proven, lowpass_doubt
-        Time constant suggested by the transients after slips but not corrected for (NaN: none); whether slips
-        of different size and spacing agree on it, and it leaves no tail when corrected; else which of the
-        two is not so, "differs" or "shape". Its effect is part of the errors.
-    lowpass_dF_share, lowpass_K_share
-        Median relative change of ΔF and K that this correction would cause.
-    lowpass_peak_mm
-        Median travel in which a stick rises by as much as this correction would raise its peak.
-    K_err_by_d
-        Median error of K from that of the displacement within each stick, over K, where it is the larger part
-        of the error; else 0.
-    average_s, ringing_s
-        Time over which the load was averaged, 0 for none; period of the load's ringing after slips, or
-        of hum; NaN for none.
-    filter_s
-        Duration that a filter of the machine may have given every slip; 0 where a low-pass was found, samples
-        were lost, slips last less than 2.5 samples, or the load is level at their ends. Its effect is part of
-        the errors of the fits.
-    two_slopes, bend_share
-        Whether stick phases were fitted with a knee; correction of the lines at the valley for the curvature
-        common to all sticks, over their rise (negative: sticks begin steeply).
-    hum_Hz, hum_N
-        Frequency and root mean square of hum, without which slips are searched; NaN and 0 for none. Forces
-        are measured with it, and their errors contain it.
-    regime, fall_over_rise
-        "stick-slip", "oscillation", "cycles" or "noise"; median duration of falls over that of rises.
-    warnings
-        Reasons why this may not be stick-slip.
-    first_slip_s, first_slip_N, last_slip_s
-        Times (force clock) of the first and last slip; load before the first one.
-    machine_stiffness_N_per_mm
-        Stiffness by which d was corrected; NaN for no correction.
-    central_part
-        Fraction of the stick phase over which K is fitted.
-    """
-
-    noise_N: float = math.nan
-    threshold_N: float = math.nan
+    noise_N: float = math.nan  # of the load
+    threshold_N: float = math.nan  # smallest drop that counts as a slip
+    # "noise" (a multiple of it), "jumps" (above those upwards), "gap" (between small and large drops)
     threshold_how: ThresholdHow = ""
-    period_samples: float = math.nan
-    spikes: int = 0
-    lowpass_s: float = 0.0
+    period_samples: float = math.nan  # typical number of samples from slip to slip
+    spikes: int = 0  # single samples that were ignored
+    lowpass_s: float = 0.0  # time constant of the load cell that was corrected for, 0 for none
+    # "recorded" (no correction requested), "given", or the result of the search: "found" (proven), "doubtful"
+    # (seen but not proven, not corrected) or "none" (not seen)
     lowpass_how: LowpassHow = "none"
+    # Time constant suggested by the transients after slips but not corrected for, whose effect is part of the
+    # errors; whether slips of different size and spacing agree on it, and it leaves no tail when corrected;
+    # else which of the two is not so.
     lowpass_proposed_s: float = math.nan
     lowpass_proven: bool = False
     lowpass_doubt: LowpassDoubt = ""
-    lowpass_dF_share: float = 0.0
+    lowpass_dF_share: float = 0.0  # median relative changes of ΔF and K that this correction would cause
     lowpass_K_share: float = 0.0
-    lowpass_peak_mm: float = 0.0
-    K_err_by_d: float = 0.0
-    average_s: float = 0.0
-    ringing_s: float = math.nan
+    lowpass_peak_mm: float = 0.0  # median travel in which a stick rises as much as it would raise the peak
+    K_err_by_d: float = 0.0  # median of K's error by that of d over K, where it is the larger part; else 0
+    average_s: float = 0.0  # time over which the load was averaged, 0 for none
+    ringing_s: float = math.nan  # period of the load's ringing after slips, or of hum
+    # Duration that a filter of the machine may have given every slip, whose effect is part of the errors of
+    # the fits; 0 where a low-pass was found, samples were lost, slips last less than 2.5 samples, or the load
+    # is level at their ends.
     filter_s: float = 0.0
-    two_slopes: bool = False
+    two_slopes: bool = False  # whether stick phases were fitted with a knee
+    # Correction of the lines at the valley for the curvature common to all sticks, over their rise; negative
+    # where sticks begin steeply.
     bend_share: float = 0.0
-    hum_Hz: float = math.nan
-    hum_N: float = 0.0
+    hum_Hz: float = math.nan  # of hum, without which slips are searched; forces and their errors contain it
+    hum_N: float = 0.0  # its root mean square
     regime: RegimeName = "stick-slip"
-    fall_over_rise: float = math.nan
-    warnings: Sequence[str] = field(default_factory=list)
-    first_slip_s: float = math.nan
-    first_slip_N: float = math.nan
+    fall_over_rise: float = math.nan  # median duration of falls over that of rises
+    warnings: Sequence[str] = field(default_factory=list)  # reasons why this may not be stick-slip
+    first_slip_s: float = math.nan  # time of the first slip, force clock
+    first_slip_N: float = math.nan  # load before it
     last_slip_s: float = math.nan
-    machine_stiffness_N_per_mm: float = math.nan
-    central_part: float = 0.5
+    machine_stiffness_N_per_mm: float = math.nan  # by which d was corrected; NaN for no correction
+    central_part: float = 0.5  # fraction of the stick phase over which K is fitted
 
 
 _EVENT = ("event",)
@@ -649,26 +491,16 @@ def whole_events(flags: Iterable[object]) -> Bools:
 
 @dataclass(frozen=True, kw_only=True)
 class MotionMetadata(Metadata):
-    """How the deformation was measured.
+    """How the deformation was measured."""
 
-    Parameters
-    ----------
-    source, pixel_size_um, margin_s, interval_s
-        The video's path; µm per pixel; time left out on either side of each slip; time between frames.
-    noise_share, noise_rho
-        Noise that is correlated from frame to frame: its share of the variance, and its AR(1) coefficient.
-    camera_movement, warnings
-        How the camera's movement was separated from the creep of the sheets; stick phases that are left out.
-    """
-
-    source: str = "the video"
+    source: str = "the video"  # path
     pixel_size_um: float = math.nan
-    margin_s: float = math.nan
-    interval_s: float = math.nan
-    noise_share: float = 0.0
-    noise_rho: float = 0.0
-    camera_movement: str = ""
-    warnings: Sequence[str] = field(default_factory=list)
+    margin_s: float = math.nan  # left out on either side of each slip
+    interval_s: float = math.nan  # between frames
+    noise_share: float = 0.0  # of noise that is correlated from frame to frame, in the variance
+    noise_rho: float = 0.0  # its AR(1) coefficient
+    camera_movement: str = ""  # how it was separated from the creep of the sheets
+    warnings: Sequence[str] = field(default_factory=list)  # stick phases that are left out
 
 
 _EVENT_SHEET = ("event", "sheet")

@@ -26,35 +26,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Results:
-    """Results of one test, from which figures and the report are made. Parts that it lacks are None.
+    """Results of one test, from which figures and the report are made. Parts that it lacks are None."""
 
-    Parameters
-    ----------
-    strip, tracks
-        I(x, t) and x(n, t).
-    frame
-        The first frame that shows something, (rows, columns).
-    force, sticks, fits
-        The force recording, its stick-slip events, and the models fitted to them.
-    clock, motion, shells
-        The camera's clock against the machine's, the deformation of each sheet, and the stiff shell.
-    reasons
-        By part: why it is None although there are the data that it needs.
-    warnings
-        Warnings that matter for the results, in the order of the stages, without repetition.
-    """
-
-    strip: xr.DataArray | None = None
-    tracks: xr.Dataset | None = None
-    frame: Pixels | None = None
-    force: xr.Dataset | None = None
-    sticks: pd.DataFrame | None = None
-    fits: ModelFits | None = None
-    clock: Clock | None = None
-    motion: xr.Dataset | None = None
-    shells: pd.DataFrame | None = None
+    strip: xr.DataArray | None = None  # I(x, t)
+    tracks: xr.Dataset | None = None  # x(n, t)
+    frame: Pixels | None = None  # the first that shows something, (rows, columns)
+    force: xr.Dataset | None = None  # the force recording
+    sticks: pd.DataFrame | None = None  # its stick-slip events
+    fits: ModelFits | None = None  # the models fitted to them
+    clock: Clock | None = None  # the camera's against the machine's
+    motion: xr.Dataset | None = None  # the deformation of each sheet
+    shells: pd.DataFrame | None = None  # the stiff shell
+    # By part: why it is None although there are the data that it needs.
     reasons: Mapping[str, str] = field(default_factory=dict)
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()  # those that matter, in the order of the stages, without repetition
 
     def refused(self) -> list[str]:
         """Return the names of stages up to the shells without a result although they had data.

@@ -51,31 +51,15 @@ class ModulusSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class CyclesMetadata(Metadata):
-    """How the cycles were measured.
+    """How the cycles were measured."""
 
-    Parameters
-    ----------
-    source
-        The recording's path.
-    sheet
-        ε, W and L of the sheet in mm.
-    clamp_distance_from
-        "given", "column" (the recording contains Δ) or "length" (Δ = L + crosshead).
-    shift_mm
-        Δ minus the displacement of the crosshead, without the correction for the machine.
-    machine_stiffness_N_per_mm
-        Stiffness for which Δ was corrected; NaN without correction.
-    notes, warnings
-        Assumptions, and possible errors of the numbers.
-    """
-
-    source: str = "the recording"
-    sheet: Sequence[float] = (math.nan,) * 3
-    clamp_distance_from: str = "given"
-    shift_mm: float = 0.0
-    machine_stiffness_N_per_mm: float = math.nan
-    notes: Sequence[str] = field(default_factory=list)
-    warnings: Sequence[str] = field(default_factory=list)
+    source: str = "the recording"  # path
+    sheet: Sequence[float] = (math.nan,) * 3  # ε, W and L, mm
+    clamp_distance_from: str = "given"  # or "column" (recorded) or "length" (Δ = L + crosshead)
+    shift_mm: float = 0.0  # Δ minus the displacement of the crosshead, without the machine's correction
+    machine_stiffness_N_per_mm: float = math.nan  # for which Δ was corrected; NaN without correction
+    notes: Sequence[str] = field(default_factory=list)  # assumptions
+    warnings: Sequence[str] = field(default_factory=list)  # possible errors of the numbers
 
 
 _CYCLE = ("cycle",)

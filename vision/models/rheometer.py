@@ -21,25 +21,13 @@ from vision.force.files import decode_text, split_name
 
 @dataclass(frozen=True, kw_only=True)
 class RotationMetadata(Metadata):
-    """Metadata of the table of one rotation.
+    """Metadata of the table of one rotation."""
 
-    Parameters
-    ----------
-    source
-        Path of the file.
-    measurement
-        Result and interval, unique within the file.
-    notes, warnings
-        Assumptions, and possible errors of the numbers.
-    left_out
-        Results and intervals of the same file without a usable measurement, each with the reason.
-    """
-
-    source: str = "the rheometer's file"
-    measurement: str = "1"
-    notes: Sequence[str] = field(default_factory=list)
-    warnings: Sequence[str] = field(default_factory=list)
-    left_out: Sequence[str] = field(default_factory=list)
+    source: str = "the rheometer's file"  # path
+    measurement: str = "1"  # result and interval, unique within the file
+    notes: Sequence[str] = field(default_factory=list)  # assumptions
+    warnings: Sequence[str] = field(default_factory=list)  # possible errors of the numbers
+    left_out: Sequence[str] = field(default_factory=list)  # unusable results and intervals, with the reason
 
 
 _ROW = ("sample",)

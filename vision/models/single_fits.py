@@ -60,60 +60,29 @@ class Goodness:
 
 @dataclass(frozen=True, kw_only=True)
 class ModelFits:
-    """Parameters of the paper's models for one recording, with standard errors.
+    """Parameters of the paper's models for one recording, with standard errors."""
 
-    Parameters
-    ----------
-    mu, t0_N
-        Friction coefficient, and offset of the peak forces.
-    t_star_N
-        T*; its error is NaN if it was not fitted.
-    amplitude, n_hat_N, modulus_GPa
-        A, N-hat and Y_eff.
-    scale_mm
-        Lambda-hat, where M_eff reaches 0.
-    bending_mm
-        Bending length of the outermost sheet in the middle of the test.
-    goodness
-        Goodness of the fits to "peaks", "drops" and "stiffness".
-    correlation
-        Correlations of parameters that are fitted together.
-    d_mm
-        Separation at the first and last event used.
-    sample
-        The given sample.
-    notes
-        Limitations of the result.
-    warnings
-        Reasons why it may be wrong.
-    held
-        Names of parameters that were given, not fitted.
-    left_out
-        Numbers of unused events by reason: "flagged", "build_up" (before the maximum of the peaks), "misfit"
-        (after it, before Eq. 1 fits) and "outside" the given range.
-    input_errors
-        Given standard errors of d0 (``d0_mm``) and of fields of the sample.
-    budget
-        Contribution of each source of systematic error to each parameter; None where it is not known.
-    """
-
-    mu: Estimate
-    t0_N: Estimate
-    t_star_N: Estimate
-    amplitude: Estimate
-    n_hat_N: Estimate
-    modulus_GPa: Estimate
-    scale_mm: Estimate
-    bending_mm: Estimate
-    goodness: dict[str, Goodness]
-    correlation: dict[str, float]
-    d_mm: tuple[float, float]
-    sample: Sample
-    notes: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
-    held: tuple[str, ...] = ()
+    mu: Estimate  # friction coefficient
+    t0_N: Estimate  # offset of the peak forces
+    t_star_N: Estimate  # T*; its error is NaN if it was not fitted
+    amplitude: Estimate  # A
+    n_hat_N: Estimate  # N-hat
+    modulus_GPa: Estimate  # Y_eff
+    scale_mm: Estimate  # Lambda-hat, where M_eff reaches 0
+    bending_mm: Estimate  # bending length of the outermost sheet in the middle of the test
+    goodness: dict[str, Goodness]  # of the fits to "peaks", "drops" and "stiffness"
+    correlation: dict[str, float]  # of parameters that are fitted together
+    d_mm: tuple[float, float]  # separation at the first and last event used
+    sample: Sample  # as given
+    notes: tuple[str, ...] = ()  # limitations of the result
+    warnings: tuple[str, ...] = ()  # reasons why it may be wrong
+    held: tuple[str, ...] = ()  # names of parameters that were given, not fitted
+    # Numbers of unused events by reason: "flagged", "build_up" (before the maximum of the peaks), "misfit"
+    # (after it, before Eq. 1 fits) and "outside" the given range.
     left_out: Mapping[str, int] = field(default_factory=dict)
+    # Given standard errors of d0 (``d0_mm``) and of fields of the sample.
     input_errors: Mapping[str, float] = field(default_factory=dict)
+    # Contribution of each source of systematic error to each parameter; None where it is not known.
     budget: Mapping[str, Mapping[str, float | None]] = field(default_factory=dict)
 
     def named(self) -> dict[str, Estimate]:
