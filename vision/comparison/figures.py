@@ -176,7 +176,7 @@ def sticks_figures(found: Comparison) -> list[Figure]:
     if len(panels) > 1:
         parts = tuple(replace(panel, title=f"V = {v:g} mm/min") for v, panel in panels.items())
         title = "Single stick-slip events at several velocities"
-        figures.append(_page("sticks", title, caption, parts))
+        figures.append(Figure.grid("sticks", title, caption, parts, columns=2))
     return figures
 
 
@@ -195,11 +195,6 @@ def _stick_panels(tests: Sequence[TractionTest]) -> dict[float, Panel]:
         if "sticks" in named:
             chosen[speed] = named["sticks"].panel
     return dict(sorted(chosen.items()))
-
-
-def _page(name: str, title: str, caption: str, panels: tuple[Panel, ...]) -> Figure:
-    """Return a figure of several panels."""
-    return Figure(name=name, title=title, caption=caption, panels=panels, columns=2, width_in=13.0)
 
 
 # --- the collapse -------------------------------------------------------------------------------------------
@@ -317,7 +312,7 @@ def trends_figures(found: Comparison) -> list[Figure]:
     if len(figures) > 1:
         parts = tuple(replace(figure.panel, title=figure.title) for figure in figures)
         caption = " ".join(f"({figure.title}) {figure.caption}" for figure in figures)
-        figures.append(_page("trends", "Trends", caption, parts))
+        figures.append(Figure.grid("trends", "Trends", caption, parts, columns=2))
     return figures
 
 

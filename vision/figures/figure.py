@@ -10,7 +10,7 @@ import json
 import re
 import zipfile
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -197,6 +197,22 @@ class Figure:
     def of(cls, name: str, panel: Panel, caption: str, *, title: str = "", **rest: Any) -> Figure:
         """Return a figure of one panel, with the panel's title unless another is given."""
         return cls(name=name, title=title or panel.title, caption=caption, panels=(panel,), **rest)
+
+    @classmethod
+    def grid(
+        cls,
+        name: str,
+        title: str,
+        caption: str,
+        panels: Iterable[Panel],
+        *,
+        aspect: float | None = None,
+        **rest: Any,
+    ) -> Figure:
+        """Return a figure of panels in rows of two, or three if there are three, all with this aspect."""
+        shown = tuple(panel if aspect is None else replace(panel, aspect=aspect) for panel in panels)
+        page = {"columns": 3 if len(shown) == 3 else 2, "width_in": 13.0} | rest
+        return cls(name=name, title=title, caption=caption, panels=shown, **page)
 
     @property
     def panel(self) -> Panel:

@@ -378,14 +378,14 @@ def force_overview_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFi
     some = _events_panel(force, sticks.iloc[start : start + 6], title, against_d=False, lines=lines)
     shown = [panel for panel in (some, drops.panel, stiffness.panel) if not panel.empty]
     panels = [replace(whole, title=found), *shown]
-    return _in_columns(
+    return Figure.grid(
         "force_overview",
         "The force recording and its stick-slip events",
         "The whole recording, a few events in its middle, and the amplitude and stiffness of every event, as "
         "far as they are known.",
         # There is no other clock in it.
         [replace(panel, x_label=panel.x_label.replace(", force clock", "")) for panel in panels],
-        width_in=13.0,
+        aspect=0.6,
     )
 
 
@@ -404,22 +404,16 @@ def force_insets_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFits
         start = int(share * len(usable))
         some = usable.iloc[start : start + SHOWN_STICKS]
         panels.append(_events_panel(force, some, title, against_d=True))
-    return _in_columns(
+    return Figure.grid(
         "force_insets",
         "Traction force and stages of the test",
         "Traction force against separation with the fit of Eq. 1 to the peaks; the first rise of the force, "
         "to the peak of the first event; and events of an early and a late stage of the test (peaks filled, "
         "valleys hollow).",
         panels,
+        aspect=0.6,
         width_in=8.0,
     )
-
-
-def _in_columns(name: str, title: str, caption: str, panels: list[Panel], *, width_in: float) -> Figure:
-    """Return panels of one shape, two side by side, or three if there are three."""
-    shown = tuple(replace(panel, aspect=0.6) for panel in panels)
-    columns = 3 if len(shown) == 3 else 2
-    return Figure(name=name, title=title, caption=caption, panels=shown, columns=columns, width_in=width_in)
 
 
 def _events_panel(

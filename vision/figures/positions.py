@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -253,33 +254,15 @@ def deformation_figure(motion: xr.Dataset, *, threshold: float = STIFF_BELOW) ->
     chosen = np.flatnonzero(np.isfinite(motion["ratio"].to_numpy()).any(axis=1))
     if chosen.size:
         chosen = chosen[spread_indices(chosen.size, 5)]
-    numbers, order = signed_number(motion)
-    series = []
-    for k, (ink, index) in enumerate(zip(ordered_inks(chosen.size), chosen, strict=True)):
-        stick = motion.isel(event=index, sheet=order)
-        value, error = stick["ratio"].to_numpy(), stick["ratio_err"].to_numpy()
-        style: dict[str, Any] = {"look": "both", "hollow": k % 2 == 1, "width": 1.0}
-        style |= {"low": np.maximum(value - error, 0), "high": value + error}
-        label = f"d_v = {float(stick['d_v_mm']):.2f} mm"
-        series.append(Series(label=label, x=numbers, y=value, ink=ink, **style))
+    sticks = (motion.isel(event=index) for index in chosen)
+    curves = [(f"d_v = {float(one['d_v_mm']):.2f} mm", one["ratio"], one["ratio_err"]) for one in sticks]
     return Figure.of(
         "deformation",
-        _ratio_panel(tuple(series), threshold),
+        _ratio_panel(motion, curves, threshold, look="both", width=1.0),
         "σ_x/Λ_st, the RMS displacement in a stick phase without camera noise and common-mode motion, over "
         "the stick length, with standard errors; for stick phases spread over the video, later ones "
         f"brighter, every other one hollow. Shaded: below {threshold:g}, where a sheet counts as stiff.",
         title="Horizontal deformation against sheet number",
-    )
-
-
-def _ratio_panel(series: tuple[Series, ...], threshold: float) -> Panel:
-    """Return a panel of σ_x/Λ_st against the sheet's number, with the range of stiff sheets."""
-    return Panel(
-        x_label=SHEET_NUMBER,
-        y_label="σ_x / Λ_st",
-        series=series,
-        bands=(Band(low=0.0, high=threshold, label=f"stiff (below {threshold:g})"),),
-        whole_numbers=True,
     )
 
 
@@ -290,23 +273,43 @@ def mean_deformation_figure(motion: xr.Dataset, *, threshold: float = STIFF_BELO
         return None
     each = min(12, known.size)
     starts = spread_indices(known.size - each + 1, min(known.size // each, 5))
-    numbers, order = signed_number(motion)
-    d_v = motion["d_v_mm"].to_numpy()
-    series = []
-    for ink, start in zip(ordered_inks(len(starts)), starts, strict=True):
-        events = known[start : start + each]
-        part = motion["ratio"].isel(event=events, sheet=order)
-        value, spread = part.mean("event").to_numpy(), part.std("event", ddof=1).fillna(0).to_numpy()
-        label = f"d_v = {d_v[events].mean():.2f} mm, mean of {each}"
-        low, high = np.maximum(value - spread, 0), value + spread
-        series.append(Series(label=label, x=numbers, y=value, low=low, high=high, ink=ink, width=1.4))
+    curves = []
+    for part in (motion.isel(event=known[start : start + each]) for start in starts):
+        label = f"d_v = {part['d_v_mm'].to_numpy().mean():.2f} mm, mean of {each}"
+        spread = part["ratio"].std("event", ddof=1).fillna(0)
+        curves.append((label, part["ratio"].mean("event"), spread))
     return Figure.of(
         "mean_deformation",
-        _ratio_panel(tuple(series), threshold),
+        _ratio_panel(motion, curves, threshold, width=1.4),
         f"σ_x/Λ_st of every sheet: means over {each} stick phases with mean separation d_v, and their "
         "standard deviation (shaded curves). Shaded range: below "
         f"{threshold:g}, where a sheet counts as stiff.",
         title="Horizontal deformation, means over stick phases",
+    )
+
+
+def _ratio_panel(
+    motion: xr.Dataset,
+    curves: Sequence[tuple[str, xr.DataArray, xr.DataArray]],
+    threshold: float,
+    **look: Any,
+) -> Panel:
+    """Return curves of σ_x/Λ_st against the sheet's number, and the range of stiff sheets.
+
+    curves: label, values and errors of the sheets; every other one is hollow.
+    """
+    numbers, order = signed_number(motion)
+    series = []
+    for k, (ink, (label, ratio, spread)) in enumerate(zip(ordered_inks(len(curves)), curves, strict=True)):
+        y, err = ratio.to_numpy()[order], spread.to_numpy()[order]
+        ends = {"low": np.maximum(y - err, 0), "high": y + err}
+        series.append(Series(label=label, x=numbers, y=y, ink=ink, hollow=k % 2 == 1, **ends, **look))
+    return Panel(
+        x_label=SHEET_NUMBER,
+        y_label="σ_x / Λ_st",
+        series=tuple(series),
+        bands=(Band(low=0.0, high=threshold, label=f"stiff (below {threshold:g})"),),
+        whole_numbers=True,
     )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -38,7 +37,7 @@ def friction_figure(
         if law is not None
         else " Too few measurements to fit the law: the publication's thresholds are shown."
     )
-    return _side_by_side(
+    return Figure.grid(
         "friction",
         "Friction of two sheets",
         (
@@ -47,16 +46,13 @@ def friction_figure(
             f"with standard errors.{fitted} Right: static friction force at the loads inside the blocks, "
             "with a constant coefficient and with this law. Compare figure 10 of the publication."
         ),
-        _angle_panel(measured, dynamic_deg),
-        _coefficient_panel(measured, law, mu),
-        _threshold_panel(law, mu),
+        (
+            _angle_panel(measured, dynamic_deg),
+            _coefficient_panel(measured, law, mu),
+            _threshold_panel(law, mu),
+        ),
+        aspect=0.9,
     )
-
-
-def _side_by_side(name: str, title: str, caption: str, *panels: Panel) -> Figure:
-    """Return a figure with these panels in one row, nearly square."""
-    high = tuple(replace(panel, aspect=0.9) for panel in panels)
-    return Figure(name=name, title=title, caption=caption, panels=high, columns=len(panels), width_in=13.0)
 
 
 def _angle_panel(measured: Sequence[DiscFriction], dynamic_deg: tuple[float, float]) -> Panel:
@@ -144,7 +140,7 @@ def modulus_figure(force: xr.Dataset, cycles: pd.DataFrame) -> Figure:
     load = force["load_N"].to_numpy().astype(float)
     if np.isfinite(facts.machine_stiffness_N_per_mm):
         delta = delta - load / facts.machine_stiffness_N_per_mm
-    return _side_by_side(
+    return Figure.grid(
         "modulus",
         "Young's modulus of one sheet",
         (
@@ -153,9 +149,8 @@ def modulus_figure(force: xr.Dataset, cycles: pd.DataFrame) -> Figure:
             "Right: modulus of each cycle with its standard error, and the means (dashed). Compare figure 11 "
             "of the publication."
         ),
-        _cycles_panel(delta, load, cycles),
-        _branches_panel(force, delta, load, cycles),
-        _moduli(cycles),
+        (_cycles_panel(delta, load, cycles), _branches_panel(force, delta, load, cycles), _moduli(cycles)),
+        aspect=0.9,
     )
 
 
