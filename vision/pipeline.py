@@ -41,7 +41,7 @@ from vision.errors import (
 from vision.figures.catalogue import Plots, Results, figure_named
 from vision.files import Progress, html_table
 from vision.force import ForceSettings, find_stick_slip, read_force
-from vision.models import ModelFits, fit_models
+from vision.models import FitSettings, ModelFits, fit_models
 from vision.models.fits import check_fit_range
 from vision.sample import PUBLISHED, Sample
 from vision.sheets import Correction, FitChoice, TrackingSettings, pixel_size_of, track_sheets, with_heights
@@ -75,6 +75,7 @@ class Tuning:
     video: VideoSettings = field(default_factory=VideoSettings)
     tracking: TrackingSettings = field(default_factory=TrackingSettings)
     force: ForceSettings = field(default_factory=ForceSettings)
+    fits: FitSettings = field(default_factory=FitSettings)
     clock: ClockSettings = field(default_factory=ClockSettings)
     deformation: DeformationSettings = field(default_factory=DeformationSettings)
     shells: ShellSettings = field(default_factory=ShellSettings)
@@ -602,6 +603,7 @@ def _fits(force: xr.Dataset, sticks: pd.DataFrame, chosen: Settings) -> ModelFit
         modulus_GPa=chosen.modulus_GPa,
         fit_range_mm=chosen.fit_range_mm,
         geometry_err=chosen.geometry_err,
+        settings=chosen.tuning.fits,
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -20,7 +21,7 @@ from vision.data import StickMetadata
 from vision.errors import InputError, with_options
 from vision.folder import plain
 from vision.force import find_stick_slip
-from vision.models import ModelFits, equations, fit_models
+from vision.models import FitSettings, ModelFits, equations, fit_models
 from vision.sample import PUBLISHED, Sample
 
 TRUTH = {"mu": 0.89, "t0_N": 4.0, "amplitude": 0.34, "n_hat_N": 0.57, "modulus_GPa": 3.8}
@@ -29,7 +30,7 @@ TRUTH = {"mu": 0.89, "t0_N": 4.0, "amplitude": 0.34, "n_hat_N": 0.57, "modulus_G
 MADE = recording(np.arange(10.0), np.arange(10.0), 13 + np.arange(10.0), 1.0)
 
 
-def fit(made: pd.DataFrame, *sample: Sample, **options: bool) -> ModelFits:
+def fit(made: pd.DataFrame, *sample: Sample, **options: Any) -> ModelFits:
     return fit_models(MADE, made, *sample, **options)
 
 
@@ -511,3 +512,15 @@ def test_a_wrong_d0_is_a_warning_with_a_next_step() -> None:
     found = fit(wrong)
     assert abs(found.mu.value - 0.89) > 10 * found.mu.error
     assert any("check `d0_mm`" in line for line in found.warnings)
+
+
+def test_settings_reach_the_fits() -> None:
+    """A failure means that `tuning.fits` stops somewhere on the way."""
+    made = events(count=200, scatter=0.01)
+    assert not fit(made).warnings
+    strict = FitSettings(unlike_drops=0.001, most_unfitted=0.25, largest_scale=1.001)
+    lines = fit(made, settings=strict).warnings
+    assert any("the drops scatter" in line for line in lines)
+    assert any("K does not fall with d" in line for line in lines)
+    with pytest.raises(InputError, match="at least 1000 whole events"):
+        fit(made, settings=FitSettings(least_events=1000))

@@ -14,8 +14,8 @@ from vision.comparison.runs import INSTRUMENT, TractionTest
 from vision.errors import InputError, counted
 from vision.models import Estimate, equations
 from vision.models.single_fits import (
+    DEFAULT,
     FIT_ERRORS,
-    LARGEST_SCALE,
     fit_drops,
     fit_peaks,
     fit_stiffness,
@@ -235,7 +235,7 @@ def _fit(
             fits = [peaks, drops, stiffness]
             known = {"mu": peaks.estimate(0), "T0_N": peaks.estimate(1), "A": drops.estimate(0)}
         scale = stiffness.estimate(0)
-        if not scale.value < 0.999 * LARGEST_SCALE * float(events["d_v_mm"].max()):
+        if not scale.value < 0.999 * DEFAULT.largest_scale * float(events["d_v_mm"].max()):
             scale = Estimate(float("nan"), float("nan"))
         found = {name: known[name] for name in ("mu", "T0_N", "A")}
         found |= {"N_hat_N": _n_hat(known["mu"], scale, sample), "Lambda_hat_mm": scale}

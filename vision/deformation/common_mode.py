@@ -19,8 +19,6 @@ from vision.deformation.settings import DeformationSettings
 from vision.numeric import Bools, Floats, Ints, nan_median, sigma_about_zero
 from vision.signals import sums_around
 
-LEAST_REPEATS = 5  # values from which a sheet's own movement is told: fewer do not show their scatter
-
 # --- vibration ----------------------------------------------------------------------------------------------
 
 
@@ -91,7 +89,7 @@ def drift_model(
     """
     middle_px, slope_px = line.coefficient[..., 0], line.coefficient[..., 1]
     unpushed_px = _without_pushes_between(middle_px, frames, settings)
-    slow_px = _net_rate(unpushed_px, frames)[0] * frames.length_s[:, None] / 2
+    slow_px = _net_rate(unpushed_px, frames, settings)[0] * frames.length_s[:, None] / 2
     both = BothSides.of(side, n, middle_px, slope_px, slow_px, settings)
     return both if both.enough else OneSide.of(slope_px, unpushed_px, n, frames, vibration_px, settings)
 
@@ -429,7 +427,7 @@ def own_movement(
     little more or less than it.  middle_px: mean positions; slope_px: half the movement to the right, px,
     (stick, sheet).
     """
-    rate, error = _net_rate(_without_pushes_between(middle_px, frames, settings), frames)
+    rate, error = _net_rate(_without_pushes_between(middle_px, frames, settings), frames, settings)
     own = rate - nan_median(rate)
     creep = nan_median(2 * slope_px / frames.length_s[:, None])
     own = own - creep * np.nansum(own * creep) / max(np.nansum(creep**2), 1e-300)
@@ -449,7 +447,7 @@ def repeated_bends(creep: Creep, noise: Noise, settings: DeformationSettings) ->
     scatter = sigma_about_zero(bend - usual)
     scatter = np.fmax(scatter, nan_median(np.where(used, coefficient_errors(creep, noise), np.nan)[..., 2:]))
     error = scatter * np.sqrt(np.pi / 2 / np.maximum(used.sum(axis=0), 1))  # of a median
-    error[used.sum(axis=0)[:, 0] < LEAST_REPEATS] = np.inf
+    error[used.sum(axis=0)[:, 0] < settings.least_repeats] = np.inf
     return np.asarray(np.sqrt((_beyond(usual, error, settings) ** 2).sum(axis=-1)))
 
 
@@ -488,7 +486,7 @@ def _proportional(
     transposed = design.swapaxes(1, 2)
     weight = (np.linalg.pinv(transposed @ design, hermitian=True)[:, :1] @ transposed)[:, 0]
     used = known.sum(axis=1) >= settings.least_sheets
-    if used.sum() < LEAST_REPEATS:
+    if used.sum() < settings.least_repeats:
         return 0.0
     scatter = float(sigma_about_zero((weight * value).sum(axis=1)[used]))
     variance = 1.25 * float(nan_median((weight**2 * np.nan_to_num(error) ** 2).sum(axis=1)[used]))
@@ -496,7 +494,7 @@ def _proportional(
     return float(np.sqrt(scatter**2 - variance)) if clear else 0.0
 
 
-def _net_rate(middle_px: Floats, frames: StickFrames) -> tuple[Floats, Floats]:
+def _net_rate(middle_px: Floats, frames: StickFrames, settings: DeformationSettings) -> tuple[Floats, Floats]:
     """Rate at which the mean positions (stick, sheet) move, px/s, and its standard error, (sheet,).
 
     Distant sticks are compared, since sheets that miss some slips move randomly between adjacent sticks.
@@ -507,7 +505,7 @@ def _net_rate(middle_px: Floats, frames: StickFrames) -> tuple[Floats, Floats]:
     rate = nan_median(rates)
     scatter = sigma_about_zero(rates - rate)
     error = scatter / np.sqrt(max(len(rates) / apart, 1.0))  # pairs that have no stick in common
-    return rate, np.where(np.isfinite(rates).sum(axis=0) < LEAST_REPEATS, np.inf, error)
+    return rate, np.where(np.isfinite(rates).sum(axis=0) < settings.least_repeats, np.inf, error)
 
 
 def _beyond(value: Floats, error: Floats, settings: DeformationSettings) -> Floats:

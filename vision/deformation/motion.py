@@ -53,7 +53,6 @@ from vision.errors import InputError, shown
 from vision.numeric import Bools, Floats, Ints, nan_median, sigma_about_zero
 from vision.sheets import BETWEEN_FRAMES
 
-LEAST_STEADY = 5  # sticks needed to measure how steady the pull is
 ENDS = ("t_v_s", "t_p_s", "d_v_mm", "d_p_mm")  # of a stick, as far as they are known
 
 
@@ -395,7 +394,7 @@ def _relative_to_length(
     """
     length = events["stick_length_um"].to_numpy(float)[:, None]
     length = np.where(length > 0, length, np.nan)
-    sigma_length_err, length_err = _length_errors(events, curve.end_slope)
+    sigma_length_err, length_err = _length_errors(events, curve.end_slope, settings)
     signed = -side * np.sign(curve.slope) * np.sqrt(curve.mean_square) * pixel_um  # positive inwards
     error = curve.rms_err * pixel_um
     outward = signed < -settings.outward_errors * error
@@ -573,7 +572,9 @@ def _without_drift(
 # --- errors of the stick length -----------------------------------------------------------------------------
 
 
-def _length_errors(events: pd.DataFrame, end_slope: Floats) -> tuple[Floats, Floats]:
+def _length_errors(
+    events: pd.DataFrame, end_slope: Floats, settings: DeformationSettings
+) -> tuple[Floats, Floats]:
     """Relative errors from the ends of each stick, (stick,): of σ_x, and of σ_x/Λ_st.
 
     Wrong ends of a stick change σ_x and Λ_st by the same factor if the pull and the creep are steady. The
@@ -583,7 +584,7 @@ def _length_errors(events: pd.DataFrame, end_slope: Floats) -> tuple[Floats, Flo
     length, length_err = _lengths(events)
     stated: Floats = np.nan_to_num(length_err / length)
     sigma = stated * (1 + end_slope)
-    if len(length) < LEAST_STEADY:
+    if len(length) < settings.least_repeats:
         return sigma, sigma
     speed = length / (events["t_p_s"] - events["t_v_s"]).to_numpy(float)
     uneven = sigma_about_zero(speed / nan_median(speed) - 1)

@@ -89,6 +89,10 @@ class DeformationSettings:
     least_pairs: int = 3
     """Fewest pairs left and right from which drift is separated from creep (test_common_mode)."""
 
+    least_repeats: int = 5
+    """Fewest sticks from which the scatter of the pull, or of what a sheet does in each of them, is measured.
+    Fewer are alike by chance (test_common_mode: few sticks); more leave short films without."""
+
     neighbouring_sticks: int = 8
     """Number of sticks before and after from which the creep of each sheet is predicted, with one side in
     view.  More average over a changing profile; fewer leave more noise (test_common_mode)."""

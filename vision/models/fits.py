@@ -19,11 +19,12 @@ from vision.errors import InputError, check_kind, check_positive, shown
 from vision.force.corners import AVERAGE_ERROR
 from vision.models import equations
 from vision.models.single_fits import (
+    DEFAULT,
     FIT_ERRORS,
-    LARGEST_SCALE,
     PARAMETERS,
     Estimate,
     Fit,
+    FitSettings,
     ModelFits,
     fit_drops,
     fit_peaks,
@@ -36,14 +37,7 @@ from vision.numeric import Floats, sigma_about_zero, two_digits, with_minus
 from vision.sample import PUBLISHED, Sample, is_plausible_modulus
 from vision.signals import running_median
 
-_LEAST_EVENTS = 6
-_LARGEST_OFFSET_N = 10.0  # limit of |T0| in the publication: the largest error of a load cell's zero
-_CLEAR_OFFSET = 5.0  # T0 over its error above which it differs significantly from 0
-_LARGE_OFFSET = 0.1  # T0 over the usual peak: drifts of load cells are at 0.03, a d0 that is 3 mm off at 0.17
-_UNLIKE_DROPS = 0.4  # relative scatter of drops: 0.05 to 0.2 in a test, 0.5 if half of them are small
-_MOST_UNFITTED = 0.25  # share of the events that Eq. 1 may leave out after the build-up without a warning
 _SUSPECTS = "check `d0_mm`, the sample's geometry and the load's zero"
-_CONTRADICTS = 3.0  # χ²/dof above which a model contradicts its points
 _GEOMETRY = ("thickness_mm", "width_mm", "length_mm", "t_star_N")
 
 
@@ -57,6 +51,7 @@ def fit_models(
     modulus_GPa: float | None = None,
     fit_range_mm: tuple[float, float] | None = None,
     geometry_err: Mapping[str, float] | None = None,
+    settings: FitSettings = DEFAULT,
 ) -> ModelFits:
     r"""Fit μ and an offset to the peaks, A to the drops, and N-hat and Y_eff to the stiffness.
 
@@ -77,6 +72,8 @@ def fit_models(
         the peaks or, if that is later, where Eq. 1 begins to fit: no event of the build-up follows it.
     geometry_err
         Errors of fields of the sample, such as ``{"thickness_mm": 0.002}``, for the systematic errors.
+    settings
+        See `FitSettings`.
 
     Returns
     -------
@@ -110,12 +107,12 @@ def fit_models(
     _check_force(force)
     check_positive(mu=mu, modulus_GPa=modulus_GPa)
     check_fit_range(fit_range_mm)
-    given = _Given(sample, mu, modulus_GPa, free_t_star)
+    given = _Given(sample, mu, modulus_GPa, free_t_star, settings)
     errors = dict(geometry_err or {})
     for name, value in errors.items():
         if name not in _GEOMETRY or not 0 <= value < np.inf:
             raise InputError("`geometry_err`", f"errors of {', '.join(_GEOMETRY)}", f"{name}: {value!r}")
-    complete = _complete_events(sticks, sample, force)
+    complete = _complete_events(sticks, given, force)
     unit_doubt = _doubtful_units(complete, sample, force)
     with np.errstate(all="ignore"):  # fits may diverge; their results are checked
         try:
@@ -136,7 +133,7 @@ def fit_models(
             reason = f"an offset 𝒯0 of {with_minus(f'{fits.t0_N.value:.2g}')} N, larger than the peaks"
             raise _undetermined(reason, misread or unit_doubt)
     peak_N = events["F_p_N"].median()
-    notes, warnings = _remarks(fits, force, left_out, peak_N, given_range=fit_range_mm is not None)
+    notes, warnings = _remarks(fits, force, left_out, peak_N, settings, given_range=fit_range_mm is not None)
     warnings = (*(line for line in (unit_doubt, misread) if line), *warnings)
     d0_err = ForceMetadata.of(force).d0_err_mm
     return replace(
@@ -150,12 +147,13 @@ def fit_models(
 
 @dataclass(frozen=True)
 class _Given:
-    """The sample, the parameters that are known (None: to be fitted), and whether T* is fitted, too."""
+    """What is known: the sample, parameters (None: to be fitted), whether T* is fitted, and the settings."""
 
     sample: Sample
     mu: float | None
     modulus_GPa: float | None
     free_t_star: bool
+    settings: FitSettings
 
     @property
     def held(self) -> tuple[str, ...]:
@@ -217,7 +215,8 @@ def _misread_lengths(fits: ModelFits, events: pd.DataFrame, given: _Given, force
     InputError is raised instead if the file states no unit, so that mm was a guess.
     """
     facts, chi2 = ForceMetadata.of(force), fits.goodness["peaks"].chi2_dof
-    if not (chi2 > _CONTRADICTS and abs(fits.t0_N.value) > _LARGEST_OFFSET_N and np.isfinite(facts.d0_mm)):
+    worst, largest_N = given.settings.contradicting_chi2, given.settings.largest_offset_N
+    if not (chi2 > worst and abs(fits.t0_N.value) > largest_N and np.isfinite(facts.d0_mm)):
         return ""
     for unit, mm in (("cm", 10.0), ("inch", 25.4), ("m", 1000.0)):
         lengths = {name: facts.d0_mm + mm * (events[name] - facts.d0_mm) for name in ("d_v_mm", "d_p_mm")}
@@ -226,7 +225,7 @@ def _misread_lengths(fits: ModelFits, events: pd.DataFrame, given: _Given, force
             peaks = given.fit_peaks(_choose_events(read, given, None)[0])
         except FIT_ERRORS:
             continue
-        if peaks.goodness.chi2_dof < _CONTRADICTS and abs(peaks.value[1]) < _LARGEST_OFFSET_N:
+        if peaks.goodness.chi2_dof < worst and abs(peaks.value[1]) < largest_N:
             found = f"𝒯0 = {fits.t0_N.value:.3g} N and χ²/dof {chi2:.3g} with displacement in mm; in {unit} "
             found += f"it agrees (μ = {peaks.value[0]:.3g}, 𝒯0 = {peaks.value[1]:.2g} N)"
             if facts.displacement_unit == "assumed":
@@ -236,7 +235,7 @@ def _misread_lengths(fits: ModelFits, events: pd.DataFrame, given: _Given, force
     return ""
 
 
-def _complete_events(sticks: pd.DataFrame, sample: Sample, force: xr.Dataset) -> pd.DataFrame:
+def _complete_events(sticks: pd.DataFrame, given: _Given, force: xr.Dataset) -> pd.DataFrame:
     """Return the complete events with all that the fits need; raise InputError if they are too few."""
     needed = ["d_v_mm", "d_p_mm", "F_p_N", "dF_N", "K_N_per_mm"]
     if absent := [name for name in needed if name not in sticks]:
@@ -253,22 +252,22 @@ def _complete_events(sticks: pd.DataFrame, sample: Sample, force: xr.Dataset) ->
             events = events.assign(K_err_N_per_mm=events["K2_err_N_per_mm"])
     rising = (events["dF_N"] > 0) & (events["K_N_per_mm"] > 0)
     events = events.loc[rising & np.isfinite(events[needed].to_numpy(float)).all(axis=1)]
-    if len(events) < _LEAST_EVENTS:
+    if len(events) < given.settings.least_events:
         d = force["d_mm"].values
         known = np.isfinite(d).any()
         travel = f"the separation changes by {np.nanmax(d) - np.nanmin(d):.3g} mm" if known else ""
         raise InputError(
             "the force recording",
-            f"at least {_LEAST_EVENTS} whole events with d, F_p, dF and K",
+            f"at least {given.settings.least_events} whole events with d, F_p, dF and K",
             f"{len(events)} of {len(sticks)}",
             f"{travel}: {_read_as(force)}" if travel else "lengths need a displacement or `speed_mm_min`",
         )
     low, high = float(events["d_v_mm"].min()), float(events["d_p_mm"].max())
     from_zero = low < 0.1 * high  # no pull makes the separation ten times as large
-    if from_zero or high >= sample.length_mm:
+    if from_zero or high >= given.sample.length_mm:
         raise InputError(
             "the force recording",
-            f"separations between 0 and {sample.length_mm:g} mm, well above 0",
+            f"separations between 0 and {given.sample.length_mm:g} mm, well above 0",
             f"{low:.5g} to {high:.5g} mm{', as of a displacement that begins at 0' if from_zero else ''}",
             f"give the initial separation with `d0_mm`, check `length_mm`, or {_read_as(force)}",
         )
@@ -284,12 +283,12 @@ def _choose_events(
     """The events to fit, and the numbers of those left out by reason."""
     if fit_range is not None:
         inside = events["d_v_mm"].between(*fit_range)
-        if inside.sum() < _LEAST_EVENTS:
+        if inside.sum() < given.settings.least_events:
             found = f"{inside.sum()} of {len(events)}, which lie between "
             found += f"{events['d_v_mm'].min():.4g} and {events['d_v_mm'].max():.4g} mm"
-            raise InputError("`fit_range_mm`", f"at least {_LEAST_EVENTS} events within", found)
+            raise InputError("`fit_range_mm`", f"at least {given.settings.least_events} events within", found)
         return events[inside], {"outside": int((~inside).sum())}
-    top = _maximum(events["F_p_N"].to_numpy(float))
+    top = _maximum(events["F_p_N"].to_numpy(float), given.settings.least_events)
     start = _first_that_fits(events, given, top)
     return events.iloc[start:], {"build_up": top, "misfit": start - top}
 
@@ -303,13 +302,14 @@ def check_fit_range(range_mm: Any) -> None:
         raise InputError("`fit_range_mm`", "two separations A < B in mm", shown(range_mm))
 
 
-def _maximum(peaks: Floats) -> int:
-    """Index of the largest peak, smoothed over seven; 0 if the rise to it is not beyond the scatter."""
+def _maximum(peaks: Floats, least: int) -> int:
+    """Index of the largest peak, smoothed over seven; 0 if the rise to it is not beyond the scatter, or fewer
+    than `least` follow."""
     smooth = running_median(peaks, min(7, peaks.size), ends="symmetric")
     top = int(np.argmax(smooth))
     scatter = float(sigma_about_zero(np.diff(peaks))) / np.sqrt(2)
     rise = smooth[top] - np.median(peaks[: max(min(3, top), 1)])
-    return top if rise > 3 * scatter and peaks.size - top >= _LEAST_EVENTS else 0
+    return top if rise > 3 * scatter and peaks.size - top >= least else 0
 
 
 def _first_that_fits(events: pd.DataFrame, given: _Given, top: int) -> int:
@@ -325,7 +325,7 @@ def _first_that_fits(events: pd.DataFrame, given: _Given, top: int) -> int:
     misfits: dict[int, float] = {}  # χ²/dof − 1 over its limit, by start; only where the first peaks fit
     for start in top + np.unique(steps.astype(np.int64)):
         part = events.iloc[int(start) :]
-        if len(part) < _LEAST_EVENTS:
+        if len(part) < given.settings.least_events:
             break
         fit = given.fit_peaks(part)
         first = fit.residual[: max(5, len(part) // 20)]
@@ -372,7 +372,7 @@ def _end_of_build_up(events: pd.DataFrame, given: _Given, start: int) -> int:
     by_mu = (steady(fit.value[0] * 1.001, fit.value[1]) - force) / (0.001 * fit.value[0])
     by_t0 = np.ones_like(d)
     slopes = np.array([by_t0] if given.mu is not None else [by_mu, by_t0]).T / force[:, np.newaxis]
-    latest = d.size - max(2 * _LEAST_EVENTS, d.size // 4)
+    latest = d.size - max(2 * given.settings.least_events, d.size // 4)
     for begin in range(start, latest):
         inverse = np.linalg.pinv(slopes[begin:])
         error = fit.goodness.scatter * np.sqrt(np.sum(inverse**2, axis=1))
@@ -396,7 +396,7 @@ def _fit_all(events: pd.DataFrame, given: _Given) -> ModelFits:
         raise _undetermined(f"friction coefficient {with_minus(f'{mu.value:.3g}')}{known}")
     sample = replace(given.sample, t_star_N=t_star.value)
     drops = with_friction(lambda m: fit_drops(events, sample, m), mu)
-    stiffness = fit_stiffness(events, sample, modulus_GPa=given.modulus_GPa)
+    stiffness = fit_stiffness(events, sample, modulus_GPa=given.modulus_GPa, settings=given.settings)
     span = (float(events["d_v_mm"].min()), float(events["d_v_mm"].max()))
     n_hat, bending, correlation = _derived(stiffness, peaks, sample, given.free_t_star, 0.5 * sum(span))
     return ModelFits(
@@ -463,7 +463,7 @@ def _with_systematics(
 ) -> ModelFits:
     """Add a budget of systematic errors, by repeating the fits with each source changed by its error."""
     d0_err = ForceMetadata.of(force).d0_err_mm
-    drift = min(max(abs(fits.t0_N.value), fits.t0_N.error), _LARGEST_OFFSET_N)
+    drift = min(max(abs(fits.t0_N.value), fits.t0_N.error), given.settings.largest_offset_N)
     span = max(fits.d_mm[1] - fits.d_mm[0], 1e-9)
 
     def refit(changed: pd.DataFrame, sample: Sample = fits.sample) -> dict[str, float]:
@@ -628,25 +628,33 @@ def _events_used(fits: ModelFits, left_out: Mapping[str, int], given_range: bool
     return []
 
 
-def _offset_remarks(offset: Estimate, peak_N: float, d0_err_mm: float) -> tuple[list[str], list[str]]:
+def _offset_remarks(
+    offset: Estimate, peak_N: float, d0_err_mm: float, settings: FitSettings
+) -> tuple[list[str], list[str]]:
     """Notes and warnings on an offset 𝒯0 that is no zero; peak_N: the usual F_p."""
     value = with_minus(f"{offset.value:.3g}")
-    if abs(offset.value) - 2 * offset.error > _LARGEST_OFFSET_N:  # short tests hardly determine it
-        line = f"𝒯0 = {value} N exceeds ±{_LARGEST_OFFSET_N:g} N, the largest error of a zero: "
+    if abs(offset.value) - 2 * offset.error > settings.largest_offset_N:  # short tests hardly determine it
+        line = f"𝒯0 = {value} N exceeds ±{settings.largest_offset_N:g} N, the largest error of a zero: "
         return [], [line + "check `d0_mm`, the sample's geometry, the zero and the units"]
-    if not abs(offset.value) > _CLEAR_OFFSET * offset.error > 0:
+    if not abs(offset.value) > settings.clear_offset * offset.error > 0:
         return [], []
     line = (
         f"𝒯0 = {value} N is {two_digits(abs(offset.value) / offset.error)} statistical errors from"
         " 0, as where the load cell's zero or drift, its low-pass, `d0_mm` or the sample's geometry is wrong"
     )
-    if np.isfinite(d0_err_mm) or abs(offset.value) < _LARGE_OFFSET * peak_N:
+    if np.isfinite(d0_err_mm) or abs(offset.value) < settings.large_offset * peak_N:
         return [f"{line}; known errors of these are in the systematic error"], []
     return [], [f"{line}; the error of d0 is in no result: give `d0_err_mm`"]
 
 
 def _remarks(
-    fits: ModelFits, force: xr.Dataset, left_out: Mapping[str, int], peak_N: float, *, given_range: bool
+    fits: ModelFits,
+    force: xr.Dataset,
+    left_out: Mapping[str, int],
+    peak_N: float,
+    settings: FitSettings,
+    *,
+    given_range: bool,
 ) -> tuple[list[str], tuple[str, ...]]:
     """Notes and warnings on the events used, the misfit, the offset, the speed and systematic errors.
 
@@ -655,7 +663,7 @@ def _remarks(
     notes = _degeneracies(fits) + _events_used(fits, left_out, given_range)
     warnings: list[str] = []
     unfitted, all_events = left_out.get("misfit", 0), fits.goodness["peaks"].points + sum(left_out.values())
-    if unfitted > _MOST_UNFITTED * all_events:
+    if unfitted > settings.most_unfitted * all_events:
         warnings.append(
             f"Eq. 1 does not fit {unfitted} of {all_events} events, those at the smaller separations after "
             f"the build-up, which are left out: {_SUSPECTS}"
@@ -664,14 +672,14 @@ def _remarks(
         if good.chi2_dof > largest_chi2(good.points):
             line = f"the model does not follow the {name} (χ²/dof {good.chi2_dof:.3g}): "
             line += f"errors widened {two_digits(np.sqrt(good.chi2_dof))} times; {_SUSPECTS}"
-            (warnings if good.chi2_dof > _CONTRADICTS else notes).append(line)
+            (warnings if good.chi2_dof > settings.contradicting_chi2 else notes).append(line)
     facts = ForceMetadata.of(force)
-    offset_notes, offset_warnings = _offset_remarks(fits.t0_N, float(peak_N), facts.d0_err_mm)
+    offset_notes, offset_warnings = _offset_remarks(fits.t0_N, float(peak_N), facts.d0_err_mm, settings)
     notes += offset_notes
     warnings += offset_warnings
-    if fits.scale_mm.value > 0.999 * LARGEST_SCALE * fits.d_mm[1]:
+    if fits.scale_mm.value > 0.999 * settings.largest_scale * fits.d_mm[1]:
         warnings.append("K does not fall with d as M_eff does: Λ̂, N̂ and Y_eff are not determined")
-    if (scatter := fits.goodness["drops"].scatter) > _UNLIKE_DROPS:
+    if (scatter := fits.goodness["drops"].scatter) > settings.unlike_drops:
         warnings.append(
             f"the drops scatter by {100 * scatter:.0f} % about A 𝒩, as small slips among large ones do: A is "
             "the mean of both; `threshold_N` leaves the small ones out"

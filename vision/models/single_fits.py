@@ -33,9 +33,43 @@ PARAMETERS = {
     "Lambda_hat_mm": "scale_mm",
 }
 """Names of the fitted parameters in models.json, and their fields in `ModelFits`."""
-_NOISY_SPEED = 0.02  # relative error of K by that of the speed above which it matters that it grows with K
-_AROUND = 31  # events around whose median K is the usual one
-LARGEST_SCALE = 20.0  # largest Λ̂/d that is fitted; there K no longer decreases as M_eff does
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitSettings:
+    """Tunable constants of the fits of the models; the tests named are in tests/models/test_fits.py."""
+
+    least_events: int = 6
+    """Fewest events that are fitted. Fewer leave no scatter to measure errors from; more refuse short
+    recordings."""
+    largest_offset_N: float = 10.0
+    """Largest |𝒯0| that a load cell's zero may have, as in the publication. Larger lets pass a wrong d0 or
+    unit as an offset; smaller warns of drifting load cells (`test_a_wrong_unit_is_named`)."""
+    clear_offset: float = 5.0
+    """𝒯0 over its error above which it differs significantly from 0."""
+    large_offset: float = 0.1
+    """𝒯0 over the usual peak above which an unknown error of d0 is a warning: drifts of load cells are at
+    0.03, a d0 that is 3 mm off at 0.17."""
+    unlike_drops: float = 0.4
+    """Relative scatter of the drops above which a warning is given: it is 0.05 to 0.2 in a test, 0.5 if half
+    of them are small."""
+    most_unfitted: float = 0.25
+    """Share of the events that Eq. 1 may leave out after the build-up without a warning
+    (`test_a_wrong_d0_is_a_warning_with_a_next_step`)."""
+    contradicting_chi2: float = 3.0
+    """χ²/dof above which a model contradicts its points. Smaller warns of slightly correlated scatter, whose
+    errors are widened; larger keeps a note of a wrong geometry from being a warning."""
+    noisy_speed: float = 0.02
+    """Relative error of K by that of the speed above which it matters that this error grows with K. Larger
+    makes K too small (`test_a_noisy_speed_does_not_favour_small_stiffness`); smaller changes quiet tests."""
+    events_around: int = 31
+    """Number of events around one whose median K is the usual one. Fewer follow the noise, more smooth the
+    decrease of K."""
+    largest_scale: float = 20.0
+    """Largest Λ̂/d that is fitted; there K no longer decreases as M_eff does, and a warning says so."""
+
+
+DEFAULT = FitSettings()
 
 
 @dataclass(frozen=True)
@@ -250,10 +284,16 @@ def fit_drops(events: pd.DataFrame, sample: Sample, mu: float) -> Fit:
     return fit_weighted(lambda q: np.asarray(q[0] * total), drop, None, [float(np.mean(drop / total))])
 
 
-def fit_stiffness(events: pd.DataFrame, sample: Sample, *, modulus_GPa: float | None = None) -> Fit:
+def fit_stiffness(
+    events: pd.DataFrame,
+    sample: Sample,
+    *,
+    modulus_GPa: float | None = None,
+    settings: FitSettings = DEFAULT,
+) -> Fit:
     """Fit Λ̂ and, unless it is given, Y_eff to the stiffness, K = M √(1 − d/Λ̂) ε W Y_eff / L, without μ."""
     d, k = events["d_v_mm"].to_numpy(float), events["K_N_per_mm"].to_numpy(float)
-    sigma = stiffness_errors(events)
+    sigma = stiffness_errors(events, settings)
 
     def stiffness(scale: float, modulus: float) -> Floats:
         sheets = equations.effective_sheets(d / scale, sample=sample)
@@ -263,7 +303,7 @@ def fit_stiffness(events: pd.DataFrame, sample: Sample, *, modulus_GPa: float | 
         """Return K; the fitted parameter is log Λ̂, which keeps Λ̂ positive."""
         return stiffness(float(np.exp(q[0])), float(q[1]))
 
-    largest = LARGEST_SCALE * float(d.max())
+    largest = settings.largest_scale * float(d.max())
     trials = np.geomspace(1.001 * d.min(), largest, 120)
     shapes = [stiffness(float(scale), 1.0) for scale in trials]
     modulus = [
@@ -284,7 +324,7 @@ def fit_stiffness(events: pd.DataFrame, sample: Sample, *, modulus_GPa: float | 
     return replace(fit, value=np.array([scale, fit.value[1]]), covariance=covariance)
 
 
-def stiffness_errors(events: pd.DataFrame) -> Floats:
+def stiffness_errors(events: pd.DataFrame, settings: FitSettings = DEFAULT) -> Floats:
     """Errors of K, with half the median error added in quadrature, so that no single event dominates.
 
     The error of a noisy speed grows with K as the square, so that a K that is too large by chance counts too
@@ -297,10 +337,10 @@ def stiffness_errors(events: pd.DataFrame) -> Floats:
     known: Bools = np.isfinite(error) & (error > 0)
     median = float(np.median(error[known] if known.any() else 0.05 * events["K_N_per_mm"]))
     error = np.where(known, error, median)
-    if not StickMetadata.of(events).K_err_by_d > _NOISY_SPEED:
+    if not StickMetadata.of(events).K_err_by_d > settings.noisy_speed:
         return np.asarray(np.hypot(error, 0.5 * median), np.float64)
     k = events["K_N_per_mm"].to_numpy(float)
-    over_usual = k / running_median(k, min(_AROUND, k.size), ends="symmetric")
+    over_usual = k / running_median(k, min(settings.events_around, k.size), ends="symmetric")
     return np.asarray(np.hypot(error / over_usual**2, 0.5 * median) * np.sqrt(over_usual), np.float64)
 
 
