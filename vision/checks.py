@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -160,11 +160,20 @@ DOUBTFUL = {
 def tracking_warnings(tracks: xr.Dataset, settings: CheckSettings = DEFAULT) -> list[str]:
     """Return warnings about polarity, frozen or averaged frames, doubtful or missing positions, motion,
     missed sheets."""
-    lines, flags = _polarity_warning(TrackMetadata.of(tracks)), flag_counts(tracks)
+    return list(_of_tracks(tracks, settings))
+
+
+def _of_tracks(tracks: xr.Dataset, settings: CheckSettings) -> Iterator[str]:
+    found, flags = TrackMetadata.of(tracks), flag_counts(tracks)
+    if found.ridges_doubt:
+        yield (
+            f"the {found.ridges} stripes are taken for the sheets, but may be the gaps: {found.ridges_doubt}:"
+            f" look at the film, and give `ridges` as {found.ridges} or {_other_polarity(found)}"
+        )
     total = max(1, sum(flags.values()))
     if frozen := flags.get("frozen", 0) // tracks.sizes["sheet"]:
         copies = f"{counted(frozen, 'frame')} repeated from the frame before"
-        lines.append(f"{copies}, without positions (flag frozen)")
+        yield f"{copies}, without positions (flag frozen)"
     if uncertain := sum(flags.get(flag, 0) for flag in DOUBTFUL):
         line = f"{uncertain} of {total} positions left out{why_left_out(flags)}"
         if uncertain > settings.most_left_out * total:
@@ -174,37 +183,43 @@ def tracking_warnings(tracks: xr.Dataset, settings: CheckSettings = DEFAULT) -> 
                 if jumps
                 else "check where the tracks lie, and exclude what hides the comb with `frames` or `columns`"
             )
-        lines.append(line)
+        yield line
     missing = flags.get("missing", 0) + flags.get("edge", 0) + flags.get("unfit", 0)
     if missing > settings.usual_missing * total:
-        lines.append(f"{missing} of {total} positions missing (flags missing, edge, unfit in tracks.csv)")
-    if line := _frames_with_few_sheets(tracks):
-        lines.append(line)
-    if line := _motion_warning(tracks, measured="ok" in flags):
-        lines.append(line)
-    for change in TrackMetadata.of(tracks).scene_changes:
+        yield f"{missing} of {total} positions missing (flags missing, edge, unfit in tracks.csv)"
+    yield from _frames_with_few_sheets(tracks)
+    yield from _still(tracks, measured="ok" in flags)
+    for change in found.scene_changes:
         frame = change["frame"]
-        lines.append(
+        yield (
             f"the picture changes permanently at frame {frame} (all sheets displaced by"
             f" {change['moved_px']:.0f} px, their relative brightnesses changed by"
             f" {100 * change['brightness']:.0f} %): a cut, or the camera or the light was moved; the sheets"
             f" may not be the same as before: give `frames` as 0:{frame} or {frame}:"
         )
-    lines += _lasting_noise_warning(TrackMetadata.of(tracks))
-    lines += _alike_warning(TrackMetadata.of(tracks))
-    lines += _spacing_warning(tracks, settings)
-    return lines
+    if found.noise_lasts:
+        yield (
+            "the noise of each frame resembles that of the frame before (correlation"
+            f" {found.noise_lasts:.2f}): frames were averaged in time, so that positions lag behind after"
+            " slips by more than x_err_px: switch off the camera's noise reduction"
+        )
+    if steps := found.large_steps:
+        yield (
+            "the sheets look alike and neither end of the comb is in view: displacements of the whole comb"
+            f" may be wrong by multiples of the spacing ({found.pitch_px:.1f} px) after its large steps"
+            f" before frame{'s' * (len(steps) > 1)} {_first(steps, 5)}: film an end of the comb, or"
+            " mark a sheet"
+        )
+    yield from _spacings(tracks, found, settings)
 
 
-def _polarity_warning(facts: TrackMetadata) -> list[str]:
-    """Warn of gaps that may have been taken for sheets."""
-    if not facts.ridges_doubt:
-        return []
-    other = "bright" if facts.ridges == "dark" else "dark"
-    return [
-        f"the {facts.ridges} stripes are taken for the sheets, but may be the gaps: {facts.ridges_doubt}:"
-        f" look at the film, and give `ridges` as {facts.ridges} or {other}"
-    ]
+def _other_polarity(found: TrackMetadata) -> str:
+    return "bright" if found.ridges == "dark" else "dark"
+
+
+def _first(numbers: Sequence[int], most: int) -> str:
+    """Return up to this many numbers as text, with an ellipsis if there are more."""
+    return ", ".join(map(str, numbers[:most])) + " …" * (len(numbers) > most)
 
 
 def why_left_out(flags: Mapping[str, int]) -> str:
@@ -215,71 +230,46 @@ def why_left_out(flags: Mapping[str, int]) -> str:
     return ": " + ", ".join(f"{count} {why}" for why, count in counts.items())
 
 
-def _motion_warning(tracks: xr.Dataset, *, measured: bool) -> str:
-    """Return a warning if neither motion nor noise is seen, or only noise, or ""."""
+def _still(tracks: xr.Dataset, *, measured: bool) -> Iterator[str]:
+    """Warn if neither motion nor noise is seen, or only noise."""
     frames = tracks.sizes["frame"]
     if frames < 3:
-        return f"only {counted(frames, 'frame')}: neither motion nor noise can be measured"
-    if frames >= 10 and measured and not (tracks["x_noise_px"].values > 0).any():
+        yield f"only {counted(frames, 'frame')}: neither motion nor noise can be measured"
+    elif frames >= 10 and measured and not (tracks["x_noise_px"].values > 0).any():
         if np.ptp(np.nan_to_num(tracks["x_px"].values), axis=0).any():
-            return (
+            yield (
                 "most positions do not change from one frame to the next: the film has too few grey levels,"
                 " or its noise was removed, so that the errors cannot be measured"
             )
-        return "all frames are equal: neither motion nor noise can be measured"
-    if frames >= 20 and measured and comb_is_stationary(tracks):
-        return (
+        else:
+            yield "all frames are equal: neither motion nor noise can be measured"
+    elif frames >= 20 and measured and comb_is_stationary(tracks):
+        yield (
             "the sheets do not move relative to each other by more than the noise: if they should, the comb"
             " may be a pattern in the background (`rows`, `columns`), or the pull is in other `frames`"
         )
-    return ""
 
 
-def _frames_with_few_sheets(tracks: xr.Dataset) -> str:
-    """Return a warning if fewer than half of the sheets are found in ten or more successive frames, or ""."""
+def _frames_with_few_sheets(tracks: xr.Dataset) -> Iterator[str]:
+    """Warn if fewer than half of the sheets are found in ten or more successive frames."""
     flags = tracks["flag"]
     read = ~is_word(flags, "frozen", "blank", "corrupt", "lost").all(axis=1)
     few = read & (is_word(flags, "missing", "edge", "unfit").mean(axis=1) > 0.5)
     _, first, stop = stretches(few[:, None])
     if not len(first) or (stop - first).max() < 10:
-        return ""
+        return
     longest = int(np.argmax(stop - first))
     number = tracks["frame"].values
     where = f"{number[first[longest]]}:{number[stop[longest] - 1] + 1}"
-    return (
+    yield (
         f"fewer than half of the sheets are found in {few.sum()} frames (the longest run is {where}): another"
         " scene, or something in front of the sheets? exclude these frames with `frames`"
     )
 
 
-def _lasting_noise_warning(facts: TrackMetadata) -> list[str]:
-    """Warn of a camera that averages frames."""
-    if not facts.noise_lasts:
-        return []
-    return [
-        f"the noise of each frame resembles that of the frame before (correlation {facts.noise_lasts:.2f}):"
-        " frames were averaged in time, so that positions lag behind after slips by more than x_err_px:"
-        " switch off the camera's noise reduction"
-    ]
-
-
-def _alike_warning(facts: TrackMetadata) -> list[str]:
-    """Warn of large steps of a comb of equal sheets: it may have moved by another number of spacings."""
-    if not facts.large_steps:
-        return []
-    named = ", ".join(map(str, facts.large_steps[:5])) + " …" * (len(facts.large_steps) > 5)
-    many = "s" * (len(facts.large_steps) > 1)
-    return [
-        "the sheets look alike and neither end of the comb is in view: displacements of the whole comb may be"
-        f" wrong by multiples of the spacing ({facts.pitch_px:.1f} px) after its large steps before"
-        f" frame{many} {named}: film an end of the comb, or mark a sheet"
-    ]
-
-
-def _spacing_warning(tracks: xr.Dataset, settings: CheckSettings) -> list[str]:
+def _spacings(tracks: xr.Dataset, found: TrackMetadata, settings: CheckSettings) -> Iterator[str]:
     """Warn of ridges in pairs, which keep their distance or whose narrow and wide spacings alternate, or of
     missing sheets; no pairs are reported if the number of sheets was given."""
-    found = TrackMetadata.of(tracks)
     apart = np.diff(tracks["x_px"].values, axis=1)
     spacing = nan_median(apart)
     if np.isfinite(spacing).sum() >= settings.pair_spacings and found.sheets_how == "found":
@@ -290,22 +280,23 @@ def _spacing_warning(tracks: xr.Dataset, settings: CheckSettings) -> list[str]:
         keep_distance = max(nan_median(ratio[k::2]) for k in (0, 1)) > settings.pair_motion
         alternate = _alternating(spacing, settings)
         if alternate or keep_distance:
-            other = "bright" if found.ridges == "dark" else "dark"
-            return [
+            yield (
                 f"the ridges form pairs: {alternate or 'only every second spacing changes'}; if each"
                 " pair is the two edges of one sheet, n and the stiff shell count edges, two for each sheet:"
-                f" look at the film, and try `ridges` as {other}; if not, give `sheets` as {len(spacing) + 1}"
-            ]
+                f" look at the film, and try `ridges` as {_other_polarity(found)}; if not, give `sheets` as"
+                f" {len(spacing) + 1}"
+            )
+            return
     if not found.wide_spacings:
-        return []
+        return
     assumed = found.axis_how == "geometry"
     axis = ", and the axis, only the middle of the comb, and with it n of both sides may be wrong"
     give = ", give the axis (`axis_px`)"
-    return [
+    yield (
         f"sheets may be missing at x = {', '.join(found.wide_spacings)}: n of the sheets further out would"
         f" then be too small{axis * assumed}: check these positions (dirt, faint sheets){give * assumed}, and"
         f" confirm the {found.sheets} ridges found with `sheets`"
-    ]
+    )
 
 
 def _alternating(spacing_px: Floats, settings: CheckSettings) -> str:
@@ -436,7 +427,7 @@ def _comb_warnings(tracks: xr.Dataset, found: TrackMetadata, settings: CheckSett
     wide = tracks["fwhm_px"].values > settings.odd_width * nan_median(tracks["fwhm_px"].values)
     odd = (snr < 0.1 * nan_median(snr)) | (share < 0.25) | wide | _stationary_ends(tracks, settings)
     if (weak := np.flatnonzero(odd)).size and found.sheets > 1:
-        which = ", ".join(map(str, weak[:6])) + " …" * (len(weak) > 6)
+        which = _first(weak.tolist(), 6)
         lines.append(
             f"{len(weak)} of {found.sheets} sheets (index {which}) may be something else (little contrast,"
             " found in few frames, far wider than the others, or still at the comb's end): restrict `columns`"
