@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from numbers import Real
 from typing import Any
@@ -104,7 +104,10 @@ def fit_models(
     FORCE.check(force)
     check_kind(pd.DataFrame, "what `vision.find_stick_slip` returns", sticks=sticks)
     check_kind(Sample, "a `Sample`", sample=sample)
-    _check_force(force)
+    if load_unit(force) == "1":
+        raise InputError("the force recording", "a force in N", "a force over a weight")
+    if ForceMetadata.of(force).lacks_d0:
+        raise InputError("the force recording", "the initial separation", "none", "give `d0_mm`")
     check_positive(mu=mu, modulus_GPa=modulus_GPa)
     check_fit_range(fit_range_mm)
     given = _Given(sample, mu, modulus_GPa, free_t_star, settings)
@@ -132,16 +135,14 @@ def fit_models(
         if abs(fits.t0_N.value) > float(events["F_p_N"].abs().max()):
             reason = f"an offset 𝒯0 of {with_minus(f'{fits.t0_N.value:.2g}')} N, larger than the peaks"
             raise _undetermined(reason, misread or unit_doubt)
-    peak_N = events["F_p_N"].median()
-    notes, warnings = _remarks(fits, force, left_out, peak_N, settings, given_range=fit_range_mm is not None)
-    warnings = (*(line for line in (unit_doubt, misread) if line), *warnings)
+    remarks = list(_remarks(fits, force, left_out, float(events["F_p_N"].median()), settings))
     d0_err = ForceMetadata.of(force).d0_err_mm
     return replace(
         fits,
         left_out=left_out,
         input_errors=errors | ({"d0_mm": d0_err} if np.isfinite(d0_err) else {}),
-        notes=tuple(notes),
-        warnings=warnings,
+        notes=tuple(line for line, warns in remarks if not warns),
+        warnings=(*filter(None, (unit_doubt, misread)), *(line for line, warns in remarks if warns)),
     )
 
 
@@ -171,15 +172,6 @@ def _undetermined(reason: str, advice: str = "") -> InputError:
     return InputError(
         "the force recording", "events that follow the paper's model", f"others ({reason})", advice
     )
-
-
-def _check_force(force: xr.Dataset) -> None:
-    """Raise InputError if the load is not a force or the initial separation is unknown."""
-    if load_unit(force) == "1":
-        raise InputError("the force recording", "a force in N", "a force over a weight")
-    facts = ForceMetadata.of(force)
-    if facts.lacks_d0:
-        raise InputError("the force recording", "the initial separation", "none", "give `d0_mm`")
 
 
 def _read_as(force: xr.Dataset) -> str:
@@ -598,96 +590,71 @@ def _drop_lost_by_sampling(force: xr.Dataset, events: pd.DataFrame) -> float:
 # --- notes and warnings -------------------------------------------------------------------------------------
 
 
-def _degeneracies(fits: ModelFits) -> list[str]:
-    """Notes on degenerate parameters and on the range of d."""
+def _limits(fits: ModelFits, left_out: Mapping[str, int]) -> Iterator[str]:
+    """Yield notes on degenerate parameters, the range of d, and the events used."""
+    used = fits.goodness["peaks"].points
     of_scale = fits.correlation["Lambda_hat_mm,Y_eff_GPa"]
     degenerate = {"T* and μ": fits.correlation.get("mu,T_star_N")}
     degenerate |= {"Λ̂ and Y_eff": of_scale} if abs(of_scale) > 0.98 else {}
-    notes = [
-        f"{names} are degenerate (correlation {with_minus(f'{correlation:.3f}')}): use them only together"
-        for names, correlation in degenerate.items()
-        if correlation is not None
-    ]
+    for names, correlation in degenerate.items():
+        if correlation is not None:
+            yield with_minus(
+                f"{names} are degenerate (correlation {correlation:.3f}): use them only together"
+            )
     if fits.d_mm[1] > fits.scale_mm.value:
-        notes.append(f"d goes beyond {fits.scale_mm.value:.2f} mm, where M_eff is 0")
-    return notes
-
-
-def _events_used(fits: ModelFits, left_out: Mapping[str, int], given_range: bool) -> list[str]:
-    """Note on the events that were fitted, if some were left out or a range was given."""
-    used = fits.goodness["peaks"].points
+        yield f"d goes beyond {fits.scale_mm.value:.2f} mm, where M_eff is 0"
     reasons = {"build_up": "of the build-up", "misfit": "after the build-up, before Eq. 1 fits"}
-    without = [f"{left_out[name]} {reason}" for name, reason in reasons.items() if left_out.get(name)]
-    if without:
-        return [
-            f"fitted to {used} events from d = {fits.d_mm[0]:.2f} to {fits.d_mm[1]:.2f} mm, without "
-            f"{' and '.join(without)} (`fit_range_mm`)"
-        ]
-    if given_range:
-        return [f"fitted to {used} events in the given range, {left_out.get('outside', 0)} are outside"]
-    return []
-
-
-def _offset_remarks(
-    offset: Estimate, peak_N: float, d0_err_mm: float, settings: FitSettings
-) -> tuple[list[str], list[str]]:
-    """Notes and warnings on an offset 𝒯0 that is no zero; peak_N: the usual F_p."""
-    value = with_minus(f"{offset.value:.3g}")
-    if abs(offset.value) - 2 * offset.error > settings.largest_offset_N:  # short tests hardly determine it
-        line = f"𝒯0 = {value} N exceeds ±{settings.largest_offset_N:g} N, the largest error of a zero: "
-        return [], [line + "check `d0_mm`, the sample's geometry, the zero and the units"]
-    if not abs(offset.value) > settings.clear_offset * offset.error > 0:
-        return [], []
-    line = (
-        f"𝒯0 = {value} N is {two_digits(abs(offset.value) / offset.error)} statistical errors from"
-        " 0, as where the load cell's zero or drift, its low-pass, `d0_mm` or the sample's geometry is wrong"
-    )
-    if np.isfinite(d0_err_mm) or abs(offset.value) < settings.large_offset * peak_N:
-        return [f"{line}; known errors of these are in the systematic error"], []
-    return [], [f"{line}; the error of d0 is in no result: give `d0_err_mm`"]
+    if without := [f"{left_out[name]} {reason}" for name, reason in reasons.items() if left_out.get(name)]:
+        span = f"from d = {fits.d_mm[0]:.2f} to {fits.d_mm[1]:.2f} mm"
+        yield f"fitted to {used} events {span}, without {' and '.join(without)} (`fit_range_mm`)"
+    elif "outside" in left_out:
+        yield f"fitted to {used} events in the given range, {left_out['outside']} are outside"
 
 
 def _remarks(
-    fits: ModelFits,
-    force: xr.Dataset,
-    left_out: Mapping[str, int],
-    peak_N: float,
-    settings: FitSettings,
-    *,
-    given_range: bool,
-) -> tuple[list[str], tuple[str, ...]]:
-    """Notes and warnings on the events used, the misfit, the offset, the speed and systematic errors.
-
-    peak_N: the usual F_p.
-    """
-    notes = _degeneracies(fits) + _events_used(fits, left_out, given_range)
-    warnings: list[str] = []
-    unfitted, all_events = left_out.get("misfit", 0), fits.goodness["peaks"].points + sum(left_out.values())
+    fits: ModelFits, force: xr.Dataset, left_out: Mapping[str, int], peak_N: float, settings: FitSettings
+) -> Iterator[tuple[str, bool]]:
+    """Yield remarks on the events used, the misfit, the offset, the speed and the systematic errors, and
+    whether each is a warning.  peak_N: the usual F_p."""
+    used, facts = fits.goodness["peaks"].points, ForceMetadata.of(force)
+    for note in _limits(fits, left_out):
+        yield note, False
+    unfitted, all_events = left_out.get("misfit", 0), used + sum(left_out.values())
     if unfitted > settings.most_unfitted * all_events:
-        warnings.append(
-            f"Eq. 1 does not fit {unfitted} of {all_events} events, those at the smaller separations after "
-            f"the build-up, which are left out: {_SUSPECTS}"
-        )
+        line = f"Eq. 1 does not fit {unfitted} of {all_events} events, those at the smaller separations"
+        yield f"{line} after the build-up, which are left out: {_SUSPECTS}", True
     for name, good in fits.goodness.items():
         if good.chi2_dof > largest_chi2(good.points):
             line = f"the model does not follow the {name} (χ²/dof {good.chi2_dof:.3g}): "
             line += f"errors widened {two_digits(np.sqrt(good.chi2_dof))} times; {_SUSPECTS}"
-            (warnings if good.chi2_dof > settings.contradicting_chi2 else notes).append(line)
-    facts = ForceMetadata.of(force)
-    offset_notes, offset_warnings = _offset_remarks(fits.t0_N, float(peak_N), facts.d0_err_mm, settings)
-    notes += offset_notes
-    warnings += offset_warnings
+            yield line, good.chi2_dof > settings.contradicting_chi2
+    yield from _offset_remarks(fits.t0_N, peak_N, facts.d0_err_mm, settings)
     if fits.scale_mm.value > 0.999 * settings.largest_scale * fits.d_mm[1]:
-        warnings.append("K does not fall with d as M_eff does: Λ̂, N̂ and Y_eff are not determined")
+        yield "K does not fall with d as M_eff does: Λ̂, N̂ and Y_eff are not determined", True
     if (scatter := fits.goodness["drops"].scatter) > settings.unlike_drops:
-        warnings.append(
-            f"the drops scatter by {100 * scatter:.0f} % about A 𝒩, as small slips among large ones do: A is "
-            "the mean of both; `threshold_N` leaves the small ones out"
-        )
+        line = f"the drops scatter by {100 * scatter:.0f} % about A 𝒩, as small slips among large ones do:"
+        yield f"{line} A is the mean of both; `threshold_N` leaves the small ones out", True
     if facts.speed_mm_min > 1.05:
-        notes.append(
-            f"models of A, N_hat and Y_eff hold for V ≤ 1 mm/min; here V = {facts.speed_mm_min:.3g} mm/min"
-        )
+        line = "models of A, N_hat and Y_eff hold for V ≤ 1 mm/min; here V = "
+        yield f"{line}{facts.speed_mm_min:.3g} mm/min", False
     if not np.isfinite(facts.d0_err_mm):
-        notes.append("systematic errors do not include that of d0, which is unknown (give `d0_err_mm`)")
-    return notes, tuple(warnings)
+        yield "systematic errors do not include that of d0, which is unknown (give `d0_err_mm`)", False
+
+
+def _offset_remarks(
+    offset: Estimate, peak_N: float, d0_err_mm: float, settings: FitSettings
+) -> Iterator[tuple[str, bool]]:
+    """Yield a remark on an offset 𝒯0 that is no zero, and whether it is a warning.  peak_N: the usual F_p."""
+    value, largest_N = with_minus(f"{offset.value:.3g}"), settings.largest_offset_N
+    if abs(offset.value) - 2 * offset.error > largest_N:  # short tests hardly determine it
+        line = f"𝒯0 = {value} N exceeds ±{largest_N:g} N, the largest error of a zero: "
+        yield line + "check `d0_mm`, the sample's geometry, the zero and the units", True
+    elif abs(offset.value) > settings.clear_offset * offset.error > 0:
+        line = (
+            f"𝒯0 = {value} N is {two_digits(abs(offset.value) / offset.error)} statistical errors from 0, as"
+            " where the load cell's zero or drift, its low-pass, `d0_mm` or the sample's geometry is wrong"
+        )
+        if np.isfinite(d0_err_mm) or abs(offset.value) < settings.large_offset * peak_N:
+            yield f"{line}; known errors of these are in the systematic error", False
+        else:
+            yield f"{line}; the error of d0 is in no result: give `d0_err_mm`", True
