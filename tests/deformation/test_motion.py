@@ -8,7 +8,7 @@ import pytest
 
 from tests.scenes.creeping import PIXEL_UM, Clock, errors, make, measure, profile, relaxing, straight, uniform
 from vision.data import MOTION, MotionMetadata, warnings_of
-from vision.deformation import DeformationSettings, stick_displacement
+from vision.deformation import DeformationSettings
 from vision.errors import InputError
 
 NOISE_FREE = {"noise_px": 0.0}
@@ -287,21 +287,6 @@ def test_nothing_given_is_changed():
     measure(made)
     assert tracks.identical(made.tracks)
     assert sticks.equals(made.sticks)
-
-
-def test_displacement_over_one_stick():
-    """A failure means that the figure of δx(t) shows another stick, another origin or another scale."""
-    made = make(uniform(2.0, 20.0, events=5), **NOISE_FREE)
-    motion = measure(made)
-    delta = stick_displacement(made.tracks, motion, Clock(), event=2)
-    stick = made.sticks.loc[2]
-    length = stick["t_p_s"] - stick["t_v_s"]
-    assert 0 <= delta["since_s"].min() < 1 / 60
-    assert length - 1 / 60 < delta["since_s"].max() <= length
-    expected = -made.tracks["side"] * PIXEL_UM * made.sweep_px[2] * (delta["since_s"] / length - 0.5)
-    np.testing.assert_allclose(delta[1:-1], expected.transpose("frame", "sheet")[1:-1], atol=1e-3)
-    with pytest.raises(InputError, match="one inside the video"):
-        stick_displacement(made.tracks, motion, Clock(), event=99)
 
 
 def refused(made, clock=None, **options):

@@ -5,6 +5,7 @@ import pytest
 from matplotlib.figure import Figure as Page
 
 from tests.figures.conftest import JUMP_PX, by_label
+from tests.scenes.creeping import PIXEL_UM, Clock, make, measure, uniform
 from tests.scenes.report_data import make_tracks, sawtooth
 from vision.figures.positions import (
     deformation_figure,
@@ -104,6 +105,22 @@ def test_one_stick_shows_inward_motion_of_its_size(pulled):
     }
     assert moved["left"] > 0 > moved["right"]
     assert -moved["right"] == pytest.approx(float(right), rel=0.2)
+
+
+def test_displacement_over_one_stick():
+    """A failure means that the figure of δx(t) shows another stick, another origin or another scale."""
+    made = make(uniform(2.0, 20.0, events=5), noise_px=0.0)
+    motion = measure(made).assign_coords(d_v_mm=("event", np.arange(5.0)))
+    figure = stick_figure(made.tracks, motion, Clock())
+    event = int(figure.title.split("event ")[1].split(",")[0])
+    stick = made.sticks.loc[event]
+    length = stick["t_p_s"] - stick["t_v_s"]
+    for curve, side, sweep_px in zip(
+        figure.panel.series, made.tracks["side"].values, made.sweep_px[event], strict=True
+    ):
+        assert 0 <= curve.x.min() < 1 / 60 and length - 1 / 60 < curve.x.max() <= length
+        expected = -side * PIXEL_UM * sweep_px * (curve.x / length - 0.5)
+        np.testing.assert_allclose(curve.y[1:-1], expected[1:-1], atol=1e-3)
 
 
 def test_the_ratio_figure_shades_its_threshold(pulled):

@@ -174,43 +174,6 @@ def horizontal_deformation(
     )
 
 
-def stick_displacement(tracks: xr.Dataset, motion: xr.Dataset, clock: Clock, *, event: int) -> xr.DataArray:
-    """Displacement of every sheet during one stick, δx = x − x̂.
-
-    The positions are as measured: noise, camera movement and the frames next to the slips are included.
-
-    Parameters
-    ----------
-    tracks, clock
-        As given to `horizontal_deformation`.
-    motion
-        The result of `horizontal_deformation`.
-    event
-        Number of the event.
-
-    Returns
-    -------
-    DataArray (frame, sheet), µm, positive to the right, with the coordinate since_s (frame), the time since
-    the valley; NaN where there is no position.
-
-    Raises
-    ------
-    InputError
-        If the event is not in `motion`.
-    """
-    if event not in motion["event"]:
-        known = motion["event"].values
-        expected = f"one inside the video ({known[0]} to {known[-1]})"
-        raise InputError("`event`", expected, f"{event}", "take another one")
-    stick = motion.sel(event=event)
-    since = clock.to_force_s(np.asarray(tracks["time_s"].values, float)) - float(stick["t_v_s"])
-    inside = (since >= 0) & (since <= float(stick["t_p_s"] - stick["t_v_s"]))
-    size_um = MotionMetadata.of(motion).pixel_size_um
-    displacement: xr.DataArray = (tracks["x_px"][inside] - stick["x_hat_px"]) * size_um
-    displacement = displacement.assign_coords(since_s=("frame", since[inside], {"units": "s"}))
-    return displacement.assign_attrs(units="um", long_name="displacement from the mean over the stick")
-
-
 # --- input --------------------------------------------------------------------------------------------------
 
 

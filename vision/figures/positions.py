@@ -10,8 +10,7 @@ import pandas as pd
 import xarray as xr
 
 from vision.clock import Clock
-from vision.data import STIFF_BELOW
-from vision.deformation import stick_displacement
+from vision.data import STIFF_BELOW, MotionMetadata
 from vision.figures.decimate import minmax_decimate
 from vision.figures.figure import Band, Figure, Ink, Panel, Series
 from vision.figures.style import (
@@ -231,12 +230,15 @@ def sheet_series(
 def stick_figure(tracks: xr.Dataset, motion: xr.Dataset, clock: Clock) -> Figure:
     """Return the displacement of all sheets in the stick phase with most frames.
 
-    motion: as returned by `horizontal_deformation`.
+    motion: as returned by `horizontal_deformation`. The positions are as measured: noise, camera movement and
+    the frames next to the slips are included.
     """
-    event = int(motion["event"].values[int(np.argmax(motion["frames"].to_numpy().sum(axis=1)))])
-    delta = stick_displacement(tracks, motion, clock, event=event)
-    stick = motion.sel(event=event)
-    series = sheet_series(tracks, delta["since_s"].to_numpy(), delta.to_numpy(), inks=sheet_inks(tracks))
+    stick = motion.isel(event=int(np.argmax(motion["frames"].to_numpy().sum(axis=1))))
+    since_s = clock.to_force_s(np.asarray(tracks["time_s"].values, float)) - float(stick["t_v_s"])
+    inside = (since_s >= 0) & (since_s <= float(stick["t_p_s"] - stick["t_v_s"]))
+    delta_px = tracks["x_px"].values[inside] - stick["x_hat_px"].values
+    delta_um = delta_px * MotionMetadata.of(motion).pixel_size_um
+    series = sheet_series(tracks, since_s[inside], delta_um, inks=sheet_inks(tracks))
     panel = Panel(x_label="t − t_v (s)", y_label="δx (µm)", series=series)
     return Figure.of(
         "stick",
@@ -245,7 +247,7 @@ def stick_figure(tracks: xr.Dataset, motion: xr.Dataset, clock: Clock) -> Figure
         "mean position in the stick phase; positive to the right. Stick length Λ_st = "
         f"{float(stick['stick_length_um']):.1f} µm. Noise and motion of the camera are not removed. Left "
         "sheets are dashed; the tone changes outwards.",
-        title=f"One stick phase: event {event}, d = {float(stick['d_v_mm']):.2f} mm",
+        title=f"One stick phase: event {int(stick['event'])}, d = {float(stick['d_v_mm']):.2f} mm",
     )
 
 
