@@ -248,7 +248,7 @@ def test_the_slope_of_sheets_never_seen_is_0():
 def test_corrected_positions_follow_the_creep():
     """A failure means that locking, up to a tenth of a pixel here, passes for motion."""
     true, x_px, error_px, frames = locked()
-    corrected = correct_pixel_locking(x_px, pixel_locking_slope(x_px, error_px), frames, 4, SETTINGS)
+    corrected = correct_pixel_locking(x_px, pixel_locking_slope(x_px, error_px), frames, SETTINGS)
     before, after = (np.sqrt(np.mean((x - true) ** 2)) for x in (x_px, corrected))
     assert before > 0.04
     assert after < 0.025
@@ -257,4 +257,4 @@ def test_corrected_positions_follow_the_creep():
 def test_without_locking_positions_stay_as_they_are():
     """A failure means that other fits are changed."""
     _, x_px, _, frames = locked(0.0)
-    assert correct_pixel_locking(x_px, np.zeros(10), frames, 4, SETTINGS) is x_px
+    assert correct_pixel_locking(x_px, np.zeros(10), frames, SETTINGS) is x_px

@@ -337,24 +337,21 @@ def pixel_locking_slope(x_px: Floats, x_err_px: Floats) -> Floats:
 
 
 def correct_pixel_locking(
-    x_px: Floats, slope: Floats, frames: StickFrames, terms: int, settings: DeformationSettings
+    x_px: Floats, slope: Floats, frames: StickFrames, settings: DeformationSettings
 ) -> Floats:
     """Correct positions for pixel locking of this slope, (sheet,); returns px, (F, sheet).
 
     The brightest pixel is one of the two next to the position: the one for which the corrected position is
-    nearer to the sheet's creep, fitted with this number of terms, plus vibration.
+    nearer to a line through the stick, which wrong pixels hardly bend, plus vibration.
     """
     if not slope.any():
         return x_px
     offset = x_px - np.rint(x_px)
     nearest, other = (x_px + slope * _bias(distance) for distance in (offset, offset - np.sign(offset)))
-    corrected = nearest
-    for order in (2, 2, 3, 4):  # a line comes first, because wrong pixels hardly bend it
-        expected = fit_creep(corrected, frames, min(order, terms), settings).at(frames)
-        expected = expected + nan_median(corrected - expected, axis=1)[:, None]
-        better = np.abs(other - expected) < np.abs(nearest - expected)
-        corrected = np.where(better & (np.abs(offset) > 0.25), other, nearest)
-    return corrected
+    expected = fit_creep(nearest, frames, 2, settings).at(frames)
+    expected += nan_median(nearest - expected, axis=1)[:, None]
+    better = np.abs(other - expected) < np.abs(nearest - expected)
+    return np.where(better & (np.abs(offset) > 0.25), other, nearest)
 
 
 def _bias(offset_px: Floats) -> Floats:

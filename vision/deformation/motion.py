@@ -285,7 +285,10 @@ def _measure(
     """Measure the deformation in the usable frames; also return fields of `MotionMetadata`."""
     x_px, side = np.asarray(tracks["x_px"].values, float)[frames.frame], tracks["side"].values
     terms = 4 if np.median(frames.counts) >= settings.cubic_frames else 3
-    steady = _without_locking(x_px, tracks, frames, terms, settings)
+    steady = x_px
+    if TrackMetadata.of(tracks).fit == "paper" and "x_err_px" in tracks:
+        locking = pixel_locking_slope(*(np.asarray(tracks[of].values, float) for of in ("x_px", "x_err_px")))
+        steady = correct_pixel_locking(x_px, locking, frames, settings)
     vibration, factor = np.zeros(len(x_px)), np.ones(side.size)
     if common_mode and len(x_px):
         steady, vibration, factor = _without_vibration(steady, frames, terms, settings)
@@ -413,16 +416,6 @@ def _own_warnings(own_px: Floats, bends_px: Floats, scaled_px: Floats, error_px:
         if found >= 0.2 * size_px.size:
             lines.append(f"{found} of {size_px.size} sheets {cause}; the error of σ_x/Λ_st contains it")
     return lines
-
-
-def _without_locking(
-    x_px: Floats, tracks: xr.Dataset, frames: StickFrames, terms: int, settings: DeformationSettings
-) -> Floats:
-    """Positions of the publication's fit corrected for pixel locking; those of another fit unchanged."""
-    if TrackMetadata.of(tracks).fit != "paper" or "x_err_px" not in tracks:
-        return x_px
-    locking = pixel_locking_slope(*(np.asarray(tracks[of].values, float) for of in ("x_px", "x_err_px")))
-    return correct_pixel_locking(x_px, locking, frames, terms, settings)
 
 
 def _without_vibration(
