@@ -6,6 +6,7 @@ measures the noise of the positions with its autocorrelation, from which the sta
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -393,9 +394,9 @@ def measure_noise(x_px: Floats, frames: StickFrames, terms: int, settings: Defor
 def _fit_correlation(
     x_px: Floats, frames: StickFrames, terms: int, used: Bools, settings: DeformationSettings
 ) -> AR1Noise:
-    """Fit white noise, AR(1) noise, or AR(1) plus white noise by restricted maximum likelihood.
+    """Fit AR(1) plus white noise by restricted maximum likelihood, or white noise if that fits as well.
 
-    Each sheet has its own variance.  A more general model is chosen only where it fits significantly better.
+    Each sheet has its own variance.
     In long recordings a regular selection of sheets and sticks is fitted.  used: which sheets in which sticks
     may be selected, (stick, sheet).
     """
@@ -407,37 +408,27 @@ def _fit_correlation(
     part = replace(frames, **{name: getattr(frames, name)[inside] for name in names})
     x_px = np.where(selected[part.row], x_px[inside, ::sheets], np.nan)
 
-    def deviance(share: float, rho: float) -> float:
+    def deviance(share_and_rho: Sequence[float]) -> float:
         """-2 log restricted likelihood, up to a constant."""
-        creep = fit_creep(x_px, part, terms, settings, AR1Noise(share, rho))
+        creep = fit_creep(x_px, part, terms, settings, AR1Noise(*share_and_rho))
         dof = creep.dof.sum(axis=0)
         variance = np.nansum(creep.square, axis=0)[dof > 0] / dof[dof > 0]
         log_variance = dof[dof > 0] @ np.log(np.maximum(variance, _LEAST_VARIANCE_PX2))
         log_det = np.linalg.slogdet(creep.inverse[creep.good])[1].sum()
         return float(log_variance + creep.log_det.sum() - log_det)
 
-    def of_mixture(share_and_rho: Floats) -> float:
-        return deviance(float(share_and_rho[0]), float(share_and_rho[1]))
-
-    required_gain = 9.0  # decrease of the deviance required of one more parameter: 3 standard errors
     white = fit_creep(x_px, part, terms, settings)
     if white.dof.sum() < 30 or not np.nansum(white.square) > _LEAST_VARIANCE_PX2 * white.dof.sum():
         return AR1Noise()
-    pure = scipy.optimize.minimize_scalar(
-        lambda rho: deviance(1.0, rho), bounds=(0.01, 0.97), method="bounded", options={"xatol": 0.01}
-    )
-    if pure.fun + required_gain > deviance(0.0, 0.0):
-        return AR1Noise()
-    mixed = scipy.optimize.minimize(
-        of_mixture,
-        [0.5, max(0.5, pure.x)],
+    found = scipy.optimize.minimize(
+        deviance,
+        [0.7, 0.6],
         method="Nelder-Mead",
         bounds=[(0.01, 1.0), (0.02, 0.97)],
         options={"xatol": 0.01, "fatol": 0.5, "maxfev": 40},
     )
-    if mixed.fun + required_gain > pure.fun:
-        return AR1Noise(1.0, float(pure.x))
-    return AR1Noise(float(mixed.x[0]), float(mixed.x[1]))
+    # Two parameters must decrease the deviance by as much as two of three standard errors do.
+    return AR1Noise(*map(float, found.x)) if deviance((0.0, 0.0)) - found.fun > 2 * 3.0**2 else AR1Noise()
 
 
 def _typical_variance(creep: Creep) -> Floats:
