@@ -13,19 +13,6 @@ from vision.errors import InputError
 class Sample:
     """Geometry and adhesion of one sample; the defaults are the publication's.
 
-    Parameters
-    ----------
-    sheets_per_block
-        M, number of sheets of one block on each side of the symmetry axis; the block has 2M.
-    thickness_mm
-        ε, thickness of one sheet.
-    width_mm
-        W, width of the sheets.
-    length_mm
-        L, length of the sheets from the clamp to their end.
-    t_star_N
-        T*, traction on the outermost sheet due to adhesion.
-
     Raises
     ------
     InputError
@@ -36,11 +23,12 @@ class Sample:
     Source: publication, sections II (samples) and III (model).
     """
 
+    # M, number of sheets of one block on each side of the symmetry axis; the block has 2M.
     sheets_per_block: int = 25
-    thickness_mm: float = 0.1
-    width_mm: float = 45.0
-    length_mm: float = 57.0
-    t_star_N: float = 0.003
+    thickness_mm: float = 0.1  # ε, of one sheet
+    width_mm: float = 45.0  # W, of the sheets
+    length_mm: float = 57.0  # L, of the sheets from the clamp to their end
+    t_star_N: float = 0.003  # T*, traction on the outermost sheet due to adhesion
 
     def __post_init__(self) -> None:
         for part in fields(self):
