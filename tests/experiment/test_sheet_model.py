@@ -10,7 +10,7 @@ import pytest
 from vision.experiment.mechanics import normal_N, pull_sheets
 from vision.experiment.settings import Mechanics
 from vision.models import equations
-from vision.models.equations import SpringBlock, stick_slip
+from vision.models.equations import SpringBlock
 from vision.sample import PUBLISHED, Sample
 
 PULL = Mechanics(d_end_mm=13.08)
@@ -31,22 +31,17 @@ def test_one_sheet_is_a_spring_and_a_block() -> None:
     slips = np.flatnonzero(result["slipped"].values)[5:-1]
     d = result["d_mm"].values[slips]
     load = 2 * np.array([normal_N(at, pull, sample)[0] for at in d])
-    cycles = [
-        stick_slip(
-            SpringBlock(mass_kg=1e-6, stiffness_N_per_mm=300.0, load_N=w, mu_static=0.89, mu_dynamic=0.72),
-            2 / 60,
-        )
-        for w in load
-    ]
+    made_of = {"mass_kg": 1e-6, "stiffness_N_per_mm": 300.0, "mu_static": 0.89, "mu_dynamic": 0.72}
+    blocks = [SpringBlock(load_N=w, **made_of) for w in load]
     before, after = result["load_N"].values[slips - 1, 0], result["load_N"].values[slips, 0]
     adhesion = 0.003
     np.testing.assert_allclose(before, 0.89 * load + adhesion, rtol=1e-8)
-    lowest = np.array([float(cycle.lowest_elongation_mm) for cycle in cycles])
+    lowest = np.array([block.lowest_elongation_mm for block in blocks])
     np.testing.assert_allclose(after, 300 * lowest + adhesion, rtol=1e-8)
-    drop = np.array([float(cycle.force_drop_N) for cycle in cycles])
+    drop = np.array([block.force_drop_N for block in blocks])
     np.testing.assert_allclose(before - after, drop, rtol=1e-8)
     stick = np.diff(result["time_s"].values[slips])
-    expected = np.array([float(cycle.stick_time_s) for cycle in cycles])[1:]
+    expected = np.array([float(block.stick_time_s(2 / 60)) for block in blocks])[1:]
     np.testing.assert_allclose(stick, expected, rtol=5e-3)  # N falls a little while it sticks
 
 

@@ -6,7 +6,6 @@ measures the noise of the positions with its autocorrelation, from which the sta
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -408,9 +407,9 @@ def _fit_correlation(
     part = replace(frames, **{name: getattr(frames, name)[inside] for name in names})
     x_px = np.where(selected[part.row], x_px[inside, ::sheets], np.nan)
 
-    def deviance(share_and_rho: Sequence[float]) -> float:
+    def deviance(share_and_rho: Floats) -> float:
         """-2 log restricted likelihood, up to a constant."""
-        creep = fit_creep(x_px, part, terms, settings, AR1Noise(*share_and_rho))
+        creep = fit_creep(x_px, part, terms, settings, AR1Noise(*share_and_rho.tolist()))
         dof = creep.dof.sum(axis=0)
         variance = np.nansum(creep.square, axis=0)[dof > 0] / dof[dof > 0]
         log_variance = dof[dof > 0] @ np.log(np.maximum(variance, _LEAST_VARIANCE_PX2))
@@ -428,7 +427,7 @@ def _fit_correlation(
         options={"xatol": 0.01, "fatol": 0.5, "maxfev": 40},
     )
     # Two parameters must decrease the deviance by as much as two of three standard errors do.
-    return AR1Noise(*map(float, found.x)) if deviance((0.0, 0.0)) - found.fun > 2 * 3.0**2 else AR1Noise()
+    return AR1Noise(*map(float, found.x)) if deviance(np.zeros(2)) - found.fun > 2 * 3.0**2 else AR1Noise()
 
 
 def _typical_variance(creep: Creep) -> Floats:
