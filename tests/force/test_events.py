@@ -51,7 +51,7 @@ def test_sticks_with_a_slip_that_was_not_found_are_flagged() -> None:
     wrong = {0.1: 0, 100.0: 0}
     for falling_share in wrong:
         for seed in (8, 9, 11):
-            force = slow_among_sudden(seed)
+            force, _ = slow_among_sudden(seed)
             events = find_stick_slip(force, settings=ForceSettings(falling_share=falling_share))
             off = abs(events["K_N_per_mm"] / 600 - 1) > 0.3
             told = any("flag falling" in line for line in StickMetadata.of(events).warnings)
@@ -59,6 +59,17 @@ def test_sticks_with_a_slip_that_was_not_found_are_flagged() -> None:
             wrong[falling_share] += int(np.sum(off & (events["flag"] == "ok")))
     assert wrong[0.1] == 0
     assert wrong[100.0] >= 4
+
+
+def test_sudden_slips_are_found_among_those_that_last_for_seconds() -> None:
+    """A failure means that the valleys of slow slips count as upward jumps of the load, which raise the
+    threshold (59 % are then found), or that a sudden slip before a slow one counts as a part of it (83 %)."""
+    found = []
+    for seed in range(6):
+        force, sudden = slow_among_sudden(seed)
+        peaks = find_stick_slip(force)["t_p_s"].to_numpy()
+        found.append(np.mean(np.abs(peaks[:, np.newaxis] - sudden[1:]).min(axis=0) < 0.05))
+    assert np.mean(found) > 0.85
 
 
 def test_what_coarse_steps_do_not_resolve_has_no_error_of_zero() -> None:

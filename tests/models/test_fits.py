@@ -496,12 +496,14 @@ def test_a_filter_that_settles_within_the_sticks_is_an_error_of_the_scale(hertz:
     found = []
     for filtered in (load, sosfilt(butter(2, hertz, fs=200.0, output="sos"), load)):
         force = made.force.assign(load_N=("time_s", filtered))
-        found.append(fit_models(force, find_stick_slip(force)).scale_mm)
+        events = find_stick_slip(force)
+        assert len(events) == len(made.truth)  # the filter rounds the valleys, but leaves no jumps upward
+        found.append(fit_models(force, events).scale_mm)
     sharp, blurred = found
     off = abs(blurred.value - sharp.value)
     assert off > 2 * np.hypot(blurred.error, sharp.error)
     assert off < 2 * np.hypot(blurred.error, blurred.systematic_error)
-    assert blurred.systematic_error < 0.05 * blurred.value
+    assert blurred.systematic_error < 0.1 * blurred.value
 
 
 def test_a_wrong_d0_is_a_warning_with_a_next_step() -> None:

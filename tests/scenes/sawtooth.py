@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 import xarray as xr
+from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from vision.data import ForceMetadata
@@ -146,16 +147,21 @@ def realistic(
     return Test(recording(time, load, travel, speed), truth)
 
 
-def slow_among_sudden(seed: int, *, share: float = 0.2, slips: int = 120) -> xr.Dataset:
-    """Return a recording with K = 600 N/mm in which a share of the slips lasts 0.75 to 2.25 s."""
+def slow_among_sudden(
+    seed: int, *, share: float = 0.2, slips: int = 120
+) -> tuple[xr.Dataset, NDArray[np.float64]]:
+    """Return a recording with K = 600 N/mm in which a share of the slips lasts 0.75 to 2.25 s, and the times,
+    s, at which the others begin."""
     rng = np.random.default_rng(seed)
-    knots_t, knots_f = [0.0], [0.0]
+    knots_t, knots_f, sudden = [0.0], [0.0], []
     for k in range(slips):
         peak = 60 - 30 * k / slips + 0.1 * rng.standard_normal()
         drop = 4 + 0.3 * rng.standard_normal()
         knots_t.append(knots_t[-1] + (peak - knots_f[-1]) / 10)
         knots_f.append(peak)
         slow = rng.random() < share
+        if not slow:
+            sudden.append(knots_t[-1])
         length = 1.5 * rng.uniform(0.5, 1.5) if slow else 0.01
         drop *= rng.uniform(0.3, 1) if slow else 1
         swing = np.linspace(0, 1, 20)[1:]
@@ -163,4 +169,4 @@ def slow_among_sudden(seed: int, *, share: float = 0.2, slips: int = 120) -> xr.
         knots_f.extend(peak - drop * (1 - np.cos(np.pi * swing)) / 2)
     time = np.arange(0, knots_t[-1], 0.01)
     load = np.interp(time, knots_t, knots_f) + 0.05 * rng.standard_normal(time.size)
-    return recording(time, load, 13 + time / 60, 1.0)
+    return recording(time, load, 13 + time / 60, 1.0), np.array(sudden)

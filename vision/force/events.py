@@ -137,7 +137,7 @@ def find_stick_slip(
     metadata = _metadata(signal, slips, analysis, shares, warnings, settings)
     metadata = replace(
         metadata,
-        warnings=[*warnings, *_filter_warnings(events, metadata, settings)],
+        warnings=[*warnings, *_filter_warnings(events, analysis, metadata, settings)],
         average_s=signal.averaged * signal.interval_s,
         ringing_s=ringing_s,
         machine_stiffness_N_per_mm=machine_stiffness_N_per_mm or float("nan"),
@@ -527,10 +527,13 @@ def _missed_warnings(
     ]
 
 
-def _filter_warnings(events: pd.DataFrame, metadata: StickMetadata, settings: ForceSettings) -> list[str]:
+def _filter_warnings(
+    events: pd.DataFrame, analysis: _SlipAnalysis, metadata: StickMetadata, settings: ForceSettings
+) -> list[str]:
     """Return that a filter, which is not corrected, may have smoothed much of the sticks."""
     slip, stick = events["slip_time_s"].median(), (events["t_p_s"] - events["t_v_s"]).median()
-    if not ((metadata.filter_s or metadata.lowpass_doubt) and slip > settings.filter_share * stick):
+    doubtful = metadata.lowpass_doubt and filter_length(analysis.corners, analysis.extremes, settings)
+    if not (metadata.filter_s or doubtful) or slip <= settings.filter_share * stick:
         return []
     return [
         f"slips last {slip / stick:.2g} times as long as sticks, and the load is not level at their ends, as "

@@ -72,10 +72,10 @@ class ForceSettings:
     """By how much two lines must fit better than one for a slip to be between them. Smaller splits sticks in
     noise, larger joins sticks over small slips; shown by ramps of noise, which must give no event."""
 
-    line_reach: float = 3.0
-    """Usual spacings of drops from a drop within which the load is asked whether one line fits it as well.
-    Smaller averages less noise in long sticks, larger takes noise in a rest of the machine for drops and
-    loses the first slip after it; shown by rests of 2 to 100 s before a pull."""
+    line_reach: float = 2.0
+    """Usual spacings of drops from a drop within which lines are fitted beside it. Smaller averages less
+    noise in long sticks, larger takes noise in a rest of the machine for drops and misses sudden slips beside
+    slow ones; shown by rests of 2 to 100 s before a pull and by slow slips among sudden ones."""
 
     threshold_sigmas: float = 4.0
     """Smallest drop between stick lines that is a slip, where no threshold is given. Lower finds smaller

@@ -170,6 +170,9 @@ def _jumps_upward(
     both = np.union1d(edge, found)
     height = -stick_drops(load, both, settings)[np.searchsorted(both, found)]
     high = height >= settings.threshold_sigmas * sigma[found]
+    # Lines that fall in a slow slip and rise after it are apart where they meet, but the load does not jump.
+    rise = float(np.median(stick_lines(load, edge, settings).slope))
+    high &= -_step_filter(y, half)[found] - rise * half[found] > 0.5 * height
     return found[high], height[high]
 
 
@@ -241,7 +244,8 @@ def stick_lines(load: Floats | FittedLoad, edge: Ints, settings: ForceSettings) 
 def _lines_beside(load: FittedLoad, edge: Ints, settings: ForceSettings) -> tuple[Lines, Lines]:
     """Return the stick lines before and after each edge, through at most `line_reach` usual spacings.
 
-    Two lines fit a rest and the rise after it better than one wherever within the rest the edge is.
+    Two lines fit a rest and the rise after it better than one wherever within the rest the edge is, and a
+    long stick may contain a slow slip.
     """
     start, stop = stick_middles(edge, load.y.size, settings)
     reach = np.ceil(settings.line_reach * _local_period(edge, load.y.size)[edge]).astype(np.int64)
@@ -424,9 +428,11 @@ def _join_weak(load: FittedLoad, edge: Ints, sigma: Floats, settings: ForceSetti
 def _join_parts(load: FittedLoad, edge: Ints, settings: ForceSettings) -> Ints:
     """Join the parts of one slip: stretches in which the load falls, or that are too short for a line.
 
-    A stretch that is joined to a rising stick counts as rising, though the line through both may fall.
+    The load falls at both ends of such a stretch: a long one that rises at either contains a slow slip. One
+    that is joined to a rising stick counts as rising, though the line through both may fall.
     """
-    rises = stick_lines(load, edge, settings).slope > 0
+    before, after = _lines_beside(load, edge, settings)
+    rises = np.r_[False, (after.slope[:-1] > 0) | (before.slope[1:] > 0), False]
     while edge.size > 1:
         falling = np.flatnonzero(~rises[1:-1])
         if not falling.size:
@@ -493,10 +499,10 @@ def _split_gain(a: Lines, b: Lines) -> Floats:
 
 
 def stick_drops(load: Floats | FittedLoad, edge: Ints, settings: ForceSettings) -> Floats:
-    """Return the difference of the stick lines before and after each edge, at the edge."""
-    lines = stick_lines(load, edge, settings)
+    """Return the difference, at each edge, of the lines through the sticks before and after it."""
     here = np.asarray(edge - 0.5, dtype=float)
-    return lines.take(slice(None, -1)).at(here) - lines.take(slice(1, None)).at(here)
+    before, after = _lines_beside(load if isinstance(load, FittedLoad) else FittedLoad(load), edge, settings)
+    return before.at(here) - after.at(here)
 
 
 def size_gap(drop: Floats, ratio: float, most: float) -> float:
