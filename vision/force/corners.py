@@ -186,6 +186,14 @@ def without_lowpass(y: Floats, tau: float) -> tuple[Floats, float]:
     return y + gain * np.diff(y, prepend=y[:1]), gain
 
 
+def mean_noise(gain: float, width: float | Ints) -> Floats:
+    """Return the noise of a running mean of such a load, over that of a sample of the load as recorded.
+
+    The mean of differences is the difference of the ends, so its noise falls with the width, not its root.
+    """
+    return np.asarray(np.sqrt((1 + 2 * gain * (1 + gain) / width) / width), np.float64)
+
+
 def _deconvolve(signal: Signal, slips: Slips, tau: float) -> _DeconvolvedLoad:
     """Return the load before a first-order low-pass of `tau` samples, and the edges of the slips in it.
 
@@ -199,8 +207,7 @@ def _deconvolve(signal: Signal, slips: Slips, tau: float) -> _DeconvolvedLoad:
         )
     load, gain = without_lowpass(y, tau)
     widths = 1 + 2 * np.arange(int(slips.period / 20) + 1)  # up to a tenth of a period
-    # The mean of differences is the difference of the ends, so its noise falls with the width, not its root.
-    noise = sigma * np.sqrt((1 + 2 * gain * (1 + gain) / widths) / widths)
+    noise = sigma * mean_noise(gain, widths)
     noisy = int(np.sum(noise > np.median(slips.drop) / 6))
     chosen = min(noisy, widths.size - 1)
     width = int(widths[chosen])
