@@ -44,6 +44,10 @@ class CheckSettings:
     """Share of the positions that may be missing without a warning: fewer are the usual gaps at the edges of
     the picture.  Smaller warns of nearly every film; larger overlooks sheets that are lost for a while."""
 
+    second_comb: float = 2.0
+    """Error by a second comb over the sheets, over that of the noise, from which a warning names it.  Larger
+    is silent about reflections that double the errors; smaller warns where they matter little."""
+
     pair_spacings: int = 9
     """Smallest number of spacings in which pairs of ridges are looked for.  Fewer may alternate by chance;
     more leave out small combs."""
@@ -197,6 +201,7 @@ def _of_tracks(tracks: xr.Dataset, settings: CheckSettings) -> Iterator[str]:
             f" {100 * change['brightness']:.0f} %): a cut, or the camera or the light was moved; the sheets"
             f" may not be the same as before: give `frames` as 0:{frame} or {frame}:"
         )
+    yield from _second_comb(tracks, found, settings)
     if found.noise_lasts:
         yield (
             "the noise of each frame resembles that of the frame before (correlation"
@@ -265,6 +270,16 @@ def _frames_with_few_sheets(tracks: xr.Dataset) -> Iterator[str]:
         f"fewer than half of the sheets are found in {few.sum()} frames (the longest run is {where}): another"
         " scene, or something in front of the sheets? exclude these frames with `frames`"
     )
+
+
+def _second_comb(tracks: xr.Dataset, found: TrackMetadata, settings: CheckSettings) -> Iterator[str]:
+    """Warn of a second comb whose error exceeds that of the noise."""
+    if found.second_comb_err_px > settings.second_comb * nan_median(tracks["x_predicted_px"].values):
+        yield (
+            f"light moves between the ridges and the gaps beside them (by {100 * found.second_comb:.1f} % of"
+            " the ridges' height): a reflection or a second comb lies over the sheets, or they lean; x_err_px"
+            f" includes {found.second_comb_err_px:.2g} px for it: look at the film, and keep reflections out"
+        )
 
 
 def _spacings(tracks: xr.Dataset, found: TrackMetadata, settings: CheckSettings) -> Iterator[str]:

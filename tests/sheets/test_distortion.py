@@ -19,6 +19,7 @@ from vision.sheets.distortion import (
     _significant,
     pixel_locking,
 )
+from vision.sheets.second_comb import SecondComb
 from vision.sheets.settings import DEFAULT, TrackingSettings
 
 
@@ -99,7 +100,8 @@ def off_in_errors(picture, x, *, sheets=None):
 
 
 def off_unchecked(monkeypatch, picture, x):
-    """The same where no ridge is checked for distortion."""
+    """The same where no ridge is checked for distortion, nor the film for a second comb."""
+    monkeypatch.setattr("vision.sheets.tracks.second_comb", lambda *_: SecondComb())
     monkeypatch.setattr("vision.sheets.tracks.distortion", lambda _, x_px, *__: Distortion.none(x_px))
     return off_in_errors(picture, x)
 
@@ -341,7 +343,7 @@ def test_a_texture_of_the_light_is_in_the_errors_of_a_comb_that_moves_through_it
     for name, settings in (
         ("stated", DEFAULT),
         ("coarse", coarse),
-        ("none", replace(DEFAULT, texture_shift=0)),
+        ("none", replace(DEFAULT, texture_shift=0, second_comb_shift=0)),
     ):
         inside = []
         for seed, grain_px in enumerate((1.5, 4.0)):

@@ -525,6 +525,20 @@ class TrackingSettings:
     """Least of these relative errors. Smaller counts unequal pixels twice, since `fixed_pattern` of the
     deformation measures them; larger overlooks faint dirt."""
 
+    second_comb_correlation: float = 0.4
+    """Correlation between what the tops of ridges gain and what the gaps beside them lose from which a second
+    comb lies over the sheets. Sound films reach 0.37, reflections have 0.4 to 0.95. Larger leaves reflections
+    out of the errors, smaller enlarges errors by chance (test_second_comb.py)."""
+
+    second_comb_shift: float = 3.0
+    """Error of positions, in standard deviations of a ridge, over the light that a second comb moves from
+    ridges to gaps, over their height. In films with known positions it is 2.2 to 5.5. Larger overstates
+    errors, smaller understates them (test_second_comb.py)."""
+
+    second_comb_most: float = 0.1
+    """Change of the level, over the ridges' height, that counts for this at most. Larger lets a hand or dirt
+    decide, smaller understates strong reflections."""
+
     distortion_floor: float = 0.08
     """Distortion, px, below which a position does not count as distorted, and a sheet not as distorted in the
     whole film. Larger hides slight distortions, smaller counts the texture of the paper."""

@@ -49,6 +49,7 @@ from vision.sheets.ridges import (
     no_ridges,
 )
 from vision.sheets.scatter import BetweenSlips, noise_excess, shared_error, spatial_scatter
+from vision.sheets.second_comb import SecondComb, second_comb
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.sheets.subpixel import (
     WHOLE_LEVELS,
@@ -131,7 +132,8 @@ def track_sheets(
     x_err_px is the noise of the profile times the fit's error per grey level. It is larger where positions
     scatter by more (`vision.sheets.scatter.noise_excess`), where the ridge moves during the exposure
     (`vision.sheets.film.motion_blur`), and where the ridge is distorted
-    (`vision.sheets.distortion.distortion`). Positions of ridges sharper than their pixels are corrected for
+    (`vision.sheets.distortion.distortion`) or a second comb lies over the sheets
+    (`vision.sheets.second_comb.second_comb`). Positions of ridges sharper than their pixels are corrected for
     locking to whole pixels (`vision.sheets.distortion.pixel_locking`), except with ``fit="paper"``: x_err_px
     includes it. For lossy video it is the scatter between sheets, since compression hides the noise and adds
     its own artefacts. It does not include errors that are the same in all frames (uneven light, the choice of
@@ -233,7 +235,8 @@ def _detect(
 
 class _Assessed(NamedTuple):
     """Positions, flags and errors once blur, distortion and cut ridges are known, (frame, N); the shift of
-    all positions of a sheet by a distortion that lasts, and the relative error of its displacements, (N,)."""
+    all positions of a sheet by a distortion that lasts, and the relative error of its displacements, (N,);
+    and a second comb over the sheets."""
 
     x_px: Floats
     flag: Codes
@@ -242,6 +245,7 @@ class _Assessed(NamedTuple):
     distorted: Bools
     lasting_px: Floats
     scale: Floats
+    second: SecondComb
 
 
 def _assess_ridges(
@@ -262,6 +266,7 @@ def _assess_ridges(
     # An object that covers a sheet also cuts the next ridge, which may be off by half of its width.
     x_px[smeared & beside(detections.flag == Flag.MISSING) | _cut(detections, comb)] = np.nan
     distorted_px, usual_px, lasting_px, scale = distortion(profile, x_px, err, smeared, comb)
+    second = second_comb(profile, x_px, smeared, comb)
     not_a_sheet = not_one_ridge(profile, x_px, comb) | two_in_one(x_px, detections.fwhm_px, comb)
     not_a_sheet |= lasting_px > comb.settings.most_distorted * comb.fwhm_px
     not_a_sheet |= marks(x_px, err, np.hypot(lasting_px, usual_px), comb)
@@ -269,13 +274,14 @@ def _assess_ridges(
     is_distorted = distorted_px > np.fmax(err, comb.settings.distortion_floor)
     np.square(err, out=err)
     err[smears] += blur2
+    np.fmax(distorted_px, second.error_px, out=distorted_px)  # the shapes show part of it as well
     err += np.square(distorted_px, out=distorted_px)
     np.sqrt(err, out=err)
     del distorted_px
     usual = median_where(np.isfinite(x_px), err)
     excess = noise_excess(BetweenSlips(_unrepeated(x_px, frozen), comb.settings), err, comb.settings)
     np.hypot(err, np.nan_to_num(usual) * np.sqrt(np.fmax(excess**2 - 1.0, 0.0)), out=err)
-    return _Assessed(x_px, flag, err, blurred, is_distorted, lasting_px, scale)
+    return _Assessed(x_px, flag, err, blurred, is_distorted, lasting_px, scale, second)
 
 
 def _cut(detections: Detections, comb: RidgeComb) -> Bools:
@@ -355,6 +361,8 @@ class _Tracked:
             axis_low_px=numbering.low_px + self.origin_px,
             axis_high_px=numbering.high_px + self.origin_px,
             axis_missing=numbering.missing,
+            second_comb=self.assessed.second.depth,
+            second_comb_err_px=self.assessed.second.error_px,
             least_margin=float(np.nan_to_num(self.detected.least_margin, posinf=1e9)),
             ridges_dropped=len(reference.dropped_px),
             ridges_beyond=reference.beyond,

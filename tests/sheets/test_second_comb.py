@@ -1,0 +1,81 @@
+"""A reflection of the sheets is found by the light that it moves between ridges and gaps."""
+
+import numpy as np
+import pytest
+
+from tests.scenes.combs import comb, ridges, strip
+from vision.checks import tracking_warnings
+from vision.data import TrackMetadata
+from vision.sheets import track_sheets
+from vision.sheets.second_comb import SecondComb
+
+WIDTH = 640
+WARNING = "a reflection or a second comb"
+
+
+def film(second, *, frames=300, seed=1, sign=1, width_px=11.0, snr=100):
+    """Truth and strip of 28 uneven sheets, with or without a second, fainter comb that stands still."""
+    x = comb(frames, per_side=14, axis_px=320, period=100, slip=0.4, uneven=0.1, seed=seed)
+    light = ridges(x, width=WIDTH, fwhm_px=2.5, flat_px=width_px)
+    if second:
+        light += 0.3 * ridges(np.tile(x[0] + 9, (frames, 1)), width=WIDTH, fwhm_px=2.5, flat_px=width_px)
+    return x, strip(light, snr=snr, seed=seed, sign=sign)
+
+
+def displacement_error(tracks, x):
+    off = tracks.x_px.values - x
+    return off - np.nanmedian(off, axis=0)
+
+
+def in_errors(off, tracks):
+    return np.sqrt(np.nanmean((off / tracks.x_err_px.values) ** 2))
+
+
+@pytest.mark.parametrize(("seed", "sign"), [(1, 1), (2, -1), (3, 1)])
+def test_a_second_comb_is_in_the_errors_and_named(seed, sign):
+    """A failure means that positions are off by up to half a pixel, and the run says nothing."""
+    x, picture = film(True, seed=seed, sign=sign)
+    tracks = track_sheets(picture, sheets=28)
+    assert 0.6 < in_errors(displacement_error(tracks, x), tracks) < 1.4
+    assert any(WARNING in line for line in tracking_warnings(tracks))
+
+
+def test_without_the_search_the_errors_are_too_small(monkeypatch):
+    monkeypatch.setattr("vision.sheets.tracks.second_comb", lambda *_: SecondComb())
+    x, picture = film(True)
+    tracks = track_sheets(picture, sheets=28)
+    assert in_errors(displacement_error(tracks, x), tracks) > 1.5
+
+
+def beside(what, picture):
+    """Change the film by what is no second comb."""
+    column, frame = np.arange(WIDTH), np.arange(300)[:, None]
+    rng = np.random.default_rng(0)
+    match what:
+        case "lamp":
+            picture.values[:] *= 1 + 0.5 * np.sin(frame / 40) * (column / WIDTH - 0.5)
+        case "flicker":
+            picture.values[:] *= 1 + 0.2 * np.sin(1.3 * frame + column / 100)
+        case "shadow":
+            picture.values[:] *= 1 - 0.5 / (1 + np.exp((column - 2 * frame) / 6))
+        case "object":
+            picture.values[:] *= 1 - 0.9 * np.exp(-(((column - 320 - 150 * np.sin(frame / 70)) / 6) ** 4))
+        case "unequal pixels":
+            picture.values[:] *= 1 + 0.03 * rng.normal(size=WIDTH)
+    return picture
+
+
+@pytest.mark.parametrize("what", ["nothing", "lamp", "flicker", "shadow", "object", "unequal pixels"])
+@pytest.mark.parametrize("snr", [15, 100])
+def test_other_light_is_no_second_comb(what, snr):
+    """A failure means that errors are enlarged, and the user looks for a reflection that is not there."""
+    _, picture = film(False, snr=snr)
+    tracks = track_sheets(beside(what, picture))
+    assert TrackMetadata.of(tracks).second_comb_err_px == 0
+    assert not any(WARNING in line for line in tracking_warnings(tracks))
+
+
+@pytest.mark.parametrize("film_of", [{"frames": 55}, {"width_px": 4.0}])
+def test_short_films_and_narrow_ridges_tell_nothing(film_of):
+    tracks = track_sheets(film(True, **film_of)[1])
+    assert TrackMetadata.of(tracks).second_comb_err_px == 0
