@@ -311,6 +311,27 @@ def test_dirt_that_passes_a_ridge_is_in_its_error_all_the_way():
     assert (size[85:115] == 0).all()
 
 
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_soft_object_that_covers_ridges_in_part_is_in_their_errors(seed):
+    """It swings over the comb and lets a part of the light through. A failure means that the ridges at its
+    edge are off by one and a half to two stated errors."""
+    x = comb(300, per_side=13, axis_px=310, slip=0.2, uneven=0.1, period=100, seed=seed)
+    away = np.arange(620) - 310 - 200 * np.sin(np.arange(300)[:, None] / 200 + seed)
+    hides = np.mean([np.exp(-0.5 * ((away - lean) / 7) ** 4) for lean in np.linspace(-6, 6, 13)], axis=0)
+    picture = strip(ridges(x, width=620, contrast=brightness(26, seed)), seed=seed)
+    picture.values[:] = 10 + (picture.values - 10) * (1 - 0.6 * hides)
+    stated, without = (
+        track_sheets(picture, sheets=26, settings=replace(DEFAULT, covered_shift=shift))
+        for shift in (DEFAULT.covered_shift, 0.0)
+    )
+    off = stated.x_px.values - x
+    off -= np.nanmedian(off, axis=0)
+    larger = stated.x_err_px.values > 1.2 * without.x_err_px.values
+    assert 0.005 < larger.mean() < 0.03
+    for tracks, low, high in ((stated, 0.6, 1.2), (without, 1.35, 3)):
+        assert low < np.sqrt(np.mean((off / tracks.x_err_px.values)[larger] ** 2)) < high
+
+
 def test_specks_on_the_lens_are_in_the_errors_of_displacements():
     """Sheets move by a few pixels past specks that dim a few columns: displacements of some are too large
     or too small by a quarter, in every stick alike. A failure means that these pass for precise."""

@@ -298,6 +298,8 @@ def distortion(
     In narrow ridges, what depends on their place among the pixels is subtracted before (`sampled_well_px`).
 
     Light that falls off over a ridge hardly changes its shape; it shows in the heights (`_shift_by_light`).
+    What covers a part of a ridge changes its shape and its height (`_alone`), whose change then bounds the
+    error from below.
     What stands still where a ridge moves changes all displacements of its sheet by the same factor
     (`displacement_scale_error`). A texture of the light does so to all sheets, up to a ridge width or so; it
     shows in the heights of all of them together (`texture_error`).
@@ -321,6 +323,7 @@ def distortion(
     else:  # otherwise heights change with the distance of the neighbours
         texture = texture_error(x_px, log_height, comb)
     scale = displacement_scale_error(x_px, shapes, settings)
+    covered_px = settings.covered_shift * comb.fwhm_px / FWHM * _alone(log_height, settings)
     size = _shift_by_light(x_px, log_height, pulled_px2, settings)
     del height, log_height, shapes  # each is as large as the positions
     differences = [
@@ -338,11 +341,14 @@ def distortion(
     own_noise = [position_noise(one.px) for one in differences]
     for n, x in enumerate(x_px.T):
         found = slight = size[:, n]
+        changed = np.zeros(len(x), bool)
         for one, own in zip(differences, own_noise, strict=True):
             values = one.px[:, n] - nan_median(one.px[:, n])
             certain, likely = _significant(values, np.fmax(one.noise * err_px[:, n], own[n]), settings)
             found = np.fmax(found, np.hypot(one.assumed * certain, one.confirmed * likely))
+            changed |= certain > 0
             slight = np.fmax(slight, np.hypot(one.assumed, one.confirmed) * likely)
+        found = np.fmax(found, np.where(changed, covered_px[:, n], 0.0))
         away = np.abs(x - nan_median(x))
         apart_px = reach_px * np.sqrt(-2 * np.expm1(-((away / reach_px) ** 2) / 2))
         found = np.fmax(found, np.fmax(scale[n] * away, texture * apart_px))
@@ -688,6 +694,26 @@ def _tilt(light: Floats, x_px: Floats, scatter: float, settings: TrackingSetting
         slope[rows] = np.abs(nan_median((light[rows, half:] - light[rows, :-half]) / apart, axis=1))
     of_median = np.sqrt(np.pi / 2 / len(apart)) * np.sqrt(2) * scatter / nan_median(apart)
     return np.nan_to_num(_if_above(slope, settings.distortion_sigmas * of_median))
+
+
+def _alone(log_height: Floats, settings: TrackingSettings) -> Floats32:
+    """Return by how much each ridge alone became higher or lower, (frame, N); 0 where it is scatter.
+
+    It counts against the median of the two sheets on either side. log_height: the logarithm of the height,
+    (frame, N). 0 for fewer than five sheets.
+    """
+    frames, sheets = log_height.shape
+    alone = np.zeros((frames, sheets), np.float32)
+    if sheets < ENOUGH:
+        return alone
+    usual = nan_median(log_height)
+    least = max(settings.covered_height, settings.distortion_sigmas * _scatter_across(log_height - usual))
+    for rows in row_parts(frames):
+        around = np.pad(log_height[rows] - usual, ((0, 0), (2, 2)), constant_values=np.nan)
+        others = np.stack([around[:, k : k + sheets] for k in (0, 1, 3, 4)])
+        changed = np.abs(around[:, 2:-2] - nan_median(others))
+        alone[rows] = _if_above(changed, np.full(changed.shape, least))
+    return alone
 
 
 def _scatter_across(light: Floats) -> float:
