@@ -7,7 +7,7 @@ measures errors that persist from frame to frame, `shared_error` those that neig
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -58,7 +58,7 @@ class BetweenSlips:
     def __init__(self, x_px: Floats, settings: TrackingSettings = DEFAULT) -> None:
         self.frames = len(x_px)
         self.seen = np.isfinite(x_px).any(axis=1)
-        self.x_px = x_px[self.seen]
+        self.x_px = np.asfortranarray(x_px[self.seen])  # most is computed of one sheet after the other
         self.x_px -= own_vibration(self.x_px, settings)
         self.slips = np.zeros(len(self.x_px), np.int64)
         if x_px.shape[1] < len(FOURTH):
@@ -139,7 +139,7 @@ def noise_excess(positions: BetweenSlips, err_px: Floats, settings: TrackingSett
     if sheets < len(FOURTH):
         return np.ones(sheets)
     slips = _slips_of_sheets(positions.x_px, settings)
-    variance = err_px[positions.seen]
+    variance = np.asfortranarray(err_px[positions.seen])
     np.square(variance, out=variance)
 
     def size(lag: int) -> Floats:
@@ -149,17 +149,22 @@ def noise_excess(positions: BetweenSlips, err_px: Floats, settings: TrackingSett
         second = positions.second((lag,))
         for values, slip in zip(second.T, slips.T, strict=True):
             values[(slip[2 * lag :] != slip[: -2 * lag])[calm]] = np.nan
+        opening, shares = _motion(second)
+        of_sheets = np.empty((len(shares), sheets))
 
-        def over_expected(scatter: Floats) -> Floats:
-            of_sheets = np.empty(sheets)
-            for few in column_parts(variance):
-                own = variance[:, few]
-                expected = (own[: -2 * lag] + 4 * own[lag:-lag] + own[2 * lag :])[calm] / 6
-                of_sheets[few] = nan_quantile(np.abs(scatter[:, few]) / np.sqrt(expected), ONE_SIGMA)
-            return of_sheets
+        def over_expected(few: slice) -> None:
+            for n in range(few.start, few.stop):
+                own = variance[:, n]
+                expected = (own[: -2 * lag] + 4 * own[lag:-lag] + own[2 * lag :])[calm]
+                expected /= 6
+                np.sqrt(expected, out=expected)
+                for sizes, share in zip(of_sheets, shares, strict=True):
+                    scatter = np.abs(second[:, n] - opening * share[n])
+                    scatter /= expected
+                    sizes[n] = nan_quantile(scatter, ONE_SIGMA)
 
-        sizes = [over_expected(scatter) for scatter in _without_motion(second)]
-        return min(sizes, key=lambda of_sheets: float(nan_median(of_sheets)))
+        in_two_threads(over_expected, column_parts(variance))
+        return min(of_sheets, key=lambda sizes: float(nan_median(sizes)))
 
     sizes = np.array([size(lag) for lag in NOISE_LAGS])
     total, count = np.nansum(sizes**2, axis=0), np.isfinite(sizes).sum(axis=0)
@@ -173,7 +178,7 @@ def _slips_of_sheets(x_px: Floats, settings: TrackingSettings) -> NDArray[np.int
     """Return the number of slips of each sheet up to each frame, beyond the common motion, (frame, N)."""
     step = np.diff(x_px, axis=0)
     step -= nan_median(step, axis=1)[:, None]
-    slips = np.zeros(x_px.shape, np.int32)
+    slips = np.zeros(x_px.shape, np.int32, order="F")
     for moved, count in zip(step.T, slips.T, strict=True):
         size = np.abs(moved - nan_median(moved))
         np.cumsum(size > settings.slip_sigmas * nan_median(size) / NORMAL_MEDIAN, out=count[1:])
@@ -189,7 +194,7 @@ def shared_error(positions: BetweenSlips) -> float:
     Blocks of the codec are wider than a sheet's spacing, and predicted frames move them by quarter pixels.
 
     1. Sheets in one block share an error. Second differences of positions in time, without the motion of the
-       comb (`_without_motion`), scatter by :math:`a` over all sheets and by :math:`b` between neighbours:
+       comb (`_motion`), scatter by :math:`a` over all sheets and by :math:`b` between neighbours:
        :math:`c = s_x\,(a^2/b^2 - 1)^{1/2}`, with :math:`s_x` the usual `spatial_scatter`. The ratio a/b is
        taken at a lag of at most four frames: creep that bends in a stick shows in a at longer ones.
     2. All sheets share an error that cannot be distinguished from vibration of the camera. It is the larger
@@ -202,7 +207,8 @@ def shared_error(positions: BetweenSlips) -> float:
     own = float(np.nan_to_num(nan_median(spatial_scatter(positions, between_frames=True))))
     second = positions.second(LAGS)
     between = _deviation_of_all(_fourth_differences(second))
-    apart = min(_deviation_of_all(values) for values in _without_motion(second))
+    opening, shares = _motion(second)
+    apart = min(_deviation_of_all(second - opening[:, None] * share) for share in shares)
     apart /= np.sqrt(1 - _fitted(sheets) / sheets)
     ratio = apart / max(between, 1e-9)
     blocks = own * float(np.sqrt(max(0.0, ratio**2 - 1)))
@@ -211,33 +217,27 @@ def shared_error(positions: BetweenSlips) -> float:
     return float(np.hypot(blocks, max(blocks, followed)))
 
 
-def _without_motion(second: Floats) -> Iterator[Floats]:
-    """Yield second differences (frame, N) without the motion that all sheets share, and, with ten sheets or
-    more, also without a share in the opening of the comb, the motion of its outer thirds against each other:
-    one linear in n, then that of the sheets beside. What is given is changed in place."""
+def _motion(second: Floats) -> tuple[Floats, list[Floats]]:
+    """Subtract the motion that all sheets share from second differences (frame, N), in place.
+
+    Returns the opening of the comb, the motion of its outer thirds against each other, (frame,), and shares
+    in it that sheets may have, (N,): one linear in n and that of the sheets beside; none for fewer than ten
+    sheets.
+    """
     second -= nan_median(second, axis=1)[:, None]
     sheets = second.shape[1]
     if sheets < OPENING:
-        yield second
-        return
+        return np.zeros(len(second)), [np.zeros(sheets)]
     third, place = sheets // 3, np.arange(sheets) - (sheets - 1) / 2
     low, high = (nan_median(part, axis=1) for part in (second[:, :third], second[:, -third:]))
     opening = np.nan_to_num(high - low)
-    known = np.isfinite(second)
-    power = np.array([(opening[seen] ** 2).sum() for seen in known.T])
-    along = np.array([(opening[seen] * own[seen]).sum() for seen, own in zip(known.T, second.T, strict=True)])
-    share = along / np.maximum(power, np.finfo(float).tiny)
+    share = np.empty(sheets)
+    for n, own in enumerate(second.T):
+        known = np.isfinite(own)
+        seen = opening[known]
+        share[n] = (seen * own[known]).sum() / max((seen**2).sum(), TINY)
     beside = np.pad(share, 1, "reflect", reflect_type="odd")
-    linear, as_beside = place / (sheets - third), (beside[:-2] + beside[2:]) / 2
-    yield _less_opening(second.copy(), opening, linear)
-    yield _less_opening(second, opening, as_beside)
-
-
-def _less_opening(second: Floats, opening: Floats, share: Floats) -> Floats:
-    """Return second differences (frame, N) less a share (N,) in the opening (frame,), changed in place."""
-    for rows in row_parts(len(second)):
-        second[rows] -= opening[rows, None] * share
-    return second
+    return opening, [place / (sheets - third), (beside[:-2] + beside[2:]) / 2]
 
 
 def _fourth_differences(x_px: Floats) -> Floats:
@@ -293,7 +293,7 @@ def own_vibration(x_px: Floats, settings: TrackingSettings = DEFAULT) -> Floats:
         return found
     blocks = np.array_split(np.arange(frames), max(1, round(frames / BLOCK)))
     for _ in range(ROUNDS):
-        step = np.empty((frames - 1, sheets))
+        step = np.empty((frames - 1, sheets), order="F")
         for some in row_parts(frames - 1):
             around = slice(some.start, some.stop + 1)
             step[some] = np.diff(x_px[around] - found[around], axis=0)
@@ -324,15 +324,15 @@ def _of_block(step: Floats, vibrates: Bools, settings: TrackingSettings) -> Floa
     found, time = np.zeros((frames + 1, sheets)), np.arange(frames + 1)[:, None]
     searched = known.sum(axis=0) >= LEAST_BLOCK / 2
     for _ in range(LINES):
+        searched[searched], frequency = _strong_lines(rest[:, searched], settings)
         sheet = np.flatnonzero(searched)
         if not len(sheet):
             break
-        frequency, ratio = _strongest_line(rest[:, sheet])
         turning = np.exp(-2j * np.pi * frequency * time)
         line = rest.T @ turning[:-1]  # (N, lines)
         in_phase = np.abs((line**2).sum(axis=0)) / np.maximum((np.abs(line) ** 2).max(axis=0), TINY)
         strength = 2 * np.abs(line[sheet, np.arange(len(sheet))]) ** 2 / known[:, sheet].sum(axis=0)
-        own = (ratio > settings.vibration_ratio) & (in_phase < settings.vibration_in_phase)
+        own = in_phase < settings.vibration_in_phase
         own &= vibrates[sheet] | (strength > settings.vibration_share * (rest[:, sheet] ** 2).sum(axis=0))
         vibrates[sheet[own]] = True
         searched[sheet[~own]] = False
@@ -347,19 +347,22 @@ def _of_block(step: Floats, vibrates: Bools, settings: TrackingSettings) -> Floa
     return found
 
 
-def _strongest_line(values: Floats) -> tuple[Floats, Floats]:
-    """Return the frequency per frame of the strongest line of each sheet, and its power over the median of
-    those beside, (N,)."""
-    frames = len(values)
-    tapered = values * np.hanning(frames)[:, None]
-    power = np.abs(np.fft.rfft(tapered, PADDED * frames, axis=0)) ** 2
-    independent = np.pad(power[::PADDED], ((BESIDE, BESIDE), (0, 0)), mode="reflect")
-    level = nan_median(sliding_window_view(independent, 2 * BESIDE + 1, axis=0), axis=-1)
-    level = np.repeat(level, PADDED, axis=0)[: len(power)]
+def _strong_lines(values: Floats, settings: TrackingSettings) -> tuple[Bools, Floats]:
+    """Return whether the strongest line of each sheet exceeds the median of those beside by
+    `vibration_ratio`, (N,), and the frequencies per frame of those that do."""
+    frames, sheet = len(values), np.arange(values.shape[1])
+    if not len(sheet):
+        return np.zeros(0, bool), np.zeros(0)
+    power = np.abs(np.fft.rfft(values.T * np.hanning(frames), PADDED * frames)) ** 2
+    independent = np.pad(power[:, ::PADDED], ((0, 0), (BESIDE, BESIDE)), mode="reflect")
+    level = nan_median(sliding_window_view(independent, 2 * BESIDE + 1, axis=1), axis=-1)
+    level = np.repeat(level, PADDED, axis=1)[:, : power.shape[1]]
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.nan_to_num(power[: len(level)] / level)
-    ratio[:PADDED] = ratio[-PADDED:] = 0.0  # no sine and cosine can be told apart there
-    best, sheet = np.argmax(ratio, axis=0), np.arange(values.shape[1])
-    near = np.clip(best + np.array([[-1], [0], [1]]), 1, len(power) - 1)
-    shift = np.clip(peak_offset(*np.log(np.maximum(power[near, sheet], TINY))), -0.5, 0.5)
-    return (best + shift) / (PADDED * frames), ratio[best, sheet]
+        ratio = np.nan_to_num(power[:, : level.shape[1]] / level)
+    ratio[:, :PADDED] = ratio[:, -PADDED:] = 0.0  # no sine and cosine can be told apart there
+    best = np.argmax(ratio, axis=1)
+    strong = ratio[sheet, best] > settings.vibration_ratio
+    best, sheet = best[strong], sheet[strong]
+    near = np.clip(best + np.array([[-1], [0], [1]]), 1, power.shape[1] - 1)
+    shift = np.clip(peak_offset(*np.log(np.maximum(power[sheet, near], TINY))), -0.5, 0.5)
+    return strong, (best + shift) / (PADDED * frames)
