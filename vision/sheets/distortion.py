@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import NamedTuple, Self
 
 import cv2
@@ -23,6 +24,7 @@ from vision.numeric import (
     Floats,
     Floats32,
     correlation_inflation,
+    in_two_threads,
     median_of_all,
     median_where,
     nan_median,
@@ -339,7 +341,8 @@ def distortion(
     ]
     usual_px, reach_px = np.empty(x_px.shape[1]), settings.texture_reach * comb.fwhm_px
     own_noise = [position_noise(one.px) for one in differences]
-    for n, x in enumerate(x_px.T):
+
+    def of_sheet(n: int) -> None:
         found = slight = size[:, n]
         changed = np.zeros(len(x), bool)
         for one, own in zip(differences, own_noise, strict=True):
@@ -349,12 +352,14 @@ def distortion(
             changed |= certain > 0
             slight = np.fmax(slight, np.hypot(one.assumed, one.confirmed) * likely)
         found = np.fmax(found, np.where(changed, covered_px[:, n], 0.0))
-        away = np.abs(x - nan_median(x))
+        away = np.abs(x_px[:, n] - nan_median(x_px[:, n]))
         apart_px = reach_px * np.sqrt(-2 * np.expm1(-((away / reach_px) ** 2) / 2))
         found = np.fmax(found, np.fmax(scale[n] * away, texture * apart_px))
         within = np.where(np.isfinite(apart[:, n]), comb.fwhm_px, 0.0)  # what is fitted lies in the ridge
         size[:, n] = np.fmin(found, within)
         usual_px[n] = nan_median(np.fmin(slight, within))
+
+    in_two_threads(of_sheet, range(x_px.shape[1]))
     if narrow:  # of what lasts, the place among the pixels is not told from dirt if a sheet hardly moves
         return Distortion(size, *np.zeros((3, x_px.shape[1])))
     pull = nan_median(apart)
@@ -443,7 +448,7 @@ def displacement_scale_error(x_px: Floats, shape: Sequence[Floats], settings: Tr
     """
     square = np.zeros(x_px.shape[1])
     for values, factor in zip(shape, settings.static_scale, strict=False):
-        each = [_regression(x, y) for x, y in zip(x_px.T, values.T, strict=True)]
+        each = in_two_threads(_regression, zip(x_px.T, values.T, strict=True))
         slope, error2, count = np.array(each, np.float64).reshape(-1, 3).T
         slope = slope - running_median(slope, settings.leaning_sheets)
         found = (slope**2 > settings.distortion_sigmas**2 * error2) & (count > LEAST_FRAMES)
@@ -500,8 +505,9 @@ def _slopes_in_cells(x: Floats, y: Floats, width: float) -> tuple[float, float]:
     return float(np.sum(shared**2 / spread)) / total, cells * variance / total
 
 
-def _regression(x: Floats, y: Floats) -> tuple[float, float, int]:
-    """Return the slope of y over x, both (frame,), its squared error, and the number of known values."""
+def _regression(both: tuple[Floats, Floats]) -> tuple[float, float, int]:
+    """Return the slope over x of y, both (frame,), its squared error, and the number of known values."""
+    x, y = both
     known = np.isfinite(y) & np.isfinite(x)
     total = int(known.sum())
     count = max(total, 1)
@@ -537,16 +543,22 @@ def _error_over(
     """
 
     frames = settings.distortion_frames
-    ratio, weights = np.empty((2, max(0, len(values) - frames), max(0, values.shape[1] - 2)))
-    total, along = np.zeros((2, ratio.shape[1]))
-    both = zip(_relative_changes(x_px, frames), _relative_changes(values, frames), strict=True)
-    for k, (move, change) in enumerate(both):
-        product = move * change
-        weight = np.where(np.isfinite(product), np.abs(change), 0.0)
-        known = weight > 0
-        total[k], along[k] = weight.sum(), np.where(known, np.copysign(weight, product), 0.0).sum()
-        ratio[:, k] = np.divide(move, change, where=known, out=np.full(len(move), np.nan))
-        weights[:, k] = weight
+    inner = max(0, values.shape[1] - 2)  # sheets between two others
+    ratio, weights = np.empty((2, inner, max(0, len(values) - frames)))
+    total, along = np.zeros((2, inner))
+
+    def compare(some: slice) -> None:
+        around = slice(some.start, some.stop + 2)
+        moves, changes = (_relative_changes(table[:, around], frames) for table in (x_px, values))
+        for k, (move, change) in enumerate(zip(moves, changes, strict=True), some.start):
+            product = move * change
+            weight = np.where(np.isfinite(product), np.abs(change), 0.0)
+            known = weight > 0
+            total[k], along[k] = weight.sum(), np.where(known, np.copysign(weight, product), 0.0).sum()
+            ratio[k], weights[k] = np.nan, weight
+            np.divide(move, change, where=known, out=ratio[k])
+
+    in_two_threads(compare, row_parts(inner, -(-inner // 2) or 1))
     if not (weights > 0).any():
         return 0.0, usual
     share = abs(float(np.mean(along[total > 0] / total[total > 0])))
@@ -645,8 +657,7 @@ def _shift_by_light(
         shift = np.zeros(light.shape)
         np.fmax(shift, _tilt(light, x_px, scatter, settings)[:, None], out=shift)
         _raise_to_slope_across(shift, light, x_px, scatter, settings)
-        for of_sheet in light.T:
-            of_sheet[:] = mean_over(of_sheet, settings.distortion_frames)
+        in_two_threads(partial(_smooth, frames=settings.distortion_frames), light.T)
         _raise_to_slope_across(shift, light, x_px, _scatter_across(light), settings)
     else:
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -657,6 +668,11 @@ def _shift_by_light(
         shift = np.fmax(np.pad(slope, ((0, 0), (1, 0))), np.pad(slope, ((0, 0), (0, 1))))
     pulled_px2 *= shift
     return pulled_px2
+
+
+def _smooth(values: Floats, frames: int) -> None:
+    """Replace values of a sheet (frame,) by their means over some frames."""
+    values[:] = mean_over(values, frames)
 
 
 def _raise_to_slope_across(

@@ -20,7 +20,9 @@ from vision.numeric import (
     Floats,
     Floats32,
     Ints,
+    column_parts,
     common_change,
+    in_two_threads,
     median_size,
     median_step,
     median_where,
@@ -170,9 +172,12 @@ def predicted_by_neighbours(x_px: NDArray[np.floating]) -> Floats:
     def predict(rows: slice) -> None:
         predicted[rows] = _displacements(x_px[rows] - rest, rest)
 
+    def add_usual_difference(few: slice) -> None:
+        own = predicted[:, few]
+        own += rest[few] + nan_median(x_px[:, few] - rest[few] - own)
+
     in_blocks(predict, x_px)
-    for n, (x, own) in enumerate(zip(x_px.T, predicted.T, strict=True)):
-        predicted[:, n] += rest[n] + nan_median(x - rest[n] - own)
+    in_two_threads(add_usual_difference, column_parts(predicted))
     return predicted
 
 

@@ -17,6 +17,7 @@ from vision.numeric import (
     Bools,
     Floats,
     Floats32,
+    in_two_threads,
     nan_median,
     nan_quantile,
     row_parts,
@@ -79,15 +80,18 @@ def motion_blur(x_px: Floats, contrast: Floats32, fwhm_px: Floats32, comb: Ridge
     fast = np.zeros(x_px.shape, bool)
     moved, excess, loss = (np.empty(x_px.shape) for _ in range(3))
     sampled = 0.7 / comb.fwhm_px**2  # height that a ridge between two pixels loses
-    for n, x in enumerate(x_px.T):
-        near = _frames_around(x, BLUR_FRAMES)
+
+    def measure(n: int) -> None:
+        near = _frames_around(x_px[:, n], BLUR_FRAMES)
         step = np.nan_to_num(reduce(np.fmax, near) - reduce(np.fmin, near))
         lower, wider = -np.log(contrast[:, n].astype(np.float64)), np.log(fwhm_px[:, n].astype(np.float64))
         lower = lower - np.fmax(nan_median(lower), reduce(np.fmin, _frames_around(lower, LIGHT_FRAMES)))
-        fast[:, n] = (step > settings.blur_fraction * comb.fwhm_px) & np.isfinite(x)
+        fast[:, n] = (step > settings.blur_fraction * comb.fwhm_px) & np.isfinite(x_px[:, n])
         moved[:, n] = step
         excess[:, n] = np.maximum(_excess(lower, sampled), _excess(wider, sampled))
         loss[:, n] = np.clip(1 - np.exp(-np.nan_to_num(lower)), 0.0, 0.5)
+
+    in_two_threads(measure, range(x_px.shape[1]))
     blurred, err = np.empty_like(fast), moved
     for rows in row_parts(len(x_px)):
         blurred[rows], err[rows] = _blurred(moved[rows], fast[rows], excess[rows], loss[rows], comb)
@@ -210,8 +214,11 @@ def step_of_means(values: NDArray[np.floating]) -> Floats:
     """Return means over SCENE_FRAMES frames less those before, (frame − 2 SCENE_FRAMES + 1, N)."""
     reach = SCENE_FRAMES // 2
     change = np.empty((max(0, len(values) - 2 * SCENE_FRAMES + 1), values.shape[1]))
-    for column, of_sheet in zip(change.T, values.T, strict=True):
-        total, count = sums_around(of_sheet, reach)[:, reach:-reach]
+
+    def compare(n: int) -> None:
+        total, count = sums_around(values[:, n], reach)[:, reach:-reach]
         means = np.where(count > 0, total, np.nan) / np.maximum(count, 1)
-        column[:] = means[SCENE_FRAMES:] - means[:-SCENE_FRAMES]
+        change[:, n] = means[SCENE_FRAMES:] - means[:-SCENE_FRAMES]
+
+    in_two_threads(compare, range(values.shape[1]))
     return change

@@ -21,6 +21,7 @@ from vision.numeric import (
     Ints,
     Ints32,
     common_change,
+    in_two_threads,
     median_step,
     nan_median,
     row_parts,
@@ -257,11 +258,15 @@ def torn(moved: Floats, comb: RidgeComb, spacing_px: Floats | float | None = Non
     seen = np.isfinite(moved)
     before = np.hstack([np.full((frames, 1), np.nan), last_seen(moved)[:, :-1]])
     least = comb.settings.tear_fraction * (comb.pitch_px if spacing_px is None else spacing_px)
-    group = np.cumsum(np.abs(moved - before) > least, axis=1)
-    key = (group + sheets * np.arange(frames)[:, None])[seen]
-    size = np.bincount(key, minlength=frames * sheets).reshape(frames, sheets)
-    own_size = np.take_along_axis(size, group, axis=1)
-    return np.asarray(seen & (own_size < size.max(axis=1, keepdims=True)), bool)
+    part = np.abs(moved - before) > least
+    found = np.zeros(moved.shape, bool)
+    if len(rows := np.flatnonzero(part.any(axis=1))):  # most frames have no tear
+        seen, group = seen[rows], np.cumsum(part[rows], axis=1)
+        key = (group + sheets * np.arange(len(rows))[:, None])[seen]
+        size = np.bincount(key, minlength=len(rows) * sheets).reshape(group.shape)
+        own_size = np.take_along_axis(size, group, axis=1)
+        found[rows] = seen & (own_size < size.max(axis=1, keepdims=True))
+    return found
 
 
 def exchanged(
@@ -282,8 +287,12 @@ def exchanged(
     x_px, contrast and margin are (frame, N), NaN where missing, and the first two where too doubtful to be
     compared.
     """
-    forwards = _exchanged_forwards(x_px, contrast, margin, comb)
-    return forwards | _exchanged_forwards(x_px[::-1], contrast[::-1], margin[::-1], comb)[::-1]
+
+    def played(way: slice) -> Bools:
+        return _exchanged_forwards(x_px[way], contrast[way], margin[way], comb)[way]
+
+    forwards, backwards = in_two_threads(played, (slice(None), slice(None, None, -1)))
+    return forwards | backwards
 
 
 def _exchanged_forwards(
@@ -364,7 +373,10 @@ def _weaker_side(exchange: Ints, seen: Bools, margin: Floats) -> Bools:
 
 def last_seen(values: Floats) -> Floats:
     """Replace each NaN by the last value before it in its row."""
-    number = np.where(np.isfinite(values), np.arange(values.shape[1]), 0)
+    known = np.isfinite(values)
+    if known.all():
+        return values
+    number = np.where(known, np.arange(values.shape[1]), 0)
     return np.asarray(np.take_along_axis(values, np.maximum.accumulate(number, axis=1), axis=1), np.float64)
 
 

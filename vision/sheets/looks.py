@@ -16,6 +16,7 @@ from vision.numeric import (
     Ints,
     Ints32,
     beside,
+    in_two_threads,
     nan_median,
     nan_quantile,
     row_parts,
@@ -23,7 +24,7 @@ from vision.numeric import (
     sigma_about_zero,
 )
 from vision.sheets.doubts import TERM_LIMIT
-from vision.sheets.ridges import RidgeComb, Ridges, in_blocks
+from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb, Ridges
 from vision.sheets.settings import TrackingSettings
 
 LIKE_A_SHEET = 1.1
@@ -149,11 +150,12 @@ def _unpaired(ridges: Ridges, rows: Ints, match: Ints32, found: Bools) -> Floats
 def _without_light(looks: Floats, usual: Floats) -> Floats:
     """Return looks (kinds, frame, N) without the change that sheets side by side share."""
 
-    def common(rows: slice) -> Floats:
+    common = np.empty_like(looks)
+    for rows in row_parts(looks.shape[1], FRAMES_PER_BLOCK):
         off = np.pad(looks[:, rows] - usual, ((0, 0), (0, 0), (BESIDE, BESIDE)), constant_values=np.nan)
-        return nan_median(np.lib.stride_tricks.sliding_window_view(off, 2 * BESIDE + 1, axis=2), axis=-1)
-
-    return np.asarray(looks - np.concatenate(in_blocks(common, looks[0]), axis=1), np.float64)
+        beside = np.lib.stride_tricks.sliding_window_view(off, 2 * BESIDE + 1, axis=2)
+        common[:, rows] = nan_median(beside, axis=-1)
+    return np.asarray(looks - common, np.float64)
 
 
 def numbered_in_part(looks: Floats32, certain: Floats32, settings: TrackingSettings) -> Bools:
@@ -184,7 +186,8 @@ def numbered_in_part(looks: Floats32, certain: Floats32, settings: TrackingSetti
     if looks.shape[2] < settings.pattern_sheets:
         return doubtful
     middle, scatter = _usual_looks(certain)
-    for rows in row_parts(len(doubtful)):
+
+    def judge(rows: slice) -> None:
         near = np.log(looks[:, max(0, rows.start - AROUND) : rows.stop + AROUND].astype(np.float64))
         at = np.arange(min(rows.start, AROUND), len(near[0]))[: rows.stop - rows.start]
         off = (_without_light(near, middle) - middle) / scatter
@@ -193,7 +196,7 @@ def numbered_in_part(looks: Floats32, certain: Floats32, settings: TrackingSetti
         odd[at] = _largest_in_mean(unusual, at).max(axis=1) > settings.anchor_nats / 2
         odd = np.flatnonzero(np.convolve(odd, np.ones(2 * AROUND + 1), "same") > 0.5)
         if not len(odd):
-            continue
+            return
         near, off, gain = near[:, odd], off[:, odd], np.zeros_like(unusual)
         quiet = nan_quantile(np.abs(off), QUIET_SHARE, axis=2)[..., None] / QUIET_SIGMAS
         worse = np.fmax(quiet, 1.0)
@@ -205,6 +208,8 @@ def numbered_in_part(looks: Floats32, certain: Floats32, settings: TrackingSetti
             gain[odd] = np.fmin((own_cost - other_cost).sum(axis=0), TERM_LIMIT) - settings.sheet_nats
             part = _largest_in_mean(gain, at) > settings.part_nats
             doubtful[rows] |= part | beside(part)  # at its end may be a ridge of two sheets
+
+    in_two_threads(judge, row_parts(len(doubtful)))
     return np.asarray(doubtful & np.isfinite(looks[0]), bool)
 
 

@@ -17,7 +17,9 @@ from vision.numeric import (
     Bools,
     Floats,
     Ints,
+    column_parts,
     common_change,
+    in_two_threads,
     mad_sigma,
     median_size,
     nan_median,
@@ -328,9 +330,13 @@ def rest_positions(x_px: NDArray[np.floating]) -> Floats:
     This is also right for sheets that are in view only while the comb is displaced.
     """
     rest = nan_median(x_px)
+
+    def still(few: slice) -> Floats:
+        return nan_median(x_px[:, few] - common[:, None])
+
     for _ in range(3):
         common, before = common_change(x_px, rest), rest
-        rest = np.array([nan_median(x - common) for x in x_px.T])
+        rest = np.concatenate(in_two_threads(still, column_parts(x_px)))
         if np.array_equal(before, rest, equal_nan=True):  # the usual case for whole pixels
             break
     return rest
@@ -350,8 +356,9 @@ def static_ridges(moved_px: Floats, rest_px: Floats, *, settings: TrackingSettin
     sheets = len(rest_px)
     gap = np.diff(rest_px)
     odd = np.abs(np.log(gap / np.median(gap))) > settings.odd_spacing if len(gap) > 1 else np.zeros(2, bool)
-    power, own, frames = np.zeros((3, sheets))
-    for n in range(sheets):
+
+    def compare(n: int) -> tuple[float, float, int]:
+        """Return the power of the motion beside an entry, that of its own, and the frames that show both."""
         left, right = _beside(moved_px, n, -1), _beside(moved_px, n, 1)
         if n == 0 and odd[0]:
             left = right
@@ -360,7 +367,9 @@ def static_ridges(moved_px: Floats, rest_px: Floats, *, settings: TrackingSettin
         both = np.isfinite(left) & np.isfinite(right) & np.isfinite(moved_px[:, n])
         left, right = left[both], right[both]
         common = np.where(left * right > 0, np.minimum(np.abs(left), np.abs(right)), 0.0)
-        power[n], own[n], frames[n] = (common**2).sum(), (moved_px[both, n] ** 2).sum(), both.sum()
+        return (common**2).sum(), (moved_px[both, n] ** 2).sum(), both.sum()
+
+    power, own, frames = np.array(in_two_threads(compare, range(sheets))).reshape(-1, 3).T
     certain = (frames >= 50) & (power > frames * settings.moving_px**2)
     stationary = certain & (own < settings.static_fraction**2 * power)
     return np.asarray(stationary | _ruler_beside_comb(moved_px, rest_px, settings), bool)
@@ -482,7 +491,7 @@ def _beside(moved_px: Floats, n: int, step: int) -> Floats:
     for k in (n + 2 * step, n + step):
         if 0 <= k < moved_px.shape[1]:
             seen = np.isfinite(moved_px[:, k])
-            total[seen] += moved_px[seen, k]
+            total += np.where(seen, moved_px[:, k], 0.0)
             count += seen
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
