@@ -344,7 +344,7 @@ def distortion(
 
     def of_sheet(n: int) -> None:
         found = slight = size[:, n]
-        changed = np.zeros(len(x), bool)
+        changed = np.zeros(len(x_px), bool)
         for one, own in zip(differences, own_noise, strict=True):
             values = one.px[:, n] - nan_median(one.px[:, n])
             certain, likely = _significant(values, np.fmax(one.noise * err_px[:, n], own[n]), settings)
@@ -378,7 +378,7 @@ def _fit_shape(
     """
     half = len(shape) // 2
     away = np.arange(-half, half + 1)
-    height, apart, sloping, pulled_px2 = (np.empty(x_px.shape) for _ in range(4))
+    height, apart, sloping, pulled_px2 = (np.empty_like(x_px) for _ in range(4))
 
     def fit(rows: slice) -> None:
         around = _around(comb.bright(profile[rows]), x_px[rows], half)
@@ -654,7 +654,7 @@ def _shift_by_light(
     light -= nan_median(light, axis=1)[:, None]  # exposure
     if light.shape[1] >= ENOUGH:
         scatter = _scatter_across(light)
-        shift = np.zeros(light.shape)
+        shift = np.zeros_like(light)
         np.fmax(shift, _tilt(light, x_px, scatter, settings)[:, None], out=shift)
         _raise_to_slope_across(shift, light, x_px, scatter, settings)
         in_two_threads(partial(_smooth, frames=settings.distortion_frames), light.T)

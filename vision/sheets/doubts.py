@@ -55,7 +55,7 @@ def doubts_of(
     A margin that is too small is no doubt where the pattern confirms the identity, or where the ridges do not
     move from the last certain frame to the next. x, contrast, fwhm: of the paired ridges, (frame, N).
     """
-    why = np.full(x.shape, Doubt.NONE, np.uint8)
+    why = np.full(x.shape, Doubt.NONE, np.uint8, order="F")
     why[~(identities.margin >= comb.settings.doubt)] = Doubt.MARGIN
     rest = rest_positions(x)
     why[_unproved_jumps(x, common_change(x, rest), contrast, identities, comb)] = Doubt.JUMP
@@ -167,7 +167,7 @@ def predicted_by_neighbours(x_px: NDArray[np.floating]) -> Floats:
     if sheets < 3:
         return np.full(x_px.shape, np.nan)
     rest = rest_positions(x_px)
-    predicted = np.empty(x_px.shape)
+    predicted = np.empty(x_px.shape, order="F")
 
     def predict(rows: slice) -> None:
         predicted[rows] = _displacements(x_px[rows] - rest, rest)

@@ -77,8 +77,8 @@ def motion_blur(x_px: Floats, contrast: Floats32, fwhm_px: Floats32, comb: Ridge
     about one pitch, by the image of its neighbour, which fills the gap that its own leaves.
     """
     settings = comb.settings
-    fast = np.zeros(x_px.shape, bool)
-    moved, excess, loss = (np.empty(x_px.shape) for _ in range(3))
+    fast = np.zeros(x_px.shape, bool, order="F")
+    moved, excess, loss = (np.empty_like(x_px) for _ in range(3))
     sampled = 0.7 / comb.fwhm_px**2  # height that a ridge between two pixels loses
 
     def measure(n: int) -> None:

@@ -98,7 +98,7 @@ def assign_detections(
     frame. A ridge there that was too faint for the first search is accepted if it reaches a fraction of the
     sheet's usual contrast. Positions of uncertain identity (`Doubt`) are flagged DOUBTFUL and withheld.
     """
-    paired = np.empty((3, *identities.match.shape), np.float32)
+    paired = np.empty((3, *identities.match.shape[::-1]), np.float32).swapaxes(1, 2)
     for table, values in zip(paired, (ridges.x_px, ridges.contrast, ridges.fwhm_px), strict=True):
         table[:] = values_of(identities.match, values)
     why = doubts_of(identities.usual_px, paired[1], paired[2], identities, comb)

@@ -457,7 +457,7 @@ def fit_sheets(
 
     profile: grey levels (frame, x). start_px: whole pixels (frame, N), NaN for none.
     """
-    x, err = np.full(start_px.shape, np.nan), np.full(start_px.shape, np.nan)
+    x, err = (np.full(start_px.shape, np.nan, order="F") for _ in range(2))
     search_px = max(2, round(comb.fwhm_px / 2))
 
     def run(rows: slice) -> None:
@@ -529,7 +529,7 @@ def _match_all(
 ) -> tuple[Floats, Floats]:
     """Match sheets, by default all, to their mean shapes, starting at positions x of the sliding window."""
     half = comb.half_px(0.9)
-    out, err = np.full(x.shape, np.nan), np.full(x.shape, np.nan)
+    out, err = (np.full(x.shape, np.nan, order="F") for _ in range(2))
 
     def match(n: int) -> None:
         """Match one sheet, whose pixels alone are gathered: those of all sheets would take most memory."""
