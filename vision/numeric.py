@@ -124,34 +124,41 @@ def median_of_all(values: Floats) -> float:
 def median_size(values: NDArray[np.floating], middle: Floats | float = 0.0) -> Floats:
     """Return the median distance of each column of (rows, columns) from its `middle`, (columns,), ignoring
     NaN, a few at a time."""
-    size, middles = np.empty(values.shape[1]), np.broadcast_to(middle, values.shape[1])
-    for few in column_parts(values):
-        size[few] = nan_median(np.abs(values[:, few] - middles[few]))
-    return size
+    middles = np.broadcast_to(middle, values.shape[1])
+    return _of_columns(lambda few: np.abs(values[:, few] - middles[few]), values)
 
 
 def median_where(known: Bools, values: NDArray[np.floating]) -> Floats:
     """Return the median of each column of values (rows, columns) where they are known, a few at a time."""
-    median = np.empty(values.shape[1])
-    for few in column_parts(values):
-        median[few] = nan_median(np.where(known[:, few], values[:, few], np.nan))
-    return median
+    return _of_columns(lambda few: np.where(known[:, few], values[:, few], np.nan), values)
+
+
+def _of_columns(made: Callable[[slice], NDArray[np.floating]], values: NDArray[np.floating]) -> Floats:
+    """Return the medians of the columns that are made for some columns of values (rows, columns)."""
+    medians = in_two_threads(lambda few: nan_median(made(few)), column_parts(values))
+    return np.concatenate([*medians, np.zeros(0)])
 
 
 def median_step(values: NDArray[np.floating]) -> Floats:
     """Return the median step of all columns from each row to the next, (rows − 1,), a part at a time."""
     step = np.empty(max(0, len(values) - 1))
-    for rows in row_parts(len(step)):
+
+    def of_part(rows: slice) -> None:
         near = values[rows.start : rows.stop + 1].astype(np.float64)
         step[rows] = nan_median(np.diff(near, axis=0), axis=1)
+
+    in_two_threads(of_part, row_parts(len(step)))
     return step
 
 
 def common_change(values: NDArray[np.floating], usual: Floats) -> Floats:
     """Return the median difference of each row from the usual values (columns,), a part at a time."""
     change = np.empty(len(values))
-    for rows in row_parts(len(values)):
+
+    def of_part(rows: slice) -> None:
         change[rows] = nan_median(values[rows] - usual, axis=1)
+
+    in_two_threads(of_part, row_parts(len(values)))
     return change
 
 
@@ -166,9 +173,25 @@ def row_parts(rows: int, at_once: int = ROWS_AT_ONCE) -> Iterator[slice]:
 
 
 def in_two_threads(work: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
-    """Return the results of `work` for all items, in order, found by two threads."""
-    with ThreadPoolExecutor(2) as pool:
-        return list(pool.map(work, items))
+    """Return the results of `work` for all items, in order, found by this thread and another."""
+    todo, results = list(items), dict[int, Result]()
+    numbers = iter(range(len(todo)))
+
+    def work_through() -> None:
+        for k in numbers:  # each thread takes the next
+            results[k] = work(todo[k])
+
+    if len(todo) < 2:
+        work_through()
+    else:
+        with ThreadPoolExecutor(1) as pool:
+            other = pool.submit(work_through)
+            try:
+                work_through()
+            finally:
+                list(numbers)  # after an error nothing is left to do
+            other.result()
+    return [results[k] for k in range(len(todo))]
 
 
 def column_parts(values: NDArray[Any]) -> Iterator[slice]:
@@ -210,8 +233,11 @@ def _of_lanes(statistic: Callable[[Floats], Floats], values: NDArray[np.floating
     if each > AT_ONCE and values.ndim > 2:
         return np.stack([_of_lanes(statistic, part, -1) for part in values])
     rows = max(1, AT_ONCE // each)
-    parts = (values[start : start + rows] for start in range(0, len(values), rows))
-    return np.concatenate([statistic(np.array(part, np.float64, order="C")) for part in parts])
+
+    def of_part(some: slice) -> Floats:
+        return statistic(np.array(values[some], np.float64, order="C"))
+
+    return np.concatenate(in_two_threads(of_part, row_parts(len(values), rows)))
 
 
 def _median(lanes: Floats) -> Floats:

@@ -90,9 +90,12 @@ class Pairing:
 def values_of(match: Ints | Ints32, values: NDArray[Real]) -> NDArray[Real]:
     """Return the values (lists, K) of the candidate of each sheet, NaN where missing, (lists, N)."""
     found = np.empty(match.shape, values.dtype, order="F")
-    for rows in row_parts(len(match)):
+
+    def take(rows: slice) -> None:
         paired = np.take_along_axis(values[rows], np.maximum(match[rows], 0), axis=1)
         found[rows] = np.where(match[rows] >= 0, paired, np.nan)
+
+    in_two_threads(take, row_parts(len(match)))
     return found
 
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vision.numeric import Bools, Floats, Floats32, Ints, nan_median, row_parts
+from vision.numeric import Bools, Floats, Floats32, Ints, in_two_threads, nan_median, row_parts
 from vision.sheets.alignment import Candidates
 from vision.sheets.ridges import RidgeComb, Ridges
 from vision.sheets.settings import TrackingSettings
@@ -28,7 +28,8 @@ def comb_squeeze(ridges: Ridges, settings: TrackingSettings) -> tuple[Floats, fl
     rows = np.flatnonzero((2 * sheets >= usual) & (4 * sheets <= 5 * usual) & (sheets > 1))
     if not len(rows):
         return still, middle_px
-    change = np.concatenate([_log_spacings(ridges.x_px[rows[part]]) for part in row_parts(len(rows))])
+    parts = in_two_threads(lambda part: _log_spacings(ridges.x_px[rows[part]]), row_parts(len(rows)))
+    change = np.concatenate(parts)
     change -= np.median(change, axis=0)
     common = change.mean(axis=1)
     scale = running_median(np.exp(np.interp(np.arange(len(still)), rows, common)), 3)
@@ -62,9 +63,12 @@ def comb_displacement(ridges: Ridges, comb: RidgeComb) -> tuple[Floats, Bools]:
     moved, followed = np.zeros(frames - 1), np.zeros(frames - 1, bool)
     if not ridges.count.any():
         return np.zeros(frames), followed
-    for rows in row_parts(frames - 1):
+
+    def follow(rows: slice) -> None:
         near = np.arange(rows.start, rows.stop + 1)
         moved[rows], followed[rows] = _mean_steps(ridges.x_px[near] + apart * near[:, None], apart, comb)
+
+    in_two_threads(follow, row_parts(frames - 1))
     uncertain = ~followed | (np.abs(moved) > comb.settings.still_fraction * comb.pitch_px)
     return np.concatenate([[0.0], np.cumsum(np.where(followed, moved, 0.0))]), uncertain
 

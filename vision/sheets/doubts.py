@@ -59,8 +59,11 @@ def doubts_of(
     why[~(identities.margin >= comb.settings.doubt)] = Doubt.MARGIN
     rest = rest_positions(x)
     why[_unproved_jumps(x, common_change(x, rest), contrast, identities, comb)] = Doubt.JUMP
-    for rows in row_parts(len(x)):
+
+    def doubt_torn(rows: slice) -> None:
         why[rows][torn(x[rows] - rest, comb)] = Doubt.TEAR
+
+    in_two_threads(doubt_torn, row_parts(len(x)))
     why[np.isnan(x)] = Doubt.NONE
     unsettled = why == Doubt.MARGIN
     if unsettled.any():
@@ -262,10 +265,13 @@ def shifted_pattern(paired: Floats32, why: Codes, settings: TrackingSettings) ->
     away = np.zeros(seen.shape, bool)
     if len(rows):
         looks = np.empty((2, len(rows), seen.shape[1]))
-        for part in row_parts(len(rows)):
+
+        def take(part: slice) -> None:
             some = rows[part]
             certain = np.where(seen[some], paired[1:, some], np.nan)
             looks[:, part] = np.log(certain.astype(np.float64))
+
+        in_two_threads(take, row_parts(len(rows)))
         shift = pattern_shift(looks[0], looks[1], settings)
         shifts, counts = np.unique(shift, return_counts=True)
         away[rows] = seen[rows] & (shift != shifts[counts.argmax()])[:, None]

@@ -93,8 +93,11 @@ def motion_blur(x_px: Floats, contrast: Floats32, fwhm_px: Floats32, comb: Ridge
 
     in_two_threads(measure, range(x_px.shape[1]))
     blurred, err = np.empty_like(fast), moved
-    for rows in row_parts(len(x_px)):
+
+    def judge(rows: slice) -> None:
         blurred[rows], err[rows] = _blurred(moved[rows], fast[rows], excess[rows], loss[rows], comb)
+
+    in_two_threads(judge, row_parts(len(x_px)))
     return blurred, err
 
 

@@ -232,13 +232,16 @@ def _rest_over_time(
     size = int(np.diff(edges).max())
     index = np.minimum(edges[:-1, None] + np.arange(size), edges[1:, None] - 1)
     rest = np.empty((blocks, x_px.shape[1]))
-    for part in row_parts(blocks, BLOCKS_AT_ONCE):
+
+    def find(part: slice) -> None:
         first, stop = edges[part.start], edges[part.stop]
         moved = x_px[first:stop] - carried[first:stop] - reference.x_px
         moved[torn(moved, comb).any(axis=1)] = np.nan
         moved = moved[index[part] - first]
         rare = np.isfinite(moved).mean(axis=1) < 0.25
         rest[part] = np.where(rare, np.nan, nan_median(moved, axis=1))
+
+    in_two_threads(find, row_parts(blocks, BLOCKS_AT_ONCE))
     rest = fill_rows(fill_rows(rest, reference.x_px).T, np.arange(blocks, dtype=np.float64)).T
     rest = reference.x_px + np.nan_to_num(rest)
     at = np.searchsorted(edges[1:], np.arange(frames), side="right")
@@ -531,11 +534,14 @@ class Segments:
         match: candidate of each sheet in each segment, (segments, N). count: candidates in each frame.
         """
         of_frames, found = self.of_frames(), np.empty((len(self.place), match.shape[1]), np.int32)
-        for rows in row_parts(len(found)):
+
+        def number(rows: slice) -> None:
             in_segment = match[of_frames[rows]]
-            number = in_segment - self.place[rows, None]
-            known = (in_segment >= 0) & (number >= 0) & (number < count[rows, None])
-            found[rows] = np.where(known, number, -1)
+            candidate = in_segment - self.place[rows, None]
+            known = (in_segment >= 0) & (candidate >= 0) & (candidate < count[rows, None])
+            found[rows] = np.where(known, candidate, -1)
+
+        in_two_threads(number, row_parts(len(found)))
         return found
 
 
@@ -587,8 +593,11 @@ def _compared(ridges: Ridges, rows: Ints, came: int, comb: RidgeComb) -> tuple[B
     It is assumed that `came` candidates entered on the left, or left there, if negative.
     """
     continues, (step, change) = np.empty(len(rows), bool), np.empty((2, len(rows)))
-    for part in row_parts(len(rows)):
+
+    def compare(part: slice) -> None:
         continues[part], step[part], change[part] = _compared_part(ridges, rows[part], came, comb)
+
+    in_two_threads(compare, row_parts(len(rows)))
     return continues, step, change
 
 

@@ -19,7 +19,6 @@ from vision.numeric import (
     Bools,
     Floats,
     Ints,
-    column_parts,
     in_two_threads,
     median_size,
     nan_median,
@@ -64,12 +63,15 @@ class BetweenSlips:
         if x_px.shape[1] < len(FOURTH):
             return
         apart, *sizes = np.empty((3, max(0, len(self.x_px) - 1)))
-        for rows in row_parts(len(apart)):
+
+        def measure(rows: slice) -> None:
             step = np.diff(self.x_px[rows.start : rows.stop + 1], axis=0)
             apart[rows] = nan_quantile(np.abs(_fourth_differences(step)), 0.75, axis=1)
             # vibration hides slips in the steps, but not in those without the common motion
             for size, moved in zip(sizes, (step, step - nan_median(step, axis=1)[:, None]), strict=True):
                 size[rows] = nan_quantile(np.abs(moved), 0.75, axis=1)
+
+        in_two_threads(measure, row_parts(len(apart)))
         slip = np.zeros(len(apart), bool)
         for size in sizes:
             slip |= (size > 3 * nan_median(size[size > 0])) & (size > 3 * apart)
@@ -152,21 +154,17 @@ def noise_excess(positions: BetweenSlips, err_px: Floats, settings: TrackingSett
         opening, shares = _motion(second)
         of_sheets = np.empty((len(shares), sheets))
 
-        def over_expected(few: slice) -> None:
-            for n in range(few.start, few.stop):
-                own = variance[:, n]
-                expected = (own[: -2 * lag] + 4 * own[lag:-lag] + own[2 * lag :])[calm]
-                expected /= 6
-                np.sqrt(expected, out=expected)
-                for sizes, share in zip(of_sheets, shares, strict=True):
-                    scatter = np.abs(second[:, n] - opening * share[n])
-                    scatter /= expected
-                    sizes[n] = nan_quantile(scatter, ONE_SIGMA)
+        for n, own in enumerate(variance.T):
+            expected = (own[: -2 * lag] + 4 * own[lag:-lag] + own[2 * lag :])[calm]
+            expected /= 6
+            np.sqrt(expected, out=expected)
+            for of_lag, share in zip(of_sheets, shares, strict=True):
+                scatter = np.abs(second[:, n] - opening * share[n])
+                scatter /= expected
+                of_lag[n] = nan_quantile(scatter, ONE_SIGMA)
+        return min(of_sheets, key=lambda of_lag: float(nan_median(of_lag)))
 
-        in_two_threads(over_expected, column_parts(variance))
-        return min(of_sheets, key=lambda sizes: float(nan_median(sizes)))
-
-    sizes = np.array([size(lag) for lag in NOISE_LAGS])
+    sizes = np.array(in_two_threads(size, NOISE_LAGS))
     total, count = np.nansum(sizes**2, axis=0), np.isfinite(sizes).sum(axis=0)
     excess = np.sqrt(total / np.where(count, count, np.nan) / (1 - _fitted(sheets) / sheets))
     usual = np.nan_to_num(nan_median(excess), nan=1.0)
@@ -294,9 +292,8 @@ def own_vibration(x_px: Floats, settings: TrackingSettings = DEFAULT) -> Floats:
     blocks = np.array_split(np.arange(frames), max(1, round(frames / BLOCK)))
     for _ in range(ROUNDS):
         step = np.empty((frames - 1, sheets), order="F")
-        for some in row_parts(frames - 1):
-            around = slice(some.start, some.stop + 1)
-            step[some] = np.diff(x_px[around] - found[around], axis=0)
+        for n, moved in enumerate(step.T):
+            np.subtract(x_px[1:, n] - found[1:, n], x_px[:-1, n] - found[:-1, n], out=moved)
         step -= nan_median(step, axis=1)[:, None]
         step -= nan_median(step)
         for moved, usual in zip(step.T, median_size(step), strict=True):
