@@ -290,12 +290,8 @@ def exchanged(
     x_px, contrast and margin are (frame, N), NaN where missing, and the first two where too doubtful to be
     compared.
     """
-
-    def played(way: slice) -> Bools:
-        return _exchanged_forwards(x_px[way], contrast[way], margin[way], comb)[way]
-
-    forwards, backwards = in_two_threads(played, (slice(None), slice(None, None, -1)))
-    return forwards | backwards
+    forwards = _exchanged_forwards(x_px, contrast, margin, comb)
+    return forwards | _exchanged_forwards(x_px[::-1], contrast[::-1], margin[::-1], comb)[::-1]
 
 
 def _exchanged_forwards(
