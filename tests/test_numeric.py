@@ -5,6 +5,7 @@ import pytest
 
 from vision.numeric import (
     common_change,
+    in_two_threads,
     median_of_all,
     median_step,
     nan_median,
@@ -17,7 +18,7 @@ from vision.numeric import (
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-@pytest.mark.parametrize("shape", [(7, 40), (1400, 6), (6, 1401)])
+@pytest.mark.parametrize("shape", [(7, 40), (1400, 6), (6, 1401), (20_000, 30)])
 def test_medians_and_quantiles_are_numpy_s_whatever_the_length(shape, axis):
     """A failure means that selecting the middle values of long recordings finds others than sorting does."""
     rng = np.random.default_rng(3)
@@ -78,3 +79,28 @@ def test_common_changes_are_those_of_most_columns():
     np.testing.assert_allclose(common_change(table, own), common[:, 0], atol=1e-12)
     np.testing.assert_allclose(np.ptp(without_common_change(table), axis=0), 0.0, atol=1e-12)
     assert [part.stop - part.start for part in row_parts(10, 4)] == [4, 4, 2]
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 101])
+def test_two_threads_return_all_results_in_order(count):
+    """A failure means that parts of a table are exchanged, computed twice or left out."""
+    done = []
+
+    def work(k: int) -> int:
+        done.append(k)
+        return k * k
+
+    assert in_two_threads(work, iter(range(count))) == [k * k for k in range(count)]
+    assert sorted(done) == list(range(count))
+
+
+def test_an_error_in_either_thread_is_raised():
+    """A failure means that a part of a table keeps values of nothing, without a message."""
+    for wrong in range(8):
+
+        def work(k: int, wrong: int = wrong) -> None:
+            if k == wrong:
+                raise ValueError(str(k))
+
+        with pytest.raises(ValueError, match=str(wrong)):
+            in_two_threads(work, range(8))

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vision.mapped import parts_in_turn, some_rows
+from vision.mapped import some_rows
 from vision.numeric import (
     Bools,
     Floats,
@@ -24,7 +24,7 @@ from vision.numeric import (
     sigma_about_zero,
     spread_indices,
 )
-from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb, profile_noise
+from vision.sheets.ridges import RidgeComb, in_blocks, profile_noise
 from vision.sheets.settings import DEFAULT, LEAST_FRAMES, TrackingSettings
 from vision.signals import sums_around
 
@@ -45,9 +45,12 @@ def repeated_frames(profile: Floats32, settings: TrackingSettings = DEFAULT) -> 
     gap no frame is repeated: under vibration, frames near a turning point also change by less than most.
     """
     change = np.empty(max(0, len(profile) - 1))
-    for rows in parts_in_turn(profile[:-1], FRAMES_PER_BLOCK):
+
+    def compare(rows: slice) -> None:
         step = np.diff(profile[rows.start : rows.stop + 1], axis=0)
         change[rows] = np.sqrt(np.square(step).mean(axis=1, dtype=np.float64))
+
+    in_blocks(compare, profile[:-1])
     moving = change[np.isfinite(change) & (change > 0)]
     frozen = np.zeros(len(profile), bool)
     # in a film without noise, or of a still scene, nothing shows that a frame should have changed

@@ -350,7 +350,8 @@ def _strong_lines(values: Floats, settings: TrackingSettings) -> tuple[Bools, Fl
     frames, sheet = len(values), np.arange(values.shape[1])
     if not len(sheet):
         return np.zeros(0, bool), np.zeros(0)
-    power = np.abs(np.fft.rfft(values.T * np.hanning(frames), PADDED * frames)) ** 2
+    spectrum = np.fft.rfft(values.T * np.hanning(frames), PADDED * frames)
+    power = spectrum.real**2 + spectrum.imag**2
     independent = np.pad(power[:, ::PADDED], ((0, 0), (BESIDE, BESIDE)), mode="reflect")
     level = nan_median(sliding_window_view(independent, 2 * BESIDE + 1, axis=1), axis=-1)
     level = np.repeat(level, PADDED, axis=1)[:, : power.shape[1]]

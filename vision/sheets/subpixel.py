@@ -41,6 +41,7 @@ STEADY_FRAMES = 9  # whose mean height gives the error of a template position: s
 LEAST_EXPLAINED = 0.5  # share of the variance of a ridge's pixels; below it most of them show something else
 RIDGES_AT_ONCE = 8192  # whose pixels are matched at once
 FRAMES_AT_ONCE = 512  # of which a sheet's pixels are gathered at once: each takes a page of a file or more
+TRIPLES_AT_ONCE = 32  # whose pixels fit into a core's cache
 LEAST_TRIPLES = 8  # groups of three consecutive frames that a measurement of noise needs
 CORRELATED_RIDGES = 400  # differences of three ridges that tell correlated noise from chance
 
@@ -610,21 +611,26 @@ def _noise_variance(
     half = max(half_px, 5)
     new = np.flatnonzero(~frozen)
     middle = _triples(np.isfinite(x_px).mean(axis=1)[new] > 0.5, lag)
-    x = x_px[new[middle]]
-    centre = np.nan_to_num(np.rint(x), nan=-10 * half).astype(np.int64)
     offsets = np.arange(-half - 1, half + 2)
 
-    def around(step: int) -> Floats:
-        """Return the pixels around the ridges, `step` frames after the middle frames."""
-        frame = new[middle + step]
-        common = np.nan_to_num(nan_median(x_px[frame] - x, axis=1))
-        column = centre + np.rint(common).astype(np.int64)[:, None]
-        row = np.repeat(np.arange(len(frame)), x.shape[1])
-        return gather(some_rows(profile, frame), Starts(row, column.ravel()), offsets)
+    def of_part(some: slice) -> Floats:
+        x = x_px[new[middle[some]]]
+        centre = np.nan_to_num(np.rint(x), nan=-10 * half).astype(np.int64)
 
-    before, now, after = around(-lag), around(0), around(lag)
-    variance = _residual_variance(before + after - 2 * now, (before + now + after) / 3)
-    return variance.reshape(x.shape) / 6
+        def around(step: int) -> Floats:
+            """Return the pixels around the ridges, `step` frames after the middle frames."""
+            frame = new[middle[some] + step]
+            common = np.nan_to_num(nan_median(x_px[frame] - x, axis=1))
+            column = centre + np.rint(common).astype(np.int64)[:, None]
+            row = np.repeat(np.arange(len(frame)), x.shape[1])
+            return gather(some_rows(profile, frame), Starts(row, column.ravel()), offsets)
+
+        before, now, after = around(-lag), around(0), around(lag)
+        variance = _residual_variance(before + after - 2 * now, (before + now + after) / 3)
+        return variance.reshape(x.shape) / 6
+
+    parts = in_two_threads(of_part, row_parts(len(middle), TRIPLES_AT_ONCE))
+    return np.concatenate([np.zeros((0, x_px.shape[1])), *parts])
 
 
 def position_noise(x_px: Floats) -> Floats:
