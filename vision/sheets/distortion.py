@@ -344,14 +344,14 @@ def distortion(
 
     def of_sheet(n: int) -> None:
         found = slight = size[:, n]
-        changed = np.zeros(len(x_px), bool)
+        changed = np.zeros(len(x_px))
         for one, own in zip(differences, own_noise, strict=True):
             values = one.px[:, n] - nan_median(one.px[:, n])
             certain, likely = _significant(values, np.fmax(one.noise * err_px[:, n], own[n]), settings)
             found = np.fmax(found, np.hypot(one.assumed * certain, one.confirmed * likely))
-            changed |= certain > 0
+            changed = np.fmax(changed, certain)
             slight = np.fmax(slight, np.hypot(one.assumed, one.confirmed) * likely)
-        found = np.fmax(found, np.where(changed, covered_px[:, n], 0.0))
+        found = np.fmax(found, np.fmin(covered_px[:, n], settings.covered_most * changed))
         away = np.abs(x_px[:, n] - nan_median(x_px[:, n]))
         apart_px = reach_px * np.sqrt(-2 * np.expm1(-((away / reach_px) ** 2) / 2))
         found = np.fmax(found, np.fmax(scale[n] * away, texture * apart_px))
@@ -715,8 +715,9 @@ def _tilt(light: Floats, x_px: Floats, scatter: float, settings: TrackingSetting
 def _alone(log_height: Floats, settings: TrackingSettings) -> Floats32:
     """Return by how much each ridge alone became higher or lower, (frame, N); 0 where it is scatter.
 
-    It counts against the median of the two sheets on either side. log_height: the logarithm of the height,
-    (frame, N). 0 for fewer than five sheets.
+    It is the change against the median of the two sheets on either side, or against the ridge's own usual
+    height if that is smaller: an overexposed ridge stays as it is when the light changes. log_height: the
+    logarithm of the height, (frame, N). 0 for fewer than five sheets.
     """
     frames, sheets = log_height.shape
     alone = np.zeros((frames, sheets), np.float32)
@@ -727,7 +728,8 @@ def _alone(log_height: Floats, settings: TrackingSettings) -> Floats32:
     for rows in row_parts(frames):
         around = np.pad(log_height[rows] - usual, ((0, 0), (2, 2)), constant_values=np.nan)
         others = np.stack([around[:, k : k + sheets] for k in (0, 1, 3, 4)])
-        changed = np.abs(around[:, 2:-2] - nan_median(others))
+        own = around[:, 2:-2]
+        changed = np.fmin(np.abs(own - nan_median(others)), np.abs(own))
         alone[rows] = _if_above(changed, np.full(changed.shape, least))
     return alone
 

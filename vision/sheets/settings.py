@@ -500,6 +500,11 @@ class TrackingSettings:
     """Least change of the logarithm of the height for this. Larger leaves faint objects out of the errors,
     smaller counts uneven light."""
 
+    covered_most: float = 6.0
+    """Most of this error, over the difference between the fits. Larger overstates errors of ridges whose
+    shape hardly changes, smaller understates them where a soft object covers a ridge
+    (test_distortion.py)."""
+
     static_scale: tuple[float, float, float] = (1.05, 1.15, 0.65)
     """Relative error of displacements over the changes of a ridge that moves past dirt: those of the
     logarithm of its height, per px, of the fit of its top, and of the fit with a sloping background. Larger
