@@ -162,8 +162,8 @@ DOUBTFUL = {
 
 
 def tracking_warnings(tracks: xr.Dataset, settings: CheckSettings = DEFAULT) -> list[str]:
-    """Return warnings about polarity, frozen or averaged frames, doubtful or missing positions, motion,
-    missed sheets."""
+    """Return warnings about polarity, frozen or averaged frames, doubtful or missing positions, motion, a
+    second comb, missed sheets."""
     return list(_of_tracks(tracks, settings))
 
 
@@ -274,7 +274,12 @@ def _frames_with_few_sheets(tracks: xr.Dataset) -> Iterator[str]:
 
 def _second_comb(tracks: xr.Dataset, found: TrackMetadata, settings: CheckSettings) -> Iterator[str]:
     """Warn of a second comb whose error exceeds that of the noise."""
-    if found.second_comb_err_px > settings.second_comb * nan_median(tracks["x_predicted_px"].values):
+    if not found.second_comb_err_px or not {"x_noise_px", "x_predicted_px"} <= set(tracks):
+        return
+    noise_px = np.fmax(
+        tracks["x_noise_px"].values, tracks["x_predicted_px"].values
+    )  # a codec hides the latter
+    if found.second_comb_err_px > settings.second_comb * nan_median(noise_px):
         yield (
             f"light moves between the ridges and the gaps beside them (by {100 * found.second_comb:.1f} % of"
             " the ridges' height): a reflection or a second comb lies over the sheets, or they lean; x_err_px"

@@ -136,7 +136,7 @@ def median_where(known: Bools, values: NDArray[np.floating]) -> Floats:
 
 
 def _of_columns(made: Callable[[slice], NDArray[np.floating]], values: NDArray[np.floating]) -> Floats:
-    """Return the medians of the columns that are made for some columns of values (rows, columns)."""
+    """Return the median of each column of made(columns), for a few columns of `values` at a time."""
     medians = in_two_threads(lambda few: nan_median(made(few)), column_parts(values))
     return np.concatenate([*medians, np.zeros(0)])
 
@@ -175,23 +175,28 @@ def row_parts(rows: int, at_once: int = ROWS_AT_ONCE) -> Iterator[slice]:
 
 
 def in_two_threads(work: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
-    """Return the results of `work` for all items, in order, found by this thread and another."""
+    """Return the results of `work` for all items, in order, found by this thread and another.
+
+    What `work` writes must be another part of an array for each item. `np.errstate` around the call does not
+    hold in the other thread.
+    """
     todo, results = list(items), dict[int, Result]()
     numbers = iter(range(len(todo)))
 
     def work_through() -> None:
-        for k in numbers:  # each thread takes the next
-            results[k] = work(todo[k])
+        try:
+            for k in numbers:  # each thread takes the next
+                results[k] = work(todo[k])
+        except BaseException:
+            list(numbers)  # nothing is left to do for the other thread
+            raise
 
     if len(todo) < 2:
         work_through()
     else:
         with ThreadPoolExecutor(1) as pool:
             other = pool.submit(work_through)
-            try:
-                work_through()
-            finally:
-                list(numbers)  # after an error nothing is left to do
+            work_through()
             other.result()
     return [results[k] for k in range(len(todo))]
 

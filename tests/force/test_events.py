@@ -96,6 +96,8 @@ def test_small_slips_are_found_behind_a_low_pass() -> None:
     away = np.abs(events["t_p_s"].to_numpy() - np.array(begins[1:])[:, np.newaxis])
     assert np.mean(away.min(axis=1) < 0.02) > 0.96
     assert np.mean(away.min(axis=0) < 0.02) == 1
+    assert events["dF_N"].min() > events.attrs["threshold_N"]
+    assert not any("not counted" in line for line in events.attrs["warnings"])
     assert any(
         "low-pass, which hides small ones" in line for line in find_stick_slip(force).attrs["warnings"]
     )

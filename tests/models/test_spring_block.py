@@ -108,3 +108,12 @@ def test_steady_sliding_turns_unstable_at_the_critical_stiffness(inertia: float)
     assert oscillation(critical, mass)[1] == pytest.approx(period, rel=0.01)
     with pytest.raises(InputError, match="`b`"):
         onset_of_stick_slip(**friction | {"b": 0.01})
+    with pytest.raises(InputError, match="mass_kg"):
+        onset_of_stick_slip(**friction, mass_kg=-1.0)
+
+
+@pytest.mark.parametrize("speed", [0.0, -1.0, np.nan, [1.0, 0.0]])
+def test_a_block_that_is_not_pulled_has_no_cycle(speed):
+    for time_s in (BLOCK.stick_time_s, BLOCK.slip_time_s):
+        with pytest.raises(InputError, match="positive speeds"):
+            time_s(speed)

@@ -299,7 +299,9 @@ def _measure(
     noise = replace(noise, noise_px=noise.noise_px * np.sqrt(factor))
     held = ""
     if StripMetadata.of(tracks).codec in BETWEEN_FRAMES and "x_err_px" in tracks:
-        noise, held = _with_noise_of_codec(noise, nan_median(tracks["x_err_px"].values), settings)
+        other = TrackMetadata.of(tracks).second_comb_err_px
+        error = np.sqrt(np.fmax(nan_median(tracks["x_err_px"].values) ** 2 - other**2, 0.0))
+        noise, held = _with_noise_of_codec(noise, error, settings)
     pattern = scale = np.zeros(side.size)
     if TrackMetadata.of(tracks).fit != "unknown":  # measured in a picture, with errors of unequal pixels
         pattern = fixed_pattern_px(close, coefficient_errors(close, noise), noise, settings)
@@ -392,7 +394,7 @@ def _with_noise_of_codec(noise: Noise, error_px: Floats, settings: DeformationSe
     """
     held = noise.noise_px < settings.held_noise * error_px
     raised = replace(noise, noise_px=np.fmax(noise.noise_px, error_px))
-    if held.sum() < 0.2 * held.size:
+    if not held.any() or held.sum() < settings.held_sheets * held.size:
         return raised, ""
     what = f"the film's compression holds {held.sum()} of {held.size} sheets still between slips"
     bias = "their σ_x/Λ_st are too small by about their errors, alike in all sticks"

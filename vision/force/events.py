@@ -328,7 +328,14 @@ def _search_corrected(
     new = np.abs(seen - known[nearest_sorted(known, seen)]) > width
     edge, drop = np.r_[slips.edge, found.edge[new]], np.r_[slips.drop, found.drop[new]]
     order = np.argsort(edge)
-    return replace(slips, edge=edge[order], drop=drop[order])
+    return replace(
+        slips,
+        edge=edge[order],
+        drop=drop[order],
+        threshold=found.threshold,
+        threshold_how=found.threshold_how,
+        left_out=found.left_out,
+    )
 
 
 @dataclass(frozen=True)
@@ -592,7 +599,7 @@ def _filter_warnings(
     """Return that a filter, which is not corrected, may have smoothed much of the sticks."""
     slip, stick = events["slip_time_s"].median(), (events["t_p_s"] - events["t_v_s"]).median()
     doubtful = metadata.lowpass_doubt and filter_length(analysis.corners, analysis.extremes, settings)
-    if not (metadata.filter_s or doubtful) or slip <= settings.filter_share * stick:
+    if not ((metadata.filter_s or doubtful) and slip > settings.filter_share * stick):
         return []
     return [
         f"slips last {slip / stick:.2g} times as long as sticks, and the load is not level at their ends, as "

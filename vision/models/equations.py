@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from vision.errors import InputError, check_positive
+from vision.errors import InputError, check_positive, check_within
 from vision.numeric import Floats
 from vision.sample import PUBLISHED, Sample
 
@@ -309,8 +309,8 @@ class SpringBlock:
         return (2 * self.mu_dynamic - self.mu_static) * self.load_N / self.stiffness_N_per_mm
 
     def stick_time_s(self, speed_mm_s: ArrayLike) -> Floats:
-        """t_st = 2 (μ_s − μ_d) w / (k v)."""
-        return self.force_drop_N / (self.stiffness_N_per_mm * np.asarray(speed_mm_s, float))
+        """t_st = 2 (μ_s − μ_d) w / (k v); InputError if a speed is not positive."""
+        return self.force_drop_N / (self.stiffness_N_per_mm * _speeds(speed_mm_s))
 
     def slip_time_s(self, speed_mm_s: ArrayLike, *, slow: bool = False) -> Floats:
         r"""Duration of a slip, exact or in the limit of slow pulling, as printed.
@@ -319,11 +319,19 @@ class SpringBlock:
                   \approx \pi\sqrt{\frac{m}{k}}
 
         The limit is too short by 6 % at v = 0.1 v_c, 33 % at v_c and 47 % at 5 v_c. The pulled end moves by
-        Λ_sl = v t_sl meanwhile.
+        Λ_sl = v t_sl meanwhile. InputError if a speed is not positive.
         """
-        over_v = self.critical_speed_mm_s / np.asarray(speed_mm_s, float)
+        over_v = self.critical_speed_mm_s / _speeds(speed_mm_s)
         angle = np.full(over_v.shape, np.pi / 2) if slow else np.pi - np.arctan(over_v)
         return np.asarray(2 * math.sqrt(1e-3 * self.mass_kg / self.stiffness_N_per_mm) * angle)
+
+
+def _speeds(speed_mm_s: ArrayLike) -> Floats:
+    """Return the speeds as an array; raise InputError if one is not positive."""
+    speed = np.asarray(speed_mm_s, float)
+    if not (np.isfinite(speed) & (speed > 0)).all():
+        raise InputError("`speed_mm_s`", "positive speeds", f"{speed_mm_s!r}")
+    return speed
 
 
 def onset_of_stick_slip(
@@ -353,8 +361,10 @@ def onset_of_stick_slip(
     Raises
     ------
     InputError
-        If a number is not positive and finite, or b ≤ a, where steady sliding is always stable.
+        If `mass_kg` is negative, another number is not positive and finite, or b ≤ a, where steady sliding is
+        always stable.
     """
+    check_within("a number from 0", 0, math.inf, mass_kg=mass_kg)
     check_positive(a=a, b=b, critical_length_um=critical_length_um, load_N=load_N, speed_mm_s=speed_mm_s)
     if b <= a:
         raise InputError("`b`", f"more than a = {a:g}", f"{b:g}")

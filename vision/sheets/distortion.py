@@ -717,7 +717,7 @@ def _alone(log_height: Floats, settings: TrackingSettings) -> Floats32:
 
     It is the change against the median of the two sheets on either side, or against the ridge's own usual
     height if that is smaller: an overexposed ridge stays as it is when the light changes. log_height: the
-    logarithm of the height, (frame, N). 0 for fewer than five sheets.
+    logarithm of the height, (frame, N). 0 where none of these sheets is seen, and for fewer than five.
     """
     frames, sheets = log_height.shape
     alone = np.zeros((frames, sheets), np.float32)
@@ -729,7 +729,7 @@ def _alone(log_height: Floats, settings: TrackingSettings) -> Floats32:
         around = np.pad(log_height[rows] - usual, ((0, 0), (2, 2)), constant_values=np.nan)
         others = np.stack([around[:, k : k + sheets] for k in (0, 1, 3, 4)])
         own = around[:, 2:-2]
-        changed = np.fmin(np.abs(own - nan_median(others)), np.abs(own))
+        changed = np.minimum(np.abs(own - nan_median(others)), np.abs(own))
         alone[rows] = _if_above(changed, np.full(changed.shape, least))
     return alone
 

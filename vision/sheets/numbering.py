@@ -184,7 +184,7 @@ def _contrast(step: Floats) -> Floats:
 
 
 def _asymmetry(opening: Floats, split: int, *, shifted: bool = False) -> float:
-    """Return the RMS of the sums of the motions (N,) of two sheets of equal n, left and right of a split.
+    """Return the RMS of the sums of the motions (N,) of the k-th sheets left and right of a split.
 
     shifted: without what all pairs share, as where all sheets are carried along. The middle sheet of an odd
     comb has no pair. NaN with too few pairs.

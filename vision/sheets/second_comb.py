@@ -45,7 +45,8 @@ def second_comb(profile: Floats32, x_px: Floats, blurred: Bools, comb: RidgeComb
 
     where :math:`\sigma_r` is the standard deviation of a ridge and k is `second_comb_shift`. It is the same
     in all frames, since a ridge exactly over another changes the tops most and shifts the position least.
-    It must also hold if no gap counts by more than the upper quartile, as scratches change few gaps.
+    It must also hold if the weight of each gap is limited to the upper quartile of all weights, as scratches
+    change few gaps.
 
     Sheets that lean by different amounts show the same: their ridges become lower and wider.
 
