@@ -17,6 +17,7 @@ from vision.models.equations import effective_sheets
 from vision.models.modulus import cycles_seen
 from vision.numeric import Bools, Floats, Pixels, nan_median, nan_quantile, stretches
 from vision.sample import Sample
+from vision.sheets.numbering import in_view
 from vision.sheets.tracks import comb_is_stationary
 from vision.words import is_word, word_counts
 
@@ -276,9 +277,8 @@ def _second_comb(tracks: xr.Dataset, found: TrackMetadata, settings: CheckSettin
     """Warn of a second comb whose error exceeds that of the noise."""
     if not found.second_comb_err_px or not {"x_noise_px", "x_predicted_px"} <= set(tracks):
         return
-    noise_px = np.fmax(
-        tracks["x_noise_px"].values, tracks["x_predicted_px"].values
-    )  # a codec hides the latter
+    # a codec hides the noise of pixels, from which the latter is predicted
+    noise_px = np.fmax(tracks["x_noise_px"].values, tracks["x_predicted_px"].values)
     if found.second_comb_err_px > settings.second_comb * nan_median(noise_px):
         yield (
             f"light moves between the ridges and the gaps beside them (by {100 * found.second_comb:.1f} % of"
@@ -401,7 +401,8 @@ def consistency_warnings(
             " sheets in view (`sheets`)"
         )
     unequal = fewer > 0 and more > settings.unequal_sides * fewer + 2
-    if unequal and found.axis_how == "motion" and columns is not None and _is_whole(tracks, found, columns):
+    ends_px, view_px = _outermost_px(tracks), None if columns is None else (columns[0], columns[-1])
+    if unequal and found.axis_how == "motion" and in_view(ends_px, view_px, found.pitch_px):
         lines.append(
             f"{left} sheets on the left of the axis but {right} on the right, though the whole comb is in"
             " view: the axis is where the sheets do not move, which is wrong if the camera moves along with"
@@ -497,12 +498,6 @@ def _two_sides_move(tracks: xr.Dataset, found: TrackMetadata) -> bool:
     """Return whether the motion limits the axis to positions between the outermost sheets."""
     first, last = _outermost_px(tracks)
     return first < found.axis_low_px and found.axis_high_px < last
-
-
-def _is_whole(tracks: xr.Dataset, found: TrackMetadata, columns: Floats) -> bool:
-    """Return whether both ends of the comb are within these columns, with room for another sheet."""
-    (first, last), room_px = _outermost_px(tracks), 1.5 * found.pitch_px
-    return bool(columns[0] < first - room_px and last + room_px < columns[-1])
 
 
 def _outermost_px(tracks: xr.Dataset) -> tuple[float, float]:

@@ -285,8 +285,8 @@ def _measure(
     """Measure the deformation in the usable frames; also return fields of `MotionMetadata`."""
     x_px, side = np.asarray(tracks["x_px"].values, float)[frames.frame], tracks["side"].values
     terms = 4 if np.median(frames.counts) >= settings.cubic_frames else 3
-    steady = x_px
-    if TrackMetadata.of(tracks).fit == "paper" and "x_err_px" in tracks:
+    steady, facts = x_px, TrackMetadata.of(tracks)
+    if facts.fit == "paper" and "x_err_px" in tracks:
         locking = pixel_locking_slope(*(np.asarray(tracks[of].values, float) for of in ("x_px", "x_err_px")))
         steady = correct_pixel_locking(x_px, locking, frames, settings)
     vibration, factor = np.zeros(len(x_px)), np.ones(side.size)
@@ -297,13 +297,12 @@ def _measure(
     noise = measure_noise(steady, frames, terms, settings)
     line, parabola, close = (fit_creep(steady, frames, k, settings, noise.correlation) for k in (2, 3, terms))
     noise = replace(noise, noise_px=noise.noise_px * np.sqrt(factor))
-    held = ""
+    warnings: list[str] = []
     if StripMetadata.of(tracks).codec in BETWEEN_FRAMES and "x_err_px" in tracks:
-        other = TrackMetadata.of(tracks).second_comb_err_px
-        error = np.sqrt(np.fmax(nan_median(tracks["x_err_px"].values) ** 2 - other**2, 0.0))
-        noise, held = _with_noise_of_codec(noise, error, settings)
+        of_codec = nan_median(tracks["x_err_px"].values) ** 2 - facts.second_comb_err_px**2
+        noise, warnings = _with_noise_of_codec(noise, np.sqrt(np.fmax(of_codec, 0.0)), settings)
     pattern = scale = np.zeros(side.size)
-    if TrackMetadata.of(tracks).fit != "unknown":  # measured in a picture, with errors of unequal pixels
+    if facts.fit != "unknown":  # measured in a picture, with errors of unequal pixels
         pattern = fixed_pattern_px(close, coefficient_errors(close, noise), noise, settings)
         scale = np.full(side.size, settings.scale_error)
     if "misscaled" in tracks:
@@ -318,7 +317,7 @@ def _measure(
     bends_px = repeated_bends(close, noise, settings)
     of_slope, of_bend = breathing(parabola, errors[1], settings)
     scaled_px = np.fmax(of_slope, of_bend)
-    warnings = [held] * bool(held) + _own_warnings(own_px, bends_px, scaled_px, curve.slope_err)
+    warnings += _own_warnings(own_px, bends_px, scaled_px, curve.slope_err, settings)
     slope_err = np.sqrt(curve.slope_err**2 + own_px**2 + bends_px**2 + scaled_px**2)
     curve = replace(curve, slope_err=slope_err, bend_err=np.hypot(curve.bend_err, of_bend))
     values = {
@@ -386,23 +385,27 @@ def _relative_to_length(
     }
 
 
-def _with_noise_of_codec(noise: Noise, error_px: Floats, settings: DeformationSettings) -> tuple[Noise, str]:
+def _with_noise_of_codec(
+    noise: Noise, error_px: Floats, settings: DeformationSettings
+) -> tuple[Noise, list[str]]:
     """Noise of at least the stated error of positions (sheet,), for codecs that predict frames from others.
 
     Such a codec repeats a sheet that creeps by less than its rounding, so that its residuals are near zero
-    while it is wrong by up to its movement. Also return a warning if many sheets are held still, or "".
+    while it is wrong by up to its movement. Also return a warning if many sheets are held still.
     """
     held = noise.noise_px < settings.held_noise * error_px
     raised = replace(noise, noise_px=np.fmax(noise.noise_px, error_px))
-    if not held.any() or held.sum() < settings.held_sheets * held.size:
-        return raised, ""
+    if not held.any() or held.sum() < settings.warned_sheets * held.size:
+        return raised, []
     what = f"the film's compression holds {held.sum()} of {held.size} sheets still between slips"
     bias = "their σ_x/Λ_st are too small by about their errors, alike in all sticks"
-    return raised, f"{what}: {bias}: record raw, FFV1 or MJPEG"
+    return raised, [f"{what}: {bias}: record raw, FFV1 or MJPEG"]
 
 
-def _own_warnings(own_px: Floats, bends_px: Floats, scaled_px: Floats, error_px: Floats) -> list[str]:
-    """Warnings of movement that is no creep, beyond the other errors, in at least a fifth of the sheets."""
+def _own_warnings(
+    own_px: Floats, bends_px: Floats, scaled_px: Floats, error_px: Floats, settings: DeformationSettings
+) -> list[str]:
+    """Warnings of movement that is no creep, beyond the other errors, in many of the sheets."""
     causes = {
         "move steadily, though slips return the others (paper that settles, a block that slides):"
         " let the sample rest before the test": nan_median(own_px),
@@ -415,7 +418,7 @@ def _own_warnings(own_px: Floats, bends_px: Floats, scaled_px: Floats, error_px:
     lines = []
     for cause, size_px in causes.items():
         found = int((size_px > usual).sum())
-        if found >= 0.2 * size_px.size:
+        if found >= settings.warned_sheets * size_px.size:
             lines.append(f"{found} of {size_px.size} sheets {cause}; the error of σ_x/Λ_st contains it")
     return lines
 

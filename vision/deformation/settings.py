@@ -78,9 +78,10 @@ class DeformationSettings:
     others holds it still.  Larger warns of every compressed film, smaller does not count sheets that the
     codec moves only now and then (test_sheets_that_a_codec_holds_still_have_its_error)."""
 
-    held_sheets: float = 0.2
-    """Share of sheets that such a codec holds still from which a warning is given.  Larger is silent about a
-    stiff shell of which nothing is measured, smaller warns of one sheet by chance."""
+    warned_sheets: float = 0.2
+    """Share of sheets that such a codec holds still, or whose movement is no creep, from which a warning is
+    given.  Larger is silent about a stiff shell of which nothing is measured, smaller warns of one sheet by
+    chance."""
 
     uneven_probability: float = 1e-6
     """Probability below which residuals are too large for the sheet's noise.  Larger flags normal sticks

@@ -448,12 +448,13 @@ def displacement_scale_error(x_px: Floats, shape: Sequence[Floats], settings: Tr
     """
     square = np.zeros(x_px.shape[1])
     for values, factor in zip(shape, settings.static_scale, strict=False):
-        each = in_two_threads(_regression, zip(x_px.T, values.T, strict=True))
+        both = zip(x_px.T, values.T, strict=True)
+        each = in_two_threads(lambda pair: _regression(*pair), both)
         slope, error2, count = np.array(each, np.float64).reshape(-1, 3).T
         slope = slope - running_median(slope, settings.leaning_sheets)
         found = (slope**2 > settings.distortion_sigmas**2 * error2) & (count > LEAST_FRAMES)
         square += np.where(found, factor**2 * (slope**2 - error2), 0.0)
-    return _if_above(np.sqrt(square), np.full(square.shape, settings.static_floor))
+    return _if_above(np.sqrt(square), settings.static_floor)
 
 
 def texture_error(x_px: Floats, log_height: Floats, comb: RidgeComb) -> float:
@@ -505,9 +506,8 @@ def _slopes_in_cells(x: Floats, y: Floats, width: float) -> tuple[float, float]:
     return float(np.sum(shared**2 / spread)) / total, cells * variance / total
 
 
-def _regression(both: tuple[Floats, Floats]) -> tuple[float, float, int]:
-    """Return the slope over x of y, both (frame,), its squared error, and the number of known values."""
-    x, y = both
+def _regression(x: Floats, y: Floats) -> tuple[float, float, int]:
+    """Return the slope of y over x, both (frame,), its squared error, and the number of known values."""
     known = np.isfinite(y) & np.isfinite(x)
     total = int(known.sum())
     count = max(total, 1)
@@ -607,7 +607,7 @@ def _significant(values: Floats, noise: Floats, settings: TrackingSettings) -> t
     return np.fmax(certain, above), np.fmax(excess, above)
 
 
-def _if_above(size: Floats, least: Floats) -> Floats:
+def _if_above(size: Floats, least: Floats | float) -> Floats:
     """Return sizes that exceed `least`, and 0 for the others."""
     return np.where(size > least, size, 0.0)
 
@@ -730,7 +730,7 @@ def _alone(log_height: Floats, settings: TrackingSettings) -> Floats32:
         others = np.stack([around[:, k : k + sheets] for k in (0, 1, 3, 4)])
         own = around[:, 2:-2]
         changed = np.minimum(np.abs(own - nan_median(others)), np.abs(own))
-        alone[rows] = _if_above(changed, np.full(changed.shape, least))
+        alone[rows] = _if_above(changed, least)
     return alone
 
 

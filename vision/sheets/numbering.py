@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -70,8 +71,8 @@ def number_sheets(
     place = _places(position, settings)
     all_sheets = int(place[-1]) + 1
     even = int(np.searchsorted(place, all_sheets // 2))
-    room_px = 1.5 * float(np.median(np.diff(position))) if sheets > 1 else 0.0
-    whole = width_px is not None and position[0] > room_px and position[-1] < width_px - 1 - room_px
+    spacing = float(np.median(np.diff(position))) if sheets > 1 else np.inf
+    whole = in_view(position[[0, -1]], None if width_px is None else (0, width_px - 1), spacing)
     split, how, limits = _split_by_motion(x_px, even, settings, whole=whole)
     low = high = np.nan
     if limits is not None:
@@ -81,7 +82,6 @@ def number_sheets(
         split = int(np.searchsorted(position, axis_px))
         side, n = _side_and_n(split, sheets)
         beyond = max(position[0] - axis_px, axis_px - position[-1], 0.0)
-        spacing = float(np.median(np.diff(position))) if sheets > 1 else np.inf
         if spacing > 0:  # the axis is half a spacing from the innermost sheet
             n += int(beyond / spacing)
         return Numbering(float(axis_px), "given", side, n, float(low), float(high))
@@ -89,6 +89,17 @@ def number_sheets(
     axis_px = _axis(position, split, on_sheet=on_sheet)
     missing = all_sheets - sheets if how == "geometry" else 0
     return Numbering(axis_px, how, *_side_and_n(split, sheets), float(low), float(high), missing)
+
+
+def in_view(
+    ends_px: Sequence[float] | Floats, view_px: tuple[float, float] | None, spacing_px: float
+) -> bool:
+    """Return whether the first and the last sheet are so far inside the view, from its first to its last
+    column, that no other sheet is beyond them. False for a view that is not known."""
+    room_px = 1.5 * spacing_px
+    return view_px is not None and bool(
+        view_px[0] < ends_px[0] - room_px and ends_px[1] + room_px < view_px[1]
+    )
 
 
 def _rest(x_px: Floats) -> Floats:
