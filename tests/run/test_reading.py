@@ -171,6 +171,30 @@ def test_a_record_cut_by_the_kill_is_left_out(film, tmp_path):
     assert strip.identical(strip_profile(open_video(film), ROWS))
 
 
+def test_a_kill_while_the_facts_are_written_costs_only_the_frames(film, tmp_path, monkeypatch):
+    """A failure means that a run that was killed at the wrong moment cannot be resumed."""
+
+    def half(content, path):
+        path.write_text('{"strip": [')
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("vision.run.reading.write_json", half)
+        with pytest.raises(KeyboardInterrupt):
+            profile(film, tmp_path / "out")
+    strip, resumed = profile(film, tmp_path / "out", resume=True)
+    assert resumed == 0
+    assert strip.identical(strip_profile(open_video(film), ROWS))
+
+
+def test_damaged_facts_say_what_to_do(film, tmp_path):
+    """A failure means that "run track again" is advised to someone who just did."""
+    interrupt(film, tmp_path / "out")
+    (reading_folder(tmp_path / "out") / "reading.json").write_text("")
+    with pytest.raises(InputError, match="run without `resume`"):
+        profile(film, tmp_path / "out", resume=True)
+
+
 @pytest.mark.parametrize(
     ("name", "now"),
     [

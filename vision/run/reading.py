@@ -32,6 +32,7 @@ from vision.folder import (
     lock_folder,
     plain,
     reading_folder,
+    whole_file,
     write_json,
 )
 from vision.run.provenance import Parameter, describe_input
@@ -182,12 +183,12 @@ def read_run(folder: Path) -> RunFolder:
     return RunFolder(folder, read_json(folder / RUN_JSON))
 
 
-def read_json(path: Path) -> dict[str, Any]:
-    """Read a JSON object.  Raises: InputError."""
-    with reading(path, "JSON as track writes it", AGAIN):
+def read_json(path: Path, advice: str = AGAIN) -> dict[str, Any]:
+    """Read a JSON object.  Raises: InputError with this advice."""
+    with reading(path, "JSON as track writes it", advice):
         content = json.loads(path.read_text(encoding="utf-8"))
     if not isinstance(content, dict):
-        raise InputError(path, "a JSON object", f"a {type(content).__name__}", AGAIN)
+        raise InputError(path, "a JSON object", f"a {type(content).__name__}", advice)
     return content
 
 
@@ -361,7 +362,8 @@ class Checkpoint:
         self._place.mkdir(parents=True)
         self._own, self._lock = True, lock_folder(self._place)
         self._file = (self._place / FRAMES).open("wb", buffering=0)
-        write_json(self._facts(), self._place / FACTS)
+        with whole_file(self._place / FACTS) as path:  # a kill may come while it is written
+            write_json(self._facts(), path)
 
     def _write(self, part: FramesRead) -> None:
         records = np.empty(part.status.size, self._record)
@@ -375,7 +377,7 @@ class Checkpoint:
 
     def _check(self) -> None:
         """Check that film and settings are those of the interrupted run.  Raises: InputError."""
-        kept = read_json(self._place / FACTS)
+        kept = read_json(self._place / FACTS, RESTART)
         for name, now in plain(self._facts()).items():
             if kept.get(name) != now:
                 about = "the same film" if name == "inputs" else f"{name} {kept.get(name)} as before"
