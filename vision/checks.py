@@ -194,14 +194,6 @@ def _of_tracks(tracks: xr.Dataset, settings: CheckSettings) -> Iterator[str]:
         yield f"{missing} of {total} positions missing (flags missing, edge, unfit in tracks.csv)"
     yield from _frames_with_few_sheets(tracks)
     yield from _still(tracks, measured="ok" in flags)
-    for change in found.scene_changes:
-        frame = change["frame"]
-        yield (
-            f"the picture changes permanently at frame {frame} (all sheets displaced by"
-            f" {change['moved_px']:.0f} px, their relative brightnesses changed by"
-            f" {100 * change['brightness']:.0f} %): a cut, or the camera or the light was moved; the sheets"
-            f" may not be the same as before: give `frames` as 0:{frame} or {frame}:"
-        )
     yield from _second_comb(tracks, found, settings)
     if found.noise_lasts:
         yield (

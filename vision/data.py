@@ -263,9 +263,6 @@ class TrackMetadata(Metadata):
     least_margin: float = math.nan  # least log-likelihood of the identities over that of the next best
     ridges_dropped: int = 0  # persistent ridges that are not sheets
     wide_spacings: Sequence[str] = field(default_factory=list)  # "748 px (1.9 pitches)": a sheet overlooked
-    # Permanent changes of the picture: first frame of the new scene (``frame``), common displacement of all
-    # sheets (``moved_px``), change of the logarithm of their relative brightness (``brightness``).
-    scene_changes: Sequence[Mapping[str, float]] = field(default_factory=list)
     sheets_alike: Literal["yes", "no"] = "no"  # whether a picture does not show which sheets it contains
     large_steps: Sequence[int] = field(default_factory=list)  # if so: frames before which the comb moved far
     ridges_beyond: int = 0  # ridges like sheets that continue the comb beyond the given number of sheets

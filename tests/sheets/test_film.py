@@ -1,10 +1,9 @@
-"""Repeated frames, motion during the exposure and cut films: scenes with known truth."""
+"""Repeated frames and motion during the exposure: scenes with known truth."""
 
 import numpy as np
 import pytest
 
 from tests.scenes.combs import comb, creeping, ridges, strip
-from tests.scenes.identity_cases import brightness
 from vision.checks import tracking_warnings
 from vision.data import TrackMetadata
 from vision.sheets import track_sheets
@@ -178,41 +177,6 @@ def test_sharp_slips_are_not_called_blurred():
     x = comb(200, slip=0.8)
     tracks = track_sheets(strip(ridges(x)))
     assert (tracks.flag.values == "blurred").mean() < 1e-3
-
-
-def cut_at_60(kind):
-    """25 sheets on each side that slip; from frame 60 on another scene, or the same one."""
-    x = comb(150, per_side=25, axis_px=600, slip=0.4)
-    level = np.tile(brightness(50), (150, 1))
-    if kind == "camera moved":
-        x[60:] += 37.0
-    if kind == "camera knocked":
-        swing = np.arange(90.0)[:, None]
-        x[60:] += 45 * np.exp(-swing / 6) * np.cos(1.3 * swing)
-    if kind == "one sheet dimmed":  # as where one enters or leaves the picture
-        level[60:, 7] *= 0.3
-    if kind == "mirrored":
-        level[60:] = level[60:, ::-1]
-    if kind == "light dimmed":
-        level[60:] *= 0.7
-    return strip(ridges(x, width=1300, contrast=level), snr=60)
-
-
-@pytest.mark.parametrize("kind", ["camera moved", "mirrored"])
-def test_a_cut_film_is_said_to_be_cut(kind):
-    """A failure means that two scenes, or two places of the camera, are numbered as one with nothing said."""
-    tracks = track_sheets(cut_at_60(kind))
-    changes = TrackMetadata.of(tracks).scene_changes
-    assert len(changes) == 1
-    assert changes[0]["frame"] == 60
-    assert "permanently at frame 60" in " ".join(tracking_warnings(tracks))
-    assert abs(tracks.attrs["axis_px"] - (622 if kind == "camera moved" else 600)) < 20  # not a knock's place
-
-
-@pytest.mark.parametrize("kind", ["slips alone", "light dimmed", "camera knocked", "one sheet dimmed"])
-def test_a_film_of_slips_is_not_cut(kind):
-    """A failure means that every slip, a lamp, or a camera that swings back is called a change of scene."""
-    assert TrackMetadata.of(track_sheets(cut_at_60(kind))).scene_changes == []
 
 
 def test_fast_slips_are_motion():

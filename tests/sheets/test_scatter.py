@@ -6,7 +6,6 @@ from scipy.ndimage import gaussian_filter
 
 from tests.scenes.combs import comb, creeping, ridges, strip
 from vision.sheets import track_sheets
-from vision.sheets.film import SCENE_FRAMES, step_of_means
 from vision.sheets.scatter import BetweenSlips, noise_excess, shared_error, spatial_scatter
 
 
@@ -280,12 +279,3 @@ def test_a_sheet_that_a_cable_cuts_has_no_position():
     x = truth[50:90]
     clear[50:90] = (x < edges[:, None] - 12) | (x > edges[:, None] + 82)
     assert given[clear].mean() > 0.995
-
-
-def test_sheets_missing_for_long_have_no_mean_position():
-    """A failure means that rounding over no frames at all is an infinite position, and NumPy warns."""
-    x_px = np.random.default_rng(0).normal(500, 1, (120, 24))
-    x_px[30:60, ::3] = np.nan
-    step = step_of_means(x_px)
-    assert np.isnan(step[30 + SCENE_FRAMES : 40, ::3]).all()
-    assert not np.isinf(step).any()

@@ -1,16 +1,10 @@
-"""Frames and scenes: repeated frames, motion during the exposure, and permanent changes of the picture.
-
-`repeated_frames` finds frames that the codec or the recorder repeated, `motion_blur` ridges that moved while
-the shutter was open, and `scene_changes` where the film was cut, or the camera or the light was moved.
-"""
+"""Frames that the codec or the recorder repeated, and ridges that moved while the shutter was open."""
 
 from __future__ import annotations
 
 from functools import reduce
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vision.mapped import some_rows
 from vision.numeric import (
@@ -26,14 +20,9 @@ from vision.numeric import (
 )
 from vision.sheets.ridges import RidgeComb, in_blocks, profile_noise
 from vision.sheets.settings import DEFAULT, LEAST_FRAMES, TrackingSettings
-from vision.signals import sums_around
 
 BLUR_FRAMES = 2  # before and after a blurred one: two may show the same one of two images
 LIGHT_FRAMES = 5  # before and after, in at least one of which a ridge is as high as its light permits
-SCENE_FRAMES = 5  # compared before and after a change of scene
-
-
-# --- frames and blur ----------------------------------------------------------------------------------------
 
 
 def repeated_frames(profile: Floats32, settings: TrackingSettings = DEFAULT) -> Bools:
@@ -137,94 +126,3 @@ def _excess(values: Floats, least: float) -> Floats:
     off = values - nan_median(values)
     spread = sigma_about_zero(off)
     return np.nan_to_num(np.maximum(off - least, 0.0) / np.maximum(spread, 0.004))
-
-
-# --- changes of the scene -----------------------------------------------------------------------------------
-
-
-class SceneChange(NamedTuple):
-    """A permanent change of the sheets' positions or brightnesses.
-
-    frame: first frame of the new scene. moved_px: displacement that all sheets share. brightness: change of
-    the logarithm of brightness, rms over the sheets, without the common change.
-    """
-
-    frame: int
-    moved_px: float
-    brightness: float
-
-
-def scene_changes(x_px: Floats32, contrast: Floats32, comb: RidgeComb) -> list[SceneChange]:
-    """Find where the film was cut, or the camera or the light was moved: identities may change there.
-
-    x_px, contrast: positions and heights of the ridges (frame, N), NaN where missing. Changes are in order of
-    time; there are none where such changes are usual in the film.
-
-    Means over five frames before and after are compared. In a slip the sides of the comb move against each
-    other, and every sheet keeps its brightness. The scene changes where all sheets are displaced by more than
-    they are displaced against each other, or where their relative brightnesses change. Such a change must be
-    several times the usual one, happen once, and persist: a camera that was knocked swings back.
-    """
-    settings = comb.settings
-    frames, sheets = x_px.shape
-    if frames < 4 * SCENE_FRAMES or sheets < 3:
-        return []
-    bright = np.log(contrast.astype(np.float64))
-    bright -= nan_median(bright, axis=1)[:, None]
-    moved = step_of_means(x_px)
-    together = nan_median(moved, axis=1)
-    moved -= together[:, None]
-    apart = nan_median(np.abs(moved, out=moved), axis=1)
-    rigid = np.abs(together) > 2.0 * np.nan_to_num(apart, nan=np.inf)
-    displaced = np.where(rigid, np.abs(np.nan_to_num(together)) / comb.pitch_px / settings.cut_pitches, 0.0)
-    del moved
-    brightened = step_of_means(bright)
-    known = np.isfinite(brightened).sum(axis=1)
-    np.square(np.nan_to_num(brightened, copy=False, posinf=0.0, neginf=0.0), out=brightened)
-    brightened.sort(axis=1)  # a few sheets, such as one that enters the picture, are no other scene
-    most = brightened[:, : sheets - max(1, sheets // 10)]
-    change = np.sqrt(most.sum(axis=1) / np.maximum(known, 1))
-    change[known < max(3, sheets / 2)] = 0.0
-    events = []
-    at = _single_peak(displaced, 1.0, settings)
-    if at is not None and _persists(x_px, at + SCENE_FRAMES, together[at]):
-        events.append(at)
-    at = _single_peak(change, settings.cut_brightness, settings)
-    if at is not None and _persists(bright, at + SCENE_FRAMES, change[at]):
-        events.append(at)
-    if len(events) == 2 and abs(events[0] - events[1]) <= SCENE_FRAMES:
-        events = events[:1]  # one cut, seen in both
-    return [
-        SceneChange(at + SCENE_FRAMES, float(np.nan_to_num(together[at])), float(change[at]))
-        for at in sorted(events)
-    ]
-
-
-def _single_peak(values: Floats, limit: float, settings: TrackingSettings) -> int | None:
-    """Return the position of a peak far above the usual values and twice as high as all others, if any."""
-    least = max(limit, settings.cut_ratio * float(np.median(values)))
-    at = int(np.argmax(values))
-    others = np.abs(np.arange(len(values)) - at) > 2 * SCENE_FRAMES
-    return at if values[at] >= least and (values[others] < values[at] / 2).all() else None
-
-
-def _persists(values: NDArray[np.floating], frame: int, change: float) -> bool:
-    """Return whether half of a change of values (frame, N) remains three times SCENE_FRAMES after a frame."""
-    later = values[frame + 3 * SCENE_FRAMES :][:SCENE_FRAMES]
-    remaining = nan_median(later) - nan_median(values[:frame][-4 * SCENE_FRAMES :])
-    remaining = remaining[np.isfinite(remaining)]
-    return not len(remaining) or bool(np.sqrt((remaining**2).mean()) >= abs(change) / 2)
-
-
-def step_of_means(values: NDArray[np.floating]) -> Floats:
-    """Return means over SCENE_FRAMES frames less those before, (frame − 2 SCENE_FRAMES + 1, N)."""
-    reach = SCENE_FRAMES // 2
-    change = np.empty((max(0, len(values) - 2 * SCENE_FRAMES + 1), values.shape[1]))
-
-    def compare(n: int) -> None:
-        total, count = sums_around(values[:, n], reach)[:, reach:-reach]
-        means = np.where(count > 0, total, np.nan) / np.maximum(count, 1)
-        change[:, n] = means[SCENE_FRAMES:] - means[:-SCENE_FRAMES]
-
-    in_two_threads(compare, range(values.shape[1]))
-    return change

@@ -400,18 +400,6 @@ class TrackingSettings:
     0.02 in ordinary films, and 0.15 where rounding is the only noise. Larger misses weak noise reduction,
     smaller warns of films that are in order (test_film.py)."""
 
-    cut_pitches: float = 0.3
-    """Displacement of all sheets together, in pitches, that indicates a cut. Larger misses small knocks
-    against the camera, smaller takes drift for a cut."""
-
-    cut_brightness: float = 0.12
-    """Change of the logarithm of brightness, rms over the sheets, that indicates a cut. Larger misses cuts
-    between similar scenes, smaller takes a change of light for one."""
-
-    cut_ratio: float = 6.0
-    """Factor by which either must exceed its usual size in the film. Larger misses cuts in films with much
-    motion, smaller finds them in slips; test_film.py has films with cuts and with slips."""
-
     still_sigmas: float = 3.0
     """Times the noise that the largest twentieth of a sheet's displacements against the comb must exceed for
     it to move. Noise alone reaches 2.5 in one frame of a hundred; larger calls slow pulls stationary, smaller

@@ -36,7 +36,7 @@ from vision.sheets.distortion import (
     two_in_one,
 )
 from vision.sheets.doubts import predicted_by_neighbours, sheets_alike
-from vision.sheets.film import motion_blur, repeated_frames, scene_changes
+from vision.sheets.film import motion_blur, repeated_frames
 from vision.sheets.identities import WHYS, Doubt, identify_sheets
 from vision.sheets.numbering import Numbering, number_sheets
 from vision.sheets.recovery import FLAGS, Detections, Flag, assign_detections
@@ -168,7 +168,6 @@ def track_sheets(
     alike = sheets_alike(assessed.x_px, detections.contrast, detections.fwhm_px, comb)
     step = median_step(np.where(np.isnan(assessed.x_px), detections.withheld_px, assessed.x_px))
     large = number[1:][np.abs(step) > settings.step_fraction * comb.pitch_px]
-    changes = scene_changes(detections.start_px, detections.contrast, comb)
     lasting = 0.0
     if facts.codec not in BETWEEN_FRAMES:  # these keep noise, or remove it, and their errors are measured
         lasting = noise_correlation(
@@ -188,7 +187,6 @@ def track_sheets(
         sheets_alike="yes" if alike else "no",
         large_steps=large.tolist() if alike else [],
         noise_lasts=lasting,
-        scene_changes=[change._asdict() | {"frame": int(number[change.frame])} for change in changes],
     )
     return record(
         _dataset(strip, found, metadata),
