@@ -1,29 +1,23 @@
 """Scatter of positions: what errors from frame to frame, between sheets, and of a codec add up to.
 
-`BetweenSlips` are positions without slips and without the vibration of single sheets. `spatial_scatter`
-measures errors that persist from frame to frame, `shared_error` those that neighbours share, and
-`noise_excess` what all stated errors leave out.
+`BetweenSlips` are positions without slips. `spatial_scatter` measures errors that persist from frame to
+frame, `shared_error` those that neighbours share, and `noise_excess` what all stated errors leave out.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from vision.numeric import (
     NORMAL_MEDIAN,
     Bools,
     Floats,
-    Ints,
     in_two_threads,
-    median_size,
     nan_median,
     nan_quantile,
-    peak_offset,
     row_parts,
 )
 from vision.sheets.settings import DEFAULT, LEAST_FRAMES, TrackingSettings
@@ -38,12 +32,6 @@ LONG_LAGS = (12, 8, 6, *LAGS)
 """The lags for codecs that predict frames from others. Content that a codec keeps unchanged shows at longer
 lags; but so do bent creep and the individual motion of sheets, and stick phases must be longer than two
 lags."""
-BLOCK = 256  # frames over which a vibration keeps its frequency and phase
-LEAST_BLOCK = 48  # frames that show a line in a spectrum
-LINES = 4  # removed from one sheet in a round at most
-PADDED = 4  # frequencies per independent one
-BESIDE = 15  # independent frequencies on either side that show the level of the spectrum
-ROUNDS = 3  # each knows the common motion of vibrating sheets better than the one before
 TINY = np.finfo(float).tiny
 
 
@@ -51,14 +39,13 @@ class BetweenSlips:
     """Positions (frame, N), NaN where missing or repeated, divided at the slips.
 
     In a slip sheets move by more than usual, and neighbours move alike. Where a codec redraws a frame,
-    neighbours do not move alike. Vibration of single sheets is subtracted (`own_vibration`).
+    neighbours do not move alike.
     """
 
-    def __init__(self, x_px: Floats, settings: TrackingSettings = DEFAULT) -> None:
+    def __init__(self, x_px: Floats) -> None:
         self.frames = len(x_px)
         self.seen = np.isfinite(x_px).any(axis=1)
         self.x_px = np.asfortranarray(x_px[self.seen])  # most is computed of one sheet after the other
-        self.x_px -= own_vibration(self.x_px, settings)
         self.slips = np.zeros(len(self.x_px), np.int64)
         if x_px.shape[1] < len(FOURTH):
             return
@@ -134,7 +121,7 @@ def noise_excess(positions: BetweenSlips, err_px: Floats, settings: TrackingSett
     camera that vibrates or breathes), or that of the sheets beside, which move alike when slips are slow or
     come in every frame, whichever leaves less. Sizes at several lags are averaged as squares, since at one
     lag an error that lasts or repeats itself may cancel; a size is the one within which 68 % of the frames
-    lie. Vibration of most sheets counts as an error if it is no line in the spectrum. 1 for fewer than five
+    lie. Vibration of single sheets counts as an error. 1 for fewer than five
     sheets, and where slips leave too few frames between them.
     """
     sheets = err_px.shape[1]
@@ -266,101 +253,3 @@ def _deviation(values: Floats) -> float:
 def _deviation_of_all(values: Floats) -> float:
     """Return a robust standard deviation of all values together; 0 where nothing is known."""
     return float(np.nan_to_num(_deviation(values)))
-
-
-# --- vibration of single sheets: motion, and no error of positions ------------------------------------------
-
-
-def own_vibration(x_px: Floats, settings: TrackingSettings = DEFAULT) -> Floats:
-    r"""Return how far each sheet is displaced by vibration of its own, px, (frame, N); 0 where there is none.
-
-    x_px: positions (frame, N), NaN where missing.
-
-    Steps from frame to frame, without the median of all sheets, are searched for spectral lines in blocks of
-    some `BLOCK` frames. A line is vibration of the sheet if its power exceeds that of the frequencies
-    beside and a share of all, and if sheets do not share it in phase: with :math:`C_m` the amplitudes of all
-    sheets at that frequency, :math:`|\sum_m C_m^2| / \max_m |C_m|^2` counts sheets that move in phase or in
-    antiphase, as lamps that flicker and cameras that nod move sheets that lean. A line in the steps at the
-    angular frequency :math:`\omega` with amplitude C is one in the positions with
-    :math:`C / (e^{i\omega} - 1)`. The strongest line is fitted and subtracted, up to `LINES` times; all of it
-    is done in `ROUNDS` rounds.
-    """
-    frames, sheets = x_px.shape
-    found = np.zeros_like(x_px)
-    if sheets < 3 or frames < LEAST_BLOCK:
-        return found
-    blocks = np.array_split(np.arange(frames), max(1, round(frames / BLOCK)))
-    for _ in range(ROUNDS):
-        step = np.empty((frames - 1, sheets), order="F")
-        for n, moved in enumerate(step.T):
-            np.subtract(x_px[1:, n] - found[1:, n], x_px[:-1, n] - found[:-1, n], out=moved)
-        step -= nan_median(step, axis=1)[:, None]
-        step -= nan_median(step)
-        for moved, usual in zip(step.T, median_size(step), strict=True):
-            moved[np.abs(moved) > settings.slip_sigmas * usual / NORMAL_MEDIAN] = np.nan
-        more = in_two_threads(partial(_add_of_block, found, step, settings), blocks)
-        blocks = [rows for rows, some in zip(blocks, more, strict=True) if some]
-    return found
-
-
-def _add_of_block(found: Floats, step: Floats, settings: TrackingSettings, rows: Ints) -> bool:
-    """Add the vibration in a block of frames to what is found, (frame, N); return whether there is any."""
-    more = _of_block(step[rows[0] : rows[-1]], (found[rows] != 0).any(axis=0), settings)
-    found[rows] += more
-    return bool(more.any())
-
-
-def _of_block(step: Floats, vibrates: Bools, settings: TrackingSettings) -> Floats:
-    """Return the vibration of each sheet in one block, px, (frame, N), from the steps between its frames.
-
-    vibrates: sheets that are known to, (N,). Of these, further lines may be of any share.
-    """
-    known = np.isfinite(step)
-    rest = np.where(known, step, 0.0)
-    frames, sheets = rest.shape
-    found, time = np.zeros((frames + 1, sheets)), np.arange(frames + 1)[:, None]
-    searched = known.sum(axis=0) >= LEAST_BLOCK / 2
-    for _ in range(LINES):
-        searched[searched], frequency = _strong_lines(rest[:, searched], settings)
-        sheet = np.flatnonzero(searched)
-        if not len(sheet):
-            break
-        turning = np.exp(-2j * np.pi * frequency * time)
-        line = rest.T @ turning[:-1]  # (N, lines)
-        in_phase = np.abs((line**2).sum(axis=0)) / np.maximum((np.abs(line) ** 2).max(axis=0), TINY)
-        strength = 2 * np.abs(line[sheet, np.arange(len(sheet))]) ** 2 / known[:, sheet].sum(axis=0)
-        own = in_phase < settings.vibration_in_phase
-        own &= vibrates[sheet] | (strength > settings.vibration_share * (rest[:, sheet] ** 2).sum(axis=0))
-        vibrates[sheet[own]] = True
-        searched[sheet[~own]] = False
-        sheet, turning = sheet[own], turning[:, own]
-        # the complex amplitude of which the real wave leaves the least squares
-        wave = np.where(known[:, sheet], turning[:-1], 0.0)
-        power, square = (np.abs(wave) ** 2).sum(axis=0), (wave**2).sum(axis=0)
-        shared = (rest[:, sheet] * wave).sum(axis=0)
-        amplitude = 2 * (power * shared.conj() - square.conj() * shared) / (power**2 - np.abs(square) ** 2)
-        rest[:, sheet] -= np.where(known[:, sheet], (amplitude * turning[:-1]).real, 0.0)
-        found[:, sheet] += (amplitude * turning / (turning[1] - 1)).real
-    return found
-
-
-def _strong_lines(values: Floats, settings: TrackingSettings) -> tuple[Bools, Floats]:
-    """Return whether the strongest line of each sheet exceeds the median of those beside by
-    `vibration_ratio`, (N,), and the frequencies per frame of those that do."""
-    frames, sheet = len(values), np.arange(values.shape[1])
-    if not len(sheet):
-        return np.zeros(0, bool), np.zeros(0)
-    spectrum = np.fft.rfft(values.T * np.hanning(frames), PADDED * frames)
-    power = spectrum.real**2 + spectrum.imag**2
-    independent = np.pad(power[:, ::PADDED], ((0, 0), (BESIDE, BESIDE)), mode="reflect")
-    level = nan_median(sliding_window_view(independent, 2 * BESIDE + 1, axis=1), axis=-1)
-    level = np.repeat(level, PADDED, axis=1)[:, : power.shape[1]]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.nan_to_num(power[:, : level.shape[1]] / level)
-    ratio[:, :PADDED] = ratio[:, -PADDED:] = 0.0  # no sine and cosine can be told apart there
-    best = np.argmax(ratio, axis=1)
-    strong = ratio[sheet, best] > settings.vibration_ratio
-    best, sheet = best[strong], sheet[strong]
-    near = np.clip(best + np.array([[-1], [0], [1]]), 1, power.shape[1] - 1)
-    shift = np.clip(peak_offset(*np.log(np.maximum(power[sheet, near], TINY))), -0.5, 0.5)
-    return strong, (best + shift) / (PADDED * frames)

@@ -569,26 +569,7 @@ class TrackingSettings:
 
     slip_sigmas: float = 5.0
     """Step of a sheet, over the scatter of its steps, from which it is a slip and no noise. Larger takes the
-    slips of a few sheets for noise (test_scatter.py at 20), smaller leaves out noise (there at 1.5). So are
-    steps left out of the search for vibration, which fails at 2.5 and at 10 (there)."""
-
-    # --- vibration of single sheets (scatter.py) ---
-
-    vibration_ratio: float = 12.0
-    """Power of a line in the spectrum of a sheet's steps, over the median of the frequencies beside, from
-    which it is vibration. White noise exceeds it at one frequency in 4000. Larger leaves weak vibration in
-    the errors, smaller takes noise out of them (test_scatter.py, sheets that vibrate one by one)."""
-
-    vibration_share: float = 0.45
-    """Share of the power of a sheet's steps from which its first line is vibration. Sheets that creep over
-    pixels or past dirt make lines of the errors, too. Larger leaves slow vibration in the errors, smaller
-    takes such errors out (test_sheets_survive_lossy_compression at 0.15, degraded.py's dirt at 0.3)."""
-
-    vibration_in_phase: float = 2.5
-    """Number of sheets as strong as the strongest that move in phase or antiphase at the frequency of a
-    line, from which it is an error: light or a camera that moves sheets that lean. It is 1 for a sheet alone.
-    Larger takes flicker for vibration (test_scatter.py), smaller counts sheets of one frequency as an
-    error."""
+    slips of a few sheets for noise (test_scatter.py at 20), smaller leaves out noise (there at 1.5)."""
 
     # --- symmetry axis (numbering.py) ---
 

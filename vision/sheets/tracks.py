@@ -277,7 +277,7 @@ def _assess_ridges(
     np.sqrt(err, out=err)
     del distorted_px
     usual = median_where(np.isfinite(x_px), err)
-    excess = noise_excess(BetweenSlips(_unrepeated(x_px, frozen), comb.settings), err, comb.settings)
+    excess = noise_excess(BetweenSlips(_unrepeated(x_px, frozen)), err, comb.settings)
     np.hypot(err, np.nan_to_num(usual) * np.sqrt(np.fmax(excess**2 - 1.0, 0.0)), out=err)
     return _Assessed(x_px, flag, err, blurred, is_distorted, lasting_px, scale, second)
 
@@ -457,7 +457,7 @@ def _errors(fitted: _Fitted, frozen: Bools, codec: str, settings: TrackingSettin
     new = _unrepeated(fitted.x_px, frozen)
     between_frames = codec in BETWEEN_FRAMES
     noise_px = position_noise(fitted.x_px[~frozen] if frozen.any() else fitted.x_px)
-    positions = BetweenSlips(new, settings)
+    positions = BetweenSlips(new)
     scatter_px = spatial_scatter(positions, between_frames=between_frames)
     err = fitted.err_px
     unknown = ~(np.isfinite(err) & (err > 0))
