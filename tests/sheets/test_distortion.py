@@ -217,6 +217,27 @@ def test_thin_sheets_taken_for_one_ridge_have_no_position():
     assert sum(wrong for wrong, _ in found) > 20
 
 
+@pytest.mark.parametrize("kind", ["one bright side", "stripes"])
+def test_sheets_of_unlike_looks_are_sheets(kind):
+    """Flat ridges with one bright side, a third of them turned over, or wider ones, each with dark stripes of
+    its own on its top. A failure means that a third of the sheets have no position in any frame."""
+    x = comb(120, per_side=8, axis_px=220.0, pitch_px=26.0, period=40.0, slip=0.25)
+    rng, sheets = np.random.default_rng(5), x.shape[1]
+    if kind == "one bright side":
+        side = np.where(np.arange(sheets) % 3 == 0, -1, 1)
+        light = 0.5 * ridges(x, width=440, fwhm_px=2.5, flat_px=10.0)
+        light += 0.7 * ridges(x + 3.6 * side, width=440, fwhm_px=2.8)
+    else:
+        light = ridges(x, width=440, fwhm_px=2.5, flat_px=13.0)
+        for place in (-3.5, 0.0, 3.5):
+            light -= ridges(x + place, width=440, fwhm_px=3.5, contrast=rng.uniform(0, 0.6, sheets))
+    tracks = track_sheets(strip(light, snr=60))
+    assert (tracks.flag.values == "ok").mean() > 0.98
+    off = (tracks.x_px - x).values
+    off = np.abs(off - np.median(off, axis=0))
+    assert (off < np.maximum(5 * tracks.x_err_px.values, 0.3)).all()
+
+
 @pytest.mark.parametrize("kind", ["against its neighbour", "gap", "thick", "thick, and a gap elsewhere"])
 def test_a_sheet_against_its_neighbour_is_merged_with_it(kind):
     """Sheets 5 px wide, one of which stands 4 px from its neighbour. A failure means that the place between

@@ -214,23 +214,30 @@ def _scatter_of_sheets(
 # --- distorted ridges ---------------------------------------------------------------------------------------
 
 
-def not_one_ridge(profile: Floats32, x_px: Floats, comb: RidgeComb) -> Bools:
+def not_one_ridge(profile: Floats32, x_px: Floats, lasting_px: Floats, comb: RidgeComb) -> Bools:
     """Return which sheets are not a single ridge, (N,): their mean profile differs from the comb's.
 
     Several sheets side by side, far thinner than most, appear as one hump to the search for ridges, and the
-    position lies between them. A sheet's mean profile, over 0.6 ridge widths on either side of its positions
-    x_px (frame, N), correlates with that of all sheets by less than `least_likeness`. Always False for fewer
-    than five sheets.
+    position lies between them. A sheet's mean profile, over 0.8 ridge widths on either side of its positions
+    x_px (frame, N), correlates with that of all sheets by less than `least_likeness`; less far, the texture
+    on the top of wide ridges would decide. So does a sheet with another or a mark beside it, which pulls it
+    aside by lasting_px (N,), more than `most_distorted` ridge widths, unless its profile is the usual one.
+    Sheets may be turned over: the mirror image counts as well. Fewer than five sheets show no usual profile.
     """
+    pulled = lasting_px > comb.settings.most_distorted * comb.fwhm_px
     if x_px.shape[1] < ENOUGH:
-        return np.zeros(x_px.shape[1], bool)
-    half = comb.half_px(0.6)
+        return np.asarray(pulled, bool)
+    half = comb.half_px(0.8)
     profiles, shape = _sampled_profiles(profile, x_px, half, comb)
     own = nan_median(profiles)
     own -= own.mean(axis=0)
+    shape -= shape.mean()
     with np.errstate(divide="ignore", invalid="ignore"):
-        likeness = (shape - shape.mean()) @ own / np.linalg.norm(own, axis=0) / np.std(shape)
-    return np.asarray(likeness / np.sqrt(len(shape)) < comb.settings.least_likeness, bool)
+        likeness = (
+            np.fmax(shape @ own, shape[::-1] @ own) / np.linalg.norm(own, axis=0) / np.linalg.norm(shape)
+        )
+    least = np.where(pulled, comb.settings.usual_likeness, comb.settings.least_likeness)
+    return np.asarray(likeness < least, bool)
 
 
 def two_in_one(x_px: Floats, fwhm_px: Floats32, comb: RidgeComb) -> Bools:

@@ -438,10 +438,15 @@ class TrackingSettings:
     off by pixels (test_film.py)."""
 
     least_likeness: float = 0.4
-    """Correlation of a sheet's mean profile with that of all sheets below which it is no single ridge. It is
-    -0.5 to 0.4 where thin sheets side by side were taken for one, and 0.5 or more for ridges of all
-    recordings tried. Larger drops markers of unusual shape, smaller takes two sheets for one
-    (test_distortion.py)."""
+    """Correlation of a sheet's mean profile with that of all sheets, or its mirror image, below which it is
+    no single ridge. It is 0.2 to 0.4 where thin sheets side by side were taken for one, and 0.5 or more for
+    ridges of all recordings tried. Larger drops markers of unusual shape and wide sheets with texture,
+    smaller takes two sheets for one (test_distortion.py)."""
+
+    usual_likeness: float = 0.85
+    """The same for a sheet that is distorted by more than `most_distorted`. Sheets with one bright side that
+    are turned over have 0.9 or more, a thick sheet with a thin one beside it 0.7. Larger drops sheets that
+    are turned over, smaller takes two sheets for one (test_distortion.py)."""
 
     wide_by_a_gap: float = 1.2
     """Width of a sheet, over that of the others, from which it is two sheets in one ridge if another seems to

@@ -265,8 +265,8 @@ def _assess_ridges(
     x_px[smeared & beside(detections.flag == Flag.MISSING) | _cut(detections, comb)] = np.nan
     distorted_px, usual_px, lasting_px, scale = distortion(profile, x_px, err, smeared, comb)
     second = second_comb(profile, x_px, smeared, comb)
-    not_a_sheet = not_one_ridge(profile, x_px, comb) | two_in_one(x_px, detections.fwhm_px, comb)
-    not_a_sheet |= lasting_px > comb.settings.most_distorted * comb.fwhm_px
+    not_a_sheet = not_one_ridge(profile, x_px, lasting_px, comb)
+    not_a_sheet |= two_in_one(x_px, detections.fwhm_px, comb)
     not_a_sheet |= marks(x_px, err, np.hypot(lasting_px, usual_px), comb)
     flag = np.where((detections.flag == Flag.OK) & not_a_sheet, np.uint8(Flag.MERGED), detections.flag)
     is_distorted = distorted_px > np.fmax(err, comb.settings.distortion_floor)
