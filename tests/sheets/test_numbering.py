@@ -230,7 +230,7 @@ def opening_comb(left, right, *, along=0.0, seed=1):
     )
 
 
-@pytest.mark.parametrize("along", [-0.1, -0.02, 0.02, 0.1])
+@pytest.mark.parametrize("along", [-1.5, -0.1, -0.02, 0.02, 0.1, 1.5])
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_comb_that_moves_along_with_its_opening(along, seed):
     """The load carries camera or sample along, and every slip returns them. A failure means that this numbers
@@ -241,6 +241,18 @@ def test_a_comb_that_moves_along_with_its_opening(along, seed):
     assert whole.low_px - PITCH / 2 <= truth[0, 24:26].mean() <= whole.high_px + PITCH / 2
     crop = number_sheets(truth, width_px=int(truth[0, -1]) + 10)
     assert (crop.side != whole.side).any()
+
+
+@pytest.mark.parametrize("cut", [1, 2])
+def test_the_middle_of_a_comb_that_is_cut_off_at_one_end_is_no_axis(cut):
+    """A failure means that the middle of what is in view is preferred to where the motion changes sign."""
+    wrong = []
+    for seed in range(6):
+        truth = opening_comb(8, 8, seed=seed)[:, cut:]
+        numbering = number_sheets(truth - truth[0, 0] + 10, width_px=int(np.ptp(truth[0])) + 100)
+        assert numbering.how == "motion"
+        wrong.append(int((numbering.side < 0).sum()) - (8 - cut))
+    assert wrong == [0] * 6
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

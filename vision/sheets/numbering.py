@@ -48,9 +48,10 @@ def number_sheets(
     Both sides move inwards in a stick phase and outwards in a slip; the axis is where the motion changes
     sign. The stiff centre hardly moves, so that several positions are equally good, and more if the camera
     vibrates. The axis is in the middle of the comb if that is one of them, or if there is no significant
-    motion or no slip, else in the middle of these positions. Sheets that seem to be missing in wide spacings
-    count for the middle of the comb, but not for n. With one side in view all sheets move alike, and the axis
-    lies beyond the end that moves least. A sheet on the axis (odd number) is the first on the right.
+    motion or no slip, else in the middle of these positions; so it is where the picture cuts off one end of
+    the comb, if the motion shows it to two sheets. Sheets that seem to be missing in wide spacings count for
+    the middle of the comb, but not for n. With one side in view all sheets move alike, and the axis lies
+    beyond the end that moves least. A sheet on the axis (odd number) is the first on the right.
 
     A camera that moves along with the sheets, or a sample that the load carries along, shifts the place where
     the motion changes sign. If the whole comb is within a picture of `width_px` columns, and the motion less
@@ -72,8 +73,11 @@ def number_sheets(
     all_sheets = int(place[-1]) + 1
     even = int(np.searchsorted(place, all_sheets // 2))
     spacing = float(np.median(np.diff(position))) if sheets > 1 else np.inf
-    whole = in_view(position[[0, -1]], None if width_px is None else (0, width_px - 1), spacing)
-    split, how, limits = _split_by_motion(x_px, even, settings, whole=whole)
+    ends = position[[0, -1]]
+    first, last = (-np.inf, np.inf) if width_px is None else (0, width_px - 1)
+    left, right = in_view(ends, (first, np.inf), spacing), in_view(ends, (-np.inf, last), spacing)
+    whole = width_px is not None and left and right
+    split, how, limits = _split_by_motion(x_px, even, settings, whole=whole, one_end=left != right)
     low = high = np.nan
     if limits is not None:
         edge = np.r_[_axis(position, 0), 0.5 * (position[1:] + position[:-1]), _axis(position, sheets)]
@@ -142,14 +146,15 @@ def _side_and_n(split: int, sheets: int) -> tuple[Ints, Ints]:
 
 
 def _split_by_motion(
-    x_px: Floats, even: int, settings: TrackingSettings, *, whole: bool
+    x_px: Floats, even: int, settings: TrackingSettings, *, whole: bool, one_end: bool
 ) -> tuple[int, AxisHow, tuple[float, float] | None]:
     """Return the number of sheets left of the axis, how it was found, and the limits set by the motion.
 
     Splits are equally good within the noise of positions. The limits also allow for steps that are no
     opening: vibration in all frames, and in slips, whose sizes differ, a comb that is carried along or an
     avalanche on one side (White 1980, with the residuals of MacKinnon & White 1985). even: number of sheets
-    left of the middle of the comb. whole: whether the whole comb is in view.
+    left of the middle of the comb. whole: whether the whole comb is in view. one_end: whether only one of its
+    ends is, so that the middle of what is in view is not that of the comb.
     """
     sheets = x_px.shape[1]
     step, apart, noise = _slips(x_px, settings)
@@ -177,10 +182,15 @@ def _split_by_motion(
     # What is equally good may go on beyond the picture, and its middle then lies elsewhere.
     low, high = low if possible[0] else 0.0, high if possible[-1] < sheets else float(sheets)
     of_middle = _asymmetry(opening, even, shifted=True)
-    if whole and of_middle < settings.carried_symmetry * _asymmetry(opening, best):
+    if 0 < best < sheets:
+        most = settings.carried_symmetry * _asymmetry(opening, best)
+    else:  # carried by more than the comb opens, unless one side is in view
+        most = settings.carried_far_symmetry * _asymmetry(opening, even)
+    if whole and of_middle < most:
         low, high = min(low, even), max(high, even)
-    if np.floor(low) <= even <= high:
-        return even, "motion" if high - low <= settings.decided_sheets else "geometry", (low, high)
+    decided = high - low <= settings.decided_sheets
+    if np.floor(low) <= even <= high and not (decided and one_end):
+        return even, "motion" if decided else "geometry", (low, high)
     outside = good[(good == 0) | (good == sheets)]  # all sheets move alike: one side is in view
     if len(outside):
         beyond = int(outside[0])
