@@ -7,7 +7,6 @@ import pytest
 
 from tests.scenes.combs import comb, ridges, strip
 from vision.sheets import TrackingSettings, track_sheets
-from vision.sheets.alignment import values_of
 from vision.sheets.identities import identify_sheets
 from vision.sheets.recovery import Flag, assign_detections
 from vision.sheets.ridges import describe_ridges, find_ridges
@@ -111,26 +110,3 @@ def test_a_sheet_displaced_unlike_its_neighbours_is_doubtful():
     # both are one ridge with its neighbour, or this is measured with a larger error
     assert np.isin(np.delete(got, 5, axis=1), ("ok", "blurred", "merged")).all()
     assert (np.delete(got, (4, 5), axis=1) == "ok").all()
-
-
-@pytest.mark.parametrize("way", [1, -1])
-def test_a_numbering_that_leaves_out_a_ridge_at_the_end_is_doubtful(way):
-    """The comb jumps by three quarters of a pitch, and every sheet is taken for the next one, so that one end
-    is missing and a ridge is left out at the other. A failure means that all sheets of these frames are a
-    pitch off and ok."""
-    jumped = np.arange(FRAMES) // 20 == 3
-    x = truth(slip=0.0) + 0.75 * 20.0 * way * jumped[:, None]
-    profile = strip(ridges(x, width=WIDTH)).values
-    described = describe_ridges(profile)
-    found = find_ridges(profile, described)
-    identities = identify_sheets(found, described)
-    right = np.tile(np.arange(16), (FRAMES, 1))
-    wrong = right.copy()
-    wrong[jumped] = [-1, *range(15)] if way > 0 else [*range(1, 16), -1]
-    for match, seen in ((right, Flag.OK), (wrong, Flag.DOUBTFUL)):
-        margin = np.where(match >= 0, 9.0, np.nan)
-        usual = values_of(match, found.x_px)
-        numbered = replace(identities, match=match, margin=margin, rest_px=truth(slip=0.0), usual_px=usual)
-        got = assign_detections(profile, found, numbered, described).flag
-        assert (got[~jumped] == Flag.OK).all()
-        assert (got[jumped][match[jumped] >= 0] == seen).all()

@@ -8,7 +8,7 @@ import pytest
 from tests.scenes.combs import comb, ridges, strip
 from tests.scenes.identity_cases import FRAMES, brightness, jumps
 from vision.checks import tracking_warnings
-from vision.sheets import doubts, track_sheets
+from vision.sheets import track_sheets
 from vision.sheets.settings import DEFAULT
 
 PITCH = 20.0
@@ -75,71 +75,6 @@ def test_equal_sheets_of_a_cropped_jumping_comb_are_doubted_rather_than_swapped(
     tracks = track_sheets(picture)
     assert wrong_positions(tracks, truth) == 0
     assert (tracks.flag == "doubtful").values.mean() > 0.3
-
-
-@pytest.mark.parametrize("scatter", [0.03, 0.1])
-@pytest.mark.parametrize("pitches", [(1.02, -0.98), (2.0, -1.0, -1.0), (0.2, -0.2)])
-def test_a_jump_by_a_pitch_of_nearly_equal_sheets_is_doubted(pitches, scatter):
-    """An even comb without an end in view looks still when it jumps by its pitch, but for what little its
-    sheets differ.  A failure means that half of such a film is other sheets, called ok without a word."""
-    x = comb(200, axis_px=480) + jumps(*pitches, every=60, frames=200)
-    height, width = 1 + scatter * np.random.default_rng(1).normal(size=(2, 50))
-    picture = strip(ridges(x, width=700, contrast=height, fwhm_px=7 * width))
-    tracks = track_sheets(picture)
-    starts = [x[:, i : i + tracks.sizes["sheet"]] for i in range(51 - tracks.sizes["sheet"])]
-    off = np.abs(tracks.x_px.values - np.array(starts))
-    assert (off > PITCH / 2).sum(axis=(1, 2)).min() == 0
-    assert (tracks.flag == "ok").values.mean() > (0.99 if max(pitches) < 0.5 else 0.4)
-
-
-SHAKING = {
-    "at random": np.random.default_rng(2).uniform(-1, 1, FRAMES),
-    "at one frequency": np.sin(1.3 * np.arange(FRAMES)),
-    "now and then": np.cumsum(np.where(np.arange(FRAMES) % 35 == 7, [0.8, -0.9, 0.6] * (FRAMES // 3), 0.0)),
-}
-
-
-def shaken(how, scatter):
-    """Twenty sheets in a picture that holds sixteen. They differ in brightness and width by `scatter` and are
-    shaken by up to a pitch to either side."""
-    x = comb(FRAMES, per_side=10, axis_px=160) + PITCH * SHAKING[how][:, None]
-    height, width = 1 + scatter * np.random.default_rng(3).normal(size=(2, 20))
-    return x, strip(ridges(x, width=320, contrast=height, fwhm_px=7 * width))
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("how", SHAKING)
-@pytest.mark.parametrize("scatter", [0.1, 0.25])
-def test_the_pattern_tells_the_sheets_of_a_cropped_comb_that_is_shaken(how, scatter):
-    """A failure means that a comb whose sheets differ is lost when the camera shakes."""
-    truth, picture = shaken(how, scatter)
-    tracks = track_sheets(picture)
-    assert wrong_positions(tracks, truth) == 0
-    assert (tracks.flag == "ok").values.mean() > 0.7
-    blind = track_sheets(picture, settings=replace(DEFAULT, pattern_sheets=1000))
-    assert wrong_positions(blind, truth) > 0 or (blind.flag == "ok").values.mean() < 0.5
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("how", SHAKING)
-@pytest.mark.parametrize("scatter", [0.0, 0.03])
-def test_a_cropped_comb_without_a_pattern_that_is_shaken_is_doubted(how, scatter, monkeypatch):
-    """No picture tells which sheets it shows, nor a step whether it was a pitch longer. A failure means that
-    half of such a film is other sheets, called ok."""
-    truth, picture = shaken(how, scatter)
-    assert wrong_positions(track_sheets(picture), truth) == 0
-    if scatter:  # some films of these pass without
-        return
-    monkeypatch.setattr(doubts, "_lost_count", lambda step, *_: np.zeros(len(step), bool))
-    assert wrong_positions(track_sheets(picture), truth) > 0
-
-
-def test_a_camera_that_shakes_about_one_place_leaves_no_doubt_of_equal_sheets():
-    """Places that leave a part of the pitch free are not a pitch apart."""
-    truth = comb(FRAMES, per_side=10, axis_px=160) + 0.28 * PITCH * SHAKING["at random"][:, None]
-    tracks = track_sheets(strip(ridges(truth, width=320)))
-    assert wrong_positions(tracks, truth) == 0
-    assert (tracks.flag == "ok").values.mean() > 0.3
 
 
 def test_where_most_is_doubted_the_rest_is_not_called_certain():

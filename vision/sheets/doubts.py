@@ -1,8 +1,8 @@
 """Doubtful identities: what the alignment did not use says that a sheet may be another one.
 
-That is the positions that neighbouring sheets predict, the jumps of the whole comb, the pattern of spacings,
-brightnesses and widths, and other numberings that pair the ridges as well. Numberings that the looks of the
-ridges contradict in a part of the comb are found in `vision.sheets.looks`.
+That is the positions that neighbouring sheets predict, the jumps of the whole comb, and other numberings that
+pair the ridges as well. The pattern of spacings, brightnesses and widths ends doubts. Numberings that the
+looks of the ridges contradict in a part of the comb are found in `vision.sheets.looks`.
 """
 
 from __future__ import annotations
@@ -34,12 +34,10 @@ from vision.numeric import (
 )
 from vision.sheets.identities import SHIFTS, Doubt, Identities, last_seen, torn
 from vision.sheets.reference import rest_positions
-from vision.sheets.ridges import RidgeComb, Ridges, in_blocks
-from vision.sheets.settings import TrackingSettings
+from vision.sheets.ridges import RidgeComb, in_blocks
 
 PAIRS = 3  # neighbours on each side that predict a sheet's position
 LINES = ((1, 2), (1, 3), (2, 3), (2, 4), (3, 4))  # distances of two neighbours on one side that a line joins
-MOST_UNSEEN = 0.25  # steps of whole pitches in a stretch of frames whose identities are called certain
 TERM_LIMIT = 4.0  # nats: no single spacing, brightness or width decides a numbering
 LIKE_ITSELF = 0.7
 """Change of log contrast up to which a ridge may be the sheet that is expected there: a factor of two."""
@@ -87,22 +85,16 @@ def _unproved_jumps(
     also exceed the costs of sheets that cross the edges. After a real jump every sheet keeps its brightness.
     Where brightnesses changed by more than `least_misfit`, the costs mistake changed sheets for exchanged
     ones, and the margin required grows by the ratio of the squares: the overdispersion of a quasi-likelihood
-    (McCullagh & Nelder 1989, chapter 9). If the pattern proved the jumps, the margins are enough.
+    (McCullagh & Nelder 1989, chapter 9).
     moved: median of x less the rest positions, (frame,).
     """
     settings, none = comb.settings, np.zeros(x.shape, bool)
-    if identities.jumps:
-        return none
     seen = np.flatnonzero(np.isfinite(x).any(axis=1))
     step = np.zeros(len(x))
     step[seen[1:]] = np.nan_to_num(median_step(x[seen]))
     reach = settings.edge_pitches * comb.pitch_px
     rest = identities.rest_px
     no_end_in_view = (rest[:, 0] < reach) & (rest[:, -1] > comb.width_px - 1 - reach)
-    if not identities.end_in_view and identities.proved.mean() < 0.5:
-        lost = _lost_count(step / comb.pitch_px, moved / comb.pitch_px, settings)
-        if lost.any():
-            return lost[:, None] & np.isfinite(x)
     run = np.cumsum(np.abs(step) > settings.jump_fraction * comb.pitch_px)
     place = np.array([nan_median(moved[run == one]) for one in range(run[-1] + 1)])
     apart = np.abs(place - place[:, None]) / (settings.step_fraction * comb.pitch_px)
@@ -122,30 +114,6 @@ def _unproved_jumps(
     given, wanted = (np.array([nan_median(part[one]) for one in runs]) for part in (margin, least * worse))
     unproved = away & (given < wanted)[run]
     return np.asarray(unproved[:, None] & np.isfinite(x), bool)
-
-
-def _lost_count(step: Floats, moved: Floats, settings: TrackingSettings) -> Bools:
-    """Return the frames in which a comb without ends in view and without a pattern may be whole pitches from
-    where it seems to be, (frame,).
-
-    step, moved: its steps and its displacement, pitches, (frame,). Steps above `step_fraction` may be the
-    rest of the pitch, the other way. They do not matter to a comb that vibrates about one place, which leaves
-    a part of the pitch free. Otherwise only the longest stretch without a step above `still_fraction` is
-    certain, and only if there are so few steps that none of whole pitches is expected in it: these look like
-    no step.
-    """
-    none = np.zeros(len(step), bool)
-    if not (np.abs(step) > settings.step_fraction).any():
-        return none
-    place = np.sort(moved[np.isfinite(moved)] % 1.0)
-    free = np.sort(np.diff(place, append=place[:1] + 1.0))
-    if free[-1] > settings.step_fraction and free[-2:-1].sum() < settings.still_fraction:
-        return none
-    jolted = np.abs(step) > settings.still_fraction
-    run = np.cumsum(jolted)
-    length = np.bincount(run)
-    unseen = jolted.mean() * length.max() * settings.still_fraction / (0.5 - settings.still_fraction)
-    return np.asarray((run != length.argmax()) | (unseen > MOST_UNSEEN), bool)
 
 
 # --- predictions by neighbouring sheets ---------------------------------------------------------------------
@@ -254,30 +222,6 @@ def hops(residual: Floats, comb: RidgeComb) -> Bools:
 # --- the comb's own pattern ---------------------------------------------------------------------------------
 
 
-def shifted_pattern(paired: Floats32, why: Codes, settings: TrackingSettings) -> Bools:
-    """Return where brightnesses and widths fit another numbering than in most frames, (frame, N).
-
-    paired: positions, contrasts and widths (3, frame, N), those with a doubt left out. Frames in which at
-    most half of the sheets are certain are ignored.
-    """
-    seen = np.isfinite(paired[0]) & (why == Doubt.NONE)
-    rows = np.flatnonzero(seen.mean(axis=1) > 0.5)
-    away = np.zeros(seen.shape, bool)
-    if len(rows):
-        looks = np.empty((2, len(rows), seen.shape[1]))
-
-        def take(part: slice) -> None:
-            some = rows[part]
-            certain = np.where(seen[some], paired[1:, some], np.nan)
-            looks[:, part] = np.log(certain.astype(np.float64))
-
-        in_two_threads(take, row_parts(len(rows)))
-        shift = pattern_shift(looks[0], looks[1], settings)
-        shifts, counts = np.unique(shift, return_counts=True)
-        away[rows] = seen[rows] & (shift != shifts[counts.argmax()])[:, None]
-    return away
-
-
 def anchored(
     x_px: NDArray[np.floating], log_contrast: Floats, log_width: Floats, trusted: Bools, comb: RidgeComb
 ) -> Bools:
@@ -340,59 +284,6 @@ def unmoved(x: NDArray[np.floating], certain: Bools, unsettled: Bools, comb: Rid
     return np.asarray(near & most, bool)
 
 
-def pattern_shift(log_contrast: Floats, log_width: Floats, settings: TrackingSettings) -> Ints:
-    """Return by how many sheets the pattern has shifted along the comb since the first frame, (frame,).
-
-    The pattern is each sheet's brightness and width: log contrast and log width (frame, N), NaN where missing
-    or doubtful. An even comb of nearly equal sheets with no end in view looks alike after a jump by one
-    pitch, but its pattern jumps. Medians over `pattern_frames` frames before and after each frame are
-    compared. At a jump the sheets' change is `pattern_change` times the usual one, and `pattern_ratio` times
-    the change relative to another sheet; a change of light does not shift the pattern. 0 for fewer than
-    `pattern_sheets` sheets. Both tables are changed in place.
-    """
-    frames, sheets = log_contrast.shape
-    span, shift = settings.pattern_frames, np.zeros(frames, np.int64)
-    if frames < 4 * span or sheets < settings.pattern_sheets:
-        return shift
-    log_contrast -= common_change(log_contrast, nan_median(log_contrast))[:, None]
-    log_width -= common_change(log_width, nan_median(log_width))[:, None]
-    features = (log_contrast, log_width)
-    windows = [np.lib.stride_tricks.sliding_window_view(values, span, axis=0) for values in features]
-
-    def medians(first: slice | Ints) -> Floats:
-        """Return medians over the frames from each of some, (kinds, frame, N)."""
-        return np.stack([nan_median(values[first], axis=-1) for values in windows])
-
-    own = np.empty(frames - 2 * span + 1)
-
-    def change(rows: slice) -> None:
-        around = medians(slice(rows.start, rows.stop + span))
-        own[rows] = _feature_change(around[:, :-span], around[:, span:], 0, settings)
-
-    in_blocks(change, own)
-    own, usual = np.where(own < np.inf, own, 0.0), np.median(own)
-    others = np.full((len(SHIFTS), len(own)), np.inf)
-    changed = np.flatnonzero(own > settings.pattern_change * usual)
-    for part in row_parts(len(changed)):
-        rows = changed[part]
-        before, after = medians(rows), medians(rows + span)
-        others[:, rows] = [_feature_change(before, after, by, settings) for by in SHIFTS]
-    least = others.min(axis=0)
-    found = np.flatnonzero(least < own / settings.pattern_ratio)
-    events: list[int] = []
-    for frame in found[np.argsort(least[found] / own[found])].tolist():
-        if all(abs(frame - other) >= span for other in events):
-            events.append(frame)
-    for event in events:  # medians date the jump to about two frames; the single frames decide the rest
-        first, last = event + span // 2 + 1, event + span + span // 2
-        near = np.stack([values[first:last] for values in features])
-        as_before = np.broadcast_to(medians(np.array([event])), near.shape)
-        each = np.stack([_feature_change(as_before, near, by, settings) for by in (0, *SHIFTS)])
-        shift[first:last] += np.array((0, *SHIFTS))[each.argmin(axis=0)]
-        shift[last:] += SHIFTS[int(np.argmin(others[:, event]))]
-    return shift
-
-
 def sheets_alike(x_px: Floats, contrast: Floats32, fwhm_px: Floats32, comb: RidgeComb) -> bool:
     """Return whether the sheets look so alike that a picture does not show which sheets it contains.
 
@@ -417,20 +308,6 @@ def sheets_alike(x_px: Floats, contrast: Floats32, fwhm_px: Floats32, comb: Ridg
 def _bend(values: Floats) -> Floats:
     """Return values (N,) minus the means of their neighbours, (N − 2,)."""
     return np.asarray(values[1:-1] - (values[2:] + values[:-2]) / 2)
-
-
-def _feature_change(before: Floats, after: Floats, by: int, settings: TrackingSettings) -> Floats:
-    """Return the change of features (kinds, frame, N) relative to those of the sheet `by` further, (frame,).
-
-    Three quarters of the sheets change by no more than this; inf where too few sheets are known.
-    """
-    change = np.empty(before.shape[1])
-    for rows in row_parts(len(change)):
-        step = after[:, rows] - np.stack([shifted(part, by) for part in before[:, rows]])
-        size = nan_quantile(np.abs(step - nan_median(step, axis=2)[..., None]), 0.75, axis=2)
-        enough = np.isfinite(step).all(axis=0).sum(axis=1) >= settings.pattern_sheets
-        change[rows] = np.where(enough, np.hypot(*size), np.inf)
-    return change
 
 
 @dataclass(frozen=True)
@@ -464,29 +341,6 @@ class _Feature:
 
 
 # --- where another numbering pairs the ridges as well -------------------------------------------------------
-
-
-def numbered_off_the_end(ridges: Ridges, paired: Floats32, comb: RidgeComb) -> Bools:
-    """Return where a displaced comb leaves out a ridge at one end while its other end is missing, (frame, N).
-
-    If the ridge beyond the end is like the sheets, the frame has as many ridges as the comb has sheets, and
-    another numbering pairs all of them. In a comb that is displaced by less than half of `jump_fraction`, a
-    sheet from beyond the end has come into view. paired: positions and contrasts of the ridges of the sheets,
-    (2, frame, N).
-    """
-    x, contrast = paired
-    moved = common_change(x, rest_positions(x))
-    displaced = np.flatnonzero(np.abs(moved) > 0.5 * comb.settings.jump_fraction * comb.pitch_px)
-    off = np.zeros(len(x), bool)
-    for part in row_parts(len(displaced)):
-        rows = displaced[part]
-        ridge, height = (values[rows].astype(np.float64) for values in (ridges.x_px, ridges.contrast))
-        alike = np.abs(np.log(height / nan_median(contrast[rows], axis=1)[:, None])) < LIKE_ITSELF
-        for way in (1, -1):  # a ridge beyond the last sheet, then one before the first
-            place = way * x[rows, ::way]
-            beyond = (way * ridge - np.fmax.reduce(place, axis=1)[:, None]) / comb.pitch_px
-            off[rows] |= np.isnan(place[:, 0]) & (alike & (beyond > 0.5) & (beyond < 1.5)).any(axis=1)
-    return np.asarray(off[:, None] & np.isfinite(x), bool)
 
 
 def numbered_between_tears(x: NDArray[np.floating], missing: Bools, comb: RidgeComb) -> Bools:

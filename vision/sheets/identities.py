@@ -30,7 +30,7 @@ from vision.numeric import (
     without_common_change,
 )
 from vision.sheets.alignment import Candidates, Pairing, align, values_of
-from vision.sheets.displacement import comb_displacement, comb_squeeze, place_by_pattern
+from vision.sheets.displacement import comb_displacement, comb_squeeze
 from vision.sheets.reference import ReferenceComb, build_reference, faint_ends, motion_likeness, static_ridges
 from vision.sheets.ridges import RidgeComb, Ridges
 
@@ -38,7 +38,7 @@ from vision.sheets.ridges import RidgeComb, Ridges
 class Doubt(IntEnum):
     """Why the identity of a ridge is doubtful; in one byte, as every sheet of every frame has one."""
 
-    NONE, MARGIN, TEAR, END, JUMP, PATTERN, EXCHANGE, NEIGHBOUR, HOP = range(9)
+    NONE, MARGIN, TEAR, JUMP, PATTERN, EXCHANGE, NEIGHBOUR, HOP = range(8)
 
 
 WHYS = ("", *(doubt.name.lower() for doubt in Doubt if doubt))
@@ -46,9 +46,8 @@ WHYS = ("", *(doubt.name.lower() for doubt in Doubt if doubt))
 DOUBTS = {
     "margin": "another numbering fits nearly as well",
     "tear": "displaced differently from the largest group of sheets",
-    "end": "a ridge beyond the comb is like the sheets, while the sheet at the other end is missing",
     "jump": "displaced by a jump that could be one of whole pitches",
-    "pattern": "brightnesses and widths fit another numbering: the comb may have jumped by whole pitches",
+    "pattern": "brightnesses and widths are those of other sheets",
     "exchange": "on the ridge that another sheet had in the frame before",
     "neighbour": "between a missing sheet and a ridge or a room too many: numbered by a neighbour",
     "hop": "on another ridge, away from the position that the neighbours predict",
@@ -65,9 +64,7 @@ class Identities:
     match: candidate of each sheet in each frame, −1 where missing. margin: log-likelihood, nats, by which
     this identity exceeds the next best, NaN where missing. rest_px: rest position of each sheet around the
     time of the frame. usual_px: position of each sheet at the comb's usual spacing, NaN where missing; all
-    (frame, N). reference: the reference comb. proved: frames in which the pattern of the sheets proves which
-    are in view, as far as that was asked, (frame,). jumps: whether the comb jumps by whole pitches, and the
-    margins are 0 where nothing proves where it is. end_in_view: whether an end of the comb is seen.
+    (frame, N). reference: the reference comb.
     """
 
     match: Ints32
@@ -75,9 +72,6 @@ class Identities:
     rest_px: Floats
     usual_px: Floats32
     reference: ReferenceComb
-    proved: Bools
-    jumps: bool
-    end_in_view: bool
 
 
 def identify_sheets(
@@ -98,8 +92,7 @@ def identify_sheets(
     if (scale != 1).any():
         usual = (middle_px + (ridges.x_px - middle_px) / scale).astype(np.float32)
         ridges = replace(ridges, x_px=usual)
-    segments, displacement, proved, jumps = _segments_on_comb(ridges, comb)
-    carried = jumps * displacement[:, None]
+    segments, displacement = split_segments(ridges, comb), comb_displacement(ridges, comb)
     reference = build_reference(
         segments.candidates,
         segments.length,
@@ -117,54 +110,27 @@ def identify_sheets(
     rest = reference.x_px + displacement[segments.middle, None]
     match = segments.in_frames(align_all(reference, rest, margins=False).match, ridges.count)
     if sheets is None:
-        moved = values_of(match, ridges.x_px) - carried
+        moved = values_of(match, ridges.x_px)
         moved -= _rest_over_time(moved, reference, comb)
         real = ~static_ridges(moved, reference.x_px, settings=comb.settings)
         real &= ~faint_ends(reference, moved, settings=comb.settings)
         del moved
         reference, match = reference.only(np.flatnonzero(real)), match[:, real]
     for _ in range(2):  # with each sheet expected where it was found around that time
-        rest = _rest_over_time(values_of(match, ridges.x_px), reference, comb, carried)
+        rest = _rest_over_time(values_of(match, ridges.x_px), reference, comb)
         pairing = align_all(reference, rest[segments.middle])
         before, match = match, segments.in_frames(pairing.match, ridges.count)
         if np.array_equal(before, match):
             break
     margin = pairing.margin[segments.of_frames()]
     margin[match < 0] = np.nan
+    match, margin = _undo_false_jumps(match, margin, values_of(match, ridges.x_px), ridges, comb)
     usual_px = values_of(match, ridges.x_px)
-    if jumps:
-        off = np.abs(nan_median(usual_px - rest, axis=1)) > comb.pitch_px / 2
-        margin[(~proved | off)[:, None] & (match >= 0)] = 0.0
-    else:
-        match, margin = _undo_false_jumps(match, margin, usual_px, ridges, comb)
-        usual_px = values_of(match, ridges.x_px)
-    ends = _end_in_view(match, usual_px, ridges, comb)
     if sheets is None:
         reference = replace(reference, beyond=_left_out_beyond(match, usual_px, ridges, comb))
     if (scale != 1).any():
         rest = middle_px + (rest - middle_px) * scale
-    return Identities(match, margin, rest, usual_px, reference, proved, jumps, ends)
-
-
-def _segments_on_comb(ridges: Ridges, comb: RidgeComb) -> tuple[Segments, Floats, Bools, bool]:
-    """Return the segments of the film; the displacement of the comb, px, and whether the sheets' pattern
-    proves it, both (frame,); and whether the comb jumps by whole pitches.
-
-    Of a comb that jumps, every frame is a segment of its own: a jump by about a pitch looks like none.
-    """
-    segments = split_segments(ridges, comb)
-    displacement, uncertain = comb_displacement(ridges, comb)
-    proved = np.zeros(len(displacement), bool)
-    if not uncertain.any():
-        return segments, displacement, proved, False
-    placed = place_by_pattern(segments.candidates, segments.length, displacement[segments.middle], comb)
-    proved = placed.proved[segments.of_frames()]
-    if placed.jumps or (2 * proved.sum() < len(proved) < 8 * len(segments.start)):
-        single = each_frame(ridges)
-        placed = place_by_pattern(single.candidates, single.length, displacement, comb)
-        if placed.jumps:
-            return single, placed.displacement_px, placed.proved, True
-    return segments, displacement, proved, False
+    return Identities(match, margin, rest, usual_px, reference)
 
 
 def _constant_count(ridges: Ridges, comb: RidgeComb) -> int | None:
@@ -179,18 +145,6 @@ def _constant_count(ridges: Ridges, comb: RidgeComb) -> int | None:
     clear = (ridges.x_px[seen, 0] > room) & (last_px < comb.width_px - 1 - room)
     same = clear & (ridges.count[seen] == count)
     return count if same.mean() > comb.settings.constant_share else None
-
-
-def _end_in_view(match: Ints32, x: Floats32, ridges: Ridges, comb: RidgeComb) -> bool:
-    """Return whether an end of the comb is in view: whether often nothing is seen beyond its first or last
-    sheet where the next one would be in the picture. x: positions of the sheets, px, (frame, N)."""
-    last = ridges.count - 1
-    inside = (
-        x[:, 0].astype(np.float64) - comb.pitch_px > comb.fwhm_px,
-        x[:, -1].astype(np.float64) + comb.pitch_px < comb.width_px - 1 - comb.fwhm_px,
-    )
-    alone = match[:, 0] == 0, match[:, -1] == last
-    return any(seen.sum() >= 3 and none[seen].mean() > 0.3 for seen, none in zip(inside, alone, strict=True))
 
 
 def _left_out_beyond(match: Ints32, x: Floats32, ridges: Ridges, comb: RidgeComb) -> int:
@@ -216,17 +170,13 @@ def _left_out_beyond(match: Ints32, x: Floats32, ridges: Ridges, comb: RidgeComb
     return found
 
 
-def _rest_over_time(
-    x_px: NDArray[np.floating], reference: ReferenceComb, comb: RidgeComb, carried_px: Floats | None = None
-) -> Floats:
+def _rest_over_time(x_px: NDArray[np.floating], reference: ReferenceComb, comb: RidgeComb) -> Floats:
     """Return the median position of each sheet over about thirty frames, at every frame, (frame, N).
 
     Gaps are filled from neighbouring sheets, then from other times. Frames in which neighbours moved far
-    apart, which no slip does, are left out. carried_px: motion of the comb, (frame, 1), beside which sheets
-    rest; by default none.
+    apart, which no slip does, are left out.
     """
     frames = len(x_px)
-    carried = np.zeros((frames, 1)) if carried_px is None else carried_px
     blocks = max(1, round(frames / comb.settings.frames_per_rest))
     edges = np.linspace(0, frames, blocks + 1).astype(int)
     size = int(np.diff(edges).max())
@@ -235,7 +185,7 @@ def _rest_over_time(
 
     def find(part: slice) -> None:
         first, stop = edges[part.start], edges[part.stop]
-        moved = x_px[first:stop] - carried[first:stop] - reference.x_px
+        moved = x_px[first:stop] - reference.x_px
         moved[torn(moved, comb).any(axis=1)] = np.nan
         moved = moved[index[part] - first]
         rare = np.isfinite(moved).mean(axis=1) < 0.25
@@ -245,9 +195,7 @@ def _rest_over_time(
     rest = fill_rows(fill_rows(rest, reference.x_px).T, np.arange(blocks, dtype=np.float64)).T
     rest = reference.x_px + np.nan_to_num(rest)
     at = np.searchsorted(edges[1:], np.arange(frames), side="right")
-    over_time = rest[np.minimum(at, blocks - 1)]
-    over_time += carried
-    return over_time
+    return np.asarray(rest[np.minimum(at, blocks - 1)], np.float64)
 
 
 def torn(moved: Floats, comb: RidgeComb, spacing_px: Floats | float | None = None) -> Bools:
@@ -572,14 +520,6 @@ def split_segments(ridges: Ridges, comb: RidgeComb) -> Segments:
     drift = np.r_[0.0, np.cumsum(np.where(continues, moved, 0.0))]
     drift -= drift[start + length // 2][of_frame]
     return Segments(start, length, place, Candidates(*_means(ridges, drift, of_frame, place)))
-
-
-def each_frame(ridges: Ridges) -> Segments:
-    """Return a segment for every frame, of a film in which no frame can be followed to the next."""
-    frames = len(ridges.x_px)
-    features = np.stack([ridges.x_px, np.log(ridges.contrast), np.log(ridges.fwhm_px)]).astype(np.float64)
-    start, zero = np.arange(frames), np.zeros(frames, np.int64)
-    return Segments(start, zero + 1, zero, Candidates(*features))
 
 
 def _compared(ridges: Ridges, rows: Ints, came: int, comb: RidgeComb) -> tuple[Bools, Floats, Floats]:

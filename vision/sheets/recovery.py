@@ -34,8 +34,6 @@ from vision.sheets.doubts import (
     doubts_of,
     hops,
     numbered_between_tears,
-    numbered_off_the_end,
-    shifted_pattern,
     unlike_neighbours,
 )
 from vision.sheets.identities import DOUBTS, Doubt, Identities, exchanged, fill_rows, last_seen
@@ -102,8 +100,6 @@ def assign_detections(
     for table, values in zip(paired, (ridges.x_px, ridges.contrast, ridges.fwhm_px), strict=True):
         table[:] = values_of(identities.match, values)
     why = doubts_of(identities.usual_px, paired[1], paired[2], identities, comb)
-    why[numbered_off_the_end(ridges, paired[:2], comb)] = Doubt.END
-    why[shifted_pattern(paired, why, comb.settings)] = Doubt.PATTERN
     followed = (why == Doubt.NONE) | (why == Doubt.TEAR)
     x, contrast = (np.where(followed, values, np.nan) for values in paired[:2])
     off = exchanged(x, contrast, identities.margin, comb)

@@ -301,11 +301,6 @@ class TrackingSettings:
     looks like half a pitch to the other. Larger lets combs jump the wrong way, smaller doubts slips
     (test_equal_sheets_of_a_cropped_jumping_comb_are_doubted_rather_than_swapped at 0.6)."""
 
-    still_fraction: float = 0.1
-    """Step of a comb without ends in view and without a pattern, in pitches, up to which it is followed in a
-    film in which its larger steps cannot be. Larger lets jumps of about a pitch pass, smaller withholds combs
-    that drift (test_identity_doubt.py's shaking cameras)."""
-
     least_misfit: float = 0.075
     """Change of the logarithm of brightness, rms over the sheets, that is compatible with a jump by whole
     pitches. Larger accepts jumps of combs that look different (test_identity_doubt.py's moving light at 0.3,
@@ -319,7 +314,7 @@ class TrackingSettings:
     anchor_nats: float = 9.0
     """Log-likelihood ratio by which the pattern must exclude other numberings for a doubt to end, or for a
     jump to be undone. Larger keeps doubts that the pattern has settled and false jumps, smaller ends them on
-    equal sheets ("cropped combs", test_a_jump_by_a_pitch_of_nearly_equal_sheets_is_doubted at 3)."""
+    equal sheets ("cropped combs" at 3)."""
 
     sheet_nats: float = 0.5
     """Log-likelihood ratio per sheet by which another numbering must explain a jump better. Larger leaves
@@ -334,20 +329,13 @@ class TrackingSettings:
     anchor_fit: float = 1.5
     """Mean cost of a feature, nats, up to which a frame's pattern is the learned one (usually 0.5)."""
 
-    pattern_frames: int = 5
-    """Frames before and after a jump whose median brightnesses and widths are compared. More average noise,
-    fewer find jumps in quick succession (test_identity_doubt.py's jumps by a pitch)."""
-
     pattern_sheets: int = 8
-    """Sheets that this comparison needs: the patterns of fewer are alike by chance."""
-
-    pattern_change: float = 3.0
-    """Times its usual change by which the pattern must change for a jump. Larger misses jumps of nearly equal
-    sheets, smaller takes noise for one."""
+    """Sheets whose brightnesses and widths show that a part of the comb is numbered otherwise: the patterns
+    of fewer are alike by chance."""
 
     pattern_ratio: float = 3.0
-    """Times by which it must fit another numbering better. Larger misses jumps, smaller takes moving light
-    for one (test_identity_doubt.py)."""
+    """Times by which brightnesses must fit a comb that moved on by a sheet better for the recording to be cut
+    there. Larger misses jumps by a pitch, smaller takes moving light for one."""
 
     alike_scatter: float = 2.0
     """Difference of brightness and width between neighbours, over their change with time (medians), below
