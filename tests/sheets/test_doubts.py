@@ -1,14 +1,12 @@
 """Identities held against the sheets around and the pattern: scenes with known mistakes."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from tests.scenes.combs import comb, ridges, strip
 from tests.scenes.identity_cases import brightness
 from vision.sheets import TrackingSettings, track_sheets
-from vision.sheets.doubts import anchored, hops, numbered_between_tears, predicted_by_neighbours, unmoved
+from vision.sheets.doubts import hops, predicted_by_neighbours, unmoved
 from vision.sheets.identities import exchanged
 from vision.sheets.ridges import RidgeComb
 
@@ -162,31 +160,6 @@ def test_the_last_sheet_on_a_ridge_beyond_the_comb_does_not_hide_an_exchange(wit
     assert doubtful.sum() == 200 * with_brightness
 
 
-def looks(contrast):
-    rng = np.random.default_rng(3)
-    return [np.log(value) + rng.normal(0, 0.02, (FRAMES, 50)) for value in (contrast, np.full(50, 7.0))]
-
-
-@pytest.mark.parametrize(("contrast", "unique"), [(brightness(), True), (np.ones(50), False)])
-def test_only_a_unique_pattern_anchors(contrast, unique):
-    """A failure means doubts end on sheets that nothing tells apart, or never end."""
-    trusted = np.zeros((FRAMES, 50), bool)
-    trusted[:60] = True
-    sure = anchored(moving(), *looks(contrast), trusted, COMB)
-    assert sure.mean() > 0.95 if unique else not sure.any()
-
-
-def test_a_wrong_numbering_is_not_anchored():
-    """The frames numbered one too high from frame 100 on fit the pattern of another numbering."""
-    x, (bright, wide) = moving(), looks(brightness())
-    x, bright, wide = (np.vstack([v[:100], np.roll(v[100:], 1, axis=1)]) for v in (x, bright, wide))
-    trusted = np.zeros((FRAMES, 50), bool)
-    trusted[:60] = True
-    sure = anchored(x[:, 1:], bright[:, 1:], wide[:, 1:], trusted[:, 1:], COMB)
-    assert sure[:100].all()
-    assert not sure[100:].any()
-
-
 def marked_comb(hop_px):
     """A comb of eleven pairs of ridges; one ridge is hidden for 31 frames while a speck appears beside it."""
     x = 60 + 100.0 * np.arange(11) + np.cumsum(np.random.default_rng(4).normal(0, 2, FRAMES))[:, None]
@@ -238,22 +211,3 @@ def test_a_comb_that_lies_where_it_was_and_will_be_has_not_jumped_by_a_pitch(
     x[150:] += jump_px
     found = unmoved(x, ~unsettled, unsettled, COMB)
     assert found[60 : 60 + frames, :].all() if settled else not found.any()
-
-
-@pytest.mark.parametrize(("hidden", "missing"), [(20, 23), (44, 49)])
-def test_a_sheet_lost_where_there_is_no_room_for_it_is_doubted(hidden, missing):
-    """Of equal sheets, one hides from frame 100 on. Numbered rightly, it leaves a spacing twice as wide. If
-    the sheets after it are on the ridges of the next ones, no sheet is missing in that spacing, but one is
-    where there is no room for it, or at the end. A failure means that sheets are given the ridges of the next
-    ones, or that the sheets beside a gap are withheld."""
-    x, view = moving(), replace(COMB, width_px=1200)
-    x[100:, hidden] = np.nan
-    assert not numbered_between_tears(x, np.isnan(x), view).any()
-    x[100:, hidden:missing] = x[100:, hidden + 1 : missing + 1]
-    x[100:, missing] = np.nan
-    doubtful = numbered_between_tears(x, np.isnan(x), view)
-    assert doubtful[100:, hidden:missing].all()
-    assert not doubtful[:100].any()
-    assert not doubtful[100:, : hidden - 4].any()
-    blind = replace(view, settings=TrackingSettings(room_pitches=3.0))
-    assert not numbered_between_tears(x, np.isnan(x), blind).any()

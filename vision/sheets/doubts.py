@@ -1,13 +1,11 @@
 """Doubtful identities: what the alignment did not use says that a sheet may be another one.
 
-That is the positions that neighbouring sheets predict, the jumps of the whole comb, and other numberings that
-pair the ridges as well. The pattern of spacings, brightnesses and widths ends doubts. Numberings that the
+That is the positions that neighbouring sheets predict, and the jumps of the whole comb. Numberings that the
 looks of the ridges contradict in a part of the comb are found in `vision.sheets.looks`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -25,33 +23,26 @@ from vision.numeric import (
     in_two_threads,
     median_size,
     median_step,
-    median_where,
     nan_median,
     nan_quantile,
     row_parts,
-    shifted,
     without_common_change,
 )
-from vision.sheets.identities import SHIFTS, Doubt, Identities, last_seen, torn
+from vision.sheets.identities import Doubt, Identities, last_seen, torn
 from vision.sheets.reference import rest_positions
 from vision.sheets.ridges import RidgeComb, in_blocks
 
 PAIRS = 3  # neighbours on each side that predict a sheet's position
 LINES = ((1, 2), (1, 3), (2, 3), (2, 4), (3, 4))  # distances of two neighbours on one side that a line joins
-TERM_LIMIT = 4.0  # nats: no single spacing, brightness or width decides a numbering
 LIKE_ITSELF = 0.7
 """Change of log contrast up to which a ridge may be the sheet that is expected there: a factor of two."""
-MOST_COMPLETE = 0.95  # quantile of the number of sheets found from which on frames tell the usual spacings
-LEFT_AT_END = 0.4  # pitches by which a spacing is narrower that a missing sheet at an end does not leave
 
 
-def doubts_of(
-    x: Floats32, contrast: Floats32, fwhm: Floats32, identities: Identities, comb: RidgeComb
-) -> Codes:
+def doubts_of(x: Floats32, contrast: Floats32, identities: Identities, comb: RidgeComb) -> Codes:
     """Return which identities of paired ridges are doubtful by margin, jump or tear, (frame, N).
 
-    A margin that is too small is no doubt where the pattern confirms the identity, or where the ridges do not
-    move from the last certain frame to the next. x, contrast, fwhm: of the paired ridges, (frame, N).
+    A margin that is too small is no doubt where the ridges do not move from the last certain frame to the
+    next. x, contrast: of the paired ridges, (frame, N).
     """
     why = np.full(x.shape, Doubt.NONE, np.uint8, order="F")
     why[~(identities.margin >= comb.settings.doubt)] = Doubt.MARGIN
@@ -65,12 +56,6 @@ def doubts_of(
     why[np.isnan(x)] = Doubt.NONE
     unsettled = why == Doubt.MARGIN
     if unsettled.any():
-        known = np.where(why == Doubt.TEAR, np.float32(np.nan), x)
-        trusted = np.isfinite(known) & (why == Doubt.NONE)
-        bright, wide = (np.log(values.astype(np.float64)) for values in (contrast, fwhm))
-        why[unsettled & anchored(known, bright, wide, trusted, comb)] = Doubt.NONE
-        del bright, wide
-        unsettled &= why == Doubt.MARGIN
         why[unsettled & unmoved(x, why == Doubt.NONE, unsettled, comb)] = Doubt.NONE
     return why
 
@@ -114,6 +99,30 @@ def _unproved_jumps(
     given, wanted = (np.array([nan_median(part[one]) for one in runs]) for part in (margin, least * worse))
     unproved = away & (given < wanted)[run]
     return np.asarray(unproved[:, None] & np.isfinite(x), bool)
+
+
+def unmoved(x: NDArray[np.floating], certain: Bools, unsettled: Bools, comb: RidgeComb) -> Bools:
+    """Return which ridges lie where their sheet was and will be, (frame, N).
+
+    They are judged in short stretches in which the numbering of most sheets is unsettled. Another numbering
+    would mean that the comb jumped by whole pitches and, a few frames later, exactly back. This is excluded
+    in a film in which the comb never jumps. x: positions of the paired ridges, px. certain, unsettled: whose
+    identity is certain, or is to be settled.
+    """
+    settings = comb.settings
+    if (np.abs(median_step(np.where(certain, x, np.nan))) > settings.jump_fraction * comb.pitch_px).any():
+        return np.zeros(x.shape, bool)
+    near, least = np.empty(x.shape, bool), settings.step_fraction * comb.pitch_px / 2
+    number = np.arange(len(x), dtype=np.float64)
+    for n, use in enumerate(certain.T):
+        here = x[:, n].astype(np.float64)
+        both = np.stack([np.where(use, here, np.nan), np.where(use, number, np.nan)])
+        before, since = last_seen(both)
+        after, until = last_seen(both[:, ::-1])[:, ::-1]
+        near[:, n] = (until - since <= settings.unmoved_frames) & (np.abs(here - before) < least)
+        near[:, n] &= np.abs(here - after) < least
+    most = 2 * (near & unsettled).sum(axis=1, keepdims=True) > np.isfinite(x).sum(axis=1, keepdims=True)
+    return np.asarray(near & most, bool)
 
 
 # --- predictions by neighbouring sheets ---------------------------------------------------------------------
@@ -219,69 +228,7 @@ def hops(residual: Floats, comb: RidgeComb) -> Bools:
     return found
 
 
-# --- the comb's own pattern ---------------------------------------------------------------------------------
-
-
-def anchored(
-    x_px: NDArray[np.floating], log_contrast: Floats, log_width: Floats, trusted: Bools, comb: RidgeComb
-) -> Bools:
-    """Return which identities are confirmed by a pattern that fits no other numbering, (frame, N).
-
-    The pattern is the spacings, brightnesses and widths of the sheets (positions, log contrasts and log
-    widths of the ridges paired with them, (frame, N), NaN where none); the median and scatter of each are
-    measured over the trusted identities (frame, N). The cost of a numbering is the sum of squared deviations
-    over twice the variance, each at most `TERM_LIMIT`. A frame is anchored if every numbering shifted by one
-    or two sheets costs `anchor_nats` more. An even comb of equal sheets is never anchored.
-
-    False where fewer than a tenth of the frames are trusted, and for sheets without a neighbour at the usual
-    spacing: the rest of the frame does not constrain these.
-    """
-    if x_px.shape[1] < 3 or trusted.any(axis=1).mean() < 0.1:
-        return np.zeros(x_px.shape, bool)
-    both = trusted & np.hstack([trusted[:, 1:], np.zeros((len(trusted), 1), bool)])
-    own_cost, terms = np.zeros((2, len(x_px)))
-    excess, usual_gap = np.zeros((len(SHIFTS), len(x_px))), np.empty(x_px.shape, bool)
-    for kind, values in enumerate((x_px, log_contrast, log_width)):
-        of_gaps = kind == 0
-        if of_gaps:
-            feature = _Feature.of(np.diff(values, axis=1, append=np.nan), both, 0.01 * comb.pitch_px)
-        else:
-            feature = _Feature.of(without_common_change(values), trusted, 0.05)
-        for rows in row_parts(len(x_px)):
-            own, *others = feature.costs(rows)
-            own_cost[rows] += np.nansum(own, axis=1)
-            terms[rows] += np.isfinite(own).sum(axis=1)
-            # only features that both numberings explain
-            excess[:, rows] += np.stack([np.nansum(other - own, axis=1) for other in others])
-            if of_gaps:
-                usual_gap[rows] = own < TERM_LIMIT / 2
-    fits = own_cost < comb.settings.anchor_fit * np.maximum(terms, 1)
-    beside = usual_gap | np.hstack([np.zeros((len(x_px), 1), bool), usual_gap[:, :-1]])
-    return np.asarray((fits & (excess.min(axis=0) > comb.settings.anchor_nats))[:, None] & beside, bool)
-
-
-def unmoved(x: NDArray[np.floating], certain: Bools, unsettled: Bools, comb: RidgeComb) -> Bools:
-    """Return which ridges lie where their sheet was and will be, (frame, N).
-
-    They are judged in short stretches in which the numbering of most sheets is unsettled. Another numbering
-    would mean that the comb jumped by whole pitches and, a few frames later, exactly back. This is excluded
-    in a film in which the comb never jumps. x: positions of the paired ridges, px. certain, unsettled: whose
-    identity is certain, or is to be settled.
-    """
-    settings = comb.settings
-    if (np.abs(median_step(np.where(certain, x, np.nan))) > settings.jump_fraction * comb.pitch_px).any():
-        return np.zeros(x.shape, bool)
-    near, least = np.empty(x.shape, bool), settings.step_fraction * comb.pitch_px / 2
-    number = np.arange(len(x), dtype=np.float64)
-    for n, use in enumerate(certain.T):
-        here = x[:, n].astype(np.float64)
-        both = np.stack([np.where(use, here, np.nan), np.where(use, number, np.nan)])
-        before, since = last_seen(both)
-        after, until = last_seen(both[:, ::-1])[:, ::-1]
-        near[:, n] = (until - since <= settings.unmoved_frames) & (np.abs(here - before) < least)
-        near[:, n] &= np.abs(here - after) < least
-    most = 2 * (near & unsettled).sum(axis=1, keepdims=True) > np.isfinite(x).sum(axis=1, keepdims=True)
-    return np.asarray(near & most, bool)
+# --- sheets that nothing tells apart ------------------------------------------------------------------------
 
 
 def sheets_alike(x_px: Floats, contrast: Floats32, fwhm_px: Floats32, comb: RidgeComb) -> bool:
@@ -308,100 +255,3 @@ def sheets_alike(x_px: Floats, contrast: Floats32, fwhm_px: Floats32, comb: Ridg
 def _bend(values: Floats) -> Floats:
     """Return values (N,) minus the means of their neighbours, (N − 2,)."""
     return np.asarray(values[1:-1] - (values[2:] + values[:-2]) / 2)
-
-
-@dataclass(frozen=True)
-class _Feature:
-    """Values of the sheets (frame, N), NaN where unknown; of each sheet the usual one, and its scatter."""
-
-    values: Floats
-    middle: Floats
-    spread: Floats
-
-    @classmethod
-    def of(cls, values: Floats, learned: Bools, least_spread: float) -> _Feature:
-        """Return the feature, with what is usual taken from the values that are learned (frame, N)."""
-        middle = median_where(learned, values)
-        off = zip(learned.T, values.T, middle, strict=True)
-        spread = [nan_median(np.where(use, np.abs(own - at), np.nan)) for use, own, at in off]
-        return cls(values, middle, np.maximum(np.array(spread) / NORMAL_MEDIAN, least_spread))
-
-    def costs(self, rows: slice) -> list[Floats]:
-        """Return the cost of each value for its own sheet, then for each sheet of SHIFTS; (frame, N), NaN
-        where unknown."""
-        values = self.values[rows]
-        costs = []
-        for shift in (0, *SHIFTS):
-            expected = shifted(self.middle[None], shift)
-            # the wider of both scatters, so that a single noisy sheet does not exclude a numbering
-            sigma = np.fmax(shifted(self.spread[None], shift), self.spread[None])
-            limit = np.where(np.isfinite(expected), TERM_LIMIT, np.nan)
-            costs.append(np.fmin((values - expected) ** 2 / (2 * sigma**2), limit))
-        return [np.where(np.isfinite(values), cost, np.nan) for cost in costs]
-
-
-# --- where another numbering pairs the ridges as well -------------------------------------------------------
-
-
-def numbered_between_tears(x: NDArray[np.floating], missing: Bools, comb: RidgeComb) -> Bools:
-    r"""Return which sheets may be on the ridge of the next, as another spacing has room for a missing one.
-
-    A missing sheet leaves a spacing twice as wide. If that spacing is narrower and another one wider, the
-    sheet may be missing in the other one, and each of the k sheets between both be on the ridge of the next.
-    With the changes of both spacings from the usual ones in pitches, :math:`t_m` where the sheet is missing
-    and :math:`t_w` where it may be, these sheets are doubtful if
-
-    .. math:: t_w - t_m > t_0 + k\,t_1
-
-    with `room_pitches` :math:`t_0` and `room_per_sheet` :math:`t_1`; at 1 both readings fit equally well. A
-    sheet that is missing in view at an end of the comb leaves no spacing; :math:`t_m` is -`LEFT_AT_END`.
-    Spacings are usual in the frames that show most sheets.
-
-    Parameters
-    ----------
-    x
-        Positions of the sheets, px, NaN where missing or doubtful, (frame, N).
-    missing
-        Whether a sheet has no ridge, (frame, N).
-    comb
-        The ridges' appearance.
-
-    Returns
-    -------
-    numpy.ndarray
-        Whether a sheet with a position is doubtful, (frame, N).
-    """
-    found = np.isfinite(x)
-    count, doubtful = found.sum(axis=1), np.zeros(found.shape, bool)
-    usual_px = rest_positions(x[count >= np.quantile(count, MOST_COMPLETE)])
-    lacking = np.flatnonzero(missing.any(axis=1) & (count > 0))
-    per_sheet = comb.settings.room_per_sheet * np.arange(x.shape[1] + 1)
-    for part in row_parts(len(lacking)):
-        rows = lacking[part]
-        narrow, wide = _spacing_changes(x[rows].astype(np.float64), missing[rows], usual_px, comb)
-        for turn in (slice(None), slice(None, None, -1)):  # sheet n has the spacings up to n on its left
-            least = np.minimum.accumulate(narrow[:, turn] - per_sheet, axis=1)[:, :-1]
-            most = np.maximum.accumulate((wide[:, turn] - per_sheet)[:, ::-1], axis=1)[:, ::-1][:, 1:]
-            doubtful[rows] |= found[rows] & (most - least > comb.settings.room_pitches)[:, turn]
-    return doubtful
-
-
-def _spacing_changes(
-    x: Floats, missing: Bools, usual_px: NDArray[np.floating], comb: RidgeComb
-) -> tuple[Floats, Floats]:
-    """Return by how many pitches the spacing before each sheet, and that after the last one, is wider than
-    usual, (frame, N + 1): inf where no sheet is missing in it, and the same, -inf where it is none."""
-    number, found = np.arange(x.shape[1] + 1), np.isfinite(x)
-    here = np.pad(found, ((0, 0), (0, 1)), constant_values=True)
-    before = np.maximum.accumulate(np.where(found, number[:-1], -1), axis=1)
-    before = np.pad(before, ((0, 0), (1, 0)), constant_values=-1)
-    moved = np.pad((x - usual_px) / comb.pitch_px, ((0, 0), (0, 1)), constant_values=np.nan)
-    wider = moved - np.take_along_axis(moved, np.maximum(before, 0), axis=1)
-    at_end = here & ((before < 0) | (number == number[-1]))
-    wider[at_end] = np.nan
-    end_px = np.stack([np.nanmin(x, axis=1), comb.width_px - 1 - np.nanmax(x, axis=1)], axis=1)
-    in_view = np.where(number < number[-1], end_px[:, :1], end_px[:, 1:]) > comb.pitch_px
-    narrow = np.where(at_end & in_view, -LEFT_AT_END, wider)
-    lost = np.pad(np.cumsum(missing, axis=1), ((0, 0), (1, 0)))  # before each spacing
-    narrow[~here | (lost == np.take_along_axis(lost, before + 1, axis=1))] = np.inf
-    return np.nan_to_num(narrow, nan=np.inf), np.nan_to_num(wider, nan=-np.inf)

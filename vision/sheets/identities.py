@@ -49,7 +49,7 @@ DOUBTS = {
     "jump": "displaced by a jump that could be one of whole pitches",
     "pattern": "brightnesses and widths are those of other sheets",
     "exchange": "on the ridge that another sheet had in the frame before",
-    "neighbour": "between a missing sheet and a ridge or a room too many: numbered by a neighbour",
+    "neighbour": "between a missing sheet and a ridge too many: numbered by a neighbour",
     "hop": "on another ridge, away from the position that the neighbours predict",
 }
 """Meaning of each of `WHYS`."""

@@ -23,10 +23,10 @@ from vision.numeric import (
     shifted,
     sigma_about_zero,
 )
-from vision.sheets.doubts import TERM_LIMIT
 from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb, Ridges
 from vision.sheets.settings import TrackingSettings
 
+TERM_LIMIT = 4.0  # nats: no single brightness or width decides a numbering
 LIKE_A_SHEET = 1.1
 """Log contrast below the median down to which a ridge may be a sheet that touches another: a third of it."""
 LEAST_SCATTER = np.array([0.02, 0.03])[:, None, None]  # of log contrast and log width: specks, pixels

@@ -33,7 +33,6 @@ from vision.sheets.doubts import (
     LIKE_ITSELF,
     doubts_of,
     hops,
-    numbered_between_tears,
     unlike_neighbours,
 )
 from vision.sheets.identities import DOUBTS, Doubt, Identities, exchanged, fill_rows, last_seen
@@ -99,7 +98,7 @@ def assign_detections(
     paired = np.empty((3, *identities.match.shape[::-1]), np.float32).swapaxes(1, 2)
     for table, values in zip(paired, (ridges.x_px, ridges.contrast, ridges.fwhm_px), strict=True):
         table[:] = values_of(identities.match, values)
-    why = doubts_of(identities.usual_px, paired[1], paired[2], identities, comb)
+    why = doubts_of(identities.usual_px, paired[1], identities, comb)
     followed = (why == Doubt.NONE) | (why == Doubt.TEAR)
     x, contrast = (np.where(followed, values, np.nan) for values in paired[:2])
     off = exchanged(x, contrast, identities.margin, comb)
@@ -123,9 +122,6 @@ def assign_detections(
         found[:, rows, sheet] = faint
         off = hops(unlike_neighbours(found[0]), comb)
         found[:, off & unpaired] = np.nan
-    off = numbered_between_tears(found[0], np.isnan(found[0]) & ~doubtful, comb)
-    why[off], withheld[off] = Doubt.NEIGHBOUR, found[0, off]
-    doubtful |= off
     flag = np.where(np.isfinite(found[0]), Flag.OK, Flag.MISSING).astype(np.uint8)
     flag[_merged(found, expected, comb)] = Flag.MERGED
     flag[_hidden(found[0], doubtful, comb)] = Flag.MERGED

@@ -312,9 +312,10 @@ class TrackingSettings:
     another ridge is searched. Larger lets hops pass, smaller doubts sheets with individual motion."""
 
     anchor_nats: float = 9.0
-    """Log-likelihood ratio by which the pattern must exclude other numberings for a doubt to end, or for a
-    jump to be undone. Larger keeps doubts that the pattern has settled and false jumps, smaller ends them on
-    equal sheets ("cropped combs" at 3)."""
+    """Log-likelihood ratio by which another numbering must be likelier for a jump to be undone; half of it,
+    for each sheet, for sheets to have exchanged their ridges. Larger keeps false jumps and passes exchanged
+    sheets (test_sheets_that_draw_together_until_one_is_hidden_are_not_exchanged), smaller doubts sheets that
+    slip."""
 
     sheet_nats: float = 0.5
     """Log-likelihood ratio per sheet by which another numbering must explain a jump better. Larger leaves
@@ -325,9 +326,6 @@ class TrackingSettings:
     """Log-likelihood ratio by which a part of the comb must look like the sheets beside it to be doubtful.
     Larger passes sides numbered by a neighbour (test_looks.py), smaller withholds sheets whose brightness
     wanders (sarcomeres at 9)."""
-
-    anchor_fit: float = 1.5
-    """Mean cost of a feature, nats, up to which a frame's pattern is the learned one (usually 0.5)."""
 
     pattern_sheets: int = 8
     """Sheets whose brightnesses and widths show that a part of the comb is numbered otherwise: the patterns
@@ -341,16 +339,6 @@ class TrackingSettings:
     """Difference of brightness and width between neighbours, over their change with time (medians), below
     which sheets look alike. It is 0.3 to 0.6 for equal sheets and 10 or more for paper. Larger warns of combs
     that have a pattern, smaller overlooks combs without one (test_identity_doubt.py)."""
-
-    room_pitches: float = 0.4
-    """Pitches by which one spacing is wider than usual and one with a missing sheet narrower, together, above
-    which the sheet may be missing in the other one. Larger gives sheets the ridges of the next ones
-    (test_a_sheet_lost_where_there_is_no_room_for_it_is_doubted), smaller withholds sheets that slip beside a
-    missing one."""
-
-    room_per_sheet: float = 0.1
-    """The same for each sheet between both. Larger overlooks several sheets on wrong ridges, smaller
-    withholds more of them where sheets part and meet."""
 
     merged_widths: float = 0.8
     """Two sheets nearer to each other than this, in ridge widths, are one ridge: the resolution of two
