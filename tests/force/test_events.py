@@ -72,37 +72,6 @@ def test_sudden_slips_are_found_among_those_that_last_for_seconds() -> None:
     assert np.mean(found) > 0.85
 
 
-def test_small_slips_are_found_behind_a_low_pass() -> None:
-    """A failure means that slips of 10 to 40 % of the others, which the transients of these hide, are missed
-    though the load is corrected for its low-pass (20 of 40), or without a word."""
-    rng = np.random.default_rng(4)
-    knots_t, knots_f, begins = [0.0], [0.0], []
-    for k in range(120):
-        whole, peak = 4 + 0.3 * rng.standard_normal(), 60 - 0.25 * k
-        parts = [(peak, whole)]
-        if rng.random() < 0.3:
-            parts = [(peak - whole * rng.uniform(0.1, 0.7), whole * rng.uniform(0.1, 0.4)), *parts]
-        for level, drop in parts:
-            knots_t.append(knots_t[-1] + (level - knots_f[-1]) / 10)
-            begins.append(knots_t[-1])
-            knots_t.append(knots_t[-1] + 0.005)
-            knots_f.extend([level, level - drop])
-    time = np.arange(0, knots_t[-1], 0.001)
-    decay = np.exp(-0.001 / 0.03)
-    load = lfilter([1 - decay], [1, -decay], np.interp(time, knots_t, knots_f))[::5]
-    time = time[::5]
-    force = recording(time, load + 0.02 * rng.standard_normal(time.size), 13 + time / 60, 1.0)
-    events = find_stick_slip(force, lowpass_s="auto")
-    away = np.abs(events["t_p_s"].to_numpy() - np.array(begins[1:])[:, np.newaxis])
-    assert np.mean(away.min(axis=1) < 0.02) > 0.96
-    assert np.mean(away.min(axis=0) < 0.02) == 1
-    assert events["dF_N"].min() > events.attrs["threshold_N"]
-    assert not any("not counted" in line for line in events.attrs["warnings"])
-    assert any(
-        "low-pass, which hides small ones" in line for line in find_stick_slip(force).attrs["warnings"]
-    )
-
-
 def test_what_coarse_steps_do_not_resolve_has_no_error_of_zero() -> None:
     """Within sticks of two steps the load, or the displacement, may not change at all."""
     test = realistic(speed=1.0, rate=200.0, noise=0.02, d1=13.4)

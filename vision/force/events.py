@@ -28,8 +28,6 @@ from vision.force.corners import (
     find_corners,
     find_extremes,
     is_slow,
-    mean_noise,
-    without_lowpass,
 )
 from vision.force.lines import fit_broken_lines, fit_lines, fit_polynomials
 from vision.force.lowpass import Lowpass, find_lowpass
@@ -47,8 +45,7 @@ from vision.force.slips import (
     stick_middles,
 )
 from vision.force.sticks import BY_DISPLACEMENT, filter_length, measure_sticks
-from vision.numeric import Bools, Floats, Ints, nan_median, nearest_sorted, spread_indices
-from vision.signals import running_mean
+from vision.numeric import Bools, Floats, Ints, nan_median, spread_indices
 
 
 def find_stick_slip(
@@ -135,11 +132,6 @@ def find_stick_slip(
     period_s = slips.period * signal.interval_s
     _check_lowpass(lowpass_s, period_s, source)
     analysis = _analyse_slips(signal, slips, lowpass_s, two_slopes, settings)
-    corrected = _search_corrected(signal, slips, analysis, threshold_N, settings)
-    hidden = corrected.edge.size - slips.edge.size if corrected else None
-    if corrected and hidden and analysis.corners.lowpass:
-        slips, hidden = corrected, 0
-        analysis = analysis.of_slips(signal, slips, settings)
     unloading = is_unloading(signal.travel, analysis.extremes)
     events, shares = _measure(signal, analysis, 1 / (machine_stiffness_N_per_mm or np.inf), settings)
     _check_direction(events, unloading, source)
@@ -147,7 +139,7 @@ def find_stick_slip(
     unit = "of the weight" if load_unit(force) == "1" else "N"
     warnings = doubts(events, analysis.regime, signal, slips, unit, rings, math.nan if calm else swing_s)
     if threshold_N is None and analysis.regime.name == "stick-slip" and not (rings or signal.averaged):
-        warnings += _missed_warnings(signal, slips, analysis, hidden, unit, settings)
+        warnings += _missed_warnings(signal, slips, analysis, unit, settings)
     metadata = _metadata(signal, slips, analysis, shares, warnings, settings)
     metadata = replace(
         metadata,
@@ -309,35 +301,6 @@ def _check_lowpass(lowpass_s: float | str, period_s: float, source: str) -> None
         )
 
 
-def _search_corrected(
-    signal: Signal, slips: Slips, analysis: _SlipAnalysis, threshold_N: float | None, settings: ForceSettings
-) -> Slips | None:
-    """Return the slips with those that a low-pass, given or proven, hides in the transients of large ones.
-
-    They are found in the load before it. None without a low-pass, or in noise that is not white.
-    """
-    tau = analysis.corners.lowpass or (analysis.found.samples if analysis.found.proven else 0.0)
-    if not tau or signal.hum or signal.slow:
-        return None
-    load, gain = without_lowpass(signal.clean, tau)
-    width = 2 * int(tau / 2) + 1
-    noise = signal.noise * float(mean_noise(gain, width))
-    found = find_slips(running_mean(load, width), noise, threshold=threshold_N, settings=settings)
-    # The other slips are the same, seen at a different sample.
-    known, seen = slips.edge.astype(float), found.edge.astype(float)
-    new = np.abs(seen - known[nearest_sorted(known, seen)]) > width
-    edge, drop = np.r_[slips.edge, found.edge[new]], np.r_[slips.drop, found.drop[new]]
-    order = np.argsort(edge)
-    return replace(
-        slips,
-        edge=edge[order],
-        drop=drop[order],
-        threshold=found.threshold,
-        threshold_how=found.threshold_how,
-        left_out=found.left_out,
-    )
-
-
 @dataclass(frozen=True)
 class _SlipAnalysis:
     """What is known about a recording before its sticks are measured."""
@@ -347,14 +310,6 @@ class _SlipAnalysis:
     regime: Regime
     found: Lowpass  # low-pass that the transients suggest
     how: LowpassHow  # as ``lowpass_how`` of `StickMetadata`
-
-    def of_slips(self, signal: Signal, slips: Slips, settings: ForceSettings) -> _SlipAnalysis:
-        """Return the same for other slips of this load."""
-        bent, tau = self.corners.two_slopes, self.corners.lowpass
-        corners = find_corners(signal, slips, lowpass=tau, two_slopes=bent, settings=settings)
-        plain = find_corners(signal, slips, two_slopes=bent, settings=settings)
-        extremes = find_extremes(signal.clean, signal.sigma, plain.middle, plain.length, plain.drop)
-        return replace(self, corners=corners, extremes=extremes)
 
 
 def _analyse_slips(
@@ -563,24 +518,14 @@ def _lowpass_shares(events: pd.DataFrame, other: pd.DataFrame) -> dict[str, floa
 
 
 def _missed_warnings(
-    signal: Signal,
-    slips: Slips,
-    analysis: _SlipAnalysis,
-    hidden: int | None,
-    unit: str,
-    settings: ForceSettings,
+    signal: Signal, slips: Slips, analysis: _SlipAnalysis, unit: str, settings: ForceSettings
 ) -> list[str]:
     """Return how many slips were missed, as far as the steps within the sticks tell; see `missed_slips`.
 
-    hidden: number of those that a low-pass hides, None where the load has none, whose transients are steps.
+    The transients of a low-pass are steps, too.
     """
-    if hidden is not None:
-        if hidden < settings.missed_share * slips.edge.size:
-            return []
-        return [
-            f"{hidden} more slips are found beside {slips.edge.size} where the load is corrected for its "
-            "low-pass, which hides small ones: `lowpass_s` auto includes them"
-        ]
+    if analysis.corners.lowpass or analysis.found.proven:
+        return []
     start, stop = analysis.corners.valley[:-1], analysis.corners.peak[1:]
     missed, height = missed_slips(signal.clean, signal.sigma, slips.edge, start, stop, settings)
     missed -= slips.left_out.size  # of which there is a warning
