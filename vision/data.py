@@ -395,7 +395,6 @@ class StickMetadata(Metadata):
     lowpass_dF_share: float = 0.0  # median relative changes of ΔF and K that this correction would cause
     lowpass_K_share: float = 0.0
     lowpass_peak_mm: float = 0.0  # median travel in which a stick rises as much as it would raise the peak
-    K_err_by_d: float = 0.0  # median of K's error by that of d over K, where it is the larger part; else 0
     average_s: float = 0.0  # time over which the load was averaged, 0 for none
     ringing_s: float = math.nan  # period of the load's ringing after slips, or of hum
     # Duration that a filter of the machine may have given every slip, whose effect is part of the errors of

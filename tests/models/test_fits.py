@@ -17,7 +17,6 @@ from scipy.signal import butter, lfilter, sosfilt
 from tests.scenes.event_tables import PARAMETERS, build_up_of, pulls
 from tests.scenes.sawtooth import realistic, recording
 from vision.command.options import option_names
-from vision.data import StickMetadata
 from vision.errors import InputError, with_options
 from vision.folder import plain
 from vision.force import find_stick_slip
@@ -457,33 +456,6 @@ def test_the_error_of_d0_is_systematic() -> None:
     assert found.mu.systematic_error >= np.hypot(part, found.budget["thickness_mm"]["mu"])
     assert found.budget["thickness_mm"]["mu"] == pytest.approx(0.89 * 0.02, rel=0.1)
     assert set(found.to_json()["budget"]) == {"d0", "load_drift", "thickness_mm"}
-
-
-def test_a_noisy_speed_does_not_favour_small_stiffness() -> None:
-    """Speeds err by 20 %, so that the error of K grows as its square. A failure means Y_eff 4 errors off."""
-    off = []
-    for seed in range(8):
-        made = events(seed=seed)
-        noisy = made["K_N_per_mm"] / (1 + 0.2 * np.random.default_rng(100 + seed).standard_normal(len(made)))
-        made = made.assign(K_N_per_mm=noisy, K_err_N_per_mm=0.2 * noisy**2 / made["K_N_per_mm"])
-        made.attrs |= StickMetadata(K_err_by_d=0.2).attrs()
-        found = fit(made)
-        off.append((found.modulus_GPa.value - 3.8) / found.modulus_GPa.error)
-    assert abs(np.mean(off)) < 1
-    assert np.sqrt(np.mean(np.square(off))) < 1.6
-
-
-@pytest.mark.parametrize(("stretched", "least", "most"), [(True, 0.1, 0.3), (False, 0.0, 0.0)])
-def test_the_error_of_a_displacement_on_the_sample_is_known(
-    stretched: bool, least: float, most: float
-) -> None:
-    """A failure means that the fits do not know that K has the noise of the displacement."""
-    made = realistic(tau=0.0, noise=0.1, d1=14.2, softening=0.0)
-    d, load = (made.force[name].to_numpy() for name in ("d_mm", "load_N"))
-    stretch = 0.15 * load / made.truth["K_N_per_mm"].median() * stretched
-    noise = np.random.default_rng(1).normal(0, 3e-3 * stretched, d.size)
-    force = made.force.assign(d_mm=("time_s", d - stretch + noise))
-    assert least <= StickMetadata.of(find_stick_slip(force)).K_err_by_d <= most
 
 
 @pytest.mark.thorough

@@ -44,7 +44,7 @@ from vision.force.slips import (
     stick_lines,
     stick_middles,
 )
-from vision.force.sticks import BY_DISPLACEMENT, filter_length, measure_sticks
+from vision.force.sticks import filter_length, measure_sticks
 from vision.numeric import Bools, Floats, Ints, nan_median, spread_indices
 
 
@@ -475,7 +475,7 @@ def _have_knees(signal: Signal, slips: Slips, lag: float, settings: ForceSetting
 def _measure(
     signal: Signal, analysis: _SlipAnalysis, compliance: float, settings: ForceSettings
 ) -> tuple[pd.DataFrame, dict[str, float]]:
-    """Return the events, and what `StickMetadata` says of the errors of K.
+    """Return the events, and what `StickMetadata` says of a low-pass.
 
     If a low-pass was found but not corrected, it also says what the correction would change, and the errors
     include it.
@@ -483,14 +483,10 @@ def _measure(
     corners, found = analysis.corners, analysis.found
     known = bool(corners.lowpass or found.proven or signal.averaged)
     events = measure_sticks(signal, corners, analysis.extremes, compliance, settings, filter_known=known)
-    by_d = events.pop(BY_DISPLACEMENT)
-    shares, main = {}, 2 * by_d**2 > events["K_err_N_per_mm"] ** 2
-    if main.mean() > 0.5:
-        shares["K_err_by_d"] = float(nan_median((by_d / events["K_N_per_mm"])[main].to_numpy(float)))
     if corners.lowpass or found.corners is None:
-        return events, shares
+        return events, {}
     other = measure_sticks(signal, found.corners, analysis.extremes, compliance, settings)
-    return _with_bias(events, other), shares | _lowpass_shares(events, other)
+    return _with_bias(events, other), _lowpass_shares(events, other)
 
 
 def _with_bias(events: pd.DataFrame, other: pd.DataFrame) -> pd.DataFrame:

@@ -216,16 +216,6 @@ class ForceSettings:
     """Central part of the stick over which K is measured. Larger lowers the error of K but includes the
     curvature of the ends; the columns K30 and K70 show how much it matters."""
 
-    steady_reach: int = 4
-    """Sticks to either side whose displacements give the crosshead's speed where that of a stick alone is too
-    noisy. More average more noise, fewer follow slower changes of the speed; shown by displacements with
-    noise, and by a speed that changes."""
-
-    steady_gain: float = 0.7
-    """Scatter of K between neighbours with this speed, over that with the speed of each stick alone, below
-    which it is used. Larger smooths true changes of the speed, smaller leaves errors of K too small, by 1.4
-    at most, where the displacement errs periodically; shown by encoders with a periodic error."""
-
     # noise that is not white
     alike_sigmas: float = 6.0
     """Excess variance of the means of quarters of the sticks, in units of 1 over the root of their number,

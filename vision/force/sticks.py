@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -14,14 +14,10 @@ from vision.force.corners import Corners, Extremes, Shape, find_extremes, is_slo
 from vision.force.lines import BrokenLines, Lines, fit_broken_lines, fit_lines
 from vision.force.settings import ForceSettings
 from vision.force.signal import Signal, step_between
-from vision.numeric import Bools, Floats, Ints, nan_median, sigma_about_zero
+from vision.numeric import Bools, Floats, Ints, nan_median
 
 # Samples below which a slip may be sudden, where each sample is the mean since the one before.
 UNRESOLVED = 2.5
-BY_DISPLACEMENT = "K_err_by_d_N_per_mm"
-"""Column of `measure_sticks` that holds the part of the error of K from the displacement."""
-
-
 _OUTWARDS = np.array([[-1.0], [1.0]])  # from the middle of a stick to its valley and to its peak
 
 
@@ -103,10 +99,6 @@ def measure_sticks(
     force = _forces(signal, corners, sticks, ends)
     d, d_next, noise_mm = _separations(signal, sticks, valley[-1], force, compliance)
     (f_v, f_p), (t_v, t_p), (d_v, d_p) = force, time, d
-    steady = _steady_speeds(signal, sticks)
-    # Where the machine runs steadily, lengths show errors of d that are alike within a stick.
-    odd = d_p - d_v + compliance * (f_p - f_v) - steady.value * (t_p - t_v)
-    noise_mm = np.fmax(noise_mm, sigma_about_zero(odd) / np.sqrt(2))
     off, lost = _position_errors(signal, corners, filter_known)
     lost = np.fmin(lost, filter_length(corners, extremes, settings) / np.sqrt(2))
     error = _corner_errors(signal, sticks, ends, force, _beside(off), _beside(lost))
@@ -123,7 +115,7 @@ def measure_sticks(
             "dF_N": f_p - f_v,
             "stick_length_um": 1e3 * (d_p - d_v),
             "slip_length_um": 1e3 * (d_next - d_p),
-            **_stiffness(signal, sticks, steady, corners.two_slopes, compliance),
+            **_stiffness(signal, sticks, corners.two_slopes, compliance),
             "F_v_raw_N": sticks.furthest[0],
             "F_p_raw_N": sticks.furthest[1],
             "F_v_err_N": np.hypot(ends.error, error)[0],
@@ -373,9 +365,7 @@ def _unevenness(
     return np.where((size > settings.uneven_excess) & (noise > 0), size, 1.0)
 
 
-def _stiffness(
-    signal: Signal, sticks: _Sticks, steady: _Speeds, two_slopes: bool, compliance: float
-) -> dict[str, Floats]:
+def _stiffness(signal: Signal, sticks: _Sticks, two_slopes: bool, compliance: float) -> dict[str, Floats]:
     """Return the columns of K: slopes of load against d, corrected for the machine's compliance in series."""
 
     def of_sample(slope: Floats) -> Floats:
@@ -385,14 +375,11 @@ def _stiffness(
     time, travel, load, wider = signal.time, signal.travel, signal.spikeless, np.sqrt(signal.alike)
     settings = sticks.settings
 
-    def with_error(start: Ints, stop: Ints) -> tuple[Floats, Floats, Floats]:
-        """Return K, its error and the part of it from d, from slopes against time, since noise of d would
-        lower slopes against d."""
+    def with_error(start: Ints, stop: Ints) -> tuple[Floats, Floats]:
+        """Return K and its error, from slopes against time, since noise of d would lower slopes against d."""
         rise = fit_lines(time, load, start, stop, lag=sticks.lag)
         pace = fit_lines(time, travel, start, stop, lag=sticks.lag)
-        known = np.isfinite(steady.value)
-        speed = np.where(known, steady.value, pace.slope)
-        speed_error = np.where(known, steady.error, pace.slope_error)
+        speed = pace.slope
         # But for rounding; a load in coarse steps may not change, either.
         stands = np.abs(speed) < 1e-9 * np.abs(nan_median(speed))
         stands |= np.abs(rise.slope) < 1e-9 * np.abs(nan_median(rise.slope))
@@ -401,78 +388,23 @@ def _stiffness(
             uneven = (
                 1.0 if sticks.lag else _unevenness(signal, rise, start, stop, wider * rise.spread, settings)
             )
-            by_d = slope * speed_error
-            error = np.hypot(wider * uneven * rise.slope_error, by_d)
-            error, by_d = error / np.abs(speed), by_d / np.abs(speed)
-            gain = (of_sample(slope) / slope) ** 2
-            return of_sample(slope), error * gain, by_d * gain
+            error = np.hypot(wider * uneven * rise.slope_error, slope * pace.slope_error) / np.abs(speed)
+            return of_sample(slope), error * (of_sample(slope) / slope) ** 2
 
     part = settings.central_part
-    (k, error, by_d), (narrow, *_), (wide, *_) = (
-        with_error(*sticks.central(share)) for share in (part, 0.3, 0.7)
-    )
-    columns = {"K_N_per_mm": k, "K_err_N_per_mm": error, BY_DISPLACEMENT: by_d}
+    (k, error), (narrow, _), (wide, _) = (with_error(*sticks.central(share)) for share in (part, 0.3, 0.7))
+    columns = {"K_N_per_mm": k, "K_err_N_per_mm": error}
     columns |= {"K30_N_per_mm": narrow, "K70_N_per_mm": wide}
     names = ("K1_N_per_mm", "K2_N_per_mm", "K2_err_N_per_mm", "knee", "knee_gain")
     if not two_slopes or not np.isfinite(travel).any():
         return columns | dict.fromkeys(names, np.full(k.size, np.nan))
     broken = sticks.broken(travel, load)
-    after, after_error, _ = with_error(*sticks.one_slope(part))
+    after, after_error = with_error(*sticks.one_slope(part))
     bent = np.isfinite(sticks.knee)
     second = np.where(bent, after, of_sample(broken.second)), np.where(bent, after_error, error)
     return columns | dict(
         zip(names, (of_sample(broken.first), *second, broken.knee, broken.gain), strict=True)
     )
-
-
-class _Speeds(NamedTuple):
-    """The crosshead's speed at each stick from those around, and its error; NaN where its own counts."""
-
-    value: Floats
-    error: Floats
-
-
-def _steady_speeds(signal: Signal, sticks: _Sticks) -> _Speeds:
-    """Return the crosshead's speed at each stick from those around.
-
-    The error of d, such as its noise or the periodic error of an encoder, may exceed the changes of the
-    speed. Then the slopes of the load over this speed scatter less from stick to stick than over the
-    speed within each stick. Both speeds must agree on average, which they do not where d jumps in the slips;
-    and the machine must run as steadily beside a stick as elsewhere. The speed is the slope of a line through
-    the middles of sticks, so that its error contains noise of any kind.
-    """
-    settings, number = sticks.settings, np.arange(sticks.knee.size)
-    own_speed = _Speeds(np.full(number.size, np.nan), np.full(number.size, np.nan))
-    within = sticks.central(settings.line_part)
-    pace, rise = (fit_lines(signal.time, values, *within) for values in (signal.travel, signal.spikeless))
-    reach = settings.steady_reach
-    begin, end = np.maximum(number - reach, 0), np.minimum(number + reach + 1, number.size)
-    around = fit_lines(pace.mean_x, pace.mean_y, begin, end)
-    known = np.isfinite(pace.slope) & np.isfinite(rise.slope) & (around.slope > 0)
-    if known.sum() <= 2 * reach:
-        return own_speed
-
-    def scatter(speed: Floats) -> float:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            stiffness = (rise.slope / speed)[known]
-        return float(np.median(np.abs(np.diff(stiffness))))
-
-    off = np.where(known, pace.slope / np.where(known, around.slope, 1.0) - 1, np.nan)
-    middle = nan_median(off)
-    usual = float(sigma_about_zero(off - middle))
-    agree = abs(middle) < 4 * usual / np.sqrt(known.sum())
-    if not (agree and scatter(around.slope) < settings.steady_gain * scatter(pace.slope)):
-        return own_speed
-    spread = float(nan_median(around.spread))
-    steady = known & (around.spread < 3 * spread)
-    error = np.fmax(around.spread, spread) / np.sqrt(around.sxx)
-    # Speeds before and after a stick, whose difference has 12 times this variance by white noise, show how
-    # much more the speed changes.
-    before = fit_lines(pace.mean_x, pace.mean_y, begin, number + 1)
-    after = fit_lines(pace.mean_x, pace.mean_y, number, end)
-    change = float(sigma_about_zero(after.slope - before.slope))
-    error = np.hypot(error, 0.5 * np.sqrt(max(change**2 - 12 * float(nan_median(error)) ** 2, 0.0)))
-    return _Speeds(np.where(steady, around.slope, np.nan), np.where(steady, error, np.nan))
 
 
 def _beside_standstill(signal: Signal, valley: Floats, peak: Floats, settings: ForceSettings) -> Bools:

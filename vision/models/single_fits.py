@@ -16,12 +16,10 @@ import pandas as pd
 import scipy
 from numpy.typing import ArrayLike
 
-from vision.data import StickMetadata
 from vision.files import html_table
 from vision.models import equations
 from vision.numeric import Bools, Floats, two_digits
 from vision.sample import Sample
-from vision.signals import running_median
 
 FIT_ERRORS = (ValueError, ArithmeticError, RuntimeError, np.linalg.LinAlgError)  # of a fit to unusual events
 PARAMETERS = {
@@ -59,12 +57,6 @@ class FitSettings:
     contradicting_chi2: float = 3.0
     """χ²/dof above which a model contradicts its points. Smaller warns of slightly correlated scatter, whose
     errors are widened; larger keeps a note of a wrong geometry from being a warning."""
-    noisy_speed: float = 0.02
-    """Relative error of K by that of the speed above which it matters that this error grows with K. Larger
-    makes K too small (`test_a_noisy_speed_does_not_favour_small_stiffness`); smaller changes quiet tests."""
-    events_around: int = 31
-    """Number of events around one whose median K is the usual one. Fewer follow the noise, more smooth the
-    decrease of K."""
     largest_scale: float = 20.0
     """Largest Λ̂/d that is fitted; there K no longer decreases as M_eff does, and a warning says so."""
 
@@ -293,7 +285,7 @@ def fit_stiffness(
 ) -> Fit:
     """Fit Λ̂ and, unless it is given, Y_eff to the stiffness, K = M √(1 − d/Λ̂) ε W Y_eff / L, without μ."""
     d, k = events["d_v_mm"].to_numpy(float), events["K_N_per_mm"].to_numpy(float)
-    sigma = stiffness_errors(events, settings)
+    sigma = stiffness_errors(events)
 
     def stiffness(scale: float, modulus: float) -> Floats:
         sheets = equations.effective_sheets(d / scale, sample=sample)
@@ -324,24 +316,15 @@ def fit_stiffness(
     return replace(fit, value=np.array([scale, fit.value[1]]), covariance=covariance)
 
 
-def stiffness_errors(events: pd.DataFrame, settings: FitSettings = DEFAULT) -> Floats:
-    """Errors of K, with half the median error added in quadrature, so that no single event dominates.
-
-    The error of a noisy speed grows with K as the square, so that a K that is too large by chance counts too
-    little. Each error is then that of the usual K of the events around; and those above it have larger errors
-    than those below, in the ratio that makes the mean of 1/K, which is proportional to the speed, unbiased.
-    """
+def stiffness_errors(events: pd.DataFrame) -> Floats:
+    """Errors of K, with half the median error added in quadrature, so that no single event dominates."""
     error = np.full(len(events), np.nan)
     if "K_err_N_per_mm" in events:
         error = events["K_err_N_per_mm"].to_numpy(float)
     known: Bools = np.isfinite(error) & (error > 0)
     median = float(np.median(error[known] if known.any() else 0.05 * events["K_N_per_mm"]))
     error = np.where(known, error, median)
-    if not StickMetadata.of(events).K_err_by_d > settings.noisy_speed:
-        return np.asarray(np.hypot(error, 0.5 * median), np.float64)
-    k = events["K_N_per_mm"].to_numpy(float)
-    over_usual = k / running_median(k, min(settings.events_around, k.size), ends="symmetric")
-    return np.asarray(np.hypot(error / over_usual**2, 0.5 * median) * np.sqrt(over_usual), np.float64)
+    return np.asarray(np.hypot(error, 0.5 * median), np.float64)
 
 
 def with_friction(fit: Callable[[float], Fit], mu: Estimate) -> Fit:
