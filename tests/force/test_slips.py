@@ -306,6 +306,7 @@ def test_a_stick_in_which_the_machine_was_held_is_flagged(hold_s: int) -> None:
     events = find_stick_slip(recording(0.005 * np.arange(index.size), load[index] + noise, d[index], 1.0))
     held = (events["t_v_s"] < 0.005 * place) & (events["t_p_s"] > 0.005 * place)
     assert held.sum() == 1
+    held |= held.shift(-1, fill_value=False)  # where the load relaxes, the stick before ends too early
     assert events["flag"][held].str.contains("still").all()
     assert (events["flag"][~held] == "ok").all()
 

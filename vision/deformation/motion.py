@@ -150,7 +150,7 @@ def horizontal_deformation(
     time = np.asarray(clock.to_force_s(np.asarray(tracks["time_s"].values, float)), float)
     interval = _interval(time, source)
     events = _inside(sticks, time, interval, (clock.holds_from_s, clock.holds_to_s), source)
-    events, warnings = _uninterrupted(events, clock, settings, source)
+    events = _uninterrupted(events, clock, settings, source)
     margin = interval / 2 + _clock_error_s(clock, interval) if margin_s is None else margin_s
     start, stop = (events[name].to_numpy(float) for name in ("t_v_s", "t_p_s"))
     every = frames_of_sticks(time, start, stop, margin_s=0.0, interval_s=interval)
@@ -162,7 +162,7 @@ def horizontal_deformation(
         pixel_size_um=pixel,
         margin_s=margin,
         interval_s=interval,
-        **found | {"warnings": [*warnings, *found["warnings"]]},
+        **found,
     )
     return record(
         motion.assign_attrs(facts.attrs()),
@@ -228,9 +228,9 @@ def _inside(
 
 def _uninterrupted(
     events: pd.DataFrame, clock: Clock, settings: DeformationSettings, source: str
-) -> tuple[pd.DataFrame, list[str]]:
-    """Stick phases without those that contain a slip of the film that the force lacks, or in which the
-    machine paused, and warnings of the latter; the clock warns of the former.
+) -> pd.DataFrame:
+    """Stick phases without those that contain a slip of the film that the force lacks, of which the clock
+    warns, or in which the machine paused (flag "still"), of which `find_stick_slip` warns.
 
     A slip near either end of a stick is the one between two sticks, timed differently, unless the film shows
     that one as well.
@@ -246,23 +246,12 @@ def _uninterrupted(
         for end in (start, stop)
     )
     whole = ~_any_between(clock.only_video_s, start + after_s, stop - before_s)
-    length, length_err = _lengths(events)
-    fastest = (length + 3 * np.nan_to_num(length_err)) / (stop - start)
-    usual = pd.Series(length / (stop - start)).rolling(5, center=True, min_periods=1).median()
-    still = "flag" in events and has_flag(events["flag"], "still")
-    paused = whole & (still | (fastest < settings.least_speed * usual.to_numpy()))  # not if length is unknown
-    whole &= ~paused
+    if "flag" in events:
+        whole &= ~has_flag(events["flag"], "still")
     if not whole.any():
-        found = "slips of the film within all of them"
-        if paused.any():
-            found = f"{paused.sum()} of {len(events)} in which the machine stands still or pauses"
+        found = "slips of the film, or rests of the machine, within all of them"
         raise InputError(source, "stick phases in which the sheets do not slip", found, "check `offset_s`")
-    if not paused.any():
-        return events.loc[whole], []
-    numbers = ", ".join(events.loc[paused, "event"].astype(str)[:5]) + (", …" if paused.sum() > 5 else "")
-    line = f"{paused.sum()} of {len(events)} stick phases are left out of σ_x/Λ_st (events {numbers}): "
-    line += "the machine moved more slowly in them than in those around, or its displacement stands still"
-    return events.loc[whole], [line]
+    return events.loc[whole]
 
 
 def _any_between(times_s: Sequence[float], after_s: Floats, before_s: Floats) -> Bools:
@@ -542,18 +531,12 @@ def _length_errors(
     error of the ratio is therefore only the part by which the pull is unsteady and the part by which the
     sheets creep faster or slower near the ends (`end_slope`).
     """
-    length, length_err = _lengths(events)
-    stated: Floats = np.nan_to_num(length_err / length)
+    length = events["stick_length_um"].to_numpy(float)
+    stated_um = events["stick_length_err_um"].to_numpy(float) if "stick_length_err_um" in events else 0.0
+    stated: Floats = np.nan_to_num(stated_um / length)
     sigma = stated * (1 + end_slope)
     if len(length) < settings.least_repeats:
         return sigma, sigma
     speed = length / (events["t_p_s"] - events["t_v_s"]).to_numpy(float)
     uneven = sigma_about_zero(speed / nan_median(speed) - 1)
     return sigma, np.hypot(np.fmin(stated, uneven), stated * end_slope)
-
-
-def _lengths(events: pd.DataFrame) -> tuple[Floats, Floats]:
-    """Λ_st and its error, µm, (stick,); the error is 0 if none is stated."""
-    length = events["stick_length_um"].to_numpy(float)
-    error = events["stick_length_err_um"] if "stick_length_err_um" in events else np.zeros(length.shape)
-    return length, np.asarray(error, float)

@@ -14,11 +14,6 @@ class DeformationSettings:
     or begins it, unless that one is matched.  Larger measures sticks in which the sheets slip; smaller leaves
     out all sticks if the given clock is slightly wrong (test_motion)."""
 
-    least_speed: float = 0.8
-    """Speed of the machine in a stick, as a fraction of that in the neighbouring ones, below which it paused
-    and the stick is left out.  Larger leaves out sticks of an unsteady pull; smaller measures creep that
-    stands still for part of a stick (test_motion: a machine that pauses)."""
-
     least_cover: float = 0.4
     """Fraction of a stick that its positions must span.  Larger drops sheets that are hidden for part of a
     stick; smaller extrapolates (test_motion: a stick seen only at its start)."""

@@ -93,7 +93,7 @@ def find_stick_slip(
     knee. Lengths and stiffness are NaN where d is unknown.
     ``flag`` is "ok" or, joined by "+", what is wrong within the stick (gap, nan, saturated, repeated,
     backwards, few (samples), falling, unloading), or within it or beside it (jump: an upward jump as large as
-    slips; still: the displacement stands still), what the instrument cannot give (short, negative), or how it
+    slips; still: the machine pauses), what the instrument cannot give (short, negative), or how it
     was measured (slow);
     "oscillation", "cycles" and "noise" are those of the whole recording. Attributes are described in
     `vision.data.StickMetadata`.

@@ -82,8 +82,8 @@ _FLAGGED = {
     "jump": "contain or adjoin an upward jump of the load, as large as slips: noise, knocks, ringing, a "
     "loose cable or a change of range",
     "falling": "contain a fall of the load, as of a slip that lasts longer than they do and was not found",
-    "still": "lie in or beside a stretch in which the displacement does not change: the pull had ended or "
-    "was held, or the sensor is at the end of its range",
+    "still": "contain or precede a rest of the machine, which moved more slowly than in those around, or the "
+    "displacement had ended",
     "short": "are shorter than the load cell's own response allows",
     "negative": "have a negative friction force: check the load cell's zero",
 }

@@ -31,10 +31,6 @@ class ForceSettings:
     """A sample this far from the median of the five around it is a spike. Smaller takes noise for spikes,
     larger lets spikes make slips; shown by sawteeth with 1 % of spikes added."""
 
-    pulse_sigmas: float = 10.0
-    """A jump of this size that is reversed within five samples is also a spike. Smaller removes noise, larger
-    makes two slips of a pulse; shown by sawteeth with pulses of 3 and 5 samples."""
-
     most_spikes: float = 0.05
     """Share of spikes from which a recording is refused as sampled too slowly. Smaller refuses real impulses
     (1 % of the samples); larger takes beats of the sampling for slips (5 Hz at 20 Hz: 50 % of spikes)."""
@@ -233,9 +229,9 @@ class ForceSettings:
     slips and noise, larger takes K and Λ_st across slips that were not found; shown by slips that last for
     seconds among sudden ones (test_events)."""
 
-    still_share: float = 0.003
-    """Speed of the crosshead in a stick, over the usual one, below which it stands still. Smaller overlooks a
-    sensor that creeps at the end of its range, larger flags the slow part of a test whose speed changes."""
+    least_speed: float = 0.8
+    """Speed of the crosshead in a stick, over the usual one of the sticks around, below which it paused.
+    Larger flags sticks of an unsteady pull, smaller measures sticks that contain a rest of the machine."""
 
     few_samples: int = 10
     """Sticks of fewer samples are flagged "few", and the model fits leave them out."""

@@ -198,8 +198,8 @@ def find_spikes(
 ) -> tuple[Bools, Floats]:
     """Return which samples belong to spikes, and the signal with their neighbours' level in place of spikes.
 
-    A spike of one or two samples differs by `spike_sigmas` from the median of the five samples around it,
-    which follows the slips and corners of a sawtooth. A spike of three to five samples jumps away and back.
+    A spike, of one or two samples, differs by `spike_sigmas` from the median of the five samples around it,
+    which follows the slips and corners of a sawtooth.
     """
     middle = running_median(y, 5)
     off = np.abs(y - middle) - settings.spike_sigmas * sigma
@@ -212,16 +212,6 @@ def find_spikes(
         is_spike[some] = off[some] > 2.0 * np.median(around[some], axis=1)
     is_spike[is_spike] = ~_begins_bent(y, np.flatnonzero(is_spike), sigma)
     clean = np.where(is_spike, middle, y)
-    jump = np.diff(clean)
-    high = np.flatnonzero(np.abs(jump) > settings.pulse_sigmas * np.broadcast_to(sigma, y.shape)[1:])
-    high = high[np.abs(jump[high]) > 4.0 * np.median(around[high], axis=1)]
-    for width in (3, 4, 5):
-        away = high[np.isin(high + width, high)]
-        least = np.minimum(np.abs(jump[away]), np.abs(jump[away + width]))
-        back = np.abs(clean[away + width + 1] - clean[away]) < 0.3 * least
-        for before in away[back & (jump[away] * jump[away + width] < 0)]:
-            inside, ends = np.arange(before + 1, before + width + 1), [before, before + width + 1]
-            is_spike[inside], clean[inside] = True, np.interp(inside, ends, clean[ends])
     return is_spike, clean
 
 

@@ -99,6 +99,7 @@ def measure_sticks(
     force = _forces(signal, corners, sticks, ends)
     d, d_next, noise_mm = _separations(signal, sticks, valley[-1], force, compliance)
     (f_v, f_p), (t_v, t_p), (d_v, d_p) = force, time, d
+    t_next = signal.time_at(valley[1:])
     off, lost = _position_errors(signal, corners, filter_known)
     lost = np.fmin(lost, filter_length(corners, extremes, settings) / np.sqrt(2))
     error = _corner_errors(signal, sticks, ends, force, _beside(off), _beside(lost))
@@ -123,16 +124,29 @@ def measure_sticks(
             "dF_err_N": np.hypot(ends.error_rise, np.hypot(*error)),
             "stick_length_err_um": 1e3 * np.hypot((d_p - d_v) * relative, np.sqrt(2) * noise_mm),
             "K_lowpass_share": 0.0,
-            "slip_time_s": signal.time_at(valley[1:]) - t_p,
+            "slip_time_s": t_next - t_p,
             "samples": samples.astype(int),
         }
     )
     marks = {
         "falling": ~(ends.slope > 0) | _contain_falls(signal, sticks, f_p - f_v),
         "slow": slow[:-1] | slow[1:],
-        "still": _beside_standstill(signal, valley, peak, settings),
+        "still": _held(1e3 * (d_next - d_v), table["stick_length_err_um"].to_numpy(), t_next - t_v, settings),
     }
     return table.assign(flag=_event_flags(signal, sticks, corners, marks))
+
+
+def _held(way: Floats, error: Floats, duration: Floats, settings: ForceSettings) -> Bools:
+    """Return in or before which sticks the machine paused, or the displacement had ended: from one valley to
+    the next it moves clearly more slowly than in the two sticks before and the two after, or hardly at all.
+
+    The load relaxes in a rest, which looks like a slip: the stick before it then ends too early.
+    """
+    speed = way / duration
+    usual = pd.Series(speed).rolling(5, center=True, min_periods=1).median().to_numpy()
+    paused = (way + 3 * error) / duration < settings.least_speed * usual
+    paused |= np.abs(speed) < 0.01 * nan_median(speed)
+    return np.asarray(paused | np.r_[paused[1:], False], np.bool_)
 
 
 def _contain_falls(signal: Signal, sticks: _Sticks, rise: Floats) -> Bools:
@@ -405,46 +419,6 @@ def _stiffness(signal: Signal, sticks: _Sticks, two_slopes: bool, compliance: fl
     return columns | dict(
         zip(names, (of_sample(broken.first), *second, broken.knee, broken.gain), strict=True)
     )
-
-
-def _beside_standstill(signal: Signal, valley: Floats, peak: Floats, settings: ForceSettings) -> Bools:
-    """Return which sticks lie in or beside a rise or a fall of the load in which d stands still.
-
-    In such a rise the pull has ended, or d is at the end of its range; a stick beside it that is slower than
-    usual contains the end, and one in a part of which d stands still was held. Such a fall is the relaxation
-    of the load while the machine is held. Where the error of the speed exceeds a tenth of the usual one,
-    nothing is told. `peak` and `valley` are those of each slip, in samples.
-    """
-    step = step_between(signal.travel)
-    lines = fit_lines(signal.time, signal.travel, *_between(valley[:-1], peak[1:]))
-    usual_spread = float(np.nan_to_num(nan_median(lines.spread)))
-
-    def pace(start: Floats, stop: Floats) -> tuple[Floats, Floats]:
-        """Return the speed between two positions and its error."""
-        line = fit_lines(signal.time, signal.travel, *_between(start, stop))
-        duration = np.maximum(stop - start, 1) * signal.interval_s
-        # A few samples within one step of d are equal by chance; the residuals of whole sticks contain it.
-        error = np.fmax(line.spread, usual_spread) / np.sqrt(line.sxx)
-        return line.slope, np.hypot(error, step / duration)
-
-    sticks, falls = pace(valley[:-1], peak[1:]), pace(peak, valley)
-    usual = float(nan_median(sticks[0][sticks[1] < 0.1 * sticks[0]]))
-
-    def still(speed: Floats, error: Floats) -> Bools:
-        return np.asarray(
-            (error < 0.1 * usual) & (speed < settings.still_share * usual + 3 * error), np.bool_
-        )
-
-    stick, fall = still(*sticks), still(*falls)
-    parts = settings.uneven_parts
-    edge = np.linspace(valley[:-1], peak[1:], parts + 1)
-    around = np.r_[False, stick, False]
-    beside = around[:-2] | around[2:]
-    speed, error = (part.reshape(parts, -1) for part in pace(edge[:-1].ravel(), edge[1:].ravel()))
-    moves = (speed > 2 * sticks[0] + 4 * error).any(axis=0)  # else the whole stick is slow
-    held = still(speed, error).any(axis=0) & moves
-    interrupted = (beside | held) & (sticks[0] < 0.9 * usual)
-    return np.asarray(stick | interrupted | fall[:-1] | fall[1:], np.bool_)
 
 
 def _event_flags(signal: Signal, sticks: _Sticks, corners: Corners, found: dict[str, Bools]) -> list[str]:
