@@ -2,7 +2,6 @@
 
 import json
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +9,6 @@ import xarray as xr
 
 from tests.scenes.slip_trains import as_tracks, sawtooth, slip_sizes, slip_times, sticks_of, tracks
 from vision.clock import Clock, force_slips, synchronise, video_slips
-from vision.deformation import horizontal_deformation
 from vision.errors import InputError
 from vision.experiment import force_recording, preset, truth_of, with_settings, write_force
 from vision.experiment.scene import make_scene
@@ -89,17 +87,6 @@ def test_a_given_offset_is_compared_with_few_slips(recorded):
     assert wrong.matched == 0
 
 
-def test_a_film_that_is_played_backwards_is_said(recorded):
-    """A failure means a refusal that names everything but the cause."""
-    seen, *machine = recorded
-    backwards = seen.isel(frame=slice(None, None, -1))
-    backwards = backwards.assign_coords({name: seen[name] for name in ("frame", "time_s")})
-    with pytest.raises(InputError, match="in reverse order: the film is played backwards"):
-        synchronise(backwards, *machine)
-    (warning,) = synchronise(backwards, *machine, offset_s=OFFSET_S).warnings
-    assert "backwards" in warning
-
-
 @pytest.mark.parametrize("share", [0.05, 0.4])
 def test_slips_of_one_recording_alone_are_said(share):
     """A failure means that stick phases which the two recordings delimit differently pass in silence, or
@@ -119,21 +106,6 @@ def test_slips_of_one_recording_alone_are_said(share):
     said = "drops of the force match no slip", "slips of the film match no drop"
     for clock, line in zip((fewer_seen, fewer_drops), said, strict=True):
         assert [line in warning for warning in clock.warnings] == [True] * (share > 0.2)
-
-
-@pytest.mark.parametrize(("size", "status"), [(1.0, "ambiguous"), (0.2, "ok")])
-def test_a_film_with_a_part_from_another_time_is_ambiguous(size, status):
-    """Ten seconds from before the pull, then ten from its middle; the frames between are lost.  A failure
-    means that a clock which holds in one part is used for the other, or that a test whose first slips are too
-    small to be seen has no clock."""
-    rng = np.random.default_rng(4)
-    slips = 2.0 + slip_times(rng, 90, period_s=0.61)
-    sizes = np.where(slips < 32, size, 1.0)
-    shown = slips[(slips > 32) & (slips < 42)] - 22
-    force = sawtooth(rng, slips, stop_s=slips[-1] + 1, sizes=sizes)
-    clock = synchronise(tracks(rng, shown, stop_s=20.0), force, sticks_of(slips, sizes=sizes))
-    assert clock.status == status
-    assert ("lost frames?" in clock.ambiguity) == (status == "ambiguous")
 
 
 @pytest.mark.parametrize(
@@ -425,70 +397,6 @@ def test_a_short_video_of_nearly_even_slips_is_placed_by_their_sizes(uneven_size
     assert status == {"seen": "ok", "not seen": "ambiguous"}
 
 
-# --- clocks that jump near the first or last slips of the film ----------------------------------------------
-
-
-END_S = 24.0
-
-
-def slips_and_film(seed):
-    """Thirty slips, the first after 3 s, and their film from before the pull."""
-    rng = np.random.default_rng(seed)
-    slips = 3.0 + np.r_[0, slip_times(rng, 29, period_s=0.61)]
-    return rng, slips, tracks(rng, slips, stop_s=END_S)
-
-
-def of_machine(rng, slips, gap=None):
-    """The recording of slips at these times; without the samples in a gap."""
-    force = sawtooth(rng, slips, stop_s=slips[-1] + 1)
-    if gap is None:
-        return force
-    time = force["time_s"].to_numpy()
-    flag = force["flag"].to_numpy().astype("<U9")
-    flag[np.searchsorted(time, gap[1])] = "gap"
-    return force.assign(flag=("time_s", flag)).isel(time_s=(time < gap[0]) | (time >= gap[1]))
-
-
-def jumped(slips, after, by_s):
-    """The times of the slips where the clock jumps by `by_s` after that slip."""
-    return np.where(np.arange(len(slips)) > after, slips + by_s, slips)
-
-
-def events_used(film, sticks, clock):
-    return horizontal_deformation(film, sticks, clock, pixel_size_um=10.0)["event"].to_numpy()
-
-
-@pytest.mark.parametrize("by_s", [-0.2, -0.35, 0.17, 0.4])
-@pytest.mark.parametrize("after", [0, 28])
-def test_a_clock_that_jumps_beside_the_first_or_last_slip_is_said(after, by_s):
-    """A failure means that a clock that is wrong for the first or last stick phase is ok without a word, or
-    that it costs more than that one."""
-    rng, slips, film = slips_and_film(5)
-    seen = jumped(slips, after, by_s)
-    sticks = sticks_of(seen)
-    clock = synchronise(film, of_machine(rng, seen), sticks)
-    (line,) = clock.warnings
-    if clock.status == "ambiguous":
-        assert "a clock that jumps" in line
-        return
-    assert "a clock jumps" in line
-    assert list(np.setdiff1d(sticks["event"], events_used(film, sticks, clock))) == [after]
-
-
-def test_a_time_column_that_jumps_ahead_after_the_first_slip_is_said():
-    """The slip before the jump is recorded before the film, the film's first slip in the gap.  A failure
-    means that one slip of the film alone passes in silence although the force recording has a gap there."""
-    rng, slips, film = slips_and_film(6)
-    seen = jumped(slips, 0, 3.4) - 2.5
-    sticks = sticks_of(seen)
-    gap = seen[0] + 0.3, seen[0] + 3.7
-    whole, broken = (synchronise(film, of_machine(rng, seen, lost), sticks) for lost in (None, gap))
-    assert (whole.status, whole.warnings) == ("ok", ())
-    assert broken.status == "ok"
-    (line,) = broken.warnings
-    assert line.startswith("before ") and "1 slip of the film without a match" in line
-
-
 def test_slips_in_gaps_do_not_set_the_clock():
     """Ten gaps lie about slips, and the clock is told from the others.  A failure means that the middle of a
     gap is taken for the time of the slip, or its length for the delay of the low-pass."""
@@ -506,31 +414,3 @@ def test_slips_in_gaps_do_not_set_the_clock():
         off.append(1e3 * off_s(clock, 0.0, 15.0) / clock.error_ms)
         assert len(force_slips(broken, sticks_of(slips))) == 31
     assert np.max(np.abs(off)) < 3
-
-
-def test_sound_clocks_and_single_missed_slips_are_not_doubted():
-    """A failure means a warning for each film whose first slip one of the recordings does not show."""
-    for missing in (0, 1, 29, None):
-        rng, slips, film = slips_and_film(7)
-        there = np.arange(30) != missing
-        clock = synchronise(film, of_machine(rng, slips[there]), sticks_of(slips[there]))
-        assert (clock.status, clock.warnings) == ("ok", ())
-        assert np.isnan([clock.holds_from_s, clock.holds_to_s]).all()
-
-
-def test_small_first_slips_of_the_film_are_not_doubted():
-    """A failure means that sheets that give way before the force does cost the clock's good name."""
-    rng = np.random.default_rng(8)
-    slips = 3.0 + np.r_[0, slip_times(rng, 29, period_s=0.61)]
-    film = tracks(rng, slips, stop_s=END_S, sizes=np.where(np.arange(30) < 3, 0.35, 1.0))
-    clock = synchronise(film, of_machine(rng, slips[3:]), sticks_of(slips[3:]))
-    assert (clock.status, clock.warnings) == ("ok", ())
-
-
-def test_a_clock_that_holds_nowhere_near_a_stick_is_refused():
-    """A failure means empty tables where no stick phase can be used."""
-    rng, slips, film = slips_and_film(9)
-    sticks = sticks_of(slips)
-    clock = synchronise(film, of_machine(rng, slips), sticks)
-    with pytest.raises(InputError, match="stick phases between"):
-        horizontal_deformation(film, sticks, replace(clock, holds_from_s=100.0), pixel_size_um=10.0)

@@ -36,8 +36,6 @@ class TrueClock:
     error_ms: float = 1.0
     only_video_s: tuple[float, ...] = ()
     matched_s: tuple[float, ...] = ()
-    holds_from_s: float = np.nan
-    holds_to_s: float = np.nan
 
     def to_force_s(self, video_time_s):
         return self.offset_s + (1 + self.drift_ppm * 1e-6) * np.asarray(video_time_s)

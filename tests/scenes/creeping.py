@@ -26,8 +26,6 @@ class Clock:
     ambiguity: str = ""
     only_video_s: tuple[float, ...] = ()
     matched_s: tuple[float, ...] = ()
-    holds_from_s: float = np.nan
-    holds_to_s: float = np.nan
 
     def to_force_s(self, video_time_s):
         return self.offset_s + np.asarray(video_time_s)

@@ -116,17 +116,6 @@ class ClockSettings:
     """Log-likelihood that a jump must gain. Larger → the loss of a whole slip is overlooked (at 8 in one of
     fifteen random trains with one, which pass all other tests); smaller → false and missed slips of correct
     clocks make jumps (at 8 in one of a hundred, at 6 in one of forty)."""
-    paired_by_chance: float = 0.15
-    """Share of the slips that are paired where the alignment is wrong. Larger → a jump of a clock is
-    overlooked where few slips follow it; smaller → it is overlooked once slips after it pair by chance.
-    `test_clocks_that_jump_are_not_believed`."""
-    least_end_lead: float = 4.5
-    """Log-likelihood above which the first or last slips, of film or force alone, count as disagreeing, and
-    their stick phases are left out. Larger → a jump before the second slip passes; smaller → a single missed
-    slip at an end counts as a jump. `test_clock.py`."""
-    least_gap_lead: float = 2.0
-    """`least_end_lead` beside a gap of the force recording, where one such slip is enough. Larger → a jump of
-    the clock in the gap is overlooked; smaller → a missed slip beside it counts as one. `test_clock.py`."""
     usual_drift_ppm: float = 500.0
     """Difference of the clocks' rates that two standard errors must exceed for a warning about the frame
     rate. Larger → a rate wrong by a thousandth passes; smaller → poor but correct clocks get a warning."""

@@ -149,7 +149,7 @@ def horizontal_deformation(
         raise InputError(source, "clocks that are not ambiguous", why, "give `offset_s`")
     time = np.asarray(clock.to_force_s(np.asarray(tracks["time_s"].values, float)), float)
     interval = _interval(time, source)
-    events = _inside(sticks, time, interval, (clock.holds_from_s, clock.holds_to_s), source)
+    events = _inside(sticks, time, interval, source)
     events = _uninterrupted(events, clock, settings, source)
     margin = interval / 2 + _clock_error_s(clock, interval) if margin_s is None else margin_s
     start, stop = (events[name].to_numpy(float) for name in ("t_v_s", "t_p_s"))
@@ -203,15 +203,11 @@ def _clock_error_s(clock: Clock, interval_s: float) -> float:
     return float(np.sqrt(max(residual_s**2 - (interval_s / 4) ** 2, 0.0)))
 
 
-def _inside(
-    sticks: pd.DataFrame, time_s: Floats, interval_s: float, holds_s: tuple[float, float], source: str
-) -> pd.DataFrame:
-    """Stick phases that lie wholly inside the video, in order of time, and where the clock holds (NaN: no
-    limit)."""
+def _inside(sticks: pd.DataFrame, time_s: Floats, interval_s: float, source: str) -> pd.DataFrame:
+    """Stick phases that lie wholly inside the video, in order of time."""
     first, last = np.nanmin(time_s), np.nanmax(time_s)
     start, stop = sticks["t_v_s"], sticks["t_p_s"]
     within = (start >= first - interval_s) & (stop <= last + interval_s) & (stop > start)
-    within &= ~((start < holds_s[0]) | (stop > holds_s[1]))
     if not within.any():
         span = f"{start.min():.3f} to {stop.max():.3f} s" if len(sticks) else "no stick phase at all"
         raise InputError(
