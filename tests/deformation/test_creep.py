@@ -6,13 +6,10 @@ import pytest
 from tests.scenes.creeping import PIXEL_UM, errors, make, measure, uniform
 from vision.deformation.creep import (
     AR1Noise,
-    Creep,
-    Noise,
     correct_pixel_locking,
     find_late_slips,
     fit_creep,
     fixed_pattern_gain,
-    fixed_pattern_px,
     frames_of_sticks,
     legendre,
     pixel_locking_slope,
@@ -188,19 +185,6 @@ def test_a_jump_of_many_sheets_within_one_stick_leaves_the_others_alone():
     assert (motion["flag"][7] != "ok").any()
     change = np.delete(((motion["ratio"] - quiet["ratio"]) / quiet["ratio_err"]).to_numpy(), 7, axis=0)
     assert np.abs(change).max() < 0.5
-
-
-def test_bends_that_turn_round_are_no_pattern():
-    """A failure means that all errors are NaN where by chance nothing at all of the bends returns."""
-    bends = np.zeros((2, 12, 3))
-    bends[..., 1] = np.linspace(0.5, 5, 12)
-    bends[..., 2] = np.cos(np.arange(12)) * [[1], [-1]]
-    sure, inverse = np.ones((2, 12), bool), np.zeros((2, 12, 3, 3))
-    noise = Noise(np.full(12, 0.05), AR1Noise(0.0, 0.0), np.ones((2, 12)))
-    nothing = np.zeros((2, 12))
-    creep = Creep(bends, inverse, nothing, nothing, np.full((2, 12), 40), sure)
-    pattern = fixed_pattern_px(creep, np.full_like(bends, 1e-3), noise, DeformationSettings())
-    np.testing.assert_array_equal(pattern, 0)
 
 
 def test_how_much_of_a_fixed_pattern_goes_into_the_creep():

@@ -7,17 +7,15 @@ from the creep of each sheet in other sticks.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 import scipy
 
-from vision.deformation.creep import Creep, Noise, StickFrames, coefficient_errors, without_common_part
+from vision.deformation.creep import Creep, StickFrames
 from vision.deformation.settings import DeformationSettings
 from vision.numeric import Bools, Floats, Ints, nan_median, sigma_about_zero
-from vision.signals import sums_around
 
 # --- vibration ----------------------------------------------------------------------------------------------
 
@@ -43,24 +41,6 @@ def common_mode_motion(residual: Floats, settings: DeformationSettings) -> tuple
     if (weight > 0).sum() < settings.least_sheets:
         return motion, np.ones(weight.size)
     return motion, np.asarray(1 / (1 - np.minimum(weight / weight.sum(), 0.5)))
-
-
-def camera_pushes(x_px: Floats, frames: StickFrames, settings: DeformationSettings) -> Floats:
-    """Displacement by pushes of the camera since the first frame of each stick, to the right, px, (F,).
-
-    A push moves all sheets alike within one or two frames; more frequent jumps are vibration.  x_px:
-    positions in the frames of the sticks, (F, sheet).
-    """
-    step_px, step_s = np.diff(x_px, axis=0), np.diff(frames.since_s)
-    same = np.diff(frames.row) == 0
-    common_px = np.where(same, nan_median(step_px, axis=1), np.nan)
-    common_px = common_px - nan_median(common_px / step_s) * step_s
-    scatter_px = nan_median(np.abs(step_px - nan_median(step_px, axis=1)[:, None]), axis=1)
-    pushed = np.r_[False, _is_jump(common_px, settings) & (np.abs(common_px) > 3 * scatter_px)]
-    pushed &= frames.sums(pushed)[frames.row] <= 2
-    moved_px = np.cumsum(np.where(pushed, np.r_[0.0, common_px], 0.0))
-    first = np.searchsorted(frames.row, frames.row)
-    return np.asarray(moved_px - moved_px[first])
 
 
 # --- drift --------------------------------------------------------------------------------------------------
@@ -432,66 +412,6 @@ def own_movement(
     creep = nan_median(2 * slope_px / frames.length_s[:, None])
     own = own - creep * np.nansum(own * creep) / max(np.nansum(creep**2), 1e-300)
     return _beyond(own, error, settings) * frames.length_s[:, None] / 2
-
-
-def repeated_bends(creep: Creep, noise: Noise, settings: DeformationSettings) -> Floats:
-    """Size of the bends of the creep that a sheet repeats in most sticks, and others do not, px, (sheet,).
-
-    Sheets that slip in the middle of the others' sticks bend so.  creep: with at least three terms.  The
-    scatter of a few sticks may be small by chance, so the noise sets the least error.
-    """
-    used = (creep.good & (noise.excess <= 1))[..., None]
-    known = np.where(used, creep.coefficient, 0.0)
-    bend = np.where(used, without_common_part(known[..., 2:], known[..., 1:2], used), np.nan)
-    usual = nan_median(bend)
-    scatter = sigma_about_zero(bend - usual)
-    scatter = np.fmax(scatter, nan_median(np.where(used, coefficient_errors(creep, noise), np.nan)[..., 2:]))
-    error = scatter * np.sqrt(np.pi / 2 / np.maximum(used.sum(axis=0), 1))  # of a median
-    error[used.sum(axis=0)[:, 0] < settings.least_repeats] = np.inf
-    return np.asarray(np.sqrt((_beyond(usual, error, settings) ** 2).sum(axis=-1)))
-
-
-def breathing(creep: Creep, error: Floats, settings: DeformationSettings) -> tuple[Floats, Floats]:
-    """Scatter of slopes and bends, px, (sheet,), by a magnification that changes within the sticks.
-
-    It moves each sheet in proportion to its distance from the middle, by another amount in each stick. That
-    is what bends have beyond those in the sticks around, and slopes beyond a part of those there. Both are 0
-    where errors explain the bends, since slopes also change with the shell. creep: a parabola.  error: of its
-    coefficients, px, (stick, sheet, term).
-    """
-    slope, bend = creep.coefficient[..., 1], creep.coefficient[..., 2]
-    away = nan_median(creep.coefficient[..., 0])
-    away, constant = away - nan_median(away), np.ones_like(away)
-    usual, bent = _mean_of_neighbours(slope), _mean_of_neighbours(bend)
-    longer = np.nansum(slope * usual, axis=1) / np.maximum(np.nansum(usual**2, axis=1), 1e-300)
-    of_bend = _proportional(bend - longer[:, None] * bent, error[..., 2], (away, constant), settings)
-    of_slope = of_bend and _proportional(slope, error[..., 1], (away, constant, usual), settings)
-    return of_slope * np.abs(away), of_bend * np.abs(away)
-
-
-def _mean_of_neighbours(value: Floats) -> Floats:
-    """Mean over the two sticks before and the two after, (stick, sheet); NaN where none is known."""
-    total, count = sums_around(value, 2) - sums_around(value, 0)
-    return np.where(count > 0, total / np.maximum(count, 1.0), np.nan)
-
-
-def _proportional(
-    value: Floats, error: Floats, columns: Sequence[Floats], settings: DeformationSettings
-) -> float:
-    """Scatter over the sticks of the part of the values (stick, sheet) that is proportional to the first of
-    the columns, fitted with the others; 0 where the errors, and a quarter of their variance, explain it."""
-    design = np.stack([np.broadcast_to(column, value.shape) for column in columns], axis=-1)
-    known = np.isfinite(design).all(axis=-1) & np.isfinite(value) & np.isfinite(error)
-    design, value, error = np.where(known[..., None], design, 0), np.where(known, value, 0), error * known
-    transposed = design.swapaxes(1, 2)
-    weight = (np.linalg.pinv(transposed @ design, hermitian=True)[:, :1] @ transposed)[:, 0]
-    used = known.sum(axis=1) >= settings.least_sheets
-    if used.sum() < settings.least_repeats:
-        return 0.0
-    scatter = float(sigma_about_zero((weight * value).sum(axis=1)[used]))
-    variance = 1.25 * float(nan_median((weight**2 * np.nan_to_num(error) ** 2).sum(axis=1)[used]))
-    clear = scatter > np.sqrt(variance) * (1 + settings.scaling_errors / np.sqrt(used.sum()))
-    return float(np.sqrt(scatter**2 - variance)) if clear else 0.0
 
 
 def _net_rate(middle_px: Floats, frames: StickFrames, settings: DeformationSettings) -> tuple[Floats, Floats]:

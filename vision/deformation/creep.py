@@ -475,53 +475,6 @@ def fixed_pattern_gain(reach_px: Floats, terms: int) -> Floats:
     return np.stack([(2 * k + 1) * np.interp(reach, grid, np.sqrt(square[k])) for k in range(terms)], axis=-1)
 
 
-def fixed_pattern_px(creep: Creep, error: Floats, noise: Noise, settings: DeformationSettings) -> Floats:
-    """RMS position error that repeats at each position on the sensor (unequal pixels, dust), px, (sheet,).
-
-    Such errors do not average out over the frames of a stick, and a straight line hides them.  Their size
-    follows from bends of the creep (third and higher terms) that a sheet repeats in every stick.  Bends that
-    all sheets share are not a pattern, but camera movement or decelerating creep.  error: standard errors of
-    the coefficients from noise alone, px, (stick, sheet, term).
-    """
-    used = (creep.good & (noise.excess <= 1))[..., None]
-    gain = fixed_pattern_gain(creep.coefficient[..., 1], error.shape[2])
-    coefficient, error, gain = (np.where(used, values, 0.0) for values in (creep.coefficient, error, gain))
-    unit_px = noise.noise_px[:, None]
-    bend = without_common_part(coefficient[..., 2:], coefficient[..., 1:2], used)
-    observed, expected = _repeated(bend / unit_px), _repeated(gain[..., 2:])
-    chance = ((error[..., 2:] / unit_px) ** 2).sum(axis=0)
-    prior = settings.fixed_pattern**2
-    scatter = ((chance + prior * expected) ** 2).sum()
-    common = _posterior(observed.sum(), expected.sum(), scatter, prior, 0.6 * prior)
-    scatter = ((chance + common * expected) ** 2).sum(axis=1)
-    each = _posterior(observed.sum(axis=1), expected.sum(axis=1), scatter, common, common)
-    return np.asarray(np.sqrt(each) * noise.noise_px)
-
-
-def without_common_part(bend: Floats, slope: Floats, used: Bools) -> Floats:
-    """Bends (stick, sheet, ...) minus what the sheets of a stick share: a constant, a part of the slope."""
-    count = np.maximum(used.sum(axis=1, keepdims=True), 1)
-    bend, slope = (np.where(used, v - v.sum(axis=1, keepdims=True) / count, 0.0) for v in (bend, slope))
-    square = np.maximum((slope**2).sum(axis=1, keepdims=True), 1e-12)
-    return np.asarray(bend - slope * (bend * slope).sum(axis=1, keepdims=True) / square)
-
-
-def _repeated(value: Floats) -> Floats:
-    """Sums of products between different sticks of each sheet, (sheet, ...); only what repeats remains."""
-    return np.asarray(value.sum(axis=0) ** 2 - (value**2).sum(axis=0))
-
-
-def _posterior(
-    observed: Floats, expected: Floats, scatter: Floats, prior: Floats | float, prior_err: Floats | float
-) -> Floats:
-    """Mean of observed/expected and its prior, weighted by their inverse variances; at least 0.
-
-    It is the mean square of the pattern in units of the noise.  scatter: half the variance of `observed`.
-    """
-    weight = expected / np.maximum(2 * scatter, 1e-300) * np.square(prior_err)
-    return np.asarray(np.maximum(observed * weight + prior, 0.0) / (expected * weight + 1))
-
-
 # --- standard errors ----------------------------------------------------------------------------------------
 
 

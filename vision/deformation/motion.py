@@ -27,12 +27,9 @@ from vision.deformation.common_mode import (
     BothSides,
     Drift,
     OneSide,
-    breathing,
-    camera_pushes,
     common_mode_motion,
     drift_model,
     own_movement,
-    repeated_bends,
 )
 from vision.deformation.creep import (
     Creep,
@@ -43,7 +40,6 @@ from vision.deformation.creep import (
     correct_pixel_locking,
     find_late_slips,
     fit_creep,
-    fixed_pattern_px,
     frames_of_sticks,
     measure_noise,
     pixel_locking_slope,
@@ -126,9 +122,9 @@ def horizontal_deformation(
 
     Errors follow from the residuals of each sheet and their autocorrelation.  For positions measured in a
     picture they include unequal pixels, unequal magnification and static dirt, and positions of the
-    publication's fit are first corrected for pixel locking, except in ``sigma_x_um``.  They include what a
-    sheet does by itself in every stick: steady movement that slips do not return, of which it cannot be told
-    whether the pull causes it, and bends that other sheets do not show.  The errors exclude that of the pixel
+    publication's fit are first corrected for pixel locking, except in ``sigma_x_um``.  They include
+    steady movement of a sheet that slips do not return, of which it cannot be told whether the pull causes it.
+    The errors exclude that of the pixel
     size.
     Of films whose codec predicts frames from others (H.264), the noise is at least the stated error of the
     positions: sheets that creep by less than the codec's rounding are repeated, and their residuals are near
@@ -280,7 +276,7 @@ def _measure(
     slips = find_late_slips(steady, frames, settings)
     steady = np.where(slips.outside, np.nan, steady)
     noise = measure_noise(steady, frames, terms, settings)
-    line, parabola, close = (fit_creep(steady, frames, k, settings, noise.correlation) for k in (2, 3, terms))
+    line, parabola = (fit_creep(steady, frames, k, settings, noise.correlation) for k in (2, 3))
     noise = replace(noise, noise_px=noise.noise_px * np.sqrt(factor))
     warnings: list[str] = []
     if StripMetadata.of(tracks).codec in BETWEEN_FRAMES and "x_err_px" in tracks:
@@ -288,7 +284,7 @@ def _measure(
         noise, warnings = _with_noise_of_codec(noise, np.sqrt(np.fmax(of_codec, 0.0)), settings)
     pattern = scale = np.zeros(side.size)
     if facts.fit != "unknown":  # measured in a picture, with errors of unequal pixels
-        pattern = fixed_pattern_px(close, coefficient_errors(close, noise), noise, settings)
+        pattern = settings.fixed_pattern * noise.noise_px
         scale = np.full(side.size, settings.scale_error)
     if "misscaled" in tracks:
         scale = np.hypot(scale, tracks["misscaled"].values)
@@ -299,12 +295,8 @@ def _measure(
     independent = nan_median(white.inverse[..., 1, 1] / line.inverse[..., 1, 1], axis=1)
     curve = _Curve.of(line, parabola, errors, camera, settings).shortened(slips)
     own_px = own_movement(curve.middle, curve.straight, frames, settings)
-    bends_px = repeated_bends(close, noise, settings)
-    of_slope, of_bend = breathing(parabola, errors[1], settings)
-    scaled_px = np.fmax(of_slope, of_bend)
-    warnings += _own_warnings(own_px, bends_px, scaled_px, curve.slope_err, settings)
-    slope_err = np.sqrt(curve.slope_err**2 + own_px**2 + bends_px**2 + scaled_px**2)
-    curve = replace(curve, slope_err=slope_err, bend_err=np.hypot(curve.bend_err, of_bend))
+    warnings += _own_warnings(own_px, curve.slope_err, settings)
+    curve = replace(curve, slope_err=np.hypot(curve.slope_err, own_px))
     values = {
         "sigma_x_um": np.where(line.good, _rms(x_px, frames), np.nan) * pixel_um,
         **_relative_to_length(curve, line, noise.excess > 1, events, side, pixel_um, settings),
@@ -387,36 +379,25 @@ def _with_noise_of_codec(
     return raised, [f"{what}: {bias}: record raw, FFV1 or MJPEG"]
 
 
-def _own_warnings(
-    own_px: Floats, bends_px: Floats, scaled_px: Floats, error_px: Floats, settings: DeformationSettings
-) -> list[str]:
-    """Warnings of movement that is no creep, beyond the other errors, in many of the sheets."""
-    causes = {
-        "move steadily, though slips return the others (paper that settles, a block that slides):"
-        " let the sample rest before the test": nan_median(own_px),
-        "bend alike in every stick, as sheets do that slip in turn: see the slips in the space-time diagram,"
-        " and check the clocks": bends_px,
-        "move in proportion to their distance from the middle, differently in each stick (a magnification"
-        " that changes, an uneven pull): fix the focus, and hold camera and sample still": scaled_px,
-    }
-    usual = nan_median(error_px)
-    lines = []
-    for cause, size_px in causes.items():
-        found = int((size_px > usual).sum())
-        if found >= settings.warned_sheets * size_px.size:
-            lines.append(f"{found} of {size_px.size} sheets {cause}; the error of σ_x/Λ_st contains it")
-    return lines
+def _own_warnings(own_px: Floats, error_px: Floats, settings: DeformationSettings) -> list[str]:
+    """Warning of steady movement that is no creep, beyond the other errors, in many of the sheets."""
+    found = int((nan_median(own_px) > nan_median(error_px)).sum())
+    if found < settings.warned_sheets * own_px.shape[1]:
+        return []
+    return [
+        f"{found} of {own_px.shape[1]} sheets move steadily, though slips return the others (paper that "
+        "settles, a block that slides), which the error of σ_x/Λ_st contains: let the sample rest first"
+    ]
 
 
 def _without_vibration(
     x_px: Floats, frames: StickFrames, terms: int, settings: DeformationSettings
 ) -> tuple[Floats, Floats, Floats]:
-    """Positions without the pushes and the vibration of the camera; this vibration in each usable frame, px;
-    and the factor on each sheet's noise variance that restores what the subtraction removed."""
-    unpushed = x_px - camera_pushes(x_px, frames, settings)[:, None]
-    residual = unpushed - fit_creep(unpushed, frames, terms, settings).at(frames)
+    """Positions without the vibration of the camera; this vibration in each usable frame, px; and the factor
+    on each sheet's noise variance that restores what the subtraction removed."""
+    residual = x_px - fit_creep(x_px, frames, terms, settings).at(frames)
     vibration, factor = common_mode_motion(residual, settings)
-    return unpushed - vibration[:, None], vibration, factor
+    return x_px - vibration[:, None], vibration, factor
 
 
 def _rms(x_px: Floats, frames: StickFrames) -> Floats:

@@ -34,16 +34,15 @@ class DeformationSettings:
     """Standard errors beyond which outward movement is reported as such, not as 0 (test_motion: outward)."""
 
     own_errors: float = 2.0
-    """Standard errors beyond which movement that a sheet repeats, and that slips do not return or other
-    sheets do not show, enters its error.  Larger hides paper that settles (test_common_mode); smaller
-    widens the errors of quiet sheets by chance."""
+    """Standard errors beyond which steady movement that slips do not return enters the error of a sheet.
+    Larger hides paper that settles (test_common_mode); smaller widens the errors of quiet sheets by chance."""
 
     scale_error: float = 0.002
     """Relative error of the magnification over the view (bowed sheets, lens).  Larger widens the errors of
     the sheets that move most; tested by the coverage of the paper preset (test_simulated)."""
 
     fixed_pattern: float = 0.5
-    """Prior of the position error that repeats with the position on the sensor, in units of the noise of one
+    """Position error that repeats with the position on the sensor, in units of the noise of one
     frame: pixels that differ by 0.7 % at 5000 electrons.  Larger widens the errors of long sticks
     (test_simulated: unequal pixels)."""
 
@@ -104,8 +103,3 @@ class DeformationSettings:
     one_side_contrast: float = 25.0
     """Variance of the creep over the sheets, in units of its noise, above which drift is measured with one
     side in view.  Smaller finds false drift where all sheets creep alike (test_common_mode)."""
-
-    scaling_errors: float = 6.0
-    """Excess of the scatter of sticks, over the root of their number, from which sheets move in proportion to
-    their distance from the middle.  Smaller widens errors where shells of sheets change, larger overlooks a
-    magnification that changes by 0.01 % (test_common_mode: a magnification that breathes)."""
