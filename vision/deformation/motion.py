@@ -123,9 +123,8 @@ def horizontal_deformation(
     Errors follow from the residuals of each sheet and their autocorrelation.  For positions measured in a
     picture they include unequal pixels, unequal magnification and static dirt, and positions of the
     publication's fit are first corrected for pixel locking, except in ``sigma_x_um``.  They include
-    steady movement of a sheet that slips do not return, of which it cannot be told whether the pull causes it.
-    The errors exclude that of the pixel
-    size.
+    steady movement of a sheet that slips do not return, of which it cannot be told whether the pull causes
+    it.  The errors exclude that of the pixel size.
     Of films whose codec predicts frames from others (H.264), the noise is at least the stated error of the
     positions: sheets that creep by less than the codec's rounding are repeated, and their residuals are near
     zero.

@@ -35,7 +35,7 @@ class DeformationSettings:
 
     own_errors: float = 2.0
     """Standard errors beyond which steady movement that slips do not return enters the error of a sheet.
-    Larger hides paper that settles (test_common_mode); smaller widens the errors of quiet sheets by chance."""
+    Larger hides paper that settles (test_common_mode); smaller widens errors of quiet sheets by chance."""
 
     scale_error: float = 0.002
     """Relative error of the magnification over the view (bowed sheets, lens).  Larger widens the errors of
