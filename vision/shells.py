@@ -29,13 +29,6 @@ class ShellSettings:
     profile_error_growth: float = 0.5
     """Relative growth of that difference per threshold of distance. At 0 sheets far from the threshold have
     too much weight, and 1 % fewer of the intervals contain the truth."""
-    outlier_sigma: float = 4.0
-    """Standard deviations from all profiles beyond which a sheet is counted by its own measurement. Smaller →
-    single sheets count where noise is large; larger → one outlier changes the shell
-    (`test_single_sheets_do_not_decide`)."""
-    misread_share: float = 0.2
-    """Share of such sheets that are assumed to be measured wrongly. At 0 intervals are too narrow where
-    sheets are measured wrongly: 80 % contain the truth instead of 97 %."""
     draws: int = 256
     """Number of random profiles per event. More → smoother intervals, slower."""
     certainty: float = 0.9
@@ -113,9 +106,8 @@ def classify_shells(
     The ratio is expected not to decrease with n. Some thousand increasing profiles, from power laws to steps,
     are weighted by how well they fit all sheets on one side. True ratios are drawn about them, the nearer to
     the measurement of a sheet the smaller its error, and those below the threshold are counted in each draw.
-    The size is the median; the interval contains the share `certainty` of the draws. Sheets far from every
-    profile are counted by their own measurement. The errors of the stick length and of the camera movement
-    are common to all sheets of an event.
+    The size is the median; the interval contains the share `certainty` of the draws. The errors of the stick
+    length and of the camera movement are common to all sheets of an event.
 
     Parameters
     ----------
@@ -222,10 +214,6 @@ class Side:
         """Whether there is a ratio with an error, (event, N)."""
         return np.isfinite(self.value) & np.isfinite(self.error)
 
-    def without(self, sheets: Bools) -> Side:
-        """This side with these sheets (event, N) unknown."""
-        return replace(self, value=np.where(sheets, np.nan, self.value))
-
 
 def isotonic(side: Side, significance: float) -> tuple[Floats, Bools]:
     """Fit the ratio by an increasing function of n, (event, N); also return its acceptance, (event,).
@@ -286,20 +274,16 @@ def shell_sizes(
     below the threshold are counted. Stick lengths and camera movement are varied by their errors, for all
     sheets together.
 
-    Outliers from every profile are counted by their own measurement, except in the share of draws in which
-    they are assumed to be measured wrongly. If the ratio decreases significantly with n even without the
-    outliers, all sheets of the event are counted by their own measurement.
+    If the ratio decreases significantly with n, all sheets of the event are counted by their own measurement.
     """
     profiles = _Profiles.crossing(tuple(side.n), threshold)
     sheets = _Ratios.of(side, threshold, settings)
-    sheets = replace(sheets, alone=_outliers(sheets, profiles.thinned()))
     relative = _likeliest_scatter(sheets, profiles.thinned())
-    decreases = ~isotonic(side.without(sheets.alone), settings.significance)[1]
-    counted = replace(sheets, alone=sheets.alone | (decreases[:, None] & side.known))
+    alone = ~isotonic(side, settings.significance)[1]
     sizes = []
-    for block in row_parts(len(decreases), EVENTS_AT_ONCE):
+    for block in row_parts(alone.size, EVENTS_AT_ONCE):
         share, _ = _profile_weights(profiles, sheets.at(block), relative)
-        ratio = _draw_ratios(profiles, share, counted.at(block), relative, outliers=sheets.alone[block])
+        ratio = _draw_ratios(profiles, share, sheets.at(block), relative, alone[block])
         count = _count_below(ratio, threshold, side.length_err[block], side.shared_err[block])
         sizes.append(_median_and_interval(count, settings.certainty))
     size, low, high = np.concatenate(sizes, axis=1)
@@ -354,7 +338,6 @@ class _Ratios:
     value: Floats  # 0 where unknown
     variance: Floats  # inf where unknown
     smooth: Floats  # ratio by the isotonic regression, for which the scatter is calculated
-    alone: Bools  # sheets that do not follow the profile
     threshold: float
     settings: ShellSettings
 
@@ -366,14 +349,13 @@ class _Ratios:
             np.where(known, side.value, 0.0),
             np.where(known, side.error**2, np.inf),
             np.maximum(np.nan_to_num(isotonic(side, settings.significance)[0]), 0.0),
-            np.zeros_like(known),
             threshold,
             settings,
         )
 
     def at(self, events: slice | Ints) -> _Ratios:
         """The ratios in these events."""
-        names = ("value", "variance", "smooth", "alone")
+        names = ("value", "variance", "smooth")
         return replace(self, **{name: getattr(self, name)[events] for name in names})
 
     def scatter(self, ratio: Floats, relative: float) -> Floats:
@@ -384,8 +366,8 @@ class _Ratios:
         return np.asarray((relative * ratio) ** 2 + model_err**2)
 
     def about_profile(self, relative: float) -> Floats:
-        """Variance of the measurements about the profile; inf for sheets that do not follow it."""
-        return np.where(self.alone, np.inf, self.variance + self.scatter(self.smooth, relative))
+        """Variance of the measurements about the profile; inf where unknown."""
+        return self.variance + self.scatter(self.smooth, relative)
 
 
 def _profile_weights(profiles: _Profiles, sheets: _Ratios, relative: float) -> tuple[Floats32, Floats]:
@@ -400,32 +382,6 @@ def _profile_weights(profiles: _Profiles, sheets: _Ratios, relative: float) -> t
     return share / total, (largest + np.log(total))[:, 0] + constant.sum(axis=1) / 2
 
 
-def _outliers(sheets: _Ratios, profiles: _Profiles) -> Bools:
-    """Sheets far from the profiles of the others, (event, N), found one by one, the farthest first."""
-    alone = sheets.alone.copy()
-    events = np.arange(len(alone))
-    for _ in range(4):
-        rest = replace(sheets, alone=alone)
-        parts = row_parts(events.size, EVENTS_AT_ONCE)
-        blocks = [_deviation(profiles, rest.at(events[part])) for part in parts]
-        deviation = np.concatenate(blocks)
-        far = deviation.max(axis=1) > sheets.settings.outlier_sigma
-        events, farthest = events[far], deviation.argmax(axis=1)[far]
-        alone[events, farthest] = True
-        if events.size == 0:
-            break
-    return alone
-
-
-def _deviation(profiles: _Profiles, sheets: _Ratios) -> Floats:
-    """Distance of each measurement from the profile in standard deviations; 0 where not compared."""
-    largest = sheets.settings.sheet_scatters[-1]
-    share, _ = _profile_weights(profiles, sheets, largest)
-    mean = share @ profiles.ratio
-    spread = np.maximum(2 * share @ profiles.half_square - mean**2, 0)
-    return np.asarray(np.abs(sheets.value - mean) / np.sqrt(sheets.about_profile(largest) + spread))
-
-
 def _likeliest_scatter(sheets: _Ratios, profiles: _Profiles) -> float:
     """Relative scatter of sheets about their profile with the largest evidence, from about 40 events."""
     some = sheets.at(slice(None, None, max(1, len(sheets.value) // 40)))
@@ -438,23 +394,23 @@ def _likeliest_scatter(sheets: _Ratios, profiles: _Profiles) -> float:
 
 
 def _draw_ratios(
-    profiles: _Profiles, share: Floats32, sheets: _Ratios, relative: float, *, outliers: Bools
+    profiles: _Profiles, share: Floats32, sheets: _Ratios, relative: float, alone: Bools
 ) -> Floats:
     """Draw true ratios given the data, (event, draw, N): profiles by their share, and sheets about them.
 
-    The random numbers are the same in each call, so that results are reproducible.
+    In the events `alone` the measurements count alone. The random numbers are the same in each call, so that
+    results are reproducible.
     """
     draws = sheets.settings.draws
     rng = np.random.default_rng(0)
     profile = profiles.ratio[_draw_profiles(share, draws)].astype(float)
     scatter = sheets.scatter(profile, relative)
     # The mean of profile and measurement weighted by inverse variances; either may have no weight.
-    precision = np.where(sheets.alone[:, None], 0.0, 1 / scatter) + 1 / sheets.variance[:, None]
+    without_profile = alone[:, None] & np.isfinite(sheets.variance)
+    precision = np.where(without_profile[:, None], 0.0, 1 / scatter) + 1 / sheets.variance[:, None]
     own_weight = 1 / sheets.variance[:, None] / precision
     ratio = profile + own_weight * (sheets.value[:, None] - profile)
-    ratio += rng.standard_normal((draws, profile.shape[2])) / np.sqrt(precision)
-    misread = np.arange(draws) * sheets.settings.misread_share % 1 < sheets.settings.misread_share - 1e-9
-    return np.asarray(np.where(outliers[:, None] & misread[:, None], profile, ratio))
+    return np.asarray(ratio + rng.standard_normal((draws, profile.shape[2])) / np.sqrt(precision))
 
 
 def _draw_profiles(share: Floats32, draws: int) -> Ints:
