@@ -196,21 +196,6 @@ def test_threshold_moves_the_boundary():
         np.testing.assert_allclose(sizes, np.repeat(truth, 2), atol=1)
 
 
-def test_breakpoint_needs_no_threshold():
-    """A failure means that the alternative boundary is not where the creep sets in."""
-    n = np.arange(1, 26)
-    knees = np.array([4.0, 8.0, 13.5, 20.0])
-    ratio = 0.05 + 0.03 * np.maximum(n - knees[:, None], 0)
-    shells = classify_shells(
-        ideal(ratio + 0.005 * np.random.default_rng(2).standard_normal(ratio.shape), 0.005)
-    )
-    np.testing.assert_allclose(shells["stiff_breakpoint"], knees, atol=1.0)
-    flat = classify_shells(ideal(np.tile(0.3 - 0.005 * n, (3, 1)), 0.005))
-    assert flat["stiff_breakpoint"].isna().all()
-    noise = classify_shells(ideal(0.1 + 0.02 * np.random.default_rng(3).standard_normal((100, 25)), 0.02))
-    assert noise["stiff_breakpoint"].isna().mean() > 0.95
-
-
 DEFORMATION = (
     "event,index,side,n,sigma_x_um,sigma_x_corrected_um,sweep_um,stick_length_um,"
     "ratio,ratio_err,p_stiff,shell"

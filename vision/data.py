@@ -560,12 +560,6 @@ SHELLS = Schema(
         "stiff_low": Variable(_EVENT, "", "lower end of the interval"),
         "stiff_high": Variable(_EVENT, "", "upper end of the interval"),
         "M_eff_model": Variable(_EVENT, "", "M_eff implied by the force"),
-        "stiff_breakpoint": Variable(
-            _EVENT,
-            "",
-            "n at which the ratio begins to rise, which needs no threshold; empty where no rise is"
-            " significant",
-        ),
         "monotone": Variable(_EVENT, "", "False where the ratio falls with n by more than chance"),
         "sheets_known": Variable(_EVENT, "", "sheets of this side with a ratio"),
     },

@@ -124,8 +124,6 @@ def classify_shells(
     - stiff_sheets, stiff_low, stiff_high: missing (<NA>) with fewer than three ratios on that side; unknown
       sheets inside a shell count as part of it;
     - M_eff_model: NaN without a model;
-    - stiff_breakpoint: the n at which a constant inner part followed by an increasing line fits best, which
-      needs no threshold; NaN if the increase is not significant or fewer than five ratios are known;
     - monotone: False if the ratio decreases significantly with n (isotonic regression);
     - sheets_known: number of sheets with a ratio.
 
@@ -168,7 +166,6 @@ def _side_table(side: Side, motion: xr.Dataset, threshold: float, settings: Shel
         }
         | {
             "M_eff_model": np.nan,
-            "stiff_breakpoint": breakpoint_n(side, settings.significance),
             "monotone": isotonic(side, settings.significance)[1],
             "sheets_known": known,
         }
@@ -235,29 +232,6 @@ def isotonic(side: Side, significance: float) -> tuple[Floats, Bools]:
         misfit[event] = np.sum(weight * (value - fit.x) ** 2)
     limit = scipy.special.chdtri(np.maximum(side.known.sum(axis=1), 1), significance)
     return increasing, misfit <= limit
-
-
-def breakpoint_n(side: Side, significance: float) -> Floats:
-    """Best breakpoint between a constant inner part and an increasing line, in n, (event,).
-
-    NaN if the increase is not significant, or with fewer than five known sheets.
-    """
-    knee = np.arange(side.n[0], side.n[-1] - 1, 0.5)
-    if knee.size == 0:
-        return np.full(len(side.value), np.nan)
-    weight = np.where(side.known, side.error**-2.0, 0.0)
-    value = np.where(side.known, side.value, 0.0)
-    ramp = np.maximum(side.n - knee[:, None], 0.0)
-    total = weight.sum(axis=1, keepdims=True)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        value = value - (weight * value).sum(axis=1, keepdims=True) / total
-        middle = weight @ ramp.T / total
-        along = (weight * value) @ ramp.T
-        slope = along / (weight @ (ramp**2).T - total * middle**2)
-    gain = np.nan_to_num(np.where(slope > 0, slope * along, 0.0))
-    significant = gain.max(axis=1) > scipy.special.chdtri(2, significance)
-    enough = side.known.sum(axis=1) >= 5
-    return np.asarray(np.where(significant & enough, knee[gain.argmax(axis=1)], np.nan))
 
 
 # --- sizes --------------------------------------------------------------------------------------------------
