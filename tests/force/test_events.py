@@ -15,7 +15,7 @@ from scipy.signal import butter, firwin, lfilter, sosfilt
 from tests.scenes.sawtooth import Test, plain, realistic, recording, slow_among_sudden
 from vision.data import STICKS, StickMetadata
 from vision.errors import InputError
-from vision.force import ForceSettings, detection_limit, find_stick_slip
+from vision.force import ForceSettings, find_stick_slip
 from vision.force.recording import sample_flags
 
 FAST = {"speed": 10.0, "rate": 2000.0, "noise": 0.05, "d1": 13.8, "slip_s": 0.005}
@@ -323,16 +323,6 @@ def test_compression_is_refused() -> None:
     force = plain().force
     with pytest.raises(InputError, match=r"a pull.*load=-NAME"):
         find_stick_slip(force.assign(load_N=-force["load_N"]))
-
-
-@pytest.mark.thorough
-def test_detection_limit_lies_where_detection_fails() -> None:
-    """A failure means the stated smallest slip is not the smallest slip."""
-    test = realistic(d1=13.5, noise=0.5)
-    limit = detection_limit(test.force, find_stick_slip(test.force), injected=20)
-    assert 2 <= limit.attrs["limit_N"] / 0.5 <= 7
-    assert limit["recall"].iloc[0] < 0.2
-    assert limit["recall"].iloc[-1] == 1
 
 
 def test_drops_whose_end_lies_between_two_samples() -> None:

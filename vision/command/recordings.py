@@ -39,7 +39,6 @@ from vision.figures import Figure, both_errors, plus_minus, save_figures
 from vision.figures.single_sheets import friction_figure, modulus_figure
 from vision.files import write_csv
 from vision.folder import write_json
-from vision.force import detection_limit as smallest_found
 from vision.force import parse_columns, read_force
 from vision.models import Estimate
 from vision.models.friction import (
@@ -74,7 +73,6 @@ def force(
     sample: SampleOptions = SampleOptions(),
     *,
     free_t_star: Flag = False,
-    detection_limit: Flag = False,
     config: Path | None = None,
     output: OutputOptions = OutputOptions(),
 ) -> int:
@@ -89,25 +87,17 @@ def force(
         Recording of a testing machine: text, CSV, .TRA, .xlsx or .mat.
     free_t_star
         Also fit T* (the data hardly separate it from the friction coefficient).
-    detection_limit
-        Also measure the smallest slip that is found, by adding known slips to the recording.
     config
         TOML file with any of these options; the command line takes precedence.
     """
     parameters = merged(machine, sample, config=config)
     target = output.out or Path(f"{file.stem}_force")
-    check_results(target, overwrite=output.overwrite, mark="detection_limit")
+    check_results(target, overwrite=output.overwrite, mark="force_alone")
     analysis = analyse(None, file, replace(settings_of(parameters), t_star_fitted=free_t_star))
-    parameters |= parameters_given(
-        output, free_t_star=free_t_star, detection_limit=detection_limit, config=config
-    )
+    parameters |= parameters_given(output, free_t_star=free_t_star, config=config)
     inputs = (file,) if config is None else (file, config)
-    found = None
-    if detection_limit and analysis.force is not None and analysis.sticks is not None:
-        table = smallest_found(analysis.force, analysis.sticks)
-        found = {"limit_N": table.attrs["limit_N"], "tried": table.to_dict("records")}
     origin = origin_of(inputs, parameters)
-    write_run(analysis, target, origin, overwrite=output.overwrite, facts={"detection_limit": found})
+    write_run(analysis, target, origin, overwrite=output.overwrite, facts={"force_alone": True})
     return finish(analysis, target, "force.png", quiet=output.quiet)
 
 

@@ -1,12 +1,11 @@
 """A testing machine's recording becomes stick-slip events."""
 
-from vision.force.events import detection_limit, find_stick_slip
+from vision.force.events import find_stick_slip
 from vision.force.recording import good_samples, parse_columns, read_force
 from vision.force.settings import ForceSettings
 
 __all__ = [
     "ForceSettings",
-    "detection_limit",
     "find_stick_slip",
     "good_samples",
     "parse_columns",

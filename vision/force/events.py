@@ -12,7 +12,6 @@ import xarray as xr
 
 from vision.data import (
     FORCE,
-    STICKS,
     ForceMetadata,
     LowpassHow,
     StickMetadata,
@@ -614,79 +613,3 @@ def _all_flags(
     }
     both = zip(events["flag"], joined_flags(marks), strict=True)
     return ["+".join(flag for flag in flags if flag != "ok") or "ok" for flags in both]
-
-
-# --- detection limit ----------------------------------------------------------------------------------------
-
-
-def detection_limit(
-    force: xr.Dataset,
-    sticks: pd.DataFrame,
-    *,
-    injected: int = 40,
-    seed: int = 0,
-    settings: ForceSettings = ForceSettings(),
-) -> pd.DataFrame:
-    """Return the share of known small slips that are found when they are added to the recording's sticks.
-
-    Parameters
-    ----------
-    force, sticks
-        As from `read_force` and `find_stick_slip`.
-    injected, seed
-        Largest number of sticks to which a slip is added, and the seed of their choice.
-    settings
-        As for `find_stick_slip`.
-
-    Returns
-    -------
-    Columns dF_N, dF_over_noise, recall, injected. ``attrs["limit_N"]`` is the smallest level at and above
-    which at least 95 % are found; NaN for none.
-
-    Raises
-    ------
-    InputError
-        With fewer than three whole sticks.
-
-    Notes
-    -----
-    The load is lowered by a known step from the middle of a stick to the slip after it, so noise, spikes and
-    stiffness remain those of the recording; so does the threshold. The slip is found if an event peaks within
-    a tenth of the stick from it. It divides the stick in two, which makes the limit slightly pessimistic.
-    """
-    STICKS.check(sticks)
-    metadata = StickMetadata.of(sticks)
-    whole = sticks[(sticks["flag"] == "ok") & (sticks["samples"] >= 2 * sticks["samples"].median() / 3)]
-    if len(whole) < 3:
-        raise InputError("detection limit", "at least three whole sticks", f"{len(whole)}")
-    levels = metadata.noise_N * np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 12.0])
-    rng = np.random.default_rng(seed)
-    chosen = np.sort(rng.choice(len(whole), size=min(injected, len(whole)), replace=False))
-    picked = whole.iloc[chosen]
-    recall = np.array([_recall(force, picked, level, metadata, settings) for level in levels])
-    columns = {"dF_N": levels, "dF_over_noise": levels / metadata.noise_N, "recall": recall}
-    table = pd.DataFrame(columns).assign(injected=chosen.size)
-    good = np.flatnonzero(np.logical_and.accumulate((recall >= 0.95)[::-1])[::-1])
-    limit = float(levels[good[0]]) if good.size else float("nan")
-    table.attrs = {"limit_N": limit, "noise_N": metadata.noise_N, "seed": seed}
-    return table
-
-
-def _recall(
-    force: xr.Dataset, picked: pd.DataFrame, drop_N: float, search: StickMetadata, settings: ForceSettings
-) -> float:
-    """Return the share of the picked sticks in whose middle a slip of `drop_N` is found."""
-    threshold_N, average_s = search.threshold_N, search.average_s
-    begin, end, slip = (picked[name].to_numpy() for name in ("t_v_s", "t_p_s", "slip_time_s"))
-    middle = 0.5 * (begin + end)
-    time = force["time_s"].to_numpy()
-    # Lowered from mid-stick to the middle of the next slip, which becomes smaller by as much.
-    begun, over = (np.searchsorted(at, time, side="right") for at in (middle, end + 0.5 * slip))
-    lowered = force.assign(load_N=force["load_N"] - drop_N * (begun - over))
-    try:
-        found = find_stick_slip(lowered, threshold_N=threshold_N, average_s=average_s, settings=settings)
-    except InputError:
-        return 0.0
-    peaks = np.r_[StickMetadata.of(found).first_slip_s, found["t_p_s"].to_numpy()]
-    nearest = np.min(np.abs(peaks[:, np.newaxis] - middle), axis=0)
-    return float(np.mean(nearest < 0.1 * (end - begin)))
