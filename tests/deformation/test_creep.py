@@ -6,13 +6,11 @@ import pytest
 from tests.scenes.creeping import PIXEL_UM, errors, make, measure, uniform
 from vision.deformation.creep import (
     AR1Noise,
-    correct_pixel_locking,
     find_late_slips,
     fit_creep,
     fixed_pattern_gain,
     frames_of_sticks,
     legendre,
-    pixel_locking_slope,
 )
 from vision.deformation.settings import DeformationSettings
 
@@ -197,48 +195,3 @@ def test_how_much_of_a_fixed_pattern_goes_into_the_creep():
     moved = np.interp(at, np.arange(6000), pattern)
     share = np.linalg.lstsq(legendre(u, 3), moved.T, rcond=None)[0]
     np.testing.assert_allclose(np.sqrt((share**2).mean(axis=1)), fixed_pattern_gain(reach, 3), rtol=0.1)
-
-
-# --- pixel locking ------------------------------------------------------------------------------------------
-
-
-def locked(share=0.15, *, noise_px=0.02, sheets=10, seed=1):
-    """(true positions, locked ones, their stated errors, frames): five sticks of 2 px sweep."""
-    rng = np.random.default_rng(seed)
-    time = np.arange(200) / 100
-    begin = (np.arange(6) * 40 - 0.5) / 100
-    frames = frames_of_sticks(time, begin[:-1], begin[1:], margin_s=0.0, interval_s=0.01)
-    true = 20.3 * np.arange(sheets) + rng.uniform(0, 1, (5, sheets))[frames.row] - frames.u[:, None]
-    seen = true + noise_px * rng.standard_normal(true.shape)
-    away = seen - np.rint(seen + 0.05 * rng.standard_normal(seen.shape))  # noise decides midway
-    x_px = seen - share * away
-    error_px = np.hypot(noise_px, share * (x_px - np.rint(x_px)))
-    return true, x_px, error_px, frames
-
-
-@pytest.mark.parametrize("share", [0.0, 0.1, 0.2])
-def test_the_slope_is_in_the_stated_errors(share):
-    """A failure means that positions are corrected by too much, or those that are not locked."""
-    _, x_px, error_px, _ = locked(share)
-    np.testing.assert_allclose(pixel_locking_slope(x_px, error_px), share, atol=1e-6)
-
-
-def test_the_slope_of_sheets_never_seen_is_0():
-    """A failure means that a sheet without positions makes a NaN of all."""
-    x_px = np.full((10, 2), np.nan)
-    np.testing.assert_array_equal(pixel_locking_slope(x_px, x_px), 0)
-
-
-def test_corrected_positions_follow_the_creep():
-    """A failure means that locking, up to a tenth of a pixel here, passes for motion."""
-    true, x_px, error_px, frames = locked()
-    corrected = correct_pixel_locking(x_px, pixel_locking_slope(x_px, error_px), frames, SETTINGS)
-    before, after = (np.sqrt(np.mean((x - true) ** 2)) for x in (x_px, corrected))
-    assert before > 0.04
-    assert after < 0.025
-
-
-def test_without_locking_positions_stay_as_they_are():
-    """A failure means that other fits are changed."""
-    _, x_px, _, frames = locked(0.0)
-    assert correct_pixel_locking(x_px, np.zeros(10), frames, SETTINGS) is x_px

@@ -85,13 +85,12 @@ def test_ratios_and_errors(simulated):
 
 
 @pytest.mark.thorough
-def test_the_publications_fit_is_let_go():
-    """A failure means that locking to whole pixels, a tenth of a late sweep and more, passes for motion."""
+def test_the_errors_of_the_publications_fit_contain_its_locking():
+    """A failure means that locking to whole pixels, a tenth of a late sweep and more, is in no error."""
     truth, tracks, sticks, clock = run("late", fit="paper", **{"camera.duration_s": 8.0})
     wrong, within_one, within_two = score(*deformation(truth, tracks, sticks, clock))
-    locked, _, _ = score(*deformation(truth, tracks.assign_attrs(fit="other"), sticks, clock))
-    assert wrong.std() < 0.005 < 0.02 < locked.std()
-    assert 0.60 < within_one < 0.75
+    assert wrong.std() > 0.01
+    assert within_one > 0.5
     assert within_two > 0.93
 
 

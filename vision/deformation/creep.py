@@ -1,7 +1,7 @@
 """Creep of every sheet in every stick: Legendre series fitted to all at once by generalised least squares.
 
-The module also assigns frames to sticks, finds sheets that slip late or early, corrects pixel locking, and
-measures the noise of the positions with its autocorrelation, from which the standard errors follow.
+The module also assigns frames to sticks, finds sheets that slip late or early, and measures the noise of the
+positions with its autocorrelation, from which the standard errors follow.
 """
 
 from __future__ import annotations
@@ -311,52 +311,6 @@ def _longest_delay(first_s: Floats, late: Bools, clear: Bools, settings: Deforma
     longest = np.linspace(0.0, 2 * settings.slip_delay_s, 101)[1:]
     expected = weight @ np.maximum(1 - first_s[:, None] / longest, 0.0) / weight.sum()
     return float(np.interp(observed, expected, longest))
-
-
-# --- pixel locking ------------------------------------------------------------------------------------------
-
-
-def pixel_locking_slope(x_px: Floats, x_err_px: Floats) -> Floats:
-    """Fraction by which the publication's fit underestimates distances to the brightest pixel, (sheet,).
-
-    The stated variance of a position includes the square of the bias, so that it increases with the square of
-    the distance. The slope of that increase, by least squares over all frames, is the square of the fraction.
-    It is 0 where no locking is found.  x_px, x_err_px: positions with their standard errors, px, (frame,
-    sheet).
-    """
-    known = np.isfinite(x_px) & np.isfinite(x_err_px)
-    count = np.maximum(known.sum(axis=0), 1)
-
-    def squared_about_mean(value: Floats) -> Floats:
-        square = np.where(known, value**2, 0.0)
-        return np.where(known, value**2 - square.sum(axis=0) / count, 0.0)
-
-    distance2, variance = squared_about_mean(x_px - np.rint(x_px)), squared_about_mean(x_err_px)
-    slope = (distance2 * variance).sum(axis=0) / np.maximum((distance2**2).sum(axis=0), 1e-12)
-    return np.asarray(np.sqrt(np.maximum(slope, 0.0)))
-
-
-def correct_pixel_locking(
-    x_px: Floats, slope: Floats, frames: StickFrames, settings: DeformationSettings
-) -> Floats:
-    """Correct positions for pixel locking of this slope, (sheet,); returns px, (F, sheet).
-
-    The brightest pixel is one of the two next to the position: the one for which the corrected position is
-    nearer to a line through the stick, which wrong pixels hardly bend, plus vibration.
-    """
-    if not slope.any():
-        return x_px
-    offset = x_px - np.rint(x_px)
-    nearest, other = (x_px + slope * _bias(distance) for distance in (offset, offset - np.sign(offset)))
-    expected = fit_creep(nearest, frames, 2, settings).at(frames)
-    expected += nan_median(nearest - expected, axis=1)[:, None]
-    better = np.abs(other - expected) < np.abs(nearest - expected)
-    return np.where(better & (np.abs(offset) > 0.25), other, nearest)
-
-
-def _bias(offset_px: Floats) -> Floats:
-    """Bias divided by the sheet's slope; measured on synthetic ridges, the same for all widths."""
-    return np.asarray(0.945 * offset_px + 0.034 * np.sin(2 * np.pi * offset_px))
 
 
 _LEAST_VARIANCE_PX2 = 1e-12  # noise variance of exact positions, whose residuals are rounding errors

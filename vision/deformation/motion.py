@@ -37,12 +37,10 @@ from vision.deformation.creep import (
     Noise,
     StickFrames,
     coefficient_errors,
-    correct_pixel_locking,
     find_late_slips,
     fit_creep,
     frames_of_sticks,
     measure_noise,
-    pixel_locking_slope,
 )
 from vision.deformation.settings import DeformationSettings
 from vision.errors import InputError, shown
@@ -121,10 +119,9 @@ def horizontal_deformation(
     or early is shortened accordingly.
 
     Errors follow from the residuals of each sheet and their autocorrelation.  For positions measured in a
-    picture they include unequal pixels, unequal magnification and static dirt, and positions of the
-    publication's fit are first corrected for pixel locking, except in ``sigma_x_um``.  They include
-    steady movement of a sheet that slips do not return, of which it cannot be told whether the pull causes
-    it.  The errors exclude that of the pixel size.
+    picture they include unequal pixels, unequal magnification and static dirt and, with the publication's
+    fit, its shift towards whole pixels.  They include steady movement of a sheet that slips do not return, of
+    which it cannot be told whether the pull causes it.  The errors exclude that of the pixel size.
     Of films whose codec predicts frames from others (H.264), the noise is at least the stated error of the
     positions: sheets that creep by less than the codec's rounding are repeated, and their residuals are near
     zero.
@@ -266,9 +263,6 @@ def _measure(
     x_px, side = np.asarray(tracks["x_px"].values, float)[frames.frame], tracks["side"].values
     terms = 4 if np.median(frames.counts) >= settings.cubic_frames else 3
     steady, facts = x_px, TrackMetadata.of(tracks)
-    if facts.fit == "paper" and "x_err_px" in tracks:
-        locking = pixel_locking_slope(*(np.asarray(tracks[of].values, float) for of in ("x_px", "x_err_px")))
-        steady = correct_pixel_locking(x_px, locking, frames, settings)
     vibration, factor = np.zeros(len(x_px)), np.ones(side.size)
     if common_mode and len(x_px):
         steady, vibration, factor = _without_vibration(steady, frames, terms, settings)
@@ -284,7 +278,8 @@ def _measure(
     pattern = scale = np.zeros(side.size)
     if facts.fit != "unknown":  # measured in a picture, with errors of unequal pixels
         pattern = settings.fixed_pattern * noise.noise_px
-        scale = np.full(side.size, settings.scale_error)
+        locking = settings.locking if facts.fit == "paper" else 0.0
+        scale = np.full(side.size, np.hypot(settings.scale_error, locking))
     if "misscaled" in tracks:
         scale = np.hypot(scale, tracks["misscaled"].values)
     errors = [coefficient_errors(part, noise, pattern, scale) for part in (line, parabola)]

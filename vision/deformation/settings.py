@@ -46,6 +46,11 @@ class DeformationSettings:
     frame: pixels that differ by 0.7 % at 5000 electrons.  Larger widens the errors of long sticks
     (test_simulated: unequal pixels)."""
 
+    locking: float = 0.15
+    """Relative error of displacements by the publication's fit, which shifts positions towards whole pixels.
+    Larger widens the errors of ridges wider than the window, smaller is too small for others
+    (test_simulated)."""
+
     slip_delay_s: float = 0.025
     """Time next to each slip in which individual sheets may slip late or early, which may count as another
     slip of the film.  Larger leaves fewer frames from which the creep is extrapolated; smaller misses delays
