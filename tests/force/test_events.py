@@ -1226,3 +1226,12 @@ def test_times_written_too_coarsely_are_named() -> None:
     flags = sample_flags(time, force["load_N"].to_numpy(), None)
     with pytest.raises(InputError, match=r"written too coarsely.*time=100Hz"):
         find_stick_slip(force.assign_coords(time_s=time).assign(flag=("time_s", flags)))
+
+
+@pytest.mark.parametrize(("noise_mm", "told"), [(0.0, False), (1e-4, False), (1e-3, True), (5e-3, True)])
+def test_noise_of_the_displacement_that_biases_the_fits_is_told(noise_mm: float, told: bool) -> None:
+    """A failure means N̂ wrong by up to 28 of its errors without a word, or a warning for every crosshead."""
+    force = realistic(seed=3).force
+    d = force["d_mm"].to_numpy() + np.random.default_rng(1).normal(0, noise_mm, force.sizes["time_s"])
+    lines = find_stick_slip(force.assign(d_mm=("time_s", d))).attrs["warnings"]
+    assert any("the displacement's noise of" in line for line in lines) == told

@@ -15,7 +15,7 @@ from vision.force.lines import fit_lines
 from vision.force.settings import ForceSettings
 from vision.force.signal import Signal, noise_sigma, step_between
 from vision.force.slips import Slips, upward_share
-from vision.numeric import Bools, Floats, flat_ranges, nan_median
+from vision.numeric import Bools, Floats, flat_ranges, nan_median, white_noise
 
 
 @dataclass(frozen=True)
@@ -139,12 +139,33 @@ def doubts(
             lines.append(
                 f"{what} has steps of {step:.3g} {unit_of_steps}, sticks are {stick:.3g} {unit_of_steps}"
             )
+    lines += _displacement_warnings(signal, events)
     lines += slips.warnings(unit) + _load_warnings(signal, slips, events, unit)
     lines += _fall_warnings(signal, slips, events, unit)
     for word, meaning in _FLAGGED.items():
         if count := int(has_flag(events["flag"], word).sum()):
             lines.append(f"{count} of {len(events)} sticks {meaning} (flag {word})")
     return lines
+
+
+def _displacement_warnings(signal: Signal, events: pd.DataFrame) -> list[str]:
+    """Return that noise of the displacement makes K, over half a stick, uncertain by more than 5 %.
+
+    The stated error of K then grows with K itself, so that the fits give large K too little weight.
+    """
+    if len(signal.travel) < 3:
+        return []
+    noise_um = 1e3 * white_noise(signal.travel)
+    samples = (events["t_p_s"] - events["t_v_s"]) / (2 * signal.interval_s)
+    error = np.sqrt(12 / samples) * noise_um / (events["stick_length_um"] / 2)
+    share = float(nan_median(error.to_numpy(float)))
+    if not share > 0.05:
+        return []
+    return [
+        f"the displacement's noise of {noise_um:.2g} µm makes K of a stick uncertain by {100 * share:.0f} %: "
+        "Λ̂, N̂ and Y_eff may be wrong by several of their errors; record the crosshead's position, or "
+        "average the displacement"
+    ]
 
 
 def _fall_warnings(signal: Signal, slips: Slips, events: pd.DataFrame, unit: str) -> list[str]:
