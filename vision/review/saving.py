@@ -3,30 +3,26 @@
 from __future__ import annotations
 
 import contextlib
-import io
 import json
 import os
 import pickle
 import shutil
 import subprocess
 import sys
-import zipfile
-import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vision.errors import InputError
 from vision.files import PACKAGE_PATHS
 from vision.folder import clean_up, plain, put_in_place, unwritable
 from vision.numeric import Floats, Ints
 from vision.pipeline import Analysis, Settings, analyse, open_recording
-from vision.review.positions import Positions, UndoStep, median_positions, read_positions
+from vision.review.positions import Positions, median_positions, read_positions
 from vision.review.recordings import StoredRun
 from vision.run.provenance import Origin, Parameter
 from vision.run.reading import read_run, read_strip
@@ -52,7 +48,6 @@ class SaveJob:
     decisions: Decisions  # decisions that are to be applied
     # path of the film if it has been moved; without the film, anything but another strip can be saved
     film: Path | None
-    extra_files: Mapping[str, bytes]  # of the review, to be stored in the run: content by name
     options: Mapping[str, str]  # the one that the report shows in place of each argument's name
     into: Path | None = None  # where to write the run if it must not replace the old one
 
@@ -99,7 +94,6 @@ def save_run(job: SaveJob, tell: Tell = lambda stage, done=0, total=0: None) -> 
         report=(folder / "report.html").exists(),
         facts={"inputs": run.facts.get("inputs") or []},
         decisions=job.decisions,
-        extra_files=job.extra_files,
     )
 
 
@@ -399,41 +393,3 @@ def _positions_differ(before: Positions, after: Positions, old: Ints, new: Ints)
         "median_px": float(np.median(moved)) if moved.size else None,
         "largest_px": float(moved.max()) if moved.size else None,
     }
-
-
-# --- undo steps in a file -----------------------------------------------------------------------------------
-
-
-def pack_steps(steps: Sequence[UndoStep | None]) -> bytes:
-    """Return the steps that undo decisions, in order, as the content of an .npz file."""
-    facts = [step and {name: one for name, one in vars(step).items() if name != "arrays"} for step in steps]
-    arrays: dict[str, Any] = {
-        f"{k}.{name}": values
-        for k, step in enumerate(steps)
-        if step is not None
-        for name, values in step.arrays.items()
-    }
-    stream = io.BytesIO()
-    np.savez_compressed(stream, facts=np.frombuffer(json.dumps(facts).encode(), np.uint8), **arrays)
-    return stream.getvalue()
-
-
-def read_steps(path: Path) -> list[UndoStep | None]:
-    """Read what `pack_steps` returned from a file; an empty list if the file is missing or damaged.
-
-    Without it a decision can still be undone, but the effect is visible only when the run has been saved.
-    """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            facts = json.loads(file["facts"].tobytes())
-            arrays = {name: file[name] for name in file.files}
-        return [None if one is None else _undo_step(k, one, arrays) for k, one in enumerate(facts)]
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
-        return []
-
-
-def _undo_step(k: int, facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> UndoStep:
-    own = {name.partition(".")[2]: values for name, values in arrays.items() if name.startswith(f"{k}.")}
-    if not {"side", "n"} <= own.keys():
-        raise KeyError("the numbering")
-    return UndoStep(**{**facts, "sheets": tuple(facts["sheets"])}, arrays=own)

@@ -19,7 +19,7 @@ from vision.folder import claim, plain, whole_file
 from vision.numeric import Floats, Floats32, Ints, nearest, stretches
 from vision.pipeline import Settings
 from vision.review.effects import Effects
-from vision.review.positions import SAME_RIDGE_PX, apply, median_positions, read_positions, undo
+from vision.review.positions import SAME_RIDGE_PX, UndoStep, apply, median_positions, read_positions, undo
 from vision.review.recordings import (
     TILE_COLUMNS,
     TILE_FACTOR,
@@ -31,7 +31,7 @@ from vision.review.recordings import (
     Tiles,
     decided_clock,
 )
-from vision.review.saving import SaveJob, Saver, Trial, pack_steps, read_steps
+from vision.review.saving import SaveJob, Saver, Trial
 from vision.run.writing import CORRECTIONS
 from vision.sheets.corrections import (
     KEYS,
@@ -45,8 +45,6 @@ from vision.sheets.corrections import (
 )
 from vision.sheets.identities import DOUBTS, WHYS
 from vision.sheets.recovery import FLAGS
-
-REPLACED = "corrections.npz"  # values that saved decisions replaced, so that they can be undone
 
 
 class Session:
@@ -72,6 +70,7 @@ class Session:
         self.saver, self.effects, self.trial = Saver(), Effects(self), Trial(self)
         self.lock = RLock()
         self.revision = 0
+        self._undo_steps: list[UndoStep | None] = []
         path, taken = folder.resolve(), "a review of it that is open"
         advice = "go to its window, or end it there"
         busy = InputError(folder, "a run that nobody reviews now", taken, advice)
@@ -122,8 +121,8 @@ class Session:
         self.unseen: list[Correction] = []  # undone decisions that remain visible until the run is saved
         same, count = _common_start(self.applied, wanted.corrections), len(self.applied)
         self.decisions = [*wanted.corrections[:same], *self.applied[same:]]
-        known = read_steps(self.folder / REPLACED)
-        self._undo_steps = [*known, *[None] * count][:count]  # how to undo each decision; None if not known
+        # How to undo each decision; None if it was made in an earlier review.
+        self._undo_steps = [*self._undo_steps, *[None] * count][:count]
         while len(self.decisions) > same:  # undone since the run was saved
             self._step_back()
         for decision in wanted.corrections[same:]:
@@ -164,14 +163,11 @@ class Session:
     def job(self, decisions: Sequence[Correction], undone: Sequence[Correction]) -> SaveJob:
         """Return the job that applies these decisions to the run.  Raises: InputError if the run is gone."""
         self.stored.check_there()
-        before, after = (last_of(part, "strip") for part in (self.applied, decisions))
-        same_strip = (before and before.rows) == (after and after.rows)  # else the replaced values differ
         return SaveJob(
             folder=self.folder,
             settings=self.settings,
             decisions=self._as_written(decisions, undone),
             film=self.recordings.moved,
-            extra_files={REPLACED: pack_steps(self._undo_steps)} if self._undo_steps and same_strip else {},
             options=self.options,
         )
 
@@ -182,7 +178,9 @@ class Session:
     def reload(self) -> None:
         """Read the run that has replaced this one."""
         with self.lock:
-            earlier = self.diagram
+            earlier, strip = self.diagram, last_of(self.applied, "strip")
+            if strip != last_of(self.stored.of(self.folder).applied, "strip"):
+                self._undo_steps.clear()  # they hold positions of other rows
             self._load()
             earlier.close()
             self.revision += 1

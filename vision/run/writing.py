@@ -52,7 +52,6 @@ def write_run(
     report: bool = True,
     facts: Mapping[str, Any] | None = None,
     decisions: Decisions | None = None,
-    extra_files: Mapping[str, bytes] | None = None,
 ) -> dict[str, Any]:
     """Write tables, pictures, report.html and run.json of a run, and return the content of run.json.
 
@@ -64,8 +63,6 @@ def write_run(
         Provenance and further entries of run.json.
     decisions
         Decisions for corrections.toml, by default ``analysis.settings.corrections``.
-    extra_files
-        Further files: content by name.
 
     Raises
     ------
@@ -82,8 +79,6 @@ def write_run(
             seconds["tables"] = time.perf_counter() - started
             content = {**run_facts(analysis, origin, inputs), **(facts or {})}
             _write_decisions(analysis, folder, content, decisions)
-            for name, data in (extra_files or {}).items():
-                (folder / name).write_bytes(data)
             seconds["run facts"] = time.perf_counter() - started - seconds["tables"]
             drawn = time.perf_counter()
             _write_figures_and_page(analysis, folder, content, failures, origin, report=report)
