@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
 import xarray as xr
 
 from vision.certify import CertifySettings, certify_run, statements, write_certificate
-from vision.checks import flag_counts
 from vision.command.console import complain, conclude, frame_progress, in_columns
 from vision.command.options import (
     CompareOptions,
@@ -41,37 +38,22 @@ from vision.comparison.comparison import MARK, answers
 from vision.data import DiagramMetadata, StripMetadata, TrackMetadata, warnings_of
 from vision.errors import InputError, counted
 from vision.figures import kymograph_figure, load_figures, preview_figure
-from vision.figures.camera import sides_known
 from vision.files import AGAIN
 from vision.files import reading as reading_of
 from vision.folder import check_new, whole_file
-from vision.numeric import Ints, with_minus
 from vision.pipeline import Analysis, Settings, analyse, open_recording
 from vision.run import check_outside, check_results, export_run, is_run, read_run, read_strip, results_folder
 from vision.run.export import Format, write_overlay
 from vision.run.tables import frame_step_s, unevenness_s, write_space_time_tif
-from vision.sheets.ridges import describe_ridges, find_ridges
-from vision.sheets.tracks import LOSSY
 from vision.spacetime import Sheet, space_time
-from vision.summary import aligned, frame_rate_text, noise_figures, other_flags, ridges_line, scale_line
+from vision.summary import aligned
 from vision.video import Video, strip_profile, video_files
-from vision.video.strip import row_means
 from vision.video.strip_find import choose_strip
 
 DIAGRAMS = "diagrams"  # key in run.json that distinguishes a folder of diagrams from a run
 
 
 # --- preview ------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Preview:
-    """The analysis of a few consecutive frames of a film, and ridges counted over all of it."""
-
-    film: Video  # the whole film
-    start: Analysis  # of the first frames
-    ridge_counts: Ints  # in each of some frames spread over the film
-    warnings: tuple[str, ...]
 
 
 def preview(
@@ -84,8 +66,8 @@ def preview(
 ) -> int:
     """Show within seconds the frame, the strip, the ridges and their noise.
 
-    Reads some tens of frames: the first ones, which are tracked, and others spread over the film. Prints ten
-    lines and writes NAME_preview.png, or with --out also a .pdf or .svg file.
+    Tracks the first frames only. Prints the same lines as track about them, and writes NAME_preview.png, or
+    with --out also a .pdf or .svg file.
 
     For example:
 
@@ -104,78 +86,31 @@ def preview(
     target = output.out or Path(f"{run_name(video)}_preview.png")
     if output.out is not None:
         check_new(target, overwrite=output.overwrite)
-    found = make_preview(video, settings)
-    start = found.start
+    film, start = make_preview(video, settings)
     assert start.frame is not None and start.strip is not None and start.tracks is not None
     with whole_file(target) as path:
         figure = preview_figure(start.frame, start.strip, start.tracks, pixel_size_um=start.pixel_size_um)
         figure.save(path)
-    summary = [*preview_summary(found), *aligned([("picture", str(target))])]
-    return conclude(summary, found.warnings, quiet=output.quiet)
+    rows, columns = film.shape
+    count = "unknown number of" if film.estimated is None else f"{film.estimated}"
+    size = f"{count} frames of {columns} x {rows} px, {film.depth_bits} bit; the first are tracked here"
+    about = [line for line in start.summary() if not line.startswith("frames")]
+    summary = [*aligned([("film", size)]), *about, *aligned([("picture", str(target))])]
+    return conclude(summary, start.warnings, quiet=output.quiet)
 
 
-def make_preview(path: Path, settings: Settings) -> Preview:
-    """Analyse the first frames of a film and count ridges in others.  Raises: InputError as `track` does."""
+def make_preview(path: Path, settings: Settings) -> tuple[Video, Analysis]:
+    """Return a film, and the analysis of its first frames.  Raises: InputError as `track` does."""
     film = open_recording(path, settings)
     chosen = choose_strip(film, settings.rows, columns=settings.columns, settings=settings.tuning.video)
     count = min(24, film.estimated or 24)  # 24 frames give the scatter of a position to one seventh
     first = slice(film.first, film.first + count)
     # Corrections are about frames that are not tracked here.
-    few = replace(settings, rows=chosen.rows, strips=1, frames=first, corrections=())
-    start = analyse(path, None, few)
-    assert start.strip is not None and start.tracks is not None
-    x = start.strip["x"].values
-    spread = list(film.sample(12)) or list(itertools.islice(film.frames(), 12))
-    profile = row_means(np.stack([frame[chosen.rows, int(x[0]) : int(x[-1]) + 1] for frame in spread]))
-    polarity, tuning = start.tracks.attrs["ridges"], settings.tuning.tracking
-    ridges = find_ridges(profile, describe_ridges(profile, polarity=polarity, settings=tuning))
+    start = analyse(path, None, replace(settings, rows=chosen.rows, strips=1, frames=first, corrections=()))
+    assert start.tracks is not None
+    tracks = start.tracks.assign_attrs(strip_how=chosen.how)
     warnings = dict.fromkeys((*film.warnings, *chosen.warnings, *start.warnings))
-    return Preview(film, start, ridges.count, tuple(warnings))
-
-
-def preview_summary(found: Preview) -> list[str]:
-    """Return what the frames show, in nine lines."""
-    tracks, film, pixel_size_um = found.start.tracks, found.film, found.start.pixel_size_um
-    assert tracks is not None
-    strip, comb = StripMetadata.of(tracks), TrackMetadata.of(tracks)
-    rows, columns = film.shape
-    count = "an unknown number of" if film.estimated is None else f"{film.estimated}"
-    if film.expected is None and film.estimated is not None:
-        count = f"about {count}"
-    noise = noise_figures(tracks, pixel_size_um)
-    length = "" if pixel_size_um is None else f" = {noise['stated_um']:.3f} µm"
-    tilt = (
-        "tilt not measured" if math.isnan(strip.tilt_deg) else f"tilt {with_minus(f'{strip.tilt_deg:+.2f}')}°"
-    )
-    flags = flag_counts(tracks)
-    low, high = int(found.ridge_counts.min()), int(found.ridge_counts.max())
-    seen = f"{low}" if low == high else f"{low} to {high}"
-    frames, left = tracks.sizes["frame"], int((tracks["side"] < 0).sum())
-    sides = f" ({left} left, {comb.sheets - left} right)" if sides_known(tracks) else ""
-    hidden = f" (not independent: {strip.codec} hides the noise of the pixels)" * (strip.codec in LOSSY)
-    lines = {
-        "film": f"{count} frames of {columns} x {rows} px, {film.depth_bits} bit, {strip.codec}",
-        "clock": frame_rate_text(strip),
-        "strip": f"rows {strip.strip_z0}:{strip.strip_z1}, clarity {strip.strip_clarity:.2f}, {tilt}, "
-        f"{strip.strip_err_px:.3f} px error from the choice of rows",
-        "sheets": f"{comb.sheets} {comb.ridges} ridges{sides}; {seen} ridges, sheets or not, in "
-        f"{found.ridge_counts.size} frames over the film",
-        "ridges": ridges_line(comb) + _fit_of_the_run(found.start.settings, comb),
-        "light": f"ridges {comb.contrast:.3g} grey levels high, profile noise {comb.profile_noise:.2g}",
-        "positions": f"{flags.get('ok', 0)} in the first {frames} frames; {other_flags(flags)}",
-        "noise": f"x_err_px {noise['stated_px']:.4f} px{length}; {noise['measured_px']:.4f} px scatter "
-        f"between {frames} frames{hidden}",
-        "scale": scale_line(pixel_size_um, strip),
-    }
-    return aligned(lines.items())
-
-
-def _fit_of_the_run(settings: Settings, comb: TrackMetadata) -> str:
-    """Return what decides which fit `auto` uses for the whole film, as the few frames here do not; or ""."""
-    if settings.fit != "auto" or comb.fit != "sliding":
-        return ""
-    frames = settings.tuning.tracking.template_frames
-    return f"; a run uses the template if it is learned well, from {frames} frames or more (`fit`)"
+    return film, replace(start, tracks=tracks, warnings=tuple(warnings))
 
 
 # --- kymograph ----------------------------------------------------------------------------------------------
