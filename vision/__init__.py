@@ -25,34 +25,21 @@ _PACKAGE_OF = {
     "synchronise": "vision.clock",
     "track_sheets": "vision.sheets",
 }
+__all__ = ["__version__", *_PACKAGE_OF]  # noqa: PLE0604
 
 if TYPE_CHECKING:
-    from vision.clock import synchronise
-    from vision.comparison import compare
-    from vision.deformation import horizontal_deformation
-    from vision.force import find_stick_slip, read_force
-    from vision.models import fit_models
-    from vision.pipeline import analyse
-    from vision.sheets import track_sheets
-    from vision.shells import classify_shells
-    from vision.spacetime import space_time
-    from vision.video import open_video, strip_profile
-
-__all__ = [
-    "__version__",
-    "analyse",
-    "classify_shells",
-    "compare",
-    "find_stick_slip",
-    "fit_models",
-    "horizontal_deformation",
-    "open_video",
-    "read_force",
-    "space_time",
-    "strip_profile",
-    "synchronise",
-    "track_sheets",
-]
+    from vision.clock import synchronise as synchronise
+    from vision.comparison import compare as compare
+    from vision.deformation import horizontal_deformation as horizontal_deformation
+    from vision.force import find_stick_slip as find_stick_slip
+    from vision.force import read_force as read_force
+    from vision.models import fit_models as fit_models
+    from vision.pipeline import analyse as analyse
+    from vision.sheets import track_sheets as track_sheets
+    from vision.shells import classify_shells as classify_shells
+    from vision.spacetime import space_time as space_time
+    from vision.video import open_video as open_video
+    from vision.video import strip_profile as strip_profile
 
 
 def __getattr__(name: str) -> Any:
@@ -62,4 +49,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    return ["__version__", *_PACKAGE_OF]

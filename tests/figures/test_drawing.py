@@ -25,7 +25,8 @@ from vision.figures import (
     tracks_figure,
 )
 from vision.figures.catalogue import figure_named
-from vision.figures.drawing import label_step, new_figure, picture_style, render
+from vision.figures.decimate import label_step
+from vision.figures.drawing import new_figure, picture_style, render
 from vision.figures.force import clocks_figure
 from vision.figures.style import DATA
 

@@ -6,7 +6,6 @@ import ctypes
 import difflib
 import errno
 import os
-import re
 import sys
 import tempfile
 import traceback
@@ -176,19 +175,10 @@ def _unexpected(error: Exception) -> str:
 
 
 def _unknown_option(error: UnknownOptionError) -> str:
-    """Return the message on an unknown option.
-
-    It suggests the only option of the command that the typed one abbreviates (--px and --pix for
-    --pixel-size), or one that is spelled almost like it.
-    """
+    """Return the message on an unknown option, which suggests one that begins or is spelled like it."""
     typed = (error.token.keyword or error.token.value).partition("=")[0]
     options = [name for one in error.argument_collection if one.parse for name in one.names]
-
-    def abbreviates(option: str) -> bool:
-        rest = iter(option.lstrip("-"))
-        return option.startswith(typed[:3]) and all(letter in rest for letter in typed.lstrip("-"))
-
-    near = [option for option in options if re.fullmatch("--[a-z0-9-]+", typed) and abbreviates(option)]
+    near = [option for option in options if typed.startswith("--") and option.startswith(typed)]
     near = near if len(near) == 1 else difflib.get_close_matches(typed, options, 1, cutoff=0.8)
     return f"Unknown option: {typed}." + "".join(f" Did you mean {option}?" for option in near)
 

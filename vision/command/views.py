@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, replace
@@ -412,18 +411,10 @@ def overlay(
     with frame_progress("drawing", quiet=output.quiet) as progress, whole_file(target) as path:
         count, (rows, columns), fps = write_overlay(made, source, path, frames=part, progress=progress)
     size = f"{count} frames of {columns} x {rows} px"
-    speed = f"{fps:g} frames/s{_slower(fps, StripMetadata.of(made.tracks).fps)}"
+    recorded = StripMetadata.of(made.tracks).fps
+    speed = f"{fps:g} frames/s" + f" (recorded at {recorded:.4g})" * bool(recorded != fps)
     line = f"{size}, played at {speed}, {target.stat().st_size / 1e6:.1f} MB -> {target}"
     return conclude([line], (), quiet=output.quiet)
-
-
-def _slower(played: float, recorded: float) -> str:
-    """Say how much slower or faster than recorded a film is played; "" if equal or not known."""
-    times = recorded / played
-    if not math.isfinite(times) or abs(times - 1) < 0.01:
-        return ""
-    how = f"{times:.3g} times slower" if times > 1 else f"{1 / times:.3g} times faster"
-    return f" ({how} than recorded, at {recorded:.4g})"
 
 
 def certify(

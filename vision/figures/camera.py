@@ -407,9 +407,7 @@ def kymograph_figure(
         )
         for k, diagram in enumerate(diagrams)
     )
-    if windows and len({diagram.sizes["x"] for diagram in diagrams}) == 1:
-        # Centred on sheets between columns, they differ by parts of a pixel; with one range all have the
-        # same ticks.
+    if windows and len({diagram.sizes["x"] for diagram in diagrams}) == 1:  # one range, so the same ticks
         lows, highs = zip(*(panel.y_range for panel in panels if panel.y_range), strict=True)
         panels = tuple(replace(panel, y_range=(max(lows), min(highs))) for panel in panels)
     interpolated = any(panel.image is not None and panel.image.interpolated for panel in panels)
@@ -571,8 +569,6 @@ def _two_sheets(tracks: xr.Dataset) -> list[tuple[str, int]]:
     found = n[np.isfinite(tracks["x_px"].values).any(axis=0) & (side == which)]
     if not found.size:
         return []
-    outer, inner = 23, 10  # those of the publication
-    if found.max() < outer:  # the same fractions of a block with fewer sheets
-        outer, inner = round(0.92 * found.max()), round(0.4 * found.max())
-    nearest = {int(found[np.abs(found - wanted).argmin()]) for wanted in (outer, inner)}
+    wanted = round(0.92 * found.max()), round(0.4 * found.max())  # the publication's 23 and 10 of 25
+    nearest = {int(found[np.abs(found - one).argmin()]) for one in wanted}
     return [("right" if which > 0 else "left", k) for k in sorted(nearest, reverse=True)]

@@ -112,3 +112,11 @@ def grey_levels(values: NDArray[np.floating], low: float, high: float) -> NDArra
     grey[np.isnan(grey)] = 127.5
     np.clip(grey, 0, 255, out=grey)  # in place, in a seventh of the time
     return np.asarray(np.rint(grey, out=grey), np.uint8)
+
+
+def label_step(x: Any, width: float) -> int:
+    """Return 1, 2, 5, 10, 20, …: labels of this width fit at every so many-th point."""
+    pitch = float(np.median(np.abs(np.diff(x)))) if len(x) > 1 else width
+    least = width / max(pitch, 1e-9)
+    steps = np.outer(10 ** np.arange(6), [1, 2, 5]).ravel()
+    return int(steps[min(int(np.searchsorted(steps, least)), steps.size - 1)])

@@ -26,6 +26,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
+from vision.figures.decimate import label_step
 from vision.figures.figure import Arrow, Band, Figure, Image, Panel, Series
 from vision.figures.style import CASING, HIGHLIGHT, MISSING, MODEL, QUIET, SLIPS, to_mathtext
 from vision.numeric import Bools, Floats
@@ -368,14 +369,6 @@ def _draw_inset(ax: Axes, panel: Panel) -> None:
     small.locator_params(nbins=4)
     for line in small.lines:
         line.set_markersize(2.0)
-
-
-def label_step(x: Any, width: float) -> int:
-    """Return 1, 2, 5, 10, 20, …: labels of this width fit at every so many-th point."""
-    pitch = float(np.median(np.abs(np.diff(x)))) if len(x) > 1 else width
-    least = width / max(pitch, 1e-9)
-    steps = np.outer(10 ** np.arange(6), [1, 2, 5]).ravel()
-    return int(steps[min(int(np.searchsorted(steps, least)), steps.size - 1)])
 
 
 def _draw_arrows(ax: Axes, arrows: tuple[Arrow, ...]) -> None:

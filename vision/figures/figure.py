@@ -191,7 +191,6 @@ class Figure:
     columns: int = 1  # number of panels side by side
     width_in: float = 6.0  # width of the saved figure, inches
     panel_titles: bool = False  # whether a single panel has its title, too (several always have)
-    notes: tuple[str, ...] = ()  # warnings about the figure
 
     @classmethod
     def of(cls, name: str, panel: Panel, caption: str, *, title: str = "", **rest: Any) -> Figure:

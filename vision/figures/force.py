@@ -115,15 +115,16 @@ def clocks_figure(
             Series(label="sheets", x=t_video, y=opened, ink=DATA, dashed=True, axis="right"),
         ),
     )
-    ambiguous = "The clocks are ambiguous: this alignment is only the likeliest."
+    ambiguous = " The clocks are ambiguous: this alignment is only the likeliest."
     return Figure.of(
         "clocks",
         panel,
         "Force (solid, left axis, above) and mean outward displacement of all sheets (dashed, right axis, "
         f"below) on the force clock, t(force) = t_0 + (1 + r) t(video) with t_0 = {offset_text(clock)} and "
-        f"r = {drift_text(clock)}. Zoom in to one slip: the steps must coincide. {_agreement(clock)}{shown}",
+        f"r = {drift_text(clock)}. Zoom in to one slip: the steps must coincide. {_agreement(clock)}{shown}"
+        + ambiguous
+        * (clock.status == "ambiguous"),
         title="Clock check: force and sheets on one time axis",
-        notes=(ambiguous,) if clock.status == "ambiguous" else (),
     )
 
 

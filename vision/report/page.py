@@ -102,7 +102,6 @@ def _figure_text(figure: Figure) -> dict[str, Any]:
         "name": figure.name,
         "title": figure.title,
         "caption": f"{figure.caption} {scale.capitalize()}." if scale else figure.caption,
-        "notes": figure.notes,
     }
 
 

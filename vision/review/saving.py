@@ -317,13 +317,11 @@ def differences(before: Path, after: Path) -> dict[str, Any]:
     """Compare two run folders; pairs of numbers are those before and after.
 
     Of all sheets: ``sheets`` (left and right), ``positions``, ``doubtful`` positions, median ``error_px``.
-    Of the sheets in both runs, which are nearest to each other and within half a pitch: ``gained`` and
-    ``lost`` positions; of the positions in both, how many were ``compared``, how many ``differ`` by more than
-    `DIFFERENT` errors or lie on an ``other_ridge``, more than half a pitch away, and the ``median_px`` and
-    ``largest_px`` difference. ``ratios``: ``known`` ones (pair), ``median`` and ``largest`` difference,
-    number compared (``of``), and number of sheets in an ``other_shell``. ``shells``: for each side the
-    ``median`` number of stiff sheets (pair), and the number of stick phases in which it changed (``other``).
-    The last two are None if a run has none.
+    Of the sheets in both runs, which are nearest to each other and within half a pitch: number of positions
+    ``compared``, how many ``differ`` by more than `DIFFERENT` errors, ``median_px`` and ``largest_px``
+    difference; ``median`` and ``largest`` difference of the ``ratios`` and their number (``of``). ``shells``:
+    for each side the ``median`` number of stiff sheets (pair), and the number of stick phases in which it
+    changed (``other``). The last two are None if a run has none.
 
     Raises: InputError for damaged files.
     """
@@ -344,11 +342,9 @@ def _deformation_differs(before: Path, after: Path, old: Ints, new: Ints) -> dic
     both = sheets.assign(index=sheets["index"].map(index)).merge(sheets_new, on=["event", "index"])
     change = (both["ratio_y"] - both["ratio_x"]).abs().dropna()
     ratios = {
-        "known": [int(table["ratio"].notna().sum()) for table in (sheets, sheets_new)],
         "of": len(change),
         "median": float(change.median()),
         "largest": float(change.max()),
-        "other_shell": int((both["shell_x"] != both["shell_y"]).sum()),
     }
     sides = shells.merge(shells_new, on=["event", "side"])
     sizes = [
@@ -376,8 +372,7 @@ def _pairs(old_px: Floats, new_px: Floats, pitch_px: float) -> tuple[Ints, Ints]
 def _positions_differ(before: Positions, after: Positions, old: Ints, new: Ints) -> dict[str, Any]:
     """Compare the positions of the sheets in both runs (see `differences`)."""
     x_old, x_new = before.x_px[:, old], after.x_px[:, new]
-    known_old, known_new = np.isfinite(x_old), np.isfinite(x_new)
-    both = known_old & known_new
+    both = np.isfinite(x_old) & np.isfinite(x_new)
     moved = np.abs(x_new - x_old)[both]
     error = np.hypot(before.err_px[:, old], after.err_px[:, new])[both]
     return {
@@ -385,11 +380,8 @@ def _positions_differ(before: Positions, after: Positions, old: Ints, new: Ints)
         "positions": [int(np.isfinite(part.x_px).sum()) for part in (before, after)],
         "doubtful": [int(part.doubtful.sum()) for part in (before, after)],
         "error_px": [float(np.nanmedian(part.err_px)) for part in (before, after)],
-        "gained": int((known_new & ~known_old).sum()),
-        "lost": int((known_old & ~known_new).sum()),
         "compared": len(moved),
         "differ": int((moved > DIFFERENT * error).sum()),
-        "other_ridge": int((moved > 0.5 * before.track_facts.pitch_px).sum()),
         "median_px": float(np.median(moved)) if moved.size else None,
         "largest_px": float(moved.max()) if moved.size else None,
     }

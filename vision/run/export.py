@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from vision.data import MEASURED, StripMetadata
 from vision.errors import InputError
-from vision.figures.decimate import grey_limits
+from vision.figures.decimate import grey_limits, label_step
 from vision.figures.style import HIGHLIGHT, LEFT_ON_GREY, RIGHT_ON_GREY, rgb
 from vision.files import AGAIN, Progress, harmless, reading, write_csv
 from vision.folder import check_new, flattened, run_folder, whole_file, write_json
-from vision.numeric import Floats, Ints, Pixels
+from vision.numeric import Floats, Ints, Pixels, nan_median
 from vision.run.reading import RunFolder, check_outside, check_results, read_json
 from vision.run.tables import sheets_table, tracks_table
 from vision.video import Video, open_video
@@ -416,11 +416,9 @@ class _Canvas:
 
     def _numbered(self, n: Ints) -> Ints:
         """Return the sheets that get a number: all, or every second, fifth, …, so that none overlap."""
-        middle = np.nanmedian(self.x_px, axis=0) if self.x_px.size else np.empty(0)
-        gaps = np.diff(middle[np.isfinite(middle)]) * self.scale
-        room = float(np.percentile(gaps, 10)) if gaps.size else np.inf
-        needed = LETTER_WIDTH * (len(str(int(n.max(initial=1)))) + 0.6)
-        every = next((step for step in (1, 2, 5, 10, 20, 50) if step * room >= needed), 100)
+        middle = nan_median(self.x_px) * self.scale
+        room = LETTER_WIDTH * (len(str(int(n.max(initial=1)))) + 0.6)
+        every = label_step(middle[np.isfinite(middle)], room)
         return np.flatnonzero(n % every == 0) if every > 1 else np.arange(n.size)
 
     def _x(self, x_px: float) -> float:

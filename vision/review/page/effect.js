@@ -67,14 +67,14 @@ function shellIn(event, before, after) {
 /** What tracking the film again would change, over the whole run and in the stick at the cursor. */
 export function effectOfTrial(found, answer, waiting) {
   const pair = ([a, b], digits = 0) => (a === b ? short(a, digits) : `${short(a, digits)} → ${short(b, digits)}`);
-  const lines = [`positions: ${pair(found.positions)}; ${found.gained} gained, ${found.lost} lost; doubtful: ${pair(found.doubtful)}`];
-  if (found.compared) lines.push(`${found.differ} of ${found.compared} differ by over 3 errors; median ${number(found.median_px, 3)}, most ${number(found.largest_px, 2)} px; ${found.other_ridge} on another ridge`);
+  const lines = [`positions: ${pair(found.positions)}; doubtful: ${pair(found.doubtful)}`];
+  if (found.compared) lines.push(`${found.differ} of ${found.compared} differ by over 3 errors; median ${number(found.median_px, 3)}, most ${number(found.largest_px, 2)} px`);
   lines.push(`error of a position (median): ${pair(found.error_px, 4)} px`);
   const [was, will] = found.sheets.map((sides) => SIDES.map(([word], i) => `${word} ${sides[i]}`).join(", "));
   if (was !== will) lines.push(`sheets: ${was} → ${will}`);
   const { ratios, shells } = found;
   if (ratios) {
-    lines.push(`σₓ/Λₛₜ, ${pair(ratios.known)} values: change ${number(ratios.median, 3)} (median), ${number(ratios.largest, 3)} (most); ${ratios.other_shell} called otherwise`);
+    lines.push(`σₓ/Λₛₜ, ${ratios.of} values: change ${number(ratios.median, 3)} (median), ${number(ratios.largest, 3)} (most)`);
     lines.push(`shell, stiff sheets (median): ${shells.map((one) => `${sideOf(one.side)} ${pair(one.median, 1)}, other in ${one.other} of ${one.of} sticks`).join("; ")}`);
     if (answer.event != null) lines.push(...deformation(answer.event, answer.stick_before, answer.stick_after));
   }
