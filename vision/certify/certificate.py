@@ -32,28 +32,15 @@ Tracker = Callable[[xr.DataArray], xr.Dataset]  # `track_sheets` with the parame
 
 @dataclass(frozen=True, kw_only=True)
 class Threshold:
-    """Measured σ_x/Λ_st of films in which its true value is the threshold for every sheet.
+    """Measured σ_x/Λ_st of films in which its true value is the threshold for every sheet."""
 
-    Parameters
-    ----------
-    ratio
-        The threshold.
-    bias, raw_bias
-        Mean of the measured ratio over the true one, less 1, with and without noise correction.
-    scatter
-        Standard deviation of single measurements over the true ratio.
-    stated
-        Median stated error over the true ratio.
-    called_stiff
-        Share of the sheets called stiff, one half without a bias.
-    """
-
-    ratio: float
+    ratio: float  # the threshold
+    # mean of the measured ratio over the true one, less 1, with and without noise correction
     bias: float
     raw_bias: float
-    scatter: float
-    stated: float
-    called_stiff: float
+    scatter: float  # standard deviation of single measurements over the true ratio
+    stated: float  # median stated error over the true ratio
+    called_stiff: float  # share of the sheets called stiff, one half without a bias
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,59 +54,32 @@ class StickPhases:
 
 @dataclass(frozen=True, kw_only=True)
 class Certificate:
-    """What a recording can resolve.
+    """What a recording can resolve."""
 
-    Parameters
-    ----------
-    source, codec, fit
-        The video, its codec, and the subpixel fit used.
-    frames, films, pixel_size_um
-        Number of frames of a film, number of films, and the pixel size if known.
-    sheets
-        One row per sheet: index, side, n, x_px, error_px (RMS random error of a position), stated_px (median
-        x_err_px), within_error (share of positions within it), found, locking_px (peak to peak),
-        sweep_error_px and smallest_sweep_px (in a stick phase).
-    error_px, within_error, found, wrong
-        RMS error over all sheets; shares of positions within their error and found; number of positions
-        called ok that are wrong by more than half a pitch.
-    locking_px
-        Error that repeats with the fraction of a pixel, peak to peak, median over sheets.
-    smallest_sweep_px, stick_frames
-        Median over sheets, and number of frames of a stick phase; NaN if slips are too frequent.
-    largest_jump_pitches, identity_margin, identity_tried
-        Largest jump of a sheet from frame to frame; largest multiple of the recording's motion that was
-        tracked without a wrong identity; and largest multiple that was tested.
-    threshold
-        Results at the stiffness threshold; None without stick phases or pixel size.
-    warnings
-        What the certificate does not cover.
-    encoding
-        How films were encoded again; "" if they have the recording's residuals.
-    uncertain
-        Whether the recording contains something that the films do not reproduce well.
-    """
-
-    source: str
+    source: str  # the video
     codec: str
-    fit: str
-    frames: int
+    fit: str  # the subpixel fit used
+    frames: int  # of a film
     films: int
-    pixel_size_um: float | None
+    pixel_size_um: float | None  # if known
+    # One row per sheet: index, side, n, x_px, error_px (RMS random error of a position), stated_px (median
+    # x_err_px), within_error (share of positions within it), found, locking_px (peak to peak),
+    # sweep_error_px and smallest_sweep_px (in a stick phase).
     sheets: pd.DataFrame
-    error_px: float
-    within_error: float
+    error_px: float  # RMS over all sheets
+    within_error: float  # shares of positions within their error, and found
     found: float
-    wrong: int
-    locking_px: float
-    smallest_sweep_px: float
-    stick_frames: float
-    largest_jump_pitches: float
-    identity_margin: float
-    identity_tried: float
-    threshold: Threshold | None
-    warnings: tuple[str, ...]
-    encoding: str = ""
-    uncertain: bool = False
+    wrong: int  # positions called ok that are wrong by more than half a pitch
+    locking_px: float  # error that repeats with the fraction of a pixel, peak to peak, median over sheets
+    smallest_sweep_px: float  # median over sheets
+    stick_frames: float  # number of frames of a stick phase; NaN, like the sweep, if slips are too frequent
+    largest_jump_pitches: float  # of a sheet from frame to frame
+    identity_margin: float  # largest multiple of the recording's motion tracked without a wrong identity
+    identity_tried: float  # largest multiple that was tested
+    threshold: Threshold | None  # None without stick phases or pixel size
+    warnings: tuple[str, ...]  # what the certificate does not cover
+    encoding: str = ""  # how films were encoded again; "" if they have the recording's residuals
+    uncertain: bool = False  # whether the recording contains something that the films do not reproduce well
 
     @property
     def facts(self) -> dict[str, Any]:
@@ -190,28 +150,11 @@ def certify(
 ) -> Certificate:
     """Measure what one recording can resolve.
 
-    Parameters
-    ----------
-    strip, tracks
-        I(x, t) and x(n, t) of the recording, as `strip_profile` and `track_sheets` return them.
-    pixel_size_um, phases
-        Pixel size and stick phases, both of which the results about σ_x/Λ_st need.
-    encoder
-        How the recording was encoded, from `vision.certify.encoder.read_encoder`. Films are then encoded
-        again instead of getting the recording's residuals.
-    settings
-        Tunable constants.
-    progress
-        Called with (films tracked, total films).
+    strip, tracks: I(x, t) and x(n, t) of the recording.  pixel_size_um, phases: both are needed for the
+    results about σ_x/Λ_st.  encoder: how the recording was encoded (`read_encoder`); films are then encoded
+    again instead of getting the recording's residuals.  progress: called with (films tracked, total films).
 
-    Returns
-    -------
-    Certificate
-
-    Raises
-    ------
-    InputError
-        If fewer than 30 frames show the sheets.
+    Raises: InputError if fewer than 30 frames show the sheets.
 
     Notes
     -----
