@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import re
-import zipfile
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -317,39 +316,19 @@ _CLASSES: dict[str, type] = {part.__name__: part for part in (Series, Image, Ban
 def save_figures(path: str | Path, figures: Iterable[Figure]) -> Path:
     """Write figures to one compressed .npz file for `load_figures`; return its path.
 
-    The file holds JSON (as bytes, "figures"), all curves in one array ("curves") and the images.
+    The file holds JSON (as bytes, "figures") and every array that it refers to.
     """
     path = Path(path)
-    curves: list[Floats] = []
-    images: dict[str, NDArray[Any]] = {}
-    stored: dict[int, Any] = {}  # id of an array to its range in `curves`, or its name in `images`
-    length = 0
+    arrays: dict[str, NDArray[Any]] = {}
+    names: dict[int, str] = {}  # by the id of an array, as figures share some
 
-    def store(array: NDArray[Any]) -> Any:
-        nonlocal length
-        if id(array) not in stored:  # arrays that figures share are stored once
-            if array.ndim == 1:
-                curves.append(np.asarray(array, np.float64))
-                stored[id(array)] = [length, length + array.size]
-                length += array.size
-            else:
-                stored[id(array)] = f"image{len(images)}"
-                images[stored[id(array)]] = array
-        return {"array": stored[id(array)]}
+    def store(array: NDArray[Any]) -> dict[str, str]:
+        name = names.setdefault(id(array), f"array{len(names)}")
+        arrays[name] = array
+        return {"array": name}
 
-    listed = list(figures)  # keeps all arrays alive, so that each id is that of one array
-    text = json.dumps([_encode(figure, store) for figure in listed], ensure_ascii=False, allow_nan=False)
-    arrays = {
-        "figures": np.frombuffer(text.encode(), np.uint8),
-        "curves": np.concatenate([*curves, np.empty(0)]),
-    }
-    # Level 1 is four times as fast as the usual 6, for files a twentieth larger.
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
-        for name, array in (arrays | images).items():
-            entry = zipfile.ZipInfo(f"{name}.npy")  # without a time, so that equal figures give equal files
-            entry.compress_type = zipfile.ZIP_DEFLATED
-            with archive.open(entry, "w", force_zip64=True) as stream:
-                np.lib.format.write_array(stream, np.ascontiguousarray(array), allow_pickle=False)
+    text = json.dumps([_encode(figure, store) for figure in figures], ensure_ascii=False, allow_nan=False)
+    np.savez_compressed(path, figures=np.frombuffer(text.encode(), np.uint8), **arrays)
     return path
 
 
@@ -375,29 +354,20 @@ def load_figures(path: str | Path) -> list[Figure]:
     with reading(Path(path), "figures that a run has saved", AGAIN):
         with np.load(path, allow_pickle=False) as arrays:
             stored = {name: arrays[name] for name in arrays.files}
-        listed = json.loads(stored["figures"].tobytes().decode())
-        curves: dict[tuple[int, int], Floats] = {}
-        figures = [_decode(item, stored, curves) for item in listed]
+        figures = [_decode(item, stored) for item in json.loads(stored["figures"].tobytes().decode())]
         for figure in figures:  # the name of a figure becomes that of a file
             if not re.fullmatch(r"\w{1,60}", figure.name):
                 raise ValueError(f"a figure of the name {figure.name!r}")
         return figures
 
 
-def _decode(value: Any, stored: dict[str, NDArray[Any]], curves: dict[tuple[int, int], Floats]) -> Any:
-    """Convert a value back from JSON; a shared array becomes one array again.
-
-    stored: arrays of the file by name.  curves: those cut from its "curves" so far, by their ends.
-    """
+def _decode(value: Any, stored: dict[str, NDArray[Any]]) -> Any:
+    """Convert a value back from JSON; stored: arrays of the file by name."""
     if isinstance(value, list):
-        return tuple(_decode(item, stored, curves) for item in value)
+        return tuple(_decode(item, stored) for item in value)
     if not isinstance(value, dict):
         return value
     if "array" in value:
-        array = value["array"]
-        if isinstance(array, str):
-            return stored[array]
-        start, stop = array
-        return curves.setdefault((start, stop), stored["curves"][start:stop])
-    parts = {name: _decode(item, stored, curves) for name, item in value.items() if name != "class"}
+        return stored[value["array"]]
+    parts = {name: _decode(item, stored) for name, item in value.items() if name != "class"}
     return _CLASSES[value["class"]](**parts)
