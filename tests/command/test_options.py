@@ -128,9 +128,9 @@ def test_a_file_of_options_is_checked_as_the_command_line_is(text, tmp_path):
 
 
 def test_what_must_be_positive_is_said_so(capsys):
-    """A failure means "expected a number from 1e-09", which nobody reads as above 0."""
+    """A failure means "expected a number from 5e-324", which nobody reads as above 0."""
     assert run(["film.avi", "--fps=0"]) == 2
-    assert "--fps: expected a number above 0; found" in capsys.readouterr().err
+    assert "--fps: expected a positive number; found" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

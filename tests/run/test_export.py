@@ -111,7 +111,7 @@ def check_tables(read, truth):
 
 def test_csv_comes_back_with_pandas(run, truth):
     """A failure means numbers, units or flags lost on the way to a spreadsheet or to R."""
-    folder = export_run(run, "csv").target
+    folder = export_run(run, "csv")[0]
     assert folder.name == "film_tracks_csv"
     names = ["tracks", "positions", "sheets", "events", "deformation", "settings"]
     assert {p.name for p in folder.iterdir()} == {f"{name}.csv" for name in names} | {"run.json"}
@@ -120,7 +120,7 @@ def test_csv_comes_back_with_pandas(run, truth):
 
 def test_xlsx_comes_back_with_openpyxl(run, truth):
     """A failure means that a workbook is damaged, or its cells are not what was measured."""
-    path = export_run(run, "xlsx").target
+    path = export_run(run, "xlsx")[0]
     assert path.name == "film_tracks.xlsx"
     book = openpyxl.load_workbook(path)
     read = {}
@@ -136,7 +136,7 @@ def test_xlsx_comes_back_with_openpyxl(run, truth):
 def test_parquet_comes_back_with_pyarrow(run, truth):
     """A failure means that types or gaps are lost on the way to pandas, polars or R."""
     parquet = pytest.importorskip("pyarrow.parquet")
-    folder = export_run(run, "parquet").target
+    folder = export_run(run, "parquet")[0]
     names = ["tracks", "positions", "sheets", "events", "deformation", "settings"]
     tables = {name: parquet.read_table(folder / f"{name}.parquet") for name in names}
     assert tables["tracks"]["x_px"].null_count == 6  # gaps are null, not NaN
@@ -148,7 +148,7 @@ def test_mat_comes_back_with_scipy(run, truth):
     """A failure means that MATLAB sees transposed matrices, wrong flags or no events."""
     from scipy.io import loadmat
 
-    data = loadmat(export_run(run, "mat").target)
+    data = loadmat(export_run(run, "mat")[0])
     np.testing.assert_array_equal(data["x_px"], truth["x_px"].values)
     np.testing.assert_allclose(data["x_um"], SIZE_UM * truth["x_px"].values)
     assert data["time_s"].shape == (FRAMES, 1)
@@ -166,7 +166,7 @@ def test_mat_comes_back_with_scipy(run, truth):
 
 def test_the_table_for_trackpy_is_the_truth(run, truth):
     """A failure means a missing column, an empty cell, or the positions of other sheets."""
-    table = pd.read_csv(export_run(run, "trackpy").target)
+    table = pd.read_csv(export_run(run, "trackpy")[0])
     assert set(table.columns) >= {"x", "y", "frame", "particle", "ep"}
     assert not table.isna().any(axis=None)
     assert len(table) == 4 * FRAMES - 6
@@ -181,7 +181,7 @@ def test_trackpy_s_functions_take_the_table(run, truth):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # trackpy's own, about its imports
         tp = pytest.importorskip("trackpy")
-    table, x = pd.read_csv(export_run(run, "trackpy").target), truth["x_px"].values
+    table, x = pd.read_csv(export_run(run, "trackpy")[0]), truth["x_px"].values
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         drift = tp.compute_drift(table)
@@ -196,7 +196,7 @@ def test_trackpy_s_functions_take_the_table(run, truth):
 
 def test_napari_s_rules_for_tracks_hold(run, truth):
     """A failure means that napari's tracks layer refuses the array: ids whole, sorted by id and time."""
-    table = pd.read_csv(export_run(run, "napari").target)
+    table = pd.read_csv(export_run(run, "napari")[0])
     assert list(table.columns) == ["track_id", "t", "y", "x"]
     data = table.to_numpy()
     assert np.isfinite(data).all()
@@ -212,7 +212,7 @@ def test_without_a_pixel_size_everything_is_in_px(tmp_path, monkeypatch):
     """A failure means px in columns that say µm."""
     monkeypatch.chdir(tmp_path)
     run = make_run(tmp_path / "film_tracks", size=None, force=False)
-    folder = export_run(run, "csv").target
+    folder = export_run(run, "csv")[0]
     assert "left_2_px" in pd.read_csv(folder / "positions.csv").columns
     assert pd.read_csv(folder / "tracks.csv")["x_um"].isna().all()
     assert not (folder / "events.csv").exists()
@@ -224,11 +224,11 @@ def test_a_run_of_a_force_alone_exports_its_events(tmp_path, monkeypatch):
     make_run(tmp_path / "pull_force")
     (tmp_path / "pull_force" / "tracks.nc").unlink()
     run = read_run(tmp_path / "pull_force")
-    folder = export_run(run, "csv").target
+    folder = export_run(run, "csv")[0]
     assert {p.stem for p in folder.iterdir()} == {"events", "deformation", "settings", "run"}
     from scipy.io import loadmat
 
-    assert "events" in loadmat(export_run(run, "mat").target)
+    assert "events" in loadmat(export_run(run, "mat")[0])
     with pytest.raises(InputError, match=r"tracks\.nc"):
         export_run(run, "trackpy")
     assert not list(tmp_path.glob("*trackpy*"))
@@ -237,26 +237,26 @@ def test_a_run_of_a_force_alone_exports_its_events(tmp_path, monkeypatch):
 def test_a_table_too_long_for_a_worksheet_is_said(run, monkeypatch):
     """A failure means rows cut off without a word."""
     monkeypatch.setattr(export, "EXCEL_ROWS", 40)
-    done = export_run(run, "xlsx")
-    assert "tracks: 48 rows" in done.notes[0]
-    assert "tracks" not in openpyxl.load_workbook(done.target).sheetnames
+    target, notes = export_run(run, "xlsx")
+    assert "tracks: 48 rows" in notes[0]
+    assert "tracks" not in openpyxl.load_workbook(target).sheetnames
     monkeypatch.setattr(export, "EXCEL_ROWS", 11)
     with pytest.raises(InputError, match="parquet"):
         export_run(run, "xlsx", overwrite=True)
-    assert openpyxl.load_workbook(done.target).sheetnames  # the earlier one stands
+    assert openpyxl.load_workbook(target).sheetnames  # the earlier one stands
 
 
 def test_long_tables_are_written_in_parts(run, truth, monkeypatch):
     """A failure means rows lost or doubled between the parts of a long table."""
     monkeypatch.setattr(export, "ROWS_AT_ONCE", 7)
-    rows = list(openpyxl.load_workbook(export_run(run, "xlsx").target)["tracks"].values)[1:]
+    rows = list(openpyxl.load_workbook(export_run(run, "xlsx")[0])["tracks"].values)[1:]
     assert [row[0] for row in rows] == np.repeat(truth["frame"].values, 4).tolist()
 
 
 @pytest.mark.parametrize("to", get_args(Format))
 def test_an_export_never_touches_what_is_there(run, to, tmp_path):
     """A failure means that an export destroys a run, an earlier export or another file."""
-    first = export_run(run, to).target
+    first = export_run(run, to)[0]
     before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
     with pytest.raises(InputError, match="overwrite"):
         export_run(run, to)
@@ -268,7 +268,7 @@ def test_an_export_never_touches_what_is_there(run, to, tmp_path):
     with pytest.raises(InputError, match=r"another run|a folder"):
         export_run(run, to, out=tmp_path / "other_tracks", overwrite=True)
     assert {p: p.read_bytes() for p in before} == before
-    assert export_run(run, to, overwrite=True).target == first
+    assert export_run(run, to, overwrite=True)[0] == first
     assert not [p for p in tmp_path.iterdir() if p.name.startswith(".")]
 
 
@@ -291,11 +291,11 @@ def test_text_that_a_spreadsheet_would_run_is_quoted(cell, run, monkeypatch):
     """A failure means that the name of a film becomes a live formula in someone's spreadsheet."""
     table = pd.DataFrame({"name": [cell, "-1.5", "plain"], "x_px": [-1.0, 2.0, 3.0]})
     monkeypatch.setattr(export, "all_tables", lambda run: {"settings": table})
-    back = pd.read_csv(export_run(run, "csv").target / "settings.csv", dtype=str)
+    back = pd.read_csv(export_run(run, "csv")[0] / "settings.csv", dtype=str)
     assert back["name"][0].startswith("'")
     assert back["name"].tolist()[1:] == ["-1.5", "plain"]
     assert back["x_px"].astype(float).tolist() == [-1, 2, 3]
-    rows = list(openpyxl.load_workbook(export_run(run, "xlsx").target)["settings"].rows)
+    rows = list(openpyxl.load_workbook(export_run(run, "xlsx")[0])["settings"].rows)
     assert rows[1][0].data_type == "s"
     assert str(rows[1][0].value).startswith("'")
     assert rows[1][1].value == -1

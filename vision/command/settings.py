@@ -295,22 +295,13 @@ def _sheet(text: str) -> Sheet:
 
 _PARSERS: Mapping[str, Callable[[Any, str], Any]] = {
     **dict.fromkeys(("strip", "columns", "frames"), parse_range),
-    **dict.fromkeys(
-        ("fps", "speed", "fix_mu", "fix_yeff", "machine_stiffness"), partial(at_least, least=1e-9)
-    ),
-    "sheets": partial(at_least, least=1, kind="a whole number"),
-    "strips": partial(at_least, least=2, kind="a whole number"),
-    "axis": partial(at_least, least=-1e6),
     "window": parse_window,
     "corrections": lambda file, _: read_corrections(file),
     "pitch": parse_pitch,
     "force_columns": lambda text, _: parse_columns(text),
-    "force_threshold": partial(at_least, least=0),
     "force_lowpass": parse_duration,
     "force_average": parse_duration,
     "fit_range": partial(parse_pair, wanted="two separations in mm A:B with A < B", advice="write 13.2:17"),
-    "offset": partial(at_least, least=-1e12),
-    "threshold": partial(at_least, least=1e-6),
     "common_mode": lambda text, _: text != "off",
 }
 """How the value of an option becomes a setting; the others are settings as they are."""

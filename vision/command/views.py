@@ -324,11 +324,10 @@ def export(
     to
         Format.
     """
-    exported = export_run(read_run(run), to, out=output.out, overwrite=output.overwrite)
-    for note in exported.notes:
+    target, notes = export_run(read_run(run), to, out=output.out, overwrite=output.overwrite)
+    for note in notes:
         complain(note)
-    folder = "/" if exported.target.is_dir() else ""
-    return conclude([f"{to} -> {exported.target}{folder}"], (), quiet=output.quiet)
+    return conclude([f"{to} -> {target}{'/' * target.is_dir()}"], (), quiet=output.quiet)
 
 
 def figures(

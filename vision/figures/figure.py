@@ -230,22 +230,10 @@ class Figure:
         return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame()
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw with matplotlib.
+        """Draw with matplotlib, and return the axes of the first panel.
 
-        Parameters
-        ----------
-        ax
-            Axes to draw on, for a figure of one panel. By default a new matplotlib figure is made, which
-            notebooks that use pyplot display.
-
-        Returns
-        -------
-        The axes of the first panel; ``.figure`` is the whole figure.
-
-        Raises
-        ------
-        InputError
-            If `ax` is given for a figure of several panels.
+        ax: axes to draw on, for a figure of one panel. By default a new matplotlib figure is made, which
+        notebooks that use pyplot display.  Raises: InputError if `ax` is given for several panels.
         """
         from vision.figures import drawing
 
@@ -256,25 +244,12 @@ class Figure:
         return drawing.draw_panel(ax, self.panel)
 
     def save(self, path: str | Path, *, dpi: float | None = None) -> Path:
-        """Write the figure in the format of the suffix of `path`.
+        """Write the figure in the format of the suffix of `path`, and return the path.
 
-        Parameters
-        ----------
-        path
-            File with suffix .png, .pdf or .svg (both with text as text), or .csv for the table.
-        dpi
-            Resolution of a PNG and of images within the other two; by default that of the format.
+        path: .png, .pdf or .svg (the latter with text as text), or .csv for the table.  dpi: of a PNG and of
+        images within the other two; by default that of the format.
 
-        Returns
-        -------
-        The path.
-
-        Raises
-        ------
-        InputError
-            For another suffix.
-        OSError
-            If the file cannot be written.
+        Raises: InputError for another suffix, OSError if the file cannot be written.
         """
         path = Path(path)
         kind = path.suffix.lower()
@@ -319,7 +294,7 @@ def save_figures(path: str | Path, figures: Iterable[Figure]) -> Path:
     The file holds JSON (as bytes, "figures") and every array that it refers to.
     """
     path = Path(path)
-    arrays: dict[str, NDArray[Any]] = {}
+    arrays: dict[str, Any] = {}
     names: dict[int, str] = {}  # by the id of an array, as figures share some
 
     def store(array: NDArray[Any]) -> dict[str, str]:

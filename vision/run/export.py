@@ -34,16 +34,12 @@ EXCEL_ROWS = (1 << 20) - 1  # that a worksheet holds below the header
 ROWS_AT_ONCE = 50_000  # converted to cells, so that memory does not grow with the recording
 
 
-@dataclass(frozen=True)
-class Exported:
-    """The file or folder that was written, and notes on what was left out."""
-
-    target: Path
-    notes: tuple[str, ...] = ()
-
-
-def export_run(run: RunFolder, to: Format, *, out: Path | None = None, overwrite: bool = False) -> Exported:
+def export_run(
+    run: RunFolder, to: Format, *, out: Path | None = None, overwrite: bool = False
+) -> tuple[Path, list[str]]:
     """Write a run's tables for another program: a folder for csv and parquet, else one file.
+
+    Returns: the file or folder that was written, and notes on what was left out.
 
     Positions that were not measured are empty in csv, xlsx and parquet, NaN in mat, and left out for
     trackpy and napari.
@@ -61,12 +57,12 @@ def export_run(run: RunFolder, to: Format, *, out: Path | None = None, overwrite
     with reading(run.folder, "a run folder as track writes it", AGAIN):  # tables are read and checked here
         if to not in ENDINGS:
             _write_folder(run, to, target, overwrite=overwrite)
-            return Exported(target)
+            return target, []
         if target.is_dir():
             raise InputError(target, "a file to write", "a folder", "give another `out`")
         check_new(target, overwrite=overwrite)
         with whole_file(target) as path:
-            return Exported(target, tuple(_write_file(run, to, path)))
+            return target, _write_file(run, to, path)
 
 
 def _write_folder(run: RunFolder, to: Format, target: Path, *, overwrite: bool) -> None:

@@ -55,19 +55,10 @@ def write_run(
 ) -> dict[str, Any]:
     """Write tables, pictures, report.html and run.json of a run, and return the content of run.json.
 
-    Parameters
-    ----------
-    target, overwrite
-        The run folder, and whether an earlier one is replaced.
-    origin, facts
-        Provenance and further entries of run.json.
-    decisions
-        Decisions for corrections.toml, by default ``analysis.settings.corrections``.
+    target: the run folder; an earlier one is replaced with `overwrite`.  facts: further entries of run.json.
+    decisions: those for corrections.toml, by default ``analysis.settings.corrections``.
 
-    Raises
-    ------
-    InputError
-        If the folder exists (without ``overwrite``) or cannot be written; nothing is left then.
+    Raises: InputError if the folder exists (without `overwrite`) or cannot be written; nothing is left then.
     """
     started = time.perf_counter()
     seconds = dict(analysis.seconds)
