@@ -138,24 +138,31 @@ def _velocity_name(speed_mm_min: float) -> str:
 
 
 def _points(found: Comparison, events: pd.DataFrame, x: str, y: str) -> tuple[Series, ...]:
-    """Return used events by velocity and sample, or by test if these are the same or no single μ fits them;
-    unused ones hollow and grey. More than `MOST_COLOURS` velocities and samples are shown by velocity."""
+    """Return used events by velocity, or by sample or test if these are alike or no single μ fits the tests;
+    unused ones hollow and grey."""
     used, rest = events[events["used"]], events[~events["used"]].sort_values(x)
-    speed = used["V_mm_min"].map(_velocity_name)
-    alike = len(set(speed)) == 1 and len(set(used["sample"])) == 1
-    if alike or (found.main and not found.main.fits):
-        series = _by_test(used, x, y)
-    else:
-        used = used.sort_values(["V_mm_min", "sample"])
-        key = speed = speed[used.index]
-        if len(set(used["sample"])) > 1:
-            sample = used["sample"].replace("", "sample not named")
-            both = sample + ", " + speed if len(set(speed)) > 1 else sample
-            key = both if both.nunique() <= MOST_COLOURS else speed
-        series = _by_name(used, key, x, y)
+    fits = found.main is None or found.main.fits
+    series = _by_name(used, x, y, ("V_mm_min", "sample", "run") if fits else ("run", "sample", "V_mm_min"))
     if len(rest):
         series = (*series, Series.points("not used", rest[x], rest[y], QUIET, hollow=True))
     return series
+
+
+def _by_name(
+    events: pd.DataFrame, x: str, y: str, kinds: Sequence[str] = ("run", "sample", "V_mm_min")
+) -> tuple[Series, ...]:
+    """Return one series per test, sample or velocity: of the first kind that has from 2 to `MOST_COLOURS`."""
+    names = {kind: events[kind] for kind in kinds}
+    names["V_mm_min"] = events.sort_values("V_mm_min")["V_mm_min"].map(_velocity_name)
+    names["sample"] = events["sample"].replace("", "sample not named")
+    usable = [kind for kind in kinds if 1 < names[kind].nunique() <= MOST_COLOURS]
+    key = names[usable[0] if usable else min(kinds, key=lambda kind: names[kind].nunique())]
+    labels = list(dict.fromkeys(key))
+    parts = [events.loc[key.index[key == label]].sort_values(x) for label in labels]
+    return tuple(
+        Series.points(label, part[x], part[y], ink, hollow=k % 2 == 1)
+        for k, (label, part, ink) in enumerate(zip(labels, parts, ordered_inks(len(labels)), strict=True))
+    )
 
 
 # --- single events ------------------------------------------------------------------------------------------
@@ -215,7 +222,7 @@ def collapse_figure(found: Comparison, events: pd.DataFrame) -> Figure | None:
     inset = Panel(
         x_label=VALLEY_SEPARATION,
         y_label="K (N/mm)",
-        series=tuple(replace(one, label="") for one in _by_test(stiffness, "d_v_mm", "K_N_per_mm")),
+        series=tuple(replace(one, label="") for one in _by_name(stiffness, "d_v_mm", "K_N_per_mm")),
     )
     top = 1.05 * float(np.nanquantile(named["sheets"], 0.999))
     return Figure.of(
@@ -223,7 +230,7 @@ def collapse_figure(found: Comparison, events: pd.DataFrame) -> Figure | None:
         Panel(
             x_label="d̂ = d_v / Λ̂",
             y_label="K / stiffness of one sheet",
-            series=(*_by_test(named, "d_hat", "sheets"), *masters),
+            series=(*_by_name(named, "d_hat", "sheets"), *masters),
             y_range=(0.0, top),
             inset=inset,
             aspect=0.75,
@@ -233,25 +240,6 @@ def collapse_figure(found: Comparison, events: pd.DataFrame) -> Figure | None:
         f"{c.rms_before:.3g} sheets with one Λ̂ for all tests, {c.rms_after:.3g} with individual Λ̂; "
         f"neighbouring events scatter by {c.rms_noise:.3g}.",
         title="Stiffness in units of one sheet against the reduced separation",
-    )
-
-
-def _by_test(events: pd.DataFrame, x: str, y: str) -> tuple[Series, ...]:
-    """Return one series per run, or one per sample or velocity for more runs than `MOST_COLOURS`."""
-    key = events["run"]
-    if key.nunique() > MOST_COLOURS:
-        samples = len(set(events["sample"])) > 1
-        key = events["sample"] if samples else events["V_mm_min"].map(_velocity_name)
-    return _by_name(events, key.replace("", "sample not named"), x, y)
-
-
-def _by_name(events: pd.DataFrame, key: pd.Series, x: str, y: str) -> tuple[Series, ...]:
-    """Return one series per name in `key`, in their order."""
-    names = list(dict.fromkeys(key))
-    parts = [events[key == name].sort_values(x) for name in names]
-    return tuple(
-        Series.points(name, part[x], part[y], ink, hollow=k % 2 == 1)
-        for k, (name, part, ink) in enumerate(zip(names, parts, ordered_inks(len(names)), strict=True))
     )
 
 
