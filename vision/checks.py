@@ -372,7 +372,9 @@ def consistency_warnings(
     lines = _comb_warnings(tracks, found, settings)
     one_side = len(np.unique(tracks["side"].values)) == 1
     one_at_most = used is not None and tracks.sizes["sheet"] <= used.sheets_per_block
-    if one_at_most and found.axis_how == "geometry" and not _two_sides_move(tracks, found):
+    ends_px = _outermost_px(tracks)
+    axis_in_comb = ends_px[0] < found.axis_low_px and found.axis_high_px < ends_px[1]
+    if one_at_most and found.axis_how == "geometry" and not axis_in_comb:
         lines.append(
             "the motion does not show where the axis is, and the middle of the ridges is assumed: if only one"
             " side is in view, side and n of all sheets are wrong: look at overview.png, and give `axis_px`"
@@ -393,7 +395,7 @@ def consistency_warnings(
             " sheets in view (`sheets`)"
         )
     unequal = fewer > 0 and more > settings.unequal_sides * fewer + 2
-    ends_px, view_px = _outermost_px(tracks), None if columns is None else (columns[0], columns[-1])
+    view_px = None if columns is None else (columns[0], columns[-1])
     if unequal and found.axis_how == "motion" and in_view(ends_px, view_px, found.pitch_px):
         lines.append(
             f"{left} sheets on the left of the axis but {right} on the right, though the whole comb is in"
@@ -484,12 +486,6 @@ def _stationary_ends(tracks: xr.Dataset, settings: CheckSettings) -> Bools:
         row = np.flatnonzero(np.logical_and.accumulate(stands, axis=0).diagonal())
         still[inwards][n[: row.max(initial=-1) + 1]] = True
     return still
-
-
-def _two_sides_move(tracks: xr.Dataset, found: TrackMetadata) -> bool:
-    """Return whether the motion limits the axis to positions between the outermost sheets."""
-    first, last = _outermost_px(tracks)
-    return first < found.axis_low_px and found.axis_high_px < last
 
 
 def _outermost_px(tracks: xr.Dataset) -> tuple[float, float]:

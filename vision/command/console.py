@@ -160,18 +160,13 @@ def attempt(work: Callable[[], T]) -> tuple[T | None, int, str]:
     except (InputError, CycloptsError, OSError, MemoryError) as error:
         return None, 2, one_line(error)
     except Exception as error:
-        return None, 3, _unexpected(error)
-
-
-def _unexpected(error: Exception) -> str:
-    """Write the traceback to a temporary file and return a line that names it."""
-    what = " ".join(f"{type(error).__name__}: {error}".split())
-    try:
-        with tempfile.NamedTemporaryFile("w", prefix="track-", suffix=".txt", delete=False) as file:
-            file.write("".join(traceback.format_exception(error)))
-    except OSError:
-        return f"unexpected error ({what}); its details could not be written"
-    return f"unexpected error ({what}); please report it with {file.name}"
+        what = " ".join(f"{type(error).__name__}: {error}".split())
+        try:
+            with tempfile.NamedTemporaryFile("w", prefix="track-", suffix=".txt", delete=False) as file:
+                file.write("".join(traceback.format_exception(error)))
+        except OSError:
+            return None, 3, f"unexpected error ({what}); its details could not be written"
+        return None, 3, f"unexpected error ({what}); please report it with {file.name}"
 
 
 def _unknown_option(error: UnknownOptionError) -> str:

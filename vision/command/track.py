@@ -68,16 +68,15 @@ def films_of(video: Path) -> list[Path]:
     """
     if not answered(lambda: video.is_dir() and not is_run(video), video):
         return [video]
-    films = [film for film in answered(lambda: files_in(video, FILMS), video) if not _is_overlay(film)]
+    films = [
+        film
+        for film in answered(lambda: files_in(video, FILMS), video)
+        if not (film.stem.endswith(OVERLAY) and is_run(film.with_name(film.stem.removesuffix(OVERLAY))))
+    ]
     if films and (pictures := answered(lambda: files_in(video, IMAGES), video)):
         both = f"{counted(len(films), 'film')} and {counted(len(pictures), 'picture')}"
         complain(f"{video}: {both}; the films are used (for the pictures, quote a pattern such as '*.png')")
     return films or [video]
-
-
-def _is_overlay(film: Path) -> bool:
-    """Tell whether a film is named as `track overlay` names that of a run beside it."""
-    return film.stem.endswith(OVERLAY) and is_run(film.with_name(film.stem.removesuffix(OVERLAY)))
 
 
 def one_film(video: Path) -> Path:

@@ -115,7 +115,9 @@ def _trend(
     def slope(design: Floats) -> tuple[Floats, dict[str, Any], float]:
         """Line or plane through the known tests, its first slope with both errors, and the scatter."""
         line, covariance, scatter = weighted_fit(design, y[known], error[known])
-        systematic = _slope_shift(design, error[known], scatter, covariance, shifts[:, known])
+        # the shift by errors that tests share, added in quadrature
+        weighted = design / (error[known] ** 2 + scatter**2)[:, np.newaxis]
+        systematic = np.linalg.norm(shifts[:, known] @ weighted @ covariance[1])
         names = {"slope": line[1], "slope_err": np.sqrt(covariance[1, 1]), "slope_systematic": systematic}
         return line, {name: float(value) for name, value in names.items()}, scatter
 
@@ -154,12 +156,6 @@ def weighted_fit(design: Floats, y: Floats, error: Floats) -> tuple[Floats, Floa
     else:
         scatter = float(scipy.optimize.brentq(lambda s: fit(s)[2] - 1, 0.0, high))
     return *fit(scatter)[:2], scatter
-
-
-def _slope_shift(design: Floats, error: Floats, scatter: float, covariance: Floats, shifts: Floats) -> float:
-    """Return the shift of the first slope by the shared `shifts` (source, test), added in quadrature."""
-    weighted = design / (error**2 + scatter**2)[:, np.newaxis]
-    return float(np.linalg.norm(shifts @ weighted @ covariance[1]))
 
 
 def spearman(x: Floats, y: Floats, rng: np.random.Generator, draws: int) -> tuple[float, float]:

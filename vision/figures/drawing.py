@@ -337,7 +337,12 @@ def _draw_ticks(ax: Axes, groups: list[Series], x_lines: tuple[float, ...]) -> N
         number
         for series in groups
         if series.low is not None
-        for number in zip(map(int, series.text), series.x, _text_y(series), strict=True)
+        for number in zip(
+            map(int, series.text),
+            series.x,
+            series.low if series.text_y is None else np.full(series.x.size, series.text_y),
+            strict=True,
+        )
     ]
     first = min((1, *(number for number, _, _ in numbers)))  # indices begin at 0
     for number, x, y in sorted(number for number in numbers if (number[0] - first) % step == 0):
@@ -347,12 +352,6 @@ def _draw_ticks(ax: Axes, groups: list[Series], x_lines: tuple[float, ...]) -> N
         if not any(at - half < b and a < at + half for a, b in taken):
             taken.append((at - half, at + half))
             ax.annotate(str(number), (at, y), (0, 3), fontsize=7, **style)
-
-
-def _text_y(series: Series) -> Floats:
-    """Return where the numbers of ticks stand: at their upper ends, or above the picture."""
-    assert series.low is not None
-    return series.low if series.text_y is None else np.full(series.x.size, series.text_y)
 
 
 def _draw_inset(ax: Axes, panel: Panel) -> None:

@@ -84,25 +84,14 @@ def render_page(
     """
     data = page_data([figure for _, part in sections for figure in part])
     text = _template().render(
-        sections=[(heading, [_figure_text(figure) for figure in part]) for heading, part in sections],
+        sections=sections,
         provenance=provenance(facts),
         data=htmlsafe_json_dumps(data, allow_nan=False, separators=(",", ":"), ensure_ascii=False),
-        **{name: Markup(text) for name, text in _assets().items()},
         **content,
     )
     path = Path(path)
     path.write_text(text, encoding="utf-8", errors="replace")
     return path
-
-
-def _figure_text(figure: Figure) -> dict[str, Any]:
-    """Return a figure's text for the template."""
-    scale = "" if figure.panel.image is None else figure.panel.image.scale
-    return {
-        "name": figure.name,
-        "title": figure.title,
-        "caption": f"{figure.caption} {scale.capitalize()}." if scale else figure.caption,
-    }
 
 
 def _title(results: Results) -> str:
@@ -112,17 +101,17 @@ def _title(results: Results) -> str:
 
 
 @cache
-def _assets() -> dict[str, str]:
-    """Return the plotting library and the page's own style and script, as shipped with the package."""
-    plot = {"plot_css": "uPlot.min.css", "plot_js": "uPlot.iife.min.js"}
-    own = {"css": "report.css", "js": "report.js"}
-    return {name: _asset(place) for name, place in (plot | own).items()}
-
-
-@cache
 def _template() -> Template:
+    """Return the template, with the plotting library and the page's own style and script."""
     environment = Environment(autoescape=True, undefined=StrictUndefined)
     environment.filters["symbols"] = to_html
+    shipped = {
+        "plot_css": "uPlot.min.css",
+        "plot_js": "uPlot.iife.min.js",
+        "css": "report.css",
+        "js": "report.js",
+    }
+    environment.globals.update({name: Markup(_asset(place)) for name, place in shipped.items()})
     return environment.from_string(_asset("report.html.jinja"))
 
 
