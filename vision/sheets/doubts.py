@@ -28,7 +28,7 @@ from vision.numeric import (
     row_parts,
     without_common_change,
 )
-from vision.sheets.identities import Doubt, Identities, last_seen, torn
+from vision.sheets.identities import Doubt, Identities, last_seen
 from vision.sheets.reference import rest_positions
 from vision.sheets.ridges import RidgeComb, in_blocks
 
@@ -39,20 +39,15 @@ LIKE_ITSELF = 0.7
 
 
 def doubts_of(x: Floats32, contrast: Floats32, identities: Identities, comb: RidgeComb) -> Codes:
-    """Return which identities of paired ridges are doubtful by margin, jump or tear, (frame, N).
+    """Return which identities of paired ridges are doubtful by margin or jump, (frame, N).
 
     A margin that is too small is no doubt where the ridges do not move from the last certain frame to the
     next. x, contrast: of the paired ridges, (frame, N).
     """
     why = np.full(x.shape, Doubt.NONE, np.uint8, order="F")
     why[~(identities.margin >= comb.settings.doubt)] = Doubt.MARGIN
-    rest = rest_positions(x)
-    why[_unproved_jumps(x, common_change(x, rest), contrast, identities, comb)] = Doubt.JUMP
-
-    def doubt_torn(rows: slice) -> None:
-        why[rows][torn(x[rows] - rest, comb)] = Doubt.TEAR
-
-    in_two_threads(doubt_torn, row_parts(len(x)))
+    moved = common_change(x, rest_positions(x))
+    why[_unproved_jumps(x, moved, contrast, identities, comb)] = Doubt.JUMP
     why[np.isnan(x)] = Doubt.NONE
     unsettled = why == Doubt.MARGIN
     if unsettled.any():

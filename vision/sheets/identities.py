@@ -38,14 +38,13 @@ from vision.sheets.ridges import RidgeComb, Ridges
 class Doubt(IntEnum):
     """Why the identity of a ridge is doubtful; in one byte, as every sheet of every frame has one."""
 
-    NONE, MARGIN, TEAR, JUMP, PATTERN, EXCHANGE, NEIGHBOUR, HOP = range(8)
+    NONE, MARGIN, JUMP, PATTERN, EXCHANGE, NEIGHBOUR, HOP = range(7)
 
 
 WHYS = ("", *(doubt.name.lower() for doubt in Doubt if doubt))
 """Name of each `Doubt`."""
 DOUBTS = {
     "margin": "another numbering fits nearly as well",
-    "tear": "displaced differently from the largest group of sheets",
     "jump": "displaced by a jump that could be one of whole pitches",
     "pattern": "brightnesses and widths are those of other sheets",
     "exchange": "on the ridge that another sheet had in the frame before",
@@ -203,7 +202,7 @@ def torn(moved: Floats, comb: RidgeComb, spacing_px: Floats | float | None = Non
 
     A slip moves neighbours alike, however far. Where the displacements `moved` of neighbours differ by more
     than `tear_fraction` pitches (or of `spacing_px`), one of the identities is wrong. Such tears divide the
-    sheets of a frame into groups; all groups but the largest are doubtful.
+    sheets of a frame into groups; this names all groups but the largest.
     """
     frames, sheets = moved.shape
     seen = np.isfinite(moved)

@@ -35,7 +35,7 @@ from vision.sheets.doubts import (
     hops,
     unlike_neighbours,
 )
-from vision.sheets.identities import DOUBTS, Doubt, Identities, exchanged, fill_rows, last_seen
+from vision.sheets.identities import DOUBTS, Doubt, Identities, exchanged, fill_rows
 from vision.sheets.looks import numbered_by_a_neighbour, numbered_in_part
 from vision.sheets.ridges import RidgeComb, Ridges, find_ridges
 from vision.words import is_word
@@ -99,8 +99,7 @@ def assign_detections(
     for table, values in zip(paired, (ridges.x_px, ridges.contrast, ridges.fwhm_px), strict=True):
         table[:] = values_of(identities.match, values)
     why = doubts_of(identities.usual_px, paired[1], identities, comb)
-    followed = (why == Doubt.NONE) | (why == Doubt.TEAR)
-    x, contrast = (np.where(followed, values, np.nan) for values in paired[:2])
+    x, contrast = (np.where(why == Doubt.NONE, values, np.nan) for values in paired[:2])
     off = exchanged(x, contrast, identities.margin, comb)
     del x, contrast
     why[off & (why == Doubt.NONE)] = Doubt.EXCHANGE
@@ -124,7 +123,6 @@ def assign_detections(
         found[:, off & unpaired] = np.nan
     flag = np.where(np.isfinite(found[0]), Flag.OK, Flag.MISSING).astype(np.uint8)
     flag[_merged(found, expected, comb)] = Flag.MERGED
-    flag[_hidden(found[0], doubtful, comb)] = Flag.MERGED
     half = comb.fwhm_px / 2
     outside = (expected < half) | (expected > profile.shape[1] - 1 - half)
     flag[(flag != Flag.OK) & outside] = Flag.EDGE
@@ -253,21 +251,6 @@ def _merged(found: Floats32, expected: Floats, comb: RidgeComb) -> Bools:
         near = apart < comb.settings.merged_widths * comb.fwhm_px
         one = missing[rows, 1:] ^ missing[rows, :-1]
         pair[rows] = (near | double[:, 1:] | double[:, :-1]) & one
-    return _both(pair)
-
-
-def _hidden(start: Floats32, doubtful: Bools, comb: RidgeComb) -> Bools:
-    """Return which missing sheets were near a detected neighbour just before or after, and these neighbours.
-
-    One lies behind the other, so that the ridge is no higher than usual, and it is unknown which is seen.
-    """
-    near = min(comb.settings.touching_widths * comb.fwhm_px, comb.settings.touching_pitches * comb.pitch_px)
-    seen = np.isfinite(start)
-    missing = ~seen & ~doubtful  # a doubtful sheet does have a ridge
-    pair = missing[:, 1:] & seen[:, :-1] | seen[:, 1:] & missing[:, :-1]
-    for n in np.flatnonzero(pair.any(axis=0)):
-        gap = (start[:, n + 1] - start[:, n]).astype(np.float64)[None]
-        pair[:, n] &= (np.fmin(last_seen(gap), last_seen(gap[:, ::-1])[:, ::-1]) < near)[0]
     return _both(pair)
 
 

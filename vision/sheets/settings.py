@@ -352,15 +352,6 @@ class TrackingSettings:
     """Width over its usual width above which a ridge beside a missing sheet is both sheets. Larger passes the
     middle of two sheets, smaller withholds blurred ones."""
 
-    touching_widths: float = 1.9
-    """Distance between neighbours, in ridge widths, below which one that goes missing is behind the other.
-    Larger withholds neighbours of sheets that faded, smaller confuses the two sheets
-    (test_a_sheet_behind_its_neighbour_is_not_given_as_the_other)."""
-
-    touching_pitches: float = 0.75
-    """Distance between neighbours, in pitches, above which none is behind the other, whatever the width: in
-    dense combs all sheets are within two widths. Larger withholds more of them, smaller confuses two."""
-
     # --- frames, blur and distortion (film.py, distortion.py) ---
 
     frozen_fraction: float = 0.3
