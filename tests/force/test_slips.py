@@ -320,3 +320,11 @@ def test_an_encoder_whose_steps_are_a_few_samples_long_does_not_stand_still(
     events = find_stick_slip(force.assign(d_mm=np.round(force["d_mm"] / step_mm) * step_mm))
     assert len(events) > 30
     assert (events["flag"] == "ok").all()
+
+
+def test_a_displacement_of_which_a_step_is_as_long_as_a_stick_does_not_stand_still() -> None:
+    """A failure means that sticks within one step of the displacement are taken for holds of the machine."""
+    force = realistic(d1=13.8, noise=0.1, slip_s=0.002, tau=0.0, seed=3).force
+    events = find_stick_slip(force.assign(d_mm=np.floor(force["d_mm"] / 0.02) * 0.02))
+    assert (events["stick_length_um"] == 0).any() or events["stick_length_um"].min() < 5
+    assert not events["flag"].str.contains("still").any()
