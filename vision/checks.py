@@ -14,7 +14,6 @@ import xarray as xr
 from vision.data import ForceMetadata, StripMetadata, TrackMetadata, load_unit, warnings_of
 from vision.errors import counted
 from vision.models.equations import effective_sheets
-from vision.models.modulus import cycles_seen
 from vision.numeric import Bools, Floats, Pixels, nan_median, nan_quantile, stretches
 from vision.sample import Sample
 from vision.sheets.numbering import in_view
@@ -130,7 +129,6 @@ def all_warnings(
         )
     if results.force is not None:
         lines += warnings_of(results.force, results.sticks)
-        lines += filter(None, [cycles_seen(results.force)])
         facts = ForceMetadata.of(results.force)
         if facts.lacks_d0:
             lines.append(

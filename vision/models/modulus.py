@@ -130,28 +130,6 @@ def _extrema(values: Floats, least: float) -> Ints:
     return np.union1d(inner, [0, values.size - 1]).astype(np.int64)
 
 
-def cycles_seen(force: xr.Dataset) -> str:
-    """Return one line on the number of push–pull cycles of a recording; "" for a single pull.
-
-    In cycles the displacement reverses at least twice by a fifth of its range, so that the force rises and
-    falls by loading and unloading, not by stick-slip. One pull with one return is not a cycle. It is also ""
-    without a recorded displacement.
-    """
-    if "crosshead_mm" not in force:
-        return ""
-    time, crosshead = force["time_s"].values, force["crosshead_mm"].values
-    known = np.isfinite(time) & np.isfinite(crosshead)
-    time, crosshead = time[known], crosshead[known]
-    rising = time > np.maximum.accumulate(np.concatenate([[-np.inf], time[:-1]]))
-    turns = turning_points(crosshead[rising])
-    if turns.size < 4:
-        return ""
-    return (
-        f"{(turns.size - 1) // 2} push–pull cycles between {crosshead.min():.4g} and {crosshead.max():.4g} "
-        "mm, no stick-slip: their rises and falls are loading and unloading"
-    )
-
-
 # --- cycles -------------------------------------------------------------------------------------------------
 
 
