@@ -61,7 +61,7 @@ def test_a_sheet_behind_its_neighbour_is_not_given_as_the_other():
     x[:, 15] -= come * (x[:, 15] - x[:, 14] - 3.0)
     front, behind = (ridges(x[:, k], width=400) for k in (slice(0, 15), slice(15, 16)))
     picture = strip(front + behind * (1 - np.minimum(front, 1)))
-    blind = TrackingSettings(merged_width=np.inf, covered_shift=0.0)
+    blind = TrackingSettings(merged_width=np.inf, covered_width=np.inf)
     for settings, honest in ((TrackingSettings(), True), (blind, False)):
         tracks = track_sheets(picture, settings=settings)
         off = np.abs(tracks.x_px.values - x) > np.fmax(5 * tracks.x_err_px.values, 0.5)

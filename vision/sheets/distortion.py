@@ -286,12 +286,13 @@ class Distortion(NamedTuple):
 
 
 def distortion(
-    profile: Floats32, x_px: Floats, err_px: Floats, blurred: Bools, comb: RidgeComb
+    profile: Floats32, x_px: Floats, err_px: Floats, fwhm_px: Floats32, blurred: Bools, comb: RidgeComb
 ) -> Distortion:
     r"""Return how far dirt, reflections, neighbours or light may shift positions.
 
-    x_px, err_px: positions and their errors from noise (frame, N), NaN where missing. Ridges blurred by
-    motion (frame, N) are lopsided for that reason and have no error.
+    x_px, err_px: positions and their errors from noise (frame, N), NaN where missing. fwhm_px: widths of the
+    ridges, (frame, N). Ridges blurred by motion (frame, N) are lopsided for that reason; only their width
+    counts, as what passes in a single frame also looks like blur.
 
     The comb's mean shape :math:`S` is fitted to the pixels around each position with level a, height b and
     shift s:
@@ -307,8 +308,8 @@ def distortion(
     In narrow ridges, what depends on their place among the pixels is subtracted before (`sampled_well_px`).
 
     Light that falls off over a ridge hardly changes its shape; it shows in the heights (`_shift_by_light`).
-    What covers a part of a ridge changes its shape and its height (`_alone`), whose change then bounds the
-    error from below.
+    What covers a flank, such as a needle or a cable, may leave shape and height as they are, but not the
+    width: the position shifts by half of what is gone (`_alone`), at most.
     What stands still where a ridge moves changes all displacements of its sheet by the same factor
     (`displacement_scale_error`). A texture of the light does so to all sheets, up to a ridge width or so; it
     shows in the heights of all of them together (`texture_error`).
@@ -332,7 +333,7 @@ def distortion(
     else:  # otherwise heights change with the distance of the neighbours
         texture = texture_error(x_px, log_height, comb)
     scale = displacement_scale_error(x_px, shapes, settings)
-    covered_px = settings.covered_shift * comb.fwhm_px / FWHM * _alone(log_height, settings)
+    covered_px = comb.fwhm_px / 2 * _alone(np.log(fwhm_px), settings)
     size = _shift_by_light(x_px, log_height, pulled_px2, settings)
     del height, log_height, shapes  # each is as large as the positions
     differences = [
@@ -351,19 +352,16 @@ def distortion(
 
     def of_sheet(n: int) -> None:
         found = slight = size[:, n]
-        changed = np.zeros(len(x_px))
         for one, own in zip(differences, own_noise, strict=True):
             values = one.px[:, n] - nan_median(one.px[:, n])
             certain, likely = _significant(values, np.fmax(one.noise * err_px[:, n], own[n]), settings)
             found = np.fmax(found, np.hypot(one.assumed * certain, one.confirmed * likely))
-            changed = np.fmax(changed, certain)
             slight = np.fmax(slight, np.hypot(one.assumed, one.confirmed) * likely)
-        found = np.fmax(found, np.fmin(covered_px[:, n], settings.covered_most * changed))
         away = np.abs(x_px[:, n] - nan_median(x_px[:, n]))
         apart_px = reach_px * np.sqrt(-2 * np.expm1(-((away / reach_px) ** 2) / 2))
         found = np.fmax(found, np.fmax(scale[n] * away, texture * apart_px))
         within = np.where(np.isfinite(apart[:, n]), comb.fwhm_px, 0.0)  # what is fitted lies in the ridge
-        size[:, n] = np.fmin(found, within)
+        size[:, n] = np.fmax(np.fmin(found, within), covered_px[:, n])
         usual_px[n] = nan_median(np.fmin(slight, within))
 
     in_two_threads(of_sheet, range(x_px.shape[1]))
@@ -719,21 +717,21 @@ def _tilt(light: Floats, x_px: Floats, scatter: float, settings: TrackingSetting
     return np.nan_to_num(_if_above(slope, settings.distortion_sigmas * of_median))
 
 
-def _alone(log_height: Floats, settings: TrackingSettings) -> Floats32:
-    """Return by how much each ridge alone became higher or lower, (frame, N); 0 where it is scatter.
+def _alone(log_width: Floats, settings: TrackingSettings) -> Floats32:
+    """Return by how much each ridge alone became wider or narrower, (frame, N); 0 where it is scatter.
 
     It is the change against the median of the two sheets on either side, or against the ridge's own usual
-    height if that is smaller: an overexposed ridge stays as it is when the light changes. log_height: the
-    logarithm of the height, (frame, N). 0 where none of these sheets is seen, and for fewer than five.
+    width if that is smaller. log_width: the logarithm of the width, (frame, N). 0 where none of these sheets
+    is seen, and for fewer than five.
     """
-    frames, sheets = log_height.shape
+    frames, sheets = log_width.shape
     alone = np.zeros((frames, sheets), np.float32)
     if sheets < ENOUGH:
         return alone
-    usual = nan_median(log_height)
-    least = max(settings.covered_height, settings.distortion_sigmas * _scatter_across(log_height - usual))
+    usual = nan_median(log_width)
+    least = max(settings.covered_width, settings.distortion_sigmas * _scatter_across(log_width - usual))
     for rows in row_parts(frames):
-        around = np.pad(log_height[rows] - usual, ((0, 0), (2, 2)), constant_values=np.nan)
+        around = np.pad(log_width[rows] - usual, ((0, 0), (2, 2)), constant_values=np.nan)
         others = np.stack([around[:, k : k + sheets] for k in (0, 1, 3, 4)])
         own = around[:, 2:-2]
         changed = np.minimum(np.abs(own - nan_median(others)), np.abs(own))

@@ -450,20 +450,10 @@ class TrackingSettings:
     background: 0.2 (haze) to 5 (reflections). Larger overstates errors in haze, smaller misses objects about
     as wide as a ridge beside it, such as graph paper (test_distortion.py)."""
 
-    covered_shift: float = 0.6
-    """Error of a position, in standard deviations of the ridge, over the change of the logarithm of the
-    height of a ridge that changes alone, and its shape with it: what covers a part of it. In films with known
-    positions it is 0.3 to 1.5. Larger overstates errors, smaller understates them (test_distortion.py: a
-    soft object)."""
-
-    covered_height: float = 0.12
-    """Least change of the logarithm of the height for this. Larger leaves faint objects out of the errors,
-    smaller counts uneven light."""
-
-    covered_most: float = 6.0
-    """Most of this error, over the difference between the fits. Larger overstates errors of ridges whose
-    shape hardly changes, smaller understates them where a soft object covers a ridge
-    (test_distortion.py)."""
+    covered_width: float = 0.03
+    """Least change of the logarithm of the width of a ridge that changes alone, half of which is an error:
+    something covers its flank. Larger leaves out what covers a few hundredths of the width, smaller counts
+    neighbours that come closer (test_distortion.py: a needle, a soft object)."""
 
     static_scale: tuple[float, float, float] = (1.05, 1.15, 0.65)
     """Relative error of displacements over the changes of a ridge that moves past dirt: those of the

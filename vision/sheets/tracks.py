@@ -263,7 +263,9 @@ def _assess_ridges(
     del blur_px
     # An object that covers a sheet also cuts the next ridge, which may be off by half of its width.
     x_px[smeared & beside(detections.flag == Flag.MISSING) | _cut(detections, comb)] = np.nan
-    distorted_px, usual_px, lasting_px, scale = distortion(profile, x_px, err, smeared, comb)
+    distorted_px, usual_px, lasting_px, scale = distortion(
+        profile, x_px, err, detections.fwhm_px, smeared, comb
+    )
     second = second_comb(profile, x_px, smeared, comb)
     not_a_sheet = not_one_ridge(profile, x_px, lasting_px, comb)
     not_a_sheet |= two_in_one(x_px, detections.fwhm_px, comb)
