@@ -219,10 +219,11 @@ def not_one_ridge(profile: Floats32, x_px: Floats, lasting_px: Floats, comb: Rid
 
     Several sheets side by side, far thinner than most, appear as one hump to the search for ridges, and the
     position lies between them. A sheet's mean profile, over 0.8 ridge widths on either side of its positions
-    x_px (frame, N), correlates with that of all sheets by less than `least_likeness`; less far, the texture
-    on the top of wide ridges would decide. So does a sheet with another or a mark beside it, which pulls it
-    aside by lasting_px (N,), more than `most_distorted` ridge widths, unless its profile is the usual one.
-    Sheets may be turned over: the mirror image counts as well. Fewer than five sheets show no usual profile.
+    x_px (frame, N), correlates with that of all sheets by less than `least_likeness` times the square of what
+    is usual: sheets with texture differ anyway, and nearer than 0.8 widths that of the top would decide. So
+    does a sheet with another or a mark beside it, which pulls it aside by lasting_px (N,), more than
+    `most_distorted` ridge widths, unless its profile is the usual one. Sheets may be turned over: the mirror
+    image counts as well. Fewer than five sheets show no usual profile.
     """
     pulled = lasting_px > comb.settings.most_distorted * comb.fwhm_px
     if x_px.shape[1] < ENOUGH:
@@ -236,7 +237,8 @@ def not_one_ridge(profile: Floats32, x_px: Floats, lasting_px: Floats, comb: Rid
         likeness = (
             np.fmax(shape @ own, shape[::-1] @ own) / np.linalg.norm(own, axis=0) / np.linalg.norm(shape)
         )
-    least = np.where(pulled, comb.settings.usual_likeness, comb.settings.least_likeness)
+    unlike = comb.settings.least_likeness * float(nan_median(likeness)) ** 2
+    least = np.where(pulled, comb.settings.usual_likeness, unlike)
     return np.asarray(likeness < least, bool)
 
 

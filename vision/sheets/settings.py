@@ -404,11 +404,11 @@ class TrackingSettings:
     another ridge, so that its blur follows from other sheets. Smaller calls sheets in fast slips ok that are
     off by pixels (test_film.py)."""
 
-    least_likeness: float = 0.4
+    least_likeness: float = 0.6
     """Correlation of a sheet's mean profile with that of all sheets, or its mirror image, below which it is
-    no single ridge. It is 0.2 to 0.4 where thin sheets side by side were taken for one, and 0.5 or more for
-    ridges of all recordings tried. Larger drops markers of unusual shape and wide sheets with texture,
-    smaller takes two sheets for one (test_distortion.py)."""
+    no single ridge if sheets are alike. It is 0.2 to 0.5 where thin sheets side by side, or a patch of the
+    background, were taken for one. Larger drops markers of unusual shape, smaller takes two sheets for one
+    (test_distortion.py)."""
 
     usual_likeness: float = 0.85
     """The same for a sheet that is distorted by more than `most_distorted`. Sheets with one bright side that
