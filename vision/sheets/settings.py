@@ -410,10 +410,11 @@ class TrackingSettings:
     background, were taken for one. Larger drops markers of unusual shape, smaller takes two sheets for one
     (test_distortion.py)."""
 
-    usual_likeness: float = 0.85
+    usual_likeness: float = 0.75
     """The same for a sheet that is distorted by more than `most_distorted`. Sheets with one bright side that
-    are turned over have 0.9 or more, a thick sheet with a thin one beside it 0.7. Larger drops sheets that
-    are turned over, smaller takes two sheets for one (test_distortion.py)."""
+    are turned over have 0.9 or more, thin ones among thick ones 0.76, a thick sheet with a thin one beside it
+    0.7. Larger drops sheets that are unlike the others, smaller takes two sheets for one
+    (test_distortion.py)."""
 
     wide_by_a_gap: float = 1.2
     """Width of a sheet, over that of the others, from which it is two sheets in one ridge if another seems to
