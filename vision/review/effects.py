@@ -52,7 +52,7 @@ class Effects:
             at = self._row_shown(decision, frame)
             near, rows = self._rows_for(decision, at)
             part = self.run.positions.copied(rows)
-            after, _ = apply(part, _clipped(decision, part), self.run.diagram)
+            after = apply(part, _clipped(decision, part), self.run.diagram)
             compared = self._compared(after, at, near, rows)
             return {"text": decision.text(), "concerned": self._concerned(decision), **compared}
 

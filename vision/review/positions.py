@@ -161,38 +161,6 @@ SAME_RIDGE_PX = 2.0
 to their start. A larger value would join neighbours that are 4 px apart."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class UndoStep:
-    """What is needed to undo a decision: the values that it replaced, and the earlier numbering."""
-
-    how: str  # "cells" (were replaced), "deleted" or "added" (a sheet), "numbered"
-    first: int  # row
-    stop: int  # row
-    sheets: tuple[int, ...]  # columns
-    arrays: Mapping[str, NDArray[Any]]  # earlier values by name: side, n and, unless a sheet was added, cells
-    # earlier axis
-    axis_px: float
-    axis_how: str
-
-
-def _step(
-    positions: Positions, how: str, sheets: tuple[int, ...] = (), rows: slice = slice(0, 0)
-) -> UndoStep:
-    """Return the step that undoes a change of these cells, or of the numbering."""
-    facts, columns = positions.track_facts, sheets[0] if how == "deleted" else list(sheets)
-    cells = CELLS if how in ("cells", "deleted") else ()
-    return UndoStep(
-        how=how,
-        first=rows.start,
-        stop=rows.stop,
-        sheets=sheets,
-        arrays={name: getattr(positions, name)[rows, columns].copy() for name in cells}
-        | {"side": positions.side, "n": positions.n},
-        axis_px=facts.axis_px,
-        axis_how=facts.axis_how,
-    )
-
-
 def median_positions(positions: Positions) -> Floats:
     """Return the median position of every sheet, from 2000 frames spread over the run."""
     return _medians(positions.x_px)
@@ -202,8 +170,8 @@ def _medians(values: Floats32) -> Floats:
     return nan_median(values[:: max(1, len(values) // 2000)].astype(np.float64))
 
 
-def apply(positions: Positions, decision: Correction, diagram: Diagram) -> tuple[Positions, UndoStep]:
-    """Apply a decision; return the new positions and how to undo it.
+def apply(positions: Positions, decision: Correction, diagram: Diagram) -> Positions:
+    """Apply a decision and return the new positions.
 
     If the number of sheets does not change, the arrays are changed in place. Ridges are searched in the
     diagram and fitted with the sliding window; they get the sheet's median error. (Saving tracks again, with
@@ -214,37 +182,19 @@ def apply(positions: Positions, decision: Correction, diagram: Diagram) -> tuple
     """
     if decision.kind == "axis":
         attrs = dict(positions.attrs) | {"axis_px": float(decision.x_px or 0.0), "axis_how": "given"}
-        return _renumbered(replace(positions, attrs=attrs)), _step(positions, "numbered")
+        return _renumbered(replace(positions, attrs=attrs))
     if decision.kind not in OF_SHEETS:
-        return positions, _step(positions, "numbered")
+        return positions
     corrected = _CorrectedPositions(positions, diagram)
-    rows = corrected.rows_of(decision)
+    (sheet, *_) = corrected.apply(decision)
+    side, n = positions.side, positions.n
     if decision.kind == "add":
-        (sheet,) = corrected.apply(decision)
-        before = _step(positions, "added", (sheet,))
-        side, n = (np.insert(one, sheet, 1) for one in (positions.side, positions.n))
-        return _renumbered(replace(positions, **corrected.arrays, side=side, n=n)), before
-    how = "deleted" if decision.kind == "delete" else "cells"
-    before = _step(positions, how, decision.sheets, slice(int(rows[0]), int(rows[-1]) + 1))
-    corrected.apply(decision)
-    if decision.kind == "delete":
-        return _renumbered(_removed(positions, decision.sheets[0])), before
-    return positions, before
-
-
-def undo(positions: Positions, step: UndoStep) -> Positions:
-    """Undo the last decision and return the earlier positions."""
-    arrays = step.arrays
-    match step.how:
-        case "cells":
-            for name in CELLS:
-                getattr(positions, name)[step.first : step.stop, list(step.sheets)] = arrays[name]
-        case "deleted":
-            positions = _inserted(positions, step.sheets[0], arrays)
-        case "added":
-            positions = _removed(positions, step.sheets[0])
-    attrs = dict(positions.attrs) | {"axis_px": step.axis_px, "axis_how": step.axis_how}
-    return replace(positions, side=arrays["side"], n=arrays["n"], attrs=attrs)
+        side, n = (np.insert(one, sheet, 1) for one in (side, n))
+    elif decision.kind == "delete":
+        side, n = (np.delete(one, sheet) for one in (side, n))
+    else:
+        return positions
+    return _renumbered(replace(positions, **corrected.arrays, side=side, n=n))
 
 
 class _CorrectedPositions(Corrected):
@@ -330,14 +280,3 @@ def _renumbered(positions: Positions) -> Positions:
     numbering = number_sheets(x_px[None], axis_px=facts.axis_px)
     unseen = 0 if facts.axis_how == "given" else numbering.n.min() - 1
     return replace(positions, side=numbering.side, n=numbering.n - unseen)
-
-
-def _removed(positions: Positions, sheet: int) -> Positions:
-    cells = {name: np.delete(getattr(positions, name), sheet, axis=1) for name in CELLS}
-    return replace(positions, **cells, side=np.delete(positions.side, sheet), n=np.delete(positions.n, sheet))
-
-
-def _inserted(positions: Positions, sheet: int, values: Mapping[str, Any]) -> Positions:
-    """Insert a column with these values."""
-    cells = {name: np.insert(getattr(positions, name), sheet, values[name], axis=1) for name in CELLS}
-    return replace(positions, **cells)

@@ -19,7 +19,7 @@ from vision.folder import claim, plain, whole_file
 from vision.numeric import Floats, Floats32, Ints, nearest, stretches
 from vision.pipeline import Settings
 from vision.review.effects import Effects
-from vision.review.positions import SAME_RIDGE_PX, UndoStep, apply, median_positions, read_positions, undo
+from vision.review.positions import SAME_RIDGE_PX, apply, median_positions, read_positions
 from vision.review.recordings import (
     TILE_COLUMNS,
     TILE_FACTOR,
@@ -70,7 +70,6 @@ class Session:
         self.saver, self.effects, self.trial = Saver(), Effects(self), Trial(self)
         self.lock = RLock()
         self.revision = 0
-        self._undo_steps: list[UndoStep | None] = []
         path, taken = folder.resolve(), "a review of it that is open"
         advice = "go to its window, or end it there"
         busy = InputError(folder, "a run that nobody reviews now", taken, advice)
@@ -118,28 +117,27 @@ class Session:
         path = self.folder / CORRECTIONS
         wanted = read_decisions(path) if path.exists() else Decisions(corrections=tuple(self.applied))
         self.undone = list(wanted.undone)
-        self.unseen: list[Correction] = []  # undone decisions that remain visible until the run is saved
-        same, count = _common_start(self.applied, wanted.corrections), len(self.applied)
-        self.decisions = [*wanted.corrections[:same], *self.applied[same:]]
-        # How to undo each decision; None if it was made in an earlier review.
-        self._undo_steps = [*self._undo_steps, *[None] * count][:count]
-        while len(self.decisions) > same:  # undone since the run was saved
-            self._step_back()
+        same = _common_start(self.applied, wanted.corrections)
+        self.decisions = list(wanted.corrections[:same])
+        # Undone decisions that remain visible until the run is saved, as they are in its tables.
+        self.unseen = self.applied[same:][::-1]
         for decision in wanted.corrections[same:]:
             self._apply(decision)
 
     def _apply(self, decision: Correction) -> None:
-        self.positions, step = apply(self.positions, decision, self.diagram)
+        self.positions = apply(self.positions, decision, self.diagram)
         self.decisions.append(decision)
-        self._undo_steps.append(step)
         self.revision += 1
 
     def _step_back(self) -> Correction:
-        decision, step = self.decisions.pop(), self._undo_steps.pop()
-        if step is None:
-            self.unseen.append(decision)
+        """Remove the last decision; apply the others again to the saved positions."""
+        pending, decision = self.pending, self.decisions.pop()
+        if pending:
+            self.positions = read_positions(self.folder / "tracks.nc")
+            for earlier in pending[:-1]:
+                self.positions = apply(self.positions, earlier, self.diagram)
         else:
-            self.positions = undo(self.positions, step)
+            self.unseen.append(decision)
         self.revision += 1
         return decision
 
@@ -178,9 +176,7 @@ class Session:
     def reload(self) -> None:
         """Read the run that has replaced this one."""
         with self.lock:
-            earlier, strip = self.diagram, last_of(self.applied, "strip")
-            if strip != last_of(self.stored.of(self.folder).applied, "strip"):
-                self._undo_steps.clear()  # they hold positions of other rows
+            earlier = self.diagram
             self._load()
             earlier.close()
             self.revision += 1
@@ -227,7 +223,6 @@ class Session:
             self._write([*self.decisions, again], rest)
             self.unseen.pop()
             self.decisions.append(again)
-            self._undo_steps.append(None)
             self.undone = rest
             self.revision += 1
 
