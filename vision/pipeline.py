@@ -84,88 +84,47 @@ class Tuning:
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """Options of the analysis. An option that is None is found from the data.
+    """Options of the analysis. An option that is None is found from the data."""
 
-    Parameters
-    ----------
-    rows, columns
-        Rows that are averaged to the strip, and columns of the strip; half-open, px, after rotation.
-    strips
-        Number of parts, one above the other, in which the strip is measured as well; 1 for none.
-    rotate
-        Degrees clockwise by which each frame is rotated first: 0, 90, 180 or 270.
-    frames
-        Part of the video, half-open.
-    fps, timestamps
-        The camera's frame rate, or a text file with the time of every frame.
-    ridges, sheets, axis_px
-        Polarity ("bright", "dark" or "auto"), number of ridges in view, symmetry axis in px.
-    fit, window_px
-        Subpixel method ("auto", "sliding", "paper" or "template") and its window: odd, or "auto".
-    corrections
-        Manual corrections from `vision.sheets.read_corrections`. Those of the strip, the axis and the clock
-        take precedence over `rows`, `axis_px` and `offset_s`.
-    pixel_size_um
-        µm per pixel (None: as the film's file states). Without it: no lengths in µm and no deformation.
-    pitch_um
-        Mean distance between neighbouring sheets, from which the pixel size is computed.
-    speed_mm_min, d0_mm, d0_err_mm, force_columns
-        V if no displacement is recorded, the initial separation with its error, and the recording's columns
-        by role.
-    force_threshold_N, force_lowpass_s, force_average_s, machine_stiffness_N_per_mm
-        Smallest drop of the force that counts as a slip; time constant of the load cell to correct for (0:
-        none; "auto": found, if it is proven); time over which a load that rings is averaged (0: none; "auto":
-        the period of the ringing); stiffness of the machine, by which d is corrected.
-    fit_range_mm, mu, modulus_GPa
-        Separations between which the models are fitted; friction coefficient and Y_eff if they are known.
-    offset_s
-        Force clock at video time 0.
-    threshold
-        σ_x/Λ_st below which a sheet is stiff.
-    common_mode
-        Whether the motion that all sheets share (the camera's) is subtracted.
-    sample, geometry_err
-        Geometry and adhesion of the sample (None: the publication's, with a remark that it is assumed), and
-        the errors of its fields by name, for systematic errors.
-    t_star_fitted
-        Whether T*, which can hardly be separated from μ, is fitted as well.
-    tuning
-        Constants of the stages.
-    """
-
-    rows: slice | None = None
-    columns: slice | None = None
-    strips: int = 1
-    rotate: int = 0
-    frames: slice | None = None
-    fps: float | None = None
-    timestamps: Path | None = None
-    ridges: Literal["bright", "dark", "auto"] = "auto"
-    sheets: int | None = None
-    axis_px: float | None = None
-    fit: FitChoice = "auto"
-    window_px: int | Literal["auto"] | None = None
+    rows: slice | None = None  #: averaged to the strip; half-open, px, after rotation, as are `columns`
+    columns: slice | None = None  #: of the strip
+    strips: int = 1  #: parts, one above the other, in which the strip is measured as well; 1 for none
+    rotate: int = 0  #: degrees clockwise by which each frame is rotated first: 0, 90, 180 or 270
+    frames: slice | None = None  #: part of the video, half-open
+    fps: float | None = None  #: the camera's frame rate
+    timestamps: Path | None = None  #: text file with the time of every frame
+    ridges: Literal["bright", "dark", "auto"] = "auto"  #: polarity
+    sheets: int | None = None  #: number of ridges in view
+    axis_px: float | None = None  #: symmetry axis
+    fit: FitChoice = "auto"  #: subpixel method: "auto", "sliding", "paper" or "template"
+    window_px: int | Literal["auto"] | None = None  #: of the fit, odd
+    #: Manual corrections from `vision.sheets.read_corrections`. Those of the strip, the axis and the clock
+    #: take precedence over `rows`, `axis_px` and `offset_s`.
     corrections: tuple[Correction, ...] = ()
+    #: µm per pixel (None: as the film's file states). Without it: no lengths in µm and no deformation.
     pixel_size_um: float | None = None
-    pitch_um: float | None = None
-    speed_mm_min: float | None = None
-    d0_mm: float | None = None
-    d0_err_mm: float | None = None
-    force_columns: Mapping[str, str] | None = None
-    force_threshold_N: float | None = None
+    pitch_um: float | None = None  #: mean distance of neighbouring sheets, which gives the pixel size
+    speed_mm_min: float | None = None  #: V, if no displacement is recorded
+    d0_mm: float | None = None  #: initial separation
+    d0_err_mm: float | None = None  #: its error
+    force_columns: Mapping[str, str] | None = None  #: the recording's columns by role
+    force_threshold_N: float | None = None  #: smallest drop of the force that counts as a slip
+    #: Time constant of the load cell to correct for; 0: none; "auto": found, if it is proven.
     force_lowpass_s: float | Literal["auto"] = 0.0
+    #: Time over which a load that rings is averaged; 0: none; "auto": the period of the ringing.
     force_average_s: float | Literal["auto"] = 0.0
-    fit_range_mm: tuple[float, float] | None = None
-    mu: float | None = None
-    modulus_GPa: float | None = None
-    machine_stiffness_N_per_mm: float | None = None
-    offset_s: float | None = None
-    threshold: float = STIFF_BELOW
-    common_mode: bool = True
+    fit_range_mm: tuple[float, float] | None = None  #: separations between which the models are fitted
+    mu: float | None = None  #: friction coefficient, if it is known
+    modulus_GPa: float | None = None  #: Y_eff, if it is known
+    machine_stiffness_N_per_mm: float | None = None  #: by which d is corrected
+    offset_s: float | None = None  #: force clock at video time 0
+    threshold: float = STIFF_BELOW  #: σ_x/Λ_st below which a sheet is stiff
+    common_mode: bool = True  #: whether the motion that all sheets share (the camera's) is subtracted
+    #: Geometry and adhesion (None: the publication's, with a remark that it is assumed).
     sample: Sample | None = None
-    geometry_err: Mapping[str, float] = field(default_factory=dict)
-    t_star_fitted: bool = False
-    tuning: Tuning = field(default_factory=Tuning)
+    geometry_err: Mapping[str, float] = field(default_factory=dict)  #: errors of the sample's fields by name
+    t_star_fitted: bool = False  #: whether T*, which can hardly be separated from μ, is fitted as well
+    tuning: Tuning = field(default_factory=Tuning)  #: constants of the stages
 
     def __post_init__(self) -> None:
         for check, names in _CHECKS:
@@ -220,23 +179,12 @@ class Analysis(Results):
     """Results of all stages for one test. The result of a stage that could not run is None.
 
     Its other fields are those of `vision.figures.Results`.
-
-    Parameters
-    ----------
-    settings
-        The requested options.
-    video
-        The recording.
-    failures
-        By stage: the traceback of an unexpected error.
-    seconds
-        Wall-clock time of each stage.
     """
 
-    settings: Settings
-    video: Video | None = None
-    failures: Mapping[str, str] = field(default_factory=dict)
-    seconds: Mapping[str, float] = field(default_factory=dict)
+    settings: Settings  #: the requested options
+    video: Video | None = None  #: the recording
+    failures: Mapping[str, str] = field(default_factory=dict)  #: by stage: traceback of an unexpected error
+    seconds: Mapping[str, float] = field(default_factory=dict)  #: wall-clock time of each stage
 
     @property
     def pixel_size_um(self) -> float | None:

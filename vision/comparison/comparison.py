@@ -43,39 +43,20 @@ PICTURES = ("collapse", "trends")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Comparison:
-    """Results of comparing several tests.
+    """Results of comparing several tests."""
 
-    Parameters
-    ----------
-    tests, fits
-        The runs and the fit of each, in the same order.
-    table
-        One row per run: the content of tests.csv.
-    modulus, modulus_from
-        Y_eff that was held fixed, GPa, and the runs it comes from ("given" if the user gave it).
-    joint
-        A joint μ for each sample with several tests, and one for all tests if there are several samples.
-    collapse
-        K/K_eff against d̂; None if no test has a Λ̂.
-    irregular
-        For each test, the separation at which stick-slip becomes irregular.
-    trends
-        Trends with the number of previous tests and with humidity.
-    failures, warnings
-        Runs that could not be used, and warnings that matter for the results.
-    """
-
-    tests: tuple[TractionTest, ...]
-    fits: tuple[TestFit, ...]
-    table: pd.DataFrame
-    modulus: Estimate
-    modulus_from: tuple[str, ...]
+    tests: tuple[TractionTest, ...]  #: the runs
+    fits: tuple[TestFit, ...]  #: the fit of each, in the same order
+    table: pd.DataFrame  #: one row per run: the content of tests.csv
+    modulus: Estimate  #: Y_eff that was held fixed, GPa
+    modulus_from: tuple[str, ...]  #: the runs it comes from ("given" if the user gave it)
+    #: A joint μ for each sample with several tests, and one for all tests if there are several samples.
     joint: tuple[JointFriction, ...]
-    collapse: Collapse | None
-    irregular: tuple[Irregularity, ...]
-    trends: tuple[Trend, ...]
-    failures: tuple[str, ...]
-    warnings: tuple[str, ...]
+    collapse: Collapse | None  #: K/K_eff against d̂; None if no test has a Λ̂
+    irregular: tuple[Irregularity, ...]  #: for each test, where stick-slip becomes irregular
+    trends: tuple[Trend, ...]  #: with the number of previous tests and with humidity
+    failures: tuple[str, ...]  #: runs that could not be used
+    warnings: tuple[str, ...]  #: those that matter for the results
 
     @property
     def main(self) -> JointFriction | None:
