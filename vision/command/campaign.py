@@ -9,7 +9,9 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache, partial
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Annotated, Any
+
+from cyclopts import Parameter as Option
 
 from vision.campaign import jobs
 from vision.campaign.films import (
@@ -45,7 +47,11 @@ from vision.run import FAILURES, Parameter
 from vision.summary import aligned
 
 
-def campaign(table: Path | None = None, /, options: CampaignOptions = CampaignOptions()) -> int:
+def campaign(
+    table: Annotated[Path | None, Option(help="CSV file; paths in it are relative to its folder.")] = None,
+    /,
+    options: CampaignOptions = CampaignOptions(),
+) -> int:
     """Track many films, on all cores of this machine or on a cluster, each only once.
 
     The table has one row per test. Its columns are film, force, any option of track, and the conditions
@@ -65,11 +71,6 @@ def campaign(table: Path | None = None, /, options: CampaignOptions = CampaignOp
         track campaign tests.csv --executor slurm --stage
 
         track campaign --watch /data/camera --config setup.toml
-
-    Parameters
-    ----------
-    table
-        CSV file; paths in it are relative to its folder.
     """
     named = table or options.watch
     if named is None:

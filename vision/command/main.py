@@ -13,13 +13,15 @@ import threading
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from cyclopts import App
+from cyclopts import Parameter as Option
 
 from vision import __version__
 from vision.command.console import attempt, complain, hold_streams, return_freed_memory, silence_libraries
 from vision.command.options import (
+    Config,
     ForceOptions,
     RunOptions,
     SampleOptions,
@@ -50,26 +52,25 @@ if some of their inputs cannot be used.
 
 
 def track(
-    *videos: Path,
+    *videos: Annotated[
+        Path,
+        Option(
+            help="One or several: a video file, a TIFF stack, a folder of films or images, or a quoted glob "
+            "of images."
+        ),
+    ],
     reading: VideoOptions = VideoOptions(),
     test: TestOptions = TestOptions(),
     machine: ForceOptions = ForceOptions(),
     sample: SampleOptions = SampleOptions(),
     run: RunOptions = RunOptions(),
-    config: Path | None = None,
+    config: Config = None,
 ) -> int:
     """Track every sheet of a video: positions x(n,t), their errors, pictures and tables in a new folder.
 
     Several videos are tracked one after the other, each into its own folder. If one cannot be used, the
     others are still tracked, and the exit status is the highest of all, here 2. --out is then the folder that
     holds their folders.
-
-    Parameters
-    ----------
-    videos
-        One or several: a video file, a TIFF stack, a folder of films or images, or a quoted glob of images.
-    config
-        TOML file with any of these options; the command line takes precedence.
     """
     from vision.command.track import track_films  # takes a second, which `--help` does not need
 

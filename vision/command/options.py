@@ -30,6 +30,11 @@ Whole = Annotated[int, Option(converter=_whole)]
 Flag = Annotated[bool, Option(negative="", show_default=False)]
 Report = Annotated[bool, Option(show_default=False)]  # also --no-report
 Quiet = Annotated[Flag, Option(help="Print no progress bar and no summary.")]
+Run = Annotated[Path, Option(help="Run folder.")]
+Config = Annotated[
+    Path | None, Option(help="TOML file with any of these options; the command line takes precedence.")
+]
+MovedFilm = Annotated[Path | None, Option(help="Path of the film, if it was moved since it was tracked.")]
 
 
 @Option(name="*", group=Group.create_ordered("Video"))

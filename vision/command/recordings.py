@@ -7,12 +7,14 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import pandas as pd
+from cyclopts import Parameter as Option
 
 from vision.command.console import complain, conclude, frame_progress, one_line
 from vision.command.options import (
+    Config,
     Flag,
     ForceOptions,
     FrictionOptions,
@@ -67,28 +69,21 @@ from vision.summary import aligned
 
 
 def force(
-    file: Path,
+    file: Annotated[Path, Option(help="Recording of a testing machine: text, CSV, .TRA, .xlsx or .mat.")],
     /,
     machine: ForceOptions = ForceOptions(),
     sample: SampleOptions = SampleOptions(),
     *,
-    free_t_star: Flag = False,
-    config: Path | None = None,
+    free_t_star: Annotated[
+        Flag, Option(help="Also fit T* (the data hardly separate it from the friction coefficient).")
+    ] = False,
+    config: Config = None,
     output: OutputOptions = OutputOptions(),
 ) -> int:
     """Find stick-slip events, stiffness and model fits from a force recording alone.
 
     Writes the folder FILE_force: events.csv, models.json, run.json and force.png. Exit status 1 if there is a
     warning that matters.
-
-    Parameters
-    ----------
-    file
-        Recording of a testing machine: text, CSV, .TRA, .xlsx or .mat.
-    free_t_star
-        Also fit T* (the data hardly separate it from the friction coefficient).
-    config
-        TOML file with any of these options; the command line takes precedence.
     """
     parameters = merged(machine, sample, config=config)
     target = output.out or Path(f"{file.stem}_force")
@@ -105,17 +100,16 @@ def force(
 
 
 def modulus(
-    file: Path, /, options: ModulusOptions = ModulusOptions(), *, output: OutputOptions = OutputOptions()
+    file: Annotated[Path, Option(help="Recording of a testing machine with time, load and displacement.")],
+    /,
+    options: ModulusOptions = ModulusOptions(),
+    *,
+    output: OutputOptions = OutputOptions(),
 ) -> int:
     """Measure Young's modulus of one sheet from push–pull cycles.
 
     Writes the folder FILE_modulus: cycles.csv, modulus.json, run.json, modulus.png and figures.npz. Exit
     status 1 if there is a warning that matters.
-
-    Parameters
-    ----------
-    file
-        Recording of a testing machine with time, load and displacement.
     """
     started = time.perf_counter()
     target = output.out or Path(f"{file.stem}_modulus")
@@ -180,17 +174,19 @@ def _modulus_lines(means: Mapping[str, MeanValue], cycles: int) -> list[str]:
 
 
 def friction(
-    *files: Path, options: FrictionOptions = FrictionOptions(), output: OutputOptions = OutputOptions()
+    *files: Annotated[
+        Path,
+        Option(
+            help="RheoCompass exports (UTF-16 or UTF-8, several results and intervals), or tables with units."
+        ),
+    ],
+    options: FrictionOptions = FrictionOptions(),
+    output: OutputOptions = OutputOptions(),
 ) -> int:
     """Measure friction of two sheets from rheometer files, and fit μ_s = a(1 + b/N).
 
     Writes the folder FIRSTFILE_friction: friction.csv, friction.json, run.json, friction.png and figures.npz.
     A file or measurement that cannot be used is named, the others are used, and the exit status is 1.
-
-    Parameters
-    ----------
-    files
-        RheoCompass exports (UTF-16 or UTF-8, several results and intervals), or tables with units.
     """
     started = time.perf_counter()
     if not files:
@@ -313,16 +309,15 @@ def _loads(text: str | None, files: int) -> list[float | None]:
 # --- a synthetic test ---------------------------------------------------------------------------------------
 
 
-def simulate(directory: Path, /, options: SimulateOptions = SimulateOptions()) -> int:
+def simulate(
+    directory: Annotated[Path, Option(help="Folder to make.")],
+    /,
+    options: SimulateOptions = SimulateOptions(),
+) -> int:
     """Make a synthetic traction test: a film, a force recording, and their truth.
 
     Writes video.*, force.txt, truth.nc and the camera's timestamps.txt. Settings are taken from the preset,
     then the TOML file, then the options, then --set; later ones override.
-
-    Parameters
-    ----------
-    directory
-        Folder to make.
     """
     experiment = ready_made(options.preset)
     changes = settings_from_toml(options.toml) if options.toml else {}

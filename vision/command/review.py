@@ -12,11 +12,14 @@ from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter as Option
 
 from vision.command.console import say
 from vision.command.options import (
     ForceOptions,
+    MovedFilm,
     RunOptions,
     SampleOptions,
     TestOptions,
@@ -35,7 +38,7 @@ if TYPE_CHECKING:
 
 
 def review(
-    run_or_video: Path,
+    run_or_video: Annotated[Path, Option(help="Run folder, or a video as for track.")],
     /,
     reading: VideoOptions = VideoOptions(),
     test: TestOptions = TestOptions(),
@@ -43,10 +46,12 @@ def review(
     sample: SampleOptions = SampleOptions(),
     run: RunOptions = RunOptions(),
     *,
-    config: Path | None = None,
-    film: Path | None = None,
-    browser: bool = True,
-    port: int = 0,
+    config: Annotated[Path | None, Option(help="TOML file with any of these options.")] = None,
+    film: MovedFilm = None,
+    browser: Annotated[
+        bool, Option(help="Open the default browser; the address is printed in any case.")
+    ] = True,
+    port: Annotated[int, Option(help="Port of the address; a free one if not given.")] = 0,
 ) -> int:
     """Inspect and correct a run in a browser; a video is tracked first.
 
@@ -59,19 +64,6 @@ def review(
         track review test_tracks
 
         track review test.avi --force test.txt --pixel-size 10
-
-    Parameters
-    ----------
-    run_or_video
-        Run folder, or a video as for track.
-    config
-        TOML file with any of these options.
-    film
-        Path of the run's film, if it was moved since it was tracked.
-    browser
-        Open the default browser; the address is printed in any case.
-    port
-        Port of the address; a free one if not given.
     """
     groups = (reading, test, machine, sample)
     missing = [name for name in ("starlette", "uvicorn") if importlib.util.find_spec(name) is None]

@@ -6,15 +6,19 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import xarray as xr
+from cyclopts import Parameter as Option
 
 from vision.certify import CertifySettings, certify_run, statements, write_certificate
 from vision.command.console import complain, conclude, frame_progress, in_columns
 from vision.command.options import (
     CompareOptions,
+    Config,
+    MovedFilm,
     OutputOptions,
+    Run,
     VideoOptions,
     WindowOptions,
     flag_of,
@@ -56,11 +60,11 @@ DIAGRAMS = "diagrams"  # key in run.json that distinguishes a folder of diagrams
 
 
 def preview(
-    video: Path,
+    video: Annotated[Path, Option(help="A video as for track.")],
     /,
     reading: VideoOptions = VideoOptions(),
     *,
-    config: Path | None = None,
+    config: Config = None,
     output: OutputOptions = OutputOptions(),
 ) -> int:
     """Show within seconds the frame, the strip, the ridges and their noise.
@@ -73,13 +77,6 @@ def preview(
         track preview test.avi
 
         track preview beam.cine --rotate 90 --strip 14:630
-
-    Parameters
-    ----------
-    video
-        A video as for track.
-    config
-        TOML file with any of these options; the command line takes precedence.
     """
     video, settings = one_film(video), settings_of(merged(reading, config=config))
     target = output.out or Path(f"{run_name(video)}_preview.png")
@@ -116,12 +113,12 @@ def make_preview(path: Path, settings: Settings) -> tuple[Video, Analysis]:
 
 
 def kymograph(
-    video_or_run: Path,
+    video_or_run: Annotated[Path, Option(help="A run folder, or a video as for track.")],
     /,
     window: WindowOptions = WindowOptions(),
     reading: VideoOptions = VideoOptions(),
     *,
-    picture: Literal["png", "pdf", "svg"] = "png",
+    picture: Annotated[Literal["png", "pdf", "svg"], Option(help="Format of the picture.")] = "png",
     output: OutputOptions = OutputOptions(),
 ) -> int:
     """Draw space-time diagrams of the whole strip, or of windows around sheets.
@@ -137,13 +134,6 @@ def kymograph(
         track kymograph test_tracks --sheet right:23 --sheet right:10 --width 0.2mm --time 40:45.1
 
         track kymograph test.avi --frames 0:600
-
-    Parameters
-    ----------
-    video_or_run
-        A run folder, or a video as for track.
-    picture
-        Format of the picture.
     """
     started = time.perf_counter()
     sheets, width = _windows_of(window)
@@ -296,10 +286,10 @@ def _slips_shown(data: Analysis, diagram: xr.DataArray) -> str:
 
 
 def export(
-    run: Path,
+    run: Run,
     /,
     *,
-    to: Format,
+    to: Annotated[Format, Option(help="Format.")],
     output: OutputOptions = OutputOptions(),
 ) -> int:
     """Write the tables of a finished run in another program's format.
@@ -316,13 +306,6 @@ def export(
         track export test_tracks --to xlsx
 
         track export test_tracks --to mat --out for_matlab.mat
-
-    Parameters
-    ----------
-    run
-        Run folder.
-    to
-        Format.
     """
     target, notes = export_run(read_run(run), to, out=output.out, overwrite=output.overwrite)
     for note in notes:
@@ -331,10 +314,10 @@ def export(
 
 
 def figures(
-    run: Path,
+    run: Annotated[Path, Option(help="Run folder, or the folder that `track compare` wrote.")],
     /,
-    *names: str,
-    to: Literal["pdf", "svg", "png", "csv"] = "pdf",
+    *names: Annotated[str, Option(help="Names of figures; all if none is given.")],
+    to: Annotated[Literal["pdf", "svg", "png", "csv"], Option(help="Format.")] = "pdf",
     output: OutputOptions = OutputOptions(),
 ) -> int:
     """Write the figures of a finished run for a manuscript, or their numbers as csv.
@@ -348,15 +331,6 @@ def figures(
         track figures test_tracks deformation shells --to pdf --out manuscript
 
         track figures comparison collapse trends
-
-    Parameters
-    ----------
-    run
-        Run folder, or the folder that `track compare` wrote.
-    names
-        Names of figures; all if none is given.
-    to
-        Format.
     """
     folder = read_run(run).folder
     made = {figure.name: figure for figure in load_figures(folder / "figures.npz")}
@@ -374,11 +348,13 @@ def figures(
 
 
 def overlay(
-    run: Path,
+    run: Run,
     /,
     *,
-    film: Path | None = None,
-    frames: str | None = None,
+    film: MovedFilm = None,
+    frames: Annotated[
+        str | None, Option(help="Part of the film, A:B, with frame numbers as in tracks.csv.")
+    ] = None,
     output: OutputOptions = OutputOptions(),
 ) -> int:
     """Draw the tracks of a finished run on its film, to see whether they follow the sheets.
@@ -390,15 +366,6 @@ def overlay(
         track overlay test_tracks
 
         track overlay test_tracks --frames 300:600 --film /archive/test.avi
-
-    Parameters
-    ----------
-    run
-        Run folder.
-    film
-        Path of the film, if it was moved since it was tracked.
-    frames
-        Part of the film, A:B, with frame numbers as in tracks.csv.
     """
     part = parse_range(frames, "--frames")
     made = read_run(run)
@@ -417,7 +384,17 @@ def overlay(
 
 
 def certify(
-    run: Path, /, *, films: int = 3, most_frames: int = 600, output: OutputOptions = OutputOptions()
+    run: Run,
+    /,
+    *,
+    films: Annotated[
+        int,
+        Option(help="Number of synthetic films. More take longer and average over more noise and motion."),
+    ] = 3,
+    most_frames: Annotated[
+        int, Option(help="Largest number of frames of a film, from the middle of the run.")
+    ] = 600,
+    output: OutputOptions = OutputOptions(),
 ) -> int:
     """Measure what the recording of a run can resolve, from similar films with known truth.
 
@@ -432,15 +409,6 @@ def certify(
         track certify test_tracks
 
         track certify test_tracks --films 6 --out certified
-
-    Parameters
-    ----------
-    run
-        Run folder.
-    films
-        Number of synthetic films. More take longer and average over more noise and motion.
-    most_frames
-        Largest number of frames of a film, from the middle of the run.
     """
     for name, value, least in (("--films", films, 1), ("--most-frames", most_frames, 30)):
         if value < least:
@@ -462,7 +430,12 @@ def certify(
 
 
 def compare(
-    *runs: Path, options: CompareOptions = CompareOptions(), output: OutputOptions = OutputOptions()
+    *runs: Annotated[
+        Path,
+        Option(help="Run folders with a force recording; those of the table if none is given."),
+    ],
+    options: CompareOptions = CompareOptions(),
+    output: OutputOptions = OutputOptions(),
 ) -> int:
     """Compare several tests: one table, one μ, the collapse, change points and trends.
 
@@ -475,11 +448,6 @@ def compare(
         track compare old_tracks new_tracks --table tests.csv
 
         track compare --table tests.csv --main-sample A --out two_samples
-
-    Parameters
-    ----------
-    runs
-        Run folders with a force recording; those of the table if none is given.
     """
     target = output.out or Path("comparison")
     table, main_sample, fix_yeff = options.table, options.main_sample, options.fix_yeff
