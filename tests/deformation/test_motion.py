@@ -133,7 +133,7 @@ def test_sticks_in_which_the_displacement_stands_still_are_left_out():
     sticks = made.sticks.assign(stick_length_um=length, flag=np.where(ended, "falling+still", "ok"))
     motion = measure(replace(made, sticks=sticks))
     assert motion["event"].to_numpy().max() == 3
-    with pytest.raises(InputError, match="rests of the machine, within all of them"):
+    with pytest.raises(InputError, match="rests of the machine within all of them"):
         measure(replace(made, sticks=sticks.assign(flag="still")))
 
 

@@ -234,12 +234,12 @@ def _uninterrupted(
         for end in (start, stop)
     )
     whole = ~_any_between(clock.only_video_s, start + after_s, stop - before_s)
-    if "flag" in events:
-        whole &= ~has_flag(events["flag"], "still")
-    if not whole.any():
-        found = "slips of the film, or rests of the machine, within all of them"
+    rests = has_flag(events["flag"], "still") if "flag" in events else np.zeros_like(whole)
+    if not (whole & ~rests).any():
+        found = "rests of the machine" if (whole & rests).any() else "slips of the film"
+        found += " within all of them"
         raise InputError(source, "stick phases in which the sheets do not slip", found, "check `offset_s`")
-    return events.loc[whole]
+    return events.loc[whole & ~rests]
 
 
 def _any_between(times_s: Sequence[float], after_s: Floats, before_s: Floats) -> Bools:
