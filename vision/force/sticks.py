@@ -143,8 +143,9 @@ def _held(way: Floats, error: Floats, duration: Floats, settings: ForceSettings)
     The load relaxes in a rest, which looks like a slip: the stick before it then ends too early.
     """
     speed = way / duration
-    usual, typical = pd.Series(speed).rolling(5, center=True, min_periods=1).median(), nan_median(speed)
-    usual = np.where(np.abs(usual) < 0.01 * typical, typical, usual)  # those around may have ended as well
+    around = pd.Series(speed).rolling(5, center=True, min_periods=1).median().to_numpy()
+    typical = nan_median(speed)
+    usual = np.where(np.abs(around) < 0.01 * typical, typical, around)  # those around may have ended as well
     paused = (way + 3 * error) / duration < settings.least_speed * usual
     return np.asarray(paused | np.r_[paused[1:], False], np.bool_)
 
