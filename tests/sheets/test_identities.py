@@ -5,7 +5,6 @@ import pytest
 
 from tests.scenes.combs import comb, ridges, strip
 from tests.scenes.identity_cases import brightness, jumps
-from vision.sheets import track_sheets
 from vision.sheets.identities import fill_rows, identify_sheets, split_segments
 from vision.sheets.ridges import describe_ridges, find_ridges
 
@@ -69,18 +68,3 @@ def test_gaps_in_rows_are_filled_along_straight_lines():
     assert filled[0] == pytest.approx([0, 1, 3, 3])
     assert filled[1] == pytest.approx([2, 2, 2, 2])
     assert np.isnan(filled[2]).all()
-
-
-@pytest.mark.parametrize("sheets", [4, 5])
-@pytest.mark.parametrize("pitches", [0.7, 1.5, 2.5])
-def test_few_equal_sheets_that_jump_together_are_not_more(sheets, pitches):
-    """All sheets are in view in every frame, and the comb creeps and jumps back as a whole. A failure means
-    that it is taken for a longer one, of which some sheets are missing in turn, and that sheets change their
-    numbers."""
-    phase = (np.arange(240) / 40) % 1 - 0.5
-    truth = 250 + 30 * (np.arange(sheets) - (sheets - 1) / 2 + pitches * phase[:, None])
-    truth += np.array([0.0, 2.0, 1.0, -2.0, 1.0])[:sheets]
-    tracks = track_sheets(strip(ridges(truth, width=500, fwhm_px=8.0)))
-    assert tracks.sizes["sheet"] == sheets
-    assert np.nanmax(np.abs(tracks.x_px.values - truth)) < 1
-    assert np.isfinite(tracks.x_px.values).mean() > 0.95

@@ -98,7 +98,6 @@ def identify_sheets(
         displacement[segments.middle],
         comb,
         sheets=sheets,
-        most=_constant_count(ridges, comb),
         source=source,
     )
 
@@ -130,20 +129,6 @@ def identify_sheets(
     if (scale != 1).any():
         rest = middle_px + (rest - middle_px) * scale
     return Identities(match, margin, rest, usual_px, reference)
-
-
-def _constant_count(ridges: Ridges, comb: RidgeComb) -> int | None:
-    """Return the number of ridges if it is the same in nearly all frames, with both ends of the comb in view;
-    None otherwise. All sheets are then seen at once, and there are no more of them."""
-    seen = ridges.count > 0
-    if not seen.any():
-        return None
-    count = int(np.median(ridges.count[seen]))
-    last_px = np.nanmax(ridges.x_px[seen], axis=1)
-    room = comb.pitch_px + comb.fwhm_px
-    clear = (ridges.x_px[seen, 0] > room) & (last_px < comb.width_px - 1 - room)
-    same = clear & (ridges.count[seen] == count)
-    return count if same.mean() > comb.settings.constant_share else None
 
 
 def _left_out_beyond(match: Ints32, x: Floats32, ridges: Ridges, comb: RidgeComb) -> int:

@@ -86,7 +86,6 @@ def build_reference(
     comb: RidgeComb,
     *,
     sheets: int | None,
-    most: int | None,
     source: str,
 ) -> ReferenceComb:
     """Return the comb that most frames agree on.
@@ -94,8 +93,7 @@ def build_reference(
     All candidates of one long list are first taken for sheets, and lists from the whole recording are aligned
     with them. Candidates that many frames show and the comb lacks are added; sheets that few frames show are
     removed. Of the result, the entries that together form the most even comb are the sheets: exactly `sheets`
-    entries, if that number is given, and else no more than `most`: a comb of few sheets that jumps may enter
-    the reference twice.
+    entries, if that number is given.
 
     There is one list of candidates for each segment of frames; `frames` is its number of frames and
     `displacement_px` the displacement of the whole comb at that time, (lists,).
@@ -113,8 +111,7 @@ def build_reference(
     some, weight, moved = candidates.take(chosen), frames[chosen].astype(np.float64), displacement_px[chosen]
     reference = _seed(candidates, frames, displacement_px, comb.pitch_px)
     for _ in range(4):  # two revisions usually suffice
-        filled = _fill_gaps(reference, comb.pitch_px)
-        revised = _revise(filled, some, weight, moved, comb)
+        revised = _revise(reference, some, weight, moved, comb)
         if not revised.sheets:
             advice = "check `rows` and `rotate`; one picture may be a title among few frames"
             raise NoRidgesError(source, "ridges that most frames show", "none that lasts", advice)
@@ -126,8 +123,7 @@ def build_reference(
         raise _too_few(reference.x_px, sheets, source, settings)
     best = reference.only(_choose_sheets(reference, comb, sheets))
     if sheets is None:
-        too_many = most is not None and best.sheets > most
-        return reference.only(_choose_sheets(reference, comb, most)) if too_many else best
+        return best
     if _far_outside(best.x_px, settings):
         raise _too_few(best.x_px, sheets, source, settings)
     return replace(best, beyond=_beyond(reference, best, comb.pitch_px))
@@ -187,27 +183,6 @@ def _seed(candidates: Candidates, frames: Ints, displacement_px: Floats, pitch_p
         candidates.log_width[seed][real],
         np.ones(real.sum()),
     )
-
-
-def _fill_gaps(known: ReferenceComb, pitch_px: float) -> ReferenceComb:
-    """Return the comb with sheets added wherever a spacing is wide enough for them.
-
-    If some sheets are covered in every frame, no list has all sheets. Added sheets that the other lists do
-    not show are removed in the revision; until then they may be missing at little cost.
-    """
-    x = known.x_px
-    room = np.maximum(np.rint(np.diff(x) / pitch_px).astype(np.int64), 1)
-    after = np.repeat(np.arange(len(room)), room - 1)
-    step = np.concatenate([np.arange(1, size) for size in room]) if len(after) else np.zeros(0)
-    added = x[after] + step * (np.diff(x) / room)[after]
-    order = np.argsort(np.r_[x, added])
-    columns = (
-        np.r_[x, added],
-        np.r_[known.log_contrast, known.log_contrast[after]],
-        np.r_[known.log_width, known.log_width[after]],
-        np.r_[known.found, np.full(len(after), 0.5)],
-    )
-    return ReferenceComb(*(values[order] for values in columns))
 
 
 def _revise(

@@ -143,11 +143,6 @@ class TrackingSettings:
     """Share of the frames in which a ridge must be found to be a sheet. Larger loses faint sheets ("dust on
     the sensor beside a faint sheet" at 0.6), smaller accepts specks that come and go."""
 
-    constant_share: float = 0.95
-    """Share of the frames that show the same number of ridges, with both ends in view, above which there are
-    no more sheets. Larger gives a comb that jumps too many sheets for a single blurred slip, smaller drops
-    sheets that are covered in turn (test_identities.py)."""
-
     far_outside: float = 2.6
     """Distance outside the comb, in spacings, above which a ridge does not count towards a given number of
     sheets; test_reference.py puts a speck there."""
