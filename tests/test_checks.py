@@ -195,6 +195,19 @@ def test_an_axis_that_no_motion_shows_is_assumed():
     assert consistency_warnings(still) == []
 
 
+def test_an_axis_of_a_comb_that_is_cut_off_is_not_its_middle():
+    """A failure means that n of all sheets is wrong without a word, as five of one side are beyond the edge
+    of the picture and nothing moves; or that a comb within the picture is questioned."""
+    for cut in (0, 5):
+        x = comb(60, slip=0.0)[:, cut:]
+        picture = strip(ridges(x - x[0, 0] + (10 if cut else 60), width=1200))
+        tracks = track_sheets(picture)
+        lines = consistency_warnings(tracks, columns=picture["x"].values)
+        assert tracks.attrs["axis_how"] == "geometry"
+        assert len(lines) == (cut > 0)
+        assert all("may cut off one end" in line for line in lines)
+
+
 def test_unequal_sheets_are_sheets():
     """A fifth of the height is a faint sheet, no background."""
     uneven = np.where(np.arange(SHEETS) % 7 == 3, 0.2, 1.0)

@@ -243,16 +243,13 @@ def test_a_comb_that_moves_along_with_its_opening(along, seed):
     assert (crop.side != whole.side).any()
 
 
-@pytest.mark.parametrize("cut", [1, 2])
-def test_the_middle_of_a_comb_that_is_cut_off_at_one_end_is_no_axis(cut):
+@pytest.mark.parametrize("cut", [2, 3])
+@pytest.mark.parametrize("seed", range(6))
+def test_the_middle_of_a_comb_that_is_cut_off_at_one_end_is_no_axis(cut, seed):
     """A failure means that the middle of what is in view is preferred to where the motion changes sign."""
-    wrong = []
-    for seed in range(6):
-        truth = opening_comb(8, 8, seed=seed)[:, cut:]
-        numbering = number_sheets(truth - truth[0, 0] + 10, width_px=int(np.ptp(truth[0])) + 100)
-        assert numbering.how == "motion"
-        wrong.append(int((numbering.side < 0).sum()) - (8 - cut))
-    assert wrong == [0] * 6
+    truth = opening_comb(8, 8, seed=seed)[:, cut:]
+    numbering = number_sheets(truth - truth[0, 0] + 10, width_px=int(np.ptp(truth[0])) + 100)
+    np.testing.assert_array_equal(numbering.n, numbered(8 - cut, 8))
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

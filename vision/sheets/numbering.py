@@ -49,9 +49,9 @@ def number_sheets(
     sign. The stiff centre hardly moves, so that several positions are equally good, and more if the camera
     vibrates. The axis is in the middle of the comb if that is one of them, or if there is no significant
     motion or no slip, else in the middle of these positions; so it is where the picture cuts off one end of
-    the comb, if the motion shows it to two sheets. Sheets that seem to be missing in wide spacings count for
-    the middle of the comb, but not for n. With one side in view all sheets move alike, and the axis lies
-    beyond the end that moves least. A sheet on the axis (odd number) is the first on the right.
+    the comb, if the motion leaves fewer than half of the sheets open. Sheets that seem to be missing in wide
+    spacings count for the middle of the comb, but not for n. With one side in view all sheets move alike, and
+    the axis lies beyond the end that moves least. A sheet on the axis (odd number) is the first on the right.
 
     A camera that moves along with the sheets, or a sample that the load carries along, shifts the place where
     the motion changes sign. If the whole comb is within a picture of `width_px` columns, and the motion less
@@ -188,9 +188,8 @@ def _split_by_motion(
         most = settings.carried_far_symmetry * _asymmetry(opening, even)
     if whole and of_middle < most:
         low, high = min(low, even), max(high, even)
-    decided = high - low <= settings.decided_sheets
-    if np.floor(low) <= even <= high and not (decided and one_end):
-        return even, "motion" if decided else "geometry", (low, high)
+    if np.floor(low) <= even <= high and not (one_end and high - low < sheets / 2):
+        return even, "motion" if high - low <= settings.decided_sheets else "geometry", (low, high)
     outside = good[(good == 0) | (good == sheets)]  # all sheets move alike: one side is in view
     if len(outside):
         beyond = int(outside[0])
