@@ -399,7 +399,7 @@ class TrackingSettings:
     another ridge, so that its blur follows from other sheets. Smaller calls sheets in fast slips ok that are
     off by pixels (test_film.py)."""
 
-    least_likeness: float = 0.6
+    least_likeness: float = 0.55
     """Correlation of a sheet's mean profile with that of all sheets, or its mirror image, below which it is
     no single ridge if sheets are alike. It is 0.2 to 0.5 where thin sheets side by side, or a patch of the
     background, were taken for one. Larger drops markers of unusual shape, smaller takes two sheets for one
