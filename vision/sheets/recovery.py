@@ -33,10 +33,11 @@ from vision.sheets.doubts import (
     LIKE_ITSELF,
     doubts_of,
     hops,
+    numbered_by_a_neighbour,
+    numbered_in_part,
     unlike_neighbours,
 )
 from vision.sheets.identities import DOUBTS, Doubt, Identities, exchanged, fill_rows
-from vision.sheets.looks import numbered_by_a_neighbour, numbered_in_part
 from vision.sheets.ridges import RidgeComb, Ridges, find_ridges
 from vision.words import is_word
 
