@@ -230,7 +230,7 @@ def opening_comb(left, right, *, along=0.0, seed=1):
     )
 
 
-@pytest.mark.parametrize("along", [-1.5, -0.1, -0.02, 0.02, 0.1, 1.5])
+@pytest.mark.parametrize("along", [-0.1, -0.02, 0.02, 0.1])
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_comb_that_moves_along_with_its_opening(along, seed):
     """The load carries camera or sample along, and every slip returns them. A failure means that this numbers

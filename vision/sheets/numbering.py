@@ -182,11 +182,7 @@ def _split_by_motion(
     # What is equally good may go on beyond the picture, and its middle then lies elsewhere.
     low, high = low if possible[0] else 0.0, high if possible[-1] < sheets else float(sheets)
     of_middle = _asymmetry(opening, even, shifted=True)
-    if 0 < best < sheets:
-        most = settings.carried_symmetry * _asymmetry(opening, best)
-    else:  # carried by more than the comb opens, unless one side is in view
-        most = settings.carried_far_symmetry * _asymmetry(opening, even)
-    if whole and of_middle < most:
+    if whole and of_middle < settings.carried_symmetry * _asymmetry(opening, best):
         low, high = min(low, even), max(high, even)
     if np.floor(low) <= even <= high and not (one_end and high - low < sheets / 2):
         return even, "motion" if high - low <= settings.decided_sheets else "geometry", (low, high)

@@ -554,12 +554,6 @@ class TrackingSettings:
     of one side in the middle, smaller lets the camera place it
     (test_a_comb_that_moves_along_with_its_opening)."""
 
-    carried_far_symmetry: float = 0.1
-    """The same where all sheets move to one side: asymmetry of the motion less what pairs share, over that of
-    the motion. One side in view has 0.28 if motion grows as the square of n. Larger takes one side in view
-    for a whole comb (test_one_side_in_view), smaller takes a comb that every slip carries far for one side
-    (test_a_comb_that_moves_along_with_its_opening)."""
-
     decided_sheets: int = 2
     """Sheets by which the axis may lie elsewhere for the motion still to have found it."""
 
