@@ -419,25 +419,6 @@ def test_an_uneven_comb_has_no_pairs(seed):
     assert not any("form pairs" in line for line in lines)
 
 
-def test_a_change_for_good_is_said_with_its_size():
-    """From frame 75 on all sheets stand 7 px further and have half of their light; of that every other one
-    has e^0.2 times as much, the rest e^-0.2. A failure means that a knock passes, is said to be a hundred
-    times smaller than it was, or that 20 % is given as all that the brightness changed by."""
-    after = np.where(np.arange(150) < 75, 0.0, 1.0)[:, None]
-    x = comb(150) + 7.0 * after
-    light = np.exp(after * (np.tile([0.2, -0.2], 25) + np.log(0.5)))
-    (line,) = [
-        one
-        for one in tracking_warnings(track_sheets(strip(ridges(x, contrast=light))))
-        if "permanently" in one
-    ]
-    assert "at frame 75 " in line and "0:75 or 75:" in line
-    said = re.search(r"by (-?\d+) px.* relative brightnesses changed by (-?\d+) %", line)
-    moved, changed = (int(found) for found in said.groups())
-    assert moved == pytest.approx(7, abs=1)
-    assert changed == pytest.approx(20, abs=3)
-
-
 @pytest.mark.parametrize(
     ("gain", "top", "told"), [(1.0, 255, 0), (2.2, 255, 1), (35.0, 4095, 1), (16.0, 4095, 0), (0.1, 255, 0)]
 )

@@ -111,7 +111,8 @@ def build_reference(
     some, weight, moved = candidates.take(chosen), frames[chosen].astype(np.float64), displacement_px[chosen]
     reference = _seed(candidates, frames, displacement_px, comb.pitch_px)
     for _ in range(4):  # two revisions usually suffice
-        revised = _revise(reference, some, weight, moved, comb)
+        filled = _fill_gaps(reference, comb.pitch_px)
+        revised = _revise(filled, some, weight, moved, comb)
         if not revised.sheets:
             advice = "check `rows` and `rotate`; one picture may be a title among few frames"
             raise NoRidgesError(source, "ridges that most frames show", "none that lasts", advice)
@@ -183,6 +184,27 @@ def _seed(candidates: Candidates, frames: Ints, displacement_px: Floats, pitch_p
         candidates.log_width[seed][real],
         np.ones(real.sum()),
     )
+
+
+def _fill_gaps(known: ReferenceComb, pitch_px: float) -> ReferenceComb:
+    """Return the comb with sheets added wherever a spacing is wide enough for them.
+
+    If some sheets are covered in every frame, no list has all sheets. Added sheets that the other lists do
+    not show are removed in the revision; until then they may be missing at little cost.
+    """
+    x = known.x_px
+    room = np.maximum(np.rint(np.diff(x) / pitch_px).astype(np.int64), 1)
+    after = np.repeat(np.arange(len(room)), room - 1)
+    step = np.concatenate([np.arange(1, size) for size in room]) if len(after) else np.zeros(0)
+    added = x[after] + step * (np.diff(x) / room)[after]
+    order = np.argsort(np.r_[x, added])
+    columns = (
+        np.r_[x, added],
+        np.r_[known.log_contrast, known.log_contrast[after]],
+        np.r_[known.log_width, known.log_width[after]],
+        np.r_[known.found, np.full(len(after), 0.5)],
+    )
+    return ReferenceComb(*(values[order] for values in columns))
 
 
 def _revise(
