@@ -124,7 +124,7 @@ def test_films_of_a_folder_are_preferred_to_pictures_beside_them(films, tmp_path
 def test_an_overlay_beside_its_run_is_no_film(films, tmp_path):
     """A failure means that `track .` tracks its own drawing. A film that is only named so is tracked."""
     write_video(tmp_path / "pull.avi", frames_of(positions(20, sheets=8)))
-    write_video(tmp_path / "push_overlay.avi", frames_of(positions(20, sheets=7)))
+    write_video(tmp_path / "push_overlay.avi", frames_of(positions(24, sheets=8)))
     for film in films:
         Path(film).unlink()
     assert run(["pull.avi", "--fps", "20", "--no-report"]) == 0

@@ -41,6 +41,9 @@ from vision.sheets.subpixel import Starts, gather, position_noise
 from vision.signals import mean_over, running_median
 
 ENOUGH = 5  # sheets of which neighbours show what is usual
+MOST_LOUDER = (
+    4.0  # noise of a sheet over that of the others; what covers it in most frames changes it by more
+)
 PHASE_FRAMES = 20  # in which a sheet shows how its own shape depends on its place in the pixels
 
 
@@ -723,8 +726,9 @@ def _alone(log_width: Floats, settings: TrackingSettings) -> Floats32:
     """Return by how much each ridge alone became wider or narrower, (frame, N); 0 where it is scatter.
 
     It is the change against the median of the two sheets on either side, or against the ridge's own usual
-    width if that is smaller. log_width: the logarithm of the width, (frame, N). 0 where none of these sheets
-    is seen, and for fewer than five.
+    width if that is smaller. Widths of sheets in brighter noise scatter by more; those of a sheet that is
+    always covered do, too. log_width: the logarithm of the width, (frame, N). 0 where none of these sheets is
+    seen, and for fewer than five.
     """
     frames, sheets = log_width.shape
     alone = np.zeros((frames, sheets), np.float32)
@@ -736,8 +740,12 @@ def _alone(log_width: Floats, settings: TrackingSettings) -> Floats32:
         around = np.pad(log_width[rows] - usual, ((0, 0), (2, 2)), constant_values=np.nan)
         others = np.stack([around[:, k : k + sheets] for k in (0, 1, 3, 4)])
         own = around[:, 2:-2]
-        changed = np.minimum(np.abs(own - nan_median(others)), np.abs(own))
-        alone[rows] = _if_above(changed, least)
+        alone[rows] = np.minimum(np.abs(own - nan_median(others)), np.abs(own))
+    usual_change = nan_median(alone)
+    with np.errstate(divide="ignore", invalid="ignore"):  # in films without noise
+        louder = np.clip(np.nan_to_num(usual_change / nan_median(usual_change)), 1.0, MOST_LOUDER)
+    for rows in row_parts(frames):
+        alone[rows] = _if_above(alone[rows], least * louder)
     return alone
 
 
