@@ -41,9 +41,7 @@ from vision.sheets.subpixel import Starts, gather, position_noise
 from vision.signals import mean_over, running_median
 
 ENOUGH = 5  # sheets of which neighbours show what is usual
-MOST_LOUDER = (
-    4.0  # noise of a sheet over that of the others; what covers it in most frames changes it by more
-)
+MOST_LOUDER = 4.0  # noise of one sheet's width over that of the others: more is an object that stays on it
 PHASE_FRAMES = 20  # in which a sheet shows how its own shape depends on its place in the pixels
 
 
