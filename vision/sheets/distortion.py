@@ -41,7 +41,7 @@ from vision.sheets.subpixel import Starts, gather, position_noise
 from vision.signals import mean_over, running_median
 
 ENOUGH = 5  # sheets of which neighbours show what is usual
-MOST_LOUDER = 4.0  # noise of one sheet's width over that of the others: more is an object that stays on it
+MOST_LOUDER = 4.0  # noise of one sheet's width over that of the others: more is an object that flickers
 PHASE_FRAMES = 20  # in which a sheet shows how its own shape depends on its place in the pixels
 
 
@@ -724,9 +724,9 @@ def _alone(log_width: Floats, settings: TrackingSettings) -> Floats32:
     """Return by how much each ridge alone became wider or narrower, (frame, N); 0 where it is scatter.
 
     It is the change against the median of the two sheets on either side, or against the ridge's own usual
-    width if that is smaller. Widths of sheets in brighter noise scatter by more; those of a sheet that is
-    always covered do, too. log_width: the logarithm of the width, (frame, N). 0 where none of these sheets is
-    seen, and for fewer than five.
+    width if that is smaller. Widths of sheets in brighter noise scatter by more from frame to frame, and may
+    change by more. log_width: the logarithm of the width, (frame, N). 0 where none of these sheets is seen,
+    and for fewer than five.
     """
     frames, sheets = log_width.shape
     alone = np.zeros((frames, sheets), np.float32)
@@ -739,9 +739,9 @@ def _alone(log_width: Floats, settings: TrackingSettings) -> Floats32:
         others = np.stack([around[:, k : k + sheets] for k in (0, 1, 3, 4)])
         own = around[:, 2:-2]
         alone[rows] = np.minimum(np.abs(own - nan_median(others)), np.abs(own))
-    usual_change = nan_median(alone)
+    noise = nan_median(np.abs(np.diff(log_width, axis=0)))
     with np.errstate(divide="ignore", invalid="ignore"):  # in films without noise
-        louder = np.clip(np.nan_to_num(usual_change / nan_median(usual_change)), 1.0, MOST_LOUDER)
+        louder = np.clip(np.nan_to_num(noise / nan_median(noise)), 1.0, MOST_LOUDER)
     for rows in row_parts(frames):
         alone[rows] = _if_above(alone[rows], least * louder)
     return alone
