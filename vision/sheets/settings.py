@@ -319,7 +319,7 @@ class TrackingSettings:
 
     part_nats: float = 13.5
     """Log-likelihood ratio by which a part of the comb must look like the sheets beside it to be doubtful.
-    Larger passes sides numbered by a neighbour (test_looks.py), smaller withholds sheets whose brightness
+    Larger passes sides numbered by a neighbour (test_doubts.py), smaller withholds sheets whose brightness
     wanders (sarcomeres at 9)."""
 
     pattern_sheets: int = 8
