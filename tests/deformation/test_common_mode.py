@@ -199,6 +199,29 @@ def test_shells_and_sticks_that_change_do_not_breathe(made_of):
     assert np.sqrt(np.mean((wrong / stated) ** 2)) > 0.5
 
 
+def test_sheets_that_slip_in_turn_are_in_the_errors():
+    """The outermost sheets slip with the force, the innermost a quarter of a stick later.  A failure means
+    that a slip within the stick shrinks the creep by more than the error, or that nobody is told."""
+    frames = 40
+    made = make(profile(np.full(40, 8.0)), noise_px=0.02, frames=frames)
+    late = np.rint(frames / 4 * (1 - made.tracks["n"].to_numpy() / 25)).astype(int)
+    frame = np.maximum(np.arange(made.tracks.sizes["frame"])[:, None] - late, 0)
+    x_px = np.take_along_axis(made.tracks["x_px"].to_numpy(), frame, axis=0)
+    made.tracks["x_px"] = made.tracks["x_px"].dims, x_px
+    motion = measure(made)
+    creep = made.ratio * (1 - late / frames)  # within the stick
+    off = np.abs(motion["ratio_signed"].to_numpy() - creep) / motion["ratio_err"].to_numpy()
+    assert np.mean(off < 1) > 0.85
+    assert np.mean(off < 2) > 0.95
+    assert "sheets bend alike in every stick" in motion.attrs["warnings"][0]
+
+
+def test_the_bends_of_few_sticks_may_be_noise():
+    """A failure means that a short film of quiet sheets is said to show slips in turn."""
+    films = [measure(make(profile(np.full(3, 6.0)), noise_px=0.02, seed=seed)) for seed in range(4)]
+    assert [film.attrs["warnings"] for film in films] == [[]] * 4
+
+
 @pytest.mark.parametrize("share", [1.0, 0.4])
 def test_good_sheets_get_no_warning_of_their_own_movement(share):
     """Also sheets that skip slips.  A failure means a warning that names what the film does not show."""

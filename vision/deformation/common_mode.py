@@ -13,7 +13,7 @@ from typing import ClassVar
 import numpy as np
 import scipy
 
-from vision.deformation.creep import Creep, StickFrames
+from vision.deformation.creep import Creep, Noise, StickFrames, coefficient_errors
 from vision.deformation.settings import DeformationSettings
 from vision.numeric import Bools, Floats, Ints, nan_median, sigma_about_zero
 
@@ -412,6 +412,31 @@ def own_movement(
     creep = nan_median(2 * slope_px / frames.length_s[:, None])
     own = own - creep * np.nansum(own * creep) / max(np.nansum(creep**2), 1e-300)
     return _beyond(own, error, settings) * frames.length_s[:, None] / 2
+
+
+def repeated_bends(creep: Creep, noise: Noise, settings: DeformationSettings) -> Floats:
+    """Size of the bends of the creep that a sheet repeats in most sticks, and others do not, px, (sheet,).
+
+    Sheets that slip in the middle of the others' sticks bend so.  creep: with at least three terms.  The
+    scatter of a few sticks may be small by chance, so the noise sets the least error.
+    """
+    used = (creep.good & (noise.excess <= 1))[..., None]
+    known = np.where(used, creep.coefficient, 0.0)
+    bend = np.where(used, _without_common_part(known[..., 2:], known[..., 1:2], used), np.nan)
+    usual = nan_median(bend)
+    scatter = sigma_about_zero(bend - usual)
+    scatter = np.fmax(scatter, nan_median(np.where(used, coefficient_errors(creep, noise), np.nan)[..., 2:]))
+    error = scatter * np.sqrt(np.pi / 2 / np.maximum(used.sum(axis=0), 1))  # of a median
+    error[used.sum(axis=0)[:, 0] < settings.least_repeats] = np.inf
+    return np.asarray(np.sqrt((_beyond(usual, error, settings) ** 2).sum(axis=-1)))
+
+
+def _without_common_part(bend: Floats, slope: Floats, used: Bools) -> Floats:
+    """Bends (stick, sheet, ...) minus what the sheets of a stick share: a constant, a part of the slope."""
+    count = np.maximum(used.sum(axis=1, keepdims=True), 1)
+    bend, slope = (np.where(used, v - v.sum(axis=1, keepdims=True) / count, 0.0) for v in (bend, slope))
+    square = np.maximum((slope**2).sum(axis=1, keepdims=True), 1e-12)
+    return np.asarray(bend - slope * (bend * slope).sum(axis=1, keepdims=True) / square)
 
 
 def _net_rate(middle_px: Floats, frames: StickFrames, settings: DeformationSettings) -> tuple[Floats, Floats]:

@@ -30,6 +30,7 @@ from vision.deformation.common_mode import (
     common_mode_motion,
     drift_model,
     own_movement,
+    repeated_bends,
 )
 from vision.deformation.creep import (
     Creep,
@@ -120,8 +121,9 @@ def horizontal_deformation(
 
     Errors follow from the residuals of each sheet and their autocorrelation.  For positions measured in a
     picture they include unequal pixels, unequal magnification and static dirt and, with the publication's
-    fit, its shift towards whole pixels.  They include steady movement of a sheet that slips do not return, of
-    which it cannot be told whether the pull causes it.  The errors exclude that of the pixel size.
+    fit, its shift towards whole pixels.  They include what a sheet does by itself in every stick: steady
+    movement that slips do not return, of which it cannot be told whether the pull causes it, and bends that
+    other sheets do not show.  The errors exclude that of the pixel size.
     Of films whose codec predicts frames from others (H.264), the noise is at least the stated error of the
     positions: sheets that creep by less than the codec's rounding are repeated, and their residuals are near
     zero.
@@ -269,7 +271,7 @@ def _measure(
     slips = find_late_slips(steady, frames, settings)
     steady = np.where(slips.outside, np.nan, steady)
     noise = measure_noise(steady, frames, terms, settings)
-    line, parabola = (fit_creep(steady, frames, k, settings, noise.correlation) for k in (2, 3))
+    line, parabola, close = (fit_creep(steady, frames, k, settings, noise.correlation) for k in (2, 3, terms))
     noise = replace(noise, noise_px=noise.noise_px * np.sqrt(factor))
     warnings: list[str] = []
     if StripMetadata.of(tracks).codec in BETWEEN_FRAMES and "x_err_px" in tracks:
@@ -289,8 +291,9 @@ def _measure(
     independent = nan_median(white.inverse[..., 1, 1] / line.inverse[..., 1, 1], axis=1)
     curve = _Curve.of(line, parabola, errors, camera, settings).shortened(slips)
     own_px = own_movement(curve.middle, curve.straight, frames, settings)
-    warnings += _own_warnings(own_px, curve.slope_err, settings)
-    curve = replace(curve, slope_err=np.hypot(curve.slope_err, own_px))
+    bends_px = repeated_bends(close, noise, settings)
+    warnings += _own_warnings(own_px, bends_px, curve.slope_err, settings)
+    curve = replace(curve, slope_err=np.sqrt(curve.slope_err**2 + own_px**2 + bends_px**2))
     values = {
         "sigma_x_um": np.where(line.good, _rms(x_px, frames), np.nan) * pixel_um,
         **_relative_to_length(curve, line, noise.excess > 1, events, side, pixel_um, settings),
@@ -373,15 +376,23 @@ def _with_noise_of_codec(
     return raised, [f"{what}: {bias}: record raw, FFV1 or MJPEG"]
 
 
-def _own_warnings(own_px: Floats, error_px: Floats, settings: DeformationSettings) -> list[str]:
-    """Warning of steady movement that is no creep, beyond the other errors, in many of the sheets."""
-    found = int((nan_median(own_px) > nan_median(error_px)).sum())
-    if found < settings.warned_sheets * own_px.shape[1]:
-        return []
-    return [
-        f"{found} of {own_px.shape[1]} sheets move steadily, though slips return the others (paper that "
-        "settles, a block that slides), which the error of σ_x/Λ_st contains: let the sample rest first"
-    ]
+def _own_warnings(
+    own_px: Floats, bends_px: Floats, error_px: Floats, settings: DeformationSettings
+) -> list[str]:
+    """Warnings of movement that is no creep, beyond the other errors, in many of the sheets."""
+    causes = {
+        "move steadily, though slips return the others (paper that settles, a block that slides):"
+        " let the sample rest before the test": nan_median(own_px),
+        "bend alike in every stick, as sheets do that slip in turn: see the slips in the space-time diagram,"
+        " and check the clocks": bends_px,
+    }
+    usual = nan_median(error_px)
+    lines = []
+    for cause, size_px in causes.items():
+        found = int((size_px > usual).sum())
+        if found >= settings.warned_sheets * size_px.size:
+            lines.append(f"{found} of {size_px.size} sheets {cause}; the error of σ_x/Λ_st contains it")
+    return lines
 
 
 def _without_vibration(

@@ -34,8 +34,9 @@ class DeformationSettings:
     """Standard errors beyond which outward movement is reported as such, not as 0 (test_motion: outward)."""
 
     own_errors: float = 2.0
-    """Standard errors beyond which steady movement that slips do not return enters the error of a sheet.
-    Larger hides paper that settles (test_common_mode); smaller widens errors of quiet sheets by chance."""
+    """Standard errors beyond which movement that a sheet repeats, and that slips do not return or other
+    sheets do not show, enters its error.  Larger hides paper that settles (test_common_mode); smaller
+    widens the errors of quiet sheets by chance."""
 
     scale_error: float = 0.002
     """Relative error of the magnification over the view (bowed sheets, lens).  Larger widens the errors of
