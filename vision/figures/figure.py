@@ -286,6 +286,7 @@ def _long(table: pd.DataFrame, panel: Panel) -> pd.DataFrame:
 # --- figures in a file --------------------------------------------------------------------------------------
 
 _CLASSES: dict[str, type] = {part.__name__: part for part in (Series, Image, Band, Arrow, Panel, Figure)}
+_PARTS = {"series": Series, "bands": Band, "arrows": Arrow, "panels": Panel, "image": Image, "inset": Panel}
 
 
 def save_figures(path: str | Path, figures: Iterable[Figure]) -> Path:
@@ -345,4 +346,8 @@ def _decode(value: Any, stored: dict[str, NDArray[Any]]) -> Any:
     if "array" in value:
         return stored[value["array"]]
     parts = {name: _decode(item, stored) for name, item in value.items() if name != "class"}
+    for name, kind in _PARTS.items():
+        found = parts.get(name) or ()
+        if not all(isinstance(part, kind) for part in (found if isinstance(found, tuple) else (found,))):
+            raise TypeError(f"{name} that are not")
     return _CLASSES[value["class"]](**parts)
