@@ -130,7 +130,10 @@ class Session:
         self.revision += 1
 
     def _step_back(self) -> Correction:
-        """Remove the last decision; apply the others again to the saved positions."""
+        """Remove the last decision; apply the others again to the saved positions.
+
+        Raises: InputError if the run is gone.
+        """
         pending, decision = self.pending, self.decisions.pop()
         if pending:
             self.positions = read_positions(self.folder / "tracks.nc")
@@ -228,6 +231,7 @@ class Session:
 
     def _add(self, decision: Correction, undone: list[Correction]) -> None:
         """Apply a decision and write it; a decision that cannot be written is not applied."""
+        self.stored.check_there()
         self._apply(decision)
         try:
             self._write(self.decisions, undone)
