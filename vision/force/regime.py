@@ -156,7 +156,7 @@ def _displacement_warnings(signal: Signal, events: pd.DataFrame) -> list[str]:
     if len(signal.travel) < 3:
         return []
     noise_um = 1e3 * white_noise(signal.travel)
-    samples = (events["t_p_s"] - events["t_v_s"]) / (2 * signal.interval_s)
+    samples = ((events["t_p_s"] - events["t_v_s"]) / (2 * signal.interval_s)).clip(lower=1.0)
     error = np.sqrt(12 / samples) * noise_um / (events["stick_length_um"] / 2)
     share = float(nan_median(error.to_numpy(float)))
     if not share > 0.05:

@@ -41,6 +41,7 @@ from vision.sheets.subpixel import Starts, gather, position_noise
 from vision.signals import mean_over, running_median
 
 ENOUGH = 5  # sheets of which neighbours show what is usual
+FAR_BEYOND = 10.0  # median changes of width in a frame: overexposed ridges widen by up to 9 of them
 MOST_LOUDER = 4.0  # noise of one sheet's width over that of the others: more is an object that flickers
 PHASE_FRAMES = 20  # in which a sheet shows how its own shape depends on its place in the pixels
 
@@ -725,7 +726,8 @@ def _alone(log_width: Floats, settings: TrackingSettings) -> Floats32:
 
     It is the change against the median of the two sheets on either side, or against the ridge's own usual
     width if that is smaller. Widths of sheets in brighter noise scatter by more from frame to frame, and may
-    change by more. log_width: the logarithm of the width, (frame, N). 0 where none of these sheets is seen,
+    change by more, as may all in frames in which most change: overexposed ridges widen by unlike amounts.
+    log_width: the logarithm of the width, (frame, N). 0 where none of these sheets is seen,
     and for fewer than five.
     """
     frames, sheets = log_width.shape
@@ -743,7 +745,9 @@ def _alone(log_width: Floats, settings: TrackingSettings) -> Floats32:
     with np.errstate(divide="ignore", invalid="ignore"):  # in films without noise
         louder = np.clip(np.nan_to_num(noise / nan_median(noise)), 1.0, MOST_LOUDER)
     for rows in row_parts(frames):
-        alone[rows] = _if_above(alone[rows], least * louder)
+        changed = alone[rows].astype(np.float64)
+        together = FAR_BEYOND * nan_median(changed, axis=1)[:, None]
+        alone[rows] = _if_above(changed, np.fmax(least * louder, together))
     return alone
 
 
