@@ -135,12 +135,30 @@ FILE = "part.parquet"
 
 
 def open_tables(out: str | Path, table: str) -> ds.Dataset:
-    """Open one table of all tests of a campaign lazily; ``.to_table(columns=…, filter=…)`` reads a part.
+    """Open one table of all tests of a campaign lazily.
 
-    table: ``tests`` (one row per film), ``sheets``, ``sticks`` (one row per event), ``deformation`` (event
-    and sheet) or ``positions`` (frame and sheet). Each has the column ``film``.
+    Parameters
+    ----------
+    out
+        The campaign's folder.
+    table
+        ``tests`` (one row per film), ``sheets``, ``sticks`` (one row per event), ``deformation`` (event and
+        sheet) or ``positions`` (frame and sheet). Each has the column ``film``.
 
-    Raises: InputError if there is no such table.
+    Returns
+    -------
+    pyarrow.dataset.Dataset
+        ``.to_table(columns=…, filter=…)`` reads the selected part.
+
+    Raises
+    ------
+    InputError
+        If there is no such table.
+
+    Examples
+    --------
+    >>> positions = open_tables("campaign", "positions")  # doctest: +SKIP
+    >>> positions.to_table(columns=["time_s", "x_um"], filter=ds.field("film") == "old_3")  # doctest: +SKIP
     """
     if table not in TABLES:
         raise InputError("`table`", f"one of {', '.join(TABLES)}", f"'{table}'")

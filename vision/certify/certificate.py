@@ -150,11 +150,28 @@ def certify(
 ) -> Certificate:
     """Measure what one recording can resolve.
 
-    strip, tracks: I(x, t) and x(n, t) of the recording.  pixel_size_um, phases: both are needed for the
-    results about σ_x/Λ_st.  encoder: how the recording was encoded (`read_encoder`); films are then encoded
-    again instead of getting the recording's residuals.  progress: called with (films tracked, total films).
+    Parameters
+    ----------
+    strip, tracks
+        I(x, t) and x(n, t) of the recording, as `strip_profile` and `track_sheets` return them.
+    pixel_size_um, phases
+        Pixel size and stick phases, both of which the results about σ_x/Λ_st need.
+    encoder
+        How the recording was encoded, from `vision.certify.encoder.read_encoder`. Films are then encoded
+        again instead of getting the recording's residuals.
+    settings
+        Tunable constants.
+    progress
+        Called with (films tracked, total films).
 
-    Raises: InputError if fewer than 30 frames show the sheets.
+    Returns
+    -------
+    Certificate
+
+    Raises
+    ------
+    InputError
+        If fewer than 30 frames show the sheets.
 
     Notes
     -----

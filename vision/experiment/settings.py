@@ -414,12 +414,22 @@ def _check_camera(e: Experiment) -> None:
 
 
 def preset(name: str, *, seed: int = 0) -> Experiment:
-    """Return one of the ready-made experiments.  Raises: InputError for another name.
+    """Return one of the ready-made experiments.
 
-    ``"paper"``: 1 mm/min with the publication's numbers, d near 13.7 mm.  ``"late"``: d near 17 mm, sweeps
-    under a pixel.  ``"fast"``: 10 mm/min, two slopes in every stick phase.  ``"fresh"``: a new sample with
-    600 N peaks, jumps over half a pitch.  ``"hostile"``: every disturbance at once.  ``"sheets"``: 2M springs
-    determine which sheets stick, with the publication's numbers.
+    Parameters
+    ----------
+    name
+        - ``"paper"``: 1 mm/min with the publication's numbers, d near 13.7 mm.
+        - ``"late"``: d near 17 mm, sweeps under a pixel.
+        - ``"fast"``: 10 mm/min, two slopes in every stick phase.
+        - ``"fresh"``: a new sample with 600 N peaks, jumps over half a pitch.
+        - ``"hostile"``: every disturbance at once.
+        - ``"sheets"``: 2M springs determine which sheets stick, with the publication's numbers.
+
+    Raises
+    ------
+    InputError
+        For another name.
     """
     if name not in _PRESETS:
         raise InputError("`preset`", ", ".join(_PRESETS), name)

@@ -158,7 +158,12 @@ def profiles(experiment: Experiment) -> tuple[xr.DataArray, xr.Dataset]:
     Rows are averaged before noise is added, so the noise is that of the mean. Structure along the rows
     (shapes of dust, texture inside a bowed ridge) is averaged as well.
 
-    Returns: the strip, as `strip_profile` gives it for this experiment's video, and the truth (`truth_of`).
+    Returns
+    -------
+    strip : DataArray
+        intensity (frame, x), float32 grey levels, as `strip_profile` gives it for this experiment's video.
+    truth : Dataset
+        As in truth.nc, see `truth_of`.
     """
     scene, rows, camera = make_scene(experiment), strip_slice(experiment), experiment.camera
     total, average = len(scene.times.camera_s), _row_average(scene)
@@ -251,11 +256,21 @@ def simulate(
     Frames are drawn and written in blocks, so memory does not grow with the length of the video. The folder
     appears only when it is complete.
 
-    container: as for `write_video`.  overwrite: whether to replace an earlier synthetic test.  progress:
-    called with (frames written, frames in total).
+    Parameters
+    ----------
+    container
+        ``"raw"``, ``"mjpeg"``, ``"h264"``, ``"ffv1"``, ``"tiff"`` or ``"png"``, see
+        `vision.experiment.simulate.write_video`.
+    overwrite
+        Whether to replace an earlier synthetic test.
+    progress
+        Called with (frames written, frames in total).
 
-    Raises: InputError for an unknown container, a folder that exists (unless `overwrite` is given and it
-    holds an earlier synthetic test), or one that cannot be written.
+    Raises
+    ------
+    InputError
+        For an unknown container, a folder that exists (unless `overwrite` is given and it holds an earlier
+        synthetic test), or one that cannot be written.
     """
     folder = Path(out_dir)
     check_container(container, experiment.camera)

@@ -380,8 +380,14 @@ def kymograph_figure(
 ) -> Figure:
     """Return space-time diagrams side by side, with one time axis and one grey scale.
 
-    diagrams: the whole strip, or windows around sheets, from `space_time`.  slips_s: times to mark, on the
-    recording's clock, s; slips_from: their source, for the label.
+    Parameters
+    ----------
+    diagrams
+        The whole strip, or windows around sheets, as returned by `space_time`.
+    slips_s
+        Times to mark, on the recording's clock, s.
+    slips_from
+        Source of the times, for the label.
     """
     limits = grey_limits(*(diagram.values for diagram in diagrams))
     windows = bool(DiagramMetadata.of(diagrams[0]).sheet)

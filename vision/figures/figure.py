@@ -230,10 +230,22 @@ class Figure:
         return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame()
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw with matplotlib, and return the axes of the first panel.
+        """Draw with matplotlib.
 
-        ax: axes to draw on, for a figure of one panel. By default a new matplotlib figure is made, which
-        notebooks that use pyplot display.  Raises: InputError if `ax` is given for several panels.
+        Parameters
+        ----------
+        ax
+            Axes to draw on, for a figure of one panel. By default a new matplotlib figure is made, which
+            notebooks that use pyplot display.
+
+        Returns
+        -------
+        The axes of the first panel; ``.figure`` is the whole figure.
+
+        Raises
+        ------
+        InputError
+            If `ax` is given for a figure of several panels.
         """
         from vision.figures import drawing
 
@@ -244,12 +256,25 @@ class Figure:
         return drawing.draw_panel(ax, self.panel)
 
     def save(self, path: str | Path, *, dpi: float | None = None) -> Path:
-        """Write the figure in the format of the suffix of `path`, and return the path.
+        """Write the figure in the format of the suffix of `path`.
 
-        path: .png, .pdf or .svg (the latter with text as text), or .csv for the table.  dpi: of a PNG and of
-        images within the other two; by default that of the format.
+        Parameters
+        ----------
+        path
+            File with suffix .png, .pdf or .svg (both with text as text), or .csv for the table.
+        dpi
+            Resolution of a PNG and of images within the other two; by default that of the format.
 
-        Raises: InputError for another suffix, OSError if the file cannot be written.
+        Returns
+        -------
+        The path.
+
+        Raises
+        ------
+        InputError
+            For another suffix.
+        OSError
+            If the file cannot be written.
         """
         path = Path(path)
         kind = path.suffix.lower()
