@@ -16,7 +16,7 @@ from vision.errors import counted
 from vision.models.equations import effective_sheets
 from vision.numeric import Bools, Floats, Pixels, nan_median, nan_quantile, stretches
 from vision.sample import Sample
-from vision.sheets.numbering import in_view
+from vision.sheets.numbering import ends_in_view
 from vision.sheets.settings import DEFAULT as TRACKING
 from vision.sheets.tracks import comb_is_stationary
 from vision.words import is_word, word_counts
@@ -395,17 +395,15 @@ def consistency_warnings(
         )
     unequal = fewer > 0 and more > settings.unequal_sides * fewer + 2
     view_px = None if columns is None else (columns[0], columns[-1])
-    if unequal and found.axis_how == "motion" and in_view(ends_px, view_px, found.pitch_px):
+    in_view = ends_in_view(ends_px, view_px, found.pitch_px)
+    if unequal and found.axis_how == "motion" and all(in_view):
         lines.append(
             f"{left} sheets on the left of the axis but {right} on the right, though the whole comb is in"
             " view: the axis is where the sheets do not move, which is wrong if the camera moves along with"
             " them: look at overview.png, and give `axis_px`"
         )
-    first, last = view_px or (-math.inf, math.inf)
-    views = ((first, math.inf), (-math.inf, last))
-    one_end = len({in_view(ends_px, view, found.pitch_px) for view in views}) == 2
     decided = found.axis_high_px - found.axis_low_px <= TRACKING.decided_sheets * found.pitch_px
-    if one_end and not (decided or one_side or found.axis_how == "given"):
+    if any(in_view) and not (all(in_view) or decided or one_side or found.axis_how == "given"):
         lines.append(
             "the picture may cut off one end of the comb, and the motion leaves open where the axis is: side"
             " and n of all sheets may be wrong: look at overview.png, and give `axis_px`"

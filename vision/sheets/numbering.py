@@ -73,11 +73,8 @@ def number_sheets(
     all_sheets = int(place[-1]) + 1
     even = int(np.searchsorted(place, all_sheets // 2))
     spacing = float(np.median(np.diff(position))) if sheets > 1 else np.inf
-    ends = position[[0, -1]]
-    first, last = (-np.inf, np.inf) if width_px is None else (0, width_px - 1)
-    left, right = in_view(ends, (first, np.inf), spacing), in_view(ends, (-np.inf, last), spacing)
-    whole = width_px is not None and left and right
-    split, how, limits = _split_by_motion(x_px, even, settings, whole=whole, one_end=left != right)
+    left, right = ends_in_view(position[[0, -1]], None if width_px is None else (0, width_px - 1), spacing)
+    split, how, limits = _split_by_motion(x_px, even, settings, whole=left and right, one_end=left != right)
     low = high = np.nan
     if limits is not None:
         edge = np.r_[_axis(position, 0), 0.5 * (position[1:] + position[:-1]), _axis(position, sheets)]
@@ -95,15 +92,15 @@ def number_sheets(
     return Numbering(axis_px, how, *_side_and_n(split, sheets), float(low), float(high), missing)
 
 
-def in_view(
+def ends_in_view(
     ends_px: Sequence[float] | Floats, view_px: tuple[float, float] | None, spacing_px: float
-) -> bool:
-    """Return whether the first and the last sheet are so far inside the view, from its first to its last
-    column, that no other sheet is beyond them. False for a view that is not known."""
+) -> tuple[bool, bool]:
+    """Return whether the first sheet, and the last one, is so far inside the view, from its first to its last
+    column, that no other sheet is beyond it. False for a view that is not known."""
+    if view_px is None:
+        return False, False
     room_px = 1.5 * spacing_px
-    return view_px is not None and bool(
-        view_px[0] < ends_px[0] - room_px and ends_px[1] + room_px < view_px[1]
-    )
+    return bool(view_px[0] < ends_px[0] - room_px), bool(ends_px[1] + room_px < view_px[1])
 
 
 def _rest(x_px: Floats) -> Floats:
