@@ -26,7 +26,7 @@ from vision.checks import (
 from vision.figures import Results
 from vision.pipeline import Analysis, Settings, analyse
 from vision.sample import PUBLISHED
-from vision.sheets import track_sheets
+from vision.sheets import TrackingSettings, track_sheets
 from vision.shells import ShellSettings
 from vision.summary import _noise, noise_figures, summary_lines
 from vision.video import VideoSettings
@@ -101,7 +101,7 @@ def test_an_axis_is_said_to_be_where_the_motion_allows_it(tracked, high_px, said
     """A failure means "192.5 px (the motion allows 193 to 193 px)", which contradicts itself, or that an axis
     which the motion leaves open by four sheets is called found."""
     found = {"axis_px": 192.5, "axis_how": "motion", "axis_low_px": 192.9, "axis_high_px": high_px}
-    tracks = tracked.assign_attrs(**found)
+    tracks = tracked.assign_attrs(**found, axis_open="yes" if said.startswith("not") else "no")
     (line,) = [one for one in summary_lines(Results(tracks=tracks)) if one.startswith("axis")]
     assert line == f"axis       192.5 px ({said})"
 
@@ -182,6 +182,31 @@ def test_an_axis_that_the_camera_moves(share, absent):
     else:
         assert lines == []
     assert consistency_warnings(tracks) == []  # the comb may go on outside the picture
+
+
+@pytest.mark.parametrize("lopsided", [False, True])
+def test_sheets_that_all_move_the_same_way_are_questioned(lopsided):
+    """The whole comb is in view. A failure means that a comb which every slip carries further than it opens
+    is taken for one side of the sample without a word, or that one side of a sample is questioned."""
+    x = comb(150, slip=0.85)
+    carried = x - 1.5 * (x[:, :1] - x[0, 0])
+    if lopsided:  # sheets of one side do not slip
+        carried[:, :20] = carried[0, :20] + (carried[:, 20:21] - carried[0, 20])
+    for shown, said in ((carried, 1), (x, 0), (x[:, 25:], 0)):
+        picture = strip(ridges(shown - shown[0, 0] + 80, width=1300))
+        lines = consistency_warnings(track_sheets(picture), columns=picture["x"].values)
+        assert [" sheets move the same way" in line for line in lines] == [True] * said
+        assert all("`axis_px`" in line for line in lines)
+
+
+def test_an_axis_is_open_by_the_setting_of_the_run():
+    """A failure means that the warning of an open axis follows the default, not `decided_sheets`."""
+    x = comb(150, slip=0.4)[:, 3:] + np.random.default_rng(3).normal(0, 0.4, (150, 1))
+    picture = strip(ridges(x - x[0, 0] + 10, width=1300))
+    for sheets, said in ((0, True), (50, False)):
+        tracks = track_sheets(picture, settings=TrackingSettings(decided_sheets=sheets))
+        lines = consistency_warnings(tracks, columns=picture["x"].values)
+        assert any("leaves open where the axis is" in line for line in lines) == said
 
 
 def test_an_axis_that_no_motion_shows_is_assumed():

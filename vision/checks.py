@@ -17,7 +17,6 @@ from vision.models.equations import effective_sheets
 from vision.numeric import Bools, Floats, Pixels, nan_median, nan_quantile, stretches
 from vision.sample import Sample
 from vision.sheets.numbering import ends_in_view
-from vision.sheets.settings import DEFAULT as TRACKING
 from vision.sheets.tracks import comb_is_stationary
 from vision.words import is_word, word_counts
 
@@ -393,21 +392,8 @@ def consistency_warnings(
             " is too small: look for a wide spacing or a sheet outside the picture, or give the number of"
             " sheets in view (`sheets`)"
         )
-    unequal = fewer > 0 and more > settings.unequal_sides * fewer + 2
     view_px = None if columns is None else (columns[0], columns[-1])
-    in_view = ends_in_view(ends_px, view_px, found.pitch_px)
-    if unequal and found.axis_how == "motion" and all(in_view):
-        lines.append(
-            f"{left} sheets on the left of the axis but {right} on the right, though the whole comb is in"
-            " view: the axis is where the sheets do not move, which is wrong if the camera moves along with"
-            " them: look at overview.png, and give `axis_px`"
-        )
-    decided = found.axis_high_px - found.axis_low_px <= TRACKING.decided_sheets * found.pitch_px
-    if any(in_view) and not (all(in_view) or decided or one_side or found.axis_how == "given"):
-        lines.append(
-            "the picture may cut off one end of the comb, and the motion leaves open where the axis is: side"
-            " and n of all sheets may be wrong: look at overview.png, and give `axis_px`"
-        )
+    lines += _axis_warnings(tracks, found, ends_in_view(ends_px, view_px, found.pitch_px), settings)
     spacing = math.nan if pixel_size_um is None else found.pitch_px * pixel_size_um / 1000
     if used is None and 1000 * spacing < settings.least_spacing_um:
         lines.append(
@@ -425,6 +411,43 @@ def consistency_warnings(
         lines.append(
             f"{used.sheets_per_block} sheets per block and side {how}, but n reaches {most}: check"
             " `sheets_per_block`, `axis_px` and `sheets`"
+        )
+    return lines
+
+
+def _axis_warnings(
+    tracks: xr.Dataset, found: TrackMetadata, in_view: tuple[bool, bool], settings: CheckSettings
+) -> list[str]:
+    """Warn of an axis that is doubtful although, or because, an end of the comb is in view.
+
+    in_view: whether the first sheet, and the last one, is known to be an end of the comb.
+    """
+    lines, side = [], tracks["side"].values
+    left, right = (int((side == which).sum()) for which in (-1, 1))
+    fewer, more = sorted((left, right))
+    one_side = fewer == 0
+    unequal = fewer > 0 and more > settings.unequal_sides * fewer + 2
+    if unequal and found.axis_how == "motion" and all(in_view):
+        lines.append(
+            f"{left} sheets on the left of the axis but {right} on the right, though the whole comb is in"
+            " view: the axis is where the sheets do not move, which is wrong if the camera moves along with"
+            " them: look at overview.png, and give `axis_px`"
+        )
+    beside_axis = in_view[0 if side[0] > 0 else 1]
+    if found.axis_carried == "yes" or (one_side and beside_axis and found.axis_carried == "perhaps"):
+        count, taken = "all", "one side of the sample: the other should be in view, too"
+        if found.axis_carried == "yes":
+            count = "all or most"
+            taken = "both sides, which the load carries along, with the axis in the middle of the ridges"
+        lines.append(
+            f"{count} sheets move the same way; they are taken for {taken}: side and n of all sheets may"
+            " be wrong: look at overview.png, and give `axis_px`"
+        )
+    undecided = found.axis_open == "yes" and found.axis_how != "given"
+    if undecided and any(in_view) and not (all(in_view) or one_side):
+        lines.append(
+            "the picture may cut off one end of the comb, and the motion leaves open where the axis is: side"
+            " and n of all sheets may be wrong: look at overview.png, and give `axis_px`"
         )
     return lines
 

@@ -259,6 +259,10 @@ class TrackMetadata(Metadata):
     axis_how: str = "given"  # or "motion" or "geometry", the middle of the comb
     axis_low_px: float = math.nan  # interval in which the motion of the sheets puts the axis
     axis_high_px: float = math.nan
+    axis_open: Literal["yes", "no"] = "no"  # whether this is wider than `TrackingSettings.decided_sheets`
+    axis_carried: Literal["yes", "perhaps", "no"] = (
+        "no"  # whether most sheets move alike, as if carried along
+    )
     axis_missing: int = 0  # sheets that seem to be missing in wide spacings, and count for "geometry"
     least_margin: float = math.nan  # least log-likelihood of the identities over that of the next best
     ridges_dropped: int = 0  # persistent ridges that are not sheets

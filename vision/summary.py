@@ -17,7 +17,6 @@ from vision.figures.style import both_errors, candidates_text, drift_text, offse
 from vision.numeric import nan_median, two_digits, with_minus
 from vision.sample import Sample
 from vision.sheets import doubtful_stretches
-from vision.sheets.settings import DEFAULT
 from vision.sheets.tracks import LOSSY
 from vision.systematics import QUANTITIES, SOURCES, Budget, systematic_budget
 
@@ -221,8 +220,7 @@ def axis_source(found: TrackMetadata) -> str:
     if found.axis_how == "geometry" and found.axis_missing:
         seem = f"{found.axis_missing} that seem{'s' * (found.axis_missing == 1)} to be missing"
         return f"{AXIS_HOW['geometry']} and {seem}"
-    open_px = found.axis_high_px - found.axis_low_px
-    if found.axis_how == "motion" and open_px > DEFAULT.decided_sheets * found.pitch_px:
+    if found.axis_how == "motion" and found.axis_open == "yes":
         return "not decided by the motion"
     return AXIS_HOW[found.axis_how]
 

@@ -243,6 +243,20 @@ def test_a_comb_that_moves_along_with_its_opening(along, seed):
     assert (crop.side != whole.side).any()
 
 
+@pytest.mark.parametrize("along", [-1.6, 1.4, 1.6])
+@pytest.mark.parametrize("sheets", [(25, 25), (18, 18), (0, 25), (25, 0), (0, 8)])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_comb_that_is_carried_further_than_it_opens(sheets, along, seed):
+    """Most sheets move alike. A failure means that both sides of a comb in view from end to end are taken for
+    one, or one side, whose motion grows towards one end, for both."""
+    both = sheets[0] == sheets[1]
+    truth = opening_comb(*sheets, along=along if both else 0.0, seed=seed)
+    found = number_sheets(truth, width_px=int(truth[0, -1]) + 60)
+    assert abs(int((found.side < 0).sum()) - sheets[0]) <= (0 if both else 1)
+    assert found.carried == ("yes" if both else "no")
+    assert found.how == ("geometry" if both else "motion")
+
+
 @pytest.mark.parametrize("cut", [2, 3])
 @pytest.mark.parametrize("seed", range(6))
 def test_the_middle_of_a_comb_that_is_cut_off_at_one_end_is_no_axis(cut, seed):

@@ -15,6 +15,7 @@ from vision.sheets.subpixel import position_noise
 from vision.signals import mean_over
 
 AxisHow = Literal["given", "motion", "geometry"]
+Carried = Literal["yes", "perhaps", "no"]
 
 
 @dataclass(frozen=True)
@@ -23,8 +24,10 @@ class Numbering:
 
     axis_px: the symmetry axis. how: "given", or found from "motion", or from "geometry": the middle of the
     comb. side: −1 left, +1 right of the axis; n: from the centre outwards, from 1; both (N,). low_px,
-    high_px: limits that the motion sets to the axis; NaN where it sets none. missing: number of sheets that
-    seem to be missing in wide spacings, and count where the middle of the comb is looked for.
+    high_px: limits that the motion sets to the axis; NaN where it sets none. carried: whether most sheets
+    move alike, and the axis is in the middle since they are taken to be carried along; "perhaps" if they are
+    taken for one side, though the innermost move as well. missing: number of sheets that seem to be missing
+    in wide spacings, and count where the middle of the comb is looked for.
     """
 
     axis_px: float
@@ -33,6 +36,7 @@ class Numbering:
     n: Ints
     low_px: float = np.nan
     high_px: float = np.nan
+    carried: Carried = "no"
     missing: int = 0
 
 
@@ -56,7 +60,8 @@ def number_sheets(
     A camera that moves along with the sheets, or a sample that the load carries along, shifts the place where
     the motion changes sign. If the whole comb is within a picture of `width_px` columns, and the motion less
     a shift of all sheets is clearly more symmetric about the comb's middle than the motion is about that
-    place, the axis may be in the middle.
+    place, the axis may be in the middle. So it may be if most sheets move alike, but less a shift far more
+    symmetrically than one side does, whose motion grows towards one end.
 
     With one side in view, n counts from the sheet nearest to the axis, unless the axis is given as axis_px:
     then the sheets that fit between both at the comb's median spacing count as well. x_px: positions
@@ -74,7 +79,9 @@ def number_sheets(
     even = int(np.searchsorted(place, all_sheets // 2))
     spacing = float(np.median(np.diff(position))) if sheets > 1 else np.inf
     left, right = ends_in_view(position[[0, -1]], None if width_px is None else (0, width_px - 1), spacing)
-    split, how, limits = _split_by_motion(x_px, even, settings, whole=left and right, one_end=left != right)
+    split, how, limits, carried = _split_by_motion(
+        x_px, even, settings, whole=left and right, one_end=left != right
+    )
     low = high = np.nan
     if limits is not None:
         edge = np.r_[_axis(position, 0), 0.5 * (position[1:] + position[:-1]), _axis(position, sheets)]
@@ -89,7 +96,8 @@ def number_sheets(
     on_sheet = all_sheets % 2 == 1 and split == even and int(place[split]) == all_sheets // 2
     axis_px = _axis(position, split, on_sheet=on_sheet)
     missing = all_sheets - sheets if how == "geometry" else 0
-    return Numbering(axis_px, how, *_side_and_n(split, sheets), float(low), float(high), missing)
+    side, n = _side_and_n(split, sheets)
+    return Numbering(axis_px, how, side, n, float(low), float(high), carried, missing)
 
 
 def ends_in_view(
@@ -144,8 +152,9 @@ def _side_and_n(split: int, sheets: int) -> tuple[Ints, Ints]:
 
 def _split_by_motion(
     x_px: Floats, even: int, settings: TrackingSettings, *, whole: bool, one_end: bool
-) -> tuple[int, AxisHow, tuple[float, float] | None]:
-    """Return the number of sheets left of the axis, how it was found, and the limits set by the motion.
+) -> tuple[int, AxisHow, tuple[float, float] | None, Carried]:
+    """Return the number of sheets left of the axis, how it was found, the limits set by the motion, and
+    whether all sheets are carried along, as most of them move alike.
 
     Splits are equally good within the noise of positions. The limits also allow for steps that are no
     opening: vibration in all frames, and in slips, whose sizes differ, a comb that is carried along or an
@@ -157,7 +166,7 @@ def _split_by_motion(
     step, apart, noise = _slips(x_px, settings)
     power = float((apart**2).sum())
     if sheets < 3 or power == 0:
-        return even, "geometry", None
+        return even, "geometry", None, "no"
     opening, error = apart @ step / power, noise / np.sqrt(power)
     contrast = _contrast(opening)
     best = int(contrast.argmax())
@@ -181,13 +190,21 @@ def _split_by_motion(
     of_middle = _asymmetry(opening, even, shifted=True)
     if whole and of_middle < settings.carried_symmetry * _asymmetry(opening, best):
         low, high = min(low, even), max(high, even)
+    alike = 4 * min(best, sheets - best) < sheets  # most sheets move alike: hardly any has its counterpart
+    size = np.abs(opening)[:: -1 if 2 * best > sheets else 1]
+    moves = bool(size[:2].min() > settings.innermost_moves * size.max())  # sheets at an axis hardly do
+    carried = whole and alike and moves and of_middle < settings.carried_alike * float(opening.std())
+    carried &= not np.floor(low) <= even <= high
+    if carried:
+        low, high = min(low, even), max(high, even)
     if np.floor(low) <= even <= high and not (one_end and high - low < sheets / 2):
-        return even, "motion" if high - low <= settings.decided_sheets else "geometry", (low, high)
+        how: AxisHow = "motion" if high - low <= settings.decided_sheets else "geometry"
+        return even, how, (low, high), "yes" if carried else "no"
     outside = good[(good == 0) | (good == sheets)]  # all sheets move alike: one side is in view
     if len(outside):
         beyond = int(outside[0])
-        return beyond, "motion", (float(possible[0]), float(possible[-1]))
-    return int(np.floor(middle) if middle > even else np.ceil(middle)), "motion", (low, high)
+        return beyond, "motion", (float(possible[0]), float(possible[-1])), "perhaps" if moves else "no"
+    return int(np.floor(middle) if middle > even else np.ceil(middle)), "motion", (low, high), "no"
 
 
 def _contrast(step: Floats) -> Floats:

@@ -554,6 +554,17 @@ class TrackingSettings:
     of one side in the middle, smaller lets the camera place it
     (test_a_comb_that_moves_along_with_its_opening)."""
 
+    carried_alike: float = 0.3
+    """Asymmetry of the motion about the middle of a comb whose sheets mostly move alike, over the standard
+    deviation of the motion, below which they are carried along. Combs that are have 0.01 to 0.04, one side
+    0.2 to 0.65. Larger takes one side for both, smaller takes both for one side; a warning names either
+    (test_a_comb_that_is_carried_further_than_it_opens)."""
+
+    innermost_moves: float = 0.06
+    """Motion of the innermost sheets of one side, over that of the outermost, above which a comb may be
+    carried along: sheets at the axis hardly move. Smaller doubts one side of few sheets, larger
+    overlooks combs whose motion is not symmetric (test_sheets_that_all_move_the_same_way_are_questioned)."""
+
     decided_sheets: int = 2
     """Sheets by which the axis may lie elsewhere for the motion still to have found it."""
 

@@ -344,6 +344,7 @@ class _Tracked:
         positions = reference.x_px if unedited else np.sort(nan_median(self.assessed.x_px))
         wide = wide_spacings(positions, reference.dropped_px, settings=comb.settings)
         gaps = [] if count_given else zip(*wide, strict=True)
+        decided_px = comb.settings.decided_sheets * comb.pitch_px
         return TrackMetadata(
             fit=self.fitted.fit,
             locking_px=self.fitted.locking.rms_px,
@@ -360,6 +361,8 @@ class _Tracked:
             axis_how=numbering.how,
             axis_low_px=numbering.low_px + self.origin_px,
             axis_high_px=numbering.high_px + self.origin_px,
+            axis_open="no" if numbering.high_px - numbering.low_px <= decided_px else "yes",
+            axis_carried=numbering.carried,
             axis_missing=numbering.missing,
             second_comb=self.assessed.second.depth,
             second_comb_err_px=self.assessed.second.error_px,
