@@ -71,6 +71,17 @@ def ridges(
     return picture
 
 
+def blurred(sigma: float, *, sheets: int = 20, unlike: float = 0.25, seed: int = 1) -> xr.DataArray:
+    """A comb of 17 px pitch and unlike brightness on a dark background, blurred by a standard deviation of
+    sigma pitches."""
+    pitch_px, width = 17.0, 40 + 17 * sheets
+    x = comb(30, per_side=sheets // 2, pitch_px=pitch_px, axis_px=width / 2, uneven=0.06, seed=seed)
+    rng = np.random.default_rng(seed)
+    height = np.clip(1 + unlike * rng.normal(size=sheets), 0.5, 1.6)
+    fwhm_px = FWHM * np.hypot(sigma, 0.13) * pitch_px
+    return strip(ridges(x, width=width, fwhm_px=fwhm_px, contrast=height), snr=100)
+
+
 def _ridge(away: Floats, sigma: float, flat_px: float) -> Floats:
     if not flat_px:
         return (

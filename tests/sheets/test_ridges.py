@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import find_peaks
 
-from tests.scenes.combs import CONTRAST, comb, ridges, strip
+from tests.scenes.combs import CONTRAST, blurred, comb, ridges, strip
 from vision.checks import tracking_warnings
 from vision.errors import InputError
 from vision.figures import Results
@@ -108,6 +108,13 @@ def test_ridges_on_a_lit_base_are_not_one_wide_ridge(sheets):
     assert found.count == sheets
     assert found.pitch_px == pytest.approx(PITCH, abs=1)
     assert found.fwhm_px < 10
+
+
+@pytest.mark.parametrize(("sigma", "seed"), [(0.3, 5), (0.32, 4)])
+def test_ridges_on_the_light_of_a_blurred_comb(sigma, seed):
+    """The light of twelve sheets out of focus is higher than what the ridges rise above it. A failure means
+    that three or four of them describe the comb, and one or two sheets are found."""
+    assert track_sheets(blurred(sigma, sheets=12, seed=seed)).sizes["sheet"] == 12
 
 
 @pytest.mark.parametrize("pitch", [2.6, 3.5])

@@ -209,13 +209,14 @@ def _measure(
 ) -> _MainRidges | None:
     """Return the main ridges of this polarity, None without any.
 
-    A bright base below few ridges can have more prominence than the ridges on it. Where only one or two
-    ridges are prominent in the whole picture, ridges prominent in their surroundings are searched as well.
+    A bright base below ridges, such as the light of a blurred comb, can have more prominence than the ridges
+    on it. Where only one or two ridges are prominent in the whole picture, ridges prominent in their
+    surroundings are searched as well, and where fewer than `FEWEST` are, at least so many.
     """
     whole = _measure_within(sample, polarity, noise, sheets, settings, None)
-    few = 3
-    if whole is None or whole.comb.count >= few:
+    if whole is None or whole.comb.count >= FEWEST:
         return whole
+    few = 3 if whole.comb.count < 3 else FEWEST
     near = [reach for reach in (6, 12, 24, 48) if reach < 2 * whole.comb.fwhm_px]
     tried = [_measure_within(sample, polarity, noise, sheets, settings, reach) for reach in near]
     combs = [whole, *(main for main in tried if main is not None and main.comb.count >= few)]
