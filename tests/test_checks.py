@@ -12,7 +12,7 @@ import xarray as xr
 import vision.checks
 import vision.pipeline
 from tests.scenes.analysed import with_force
-from tests.scenes.combs import comb, ridges, strip
+from tests.scenes.combs import blurred, comb, ridges, strip
 from tests.scenes.reviewed import FORCE, SETTINGS, VIDEO, clean
 from vision.checks import (
     CheckSettings,
@@ -182,6 +182,20 @@ def test_an_axis_that_the_camera_moves(share, absent):
     else:
         assert lines == []
     assert consistency_warnings(tracks) == []  # the comb may go on outside the picture
+
+
+@pytest.mark.parametrize(("sigma", "seed", "said"), [(0.06, 1, 0), (0.2, 3, 0), (0.3, 2, 1), (0.32, 3, 1)])
+def test_sheets_out_of_focus_are_said_to_merge(sigma, seed, said):
+    """Of 20 sheets, 15 to 19 are found where `said`. A failure means that the others are lost without a word,
+    or that a comb which is slightly out of focus, or whose number of sheets was given, is questioned."""
+    picture = blurred(sigma, seed=seed)
+    tracks = track_sheets(picture)
+    assert (tracks.sizes["sheet"] < 20) == said
+    lines = [line for line in tracking_warnings(tracks) if "neighbours may be seen as one" in line]
+    assert len(lines) == said
+    assert all("focus the camera" in line and "`sheets`" in line for line in lines)
+    given = track_sheets(picture, sheets=tracks.sizes["sheet"])
+    assert "seen as one" not in str(tracking_warnings(given))
 
 
 @pytest.mark.parametrize("lopsided", [False, True])

@@ -48,6 +48,12 @@ class CheckSettings:
     """Error by a second comb over the sheets, over that of the noise, from which a warning names it.  Larger
     is silent about reflections that double the errors; smaller warns where they matter little."""
 
+    gap_depth: float = 0.4
+    """Depth of the gaps between ridges, over the ridges' height above the background beside the comb, below
+    which a warning says that neighbours may be merged.  On films in focus it is at least 0.6, slightly
+    blurred ones have 0.45 to 0.7; below 0.4 sheets are lost.  Smaller overlooks films of which half of the
+    sheets are seen; larger warns of dense combs (`test_sheets_out_of_focus_are_said_to_merge`)."""
+
     pair_spacings: int = 9
     """Smallest number of spacings in which pairs of ridges are looked for.  Fewer may alternate by chance;
     more leave out small combs."""
@@ -205,6 +211,12 @@ def _of_tracks(tracks: xr.Dataset, settings: CheckSettings) -> Iterator[str]:
             f" may be wrong by multiples of the spacing ({found.pitch_px:.1f} px) after its large steps"
             f" before frame{'s' * (len(steps) > 1)} {_first(steps, 5)}: film an end of the comb, or"
             " mark a sheet"
+        )
+    if found.gap_depth < settings.gap_depth and found.sheets_how == "found":
+        yield (
+            f"the gaps between ridges are only {100 * found.gap_depth:.0f} % as deep as the background beside"
+            " the comb: out of focus, or the sheets touch, and neighbours may be seen as one: focus the"
+            f" camera, and confirm the {found.sheets} ridges found with `sheets`"
         )
     yield from _spacings(tracks, found, settings)
 

@@ -264,6 +264,7 @@ class TrackMetadata(Metadata):
         "no"  # whether most sheets move alike, as if carried along
     )
     axis_missing: int = 0  # sheets that seem to be missing in wide spacings, and count for "geometry"
+    gap_depth: float = math.nan  # of the gaps between ridges, over the ridges' height above the background
     least_margin: float = math.nan  # least log-likelihood of the identities over that of the next best
     ridges_dropped: int = 0  # persistent ridges that are not sheets
     wide_spacings: Sequence[str] = field(default_factory=list)  # "748 px (1.9 pitches)": a sheet overlooked

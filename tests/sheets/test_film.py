@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from tests.scenes.combs import comb, creeping, ridges, strip
+from tests.scenes.combs import blurred, comb, creeping, ridges, strip
 from vision.checks import tracking_warnings
 from vision.data import TrackMetadata
 from vision.sheets import track_sheets
-from vision.sheets.film import repeated_frames
+from vision.sheets.film import gap_depth, repeated_frames
+from vision.sheets.ridges import describe_ridges
 
 
 @pytest.mark.parametrize("touched", [0.0, 0.05])
@@ -196,3 +197,34 @@ def test_a_pattern_that_stands_still_is_not_taken_for_a_comb_in_silence(slip, sa
     x = comb(60, per_side=8, axis_px=200, slip=slip) + shaking
     lines = tracking_warnings(track_sheets(strip(ridges(x, width=400))))
     assert sum("do not move relative to each other" in line for line in lines) == said
+
+
+@pytest.mark.parametrize("sigma", [0.06, 0.15, 0.2, 0.25, 0.3])
+def test_the_depth_of_gaps_shows_the_focus(sigma):
+    """Gaussians of one height, whose depth of the gaps follows from their sum. A failure means that a film
+    out of focus passes for one in focus, or the other way round."""
+    near = np.exp(-0.5 * (np.arange(-8, 8.1, 0.5) / np.hypot(sigma, 0.13)) ** 2)
+    depth = 1 - near[1::2].sum() / near[::2].sum()
+    profile = blurred(sigma, unlike=0.0)
+    found = track_sheets(profile, sheets=20)
+    assert found.sizes["sheet"] == 20
+    assert found.attrs["gap_depth"] == pytest.approx(depth, abs=0.06)
+
+
+def test_gaps_of_sheets_without_a_position_have_no_depth():
+    """A failure means that a film whose identities are all uncertain ends the run."""
+    profile = blurred(0.1)
+    comb = describe_ridges(profile.values)
+    assert np.isnan(gap_depth(profile.values, np.full((30, 20), np.nan), comb))
+
+
+@pytest.mark.parametrize("beyond_px", [10.0, 30.0])
+def test_gaps_that_are_lit_are_not_out_of_focus(beyond_px):
+    """A lit board behind sharp sheets ends half a spacing or more beyond them. A failure means that its light
+    passes for blur, and that sheets are said to be merged."""
+    x = comb(30, per_side=10, axis_px=250)
+    columns = np.arange(500)
+    board = (columns > x.min() - beyond_px) & (columns < x.max() + beyond_px)
+    tracks = track_sheets(strip(ridges(x, width=500, contrast=0.3) + 1.0 * board, snr=100))
+    assert tracks.sizes["sheet"] == 20
+    assert np.isnan(tracks.attrs["gap_depth"])

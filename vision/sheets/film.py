@@ -1,4 +1,5 @@
-"""Frames that the codec or the recorder repeated, and ridges that moved while the shutter was open."""
+"""Frames that the codec or the recorder repeated, ridges that moved while the shutter was open, and blur that
+fills the gaps."""
 
 from __future__ import annotations
 
@@ -19,9 +20,12 @@ from vision.numeric import (
     spread_indices,
 )
 from vision.sheets.ridges import RidgeComb, in_blocks, profile_noise
+from vision.sheets.second_comb import levels_at
 from vision.sheets.settings import DEFAULT, LEAST_FRAMES, TrackingSettings
 
 BLUR_FRAMES = 2  # before and after a blurred one: two may show the same one of two images
+GAP_SHEETS, GAP_FRAMES = 5, 50  # sheets at each end, and frames spread over the film, that show the gaps
+GAP_LIGHT = 0.5  # log2 of twice the light beyond an end over that in the gaps: 0 for blur, 1 for a board
 LIGHT_FRAMES = 5  # before and after, in at least one of which a ridge is as high as its light permits
 
 
@@ -126,3 +130,53 @@ def _excess(values: Floats, least: float) -> Floats:
     off = values - nan_median(values)
     spread = sigma_about_zero(off)
     return np.nan_to_num(np.maximum(off - least, 0.0) / np.maximum(spread, 0.004))
+
+
+def gap_depth(profile: Floats32, x_px: Floats, comb: RidgeComb) -> float:
+    """Return how deep the gaps between blurred ridges are, over their height above the background.
+
+    Out of focus, light of the sheets fills the gaps between them. Half a spacing beyond an end of the comb,
+    where it is that of one sheet, there is half as much of it; light of a board behind the comb, or of a
+    lamp, is there as well, or nowhere beyond. The background is the lowest level from one spacing to two
+    beyond the end, and compared with the five sheets of this end, since light is uneven.
+
+    Parameters
+    ----------
+    profile
+        Grey levels (frame, x).
+    x_px
+        Positions (frame, N), NaN where missing.
+    comb
+        Polarity of the ridges.
+
+    Returns
+    -------
+    float
+        The median over gaps and frames, as a mean of the ends that show about half of the light beyond: 1
+        where gaps are as dark as the background, 0 without gaps. NaN without such an end, and where no frame
+        shows five sheets.
+    """
+    seen = np.flatnonzero(np.isfinite(x_px).sum(axis=1) >= GAP_SHEETS)
+    if not len(seen):
+        return np.nan
+    rows = seen[spread_indices(len(seen), GAP_FRAMES)]
+    bright, x = comb.bright(some_rows(profile, rows)), x_px[rows]
+
+    def of_end(x: Floats) -> tuple[float, float]:
+        """Return the depth at one end, and the light beyond over half of that in the gaps."""
+        tops, apart = levels_at(bright, x), np.diff(x, axis=1)
+        gaps = reduce(np.fmin, [levels_at(bright, x[:, :-1] + share * apart) for share in (0.35, 0.5, 0.65)])
+        beyond = x[:, :1] - nan_median(apart.ravel()) * np.array([0.5, 1.0, 1.25, 1.5, 1.75])
+        half, *others = levels_at(bright, beyond).T
+        dark = reduce(np.fmin, others)
+        lower = np.minimum(tops[:, 1:], tops[:, :-1])
+        height, filled, outside, usual, last = (
+            float(nan_median((level.T - dark).ravel())) for level in (lower, gaps, half, tops, tops[:, 0])
+        )
+        with np.errstate(divide="ignore", invalid="ignore"):  # the last sheet may be brighter or darker
+            depth, spread = np.divide([height - filled, 2 * outside * usual], [height, filled * last])
+        return float(depth), float(spread)
+
+    ends = np.array([of_end(x[:, :GAP_SHEETS]), of_end(x[:, : -GAP_SHEETS - 1 : -1])])
+    of_sheets = np.abs(np.log2(np.fmax(ends[:, 1], 1e-6))) < GAP_LIGHT
+    return float(ends[of_sheets, 0].mean()) if of_sheets.any() else np.nan

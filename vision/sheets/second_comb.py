@@ -59,7 +59,7 @@ def second_comb(profile: Floats32, x_px: Floats, blurred: Bools, comb: RidgeComb
     rows = (_FRAMES * spread_indices(periods, MOST_PERIODS)[:, None] + np.arange(_FRAMES)).ravel()
     bright, x = comb.bright(some_rows(profile, rows)), np.where(blurred[rows], np.nan, x_px[rows])
     apart = np.diff(x, axis=1)
-    tops, gaps = _levels(bright, x), _levels(bright, x[:, :-1] + 0.5 * apart)
+    tops, gaps = levels_at(bright, x), levels_at(bright, x[:, :-1] + 0.5 * apart)
     tops, gaps, apart = (_of_periods(values) for values in ((tops[:, 1:] + tops[:, :-1]) / 2, gaps, apart))
     height = nan_median(tops - gaps)
     height[~(height > 0)] = np.nan
@@ -77,7 +77,7 @@ def second_comb(profile: Floats32, x_px: Floats, blurred: Bools, comb: RidgeComb
     return SecondComb(depth, settings.second_comb_shift * comb.fwhm_px / FWHM * depth)
 
 
-def _levels(bright: Floats32, x_px: Floats) -> Floats:
+def levels_at(bright: Floats32, x_px: Floats) -> Floats:
     """Return the mean of three pixels around each place x_px (frame, K); NaN at NaN and at the edge."""
     smooth = (bright[:, :-2] + bright[:, 1:-1] + bright[:, 2:]) / 3
     inside = (x_px >= 1) & (x_px < bright.shape[1] - 2)

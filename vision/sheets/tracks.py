@@ -36,7 +36,7 @@ from vision.sheets.distortion import (
     two_in_one,
 )
 from vision.sheets.doubts import predicted_by_neighbours, sheets_alike
-from vision.sheets.film import motion_blur, repeated_frames
+from vision.sheets.film import gap_depth, motion_blur, repeated_frames
 from vision.sheets.identities import WHYS, Doubt, identify_sheets
 from vision.sheets.numbering import Numbering, number_sheets
 from vision.sheets.recovery import FLAGS, Detections, Flag, assign_detections
@@ -183,6 +183,7 @@ def track_sheets(
         ridges_likelier="" if likelier == ridges else likelier,
         window_px=window,
         fit_asked=fit,
+        gap_depth=gap_depth(profile, assessed.x_px, comb),
         corrections_applied=len(corrections),
         sheets_alike="yes" if alike else "no",
         large_steps=large.tolist() if alike else [],
