@@ -67,6 +67,20 @@ def test_frames_of_a_camera_that_vibrates_are_not_averaged(period, size_px):
 
 
 @pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("averaged", "lasts", "snr"), [(0.0, 30, 200), (0.4, 12, 60)])
+def test_frames_of_sheets_that_ring_are_not_averaged(seed, averaged, lasts, snr):
+    """After every slip each sheet rings at a frequency of its own, by up to 1.5 px. A failure means that a
+    film in order is said to be averaged in time, or that one which is averaged is not."""
+    rng, since = np.random.default_rng(seed), np.arange(300)[:, None] % 40 + 1
+    rate, size_px = rng.uniform(0.6, 1.8, 24), 1.5 * rng.uniform(0.3, 1, 24)
+    ringing = size_px * np.exp(-since / lasts) * np.sin(rate * since)
+    x = comb(300, per_side=12, axis_px=320, slip=0.25, period=40) + ringing
+    picture = strip(ridges(x, width=640, fwhm_px=3.5, flat_px=8.0), snr=snr)
+    tracks = track_sheets(averaged_in_time(picture, averaged) if averaged else picture)
+    assert (TrackMetadata.of(tracks).noise_lasts > 0) == (averaged > 0)
+
+
+@pytest.mark.parametrize("seed", range(3))
 def test_quiet_frames_of_a_film_that_vibrates_are_no_repeats(seed):
     """Nearly all frames differ by a pixel or more, and a few by chance by next to nothing: they count.
 

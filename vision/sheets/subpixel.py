@@ -27,6 +27,7 @@ from vision.numeric import (
     in_two_threads,
     median_size,
     nan_median,
+    nan_quantile,
     row_parts,
     spread_indices,
 )
@@ -43,6 +44,7 @@ RIDGES_AT_ONCE = 8192  # whose pixels are matched at once
 FRAMES_AT_ONCE = 512  # of which a sheet's pixels are gathered at once: each takes a page of a file or more
 TRIPLES_AT_ONCE = 32  # whose pixels fit into a core's cache
 LEAST_TRIPLES = 8  # groups of three consecutive frames that a measurement of noise needs
+AT_REST_PX = 0.1  # motion from frame to frame that hardly changes a ridge's pixels beyond a fitted shift
 CORRELATED_RIDGES = 400  # differences of three ridges that tell correlated noise from chance
 
 
@@ -584,23 +586,46 @@ def noise_correlation(
     :math:`(1 + \rho)(3 - \rho^2)/(3 - \rho)` times the variance of those at one. Motion that the fitted
     changes do not describe adds to longer lags as well, but not less to four frames than to two. It is not
     clear in films with fewer than `CORRELATED_RIDGES` such differences, and in those whose noise is less than
-    `WHOLE_LEVELS`, which is rounding.
+    `WHOLE_LEVELS`, which is rounding. Sheets that ring leave as much as noise that lasts: ridges that hardly
+    move between the frames must show at least half of `least`, where they are as many.
     """
 
-    def typical(lag: int) -> float:
+    def typical(lag: int, *, at_rest: bool = False) -> float:
         """Return the typical variance, NaN from too few differences."""
         variance = _noise_variance(profile, x_px, frozen, half_px=half_px, lag=lag)
-        if variance.size < CORRELATED_RIDGES:
+        count = variance.size
+        if at_rest and count:
+            moved = _own_motion(x_px, frozen, lag)
+            resting = moved <= max(AT_REST_PX, float(nan_quantile(moved.ravel(), 0.25)))
+            variance, count = np.where(resting, variance, np.nan), int(resting.sum())
+        if count < CORRELATED_RIDGES:
             return float("nan")
         return float(nan_median(nan_median(variance, axis=0)))
+
+    def correlation(ratio: float) -> float:
+        """Return the correlation that has this ratio of the variances at two frames and at one."""
+        rho = np.linspace(0, 1, 101)
+        return float(np.interp(ratio, (1 + rho) * (3 - rho**2) / (3 - rho), rho))
 
     one, two = typical(1), typical(2)
     # Noise that lasts for ever would have twice the variance at twice the lag.
     if not (one > WHOLE_LEVELS**2 and two < 2.1 * one):
         return 0.0
-    rho = np.linspace(0, 1, 101)
-    found = float(np.interp(two / one, (1 + rho) * (3 - rho**2) / (3 - rho), rho))
-    return found if found > least and typical(4) / two < two / one else 0.0
+    found = correlation(two / one)
+    if not (found > least and typical(4) / two < two / one):
+        return 0.0
+    of_resting = correlation(typical(2, at_rest=True) / max(typical(1, at_rest=True), 1e-12))
+    return 0.0 if of_resting <= least / 2 else found
+
+
+def _own_motion(x_px: Floats, frozen: Bools, lag: int) -> Floats:
+    """Return the larger motion of each sheet, against the comb's, from and to the middle one of the groups of
+    frames of `_noise_variance`, px, (groups, N)."""
+    new = np.flatnonzero(~frozen)
+    middle = _triples(np.isfinite(x_px).mean(axis=1)[new] > 0.5, lag)
+    steps = [x_px[new[middle + step]] - x_px[new[middle]] for step in (-lag, lag)]
+    before, after = (np.abs(step - nan_median(step, axis=1)[:, None]) for step in steps)
+    return np.fmax(before, after)
 
 
 def _noise_variance(
