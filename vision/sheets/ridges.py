@@ -334,7 +334,9 @@ def _likelier(
         decided = abs(varied) >= (settings.polarity_evidence if many else clear)
         is_bright = varied > 0 if decided else narrower >= np.log(settings.dark_width_ratio)
         contradict = widths * heights < 0 and min(abs(widths), abs(heights)) >= clear
-        if varied and even and many and (contradict or abs(varied + narrower) < clear):
+        if background * (1 if is_bright else -1) < -settings.background_seen:
+            doubt = "the background beside the comb, where it says anything, says the opposite"
+        elif varied and even and many and (contradict or abs(varied + narrower) < clear):
             doubt = (
                 "no clear background is beside the comb, and widths and brightness tell little or disagree"
             )

@@ -41,6 +41,11 @@ class TrackingSettings:
     to decide which are the sheets, as a share of their difference. Smaller trusts uneven backgrounds, larger
     leaves out combs of touching sheets ("touching" at 0.3)."""
 
+    background_seen: float = 0.1
+    """Share of the frames in which the background beside the comb speaks against the stripes, though it says
+    nothing in most, from which a warning says so. Larger takes gaps for sheets without a word, smaller warns
+    of single frames (test_a_background_that_seldom_says_anything_is_heard)."""
+
     even_spacing: float = 2.5
     """Stripes whose spacings differ by more than this factor between their quartiles are no comb of sheets
     and gaps in turn. Combs of sheets stay below 2.1, markers filmed in pairs exceed 3.1."""
