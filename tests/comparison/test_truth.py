@@ -307,3 +307,18 @@ def test_one_scale_for_all_weighs_every_event_alike(tmp_path):
     count = found.collapse.table["run"].value_counts()[["many", "few"]].to_numpy()
     assert count[0] > 3 * count[1] and abs(np.diff(of_each)[0]) > 0.5
     assert found.collapse.common_scale_mm == pytest.approx(np.average(of_each, weights=count), abs=0.02)
+
+
+def test_of_sticks_with_knees_the_slope_after_the_knee_counts(tmp_path):
+    """A failure means that Λ̂ of fast pulls comes from a K that mixes the slopes before and after the knee,
+    while the Y_eff of their runs does not."""
+    made = events()
+    bent = made.assign(
+        K_N_per_mm=1.05 * made["K_N_per_mm"],
+        K2_N_per_mm=made["K_N_per_mm"],
+        K2_err_N_per_mm=made["K_err_N_per_mm"],
+    )
+    runs = [write_run(tmp_path / name, table) for name, table in (("straight", made), ("bent", bent))]
+    scales = [vision.compare([run], modulus_GPa=3.8).table["Lambda_hat_mm"].iloc[0] for run in runs]
+    assert scales[1] == pytest.approx(scales[0], rel=1e-9)
+    assert scales[0] == pytest.approx(19.09, abs=0.05)

@@ -17,6 +17,7 @@ from vision.figures.force import (
     clocks_figure,
     force_figure,
     sticks_figure,
+    stiffness_figure,
     stiffness_residuals_figure,
 )
 from vision.figures.positions import outward_px
@@ -238,3 +239,20 @@ def test_a_recording_without_events_has_its_picture(pulled, tmp_path):
     figure = force_overview_figure(pulled.force, pulled.sticks.iloc[:0])
     assert [panel.title for panel in figure.panels] == [figure.panel.title]
     figure.save(tmp_path / "force.png")
+
+
+def test_the_stiffness_is_that_to_which_the_models_are_fitted(pulled):
+    """A failure means that the residuals of a fast pull, whose sticks have knees, doubt a model that fits."""
+    k = pulled.sticks["K_N_per_mm"]
+    bent = pulled.sticks.assign(
+        K2_N_per_mm=k, K2_err_N_per_mm=pulled.sticks["K_err_N_per_mm"], K_N_per_mm=1.3 * k
+    )
+    straight, knees = (
+        [make(sticks, pulled.fits) for make in (stiffness_figure, stiffness_residuals_figure)]
+        for sticks in (pulled.sticks, bent)
+    )
+    for one, other in zip(straight, knees, strict=True):
+        for part, same in zip(one.panel.series, other.panel.series, strict=True):
+            np.testing.assert_array_equal(part.y, same.y)
+    assert "the central 50 % of every stick phase" in straight[0].caption
+    assert "every stick phase after its knee" in knees[0].caption

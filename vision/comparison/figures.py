@@ -121,8 +121,9 @@ def stiffnesses_figure(found: Comparison, events: pd.DataFrame) -> Figure:
     return Figure.of(
         "stiffnesses",
         Panel(x_label=VALLEY_SEPARATION, y_label="K (N/mm)", y_range=y_range, series=series),
-        "K of every event, the slope of the central part of its stick phase. Dashed: M_eff K_eff with the "
-        f"median Λ̂ of the tests and Y_eff = {plus_minus(found.modulus)} GPa. Solid: lengthening alone.",
+        "K of every event, the slope of the central part of its stick phase, or after the knee if there are "
+        "knees. Dashed: M_eff K_eff with the median Λ̂ of the tests and Y_eff = "
+        f"{plus_minus(found.modulus)} GPa. Solid: lengthening alone.",
         title="Stiffness of all tests",
     )
 

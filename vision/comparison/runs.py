@@ -19,6 +19,7 @@ import pandas as pd
 from vision.data import whole_events
 from vision.errors import InputError, check_kind
 from vision.files import AGAIN, check_regular, reading, shortened
+from vision.models.single_fits import with_fitted_stiffness
 from vision.numeric import Floats, number
 from vision.run import RunFolder, is_run, read_run
 from vision.run.provenance import checksum_of
@@ -308,6 +309,9 @@ def _events(run: RunFolder, sample: Sample) -> pd.DataFrame:
     path, table = run.folder / "events.csv", run.table("events")
     if table is None:
         raise InputError(run.folder, "a run with a force recording", "no events.csv in it")
+    if "flag" in table:
+        table = table.assign(flag=table["flag"].fillna("ok"))
+    table = with_fitted_stiffness(table)
     if absent := [name for name in _NEEDED if name not in table]:
         raise InputError(path, f"columns {', '.join(_NEEDED)}", f"no {', '.join(absent)}")
     values = table[list(_NEEDED)].to_numpy(float)
@@ -320,7 +324,7 @@ def _events(run: RunFolder, sample: Sample) -> pd.DataFrame:
         raise InputError(path, wanted, f"d from {low:.4g} to {high:.4g} mm", advice)
     complete &= within
     if "flag" in table:
-        complete &= whole_events(table["flag"].fillna("ok"))
+        complete &= whole_events(table["flag"])
     if complete.sum() < 6:
         raise InputError(
             path,
@@ -339,8 +343,7 @@ def _flags_of_others(table: pd.DataFrame) -> str:
     """Return the flags of the events that are not whole, for a message."""
     if "flag" not in table:
         return ""
-    flags = table["flag"].fillna("ok")
-    counts = flags[~whole_events(flags)].value_counts().head(3)
+    counts = table["flag"][~whole_events(table["flag"])].value_counts().head(3)
     named = ", ".join(f"{name} {count}" for name, count in counts.items())
     return f" (flags: {named})" if named else ""
 

@@ -34,6 +34,7 @@ from vision.figures.style import (
 )
 from vision.force import good_samples
 from vision.models import Estimate, ModelFits, equations
+from vision.models.single_fits import has_knees, with_fitted_stiffness
 from vision.numeric import Floats, nearest_sorted
 from vision.sample import Sample
 
@@ -303,8 +304,12 @@ def force_drop_figure(sticks: pd.DataFrame, fits: ModelFits | None = None, *, un
 def stiffness_figure(sticks: pd.DataFrame, fits: ModelFits | None = None, *, unit: str = "N") -> Figure:
     """Return K(d_v) with M_eff K_eff, and with the decay (L + d)⁻¹ of a sample that only lengthens.
 
+    K is the one that the models are fitted to, `with_fitted_stiffness`.
     unit: of the load, "1" for a force over a weight.
     """
+    part = f"the central {100 * StickMetadata.of(sticks).central_part:.0f} % of every stick phase"
+    slope = "every stick phase after its knee" if has_knees(sticks) else part
+    sticks = with_fitted_stiffness(sticks)
     measured = _points(sticks, "d_v_mm", "K_N_per_mm", "K", DATA, error="K_err_N_per_mm")
     series, model = [measured], ""
     if fits is not None:
@@ -323,7 +328,7 @@ def stiffness_figure(sticks: pd.DataFrame, fits: ModelFits | None = None, *, uni
         series=tuple(series),
         placeholder="d is not known",
     )
-    caption = f"K, the slope of the central half of every stick phase, with its standard error.{model}"
+    caption = f"K, the slope of {slope}, with its standard error.{model}"
     return Figure.of("stiffness", panel, caption)
 
 
@@ -336,6 +341,7 @@ def stiffness_residuals_figure(sticks: pd.DataFrame, fits: ModelFits, *, unit: s
 
     unit: of the load, "1" for a force over a weight.
     """
+    sticks = with_fitted_stiffness(sticks)
     measured = _points(sticks, "d_v_mm", "K_N_per_mm", "K", DATA, error="K_err_N_per_mm")
     if not measured.x.size or measured.low is None or measured.high is None:
         return None

@@ -31,6 +31,7 @@ from vision.models.single_fits import (
     fit_stiffness,
     fit_weighted,
     largest_chi2,
+    with_fitted_stiffness,
     with_friction,
 )
 from vision.numeric import Floats, sigma_about_zero, two_digits, with_minus
@@ -232,16 +233,9 @@ def _complete_events(sticks: pd.DataFrame, given: _Given, force: xr.Dataset) -> 
     needed = ["d_v_mm", "d_p_mm", "F_p_N", "dF_N", "K_N_per_mm"]
     if absent := [name for name in needed if name not in sticks]:
         raise InputError("the force recording", f"columns {', '.join(needed)}", f"no {', '.join(absent)}")
+    events = with_fitted_stiffness(sticks)
     if "flag" in sticks:
-        events: pd.DataFrame = sticks[whole_events(sticks["flag"])]
-    else:
-        events = sticks
-    knees = "K2_N_per_mm" in events and len(events) > 0
-    if knees and np.isfinite(events["K2_N_per_mm"].to_numpy(float)).mean() > 0.5:
-        # In sticks with a knee, the stiffness of the assembly is the slope after all sheets have gripped.
-        events = events.assign(K_N_per_mm=events["K2_N_per_mm"])
-        if "K2_err_N_per_mm" in events:
-            events = events.assign(K_err_N_per_mm=events["K2_err_N_per_mm"])
+        events = events[whole_events(sticks["flag"])]
     rising = (events["dF_N"] > 0) & (events["K_N_per_mm"] > 0)
     events = events.loc[rising & np.isfinite(events[needed].to_numpy(float)).all(axis=1)]
     if len(events) < given.settings.least_events:

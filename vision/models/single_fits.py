@@ -16,6 +16,7 @@ import pandas as pd
 import scipy
 from numpy.typing import ArrayLike
 
+from vision.data import whole_events
 from vision.files import html_table
 from vision.models import equations
 from vision.numeric import Bools, Floats, two_digits
@@ -314,6 +315,25 @@ def fit_stiffness(
     jacobian = np.diag([scale, 1.0])
     covariance = jacobian @ fit.covariance @ jacobian
     return replace(fit, value=np.array([scale, fit.value[1]]), covariance=covariance)
+
+
+def has_knees(events: pd.DataFrame) -> bool:
+    """Return whether most whole stick phases have a knee, after which all sheets have gripped."""
+    if "K2_N_per_mm" not in events:
+        return False
+    whole = events[whole_events(events["flag"])] if "flag" in events else events
+    return bool(len(whole)) and float(np.isfinite(whole["K2_N_per_mm"].to_numpy(float)).mean()) > 0.5
+
+
+def with_fitted_stiffness(events: pd.DataFrame) -> pd.DataFrame:
+    """Return the events with the K that M_eff K_eff describes: the slope after the knee if there are knees.
+
+    The slope of the central part then mixes the slopes before and after it.
+    """
+    if not has_knees(events):
+        return events
+    columns = {"K_N_per_mm": "K2_N_per_mm", "K_err_N_per_mm": "K2_err_N_per_mm"}
+    return events.assign(**{name: events[after] for name, after in columns.items() if after in events})
 
 
 def stiffness_errors(events: pd.DataFrame) -> Floats:

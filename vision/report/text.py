@@ -24,6 +24,7 @@ from vision.data import (
 from vision.figures import Results, both_errors, percent, plus_minus
 from vision.figures.style import candidates_text, drift_text, offset_text
 from vision.models import Estimate, ModelFits
+from vision.models.single_fits import has_knees
 from vision.sheets.tracks import LOSSY
 from vision.summary import axis_source, noise_figures
 from vision.words import is_word
@@ -308,13 +309,19 @@ def _stick_phases(force: xr.Dataset, sticks: pd.DataFrame) -> str:
         "given": "as given",
     }.get(s.threshold_how, s.threshold_how)
     unit = "of the weight" if load_unit(force) == "1" else load_unit(force)
+    knees = (
+        " Stick phases have a knee, and the models are fitted to the slope after it."
+        if has_knees(sticks)
+        else ""
+    )
     return (
         f"The traction force was recorded while the blocks were pulled apart{pulled}. Slips are falls "
         f"at which the lines fitted on both sides are apart by more than {s.threshold_N:.3g} {unit} "
         f"({source}; the noise is {s.noise_N:.2g} {unit}); {len(sticks)} stick phases were found. Peak and "
         "valley forces F_p and F_v are those of a line through the central 80 % of each stick phase, "
         "extended to its ends but not beyond the recorded forces, and beside slow slips the recorded "
-        f"extremes. The stiffness K is the slope of the central {100 * s.central_part:.0f} %.{_lowpass(s)}"
+        f"extremes. The stiffness K is the slope of the central {100 * s.central_part:.0f} %."
+        f"{knees}{_lowpass(s)}"
     )
 
 
