@@ -11,13 +11,21 @@ from tests.scenes.analysed import with_force
 from vision.clock.clock import Candidate
 from vision.data import StickMetadata, TrackMetadata
 from vision.report.text import answers
-from vision.summary import lowpass_correction, ridges_line, summary_lines
+from vision.summary import lowpass_correction, positions_line, ridges_line, summary_lines
 
 
 @pytest.mark.parametrize(("sheets", "line"), [(2, "8.0 px wide, 20.0 px apart; "), (1, "8.0 px wide; ")])
 def test_a_single_ridge_has_no_spacing(sheets, line):
     """A failure means that the width of the picture is printed as a spacing of sheets."""
     assert line in ridges_line(TrackMetadata(sheets=sheets, ridge_fwhm_px=8.0, pitch_px=20.0))
+
+
+def test_blurred_positions_are_measured():
+    """A failure means that positions with a larger error are counted as if they were lost."""
+    assert (
+        positions_line({"blurred": 3, "missing": 2, "ok": 95}) == "98 measured (3 of them blurred); 2 missing"
+    )
+    assert positions_line({"ok": 100}) == "100 measured; none missing"
 
 
 def test_both_errors_are_printed():
@@ -70,7 +78,7 @@ def test_hum_is_a_line_of_its_own(lowpass_s):
     sticks.attrs = {**sticks.attrs, "lowpass_s": lowpass_s, "hum_Hz": 50.0, "hum_N": 0.31}
     lines = summary_lines(replace(found, sticks=sticks))
     (line,) = (line for line in lines if "hum" in line)
-    assert line == "hum        slips are searched without hum of 50 Hz, 0.31 rms"
+    assert line == "hum        slips are searched without hum of 50 Hz, 0.31 N rms"
 
 
 def test_systematic_errors_are_a_line_each():

@@ -147,6 +147,12 @@ def load_unit(force: xr.Dataset) -> str:
     return str(force["load_N"].attrs.get("units", "N"))
 
 
+def load_unit_text(force: xr.Dataset) -> str:
+    """Return the unit of a recording's load in a sentence: "N", or "of the weight"."""
+    unit = load_unit(force)
+    return "of the weight" if unit == "1" else unit
+
+
 def warnings_of(*parts: Data | None) -> list[str]:
     """Return the warnings of several stages in order, without repetition."""
     lines = [line for part in parts if part is not None for line in part.attrs.get("warnings", ())]

@@ -11,7 +11,15 @@ import pandas as pd
 import xarray as xr
 
 from vision.checks import flag_counts
-from vision.data import ForceMetadata, StickMetadata, StripMetadata, TrackMetadata, load_unit
+from vision.data import (
+    MEASURED,
+    ForceMetadata,
+    StickMetadata,
+    StripMetadata,
+    TrackMetadata,
+    load_unit,
+    load_unit_text,
+)
 from vision.errors import counted
 from vision.figures.style import both_errors, candidates_text, drift_text, offset_text
 from vision.numeric import nan_median, two_digits, with_minus
@@ -90,11 +98,13 @@ def _lines(results: Results, assumed: Sample | None) -> Iterator[tuple[str, str]
         yield from _tracking_lines(results.tracks, results.pixel_size_um)
     if results.force is not None and results.sticks is not None:
         sizes, lowpass = event_sizes(results.force, results.sticks), lowpass_correction(results.sticks)
-        regime = StickMetadata.of(results.sticks).regime
+        facts = StickMetadata.of(results.sticks)
+        regime = facts.regime
         kind = "stick-slip events" if regime == "stick-slip" else f"events ({regime}, not stick-slip)"
         yield "events", f"{len(results.sticks)} {kind}; {sizes}; {lowpass}"
-        if hum := hum_line(results.sticks):
-            yield "hum", hum
+        if facts.hum_N:
+            hum = f"{facts.hum_Hz:.4g} Hz, {facts.hum_N:.2g} {load_unit_text(results.force)} rms"
+            yield "hum", f"slips are searched without hum of {hum}"
         yield from (("", note) for note in ForceMetadata.of(results.force).notes)
     if (fits := results.fits) is not None:
         mu, a, n_hat = (both_errors(one) for one in (fits.mu, fits.amplitude, fits.n_hat_N))
@@ -118,7 +128,7 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> Iterator
     """Yield the lines about a film."""
     strip, found = StripMetadata.of(tracks), TrackMetadata.of(tracks)
     side, flags = tracks["side"].values, flag_counts(tracks)
-    noise = noise_figures(tracks, pixel_size_um)
+    noise, measured = noise_figures(tracks, pixel_size_um), flags.keys() & set(MEASURED)
     length = "" if pixel_size_um is None else f" = {noise['measured_um']:.3g} µm"
     tilt = f", tilt {with_minus(f'{strip.tilt_deg:+.2f}')}°" if math.isfinite(strip.tilt_deg) else ""
     corrupt = f" ({strip.frames_corrupt} of them corrupt)" if strip.frames_corrupt else ""
@@ -147,9 +157,9 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> Iterator
             f"{strip.frames_blank} blank{frozen}"
         ),
     )
-    yield "positions", f"{flags.get('ok', 0)} measured; {other_flags(flags)}"
+    yield "positions", positions_line(flags)
     locked = f"; locking to pixels of {found.locking_px:.3f} px rms subtracted" * (found.locking_px > 0)
-    yield "noise", f"{_noise(noise, length)}{predicted}{locked}" if "ok" in flags else "no position measured"
+    yield "noise", f"{_noise(noise, length)}{predicted}{locked}" if measured else "no position measured"
     if doubt := doubt_line(tracks):
         yield "doubtful", doubt
     yield "strip", f"rows {strip.strip_z0}:{strip.strip_z1} ({strip.strip_how}){tilt}"
@@ -269,16 +279,20 @@ def scale_line(pixel_size_um: float | None, strip: StripMetadata) -> str:
     return f"{pixel_size_um:g} µm per px{how}"
 
 
-def other_flags(flags: Mapping[str, int]) -> str:
-    """Return how many positions have which flag other than "ok"."""
-    return ", ".join(f"{count} {name}" for name, count in flags.items() if name != "ok") or "none missing"
+def positions_line(flags: Mapping[str, int]) -> str:
+    """Return how many positions were measured, and how many have which flag of the others."""
+    measured = f"{sum(flags.get(name, 0) for name in MEASURED)} measured"
+    if blurred := flags.get("blurred"):
+        measured += f" ({blurred} of them blurred)"
+    others = ", ".join(f"{count} {name}" for name, count in flags.items() if name not in MEASURED)
+    return f"{measured}; {others or 'none missing'}"
 
 
 def event_sizes(force: xr.Dataset, sticks: pd.DataFrame) -> str:
     """Return the medians of ΔF, Λ_st and K as text, in the unit of the load."""
     middle = sticks.median(numeric_only=True)
-    drop, slope = (" of the weight", "/mm") if load_unit(force) == "1" else (" N", " N/mm")
-    sizes = f"median ΔF {middle['dF_N']:.3g}{drop}"
+    slope = "/mm" if load_unit(force) == "1" else " N/mm"
+    sizes = f"median ΔF {middle['dF_N']:.3g} {load_unit_text(force)}"
     if math.isnan(middle["stick_length_um"]):
         return f"{sizes}; lengths and K are unknown without the separation"
     return f"{sizes}, Λ_st {middle['stick_length_um']:.3g} µm, K {middle['K_N_per_mm']:.4g}{slope}"
@@ -308,14 +322,6 @@ def lowpass_correction(sticks: pd.DataFrame) -> str:
             )
         return f"forces as recorded{proposal}"
     return f"corrected for a low-pass of {_ms(facts.lowpass_s)} ({facts.lowpass_how})"
-
-
-def hum_line(sticks: pd.DataFrame) -> str:
-    """Return the frequency and size of the mains hum without which slips are searched; "" for none."""
-    facts = StickMetadata.of(sticks)
-    if not facts.hum_N:
-        return ""
-    return f"slips are searched without hum of {facts.hum_Hz:.4g} Hz, {facts.hum_N:.2g} rms"
 
 
 def _ms(seconds: float) -> str:

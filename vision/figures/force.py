@@ -9,7 +9,7 @@ import pandas as pd
 import xarray as xr
 
 from vision.clock import Clock, force_slips, video_slips
-from vision.data import ForceMetadata, StickMetadata, load_unit, only_flags
+from vision.data import ForceMetadata, StickMetadata, load_unit, load_unit_text, only_flags
 from vision.errors import InputError
 from vision.figures.decimate import minmax_decimate
 from vision.figures.figure import Arrow, Figure, Ink, Panel, Range, Series
@@ -372,8 +372,8 @@ def force_overview_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFi
     whole = force_figure(force, sticks, fits).panel
     drops, stiffness = (make(sticks, fits, unit=unit) for make in (force_drop_figure, stiffness_figure))
     kind = "" if facts.regime == "stick-slip" else f" ({facts.regime})"
-    size = f"{facts.threshold_N:.3g} {'of the weight' if unit == '1' else unit}"
-    found = f"{len(sticks)} events{kind}, drops between fitted lines above {size}"
+    found = f"{len(sticks)} events{kind}, drops between fitted lines above {facts.threshold_N:.3g} "
+    found += load_unit_text(force)
     start = max(len(sticks) // 2 - 3, 0)
     title = "A few events, with the lines from valley to peak"
     if facts.average_s:

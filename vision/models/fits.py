@@ -629,7 +629,7 @@ def _remarks(
         line = f"the drops scatter by {100 * scatter:.0f} % about A 𝒩, as small slips among large ones do:"
         yield f"{line} A is the mean of both; `threshold_N` leaves the small ones out", True
     if facts.speed_mm_min > 1.05:
-        line = "models of A, N_hat and Y_eff hold for V ≤ 1 mm/min; here V = "
+        line = "the models of A, N̂ and Y_eff hold for V ≤ 1 mm/min; here V = "
         yield f"{line}{facts.speed_mm_min:.3g} mm/min", False
     if not np.isfinite(facts.d0_err_mm):
         yield "systematic errors do not include that of d0, which is unknown (give `d0_err_mm`)", False

@@ -19,7 +19,7 @@ from vision.data import (
     StickMetadata,
     StripMetadata,
     TrackMetadata,
-    load_unit,
+    load_unit_text,
 )
 from vision.figures import Results, both_errors, percent, plus_minus
 from vision.figures.style import candidates_text, drift_text, offset_text
@@ -308,7 +308,7 @@ def _stick_phases(force: xr.Dataset, sticks: pd.DataFrame) -> str:
         "gap": "in a gap of the sizes of the drops above the noise",
         "given": "as given",
     }.get(s.threshold_how, s.threshold_how)
-    unit = "of the weight" if load_unit(force) == "1" else load_unit(force)
+    unit = load_unit_text(force)
     knees = (
         " Stick phases have a knee, and the models are fitted to the slope after it."
         if has_knees(sticks)
