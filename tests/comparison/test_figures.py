@@ -6,8 +6,12 @@ import pytest
 
 import vision
 from tests.scenes.comparison import events, write_run
+from vision.comparison.figures import slope_text
+from vision.comparison.trends import Trend
 from vision.figures.figure import Figure, Panel, Series, save_figures
 from vision.figures.style import DATA
+from vision.models import equations
+from vision.sample import PUBLISHED, Sample
 
 
 def with_sticks(folder, title):
@@ -99,3 +103,36 @@ def test_numbers_of_previous_tests_are_whole(tmp_path):
     (trend,) = [one for one in vision.compare(folders, table=table).figures() if one.name == "trends"]
     assert trend.panels
     assert all(panel.whole_numbers for panel in trend.panels)
+
+
+def test_the_curve_has_the_geometry_of_the_tests_whose_mu_it_shows(tmp_path):
+    """A failure means the joint μ of one sample drawn with the thickness of another."""
+    other = Sample(sheets_per_block=20, thickness_mm=0.15)
+    runs = [write_run(tmp_path / "first", events(sample=other, seed=1), sample=other)]
+    runs += [write_run(tmp_path / f"r{k}", events(seed=k)) for k in (2, 3)]
+    samples = pd.DataFrame({"run": [run.name for run in runs], "sample": ["A", "B", "B"]})
+    found = vision.compare(runs, samples)
+    assert found.main.sample == "B"
+    peaks, drops = found.figures()[:2]
+    eq1, drop = peaks.panel.series[-1], drops.panel.series[-1]
+    assert eq1.y == pytest.approx(equations.traction(eq1.x, mu=found.mu.value, sample=PUBLISHED))
+    total = equations.total_normal_force(drop.x, mu=found.mu.value, sample=PUBLISHED)
+    assert drop.y == pytest.approx(found.main.amplitude.value * total)
+
+
+@pytest.mark.parametrize(
+    ("quantity", "predictor", "unit"),
+    [
+        ("mu", "RH_percent", "per %"),
+        ("N_hat_N", "n_test", "N per test"),
+        ("Lambda_hat_mm", "n_test", "mm per test"),
+    ],
+)
+def test_slopes_have_their_unit(quantity, predictor, unit):
+    """A failure means a number that nobody can compare with another."""
+    trend = Trend(
+        quantity=quantity, predictor=predictor, tests=9, slope=0.01, slope_err=0.002,
+        partial_slope=0.02, partial_slope_err=0.003,
+    )  # fmt: skip
+    assert slope_text(trend, partial=False) == f"0.0100 ± 0.0020 {unit}"
+    assert slope_text(trend, partial=True) == f"0.0200 ± 0.0030 {unit}"

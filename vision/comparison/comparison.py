@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vision.comparison.figures import compare_figures, velocity
+from vision.comparison.figures import compare_figures, slope_text, velocity
 from vision.comparison.joint import (
     QUANTITIES,
     Collapse,
@@ -36,6 +36,7 @@ from vision.models import Estimate
 from vision.report.page import render_page
 from vision.report.text import ANALYSED_WITH, Answer, citation
 from vision.run import Origin, results_folder
+from vision.sample import Sample
 
 MARK = "compare"  # key in run.json that distinguishes a comparison from a run
 PICTURES = ("collapse", "trends")
@@ -67,6 +68,12 @@ class Comparison:
     def mu(self) -> Estimate:
         """The first joint μ, or that of the first test."""
         return self.fits[0].mu if self.main is None else self.main.mu
+
+    @property
+    def sample_of_mu(self) -> Sample:
+        """Geometry of the tests that `mu` is of (of the first one, if it is of several samples)."""
+        runs = self.main.runs if self.main else ()
+        return next((test.sample for test in self.tests if test.run in runs), self.tests[0].sample)
 
     def events(self) -> pd.DataFrame:
         """Return the events of all tests with the names of their runs, and whether the fits used them."""
@@ -309,10 +316,9 @@ def answers(found: Comparison) -> list[Answer]:
 
 
 def _trend_line(t: Trend) -> str:
-    partial = np.isfinite(t.partial_slope)
-    slope = Estimate(*((t.partial_slope, t.partial_slope_err) if partial else (t.slope, t.slope_err)))
+    partial = bool(np.isfinite(t.partial_slope))
     how = ", the other held fixed" if partial else ""
-    return f"{t.name}: {plus_minus(slope)}{how} (p {t.p_adjusted:.2g})"
+    return f"{t.name}: {slope_text(t, partial=partial)}{how} (p {t.p_adjusted:.2g})"
 
 
 def _joint_detail(one: JointFriction) -> str:
@@ -402,12 +408,12 @@ def _missing(found: Comparison) -> list[str]:
 
 
 def _methods(found: Comparison) -> list[str]:
-    t_star = 1000 * found.tests[0].sample.t_star_N
+    t_star = ", ".join(f"{mN:.3g}" for mN in sorted({1000 * test.sample.t_star_N for test in found.tests}))
     source = "as given" if found.modulus_from == ("given",) else f"of {', '.join(found.modulus_from)}"
     modulus = plus_minus(found.modulus)
     return [
         "The peak forces of each test were fitted with Eq. 1 of the publication and an offset, with "
-        f"T* = {t_star:.3g} mN fixed. K was fitted with M_eff K_eff, with Y_eff = {modulus} GPa ({source}) "
+        f"T* = {t_star} mN fixed. K was fitted with M_eff K_eff, with Y_eff = {modulus} GPa ({source}) "
         "fixed and only Λ̂ free; N̂ follows from Λ̂ and μ. One μ for all tests of a sample was fitted with an "
         "individual offset of each test within ±10 N. Standard errors are White's, scaled if χ²/dof exceeds "
         "1.",

@@ -11,7 +11,7 @@ import pandas as pd
 
 from vision.comparison.joint import with_word
 from vision.comparison.runs import TractionTest
-from vision.comparison.trends import SYMBOLS, Trend
+from vision.comparison.trends import PER, PREDICTORS, SYMBOLS, UNITS, Trend
 from vision.errors import InputError
 from vision.figures.figure import Figure, Panel, Series, load_figures
 from vision.figures.force import amplitude_curve, stiffness_curves
@@ -34,8 +34,6 @@ if TYPE_CHECKING:
     from vision.comparison.comparison import Comparison
 
 MOST_COLOURS = 8  # more cannot be distinguished
-SHOWN_TRENDS = {"n_test": "number of previous tests", "RH_percent": "relative humidity (%)"}
-_UNITS = {"N_hat_N": " (N)", "Lambda_hat_mm": " (mm)"}
 
 
 def compare_figures(found: Comparison) -> dict[str, list[Figure]]:
@@ -72,7 +70,7 @@ def peaks_figure(found: Comparison, events: pd.DataFrame) -> Figure:
             f"No curve: no single μ fits these tests (χ²/dof of their individual μ {joint.disagreement:.3g})."
         )
     else:
-        d, mu, sample = _span(events, "d_p_mm"), found.mu, found.tests[0].sample
+        d, mu, sample = _span(events, "d_p_mm"), found.mu, found.sample_of_mu
         eq1 = Series.model("Eq. 1", d, equations.traction(d, mu=mu.value, sample=sample), MODEL)
         series = (*series, eq1)
         whose = f"fitted jointly to {joint.sample or 'all tests'}" if joint else "of the first test"
@@ -92,7 +90,7 @@ def drops_figure(found: Comparison, events: pd.DataFrame) -> Figure:
     series, model, joint = _points(found, events, "d_v_mm", "dF_N"), "", found.main
     amplitude = joint.amplitude if joint else found.fits[0].values["A"]
     if np.isfinite(amplitude.value) and (joint is None or joint.fits):
-        curve = amplitude_curve(_span(events, "d_v_mm"), found.mu, amplitude, found.tests[0].sample)
+        curve = amplitude_curve(_span(events, "d_v_mm"), found.mu, amplitude, found.sample_of_mu)
         series = (*series, curve)
         model = f" Dashed: A times the total normal force, A = {both_errors(amplitude)} (slow tests)."
     return Figure.of(
@@ -271,7 +269,7 @@ def irregular_figure(found: Comparison) -> Figure | None:
         "irregular",
         Panel(
             x_label=VALLEY_SEPARATION,
-            y_label="variation of ΔF",
+            y_label="coefficient of variation of ΔF",
             series=tuple(series),
             x_lines=tuple(one.change_mm for one in changed),
             y_range=from_zero(*(one.variation for one in irregular)),
@@ -289,7 +287,7 @@ def trends_figures(found: Comparison) -> list[Figure]:
     figures = []
     shown = (("fits", ("N_hat_N", "mu"), "N̂ and μ"), ("scale", ("Lambda_hat_mm",), "Λ̂"))
     for name, quantities, title in shown:
-        for predictor, what in SHOWN_TRENDS.items():
+        for predictor, what in PREDICTORS.items():
             panel = _trend_panel(found, quantities, predictor, what)
             if panel is not None:
                 results = [_trend_text(_trend_of(found, quantity, predictor)) for quantity in quantities]
@@ -323,7 +321,8 @@ def _trend_panel(found: Comparison, quantities: Sequence[str], predictor: str, w
             series.append(Series(label="", x=ends, y=line, dashed=not trend.claimed, **look))
     if not series or (len(quantities) > 1 and not any(s.axis == "right" for s in series)):
         return None
-    first, second = [*(SYMBOLS[quantity] + _UNITS.get(quantity, "") for quantity in quantities), ""][:2]
+    labels = [SYMBOLS[name] + (f" ({UNITS[name]})" if name in UNITS else "") for name in quantities]
+    first, second = [*labels, ""][:2]
     return Panel(
         x_label=what,
         y_label=first,
@@ -342,11 +341,19 @@ def _trend_text(trend: Trend) -> str:
     """Return slope, correlation and significance of a trend as a sentence."""
     if not np.isfinite(trend.slope):
         return ""
-    slope = plus_minus(Estimate(trend.slope, trend.slope_err))
     rank = f"Spearman ρ = {trend.spearman:.2f} (p = {trend.p:.2g})"
-    text = f"{SYMBOLS[trend.quantity]}: slope {slope}, {rank}"
+    text = f"{SYMBOLS[trend.quantity]}: slope {slope_text(trend, partial=False)}, {rank}"
     if np.isfinite(trend.partial_slope):
-        partial = plus_minus(Estimate(trend.partial_slope, trend.partial_slope_err))
-        text += f", with the other predictor fixed {partial} (p = {trend.partial_p:.2g})"
+        text += (
+            f", with the other predictor fixed {slope_text(trend, partial=True)} (p = {trend.partial_p:.2g})"
+        )
     claim = "a trend (solid line)" if trend.claimed else "no trend (dashed line)"
     return with_minus(f"{text}; {claim}.")
+
+
+def slope_text(trend: Trend, *, partial: bool) -> str:
+    """Return the slope of a trend, or the partial one, with its standard error and unit."""
+    slope = Estimate(
+        *((trend.partial_slope, trend.partial_slope_err) if partial else (trend.slope, trend.slope_err))
+    )
+    return " ".join(filter(None, (plus_minus(slope), UNITS.get(trend.quantity), PER[trend.predictor])))

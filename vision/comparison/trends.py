@@ -15,8 +15,11 @@ from vision.comparison.runs import TractionTest
 from vision.errors import counted
 from vision.numeric import Bools, Floats, Ints, rms
 
-SYMBOLS = {"mu": "μ", "N_hat_N": "N̂", "Lambda_hat_mm": "Λ̂"}  # by columns of tests.csv
-PREDICTORS = ("n_test", "RH_percent")
+# by columns of tests.csv
+SYMBOLS = {"mu": "μ", "N_hat_N": "N̂", "Lambda_hat_mm": "Λ̂"}
+UNITS = {"N_hat_N": "N", "Lambda_hat_mm": "mm"}
+PREDICTORS = {"n_test": "number of previous tests", "RH_percent": "relative humidity (%)"}
+PER = {"n_test": "per test", "RH_percent": "per %"}  # unit of slopes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,7 +127,8 @@ def _trend(
     line, found, scatter = slope(_design(x[known]))
     rho, p = spearman(x[known], y[known], rng, settings.draws)
     trend = Trend(**about, **found, intercept=float(line[0]), scatter=scatter, spearman=rho, p=p)
-    z = table[PREDICTORS[1 - PREDICTORS.index(predictor)]].to_numpy(float)
+    (other,) = PREDICTORS.keys() - {predictor}
+    z = table[other].to_numpy(float)
     known &= np.isfinite(z)
     if known.sum() < settings.least_tests + 1 or not (np.ptp(z[known]) > 0 and np.ptp(x[known]) > 0):
         return trend
