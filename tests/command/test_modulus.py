@@ -109,3 +109,20 @@ def test_another_commands_results_are_not_replaced(command: str, capsys: pytest.
     assert run([command, "sheet.txt", "--out", "film_tracks", "--overwrite"]) == 2
     assert "another run; give another --out" in capsys.readouterr().err
     assert Path("film_tracks/run.json").read_text() == '{"frames": {"read": 5}}'
+
+
+@pytest.mark.parametrize(("share", "unknown"), [(0.3, ["drifting"]), (0.2, ["drifting", "loop"])])
+def test_a_recording_that_ends_within_a_cycle(
+    share: float, unknown: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A failure means a drift of −25 N since the last peak was not reached, a quarter of the energy lost in a
+    cycle, or "nan N"."""
+    write_cycles("sheet.txt", CyclesTest())
+    lines = Path("sheet.txt").read_text("utf-8").splitlines()
+    Path("cut.txt").write_text("\n".join(lines[: int(share * len(lines))]), "utf-8")
+    run(["modulus", "cut.txt"])
+    printed = capsys.readouterr().out
+    assert "peak 54" in printed
+    assert [word for word in ("drifting", "loop", "nan") if word in printed] == [
+        word for word in ("drifting", "loop") if word not in unknown
+    ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 import time
 from collections.abc import Mapping, Sequence
@@ -165,12 +166,14 @@ def _modulus_lines(means: Mapping[str, MeanValue], cycles: int) -> list[str]:
         lines.append(
             f"{name} {both_errors(Estimate(mean.value, mean.error, mean.systematic_error))} GPa{scatter}"
         )
-    drift_N = means["drift_N"].value
-    lines.append(
-        f"peak {means['F_max_N'].value:.4g} N, drifting by {with_minus(f'{drift_N:.2g}')} N per cycle; "
-        f"tangent K {means['K_tangent_N_per_mm'].value:.4g} N/mm; loop {means['loop_mJ'].value:.3g} mJ"
-    )
-    return lines
+    others = {
+        "peak {:.4g} N": "F_max_N",
+        "drifting by {:.2g} N per cycle": "drift_N",
+        "tangent K {:.4g} N/mm": "K_tangent_N_per_mm",
+        "loop {:.3g} mJ": "loop_mJ",
+    }
+    known = [text.format(means[key].value) for text, key in others.items() if math.isfinite(means[key].value)]
+    return [*lines, with_minus("; ".join(known))] if known else lines
 
 
 def friction(

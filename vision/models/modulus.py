@@ -162,8 +162,9 @@ def measure_cycles(
     -------
     pandas.DataFrame
         Columns as in `CYCLES`, one row per loading branch, ``attrs`` as in `CyclesMetadata`. NaN in
-        ``loop_mJ`` and ``K_tangent_N_per_mm`` if the recording ends before the cycle, in ``residual_mm`` if F
-        does not return to 0, and in ``drift_N`` of the first cycle.
+        ``K_tangent_N_per_mm`` and ``loop_mJ`` if the recording ends before the sheet is half or, for the
+        latter, nearly unloaded, in ``F_max_N`` and ``drift_N`` if it ends before the turn, in ``residual_mm``
+        if F does not return to 0, and in ``drift_N`` of the first cycle.
 
     Raises
     ------
@@ -198,7 +199,9 @@ def measure_cycles(
             continue
         times = {"t_start_s": float(cycles.time[start]), "t_end_s": float(cycles.time[stop])}
         fit = {"fit_from_mm": float(delta[fitted][0]), "fit_to_mm": float(delta[fitted][-1])}
-        fit |= {"F_max_N": float(cycles.smooth[start : stop + 1].max()), "samples": samples}
+        turned = stop < delta.size - 1  # else the recording ends before the largest force
+        peak = float(cycles.smooth[start : stop + 1].max()) if turned else math.nan
+        fit |= {"F_max_N": peak, "samples": samples}
         line = _line(delta[fitted], load[fitted], sheet)
         rows.append(line | _unloading(cycles, start, stop, following, sheet) | times | fit)
     if not rows:
@@ -382,11 +385,13 @@ def _unloading(cycles: _Cycles, start: int, top: int, stop: int | None, sheet: S
     # The energy is that over the range of Δ common to both branches, since a cycle need not close.
     up, down = slice(start, top + 1), slice(top, stop + 1)
     common = max(float(delta[start]), float(delta[stop]))
+    loop = _work(delta[up], load[up], common) + _work(delta[down], load[down], common)
+    closed = stop < delta.size - 1 or delta[top] - delta[stop] > 0.9 * (delta[top] - delta[start])
     turn = _part(-smooth, top, stop, (0.05, 0.25))
     enough = turn.stop - turn.start > 2
     tangent = _line(delta[turn], load[turn], sheet)["k_N_per_mm"] if enough else math.nan
     return {
-        "loop_mJ": _work(delta[up], load[up], common) + _work(delta[down], load[down], common),
+        "loop_mJ": loop if closed else math.nan,
         "residual_mm": _zero_crossing(delta[down][::-1], smooth[down][::-1])
         - _zero_crossing(delta[up], smooth[up]),
         "K_tangent_N_per_mm": tangent,
