@@ -19,6 +19,7 @@ from vision.models.single_fits import (
     fit_drops,
     fit_peaks,
     fit_stiffness,
+    normal_force_at_scale,
     stiffness_errors,
     with_friction,
 )
@@ -237,19 +238,13 @@ def _fit(
         scale = stiffness.estimate(0)
         if not scale.value < 0.999 * DEFAULT.largest_scale * float(events["d_v_mm"].max()):
             scale = Estimate(float("nan"), float("nan"))
+        mu = known["mu"]
+        n_hat, by_scale, by_mu, _ = normal_force_at_scale(mu.value, scale.value, sample)
+        error = float(np.hypot(by_mu * mu.error, by_scale * scale.error))
         found = {name: known[name] for name in ("mu", "T0_N", "A")}
-        found |= {"N_hat_N": _n_hat(known["mu"], scale, sample), "Lambda_hat_mm": scale}
+        found |= {"N_hat_N": Estimate(n_hat, error), "Lambda_hat_mm": scale}
         chi2 = float(np.nanmean([fit.goodness.chi2_dof for fit in fits]))
     return found, chi2, fits[0].goodness.scatter
-
-
-def _n_hat(mu: Estimate, scale: Estimate, sample: Sample) -> Estimate:
-    """Return N̂, the normal force on the axis at d = Λ̂, with the independent errors of μ and Λ̂."""
-    alpha = equations.amplification(scale.value, mu=mu.value, sample=sample)
-    value = float(equations.normal_force(0, scale.value, mu=mu.value, sample=sample))
-    by_alpha = sample.t_star_N / (2 * mu.value) * alpha * np.exp(alpha)  # times dα/α
-    by_mu, by_scale = (by_alpha - value) / mu.value, by_alpha / scale.value
-    return Estimate(value, float(np.hypot(by_mu * mu.error, by_scale * scale.error)))
 
 
 def systematic_shifts(test: TractionTest, fit: TestFit, modulus: Estimate, main: bool) -> TestFit:

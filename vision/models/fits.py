@@ -31,6 +31,7 @@ from vision.models.single_fits import (
     fit_stiffness,
     fit_weighted,
     largest_chi2,
+    normal_force_at_scale,
     with_fitted_stiffness,
     with_friction,
 )
@@ -405,36 +406,26 @@ def _fit_all(events: pd.DataFrame, given: _Given) -> ModelFits:
 def _derived(
     stiffness: Fit, peaks: Fit, sample: Sample, free_t_star: bool, d_mm: float
 ) -> tuple[Estimate, Estimate, dict[str, float]]:
-    """N̂, λ of the outermost sheet, and all correlations, with errors propagated to first order.
-
-    N̂, the normal force on the axis at d = Λ̂, depends on μ, which contributes much of its error.
-    """
-    shared = [0, 2] if free_t_star else [0]
-    parameters = np.r_[stiffness.value, np.abs(peaks.value[shared])]
-    covariance = np.zeros((parameters.size, parameters.size))
+    """N̂, λ of the outermost sheet, and all correlations, with errors propagated to first order."""
+    scale, modulus = stiffness.value.tolist()
+    n_hat, by_scale, by_mu, by_t_star = normal_force_at_scale(float(peaks.value[0]), scale, sample)
+    of_n_hat = np.array([by_scale, 0.0, by_mu, by_t_star])  # by Λ̂, Y_eff, μ and T*
+    of_modulus = np.array([0.0, 1.0, 0.0, 0.0])
+    outermost = sample.sheets_per_block
+    bending = equations.bending_length_mm(outermost, d_mm, n_hat_N=n_hat, modulus_GPa=modulus, sample=sample)
+    of_bending = float(bending) / 2 * (of_modulus / modulus - of_n_hat / n_hat)
+    covariance = np.zeros((4, 4))
     covariance[:2, :2] = stiffness.covariance
-    covariance[2:, 2:] = peaks.covariance[np.ix_(shared, shared)]
-
-    def derived(q: Floats) -> Floats:
-        """N̂, λ and Y_eff from Λ̂, Y_eff, μ and, if it is fitted, T*."""
-        of = replace(sample, t_star_N=float(q[3])) if free_t_star else sample
-        n_hat = float(equations.normal_force(0, q[0], mu=q[2], sample=of))
-        outermost = sample.sheets_per_block
-        bending = equations.bending_length_mm(outermost, d_mm, n_hat_N=n_hat, modulus_GPa=q[1], sample=sample)
-        return np.array([n_hat, float(bending), q[1]])
-
-    steps = 1e-5 * np.diag(parameters)
-    jacobian = np.column_stack(
-        [(derived(parameters + step) - derived(parameters - step)) / (2 * step.sum()) for step in steps]
-    )
+    shared = [0, 2] if free_t_star else [0]
+    covariance[2 : 2 + len(shared), 2 : 2 + len(shared)] = peaks.covariance[np.ix_(shared, shared)]
+    jacobian = np.array([of_n_hat, of_bending, of_modulus])
     propagated = jacobian @ covariance @ jacobian.T
-    values, errors = derived(parameters), np.sqrt(np.diag(propagated))
+    errors = np.sqrt(np.diag(propagated)).tolist()
     product = errors[0] * errors[2]
     correlation = {"mu,T0_N": peaks.correlation(0, 1), "Lambda_hat_mm,Y_eff_GPa": stiffness.correlation(0, 1)}
     correlation |= {"mu,T_star_N": peaks.correlation(0, 2)} if free_t_star else {}
     correlation["N_hat_N,Y_eff_GPa"] = float(propagated[0, 2] / product) if product > 0 else 0.0
-    n_hat, bending = (Estimate(float(values[k]), float(errors[k])) for k in (0, 1))
-    return n_hat, bending, correlation
+    return Estimate(n_hat, errors[0]), Estimate(float(bending), errors[1]), correlation
 
 
 # --- systematic errors --------------------------------------------------------------------------------------

@@ -348,16 +348,15 @@ def _line(delta: Floats, load: Floats, sheet: Sample) -> dict[str, float]:
 
     Standard errors are those of correlated residuals. Only k if it is not positive; -inf if Δ does not vary.
     """
-    mean_delta, mean_load = float(delta.mean()), float(load.mean())
-    x, y = delta - mean_delta, load - mean_load
-    sxx = float(x @ x)
-    slope = float(x @ y) / sxx if sxx > 0 else -math.inf
+    if not np.ptp(delta) > 0:
+        return {"k_N_per_mm": -math.inf}
+    line = scipy.stats.linregress(delta, load)
+    slope, offset = float(line.slope), float(line.intercept)
     if slope <= 0:
         return {"k_N_per_mm": slope}
-    residual = y - slope * x
-    variance = float(residual @ residual) / max(delta.size - 2, 1) * correlation_inflation(residual, 0.99)
-    slope_err, mean_err = math.sqrt(variance / sxx), math.sqrt(variance / delta.size)
-    offset, offset_err = mean_load - slope * mean_delta, math.hypot(mean_err, mean_delta * slope_err)
+    widening = math.sqrt(correlation_inflation(load - slope * delta - offset, 0.99))
+    slope_err, offset_err = widening * float(line.stderr), widening * float(line.intercept_stderr)
+    mean_err = slope_err * float(delta.std())  # of the load at the mean of Δ
     area = 1000 * sheet.thickness_mm * sheet.width_mm
     return {
         "k_N_per_mm": slope,
@@ -369,7 +368,7 @@ def _line(delta: Floats, load: Floats, sheet: Sample) -> dict[str, float]:
         "Y_slope_GPa": slope * sheet.length_mm / area,
         "Y_slope_err_GPa": slope_err * sheet.length_mm / area,
         "delta0_mm": -offset / slope,
-        "delta0_err_mm": math.hypot(mean_err, mean_load / slope * slope_err) / slope,
+        "delta0_err_mm": math.hypot(mean_err, float(load.mean()) / slope * slope_err) / slope,
     }
 
 
