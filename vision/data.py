@@ -153,6 +153,13 @@ def load_unit_text(force: xr.Dataset) -> str:
     return "of the weight" if unit == "1" else unit
 
 
+def with_word(name: str, word: str) -> str:
+    """Insert a word before the unit of a column's name: N_hat_err_N from N_hat_N."""
+    units = ("_N_per_mm", "_GPa", "_mJ", "_mm", "_N")
+    unit = next((unit for unit in units if name.endswith(unit)), "")
+    return f"{name.removesuffix(unit)}_{word}{unit}"
+
+
 def warnings_of(*parts: Data | None) -> list[str]:
     """Return the warnings of several stages in order, without repetition."""
     lines = [line for part in parts if part is not None for line in part.attrs.get("warnings", ())]

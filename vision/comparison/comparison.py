@@ -24,10 +24,10 @@ from vision.comparison.joint import (
     fit_test,
     shared_shifts,
     systematic_shifts,
-    with_word,
 )
 from vision.comparison.runs import TractionTest, read_tests
 from vision.comparison.trends import SYMBOLS, Irregularity, Trend, find_irregular, find_trends
+from vision.data import with_word
 from vision.errors import InputError, counted
 from vision.figures import Figure, both_errors, plus_minus, save_figures
 from vision.files import write_csv

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from vision.comparison.joint import with_word
 from vision.comparison.runs import TractionTest
 from vision.comparison.trends import PER, PREDICTORS, SYMBOLS, UNITS, Trend
+from vision.data import with_word
 from vision.errors import InputError
 from vision.figures.figure import Figure, Panel, Series, load_figures
 from vision.figures.force import amplitude_curve, stiffness_curves

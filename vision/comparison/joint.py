@@ -31,12 +31,6 @@ JOINT_ERROR = "stat. and d_0"
 QUANTITIES = ("mu", "T0_N", "A", "N_hat_N", "Lambda_hat_mm")  # columns of tests.csv
 
 
-def with_word(name: str, word: str) -> str:
-    """Insert a word before the unit of a name: N_hat_err_N from N_hat_N."""
-    stem, unit = next(((name.removesuffix(u), u) for u in ("_N", "_mm") if name.endswith(u)), (name, ""))
-    return f"{stem}_{word}{unit}"
-
-
 @dataclass(frozen=True, kw_only=True)
 class CompareSettings:
     """Tunable constants of the comparison."""

@@ -10,8 +10,9 @@ import numpy as np
 import pandas as pd
 import scipy
 
-from vision.comparison.joint import CompareSettings, with_word
+from vision.comparison.joint import CompareSettings
 from vision.comparison.runs import TractionTest
+from vision.data import with_word
 from vision.errors import counted
 from vision.numeric import Bools, Floats, Ints, rms
 

@@ -234,11 +234,12 @@ def _complete_events(sticks: pd.DataFrame, given: _Given, force: xr.Dataset) -> 
     needed = ["d_v_mm", "d_p_mm", "F_p_N", "dF_N", "K_N_per_mm"]
     if absent := [name for name in needed if name not in sticks]:
         raise InputError("the force recording", f"columns {', '.join(needed)}", f"no {', '.join(absent)}")
-    events = with_fitted_stiffness(sticks)
-    if "flag" in sticks:
-        events = events[whole_events(sticks["flag"])]
-    rising = (events["dF_N"] > 0) & (events["K_N_per_mm"] > 0)
-    events = events.loc[rising & np.isfinite(events[needed].to_numpy(float)).all(axis=1)]
+    events: pd.DataFrame = with_fitted_stiffness(sticks)
+    complete = np.isfinite(events[needed].to_numpy(float)).all(axis=1)
+    complete &= (events["dF_N"] > 0) & (events["K_N_per_mm"] > 0)
+    if "flag" in events:
+        complete &= whole_events(events["flag"])
+    events = events[complete]
     if len(events) < given.settings.least_events:
         d = force["d_mm"].values
         known = np.isfinite(d).any()

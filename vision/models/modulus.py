@@ -18,7 +18,7 @@ import scipy
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from vision.data import FORCE, ForceMetadata, Metadata, Schema, Variable, load_unit, record
+from vision.data import FORCE, ForceMetadata, Metadata, Schema, Variable, load_unit, record, with_word
 from vision.errors import InputError, check_positive
 from vision.numeric import Floats, Ints, correlation_inflation
 from vision.sample import LEAST_GPA, MOST_GPA, Sample, is_plausible_modulus
@@ -454,13 +454,9 @@ def mean_over_cycles(cycles: pd.DataFrame, column: str) -> MeanValue:
     if not values.size:
         return MeanValue(value=math.nan, error=math.nan, scatter=math.nan)
     scatter = float(values.std(ddof=1)) if values.size > 1 else math.nan
-    # The error of Y_p_GPa is Y_p_err_GPa, with the unit last.
-    unit = next((unit for unit in ("_N_per_mm", "_GPa", "_N", "_mm", "_mJ") if column.endswith(unit)), "")
-    error_column = f"{column.removesuffix(unit)}_err{unit}"
     from_fits = 0.0
-    if error_column in cycles:
-        errors = cycles[error_column].to_numpy(float)
-        from_fits = float(np.sqrt(np.nansum(errors**2))) / values.size
+    if (of_fits := with_word(column, "err")) in cycles:
+        from_fits = float(np.sqrt(np.nansum(cycles[of_fits].to_numpy(float) ** 2))) / values.size
     from_scatter = scatter / math.sqrt(values.size) if values.size > 1 else 0.0
     error = max(from_fits, from_scatter) or math.nan
     return MeanValue(value=float(values.mean()), error=error, scatter=scatter)
