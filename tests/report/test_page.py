@@ -219,6 +219,23 @@ def test_methods_tell_what_this_run_lacks(pulled):
     assert "The pixel size is not known." in text
 
 
+def test_methods_tell_what_was_given_and_corrected(pulled):
+    """A failure means that a paper presents a friction coefficient that was typed as one that was fitted."""
+    plain = " ".join(methods(pulled))
+    assert "given" not in plain.partition("Their peak forces")[2]
+    assert "corrected for a machine" not in plain
+    span = "from d = {:.2f} to {:.2f} mm were used".format(*pulled.fits.d_mm)
+    assert f"{pulled.fits.goodness['peaks'].points} stick phases {span}" in plain
+    sticks = pulled.sticks.copy()
+    sticks.attrs = {**sticks.attrs, "machine_stiffness_N_per_mm": 1e5}
+    t_star = Estimate(0.0031, 0.0002)
+    fits = replace(pulled.fits, held=("mu", "modulus_GPa"), t_star_N=t_star)
+    text = " ".join(methods(replace(pulled, sticks=sticks, fits=fits)))
+    assert "T* = 3.1 mN (fitted)" in text
+    assert "μ and Y_eff were given." in text
+    assert "d was corrected for a machine of 100000 N/mm." in text
+
+
 def test_methods_tell_that_the_error_of_d0_is_not_known(pulled):
     """A failure means that a paper states systematic errors without the largest source, in silence."""
     known, unknown = (replace(pulled.fits, input_errors=errors) for errors in ({"d0_mm": 0.1}, {}))

@@ -246,10 +246,10 @@ def budget_table(results: Results) -> FactsTable:
         rows.append((SOURCES.get(source, source), *cells))
     rows.append(("systematic error", *(_total(budget, name) for name in quantities)))
     note = (
-        "The last row is the root of the sum of squares of the known errors. Statistical errors of a "
-        "position, of K and of σ_x/Λ_st are medians over positions, events and sheets. The systematic error "
-        "of a position is the same in every frame, so that displacements do not have it. An empty cell means "
-        "no effect."
+        "The last row is the root of the sum of squares of the known errors. Values and statistical errors "
+        "of a position, of K and of σ_x/Λ_st are medians over positions, events and sheets. The systematic "
+        "error of a position is the same in every frame, so that displacements do not have it. An empty cell "
+        "means no effect."
     )
     return FactsTable("Systematic errors", heads, tuple(rows) if quantities else (), note)
 

@@ -309,14 +309,12 @@ def _stick_phases(force: xr.Dataset, sticks: pd.DataFrame) -> str:
         "given": "as given",
     }.get(s.threshold_how, s.threshold_how)
     unit = load_unit_text(force)
-    knees = (
-        " Stick phases have a knee, and the models are fitted to the slope after it."
-        if has_knees(sticks)
-        else ""
-    )
+    knees = " The models are fitted to the slope after the knee of each." if has_knees(sticks) else ""
+    stiffness = s.machine_stiffness_N_per_mm
+    machine = f" d was corrected for a machine of {stiffness:g} N/mm." if math.isfinite(stiffness) else ""
     return (
-        f"The traction force was recorded while the blocks were pulled apart{pulled}. Slips are falls "
-        f"at which the lines fitted on both sides are apart by more than {s.threshold_N:.3g} {unit} "
+        f"The traction force was recorded while the blocks were pulled apart{pulled}.{machine} Slips are "
+        f"drops at which the lines fitted before and after differ by more than {s.threshold_N:.3g} {unit} "
         f"({source}; the noise is {s.noise_N:.2g} {unit}); {len(sticks)} stick phases were found. Peak and "
         "valley forces F_p and F_v are those of a line through the central 80 % of each stick phase, "
         "extended to its ends but not beyond the recorded forces, and beside slow slips the recorded "
@@ -370,15 +368,21 @@ def _deformation(motion: xr.Dataset, threshold: float) -> str:
 
 
 def _models(fits: ModelFits) -> str:
-    sample = fits.sample
+    sample, (first, last), used = fits.sample, fits.d_mm, fits.goodness["peaks"].points
+    mu, t0, a, n_hat, modulus = (
+        both_errors(one) for one in (fits.mu, fits.t0_N, fits.amplitude, fits.n_hat_N, fits.modulus_GPa)
+    )
     lacking = "" if "d0_mm" in fits.input_errors else "; the latter without that of d0, which is not known"
+    fitted = " (fitted)" if math.isfinite(fits.t_star_N.error) else ""
+    given = [symbol for name, symbol in (("mu", "μ"), ("modulus_GPa", "Y_eff")) if name in fits.held]
+    known = f" {' and '.join(given)} {'were' if len(given) > 1 else 'was'} given." if given else ""
     return (
-        "Peak forces were fitted with Eq. 1 of the publication and a constant offset, stick-slip "
+        f"{used} stick phases from d = {first:.2f} to {last:.2f} mm were used. Their "
+        "peak forces were fitted with Eq. 1 of the publication and a constant offset 𝒯_0, stick-slip "
         "amplitudes with A times the total normal force, and K with M_eff K_eff, for "
         f"{sample.sheets_per_block} sheets of each block on either side of the axis, "
         f"{sample.thickness_mm:g} mm thick and {sample.width_mm:g} mm wide, "
         f"{sample.length_mm:g} mm from clamp to end, and "
-        f"T* = {1000 * fits.t_star_N.value:.3g} mN: μ = {both_errors(fits.mu)}, "
-        f"A = {both_errors(fits.amplitude)}, N̂ = {both_errors(fits.n_hat_N)} N, "
-        f"Y_eff = {both_errors(fits.modulus_GPa)} GPa (statistical and systematic errors{lacking})."
+        f"T* = {1000 * fits.t_star_N.value:.3g} mN{fitted}: μ = {mu}, 𝒯_0 = {t0} N, A = {a}, "
+        f"N̂ = {n_hat} N, Y_eff = {modulus} GPa (statistical and systematic errors{lacking}).{known}"
     )
