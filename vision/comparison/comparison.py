@@ -151,7 +151,7 @@ def compare(
     main = None  # the sample from which Y_eff is taken
     if modulus_GPa is None:
         main = tests[0].sample_name if main_sample is None else main_sample
-    modulus, source = _modulus(tests, main, modulus_GPa, settings)
+    modulus, source = _modulus(tests, main, modulus_GPa)
     tests, fits, unfitted = _fits(tests, modulus, main, settings)
     for test, fit in zip(tests, fits, strict=True):
         warnings += [f"{test.run}: {line}" for line in fit.warnings]
@@ -160,18 +160,7 @@ def compare(
         text = f"no Λ̂ with Y_eff = {modulus.value:.3g} GPa: {no_scale} (`modulus_GPa`, `main_sample`)"
         warnings.append(text)
     joint = _joint(tests, fits, settings)
-    warnings += [
-        f"{one.sample or 'all tests'}: no single μ fits the {len(one.runs)} tests (χ²/dof of their "
-        f"individual μ {one.disagreement:.3g}): use the μ of each test, in tests.csv"
-        for one in joint
-        if not one.fits
-    ]
-    warnings += [
-        f"{one.sample or 'all tests'}: the individual μ of {len(one.runs)} tests differ by more than their "
-        f"errors (χ²/dof {one.disagreement:.3g}): use the μ of each test, in tests.csv"
-        for one in joint
-        if one.fits and one.disagrees
-    ]
+    warnings += [one.warning for one in joint if one.warning]
     rows = _table(tests, fits)
     shared = {name: shared_shifts(tests, fits, name) for name in QUANTITIES}
     individual = {with_word(name, "err"): [fit.individual_error(name) for fit in fits] for name in QUANTITIES}
@@ -202,7 +191,7 @@ def _with_geometry_errors_of_samples(tests: Sequence[TractionTest]) -> tuple[Tra
 
 
 def _modulus(
-    tests: Sequence[TractionTest], main: str | None, given: float | None, settings: CompareSettings
+    tests: Sequence[TractionTest], main: str | None, given: float | None
 ) -> tuple[Estimate, tuple[str, ...]]:
     """Return Y_eff, as given or from the tests of the main sample, and where it comes from."""
     if given is not None:
@@ -213,7 +202,7 @@ def _modulus(
     if main is None or main not in names:
         known = ", ".join(sorted(set(names)))
         raise InputError("`main_sample`", f"one of the tests' samples ({known})", f"'{main}'")
-    modulus, source = common_modulus(tests, main, settings)
+    modulus, source = common_modulus(tests, main)
     if not np.isfinite(modulus.value):
         raise InputError("`modulus_GPa`", "tests of the main sample that give Y_eff", "none", "give it")
     return modulus, source
@@ -282,7 +271,7 @@ def answers(found: Comparison) -> list[Answer]:
     """Return the main results, for the top of the page and for the summary of the command."""
     boxes = [
         Answer(
-            f"one μ of {one.sample or 'all tests'}",
+            f"one μ of {one.name}",
             both_errors(one.mu, one.error_contains) if one.fits else "none fits the tests",
             f"for {len(one.runs)} tests{_joint_detail(one)}",
             doubt=one.disagrees or bool(one.at_limit),

@@ -73,7 +73,7 @@ def peaks_figure(found: Comparison, events: pd.DataFrame) -> Figure:
         d, mu, sample = _span(events, "d_p_mm"), found.mu, found.sample_of_mu
         eq1 = Series.model("Eq. 1", d, equations.traction(d, mu=mu.value, sample=sample), MODEL)
         series = (*series, eq1)
-        whose = f"fitted jointly to {joint.sample or 'all tests'}" if joint else "of the first test"
+        whose = f"fitted jointly to {joint.name}" if joint else "of the first test"
         t_star = f"T* = {1000 * sample.t_star_N:g} mN"
         value = both_errors(mu, joint.error_contains if joint else "stat.")
         model = f"Dashed: Eq. 1 with μ = {value}, {whose}, {t_star}."

@@ -16,9 +16,11 @@ from vision.models import Estimate, equations
 from vision.models.single_fits import (
     DEFAULT,
     FIT_ERRORS,
+    SLOW_MM_MIN,
     fit_drops,
     fit_peaks,
     fit_stiffness,
+    is_slow,
     normal_force_at_scale,
     stiffness_errors,
     with_friction,
@@ -35,11 +37,9 @@ QUANTITIES = ("mu", "T0_N", "A", "N_hat_N", "Lambda_hat_mm")  # columns of tests
 class CompareSettings:
     """Tunable constants of the comparison."""
 
-    t0_limit_N: float = 10.0
+    t0_limit_N: float = DEFAULT.largest_offset_N
     """Largest offset 𝒯0 of a test in the joint fit. A larger limit lets 𝒯0 compensate for a wrong μ; the
     publication has 10 N."""
-    slow_mm_min: float = 1.0
-    """Velocity up to which the publication's models of A, N̂ and Y_eff hold. Y_eff comes from such tests."""
     smooth_events: int = 15
     """Window of the running scatter of ΔF. Shorter is noisier, longer blurs the position of a change."""
     joint_misfit: float = 2.0
@@ -50,7 +50,7 @@ class CompareSettings:
     """χ²/dof of the individual μ of several tests above which a warning says that they differ by more than
     their errors; 1 is expected. Smaller warns of chance in few tests, larger passes tests whose errors lack a
     source (`test_tests_that_share_their_friction_coefficient`)."""
-    test_misfit: float = 3.0
+    test_misfit: float = DEFAULT.contradicting_chi2
     """χ²/dof of the fits of one test above which it gets a warning; 1 is expected. Smaller warns of chance in
     tests with few events, larger accepts a wrong modulus (`test_a_wrong_modulus_shows`)."""
     least_side: int = 10
@@ -71,10 +71,6 @@ class CompareSettings:
     """Probability with which any trend is claimed if there is none."""
     seed: int = 0
     """Seed of the permutations."""
-
-    def slow(self, test: TractionTest) -> bool:
-        """Return whether all models hold at the test's velocity; measured velocities differ by 5 %."""
-        return not test.speed_mm_min > 1.05 * self.slow_mm_min
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,6 +137,21 @@ class JointFriction:
     without_d0_error: tuple[str, ...] = ()  # runs that state no error of d0: that of μ does not contain it
 
     @property
+    def name(self) -> str:
+        """The sample, or all tests."""
+        return self.sample or "all tests"
+
+    @property
+    def warning(self) -> str:
+        """Why μ should not be used; "" if it may be."""
+        if self.fits and not self.disagrees:
+            return ""
+        differ = f"the individual μ of {len(self.runs)} tests differ by more than their errors (χ²/dof"
+        none = f"no single μ fits the {len(self.runs)} tests (χ²/dof of their individual μ"
+        problem = f"{differ if self.fits else none} {self.disagreement:.3g})"
+        return f"{self.name}: {problem}: use the μ of each test, in tests.csv"
+
+    @property
     def error_contains(self) -> str:
         """What the standard error of μ contains, as its label."""
         if not self.without_d0_error:
@@ -193,8 +204,8 @@ def fit_test(test: TractionTest, modulus: Estimate, settings: CompareSettings = 
         warnings.append(
             f"offset 𝒯0 = {with_minus(f'{t0.value:.3g}')} N lies beyond ±{settings.t0_limit_N:g} N"
         )
-    if not settings.slow(test):
-        notes.append(f"A, N̂ and Λ̂ are defined for V up to {settings.slow_mm_min:g} mm/min")
+    if not is_slow(test.speed_mm_min):
+        notes.append(f"A, N̂ and Λ̂ are defined for V up to {SLOW_MM_MIN:g} mm/min")
     if not np.isfinite(values["Lambda_hat_mm"].value):
         notes.append("K does not follow that of M_eff sheets with this Y_eff: no Λ̂")
     if chi2 > settings.test_misfit:
@@ -284,16 +295,14 @@ _GEOMETRY = {"thickness_mm": 1, "width_mm": 1, "length_mm": -1, "t_star_N": 0}
 """Exponent of each in the stiffness K of one sheet."""
 
 
-def common_modulus(
-    tests: Sequence[TractionTest], main: str, settings: CompareSettings = CompareSettings()
-) -> tuple[Estimate, tuple[str, ...]]:
+def common_modulus(tests: Sequence[TractionTest], main: str) -> tuple[Estimate, tuple[str, ...]]:
     """Return Y_eff of the main sample in GPa, a weighted mean over its slow tests, and the runs averaged.
 
     Each test contributes the Y_eff fitted in its run or, if there is none, a fit of Λ̂ and Y_eff. The error
     includes disagreement between the tests. The systematic error is that of ε, W and L; NaN if unknown.
     """
     of_sample = [test for test in tests if test.sample_name == main]
-    slow = list(filter(settings.slow, of_sample)) or of_sample
+    slow = [test for test in of_sample if is_slow(test.speed_mm_min)] or of_sample
     mean = weighted_mean([_modulus_of_test(test) for test in slow])
     relative = [
         slow[0].errors[name] / getattr(slow[0].sample, name)
@@ -365,7 +374,7 @@ def fit_joint(
     # Fisher information on μ in each test, with its offset fitted as well
     pairs = zip(residuals(mu + step), residuals(mu - step), strict=True)
     information = np.array([np.sum((more - less) ** 2) / (2 * step) ** 2 for (more, _), (less, _) in pairs])
-    slow = [fit.values["A"] for test, fit in zip(tests, fits, strict=True) if settings.slow(test)]
+    slow = [fit.values["A"] for test, fit in zip(tests, fits, strict=True) if is_slow(test.speed_mm_min)]
     free = max(sum(int(fit.used.sum()) for fit in fits) - len(fits) - 1, 1)
     chi2 = misfit(mu) / free  # relative: residuals are in units of the scatter about the individual curves
     errors = np.array([fit.individual_error("mu") for fit in fits])

@@ -22,6 +22,7 @@ from vision.models.single_fits import (
     DEFAULT,
     FIT_ERRORS,
     PARAMETERS,
+    SLOW_MM_MIN,
     Estimate,
     Fit,
     FitSettings,
@@ -30,6 +31,7 @@ from vision.models.single_fits import (
     fit_peaks,
     fit_stiffness,
     fit_weighted,
+    is_slow,
     largest_chi2,
     normal_force_at_scale,
     with_fitted_stiffness,
@@ -620,9 +622,11 @@ def _remarks(
     if (scatter := fits.goodness["drops"].scatter) > settings.unlike_drops:
         line = f"the drops scatter by {100 * scatter:.0f} % about A 𝒩, as small slips among large ones do:"
         yield f"{line} A is the mean of both; `threshold_N` leaves the small ones out", True
-    if facts.speed_mm_min > 1.05:
-        line = "the models of A, N̂ and Y_eff hold for V ≤ 1 mm/min; here V = "
-        yield f"{line}{facts.speed_mm_min:.3g} mm/min", False
+    if not is_slow(speed := facts.speed_mm_min):
+        line = (
+            f"the models of A, N̂ and Y_eff hold for V ≤ {SLOW_MM_MIN:g} mm/min; here V = {speed:.3g} mm/min"
+        )
+        yield line, False
     if not np.isfinite(facts.d0_err_mm):
         yield "systematic errors do not include that of d0, which is unknown (give `d0_err_mm`)", False
 

@@ -34,6 +34,10 @@ PARAMETERS = {
 """Names of the fitted parameters in models.json, and their fields in `ModelFits`."""
 
 
+SLOW_MM_MIN = 1.0
+"""Pulling speed up to which the publication's models of A, N̂ and Y_eff hold."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class FitSettings:
     """Tunable constants of the fits of the models; the tests named are in tests/models/test_fits.py."""
@@ -345,6 +349,11 @@ def stiffness_errors(events: pd.DataFrame) -> Floats:
     median = float(np.median(error[known] if known.any() else 0.05 * events["K_N_per_mm"]))
     error = np.where(known, error, median)
     return np.asarray(np.hypot(error, 0.5 * median), np.float64)
+
+
+def is_slow(speed_mm_min: float) -> bool:
+    """Return whether all models hold at a speed, which may be 5 % off as measured; also where it is NaN."""
+    return not speed_mm_min > 1.05 * SLOW_MM_MIN
 
 
 def with_friction(fit: Callable[[float], Fit], mu: Estimate) -> Fit:
