@@ -507,6 +507,9 @@ def whole_events(flags: Iterable[object]) -> Bools:
 # --- deformation --------------------------------------------------------------------------------------------
 
 
+NOT_SUBTRACTED = "not subtracted"
+
+
 @dataclass(frozen=True, kw_only=True)
 class MotionMetadata(Metadata):
     """How the deformation was measured."""
@@ -517,8 +520,14 @@ class MotionMetadata(Metadata):
     interval_s: float = math.nan  # between frames
     noise_share: float = 0.0  # of noise that is correlated from frame to frame, in the variance
     noise_rho: float = 0.0  # its AR(1) coefficient
-    camera_movement: str = ""  # how it was separated from the creep of the sheets
+    camera_movement: str = ""  # how it was separated from the creep of the sheets, or `NOT_SUBTRACTED`
     warnings: Sequence[str] = field(default_factory=list)  # stick phases that are left out
+
+    @property
+    def corrected_for(self) -> str:
+        """What σ_x is corrected for, as text."""
+        common = "" if self.camera_movement == NOT_SUBTRACTED else " and for motion common to all sheets"
+        return f"corrected for the noise of positions{common}"
 
 
 _EVENT_SHEET = ("event", "sheet")

@@ -8,6 +8,7 @@ import pytest
 
 from tests.scenes.analysed import FACTS, Found
 from tests.scenes.report_data import make_profile, make_tracks, sawtooth
+from vision.data import NOT_SUBTRACTED
 from vision.figures import figures_of
 from vision.models import Estimate
 from vision.report import write_report
@@ -217,6 +218,15 @@ def test_methods_tell_what_this_run_lacks(pulled):
     assert "One sheet appears as a " in text
     assert "px apart" not in text
     assert "The pixel size is not known." in text
+
+
+def test_methods_tell_whether_common_motion_was_subtracted(pulled):
+    """A failure means that σ_x with the camera's motion in it is presented as if it were without."""
+    common = "for motion common to all sheets"
+    off = replace(pulled, motion=pulled.motion.assign_attrs(camera_movement=NOT_SUBTRACTED))
+    for results, subtracted in ((pulled, True), (off, False)):
+        caption = next(one for one in figures_of(results) if one.name == "deformation").caption
+        assert (common in " ".join(methods(results)), common in caption) == (subtracted, subtracted)
 
 
 def test_methods_tell_what_was_given_and_corrected(pulled):

@@ -13,6 +13,7 @@ import xarray as xr
 from vision.clock import Clock
 from vision.data import (
     MOTION,
+    NOT_SUBTRACTED,
     STICKS,
     TRACKS,
     MotionMetadata,
@@ -315,7 +316,7 @@ def _measure(
     return motion, {
         "noise_share": noise.correlation.share,
         "noise_rho": noise.correlation.rho,
-        "camera_movement": camera.movement if camera else "not subtracted",
+        "camera_movement": camera.movement if camera else NOT_SUBTRACTED,
         "warnings": warnings,
     }
 

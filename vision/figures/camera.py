@@ -229,7 +229,8 @@ def intensity_figure(strip: xr.DataArray, tracks: xr.Dataset, slips_s: Floats | 
     if ridge is not None:
         caption += (
             " Below: one ridge at the beginning and at the end of a stick phase and after the slip; vertical "
-            "lines are its positions. It moves inwards during the stick phase and back in the slip."
+            "lines are its positions. In the publication sheets move inwards during a stick phase and back "
+            "in the slip."
         )
     return Figure(
         name="intensity",
@@ -557,7 +558,7 @@ def single_sheets_figure(
         title="Space-time diagrams of single sheets",
         caption=(
             f"Intensity in a window around {sheets}, one frame below the other, over {shown.size} slips "
-            f"(magenta, from {slips_from}). Outer sheets move more."
+            f"(magenta, from {slips_from}). In the publication, outer sheets move more."
         ),
     )
 

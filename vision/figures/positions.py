@@ -261,7 +261,7 @@ def deformation_figure(motion: xr.Dataset, *, threshold: float = STIFF_BELOW) ->
     return Figure.of(
         "deformation",
         _ratio_panel(motion, curves, threshold, look="both", width=1.0),
-        "σ_x/Λ_st, the RMS displacement in a stick phase without camera noise and common-mode motion, over "
+        f"σ_x/Λ_st, the RMS displacement in a stick phase, {MotionMetadata.of(motion).corrected_for}, over "
         "the stick length, with standard errors; for stick phases spread over the video, later ones "
         f"brighter, every other one hollow. Shaded: below {threshold:g}, where a sheet counts as stiff.",
         title="Horizontal deformation against sheet number",

@@ -357,13 +357,14 @@ def _alignment(clock: Clock) -> str:
 
 
 def _deformation(motion: xr.Dataset, threshold: float) -> str:
-    margin = MotionMetadata.of(motion).margin_s
-    excluded = f", without frames within {1000 * margin:.0f} ms of a slip" if math.isfinite(margin) else ""
+    facts = MotionMetadata.of(motion)
+    excluded = f", without frames within {1000 * facts.margin_s:.0f} ms of a slip"
+    excluded *= math.isfinite(facts.margin_s)
     return (
         f"For each of {motion.sizes['event']} stick phases in the video{excluded}, the displacement of a "
         "sheet is δx = x − x̂, where x̂ is its mean position in the stick phase. σ_x is the root mean square "
-        "of δx, corrected for the camera's noise and for motion common to all sheets. A sheet counts as "
-        f"stiff if σ_x over the stick length is below {threshold:g}."
+        f"of δx, {facts.corrected_for}. A sheet counts as stiff if σ_x over the stick length is below "
+        f"{threshold:g}."
     )
 
 
