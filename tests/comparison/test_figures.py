@@ -6,6 +6,7 @@ import pytest
 
 import vision
 from tests.scenes.comparison import events, write_run
+from vision.comparison.comparison import _methods
 from vision.comparison.figures import slope_text
 from vision.comparison.trends import Trend
 from vision.figures.figure import Figure, Panel, Series, save_figures
@@ -136,3 +137,11 @@ def test_slopes_have_their_unit(quantity, predictor, unit):
     )  # fmt: skip
     assert slope_text(trend, partial=False) == f"0.0100 ± 0.0020 {unit}"
     assert slope_text(trend, partial=True) == f"0.0200 ± 0.0030 {unit}"
+
+
+def test_methods_tell_only_what_was_done(tmp_path):
+    """A failure means that a paper claims a joint fit and trends that one test cannot have."""
+    runs = [write_run(tmp_path / f"r{k}", events(seed=k)) for k in range(2)]
+    one, two = (" ".join(_methods(vision.compare(some))) for some in (runs[:1], runs))
+    assert ("One μ" in one, "One μ" in two) == (False, True)
+    assert "Trends" not in one + two

@@ -400,16 +400,24 @@ def _methods(found: Comparison) -> list[str]:
     t_star = ", ".join(f"{mN:.3g}" for mN in sorted({1000 * test.sample.t_star_N for test in found.tests}))
     source = "as given" if found.modulus_from == ("given",) else f"of {', '.join(found.modulus_from)}"
     modulus = plus_minus(found.modulus)
-    return [
+    paragraphs = [
         "The peak forces of each test were fitted with Eq. 1 of the publication and an offset, with "
         f"T* = {t_star} mN fixed. K was fitted with M_eff K_eff, with Y_eff = {modulus} GPa ({source}) "
-        "fixed and only Λ̂ free; N̂ follows from Λ̂ and μ. One μ for all tests of a sample was fitted with an "
-        "individual offset of each test within ±10 N. Standard errors are White's, scaled if χ²/dof exceeds "
-        "1.",
+        "fixed and only Λ̂ free; N̂ follows from Λ̂ and μ. Standard errors are White's, scaled if χ²/dof "
+        "exceeds 1."
+    ]
+    if found.joint:
+        paragraphs.append(
+            "One μ for all tests of a sample was fitted with an individual offset of each test within ±10 N."
+        )
+    paragraphs.append(
         "Stick-slip becomes irregular at the event that best divides the logarithm of the relative deviation "
         "of ΔF from its smooth course into two levels. The change is claimed if fewer than 1 % of random "
-        "permutations divide as well, and a steady rise fits worse. Trends are weighted lines. Their p "
-        "values come from permutations, with the other predictor fixed after Freedman and Lane, and are "
-        "adjusted for the number of trends after Holm.",
-        ANALYSED_WITH,
-    ]
+        "permutations divide as well, and a steady rise fits worse."
+    )
+    if any(not trend.reason for trend in found.trends):
+        paragraphs.append(
+            "Trends are weighted lines. Their p values come from permutations, with the other predictor "
+            "fixed after Freedman and Lane, and are adjusted for the number of trends after Holm."
+        )
+    return [*paragraphs, ANALYSED_WITH]

@@ -309,6 +309,7 @@ def _stick_phases(force: xr.Dataset, sticks: pd.DataFrame) -> str:
         "given": "as given",
     }.get(s.threshold_how, s.threshold_how)
     unit = load_unit_text(force)
+    line = "a line with a knee" if s.two_slopes else "a line"
     knees = " The models are fitted to the slope after the knee of each." if has_knees(sticks) else ""
     stiffness = s.machine_stiffness_N_per_mm
     machine = f" d was corrected for a machine of {stiffness:g} N/mm." if math.isfinite(stiffness) else ""
@@ -316,7 +317,7 @@ def _stick_phases(force: xr.Dataset, sticks: pd.DataFrame) -> str:
         f"The traction force was recorded while the blocks were pulled apart{pulled}.{machine} Slips are "
         f"drops at which the lines fitted before and after differ by more than {s.threshold_N:.3g} {unit} "
         f"({source}; the noise is {s.noise_N:.2g} {unit}); {len(sticks)} stick phases were found. Peak and "
-        "valley forces F_p and F_v are those of a line through the central 80 % of each stick phase, "
+        f"valley forces F_p and F_v are those of {line} through the central 80 % of each stick phase, "
         "extended to its ends but not beyond the recorded forces, and beside slow slips the recorded "
         f"extremes. The stiffness K is the slope of the central {100 * s.central_part:.0f} %."
         f"{knees}{_lowpass(s)}"
