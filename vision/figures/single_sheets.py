@@ -41,10 +41,10 @@ def friction_figure(
         "friction",
         "Friction of two sheets",
         (
-            "Left: μ = 3τ/2RN against the angle, larger loads brighter, with the first maximum of each, μ_s; "
-            "shaded: range over which μ_d is the mean. Middle: both coefficients against the normal force, "
-            f"with standard errors.{fitted} Right: static friction force at the loads inside the blocks, "
-            "with a constant coefficient and with this law. Compare figure 10 of the publication."
+            "Left: μ = 3τ/(2RN) against the angle, larger loads brighter, with the first maximum of each, "
+            "μ_s; shaded: range over which μ_d is the mean. Middle: both coefficients against the normal "
+            f"force, with standard errors.{fitted} Right: static friction force at the loads inside the "
+            "blocks, with a constant coefficient and with this law. Compare figure 10 of the publication."
         ),
         (
             _angle_panel(measured, dynamic_deg),
@@ -72,7 +72,7 @@ def _angle_panel(measured: Sequence[DiscFriction], dynamic_deg: tuple[float, flo
     return Panel(
         title="Friction against angle",
         x_label="φ (°)",
-        y_label="μ = 3τ / 2RN",
+        y_label="μ = 3τ/(2RN)",
         series=tuple(series),
         bands=(Band(low=dynamic_deg[0], high=dynamic_deg[1], label="dynamic range", of_x=True),),
         x_range=(least_deg, max(last, 10 * least_deg)),
@@ -96,7 +96,7 @@ def _coefficient_panel(measured: Sequence[DiscFriction], law: StaticFriction | N
     top = float(np.nanmax([mu, *table["mu_s"], *table["mu_d"]]))
     return Panel(
         title="Static and dynamic coefficient",
-        x_label="N (N)",
+        x_label="normal force N (N)",
         y_label="friction coefficient",
         series=tuple(series),
         y_range=(0.0, 1.2 * top),
@@ -118,7 +118,7 @@ def _threshold_panel(law: StaticFriction | None, mu: float) -> Panel:
         series.append(Series.points(f"equal at {crossing:.3f} N", [crossing], [mu * crossing], PEAK))
     return Panel(
         title="Thresholds over the loads in the blocks",
-        x_label="N (N)",
+        x_label="normal force N (N)",
         y_label="static friction force (N)",
         series=tuple(series),
         x_range=(float(load.min()), float(load.max())),
