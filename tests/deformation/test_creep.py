@@ -1,9 +1,13 @@
 """Frames of sticks, the Legendre fit to all of them at once, sheets that slip late, noise, pixel locking."""
 
+import tracemalloc
+from dataclasses import fields
+
 import numpy as np
 import pytest
 
 from tests.scenes.creeping import PIXEL_UM, errors, make, measure, uniform
+from vision.deformation import creep as creep_module
 from vision.deformation.creep import (
     AR1Noise,
     find_late_slips,
@@ -50,6 +54,38 @@ def test_sums_and_minima_of_sticks_without_frames():
     values = np.array([[1.0], [2.0], [5.0]])
     np.testing.assert_array_equal(frames.sums(values)[:, 0], [3, 0, 5])
     np.testing.assert_array_equal(frames.lowest(values)[:, 0], [1, np.inf, 5])
+
+
+def test_creep_does_not_depend_on_how_many_sheets_are_fitted_at_once(monkeypatch):
+    """A failure means that long films have other deformations than short ones, or other errors."""
+    frames, rng = frames_of(8, 30), np.random.default_rng(4)
+    x = rng.normal(size=(240, 7)) + frames.u[:, None]
+    x[rng.random(x.shape) < 0.1] = np.nan
+    expected = fit_creep(x, frames, 3, SETTINGS, AR1Noise(0.5, 0.7))
+    monkeypatch.setattr(creep_module, "POSITIONS_AT_ONCE", 500)
+    found = fit_creep(x, frames, 3, SETTINGS, AR1Noise(0.5, 0.7))
+    for one in fields(expected):
+        np.testing.assert_allclose(getattr(found, one.name), getattr(expected, one.name), rtol=1e-12)
+
+
+def test_memory_of_many_frames_is_a_few_tables_of_positions():
+    """A failure means that the deformation of a long film takes more memory than all that was read of it."""
+    frames = frames_of(2000, 20)
+    x = np.random.default_rng(5).normal(0, 0.02, (40_000, 40)) + frames.u[:, None]
+    creep = fit_creep(x, frames, 3, SETTINGS)
+    tracemalloc.start()
+    try:
+        for work, tables in (
+            (lambda: fit_creep(x, frames, 3, SETTINGS), 2.0),
+            (lambda: find_late_slips(x, frames, SETTINGS), 5.0),
+            (lambda: creep.at(frames), 2.0),
+        ):
+            before = tracemalloc.get_traced_memory()[0]
+            tracemalloc.reset_peak()
+            work()
+            assert tracemalloc.get_traced_memory()[1] - before < tables * x.nbytes
+    finally:
+        tracemalloc.stop()
 
 
 @pytest.mark.parametrize("terms", [2, 3, 4])

@@ -15,7 +15,7 @@ import scipy
 
 from vision.deformation.creep import Creep, Noise, StickFrames, coefficient_errors
 from vision.deformation.settings import DeformationSettings
-from vision.numeric import Bools, Floats, Ints, nan_median, sigma_about_zero
+from vision.numeric import Bools, Floats, Ints, median_size, nan_median, row_parts, sigma_about_zero
 
 # --- vibration ----------------------------------------------------------------------------------------------
 
@@ -27,17 +27,19 @@ def common_mode_motion(residual: Floats, settings: DeformationSettings) -> tuple
     each sheet's variance, without outliers. Also returns the factor on each sheet's noise variance that
     restores what subtracting this motion removes, (sheet,).
     """
-    spread = nan_median(np.abs(residual))
+    spread = median_size(residual)
     typical = nan_median(spread)
     spread = np.maximum(spread, 0.1 * typical if typical > 0 else 1e-6)
     weight = np.where(np.isfinite(spread), spread**-2, 0.0)
-    with np.errstate(invalid="ignore"):
-        deviation = np.abs(residual - nan_median(residual, axis=1)[:, None])
-        known = (deviation <= 8 * spread) & (weight > 0)  # outliers do not move with the others
-    enough = known.sum(axis=1) >= settings.least_sheets
-    total = (known * weight).sum(axis=1)
-    moved = np.where(known, residual, 0.0) @ weight
-    motion = np.divide(moved, total, out=np.zeros_like(total), where=enough)
+    motion = np.zeros(len(residual))
+    for some in row_parts(len(residual)):
+        near = residual[some]
+        with np.errstate(invalid="ignore"):
+            deviation = np.abs(near - nan_median(near, axis=1)[:, None])
+            known = (deviation <= 8 * spread) & (weight > 0)  # outliers do not move with the others
+        enough = known.sum(axis=1) >= settings.least_sheets
+        moved = np.where(known, near, 0.0) @ weight
+        np.divide(moved, (known * weight).sum(axis=1), out=motion[some], where=enough)
     if (weight > 0).sum() < settings.least_sheets:
         return motion, np.ones(weight.size)
     return motion, np.asarray(1 / (1 - np.minimum(weight / weight.sum(), 0.5)))

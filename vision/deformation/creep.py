@@ -6,7 +6,7 @@ positions with its autocorrelation, from which the standard errors follow.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import scipy
@@ -14,8 +14,10 @@ from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
 from vision.deformation.settings import DeformationSettings
-from vision.numeric import Bools, Floats, Ints, nan_median, sigma_about_zero
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, median_where, nan_median, row_parts
 from vision.sheets import TrackingSettings
+
+POSITIONS_AT_ONCE = 100_000  # to which creep is fitted; more take memory, fewer calls of NumPy
 
 # --- frames of sticks ---------------------------------------------------------------------------------------
 
@@ -32,6 +34,11 @@ class StickFrames:
     length_s: Floats  # duration of each stick, (stick,)
     middle_s: Floats  # middle of each stick, (stick,)
     interval_s: float  # time between frames
+
+    def only(self, chosen: Bools | Ints) -> StickFrames:
+        """Return some of the frames, of the same sticks."""
+        names = ("frame", "row", "u", "slot")
+        return replace(self, **{name: getattr(self, name)[chosen] for name in names})
 
     @property
     def since_s(self) -> Floats:
@@ -104,7 +111,10 @@ class Creep:
     def at(self, frames: StickFrames) -> Floats:
         """Fitted positions in every frame, px, (F, sheet)."""
         design = legendre(frames.u, self.coefficient.shape[2])
-        return np.asarray(np.einsum("fk,fsk->fs", design, self.coefficient[frames.row]))
+        fitted = np.empty((len(design), self.coefficient.shape[1]))
+        for some in row_parts(len(design)):
+            fitted[some] = np.einsum("fk,fsk->fs", design[some], self.coefficient[frames.row[some]])
+        return fitted
 
     @property
     def dof(self) -> Ints:
@@ -135,6 +145,17 @@ def fit_creep(
 
     which is one banded system for all sticks and sheets.
     """
+    # A few sheets at a time limit the memory.
+    some = np.array_split(np.arange(x_px.shape[1]), max(1, x_px.size // POSITIONS_AT_ONCE))
+    parts = [_fit_sheets(x_px[:, sheets], frames, terms, settings, noise) for sheets in some]
+    names = [one.name for one in fields(Creep)]
+    return Creep(*(np.concatenate([getattr(part, name) for part in parts], axis=1) for name in names))
+
+
+def _fit_sheets(
+    x_px: Floats, frames: StickFrames, terms: int, settings: DeformationSettings, noise: AR1Noise
+) -> Creep:
+    """Fit the creep of some sheets; see `fit_creep`."""
     known = np.isfinite(x_px)
     count = frames.sums(known).astype(np.int64)
     u = np.broadcast_to(frames.u[:, None], known.shape)
@@ -142,9 +163,7 @@ def fit_creep(
     good = (count >= 4) & (span >= settings.least_cover)
     middle = frames.sums(np.where(known, x_px, 0.0)) / np.maximum(count, 1)
     displacement = x_px - middle[frames.row]  # otherwise rounding would affect the sums of squares
-    blocks = np.array_split(np.arange(x_px.shape[1]), max(1, x_px.size // 100_000))  # limits the memory
-    parts = [_normal_equations(displacement[:, block], frames, terms, noise) for block in blocks]
-    matrix, log_det = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
+    matrix, log_det = _normal_equations(displacement, frames, terms, noise)
     inverse = np.full((*good.shape, terms, terms), np.nan)
     inverse[good] = np.linalg.inv(matrix[good][:, :terms, :terms])
     right = matrix[..., :terms, terms]
@@ -251,44 +270,48 @@ def _late(x_px: Floats, frames: StickFrames, settings: DeformationSettings) -> t
     """Positions before the sheet's slip or after the next one, (F, sheet); frames in which all sheets are
     slipping, (F, 1); and sheets with slips large enough for this test, (stick, sheet)."""
     end = _near_the_ends(frames, settings)
-    creep = fit_creep(np.where(end, np.nan, x_px), frames, 3, settings)
-    residual = x_px - creep.at(frames)
+    creep = fit_creep(np.where(end[:, None], np.nan, x_px), frames, 3, settings)
+    residual = creep.at(frames)
+    np.subtract(x_px, residual, out=residual)
     residual -= nan_median(residual, axis=1)[:, None]
-    limit = settings.late_errors * _extrapolation_error(np.where(end, np.nan, residual), end, creep, frames)
+    fitted = np.broadcast_to(~end[:, None], residual.shape)
+    noise_px = median_where(fitted, np.abs(residual)) / NORMAL_MEDIAN
+    ends, residual = frames.only(end), residual[end]
+    limit = settings.late_errors * _extrapolation_error(noise_px, creep, ends)
     jump = 2 * creep.coefficient[..., 1]
+    late, blurred = np.zeros(x_px.shape, bool), np.zeros((len(x_px), 1), bool)
     with np.errstate(divide="ignore", invalid="ignore"):
-        largest = -frames.lowest(np.where(end & np.isfinite(limit), -limit, 0.0))
+        largest = -ends.lowest(np.where(np.isfinite(limit), -limit, 0.0))
         clear = (largest > 0) & np.isfinite(largest) & (np.abs(jump) > 2 * largest)
         clear &= ~_uneven(creep.square, creep.dof, _typical_variance(creep), settings)
         # Part of the slip that is still missing, or, at the end of the stick, that is already made.
-        part = -np.sign(frames.u)[:, None] * residual / jump[frames.row]
-        part = np.where(end & clear[frames.row] & (part < 1.5), part, np.nan)  # more is not a late slip
+        part = -np.sign(ends.u)[:, None] * residual / jump[ends.row]
+        part = np.where(clear[ends.row] & (part < 1.5), part, np.nan)  # more is not a late slip
         common = np.maximum(_lower_quantile(part, settings.late_common), 0.0)[:, None]
-        least = np.maximum(limit / np.abs(jump)[frames.row], 0.01)
-        late, blurred = part - common > least, (common > least).any(axis=1, keepdims=True)
-    return np.asarray(late), np.asarray(blurred), clear
+        least = np.maximum(limit / np.abs(jump)[ends.row], 0.01)
+        late[end], blurred[end] = part - common > least, (common > least).any(axis=1, keepdims=True)
+    return late, blurred, clear
 
 
 def _near_the_ends(frames: StickFrames, settings: DeformationSettings) -> Bools:
-    """Frames within `slip_delay_s` of either end of sticks that have at least six others, (F, 1)."""
+    """Frames within `slip_delay_s` of either end of sticks that have at least six others, (F,)."""
     reach = int(np.ceil(settings.slip_delay_s / frames.interval_s))
     after = np.arange(frames.row.size) - np.searchsorted(frames.row, frames.row)
     before = frames.counts[frames.row] - 1 - after
     near = np.minimum(after, before) < reach
-    return np.asarray(near & (after + before + 1 - 2 * reach >= 6))[:, None]
+    return np.asarray(near & (after + before + 1 - 2 * reach >= 6))
 
 
-def _extrapolation_error(residual: Floats, end: Bools, creep: Creep, frames: StickFrames) -> Floats:
-    """Standard error of the residuals at the ends, which are not fitted, px, (F, sheet); NaN elsewhere."""
+def _extrapolation_error(noise_px: Floats, creep: Creep, ends: StickFrames) -> Floats:
+    """Standard error of the residuals at the ends, which are not fitted, px, (F, sheet).
+
+    noise_px: standard deviation of the residuals of each sheet that are fitted, (sheet,).
+    """
     terms = creep.coefficient.shape[2]
     count = max(float(np.median(creep.count)), terms + 1)
-    noise = sigma_about_zero(residual) * np.sqrt(count / (count - terms))
-    left_out = np.flatnonzero(end[:, 0])
-    design = legendre(frames.u[left_out], terms)
-    variance = 1 + np.einsum("fa,fsab,fb->fs", design, creep.inverse[frames.row[left_out]], design)
-    error = np.full(residual.shape, np.nan)
-    error[left_out] = noise * np.sqrt(variance)
-    return error
+    design = legendre(ends.u, terms)
+    variance = 1 + np.einsum("fa,fsab,fb->fs", design, creep.inverse[ends.row], design)
+    return np.asarray(noise_px * np.sqrt(count / (count - terms)) * np.sqrt(variance))
 
 
 def _lower_quantile(part: Floats, share: float) -> Floats:
@@ -357,8 +380,7 @@ def _fit_correlation(
     sheets = max(1, min(every, x_px.shape[1] // 8))
     selected = used[:, ::sheets] & (np.arange(frames.sticks) % max(1, every // sheets) == 0)[:, None]
     inside = selected.any(axis=1)[frames.row]
-    names = ("frame", "row", "u", "slot")
-    part = replace(frames, **{name: getattr(frames, name)[inside] for name in names})
+    part = frames.only(inside)
     x_px = np.where(selected[part.row], x_px[inside, ::sheets], np.nan)
 
     def deviance(share_and_rho: Floats) -> float:

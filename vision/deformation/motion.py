@@ -265,9 +265,10 @@ def _measure(
     """Measure the deformation in the usable frames; also return fields of `MotionMetadata`."""
     x_px, side = np.asarray(tracks["x_px"].values, float)[frames.frame], tracks["side"].values
     terms = 4 if np.median(frames.counts) >= settings.cubic_frames else 3
-    steady, facts = x_px, TrackMetadata.of(tracks)
-    vibration, factor = np.zeros(len(x_px)), np.ones(side.size)
-    if common_mode and len(x_px):
+    steady, rms_px, facts = x_px, _rms(x_px, frames), TrackMetadata.of(tracks)
+    del x_px  # tables of positions are large in long films
+    vibration, factor = np.zeros(len(steady)), np.ones(side.size)
+    if common_mode and len(steady):
         steady, vibration, factor = _without_vibration(steady, frames, terms, settings)
     slips = find_late_slips(steady, frames, settings)
     steady = np.where(slips.outside, np.nan, steady)
@@ -296,7 +297,7 @@ def _measure(
     warnings += _own_warnings(own_px, bends_px, curve.slope_err, settings)
     curve = replace(curve, slope_err=np.sqrt(curve.slope_err**2 + own_px**2 + bends_px**2))
     values = {
-        "sigma_x_um": np.where(line.good, _rms(x_px, frames), np.nan) * pixel_um,
+        "sigma_x_um": np.where(line.good, rms_px, np.nan) * pixel_um,
         **_relative_to_length(curve, line, noise.excess > 1, events, side, pixel_um, settings),
         "sweep_um": -2 * side * curve.straight * pixel_um,
         "frames": line.count,
@@ -401,7 +402,8 @@ def _without_vibration(
 ) -> tuple[Floats, Floats, Floats]:
     """Positions without the vibration of the camera; this vibration in each usable frame, px; and the factor
     on each sheet's noise variance that restores what the subtraction removed."""
-    residual = x_px - fit_creep(x_px, frames, terms, settings).at(frames)
+    residual = fit_creep(x_px, frames, terms, settings).at(frames)
+    np.subtract(x_px, residual, out=residual)
     vibration, factor = common_mode_motion(residual, settings)
     return x_px - vibration[:, None], vibration, factor
 
@@ -411,9 +413,10 @@ def _rms(x_px: Floats, frames: StickFrames) -> Floats:
     known = np.isfinite(x_px)
     count = frames.sums(known)
     count[count == 0] = np.nan
-    mean = frames.sums(np.where(known, x_px, 0.0)) / count
-    displacement = np.where(known, x_px - mean[frames.row], 0.0)
-    return np.sqrt(frames.sums(displacement**2) / count)
+    displacement = np.where(known, x_px, 0.0)
+    displacement -= (frames.sums(displacement) / count)[frames.row]
+    displacement[~known] = 0.0
+    return np.sqrt(frames.sums(np.square(displacement, out=displacement)) / count)
 
 
 @dataclass(frozen=True)
