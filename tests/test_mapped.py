@@ -12,7 +12,7 @@ import xarray as xr
 
 from tests.scenes.comb_video import frames_of, positions
 from tests.scenes.films import write_avi
-from vision.mapped import give_back, parts_in_turn, some_rows, table_in_file
+from vision.mapped import give_back, give_back_freed, parts_in_turn, some_rows, table_in_file
 from vision.sheets import track_sheets
 from vision.video import VideoSettings, open_video, strip_profile
 
@@ -57,6 +57,23 @@ def test_tracks_of_a_strip_in_a_file_are_the_same(tmp_path):
     in_file = strip_profile(film, slice(0, 12), settings=VideoSettings(spill_bytes=1000))
     in_file.attrs = in_memory.attrs  # which state the setting
     xr.testing.assert_identical(track_sheets(in_file), track_sheets(in_memory))
+
+
+@needs_proc
+def test_memory_between_what_is_in_use_is_given_back():
+    """Failure: what a stage has freed stays with the process, and the next stage adds its own."""
+
+    def resident():
+        lines = Path("/proc/self/status").read_text().splitlines()
+        return int(next(line.split()[1] for line in lines if line.startswith("VmRSS"))) << 10
+
+    made = [np.ones(5000) for _ in range(2000)]  # 40 kB each, which the C library does not map one by one
+    kept = made[::10]
+    del made
+    before = resident()
+    give_back_freed()
+    assert before - resident() > 40 << 20
+    assert all((one == 1).all() for one in kept)
 
 
 CHILD = """

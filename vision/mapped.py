@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import ctypes
 import mmap
 import os
 import tempfile
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +59,15 @@ def give_back(values: NDArray[Any]) -> None:
         start, stop = (int(place) - owner.address for place in byte_bounds(values))
         start -= start % mmap.PAGESIZE
         owner.madvise(mmap.MADV_DONTNEED, start, stop - start)
+
+
+def give_back_freed() -> None:
+    """Give memory that was freed, and that the C library keeps between what is in use, back to the system.
+
+    Nothing happens where it is not the GNU C library. It takes a few milliseconds.
+    """
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 def parts_in_turn(table: NDArray[Any], at_once: int = _ROWS_AT_ONCE) -> Iterator[slice]:

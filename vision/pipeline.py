@@ -41,6 +41,7 @@ from vision.errors import (
 from vision.figures.catalogue import Plots, Results, figure_named
 from vision.files import Progress, html_table
 from vision.force import ForceSettings, find_stick_slip, read_force
+from vision.mapped import give_back_freed
 from vision.models import FitSettings, ModelFits, fit_models
 from vision.models.fits import check_fit_range
 from vision.sample import PUBLISHED, Sample
@@ -357,6 +358,7 @@ class _Stages:
         try:
             return work(*inputs)
         finally:
+            give_back_freed()
             self.seconds[name] = time.perf_counter() - started
 
     def optional(

@@ -25,6 +25,7 @@ from vision.figures import (
 )
 from vision.files import write_csv
 from vision.folder import run_folder, write_json
+from vision.mapped import give_back_freed
 from vision.pipeline import Analysis
 from vision.report import write_report
 from vision.run.provenance import Origin, checksum_of
@@ -67,6 +68,7 @@ def write_run(
         with _tracks_csv_meanwhile(analysis, folder):
             inputs = origin.describe()
             _write_tables(analysis, folder, origin)
+            give_back_freed()
             seconds["tables"] = time.perf_counter() - started
             content = {**run_facts(analysis, origin, inputs), **(facts or {})}
             _write_decisions(analysis, folder, content, decisions)
