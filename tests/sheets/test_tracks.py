@@ -1,5 +1,6 @@
 """What must hold for every recording: symmetries, order, inputs left alone; and strips that are refused."""
 
+import sys
 import tracemalloc
 from functools import cache
 
@@ -11,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.scenes.combs import as_strip, comb, ridges, strip
+from vision import numeric
 from vision.data import TRACKS, TrackMetadata
 from vision.errors import InputError
 from vision.sheets import track_sheets
@@ -108,6 +110,30 @@ def test_negative_film_gives_the_same_sheets(seed):
     negative = as_strip((255 - picture.values).astype(np.float32))
     here, there = track_sheets(picture, ridges="bright"), track_sheets(negative, ridges="dark")
     np.testing.assert_allclose(there.x_px, here.x_px, atol=1e-4)
+
+
+def test_sizes_of_blocks_and_number_of_threads_change_nothing(monkeypatch):
+    """A failure means that positions depend on the machine, or on where blocks of a film begin."""
+    picture = recording(3, frames=300)[1]
+    expected = track_sheets(picture)
+    monkeypatch.setattr(numeric.row_parts, "__defaults__", (37,))
+    sizes = {"FRAMES_PER_BLOCK", "AT_ONCE", "RIDGES_AT_ONCE", "FRAMES_AT_ONCE", "TRIPLES_AT_ONCE"}
+    changed = set()
+    for name, module in list(sys.modules.items()):
+        if name == "vision.numeric" or name.startswith("vision.sheets."):
+            for size in sizes & vars(module).keys():
+                monkeypatch.setattr(module, size, 29)
+                changed.add(size)
+            if "in_two_threads" in vars(module):
+                monkeypatch.setattr(
+                    module, "in_two_threads", lambda work, items: [work(item) for item in items]
+                )
+    assert changed == sizes
+    found = track_sheets(picture)
+    for name in ("flag", "why", "side", "n"):
+        assert (found[name].values == expected[name].values).all()
+    for name in ("x_px", "x_err_px", "fwhm_px", "x_noise_px", "x_scatter_px", "x_expected_px"):
+        np.testing.assert_allclose(found[name], expected[name], rtol=1e-9, err_msg=name)
 
 
 def test_what_comes_out_is_as_declared():
