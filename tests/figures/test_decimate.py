@@ -1,5 +1,7 @@
 """What is drawn of long records: slips stay whole, pictures stay true."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -102,3 +104,14 @@ def test_grey_levels_span_black_to_white():
     """A failure means a picture without contrast, or unknown pixels shown as black."""
     grey = grey_levels(np.array([0.0, 50.0, 100.0, 200.0, np.nan]), 0.0, 100.0)
     assert grey.tolist() == [0, 128, 255, 255, 128]
+
+
+def test_positions_of_a_long_film_are_reduced_a_few_sheets_at_a_time():
+    """A failure means that drawing a long film takes several copies of its positions."""
+    positions = np.zeros((40_000, 30))
+    tracemalloc.start()
+    try:
+        minmax_decimate(np.arange(40_000.0), positions, most=2000)
+        assert tracemalloc.get_traced_memory()[1] < positions.nbytes / 2
+    finally:
+        tracemalloc.stop()

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vision.mapped import give_back, some_rows
-from vision.numeric import Floats, Floats32
+from vision.numeric import Floats, Floats32, column_parts
 
 _ROWS_AT_ONCE = 64  # of an image, so that memory stays at a few copies of them
 
@@ -28,8 +28,7 @@ def minmax_decimate(x: Floats, y: NDArray[np.floating], *, most: int) -> tuple[F
     intervals = -(-len(x) // step)
     rows = np.minimum(np.arange(intervals)[:, None] * step + [0, min(step - 1, step // 2)], len(x) - 1)
     extremes = np.empty((2 * intervals, columns.shape[1]))
-    for start in range(0, columns.shape[1], 16):  # limits the memory to a few copies of 16 columns
-        part = slice(start, start + 16)
+    for part in column_parts(columns):  # limits the memory
         extremes[:, part] = _extremes(columns[:, part], step, intervals)
     return np.asarray(x, np.float64)[rows.ravel()], extremes.reshape(-1, *y.shape[1:])
 
