@@ -2,6 +2,7 @@
 
 import json
 import pickle
+import platform
 import subprocess
 import sys
 from pathlib import Path
@@ -60,6 +61,7 @@ def test_tracks_of_a_strip_in_a_file_are_the_same(tmp_path):
 
 
 @needs_proc
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="a function of the GNU C library")
 def test_memory_between_what_is_in_use_is_given_back():
     """Failure: what a stage has freed stays with the process, and the next stage adds its own."""
 

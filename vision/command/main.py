@@ -153,6 +153,8 @@ def _isolate_environment() -> None:
     os.environ["MATPLOTLIBRC"] = os.devnull
     # Threads of linear algebra without work sleep at once: otherwise each keeps a core busy for a while.
     os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "4")
+    # Tables of positions are formatted by Arrow, whose own allocator keeps what it frees.
+    os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(MOST_PIXELS))
     warnings.simplefilter("ignore")  # the run has its own warnings for what a user should know
