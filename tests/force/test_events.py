@@ -442,6 +442,16 @@ def test_the_harmonics_of_regular_stick_slip_are_no_hum(samples: int, jitter: fl
     assert np.isnan(facts.hum_Hz)
 
 
+def test_hum_takes_no_digits_from_a_coarse_load() -> None:
+    """A failure means noise far below the rounding of the load, as the load without hum shows no steps."""
+    test = plain(sticks=40, samples=2000, snr=200, jitter=0.1, scatter=0.0, seed=1)
+    hum = np.sin(2 * np.pi * 10.03 * test.force["time_s"].to_numpy())
+    coarse = test.force.assign(load_N=8 * np.round((test.force["load_N"] + hum) / 8))
+    facts = StickMetadata.of(find_stick_slip(coarse))
+    assert facts.hum_N > 0
+    assert facts.noise_N >= 8 / np.sqrt(12)
+
+
 def with_hum(amplitude_N: float, seed: int) -> tuple[Test, xr.Dataset]:
     """A sawtooth of 40 N drops at 100 Hz, and the same with hum of 5 Hz and of its third harmonic."""
     test = plain(sticks=40, samples=500, snr=40, jitter=0.1, scatter=0.0, seed=seed)

@@ -60,6 +60,21 @@ def test_the_slow_pull_is_a_clean_sawtooth():
     assert np.abs(peaks[:, None] - seen).min(axis=0).max() < 0.15
 
 
+@pytest.mark.thorough
+@pytest.mark.parametrize(("every", "steps"), [(1, 6), (5, 9), (20, 9)])
+def test_a_coarse_load_cell_shows_the_same_slips(every, steps):
+    """A failure means that rounding to a sixth or ninth of the usual drop hides slips or makes others: the
+    hum that a coarse load hides was subtracted, and its steps with it."""
+    force, fine = recorded("k168Nm_v42"), events_of("k168Nm_v42")
+    step = fine["dF_N"].median() / steps
+    part = force.isel(time_s=slice(None, None, every))
+    events = find_stick_slip(part.assign(load_N=step * np.round(part["load_N"] / step)))
+    peaks, reach = fine["t_p_s"].to_numpy(), 0.15 * fine["t_p_s"].diff().median()
+    away = np.abs(events["t_p_s"].to_numpy()[:, None] - peaks)
+    assert np.mean(away.min(axis=0) < reach) > 0.9
+    assert np.mean(away.min(axis=1) < reach) > 0.99
+
+
 def test_the_fast_pull_has_rounded_events_and_says_so():
     """Irregular and rounded: stick-slip still, every slip slow against its stick; the spring is the same."""
     events = events_of("k168Nm_v1100")

@@ -117,7 +117,8 @@ class Signal:
             return self
         clean = self.clean - np.sum([line.wave for line in hum], axis=0)
         noise, sigma = noise_levels(clean, settings)
-        return replace(self, clean=clean, sigma=sigma, noise=noise)
+        least = quantum(self.load) / np.sqrt(12.0)  # which the waves hide but do not remove
+        return replace(self, clean=clean, sigma=max(sigma, least), noise=np.maximum(noise, least))
 
     @cached_property
     def interval_s(self) -> float:
