@@ -398,7 +398,9 @@ class StickMetadata(Metadata):
     threshold_N: float = math.nan  # smallest drop that counts as a slip
     # "noise" (a multiple of it), "jumps" (above those upwards), "gap" (between small and large drops)
     threshold_how: ThresholdHow = ""
-    period_samples: float = math.nan  # typical number of samples from slip to slip
+    period_samples: float = math.nan  # typical number of samples used from slip to slip
+    # One sample in so many is used: those between add nothing, as a filter has smoothed the noise.
+    every: int = 1
     spikes: int = 0  # single samples that were ignored
     lowpass_s: float = 0.0  # time constant of the load cell that was corrected for, 0 for none
     # "recorded" (no correction requested), "given", or the result of the search: "found" (proven), "doubtful"

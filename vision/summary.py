@@ -320,7 +320,10 @@ def lowpass_correction(sticks: pd.DataFrame) -> str:
             proposal += (
                 f"; the load oscillates at {1 / facts.ringing_s:.3g} Hz, which `average_s` auto averages"
             )
-        return f"forces as recorded{proposal}"
+        part = (
+            f", one sample in {facts.every}: a filter has smoothed those between" if facts.every > 1 else ""
+        )
+        return f"forces as recorded{part}{proposal}"
     return f"corrected for a low-pass of {_ms(facts.lowpass_s)} ({facts.lowpass_how})"
 
 

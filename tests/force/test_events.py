@@ -17,6 +17,7 @@ from vision.data import STICKS, StickMetadata
 from vision.errors import InputError
 from vision.force import ForceSettings, find_stick_slip
 from vision.force.recording import sample_flags
+from vision.numeric import Floats
 
 FAST = {"speed": 10.0, "rate": 2000.0, "noise": 0.05, "d1": 13.8, "slip_s": 0.005}
 
@@ -450,6 +451,39 @@ def test_hum_takes_no_digits_from_a_coarse_load() -> None:
     facts = StickMetadata.of(find_stick_slip(coarse))
     assert facts.hum_N > 0
     assert facts.noise_N >= 8 / np.sqrt(12)
+
+
+@pytest.mark.parametrize("cutoff", [0.02, 0.05, 0.2])
+def test_noise_behind_a_filter_is_no_slip(cutoff: float) -> None:
+    """A failure means hundreds of events: impulses that a filter has smeared over several samples are neither
+    spikes nor white noise."""
+    test, load = with_impulses()
+    events = find_stick_slip(test.force.assign(load_N=("time_s", filtered(load, cutoff))))
+    right, truth = matched(events, test.truth)
+    assert len(events) == len(right) == len(test.truth)
+    assert StickMetadata.of(events).every > 1
+    assert np.isin(events["F_p_raw_N"], filtered(load, cutoff)).all()
+    assert right["dF_N"].median() == pytest.approx(truth["dF_N"].median(), rel=0.05)
+
+
+def test_all_samples_of_noise_that_is_not_smooth_are_used() -> None:
+    """A failure means that white noise or a random walk loses samples, and small slips with them."""
+    test, load = with_impulses()
+    walk = np.cumsum(np.random.default_rng(4).standard_normal(load.size))
+    for more in (0.0, 0.3 * walk):
+        assert StickMetadata.of(find_stick_slip(test.force.assign(load_N=("time_s", load + more)))).every == 1
+
+
+def with_impulses() -> tuple[Test, Floats]:
+    """A sawtooth of 40 N drops every 2000 samples, and its load with noise that has impulses."""
+    test = plain(sticks=30, samples=2000, snr=40, jitter=0.1, scatter=0.0)
+    impulses = np.random.default_rng(3).standard_t(2, test.force.sizes["time_s"])
+    return test, test.force["load_N"].to_numpy() + np.clip(impulses, -40, 40)
+
+
+def filtered(load: Floats, cutoff: float) -> Floats:
+    """The load behind a Butterworth filter of second order; cutoff in half the sampling rate."""
+    return np.asarray(sosfilt(butter(2, cutoff, output="sos"), load - load[0]) + load[0])
 
 
 def with_hum(amplitude_N: float, seed: int) -> tuple[Test, xr.Dataset]:
@@ -1148,7 +1182,7 @@ def test_a_filter_that_overshoots_enters_the_errors() -> None:
     events = find_stick_slip(test.force)
     assert len(events) == len(exact)
     off = events["F_p_N"] - exact["F_p_N"]
-    assert off.median() > 5
+    assert off.max() > 5
     assert np.mean(np.abs(off) < 1.5 * events["F_p_err_N"]) > 0.9
     assert events["F_p_err_N"].median() < 20  # of 200 N
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy
 
 from vision.data import StickMetadata
 from vision.force import find_stick_slip
@@ -73,6 +74,34 @@ def test_a_coarse_load_cell_shows_the_same_slips(every, steps):
     away = np.abs(events["t_p_s"].to_numpy()[:, None] - peaks)
     assert np.mean(away.min(axis=0) < reach) > 0.9
     assert np.mean(away.min(axis=1) < reach) > 0.99
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    ("cutoff_Hz", "name"), [(50, "k168Nm_v42"), (10, "k168Nm_v42"), (200, "k168Nm_v1100")]
+)
+def test_a_filter_of_the_load_makes_no_events(cutoff_Hz, name):
+    """A failure means thousands of events, swings of the noise behind a filter as amplifiers have one."""
+    force, known = recorded(name), events_of(name)
+    rate_Hz = 1 / float(force["time_s"].diff("time_s").median())
+    sos = scipy.signal.butter(2, cutoff_Hz, fs=rate_Hz, output="sos")
+    start = float(force["load_N"][0])
+    load = scipy.signal.sosfilt(sos, force["load_N"] - start) + start
+    events = find_stick_slip(force.assign(load_N=("time_s", load)))
+    peaks, reach = known["t_p_s"].to_numpy(), 0.15 * known["t_p_s"].diff().median()
+    away = np.abs(events["t_p_s"].to_numpy()[:, None] - peaks)
+    assert np.mean(away.min(axis=0) < reach) > 0.97
+    assert np.mean(away.min(axis=1) < reach) > 0.95  # smaller slips are found in less noise
+    assert StickMetadata.of(events).regime == "stick-slip"
+
+
+@pytest.mark.thorough
+def test_lost_samples_make_no_events():
+    """A failure means a thousand events: interpolated samples were taken for ones without noise."""
+    force, known = recorded("k168Nm_v42"), events_of("k168Nm_v42")
+    kept = np.random.default_rng(3).random(force.sizes["time_s"]) > 0.2
+    events = find_stick_slip(force.isel(time_s=np.flatnonzero(kept)))
+    assert len(events) == pytest.approx(len(known), abs=3)
 
 
 def test_the_fast_pull_has_rounded_events_and_says_so():

@@ -33,7 +33,16 @@ from vision.force.lowpass import Lowpass, find_lowpass
 from vision.force.recording import is_compression
 from vision.force.regime import Regime, doubts, find_regime, is_unloading
 from vision.force.settings import ForceSettings
-from vision.force.signal import Signal, SlowNoise, find_hum, is_hum, ringing_period, rms_of, with_slow_noise
+from vision.force.signal import (
+    Signal,
+    SlowNoise,
+    find_hum,
+    is_hum,
+    ringing_period,
+    rms_of,
+    smoothed_samples,
+    with_slow_noise,
+)
 from vision.force.slips import (
     Slips,
     find_slips,
@@ -121,6 +130,8 @@ def find_stick_slip(
     ringing_s = swing_s if calm else math.nan
     seconds = _average(average_s, ringing_s, lowpass_s)
     known = calm if seconds == ringing_s else None  # what was searched to tell ringing is not searched again
+    if not seconds:
+        known = _slips_in_smooth_noise(signal, threshold_N, lowpass_s, settings)
     signal = known[0] if known else signal.average(seconds, settings)
     still_rings = signal.averaged * signal.interval_s < 0.7 * ringing_s  # not where there is no ringing
     rings = _proposal(ringing_s) if still_rings else ""
@@ -177,6 +188,29 @@ def _without_ringing(
     extremes = find_extremes(calm.clean, calm.sigma, corners.middle, corners.length, corners.drop)
     regime = find_regime(calm.clean, slips, extremes, settings)
     return (calm, slips) if regime.name == "stick-slip" else None
+
+
+def _slips_in_smooth_noise(
+    signal: Signal, threshold_N: float | None, lowpass_s: float | str, settings: ForceSettings
+) -> tuple[Signal, Slips] | None:
+    """Return the samples as far apart as a filter has smoothed the noise, and the slips in them.
+
+    Samples between add nothing, and noise that is white is told from slips. All samples are returned, with
+    this noise, where a low-pass is given or the transients after slips show one, which need them. None where
+    samples are not alike, or where too few would be left in a stick.
+    """
+    every = smoothed_samples(signal.clean, find_hum(signal.clean, settings), settings)
+    if every == 1:
+        return None
+    thin, slips = _slips(signal.thinned(every, settings), threshold_N, settings)
+    if slips.edge.size < 2 or slips.period <= 3 * settings.few_samples:
+        return None
+    fine = slips.in_every_sample(signal.clean, every)
+    full = signal.with_noise_of(thin)
+    given = not isinstance(lowpass_s, str) and lowpass_s > 0
+    if given or find_lowpass(full, fine, find_corners(full, fine, settings=settings), settings).samples:
+        return full, fine
+    return thin, slips
 
 
 def _proposal(ringing_s: float) -> str:
@@ -567,6 +601,7 @@ def _metadata(
         threshold_N=slips.threshold,
         threshold_how=slips.threshold_how,
         period_samples=slips.period,
+        every=signal.every,
         spikes=int(signal.is_spike.sum()),
         lowpass_s=tau * signal.interval_s,
         lowpass_how=analysis.how,

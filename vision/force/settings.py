@@ -35,6 +35,15 @@ class ForceSettings:
     """Share of spikes from which a recording is refused as sampled too slowly. Smaller refuses real impulses
     (1 % of the samples); larger takes beats of the sampling for slips (5 Hz at 20 Hz: 50 % of spikes)."""
 
+    smooth_growth: float = 1.5
+    """Growth of the noise, if every second sample is left out, from which a filter has smoothed it. Smaller
+    takes random walks (1.41) for smooth, larger takes the noise of a filter for slips; shown by paper on
+    paper behind filters of 10 to 200 Hz, of which thousands of swings were events."""
+
+    smooth_fewest: int = 1000
+    """Samples that are left of a recording of smoothed noise, at least. Fewer do not tell its noise, more
+    leave the noise of slow filters smooth."""
+
     hum_ratio: float = 10.0
     """Power of a line of the load's spectrum over that of the frequencies around it from which it may be hum.
     Smaller takes chance for hum, which 15 averaged spectra of noise reach at 3; larger leaves faint hum in

@@ -40,6 +40,7 @@ class Signal:
     slow: SlowNoise | None = None  # noise that is not white
     hum: Sequence[Hum] = ()  # the strongest line first; the load contains it, and the noise its rms
     averaged: float = 0.0  # samples over which the load was averaged, which takes ringing out of it
+    every: int = 1  # samples of the recording for each of these
 
     @classmethod
     def of(cls, force: xr.Dataset, settings: ForceSettings) -> Signal:
@@ -111,14 +112,46 @@ class Signal:
             averaged=width,
         )
 
+    def thinned(self, every: int, settings: ForceSettings) -> Signal:
+        """Return one sample in so many, as recorded, and the spikes and noise of these."""
+        part = slice(None, None, every)
+        arrays = ("time", "travel", "load", "is_missing")
+        thin = replace(
+            self,
+            **{name: getattr(self, name)[part] for name in arrays},
+            damage={kind: counted[part] for kind, counted in self.damage.items()},
+            every=every,
+        )
+        noise, sigma = thin.noise_of(thin.load, settings)
+        is_spike, clean = find_spikes(thin.load, noise, settings=settings)
+        return replace(thin, clean=clean, is_spike=is_spike & ~thin.is_missing, noise=noise, sigma=sigma)
+
+    def with_noise_of(self, thin: Signal) -> Signal:
+        """Return all samples with the noise that was measured in one sample of every few."""
+        return replace(
+            self,
+            noise=np.repeat(thin.noise, thin.every)[: self.time.size],
+            sigma=thin.sigma,
+            alike=thin.alike * thin.every,
+            wander=thin.wander,
+            slow=thin.slow,
+            hum=[Hum(line.frequency / thin.every, line.wave) for line in thin.hum],
+        )
+
     def without(self, hum: Sequence[Hum], settings: ForceSettings) -> Signal:
         """Return the signal without these waves, and the noise that remains."""
         if not hum:
             return self
         clean = self.clean - np.sum([line.wave for line in hum], axis=0)
-        noise, sigma = noise_levels(clean, settings)
+        noise, sigma = self.noise_of(clean, settings)
         least = quantum(self.load) / np.sqrt(12.0)  # which the waves hide but do not remove
         return replace(self, clean=clean, sigma=max(sigma, least), noise=np.maximum(noise, least))
+
+    def noise_of(self, load: Floats, settings: ForceSettings) -> tuple[Floats, float]:
+        """Return the noise of a load at every sample, and of all: interpolated samples show none."""
+        known = ~self.is_missing
+        noise, sigma = noise_levels(load[known], settings)
+        return noise[np.maximum(np.cumsum(known) - 1, 0)], sigma
 
     @cached_property
     def interval_s(self) -> float:
@@ -181,6 +214,28 @@ def noise_sigma(y: Floats) -> float:
     return float(
         max(white_noise(y), quantum(y) / np.sqrt(12.0), 1e-9 * float(np.ptp(y)), np.finfo(float).tiny)
     )
+
+
+def smoothed_samples(load: Floats, hum: Sequence[Hum], settings: ForceSettings) -> int:
+    """Return the samples over which a filter has smoothed the noise, a power of two; 1 for none.
+
+    The noise of every k-th sample, `noise_sigma`, grows with k by up to a factor of four where k doubles as
+    long as samples are alike, and not at all once they are not; bent sticks and slips let it grow again. k is
+    where it grows least. Noise of neighbouring samples that grows by less than `smooth_growth`, as that of a
+    random walk, is not smooth. Of hum, four samples in each period are left.
+    """
+    quiet = load - np.sum([line.wave for line in hum], axis=0) if hum else load
+    sigma, growth = [noise_sigma(quiet)], [np.inf]
+    while 2 ** len(growth) <= load.size // settings.smooth_fewest and growth[-1] <= 1.2 * min(growth):
+        every = 2 ** len(growth)
+        sigma.append(float(np.median([noise_sigma(quiet[k::every]) for k in range(min(every, 4))])))
+        growth.append(sigma[-1] / sigma[-2])
+    if len(growth) == 1 or growth[1] < settings.smooth_growth:
+        return 1
+    least = int(np.argmin(growth)) - 1
+    every = 1 << least
+    fastest = max((line.frequency for line in hum if line.rms > sigma[least]), default=0.0)
+    return every if every * fastest <= 0.25 else 1 << max(int(np.log2(0.25 / fastest)), 0)
 
 
 def noise_levels(y: Floats, settings: ForceSettings) -> tuple[Floats, float]:

@@ -53,6 +53,15 @@ class Slips:
             left_out=self.drop[~keep],
         )
 
+    def in_every_sample(self, load: Floats, every: int) -> Slips:
+        """Return the slips among all samples of a load of which they were found in one of every few."""
+        place = np.maximum(self.edge - 1, 0)[:, np.newaxis] * every + np.arange(1, every + 1)
+        place = np.minimum(place, load.size - 1)
+        steepest = np.argmax(load[place - 1] - load[place], axis=1)
+        return replace(
+            self, edge=place[np.arange(self.edge.size), steepest], jump_edge=self.jump_edge * every
+        )
+
     def before_jumps(self, settings: ForceSettings) -> Ints:
         """Return the number of slips before each upward jump that is as large as slips.
 
