@@ -1,3 +1,5 @@
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -121,6 +123,18 @@ def test_no_whole_frame(tmp_path):
     path.write_bytes(data[: data.index(frames[0].tobytes()) + 10])
     with pytest.raises(InputError, match="whole frame"):
         open_video(path)
+
+
+def test_few_columns_take_no_more_memory_than_all(tmp_path):
+    """Failure: a few columns (the strip of a film that is rotated by 90°) take as many whole frames at once
+    as they would fill a block: gigabytes of a large film."""
+    path = write_avi(tmp_path / "a.avi", np.zeros((100, 400, 1000), np.uint8))
+    tracemalloc.start()
+    for _ in open_video(path).blocks(columns=slice(5, 9)):
+        pass
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 12 << 20  # two blocks; all frames take 40 MB
 
 
 def test_one_row(tmp_path):

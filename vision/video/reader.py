@@ -217,9 +217,8 @@ class MappedReader:
     def read(self, start: int, stop: int | None, rows: slice, columns: slice) -> Iterator[Block]:
         """Yield blocks of frames in order."""
         end = self.offsets.size if stop is None else min(stop, self.offsets.size)
-        shape = (rows.stop - rows.start, columns.stop - columns.start)
         bytes_per_pixel = self.dtype.itemsize * self.channels if self.row_bytes else 6  # 12 bits, 16 twice
-        size = frames_per_block(*shape, bytes_per_pixel)
+        size = frames_per_block(rows.stop - rows.start, self.facts.shape[1], bytes_per_pixel)  # whole rows
         for first in range(start, end, size):
             yield self._block(first, min(first + size, end), rows, columns)
 
