@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from tests.scenes.films import comb, states, write_avi, write_encoded
+from tests.scenes.films import comb, states, whole, write_avi, write_encoded
 from vision.errors import InputError
 from vision.files import MOST_PIXELS
 from vision.video import open_video, read_timestamps, strip_profile
@@ -62,9 +62,9 @@ def test_frames_promised_by_an_index_are_counted(share, tmp_path):
 
 def test_a_matroska_cut_near_its_start_is_reported(tmp_path):
     """A failure means that one frame of forty passes for a whole recording."""
-    whole = write_encoded(tmp_path / "a.mkv", comb(40, 12, 300), codec="ffv1", pix_fmt="gray", source="gray")
-    assert open_video(whole).warnings == ()
-    assert any("cut short" in line for line in open_video(cut(whole, 0.3)).warnings)
+    film = write_encoded(tmp_path / "a.mkv", comb(40, 12, 300), codec="ffv1", pix_fmt="gray", source="gray")
+    assert open_video(film).warnings == ()
+    assert any("cut short" in line for line in open_video(cut(film, 0.3)).warnings)
 
 
 def test_a_png_that_announces_gigabytes_takes_none(tmp_path):
@@ -111,6 +111,16 @@ def test_a_page_whose_description_is_damaged_counts(tmp_path, count, found):
     video = open_video(file)
     assert states(video) == found
     assert all(pixels.shape == (12, 60) for pixels in video.sample(4))
+
+
+def test_a_page_whose_pixels_lie_beyond_the_end_is_lost(tmp_path):
+    """A failure means that all later frames move up by one."""
+    frames = comb(6, 12, 60)
+    with tifffile.TiffFile(index_first(tmp_path / "a.tif", frames), mode="r+b") as tif:
+        tif.pages[2].tags["StripOffsets"].overwrite(1 << 30)
+    video = open_video(tmp_path / "a.tif")
+    assert states(video) == ["ok", "ok", "lost", "ok", "ok", "ok"]
+    assert np.array_equal(whole(video)[3:], frames[3:])
 
 
 def test_a_page_of_another_height_is_corrupt(tmp_path):
@@ -268,8 +278,8 @@ def test_a_folder_that_is_removed_is_one_line(folder):
 
 def test_a_film_without_its_beginning_says_so(tmp_path):
     """Failure: frames found in the remains of a film are taken for the whole film at its own rate."""
-    whole = Path(__file__).parents[2] / "fixtures" / "paper" / "video.avi"
-    assert open_video(whole).warnings == ()
-    (tmp_path / "rest.avi").write_bytes(whole.read_bytes()[100_000:])
+    film = Path(__file__).parents[2] / "fixtures" / "paper" / "video.avi"
+    assert open_video(film).warnings == ()
+    (tmp_path / "rest.avi").write_bytes(film.read_bytes()[100_000:])
     (line,) = open_video(tmp_path / "rest.avi").warnings
     assert "the beginning of the file is missing or damaged" in line

@@ -1,3 +1,5 @@
+import struct
+
 import numpy as np
 import pytest
 
@@ -37,6 +39,19 @@ def test_absurd_times_are_replaced(tmp_path):
     """Failure: one foreign frame stretches the time axis to months."""
     video = open_video(write_cine(tmp_path / "a.cine", comb(), real_bits=8, odd_time=5))
     assert np.allclose(video.times(np.arange(6)), np.arange(6) / 1000, atol=1e-6)
+
+
+@pytest.mark.parametrize("place", [1 << 40, -5])
+def test_a_frame_whose_place_is_damaged_is_lost(tmp_path, place):
+    """Failure: all later frames move up by one, and their times with them, or the film is refused."""
+    frames = comb()
+    path = write_cine(tmp_path / "a.cine", frames, real_bits=8)
+    data = bytearray(path.read_bytes())
+    struct.pack_into("<q", data, struct.unpack_from("<I", data, 32)[0] + 8 * 2, place)
+    path.write_bytes(data)
+    video = open_video(path)
+    assert states(video) == ["ok", "ok", "lost", "ok", "ok", "ok"]
+    assert np.array_equal(whole(video)[3:], frames[3:])
 
 
 def test_cut_cine_gives_what_it_holds(tmp_path):

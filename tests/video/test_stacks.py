@@ -45,6 +45,44 @@ def test_tiff_is_read_exactly(tmp_path, dtype, options):
         assert isinstance(video.reader, MappedReader)
 
 
+def write_in_two_files(folder, frames, **options):
+    """An OME recording of six frames, of which each file holds three."""
+    uuids = [f"urn:uuid:00000000-0000-0000-0000-00000000000{n}" for n in range(2)]
+    places = "".join(
+        f'<TiffData FirstT="{n}" IFD="{n % 3}" PlaneCount="1">'
+        f'<UUID FileName="a_{n // 3}.ome.tif">{uuids[n // 3]}</UUID></TiffData>'
+        for n in range(6)
+    )
+    rows, columns = frames[0].shape
+    for file, uuid in enumerate(uuids):
+        xml = (
+            f'<OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06" UUID="{uuid}">'
+            f'<Image ID="Image:0"><Pixels ID="Pixels:0" DimensionOrder="XYCZT" Type="uint8" '
+            f'SizeX="{columns}" SizeY="{rows}" SizeZ="1" SizeC="1" SizeT="6">{places}</Pixels></Image></OME>'
+        )
+        with tifffile.TiffWriter(folder / f"a_{file}.ome.tif", ome=False) as out:
+            for n, frame in enumerate(frames[3 * file : 3 * file + 3]):
+                about = xml if n == 0 else None
+                out.write(frame, contiguous=False, metadata=None, description=about, **options)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("options", [{}, {"compression": "zlib"}])
+@pytest.mark.parametrize("given", ["a_0.ome.tif", "a_1.ome.tif"])
+def test_a_recording_in_several_files_is_read_from_all(tmp_path, options, given):
+    """Failure: frames in the other file are taken from the same place of this one, or left out unsaid."""
+    frames = comb()
+    write_in_two_files(tmp_path, frames, **options)
+    assert np.array_equal(whole(open_video(tmp_path / given)), frames)
+
+
+def test_the_frames_of_a_file_that_is_not_there_are_lost(tmp_path):
+    """Failure: half of a recording in two files, of which one was copied, passes for all of it."""
+    write_in_two_files(tmp_path, comb())
+    (tmp_path / "a_1.ome.tif").unlink()
+    assert states(open_video(tmp_path / "a_0.ome.tif")) == ["ok"] * 3 + ["lost"] * 3
+
+
 def one_page(path, data, shape, *, bits, fill_order=1):
     """An uncompressed TIFF of one grey page, its bytes as given."""
     rows, columns = shape
@@ -209,7 +247,8 @@ def test_infinite_pixels_are_corrupt(tmp_path):
 
 
 def test_times_of_stacks(tmp_path):
-    """Failure: ImageJ's and OME's frame interval is ignored, or taken in the wrong unit."""
+    """Failure: ImageJ's and OME's frame interval is ignored, taken in the wrong unit, or
+    makes the film unreadable if it is no number."""
     tifffile.imwrite(tmp_path / "ij.tif", comb(), imagej=True, metadata={"finterval": 0.04, "axes": "TYX"})
     ome = {"axes": "TYX", "TimeIncrement": 40.0, "TimeIncrementUnit": "ms"}
     tifffile.imwrite(tmp_path / "a.ome.tif", comb(), metadata=ome)
@@ -218,9 +257,11 @@ def test_times_of_stacks(tmp_path):
         video = open_video(tmp_path / name)
         assert video.clock.kind == "file"
         assert np.allclose(strip_profile(video, slice(0, 12)).time_s, np.arange(6) * 0.04)
-    strip = strip_profile(open_video(tmp_path / "none.tif"), slice(0, 12))
-    assert strip.clock_kind == "playback"
-    assert np.isnan(strip.time_s).all()
+    tifffile.imwrite(tmp_path / "comma.ome.tif", comb(), metadata=ome | {"TimeIncrement": "0,04"})
+    for name in ("none.tif", "comma.ome.tif"):
+        strip = strip_profile(open_video(tmp_path / name), slice(0, 12))
+        assert strip.clock_kind == "playback"
+        assert np.isnan(strip.time_s).all()
 
 
 def test_nan_in_float_frames(tmp_path):

@@ -25,6 +25,7 @@ from vision.video.reader import (
     full_scale,
     luma,
     shape_text,
+    whole_frames,
 )
 
 
@@ -215,7 +216,7 @@ class _Cine(NamedTuple):
     stored: int  # bits of a pixel in the file
     compression: int  # 0: none
     bits: int  # significant bits of a pixel; not from 1 to 16 if unknown
-    frames: Ints  # position of each frame in the file
+    frames: Ints  # position of each frame in the file, -1 for one that is not in it
     times_s: Floats | None
 
 
@@ -234,7 +235,8 @@ def _cine_headers(path: Path, size: int) -> _Cine:
         times_s = _cine_times(data, setup_at, images_at, count)
     except (struct.error, ValueError):
         raise InputError(path, "a whole cine header", "a file cut short inside it", "copy it again") from None
-    return _Cine(kind, count, width, height, stored, compression, bits, frames[frames < size], times_s)
+    frames = whole_frames(frames, 4, size)  # each begins with the length of its annotation
+    return _Cine(kind, count, width, height, stored, compression, bits, frames, times_s)
 
 
 def _open_cine(path: Path) -> Reader:
@@ -274,14 +276,14 @@ def _open_cine(path: Path) -> Reader:
 
         return open_packed_cine(path, facts)
     with path.open("rb") as file:
-        for n, offset in enumerate(frames.tolist()):  # each begins with the length of its annotation
-            file.seek(offset)
+        for n in np.flatnonzero(frames >= 0):
+            file.seek(frames[n])
             frames[n] += int.from_bytes(file.read(4), "little")
     row_bytes = width * stored // 8
     return MappedReader(
         path=path,
         facts=facts,
-        offsets=frames[frames + abs(height) * row_bytes <= size],
+        offsets=whole_frames(frames, abs(height) * row_bytes, size),
         row_bytes=row_bytes,
         dtype=np.dtype("<u2" if stored in (16, 48) else "u1"),
         channels=3 if stored in (24, 48) else 1,

@@ -289,6 +289,15 @@ class MappedReader:
         return self.dtype.newbyteorder("=")
 
 
+def whole_frames(places: Ints, frame_bytes: int, size: int) -> Ints:
+    """Return where frames begin in a file of `size` bytes, -1 for those that are not wholly in it.
+
+    Those at the end are left out, as of a file cut short: the number of frames that it states tells of them.
+    """
+    held = (places >= 0) & (places <= size - frame_bytes)
+    return np.where(held, places, -1)[: np.flatnonzero(held).max(initial=-1) + 1]
+
+
 def read_fully(file: BinaryIO, buffer: memoryview, path: Path) -> None:
     """Read from an unbuffered file until the buffer is full; InputError, which names `path`, if it ends
     before.

@@ -7,10 +7,11 @@ import re
 import struct
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from threading import Lock
 from typing import BinaryIO
 
 import cv2
@@ -21,7 +22,7 @@ from PIL import Image as Pillow
 
 from vision.errors import InputError, counted
 from vision.files import check_pixels, in_threads, members, reading
-from vision.numeric import Floats, Ints, Pixels
+from vision.numeric import Floats, Ints, Pixels, number
 from vision.video.reader import (
     AS_STORED,
     LUMA_RULE,
@@ -34,6 +35,7 @@ from vision.video.reader import (
     full_scale,
     luma,
     shape_text,
+    whole_frames,
 )
 
 IMAGES = {".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp"}
@@ -116,19 +118,34 @@ def _decode_pages(path: Path, numbers: Sequence[int]) -> Iterator[Frame]:
         tif.filehandle.set_lock(True)  # the threads share one file
         pages = _pages(tif, path)
         shape = (tif.pages.first.imagelength, tif.pages.first.imagewidth)
-        yield from in_threads(partial(_decode_page, shape=shape), (pages[n] for n in numbers))
+        one = partial(_decode_page, shape=shape, tif=tif, lock=Lock())
+        yield from in_threads(one, (pages[n] for n in numbers))
 
 
-def _decode_page(page: Page, shape: tuple[int, int]) -> Frame:
-    """Return the page as a frame, "corrupt" if it cannot be decoded to this shape."""
+def _decode_page(page: Page, shape: tuple[int, int], tif: tifffile.TiffFile, lock: Lock) -> Frame:
+    """Return the page as a frame, "corrupt" if it cannot be decoded to this shape.
+
+    Pages in other files of the same recording (OME) are decoded one at a time, each file opened for it.
+    """
     if page is None or (key := page.keyframe) is None:
         return Frame(None, "lost")
     try:
         fits = (key.imagelength, key.imagewidth) == shape  # another size might take any memory
-        grey = _grey_page(key, page.asarray(maxworkers=1)) if fits else None
+        with nullcontext() if page.parent is tif else _opened(page.parent.filehandle, lock):
+            grey = _grey_page(key, page.asarray(maxworkers=1)) if fits else None
     except Exception:  # tifffile and its codecs raise any exception for damaged data
         grey = None
     return Frame(grey) if grey is not None and grey.shape == shape else Frame(None, "corrupt")
+
+
+@contextmanager
+def _opened(other: tifffile.FileHandle, lock: Lock) -> Iterator[None]:
+    with lock:
+        other.open()
+        try:
+            yield
+        finally:
+            other.close()
 
 
 def _grey_page(first: tifffile.TiffPage, pixels: Pixels) -> Pixels:
@@ -180,7 +197,8 @@ def _single_pages(tif: tifffile.TiffFile, path: Path) -> Sequence[Page]:
 
 
 def _offsets(tif: tifffile.TiffFile, pages: Sequence[Page], path: Path) -> Ints | None:
-    """Return the position of each whole frame; None if pages are compressed, tiled, packed or scattered."""
+    """Return the position of each whole frame; None if pages are compressed, tiled, packed, scattered or
+    in other files."""
     first = tif.pages.first
     if not (first.is_contiguous and first.compression == first.fillorder == 1):
         return None
@@ -189,11 +207,10 @@ def _offsets(tif: tifffile.TiffFile, pages: Sequence[Page], path: Path) -> Ints 
     if (tif.is_imagej or tif.is_shaped) and declared > len(tif.pages):  # one page stands for all
         held = min(declared, (end - first.dataoffsets[0]) // frame_bytes)
         return first.dataoffsets[0] + frame_bytes * np.arange(held, dtype=np.int64)
-    runs = [[] if page is None else _contiguous_runs(page) for page in pages]
+    runs = [[] if page is None or page.parent is not tif else _contiguous_runs(page) for page in pages]
     if not all(len(run) == 1 for run in runs):
         return None
-    places = np.array(runs, np.int64)[:, 0]
-    return places[places + frame_bytes <= end]
+    return whole_frames(np.array(runs, np.int64)[:, 0], frame_bytes, end)
 
 
 def _contiguous_runs(page: tifffile.TiffPage | tifffile.TiffFrame) -> list[int]:
@@ -272,14 +289,14 @@ def _own_times(tif: tifffile.TiffFile, frames: int) -> Floats | None:
     step, unit = 0.0, "s"
     if tif.is_imagej:
         metadata = tif.imagej_metadata or {}
-        step, unit = float(metadata.get("finterval", 0.0)), str(metadata.get("tunit", "s"))
+        step, unit = number(metadata.get("finterval")), str(metadata.get("tunit", "s"))
     elif tif.is_ome:
         pixels = _first_pixels(tif)
         found = re.search(r'\bTimeIncrement="([^"]+)"', pixels)
         named = re.search(r'\bTimeIncrementUnit="([^"]+)"', pixels)
-        step, unit = float(found.group(1)) if found else 0.0, named.group(1) if named else "s"
+        step, unit = number(found and found.group(1)), named.group(1) if named else "s"
     seconds = step * SECONDS.get(unit.strip().lower(), 0.0)
-    return np.arange(frames, dtype=np.float64) * seconds if seconds > 0 else None
+    return np.arange(frames, dtype=np.float64) * seconds if 0 < seconds < math.inf else None
 
 
 def _own_pixel_size_um(tif: tifffile.TiffFile) -> tuple[float | None, str]:
@@ -303,9 +320,7 @@ def _own_pixel_size_um(tif: tifffile.TiffFile) -> tuple[float | None, str]:
 def _stated_by_ome(tif: tifffile.TiffFile) -> tuple[tuple[float, str], tuple[float, str]]:
     """Return the size of a pixel along x and y with their units, as OME states them; 0 without."""
     given = dict(re.findall(r'\bPhysicalSize([XY](?:Unit)?)="([^"]+)"', _first_pixels(tif)))
-    across, down = 0.0, 0.0
-    with suppress(ValueError):  # a value that is no number does not make the film unreadable
-        across, down = float(given.get("X", 0.0)), float(given.get("Y", 0.0))
+    across, down = number(given.get("X")), number(given.get("Y"))
     unit, unit_down = (given.get(name, "µm").strip().lower() for name in ("XUnit", "YUnit"))
     return (across, unit), (down, unit_down)
 
