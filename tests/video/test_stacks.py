@@ -236,6 +236,16 @@ def test_cut_plain_stack_gives_what_it_holds(tmp_path):
     assert np.allclose(strip, frames[:6].mean(axis=1), rtol=1e-6)
 
 
+@pytest.mark.parametrize("planarconfig", ["contig", "separate"])
+def test_colours_of_an_ome_stack_are_no_frames(tmp_path, planarconfig):
+    """Failure: two frames in three of a whole colour stack are said to be missing."""
+    colour = np.stack([comb()] * 3, axis=-1 if planarconfig == "contig" else 1)
+    tifffile.imwrite(tmp_path / "a.ome.tif", colour, photometric="rgb", planarconfig=planarconfig)
+    video = open_video(tmp_path / "a.ome.tif")
+    assert video.expected == 6
+    assert np.array_equal(whole(video), comb())
+
+
 @pytest.mark.filterwarnings("error")
 def test_infinite_pixels_are_corrupt(tmp_path):
     """Failure: infinity spreads into the recording's contrast and from there into other frames."""

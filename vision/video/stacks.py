@@ -7,7 +7,7 @@ import re
 import struct
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -267,15 +267,16 @@ def _codec_of_image(file: Path) -> str:
 
 def _declared_frames(tif: tifffile.TiffFile) -> int:
     """Return the number of frames in the metadata of ImageJ, OME or tifffile; 0 without."""
+    samples = tif.pages.first.samplesperpixel
     if tif.is_imagej:
         return int((tif.imagej_metadata or {}).get("images", 1))
     if tif.is_ome:
-        sizes = re.findall(r'\bSize[TZC]="(\d+)"', _first_pixels(tif))
-        return math.prod(int(n) for n in sizes) if sizes else 0
+        sizes = [_ome_pixels(tif).get(f"Size{axis}", "") for axis in "TZC"]
+        times, planes, channels = (int(size) if size.isdecimal() else 1 for size in sizes)
+        return times * planes * max(1, channels // samples)  # red, green and blue of a page count as channels
     if tif.is_shaped and tif.shaped_metadata:
         shape = tif.shaped_metadata[0].get("shape", ())
-        colour = 1 if tif.pages.first.samplesperpixel > 1 else 0
-        return math.prod(shape[: len(shape) - 2 - colour])
+        return math.prod(shape[: len(shape) - 2 - (samples > 1)])
     return 0
 
 
@@ -286,17 +287,13 @@ def _possible(declared: int, path: Path) -> int:
 
 def _own_times(tif: tifffile.TiffFile, frames: int) -> Floats | None:
     """Return the times of frames from ImageJ's `finterval` or OME's `TimeIncrement`, s; None without."""
-    step, unit = 0.0, "s"
     if tif.is_imagej:
-        metadata = tif.imagej_metadata or {}
-        step, unit = number(metadata.get("finterval")), str(metadata.get("tunit", "s"))
-    elif tif.is_ome:
-        pixels = _first_pixels(tif)
-        found = re.search(r'\bTimeIncrement="([^"]+)"', pixels)
-        named = re.search(r'\bTimeIncrementUnit="([^"]+)"', pixels)
-        step, unit = number(found and found.group(1)), named.group(1) if named else "s"
-    seconds = step * SECONDS.get(unit.strip().lower(), 0.0)
-    return np.arange(frames, dtype=np.float64) * seconds if 0 < seconds < math.inf else None
+        about, names = tif.imagej_metadata or {}, ("finterval", "tunit")
+    else:
+        about, names = _ome_pixels(tif), ("TimeIncrement", "TimeIncrementUnit")
+    unit = str(about.get(names[1], "s")).strip().lower()
+    step_s = number(about.get(names[0])) * SECONDS.get(unit, 0.0)
+    return np.arange(frames, dtype=np.float64) * step_s if 0 < step_s < math.inf else None
 
 
 def _own_pixel_size_um(tif: tifffile.TiffFile) -> tuple[float | None, str]:
@@ -317,32 +314,30 @@ def _own_pixel_size_um(tif: tifffile.TiffFile) -> tuple[float | None, str]:
     return None, ""
 
 
-def _stated_by_ome(tif: tifffile.TiffFile) -> tuple[tuple[float, str], tuple[float, str]]:
-    """Return the size of a pixel along x and y with their units, as OME states them; 0 without."""
-    given = dict(re.findall(r'\bPhysicalSize([XY](?:Unit)?)="([^"]+)"', _first_pixels(tif)))
-    across, down = number(given.get("X")), number(given.get("Y"))
-    unit, unit_down = (given.get(name, "µm").strip().lower() for name in ("XUnit", "YUnit"))
-    return (across, unit), (down, unit_down)
+def _stated_by_ome(tif: tifffile.TiffFile) -> list[tuple[float, str]]:
+    """Return the size of a pixel along x and y with their units, as OME states them; NaN without."""
+    about, names = _ome_pixels(tif), ("PhysicalSizeX", "PhysicalSizeY")
+    return [(number(about.get(name)), about.get(f"{name}Unit", "µm").strip().lower()) for name in names]
 
 
-def _stated_by_tags(tif: tifffile.TiffFile) -> tuple[tuple[float, str], tuple[float, str]]:
+def _stated_by_tags(tif: tifffile.TiffFile) -> list[tuple[float, str]]:
     """Return the size of a pixel along x and y, by the TIFF's resolution in ImageJ's or its own unit."""
     tags, unit = tif.pages.first.tags, ""
     if tif.is_imagej:
         unit = str((tif.imagej_metadata or {}).get("unit", "")).replace("\\u00B5", "µ").strip().lower()
     elif "ResolutionUnit" in tags:
         unit = {2: "inch", 3: "cm"}.get(tags["ResolutionUnit"].value, "")
-    across, down = 0.0, 0.0
-    with suppress(KeyError, TypeError, ValueError, ZeroDivisionError):  # no resolution, or a damaged one
-        (pixels, length), (pixels_down, length_down) = tags["XResolution"].value, tags["YResolution"].value
-        across, down = length / pixels, length_down / pixels_down
-    return (across, unit), (down, unit)
+    try:
+        stated = [tags[name].value for name in ("XResolution", "YResolution")]
+        return [(length / pixels, unit) for pixels, length in stated]
+    except (KeyError, TypeError, ValueError, ZeroDivisionError):  # no resolution, or a damaged one
+        return [(math.nan, unit)] * 2
 
 
-def _first_pixels(tif: tifffile.TiffFile) -> str:
-    """Return the opening tag of OME's first Pixels element."""
+def _ome_pixels(tif: tifffile.TiffFile) -> dict[str, str]:
+    """Return the attributes of OME's first Pixels element."""
     found = re.search(r"<(?:\w+:)?Pixels\b[^>]*>", tif.ome_metadata or "")
-    return found.group() if found else ""
+    return dict(re.findall(r'\b(\w+)="([^"]+)"', found.group())) if found else {}
 
 
 def open_sequence(path: Path) -> ImagesReader:
