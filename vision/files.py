@@ -1,4 +1,4 @@
-"""Safe reading of input files, and text from them made safe in the program's output.
+"""Safe reading of input files.
 
 A read from a disk or a network that does not answer never returns and cannot be cancelled. All access to a
 recording is therefore made in threads that can be abandoned (`answered`, `prefetch`): unlike those of
@@ -11,12 +11,10 @@ from __future__ import annotations
 import contextlib
 import difflib
 import glob
-import html
 import itertools
 import json
 import os
 import queue
-import re
 import signal
 import stat
 import subprocess
@@ -24,16 +22,13 @@ import sys
 import threading
 import time
 import tomllib
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from vision.errors import InputError
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 TIFF = {".tif", ".tiff"}
 """Suffixes of TIFF files, which hold one picture or a film."""
@@ -395,43 +390,3 @@ def _found(status: int, seconds: float) -> str:
     if status < 0:
         return f"one that ends its reader ({signal.Signals(-status).name})"
     return "one that asks for more memory than there is" if status == 2 else "a damaged or incomplete one"
-
-
-# --- text of files and names, in the program's output -------------------------------------------------------
-
-_FORMULA = tuple("=+-@")  # first characters of cells that Excel and LibreOffice take for formulas
-_NUMBER = re.compile(r"[-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?")
-
-
-def html_table(title: str, rows: Mapping[str, str]) -> str:
-    """Return an HTML table of two columns for notebooks, with escaped text."""
-    cells = "".join(
-        f'<tr><th style="text-align:left">{html.escape(name)}</th>'
-        f'<td style="text-align:left">{html.escape(value)}</td></tr>'
-        for name, value in rows.items()
-    )
-    return f"<table><caption>{html.escape(title)}</caption>{cells}</table>"
-
-
-def harmless(text: str) -> str:
-    """Put an apostrophe before text that a spreadsheet would take for a formula.
-
-    Numbers are not changed. Carriage returns become spaces, since some programs start a row there.
-    """
-    text = text.replace("\r", " ")
-    is_formula = text.lstrip()[:1] in _FORMULA or text[:1] == "\t"
-    return f"'{text}" if text and is_formula and not _NUMBER.fullmatch(text) else text
-
-
-def write_csv(table: pd.DataFrame, path: Path, *, digits: int | None = 9) -> None:
-    """Write a table as CSV, with `harmless` text and column names.
-
-    digits: significant digits of numbers that are not whole; None for all.
-    """
-    safe = table.rename(columns=lambda name: harmless(str(name)))
-    for k, column in enumerate(safe.columns):
-        if safe.iloc[:, k].dtype.kind not in "iufb":
-            cells = safe.iloc[:, k].map(lambda cell: harmless(cell) if isinstance(cell, str) else cell)
-            safe = safe.assign(**{column: cells})
-    style = None if digits is None else f"%.{digits}g"
-    safe.to_csv(path, index=False, float_format=style, lineterminator="\n")

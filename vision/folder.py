@@ -1,13 +1,15 @@
-"""Folders and files that are written completely or not at all, and the JSON in them."""
+"""Folders and files that are written completely or not at all, and the JSON and tables in them."""
 
 from __future__ import annotations
 
 import ctypes
 import errno
 import glob
+import html
 import json
 import math
 import os
+import re
 import secrets
 import shutil
 import sys
@@ -15,9 +17,12 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
 from vision.errors import InputError
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 try:
     import fcntl
@@ -305,3 +310,43 @@ def flattened(values: Mapping[str, Any], joint: str, before: str = "") -> Iterat
             yield from flattened(value, joint, f"{before}{name}{joint}")
         else:
             yield f"{before}{name}", value
+
+
+# --- tables, and text of files and names made safe in them --------------------------------------------------
+
+_FORMULA = tuple("=+-@")  # first characters of cells that Excel and LibreOffice take for formulas
+_NUMBER = re.compile(r"[-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?")
+
+
+def html_table(title: str, rows: Mapping[str, str]) -> str:
+    """Return an HTML table of two columns for notebooks, with escaped text."""
+    cells = "".join(
+        f'<tr><th style="text-align:left">{html.escape(name)}</th>'
+        f'<td style="text-align:left">{html.escape(value)}</td></tr>'
+        for name, value in rows.items()
+    )
+    return f"<table><caption>{html.escape(title)}</caption>{cells}</table>"
+
+
+def harmless(text: str) -> str:
+    """Put an apostrophe before text that a spreadsheet would take for a formula.
+
+    Numbers are not changed. Carriage returns become spaces, since some programs start a row there.
+    """
+    text = text.replace("\r", " ")
+    is_formula = text.lstrip()[:1] in _FORMULA or text[:1] == "\t"
+    return f"'{text}" if text and is_formula and not _NUMBER.fullmatch(text) else text
+
+
+def write_csv(table: pd.DataFrame, path: Path, *, digits: int | None = 9) -> None:
+    """Write a table as CSV, with `harmless` text and column names.
+
+    digits: significant digits of numbers that are not whole; None for all.
+    """
+    safe = table.rename(columns=lambda name: harmless(str(name)))
+    for k, column in enumerate(safe.columns):
+        if safe.iloc[:, k].dtype.kind not in "iufb":
+            cells = safe.iloc[:, k].map(lambda cell: harmless(cell) if isinstance(cell, str) else cell)
+            safe = safe.assign(**{column: cells})
+    style = None if digits is None else f"%.{digits}g"
+    safe.to_csv(path, index=False, float_format=style, lineterminator="\n")

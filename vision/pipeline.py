@@ -39,7 +39,8 @@ from vision.errors import (
     known_as,
 )
 from vision.figures.catalogue import Plots, Results, figure_named
-from vision.files import Progress, html_table
+from vision.files import Progress
+from vision.folder import html_table
 from vision.force import ForceSettings, find_stick_slip, read_force
 from vision.mapped import give_back_freed
 from vision.models import FitSettings, ModelFits, fit_models

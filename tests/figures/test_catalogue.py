@@ -22,7 +22,7 @@ from vision.figures import (
 from vision.figures.camera import intensity_figure, single_sheets_figure, space_time_figure
 from vision.figures.figure import Figure, Image, Panel
 from vision.figures.positions import mean_deformation_figure
-from vision.files import html_table
+from vision.folder import html_table
 
 
 def scene(*, sheets=7, frames=40, rows=60, columns=400, times_s=None, nothing_found=False):

@@ -22,8 +22,8 @@ from vision.campaign.plan import FINISHED, Plan, PlannedFilm, State, read_if_who
 from vision.comparison import compare, write_comparison
 from vision.comparison.runs import COLUMNS, LIMITS
 from vision.errors import InputError, counted
-from vision.files import reading, write_csv
-from vision.folder import whole_file, write_json
+from vision.files import reading
+from vision.folder import whole_file, write_csv, write_json
 from vision.numeric import number
 from vision.pipeline import Analysis
 from vision.run import Origin, is_run

@@ -8,8 +8,7 @@ from pathlib import Path
 from vision.certify.certificate import Certificate
 from vision.figures import Figure, Panel, Series
 from vision.figures.style import DATA, PEAK, VALLEY, from_zero
-from vision.files import write_csv
-from vision.folder import whole_file, write_json
+from vision.folder import whole_file, write_csv, write_json
 from vision.numeric import with_minus
 from vision.report.page import render_page
 from vision.report.text import ANALYSED_WITH, Answer, citation

@@ -25,7 +25,7 @@ from vision.clock.settings import ClockSettings
 from vision.clock.slips import force_slips, video_slips
 from vision.data import FORCE, STICKS, TRACKS, ForceMetadata, StripMetadata
 from vision.errors import InputError, check_number
-from vision.files import html_table
+from vision.folder import html_table
 from vision.force.recording import good_samples
 from vision.numeric import Floats, nan_median, sigma_about_zero, two_digits, with_minus
 

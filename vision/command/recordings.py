@@ -40,8 +40,7 @@ from vision.experiment import settings_from_toml, with_settings
 from vision.experiment import simulate as make_test
 from vision.figures import Figure, both_errors, plus_minus, save_figures
 from vision.figures.single_sheets import friction_figure, modulus_figure
-from vision.files import write_csv
-from vision.folder import write_json
+from vision.folder import write_csv, write_json
 from vision.force import parse_columns, read_force
 from vision.models import Estimate
 from vision.models.friction import (

@@ -30,8 +30,7 @@ from vision.comparison.trends import SYMBOLS, Irregularity, Trend, find_irregula
 from vision.data import with_word
 from vision.errors import InputError, counted
 from vision.figures import Figure, both_errors, plus_minus, save_figures
-from vision.files import write_csv
-from vision.folder import write_json
+from vision.folder import write_csv, write_json
 from vision.models import Estimate
 from vision.report.page import render_page
 from vision.report.text import ANALYSED_WITH, Answer, citation

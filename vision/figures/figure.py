@@ -18,7 +18,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from vision.errors import InputError
-from vision.files import AGAIN, reading, write_csv
+from vision.files import AGAIN, reading
+from vision.folder import write_csv
 from vision.numeric import Bools, Floats
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from vision.data import whole_events
-from vision.files import html_table
+from vision.folder import html_table
 from vision.models import equations
 from vision.numeric import Bools, Floats, two_digits
 from vision.sample import Sample

@@ -23,8 +23,7 @@ from vision.figures import (
     publication_figures_of,
     save_figures,
 )
-from vision.files import write_csv
-from vision.folder import run_folder, write_json
+from vision.folder import run_folder, write_csv, write_json
 from vision.mapped import give_back_freed
 from vision.pipeline import Analysis
 from vision.report import write_report

@@ -16,7 +16,8 @@ from typing import Literal
 import numpy as np
 
 from vision.errors import PATH, InputError, check_kind, check_within, shown
-from vision.files import Stamp, answered, check_pixels, check_regular, html_table, reading
+from vision.files import Stamp, answered, check_pixels, check_regular, reading
+from vision.folder import html_table
 from vision.numeric import Floats, Ints, Pixels
 from vision.video.raw import PIXELS, is_photron, open_raw, photron_files
 from vision.video.reader import SECONDS, Block, Facts, Reader
