@@ -15,7 +15,7 @@ from tests.scenes.films import comb, write_avi, write_cine, write_encoded
 from vision.data import StripMetadata
 from vision.errors import InputError
 from vision.video import Follow, VideoSettings, await_video, open_video, strip_profile
-from vision.video.frames import held_back
+from vision.video.follow import held_back
 from vision.video.reader import Block
 
 ROWS = slice(2, 10)
@@ -50,7 +50,7 @@ class Clock:
 @pytest.fixture(autouse=True)
 def clock(monkeypatch):
     made = Clock()
-    monkeypatch.setattr("vision.video.frames.time", made)
+    monkeypatch.setattr("vision.video.follow.time", made)
     return made
 
 

@@ -10,8 +10,8 @@ from tests.scenes.films import comb, write_avi, write_encoded
 from vision.data import STRIP, StripMetadata
 from vision.errors import InputError
 from vision.video import VideoSettings, open_video, reference_frame, strip_profile
-from vision.video.frames import FrameStore, is_blank, lost_between
-from vision.video.strip import row_means
+from vision.video.strip import FrameStore, is_blank, row_means
+from vision.video.times import lost_between
 
 
 @pytest.mark.parametrize(("dtype", "top"), [(np.uint8, 255), (np.uint16, 65535), (np.float32, 1e4)])
@@ -70,7 +70,7 @@ def test_spilled_profile_is_the_same(tmp_path):
 @pytest.mark.parametrize("expected", [None, 3, 5000])
 def test_store_grows(expected, spill_bytes):
     """Failure: rows are lost when a file holds more or fewer frames than expected."""
-    store = FrameStore(4, expected=expected, spill_bytes=spill_bytes)
+    store = FrameStore(4, expected=expected, settings=VideoSettings(spill_bytes=spill_bytes))
     rows = np.arange(8000, dtype=np.float32).reshape(-1, 4)
     for part in np.array_split(rows, 13):
         store.append(part)
@@ -162,15 +162,17 @@ def test_a_full_disk_for_a_long_recording_is_reported(monkeypatch):
 
     monkeypatch.setattr(os, "posix_fallocate", full, raising=False)
     with pytest.raises(InputError, match=r"GiB for I\(x, t\).*no space left"):
-        FrameStore(100, expected=1000, spill_bytes=1000, memory_bytes=100_000)
-    kept = FrameStore(100, expected=1000, spill_bytes=1000)  # fits into memory
+        FrameStore(100, expected=1000, settings=VideoSettings(spill_bytes=1000, memory_bytes=100_000))
+    kept = FrameStore(100, expected=1000, settings=VideoSettings(spill_bytes=1000))  # fits into memory
     kept.append(np.ones((1000, 100), np.float32))
     assert (kept.rows() == 1).all()
 
 
 def test_an_absurd_frame_count_takes_no_memory():
     """Failure: a damaged header that announces 4 thousand million frames ends as out of memory."""
-    store = FrameStore(1920, expected=2**32 - 1, spill_bytes=1 << 16, memory_bytes=1 << 16)
+    store = FrameStore(
+        1920, expected=2**32 - 1, settings=VideoSettings(spill_bytes=1 << 16, memory_bytes=1 << 16)
+    )
     for n in range(20):
         store.append(np.full((8, 1920), n, np.float32))
     assert store.rows().nbytes == 20 * 8 * 1920 * 4

@@ -28,7 +28,7 @@ from vision.mapped import parts_in_turn
 from vision.numeric import Floats, Floats32, row_parts
 from vision.sheets.identities import DOUBTS
 from vision.sheets.recovery import FLAG_MEANINGS
-from vision.video.frames import FrameStore
+from vision.video import FrameStore
 from vision.video.reader import read_fully
 from vision.video.stacks import check_tiff
 

@@ -1,10 +1,18 @@
 """Read a film and reduce it to I(x, t)."""
 
-from vision.video.frames import Follow, FramesRead, FrameStore, await_video
+from vision.video.follow import Follow, await_video
 from vision.video.settings import VideoSettings
-from vision.video.strip import ReadingLog, reference_frame, strip_profile, strip_profiles
+from vision.video.strip import (
+    FramesRead,
+    FrameStore,
+    ReadingLog,
+    reference_frame,
+    strip_profile,
+    strip_profiles,
+)
 from vision.video.strip_find import find_strip, measure_strip
-from vision.video.video import RANGE, Video, open_video, read_timestamps, video_files
+from vision.video.times import read_timestamps
+from vision.video.video import RANGE, Video, open_video, video_files
 
 __all__ = [
     "RANGE",

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
+import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Protocol
@@ -15,25 +14,18 @@ import numpy as np
 import xarray as xr
 
 from vision.data import STRIP, STRIP_PARTS, StripMetadata, changed_settings, record
-from vision.errors import InputError, check_kind
+from vision.errors import InputError, check_kind, counted
 from vision.files import Progress, prefetch
-from vision.numeric import Floats32, Pixels, Strings
-from vision.video.frames import (
-    STATUS_TYPE,
-    Follow,
-    FramesRead,
-    FrameStore,
-    blank_out,
-    expected_frames,
-    growth,
-    held_back,
-    is_blank,
-    part_of,
-)
+from vision.mapped import give_back, parts_in_turn, table_in_file
+from vision.numeric import Bools, Floats, Floats32, Pixels, Strings
+from vision.video.follow import Follow, followed
 from vision.video.reader import Block
 from vision.video.settings import VideoSettings
 from vision.video.strip_find import Strip, choose_strip, measure_strip
+from vision.video.times import are_uneven, lost_between, thinned_from, usual_step_s
 from vision.video.video import RANGE, Video, cut
+
+STATUS_TYPE = "<U7"  # ok, blank, corrupt, lost
 
 
 class ReadingLog(Protocol):
@@ -107,10 +99,15 @@ def strip_profile(
     check_kind(slice | None, RANGE, rows=rows, columns=columns)
     plan = _Plan.of(video, rows, columns, settings)
     folder = None if log is None else log.folder
-    store = _store(plan.width, video, settings, folder)
+    store = FrameStore(plan.width, expected=video.estimated, settings=settings, folder=folder)
     for part in () if log is None else log.begin(video, plan.strip.rows, plan.columns):
         store.add(part)
-    for latest, block in _blocks(video, plan, store, follow):
+
+    def recent(count: int) -> xr.DataArray:
+        first = max(0, store.count - count)
+        return plan.assembled(video, store.copy(first, store.count), first)
+
+    for latest, block in _blocks(video, plan, store.count, follow):
         video = latest
         store.add(_reduced(video, block))
         if log is not None:
@@ -118,7 +115,6 @@ def strip_profile(
         if progress is not None:
             progress(store.count, video.estimated)
         if follow is not None and follow.seen is not None:
-            recent = partial(_recent, plan, video, store)
             follow.seen(recent, None if video.estimated is None else video.estimated - store.count)
     if follow is not None:  # more frames of the strip are known by now
         now = measure_strip(video, plan.strip.rows, columns=plan.columns, settings=settings)
@@ -169,8 +165,8 @@ def strip_profiles(
         raise InputError("`strips`", wanted, f"{strips} of {height} rows")
     edges = np.linspace(0, height, strips + 1).round().astype(int)
     parts = [slice(None), *(slice(*pair) for pair in pairwise(edges))]
-    store = _store((1 + strips) * width, video, settings, folder)
-    for block in prefetch(video.blocks(plan.strip.rows, plan.columns), video.path, settings.answer_s):
+    store = FrameStore((1 + strips) * width, expected=video.estimated, settings=settings, folder=folder)
+    for _, block in _blocks(video, plan, 0, None):
         store.add(_reduced(video, block, parts))
         if progress is not None:
             progress(store.count, video.estimated)
@@ -188,17 +184,6 @@ def strip_profiles(
         attrs=STRIP_PARTS["intensity"].attrs,
     )
     return whole, record(heights, "strip_profiles", strips=strips)
-
-
-def _store(columns: int, video: Video, settings: VideoSettings, folder: Path | None) -> FrameStore:
-    """Return an empty storage for the frames of a recording."""
-    return FrameStore(
-        columns,
-        expected=video.estimated,
-        spill_bytes=settings.spill_bytes,
-        memory_bytes=settings.memory_bytes,
-        folder=folder,
-    )
 
 
 @dataclass(frozen=True)
@@ -265,65 +250,15 @@ def reference_frame(video: Video) -> Pixels:
     raise InputError(video.path, "at least one frame that shows something", "none")
 
 
-def _recent(plan: _Plan, video: Video, store: FrameStore, count: int) -> xr.DataArray:
-    """Return I(x, t) of the last `count` frames in the store."""
-    first = max(0, store.count - count)
-    return plan.assembled(video, store.copy(first, store.count), first)
-
-
-def _blocks(
-    video: Video, plan: _Plan, store: FrameStore, follow: Follow | None
-) -> Iterator[tuple[Video, Block]]:
-    """Yield the blocks after the frames in the store, with the recording from which they are read.
-
-    A growing recording is opened repeatedly; its last frames are read when it is closed.
-    """
+def _blocks(video: Video, plan: _Plan, known: int, follow: Follow | None) -> Iterator[tuple[Video, Block]]:
+    """Yield the blocks after the first `known` frames, with the recording from which they are read."""
     rows, columns, settings = plan.strip.rows, plan.columns, plan.settings
-    if follow is None:
-        rest = replace(video, first=video.first + store.count)
-        yield from (
-            (video, block) for block in prefetch(rest.blocks(rows, columns), video.path, settings.answer_s)
-        )
+    if follow is not None:
+        yield from followed(video, rows, columns, known, follow, settings)
         return
-    wanted = math.inf if video.stop is None else video.stop - video.first
-    for now, whole in growth(video, follow, settings):
-        again = min(store.count, 1)  # the last frame is read again, and must be the same
-        margin = 0 if whole else settings.follow_margin
-        stop = None if now.stop is None else now.stop + margin
-        rest = replace(now, first=video.first + store.count - again, stop=stop)
-        read = prefetch(rest.blocks(rows, columns), video.path, settings.answer_s)
-        blocks = held_back(read if whole else _readable(read), margin)
-        for block in _continued(now, blocks, store.copy(store.count - again, store.count)):
-            yield now, block
-            if follow.stop.is_set():
-                return
-        if whole or store.count == wanted:
-            follow.closed.set()
-            return
-
-
-def _readable(blocks: Iterator[Block]) -> Iterator[Block]:
-    """Yield the blocks before one that cannot be read yet, as in an MP4 with an incomplete last part."""
-    with contextlib.suppress(InputError):
-        yield from blocks
-
-
-def _continued(video: Video, blocks: Iterator[Block], known: FramesRead) -> Iterator[Block]:
-    """Yield the blocks without the frames that are already known.
-
-    Raises: InputError if those frames have changed.
-    """
-    count = known.status.size
-    for block in blocks:
-        if count:
-            same = _reduced(video, part_of(block, 0, count)).intensity
-            if not np.array_equal(same, known.intensity, equal_nan=True):
-                wanted, found = "a recording that only grows while it is followed", "other frames than before"
-                raise InputError(video.path, wanted, found, "run again when it is complete")
-        stop = len(block.status) if video.stop is None else min(len(block.status), video.stop - block.start)
-        if stop > count:
-            yield part_of(block, count, stop)
-        count = 0
+    rest = replace(video, first=video.first + known)
+    for block in prefetch(rest.blocks(rows, columns), video.path, settings.answer_s):
+        yield video, block
 
 
 def _reduced(video: Video, block: Block, parts: Sequence[slice] = (slice(None),)) -> FramesRead:
@@ -397,3 +332,183 @@ def _metadata(video: Video, strip: Strip, read: FramesRead, settings: VideoSetti
         frames_corrupt=int((status == "corrupt").sum()),
         warnings=[*video.warnings, *video.changes, *strip.warnings, *warnings],
     )
+
+
+# --- blank and missing frames -------------------------------------------------------------------------------
+
+
+def is_blank(
+    profiles: Floats32,
+    readable: Bools,
+    *,
+    saturation_level: float | None = None,
+    settings: VideoSettings = VideoSettings(),
+) -> Bools:
+    """Return which readable frames do not show the scene, (frame), from their intensity (frame, x).
+
+    A frame is blank if its profile is constant or saturated throughout, if its contrast (standard deviation
+    along x) is below `settings.blank_contrast` of the recording's median contrast, or if the frame is
+    brighter than usual and its contrast, relative to its level, is below `settings.bright_contrast` of the
+    median. Dim frames keep their relative contrast, and motion blur preserves the gradient of the light and
+    the edges of the comb. If more than half of a recording is blank, only constant and saturated frames are
+    found; saturation_level is None for float.
+    """
+    level, contrast, darkest = np.empty((3, len(profiles)))
+    for span in parts_in_turn(profiles, 256):  # parts that fit into the processor's cache
+        values = profiles[span].astype(np.float64)
+        level[span], contrast[span] = values.mean(axis=1), values.std(axis=1)
+        darkest[span] = values.min(axis=1)
+    blank = contrast <= 1e-6 * np.maximum(np.abs(level), 1.0)
+    if saturation_level is not None:
+        blank |= darkest >= settings.saturated * saturation_level
+    usual = readable & ~blank
+    if usual.any():
+        usual_level = float(np.median(level[usual]))
+        usual_contrast = float(np.median(contrast[usual]))
+        blank |= contrast < settings.blank_contrast * usual_contrast
+        flat = contrast * usual_level < settings.bright_contrast * usual_contrast * level
+        blank |= flat & (level > settings.bright_level * usual_level)
+    return np.asarray(blank & readable, bool)
+
+
+def blank_out(intensity: Floats32, unusable: Bools) -> None:
+    """Set the intensity (frame, x) of unusable frames (frame) to NaN, in place."""
+    for rows in parts_in_turn(intensity):
+        intensity[rows][unusable[rows]] = np.nan
+
+
+def expected_frames(
+    video: Video, status: Strings, times_s: Floats, *, settings: VideoSettings = VideoSettings()
+) -> tuple[int, list[str]]:
+    """Return the number of frames expected, and one line for each kind of unusable or missing frame.
+
+    It follows from the number of frames, the file's duration and gaps in its times. Frames lost between time
+    stamps, or before the end that the file states, have no row but are counted. status, times_s: status and
+    time of each frame in the file (frame).
+    """
+    name, warnings = video.path.name, []
+    if video.expected is not None and status.size < video.expected:
+        missing = video.expected - status.size
+        found = f"{status.size} of {video.expected} expected frames are in the file"
+        warnings.append(f"{name}: {found}; {missing} {'is' if missing == 1 else 'are'} missing")
+    reasons = {"corrupt": "corrupt", "lost": "lost by the camera", "blank": "blank"}
+    for state, reason in reasons.items():
+        which = np.flatnonzero(status == state)
+        if which.size:
+            where = f"the first is frame {video.first + which[0]}"
+            warnings.append(f"{name}: {counted(which.size, 'frame')} {reason}, {where}")
+    measured = video.clock.kind == "file" or (video.clock.kind == "given" and are_uneven(times_s))
+    between, first = lost_between(times_s, settings=settings) if measured else (0, 0)
+    if between:
+        where = f"according to gaps in its times, the first after frame {video.first + first}"
+        warnings.append(f"{name}: {counted(between, 'frame')} lost {where}")
+    if measured and (thinned := thinned_from(times_s, settings=settings)) is not None:
+        what = f"from frame {video.first + thinned} on, frames come at half or a third of the usual rate"
+        warnings.append(f"{name}: {what}: the camera was slower, or frames are lost evenly")
+    beyond = 0
+    if video.clock.kind == "file" and video.duration_s is not None:
+        known = times_s[np.isfinite(times_s)]
+        usual_s = usual_step_s(known)
+        missing_s = video.duration_s - float(known[-1]) if usual_s > 0 else 0.0
+        if missing_s > settings.early_end_steps * usual_s:
+            beyond = round(missing_s / usual_s) - 1  # the last frame itself lasts one step
+            stated = f"the file should last {video.duration_s:.3f} s"
+            warnings.append(
+                f"{name}: {stated}; its last {missing_s:.3f} s are missing, about {beyond} frames"
+            )
+    return max(status.size, video.expected or 0) + between + beyond, warnings
+
+
+# --- storage of the frames that are read --------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class FramesRead:
+    """Consecutive frames: intensity (frame, x), grey levels; status and time, s, of each frame."""
+
+    intensity: Floats32
+    status: Strings
+    times_s: Floats
+
+
+class FrameStore:
+    """Growing storage of I(x, t): rows of float32, in memory or in a temporary file, each with its status and
+    time.
+
+    A row has `columns` values, and about `expected` rows will come. Above `settings.spill_bytes` they are
+    stored in a temporary file in `folder`, by default the system's. If that disk is full they stay in memory,
+    and above `settings.memory_bytes` InputError is raised.
+    """
+
+    def __init__(
+        self,
+        columns: int,
+        *,
+        expected: int | None,
+        settings: VideoSettings = VideoSettings(),
+        folder: Path | None = None,
+    ) -> None:
+        self._columns, self._settings, self._folder = columns, settings, folder
+        self._marks = np.zeros(1024, [("status", STATUS_TYPE), ("time_s", np.float64)])
+        self.count = 0
+        """Number of rows so far."""
+        most = max(1, 2 * settings.memory_bytes // (4 * columns))  # a damaged header may state any number
+        self._rows = self._allocate(max(1, min(expected or 1024, most)))
+
+    def append(self, rows: Floats32) -> None:
+        """Add `rows` (k, columns) at the end."""
+        needed = self.count + rows.shape[0]
+        if needed > self._rows.shape[0]:
+            old = self.rows()
+            self._rows = self._allocate(max(needed, 2 * self._rows.shape[0]))
+            for part in parts_in_turn(old):
+                self._put(part.start, old[part])
+        self._put(self.count, rows)
+        self.count = needed
+
+    def add(self, frames: FramesRead) -> None:
+        """Add frames at the end."""
+        needed = self.count + frames.status.size
+        if needed > self._marks.size:
+            more = np.zeros(max(needed, self._marks.size), self._marks.dtype)
+            self._marks = np.concatenate([self._marks, more])
+        new = self._marks[self.count : needed]
+        new["status"], new["time_s"] = frames.status, frames.times_s
+        self.append(frames.intensity)
+
+    def rows(self) -> Floats32:
+        """Return all rows so far, (n, columns), not copied."""
+        return self._rows[: self.count]
+
+    def part(self, start: int, stop: int) -> FramesRead:
+        """Return frames `start` to before `stop`; the intensity is not copied."""
+        marks = self._marks[start:stop].copy()
+        return FramesRead(self.rows()[start:stop], marks["status"], marks["time_s"])
+
+    def copy(self, start: int, stop: int) -> FramesRead:
+        """Return frames `start` to before `stop`, copied."""
+        part = self.part(start, stop)
+        copied = replace(part, intensity=part.intensity.copy())
+        give_back(part.intensity)
+        return copied
+
+    def _put(self, start: int, rows: Floats32) -> None:
+        place = self._rows[start : start + len(rows)]
+        place[:] = rows
+        give_back(place)
+
+    def _allocate(self, capacity: int) -> Floats32:
+        size = capacity * self._columns * 4
+        if size > self._settings.spill_bytes:
+            try:
+                return table_in_file(capacity, self._columns, self._folder)
+            except OSError as error:
+                if size > self._settings.memory_bytes:
+                    raise self._no_room(size, error) from error
+        return np.empty((capacity, self._columns), np.float32)
+
+    def _no_room(self, size: int, error: OSError) -> InputError:
+        wanted = f"{size / (1 << 30):.1f} GiB for I(x, t)"
+        found = (error.strerror or str(error)).lower()
+        advice = "give another `out`, or `columns`" if self._folder else "set TMPDIR, or give `columns`"
+        return InputError(self._folder or tempfile.gettempdir(), wanted, found, advice)

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import glob
-import itertools
 import math
 import os
-import re
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,16 +18,15 @@ from vision.files import Stamp, answered, check_pixels, check_regular, reading
 from vision.folder import html_table
 from vision.numeric import Floats, Ints, Pixels
 from vision.video.raw import PIXELS, is_photron, open_raw, photron_files
-from vision.video.reader import SECONDS, Block, Facts, Reader
+from vision.video.reader import Block, Facts, Reader
 from vision.video.settings import VideoSettings
 from vision.video.stacks import IMAGES, is_tiff, open_sequence, open_stack
+from vision.video.times import median_rate, read_timestamps, unit_warning
 
 FILMS = {".avi", ".mp4", ".m4v", ".mkv", ".mov", ".cine", PIXELS}
 """Suffixes by which the films of a folder are found. A film that is named may have any suffix."""
 RANGE = "a slice such as slice(60, 144)"
 """What an argument for rows, columns or frames must be, for messages."""
-_UNIT = re.compile(r"(?:^|[\s_(\[.,;/-])(s|sec|seconds|ms|us|µs|μs|ns)(?:$|[\s)\],;])", re.IGNORECASE)
-_TIME_NAME = re.compile(r"time|stamp|zeit|temps", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -160,11 +157,11 @@ class Video:
     def clock(self) -> FrameClock:
         """The clock in use: given, else the file's own, else the playback rate."""
         if self.given_times_s is not None:
-            return FrameClock("given", _median_rate(self.given_times_s))
+            return FrameClock("given", median_rate(self.given_times_s))
         if self.given_fps is not None:
             return FrameClock("given", self.given_fps)
         if self.facts.times_s is not None:
-            return FrameClock("file", _median_rate(self.facts.times_s))
+            return FrameClock("file", median_rate(self.facts.times_s))
         if self.facts.camera_fps is not None:
             return FrameClock("file", self.facts.camera_fps)
         return FrameClock("file" if self.facts.times_in_blocks else "playback", self.facts.playback_fps)
@@ -310,7 +307,7 @@ def open_video(
         if facts.declared_frames not in (None, times_s.size):
             wanted = f"{facts.declared_frames} times, one per frame of {where.name}"
             raise InputError(timestamps, wanted, f"{times_s.size} times")
-        warnings += _unit_warning(times_s, facts.playback_fps, table.name)
+        warnings += unit_warning(times_s, facts.playback_fps, table.name)
     if stop is not None and facts.frames is not None and stop > facts.frames:
         about = "" if facts.declared_frames else "about "
         warnings.append(f"`frames`: asked for frames up to {stop}, the file has {about}{facts.frames}")
@@ -414,122 +411,3 @@ def _before_rotation(rows: slice, columns: slice, shape: tuple[int, int], rotate
         size = shape[turn % 2]
         rows, columns = slice(size - columns.stop, size - columns.start), rows
     return rows, columns
-
-
-def _median_rate(times_s: Floats) -> float | None:
-    """Return frames per second from the median interval; None for fewer than two times or equal times."""
-    if times_s.size < 2:
-        return None
-    step = float(np.nanmedian(np.diff(times_s)))
-    return 1.0 / step if step > 0 else None
-
-
-def _unit_warning(times_s: Floats, playback_fps: float | None, name: str) -> list[str]:
-    """Warn of times that are 10³, 10⁶ or 10⁹ times as far apart as in the played film: hardly in s."""
-    # The playback rate may be a little off; a wider range would doubt more time-lapse films.
-    slower = float(np.median(np.diff(times_s))) * (playback_fps or 0.0) if times_s.size > 1 else 0.0
-    for unit in ("ms", "us", "ns"):
-        if 0.8 < slower * SECONDS[unit] < 1.25:
-            return [
-                f"{name}: the times, read in s, are {slower:.0f} times as far apart as when the film is "
-                f"played: if they are in {unit}, name the unit in a first line (time_{unit})"
-            ]
-    return []
-
-
-def read_timestamps(path: Path) -> tuple[Floats, tuple[str, ...]]:
-    """Read the camera's times of all frames, s, from a text or CSV file, and warnings about them.
-
-    One time per line, or columns divided by comma, semicolon, tab or space; a header names the column
-    ("time", "timestamp") and its unit: `time_ms`, `Timestamp (us)`, `t [ns]`. Lines starting with # belong
-    to the header. Without a header the last of two columns (number, time) is used, and the unit is s. Decimal
-    commas are recognised where no commas separate columns, also in lines such as 0,016667.
-
-    Raises: InputError for a missing or empty file, text in place of a number, or commas of unknown meaning.
-    """
-    wanted = "a readable file of time stamps"
-    if check_regular(path, wanted).st_size > 1 << 28:  # ten million frames
-        raise InputError(path, wanted, "a far larger file", "check its name")
-    with reading(path, wanted):
-        text = path.read_text(encoding="utf-8-sig", errors="replace")
-    lines = [line for line in text.splitlines() if line.strip()] or [""]
-    end = "".join(lines[-2:])  # the last line may be cut before its separator
-    separator = next((mark for mark in ";\t," if mark in end), None)
-    cells = [[cell.strip() for cell in line.split(separator) if cell.strip()] for line in lines]
-    decimal_comma = separator in (";", "\t")
-    if separator == "," and _has_decimal_commas(path, cells):
-        separator, decimal_comma, cells = None, True, [[line.strip()] for line in lines]
-    rows = [_numbers(line, decimal_comma=decimal_comma) for line in cells]
-    first = next((n for n, row in enumerate(rows) if row), None)
-    if first is None:
-        raise InputError(path, "one time per line", "no numbers", "give one time per frame, in s")
-    broken = next((line for line, row in zip(lines[first:], rows[first:], strict=True) if not row), None)
-    if broken is not None:
-        raise InputError(path, "a number in every line", repr(broken.strip()[:40]))
-    widths = {len(row) for row in rows[first:]}
-    if len(widths) > 1:
-        raise InputError(path, "the same number of columns in every line", f"{min(widths)} to {max(widths)}")
-    width = widths.pop()
-    column, unit_s = _time_column(lines[first - 1].lstrip("# ") if first else "", separator, width)
-    times_s = np.array([row[column] for row in rows[first:]]) * unit_s
-    if not np.isfinite(times_s).all():
-        raise InputError(path, "a time for every frame", "NaN or infinity")
-    backwards = np.flatnonzero(np.diff(times_s) <= 0)
-    if not backwards.size:
-        return times_s, ()
-    return times_s, (_not_increasing(times_s, path.name),)
-
-
-def _not_increasing(times_s: Floats, name: str) -> str:
-    """Return a warning about times that do not increase, and from which frame on they restart."""
-    latest = np.maximum.accumulate(np.r_[-np.inf, times_s[:-1]])
-    stale = np.flatnonzero(times_s <= latest)
-    line = f"{name}: {stale.size} of {times_s.size} times do not increase, the first at frame {stale[0]}"
-    step = np.diff(times_s)
-    back = np.flatnonzero(step < -10 * np.median(np.abs(step)))
-    if back.size:
-        k = int(back[0]) + 1
-        line += f"; they restart from frame {k} on ({times_s[k - 1]:.6g} s, then {times_s[k]:.6g} s)"
-        line += f": give `frames` 0:{k} or {k}:{times_s.size}, or times that continue"
-    return f"{line}; such frames are not used for the clocks and stick phases"
-
-
-def _has_decimal_commas(path: Path, cells: list[list[str]]) -> bool:
-    """Return whether commas in these lines are decimal marks; InputError where this cannot be told.
-
-    They are if a whole number, as of seconds, is followed by digits with a leading zero. They separate
-    columns if the header names as many, a number has a decimal point, or the first column counts the frames.
-    """
-    data = [line for line in cells if _numbers(line, decimal_comma=False)]
-    header = next(iter(cells), []) if len(data) < len(cells) else []
-    if not data or len(header) == len(data[0]) > 1:
-        return False
-    if not all(re.fullmatch(r"[+-]?[0-9]+", cell) for line in data for cell in line):
-        return False
-    zeros = any(len(cell) > 1 and cell.startswith("0") for line in data for cell in line[1:])
-    if zeros and all(len(line) <= 2 for line in data):
-        return True
-    counted = all(int(b[0]) == int(a[0]) + 1 for a, b in itertools.pairwise(data))
-    if not counted or zeros:
-        advice = "write decimal points, or semicolons or tabs between the columns"
-        found = f"'{','.join(data[-1])[:40]}', which may be either"
-        raise InputError(path, "commas either between columns or in numbers", found, advice)
-    return False
-
-
-def _time_column(header: str, separator: str | None, width: int) -> tuple[int, float]:
-    """Return which of `width` columns the header names as the time, else the last, and its unit in s."""
-    mark = next((mark for mark in (separator, *";\t,") if mark and mark in header), None)
-    header = header if mark else re.sub(r"\s+(?=[(\[])", "_", header)  # "time (ms)" is one name
-    names = [name.strip() for name in header.split(mark)] if width > 1 else [header]
-    column = next((n for n, name in enumerate(names[:width]) if _TIME_NAME.search(name)), width - 1)
-    unit = _UNIT.search(names[column] if column < len(names) else header)
-    return column, SECONDS[unit.group(1).lower()] if unit else 1.0
-
-
-def _numbers(cells: list[str], *, decimal_comma: bool) -> list[float]:
-    """Return the numbers of a line, none if a cell is no number."""
-    try:
-        return [float(cell.replace(",", ".") if decimal_comma else cell) for cell in cells]
-    except ValueError:
-        return []

@@ -1,0 +1,225 @@
+"""Times of frames: read from a file, and frames that are lost in gaps between them."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+
+from vision.errors import InputError
+from vision.files import check_regular, reading
+from vision.numeric import Floats, Ints
+from vision.video.reader import SECONDS
+from vision.video.settings import VideoSettings
+
+_UNIT = re.compile(r"(?:^|[\s_(\[.,;/-])(s|sec|seconds|ms|us|µs|μs|ns)(?:$|[\s)\],;])", re.IGNORECASE)
+_TIME_NAME = re.compile(r"time|stamp|zeit|temps", re.IGNORECASE)
+_NEAR = 9  # frames before and after a step between times that are compared with it
+
+
+def read_timestamps(path: Path) -> tuple[Floats, tuple[str, ...]]:
+    """Read the camera's times of all frames, s, from a text or CSV file, and warnings about them.
+
+    One time per line, or columns divided by comma, semicolon, tab or space; a header names the column
+    ("time", "timestamp") and its unit: `time_ms`, `Timestamp (us)`, `t [ns]`. Lines starting with # belong
+    to the header. Without a header the last of two columns (number, time) is used, and the unit is s. Decimal
+    commas are recognised where no commas separate columns, also in lines such as 0,016667.
+
+    Raises: InputError for a missing or empty file, text in place of a number, or commas of unknown meaning.
+    """
+    wanted = "a readable file of time stamps"
+    if check_regular(path, wanted).st_size > 1 << 28:  # ten million frames
+        raise InputError(path, wanted, "a far larger file", "check its name")
+    with reading(path, wanted):
+        text = path.read_text(encoding="utf-8-sig", errors="replace")
+    lines = [line for line in text.splitlines() if line.strip()] or [""]
+    end = "".join(lines[-2:])  # the last line may be cut before its separator
+    separator = next((mark for mark in ";\t," if mark in end), None)
+    cells = [[cell.strip() for cell in line.split(separator) if cell.strip()] for line in lines]
+    decimal_comma = separator in (";", "\t")
+    if separator == "," and _has_decimal_commas(path, cells):
+        separator, decimal_comma, cells = None, True, [[line.strip()] for line in lines]
+    rows = [_numbers(line, decimal_comma=decimal_comma) for line in cells]
+    first = next((n for n, row in enumerate(rows) if row), None)
+    if first is None:
+        raise InputError(path, "one time per line", "no numbers", "give one time per frame, in s")
+    broken = next((line for line, row in zip(lines[first:], rows[first:], strict=True) if not row), None)
+    if broken is not None:
+        raise InputError(path, "a number in every line", repr(broken.strip()[:40]))
+    widths = {len(row) for row in rows[first:]}
+    if len(widths) > 1:
+        raise InputError(path, "the same number of columns in every line", f"{min(widths)} to {max(widths)}")
+    width = widths.pop()
+    column, unit_s = _time_column(lines[first - 1].lstrip("# ") if first else "", separator, width)
+    times_s = np.array([row[column] for row in rows[first:]]) * unit_s
+    if not np.isfinite(times_s).all():
+        raise InputError(path, "a time for every frame", "NaN or infinity")
+    backwards = np.flatnonzero(np.diff(times_s) <= 0)
+    if not backwards.size:
+        return times_s, ()
+    return times_s, (_not_increasing(times_s, path.name),)
+
+
+def _not_increasing(times_s: Floats, name: str) -> str:
+    """Return a warning about times that do not increase, and from which frame on they restart."""
+    latest = np.maximum.accumulate(np.r_[-np.inf, times_s[:-1]])
+    stale = np.flatnonzero(times_s <= latest)
+    line = f"{name}: {stale.size} of {times_s.size} times do not increase, the first at frame {stale[0]}"
+    step = np.diff(times_s)
+    back = np.flatnonzero(step < -10 * np.median(np.abs(step)))
+    if back.size:
+        k = int(back[0]) + 1
+        line += f"; they restart from frame {k} on ({times_s[k - 1]:.6g} s, then {times_s[k]:.6g} s)"
+        line += f": give `frames` 0:{k} or {k}:{times_s.size}, or times that continue"
+    return f"{line}; such frames are not used for the clocks and stick phases"
+
+
+def _has_decimal_commas(path: Path, cells: list[list[str]]) -> bool:
+    """Return whether commas in these lines are decimal marks; InputError where this cannot be told.
+
+    They are if a whole number, as of seconds, is followed by digits with a leading zero. They separate
+    columns if the header names as many, a number has a decimal point, or the first column counts the frames.
+    """
+    data = [line for line in cells if _numbers(line, decimal_comma=False)]
+    header = next(iter(cells), []) if len(data) < len(cells) else []
+    if not data or len(header) == len(data[0]) > 1:
+        return False
+    if not all(re.fullmatch(r"[+-]?[0-9]+", cell) for line in data for cell in line):
+        return False
+    zeros = any(len(cell) > 1 and cell.startswith("0") for line in data for cell in line[1:])
+    if zeros and all(len(line) <= 2 for line in data):
+        return True
+    counted = all(int(b[0]) == int(a[0]) + 1 for a, b in itertools.pairwise(data))
+    if not counted or zeros:
+        advice = "write decimal points, or semicolons or tabs between the columns"
+        found = f"'{','.join(data[-1])[:40]}', which may be either"
+        raise InputError(path, "commas either between columns or in numbers", found, advice)
+    return False
+
+
+def _time_column(header: str, separator: str | None, width: int) -> tuple[int, float]:
+    """Return which of `width` columns the header names as the time, else the last, and its unit in s."""
+    mark = next((mark for mark in (separator, *";\t,") if mark and mark in header), None)
+    header = header if mark else re.sub(r"\s+(?=[(\[])", "_", header)  # "time (ms)" is one name
+    names = [name.strip() for name in header.split(mark)] if width > 1 else [header]
+    column = next((n for n, name in enumerate(names[:width]) if _TIME_NAME.search(name)), width - 1)
+    unit = _UNIT.search(names[column] if column < len(names) else header)
+    return column, SECONDS[unit.group(1).lower()] if unit else 1.0
+
+
+def _numbers(cells: list[str], *, decimal_comma: bool) -> list[float]:
+    """Return the numbers of a line, none if a cell is no number."""
+    try:
+        return [float(cell.replace(",", ".") if decimal_comma else cell) for cell in cells]
+    except ValueError:
+        return []
+
+
+def unit_warning(times_s: Floats, playback_fps: float | None, name: str) -> list[str]:
+    """Warn of times that are 10³, 10⁶ or 10⁹ times as far apart as in the played film: hardly in s."""
+    # The playback rate may be a little off; a wider range would doubt more time-lapse films.
+    slower = float(np.median(np.diff(times_s))) * (playback_fps or 0.0) if times_s.size > 1 else 0.0
+    for unit in ("ms", "us", "ns"):
+        if 0.8 < slower * SECONDS[unit] < 1.25:
+            return [
+                f"{name}: the times, read in s, are {slower:.0f} times as far apart as when the film is "
+                f"played: if they are in {unit}, name the unit in a first line (time_{unit})"
+            ]
+    return []
+
+
+def median_rate(times_s: Floats) -> float | None:
+    """Return frames per second from the median interval; None for fewer than two times or equal times."""
+    if times_s.size < 2:
+        return None
+    step = float(np.nanmedian(np.diff(times_s)))
+    return 1.0 / step if step > 0 else None
+
+
+# --- lost frames --------------------------------------------------------------------------------------------
+
+
+def lost_between(times_s: Floats, *, settings: VideoSettings = VideoSettings()) -> tuple[int, int]:
+    """Return the number of frames lost between time stamps, and the index of the frame before the first gap.
+
+    A step of more than `settings.gap_steps` usual steps is a gap if the frames after it remain late against
+    the usual rate: a frame that is merely late is followed by short steps. If the camera changes its rate,
+    the usual step is that of the frames around (`_local_step_s`). If more than a fifth is lost, too few are
+    counted. (0, 0) for none, or fewer than three known times (frame), NaN where unknown.
+    """
+    places = np.flatnonzero(np.isfinite(times_s))
+    known = times_s[places]
+    local_s = _local_step_s(known, places, settings)
+    steps = np.diff(known) / local_s - (np.diff(places) - 1)  # frames without a time took one step each
+    gaps = np.flatnonzero(steps > settings.gap_steps)
+    gaps = gaps[_lasting_delay(known, places, local_s, gaps) > settings.late_steps]
+    lost = int(np.round(steps[gaps] - 1).sum())
+    return (lost, int(places[gaps[0]])) if lost else (0, 0)
+
+
+def _local_step_s(known: Floats, places: Ints, settings: VideoSettings) -> Floats:
+    """Return the usual time from one frame to the next, s, at each step between known times.
+
+    It is that of the whole recording, or a longer time on which eight of the nine steps before or after
+    agree, because a camera that changes its rate does so for many frames. NaN for fewer than three times.
+    """
+    usual_s = usual_step_s(known)
+    step_s = np.diff(known) / np.diff(places)
+    if not usual_s > 0 or not (step_s > settings.same_rate * usual_s).any():
+        return np.full(step_s.shape, usual_s if usual_s > 0 else np.nan)
+    padded = np.pad(step_s, _NEAR, constant_values=np.nan)
+    runs = np.lib.stride_tricks.sliding_window_view(padded, _NEAR)
+    middle = np.sort(runs, axis=1)[:, _NEAR // 2]  # NaN comes last
+    ratio = runs / middle[:, np.newaxis]
+    agree = (ratio < settings.same_rate) & (ratio > 1 / settings.same_rate)
+    steady = np.where(agree.sum(axis=1) >= _NEAR - 1, middle, usual_s)
+    before, after = steady[: step_s.size], steady[_NEAR + 1 :]
+    return np.maximum(usual_s, np.maximum(before, after))
+
+
+def thinned_from(times_s: Floats, *, settings: VideoSettings = VideoSettings()) -> int | None:
+    """Return the first frame after which frames come at half or a third of the usual rate; None if none.
+
+    Either the camera changed its rate or frames are lost evenly; their times do not show which.
+    """
+    places = np.flatnonzero(np.isfinite(times_s))
+    known = times_s[places]
+    step_s = np.minimum(_local_step_s(known, places, settings), np.diff(known) / np.diff(places))
+    ratio = step_s / usual_step_s(known)
+    whole = np.clip(np.round(ratio), 2, 3)
+    thinned = np.flatnonzero(np.abs(ratio / whole - 1) < settings.whole_ratio)
+    return int(places[thinned[0]]) if thinned.size else None
+
+
+def usual_step_s(times_s: Floats) -> float:
+    """Return the time from one frame to the next without losses, s; NaN for fewer than three times.
+
+    It is the tenth percentile of the time that 20 frames take: rounded times have few distinct steps, and the
+    shorter runs of 20 frames contain no lost frame.
+    """
+    if times_s.size < 3:
+        return math.nan
+    lag = min(20, max(1, times_s.size // 4))
+    return float(np.quantile(times_s[lag:] - times_s[:-lag], 0.1)) / lag
+
+
+def _lasting_delay(known: Floats, places: Ints, local_s: Floats, gaps: Ints) -> Floats:
+    """Return the median delay of the nine frames after each gap less that of the nine before, usual steps."""
+
+    def delay(frames: Ints) -> Floats:
+        inside = np.clip(frames, 0, known.size - 1)
+        here = gaps[:, np.newaxis]
+        late = (known[inside] - known[here]) / local_s[here] - (places[inside] - places[here])
+        return np.asarray(np.nanmedian(np.where(inside == frames, late, np.nan), axis=1), np.float64)
+
+    reach = np.arange(_NEAR)
+    return delay(gaps[:, np.newaxis] + 1 + reach) - delay(gaps[:, np.newaxis] - reach)
+
+
+def are_uneven(times_s: Floats) -> bool:
+    """Return whether times were measured, not computed from a rate."""
+    steps = np.diff(times_s[np.isfinite(times_s)])
+    return bool(steps.size and np.ptp(steps) > 1e-6 * abs(float(steps.max())))
