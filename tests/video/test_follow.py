@@ -195,6 +195,22 @@ def test_the_last_frames_can_be_looked_at_meanwhile(clock, tmp_path, frames):
         assert one.values.tobytes() == strip.values[at].tobytes()
 
 
+def test_a_film_that_shows_nothing_for_a_while_is_followed_further(clock, tmp_path, frames):
+    """A failure means that a run ends in the middle of the test because the light was off."""
+    dark, nothing = frames.copy(), threading.Event()
+    dark[40:160] = 0
+
+    def look(last, behind):
+        if (last(10)["status"] == "blank").all():
+            nothing.set()
+
+    film = tmp_path / "a.avi"
+    whole = write_avi(tmp_path / "whole.avi", dark)
+    strip = followed(clock, film, copy_slowly, whole, film, nothing, follow=Follow(seen=look))
+    assert nothing.is_set()
+    same(strip, strip_profile(open_video(film), ROWS))
+
+
 def test_a_part_of_a_film_is_followed_to_its_end(clock, tmp_path, frames):
     """A failure means that `frames` is forgotten, or waits for the camera to end."""
     whole = write_avi(tmp_path / "whole.avi", frames)

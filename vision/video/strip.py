@@ -123,7 +123,9 @@ def strip_profile(
             last = video.first + store.count - 1
             line = f"{video.path.name}: followed up to frame {last}; later ones are not read"
             video = replace(video, warnings=(*video.warnings, line))
-    return plan.assembled(video, store.part(0, store.count))
+    profile = plan.assembled(video, store.part(0, store.count))
+    _check_shows_something(video, profile["status"].values)
+    return profile
 
 
 def strip_profiles(
@@ -172,6 +174,7 @@ def strip_profiles(
             progress(store.count, video.estimated)
     read = store.part(0, store.count)
     whole = plan.assembled(video, replace(read, intensity=read.intensity[:, :width]))
+    _check_shows_something(video, read.status)
     intensity = read.intensity[:, width:].reshape(-1, strips, width).swapaxes(0, 1)
     for part in intensity:
         blank_out(part, whole["status"].values != "ok")
@@ -208,16 +211,11 @@ class _Plan:
         return int(self.columns.stop - self.columns.start)
 
     def assembled(self, video: Video, read: FramesRead, first: int = 0) -> xr.DataArray:
-        """Return I(x, t) of the frames read; `first` is the number of frames read before them.
-
-        Raises: InputError if no frame can be used.
-        """
+        """Return I(x, t) of the frames read; `first` is the number of frames read before them."""
         intensity, status, settings = read.intensity, read.status, self.settings
         readable, saturated = status == "ok", video.saturation_level
         status[is_blank(intensity, readable, saturation_level=saturated, settings=settings)] = "blank"
         blank_out(intensity, status != "ok")
-        if not (status == "ok").any():
-            raise _nothing_to_see(video, status)
         frames = video.first + first + np.arange(status.size, dtype=np.int64)
         profile = xr.DataArray(
             intensity,
@@ -286,15 +284,16 @@ def row_means(pixels: Pixels) -> Floats32:
     return np.asarray(np.add.reduce(pixels, axis=1, dtype=wide) / rows, np.float32)
 
 
-def _nothing_to_see(video: Video, status: Strings) -> InputError:
-    """Return the error that says why no frame can be used."""
+def _check_shows_something(video: Video, status: Strings) -> None:
+    """Raise `InputError`, which says why, if no frame can be used."""
     if not status.size:
-        return InputError(video.path, "frames within `frames`", "the file ends before them")
+        raise InputError(video.path, "frames within `frames`", "the file ends before them")
     names, counts = np.unique(status, return_counts=True)
-    found = ", ".join(f"{count} {name}" for name, count in zip(names, counts, strict=True))
-    is_float = video.saturation_level is None
-    advice = "cut NaN off with `columns`" if is_float else "check `rows` and `columns`"
-    return InputError(video.path, "at least one frame that shows something", f"none ({found})", advice)
+    if "ok" not in names:
+        found = ", ".join(f"{count} {name}" for name, count in zip(names, counts, strict=True))
+        is_float = video.saturation_level is None
+        advice = "cut NaN off with `columns`" if is_float else "check `rows` and `columns`"
+        raise InputError(video.path, "at least one frame that shows something", f"none ({found})", advice)
 
 
 def _metadata(video: Video, strip: Strip, read: FramesRead, settings: VideoSettings) -> StripMetadata:
