@@ -406,7 +406,10 @@ def _open_photron(path: Path) -> Reader:
 
 
 def _stated(pixels: Path, text: Path, fields: Mapping[str, str]) -> tuple[tuple[int, int], int, int, int]:
-    """Return shape, bits per pixel and number of frames by the header, and the size of the file, checked."""
+    """Return shape, bits per pixel and number of frames by the header, and the size of the file, checked.
+
+    Raises: InputError also for a size that fits the header's frames only at another depth.
+    """
     kind = fields.get("Color Type", "Mono")
     if "mono" not in kind.lower():
         raise InputError(text, "Color Type : Mono", f"'{kind[:40]}'", "export the recording as grey")
@@ -416,14 +419,7 @@ def _stated(pixels: Path, text: Path, fields: Mapping[str, str]) -> tuple[tuple[
         raise InputError(text, "Color Bit : 8, 12 or 16", str(bits), "save the recording with one of these")
     if bits == 12 and width * height % 2:
         raise InputError(text, "an even number of pixels at 12 bit", shape_text((height, width)))
-    size = pixels.stat().st_size
-    _check_size(pixels, text, (height, width), bits, frames, size)
-    return (height, width), bits, frames, size
-
-
-def _check_size(pixels: Path, text: Path, shape: tuple[int, int], bits: int, frames: int, size: int) -> None:
-    """Refuse a file whose size fits the header's frames only at another depth: the depth is wrong."""
-    area, picture = shape[0] * shape[1], shape_text(shape)
+    area, picture, size = height * width, shape_text((height, width)), pixels.stat().st_size
     fits = [depth for depth in _DEPTHS if frames * (area * depth // 8) == size]
     if fits and bits not in fits:
         needed = frames * (area * bits // 8)
@@ -433,6 +429,7 @@ def _check_size(pixels: Path, text: Path, shape: tuple[int, int], bits: int, fra
     if size < area * bits // 8:
         wanted = f"at least one frame of {picture}, {bits} bit, {area * bits // 8} bytes"
         raise InputError(pixels, wanted, f"{size} bytes", "the recording was cut short; copy it again")
+    return (height, width), bits, frames, size
 
 
 def _fields(text: Path) -> Mapping[str, str]:

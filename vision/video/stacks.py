@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from PIL import Image as Pillow
 
 from vision.errors import InputError, counted
-from vision.files import check_pixels, in_threads, members, reading
+from vision.files import TIFF, check_pixels, in_threads, members, reading
 from vision.numeric import Floats, Ints, Pixels, number
 from vision.video.reader import (
     AS_STORED,
@@ -38,7 +38,7 @@ from vision.video.reader import (
     whole_frames,
 )
 
-IMAGES = {".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp"}
+IMAGES = {".png", *TIFF, ".jpg", ".jpeg", ".bmp"}
 _JPEG = {"jpg", "jpeg", "ojpeg", "jpeg_lossy"}
 _UM_PER = {"nm": 1e-3, "micron": 1.0, "microns": 1.0, "um": 1.0, "µm": 1.0, "μm": 1.0, "mm": 1e3, "m": 1e6}
 """µm per unit of length. Inch and cm are left out: mostly they give the size of a print, such as 72 dpi."""
@@ -227,7 +227,9 @@ def _stack_facts(tif: tifffile.TiffFile, held: int, indexed: int, path: Path, *,
     bits = 32 if is_float else int(first.bitspersample)
     if not held:
         raise InputError(path, "at least one whole frame", "none", "the file was cut short; copy it again")
-    declared = max(_possible(_declared_frames(tif), path), held, indexed)
+    declared = _declared_frames(tif)
+    possible = declared <= 10 * path.stat().st_size  # a damaged header may state any number
+    declared = max(declared if possible else 0, held, indexed)
     size_um, unused = _own_pixel_size_um(tif)
     return Facts(
         shape=(first.imagelength, first.imagewidth),
@@ -255,8 +257,8 @@ def _codec_of_page(page: tifffile.TiffPage) -> str:
 
 def _codec_of_image(file: Path) -> str:
     """Return the suffix of an image file, or the compression of a TIFF."""
-    suffix = file.suffix.lower().lstrip(".")
-    if suffix not in ("tif", "tiff"):
+    if not _is_tiff_image(file):
+        suffix = file.suffix.lower().lstrip(".")
         return "mjpeg" if suffix in _JPEG else suffix
     try:
         with tifffile.TiffFile(file) as tif:
@@ -278,11 +280,6 @@ def _declared_frames(tif: tifffile.TiffFile) -> int:
         shape = tif.shaped_metadata[0].get("shape", ())
         return math.prod(shape[: len(shape) - 2 - (samples > 1)])
     return 0
-
-
-def _possible(declared: int, path: Path) -> int:
-    """Return the number of frames in the metadata; 0 if a file of ten times this size could not hold them."""
-    return declared if 0 <= declared <= 10 * path.stat().st_size else 0
 
 
 def _own_times(tif: tifffile.TiffFile, frames: int) -> Floats | None:
@@ -351,24 +348,23 @@ def open_sequence(path: Path) -> ImagesReader:
     """
     found = _image_files(path)
     files, warnings = _numbered(found, path)
-    images = (_image(file) for file in files if file is not None)
-    first = next((pixels for pixels in images if pixels is not None), None)
+    there = [file for file in files if file is not None]
+    first = next((pixels for pixels in map(_image, there) if pixels is not None), None)
     if first is None:
         raise InputError(path, "at least one readable image", f"{len(found)} that cannot be decoded")
     is_float = first.dtype.kind == "f"
     bits = 32 if is_float else 8 * first.dtype.itemsize
-    suffix = found[0].suffix.lower()
     facts = Facts(
         shape=(first.shape[0], first.shape[1]),
         depth_bits=bits,
         saturation_level=None if is_float else full_scale(bits),
         declared_frames=len(files),
         container="images",
-        codec=_codec_of_image(next(file for file in files if file is not None)),
+        codec=_codec_of_image(there[0]),
         pixel_format=str(first.dtype),
-        decoder="tifffile" if suffix in (".tif", ".tiff") else "OpenCV",
+        decoder="tifffile" if _is_tiff_image(there[0]) else "OpenCV",
         grey=f"{AS_STORED}; colour by {LUMA_RULE}",
-        turned_deg=_turned_deg(next(file for file in files if file is not None)),
+        turned_deg=_turned_deg(there[0]),
         warnings=warnings,
     )
 
@@ -379,12 +375,16 @@ def open_sequence(path: Path) -> ImagesReader:
     return ImagesReader(facts, first.dtype, len(files), decode)
 
 
+def _is_tiff_image(file: Path) -> bool:
+    return file.suffix.lower() in TIFF
+
+
 def _turned_deg(file: Path) -> int:
     """Return the clockwise rotation for display that a photograph states (in EXIF), degrees.
 
     A TIFF's rotation is ignored, as by ImageJ and tifffile.
     """
-    if file.suffix.lower() in (".tif", ".tiff"):
+    if _is_tiff_image(file):
         return 0
     try:
         with Pillow.open(file) as header:
@@ -464,7 +464,7 @@ def _frame_numbers(numbers: Ints, path: Path) -> tuple[Ints, tuple[str, ...]]:
 def _image(file: Path) -> Pixels | None:
     """Return grey pixels of an image file at its full depth; None if it cannot be decoded."""
     try:
-        pixels = _tiff_image(file) if file.suffix.lower() in (".tif", ".tiff") else _other_image(file)
+        pixels = _tiff_image(file) if _is_tiff_image(file) else _other_image(file)
     except _SeveralPagesError:
         raise
     except Exception:  # decoders raise any exception for damaged data

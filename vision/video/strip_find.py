@@ -3,7 +3,7 @@
 A ruler in the picture can be mistaken for a comb of sheets. No single stage can exclude it, so three do:
 above or below the comb it is avoided here, by the choice of rows (`_prefer_moving`). Beside the comb it is in
 the same rows, and only tracks show that it has another pitch and does not move (`_ruler_beside_comb`,
-`vision.sheets.reference`). Marks or ridges one above the other suit no rows: `_warn_if_level`.
+`vision.sheets.reference`). Marks or ridges one above the other suit no rows: `_level_warnings`.
 """
 
 from __future__ import annotations
@@ -145,7 +145,7 @@ def find_strip(
     best = _best_without_text(slopes, text)
     if best is None:
         whole = slice(0, height)
-        return _warn_if_level(Strip(whole, "all rows"), slopes, whole, video)
+        return Strip(whole, "all rows", warnings=_level_warnings(slopes, whole, video))
     best = _prefer_moving(slopes, best)
     tilt = tilt_px(slopes.mean[:, best[0] : best[1]])
     first, last = _agreeing(slopes, *best, tilt)
@@ -156,12 +156,13 @@ def find_strip(
         rows = _without_edges(rows, height, settings)
     first, last = -(-rows.start // band_rows), max(rows.stop // band_rows, first + 1)
     first = min(first, last - 1)
-    strip = _warn_if_text(_described(slopes, first, last, Strip(rows, "found"), tilt), text[first:last])
-    return _warn_if_level(strip, slopes, slice(best[0] * band_rows, best[1] * band_rows), video)
+    strip = _described(slopes, first, last, Strip(rows, "found"), tilt)
+    level = _level_warnings(slopes, slice(best[0] * band_rows, best[1] * band_rows), video)
+    return replace(strip, warnings=(*strip.warnings, *_text_warnings(rows, text[first:last]), *level))
 
 
-def _warn_if_level(strip: Strip, slopes: _Slopes, rows: slice, video: Video) -> Strip:
-    """Add a warning if grey levels in these rows change along z rather than along x.
+def _level_warnings(slopes: _Slopes, rows: slice, video: Video) -> tuple[str, ...]:
+    """Return a warning if grey levels in these rows change along z rather than along x.
 
     They must do so both from pixel to pixel and over the whole height: the texture of wide sheets does only
     the former, dead rows only the latter. The outer bands do not count: a comb may end there before a dark
@@ -173,27 +174,22 @@ def _warn_if_level(strip: Strip, slopes: _Slopes, rows: slice, video: Video) -> 
     along_z, along_x = float(slopes.along_z[rows].mean()), float(slopes.along_x[rows].mean())
     level, upright = (np.ptp(np.quantile(slopes.picture.mean(axis=axis), (0.1, 0.9))) for axis in (1, 0))
     if along_z <= slopes.settings.max_level * along_x or not along_x or 2 * level < upright:
-        return strip
-    warning = (
+        return ()
+    return (
         f"grey levels change {math.sqrt(along_z / along_x):.1f} times as much from row to row as along the "
         "rows: the ridges may be horizontal, one above the other; if so, give `rotate` "
-        f"{(video.rotate + 90) % 180}"
+        f"{(video.rotate + 90) % 180}",
     )
-    return replace(strip, warnings=(*strip.warnings, warning))
 
 
-def _warn_if_text(strip: Strip, text: Bools) -> Strip:
-    """Add a warning if some bands of the strip show text, (band,)."""
+def _text_warnings(rows: slice, text: Bools) -> tuple[str, ...]:
+    """Return a warning if some bands of these rows show text, (band,)."""
     if not text.any():
-        return strip
-    band_rows = (strip.rows.stop - strip.rows.start) / text.size
+        return ()
+    band_rows = (rows.stop - rows.start) / text.size
     first, last = np.flatnonzero(text)[[0, -1]]
-    top, bottom = int(first * band_rows), math.ceil((last + 1) * band_rows)
-    warning = (
-        f"text or marks cover ridges in rows {strip.rows.start + top}:{strip.rows.start + bottom}: choose "
-        "`rows` without them"
-    )
-    return replace(strip, warnings=(*strip.warnings, warning))
+    top, bottom = rows.start + int(first * band_rows), rows.start + math.ceil((last + 1) * band_rows)
+    return (f"text or marks cover ridges in rows {top}:{bottom}: choose `rows` without them",)
 
 
 def _without_edges(rows: slice, height: int, settings: VideoSettings) -> slice:
@@ -223,7 +219,7 @@ def measure_strip(
         return Strip(z, "given", clarity=math.nan)
     slopes = _measure_slopes(video, z, x, max(2, round(count / settings.bands)), settings)
     strip = _described(slopes, 0, slopes.mean.shape[1], Strip(z, "given"))
-    return _warn_if_text(strip, _text_bands(slopes))
+    return replace(strip, warnings=(*strip.warnings, *_text_warnings(z, _text_bands(slopes))))
 
 
 def _described(slopes: _Slopes, first: int, last: int, strip: Strip, tilt: float | None = None) -> Strip:
