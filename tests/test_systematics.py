@@ -62,6 +62,9 @@ def test_the_budget_of_a_whole_run():
     sticks.attrs["machine_stiffness_N_per_mm"] = 1e5
     surer = replace(found, clock=replace(found.clock, error_ms=0.5), sticks=sticks)
     assert systematic_budget(surer).unknown("ratio") == ["pixel_size"]
+    assert math.isnan(
+        systematic_budget(surer).total("ratio")
+    )  # a clock that matters nothing is no error of 0
     assert math.isnan(systematic_budget(video_only()).values["x_px"])
     assert systematic_budget(Found()).values == {}
 

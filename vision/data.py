@@ -265,7 +265,8 @@ class TrackMetadata(Metadata):
     sheets: int = 0
     sheets_how: Literal["given", "found"] = "found"
     ridge_fwhm_px: float = math.nan
-    pitch_px: float = math.nan
+    pitch_px: float = math.nan  # period of the comb, of whole pixels, by which sheets are searched
+    spacing_px: float = math.nan  # median distance of neighbouring sheets
     contrast: float = math.nan  # height of the ridges, grey levels
     profile_noise: float = math.nan  # grey levels
     axis_px: float = math.nan  # position of the symmetry axis

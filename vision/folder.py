@@ -13,7 +13,7 @@ import re
 import secrets
 import shutil
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
@@ -188,6 +188,29 @@ def claim(path: Path, taken: InputError, advice: str) -> IO[str]:
     except OSError:
         pass
     return file
+
+
+def keep_others(earlier: Path, made: Path, written: Collection[str]) -> None:
+    """Link into a new folder, or copy, what an earlier one holds besides the files `written` by the program.
+
+    The earlier folder is not changed, so that nothing is lost if the new one does not take its place.
+    """
+    if not earlier.is_dir():
+        return
+    for one in earlier.iterdir():
+        if one.name in written or (made / one.name).exists():
+            continue
+        if one.is_dir() and not one.is_symlink():
+            shutil.copytree(one, made / one.name, symlinks=True, copy_function=_link_or_copy)
+        else:
+            _link_or_copy(one, made / one.name)
+
+
+def _link_or_copy(source: str | Path, target: str | Path) -> None:
+    try:
+        os.link(source, target, follow_symlinks=False)
+    except OSError:  # a file system without links
+        shutil.copy2(source, target, follow_symlinks=False)
 
 
 def put_in_place(made: Path, target: Path, *, overwrite: bool, known_by: str = RUN_JSON) -> None:

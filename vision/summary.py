@@ -58,7 +58,7 @@ def findings(tracks: xr.Dataset) -> dict[str, Any]:
             "tilt_deg": strip.tilt_deg,
         },
         "clock": {"kind": strip.clock_kind, "fps": strip.fps},
-        "ridges": {"polarity": found.ridges, "fwhm_px": found.ridge_fwhm_px, "pitch_px": found.pitch_px},
+        "ridges": {"polarity": found.ridges, "fwhm_px": found.ridge_fwhm_px, "pitch_px": found.spacing_px},
         "sheets": {"count": found.sheets, "other_ridges_left_out": found.ridges_dropped},
         "axis": {
             "px": found.axis_px,
@@ -221,7 +221,9 @@ def heights_line(tracks: xr.Dataset) -> str:
 
 def ridges_line(found: TrackMetadata) -> str:
     """Return width and spacing of the ridges, and the fit."""
-    size = f"{found.ridge_fwhm_px:.1f} px wide" + f", {found.pitch_px:.1f} px apart" * (found.sheets > 1)
+    size = f"{found.ridge_fwhm_px:.1f} px wide" + f", {found.spacing_px:.1f} px apart" * math.isfinite(
+        found.spacing_px
+    )
     return f"{size}; {found.fit} fit over {found.window_px} px"
 
 

@@ -65,9 +65,10 @@ class Budget:
     sources: Mapping[str, Mapping[str, float | None]]
 
     def total(self, quantity: str) -> float:
-        """Return the root of the sum of squares of the known errors; NaN if none is known."""
+        """Return the root of the sum of squares of the known errors; NaN if only zeros are known."""
         known = [error for errors in self.sources.values() if (error := errors.get(quantity)) is not None]
-        return math.hypot(*known) if known else math.nan
+        total = math.hypot(*known) if known else math.nan
+        return math.nan if total == 0 and self.unknown(quantity) else total
 
     def unknown(self, quantity: str) -> list[str]:
         """Return the sources whose error is not known, which the total lacks."""

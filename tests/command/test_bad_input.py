@@ -212,7 +212,6 @@ ARGUMENTS = {
     "pixel size 0": (["--pixel-size", "0"], "--pixel-size"),
     "pixel size in another unit": (["--pixel-size", "10mm"], "10.5um"),
     "negative pixel size": (["--pixel-size", "-1"], "--pixel-size"),
-    "second video that is not there": (["other.tif"], "other.tif"),
     "two pixel sizes": (["--scale", "1mm=103px", "--pitch", "0.2mm"], "one of"),
     "scale without pixels": (["--scale", "1mm"], "1mm=103px"),
     "scale of lengths": (["--scale", "1mm=2mm"], "1mm=103px"),

@@ -61,6 +61,13 @@ def test_a_bad_film_costs_nothing_but_itself(films, capsys, monkeypatch):
     assert [path.name for path in Path("others").iterdir()] == ["t2_tracks"]
 
 
+def test_a_film_that_is_missing_costs_nothing_but_itself(films, capsys):
+    """A failure means that one wrong name keeps all films of a night from being tracked."""
+    assert run(["gone.tif", *films, "--no-report"]) == 2
+    assert "gone.tif" in capsys.readouterr().err
+    assert all(Path(f"{Path(film).stem}_tracks", "run.json").exists() for film in films)
+
+
 def test_warnings_name_their_film(films, capsys):
     """A failure means that nobody knows which of a hundred films lost frames."""
     pixels = frames_of(positions(30))

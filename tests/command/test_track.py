@@ -187,6 +187,26 @@ def test_an_earlier_run_is_kept_unless_told_otherwise(video, capsys):
     assert Path("comb_tracks/run.json").read_bytes() != stamp
 
 
+def test_a_new_run_keeps_the_user_s_files_and_decisions(video, tmp_path, capsys):
+    """A failure means that --overwrite takes a notebook, or hours of review, without a word."""
+    decisions = tmp_path / "mine.toml"
+    decisions.write_text('[[leave_out]]\nsheet = 2\nframes = "3:5"\n')
+    assert run([str(video), "--quiet", "--corrections", str(decisions)]) in (0, 1)
+    folder, current = Path("comb_tracks"), Path("comb_tracks/corrections.toml")
+    Path(folder, "notes.txt").write_text("seen")
+    Path(folder, "plots").mkdir()
+    Path(folder, "plots", "one.svg").write_text("<svg/>")
+    assert run([str(video), "--quiet", "--overwrite"]) == 1
+    (kept,) = folder.glob("corrections_*.toml")
+    assert str(kept) in capsys.readouterr().err and not current.exists()
+    assert Path(folder, "notes.txt").read_text() == "seen"
+    assert Path(folder, "plots", "one.svg").read_text() == "<svg/>"
+    for _ in range(2):  # all are applied again: nothing is set aside
+        assert run([str(video), "--quiet", "--overwrite", "--corrections", str(decisions)]) in (0, 1)
+        assert "not applied" not in capsys.readouterr().err
+        assert current.exists() and list(folder.glob("corrections_*.toml")) == [kept]
+
+
 def test_the_checkout_s_cli_runs_as_a_process(video):
     """A failure means that `python cli.py` or its exit status is broken, or pictures empty."""
     root = Path(__file__).parents[2]

@@ -322,3 +322,11 @@ def test_of_sticks_with_knees_the_slope_after_the_knee_counts(tmp_path):
     scales = [vision.compare([run], modulus_GPa=3.8).table["Lambda_hat_mm"].iloc[0] for run in runs]
     assert scales[1] == pytest.approx(scales[0], rel=1e-9)
     assert scales[0] == pytest.approx(19.09, abs=0.05)
+
+
+@pytest.mark.parametrize("speed", [1.0, 10.0])
+def test_a_modulus_from_fast_tests_alone_is_warned_of(speed, tmp_path):
+    """A failure means that Λ̂ and N̂ of all tests rest on a Y_eff for which the models do not hold, unsaid."""
+    made = events(speed=speed)
+    found = vision.compare([write_run(tmp_path / "run", made, speed=speed)])
+    assert any("is slow" in line for line in found.warnings) == (speed > 1)

@@ -136,6 +136,16 @@ def test_sizes_of_blocks_and_number_of_threads_change_nothing(monkeypatch):
         np.testing.assert_allclose(found[name], expected[name], rtol=1e-9, err_msg=name)
 
 
+@pytest.mark.parametrize("spacing", [20.37, 24.61])
+def test_the_spacing_is_that_of_the_sheets(spacing):
+    """A failure means a spacing in whole pixels; one ridge has none."""
+    x = 40 + np.tile(spacing * np.arange(12), (40, 1))
+    facts = TrackMetadata.of(track_sheets(strip(ridges(x, width=400))))
+    assert facts.spacing_px == pytest.approx(spacing, abs=0.02)
+    alone = track_sheets(strip(ridges(x[:, 4:5], width=400)))
+    assert np.isnan(TrackMetadata.of(alone).spacing_px)
+
+
 def test_what_comes_out_is_as_declared():
     """A failure means that a later stage refuses the tracks, or that units and facts are lost on the way."""
     _, picture = recording(1)

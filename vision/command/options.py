@@ -53,7 +53,7 @@ class VideoOptions:
     ridges: Literal["bright", "dark", "auto"] | None = None
     """Whether ridges are brighter or darker than the gaps between them: bright, dark or auto."""
     axis: float | None = _sets("axis_px")
-    """Symmetry axis in px; found from the motion if not given."""
+    """Symmetry axis in px; by default from the motion, or the middle of the ridges where that shows none."""
     fit: Literal["auto", "sliding", "paper", "template"] | None = None
     """auto (template where it is learned well, else sliding), sliding, paper (as published) or template."""
     window: str | None = _sets("window_px")
@@ -190,7 +190,8 @@ class CompareOptions:
     """How several tests are compared."""
 
     table: Path | None = None
-    """CSV with any of the columns run,sample,V_mm_min,n_test,RH_percent,T_C."""
+    """CSV with any of the columns run,sample,V_mm_min,n_test,RH_percent,T_C; n_test counts the sample's tests
+    before this one."""
     main_sample: str | None = None
     """Sample whose Y_eff is used for all tests; that of the first run if not given."""
     fix_yeff: float | None = None

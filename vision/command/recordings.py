@@ -337,7 +337,9 @@ def simulate(
     scale, d0 = f"{experiment.camera.pixel_size_um:g}", f"{experiment.mechanics.d0_mm:g}"
     track = ["track", str(test.video), "--pixel-size", scale, "--timestamps", str(test.timestamps)]
     track += ["--force", str(test.force), "--d0", d0]
-    lines += aligned([*((name, str(path)) for name, path in files.items()), ("next", shlex.join(track))])
+    rows = [*((name, str(path)) for name, path in files.items()), ("next", shlex.join(track))]
+    rows += [("offset", f"{experiment.clocks.offset_s:g} s: give --offset if the clocks are ambiguous")]
+    lines += aligned(rows)
     return conclude(lines, (), quiet=options.quiet)
 
 

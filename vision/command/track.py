@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import glob
 import math
 import shlex
 import signal
@@ -24,10 +23,20 @@ from vision.command.review import keep_first_view
 from vision.command.settings import merged, parameters_given, settings_of
 from vision.data import MEASURED, StripMetadata
 from vision.errors import InputError, counted
-from vision.files import TIFF, answered, no_such_file
+from vision.files import TIFF, answered
 from vision.folder import check_target
 from vision.pipeline import Analysis, Settings, analyse, open_recording, track_strip
-from vision.run import FAILURES, Checkpoint, Checksums, Origin, Parameter, describe_input, is_run, write_run
+from vision.run import (
+    FAILURES,
+    Checkpoint,
+    Checksums,
+    Origin,
+    Parameter,
+    describe_input,
+    is_run,
+    set_aside,
+    write_run,
+)
 from vision.sheets.corrections import read_decisions
 from vision.summary import aligned, findings, noise_figures
 from vision.video import Follow, open_video, video_files
@@ -130,6 +139,9 @@ def track_one(
         if analysis.pixel_size_um != settings.pixel_size_um:
             parameters = {**parameters, "pixel_size": Parameter(analysis.pixel_size_um, "found")}
         analysis = _warn_of_other_film(analysis, parameters["corrections"].value, inputs[0])
+        if kept := set_aside(target, analysis.settings.corrections):
+            line = f"decisions of the earlier run were not applied: give {target / kept} as `corrections`"
+            analysis = replace(analysis, warnings=(*analysis.warnings, line))
         parameters = {**parameters, **parameters_given(run, config=config)}
         origin = origin_of(inputs, parameters, checksum=run.checksum, described=sums.found())
         facts = {"frames_resumed": checkpoint.resumed} if checkpoint.resumed else None
@@ -251,9 +263,6 @@ def _targets_of(
     if not videos:
         advice = "track --help lists the options"
         raise InputError("VIDEO", "a video file, a folder or a quoted glob of images", "none", advice)
-    for video in videos:
-        if not answered(video.exists, video) and not glob.has_magic(str(video)):
-            raise no_such_file(video, "a video")
     if all(_is_still(video) for video in videos):
         found = f"{len(videos)} still images"
         pattern = videos[0].parent / f"*{videos[0].suffix}"

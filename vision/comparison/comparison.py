@@ -32,6 +32,7 @@ from vision.errors import InputError, counted
 from vision.figures import Figure, both_errors, plus_minus, save_figures
 from vision.folder import write_csv, write_json
 from vision.models import Estimate
+from vision.models.single_fits import is_slow
 from vision.report.page import render_page
 from vision.report.text import ANALYSED_WITH, Answer, citation
 from vision.run import Origin, results_folder
@@ -151,6 +152,11 @@ def compare(
     if modulus_GPa is None:
         main = tests[0].sample_name if main_sample is None else main_sample
     modulus, source = _modulus(tests, main, modulus_GPa)
+    if main is not None and not any(is_slow(test.speed_mm_min) for test in tests if test.run in source):
+        warnings.append(
+            f"no test of sample {main} is slow, so Y_eff is that of faster ones, for which the models do "
+            "not hold: compare a slow test of it, too, or give `modulus_GPa`, or another `main_sample`"
+        )
     tests, fits, unfitted = _fits(tests, modulus, main, settings)
     for test, fit in zip(tests, fits, strict=True):
         warnings += [f"{test.run}: {line}" for line in fit.warnings]

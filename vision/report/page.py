@@ -256,8 +256,7 @@ def budget_table(results: Results) -> FactsTable:
 
 def _total(budget: Budget, quantity: str) -> str:
     """Return the systematic error as text: "not known" if some sources are unknown and the others zero."""
-    total = budget.total(quantity)
-    return "not known" if total == 0 and budget.unknown(quantity) else _two_digits(total, "not known")
+    return _two_digits(budget.total(quantity), "not known")
 
 
 def doubt_table(tracks: xr.Dataset) -> FactsTable:

@@ -264,9 +264,10 @@ def _tracking(tracks: xr.Dataset) -> str:
         if math.isfinite(t.axis_px)
         else "the symmetry axis is not known"
     )
+    apart = f" and {t.spacing_px:.1f} px apart" if math.isfinite(t.spacing_px) else ""
     seen = (
-        f"The {t.sheets} sheets appear as {t.ridges} ridges {t.ridge_fwhm_px:.1f} px wide and "
-        f"{t.pitch_px:.1f} px apart. Their positions x(n,t) were measured {method}. The sheets were "
+        f"The {t.sheets} sheets appear as {t.ridges} ridges {t.ridge_fwhm_px:.1f} px wide{apart}. "
+        f"Their positions x(n,t) were measured {method}. The sheets were "
         f"identified through slips by their order, spacing and brightness; {axis}."
         if t.sheets > 1
         else f"One sheet appears as a {t.ridges} ridge {t.ridge_fwhm_px:.1f} px wide. Its positions x(t) "

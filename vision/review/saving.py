@@ -19,14 +19,14 @@ import numpy as np
 
 from vision.errors import InputError
 from vision.files import PACKAGE_PATHS
-from vision.folder import clean_up, plain, put_in_place, unwritable
+from vision.folder import clean_up, keep_others, plain, put_in_place, unwritable
 from vision.numeric import Floats, Ints
 from vision.pipeline import Analysis, Settings, analyse, open_recording
 from vision.review.positions import Positions, median_positions, read_positions
 from vision.review.recordings import StoredRun
 from vision.run.provenance import Origin, Parameter
 from vision.run.reading import read_run, read_strip
-from vision.run.writing import write_run
+from vision.run.writing import WRITTEN, write_run
 from vision.sheets.corrections import Decisions
 
 if TYPE_CHECKING:
@@ -282,6 +282,7 @@ class Trial:
             folder = self._finished()
             run.stored.check_there()
             try:
+                keep_others(run.folder, folder, WRITTEN)
                 put_in_place(folder, run.folder.resolve(), overwrite=True)
             except OSError as error:
                 raise unwritable(run.folder, error, "not kept") from error

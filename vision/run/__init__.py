@@ -11,7 +11,7 @@ from vision.run.reading import (
     read_run,
     read_strip,
 )
-from vision.run.writing import FAILURES, results_folder, write_run
+from vision.run.writing import FAILURES, results_folder, set_aside, write_run
 
 __all__ = [
     "FAILURES",
@@ -28,5 +28,6 @@ __all__ = [
     "read_run",
     "read_strip",
     "results_folder",
+    "set_aside",
     "write_run",
 ]

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import shutil
 import threading
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, fields
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from vision.checks import flag_counts
 from vision.data import ForceMetadata, StickMetadata, StripMetadata, changed_settings
+from vision.errors import InputError
 from vision.figures import (
     FIGURES,
     Figure,
@@ -23,7 +26,7 @@ from vision.figures import (
     publication_figures_of,
     save_figures,
 )
-from vision.folder import run_folder, write_csv, write_json
+from vision.folder import keep_others, run_folder, write_csv, write_json
 from vision.mapped import give_back_freed
 from vision.pipeline import Analysis
 from vision.report import write_report
@@ -31,13 +34,19 @@ from vision.run.provenance import Origin, checksum_of
 from vision.run.tables import sheets_table, write_kymograph_tif, write_tracks_csv, write_tracks_nc
 from vision.sample import PUBLISHED
 from vision.sheets import doubtful_stretches
-from vision.sheets.corrections import Decisions, corrections_text, ordered
+from vision.sheets.corrections import Correction, Decisions, corrections_text, ordered, read_decisions
 from vision.shells import deformation_table
 from vision.summary import findings, noise_figures
 from vision.systematics import systematic_budget
 
 FAILURES = "failures.txt"
 CORRECTIONS = "corrections.toml"
+WRITTEN = frozenset(
+    {"run.json", "report.html", "overview.png", "kymograph.png", "kymograph.tif", "tracks.csv", "tracks.nc"}
+    | {"sheets.csv", "events.csv", "models.json", "clock.json", "deformation.csv", "shells.csv", "force.png"}
+    | {"figures.npz", "corrections.toml", "failures.txt", "first_view.zip"}
+)
+"""Names of the files that a run folder holds; others in it are the user's."""
 COUNTS = ("expected", "read", "lost", "blank", "corrupt")
 # facts about the strip that other entries of run.json hold
 ELSEWHERE = {"warnings", "strip_z0", "strip_z1", "strip_how", "tilt_deg", "clock_kind", "clock_file", "fps"}
@@ -56,7 +65,8 @@ def write_run(
     """Write tables, pictures, report.html and run.json of a run, and return the content of run.json.
 
     target: the run folder; an earlier one is replaced with `overwrite`.  facts: further entries of run.json.
-    decisions: those for corrections.toml, by default ``analysis.settings.corrections``.
+    decisions: those for corrections.toml, by default ``analysis.settings.corrections``; an earlier
+    corrections.toml with others is then kept under the name `set_aside`. So are files of the user.
 
     Raises: InputError if the folder exists (without `overwrite`) or cannot be written; nothing is left then.
     """
@@ -82,7 +92,27 @@ def write_run(
         seconds["total"] = sum(analysis.seconds.values()) + time.perf_counter() - started
         content["seconds"] = seconds
         write_json(content, folder / "run.json")
+        keep_others(target, folder, WRITTEN)
+        if decisions is None and (name := set_aside(target, analysis.settings.corrections)):
+            shutil.copy2(target / CORRECTIONS, folder / name)
     return content
+
+
+def set_aside(target: Path, corrections: Sequence[Correction]) -> str:
+    """Return the name under which a new run keeps the decisions of the run that it replaces.
+
+    It contains the time at which they were written last. "" if there are none, or if all are applied again.
+    """
+    path = target / CORRECTIONS
+    if not path.is_file():
+        return ""
+    with suppress(InputError):
+        earlier = read_decisions(path)
+        applied = [one.what for one in corrections]
+        if not earlier.undone and all(one.what in applied for one in earlier.corrections):
+            return ""
+    written = datetime.fromtimestamp(path.stat().st_mtime)
+    return f"{path.stem}_{written:%Y-%m-%d_%H%M%S}{path.suffix}"
 
 
 @contextmanager

@@ -346,6 +346,7 @@ class _Tracked:
         wide = wide_spacings(positions, reference.dropped_px, settings=comb.settings)
         gaps = [] if count_given else zip(*wide, strict=True)
         decided_px = comb.settings.decided_sheets * comb.pitch_px
+        some = self.assessed.x_px[:: max(1, len(self.assessed.x_px) // 2000)]  # enough for medians
         return TrackMetadata(
             fit=self.fitted.fit,
             locking_px=self.fitted.locking.rms_px,
@@ -356,6 +357,7 @@ class _Tracked:
             sheets_how="given" if count_given else "found",
             ridge_fwhm_px=comb.fwhm_px,
             pitch_px=comb.pitch_px,
+            spacing_px=float(nan_median(np.diff(np.sort(nan_median(some))))),
             contrast=comb.contrast,
             profile_noise=comb.noise,
             axis_px=numbering.axis_px + self.origin_px,
