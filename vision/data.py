@@ -322,7 +322,10 @@ TRACKS = Schema(
             "rough size of a lasting distortion, which shifts all positions of the sheet; 0 if none is seen",
         ),
         "misscaled": Variable(
-            _SHEET, "1", "relative error of the sheet's displacements, from dirt that stands still; 0 if none"
+            _SHEET,
+            "1",
+            "relative error of the sheet's displacements, from what stands still meanwhile, such as dirt "
+            "or uneven light; 0 below 1 %",
         ),
         "x_noise_px": Variable(_SHEET, "px", "measured scatter of the position from frame to frame"),
         "x_scatter_px": Variable(

@@ -164,6 +164,22 @@ def test_mat_comes_back_with_scipy(run, truth):
     assert "clock.offset_s" in [str(cell[0]) for cell in settings["name"].ravel()]
 
 
+def test_positions_in_parts_of_the_strip_are_exported_or_said_to_be_left_out(run, truth, tmp_path):
+    """A failure means that x(n, z, t), which was asked for with --strips, is lost without a word."""
+    from scipy.io import loadmat
+
+    parts = truth["x_px"].values[..., None] + np.array([0.1, -0.1])
+    dims = ("frame", "sheet", "z")
+    more = truth.assign(x_z_px=(dims, parts), x_z_err_px=(dims, np.full(parts.shape, 0.03)))
+    write_tracks_nc(more.assign_coords(z=[12.0, 26.0]), run.folder / "tracks.nc", pixel_size_um=SIZE_UM)
+    with_parts = read_run(run.folder)
+    path, left_out = export_run(with_parts, "mat")
+    data = loadmat(path)
+    np.testing.assert_allclose(data["x_z_px"], parts, atol=1e-4)
+    assert data["z"].ravel().tolist() == [12, 26] and not left_out
+    assert "tracks.nc" in export_run(with_parts, "csv")[1][0]
+
+
 def test_the_table_for_trackpy_is_the_truth(run, truth):
     """A failure means a missing column, an empty cell, or the positions of other sheets."""
     table = pd.read_csv(export_run(run, "trackpy")[0])

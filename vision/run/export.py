@@ -55,14 +55,16 @@ def export_run(
         target = target.with_name(f"{target.name}.xlsx")
     check_outside(target, run.folder)
     with reading(run.folder, "a run folder as track writes it", AGAIN):  # tables are read and checked here
+        parts = "positions in parts of the strip are left out: tracks.nc and a mat export hold them"
+        left_out = [parts] if to != "mat" and run.of_video and "x_z_px" in run.tracks else []
         if to not in ENDINGS:
             _write_folder(run, to, target, overwrite=overwrite)
-            return target, []
+            return target, left_out
         if target.is_dir():
             raise InputError(target, "a file to write", "a folder", "give another `out`")
         check_new(target, overwrite=overwrite)
         with whole_file(target) as path:
-            return target, _write_file(run, to, path)
+            return target, [*_write_file(run, to, path), *left_out]
 
 
 def _write_folder(run: RunFolder, to: Format, target: Path, *, overwrite: bool) -> None:
@@ -231,7 +233,8 @@ def write_mat(run: RunFolder, path: Path) -> None:
     """Write a MATLAB 5 file: x_px, x_err_px, x_um and flag (frames × sheets), with their coordinates.
 
     frame and time_s are columns; index, side and n are rows. Positions that were not measured are NaN; flag
-    is an index from 1 into flag_names. sheets, events, deformation, shells and settings are structs with one
+    is an index from 1 into flag_names. Positions in parts of the strip are x_z_px and x_z_err_px (frames ×
+    sheets × parts), at the rows z. sheets, events, deformation, shells and settings are structs with one
     field per column. x_um is NaN if the pixel size is not known.
     """
     from scipy.io import savemat
@@ -249,7 +252,12 @@ def _matrices(tracks: xr.Dataset, pixel_size_um: float) -> dict[str, Any]:
     """Return x(n, t) and its coordinates, with numbers as doubles."""
     x = tracks["x_px"].values
     names, codes = np.unique(tracks["flag"].values, return_inverse=True)
-    return {
+    parts = {
+        name: tracks[name].values.astype(np.float64)
+        for name in ("x_z_px", "x_z_err_px", "z")
+        if name in tracks.variables
+    }
+    return parts | {
         "x_px": x,
         "x_err_px": tracks["x_err_px"].values,
         "x_um": x * pixel_size_um,
