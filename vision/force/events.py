@@ -199,7 +199,7 @@ def _slips_in_smooth_noise(
     this noise, where a low-pass is given or the transients after slips show one, which need them. None where
     samples are not alike, or where too few would be left in a stick.
     """
-    every = smoothed_samples(signal.clean, find_hum(signal.clean, settings), settings)
+    every = smoothed_samples(signal.clean, settings)
     if every == 1:
         return None
     thin, slips = _slips(signal.thinned(every, settings), threshold_N, settings)

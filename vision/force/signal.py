@@ -216,7 +216,7 @@ def noise_sigma(y: Floats) -> float:
     )
 
 
-def smoothed_samples(load: Floats, hum: Sequence[Hum], settings: ForceSettings) -> int:
+def smoothed_samples(load: Floats, settings: ForceSettings) -> int:
     """Return the samples over which a filter has smoothed the noise, a power of two; 1 for none.
 
     The noise of every k-th sample, `noise_sigma`, grows with k by up to a factor of four where k doubles as
@@ -224,13 +224,17 @@ def smoothed_samples(load: Floats, hum: Sequence[Hum], settings: ForceSettings) 
     where it grows least. Noise of neighbouring samples that grows by less than `smooth_growth`, as that of a
     random walk, is not smooth. Of hum, four samples in each period are left.
     """
+    most = load.size // settings.smooth_fewest
+    if most < 2 or noise_sigma(load[::2]) < settings.smooth_growth * noise_sigma(load):
+        return 1
+    hum = find_hum(load, settings)
     quiet = load - np.sum([line.wave for line in hum], axis=0) if hum else load
     sigma, growth = [noise_sigma(quiet)], [np.inf]
-    while 2 ** len(growth) <= load.size // settings.smooth_fewest and growth[-1] <= 1.2 * min(growth):
+    while 2 ** len(growth) <= most and growth[-1] <= 1.2 * min(growth):  # a fifth more may be chance
         every = 2 ** len(growth)
         sigma.append(float(np.median([noise_sigma(quiet[k::every]) for k in range(min(every, 4))])))
         growth.append(sigma[-1] / sigma[-2])
-    if len(growth) == 1 or growth[1] < settings.smooth_growth:
+    if growth[1] < settings.smooth_growth:
         return 1
     least = int(np.argmin(growth)) - 1
     every = 1 << least
