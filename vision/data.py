@@ -274,9 +274,8 @@ class TrackMetadata(Metadata):
     axis_low_px: float = math.nan  # interval in which the motion of the sheets puts the axis
     axis_high_px: float = math.nan
     axis_open: Literal["yes", "no"] = "no"  # whether this is wider than `TrackingSettings.decided_sheets`
-    axis_carried: Literal["yes", "perhaps", "no"] = (
-        "no"  # whether most sheets move alike, as if carried along
-    )
+    # whether most sheets move alike, as if the load carried them along
+    axis_carried: Literal["yes", "perhaps", "no"] = "no"
     axis_missing: int = 0  # sheets that seem to be missing in wide spacings, and count for "geometry"
     gap_depth: float = math.nan  # of the gaps between ridges, over the ridges' height above the background
     least_margin: float = math.nan  # least log-likelihood of the identities over that of the next best

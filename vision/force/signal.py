@@ -101,16 +101,7 @@ class Signal:
         apart = max(min(round(width), self.load.size // 10), 1)
         sigma = max(noise_sigma(self.load[k::apart]) for k in range(min(apart, 8)))
         noise = np.full(load.shape, sigma)
-        is_spike, clean = find_spikes(load, noise, settings=settings)
-        return replace(
-            self,
-            load=load,
-            clean=clean,
-            is_spike=is_spike & ~self.is_missing,
-            sigma=sigma,
-            noise=noise,
-            averaged=width,
-        )
+        return replace(self, load=load, averaged=width)._cleaned(noise, sigma, settings)
 
     def thinned(self, every: int, settings: ForceSettings) -> Signal:
         """Return one sample in so many, as recorded, and the spikes and noise of these."""
@@ -122,9 +113,12 @@ class Signal:
             damage={kind: counted[part] for kind, counted in self.damage.items()},
             every=every,
         )
-        noise, sigma = thin.noise_of(thin.load, settings)
-        is_spike, clean = find_spikes(thin.load, noise, settings=settings)
-        return replace(thin, clean=clean, is_spike=is_spike & ~thin.is_missing, noise=noise, sigma=sigma)
+        return thin._cleaned(*thin.noise_of(thin.load, settings), settings)
+
+    def _cleaned(self, noise: Floats, sigma: float, settings: ForceSettings) -> Signal:
+        """Return the signal with this noise, and the spikes that exceed it."""
+        is_spike, clean = find_spikes(self.load, noise, settings=settings)
+        return replace(self, clean=clean, is_spike=is_spike & ~self.is_missing, noise=noise, sigma=sigma)
 
     def with_noise_of(self, thin: Signal) -> Signal:
         """Return all samples with the noise that was measured in one sample of every few."""

@@ -26,7 +26,7 @@ from vision.figures import (
     publication_figures_of,
     save_figures,
 )
-from vision.folder import keep_others, run_folder, write_csv, write_json
+from vision.folder import RUN_JSON, keep_others, run_folder, write_csv, write_json
 from vision.mapped import give_back_freed
 from vision.pipeline import Analysis
 from vision.report import write_report
@@ -42,9 +42,9 @@ from vision.systematics import systematic_budget
 FAILURES = "failures.txt"
 CORRECTIONS = "corrections.toml"
 WRITTEN = frozenset(
-    {"run.json", "report.html", "overview.png", "kymograph.png", "kymograph.tif", "tracks.csv", "tracks.nc"}
+    {RUN_JSON, "report.html", "overview.png", "kymograph.png", "kymograph.tif", "tracks.csv", "tracks.nc"}
     | {"sheets.csv", "events.csv", "models.json", "clock.json", "deformation.csv", "shells.csv", "force.png"}
-    | {"figures.npz", "corrections.toml", "failures.txt", "first_view.zip"}
+    | {"figures.npz", CORRECTIONS, FAILURES, "first_view.zip"}
 )
 """Names of the files that a run folder holds; others in it are the user's."""
 COUNTS = ("expected", "read", "lost", "blank", "corrupt")
