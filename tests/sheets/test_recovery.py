@@ -70,6 +70,27 @@ def test_a_sheet_behind_its_neighbour_is_not_given_as_the_other():
         assert given[:, :14].all()
 
 
+@pytest.mark.parametrize(("hidden", "frames"), [((40, 61), [50, 51]), ((0, 20), [0])])
+def test_a_ridge_where_a_sheet_never_was_is_doubtful_if_nothing_beside_confirms_it(hidden, frames):
+    """The edge of what hides a third of the comb looks like a ridge, a pitch from where the last sheet was
+    and will be. A failure means that it is the sheet's position, as it was, or that sheets that come back
+    are doubted."""
+    x = comb(FRAMES, per_side=12, axis_px=300, slip=0.2)
+    contrast = np.ones(x.shape)
+    contrast[slice(*hidden), :8] = 0
+    edge = np.zeros((FRAMES, 1))
+    edge[frames] = 1
+    pitch = np.median(np.diff(x, axis=1))
+    picture = ridges(x, width=600, contrast=contrast)
+    picture += ridges(x[:, :1] - pitch, width=600, contrast=edge)
+    picture -= ridges(x[:, :1], width=600, contrast=0 * edge)  # the background, which came twice
+    found = track_sheets(strip(picture))
+    assert (found.flag.values[frames, 0] == "doubtful").all()
+    assert (found.why.values[frames, 0] == "alone").all()
+    assert (found.flag.values == "doubtful").sum() == len(frames)
+    assert (found.flag.values[contrast > 0] == "ok").mean() > 0.99
+
+
 @pytest.mark.parametrize(("away_px", "flag"), [(3.0, Flag.MERGED), (10.0, Flag.MISSING)])
 def test_a_sheet_hidden_in_its_neighbour_s_ridge_is_merged_with_it(away_px, flag):
     """A failure means that the middle between two sheets passes for the position of one."""

@@ -37,7 +37,7 @@ from vision.sheets.doubts import (
     numbered_in_part,
     unlike_neighbours,
 )
-from vision.sheets.identities import DOUBTS, Doubt, Identities, exchanged, fill_rows
+from vision.sheets.identities import DOUBTS, Doubt, Identities, exchanged, fill_rows, last_seen
 from vision.sheets.ridges import RidgeComb, Ridges, find_ridges
 from vision.words import is_word
 
@@ -107,6 +107,7 @@ def assign_detections(
     sample = slice(None, None, 1 + len(why) // USUAL_FRAMES)
     certain = np.where(why[sample] == Doubt.NONE, paired[1:, sample], np.nan)
     _reassign_hops(ridges, paired, why, comb)
+    why[_alone_and_away(np.where(why == Doubt.NONE, paired[0], np.float32(np.nan)), comb)] = Doubt.ALONE
     expected = _expected(np.where(why == Doubt.NONE, paired[0], np.nan), identities.rest_px)
     off = numbered_by_a_neighbour(ridges, identities.match, paired, certain, expected, comb)
     why[off & (why == Doubt.NONE)] = Doubt.NEIGHBOUR
@@ -157,6 +158,22 @@ def _reassign_hops(ridges: Ridges, paired: Floats32, why: Codes, comb: RidgeComb
         accept &= _unshared(frame, there, accept)
         why[frame[~accept], sheet[~accept]] = Doubt.HOP
         paired[:, frame[accept], sheet[accept]] = candidate[:, accept]
+
+
+def _alone_and_away(x: Floats32, comb: RidgeComb) -> Bools:
+    """Return which ridges lie where the sheet is not and which no neighbour confirms, (frame, N).
+
+    They lie more than half a pitch outside the range between the sheet's confirmed positions before and
+    after. The edge of what hides the sheets around may look like a ridge.
+    """
+    away = np.isfinite(x) & np.isnan(unlike_neighbours(x))
+    some = np.flatnonzero(away.any(axis=0))
+    own = x[:, some].T.astype(np.float64)
+    confirmed = np.where(away[:, some].T, np.nan, own)
+    before, after = last_seen(confirmed), last_seen(confirmed[:, ::-1])[:, ::-1]
+    off_px = np.fmax(np.fmin(before, after) - own, own - np.fmax(before, after)).T
+    away[:, some] &= off_px > comb.pitch_px / 2
+    return away
 
 
 # --- the second search --------------------------------------------------------------------------------------
