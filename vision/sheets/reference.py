@@ -407,7 +407,8 @@ def faint_ends(reference: ReferenceComb, moved_px: Floats, *, settings: Tracking
     The signs are presence in few frames, an unusual width, and less motion than the entry beside it, although
     motion grows outwards. Specks on the lens leave such bumps of the background beside a comb. One sign is
     not enough: sheets may be faint, and if one side of the comb is in view, one end is stationary. An entry
-    that moves along with the next is a sheet: the ridge of one close to its neighbour is low and narrow. Of
+    that moves along with the next is a sheet: the ridge of one close to its neighbour is low and narrow. One
+    of unusual width that does not move along where the next one moves needs to be dim only (`dim_end`). Of
     several faint entries at an end, all are none if they are `_stationary_beside` a bright sheet. moved_px:
     displacement from the rest positions (frame, N), NaN where missing.
     """
@@ -415,7 +416,7 @@ def faint_ends(reference: ReferenceComb, moved_px: Floats, *, settings: Tracking
     if reference.sheets < 5:
         return none
     contrast, width = (values - np.median(values) for values in (reference.log_contrast, reference.log_width))
-    faint = contrast < np.log(settings.faint_end)
+    faint, dim = contrast < np.log(settings.faint_end), contrast < np.log(settings.dim_end)
     power = np.array([(moved[np.isfinite(moved)] ** 2).sum() for moved in moved_px.T]) / len(moved_px)
     in_comb = moved_px - nan_median(moved_px, axis=1)[:, None]  # a shaken camera moves all alike
     for end, inner in ((0, 1), (-1, -2)):
@@ -425,6 +426,7 @@ def faint_ends(reference: ReferenceComb, moved_px: Floats, *, settings: Tracking
         along = motion_likeness(in_comb[:, end], in_comb[:, inner]) > settings.along_end
         odd = abs(width[end]) > np.log(settings.odd_width)
         none[end] = faint[end] and bool(slow or (not along and (seen < 0.5 or odd)))
+        none[end] |= dim[end] and moves and odd and not along
     for inwards in (slice(None), slice(None, None, -1)):
         found = _stationary_beside(faint[inwards], contrast[inwards], moved_px[:, inwards], settings)
         none[inwards][:found] = True

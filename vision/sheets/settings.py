@@ -181,6 +181,11 @@ class TrackingSettings:
     that it is no sheet. Larger drops unequal sheets, smaller takes background beside a speck for a sheet
     (test_degraded.py's dirt)."""
 
+    dim_end: float = 0.5
+    """The same for a ridge of another width that does not move along with a neighbour that moves. Larger
+    drops thick sheets that slip alone, smaller takes background beside a speck for a sheet
+    (test_a_bump_beside_the_comb_is_no_sheet)."""
+
     slow_end: float = 0.6
     """Fraction of its neighbour's motion below which such a ridge is no sheet: motion grows outwards."""
 
