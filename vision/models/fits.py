@@ -388,6 +388,10 @@ def _fit_all(events: pd.DataFrame, given: _Given) -> ModelFits:
     drops = with_friction(lambda m: fit_drops(events, sample, m), mu)
     stiffness = fit_stiffness(events, sample, modulus_GPa=given.modulus_GPa, settings=given.settings)
     span = (float(events["d_v_mm"].min()), float(events["d_v_mm"].max()))
+    undetermined: tuple[str, ...] = ()
+    if float(stiffness.value[0]) > 0.999 * given.settings.largest_scale * span[1]:
+        undetermined = ("N_hat_N", "Lambda_hat_mm")
+        undetermined += ("Y_eff_GPa",) if given.modulus_GPa is None else ()
     n_hat, bending, correlation = _derived(stiffness, peaks, sample, given.free_t_star, 0.5 * sum(span))
     return ModelFits(
         mu=mu,
@@ -403,6 +407,7 @@ def _fit_all(events: pd.DataFrame, given: _Given) -> ModelFits:
         d_mm=span,
         sample=given.sample,
         held=given.held,
+        undetermined=undetermined,
     )
 
 
@@ -617,8 +622,9 @@ def _remarks(
             line += f"errors widened {two_digits(np.sqrt(good.chi2_dof))} times; {_SUSPECTS}"
             yield line, good.chi2_dof > settings.contradicting_chi2
     yield from _offset_remarks(fits.t0_N, peak_N, facts.d0_err_mm, settings)
-    if fits.scale_mm.value > 0.999 * settings.largest_scale * fits.d_mm[1]:
-        yield "K does not fall with d as M_eff does: Λ̂, N̂ and Y_eff are not determined", True
+    if fits.undetermined:
+        names = "Λ̂, N̂ and Y_eff" if "Y_eff_GPa" in fits.undetermined else "Λ̂ and N̂"
+        yield f"K does not fall with d as M_eff does: {names} are not determined", True
     if (scatter := fits.goodness["drops"].scatter) > settings.unlike_drops:
         line = f"the drops scatter by {100 * scatter:.0f} % about A 𝒩, as small slips among large ones do:"
         yield f"{line} A is the mean of both; `threshold_N` leaves the small ones out", True

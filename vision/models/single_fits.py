@@ -108,6 +108,8 @@ class ModelFits:
     notes: tuple[str, ...] = ()  # limitations of the result
     warnings: tuple[str, ...] = ()  # reasons why it may be wrong
     held: tuple[str, ...] = ()  # names of parameters that were given, not fitted
+    # Names in models.json of parameters that the events do not determine; their errors are their own size.
+    undetermined: tuple[str, ...] = ()
     # Numbers of unused events by reason: "flagged", "build_up" (before the maximum of the peaks), "misfit"
     # (after it, before Eq. 1 fits) and "outside" the given range.
     left_out: Mapping[str, int] = field(default_factory=dict)
@@ -176,6 +178,7 @@ class ModelFits:
             "d_hat": tuple(self.reduced_separation(self.d_mm).tolist()),
             "M_eff": tuple(self.effective_sheets(self.d_mm).tolist()),
             "held": self.held,
+            "undetermined": self.undetermined,
             "events_left_out": dict(self.left_out),
             "input_errors": dict(self.input_errors),
             "budget": {source: dict(parts) for source, parts in self.budget.items()},
@@ -314,7 +317,9 @@ def fit_stiffness(
     fit = fit_weighted(model, k, sigma, start, held=given)
     if fit.value[0] >= np.log(largest):
         fit = fit_weighted(model, k, sigma, [float(np.log(largest)), float(fit.value[1])], held=(0, *given))
-        fit.covariance[0, 0] = 1.0  # of log Λ̂: an error as large as Λ̂ itself
+        # Neither is determined: errors of log Λ̂ and Y_eff as large as Λ̂ and Y_eff themselves.
+        fit.covariance[0, 0] = 1.0
+        fit.covariance[1, 1] = 0.0 if given else float(fit.value[1]) ** 2
     scale = float(np.exp(fit.value[0]))
     jacobian = np.diag([scale, 1.0])
     covariance = jacobian @ fit.covariance @ jacobian
