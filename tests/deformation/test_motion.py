@@ -125,6 +125,21 @@ def test_a_small_slip_shortly_before_a_large_one_is_no_end_of_the_stick():
         assert whole - set(motion["event"].to_numpy()) == left_out
 
 
+@pytest.mark.parametrize("late", [-0.1, 0.05, 0.1])
+def test_a_clock_wrong_by_part_of_a_stick_moves_no_slip_into_it(late):
+    """A failure means that frames of the neighbouring stick, beyond a slip that the film itself shows, are
+    fitted as creep: ratios of 0.5 then read 0.3, with errors several times too small."""
+    made = make(profile(np.full(12, 10.0)), frames=60, noise_px=0.02)
+    late_s = late * float((made.sticks["t_p_s"] - made.sticks["t_v_s"]).mean())
+    seen = np.r_[made.sticks["t_v_s"].iloc[0], made.sticks["t_p_s"]] + late_s
+    motion = measure(made, Clock(offset_s=5 + late_s, only_video_s=tuple(seen)))
+    events = motion["event"].to_numpy()
+    assert events.size >= 10
+    wrong, stated = errors(replace(made, ratio=made.ratio[events]), motion)
+    assert np.abs(wrong).max() < 0.02
+    assert np.mean(np.abs(wrong) < stated) > 0.6
+
+
 def test_sticks_in_which_the_displacement_stands_still_are_left_out():
     """A failure means σ_x over a Λ_st of 0, where the displacement ended before the load."""
     made = make(uniform(1.0, 20.0), frames=20)

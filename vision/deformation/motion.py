@@ -145,11 +145,14 @@ def horizontal_deformation(
     time = np.asarray(clock.to_force_s(np.asarray(tracks["time_s"].values, float)), float)
     interval = _interval(time, source)
     events = _inside(sticks, time, interval, source)
-    events = _uninterrupted(events, clock, settings, source)
+    events, after_s, before_s = _uninterrupted(events, clock, settings, source)
     margin = interval / 2 + _clock_error_s(clock, interval) if margin_s is None else margin_s
     start, stop = (events[name].to_numpy(float) for name in ("t_v_s", "t_p_s"))
     every = frames_of_sticks(time, start, stop, margin_s=0.0, interval_s=interval)
     frames = frames_of_sticks(time, start, stop, margin_s=margin, interval_s=interval)
+    first, last = _between_slips(clock, start + after_s, stop - before_s)
+    at = time[frames.frame]
+    frames = frames.only((at > first[frames.row] + interval) & (at < last[frames.row] - interval))
     motion, found = _measure(tracks, events, frames, pixel, common_mode, settings)
     motion["frames_left_out"] = "event", every.counts - frames.counts, MOTION["frames_left_out"].attrs
     facts = MotionMetadata(
@@ -219,12 +222,12 @@ def _inside(sticks: pd.DataFrame, time_s: Floats, interval_s: float, source: str
 
 def _uninterrupted(
     events: pd.DataFrame, clock: Clock, settings: DeformationSettings, source: str
-) -> pd.DataFrame:
+) -> tuple[pd.DataFrame, Floats, Floats]:
     """Stick phases without those that contain a slip of the film that the force lacks, of which the clock
     warns, or in which the machine paused (flag "still"), of which `find_stick_slip` warns.
 
     A slip near either end of a stick is the one between two sticks, timed differently, unless the film shows
-    that one as well.
+    that one as well. The lengths of these ends, s, (stick,), are returned with the stick phases.
     """
     start, stop = (events[name].to_numpy(float) for name in ("t_v_s", "t_p_s"))
     near_s = settings.slip_near_end * (stop - start)
@@ -242,7 +245,20 @@ def _uninterrupted(
         found = "rests of the machine" if (whole & rests).any() else "slips of the film"
         found += " within all of them"
         raise InputError(source, "stick phases in which the sheets do not slip", found, "check `offset_s`")
-    return events.loc[whole & ~rests]
+    measured = whole & ~rests
+    return events.loc[measured], after_s[measured], before_s[measured]
+
+
+def _between_slips(clock: Clock, after_s: Floats, before_s: Floats) -> tuple[Floats, Floats]:
+    """Times of the film's last slip up to `after_s` that the force lacks, and of the first from `before_s`
+    on, s, of each stick; infinite without one.
+
+    Where the clock is wrong they are the true ends of the stick. Frames beyond them belong to another one.
+    """
+    times = np.sort(clock.only_video_s)
+    first = np.r_[-np.inf, times][np.searchsorted(times, after_s, side="right")]
+    last = np.r_[times, np.inf][np.searchsorted(times, before_s)]
+    return first, last
 
 
 def _any_between(times_s: Sequence[float], after_s: Floats, before_s: Floats) -> Bools:

@@ -11,8 +11,8 @@ class DeformationSettings:
 
     slip_near_end: float = 0.15
     """Fraction of a stick, from either end, in which an unmatched slip of the film may be the one that ends
-    or begins it, unless that one is matched.  Larger measures sticks in which the sheets slip; smaller leaves
-    out all sticks if the given clock is slightly wrong (test_motion)."""
+    or begins it, unless that one is matched; frames beyond it are left out.  Larger measures sticks in which
+    the sheets slip; smaller leaves out all sticks if the given clock is slightly wrong (test_motion)."""
 
     least_cover: float = 0.4
     """Fraction of a stick that its positions must span.  Larger drops sheets that are hidden for part of a
