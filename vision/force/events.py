@@ -153,7 +153,7 @@ def find_stick_slip(
     metadata = _metadata(signal, slips, analysis, shares, warnings, settings)
     metadata = replace(
         metadata,
-        warnings=[*warnings, *_filter_warnings(events, analysis, metadata, settings)],
+        warnings=[*warnings, *_filter_warnings(events, signal, analysis, metadata, settings)],
         average_s=signal.averaged * signal.interval_s,
         ringing_s=ringing_s,
         machine_stiffness_N_per_mm=machine_stiffness_N_per_mm or float("nan"),
@@ -568,17 +568,22 @@ def _missed_warnings(
 
 
 def _filter_warnings(
-    events: pd.DataFrame, analysis: _SlipAnalysis, metadata: StickMetadata, settings: ForceSettings
+    events: pd.DataFrame,
+    signal: Signal,
+    analysis: _SlipAnalysis,
+    metadata: StickMetadata,
+    settings: ForceSettings,
 ) -> list[str]:
     """Return that a filter, which is not corrected, may have smoothed much of the sticks."""
     slip, stick = events["slip_time_s"].median(), (events["t_p_s"] - events["t_v_s"]).median()
-    doubtful = metadata.lowpass_doubt and filter_length(analysis.corners, analysis.extremes, settings)
+    corners, extremes = analysis.corners, analysis.extremes
+    doubtful = metadata.lowpass_doubt and filter_length(signal, corners, extremes, settings)
     if not ((metadata.filter_s or doubtful) and slip > settings.filter_share * stick):
         return []
     return [
-        f"slips last {slip / stick:.2g} times as long as sticks, and the load is not level at their ends, as "
-        "where a filter has smoothed it: F_p and ΔF, and K, Λ̂, N̂ and Y_eff, may be wrong by more than their "
-        "errors; filter the load less, or pull more slowly"
+        f"slips last {slip / stick:.2g} times as long as sticks, and the load is not level at their ends, or "
+        "its noise is as smooth, as where a filter has smoothed it: F_p and ΔF, and K, Λ̂, N̂ and Y_eff, may be "
+        "wrong by more than their errors; filter the load less, or pull more slowly"
     ]
 
 
@@ -594,7 +599,7 @@ def _metadata(
     tau, found, peak = analysis.corners.lowpass, analysis.found, analysis.corners.peak
     widened = 0.0
     if not (tau or found.samples or signal.averaged or signal.is_missing.any()):
-        widened = filter_length(analysis.corners, analysis.extremes, settings)
+        widened = filter_length(signal, analysis.corners, analysis.extremes, settings)
     first, last = signal.time_at(peak[[0, -1]])
     return StickMetadata(
         noise_N=signal.sigma,

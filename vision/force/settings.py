@@ -159,11 +159,17 @@ class ForceSettings:
     """Length of a slip over that of a neighbouring stick from which it is slow: measured at the recorded
     extremes and flagged. Extrapolated stick lines read half cosines 0.4 % too large at 0.33 and 20 % at 1."""
 
-    level_share: float = 0.1
+    level_share: float = 0.06
     """Share by which slow slips may be shorter from peak to valley than half a cosine, or before their middle
     than after it, with the load still level at their ends. Half a cosine and paper on paper stay below 0.03,
-    moving means reach 0.15 and Butterworth filters 0.24 (test_events: a moving mean); smaller
+    moving means reach 0.09 to 0.15 and Butterworth filters 0.24 (test_events: a moving mean); smaller
     widens the errors of slips that are resolved, larger trusts what a filter has cut."""
+
+    smooth_noise: float = 0.3
+    """Correlation of the noise over a twentieth of a slow slip above which a filter may have made the slip.
+    Moving means have 0.34 or more, filters without delay 0.6, paper on paper up to 0.12, white noise less
+    than 0 (test_events: a smoothed recording). Smaller doubts slow slips whose noise is pink; larger trusts
+    smoothed ones."""
 
     filter_share: float = 0.3
     """Length of slips over that of sticks from which a filter that may have lengthened them leaves too little

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from vision.data import joined_flags
 from vision.force.corners import Corners, Extremes, Shape, find_extremes, is_slow, without_lowpass
-from vision.force.lines import BrokenLines, Lines, fit_broken_lines, fit_lines
+from vision.force.lines import BrokenLines, Lines, fit_broken_lines, fit_lines, fit_polynomials
 from vision.force.settings import ForceSettings
 from vision.force.signal import Signal, step_between
 from vision.numeric import Bools, Floats, Ints, nan_median
@@ -101,7 +101,7 @@ def measure_sticks(
     (f_v, f_p), (t_v, t_p), (d_v, d_p) = force, time, d
     t_next = signal.time_at(valley[1:])
     off, lost = _position_errors(signal, corners, filter_known)
-    lost = np.fmin(lost, filter_length(corners, extremes, settings) / np.sqrt(2))
+    lost = np.fmin(lost, filter_length(signal, corners, extremes, settings) / np.sqrt(2))
     error = _corner_errors(signal, sticks, ends, force, _beside(off), _beside(lost))
     relative = np.hypot(*_beside(off)) / np.where(samples == 0, np.nan, samples)
     table = pd.DataFrame(
@@ -189,19 +189,38 @@ def _position_errors(signal: Signal, corners: Corners, filter_known: bool) -> tu
     return np.hypot(corners.error * apart, part), part
 
 
-def filter_length(corners: Corners, extremes: Extremes, settings: ForceSettings) -> float:
+def filter_length(signal: Signal, corners: Corners, extremes: Extremes, settings: ForceSettings) -> float:
     """Return by how many samples a filter of the machine may have lengthened every slip; 0 for none.
 
     A filter lengthens all slips alike, so by no more than the shortest last; and not at all where slow ones
-    are level at their ends, as those of a moving block are. Half a cosine takes as long from peak to valley
-    as its crossings say, and as long before its middle as after it. A straight fall, as a moving mean makes
-    it of a sudden slip, begins and ends in less; a filter with a tail takes longer after the middle.
+    are level at their ends, as those of a moving block are, and the noise is faster than they are. Half a
+    cosine takes as long from peak to valley as its crossings say, and as long before its middle as after it.
+    A straight fall, as a moving mean makes it of a sudden slip, begins and ends in less; a filter with a tail
+    takes longer after the middle. A smoothed recording, as by a filter without delay, has neither sign, but
+    noise as smooth as its slips.
     """
     length, slow = float(np.quantile(corners.length, 0.1)), is_slow(corners, settings)
     with np.errstate(divide="ignore", invalid="ignore"):
         shares = ((extremes.fall / corners.length)[slow], (corners.onset / corners.end)[slow])
     level = slow.any() and all(nan_median(share) >= 1 - settings.level_share for share in shares)
+    level = level and not _is_smooth(signal, corners, 0.05 * length, settings)
     return 0.0 if level or length < UNRESOLVED else length
+
+
+def _is_smooth(signal: Signal, corners: Corners, apart: float, settings: ForceSettings) -> bool:
+    """Return whether the noise within the sticks is correlated over so many samples, as behind a filter."""
+    lag, valley, length = max(round(apart), 1), corners.valley[:-1], corners.peak[1:] - corners.valley[:-1]
+    margin = 0.5 * (1 - settings.line_part) * length
+    start, stop = _between(valley + margin, valley + length - margin)
+    long = stop - start >= max(10, 4 * lag)  # a polynomial is fitted to each
+    if not long.any():
+        return False
+    _, noise, row = fit_polynomials(signal.clean, start[long], stop[long])
+    product = np.where(row[lag:] == row[:-lag], noise[lag:] * noise[:-lag], 0.0)
+    common = np.bincount(row[lag:], product, minlength=int(long.sum()))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        correlation = nan_median(common / np.bincount(row, noise**2))
+    return bool(correlation > settings.smooth_noise)
 
 
 def _corner_errors(
