@@ -38,6 +38,7 @@ QUANTITIES: Mapping[str, tuple[str, str]] = {
 SOURCES = {
     "d0": "initial separation d0",
     "load_drift": "drift of the load cell",
+    "steps": "steps of the displacement",
     "low_pass": "load cell's low-pass",
     "filter": "filter that may have lengthened slips",
     "average": "average of a load that rings",

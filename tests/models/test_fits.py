@@ -377,6 +377,24 @@ def test_a_stiffness_that_does_not_fall_is_said() -> None:
     assert any("Λ̂ and N̂ are not determined" in line for line in given.warnings)
 
 
+@pytest.mark.parametrize("step_mm", [0.002, 0.008])
+def test_steps_of_the_displacement_are_in_the_errors(step_mm: float) -> None:
+    """A failure means N̂ off by 11 of its errors where a stick is two steps of the displacement long."""
+    made = realistic(d1=15.5, noise=0.05, softening=0.0, tau=0.0)
+    coarse = made.force.assign(d_mm=np.floor(made.force["d_mm"] / step_mm) * step_mm)
+    sticks = find_stick_slip(coarse)
+    smooth = find_stick_slip(made.force)
+    assert len(sticks) == len(smooth)
+    z = (sticks["K_N_per_mm"] - smooth["K_N_per_mm"]) / sticks["K_err_N_per_mm"]
+    assert np.nanmedian(np.abs(z)) < 1
+    found = fit_models(coarse, sticks)
+    assert found.budget["steps"]["N_hat_N"] > 0
+    assert "steps" not in fit_models(made.force, smooth).budget
+    for name, truth in (("N_hat_N", 0.57), ("Y_eff_GPa", 3.8)):
+        one = found.named()[name]
+        assert abs(one.value - truth) < 3 * np.hypot(one.error, one.systematic_error), name
+
+
 def test_given_modulus_and_range_are_used() -> None:
     """A failure means an option of the fit is ignored."""
     found = fit_models(MADE, events(), modulus_GPa=4.0, fit_range_mm=(13.2, 17.0))

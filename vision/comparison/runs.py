@@ -290,7 +290,7 @@ def _check_separation(run: RunFolder) -> None:
         raise InputError(run.folder, "a run whose initial separation is known", "no `d0_mm`", advice)
 
 
-INSTRUMENT = ("load_drift", "low_pass", "filter", "average", "sampling")
+INSTRUMENT = ("load_drift", "steps", "low_pass", "filter", "average", "sampling")
 """Sources of systematic errors that lie in the force recording; their effect is known from the run alone."""
 
 

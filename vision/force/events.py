@@ -582,8 +582,8 @@ def _filter_warnings(
         return []
     return [
         f"slips last {slip / stick:.2g} times as long as sticks, and the load is not level at their ends, or "
-        "its noise is as smooth, as where a filter has smoothed it: F_p and ΔF, and K, Λ̂, N̂ and Y_eff, may be "
-        "wrong by more than their errors; filter the load less, or pull more slowly"
+        "its noise is as smooth, as where a filter has smoothed it: F_p and ΔF, and K, Λ̂, N̂ and Y_eff, may "
+        "be wrong by more than their errors; filter the load less, or pull more slowly"
     ]
 
 

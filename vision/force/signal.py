@@ -294,6 +294,15 @@ def step_between(values: Floats) -> float:
     return float(np.median(np.diff(different))) if 2 < different.size < 0.2 * values.size else 0.0
 
 
+def slope_error_of_steps(step: float, way: Floats) -> Floats:
+    """Return the relative standard error, at most 1, of the slope of a column that rises by `way` in steps.
+
+    It is that of a line fitted to a staircase whose first step may begin anywhere.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.fmin(0.44 * (step / way) ** 2, 1.0), np.float64)
+
+
 # --- ringing ------------------------------------------------------------------------------------------------
 
 

@@ -13,7 +13,7 @@ from vision.data import joined_flags
 from vision.force.corners import Corners, Extremes, Shape, find_extremes, is_slow, without_lowpass
 from vision.force.lines import BrokenLines, Lines, fit_broken_lines, fit_lines, fit_polynomials
 from vision.force.settings import ForceSettings
-from vision.force.signal import Signal, step_between
+from vision.force.signal import Signal, slope_error_of_steps, step_between
 from vision.numeric import Bools, Floats, Ints, nan_median
 
 # Samples below which a slip may be sudden, where each sample is the mean since the one before.
@@ -407,7 +407,7 @@ def _stiffness(signal: Signal, sticks: _Sticks, two_slopes: bool, compliance: fl
             return np.where(slope * compliance < 1, slope / (1 - slope * compliance), np.nan)
 
     time, travel, load, wider = signal.time, signal.travel, signal.spikeless, np.sqrt(signal.alike)
-    settings = sticks.settings
+    settings, step = sticks.settings, step_between(travel)
 
     def with_error(start: Ints, stop: Ints) -> tuple[Floats, Floats]:
         """Return K and its error, from slopes against time, since noise of d would lower slopes against d."""
@@ -422,7 +422,11 @@ def _stiffness(signal: Signal, sticks: _Sticks, two_slopes: bool, compliance: fl
             uneven = (
                 1.0 if sticks.lag else _unevenness(signal, rise, start, stop, wider * rise.spread, settings)
             )
-            error = np.hypot(wider * uneven * rise.slope_error, slope * pace.slope_error) / np.abs(speed)
+            # A coarse d may rise by a step more or less than it should, as the sticks around it tell.
+            usual = pd.Series(np.abs(speed)).rolling(5, center=True, min_periods=1).median().to_numpy()
+            way = usual * (time[np.minimum(stop, time.size) - 1] - time[np.minimum(start, time.size - 1)])
+            of_pace = np.fmax(pace.slope_error / np.abs(speed), slope_error_of_steps(step, way))
+            error = np.hypot(wider * uneven * rise.slope_error / np.abs(speed), slope * of_pace)
             return of_sample(slope), error * (of_sample(slope) / slope) ** 2
 
     part = settings.central_part

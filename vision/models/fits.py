@@ -17,6 +17,7 @@ import xarray as xr
 from vision.data import FORCE, ForceMetadata, StickMetadata, load_unit, whole_events
 from vision.errors import InputError, check_kind, check_positive, shown
 from vision.force.corners import AVERAGE_ERROR
+from vision.force.signal import slope_error_of_steps, step_between
 from vision.models import equations
 from vision.models.single_fits import (
     DEFAULT,
@@ -480,6 +481,7 @@ def _with_systematics(
     unknown: dict[str, float | None] = dict.fromkeys((*PARAMETERS, "K_N_per_mm"))
     budget = {"d0": by(shifted, d0_err) if np.isfinite(d0_err) else unknown}
     budget["load_drift"] = by(drifted, drift) | {"T0_N": drift}
+    budget |= _coarse_displacement(force, events, refit)
     budget |= _unresolved_corners(fits, force, events, refit)
     budget |= {name: by(resized(name), error) for name, error in geometry.items()}
 
@@ -489,6 +491,22 @@ def _with_systematics(
 
     changed = {PARAMETERS[name]: systematic(name, one) for name, one in fits.named().items()}
     return replace(fits, budget=budget, **changed)  # type: ignore[arg-type]
+
+
+def _coarse_displacement(
+    force: xr.Dataset, events: pd.DataFrame, refit: Callable[[pd.DataFrame], dict[str, float]]
+) -> dict[str, dict[str, float | None]]:
+    """Part of the budget from steps of the displacement, which make K too small or too large, more so in
+    short sticks; empty where they change it by less than a thousandth."""
+    way_mm = StickMetadata.of(events).central_part * (events["d_p_mm"] - events["d_v_mm"]).to_numpy(float)
+    share = slope_error_of_steps(step_between(force["d_mm"].to_numpy()), way_mm)
+    if not np.nanmedian(share) > 1e-3:
+        return {}
+    # K is a quotient: it is also too large or small on average, the more so the larger its error is.
+    bias = share * (1 + 3 * share) / 4
+    k = events["K_N_per_mm"]
+    plus, minus = (refit(events.assign(K_N_per_mm=k * (1 + part * bias))) for part in (0.5, -0.5))
+    return {"steps": {name: abs(plus[name] - minus[name]) for name in plus}}
 
 
 def _unresolved_corners(
