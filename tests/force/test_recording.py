@@ -181,6 +181,20 @@ def test_without_a_crosshead_the_pull_begins_with_the_recording(tmp_path: Path) 
     np.testing.assert_allclose(force["d_mm"], 13 + 3 / 60 * (TIME - TIME[0]), atol=1e-9)
 
 
+@pytest.mark.parametrize(("rest_s", "said"), [(0.0, False), (10.0, True)])
+def test_a_rest_before_the_pull_is_told_where_d_comes_from_the_speed(
+    rest_s: float, said: bool, tmp_path: Path
+) -> None:
+    """A failure means a d that is 0.17 mm too large, and μ and Λ̂ off by 6 and 12 errors, without a word."""
+    time = np.arange(0, 40, 0.05)
+    load = 20 * np.clip(time - rest_s, 0, 5) % 90 + np.random.default_rng(1).normal(0, 0.1, time.size)
+    path = written(tmp_path, "time (s),load (N)\n" + rows(time, load, sep=","))
+    warnings = read_force(path, speed_mm_min=1, d0_mm=13.0).attrs["warnings"]
+    assert any("give `d0_mm` 12.83" in line for line in warnings) == said
+    no_d0 = read_force(path, speed_mm_min=1).attrs["warnings"]
+    assert any("the load is level for the first 10" in line for line in no_d0) == said
+
+
 def test_the_error_of_d0_travels_with_the_recording(tmp_path: Path) -> None:
     """A failure means the fits do not know how well d0 is known."""
     path = crosshead_file(tmp_path, np.linspace(0, 5, 200))

@@ -27,6 +27,7 @@ from vision.signals import running_median
 Role = Literal["time", "load", "displacement", "video_time"]
 ROLES: tuple[Role, ...] = get_args(Role)
 _ADVICE = "`columns` time=…,load=…,displacement=…"
+_REST_MM = 0.02  # d wrong by a stick's length changes μ by a thousandth and Λ̂ by its error
 _MOST = 1e11  # s, N or mm: beyond all that is recorded, clock times since 1601 in s included
 
 
@@ -181,6 +182,8 @@ def _dataset(
         )
     warnings += _warnings(flags, load[good], source, speed_mm_min, measured)
     warnings += _gap_warnings(flags == "gap", jumps, time, travel)
+    if source == "speed":
+        warnings += _rest_warnings(time[good], load[good], travel[good], d0_mm)
     if abs(start) > 0.05 * max(float(np.ptp(travel[good])), 1e-9):  # zeros are set manually
         warnings.append(
             f"the crosshead starts at {start:.4g} mm: `d0_mm` {d0_mm:g} is added to its change since then; "
@@ -291,6 +294,25 @@ def _gap_warnings(gap: Bools, jumps: Bools, time: Floats, travel: Floats) -> lis
             "the clock stood still, or a counter was set to 0 or wrapped, and d is wrong from there on"
         )
     return lines
+
+
+def _rest_warnings(time: Floats, load: Floats, travel: Floats, d0_mm: float | None) -> list[str]:
+    """Return that the machine may have rested at first, where d is calculated from its speed.
+
+    The load is level until it first leaves its initial level by a fiftieth of its range. `travel` is how far
+    the machine would have moved, mm.
+    """
+    smooth = running_median(load, 11)
+    low, high = np.percentile(load, (1, 99))
+    away = np.flatnonzero(np.abs(smooth - smooth[0]) > 0.02 * (high - low))
+    if not away.size or travel[away[0]] < _REST_MM:
+        return []
+    by, rest_s = float(travel[away[0]]), time[away[0]] - time[0]
+    instead = f", or give `d0_mm` {d0_mm - by:.5g}" if d0_mm and d0_mm > by else ""
+    return [
+        f"the load is level for the first {rest_s:.3g} s: if the machine rested, d = d0 + V t is {by:.3g} mm "
+        f"too large; cut these rows{instead}"
+    ]
 
 
 def is_compression(load: Floats) -> bool:
