@@ -10,7 +10,9 @@ import pytest
 from tests.scenes.analysed import with_force
 from vision.clock.clock import Candidate
 from vision.data import StickMetadata, TrackMetadata
-from vision.report.text import answers
+from vision.figures.catalogue import FIGURES
+from vision.report.page import budget_table
+from vision.report.text import answers, methods
 from vision.summary import lowpass_correction, positions_line, ridges_line, summary_lines
 
 
@@ -34,6 +36,24 @@ def test_both_errors_are_printed():
     lines = summary_lines(with_force())
     models = next(line for line in lines if line.startswith("models"))
     assert models.count("(stat.)") == models.count("(syst.)") == 3
+
+
+def test_a_parameter_that_is_not_determined_has_no_number():
+    """A failure means that somebody copies the value at which a fit stopped, with its tiny error."""
+    test = with_force()
+    doubtful = replace(test, fits=replace(test.fits, undetermined=("N_hat_N", "Lambda_hat_mm", "Y_eff_GPa")))
+    modulus = re.compile(r"3\.(79|80)\d*")
+    texts = {
+        "summary": lambda of: "\n".join(line for line in summary_lines(of) if "Y_eff" in line),
+        "answers": lambda of: " ".join(one.detail for one in answers(of) if "Y_eff" in one.detail),
+        "methods": lambda of: methods(of)[-2],
+        "figure": lambda of: FIGURES["stiffness"].make(of).caption,
+        "budget": lambda of: " ".join(budget_table(of).rows[0]),
+    }
+    for name, text in texts.items():
+        assert modulus.search(text(test)), name
+        assert not modulus.search(text(doubtful)), name
+        assert "not determined" in text(doubtful), name
 
 
 def test_negative_numbers_have_a_minus_sign():

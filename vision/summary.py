@@ -21,7 +21,7 @@ from vision.data import (
     load_unit_text,
 )
 from vision.errors import counted
-from vision.figures.style import both_errors, candidates_text, drift_text, offset_text
+from vision.figures.style import candidates_text, drift_text, offset_text, parameter_text
 from vision.numeric import nan_median, two_digits, with_minus
 from vision.sample import Sample
 from vision.sheets import doubtful_stretches
@@ -31,6 +31,7 @@ from vision.systematics import QUANTITIES, SOURCES, Budget, systematic_budget
 if TYPE_CHECKING:
     from vision.clock import Clock
     from vision.figures import Results
+    from vision.models import ModelFits
 
 
 def noise_figures(tracks: xr.Dataset, pixel_size_um: float | None) -> dict[str, float]:
@@ -107,11 +108,7 @@ def _lines(results: Results, assumed: Sample | None) -> Iterator[tuple[str, str]
             yield "hum", f"slips are searched without hum of {hum}"
         yield from (("", note) for note in ForceMetadata.of(results.force).notes)
     if (fits := results.fits) is not None:
-        mu, a, n_hat = (both_errors(one) for one in (fits.mu, fits.amplitude, fits.n_hat_N))
-        scale, modulus, t0 = (both_errors(one) for one in (fits.scale_mm, fits.modulus_GPa, fits.t0_N))
-        yield "models", f"μ {mu}, A {a}, N̂ {n_hat} N"
-        yield "", f"Λ̂ {scale} mm, Y_eff {modulus} GPa, 𝒯0 {t0} N"
-        yield from (("", note) for note in fits.notes)
+        yield from _fit_lines(fits)
     elif reason := results.reasons.get("fits"):
         yield "models", f"none: {reason}"
     if results.clock is not None:
@@ -122,6 +119,15 @@ def _lines(results: Results, assumed: Sample | None) -> Iterator[tuple[str, str]
         yield "" if k else "errors", text
     if assumed is not None:
         yield "sample", _assumed(assumed, results.tracks)
+
+
+def _fit_lines(fits: ModelFits) -> Iterator[tuple[str, str]]:
+    """Yield the lines about the models fitted to the force recording."""
+    for label, names in (("models", ("mu", "A", "N_hat_N")), ("", ("Lambda_hat_mm", "Y_eff_GPa", "T0_N"))):
+        shown = ((name, *QUANTITIES[name]) for name in names)
+        text = ", ".join(f"{symbol} {parameter_text(fits, name, unit)}" for name, symbol, unit in shown)
+        yield label, text.replace("𝒯_0", "𝒯0")
+    yield from (("", note) for note in fits.notes)
 
 
 def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> Iterator[tuple[str, str]]:

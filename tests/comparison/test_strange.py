@@ -1,11 +1,14 @@
 """Runs whose events follow no model are compared or refused, never at the others' cost."""
 
+import json
+
 import numpy as np
 import pandas as pd
 import pytest
 
 import vision
 from tests.scenes.comparison import events, write_run
+from vision.comparison.comparison import answers
 from vision.errors import InputError
 
 STRANGE = {
@@ -96,3 +99,18 @@ def test_runs_without_an_initial_separation_are_refused(tmp_path):
     without, outside = found.failures
     assert "found no `d0_mm`" in without
     assert "between 0 and the length of the sheets, 57 mm; found d from 1616 to 1616 mm" in outside
+
+
+def test_a_modulus_that_its_run_does_not_determine_counts_for_nothing(tmp_path):
+    """A failure means that Y_eff of all tests is drawn to the number at which a fit stopped."""
+    good = write_run(tmp_path / "good", events(seed=1))
+    odd = write_run(tmp_path / "odd", STRANGE["stiffness that rises"](events(seed=2)))
+    models = {"Y_eff_GPa": {"value": 2.385, "error": 0.0001}, "undetermined": ["Lambda_hat_mm", "Y_eff_GPa"]}
+    (odd / "models.json").write_text(json.dumps(models))
+    both, alone = vision.compare([odd, good]), vision.compare([odd])
+    assert both.modulus_from == ("good",)
+    assert both.modulus.value == pytest.approx(3.8, abs=0.1)
+    assert any("K does not determine Y_eff in odd" in line for line in alone.warnings)
+    (answer,) = (one for one in answers(alone) if one.what.startswith("Y_eff"))
+    assert "not determined" in answer.value
+    assert "±" not in answer.value

@@ -375,6 +375,10 @@ def test_a_stiffness_that_does_not_fall_is_said() -> None:
     given = fit_models(MADE, made.assign(K_N_per_mm=4300.0), modulus_GPa=2.0)  # too small for this K
     assert (given.modulus_GPa.value, given.modulus_GPa.error) == (2.0, 0.0)
     assert any("Λ̂ and N̂ are not determined" in line for line in given.warnings)
+    assert {"Lambda_hat_mm", "N_hat_N", "Y_eff_GPa"} <= set(rising.undetermined)
+    assert rising.to_json()["undetermined"] == rising.undetermined
+    assert "Y_eff_GPa" not in given.undetermined  # it is known
+    assert rising._repr_html_().count("not determined") >= 3
 
 
 @pytest.mark.parametrize("step_mm", [0.002, 0.008])

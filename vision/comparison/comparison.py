@@ -75,6 +75,13 @@ class Comparison:
         runs = self.main.runs if self.main else ()
         return next((test.sample for test in self.tests if test.run in runs), self.tests[0].sample)
 
+    @property
+    def modulus_text(self) -> str:
+        """Y_eff that was held fixed, with its error and unit, or as not determined by K."""
+        if any(test.modulus_undetermined for test in self.tests if test.run in self.modulus_from):
+            return f"{self.modulus.value:.3g} GPa (not determined)"
+        return f"{plus_minus(self.modulus)} GPa"
+
     def events(self) -> pd.DataFrame:
         """Return the events of all tests with the names of their runs, and whether the fits used them."""
         parts = [
@@ -156,6 +163,11 @@ def compare(
         warnings.append(
             f"no test of sample {main} is slow, so Y_eff is that of faster ones, for which the models do "
             "not hold: compare a slow test of it, too, or give `modulus_GPa`, or another `main_sample`"
+        )
+    if unknown := [t.run for t in tests if t.run in source and t.modulus_undetermined]:
+        warnings.append(
+            f"K does not determine Y_eff in {', '.join(unknown)}, so that the Y_eff held fixed, and with it "
+            "every Λ̂ and N̂, is no result: compare another test of the sample, too, or give `modulus_GPa`"
         )
     tests, fits, unfitted = _fits(tests, modulus, main, settings)
     for test, fit in zip(tests, fits, strict=True):
@@ -287,7 +299,8 @@ def answers(found: Comparison) -> list[Answer]:
         detail = f"needs at least two tests; that of {found.tests[0].run} is {plus_minus(found.mu)}"
         boxes.append(Answer("one μ of all tests", "not fitted", detail))
     source = ", ".join(found.modulus_from[:3]) + (" …" if len(found.modulus_from) > 3 else "")
-    boxes.append(Answer("Y_eff, held fixed", f"{plus_minus(found.modulus)} GPa", f"from {source}"))
+    doubt = "not determined" in found.modulus_text
+    boxes.append(Answer("Y_eff, held fixed", found.modulus_text, f"from {source}", doubt=doubt))
     if (c := found.collapse) is not None:
         before = f"{c.rms_before:.2g} with one Λ̂ for all tests"
         detail = f"{before}; neighbouring events scatter by {c.rms_noise:.2g}"
@@ -404,12 +417,11 @@ def _missing(found: Comparison) -> list[str]:
 def _methods(found: Comparison) -> list[str]:
     t_star = ", ".join(f"{mN:.3g}" for mN in sorted({1000 * test.sample.t_star_N for test in found.tests}))
     source = "as given" if found.modulus_from == ("given",) else f"of {', '.join(found.modulus_from)}"
-    modulus = plus_minus(found.modulus)
     paragraphs = [
         "The peak forces of each test were fitted with Eq. 1 of the publication and an offset, with "
-        f"T* = {t_star} mN fixed. K was fitted with M_eff K_eff, with Y_eff = {modulus} GPa ({source}) "
-        "fixed and only Λ̂ free; N̂ follows from Λ̂ and μ. Standard errors are White's, scaled if χ²/dof "
-        "exceeds 1."
+        f"T* = {t_star} mN fixed. K was fitted with M_eff K_eff, with Y_eff = {found.modulus_text} "
+        f"({source}) fixed and only Λ̂ free; N̂ follows from Λ̂ and μ. Standard errors are White's, scaled if "
+        "χ²/dof exceeds 1."
     ]
     if found.joint:
         paragraphs.append(

@@ -121,7 +121,7 @@ def stiffnesses_figure(found: Comparison, events: pd.DataFrame) -> Figure:
         Panel(x_label=VALLEY_SEPARATION, y_label="K (N/mm)", y_range=y_range, series=series),
         "K of every event, the slope of the central part of its stick phase, or after the knee if there are "
         "knees. Dashed: M_eff K_eff with the median Λ̂ of the tests and Y_eff = "
-        f"{plus_minus(found.modulus)} GPa. Solid: lengthening alone.",
+        f"{found.modulus_text}. Solid: lengthening alone.",
         title="Stiffness of all tests",
     )
 
@@ -235,7 +235,7 @@ def collapse_figure(found: Comparison, events: pd.DataFrame) -> Figure | None:
             aspect=0.75,
         ),
         "K/K_eff of every event against d̂ = d_v/Λ̂, with the Λ̂ of each test at fixed Y_eff = "
-        f"{plus_minus(found.modulus)} GPa. Dashed: the master curve. Root mean square distance from it: "
+        f"{found.modulus_text}. Dashed: the master curve. Root mean square distance from it: "
         f"{c.rms_before:.3g} sheets with one Λ̂ for all tests, {c.rms_after:.3g} with individual Λ̂; "
         f"neighbouring events scatter by {c.rms_noise:.3g}.",
         title="Stiffness in units of one sheet against the reduced separation",

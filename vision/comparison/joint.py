@@ -298,10 +298,12 @@ _GEOMETRY = {"thickness_mm": 1, "width_mm": 1, "length_mm": -1, "t_star_N": 0}
 def common_modulus(tests: Sequence[TractionTest], main: str) -> tuple[Estimate, tuple[str, ...]]:
     """Return Y_eff of the main sample in GPa, a weighted mean over its slow tests, and the runs averaged.
 
-    Each test contributes the Y_eff fitted in its run or, if there is none, a fit of Λ̂ and Y_eff. The error
+    Each test contributes the Y_eff fitted in its run or, if there is none, a fit of Λ̂ and Y_eff. Tests that
+    do not determine it count only if none does. The error
     includes disagreement between the tests. The systematic error is that of ε, W and L; NaN if unknown.
     """
     of_sample = [test for test in tests if test.sample_name == main]
+    of_sample = [test for test in of_sample if not test.modulus_undetermined] or of_sample
     slow = [test for test in of_sample if is_slow(test.speed_mm_min)] or of_sample
     mean = weighted_mean([_modulus_of_test(test) for test in slow])
     relative = [

@@ -57,6 +57,7 @@ class TractionTest:
     fit_range_mm: tuple[float, float] | None  # range of the fits in the run; None if it has none
     modulus_GPa: float  # Y_eff fitted in the run; NaN if it has none
     modulus_err_GPa: float
+    modulus_undetermined: bool  # whether the run says that its K does not determine Y_eff
     errors: Mapping[str, float]  # given errors: "d0_mm" and fields of the sample
     # shifts of the run's μ, 𝒯0, … by the errors of its force recording: {"load_drift": {"mu": 0.07, …}, …}
     instrument: Mapping[str, Mapping[str, float]]
@@ -273,6 +274,7 @@ def _read_test(made: RunFolder, name: str, row: Row, warnings: list[str]) -> Tra
         fit_range_mm=(low, high) if low < high else None,
         modulus_GPa=number(modulus.get("value")),
         modulus_err_GPa=number(modulus.get("error")),
+        modulus_undetermined="Y_eff_GPa" in (models.get("undetermined") or ()),
         errors={
             name: error
             for name, value in (models.get("input_errors") or {}).items()

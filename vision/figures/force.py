@@ -30,6 +30,7 @@ from vision.figures.style import (
     load_label,
     offset_text,
     ordered_inks,
+    parameter_text,
     time_axis,
 )
 from vision.force import good_samples
@@ -316,8 +317,8 @@ def stiffness_figure(sticks: pd.DataFrame, fits: ModelFits | None = None, *, uni
         d = np.linspace(*fits.d_mm, CURVE_POINTS)
         series += stiffness_curves("M_eff K_eff", d, fits.stiffness_N_per_mm(d), fits.sample)
         model = (
-            f" Dashed: M_eff K_eff with N̂ = {both_errors(fits.n_hat_N)} N and "
-            f"Y_eff = {both_errors(fits.modulus_GPa)} GPa. Solid: (L + d)⁻¹ "
+            f" Dashed: M_eff K_eff with N̂: {parameter_text(fits, 'N_hat_N', 'N')} and "
+            f"Y_eff: {parameter_text(fits, 'Y_eff_GPa', 'GPa')}. Solid: (L + d)⁻¹ "
             "from the same start, the effect of lengthening alone."
         )
     panel = Panel(

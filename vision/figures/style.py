@@ -17,7 +17,7 @@ from markupsafe import Markup, escape
 
 from vision.data import StripMetadata
 from vision.figures.figure import Ink
-from vision.models import Estimate
+from vision.models import Estimate, ModelFits
 from vision.numeric import Floats, with_minus
 
 if TYPE_CHECKING:
@@ -124,6 +124,15 @@ def both_errors(estimate: Estimate, contained: str = "stat.") -> str:
     error = f"{estimate.error:.{digits}f}" if math.isfinite(estimate.error) else "?"
     return with_minus(
         f"{estimate.value:.{digits}f} ± {error} ({contained}) ± {systematic:.{digits}f} (syst.)"
+    )
+
+
+def parameter_text(fits: ModelFits, name: str, unit: str = "") -> str:
+    """Return a parameter, by its name in models.json, with both errors and its unit, or "not determined"."""
+    return (
+        "not determined"
+        if name in fits.undetermined
+        else f"{both_errors(fits.named()[name])} {unit}".rstrip()
     )
 
 

@@ -390,8 +390,8 @@ def _fit_all(events: pd.DataFrame, given: _Given) -> ModelFits:
     stiffness = fit_stiffness(events, sample, modulus_GPa=given.modulus_GPa, settings=given.settings)
     span = (float(events["d_v_mm"].min()), float(events["d_v_mm"].max()))
     undetermined: tuple[str, ...] = ()
-    if float(stiffness.value[0]) > 0.999 * given.settings.largest_scale * span[1]:
-        undetermined = ("N_hat_N", "Lambda_hat_mm")
+    if float(stiffness.value[0]) > 0.999 * given.settings.largest_scale * span[1]:  # Λ̂ at its limit
+        undetermined = ("Lambda_hat_mm", "N_hat_N", "bending_length_mm")
         undetermined += ("Y_eff_GPa",) if given.modulus_GPa is None else ()
     n_hat, bending, correlation = _derived(stiffness, peaks, sample, given.free_t_star, 0.5 * sum(span))
     return ModelFits(

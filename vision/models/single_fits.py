@@ -108,7 +108,8 @@ class ModelFits:
     notes: tuple[str, ...] = ()  # limitations of the result
     warnings: tuple[str, ...] = ()  # reasons why it may be wrong
     held: tuple[str, ...] = ()  # names of parameters that were given, not fitted
-    # Names in models.json of parameters that the events do not determine; their errors are their own size.
+    # Names in models.json of parameters that the events do not determine. They keep the number at which the
+    # fit stopped, which is no result; their errors are as large.
     undetermined: tuple[str, ...] = ()
     # Numbers of unused events by reason: "flagged", "build_up" (before the maximum of the peaks), "misfit"
     # (after it, before Eq. 1 fits) and "outside" the given range.
@@ -148,10 +149,12 @@ class ModelFits:
     def _repr_html_(self) -> str:
         shown = (("μ", ""), ("𝒯0", "N"), ("A", ""), ("N̂", "N"), ("Y_eff", "GPa"), ("Λ̂", "mm"))
         rows = {
-            name: f"{one.value:.5g}"
+            symbol: f"{one.value:.5g}"
             + (f" ± {two_digits(one.error)}" if np.isfinite(one.error) else "")
             + f" {unit}"
-            for (name, unit), one in zip(shown, self.named().values(), strict=True)
+            if name not in self.undetermined
+            else "not determined"
+            for (symbol, unit), (name, one) in zip(shown, self.named().items(), strict=True)
         }
         rows["d"] = f"{self.d_mm[0]:.2f} to {self.d_mm[1]:.2f} mm"
         rows |= {

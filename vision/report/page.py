@@ -239,12 +239,26 @@ def budget_table(results: Results) -> FactsTable:
     budget = systematic_budget(results)
     quantities = [name for name in QUANTITIES if name in budget.values]
     heads = ("", *(" in ".join(filter(None, QUANTITIES[name])) for name in quantities))
-    rows = [("value", *(_digits(budget.values[name]) for name in quantities))]
-    rows.append(("statistical error", *(_two_digits(budget.statistical[name]) for name in quantities)))
+    unknown = () if results.fits is None else results.fits.undetermined
+    rows = [
+        (
+            "value",
+            *("not determined" if name in unknown else _digits(budget.values[name]) for name in quantities),
+        ),
+        (
+            "statistical error",
+            *("" if name in unknown else _two_digits(budget.statistical[name]) for name in quantities),
+        ),
+    ]
     for source, errors in budget.sources.items():
-        cells = ("" if name not in errors else _two_digits(errors[name], "not known") for name in quantities)
+        cells = (
+            "" if name not in errors or name in unknown else _two_digits(errors[name], "not known")
+            for name in quantities
+        )
         rows.append((SOURCES.get(source, source), *cells))
-    rows.append(("systematic error", *(_total(budget, name) for name in quantities)))
+    rows.append(
+        ("systematic error", *("" if name in unknown else _total(budget, name) for name in quantities))
+    )
     note = (
         "The last row is the root of the sum of squares of the known errors. Values and statistical errors "
         "of a position, of K and of σ_x/Λ_st are medians over positions, events and sheets. The systematic "

@@ -22,11 +22,12 @@ from vision.data import (
     load_unit_text,
 )
 from vision.figures import Results, both_errors, percent, plus_minus
-from vision.figures.style import candidates_text, drift_text, offset_text
+from vision.figures.style import candidates_text, drift_text, offset_text, parameter_text
 from vision.models import Estimate, ModelFits
 from vision.models.single_fits import has_knees
 from vision.sheets.tracks import LOSSY
 from vision.summary import axis_source, noise_figures
+from vision.systematics import QUANTITIES
 from vision.words import is_word
 
 PAPER = (
@@ -129,17 +130,22 @@ def _friction(results: Results) -> Answer | None:
     fits = results.fits
     if fits is None:
         return None
-    n_hat, a, modulus = (_with_total(one) for one in (fits.n_hat_N, fits.amplitude, fits.modulus_GPa))
-    detail = f"N̂ = {n_hat} N, A = {a}, Y_eff = {modulus} GPa (statistical and systematic error together)"
+    shown = (_with_total(fits, name) for name in ("N_hat_N", "A", "Y_eff_GPa"))
+    detail = f"{', '.join(shown)} (statistical and systematic error together)"
     if "d0_mm" not in fits.input_errors:
         detail += "; without the error of d0, which is not given"
     return Answer("friction coefficient", f"μ = {both_errors(fits.mu)}", detail)
 
 
-def _with_total(one: Estimate) -> str:
-    """Return a value with its statistical and systematic errors added in quadrature, as far as known."""
+def _with_total(fits: ModelFits, name: str) -> str:
+    """Return a parameter as "A = 0.33 ± 0.01", its errors added in quadrature as far as known, or as not
+    determined."""
+    symbol, unit = QUANTITIES[name]
+    if name in fits.undetermined:
+        return f"{symbol} not determined"
+    one = fits.named()[name]
     known = [error for error in (one.error, one.systematic_error) if math.isfinite(error)]
-    return plus_minus(Estimate(one.value, math.hypot(*known)))
+    return f"{symbol} = {plus_minus(Estimate(one.value, math.hypot(*known)))} {unit}".rstrip()
 
 
 def _noise(results: Results) -> Answer | None:
@@ -372,8 +378,12 @@ def _deformation(motion: xr.Dataset, threshold: float) -> str:
 
 def _models(fits: ModelFits) -> str:
     sample, (first, last), used = fits.sample, fits.d_mm, fits.goodness["peaks"].points
-    mu, t0, a, n_hat, modulus = (
-        both_errors(one) for one in (fits.mu, fits.t0_N, fits.amplitude, fits.n_hat_N, fits.modulus_GPa)
+    results = ", ".join(
+        f"{symbol} {parameter_text(fits, name, unit)}"
+        if name in fits.undetermined
+        else f"{symbol} = {parameter_text(fits, name, unit)}"
+        for name in ("mu", "T0_N", "A", "N_hat_N", "Y_eff_GPa")
+        for symbol, unit in [QUANTITIES[name]]
     )
     lacking = "" if "d0_mm" in fits.input_errors else "; the latter without that of d0, which is not known"
     fitted = " (fitted)" if math.isfinite(fits.t_star_N.error) else ""
@@ -386,6 +396,6 @@ def _models(fits: ModelFits) -> str:
         f"{sample.sheets_per_block} sheets of each block on either side of the axis, "
         f"{sample.thickness_mm:g} mm thick and {sample.width_mm:g} mm wide, "
         f"{sample.length_mm:g} mm from clamp to end, and "
-        f"T* = {1000 * fits.t_star_N.value:.3g} mN{fitted}: μ = {mu}, 𝒯_0 = {t0} N, A = {a}, "
-        f"N̂ = {n_hat} N, Y_eff = {modulus} GPa (statistical and systematic errors{lacking}).{known}"
+        f"T* = {1000 * fits.t_star_N.value:.3g} mN{fitted}: {results} "
+        f"(statistical and systematic errors{lacking}).{known}"
     )
