@@ -114,3 +114,16 @@ def test_a_modulus_that_its_run_does_not_determine_counts_for_nothing(tmp_path):
     (answer,) = (one for one in answers(alone) if one.what.startswith("Y_eff"))
     assert "not determined" in answer.value
     assert "±" not in answer.value
+
+
+def test_a_test_has_the_same_friction_coefficient_as_its_run(tmp_path):
+    """A failure means two values of μ for one test, in its run and in the comparison."""
+    made = events(seed=1)
+    made.loc[4:8, "F_p_N"] *= 1.1  # the largest are not the first
+    span = {"fit_range_mm": [made["d_v_mm"].min(), made["d_v_mm"].max()]}
+    found = vision.compare([write_run(tmp_path / "run", made, models=span)])
+    assert found.table["events_used"].tolist() == [len(made)]
+    assert not found.table["notes"].item()
+    cut = vision.compare([write_run(tmp_path / "unfitted", made)])
+    assert cut.table["events_used"].item() < len(made)
+    assert "before the largest peaks" in cut.table["notes"].item()

@@ -296,7 +296,9 @@ def answers(found: Comparison) -> list[Answer]:
         for one in found.joint
     ]
     if not boxes:
-        detail = f"needs at least two tests; that of {found.tests[0].run} is {plus_minus(found.mu)}"
+        fit = found.fits[0]
+        mu = replace(fit.mu, systematic_error=fit.systematic_error("mu"))
+        detail = f"needs at least two tests; that of {found.tests[0].run} is {both_errors(mu)}"
         boxes.append(Answer("one μ of all tests", "not fitted", detail))
     source = ", ".join(found.modulus_from[:3]) + (" …" if len(found.modulus_from) > 3 else "")
     doubt = "not determined" in found.modulus_text

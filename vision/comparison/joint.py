@@ -160,14 +160,16 @@ class JointFriction:
 
 
 def usable_range(test: TractionTest) -> Bools:
-    """Return which events the models apply to: those in the run's fit range from the highest peak on."""
+    """Return which events the models apply to: those in the run's fit range, so that μ is that of the run;
+    without one those from the highest peak on."""
     d, peak = test.column("d_v_mm"), test.column("F_p_N")
-    used: Bools = np.ones(d.size, bool)
+    used: Bools
     if test.fit_range_mm is not None:
         low, high = test.fit_range_mm
-        used = (d >= low - 1e-6) & (d <= high + 1e-6)
-    smooth = pd.Series(peak).rolling(5, center=True, min_periods=1).median().to_numpy()
-    used &= np.arange(d.size) >= int(np.argmax(np.where(used, smooth, -np.inf)))
+        used = (d >= low - 1e-6) & (d <= high + 1e-6)  # d has nine digits in events.csv
+    else:
+        smooth = pd.Series(peak).rolling(5, center=True, min_periods=1).median().to_numpy()
+        used = np.arange(d.size) >= int(np.argmax(smooth))
     return used if used.sum() >= 6 else np.ones(d.size, bool)
 
 
@@ -211,9 +213,8 @@ def fit_test(test: TractionTest, modulus: Estimate, settings: CompareSettings = 
     if chi2 > settings.test_misfit:
         warnings.append(f"the models misfit: χ²/dof = {chi2:.3g}, errors scaled")
     if left := int((~used).sum()):
-        notes.append(
-            f"{counted(left, 'event')} before the largest peaks or outside the run's fit range left out"
-        )
+        where = "before the largest peaks" if test.fit_range_mm is None else "outside the run's fit range"
+        notes.append(f"{counted(left, 'event')} {where} left out")
     return TestFit(
         values=values,
         shifts={},
