@@ -103,7 +103,7 @@ def test_an_axis_is_said_to_be_where_the_motion_allows_it(tracked, high_px, said
     found = {"axis_px": 192.5, "axis_how": "motion", "axis_low_px": 192.9, "axis_high_px": high_px}
     tracks = tracked.assign_attrs(**found, axis_open="yes" if said.startswith("not") else "no")
     (line,) = [one for one in summary_lines(Results(tracks=tracks)) if one.startswith("axis")]
-    assert line == f"axis       192.5 px ({said})"
+    assert line.startswith(f"axis       192.5 px ({said})")
 
 
 def test_an_axis_beside_one_side_that_hardly_moves_is_not_called_found():

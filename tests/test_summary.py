@@ -56,6 +56,23 @@ def test_a_parameter_that_is_not_determined_has_no_number():
         assert "not determined" in text(doubtful), name
 
 
+def test_an_axis_through_a_sheet_is_said():
+    """A failure means that an overlooked sheet, which makes their number odd, is not thought of."""
+    test = with_force()
+    plain, sheets = axis_line(test.tracks), test.tracks["x_mean_px"].values
+    assert "through sheet" not in plain
+    sheet = int(test.tracks["side"].values.searchsorted(1))
+    on_it = test.tracks.assign_attrs(axis_px=float(sheets[sheet]) - 1.0)
+    assert f"; through sheet {sheet}, counted as n = 1 on the right: " in axis_line(on_it)
+    assert "through sheet" not in axis_line(on_it.assign_attrs(axis_how="given"))  # the user knows
+
+
+def axis_line(tracks):
+    return next(
+        line for line in summary_lines(replace(with_force(), tracks=tracks)) if line.startswith("axis")
+    )
+
+
 def test_negative_numbers_have_a_minus_sign():
     """A failure means hyphens beside minus signs in the same ten lines."""
     test = with_force()

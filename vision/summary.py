@@ -148,6 +148,7 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> Iterator
         else f", {noise['predicted_px']:.4f} px predicted from the pixels"
     )
     axis = f"{found.axis_px:.1f} px ({_axis(found, int(tracks['n'].min()), one_side=len(set(side)) == 1)})"
+    axis += _axis_on_sheet(tracks)
     ridges = counted(found.sheets, f"{found.ridges} ridge")
     yield (
         "sheets",
@@ -258,6 +259,20 @@ def _axis(found: TrackMetadata, innermost: int, *, one_side: bool) -> str:
         beyond = "half a spacing beyond the innermost sheet in view; " * one_side
         return f"{beyond}{how}, which allows {low:.1f} to {high:.1f} px"
     return f"{how}; the motion allows {low:.1f} to {high:.1f} px"
+
+
+def _axis_on_sheet(tracks: xr.Dataset) -> str:
+    """Return which sheet the axis goes through, as it does for an odd number of sheets, or "" if none."""
+    found = TrackMetadata.of(tracks)
+    apart = np.abs(tracks["x_mean_px"].values - found.axis_px)
+    if found.axis_how == "given" or not (apart < found.spacing_px / 4).any():
+        return ""
+    sheet = int(np.nanargmin(apart))
+    side, n = {-1: "left", 1: "right"}[int(tracks["side"].values[sheet])], int(tracks["n"].values[sheet])
+    return (
+        f"; through sheet {sheet}, counted as n = {n} on the {side}: if it lies between two sheets, one is "
+        "overlooked, or one is none (`axis_px`)"
+    )
 
 
 def frame_rate_text(strip: StripMetadata) -> str:

@@ -145,3 +145,13 @@ def test_methods_tell_only_what_was_done(tmp_path):
     one, two = (" ".join(_methods(vision.compare(some))) for some in (runs[:1], runs))
     assert ("One μ" in one, "One μ" in two) == (False, True)
     assert "Trends" not in one + two
+
+
+def test_a_test_has_the_same_colour_in_every_figure(tmp_path):
+    """A failure means that the last digits of measured velocities exchange the colours of two tests."""
+    speeds = (1.0001, 0.9999, 1.0002)
+    runs = [write_run(tmp_path / f"t{k}", events(seed=k), speed=speed) for k, speed in enumerate(speeds)]
+    figures = {figure.name: figure for figure in vision.compare(runs).figures()}
+    inks = {series.label: series.ink for series in figures["peaks"].panel.series}
+    for series in figures["irregular"].panel.series:
+        assert series.ink == inks[series.label.split(",")[0]]

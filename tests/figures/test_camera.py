@@ -337,7 +337,8 @@ def test_indices_are_numbered_from_0(tracks):
     ax = frame_figure(np.zeros((30, 400)), crowded, axis=False).plot()
     shown = sorted(int(text.get_text()) for text in ax.texts)
     assert shown[0] == 0
-    assert len(set(np.diff(shown))) == 1
+    assert len(set(np.diff(shown[:-1]))) == 1
+    assert shown[-1] == crowded.sizes["sheet"] - 1  # the outermost has its number, too
     assert shown[1] > 1
 
 
@@ -377,6 +378,20 @@ def test_the_numbers_of_sheets_stand_beside_the_axis(pitch):
     assert all(box.x1 < axis or axis < box.x0 for _, box in boxes)
     assert [box.x1 < axis for text, box in boxes if text == "1"] == [True, False]
     np.testing.assert_array_equal(ax.get_yticks(), [0, 29])  # both ends of a flat frame
+
+
+def test_the_outermost_sheets_and_one_on_the_axis_have_their_numbers():
+    """A failure means that the reader has to count the last sheets, or misses that of an odd number."""
+    tracks = make_tracks(sawtooth(10, 31, pitch_px=20.0), pitch_px=20.0)
+    middle = float(tracks["x_px"].values[0, 15])
+    side, n = np.repeat([-1, 1], [15, 16]), np.r_[15:0:-1, 1:17]
+    for beside in (-0.1, 0.1):
+        there = tracks.assign_attrs(strip_z0=0, strip_z1=30, axis_px=middle + beside)
+        there = there.assign_coords(side=("sheet", side), n=("sheet", n))
+        ax = frame_figure(np.zeros((30, 660)), there).plot()
+        shown = sorted(int(text.get_text()) for text in ax.texts)
+        assert shown.count(1) == 2
+        assert shown[-2:] == [15, 16]
 
 
 def test_one_definition_of_displacement(tracks):

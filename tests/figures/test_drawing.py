@@ -299,3 +299,15 @@ def test_fast_oscillations_do_not_fill_a_space_time_diagram():
     known = np.isfinite(ax.collections[0].get_paths()[0].vertices[:, 0])
     assert known.sum() == at.size  # every position is still there
     assert len(ax.lines[-1].get_xdata()) == (at >= 5).sum()  # as dots
+
+
+def test_a_unit_stays_with_its_number():
+    """A failure means a title whose second line is "s)"."""
+    title = "Displacement of every sheet from x₀, its median over frames 104 to 123 (t = 3.59 to 4.24 s)"
+    for width in np.arange(3, 7.5, 0.25):
+        panel = Panel(title=title, x_label="t (s)", y_label="x")
+        page = new_figure(Figure.of("one", panel, "", width_in=width, panel_titles=True))
+        lines = page.texts[0].get_text().split("\n")
+        assert " ".join(lines) == title
+        assert not any(line.startswith("s)") for line in lines)
+        assert min(map(len, lines)) > 0.4 * max(map(len, lines))

@@ -250,7 +250,8 @@ def irregular_figure(found: Comparison) -> Figure | None:
     irregular = [one for one in found.irregular if np.isfinite(one.variation).any()]
     if not irregular:
         return None
-    irregular.sort(key=lambda one: (np.isnan(one.speed_mm_min), one.speed_mm_min))
+    # Tests of one velocity keep their order, and with it the colours of other figures.
+    irregular.sort(key=lambda one: (np.isnan(one.speed_mm_min), velocity(one.speed_mm_min)))
     names = [_velocity_name(one.speed_mm_min) for one in irregular]
     if len(names) <= MOST_COLOURS:
         names = [f"{one.run}, {name}" for one, name in zip(irregular, names, strict=True)]

@@ -55,7 +55,12 @@ def sides_known(tracks: xr.Dataset) -> bool:
 
 
 def frame_figure(
-    frame: Pixels, tracks: xr.Dataset, *, strip: xr.DataArray | None = None, axis: bool = True
+    frame: Pixels,
+    tracks: xr.Dataset,
+    *,
+    strip: xr.DataArray | None = None,
+    axis: bool = True,
+    pixel_size_um: float | None = None,
 ) -> Figure:
     """Return one whole frame with the averaged rows outlined, the sheets' numbers n and the symmetry axis.
 
@@ -85,7 +90,7 @@ def frame_figure(
     which = _which_frame(tracks)
     panel = Panel(
         title=f"{which}: averaged rows (outlined), {numbers}{stretched}",
-        x_label=X_PX,
+        x_label=X_PX if pixel_size_um is None else f"x (px of {pixel_size_um:.4g} µm)",
         y_label="z (px)",
         series=_strokes(tracks, z0, z1, numbers_z, axis=axis),
         image=Image(
@@ -190,7 +195,9 @@ def preview_figure(
         aspect=0.2,
         placeholder="no positions",
     )
-    picture = frame_figure(frame, tracks, strip=strip, axis=sides_known(tracks)).panel
+    picture = frame_figure(
+        frame, tracks, strip=strip, axis=sides_known(tracks), pixel_size_um=pixel_size_um
+    ).panel
     return Figure(
         name="preview",
         title="Preview",

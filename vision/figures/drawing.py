@@ -7,6 +7,7 @@ and tight bounding boxes draw everything twice. pyplot is not imported.
 from __future__ import annotations
 
 import math
+import re
 import sys
 import textwrap
 from collections.abc import Sequence
@@ -315,7 +316,7 @@ def _line_style(series: Series) -> dict[str, Any]:
 
 
 def _draw_ticks(ax: Axes, groups: list[Series], x_lines: tuple[float, ...]) -> None:
-    """Draw strokes at both ends of every tick, and as many numbers as fit, the smallest first.
+    """Draw strokes at both ends of every tick, and as many numbers as fit, the first and outermost at once.
 
     Numbers are beside vertical lines, not on them. The x range must be set.
     """
@@ -333,23 +334,29 @@ def _draw_ticks(ax: Axes, groups: list[Series], x_lines: tuple[float, ...]) -> N
         stroke = 0.2 * (series.high - series.low)  # leaves the ridge visible between the two
         ax.vlines(series.x, series.low, series.low + stroke, color=series.ink[0], lw=0.9)
         ax.vlines(series.x, series.high - stroke, series.high, color=series.ink[0], lw=0.9)
-    numbers = [
-        number
-        for series in groups
-        if series.low is not None
-        for number in zip(
-            map(int, series.text),
-            series.x,
-            series.low if series.text_y is None else np.full(series.x.size, series.text_y),
-            strict=True,
-        )
-    ]
-    first = min((1, *(number for number, _, _ in numbers)))  # indices begin at 0
-    for number, x, y in sorted(number for number in numbers if (number[0] - first) % step == 0):
+    # Of each sheet: whether it has to wait for the first and the outermost of each side, number, x, y.
+    numbers: list[tuple[bool, int, float, float]] = []
+    first = min((1, *(int(text) for series in groups for text in series.text)))  # indices begin at 0
+    for series in groups:
+        if series.low is None:
+            continue
+        y = series.low if series.text_y is None else np.full(series.x.size, series.text_y)
+        which = [int(text) for text in series.text]
+        ends = {first, max(which, default=first)}
+        numbers += [
+            (number not in ends, number, *place)
+            for number, *place in zip(which, series.x.tolist(), y.tolist(), strict=True)
+            if (number - first) % step == 0 or number in ends
+        ]
+    for _, number, x, y in sorted(numbers):
         half = character * (0.6 + len(str(number))) / 2
-        on = [line for line in x_lines if abs(x - line) < 1.6 * half]
-        at = on[0] + math.copysign(1.6 * half, x - on[0]) if on else x
-        if not any(at - half < b and a < at + half for a, b in taken):
+        places = [x]
+        if on := [line for line in x_lines if abs(x - line) < 1.6 * half]:
+            beside = math.copysign(1.6 * half, x - on[0])
+            on_line = abs(x - on[0]) < half / 4  # its number is where there is room
+            places = [on[0] + beside, *([on[0] - beside] if on_line else [])]
+        free = (at for at in places if not any(at - half < b and a < at + half for a, b in taken))
+        if (at := next(free, None)) is not None:
             taken.append((at - half, at + half))
             ax.annotate(str(number), (at, y), (0, 3), fontsize=7, **style)
 
@@ -553,8 +560,21 @@ def _foot(panel: Panel, width_in: float) -> str:
     return _wrapped(panel.foot, width_in / _Inches.FOOT_CHARACTER)
 
 
+_NUMBER_AND_UNIT = re.compile(r"(?<=\d) (?=(?:s|ms|px|µm|mm|N|times)\b)")
+
+
 def _wrapped(text: str, characters: float) -> str:
-    return "\n".join(textwrap.fill(line, int(characters)) for line in text.split("\n"))
+    """Return the text in as few lines as this width needs, of like lengths, no unit without its number."""
+    joined = _NUMBER_AND_UNIT.sub("\N{NO-BREAK SPACE}", text)
+    lines = (_balanced(line, int(characters)) for line in joined.split("\n"))
+    return "\n".join(lines).replace("\N{NO-BREAK SPACE}", " ")
+
+
+def _balanced(line: str, most: int) -> str:
+    """Return a line broken into as few as `most` characters allow, the longest as short as possible."""
+    count = len(textwrap.wrap(line, most))
+    widths = (k for k in range(1 + len(line) // max(count, 1), most) if len(textwrap.wrap(line, k)) == count)
+    return textwrap.fill(line, next(widths, most))
 
 
 def _labelled(panel: Panel) -> bool:

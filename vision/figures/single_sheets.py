@@ -157,10 +157,12 @@ def modulus_figure(force: xr.Dataset, cycles: pd.DataFrame) -> Figure:
 def _cycles_panel(delta: Floats, load: Floats, cycles: pd.DataFrame) -> Panel:
     step = max(1, -(-delta.size // (4 * MOST_POINTS)))  # thinned, as minmax_decimate needs a rising x
     series = [Series(label="F", x=delta[::step], y=load[::step], ink=QUIET, width=0.7)]
-    for ink, row in zip(ordered_inks(len(cycles)), cycles.to_dict("records"), strict=True):
+    inks = ordered_inks(len(cycles))
+    for k, (ink, row) in enumerate(zip(inks, cycles.to_dict("records"), strict=True)):
         line = np.array([row["fit_from_mm"], row["fit_to_mm"]])
         fitted = row["k_N_per_mm"] * line + row["F0_N"]
-        series.append(Series(label="", x=line, y=fitted, ink=ink, width=2.0))
+        label = "F = kΔ + F0, fitted" if k == len(cycles) - 1 else ""  # the last hides the others
+        series.append(Series(label=label, x=line, y=fitted, ink=ink, width=2.0))
     return Panel(
         title="Push–pull cycles",
         x_label="distance of the clamps Δ (mm)",

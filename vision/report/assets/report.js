@@ -145,6 +145,7 @@
     const first = Math.min(1, ...numbered.flatMap((s) => s.text.map(Number))); /* indices begin at 0 */
     chart.series.forEach((s, k) => {
       if (s.low === undefined || !u.series[k + 1].show) return;
+      const last = s.text ? Math.max(...s.text.map(Number)) : null;
       const xs = arrays[s.x], low = arrays[s.low], high = arrays[s.high], key = s.axis === "right" ? "y2" : "y";
       c.strokeStyle = chart.picture ? s.ink[1] : ink(s.ink); c.lineWidth = (s.text ? 1 : 1.3) * r;
       c.globalAlpha = s.text || xs.length <= 150 ? 1 : 0.3; /* the bars of many points would hide them */
@@ -154,15 +155,22 @@
         const stroke = s.text ? 0.2 * (y1 - y0) : (y1 - y0) / 2; /* the ridge between two strokes stays in view */
         c.beginPath(); c.moveTo(at, y0); c.lineTo(at, y0 + stroke); c.moveTo(at, y1 - stroke); c.lineTo(at, y1); c.stroke();
         const top = s.textY == null ? Math.min(y0, y1) : u.valToPos(s.textY, key, true);
-        if (s.text && (Number(s.text[i]) - first) % step === 0) labels.push([Number(s.text[i]), at, top - 2 * r]);
+        if (!s.text) return;
+        const n = Number(s.text[i]), end = n === first || n === last;
+        if (end || (n - first) % step === 0) labels.push([n, at, top - 2 * r, end ? 0 : 1]);
       });
     });
-    /* Numbers, the smallest first, beside the axis and not on it. */
+    /* Numbers, the first and outermost at once, beside the axis and not on it. */
     const lines = chart.x_lines.map((x) => u.valToPos(x, "x", true)), taken = [];
-    for (let [n, at, top] of labels.sort((a, b) => a[0] - b[0])) {
+    for (let [n, at, top] of labels.sort((a, b) => a[3] - b[3] || a[0] - b[0])) {
       const half = c.measureText(n).width / 2 + 2 * r, beside = half + 2 * r;
-      for (const line of lines) if (Math.abs(at - line) < beside) at = at < line ? line - beside : line + beside;
-      if (taken.some(([from, to]) => at - half < to + r && at + half > from - r)) continue;
+      const free = (x) => !taken.some(([from, to]) => x - half < to + r && x + half > from - r);
+      for (const line of lines) {
+        if (Math.abs(at - line) >= beside) continue;
+        const onLine = Math.abs(at - line) < half / 4, to = at < line ? -beside : beside;
+        at = onLine && !free(line + to) ? line - to : line + to; /* on the line: where there is room */
+      }
+      if (!free(at)) continue;
       taken.push([at - half, at + half]);
       c.globalAlpha = 1;
       c.fillStyle = "rgba(0,0,0,0.62)"; c.fillRect(at - half, top - 13 * r, 2 * half, 14 * r);
