@@ -97,3 +97,15 @@ def test_a_workbook_has_its_suffix(there):
     assert run(["export", "comb_tracks", "--to", "xlsx", "--out", "exp_xlsx", "--quiet"]) == 0
     assert (there / "exp_xlsx.xlsx").is_file()
     assert not (there / "exp_xlsx").exists()
+
+
+def test_figures_are_listed_and_a_mistyped_one_is_met_with_the_nearest(there, capsys):
+    """A failure means that the user has to guess what a figure shows, or how it is spelled."""
+    before = sorted(there.rglob("*"))
+    assert run(["figures", "comb_tracks", "--list"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    named = dict(line.split(maxsplit=1) for line in lines)
+    assert named["noise"] == "Noise of the positions"
+    assert run(["figures", "comb_tracks", "nosie"]) == 2
+    assert "did you mean noise?" in capsys.readouterr().err
+    assert sorted(there.rglob("*")) == before

@@ -155,3 +155,11 @@ def test_a_test_has_the_same_colour_in_every_figure(tmp_path):
     inks = {series.label: series.ink for series in figures["peaks"].panel.series}
     for series in figures["irregular"].panel.series:
         assert series.ink == inks[series.label.split(",")[0]]
+
+
+def test_the_errors_of_trends_are_named(tmp_path):
+    """A failure means that error bars without systematic errors are read as all."""
+    runs = [write_run(tmp_path / f"t{k}", events(seed=k)) for k in range(4)]
+    table = pd.DataFrame({"run": runs, "n_test": range(4)})
+    figures = {figure.name: figure for figure in vision.compare(runs, table).figures()}
+    assert "without systematic ones" in figures["trend_fits_n"].caption

@@ -276,5 +276,6 @@ def test_what_cannot_be_used_is_refused_in_one_line(text: str, message: str, tmp
 @pytest.mark.parametrize("text", ["speed=1", "load", "load="])
 def test_option_that_cannot_be_parsed(text: str) -> None:
     """A failure means a mistyped `force_columns` is ignored, or the message names an option of the film."""
-    with pytest.raises(InputError, match="`force_columns`: expected ROLE=COLUMN"):
+    with pytest.raises(InputError, match="`force_columns`: expected ROLE=COLUMN") as caught:
         parse_columns(text)
+    assert "write time=Time,load=Load:kN" in str(caught.value)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, replace
@@ -16,6 +17,7 @@ from vision.command.console import complain, conclude, frame_progress, in_column
 from vision.command.options import (
     CompareOptions,
     Config,
+    Flag,
     MovedFilm,
     OutputOptions,
     Run,
@@ -318,6 +320,9 @@ def figures(
     /,
     *names: Annotated[str, Option(help="Names of figures; all if none is given.")],
     to: Annotated[Literal["pdf", "svg", "png", "csv"], Option(help="Format.")] = "pdf",
+    list_: Annotated[
+        Flag, Option(name="--list", help="Print the name and title of every figure, and write nothing.")
+    ] = False,
     output: OutputOptions = OutputOptions(),
 ) -> int:
     """Write the figures of a finished run for a manuscript, or their numbers as csv.
@@ -325,6 +330,8 @@ def figures(
     A comparison of several tests has figures, too. Writes one file per figure into the folder RUN_figures.
 
     For example:
+
+        track figures test_tracks --list
 
         track figures test_tracks --to svg
 
@@ -335,7 +342,11 @@ def figures(
     folder = read_run(run).folder
     made = {figure.name: figure for figure in load_figures(folder / "figures.npz")}
     if unknown := [name for name in names if name not in made]:
-        raise InputError(run, f"figures of this run ({', '.join(made)})", ", ".join(unknown))
+        near = difflib.get_close_matches(unknown[0], made, n=1)
+        advice = f"did you mean {near[0]}?" if near else "--list prints their titles"
+        raise InputError(run, f"figures of this run ({', '.join(made)})", ", ".join(unknown), advice)
+    if list_:
+        return conclude(in_columns([(name, one.title) for name, one in made.items()], "<"), (), quiet=False)
     target = output.out or Path(f"{folder.resolve().name}_figures")
     check_outside(target, folder)
     files = [target / f"{name}.{to}" for name in names or made]

@@ -293,7 +293,8 @@ def trends_figures(found: Comparison) -> list[Figure]:
             if panel is not None:
                 results = [_trend_text(_trend_of(found, quantity, predictor)) for quantity in quantities]
                 caption = (
-                    f"Values of every test with standard errors, and weighted lines. {' '.join(results)}"
+                    "Values of every test with standard errors, without systematic ones (columns "
+                    f"_systematic of tests.csv), and weighted lines. {' '.join(results)}"
                 )
                 file = f"trend_{name}_{predictor.partition('_')[0]}"
                 figures.append(Figure.of(file, panel, caption, title=f"{title} against {what}"))

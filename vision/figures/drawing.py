@@ -340,12 +340,12 @@ def _draw_ticks(ax: Axes, groups: list[Series], x_lines: tuple[float, ...]) -> N
     for series in groups:
         if series.low is None:
             continue
-        y = series.low if series.text_y is None else np.full(series.x.size, series.text_y)
+        heights = series.low if series.text_y is None else np.full(series.x.size, series.text_y)
         which = [int(text) for text in series.text]
         ends = {first, max(which, default=first)}
         numbers += [
             (number not in ends, number, *place)
-            for number, *place in zip(which, series.x.tolist(), y.tolist(), strict=True)
+            for number, *place in zip(which, series.x.tolist(), heights.tolist(), strict=True)
             if (number - first) % step == 0 or number in ends
         ]
     for _, number, x, y in sorted(numbers):

@@ -387,7 +387,8 @@ def parse_columns(text: str) -> dict[str, str]:
         role = next((role for role in ROLES if role == key.strip()), None)
         if role is None or not equals or not value.strip():
             wanted = f"ROLE=COLUMN with ROLE one of {', '.join(ROLES)}"
-            raise InputError("`force_columns`", wanted, f'"{part}"')
+            advice = "write time=Time,load=Load:kN,displacement=3, with names or numbers of columns"
+            raise InputError("`force_columns`", wanted, f'"{part}"', advice)
         found[role] = value.strip()
     return found
 

@@ -184,7 +184,9 @@ def _read_as(force: xr.Dataset) -> str:
     columns = ForceMetadata.of(force).columns
     advice = "check the units of displacement and load"
     return (
-        f"{advice}, read as {columns} (`force_columns` displacement=NAME:m states one)" if columns else advice
+        f"{advice}, read as {columns} (`force_columns` displacement=NAME:m,load=NAME:kN states them)"
+        if columns
+        else advice
     )
 
 
