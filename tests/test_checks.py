@@ -71,6 +71,7 @@ def test_settings_reach_the_warnings(tracked):
     strict = CheckSettings(odd_width=0.5, unlikely_spacing=1.0)
     wide, apart = all_warnings(data, None, PUBLISHED, video, shells, strict)
     assert "50 of 50 sheets" in wide and "0.2 mm apart" in apart
+    assert apart.endswith("check `pixel_size_um` (µm) and `thickness_mm`")
 
 
 @pytest.mark.parametrize("axis_px", [AXIS - 10 * PITCH, AXIS + 10 * PITCH])

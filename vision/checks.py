@@ -416,7 +416,7 @@ def consistency_warnings(
     if used is not None and (ratio <= 1 / settings.unlikely_spacing or ratio >= settings.unlikely_spacing):
         lines.append(
             f"with this pixel size, sheets {used.thickness_mm:g} mm thick are {spacing:.3g} mm apart: check"
-            " `pixel_size_um` (µm)"
+            " `pixel_size_um` (µm) and `thickness_mm`"
         )
     if used is not None and most > used.sheets_per_block:
         how = "given" if sample is not None else "assumed"

@@ -163,3 +163,11 @@ def test_the_errors_of_trends_are_named(tmp_path):
     table = pd.DataFrame({"run": runs, "n_test": range(4)})
     figures = {figure.name: figure for figure in vision.compare(runs, table).figures()}
     assert "without systematic ones" in figures["trend_fits_n"].caption
+
+
+def test_single_sticks_name_their_test(tmp_path):
+    """A failure means events of one of many tests, and nobody knows of which."""
+    folders = [with_sticks(write_run(tmp_path / f"r{k}", events(seed=k)), "") for k in range(2)]
+    figures = {figure.name: figure for figure in vision.compare(folders).figures()}
+    assert figures["sticks_V1"].caption.startswith("V = 1 mm/min, r")
+    assert figures["sticks_V1"].panel.title.startswith("V = 1 mm/min, r")

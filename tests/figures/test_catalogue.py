@@ -1,6 +1,7 @@
 """Which figures a run has, those that put others together, those of the publication; notebooks."""
 
 import itertools
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -282,7 +283,10 @@ def test_clock_and_models_are_short_tables(pulled):
     assert f"{pulled.clock.offset_s:.4f}" in clock
     assert f"{pulled.clock.matched} matched" in clock
     assert "nan" not in clock
-    assert f"{pulled.fits.mu.value:.5g} ± {pulled.fits.mu.error:.2g}" in fits
+    mu = pulled.fits.mu
+    assert f" ± {mu.error:.2g} (stat.) ± {mu.systematic_error:.2g} (syst.)" in fits
+    digits = len(re.search(r"0\.(\d+) ± ", fits)[1])  # the value ends where its error does
+    assert 10 <= min(mu.error, mu.systematic_error) * 10**digits < 100
     assert clock.count("<tr>") <= 8
     assert fits.count("<tr>") <= 14
 

@@ -178,9 +178,9 @@ def sticks_figures(found: Comparison) -> list[Figure]:
     figures = []
     for v, panel in panels.items():
         name, title = f"sticks_V{v:g}".replace(".", "p"), f"Stick-slip events at V = {v:g} mm/min"
-        figures.append(Figure.of(name, panel, caption, title=title))
+        figures.append(Figure.of(name, panel, f"{panel.title}. {caption}", title=title))
     if len(panels) > 1:
-        parts = tuple(replace(panel, title=f"V = {v:g} mm/min") for v, panel in panels.items())
+        parts = tuple(panels.values())
         title = "Single stick-slip events at several velocities"
         figures.append(Figure.grid("sticks", title, caption, parts, columns=2))
     return figures
@@ -199,7 +199,7 @@ def _stick_panels(tests: Sequence[TractionTest]) -> dict[float, Panel]:
         except (InputError, OSError):
             continue  # only this figure is missing, no result
         if "sticks" in named:
-            chosen[speed] = named["sticks"].panel
+            chosen[speed] = replace(named["sticks"].panel, title=f"{_velocity_name(speed)}, {test.run}")
     return dict(sorted(chosen.items()))
 
 

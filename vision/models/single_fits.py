@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from vision.data import whole_events
 from vision.folder import html_table
 from vision.models import equations
-from vision.numeric import Bools, Floats, two_digits
+from vision.numeric import Bools, Floats, two_digits, with_minus
 from vision.sample import Sample
 
 FIT_ERRORS = (ValueError, ArithmeticError, RuntimeError, np.linalg.LinAlgError)  # of a fit to unusual events
@@ -149,11 +149,7 @@ class ModelFits:
     def _repr_html_(self) -> str:
         shown = (("μ", ""), ("𝒯0", "N"), ("A", ""), ("N̂", "N"), ("Y_eff", "GPa"), ("Λ̂", "mm"))
         rows = {
-            symbol: f"{one.value:.5g}"
-            + (f" ± {two_digits(one.error)}" if np.isfinite(one.error) else "")
-            + f" {unit}"
-            if name not in self.undetermined
-            else "not determined"
+            symbol: "not determined" if name in self.undetermined else f"{_with_errors(one)} {unit}"
             for (symbol, unit), (name, one) in zip(shown, self.named().items(), strict=True)
         }
         rows["d"] = f"{self.d_mm[0]:.2f} to {self.d_mm[1]:.2f} mm"
@@ -188,6 +184,15 @@ class ModelFits:
             "notes": self.notes,
             "warnings": self.warnings,
         }
+
+
+def _with_errors(one: Estimate) -> str:
+    """Return a value to two digits of its smaller error, with the errors that are known."""
+    errors = {"stat.": one.error, "syst.": one.systematic_error}
+    known = {name: error for name, error in errors.items() if np.isfinite(error) and error > 0}
+    digits = max(0, 1 - int(np.floor(np.log10(min(known.values()))))) if known else 3
+    beside = "".join(f" ± {two_digits(error)} ({name})" for name, error in known.items())
+    return with_minus(f"{one.value:.{digits}f}{beside}")
 
 
 # --- single fits --------------------------------------------------------------------------------------------
