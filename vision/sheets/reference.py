@@ -404,11 +404,11 @@ def _mean_motion(moved_px: Floats) -> float:
 def faint_ends(reference: ReferenceComb, moved_px: Floats, *, settings: TrackingSettings = DEFAULT) -> Bools:
     """Return which of the first and last entries are faint and show a second sign of not being sheets, (N,).
 
-    The signs are presence in few frames, an unusual width, and less motion than the entry beside it, although
-    motion grows outwards. Specks on the lens leave such bumps of the background beside a comb. One sign is
-    not enough: sheets may be faint, and if one side of the comb is in view, one end is stationary. An entry
-    that moves along with the next is a sheet: the ridge of one close to its neighbour is low and narrow. One
-    of unusual width that does not move along where the next one moves needs to be dim only (`dim_end`). Of
+    The signs are presence in few frames, an unusual width, and less or another motion than that of the entry
+    beside it, although motion grows outwards. Specks on the lens leave such bumps of the background beside a
+    comb. One sign is not enough: sheets may be faint, and if one side of the comb is in view, one end is
+    stationary. An entry that moves along with the next is a sheet: the ridge of one close to its neighbour is
+    low and narrow. One of unusual width and another motion needs to be dim only (`dim_end`). Of
     several faint entries at an end, all are none if they are `_stationary_beside` a bright sheet. moved_px:
     displacement from the rest positions (frame, N), NaN where missing.
     """
@@ -425,8 +425,8 @@ def faint_ends(reference: ReferenceComb, moved_px: Floats, *, settings: Tracking
         slow = moves and power[end] < settings.slow_end**2 * power[inner]
         along = motion_likeness(in_comb[:, end], in_comb[:, inner]) > settings.along_end
         odd = abs(width[end]) > np.log(settings.odd_width)
-        none[end] = faint[end] and bool(slow or (not along and (seen < 0.5 or odd)))
-        none[end] |= dim[end] and moves and odd and not along
+        none[end] = faint[end] and bool(slow or (not along and (moves or seen < 0.5 or odd)))
+        none[end] |= dim[end] and bool(moves and odd and not along)
     for inwards in (slice(None), slice(None, None, -1)):
         found = _stationary_beside(faint[inwards], contrast[inwards], moved_px[:, inwards], settings)
         none[inwards][:found] = True
