@@ -1,7 +1,7 @@
 """Speed of the whole command, compared with the loop it replaces and with the limits of the machine.
 
 Run from the checkout on a quiet machine: python -m reports.speed [--runs 5] [--folder /tmp/films]
-Takes ten minutes and 20 GB of disk. Writes reports/speed.md and reports/speed.png.
+Takes half an hour and 20 GB of disk. Writes reports/speed.md and reports/speed.png.
 """
 
 from __future__ import annotations

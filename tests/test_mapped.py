@@ -13,7 +13,7 @@ import xarray as xr
 
 from tests.scenes.comb_video import frames_of, positions
 from tests.scenes.films import write_avi
-from vision.mapped import give_back, give_back_freed, parts_in_turn, some_rows, table_in_file
+from vision.mapped import give_back, give_back_freed, parts_in_turn, put_rows, some_rows, table_in_file
 from vision.sheets import track_sheets
 from vision.video import VideoSettings, open_video, strip_profile
 
@@ -40,6 +40,23 @@ def test_values_outlast_their_memory(table):
     assert [rows.stop for rows in parts_in_turn(table, 300)] == [300, 600, 700]
     rows = np.array([699, 0, *range(5, 45)])
     assert np.array_equal(some_rows(table, rows), table[rows])
+
+
+@pytest.mark.parametrize("where", ["file", "rows of it", "columns of it", "memory"])
+def test_rows_are_put_where_they_belong(table, where):
+    """Failure: I(x, t) of a long film has frames in the wrong place, or of another type."""
+    places = {"file": np.s_[:], "rows of it": np.s_[100:600], "columns of it": np.s_[:, 10:20]}
+    target = table[places[where]] if where in places else np.array(table)
+    expected, whole = target.copy(), table.copy()
+    rng = np.random.default_rng(1)
+    for start, count in ((450, 50), (0, 3), (7, 0)):
+        rows = np.asfortranarray(rng.normal(size=(count, target.shape[1])))
+        put_rows(target, start, rows)
+        expected[start : start + count] = rows
+    assert np.array_equal(target, expected)
+    if where in places:
+        whole[places[where]] = expected
+    assert np.array_equal(table, whole)
 
 
 def test_it_is_an_array_as_any_other(table, tmp_path):

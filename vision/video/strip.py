@@ -16,7 +16,7 @@ import xarray as xr
 from vision.data import STRIP, STRIP_PARTS, StripMetadata, changed_settings, record
 from vision.errors import InputError, check_kind, counted
 from vision.files import Progress, prefetch
-from vision.mapped import give_back, parts_in_turn, table_in_file
+from vision.mapped import give_back, parts_in_turn, put_rows, table_in_file
 from vision.numeric import Bools, Floats, Floats32, Pixels, Strings
 from vision.video.follow import Follow, followed
 from vision.video.reader import Block
@@ -461,8 +461,8 @@ class FrameStore:
             old = self.rows()
             self._rows = self._allocate(max(needed, 2 * self._rows.shape[0]))
             for part in parts_in_turn(old):
-                self._put(part.start, old[part])
-        self._put(self.count, rows)
+                put_rows(self._rows, part.start, old[part])
+        put_rows(self._rows, self.count, rows)
         self.count = needed
 
     def add(self, frames: FramesRead) -> None:
@@ -490,11 +490,6 @@ class FrameStore:
         copied = replace(part, intensity=part.intensity.copy())
         give_back(part.intensity)
         return copied
-
-    def _put(self, start: int, rows: Floats32) -> None:
-        place = self._rows[start : start + len(rows)]
-        place[:] = rows
-        give_back(place)
 
     def _allocate(self, capacity: int) -> Floats32:
         size = capacity * self._columns * 4
