@@ -476,8 +476,9 @@ def _comb_warnings(tracks: xr.Dataset, found: TrackMetadata, settings: CheckSett
         )
     elif found.ridges_beyond:
         lines.append(
-            f"{found.ridges_beyond} more ridges continue the comb of the {found.sheets} sheets and would"
-            f" change every n: give `sheets` as {found.sheets + found.ridges_beyond} or leave it out"
+            f"{found.ridges_beyond} more ridges continue the comb of the {found.sheets} sheets or lie between"
+            f" them, and would change every n: give `sheets` as {found.sheets + found.ridges_beyond} or leave"
+            " it out"
         )
     snr, share = tracks["snr"].values, tracks["found"].values
     wide = tracks["fwhm_px"].values > settings.odd_width * nan_median(tracks["fwhm_px"].values)

@@ -283,7 +283,7 @@ class TrackMetadata(Metadata):
     wide_spacings: Sequence[str] = field(default_factory=list)  # "748 px (1.9 pitches)": a sheet overlooked
     sheets_alike: Literal["yes", "no"] = "no"  # whether a picture does not show which sheets it contains
     large_steps: Sequence[int] = field(default_factory=list)  # if so: frames before which the comb moved far
-    ridges_beyond: int = 0  # ridges like sheets that continue the comb beyond the given number of sheets
+    ridges_beyond: int = 0  # ridges like sheets beyond or between the given number of sheets
     locking_px: float = 0.0  # locking to whole pixels that was subtracted, rms (`vision.sheets.distortion`)
     locking_err_px: float = 0.0  # what remains of it in the errors
     # light that goes from ridges to the gaps beside them or back, rms, over the ridges' height, and the error

@@ -41,8 +41,8 @@ class ReferenceComb:
 
     x_px: rest positions. log_contrast, log_width: logarithms of contrast and width. found: fraction of the
     frames in which each is found. dropped_px: rest positions of persistent ridges that are not part of the
-    comb. beyond: number of these that continue the comb, if the number of sheets was given; otherwise the
-    number of ends at which one may be a further sheet.
+    comb. beyond: number of these that continue the comb or that it skips, if the number of sheets was given;
+    otherwise the number of ends at which one may be a further sheet.
     """
 
     x_px: Floats
@@ -127,19 +127,30 @@ def build_reference(
         return best
     if _far_outside(best.x_px, settings):
         raise _too_few(best.x_px, sheets, source, settings)
-    return replace(best, beyond=_beyond(reference, best, comb.pitch_px))
+    return replace(best, beyond=_left_out_of(reference, best))
 
 
-def _beyond(everything: ReferenceComb, best: ReferenceComb, pitch_px: float) -> int:
-    """Return how many ridges outside the comb continue it: similar to its sheets, and at their spacing."""
+def _left_out_of(everything: ReferenceComb, best: ReferenceComb) -> int:
+    """Return how many ridges outside the comb continue it, and how many are skipped where its most even
+    sheets are every second or third ridge.
+
+    Ridges outside count at the spacing of all that are similar to its sheets, up to the last such ridge.
+    """
     like = np.abs(everything.log_contrast - np.median(best.log_contrast)) < np.log(2.0)
     like &= np.abs(everything.log_width - np.median(best.log_width)) < np.log(1.5)
-    x, count = everything.x_px[like & (everything.found >= 0.5)], 0
+    often, x = everything.found >= 0.5, everything.x_px
+    spacing = float(np.median(np.diff(x[like & often], append=np.inf)))
+    count = 0
     for side, end in ((-1, best.x_px[0]), (1, best.x_px[-1])):
-        at = end
-        while (np.abs(side * (x - at) - pitch_px) < 0.25 * pitch_px).any():
-            at = x[np.argmin(np.abs(side * (x - at) - pitch_px))]
-            count += 1
+        away = side * (x - end)
+        out = np.flatnonzero(often & (away > 0))
+        out = out[np.argsort(away[out])]
+        in_turn = np.abs(np.diff(away[out], prepend=0.0) - spacing) < 0.4 * spacing
+        last = np.flatnonzero(np.logical_and.accumulate(in_turn) & like[out])
+        count += int(last[-1]) + 1 if last.size else 0
+    if best.sheets > 1 and spacing < 0.75 * np.median(np.diff(best.x_px)):
+        inside = (x > best.x_px[0]) & (x < best.x_px[-1])
+        count += int(np.sum(like & often & inside & ~np.isin(x, best.x_px)))
     return count
 
 
