@@ -464,9 +464,9 @@ def fit_slow_noise(
     line. What all sticks have in common there, in proportion to their rises, is their curvature, and is no
     noise; nor is a curvature of each stick's own, where white noise and the m⁴ by which that grows fit best.
     Slow noise has the spectrum of a time constant (autoregressive noise) or a power law between the frequency
-    to the power -0.5 and -2 (pink noise, random walk). All are averaged, weighted by their likelihoods. Power
-    laws continue to a sixth of the lowest frequency of the recording: between random walks about their mean,
-    and those that begin at 0 with the recording.
+    to the power -0.5 and -2 (pink noise, random walk). The best fit counts. Power laws continue to a sixth of
+    the lowest frequency of the recording: between random walks about their mean, and those that begin at 0
+    with the recording.
     """
     if white_N == 0:  # a load without any noise: calculated or heavily smoothed
         return None
@@ -498,17 +498,15 @@ def fit_slow_noise(
         share, _ = scipy.optimize.nnls(parts * root, root[:, 0])
         return share, float(weight @ np.log(np.maximum(parts @ share, 1e-9)) ** 2)
 
-    curved, misfit = fit((scales / scales[-1]) ** 4.0)
-    fits = [(misfit + 4, curved[0], np.zeros_like(f))]  # in doubt it is slow noise
+    best, least = None, fit((scales / scales[-1]) ** 4.0)[1] + 4  # in doubt it is slow noise
     for power, corner in kinds:
         density = (4 * sine**2 + corner**2) ** (-power / 2)
         share, misfit = fit(contrast @ (density * width))
-        fits.append((misfit + 0.5 * (corner > 0), share[0], share[1] * density * width))
-    # What fits nearly as well counts nearly as much, so that errors do not jump with the choice of one.
-    misfits, white, spectra = (np.array(part) for part in zip(*fits, strict=True))
-    likely = np.exp((misfits.min() - misfits) / 2)
-    likely /= likely.sum()
-    return SlowNoise(float(likely @ white), f, likely @ spectra) if misfits.argmin() else None
+        misfit += 0.5 * (corner > 0)
+        if misfit < least:
+            least = misfit
+            best = SlowNoise(float(share[0]), f, share[1] * density * width)
+    return best
 
 
 def _contrasts(total: Floats, start: Ints, stop: Ints, bend: Floats, m: int, length: int) -> Floats:
