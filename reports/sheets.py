@@ -15,8 +15,7 @@ import xarray as xr
 import vision
 from reports.writing import row, write_report
 from vision.experiment import preset, simulate, with_settings
-from vision.figures.style import plus_minus
-from vision.models import ModelFits, equations
+from vision.models import ModelFits, equations, plus_minus
 from vision.pipeline import Settings
 
 WINDOWS = ((18.0, 15.0, 60.0), (60.0, 12.0, 60.0), (130.0, 6.0, 120.0), (210.0, 4.0, 160.0))

@@ -21,7 +21,7 @@ from vision.data import (
     load_unit_text,
 )
 from vision.errors import counted
-from vision.figures.style import candidates_text, drift_text, offset_text, parameter_text
+from vision.figures.style import candidates_text, drift_text, offset_text
 from vision.numeric import nan_median, two_digits, with_minus
 from vision.sample import Sample
 from vision.sheets import doubtful_stretches
@@ -125,7 +125,7 @@ def _fit_lines(fits: ModelFits) -> Iterator[tuple[str, str]]:
     """Yield the lines about the models fitted to the force recording."""
     for label, names in (("models", ("mu", "A", "N_hat_N")), ("", ("Lambda_hat_mm", "Y_eff_GPa", "T0_N"))):
         shown = ((name, *QUANTITIES[name]) for name in names)
-        text = ", ".join(f"{symbol} {parameter_text(fits, name, unit)}" for name, symbol, unit in shown)
+        text = ", ".join(f"{symbol} {fits.text(name, unit)}" for name, symbol, unit in shown)
         yield label, text.replace("𝒯_0", "𝒯0")
     yield from (("", note) for note in fits.notes)
 

@@ -10,11 +10,9 @@ from vision.figures.style import (
     MODEL,
     PEAK,
     VALLEY,
-    both_errors,
     from_zero,
     ordered_inks,
     percent,
-    plus_minus,
     position_unit,
     sheet_inks,
     time_axis,
@@ -22,7 +20,7 @@ from vision.figures.style import (
     to_mathtext,
     to_unicode,
 )
-from vision.models import Estimate
+from vision.models import Estimate, both_errors, plus_minus
 from vision.numeric import two_digits
 
 

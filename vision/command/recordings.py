@@ -38,11 +38,11 @@ from vision.errors import InputError, counted, known_as
 from vision.experiment import preset as ready_made
 from vision.experiment import settings_from_toml, with_settings
 from vision.experiment import simulate as make_test
-from vision.figures import Figure, both_errors, plus_minus, save_figures
+from vision.figures import Figure, save_figures
 from vision.figures.single_sheets import friction_figure, modulus_figure
 from vision.folder import write_csv, write_json
 from vision.force import parse_columns, read_force
-from vision.models import Estimate
+from vision.models import Estimate, both_errors, plus_minus
 from vision.models.friction import (
     RIM_CAVEAT,
     DiscFriction,

@@ -29,9 +29,9 @@ from vision.comparison.runs import TractionTest, read_tests
 from vision.comparison.trends import SYMBOLS, Irregularity, Trend, find_irregular, find_trends
 from vision.data import with_word
 from vision.errors import InputError, counted
-from vision.figures import Figure, both_errors, plus_minus, save_figures
+from vision.figures import Figure, save_figures
 from vision.folder import write_csv, write_json
-from vision.models import Estimate
+from vision.models import Estimate, both_errors, plus_minus
 from vision.models.single_fits import is_slow
 from vision.report.page import render_page
 from vision.report.text import ANALYSED_WITH, Answer, citation
@@ -76,9 +76,14 @@ class Comparison:
         return next((test.sample for test in self.tests if test.run in runs), self.tests[0].sample)
 
     @property
+    def modulus_undetermined(self) -> bool:
+        """Whether K does not determine the Y_eff that was held fixed."""
+        return any(test.modulus_undetermined for test in self.tests if test.run in self.modulus_from)
+
+    @property
     def modulus_text(self) -> str:
         """Y_eff that was held fixed, with its error and unit, or as not determined by K."""
-        if any(test.modulus_undetermined for test in self.tests if test.run in self.modulus_from):
+        if self.modulus_undetermined:
             return f"{self.modulus.value:.3g} GPa (not determined)"
         return f"{plus_minus(self.modulus)} GPa"
 
@@ -301,7 +306,7 @@ def answers(found: Comparison) -> list[Answer]:
         detail = f"needs at least two tests; that of {found.tests[0].run} is {both_errors(mu)}"
         boxes.append(Answer("one μ of all tests", "not fitted", detail))
     source = ", ".join(found.modulus_from[:3]) + (" …" if len(found.modulus_from) > 3 else "")
-    doubt = "not determined" in found.modulus_text
+    doubt = found.modulus_undetermined
     boxes.append(Answer("Y_eff, held fixed", found.modulus_text, f"from {source}", doubt=doubt))
     if (c := found.collapse) is not None:
         before = f"{c.rms_before:.2g} with one Λ̂ for all tests"

@@ -22,12 +22,10 @@ from vision.figures.style import (
     QUIET,
     VALLEY,
     VALLEY_SEPARATION,
-    both_errors,
     from_zero,
     ordered_inks,
-    plus_minus,
 )
-from vision.models import Estimate, equations
+from vision.models import Estimate, both_errors, equations, plus_minus
 from vision.numeric import Floats, with_minus
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ from vision.figures.positions import (
     shells_figure,
     tracks_figure,
 )
-from vision.figures.style import both_errors, percent, plus_minus
+from vision.figures.style import percent
 
 __all__ = [
     "FIGURES",
@@ -29,7 +29,6 @@ __all__ = [
     "Panel",
     "Results",
     "Series",
-    "both_errors",
     "clocks_figure",
     "deformation_figure",
     "figures_of",
@@ -44,7 +43,6 @@ __all__ = [
     "overview",
     "percent",
     "pixel_locking_figure",
-    "plus_minus",
     "preview_figure",
     "publication_figures_of",
     "save_figures",

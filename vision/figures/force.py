@@ -23,18 +23,16 @@ from vision.figures.style import (
     QUIET,
     VALLEY,
     VALLEY_SEPARATION,
-    both_errors,
     displacement_unit,
     drift_text,
     from_zero,
     load_label,
     offset_text,
     ordered_inks,
-    parameter_text,
     time_axis,
 )
 from vision.force import good_samples
-from vision.models import Estimate, ModelFits, equations
+from vision.models import Estimate, ModelFits, both_errors, equations
 from vision.models.single_fits import has_knees, with_fitted_stiffness
 from vision.numeric import Floats, nearest_sorted
 from vision.sample import Sample
@@ -317,8 +315,8 @@ def stiffness_figure(sticks: pd.DataFrame, fits: ModelFits | None = None, *, uni
         d = np.linspace(*fits.d_mm, CURVE_POINTS)
         series += stiffness_curves("M_eff K_eff", d, fits.stiffness_N_per_mm(d), fits.sample)
         model = (
-            f" Dashed: M_eff K_eff with N̂: {parameter_text(fits, 'N_hat_N', 'N')} and "
-            f"Y_eff: {parameter_text(fits, 'Y_eff_GPa', 'GPa')}. Solid: (L + d)⁻¹ "
+            f" Dashed: M_eff K_eff with N̂: {fits.text('N_hat_N', 'N')} and "
+            f"Y_eff: {fits.text('Y_eff_GPa', 'GPa')}. Solid: (L + d)⁻¹ "
             "from the same start, the effect of lengthening alone."
         )
     panel = Panel(

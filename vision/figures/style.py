@@ -17,7 +17,7 @@ from markupsafe import Markup, escape
 
 from vision.data import StripMetadata
 from vision.figures.figure import Ink
-from vision.models import Estimate, ModelFits
+from vision.models import Estimate, plus_minus
 from vision.numeric import Floats, with_minus
 
 if TYPE_CHECKING:
@@ -98,42 +98,6 @@ def to_mathtext(text: str) -> str:
 
 
 # --- numbers ------------------------------------------------------------------------------------------------
-
-
-def plus_minus(estimate: Estimate) -> str:
-    """Return a value ± its standard error, to two digits of the error; four digits without an error."""
-    value, error = estimate.value, estimate.error
-    if not math.isfinite(error) or error <= 0:
-        return with_minus(f"{value:.4g}")
-    digits = max(0, 1 - math.floor(math.log10(error)))
-    return with_minus(f"{value:.{digits}f} ± {error:.{digits}f}")
-
-
-def both_errors(estimate: Estimate, contained: str = "stat.") -> str:
-    """Return a value with its statistical and, if known, its systematic error.
-
-    The smaller error has two digits, or one where the larger would have more than three. contained: what the
-    first error contains.
-    """
-    systematic = estimate.systematic_error
-    if not (math.isfinite(systematic) and systematic > 0):
-        return plus_minus(estimate)
-    known = [e for e in (estimate.error, systematic) if math.isfinite(e) and e > 0]
-    least, most = (math.floor(math.log10(e)) for e in (min(known), max(known)))
-    digits = max(0, -least, min(1 - least, 2 - most))
-    error = f"{estimate.error:.{digits}f}" if math.isfinite(estimate.error) else "?"
-    return with_minus(
-        f"{estimate.value:.{digits}f} ± {error} ({contained}) ± {systematic:.{digits}f} (syst.)"
-    )
-
-
-def parameter_text(fits: ModelFits, name: str, unit: str = "") -> str:
-    """Return a parameter, by its name in models.json, with both errors and its unit, or "not determined"."""
-    return (
-        "not determined"
-        if name in fits.undetermined
-        else f"{both_errors(fits.named()[name])} {unit}".rstrip()
-    )
 
 
 def percent(fraction: float) -> str:

@@ -153,7 +153,7 @@ def find_stick_slip(
     metadata = _metadata(signal, slips, analysis, shares, warnings, settings)
     metadata = replace(
         metadata,
-        warnings=[*warnings, *_filter_warnings(events, signal, analysis, metadata, settings)],
+        warnings=[*warnings, *_filter_warnings(events, analysis, metadata, settings)],
         average_s=signal.averaged * signal.interval_s,
         ringing_s=ringing_s,
         machine_stiffness_N_per_mm=machine_stiffness_N_per_mm or float("nan"),
@@ -343,6 +343,7 @@ class _SlipAnalysis:
     regime: Regime
     found: Lowpass  # low-pass that the transients suggest
     how: LowpassHow  # as ``lowpass_how`` of `StickMetadata`
+    lengthened: float  # samples by which a filter may have lengthened every slip (`filter_length`)
 
 
 def _analyse_slips(
@@ -370,7 +371,8 @@ def _analyse_slips(
         corners = find_corners(signal, slips, lowpass=given, two_slopes=bent, settings=settings)
     elif lowpass_s == "auto" and found.corners is not None:
         corners, how = (found.corners, "found") if found.proven else (corners, "doubtful")
-    return _SlipAnalysis(corners, extremes, regime, found, how)
+    lengthened = filter_length(signal, corners, extremes, settings)
+    return _SlipAnalysis(corners, extremes, regime, found, how, lengthened)
 
 
 def _without_average(extremes: Extremes, signal: Signal, slips: Slips, settings: ForceSettings) -> Extremes:
@@ -568,16 +570,11 @@ def _missed_warnings(
 
 
 def _filter_warnings(
-    events: pd.DataFrame,
-    signal: Signal,
-    analysis: _SlipAnalysis,
-    metadata: StickMetadata,
-    settings: ForceSettings,
+    events: pd.DataFrame, analysis: _SlipAnalysis, metadata: StickMetadata, settings: ForceSettings
 ) -> list[str]:
     """Return that a filter, which is not corrected, may have smoothed much of the sticks."""
     slip, stick = events["slip_time_s"].median(), (events["t_p_s"] - events["t_v_s"]).median()
-    corners, extremes = analysis.corners, analysis.extremes
-    doubtful = metadata.lowpass_doubt and filter_length(signal, corners, extremes, settings)
+    doubtful = metadata.lowpass_doubt and analysis.lengthened
     if not ((metadata.filter_s or doubtful) and slip > settings.filter_share * stick):
         return []
     return [
@@ -599,7 +596,7 @@ def _metadata(
     tau, found, peak = analysis.corners.lowpass, analysis.found, analysis.corners.peak
     widened = 0.0
     if not (tau or found.samples or signal.averaged or signal.is_missing.any()):
-        widened = filter_length(signal, analysis.corners, analysis.extremes, settings)
+        widened = analysis.lengthened
     first, last = signal.time_at(peak[[0, -1]])
     return StickMetadata(
         noise_N=signal.sigma,

@@ -7,6 +7,7 @@ All are weighted least squares with standard errors from the residuals.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
@@ -19,7 +20,7 @@ from numpy.typing import ArrayLike
 from vision.data import whole_events
 from vision.folder import html_table
 from vision.models import equations
-from vision.numeric import Bools, Floats, two_digits, with_minus
+from vision.numeric import Bools, Floats, with_minus
 from vision.sample import Sample
 
 FIT_ERRORS = (ValueError, ArithmeticError, RuntimeError, np.linalg.LinAlgError)  # of a fit to unusual events
@@ -76,6 +77,33 @@ class Estimate:
     value: float
     error: float
     systematic_error: float = float("nan")
+
+
+def plus_minus(estimate: Estimate) -> str:
+    """Return a value ± its standard error, to two digits of the error; four digits without an error."""
+    value, error = estimate.value, estimate.error
+    if not math.isfinite(error) or error <= 0:
+        return with_minus(f"{value:.4g}")
+    digits = max(0, 1 - math.floor(math.log10(error)))
+    return with_minus(f"{value:.{digits}f} ± {error:.{digits}f}")
+
+
+def both_errors(estimate: Estimate, contained: str = "stat.") -> str:
+    """Return a value with its statistical and, if known, its systematic error.
+
+    The smaller error has two digits, or one where the larger would have more than three. contained: what the
+    first error contains.
+    """
+    systematic = estimate.systematic_error
+    if not (math.isfinite(systematic) and systematic > 0):
+        return plus_minus(estimate)
+    known = [e for e in (estimate.error, systematic) if math.isfinite(e) and e > 0]
+    least, most = (math.floor(math.log10(e)) for e in (min(known), max(known)))
+    digits = max(0, -least, min(1 - least, 2 - most))
+    error = f"{estimate.error:.{digits}f}" if math.isfinite(estimate.error) else "?"
+    return with_minus(
+        f"{estimate.value:.{digits}f} ± {error} ({contained}) ± {systematic:.{digits}f} (syst.)"
+    )
 
 
 @dataclass(frozen=True)
@@ -146,12 +174,16 @@ class ModelFits:
         """Mean chi2_dof of the three fits."""
         return float(np.mean([good.chi2_dof for good in self.goodness.values()]))
 
+    def text(self, name: str, unit: str = "") -> str:
+        """Return a parameter, by its name in models.json, as a value with both errors and its unit, or "not
+        determined"."""
+        if name in self.undetermined:
+            return "not determined"
+        return f"{both_errors(getattr(self, PARAMETERS[name]))} {unit}".rstrip()
+
     def _repr_html_(self) -> str:
         shown = (("μ", ""), ("𝒯0", "N"), ("A", ""), ("N̂", "N"), ("Y_eff", "GPa"), ("Λ̂", "mm"))
-        rows = {
-            symbol: "not determined" if name in self.undetermined else f"{_with_errors(one)} {unit}"
-            for (symbol, unit), (name, one) in zip(shown, self.named().items(), strict=True)
-        }
+        rows = {symbol: self.text(name, unit) for (symbol, unit), name in zip(shown, PARAMETERS, strict=True)}
         rows["d"] = f"{self.d_mm[0]:.2f} to {self.d_mm[1]:.2f} mm"
         rows |= {
             f"χ²/dof, {name}": f"{good.chi2_dof:.3g} ({good.points} points)"
@@ -184,15 +216,6 @@ class ModelFits:
             "notes": self.notes,
             "warnings": self.warnings,
         }
-
-
-def _with_errors(one: Estimate) -> str:
-    """Return a value to two digits of its smaller error, with the errors that are known."""
-    errors = {"stat.": one.error, "syst.": one.systematic_error}
-    known = {name: error for name, error in errors.items() if np.isfinite(error) and error > 0}
-    digits = max(0, 1 - int(np.floor(np.log10(min(known.values()))))) if known else 3
-    beside = "".join(f" ± {two_digits(error)} ({name})" for name, error in known.items())
-    return with_minus(f"{one.value:.{digits}f}{beside}")
 
 
 # --- single fits --------------------------------------------------------------------------------------------

@@ -27,7 +27,7 @@ from vision.folder import flattened
 from vision.numeric import Floats, two_digits, with_minus
 from vision.report.text import answers, citation, methods, subtitle
 from vision.sheets import doubtful_stretches
-from vision.systematics import QUANTITIES, SOURCES, Budget, systematic_budget
+from vision.systematics import QUANTITIES, SOURCES, systematic_budget
 
 PLAIN = 400  # largest number of values of an array that is written as plain numbers
 
@@ -240,25 +240,18 @@ def budget_table(results: Results) -> FactsTable:
     quantities = [name for name in QUANTITIES if name in budget.values]
     heads = ("", *(" in ".join(filter(None, QUANTITIES[name])) for name in quantities))
     unknown = () if results.fits is None else results.fits.undetermined
-    rows = [
-        (
-            "value",
-            *("not determined" if name in unknown else _digits(budget.values[name]) for name in quantities),
-        ),
-        (
-            "statistical error",
-            *("" if name in unknown else _two_digits(budget.statistical[name]) for name in quantities),
-        ),
-    ]
-    for source, errors in budget.sources.items():
-        cells = (
-            "" if name not in errors or name in unknown else _two_digits(errors[name], "not known")
-            for name in quantities
-        )
-        rows.append((SOURCES.get(source, source), *cells))
-    rows.append(
-        ("systematic error", *("" if name in unknown else _total(budget, name) for name in quantities))
-    )
+
+    def row(head: str, texts: Mapping[str, str], undetermined: str = "") -> tuple[str, ...]:
+        return head, *(undetermined if name in unknown else texts.get(name, "") for name in quantities)
+
+    def two_digits_of(errors: Mapping[str, float | None]) -> dict[str, str]:
+        return {name: _two_digits(error, "not known") for name, error in errors.items()}
+
+    values = {name: _digits(value) for name, value in budget.values.items()}
+    statistical = {name: _two_digits(error) for name, error in budget.statistical.items()}
+    rows = [row("value", values, "not determined"), row("statistical error", statistical)]
+    rows += [row(SOURCES.get(one, one), two_digits_of(errors)) for one, errors in budget.sources.items()]
+    rows.append(row("systematic error", two_digits_of({name: budget.total(name) for name in quantities})))
     note = (
         "The last row is the root of the sum of squares of the known errors. Values and statistical errors "
         "of a position, of K and of σ_x/Λ_st are medians over positions, events and sheets. The systematic "
@@ -266,11 +259,6 @@ def budget_table(results: Results) -> FactsTable:
         "means no effect."
     )
     return FactsTable("Systematic errors", heads, tuple(rows) if quantities else (), note)
-
-
-def _total(budget: Budget, quantity: str) -> str:
-    """Return the systematic error as text: "not known" if some sources are unknown and the others zero."""
-    return _two_digits(budget.total(quantity), "not known")
 
 
 def doubt_table(tracks: xr.Dataset) -> FactsTable:

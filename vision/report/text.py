@@ -21,9 +21,9 @@ from vision.data import (
     TrackMetadata,
     load_unit_text,
 )
-from vision.figures import Results, both_errors, percent, plus_minus
-from vision.figures.style import candidates_text, drift_text, offset_text, parameter_text
-from vision.models import Estimate, ModelFits
+from vision.figures import Results, percent
+from vision.figures.style import candidates_text, drift_text, offset_text
+from vision.models import Estimate, ModelFits, both_errors, plus_minus
 from vision.models.single_fits import has_knees
 from vision.sheets.tracks import LOSSY
 from vision.summary import axis_source, noise_figures
@@ -379,9 +379,7 @@ def _deformation(motion: xr.Dataset, threshold: float) -> str:
 def _models(fits: ModelFits) -> str:
     sample, (first, last), used = fits.sample, fits.d_mm, fits.goodness["peaks"].points
     results = ", ".join(
-        f"{symbol} {parameter_text(fits, name, unit)}"
-        if name in fits.undetermined
-        else f"{symbol} = {parameter_text(fits, name, unit)}"
+        f"{symbol}{' ' if name in fits.undetermined else ' = '}{fits.text(name, unit)}"
         for name in ("mu", "T0_N", "A", "N_hat_N", "Y_eff_GPa")
         for symbol, unit in [QUANTITIES[name]]
     )

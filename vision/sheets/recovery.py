@@ -166,7 +166,10 @@ def _alone_and_away(x: Floats32, comb: RidgeComb) -> Bools:
     They lie more than half a pitch outside the range between the sheet's confirmed positions before and
     after. The edge of what hides the sheets around may look like a ridge.
     """
-    away = np.isfinite(x) & np.isnan(unlike_neighbours(x))
+    away, rows = np.zeros(x.shape, bool), np.flatnonzero(np.isnan(x).any(axis=1))
+    if x.shape[1] < 3 or not len(rows):  # nobody predicts, or all are seen
+        return away
+    away[rows] = np.isfinite(x[rows]) & np.isnan(unlike_neighbours(x[rows]))
     some = np.flatnonzero(away.any(axis=0))
     own = x[:, some].T.astype(np.float64)
     confirmed = np.where(away[:, some].T, np.nan, own)
