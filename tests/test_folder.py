@@ -50,6 +50,16 @@ def test_a_full_disk_is_one_line(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("overwrite", [False, True])
+@pytest.mark.parametrize(("below", "found"), [("", "found a file of this name"), ("run", "found a file at ")])
+def test_a_file_in_the_place_of_a_run_folder_is_said(tmp_path, below, found, overwrite):
+    """A failure means advice that cannot work: a file is never overwritten, and no right is missing."""
+    (tmp_path / "notes").write_text("years of work")
+    with pytest.raises(InputError, match=found), run_folder(tmp_path / "notes" / below, overwrite=overwrite):
+        pass
+    assert (tmp_path / "notes").read_text() == "years of work"
+
+
 def test_only_run_folders_are_ever_overwritten(tmp_path):
     """A failure means that --overwrite can delete a folder that is not ours."""
     (tmp_path / "thesis").mkdir()

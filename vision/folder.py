@@ -48,6 +48,8 @@ def check_target(target: Path, *, overwrite: bool, known_by: str = RUN_JSON) -> 
         parent = existing_parent(target)
     except OSError as error:
         raise unwritable(target, error) from error
+    if not parent.is_dir():
+        raise InputError(target, "a place for a folder", f"a file at {parent}", "give another `out`")
     if not os.access(parent, os.W_OK | os.X_OK):
         raise InputError(
             target, "a place that can be written", f"no right to write in {parent}", "give another `out`"
@@ -65,10 +67,12 @@ def _check_earlier(target: Path, *, overwrite: bool, known_by: str) -> None:
 
     Raises: InputError if not, or if it cannot be written.
     """
-    empty = target.is_dir() and not any(target.iterdir())
+    if not target.is_dir():
+        raise InputError(target, "a folder to write", "a file of this name", "give another `out`")
+    empty = not any(target.iterdir())
     check_new(target, overwrite=overwrite or empty, kind="folder")
     wanted = f"{KNOWN_BY[known_by]} to overwrite"
-    if not (empty or (target.is_dir() and (target / known_by).is_file())):
+    if not (empty or (target / known_by).is_file()):
         raise InputError(target, wanted, f"something else (no {known_by} in it)", "give another `out`")
     if target.samefile(Path.cwd()):
         raise InputError(target, wanted, "the working directory", "go one folder up")
