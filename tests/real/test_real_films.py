@@ -44,9 +44,10 @@ def scatter(spacing, shift, slow):
     return np.std(spacing[slow] - fitted(shift[slow]))
 
 
-@pytest.fixture(scope="module")
-def markers(tracked):
-    return tracked("released_markers.avi", "--ridges", "dark", "--sheets", "7")
+@pytest.fixture(scope="module", params=["their number given", "their number found"])
+def markers(tracked, request):
+    given = ("--sheets", "7") if request.param == "their number given" else ()
+    return tracked("released_markers.avi", "--ridges", "dark", *given)
 
 
 def test_all_markers_are_kept_through_the_releases(markers):

@@ -127,6 +127,29 @@ def test_sheets_filmed_at_an_angle_are_all_kept(spacing):
     assert (np.abs(tracks.x_px.values - truth) < 1).all()
 
 
+@pytest.mark.parametrize("per_side", [3, 4, 6])
+def test_dim_patches_that_move_along_between_sheets_are_none(per_side):
+    """Wide patches of a fifth of the sheets' contrast are seen between some of them. A failure means that
+    these make the comb uneven, so that they pass for sheets, and n of those further out is wrong."""
+    pitch, width = 80.0, 160 * per_side + 120
+    truth = comb(80, per_side=per_side, pitch_px=pitch, axis_px=width / 2)
+    patches = truth[:, 1:-1:2] + 0.26 * pitch
+    picture = ridges(truth, width=width, fwhm_px=8.0)
+    tracks = track_sheets(strip(picture + ridges(patches, width=width, fwhm_px=15.0, contrast=0.2)))
+    assert tracks.x_px.shape == truth.shape
+    assert (np.abs(tracks.x_px.values - truth) < 1).all()
+
+
+@pytest.mark.parametrize("off", [0.0, 0.1, 0.3])
+def test_dim_sheets_between_bright_ones_are_kept(off):
+    """Every second sheet is five times dimmer, and nearer to one neighbour. A failure means that the bright
+    ones pass for the whole comb."""
+    truth = comb(60, per_side=9, pitch_px=24.0, axis_px=266)[:, :-1]
+    truth[:, 1::2] += off * 24
+    height = np.where(np.arange(17) % 2, 0.2, 1.0)
+    assert track_sheets(strip(ridges(truth, width=532, contrast=height))).sizes["sheet"] == 17
+
+
 def test_a_few_sheets_are_no_comb_to_compare_with():
     """A failure means that a handful of markers is said to lack one."""
     assert not wide_spacings(np.array([0.0, 20, 40, 80, 100, 120, 140]))[0].size

@@ -136,8 +136,7 @@ def _left_out_of(everything: ReferenceComb, best: ReferenceComb) -> int:
 
     Ridges outside count at the spacing of all that are similar to its sheets, up to the last such ridge.
     """
-    like = np.abs(everything.log_contrast - np.median(best.log_contrast)) < np.log(2.0)
-    like &= np.abs(everything.log_width - np.median(best.log_width)) < np.log(1.5)
+    like = _alike(everything, best)
     often, x = everything.found >= 0.5, everything.x_px
     spacing = float(np.median(np.diff(x[like & often], append=np.inf)))
     count = 0
@@ -152,6 +151,12 @@ def _left_out_of(everything: ReferenceComb, best: ReferenceComb) -> int:
         inside = (x > best.x_px[0]) & (x < best.x_px[-1])
         count += int(np.sum(like & often & inside & ~np.isin(x, best.x_px)))
     return count
+
+
+def _alike(entries: ReferenceComb, comb: ReferenceComb) -> Bools:
+    """Return which entries have the comb's usual contrast, within a factor of 2, and width, of 1.5, (N,)."""
+    like = np.abs(entries.log_contrast - np.median(comb.log_contrast)) < np.log(2.0)
+    return np.asarray(like & (np.abs(entries.log_width - np.median(comb.log_width)) < np.log(1.5)), bool)
 
 
 def _far_outside(x_px: Floats, settings: TrackingSettings) -> int:
@@ -288,15 +293,35 @@ def _choose_sheets(reference: ReferenceComb, comb: RidgeComb, sheets: int | None
     odd = np.maximum(np.abs(width - np.median(width)) - 0.35, 0)
     faint = np.maximum(contrast - np.median(contrast), -2.5)
     score = 1 + 1.5 * reference.found + settings.contrast_score * faint - settings.odd_width_cost * odd
-    # with a given number, the pitch was measured on that many ridges, so no other entries affect it
-    local = _local_pitch(x_px, comb) if sheets is None else np.full(len(x_px), comb.pitch_px)
+    # The pitch was measured on the main ridges: on as many as given, or without what lies between them.
+    even = sheets is not None or _even_but_for_others(reference, comb)
+    local = np.full(len(x_px), comb.pitch_px) if even else _local_pitch(x_px, comb)
     gap = x_px[None, :] - x_px[:, None]
     off = np.abs(np.log(np.where(gap > 0, gap, 1.0) / ((local[None, :] + local[:, None]) / 2)))
     cost = np.where(gap > 0, settings.uneven_cost * off, np.inf)  # of entry j following entry i
-    if sheets is None and len(x_px) >= 6:
+    if not even and len(x_px) >= 6:
         scatter = sigma_about_zero(np.log(np.maximum(np.diff(x_px), 1e-3) / local[:-1]))
         cost /= max(1.0, float(scatter) / settings.even_spread)
     return _best_chain(np.maximum(score, 0.3), cost, sheets)
+
+
+def _even_but_for_others(reference: ReferenceComb, comb: RidgeComb) -> bool:
+    """Return whether the entries that are alike are spaced by the pitch, but neither all nor the others are.
+
+    The others are then parts of what holds the sheets, which move along. Others that are even themselves may
+    be every second sheet.
+    """
+    alike = _alike(reference, reference)
+    if alike.sum() < 6:
+        return False
+
+    def uneven(x_px: Floats, pitch_px: float) -> bool:
+        spread = sigma_about_zero(np.log(np.maximum(np.diff(x_px), 1e-3) / pitch_px))
+        return not spread < comb.settings.even_spread  # NaN of less than two
+
+    x_px, pitch_px = reference.x_px, comb.pitch_px
+    mixed = uneven(x_px, float(np.median(np.diff(x_px)))) and uneven(x_px[~alike], pitch_px)
+    return mixed and not uneven(x_px[alike], pitch_px)
 
 
 def _local_pitch(x_px: Floats, comb: RidgeComb) -> Floats:
