@@ -60,6 +60,13 @@ def test_a_sheet_found_late_starts_where_its_neighbours_are():
     np.testing.assert_allclose(*origins, atol=0.03)
 
 
+def test_frozen_frames_do_not_move_the_origin_to_the_middle_of_a_film():
+    """The camera repeats every tenth frame. A failure means an origin where the sheets are far from rest."""
+    x = scene()
+    x[:100:10] = np.nan
+    assert origin_frames(make_tracks(x)).tolist() == [k for k in range(23) if k % 10]
+
+
 def test_without_any_position_there_is_no_origin():
     """A failure means an exception where a film shows nothing."""
     nothing = make_tracks(np.full((30, SHEETS), np.nan))

@@ -352,28 +352,26 @@ def shells_figure(shells: pd.DataFrame, fits: ModelFits | None = None) -> Figure
 # --- displacement from an origin ----------------------------------------------------------------------------
 
 
-def origin_frames(tracks: xr.Dataset) -> slice:
+def origin_frames(tracks: xr.Dataset) -> Ints:
     """Return up to `ORIGIN_FRAMES` frames, the first in which nearly as many sheets as ever have a position.
 
-    Nine tenths of the sheets must have one: more would wait for sheets that come into view late, while others
-    already move; with less, more origins would be interpolated between neighbours. The slice is empty if no
-    sheet was ever found.
+    They follow one another but for frames in which no sheet has one (frozen, blank, lost). Nine tenths of the
+    sheets must have one in each: more would wait for sheets that come into view late, while others already
+    move; with less, more origins would be interpolated between neighbours. There are none if no sheet was
+    ever found.
     """
     known = np.isfinite(tracks["x_px"].values)
-    frames = len(known)
-    length = min(ORIGIN_FRAMES, frames)
-    count = np.zeros(frames - length + 1, np.int64)  # sheets with positions in `length` frames, by the first
+    shown = np.flatnonzero(known.any(axis=1))
+    length = min(ORIGIN_FRAMES, len(shown))
+    count = np.zeros(len(shown) - length + 1, np.int64)  # sheets with positions in `length` frames
     for of_sheet in known.T:  # one at a time: their sums would take as much memory as all positions
-        total = np.concatenate([[0], np.cumsum(of_sheet)])
-        count += total[length:] - total[:-length] == length
-    if count.any():
-        start = int((count >= 0.9 * count.max()).argmax())
-        return slice(start, start + length)
-    start = int(known.any(axis=1).argmax())
-    return slice(start, min(start + length, frames)) if known.any() else slice(0)
+        total = np.concatenate([[0], np.cumsum(of_sheet[shown])])
+        count += total[length:] - total[: len(count)] == length
+    start = int((count >= 0.9 * count.max()).argmax())
+    return shown[start : start + length]
 
 
-def origin_px(tracks: xr.Dataset, frames: slice) -> Floats:
+def origin_px(tracks: xr.Dataset, frames: Ints) -> Floats:
     """Return the origin from which every sheet's displacement is counted, (sheet,) in px.
 
     The origin is the median position over the frames of `origin_frames`, the same for all sheets. For a sheet
@@ -401,7 +399,7 @@ def origin_px(tracks: xr.Dataset, frames: slice) -> Floats:
     return origin
 
 
-def _origin_text(tracks: xr.Dataset, frames: slice) -> str:
+def _origin_text(tracks: xr.Dataset, frames: Ints) -> str:
     """Return which frames the origin is the median over."""
     numbers = tracks["frame"].values[frames]
     if not numbers.size:
