@@ -233,6 +233,32 @@ def test_gaps_of_an_overexposed_comb_are_no_sheets(uneven):
     assert np.nanmedian(np.abs(tracks.x_px.values[..., None] - x[:, None]).min(axis=2)) < 0.3
 
 
+def test_gaps_of_a_comb_that_is_overexposed_in_part_are_no_sheets():
+    """The brighter half of the sheets reaches the ceiling, through a codec that adds noise. A failure means
+    that every position is that of a gap, or that a film whose background is clear is questioned."""
+    x = comb(FRAMES, per_side=10, pitch_px=20.0, axis_px=WIDTH / 2, uneven=0.15, slip=0.3)
+    film = strip(ridges(x, width=WIDTH, fwhm_px=12.0, contrast=shades(20)))
+    noise = np.random.default_rng(3).normal(0, 2, film.shape)
+    film = film.copy(data=(np.minimum(4 * (film.values - 25), 4 * CONTRAST + 28) + noise).astype(np.float32))
+    tracks = track_sheets(film)
+    assert tracks.attrs["ridges"] == "bright"
+    assert polarity_warnings(tracks) == []
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("seed", range(6))
+def test_sheets_of_unlike_widths_that_fill_the_picture_are_told_from_gaps(seed, sign):
+    """Flat sheets as wide as the gaps, which differ a little in width and brightness: neither narrowness nor
+    what varies decides alone. A failure means that one of them does, and every position is that of a gap."""
+    x = comb(FRAMES, per_side=18, pitch_px=16.0, axis_px=WIDTH / 2, uneven=0.03, seed=seed)
+    rng = np.random.default_rng(seed)
+    shade, flat = rng.normal(1, 0.06, 36), rng.normal(8, 0.72, 36)
+    sheets = (
+        ridges(x[:, [n]], width=WIDTH, fwhm_px=5.0, flat_px=flat[n], contrast=shade[n]) for n in range(36)
+    )
+    assert chosen(sum(sheets), sign)
+
+
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_lit_field_that_ends_beside_the_comb_is_not_the_background(sign):
     """Dark sheets before a lamp that is a little wider than the comb; beyond the lamp it is dark again. A

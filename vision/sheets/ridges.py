@@ -332,7 +332,7 @@ def _likelier(
     else:
         many = min(bright.comb.count, dark.comb.count) >= FEWEST
         decided = abs(varied) >= (settings.polarity_evidence if many else clear)
-        is_bright = varied > 0 if decided else narrower >= np.log(settings.dark_width_ratio)
+        is_bright = varied > 0 if decided else varied + narrower >= np.log(settings.dark_width_ratio)
         contradict = widths * heights < 0 and min(abs(widths), abs(heights)) >= clear
         if background * (1 if is_bright else -1) < -settings.background_seen:
             doubt = "the background beside the comb, where it says anything, says the opposite"
@@ -361,10 +361,12 @@ def _variation(line: Floats32, bright: _MainRidges, dark: _MainRidges, pitch: fl
 
 
 def _clipped(line: Floats32, bright: _MainRidges, settings: TrackingSettings) -> bool:
-    """Return whether most bright stripes reach the same level, which is then the camera's ceiling."""
+    """Return whether most bright stripes reach the same level, which is then the camera's ceiling, or the
+    brighter half of them does."""
     tops = np.concatenate([row[x] for row, x in zip(line, bright.x, strict=True)])
-    level = np.median(tops)
-    return bool(np.median(np.abs(tops - level)) <= settings.same_level * level)
+    low, level, high = np.quantile(tops, [0.05, 0.5, 0.95])
+    same = np.median(np.abs(tops - level)) <= settings.same_level * level
+    return bool(same or high - level <= settings.ceiling * (level - low))
 
 
 def _halfway(line: Floats32, bright: _MainRidges, dark: _MainRidges) -> tuple[_MainRidges, _MainRidges]:

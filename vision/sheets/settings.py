@@ -68,6 +68,11 @@ class TrackingSettings:
     ceilings that a codec blurs (`test_gaps_of_an_overexposed_comb_are_no_sheets`); larger ignores what even
     light tells."""
 
+    ceiling: float = 0.2
+    """How far the bright stripes' levels rise above their median, over how far they fall below (quantiles of 5
+    and 95 %), up to which the brighter half of them is overexposed. It is 0.06 to 0.13 there, and from 0.4 in
+    ordinary films. Larger ignores levels of films in order, smaller takes gaps for sheets (the same test)."""
+
     dark_width_ratio: float = 0.9
     """Where nothing else decides, ridges are dark if the dark stripes are narrower than the bright ones by
     this factor. Nearer to 1 flips even stripes to dark, smaller misses broad dark ridges."""
