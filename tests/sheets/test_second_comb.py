@@ -79,3 +79,14 @@ def test_other_light_is_no_second_comb(what, snr):
 def test_short_films_and_narrow_ridges_tell_nothing(film_of):
     tracks = track_sheets(film(True, **film_of)[1])
     assert TrackMetadata.of(tracks).second_comb_err_px == 0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_ridges_that_creep_over_pixels_are_no_second_comb(seed):
+    """At a spacing of 12.2 px tops and the gaps between them lie at the same place in their pixels. A failure
+    means that errors are three times too large, and the user looks for a reflection that is not there."""
+    frames = 200
+    x = comb(frames, per_side=16, pitch_px=12.2, axis_px=220, period=40, slip=0.12, uneven=0.02, seed=seed)
+    x += np.linspace(-0.3, 0.3, frames)[:, None]
+    tracks = track_sheets(strip(ridges(x, width=440, fwhm_px=6.2), snr=300, seed=seed))
+    assert TrackMetadata.of(tracks).second_comb_err_px == 0

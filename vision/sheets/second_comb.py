@@ -78,12 +78,19 @@ def second_comb(profile: Floats32, x_px: Floats, blurred: Bools, comb: RidgeComb
 
 
 def levels_at(bright: Floats32, x_px: Floats) -> Floats:
-    """Return the mean of three pixels around each place x_px (frame, K); NaN at NaN and at the edge."""
+    """Return the mean of three pixels around each place x_px (frame, K); NaN at NaN and at the edge.
+
+    Cubic (Catmull–Rom): a line between pixels lowers tops and raises gaps that lie there, by 1 % of a ridge of
+    6 px, as a second comb would.
+    """
     smooth = (bright[:, :-2] + bright[:, 1:-1] + bright[:, 2:]) / 3
-    inside = (x_px >= 1) & (x_px < bright.shape[1] - 2)
-    left = np.where(inside, x_px - 1, 0).astype(np.int64)
-    low, high = (np.take_along_axis(smooth, left + k, axis=1) for k in (0, 1))
-    return np.where(inside, low + (x_px - 1 - left) * (high - low), np.nan)
+    inside = (x_px >= 2) & (x_px < bright.shape[1] - 3)
+    place = np.where(inside, x_px - 1, 1.0)
+    left = place.astype(np.int64)
+    part = place - left
+    before, low, high, after = (np.take_along_axis(smooth, left + k, axis=1) for k in (-1, 0, 1, 2))
+    bend = part * (3 * (low - high) + after - before) + 2 * before - 5 * low + 4 * high - after
+    return np.where(inside, low + 0.5 * part * (high - before + part * bend), np.nan)
 
 
 def _of_periods(values: Floats) -> Floats:
