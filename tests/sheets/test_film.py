@@ -67,6 +67,19 @@ def test_frames_of_a_camera_that_vibrates_are_not_averaged(period, size_px):
 
 
 @pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("unequal", "size_px"), [(0.005, 0.4), (0.02, 0.2)])
+def test_frames_that_vibrate_over_unequal_pixels_are_not_averaged(seed, unequal, size_px):
+    """Pixels that differ in brightness come back after a period. A failure means a warning of a film in
+    order, whose noise does not last."""
+    rng, time = np.random.default_rng(seed), np.arange(200)[:, None]
+    shaking = size_px * np.sin(2 * np.pi * time / rng.uniform(3.6, 4.6))
+    x = comb(200, per_side=12, axis_px=320, slip=0.25, period=40) + shaking
+    picture = strip(ridges(x, width=640), snr=200)
+    picture.values[:] *= 1 + unequal * rng.normal(size=640)
+    assert TrackMetadata.of(track_sheets(picture)).noise_lasts == 0
+
+
+@pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize(("averaged", "lasts", "snr"), [(0.0, 30, 200), (0.4, 12, 60)])
 def test_frames_of_sheets_that_ring_are_not_averaged(seed, averaged, lasts, snr):
     """After every slip each sheet rings at a frequency of its own, by up to 1.5 px. A failure means that a

@@ -46,6 +46,7 @@ TRIPLES_AT_ONCE = 32  # whose pixels fit into a core's cache
 LEAST_TRIPLES = 8  # groups of three consecutive frames that a measurement of noise needs
 AT_REST_PX = 0.1  # motion from frame to frame that hardly changes a ridge's pixels beyond a fitted shift
 CORRELATED_RIDGES = 400  # differences of three ridges that tell correlated noise from chance
+LASTING_AT_FOUR = 0.8  # least variance at four frames over that at two, of noise that lasts: 1 to 2
 
 
 class FittedPositions(NamedTuple):
@@ -584,10 +585,11 @@ def noise_correlation(
 
     With the noise :math:`\rho^k` correlated over k frames, second differences at lags of two frames have
     :math:`(1 + \rho)(3 - \rho^2)/(3 - \rho)` times the variance of those at one. Motion that the fitted
-    changes do not describe adds to longer lags as well, but not less to four frames than to two. It is not
-    clear in films with fewer than `CORRELATED_RIDGES` such differences, and in those whose noise is less than
-    `WHOLE_LEVELS`, which is rounding. Sheets that ring leave as much as noise that lasts: ridges that hardly
-    move between the frames must show at least half of `least`, where they are as many.
+    changes do not describe adds to longer lags as well, but not less to four frames than to two. Unequal
+    pixels under a comb that vibrates over them add least to lags of its period, noise that lasts does not. It
+    is not clear in films with fewer than `CORRELATED_RIDGES` such differences, and in those whose noise is
+    less than `WHOLE_LEVELS`, which is rounding. Sheets that ring leave as much as noise that lasts: ridges
+    that hardly move between the frames must show at least half of `least`, where they are as many.
     """
 
     def typical(lag: int, *, at_rest: bool = False) -> float:
@@ -612,7 +614,7 @@ def noise_correlation(
     if not (one > WHOLE_LEVELS**2 and two < 2.1 * one):
         return 0.0
     found = correlation(two / one)
-    if not (found > least and typical(4) / two < two / one):
+    if not (found > least and LASTING_AT_FOUR < typical(4) / two < two / one):
         return 0.0
     of_resting = correlation(typical(2, at_rest=True) / max(typical(1, at_rest=True), 1e-12))
     return 0.0 if of_resting <= least / 2 else found
