@@ -332,7 +332,8 @@ def _likelier(
     else:
         many = min(bright.comb.count, dark.comb.count) >= FEWEST
         decided = abs(varied) >= (settings.polarity_evidence if many else clear)
-        is_bright = varied > 0 if decided else varied + narrower >= np.log(settings.dark_width_ratio)
+        together = narrower + varied * many
+        is_bright = varied > 0 if decided else together >= np.log(settings.dark_width_ratio)
         contradict = widths * heights < 0 and min(abs(widths), abs(heights)) >= clear
         if background * (1 if is_bright else -1) < -settings.background_seen:
             doubt = "the background beside the comb, where it says anything, says the opposite"

@@ -69,13 +69,15 @@ class TrackingSettings:
     light tells."""
 
     ceiling: float = 0.2
-    """How far the bright stripes' levels rise above their median, over how far they fall below (quantiles of 5
-    and 95 %), up to which the brighter half of them is overexposed. It is 0.06 to 0.13 there, and from 0.4 in
-    ordinary films. Larger ignores levels of films in order, smaller takes gaps for sheets (the same test)."""
+    """How far the bright stripes' levels rise above their median, over how far they fall below it (quantiles
+    of 95 and 5 %), up to which the brighter half of them is overexposed. It is 0.06 to 0.13 there, and 0.4 or
+    more in ordinary films. Larger ignores levels of films in order, smaller takes gaps for sheets
+    (`test_gaps_of_a_comb_that_is_overexposed_in_part_are_no_sheets`)."""
 
     dark_width_ratio: float = 0.9
     """Where nothing else decides, ridges are dark if the dark stripes are narrower than the bright ones by
-    this factor. Nearer to 1 flips even stripes to dark, smaller misses broad dark ridges."""
+    this factor, times what varies among five stripes or more. Nearer to 1 flips even stripes to dark, smaller
+    misses broad dark ridges."""
 
     narrowest_widths: float = 0.25
     """A candidate narrower than this many typical widths is a hot pixel. Larger loses half-merged ridges
