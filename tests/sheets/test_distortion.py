@@ -300,6 +300,28 @@ def test_how_far_distortions_move_ridges_is_measured_in_the_film(moving, period)
     assert 0.7 < off_in_errors(picture, x) < 1.25
 
 
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_picture_stretched_by_the_motion_is_no_distortion(seed):
+    """Lopsided ridges of a picture that every slip stretches, so that shapes change as sheets move. A failure
+    means that the motion is taken for what distorts the ridges, and errors are stated ten times too large."""
+    random = np.random.default_rng(seed)
+    rest = 100 + 160 * np.arange(7) + random.uniform(-5, 5, 7)
+    phase = np.arange(200)[:, None] / 23.7 % 1 - 0.5
+
+    def warped(x):
+        return x - np.sign(x - 500) * np.abs((x - 500) / 500) ** 2 * 40 * phase
+
+    parts = np.r_[rest, rest + 9 + random.uniform(-1, 1, 7)]
+    height = np.r_[np.ones(7), 0.15 * random.uniform(0.3, 1.7, 7)]
+    width = np.repeat([18.0, 7.0], 7)
+    picture = strip(ridges(warped(parts), width=1160, fwhm_px=width, contrast=height), snr=150, seed=seed)
+    tracks = track_sheets(picture)
+    off = tracks.x_px.values - warped(rest)
+    over = np.median(tracks.x_err_px.values, axis=0) / np.std(off, axis=0)
+    assert 0.7 < np.median(over) < 2
+    assert over.max() < 5
+
+
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_slight_differences_between_sheets_are_no_distortion(seed):
     """Sheets of several widths in uneven light and unequal pixels. A failure means that errors are stated too

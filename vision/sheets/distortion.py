@@ -546,9 +546,11 @@ def _error_over(
     r"""Return the error of a position over the size of `values` (frame, N), as the film shows and as assumed.
 
     Where a distortion changes, position and value change together. Changes over `distortion_frames` are taken
-    relative to both neighbours, and k is the median of their ratios, weighted by the change of the value, so
-    that slips do not enter. With q the share by which they change in the same direction more often than in
-    opposite ones, the results are :math:`\sqrt{q}\,|k|` and :math:`\sqrt{1 - q^2}\,u`, u being the usual one.
+    relative to both neighbours, and less what is in proportion to the neighbours' motion, since a ridge that
+    moves further than these in every slip, and leans as it does, is displaced and not distorted; k is the
+    median of their ratios, weighted by the change of the value, so that slips do not enter. With q the share
+    by which they change in the same direction more often than in opposite ones, the results are
+    :math:`\sqrt{q}\,|k|` and :math:`\sqrt{1 - q^2}\,u`, u being the usual one.
     """
 
     frames = settings.distortion_frames
@@ -559,7 +561,9 @@ def _error_over(
     def compare(some: slice) -> None:
         around = slice(some.start, some.stop + 2)
         moves, changes = (_relative_changes(table[:, around], frames) for table in (x_px, values))
-        for k, (move, change) in enumerate(zip(moves, changes, strict=True), some.start):
+        for k, ((move, motion), (change, _)) in enumerate(zip(moves, changes, strict=True), some.start):
+            _subtract_proportion(move, motion)
+            _subtract_proportion(change, motion)
             product = move * change
             weight = np.where(np.isfinite(product), np.abs(change), 0.0)
             known = weight > 0
@@ -575,16 +579,25 @@ def _error_over(
     return float(np.sqrt(share) * abs(median)), float(np.sqrt(1 - share**2) * usual)
 
 
-def _relative_changes(values: Floats, frames: int) -> Iterator[Floats]:
-    """Yield the changes of each sheet's means over `frames` frames, relative to both neighbours, (frame −
-    frames,), for all sheets (frame, N) but the first and last."""
+def _relative_changes(values: Floats, frames: int) -> Iterator[tuple[Floats, Floats]]:
+    """Yield the changes of each sheet's means over `frames` frames, relative to both neighbours, and those of
+    the neighbours, (frame − frames,), for all sheets (frame, N) but the first and last."""
     means: deque[Floats] = deque(maxlen=3)
     for of_sheet in values.T:
         means.append(mean_over(of_sheet, frames))
         if len(means) == 3:
             left, own, right = means
-            relative = own - (left + right) / 2
-            yield relative[frames:] - relative[:-frames]
+            both = (left + right) / 2
+            relative = own - both
+            yield relative[frames:] - relative[:-frames], both[frames:] - both[:-frames]
+
+
+def _subtract_proportion(values: Floats, motion: Floats) -> None:
+    """Subtract from values (frame,), in place, what is in proportion to the motion; NaN is left out."""
+    known = np.isfinite(values) & np.isfinite(motion)
+    power = float((motion[known] ** 2).sum())
+    if power > 0:
+        values -= float((values[known] * motion[known]).sum()) / power * motion
 
 
 def _significant(values: Floats, noise: Floats, settings: TrackingSettings) -> tuple[Floats, Floats]:
