@@ -57,6 +57,18 @@ def test_sheets_without_any_position_count(nowhere, axis_px):
         assert len(numbering.n) == 44
 
 
+@pytest.mark.parametrize("first", [4, 5])
+def test_sheets_that_touch_in_every_slip_do_not_move_the_axis(first):
+    """Two sheets of one side touch from one slip to the next, so that their slips are never seen. A failure
+    means that they are taken for still, as if the axis lay between them."""
+    truth = comb(240, per_side=4, slip=0.3, period=24.0)
+    seen = truth + np.random.default_rng(1).normal(0, 0.02, truth.shape)
+    seen[np.arange(240) // 24 % 2 == 1, first : first + 2] = np.nan
+    numbering = number_sheets(seen, width_px=1200)
+    assert numbering.how == "motion"
+    np.testing.assert_array_equal(numbering.n, numbered(4, 4))
+
+
 @pytest.mark.parametrize(("sheet", "jump_px"), [(17, 6.0), (20, 3.0), (20, -3.0), (32, -6.0)])
 def test_one_sheet_that_is_covered_in_a_slip_does_not_move_the_axis(sheet, jump_px):
     """A cable's edge draws one sheet of the stiff centre aside while the others slip. Failure: n is
@@ -329,6 +341,17 @@ def test_the_axis_of_an_odd_comb_lies_on_its_middle_sheet():
     again = tracked(truth, width=600, axis_px=found.attrs["axis_px"])
     np.testing.assert_array_equal(again.n, found.n)
     np.testing.assert_array_equal(again.side, found.side)
+
+
+def test_the_axis_is_not_on_the_middle_sheet_where_the_motion_excludes_it():
+    """Seven sheets of which the third hardly moves. A failure means that the axis is said to be on the fourth
+    since the number is odd, outside the range that the motion allows."""
+    rest, opening = 100 + 160.0 * np.arange(7), np.array([-0.2, -0.05, 0.0, 0.08, 0.25, 0.5, 0.8])
+    phase = np.arange(200)[:, None] / 23.7 % 1 - 0.5
+    truth = rest - 20 * opening * phase
+    numbering = number_sheets(truth + np.random.default_rng(1).normal(0, 0.01, truth.shape))
+    assert rest[1] < numbering.low_px <= numbering.high_px < rest[3]
+    assert abs(numbering.axis_px - numbering.low_px) < 100  # half a pitch is 80, a whole one wrong
 
 
 def test_the_pixel_size_follows_from_the_mean_pitch():

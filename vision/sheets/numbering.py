@@ -16,6 +16,7 @@ from vision.signals import mean_over
 
 AxisHow = Literal["given", "motion", "geometry"]
 Carried = Literal["yes", "perhaps", "no"]
+LEAST_SEEN = 0.1  # of the slips' power, in which a sheet is seen: in fewer, single slips would tell its motion
 
 
 @dataclass(frozen=True)
@@ -94,6 +95,7 @@ def number_sheets(
             n += int(beyond / spacing)
         return Numbering(float(axis_px), "given", side, n, float(low), float(high))
     on_sheet = all_sheets % 2 == 1 and split == even and int(place[split]) == all_sheets // 2
+    on_sheet &= limits is None or bool(np.floor(limits[0]) <= even <= limits[1])
     axis_px = _axis(position, split, on_sheet=on_sheet)
     missing = all_sheets - sheets if how == "geometry" else 0
     side, n = _side_and_n(split, sheets)
@@ -167,7 +169,7 @@ def _split_by_motion(
     power = float((apart**2).sum())
     if sheets < 3 or power == 0:
         return even, "geometry", None, "no"
-    opening, error = apart @ step / power, noise / np.sqrt(power)
+    opening, error = _opening(step, apart), noise / np.sqrt(power)
     contrast = _contrast(opening)
     best = int(contrast.argmax())
     worse = contrast[best] - contrast
@@ -207,6 +209,22 @@ def _split_by_motion(
     return int(np.floor(middle) if middle > even else np.ceil(middle)), "motion", (low, high), "no"
 
 
+def _opening(step: Floats, apart: Floats) -> Floats:
+    """Return the step of each sheet per step of the ends, (N,), from the steps (frame − 1, N) in which it is
+    seen; unknown ones, NaN, are replaced by what follows from it, in place.
+
+    Sheets that touch in every slip are not seen in any: those beside tell how they move.
+    """
+    unknown = np.isnan(step)
+    step[unknown] = 0.0
+    seen = apart**2 @ ~unknown
+    known = np.flatnonzero(seen > LEAST_SEEN * seen.max())
+    opening = np.interp(np.arange(len(seen)), known, (apart @ step)[known] / seen[known])
+    for rows in row_parts(len(step)):
+        np.copyto(step[rows], apart[rows, None] * opening, where=unknown[rows])
+    return opening
+
+
 def _contrast(step: Floats) -> Floats:
     """Return the motion right of each split less that left of it, (..., N + 1)."""
     total = np.cumsum(np.insert(step, 0, 0.0, axis=-1), axis=-1)
@@ -229,8 +247,8 @@ def _asymmetry(opening: Floats, split: int, *, shifted: bool = False) -> float:
 
 
 def _slips(x_px: Floats, settings: TrackingSettings) -> tuple[Floats, Floats, Floats]:
-    """Return the step of each sheet, (frame − 1, N), the step of the comb's ends away from each other, 0 for
-    noise, (frame − 1,), and the noise of a step, (N,).
+    """Return the step of each sheet, (frame − 1, N), NaN where unknown, the step of the comb's ends away from
+    each other, 0 for noise, (frame − 1,), and the noise of a step, (N,).
 
     Sticks count as well as slips, but not in a film without slips: a camera that zooms, or turns, also moves
     the ends apart, evenly, from any point. One that vibrates or drifts does not. After a knock or a cut all
@@ -253,6 +271,7 @@ def _slips(x_px: Floats, settings: TrackingSettings) -> tuple[Floats, Floats, Fl
         beside = np.pad(step[rows], ((0, 0), (1, 1)), "edge")
         low, high = np.minimum(beside[:, :-2], beside[:, 2:]), np.maximum(beside[:, :-2], beside[:, 2:])
         step[rows] = np.clip(step[rows], low, high)  # the median of three removes a sheet that was covered
+    step[~known] = np.nan
     return step, apart, noise
 
 
