@@ -113,6 +113,18 @@ def test_an_even_comb_with_an_end_in_view_needs_no_doubt():
     assert (tracks.flag == "ok").values.mean() > 0.85
 
 
+def test_a_whole_comb_that_was_pushed_is_not_doubted_for_one_sheet():
+    """Thirteen sheets, both ends in view, pushed by 0.7 pitch; one is dimmed from then on. A failure means
+    that a single sheet of another brightness leaves all positions after the push in doubt."""
+    x = comb(FRAMES, per_side=7, axis_px=200, slip=0.15)[:, 1:]
+    x[2 * FRAMES // 3 :] -= 0.7 * PITCH
+    height = np.tile(brightness(13), (FRAMES, 1))
+    height[2 * FRAMES // 3 :, 5] *= 0.3
+    tracks = track_sheets(strip(ridges(x, width=400, contrast=height)))
+    assert wrong_positions(tracks, x) == 0
+    assert (tracks.flag == "ok").values.mean() > 0.99
+
+
 def fading(seed, *, uneven=0.3, over=1):
     """24 sheets, bright in the middle; in frames 100 to 139 the light has moved on by a pitch, unevenly, one
     sheet too faint to count stands out at the left end, and one at the right is gone. They hardly move. The

@@ -70,7 +70,7 @@ def _unproved_jumps(
     Jumps divide the film into runs of frames. Where the comb is not at its usual place, the margin must
     exceed the cost of staying there; with neither end in view, where only brightness shows a jump, it must
     also exceed the costs of sheets that cross the edges. After a real jump every sheet keeps its brightness.
-    Where brightnesses changed by more than `least_misfit`, the costs mistake changed sheets for exchanged
+    Where those of most sheets changed by more than `least_misfit`, the costs mistake changed sheets for exchanged
     ones, and the margin required grows by the ratio of the squares: the overdispersion of a quasi-likelihood
     (McCullagh & Nelder 1989, chapter 9).
     moved: median of x less the rest positions, (frame,).
@@ -92,8 +92,7 @@ def _unproved_jumps(
     off = np.log(contrast.astype(np.float64))
     off -= identities.reference.log_contrast
     off -= nan_median(off, axis=1)[:, None]  # flicker
-    misfit = np.minimum(np.nan_to_num(off) ** 2, LIKE_ITSELF**2).sum(axis=1)
-    misfit /= np.maximum(np.isfinite(off).sum(axis=1), 1)
+    misfit = np.nan_to_num(sigma_about_zero(off, axis=1)) ** 2  # robust: few may be dimmed, or cut by the edge
     worse = np.maximum(misfit / settings.least_misfit**2, 1.0)
     margin = nan_median(identities.margin, axis=1)  # of the whole comb; single sheets may be less certain
     runs = [run == one for one in range(run[-1] + 1)]

@@ -314,10 +314,10 @@ class TrackingSettings:
     (test_equal_sheets_of_a_cropped_jumping_comb_are_doubted_rather_than_swapped at 0.6)."""
 
     least_misfit: float = 0.075
-    """Change of the logarithm of brightness, rms over the sheets, that is compatible with a jump by whole
-    pitches. Larger accepts jumps of combs that look different (test_identity_doubt.py's moving light at 0.3,
-    test_sarcomeres_in_noise_are_never_a_pitch_off_all_together at 0.12), smaller doubts jumps because of
-    noise."""
+    """Change of the logarithm of brightness of most sheets, as a standard deviation, that is compatible with
+    a jump by whole pitches. Larger accepts jumps of combs that look different (test_identity_doubt.py's
+    moving light at 0.3, test_sarcomeres_in_noise_are_never_a_pitch_off_all_together at 0.12), smaller doubts
+    jumps because of noise."""
 
     leave_sigmas: float = 8.0
     """Distance from the position that its neighbours predict, over the sheet's own scatter, above which
