@@ -85,6 +85,19 @@ def test_slow_slips_are_no_noise(period, lasts):
     assert 0.62 < (off < tracks.x_err_px.values).mean() < 0.85
 
 
+@pytest.mark.parametrize("seed", [1, 2])
+def test_sheets_that_ring_after_slips_do_not_scatter(seed):
+    """After every slip each sheet rings at a frequency of its own. A failure means that this motion, over in
+    the later half of a stick, makes the errors of all positions half as large again."""
+    random, since = np.random.default_rng(seed), np.arange(240)[:, None] % 40
+    truth = comb(240, per_side=15, axis_px=320, slip=0.2, period=40)
+    turns = since / random.uniform(3, 8, 30) + random.uniform(0, 1, 30)
+    truth += random.uniform(0.3, 1.2, 30) * np.exp(-since / 5) * np.sin(2 * np.pi * turns)
+    tracks = track_sheets(strip(ridges(truth, width=640), seed=seed))
+    off = tracks.x_px.values - truth
+    assert 0.9 < np.median(tracks.x_err_px.values) / np.std(off - np.median(off, axis=0)) < 1.2
+
+
 def test_a_scatter_needs_frames_between_slips():
     """A comb that slips in every other frame leaves none to compare: nothing is stated, and nothing fails."""
     slips = np.cumsum(np.where(np.arange(30) % 2, 0.01, 5.0))[:, None] * np.linspace(0.5, 1, 12)

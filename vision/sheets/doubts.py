@@ -70,9 +70,9 @@ def _unproved_jumps(
     Jumps divide the film into runs of frames. Where the comb is not at its usual place, the margin must
     exceed the cost of staying there; with neither end in view, where only brightness shows a jump, it must
     also exceed the costs of sheets that cross the edges. After a real jump every sheet keeps its brightness.
-    Where those of most sheets changed by more than `least_misfit`, the costs mistake changed sheets for exchanged
-    ones, and the margin required grows by the ratio of the squares: the overdispersion of a quasi-likelihood
-    (McCullagh & Nelder 1989, chapter 9).
+    Where those of most sheets changed by more than `least_misfit`, the costs mistake changed sheets for
+    exchanged ones, and the margin required grows by the ratio of the squares: the overdispersion of a
+    quasi-likelihood (McCullagh & Nelder 1989, chapter 9).
     moved: median of x less the rest positions, (frame,).
     """
     settings, none = comb.settings, np.zeros(x.shape, bool)
@@ -92,7 +92,7 @@ def _unproved_jumps(
     off = np.log(contrast.astype(np.float64))
     off -= identities.reference.log_contrast
     off -= nan_median(off, axis=1)[:, None]  # flicker
-    misfit = np.nan_to_num(sigma_about_zero(off, axis=1)) ** 2  # robust: few may be dimmed, or cut by the edge
+    misfit = np.nan_to_num(sigma_about_zero(off, axis=1)) ** 2  # of most: some are dimmed, or cut off
     worse = np.maximum(misfit / settings.least_misfit**2, 1.0)
     margin = nan_median(identities.margin, axis=1)  # of the whole comb; single sheets may be less certain
     runs = [run == one for one in range(run[-1] + 1)]

@@ -16,7 +16,7 @@ from vision.signals import mean_over
 
 AxisHow = Literal["given", "motion", "geometry"]
 Carried = Literal["yes", "perhaps", "no"]
-LEAST_SEEN = 0.1  # of the slips' power, in which a sheet is seen: in fewer, single slips would tell its motion
+LEAST_SEEN = 0.1  # of all slips, as squares, in which a sheet is seen: in fewer, one slip tells its motion
 
 
 @dataclass(frozen=True)

@@ -82,6 +82,12 @@ class BetweenSlips:
                 return second
         return x[:0]
 
+    def settled(self) -> Bools:
+        """Return which frames are in the later half of a stick; all if there are no slips."""
+        _, first, length = np.unique(self.slips, return_index=True, return_counts=True)
+        since = np.arange(len(self.slips)) - np.repeat(first, length)
+        return np.asarray((2 * since >= np.repeat(length, length)) | (len(first) == 1), bool)
+
     def without_slip(self, frames: int) -> Bools:
         """Return whether this many frames follow each frame without a slip, for all but the last of them."""
         return np.asarray(self.slips[frames:] == self.slips[:-frames], bool)
@@ -121,8 +127,9 @@ def noise_excess(positions: BetweenSlips, err_px: Floats, settings: TrackingSett
     camera that vibrates or breathes), or that of the sheets beside, which move alike when slips are slow or
     come in every frame, whichever leaves less. Sizes at several lags are averaged as squares, since at one
     lag an error that lasts or repeats itself may cancel; a size is the one within which 68 % of the frames
-    lie. Vibration of single sheets counts as an error. 1 for fewer than five
-    sheets, and where slips leave too few frames between them.
+    lie, in whole sticks or in their later halves, whichever is less: vibration of single sheets counts as an
+    error, ringing after slips does not. 1 for fewer than five sheets, and where slips leave too few frames
+    between them.
     """
     sheets = err_px.shape[1]
     if sheets < len(FOURTH):
@@ -130,16 +137,17 @@ def noise_excess(positions: BetweenSlips, err_px: Floats, settings: TrackingSett
     slips = _slips_of_sheets(positions.x_px, settings)
     variance = np.asfortranarray(err_px[positions.seen])
     np.square(variance, out=variance)
+    settled = positions.settled()
 
     def size(lag: int) -> Floats:
         calm = positions.without_slip(2 * lag)
         if calm.sum() < 2 * LEAST_FRAMES:
-            return np.full(sheets, np.nan)
+            return np.full((2, sheets), np.nan)
         second = positions.second((lag,))
         for values, slip in zip(second.T, slips.T, strict=True):
             values[(slip[2 * lag :] != slip[: -2 * lag])[calm]] = np.nan
         opening, shares = _motion(second)
-        of_sheets = np.empty((len(shares), sheets))
+        of_sheets, late = np.empty((len(shares), 2, sheets)), settled[: -2 * lag][calm]
 
         for n, own in enumerate(variance.T):
             expected = (own[: -2 * lag] + 4 * own[lag:-lag] + own[2 * lag :])[calm]
@@ -148,13 +156,14 @@ def noise_excess(positions: BetweenSlips, err_px: Floats, settings: TrackingSett
             for of_lag, share in zip(of_sheets, shares, strict=True):
                 scatter = np.abs(second[:, n] - opening * share[n])
                 scatter /= expected
-                of_lag[n] = nan_quantile(scatter, ONE_SIGMA)
-        return min(of_sheets, key=lambda of_lag: float(nan_median(of_lag)))
+                of_lag[:, n] = [nan_quantile(values, ONE_SIGMA) for values in (scatter, scatter[late])]
+        return min(of_sheets, key=lambda of_lag: float(nan_median(of_lag[0])))
 
     sizes = np.array(in_two_threads(size, NOISE_LAGS))
     total, count = np.nansum(sizes**2, axis=0), np.isfinite(sizes).sum(axis=0)
     excess = np.sqrt(total / np.where(count, count, np.nan) / (1 - _fitted(sheets) / sheets))
-    usual = np.nan_to_num(nan_median(excess), nan=1.0)
+    usual = np.nan_to_num(np.nanmin(nan_median(excess, axis=1), initial=np.inf), nan=1.0, posinf=1.0)
+    excess = np.fmin(*excess)
     own = np.where(excess > settings.own_excess * usual, excess, usual)
     return np.fmin(own, settings.most_own_excess * usual)
 
