@@ -443,6 +443,23 @@ def test_the_harmonics_of_regular_stick_slip_are_no_hum(samples: int, jitter: fl
     assert np.isnan(facts.hum_Hz)
 
 
+@pytest.mark.parametrize(("hum_N", "seed"), [(0.25, 0), (1.0, 0), (1.0, 1)])
+def test_slow_noise_is_seen_beside_hum(hum_N: float, seed: int) -> None:
+    """A failure means that hum hides slow noise, or slips hide faint hum (0.2 % of the drop), whose swings
+    then count as drops: the errors of K are half of what they should be."""
+    test = realistic(rate=1000, tau=0.0, noise=0.05, d1=13.8, slip_s=0.0005, softening=0.0, seed=seed)
+    rng, count = np.random.default_rng(seed), test.force.sizes["time_s"]
+    slow = 0.01 * lfilter([1.0], [1.0, -0.999], rng.standard_normal(count))
+    hum = hum_N * np.sin(2 * np.pi * 50 * test.force["time_s"].to_numpy())
+    events = find_stick_slip(test.force.assign(load_N=test.force["load_N"] + slow + hum))
+    right, truth = matched(events, test.truth)
+    assert len(right) == len(events) == len(truth)
+    assert events.attrs["hum_Hz"] == pytest.approx(50, rel=0.002)
+    wrong = np.abs(right["K_N_per_mm"] - truth["K_N_per_mm"]) / right["K_err_N_per_mm"]
+    assert 0.6 < np.mean(wrong < 1) < 0.95
+    assert not any("not counted" in line for line in events.attrs["warnings"])
+
+
 def test_hum_takes_no_digits_from_a_coarse_load() -> None:
     """A failure means noise far below the rounding of the load, as the load without hum shows no steps."""
     test = plain(sticks=40, samples=2000, snr=200, jitter=0.1, scatter=0.0, seed=1)

@@ -374,7 +374,10 @@ def averaged(time_s: Floats, load: Floats, average_s: float) -> Floats:
 
 
 def with_slow_noise(signal: Signal, slips: Slips, settings: ForceSettings) -> Signal:
-    """Return the signal with `alike`, `wander` and `slow` of noise that is not white."""
+    """Return the signal with `alike`, `wander` and `slow` of noise that is not white.
+
+    It is measured without hum, which averages out along a stick but would hide it.
+    """
     start, stop = (at[1:-1] for at in stick_middles(slips.edge, signal.clean.size, settings))
     some = np.flatnonzero(stop - start >= 2 * settings.few_samples)
     white = replace(signal, alike=1.0, wander=0.0, slow=None)
@@ -382,12 +385,12 @@ def with_slow_noise(signal: Signal, slips: Slips, settings: ForceSettings) -> Si
         return white
     some = some[:: some.size // 400 + 1]  # enough for a median
     start, stop = start[some], stop[some]
-    clean, index = signal.clean, np.arange(signal.clean.size, dtype=float)
+    hum = np.sum([line.wave for line in signal.hum], axis=0)
+    clean, index = signal.clean - hum, np.arange(signal.clean.size, dtype=float)
     # Samples at uneven times leave a line over their numbers as far as the load rises meanwhile.
     pace, load = fit_lines(index, signal.time, start, stop), fit_lines(signal.time, clean, start, stop)
     row, inside = flat_ranges(start, stop)
     early = pace.mean_y[row] + pace.slope[row] * (inside - pace.mean_x[row]) - signal.time[inside]
-    clean = clean.copy()
     clean[inside] += np.nan_to_num(load.slope)[row] * early
     lines = fit_lines(index, np.where(np.isnan(signal.spikeless), np.nan, clean), start, stop)
     # Where the load rings, all samples of a short stick may be spikes.
@@ -407,10 +410,13 @@ def with_slow_noise(signal: Signal, slips: Slips, settings: ForceSettings) -> Si
     slow = fit_slow_noise(clean, start, stop, rise, white_N, signal.averaged, settings)
     if slow is None:
         return white
+    # Lines are fitted to the load as recorded, in which hum counts as white noise.
+    hum_square = rms_of(signal.hum) ** 2
+    slow, variance = replace(slow, white=slow.white + hum_square), spread**2 + hum_square
     length = int(np.median(stop - start))
     mean, half_rise = slow.of_line(length)
-    alike = max(half_rise * length / (3 * spread**2), 1.0)
-    wander = float(np.sqrt(max(mean - alike * spread**2 / length, 0.0)))
+    alike = max(half_rise * length / (3 * variance), 1.0)
+    wander = float(np.sqrt(max(mean - alike * variance / length, 0.0)))
     wander = min(wander, float(np.std(lines.at(stop.astype(float)))))  # noise moves no stick further than all
     return replace(signal, alike=alike, wander=wander, slow=slow)
 
@@ -558,13 +564,17 @@ def rms_of(hum: Sequence[Hum]) -> float:
 def find_hum(y: Floats, settings: ForceSettings) -> list[Hum]:
     """Return the narrow lines of a load's spectrum, the strongest first; regular stick-slip also has some.
 
-    The spectra of the load's steps over overlapping parts of the recording are averaged. A line exceeds the
+    The spectra of the load's steps over overlapping parts of the recording are averaged. The largest steps,
+    the slips, are cut to the size of the others: their broad spectrum would hide hum. A line exceeds the
     median of the frequencies around it by `hum_ratio`. Its amplitude and phase may change within 30 periods.
     """
     part = min(1 << int(np.log2(max(y.size / _LEAST_SPECTRA, 2))), _LONGEST_PART)
     if part < _LEAST_PART:
         return []
-    parts = sliding_window_view(np.diff(y), part)[:: part // 2]
+    step = np.diff(y)
+    step -= np.median(step)
+    most = float(np.quantile(np.abs(step), settings.ringing_steps))
+    parts = sliding_window_view(np.clip(step, -most, most) if most else step, part)[:: part // 2]
     power, taper = np.zeros(part // 2 + 1), np.hanning(part)
     for values in parts:  # one at a time: all would take as much memory as the recording, several times
         power += np.abs(np.fft.rfft(taper * values)) ** 2
