@@ -147,7 +147,8 @@ def find_stick_slip(
     _check_direction(events, unloading, source)
     events = events.assign(flag=_all_flags(events, analysis, unloading, signal, slips, settings))
     unit = "of the weight" if load_unit(force) == "1" else "N"
-    warnings = doubts(events, analysis.regime, signal, slips, unit, rings, math.nan if calm else swing_s)
+    swings_s = math.nan if calm else swing_s
+    warnings = doubts(events, analysis.regime, signal, slips, unit, rings, swings_s, settings)
     if threshold_N is None and analysis.regime.name == "stick-slip" and not (rings or signal.averaged):
         warnings += _missed_warnings(signal, slips, analysis, unit, settings)
     metadata = _metadata(signal, slips, analysis, shares, warnings, settings)

@@ -98,6 +98,7 @@ def doubts(
     unit: str,
     rings: str,
     swing_s: float,
+    settings: ForceSettings,
 ) -> list[str]:
     """Return why the recording, or a part of its events, may not be stick-slip.
 
@@ -140,7 +141,7 @@ def doubts(
                 f"{what} has steps of {step:.3g} {unit_of_steps}, sticks are {stick:.3g} {unit_of_steps}"
             )
     lines += _displacement_warnings(signal, events)
-    lines += slips.warnings(unit) + _load_warnings(signal, slips, events, unit)
+    lines += slips.warnings(unit, settings) + _load_warnings(signal, slips, events, unit)
     lines += _fall_warnings(signal, slips, events, unit)
     for word, meaning in _FLAGGED.items():
         if count := int(has_flag(events["flag"], word).sum()):

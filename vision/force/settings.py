@@ -65,7 +65,8 @@ class ForceSettings:
     and by curved sticks, hum, low-passes, slow noise and a coarse load, which have none."""
 
     close_share: float = 0.05
-    """Smallest drop, over those beside it, of a slip that is closer to them than the step filter tells apart.
+    """Smallest drop, over those beside it, of a slip that is closer to them than the step filter tells apart;
+    over the usual one, of a drop whose omission is a warning.
     Smaller takes the tail of a low-pass for slips, larger misses small slips among large ones; shown by
     load cells with a low-pass, and by slips of which some have a tenth of the drop."""
 

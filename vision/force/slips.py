@@ -73,22 +73,26 @@ class Slips:
         large &= self.jump > settings.upward_share * usual
         return np.searchsorted(self.edge, self.jump_edge[large])
 
-    def warnings(self, unit: str) -> list[str]:
-        """Return which slips may have been left out, and how many of the drops, in `unit`, may be none."""
-        lines = []
-        if self.left_out.size:
-            low, high = self.left_out.min(), self.left_out.max()
-            sizes = f"{low:.3g}" if self.left_out.size == 1 else f"{low:.3g} to {high:.3g}"
+    def warnings(self, unit: str, settings: ForceSettings) -> list[str]:
+        """Return which slips may have been left out, and how many of the drops, in `unit`, may be none.
+
+        Drops below `close_share` of the usual one hardly change a fit. Many recordings have some, where the
+        line of a bent stick is divided in the noise.
+        """
+        lines, usual = [], float(np.median(self.drop))
+        left_out = self.left_out[self.left_out >= settings.close_share * usual]
+        if left_out.size:
+            low, high = left_out.min(), left_out.max()
+            sizes = f"{low:.3g}" if left_out.size == 1 else f"{low:.3g} to {high:.3g}"
             why = {
                 "jumps": "no larger than the load's own jumps upward",
                 "gap": "below a gap in the sizes of drops",
                 "noise": "no larger than four errors, since the noise is slow",
             }[self.threshold_how]
             lines.append(
-                f"{counted(self.left_out.size, 'drop')} between fitted lines of {sizes} {unit} not counted, "
+                f"{counted(left_out.size, 'drop')} between fitted lines of {sizes} {unit} not counted, "
                 f"{why}: `threshold_N` {0.9 * low:.2g} counts them"
             )
-        usual = float(np.median(self.drop))
         if self.threshold_how == "noise" and self.threshold > 0.5 * usual:
             lines.append(
                 f"drops between fitted lines below {self.threshold:.3g} {unit} are not told from the noise: "
