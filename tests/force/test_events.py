@@ -189,6 +189,15 @@ def test_a_stick_that_bends_is_no_slip_that_was_not_counted(seed: int) -> None:
     assert events.attrs["warnings"] == []
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_few_bent_sticks_have_larger_errors(seed: int) -> None:
+    """A failure means that F_v of three sticks, too few to show that all bend alike, is off by ten errors."""
+    test = realistic(rate=500, noise=0.1, d1=13.12, softening=0.1, tau=0, seed=seed)
+    right, truth = matched(find_stick_slip(test.force), test.truth)
+    assert 1 <= len(right) < 8
+    assert np.mean(np.abs(right["F_v_N"] - truth["F_v_N"]) < 1.5 * right["F_v_err_N"]) > 0.6
+
+
 def test_doubts_about_a_force_over_a_weight_are_in_no_newton() -> None:
     """A failure means that the same number is newtons in a warning and a share of the weight beside it."""
     test = plain(sticks=40, snr=50)

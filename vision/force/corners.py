@@ -110,7 +110,7 @@ def find_corners(
     if stick.size and length < settings.shape_slip * np.median(stick):
         # Slow noise explains that the curvatures of the sticks scatter: they then count as bent alike.
         shape = Shape.of(seen.load, seen.edge, signal.slow is not None, settings)
-        if shape.ends.any():
+        if shape.errors.any():
             base = _Baselines.of(seen, two_slopes, settings, shape)
             high, middle, low = _crossings(seen.load, seen.edge, base)
             halves = np.stack([middle - high, low - middle])
@@ -351,13 +351,16 @@ class Shape:
 
     @classmethod
     def of(cls, y: Floats, edge: Ints, alike: bool, settings: ForceSettings) -> Shape:
-        """Fit polynomials of degree 2 to 4 to the residuals of the lines of sticks between two slips."""
+        """Fit polynomials of degree 2 to 4 to the residuals of the lines of sticks between two slips.
+
+        Fewer than eight sticks do not show what they have in common: what they bend is part of the errors.
+        """
         start, stop = (at[1:-1] for at in stick_middles(edge, y.size, settings))
         length = np.diff(edge)
         rise = stick_lines(y, edge, settings).slope[1:-1] * length
         long = max(2 * settings.few_samples, 0.5 * np.quantile(length, 0.9)) if length.size else 0
         some = np.flatnonzero((length > long) & (rise > 0))  # shorter ones may be oscillations
-        if some.size < 8:
+        if not some.size:
             return cls()
         some = some[:: some.size // 400 + 1]  # enough for medians
         found, residual, row = fit_polynomials(y, start[some], stop[some])
@@ -365,19 +368,22 @@ class Shape:
         middle = np.median(share, axis=0)
         scatter = mad_sigma(share, axis=0)
         standard = 1.25 * scatter / np.sqrt(some.size)
-        clear = np.abs(middle) > settings.shape_sigmas * standard
+        clear = (np.abs(middle) > settings.shape_sigmas * standard) & (some.size >= 8)
         reach = float(np.median(length[some] / (stop - 1 - start)[some]))
         ends = legvander(np.array([-reach, reach]), 4)[:, 2:]
         kept = np.where(clear, middle, 0.0)
         off = (ends * kept).sum(axis=1)
+        count = np.bincount(row)
+        noise = np.bincount(row, residual**2) / np.maximum(count - 5, 1) / count / rise[some] ** 2
+        white = (2 * np.arange(2, 5) + 1) * np.median(noise)
+        if some.size < 8:
+            bend = float(np.sqrt(max(middle[0] ** 2 - white[0] / some.size, 0.0)))
+            return cls(errors=min(bend, 1.0) * ends[:, :1])
         if not clear.any() or np.abs(off).max() > 1.0:  # no stick deviates that far
             return cls()
         # What the terms left out, and those beyond the last, may add: as much as the last one.
         unknown = np.where(clear & (np.arange(2, 5) < 4), standard, np.abs(middle))
         # Sticks may bend by different amounts: as far as their curvatures scatter more than noise explains.
-        count = np.bincount(row)
-        noise = np.bincount(row, residual**2) / np.maximum(count - 5, 1) / count / rise[some] ** 2
-        white = (2 * np.arange(2, 5) + 1) * np.median(noise)
         differ = (not alike) & (scatter**2 > white * (1 + settings.alike_sigmas / np.sqrt(some.size)))
         unknown = np.sqrt(unknown**2 + np.where(differ, scatter**2 - white, 0))
         difference = ends[1] - ends[0]
