@@ -198,6 +198,21 @@ def test_a_few_bent_sticks_have_larger_errors(seed: int) -> None:
     assert np.mean(np.abs(right["F_v_N"] - truth["F_v_N"]) < 1.5 * right["F_v_err_N"]) > 0.6
 
 
+def test_a_rounded_peak_before_the_slip_is_in_the_error_of_the_stick_length() -> None:
+    """A failure means that the sticks of a block that creeps before it slips, whose load is highest before
+    the fall, are too long by several errors."""
+    time = np.arange(0, 60, 0.002)
+    phase = time % 1.0
+    # Rises to the peak at 0.95, where it is level; creeps down to 0.99, and falls in 10 ms.
+    load = np.where(phase < 0.9, phase, 0.9 + 0.05 * np.sin(np.pi / 2 * (phase - 0.9) / 0.05))
+    load = 100 + 50 * np.where(phase < 0.99, load, 0.95 * (1 - (phase - 0.99) / 0.01))
+    load += np.random.default_rng(0).normal(0, 0.05, time.size)
+    events = find_stick_slip(recording(time, load, 13 + time / 60, 1.0))
+    off = events["stick_length_um"] - 0.95 / 60 * 1e3
+    assert (off > 0).mean() > 0.9
+    assert np.median(np.abs(off) / events["stick_length_err_um"]) < 2
+
+
 def test_doubts_about_a_force_over_a_weight_are_in_no_newton() -> None:
     """A failure means that the same number is newtons in a warning and a share of the weight beside it."""
     test = plain(sticks=40, snr=50)

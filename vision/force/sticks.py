@@ -103,7 +103,8 @@ def measure_sticks(
     off, lost = _position_errors(signal, corners, filter_known)
     lost = np.fmin(lost, filter_length(signal, corners, extremes, settings) / np.sqrt(2))
     error = _corner_errors(signal, sticks, ends, force, _beside(off), _beside(lost))
-    relative = np.hypot(*_beside(off)) / np.where(samples == 0, np.nan, samples)
+    apart = np.hypot(*np.hypot(_beside(off), _rounded(sticks, ends, force, extremes)))
+    relative = apart / np.where(samples == 0, np.nan, samples)
     table = pd.DataFrame(
         {
             "event": np.arange(samples.size),
@@ -187,6 +188,18 @@ def _position_errors(signal: Signal, corners: Corners, filter_known: bool) -> tu
     lengthened = lengthened | (signal.alike > 1) | (apart > 2)
     part = np.where(lengthened, length / np.sqrt(2), 0)
     return np.hypot(corners.error * apart, part), part
+
+
+def _rounded(sticks: _Sticks, ends: _Ends, force: Floats, extremes: Extremes) -> Floats:
+    """Return by how many samples rounding may move valley and peak, (2, stick), from the slips' corners.
+
+    The load of a block that creeps before it slips is highest earlier, below the stick line. The extreme
+    that was recorded shows how far, but for noise; no further than the line rises by what was cut off.
+    """
+    away = np.abs(np.stack([extremes.valley[:-1], extremes.peak[1:]]) - sticks.position)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cut_off = np.abs(force - ends.force) / ends.rise
+    return np.where(sticks.slow | (sticks.lag > 0), 0.0, np.fmin(away, np.nan_to_num(cut_off)))
 
 
 def filter_length(signal: Signal, corners: Corners, extremes: Extremes, settings: ForceSettings) -> float:
