@@ -17,7 +17,7 @@ from vision.data import (
     StickMetadata,
     changed_settings,
     joined_flags,
-    load_unit,
+    load_unit_text,
     record,
 )
 from vision.errors import InputError, check_positive, check_within
@@ -129,9 +129,10 @@ def find_stick_slip(
     calm = _without_ringing(signal, swing_s, threshold_N, settings)
     ringing_s = swing_s if calm else math.nan
     seconds = _average(average_s, ringing_s, lowpass_s)
-    known = calm if seconds == ringing_s else None  # what was searched to tell ringing is not searched again
+    # What was searched to tell ringing, or smooth noise, is not searched again.
+    known, lowpass = calm if seconds == ringing_s else None, None
     if not seconds:
-        known = _slips_in_smooth_noise(signal, threshold_N, lowpass_s, settings)
+        known, lowpass = _slips_in_smooth_noise(signal, threshold_N, lowpass_s, settings)
     signal = known[0] if known else signal.average(seconds, settings)
     still_rings = signal.averaged * signal.interval_s < 0.7 * ringing_s  # not where there is no ringing
     rings = _proposal(ringing_s) if still_rings else ""
@@ -141,17 +142,17 @@ def find_stick_slip(
         raise _too_few_slips(signal, slips, source, rings)
     period_s = slips.period * signal.interval_s
     _check_lowpass(lowpass_s, period_s, source)
-    analysis = _analyse_slips(signal, slips, lowpass_s, two_slopes, settings)
+    analysis = _analyse_slips(signal, slips, lowpass_s, two_slopes, settings, lowpass)
     unloading = is_unloading(signal.travel, analysis.extremes)
     events, shares = _measure(signal, analysis, 1 / (machine_stiffness_N_per_mm or np.inf), settings)
     _check_direction(events, unloading, source)
     events = events.assign(flag=_all_flags(events, analysis, unloading, signal, slips, settings))
-    unit = "of the weight" if load_unit(force) == "1" else "N"
+    unit = load_unit_text(force)
     swings_s = math.nan if calm else swing_s
     warnings = doubts(events, analysis.regime, signal, slips, unit, rings, swings_s, settings)
     if threshold_N is None and analysis.regime.name == "stick-slip" and not (rings or signal.averaged):
         warnings += _missed_warnings(signal, slips, analysis, unit, settings)
-    metadata = _metadata(signal, slips, analysis, shares, warnings, settings)
+    metadata = _metadata(signal, slips, analysis, shares, warnings)
     metadata = replace(
         metadata,
         warnings=[*warnings, *_filter_warnings(events, analysis, metadata, settings)],
@@ -193,25 +194,26 @@ def _without_ringing(
 
 def _slips_in_smooth_noise(
     signal: Signal, threshold_N: float | None, lowpass_s: float | str, settings: ForceSettings
-) -> tuple[Signal, Slips] | None:
+) -> tuple[tuple[Signal, Slips] | None, Lowpass | None]:
     """Return the samples as far apart as a filter has smoothed the noise, and the slips in them.
 
     Samples between add nothing, and noise that is white is told from slips. All samples are returned, with
-    this noise, where a low-pass is given or the transients after slips show one, which need them. None where
-    samples are not alike, or where too few would be left in a stick.
+    this noise, where a low-pass is given or the transients after slips show one, which need them; one that
+    they show is returned as well. None where samples are not alike, or where too few would be left in a
+    stick.
     """
     every = smoothed_samples(signal.clean, settings)
     if every == 1:
-        return None
+        return None, None
     thin, slips = _slips(signal.thinned(every, settings), threshold_N, settings)
     if slips.edge.size < 2 or slips.period <= 3 * settings.few_samples:
-        return None
+        return None, None
     fine = slips.in_every_sample(signal.clean, every)
     full = signal.with_noise_of(thin)
-    given = not isinstance(lowpass_s, str) and lowpass_s > 0
-    if given or find_lowpass(full, fine, find_corners(full, fine, settings=settings), settings).samples:
-        return full, fine
-    return thin, slips
+    if not isinstance(lowpass_s, str) and lowpass_s > 0:
+        return (full, fine), None
+    found = find_lowpass(full, fine, find_corners(full, fine, settings=settings), settings)
+    return ((full, fine), found) if found.samples else ((thin, slips), None)
 
 
 def _proposal(ringing_s: float) -> str:
@@ -348,9 +350,17 @@ class _SlipAnalysis:
 
 
 def _analyse_slips(
-    signal: Signal, slips: Slips, lowpass_s: float | str, two_slopes: bool | None, settings: ForceSettings
+    signal: Signal,
+    slips: Slips,
+    lowpass_s: float | str,
+    two_slopes: bool | None,
+    settings: ForceSettings,
+    lowpass: Lowpass | None,
 ) -> _SlipAnalysis:
-    """Find corners, extremes, knees and the regime, and decide which low-pass to correct for."""
+    """Find corners, extremes, knees and the regime, and decide which low-pass to correct for.
+
+    lowpass: the one that sticks without knees show, if it was looked for.
+    """
     given = 0.0 if isinstance(lowpass_s, str) else lowpass_s / signal.interval_s
     bent = _have_knees(signal, slips, given, settings) if two_slopes is None else two_slopes
     corners = find_corners(signal, slips, two_slopes=bent, settings=settings)
@@ -360,7 +370,7 @@ def _analyse_slips(
         extremes = _without_average(extremes, signal, slips, settings)
     found = Lowpass()
     if not given and not signal.averaged and regime.name == "stick-slip":
-        found = find_lowpass(signal, slips, corners, settings)
+        found = lowpass if lowpass and not bent else find_lowpass(signal, slips, corners, settings)
         if found.samples and not bent and two_slopes is None:
             # The transients of the low-pass may hide the knees.
             bent = _have_knees(signal, slips, found.samples, settings)
@@ -518,10 +528,21 @@ def _measure(
     """
     corners, found = analysis.corners, analysis.found
     known = bool(corners.lowpass or found.proven or signal.averaged)
-    events = measure_sticks(signal, corners, analysis.extremes, compliance, settings, filter_known=known)
+    events = measure_sticks(
+        signal,
+        corners,
+        analysis.extremes,
+        compliance,
+        settings,
+        lengthened=analysis.lengthened,
+        filter_known=known,
+    )
     if corners.lowpass or found.corners is None:
         return events, {}
-    other = measure_sticks(signal, found.corners, analysis.extremes, compliance, settings)
+    lengthened = filter_length(signal, found.corners, analysis.extremes, settings)
+    other = measure_sticks(
+        signal, found.corners, analysis.extremes, compliance, settings, lengthened=lengthened
+    )
     return _with_bias(events, other), _lowpass_shares(events, other)
 
 
@@ -591,7 +612,6 @@ def _metadata(
     analysis: _SlipAnalysis,
     shares: dict[str, float],
     warnings: list[str],
-    settings: ForceSettings,
 ) -> StickMetadata:
     """Return what later stages need to know of the slips and of the low-pass."""
     tau, found, peak = analysis.corners.lowpass, analysis.found, analysis.corners.peak

@@ -72,12 +72,14 @@ def measure_sticks(
     compliance: float,
     settings: ForceSettings,
     *,
+    lengthened: float,
     filter_known: bool = True,
 ) -> pd.DataFrame:
     """Return the columns of `vision.data.STICKS` that are measured on each stick.
 
     One row per stick, from the valley after slip j to the peak before slip j + 1. `corners` and `extremes`
     are in samples: peak[j] begins slip j, valley[j] ends it. `compliance` is that of the machine, mm/N.
+    `lengthened`: the `filter_length` of these corners.
     `filter_known`: the low-pass of the load is known, so that longer slips are not due to another filter.
     """
     slow = is_slow(corners, settings)
@@ -101,7 +103,7 @@ def measure_sticks(
     (f_v, f_p), (t_v, t_p), (d_v, d_p) = force, time, d
     t_next = signal.time_at(valley[1:])
     off, lost = _position_errors(signal, corners, filter_known)
-    lost = np.fmin(lost, filter_length(signal, corners, extremes, settings) / np.sqrt(2))
+    lost = np.fmin(lost, lengthened / np.sqrt(2))
     error = _corner_errors(signal, sticks, ends, force, _beside(off), _beside(lost))
     apart = np.hypot(*np.hypot(_beside(off), _rounded(sticks, ends, force, extremes)))
     relative = apart / np.where(samples == 0, np.nan, samples)
