@@ -9,7 +9,7 @@ export class Displacement {
   constructor(canvas, view, tiles, page) {
     this.view = view; this.tiles = tiles; this.page = page; this.which = "near";
     this.surface = new Surface(canvas, { left: 58, right: 8, top: 4, bottom: 6 }, (s, c, colour) => this.draw(s, c, colour));
-    alongTime(canvas, this.surface, view);
+    alongTime(this.surface, view);
   }
 
   redraw() { this.surface.redraw(); }
@@ -81,35 +81,19 @@ function joined(blocks, view) {
 }
 
 /** Wheel, drag and click of a picture that has time along x. */
-function alongTime(canvas, surface, view, { grab = () => null } = {}) {
-  let held = null;
-  const frame = (x) => view.first + ((x - surface.left) * (view.last - view.first)) / surface.plotWidth;
-  canvas.addEventListener("pointerdown", (event) => {
-    if (event.button !== 0) return;
-    const p = surface.pointer(event);
-    held = { x: p.x, first: view.first, last: view.last, moved: false, tool: grab() };
-    canvas.setPointerCapture(event.pointerId);
+function alongTime(surface, view, grab = () => null) {
+  const frame = (p) => view.first + ((p.x - surface.left) * (view.last - view.first)) / surface.plotWidth;
+  surface.handle({
+    begin: () => ({ first: view.first, last: view.last, tool: grab() }),
+    drag: (held, dx) => {
+      const frames = (dx * (held.last - held.first)) / surface.plotWidth;
+      if (held.tool) held.tool(view.seconds(view.first + frames) - view.seconds(view.first));
+      else view.setFrames(held.first - frames, held.last - frames);
+    },
+    click: (p) => view.goTo(Math.floor(frame(p))),
+    whole: () => view.whole(),
+    zoom: (factor, p) => view.zoomFrames(factor, frame(p)),
   });
-  canvas.addEventListener("pointermove", (event) => {
-    if (!held) return;
-    const dx = surface.pointer(event).x - held.x;
-    if (!held.moved && Math.abs(dx) < 4) return;
-    held.moved = true;
-    const frames = (dx * (held.last - held.first)) / surface.plotWidth;
-    if (held.tool) held.tool(view.seconds(view.first + frames) - view.seconds(view.first));
-    else view.setFrames(held.first - frames, held.last - frames);
-  });
-  canvas.addEventListener("pointerup", (event) => {
-    const was = held;
-    held = null;
-    if (was && !was.moved) view.goTo(Math.floor(frame(surface.pointer(event).x)));
-  });
-  canvas.addEventListener("pointercancel", () => { held = null; });
-  canvas.addEventListener("dblclick", () => view.whole());
-  canvas.addEventListener("wheel", (event) => {
-    event.preventDefault();
-    view.zoomFrames(1.0018 ** ((event.deltaY || event.deltaX) * (event.deltaMode ? 30 : 1)), frame(surface.pointer(event).x));
-  }, { passive: false });
 }
 
 /** The force recording on its own clock: coarse as a whole at once, finer where it is looked at. */
@@ -137,7 +121,7 @@ export class Force {
   constructor(canvas, view, page) {
     this.view = view; this.page = page;
     this.surface = new Surface(canvas, { left: 58, right: 8, top: 4, bottom: 20 }, (s, c, colour) => this.draw(s, c, colour));
-    alongTime(canvas, this.surface, view, { grab: () => view.tool?.slide?.() ?? null });
+    alongTime(this.surface, view, () => view.tool?.slide?.() ?? null);
   }
 
   redraw() { this.surface.redraw(); }

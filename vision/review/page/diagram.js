@@ -1,9 +1,8 @@
 /* The space-time diagram: tiles from the server, tracks upon them, zoom and pan. */
 
 import { getBytes, getImage, Store } from "./server.js";
-import { edged, line, ON_GREY, Surface, timeAxis, timeCursor } from "./surface.js";
+import { edged, line, NEAR_PX, ON_GREY, Surface, timeAxis, timeCursor } from "./surface.js";
 
-const NEAR_PX = 14; // a click this near to a track chooses its sheet
 const BESIDE = 0.25; // of the range shown is drawn beside it, too, while it moves
 const STRETCH = 1.5; // so far a drawing of the tracks is stretched before they are drawn anew
 const WAIT_MS = 150; // so long tracks that have arrived wait to be drawn while the range moves
@@ -147,7 +146,7 @@ export class Diagram {
     this.view = view; this.tiles = tiles; this.page = page; this.tracksShown = true;
     this.sketch = null; // the tracks as drawn last while the range moves
     this.surface = new Surface(canvas, { left: 58, right: 8, top: 4, bottom: 20 }, (s, c, colour) => this.draw(s, c, colour));
-    this.listen(canvas);
+    this.listen();
   }
 
   redraw() { this.surface.redraw(); }
@@ -298,42 +297,28 @@ export class Diagram {
     return best;
   }
 
-  listen(canvas) {
-    const { view, surface: s } = this;
-    let held = null;
-    canvas.addEventListener("pointerdown", (event) => {
-      if (event.button !== 0) return;
-      const p = s.pointer(event);
-      held = { ...p, first: view.first, last: view.last, low: view.low, high: view.high, moved: false };
-      canvas.setPointerCapture(event.pointerId);
+  listen() {
+    const { view } = this;
+    this.surface.handle({
+      begin: () => ({ first: view.first, last: view.last, low: view.low, high: view.high }),
+      drag: (held, dx, dy) => {
+        const at = this.places();
+        view.setFrames(held.first - dx / at.perFrame, held.last - dx / at.perFrame);
+        view.setColumns(held.low + dy / at.perColumn, held.high + dy / at.perColumn);
+      },
+      click: (p) => {
+        const at = this.places(), frame = Math.floor(at.frame(p.x)), column = at.column(p.y);
+        view.goTo(frame);
+        if (view.tool?.pick?.({ frame: view.frame, column })) return;
+        const sheet = this.nearest(frame, column, NEAR_PX / at.perColumn);
+        if (sheet >= 0) view.choose(sheet);
+      },
+      whole: () => view.whole(),
+      zoom: (factor, p, event) => {
+        const at = this.places();
+        if (event.ctrlKey || !event.shiftKey) view.zoomFrames(factor, at.frame(p.x));
+        if (event.ctrlKey || event.shiftKey) view.zoomColumns(factor, at.column(p.y));
+      },
     });
-    canvas.addEventListener("pointermove", (event) => {
-      if (!held) return;
-      const p = s.pointer(event), dx = p.x - held.x, dy = p.y - held.y;
-      if (!held.moved && Math.hypot(dx, dy) < 4) return;
-      held.moved = true;
-      const at = this.places();
-      view.setFrames(held.first - dx / at.perFrame, held.last - dx / at.perFrame);
-      view.setColumns(held.low + dy / at.perColumn, held.high + dy / at.perColumn);
-    });
-    canvas.addEventListener("pointerup", (event) => {
-      const was = held;
-      held = null;
-      if (!was || was.moved) return;
-      const p = s.pointer(event), at = this.places(), frame = Math.floor(at.frame(p.x)), column = at.column(p.y);
-      view.goTo(frame);
-      if (view.tool?.pick?.({ frame: view.frame, column })) return;
-      const sheet = this.nearest(frame, column, NEAR_PX / at.perColumn);
-      if (sheet >= 0) view.choose(sheet);
-    });
-    canvas.addEventListener("pointercancel", () => { held = null; });
-    canvas.addEventListener("dblclick", () => view.whole());
-    canvas.addEventListener("wheel", (event) => {
-      event.preventDefault();
-      const p = s.pointer(event), at = this.places();
-      const factor = 1.0018 ** ((event.deltaY || event.deltaX) * (event.deltaMode ? 30 : 1));
-      if (event.ctrlKey || !event.shiftKey) view.zoomFrames(factor, at.frame(p.x));
-      if (event.ctrlKey || event.shiftKey) view.zoomColumns(factor, at.column(p.y));
-    }, { passive: false });
   }
 }

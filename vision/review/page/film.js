@@ -1,7 +1,7 @@
 /* The film at the chosen frame, with the strip, the sheets' ridges and their numbers. */
 
 import { getImage, Store } from "./server.js";
-import { colours, edged, line, ON_GREY, Surface, wrapped } from "./surface.js";
+import { colours, edged, line, NEAR_PX, ON_GREY, Surface, wrapped } from "./surface.js";
 
 export class Film {
   constructor(canvas, view, page) {
@@ -9,7 +9,7 @@ export class Film {
     this.pictures = new Store((frame) => getImage(`api/frame/${frame}.png`), () => this.redraw(), 24);
     this.surface = new Surface(canvas, { left: 58, right: 8, top: 4, bottom: 4 }, (s, c) => this.draw(s, c));
     this.shown = null; // the last picture that arrived, shown while the next is on its way
-    this.listen(canvas);
+    this.listen();
   }
 
   redraw() { this.surface.redraw(); }
@@ -131,40 +131,29 @@ export class Film {
     s.font();
   }
 
-  listen(canvas) {
-    const { surface: s, view } = this;
-    let held = null;
-    canvas.addEventListener("pointerdown", (event) => {
-      if (event.button !== 0) return;
-      const p = s.pointer(event), at = this.places();
-      held = { ...p, low: view.low, high: view.high, moved: false, tool: null };
-      if (view.tool?.grab?.({ row: at.row(p.y), column: at.column(p.x), near: (value, other, axis) => Math.abs(value - other) * (axis === "row" ? at.perRow : at.perColumn) < 9 })) held.tool = view.tool;
-      canvas.setPointerCapture(event.pointerId);
+  listen() {
+    const { view } = this;
+    this.surface.handle({
+      begin: (p) => {
+        const at = this.places();
+        const near = (value, other, axis) => Math.abs(value - other) * (axis === "row" ? at.perRow : at.perColumn) < 9;
+        const grabbed = view.tool?.grab?.({ row: at.row(p.y), column: at.column(p.x), near });
+        return { low: view.low, high: view.high, tool: grabbed ? view.tool : null };
+      },
+      drag: (held, dx, dy, p) => {
+        const at = this.places();
+        if (held.tool) held.tool.drag({ row: at.row(p.y), column: at.column(p.x) });
+        else view.setColumns(held.low - dx / at.perColumn, held.high - dx / at.perColumn);
+      },
+      drop: (held) => held.tool?.drop?.(),
+      click: (p) => {
+        const at = this.places(), column = at.column(p.x);
+        if (view.tool?.pick?.({ frame: view.frame, column })) return;
+        const sheet = this.page.nearest(view.frame, column, NEAR_PX / at.perColumn);
+        if (sheet >= 0) view.choose(sheet);
+      },
+      whole: () => view.setColumns(view.left, view.right),
+      zoom: (factor, p) => view.zoomColumns(factor, this.places().column(p.x)),
     });
-    canvas.addEventListener("pointermove", (event) => {
-      if (!held) return;
-      const p = s.pointer(event), at = this.places(), dx = p.x - held.x;
-      if (!held.moved && Math.hypot(dx, p.y - held.y) < 4) return;
-      held.moved = true;
-      if (held.tool) held.tool.drag({ row: at.row(p.y), column: at.column(p.x) });
-      else view.setColumns(held.low - dx / at.perColumn, held.high - dx / at.perColumn);
-    });
-    canvas.addEventListener("pointerup", (event) => {
-      const was = held;
-      held = null;
-      if (!was) return;
-      if (was.tool) { was.tool.drop?.(); if (was.moved) return; }
-      if (was.moved) return;
-      const at = this.places(), column = at.column(s.pointer(event).x);
-      if (view.tool?.pick?.({ frame: view.frame, column })) return;
-      const sheet = this.page.nearest(view.frame, column, 14 / at.perColumn);
-      if (sheet >= 0) view.choose(sheet);
-    });
-    canvas.addEventListener("pointercancel", () => { held = null; });
-    canvas.addEventListener("dblclick", () => view.setColumns(view.left, view.right));
-    canvas.addEventListener("wheel", (event) => {
-      event.preventDefault();
-      view.zoomColumns(1.0018 ** ((event.deltaY || event.deltaX) * (event.deltaMode ? 30 : 1)), this.places().column(s.pointer(event).x));
-    }, { passive: false });
   }
 }

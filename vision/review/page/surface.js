@@ -2,6 +2,7 @@
 
 const COLOURS = ["text", "soft", "line", "grid", "accent", "left", "right", "doubt", "new", "cursor", "card", "warn", "good"];
 export const ON_GREY = { left: "#45b4ff", right: "#ff9a3d", chosen: "#ffffff", doubt: "#ff6fb5", new: "#4dffb8", strip: "#ff9a3d", axis: "#ffffff", casing: "rgba(0,0,0,0.75)" };
+export const NEAR_PX = 14; // a click this near to a sheet chooses it
 const FONT = "px system-ui, 'Segoe UI', Roboto, 'Helvetica Neue', sans-serif";
 
 let palette = null;
@@ -68,6 +69,41 @@ export class Surface {
 
   /** Where the pointer is, px in the canvas. */
   pointer(event) { return { x: event.offsetX, y: event.offsetY }; }
+
+  /**
+   * The pointer's actions, `p` being its place: begin(p) returns what a drag starts from; drag(held, dx, dy, p);
+   * click(p, held), after less than 4 px; drop(held), at the end of both; whole(), a double click; zoom(factor, p, event).
+   */
+  handle({ begin, drag, click, drop = () => {}, whole, zoom }) {
+    const { canvas } = this;
+    let held = null;
+    canvas.addEventListener("pointerdown", (event) => {
+      if (event.button !== 0) return;
+      const p = this.pointer(event);
+      held = { ...p, moved: false, ...begin(p) };
+      canvas.setPointerCapture(event.pointerId);
+    });
+    canvas.addEventListener("pointermove", (event) => {
+      if (!held) return;
+      const p = this.pointer(event), dx = p.x - held.x, dy = p.y - held.y;
+      if (!held.moved && Math.hypot(dx, dy) < 4) return;
+      held.moved = true;
+      drag(held, dx, dy, p);
+    });
+    canvas.addEventListener("pointerup", (event) => {
+      const was = held;
+      held = null;
+      if (!was) return;
+      drop(was);
+      if (!was.moved) click(this.pointer(event));
+    });
+    canvas.addEventListener("pointercancel", () => { held = null; });
+    canvas.addEventListener("dblclick", whole);
+    canvas.addEventListener("wheel", (event) => {
+      event.preventDefault();
+      zoom(1.0018 ** ((event.deltaY || event.deltaX) * (event.deltaMode ? 30 : 1)), this.pointer(event), event);
+    }, { passive: false });
+  }
 
   frame() {
     const c = this.context;
