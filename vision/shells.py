@@ -85,9 +85,11 @@ def classify_sheets(
     return record(classified, "classify_sheets", threshold=threshold, settings=changed_settings(settings))
 
 
-def deformation_table(motion: xr.Dataset, *, threshold: float = STIFF_BELOW) -> pd.DataFrame:
+def deformation_table(
+    motion: xr.Dataset, *, threshold: float = STIFF_BELOW, settings: ShellSettings = ShellSettings()
+) -> pd.DataFrame:
     """Return the table of `deformation.csv`: one row per event and sheet, in this order."""
-    classified = classify_sheets(motion, threshold=threshold).rename(sheet="index")
+    classified = classify_sheets(motion, threshold=threshold, settings=settings).rename(sheet="index")
     names = ["side", "n", "sigma_x_um", "sigma_x_corrected_um", "sweep_um", "stick_length_um"]
     names += ["ratio", "ratio_err", "p_stiff", "shell", "frames", "flag"]
     table = classified.reset_coords()[names].to_dataframe(dim_order=["event", "index"])

@@ -6,6 +6,7 @@ import threading
 
 import h5py
 import numpy as np
+import pandas as pd
 import pytest
 import tifffile
 import xarray as xr
@@ -13,7 +14,7 @@ import xarray as xr
 from tests.scenes import analysed
 from vision.errors import InputError
 from vision.figures import drawing
-from vision.pipeline import Analysis, Settings
+from vision.pipeline import Analysis, Settings, Tuning
 from vision.run import Origin, provenance, tables, write_run, writing
 from vision.run.tables import (
     frame_step_s,
@@ -22,12 +23,24 @@ from vision.run.tables import (
     write_kymograph_tif,
     write_space_time_tif,
 )
+from vision.shells import ShellSettings
 
 
 @pytest.fixture(scope="module")
 def found():
     seen = analysed.video_only()
     return Analysis(settings=Settings(), strip=seen.strip, tracks=seen.tracks)
+
+
+def test_the_table_of_the_deformation_has_the_run_s_own_certainty(pulled, tmp_path):
+    """A failure means that deformation.csv calls sheets stiff at another certainty than shells.csv."""
+    undetermined, usual = [], float(pulled.motion["ratio"].median())
+    for certainty in (0.9, 0.9999):
+        settings = Settings(threshold=usual, tuning=Tuning(shells=ShellSettings(certainty=certainty)))
+        folder = tmp_path / f"{certainty}"
+        write_run(Analysis(settings=settings, motion=pulled.motion), folder, Origin(command="track"))
+        undetermined.append((pd.read_csv(folder / "deformation.csv")["shell"] == "undetermined").sum())
+    assert undetermined[0] < undetermined[1]
 
 
 def test_tracks_nc_is_not_taken_for_a_strip(found, tmp_path):

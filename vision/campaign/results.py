@@ -184,12 +184,13 @@ def write_partitions(out: Path, film: str, analysis: Analysis) -> None:
 
     Raises: InputError.
     """
-    tracks, motion, threshold = analysis.tracks, analysis.motion, analysis.threshold
+    tracks, motion = analysis.tracks, analysis.motion
+    how: dict[str, Any] = {"threshold": analysis.threshold, "settings": analysis.settings.tuning.shells}
     columns = () if tracks is None else columns_in_parts(tracks, analysis.pixel_size_um)
     parts: dict[str, Iterable[pd.DataFrame]] = {
         "sheets": () if tracks is None else [sheets_table(tracks)],
         "sticks": () if analysis.sticks is None else [analysis.sticks],
-        "deformation": () if motion is None else [deformation_table(motion, threshold=threshold)],
+        "deformation": () if motion is None else [deformation_table(motion, **how)],
         "positions": map(pd.DataFrame, columns),
     }
     for name, tables in parts.items():

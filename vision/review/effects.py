@@ -244,8 +244,9 @@ class Effects:
                 why = "This stick phase does not lie wholly within the film."
                 return {"sheets": [], "shells": [], "reason": why}
             one = motion.sel(event=[near.event])
-            sheets = classify_sheets(one, threshold=settings.threshold).isel(event=0)
-            shells = classify_shells(one, threshold=settings.threshold, settings=settings.tuning.shells)
+            how: dict[str, Any] = {"threshold": settings.threshold, "settings": settings.tuning.shells}
+            sheets = classify_sheets(one, **how).isel(event=0)
+            shells = classify_shells(one, **how)
         except InputError as error:
             return _unknown(error)
         names = ("side", "n", "ratio", "ratio_err", "shell", "flag")

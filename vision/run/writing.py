@@ -227,7 +227,8 @@ def _write_tables(analysis: Analysis, folder: Path, origin: Origin) -> None:
     if analysis.clock is not None:
         write_json(origin.worded(analysis.clock), folder / "clock.json")
     if analysis.motion is not None:
-        table = deformation_table(analysis.motion, threshold=analysis.threshold)
+        tuning = analysis.settings.tuning.shells
+        table = deformation_table(analysis.motion, threshold=analysis.threshold, settings=tuning)
         write_csv(table, folder / "deformation.csv")
     if analysis.shells is not None:
         write_csv(analysis.shells, folder / "shells.csv")
