@@ -16,6 +16,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Self
 
 import numpy as np
+import scipy
 from numpy.lib.stride_tricks import sliding_window_view
 
 from vision.clock.settings import ClockSettings
@@ -56,22 +57,11 @@ class SlipSizes:
 
 def _subtract_trend(values: Floats, settings: ClockSettings) -> Floats:
     """Values minus a straight line (Theil and Sen's) and, in long series, minus a running median."""
-    slope, intercept = _theil_sen(values)
+    every = 1 + len(values) // 1001  # the number of pairs, whose slopes are compared, grows with the square
+    slope, intercept, *_ = scipy.stats.theilslopes(values[::every], np.arange(len(values))[::every])
     residual = values - intercept - slope * np.arange(len(values))
     window = settings.size_trend_slips
     return residual - running_median(residual, window) if len(residual) >= 2 * window else residual
-
-
-def _theil_sen(values: Floats, most: int = 1000) -> tuple[float, float]:
-    """Median of the slopes between all pairs, and the intercept through the medians.
-
-    Of more than `most` values some are left out evenly, since the number of pairs grows with the square.
-    """
-    every = 1 + len(values) // (most + 1)
-    index, values = np.arange(len(values), dtype=float)[::every], values[::every]
-    later, earlier = np.tril_indices(len(values), -1)
-    slope = float(np.median((values[later] - values[earlier]) / (index[later] - index[earlier])))
-    return slope, float(np.median(values) - slope * np.median(index))
 
 
 @dataclass(frozen=True)
