@@ -19,7 +19,7 @@ import pandas as pd
 from vision.data import whole_events
 from vision.errors import InputError, check_kind
 from vision.files import AGAIN, check_regular, reading, shortened
-from vision.models.single_fits import with_fitted_stiffness
+from vision.models.single_fits import NEEDED, complete_events, with_fitted_stiffness
 from vision.numeric import Floats, number
 from vision.run import RunFolder, is_run, read_run
 from vision.run.provenance import checksum_of
@@ -29,7 +29,6 @@ from vision.sample import PUBLISHED, Sample
 COLUMNS = ("run", "sample", "V_mm_min", "n_test", "RH_percent", "T_C")
 Row = Mapping[Hashable, Any]  # cells of one row of the table, by column
 LIMITS = {"V_mm_min": (1e-6, 1e4), "n_test": (0.0, 1e6), "RH_percent": (0.0, 100.0), "T_C": (-90.0, 200.0)}
-_NEEDED = ("d_v_mm", "d_p_mm", "F_p_N", "dF_N", "K_N_per_mm")
 # Usual names of the columns. A message about an unknown column suggests the nearest of them.
 ALIKE = {
     "run": "run", "name": "run", "folder": "run", "file": "run", "test": "run",
@@ -314,27 +313,24 @@ def _events(run: RunFolder, sample: Sample) -> pd.DataFrame:
     if "flag" in table:
         table = table.assign(flag=table["flag"].fillna("ok"))
     table = with_fitted_stiffness(table)
-    if absent := [name for name in _NEEDED if name not in table]:
-        raise InputError(path, f"columns {', '.join(_NEEDED)}", f"no {', '.join(absent)}")
-    values = table[list(_NEEDED)].to_numpy(float)
-    complete = np.isfinite(values).all(axis=1) & (values[:, 3:] > 0).all(axis=1)
-    within = (values[:, 0] > 0) & (values[:, 1] < sample.length_mm)
+    if absent := [name for name in NEEDED if name not in table]:
+        raise InputError(path, f"columns {', '.join(NEEDED)}", f"no {', '.join(absent)}")
+    complete, d = complete_events(table), table[["d_v_mm", "d_p_mm"]].to_numpy(float)
+    within = (d[:, 0] > 0) & (d[:, 1] < sample.length_mm)
     if complete.any() and not within[complete].any():
-        low, high = values[complete, :2].min(), values[complete, :2].max()
+        low, high = d[complete].min(), d[complete].max()
         wanted = f"separations between 0 and the length of the sheets, {sample.length_mm:g} mm"
         advice = "run track again with the right `d0_mm` in mm"
         raise InputError(path, wanted, f"d from {low:.4g} to {high:.4g} mm", advice)
     complete &= within
-    if "flag" in table:
-        complete &= whole_events(table["flag"])
     if complete.sum() < 6:
         raise InputError(
             path,
             "at least 6 whole events with d, F_p, dF and K",
             f"{complete.sum()} of {len(table)}{_flags_of_others(table)}",
-            "run track again with `d0_mm`" if np.isnan(values[:, :2]).all() else "",
+            "run track again with `d0_mm`" if np.isnan(d).all() else "",
         )
-    low, high = float(values[complete, 0].min()), float(values[complete, 0].max())
+    low, high = float(d[complete, 0].min()), float(d[complete, 0].max())
     if high - low < 0.01:  # too small a range to see anything change with d
         raise InputError(path, "events over a range of separations", f"d from {low:.4g} to {high:.4g} mm")
     ordered: pd.DataFrame = table[complete].sort_values("d_v_mm", ignore_index=True)

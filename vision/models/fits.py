@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vision.data import FORCE, ForceMetadata, StickMetadata, load_unit, whole_events
+from vision.data import FORCE, ForceMetadata, StickMetadata, load_unit
 from vision.errors import InputError, check_kind, check_positive, shown
 from vision.force.corners import AVERAGE_ERROR
 from vision.force.signal import slope_error_of_steps, step_between
@@ -22,12 +22,14 @@ from vision.models import equations
 from vision.models.single_fits import (
     DEFAULT,
     FIT_ERRORS,
+    NEEDED,
     PARAMETERS,
     SLOW_MM_MIN,
     Estimate,
     Fit,
     FitSettings,
     ModelFits,
+    complete_events,
     fit_drops,
     fit_peaks,
     fit_stiffness,
@@ -236,15 +238,10 @@ def _misread_lengths(fits: ModelFits, events: pd.DataFrame, given: _Given, force
 
 def _complete_events(sticks: pd.DataFrame, given: _Given, force: xr.Dataset) -> pd.DataFrame:
     """Return the complete events with all that the fits need; raise InputError if they are too few."""
-    needed = ["d_v_mm", "d_p_mm", "F_p_N", "dF_N", "K_N_per_mm"]
-    if absent := [name for name in needed if name not in sticks]:
-        raise InputError("the force recording", f"columns {', '.join(needed)}", f"no {', '.join(absent)}")
-    events: pd.DataFrame = with_fitted_stiffness(sticks)
-    complete = np.isfinite(events[needed].to_numpy(float)).all(axis=1)
-    complete &= (events["dF_N"] > 0) & (events["K_N_per_mm"] > 0)
-    if "flag" in events:
-        complete &= whole_events(events["flag"])
-    events = events[complete]
+    if absent := [name for name in NEEDED if name not in sticks]:
+        raise InputError("the force recording", f"columns {', '.join(NEEDED)}", f"no {', '.join(absent)}")
+    events = with_fitted_stiffness(sticks)
+    events = events[complete_events(events)]
     if len(events) < given.settings.least_events:
         d = force["d_mm"].values
         known = np.isfinite(d).any()

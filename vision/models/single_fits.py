@@ -376,6 +376,17 @@ def with_fitted_stiffness(events: pd.DataFrame) -> pd.DataFrame:
     return events.assign(**{name: events[after] for name, after in columns.items() if after in events})
 
 
+NEEDED = ("d_v_mm", "d_p_mm", "F_p_N", "dF_N", "K_N_per_mm")
+"""Columns of events that the fits use."""
+
+
+def complete_events(events: pd.DataFrame) -> Bools:
+    """Return which events are whole and have all that the fits use, with drop and stiffness above 0."""
+    complete: Bools = np.isfinite(events[list(NEEDED)].to_numpy(float)).all(axis=1)
+    complete &= (events[["dF_N", "K_N_per_mm"]].to_numpy(float) > 0).all(axis=1)
+    return complete & whole_events(events["flag"]) if "flag" in events else complete
+
+
 def stiffness_errors(events: pd.DataFrame) -> Floats:
     """Errors of K, with half the median error added in quadrature, so that no single event dominates."""
     error = np.full(len(events), np.nan)
