@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 import os
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from numbers import Integral, Real
 from typing import Any
@@ -96,6 +97,12 @@ def check_number(**values: Any) -> None:
 def counted(count: int, noun: str) -> str:
     """Return "1 film" or "2 films"."""
     return f"{count} {noun}{'s' * (count != 1)}"
+
+
+def did_you_mean(word: str, known: Iterable[str], cutoff: float = 0.6) -> str:
+    """Return "did you mean …?" with the known word most similar to this one; "" if none is."""
+    near = difflib.get_close_matches(word, known, n=1, cutoff=cutoff)
+    return f"did you mean {near[0]}?" if near else ""
 
 
 def shown(value: Any) -> str:

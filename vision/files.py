@@ -9,7 +9,6 @@ file in a separate process (`try_out`).
 from __future__ import annotations
 
 import contextlib
-import difflib
 import glob
 import itertools
 import json
@@ -28,7 +27,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from vision.errors import InputError
+from vision.errors import InputError, did_you_mean
 
 TIFF = {".tif", ".tiff"}
 """Suffixes of TIFF files, which hold one picture or a film."""
@@ -76,9 +75,8 @@ def no_such_file(path: Path, wanted: str) -> InputError:
         names = sorted(itertools.islice(os.listdir(path.parent), 10_000))  # noqa: PTH208 - names are enough
     stem = path.stem.casefold()
     alike = [name for name in names if Path(name).stem.casefold() == stem]
-    alike = alike or difflib.get_close_matches(path.name, names, n=1, cutoff=0.8)
-    advice = f"did you mean {alike[0]}?" if alike else "check the path, with quotes if it has spaces"
-    return InputError(path, wanted, "no such file", advice)
+    advice = f"did you mean {alike[0]}?" if alike else did_you_mean(path.name, names, 0.8)
+    return InputError(path, wanted, "no such file", advice or "check the path, with quotes if it has spaces")
 
 
 def check_pixels(path: Path, rows: int, columns: int) -> None:

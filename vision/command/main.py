@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import _thread
 import atexit
-import difflib
 import gc
 import logging
 import os
@@ -30,7 +29,7 @@ from vision.command.options import (
     VideoOptions,
 )
 from vision.command.review import review
-from vision.errors import InputError
+from vision.errors import InputError, did_you_mean
 from vision.files import MOST_PIXELS
 
 HELP = """Track every sheet of a stick-slip video to a hundredth of a pixel.
@@ -208,9 +207,9 @@ def _answer(arguments: Sequence[str]) -> Any:
 def _check_command(app: App, first: str) -> None:
     """Raise InputError if the first word is no file, and nearly a command."""
     commands = [name for name in app if not name.startswith("-")]
-    near = difflib.get_close_matches(first.lower(), commands, n=1, cutoff=0.7)
+    near = did_you_mean(first.lower(), commands, 0.7)
     if near and first not in commands and "." not in first and not os.path.lexists(first):
-        raise InputError(first, "a command or a video", "neither", f"did you mean {near[0]}?")
+        raise InputError(first, "a command or a video", "neither", near)
 
 
 def _stopped(kept: str = "") -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -14,7 +13,7 @@ from cyclopts import App, CycloptsError
 
 from vision.command.options import GROUPS, SETTINGS, flag_of, names_given, with_point
 from vision.data import PIXEL_SIZE_UM
-from vision.errors import InputError
+from vision.errors import InputError, did_you_mean
 from vision.files import AGAIN, read_toml, reading, shortened
 from vision.force import parse_columns
 from vision.numeric import number
@@ -120,9 +119,9 @@ def parse_option(source: Path, name: str, value: Any) -> Any:
     Raises: InputError for an unknown option, or a value that it does not accept.
     """
     if name not in SETTINGS:
-        near = difflib.get_close_matches(name, SETTINGS, n=1)
-        wanted = "options of track" if near else f"options of track ({', '.join(SETTINGS)})"
-        raise InputError(source, wanted, f"'{name}'", f"did you mean {near[0]}?" if near else "")
+        advice = did_you_mean(name, SETTINGS)
+        wanted = "options of track" if advice else f"options of track ({', '.join(SETTINGS)})"
+        raise InputError(source, wanted, f"'{name}'", advice)
     if not isinstance(value, str | int | float) or isinstance(value, bool):
         raise InputError(source, f"one value for '{name}'", f"a {type(value).__name__}")
     app = App(help_flags=(), version_flags=())
@@ -200,10 +199,10 @@ def parse_window(text: str, option: str) -> int | Literal["auto"]:
     return int(text)
 
 
-def at_least(value: float, option: str, least: float, kind: str = "a number") -> float:
+def at_least(value: float, option: str, least: float) -> float:
     """Return the number unchanged if it is finite and not below `least`.  Raises: InputError."""
     if not (least <= value < math.inf):
-        wanted = f"{kind} above 0" if 0 < least < 1e-6 else f"{kind} from {least:g}"
+        wanted = "a number above 0" if 0 < least < 1e-6 else f"a number from {least:g}"
         raise InputError(option, wanted, f"'{value}'")
     return value
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, replace
@@ -41,7 +40,7 @@ from vision.comparison import compare as compare_runs
 from vision.comparison import write_comparison
 from vision.comparison.comparison import MARK, answers
 from vision.data import DiagramMetadata, StripMetadata, TrackMetadata, warnings_of
-from vision.errors import InputError, counted
+from vision.errors import InputError, counted, did_you_mean
 from vision.figures import kymograph_figure, load_figures, preview_figure
 from vision.files import AGAIN
 from vision.files import reading as reading_of
@@ -342,8 +341,7 @@ def figures(
     folder = read_run(run).folder
     made = {figure.name: figure for figure in load_figures(folder / "figures.npz")}
     if unknown := [name for name in names if name not in made]:
-        near = difflib.get_close_matches(unknown[0], made, n=1)
-        advice = f"did you mean {near[0]}?" if near else "--list prints their titles"
+        advice = did_you_mean(unknown[0], made) or "--list prints their titles"
         raise InputError(run, f"figures of this run ({', '.join(made)})", ", ".join(unknown), advice)
     if list_:
         return conclude(in_columns([(name, one.title) for name, one in made.items()], "<"), (), quiet=False)
