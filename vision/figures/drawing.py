@@ -328,18 +328,14 @@ def _draw_ticks(ax: Axes, groups: list[Series], x_lines: tuple[float, ...]) -> N
     widest = [max(map(len, series.text), default=1) + 0.8 for series in groups]  # with a gap, in characters
     steps = [label_step(s.x, character * width) for s, width in zip(groups, widest, strict=True)]
     step = max(steps, default=1)
-    for series in groups:
-        if series.low is None or series.high is None:
-            continue
-        stroke = 0.2 * (series.high - series.low)  # leaves the ridge visible between the two
-        ax.vlines(series.x, series.low, series.low + stroke, color=series.ink[0], lw=0.9)
-        ax.vlines(series.x, series.high - stroke, series.high, color=series.ink[0], lw=0.9)
     # Of each sheet: whether it has to wait for the first and the outermost of each side, number, x, y.
     numbers: list[tuple[bool, int, float, float]] = []
     first = min((1, *(int(text) for series in groups for text in series.text)))  # indices begin at 0
     for series in groups:
-        if series.low is None:
-            continue
+        assert series.low is not None and series.high is not None  # as all ticks have them
+        stroke = 0.2 * (series.high - series.low)  # leaves the ridge visible between the two
+        ax.vlines(series.x, series.low, series.low + stroke, color=series.ink[0], lw=0.9)
+        ax.vlines(series.x, series.high - stroke, series.high, color=series.ink[0], lw=0.9)
         heights = series.low if series.text_y is None else np.full(series.x.size, series.text_y)
         which = [int(text) for text in series.text]
         ends = {first, max(which, default=first)}
