@@ -37,7 +37,7 @@ from vision.sheets import doubtful_stretches
 from vision.sheets.corrections import Correction, Decisions, corrections_text, ordered, read_decisions
 from vision.shells import deformation_table
 from vision.summary import findings, noise_figures
-from vision.systematics import systematic_budget
+from vision.systematics import Budget, systematic_budget
 
 FAILURES = "failures.txt"
 CORRECTIONS = "corrections.toml"
@@ -75,11 +75,11 @@ def write_run(
     with run_folder(target, overwrite=overwrite) as folder:
         failures = dict(analysis.failures)
         with _tracks_csv_meanwhile(analysis, folder):
-            inputs = origin.describe()
-            _write_tables(analysis, folder, origin)
+            inputs, budget = origin.describe(), systematic_budget(analysis)
+            _write_tables(analysis, folder, origin, budget)
             give_back_freed()
             seconds["tables"] = time.perf_counter() - started
-            content = {**run_facts(analysis, origin, inputs), **(facts or {})}
+            content = {**run_facts(analysis, origin, inputs, budget), **(facts or {})}
             _write_decisions(analysis, folder, content, decisions)
             seconds["run facts"] = time.perf_counter() - started - seconds["tables"]
             drawn = time.perf_counter()
@@ -164,7 +164,9 @@ def _write_figures_and_page(
         failures["pictures and report"] = traceback.format_exc()
 
 
-def run_facts(analysis: Analysis, origin: Origin, inputs: Callable[[], Any]) -> dict[str, Any]:
+def run_facts(
+    analysis: Analysis, origin: Origin, inputs: Callable[[], Any], budget: Budget
+) -> dict[str, Any]:
     """Return the content of run.json without the timings."""
     facts = origin.facts(inputs)
     if analysis.tracks is not None:
@@ -178,7 +180,7 @@ def run_facts(analysis: Analysis, origin: Origin, inputs: Callable[[], Any]) -> 
         facts["events"] = {"found": len(analysis.sticks), "without_flag": unflagged, **sticks}
     if analysis.clock is not None:
         facts["clock"] = analysis.clock
-    facts["systematic_errors"] = systematic_budget(analysis).to_json()
+    facts["systematic_errors"] = budget.to_json()
     parts = (analysis.tracks, analysis.force, analysis.sticks, analysis.motion, analysis.shells)
     operations = [part.attrs.get("operations", ()) for part in parts if part is not None]
     longest = max(operations, key=len, default=())
@@ -211,10 +213,10 @@ def _video_facts(analysis: Analysis) -> dict[str, Any]:
     }
 
 
-def _write_tables(analysis: Analysis, folder: Path, origin: Origin) -> None:
+def _write_tables(analysis: Analysis, folder: Path, origin: Origin, budget: Budget) -> None:
     if analysis.tracks is not None and analysis.strip is not None:
-        size, constant = analysis.pixel_size_um, systematic_budget(analysis).total("x_px")
-        path = folder / "tracks.nc"
+        size, path = analysis.pixel_size_um, folder / "tracks.nc"
+        constant = budget.total("x_px")
         write_tracks_nc(analysis.tracks, path, pixel_size_um=size, constant_error_px=constant)
         write_csv(sheets_table(analysis.tracks), folder / "sheets.csv", digits=None)
         write_kymograph_tif(analysis.strip, folder / "kymograph.tif", pixel_size_um=size)
