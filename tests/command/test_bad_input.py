@@ -34,12 +34,6 @@ def frames():
 
 
 @pytest.fixture
-def place(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
-@pytest.fixture
 def video(place, frames):
     return write_video(place / "comb.tif", frames)
 
@@ -56,29 +50,17 @@ def finish(*arguments, **options):
     return process.returncode, out, err
 
 
-def refused(capsys, *arguments):
-    """The one line with which a command is refused."""
-    before = set(Path.cwd().rglob("*"))
-    assert run([str(a) for a in arguments]) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err.count("\n") == 1
-    assert said.err.startswith("track: ")
-    assert set(Path.cwd().rglob("*")) == before
-    return said.err
-
-
 # --- files that are no recordings ---------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("option", ["--force", "--timestamps", "--corrections", "--config", "--toml"])
-def test_a_pipe_given_to_any_option_is_refused(option, video, capsys):
+def test_a_pipe_given_to_any_option_is_refused(option, video, refused):
     """A failure means a program that waits for ever. If it does open the pipe, this test ends it."""
     os.mkfifo("pipe")
     writer = threading.Timer(20, lambda: os.close(os.open("pipe", os.O_WRONLY | os.O_NONBLOCK)))
     writer.start()
     try:
-        said = refused(capsys, *(("simulate", "made") if option == "--toml" else (video,)), option, "pipe")
+        said = refused(*(("simulate", "made") if option == "--toml" else (video,)), option, "pipe")
     finally:
         writer.cancel()
     assert said.startswith("track: pipe: expected a ")
@@ -161,29 +143,29 @@ NO_RECORDING = {
 
 
 @pytest.mark.parametrize("case", NO_RECORDING)
-def test_what_is_no_recording_is_refused_in_one_line(case, place, frames, capsys):
+def test_what_is_no_recording_is_refused_in_one_line(case, place, frames, refused):
     """A failure means a traceback, a silent guess, or a message that does not say what is wrong."""
     make, name, expected = NO_RECORDING[case]
     make(place / name, frames)
-    said = refused(capsys, name)
+    said = refused(name)
     assert name in said
     assert expected in said
 
 
-def test_what_is_no_film_is_said_before_the_folder_that_exists(place, capsys):
+def test_what_is_no_film_is_said_before_the_folder_that_exists(place, refused):
     """A failure means that who types test.txt for test.avi is told to replace the run of test.avi."""
     Path("test.txt").write_text("no film")
     Path("test_tracks").mkdir()
     (Path("test_tracks") / "run.json").write_text("{}")
-    line = refused(capsys, "test.txt")
+    line = refused("test.txt")
     assert "test.txt: expected" in line and "--overwrite" not in line
 
 
-def test_a_run_is_no_video(place, capsys):
+def test_a_run_is_no_video(place, refused):
     """A failure means that whoever names the run in place of the film reads of images of two kinds."""
     (place / "run").mkdir()
     note(place / "run" / "run.json", None)
-    assert "a run folder; track review, figures and export take it" in refused(capsys, "run")
+    assert "a run folder; track review, figures and export take it" in refused("run")
 
 
 # --- arguments that do not fit ------------------------------------------------------------------------------
@@ -227,13 +209,13 @@ ARGUMENTS = {
 
 
 @pytest.mark.parametrize("case", ARGUMENTS)
-def test_arguments_that_do_not_fit_are_refused_in_one_line(case, video, capsys):
+def test_arguments_that_do_not_fit_are_refused_in_one_line(case, video, refused):
     """A failure means that a mistyped option is guessed at or ends in a traceback."""
     arguments, expected = ARGUMENTS[case]
     note(Path("note.txt"), None)
     Path("bad.toml").write_text("stripe = '1:2'\n")
     first = [] if case.startswith("video has") else [video]
-    assert expected in refused(capsys, *first, *arguments)
+    assert expected in refused(*first, *arguments)
 
 
 def test_frames_beyond_the_end_give_what_there_is(video, capsys):
@@ -429,13 +411,13 @@ def test_two_runs_into_one_folder_keep_one_of_them_whole(video):
     assert {"run.json", "tracks.csv", "overview.png"} <= {p.name for p in Path("run").iterdir()}
 
 
-def test_a_run_that_may_not_be_replaced_stays(video, capsys):
+def test_a_run_that_may_not_be_replaced_stays(video, refused):
     """A failure means that --overwrite hides or destroys an earlier run it cannot replace."""
     if os.name != "posix" or os.geteuid() == 0:
         pytest.skip("rights bind no root")
     assert run([str(video), "--quiet"]) == 0
     Path("comb_tracks").chmod(0o555)
     try:
-        assert "read-only" in refused(capsys, video, "--overwrite")
+        assert "read-only" in refused(video, "--overwrite")
     finally:
         Path("comb_tracks").chmod(0o755)

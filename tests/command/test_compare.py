@@ -39,9 +39,8 @@ COLUMNS = [
 
 
 @pytest.fixture
-def six(tmp_path, monkeypatch):
+def six(tmp_path):
     """Six runs and their table, in a fresh working directory."""
-    monkeypatch.chdir(tmp_path)
     truth = campaign(np.random.default_rng(4)).iloc[:6]
     write_campaign(tmp_path, truth)
     return [f"test{k:02d}" for k in range(6)]
@@ -73,7 +72,7 @@ def test_the_folder(six, tmp_path, capsys):
 
 
 @pytest.mark.thorough
-def test_figures_of_a_comparison(six, tmp_path, capsys):
+def test_figures_of_a_comparison(six, tmp_path, refused):
     """A failure means that the figures of several tests cannot be had for a manuscript."""
     assert run(["compare", *six, "--table", "tests.csv", "--out", "all", "--quiet"]) == 1
     assert run(["figures", "all", "collapse", "trends", "--to", "csv", "--out", "m"]) == 0
@@ -96,8 +95,7 @@ def test_figures_of_a_comparison(six, tmp_path, capsys):
     assert "trends" not in on_page  # the page shows its panels as figures of their own
     for figure in figures:
         assert figure.save(tmp_path / f"{figure.name}.png").stat().st_size > 5000
-    assert run(["figures", "all", "shells"]) == 2
-    assert "collapse" in capsys.readouterr().err
+    assert "collapse" in refused("figures", "all", "shells")
     assert run(["figures"]) == 2
 
 
@@ -154,16 +152,11 @@ def test_runs_that_cannot_be_used_are_named_and_the_rest_done(six, tmp_path, cap
         (["compare", "test00", "--out", "test01", "--overwrite"], "test01: expected an earlier result"),
     ],
 )  # fmt: skip
-def test_input_that_cannot_be_used(six, tmp_path, arguments, said, capsys):
+def test_input_that_cannot_be_used(six, tmp_path, arguments, said, refused):
     """Exit status 2, one line, nothing written."""
     (tmp_path / "empty.csv").write_text("")
     (tmp_path / "nameless.csv").write_text("n_test\n1\n2\n")
-    before = {path.name for path in tmp_path.iterdir()}
-    assert run(arguments) == 2
-    lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == 1
-    assert said in lines[0]
-    assert {path.name for path in tmp_path.iterdir()} == before
+    assert said in refused(*arguments)
 
 
 def test_the_label_of_one_mu_says_which_errors_it_contains(tmp_path):
@@ -192,14 +185,13 @@ def test_one_test_has_no_joint_mu(six, capsys):
     assert "not fitted, needs at least two tests; that of test00 is 0.8" in capsys.readouterr().out
 
 
-def test_a_wrong_argument_is_named_even_if_the_folder_exists(six, capsys):
+def test_a_wrong_argument_is_named_even_if_the_folder_exists(six, refused, capsys):
     """A failure means that a user deletes a folder, and only then learns of the wrong argument."""
     assert run(["compare", six[0], "--no-report", "--quiet"]) == 0
     assert run(["compare", six[0], "nope"]) == 2
     first, last = capsys.readouterr().err.splitlines()
     assert first.startswith("track: nope: expected") and "comparison: expected" in last
-    assert run(["compare", "nope"]) == 2
-    assert "the runs: expected at least one that can be used; found nope" in capsys.readouterr().err
+    assert "the runs: expected at least one that can be used; found nope" in refused("compare", "nope")
 
 
 def test_a_table_alone_and_one_with_semicolons(six, tmp_path):
@@ -216,9 +208,8 @@ def test_a_table_alone_and_one_with_semicolons(six, tmp_path):
 
 
 @pytest.mark.thorough
-def test_force_recordings_go_all_the_way(tmp_path, monkeypatch):
+def test_force_recordings_go_all_the_way(tmp_path):
     """Two simulated recordings at two velocities, through `track force`: one μ, and single sticks drawn."""
-    monkeypatch.chdir(tmp_path)
     names = []
     for k, speed in enumerate((0.5, 1.0)):
         experiment = with_settings(

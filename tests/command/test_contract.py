@@ -43,8 +43,7 @@ def pixels():
 
 
 @pytest.fixture(autouse=True)
-def film(pixels, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def film(pixels, tmp_path):
     return write_video(tmp_path / "comb.tif", pixels)
 
 

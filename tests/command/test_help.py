@@ -82,9 +82,8 @@ def test_the_list_of_commands_has_the_first_line_of_their_help():
 
 
 @pytest.mark.parametrize("example", EXAMPLES)
-def test_examples_have_no_option_that_does_not_exist(example, tmp_path, monkeypatch, capsys):
+def test_examples_have_no_option_that_does_not_exist(example, tmp_path, capsys):
     """A failure means that the first command a reader copies is refused."""
-    monkeypatch.chdir(tmp_path)
     arguments = shlex.split(example)[1:]
     assert run([str(tmp_path / "none" / Path(arguments[0]).name), *arguments[1:]]) == 2
     assert re.search(r"no such file|found none", capsys.readouterr().err)

@@ -248,15 +248,14 @@ BAD = {
 }
 
 
-def test_a_width_without_a_scale_is_refused_before_the_film_is_read(there, monkeypatch, capsys):
+def test_a_width_without_a_scale_is_refused_before_the_film_is_read(there, monkeypatch, refused):
     """A failure means that a long film is tracked first, only to say that a pixel size was needed."""
 
     def read(*arguments, **options):
         raise AssertionError("the film was read")
 
     monkeypatch.setattr(views, "_from_video", read)
-    assert run(["kymograph", "comb.tif", *SHEET, "--width", "0.2mm"]) == 2
-    assert "mm needs --pixel-size" in capsys.readouterr().err
+    assert "mm needs --pixel-size" in refused("kymograph", "comb.tif", *SHEET, "--width", "0.2mm")
     with pytest.raises(AssertionError, match="the film was read"):
         views.kymograph(
             there / "comb.tif",
@@ -282,29 +281,19 @@ def damaged(there):
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("case", BAD)
-def test_bad_input_ends_in_one_line_and_status_2(case, damaged, capsys):
+def test_bad_input_ends_in_one_line_and_status_2(case, damaged, refused):
     """A failure means a traceback, a silent guess or half a result for bad input."""
-    before = {p: p.stat().st_mtime_ns for p in damaged.rglob("*")}
     arguments, named = BAD[case]
-    assert run(["kymograph", *arguments]) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err.count("\n") == 1
-    assert named in said.err
-    assert {p: p.stat().st_mtime_ns for p in damaged.rglob("*")} == before
+    assert named in refused("kymograph", *arguments)
 
 
 @pytest.mark.usefixtures("no_picture")
-def test_earlier_diagrams_and_the_run_itself_are_kept(there, capsys):
+def test_earlier_diagrams_and_the_run_itself_are_kept(there, refused, capsys):
     """A failure means that results are overwritten."""
     assert run(["kymograph", RUN, "--quiet"]) == 0
-    first = Path("comb_tracks_kymograph/run.json").read_bytes()
-    assert run(["kymograph", RUN, "--quiet"]) == 2
-    assert "--overwrite" in capsys.readouterr().err
-    assert Path("comb_tracks_kymograph/run.json").read_bytes() == first
+    assert "--overwrite" in refused("kymograph", RUN, "--quiet")
     assert run(["kymograph", RUN, "--quiet", "--frames", "0:9", "--overwrite"]) == 0
     assert tifffile.imread("comb_tracks_kymograph/kymograph_strip.tif").shape[0] == 9
     capsys.readouterr()
-    assert run(["kymograph", RUN, "--quiet", "--out", RUN, "--overwrite"]) == 2
-    assert "another run" in capsys.readouterr().err
+    assert "another run" in refused("kymograph", RUN, "--quiet", "--out", RUN, "--overwrite")
     assert Path(RUN, "tracks.csv").exists()

@@ -44,9 +44,8 @@ def test() -> Test:
 
 
 @pytest.fixture
-def file(test: Test, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def file(test: Test, tmp_path: Path) -> Path:
     """The test as an MTS recording whose crosshead starts at 0, in a fresh working directory."""
-    monkeypatch.chdir(tmp_path)
     time, load, d = (test.force[name].to_numpy() for name in ("time_s", "load_N", "d_mm"))
     rows = "\n".join(f"{a:.6f}\t{b:.3f}\t{c:.4f}" for a, b, c in zip(d - 13, load, time, strict=True))
     path = tmp_path / "pull.txt"
@@ -176,11 +175,8 @@ def test_without_speed_or_displacement(file: Path, test: Test, capsys: pytest.Ca
     assert force(bare, "--d0", "13", "--speed", "1", "--out", "with_speed", "--quiet") == 0
 
 
-def test_nothing_is_written_for_bad_input(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_nothing_is_written_for_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A failure means half a run folder, or a traceback, for a recording without slips."""
-    monkeypatch.chdir(tmp_path)
     time = np.arange(2000) * 0.01
     load = 10 + time + np.random.default_rng(0).normal(0, 0.1, time.size)
     pd.DataFrame({"time (s)": time, "load (N)": load}).to_csv("ramp.csv", index=False)

@@ -27,11 +27,6 @@ VIDEO = [
 FORCE = ["--force", str(PAPER / "force.txt"), "--d0", "13"]
 
 
-@pytest.fixture(autouse=True)
-def there(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-
-
 @pytest.fixture(scope="module")
 def truth():
     with xr.open_dataset(PAPER / "truth.nc", engine="h5netcdf") as data:
