@@ -279,15 +279,18 @@ def encoded_film(crf, folder, seed=41):
     return path, strip, tracks, moved(tracks.x_px.values - film.truth_px[:80])
 
 
+def encoder_of(path, strip):
+    """How a film was encoded, on the whole of its strip."""
+    rows = strip.attrs["strip_z0"], strip.attrs["strip_z1"]
+    return read_encoder(path, rows, (0, strip.sizes["x"]), settings=QUICK)
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize("crf", [12, 28])
 def test_films_encoded_again_have_the_errors_of_the_recording(crf, tmp_path):
     """Within 15 %, where residuals put in again fail: H.264 holds sheets still while they creep."""
     path, strip, tracks, error = encoded_film(crf, tmp_path)
-    columns = (0, strip.sizes["x"])
-    encoder = read_encoder(
-        path, (tracks.attrs["strip_z0"], tracks.attrs["strip_z1"]), columns, settings=QUICK
-    )
+    encoder = encoder_of(path, strip)
     assert encoder.quantiser == crf
     found = certify(strip, tracks, encoder=encoder, settings=TWO_FILMS)
     assert 0.85 < found.error_px / rms(error) < 1.15
@@ -312,9 +315,7 @@ def test_films_have_as_much_common_motion_as_the_codec_left_out(codec, tmp_path)
     path = CODECS[codec](tmp_path, np.clip(np.rint(pixels), 0, 255).astype(np.uint8))
     strip = strip_profile(open_video(path))
     tracks = track_sheets(strip)
-    encoder = read_encoder(
-        path, (tracks.attrs["strip_z0"], tracks.attrs["strip_z1"]), (0, 400), settings=QUICK
-    )
+    encoder = encoder_of(path, strip)
     found = certify(strip, tracks, encoder=encoder, settings=ONE_FILM)
     assert 0.85 < found.error_px / rms(moved(tracks.x_px.values - x)) < 1.15
 
@@ -345,9 +346,7 @@ def test_texture_of_the_paper_moves_with_the_sheets(tmp_path):
     path = CODECS["H.264 crf 12"](tmp_path, pixels)
     strip = strip_profile(open_video(path))
     tracks = track_sheets(strip)
-    encoder = read_encoder(
-        path, (tracks.attrs["strip_z0"], tracks.attrs["strip_z1"]), (0, 490), settings=QUICK
-    )
+    encoder = encoder_of(path, strip)
     middle = certify(strip, tracks, encoder=encoder, settings=replace(ONE_FILM, most_frames=60))
     error = moved(tracks.x_px.values[30:90] - scene.seen_px(slice(30, 90)))
     assert 0.85 < middle.error_px / rms(error) < 1.05
@@ -363,9 +362,7 @@ def test_noise_is_found_from_the_bits(tmp_path):
         strip = strip_profile(open_video(path))
         like = learn(strip, track_sheets(strip), CertifySettings())
         drawn, shown = like.film(like.motion_px, number=None).values, like.shown_px(like.motion_px)
-        encoder = read_encoder(
-            path, (strip.attrs["strip_z0"], strip.attrs["strip_z1"]), (0, 320), settings=QUICK
-        )
+        encoder = encoder_of(path, strip)
         found.append(encoder.fitted(drawn, shown, strip.values))
     assert 0.5 < found[0].noise_grey < 2.5 < found[1].noise_grey < 5
 
@@ -441,8 +438,6 @@ def test_other_codecs_are_encoded_again_too(codec, ending, options, tmp_path):
     )
     strip = strip_profile(open_video(path))
     tracks = track_sheets(strip)
-    encoder = read_encoder(
-        path, (tracks.attrs["strip_z0"], tracks.attrs["strip_z1"]), (0, 600), settings=QUICK
-    )
+    encoder = encoder_of(path, strip)
     certificate = certify(strip, tracks, encoder=encoder, settings=ONE_FILM)
     assert 0.8 < certificate.error_px / rms(moved(tracks.x_px.values - film.truth_px[:80])) < 1.2
