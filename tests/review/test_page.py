@@ -472,6 +472,24 @@ def test_dragging_the_strip_shows_its_noise_at_once(browser, pulled_page):
     visit.context.close()
 
 
+def test_a_drag_goes_to_no_frame_in_whatever_direction(browser, pulled_page):
+    """A failure means that the cursor jumps where a person only moved a picture."""
+    visit = ReviewVisit(browser, pulled_page)
+    mouse = visit.page.mouse
+    for name in ("film", "diagram", "tracks"):
+        box = visit.page.locator(f"#{name}").bounding_box()
+        x, y = box["x"] + 0.7 * box["width"], box["y"] + 0.5 * box["height"]
+        for across, up in ((30, 0), (0, 30)):
+            mouse.move(x, y)
+            mouse.down()
+            mouse.move(x + across, y - up, steps=4)
+            mouse.up()
+        assert visit.page.evaluate("review.view.frame") == 0, name
+    mouse.click(x, y)
+    assert visit.page.evaluate("review.view.frame") > 0
+    visit.context.close()
+
+
 def test_another_strip_is_tracked_again_before_it_is_kept(browser, planted, tmp_path):
     """A failure means that rows are kept of which nobody saw positions and shells, or that a long film holds
     the review."""
