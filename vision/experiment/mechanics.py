@@ -143,10 +143,10 @@ def simulate_pull(m: Mechanics, *, seed: int, sample: Sample = PUBLISHED) -> Pul
     come. Source: publication, Eqs. 1-2 and section IV.
     """
     rng = random_stream(seed, "mechanics")
-    speed, stop_s = m.speed_mm_min / 60, (m.d_end_mm - m.d0_mm) / (m.speed_mm_min / 60)
+    speed = m.speed_mm_min / 60
     rows: list[tuple[float, ...]] = []
     time, d, low = 0.0, m.d0_mm, 0.0
-    while time < stop_s:
+    while time < m.pull_s:
         drop, stiffness, m_eff = _event_at(d, m, sample, jitter=rng.standard_normal())
         scatter = 1 + m.peak_scatter * rng.standard_normal()
         length = drop / (stiffness * _mean_slope(m)) if rows else _loading_mm(stiffness, m, sample)
@@ -158,7 +158,7 @@ def simulate_pull(m: Mechanics, *, seed: int, sample: Sample = PUBLISHED) -> Pul
         time, d = end + m.slip_s, d + length + speed * m.slip_s
     names = ("start_s", "end_s", "d_start_mm", "d_end_mm", "low_N", "high_N",
              "stiffness_N_per_mm", "effective_sheets")  # fmt: skip
-    return Pull(settings=m, stop_s=stop_s, **dict(zip(names, np.array(rows).T, strict=True)))
+    return Pull(settings=m, stop_s=m.pull_s, **dict(zip(names, np.array(rows).T, strict=True)))
 
 
 def _event_at(d_mm: float, m: Mechanics, sample: Sample, *, jitter: float) -> tuple[float, float, float]:

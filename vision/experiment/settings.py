@@ -75,6 +75,11 @@ class Mechanics:
     slip_s: Positive = 0.001
     """Duration of a slip."""
 
+    @property
+    def pull_s(self) -> float:
+        """How long the machine pulls."""
+        return (self.d_end_mm - self.d0_mm) / (self.speed_mm_min / 60)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Sheets:
@@ -384,10 +389,9 @@ def _check_pull(e: Experiment) -> None:
     expected, advice = f"less than the sheet length {length:g} mm", "beyond it the blocks are apart"
     _require(e, end, m.d_end_mm < length, expected, advice=advice)
     _require(e, "mechanics.early_stiffness_ratio", m.early_stiffness_ratio >= 1, "1 or more")
-    pull_s = (m.d_end_mm - m.d0_mm) / (m.speed_mm_min / 60)
-    expected = f"a video that sees some of the pull, {-video_s:g} to {pull_s:g} s"
+    expected = f"a video that sees some of the pull, {-video_s:g} to {m.pull_s:g} s"
     advice = "set the offset (force clock at video time 0) to suit the speed"
-    _require(e, "clocks.offset_s", -video_s < offset < pull_s, expected, f"{offset:g} s", advice)
+    _require(e, "clocks.offset_s", -video_s < offset < m.pull_s, expected, f"{offset:g} s", advice)
 
 
 def _check_view(e: Experiment) -> None:

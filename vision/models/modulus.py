@@ -106,10 +106,15 @@ def turning_points(displacement: ArrayLike, *, settings: ModulusSettings = Modul
     if raw.size < 5 or float(np.ptp(raw)) == 0:
         return np.array([0, max(last, 0)], np.int64)
     turns = _extrema(raw, settings.least_reversal)
-    if turns.size > 2:  # smooth in proportion to the length of the branches, and repeat
-        width = max(int(settings.smoothing * float(np.median(np.diff(turns)))), 1)
-        turns = _extrema(running_mean(raw, width), settings.least_reversal)
+    if turns.size > 2:
+        turns = _extrema(_smoothed(raw, turns, settings), settings.least_reversal)
     return turns
+
+
+def _smoothed(values: Floats, turns: Ints, settings: ModulusSettings) -> Floats:
+    """Return the running mean over a fraction of the median branch between turning points."""
+    width = max(int(settings.smoothing * float(np.median(np.diff(turns)))), 1)
+    return running_mean(values, width)
 
 
 def _extrema(values: Floats, least: float) -> Ints:
@@ -326,8 +331,7 @@ def _clean(
         source=source, clamp_distance_from=how, shift_mm=shift, notes=notes, warnings=warnings
     )
     turns = turning_points(delta, settings=settings)
-    width = max(int(settings.smoothing * float(np.median(np.diff(turns)))), 1)
-    smooth = running_mean(load, width)
+    smooth = _smoothed(load, turns, settings)
     return _Cycles(time, delta - load / machine_N_per_mm, load, smooth, turns), facts
 
 
