@@ -253,10 +253,9 @@ def stick_figure(tracks: xr.Dataset, motion: xr.Dataset, clock: Clock) -> Figure
 
 def deformation_figure(motion: xr.Dataset, *, threshold: float = STIFF_BELOW) -> Figure:
     """Return σ_x/Λ_st against the sheet's number for a few stick phases, with standard errors."""
-    chosen = np.flatnonzero(np.isfinite(motion["ratio"].to_numpy()).any(axis=1))
-    if chosen.size:
-        chosen = chosen[spread_indices(chosen.size, 5)]
-    sticks = (motion.isel(event=index) for index in chosen)
+    known = motion.dropna("event", how="all", subset=["ratio"])
+    count = known.sizes["event"]
+    sticks = (known.isel(event=index) for index in spread_indices(count, min(count, 5)))
     curves = [(f"d_v = {float(one['d_v_mm']):.2f} mm", one["ratio"], one["ratio_err"]) for one in sticks]
     return Figure.of(
         "deformation",
@@ -270,13 +269,13 @@ def deformation_figure(motion: xr.Dataset, *, threshold: float = STIFF_BELOW) ->
 
 def mean_deformation_figure(motion: xr.Dataset, *, threshold: float = STIFF_BELOW) -> Figure | None:
     """Return σ_x/Λ_st against the sheet's number, as means over up to a dozen stick phases, or None."""
-    known = np.flatnonzero(np.isfinite(motion["ratio"].to_numpy()).any(axis=1))
-    if not known.size:
+    known = motion.dropna("event", how="all", subset=["ratio"])
+    if not (count := known.sizes["event"]):
         return None
-    each = min(12, known.size)
-    starts = spread_indices(known.size - each + 1, min(known.size // each, 5))
+    each = min(12, count)
+    starts = spread_indices(count - each + 1, min(count // each, 5))
     curves = []
-    for part in (motion.isel(event=known[start : start + each]) for start in starts):
+    for part in (known.isel(event=slice(start, start + each)) for start in starts):
         label = f"d_v = {part['d_v_mm'].to_numpy().mean():.2f} mm, mean of {each}"
         spread = part["ratio"].std("event", ddof=1).fillna(0)
         curves.append((label, part["ratio"].mean("event"), spread))
