@@ -80,8 +80,8 @@ def second_comb(profile: Floats32, x_px: Floats, blurred: Bools, comb: RidgeComb
 def levels_at(bright: Floats32, x_px: Floats) -> Floats:
     """Return the mean of three pixels around each place x_px (frame, K); NaN at NaN and at the edge.
 
-    Cubic (Catmull–Rom): a line between pixels lowers tops and raises gaps that lie there, by 1 % of a ridge of
-    6 px, as a second comb would.
+    Cubic (Catmull–Rom): a line between pixels lowers tops and raises gaps that lie there, by 1 % of a ridge
+    of 6 px, as a second comb would.
     """
     smooth = (bright[:, :-2] + bright[:, 1:-1] + bright[:, 2:]) / 3
     inside = (x_px >= 2) & (x_px < bright.shape[1] - 3)

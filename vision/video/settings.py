@@ -110,6 +110,14 @@ class VideoSettings:
     """Share of the strip's pixels as bright as the brightest from which a warning is given. Well exposed
     films have 0.0002 to 0.002, the tops of drawn ridges without noise 0.03; larger does not warn where more
     than a pixel of each ridge is saturated (test_an_overexposed_film_is_told)."""
+    column_gain: float = 0.01
+    """Gain of columns that are brighter and darker in turn, over their mean, from which it is corrected. It
+    is below 0.002 in ordinary films, and 0.024 or more below a Bayer pattern of unlike colours. Larger leaves
+    patterns that hide ridges (test_mosaic.py), smaller changes and warns of films that it hardly helps."""
+    column_sigmas: float = 6.0
+    """Standard errors of that gain from which it is corrected. Films without a Bayer pattern reach 2.2, those
+    with one 10 and more. Larger leaves patterns that a codec has smoothed, smaller takes sharp ridges for
+    one (test_mosaic.py)."""
     few_levels: float = 100.0
     """Brightest pixel below which no overexposure is reported: with few levels, many pixels are equal.
     Smaller warns of dark films, larger does not warn if a camera of few bits overflows."""

@@ -19,6 +19,7 @@ from vision.files import Progress, prefetch
 from vision.mapped import give_back, parts_in_turn, put_rows, table_in_file
 from vision.numeric import Bools, Floats, Floats32, Pixels, Strings
 from vision.video.follow import Follow, followed
+from vision.video.mosaic import equalise_columns
 from vision.video.reader import Block
 from vision.video.settings import VideoSettings
 from vision.video.strip_find import Strip, choose_strip, measure_strip
@@ -93,7 +94,8 @@ def strip_profile(
 
     .. math:: I(x, t) = \frac{1}{z_1 - z_0} \sum_{z=z_0}^{z_1 - 1} g(x, z, t).
 
-    Integers are summed exactly; the mean is rounded once, to float32. Source: paper, appendix B.
+    Integers are summed exactly; the mean is rounded once, to float32. Columns below a Bayer pattern are
+    brought to one brightness (`vision.video.mosaic.equalise_columns`). Source: paper, appendix B.
     """
     check_kind(Video, "what `vision.open_video` returns", video=video)
     check_kind(slice | None, RANGE, rows=rows, columns=columns)
@@ -178,6 +180,7 @@ def strip_profiles(
     intensity = read.intensity[:, width:].reshape(-1, strips, width).swapaxes(0, 1)
     for part in intensity:
         blank_out(part, whole["status"].values != "ok")
+        equalise_columns(part, whole["status"].values == "ok", settings)
     z = first + (edges[:-1] + edges[1:] - 1) / 2
     heights = xr.DataArray(
         intensity,
@@ -216,6 +219,7 @@ class _Plan:
         readable, saturated = status == "ok", video.saturation_level
         status[is_blank(intensity, readable, saturation_level=saturated, settings=settings)] = "blank"
         blank_out(intensity, status != "ok")
+        columns_differ = equalise_columns(intensity, status == "ok", settings)
         frames = video.first + first + np.arange(status.size, dtype=np.int64)
         profile = xr.DataArray(
             intensity,
@@ -227,7 +231,8 @@ class _Plan:
                 "status": ("frame", status, STRIP["status"].attrs),
             },
             name="intensity",
-            attrs=STRIP["intensity"].attrs | _metadata(video, self.strip, read, settings).attrs(),
+            attrs=STRIP["intensity"].attrs
+            | _metadata(video, self.strip, read, settings, columns_differ).attrs(),
         )
         return record(profile, "strip_profile", **self.asked, settings=changed_settings(settings))
 
@@ -296,10 +301,18 @@ def _check_shows_something(video: Video, status: Strings) -> None:
         raise InputError(video.path, "at least one frame that shows something", f"none ({found})", advice)
 
 
-def _metadata(video: Video, strip: Strip, read: FramesRead, settings: VideoSettings) -> StripMetadata:
+def _metadata(
+    video: Video, strip: Strip, read: FramesRead, settings: VideoSettings, columns_differ: float
+) -> StripMetadata:
     facts, clock = video.facts, video.clock
     status = read.status
     expected, warnings = expected_frames(video, status, read.times_s, settings=settings)
+    if columns_differ:
+        warnings.append(
+            f"{video.path.name}: neighbouring columns differ in brightness by {100 * columns_differ:.0f} %,"
+            " as below a Bayer pattern of colour filters; they were brought to the same brightness: record in"
+            " grey, or with interpolated colour"
+        )
     usable = int(np.isin(status, ("ok", "blank")).sum())
     return StripMetadata(
         source=str(video.path),
