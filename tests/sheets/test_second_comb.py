@@ -75,7 +75,20 @@ def test_other_light_is_no_second_comb(what, snr):
     assert not any(WARNING in line for line in tracking_warnings(tracks))
 
 
-@pytest.mark.parametrize("film_of", [{"frames": 55}, {"width_px": 4.0}])
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("away_px", [2.0, 4.7])
+def test_a_second_comb_over_narrow_ridges_is_named(seed, away_px):
+    """Ridges of 4 px, over which their reflection moves the other way. A failure means that positions are off
+    by several errors, and the run says nothing."""
+    x = comb(200, per_side=16, pitch_px=9.5, axis_px=170, period=20, slip=0.15, seed=seed)
+    light = ridges(x, width=340, fwhm_px=4.2) + 0.2 * ridges(2 * x[0] + away_px - x, width=340, fwhm_px=4.2)
+    tracks = track_sheets(strip(light, snr=400, seed=seed))
+    off = displacement_error(tracks, x)
+    assert np.sqrt(np.nanmean(off**2)) > 3 * np.median(tracks.x_noise_px.values)
+    assert any(WARNING in line for line in tracking_warnings(tracks))
+
+
+@pytest.mark.parametrize("film_of", [{"frames": 55}, {"width_px": 2.0}])
 def test_short_films_and_narrow_ridges_tell_nothing(film_of):
     tracks = track_sheets(film(True, **film_of)[1])
     assert TrackMetadata.of(tracks).second_comb_err_px == 0

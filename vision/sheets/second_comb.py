@@ -51,10 +51,14 @@ def second_comb(profile: Floats32, x_px: Floats, blurred: Bools, comb: RidgeComb
     Sheets that lean by different amounts show the same: their ridges become lower and wider.
 
     Nothing is found for fewer than five sheets, films of fewer than 60 frames, and narrow ridges, whose tops
-    change with their place among the pixels (`sampled_well_px`).
+    change with their place among the pixels (`second_comb_least_px`).
     """
     settings, periods = comb.settings, len(profile) // _FRAMES
-    if x_px.shape[1] < LEAST_SHEETS or periods < LEAST_PERIODS or comb.fwhm_px < settings.sampled_well_px:
+    if (
+        x_px.shape[1] < LEAST_SHEETS
+        or periods < LEAST_PERIODS
+        or comb.fwhm_px < settings.second_comb_least_px
+    ):
         return SecondComb()
     rows = (_FRAMES * spread_indices(periods, MOST_PERIODS)[:, None] + np.arange(_FRAMES)).ravel()
     bright, x = comb.bright(some_rows(profile, rows)), np.where(blurred[rows], np.nan, x_px[rows])

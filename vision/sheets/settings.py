@@ -513,6 +513,11 @@ class TrackingSettings:
     ridges to gaps, over their height. In films with known positions it is 2.2 to 5.5. Larger overstates
     errors, smaller understates them (test_second_comb.py)."""
 
+    second_comb_least_px: float = 3.5
+    """Width of ridges from which a second comb is looked for. Smaller takes sharp ridges, whose tops change
+    with their place among the pixels, for one (those of 1.8 px), larger is silent about reflections that
+    shift narrow ridges by several errors (test_second_comb.py)."""
+
     second_comb_most: float = 0.1
     """Change of the level, over the ridges' height, that counts for this at most. Larger lets a hand or dirt
     decide, smaller understates strong reflections."""
