@@ -141,11 +141,12 @@ def test_sheets_in_black_background(picture):
     assert "restrict `columns`" in lines[0]
 
 
+@pytest.mark.parametrize("slip", [0.3, 0.015])
 @pytest.mark.parametrize("end", [0, -1])
-def test_a_still_edge_beyond_the_comb(end):
+def test_a_still_edge_beyond_the_comb(end, slip):
     """The edge of a lamp's light a spacing beyond the comb, in all frames. A failure means that it passes
     for the outermost sheet, which moves most of all, or that such a sheet is doubted."""
-    x_px = comb(150)
+    x_px = comb(150, slip=slip)
     assert consistency_warnings(track_sheets(strip(ridges(x_px)))) == []
     x_px[:, end] = x_px[0, end]
     (line,) = consistency_warnings(track_sheets(strip(ridges(x_px))))

@@ -81,9 +81,9 @@ class CheckSettings:
     move more than those further in; edges of the background are at 0 to 0.1. Smaller overlooks edges that
     the sheet beside them pulls along; larger doubts sheets that stick to something outside."""
 
-    end_moves: float = 5.0
+    end_moves: float = 2.5
     """Motion of those two, in errors of a position, from which that is judged. Smaller judges noise; larger
-    leaves edges beside sheets that hardly move (`test_a_still_edge_beyond_the_comb`)."""
+    leaves edges beside sheets that hardly move (`test_a_still_edge_beyond_the_comb` at 5)."""
 
     unequal_sides: float = 1.3
     """Ratio of the sheets on the two sides, less two sheets, above which an axis found from motion is
