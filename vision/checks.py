@@ -253,7 +253,7 @@ def _still(tracks: xr.Dataset, *, measured: bool) -> Iterator[str]:
             yield "all frames are equal: neither motion nor noise can be measured"
     elif frames >= 20 and measured and comb_is_stationary(tracks):
         yield (
-            "the sheets do not move relative to each other by more than the noise: if they should, the comb"
+            "hardly any sheet moves relative to the others by more than the noise: if more should, the comb"
             " may be a pattern in the background (`rows`, `columns`), or the pull is in other `frames`"
         )
 
