@@ -148,6 +148,7 @@ def noise_excess(positions: BetweenSlips, err_px: Floats, settings: TrackingSett
             values[(slip[2 * lag :] != slip[: -2 * lag])[calm]] = np.nan
         opening, shares = _motion(second)
         of_sheets, late = np.empty((len(shares), 2, sheets)), settled[: -2 * lag][calm]
+        late |= late.sum() < 2 * LEAST_FRAMES  # a quantile of fewer is too small
 
         for n, own in enumerate(variance.T):
             expected = (own[: -2 * lag] + 4 * own[lag:-lag] + own[2 * lag :])[calm]
