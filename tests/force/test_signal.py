@@ -257,6 +257,15 @@ def test_an_oscillation_throughout_is_no_ringing():
     assert np.isnan(events.attrs["ringing_s"])
 
 
+def test_swings_taken_for_events_give_one_warning():
+    """A failure means that the user is sent to the displacement, the range or the threshold, though the load
+    rings."""
+    events = find_stick_slip(rung(10, 0.03, 0.3))
+    assert events.attrs["regime"] != "stick-slip"
+    (line,) = events.attrs["warnings"]
+    assert "give `average_s` auto" in line
+
+
 def test_swings_that_are_a_large_part_of_the_sticks_are_told():
     """A failure means that swings are counted as slips without a word."""
     events = find_stick_slip(rung(50, 0.1, 0.3))

@@ -102,29 +102,15 @@ def doubts(
 ) -> list[str]:
     """Return why the recording, or a part of its events, may not be stick-slip.
 
-    unit: of the load.  rings: that the load rings, which then explains an oscillation and jumps.  swing_s:
-    period of an oscillation that cannot be averaged; NaN for none.
+    unit: of the load.  rings: that the load rings, which then explains an oscillation and jumps, and events
+    that are its swings say nothing else.  swing_s: period of an oscillation that cannot be averaged; NaN for
+    none.
     """
-    lines = []
-    if rings and (regime.name != "stick-slip" or has_flag(events["flag"], "jump").any()):
+    if rings and regime.name != "stick-slip":
+        return [rings, *_load_warnings(signal, slips, events, unit)]
+    lines = _regime_warnings(regime, signal, unit)
+    if rings and has_flag(events["flag"], "jump").any():
         lines.append(rings)
-    elif regime.name == "oscillation":
-        lines.append(
-            f"an oscillation, not stick-slip: falls last {regime.fall_over_rise:.2g} times as long as rises, "
-            f"which are rounded, and the load varies by {np.ptp(np.percentile(signal.clean, [1, 99])):.3g} "
-            f"{unit}"
-        )
-    elif regime.name == "cycles":
-        lines.append(
-            f"not stick-slip: falls last {regime.fall_over_rise:.2g} times as long as rises and are equally "
-            "straight, as in cycles of loading and unloading"
-        )
-    elif regime.name == "noise":
-        lines.append(
-            "stick-slip is not clearly visible: within the sticks the load jumps upward by "
-            f"{regime.upward_share:.2g} times the median drop, as noise does, so all events are flagged "
-            "noise; a larger `threshold_N` leaves out the smaller drops"
-        )
     period_s = slips.period * signal.interval_s
     if swing_s < 0.7 * period_s and regime.name == "stick-slip":
         lines.append(
@@ -147,6 +133,28 @@ def doubts(
         if count := int(has_flag(events["flag"], word).sum()):
             lines.append(f"{count} of {len(events)} sticks {meaning} (flag {word})")
     return lines
+
+
+def _regime_warnings(regime: Regime, signal: Signal, unit: str) -> list[str]:
+    """Return that the whole recording shows something else than stick-slip."""
+    if regime.name == "oscillation":
+        return [
+            f"an oscillation, not stick-slip: falls last {regime.fall_over_rise:.2g} times as long as rises, "
+            f"which are rounded, and the load varies by {np.ptp(np.percentile(signal.clean, [1, 99])):.3g} "
+            f"{unit}"
+        ]
+    if regime.name == "cycles":
+        return [
+            f"not stick-slip: falls last {regime.fall_over_rise:.2g} times as long as rises and are equally "
+            "straight, as in cycles of loading and unloading"
+        ]
+    if regime.name == "noise":
+        return [
+            "stick-slip is not clearly visible: within the sticks the load jumps upward by "
+            f"{regime.upward_share:.2g} times the median drop, as noise does, so all events are flagged "
+            "noise; a larger `threshold_N` leaves out the smaller drops"
+        ]
+    return []
 
 
 def _displacement_warnings(signal: Signal, events: pd.DataFrame) -> list[str]:

@@ -244,13 +244,16 @@ def _complete_events(sticks: pd.DataFrame, given: _Given, force: xr.Dataset) -> 
     events = events[complete_events(events)]
     if len(events) < given.settings.least_events:
         d = force["d_mm"].values
-        known = np.isfinite(d).any()
-        travel = f"the separation changes by {np.nanmax(d) - np.nanmin(d):.3g} mm" if known else ""
+        advice = "lengths need a displacement or `speed_mm_min`"
+        if np.isfinite(d).any():
+            advice = f"the separation changes by {np.nanmax(d) - np.nanmin(d):.3g} mm: {_read_as(force)}"
+        if "flag" in sticks and len(sticks) - whole_events(sticks["flag"]).sum() > len(events):
+            advice = "most have a flag, which tells why"
         raise InputError(
             "the force recording",
             f"at least {given.settings.least_events} whole events with d, F_p, dF and K",
             f"{len(events)} of {len(sticks)}",
-            f"{travel}: {_read_as(force)}" if travel else "lengths need a displacement or `speed_mm_min`",
+            advice,
         )
     low, high = float(events["d_v_mm"].min()), float(events["d_p_mm"].max())
     from_zero = low < 0.1 * high  # no pull makes the separation ten times as large
