@@ -260,7 +260,9 @@ def test_an_oscillation_throughout_is_no_ringing():
 def test_swings_taken_for_events_give_one_warning():
     """A failure means that the user is sent to the displacement, the range or the threshold, though the load
     rings."""
-    events = find_stick_slip(rung(10, 0.03, 0.3))
+    force = rung(20, 0.03, 0.3)
+    noise = 2e-4 * np.random.default_rng(0).standard_normal(force.sizes["time_s"])
+    events = find_stick_slip(force.assign(d_mm=force["d_mm"] + noise))
     assert events.attrs["regime"] != "stick-slip"
     (line,) = events.attrs["warnings"]
     assert "give `average_s` auto" in line
