@@ -588,8 +588,9 @@ def _relative_changes(values: Floats, frames: int) -> Iterator[tuple[Floats, Flo
         if len(means) == 3:
             left, own, right = means
             both = (left + right) / 2
-            relative = own - both
-            yield relative[frames:] - relative[:-frames], both[frames:] - both[:-frames]
+            relative = own - both  # the names are used again, so that nothing more is held meanwhile
+            relative, both = (values[frames:] - values[:-frames] for values in (relative, both))
+            yield relative, both
 
 
 def _subtract_proportion(values: Floats, motion: Floats) -> None:
