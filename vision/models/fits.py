@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vision.data import FORCE, ForceMetadata, StickMetadata, load_unit
+from vision.data import FORCE, ForceMetadata, StickMetadata, load_unit, whole_events
 from vision.errors import InputError, check_kind, check_positive, shown
 from vision.force.corners import AVERAGE_ERROR
 from vision.force.signal import slope_error_of_steps, step_between
