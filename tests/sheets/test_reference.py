@@ -140,6 +140,20 @@ def test_dim_patches_that_move_along_between_sheets_are_none(per_side):
     assert (np.abs(tracks.x_px.values - truth) < 1).all()
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+def test_texture_beside_an_even_comb_is_no_sheet(seed):
+    """Beside the comb, a background shows narrow stripes at about half of its spacing. A failure means that
+    every second one is a sheet, since the comb is even without them."""
+    rng = np.random.default_rng(seed)
+    truth = comb(120, per_side=10, pitch_px=22.0, axis_px=350, slip=0.2, uneven=0.06, seed=seed)
+    away = 5 + np.cumsum(rng.uniform(11.5, 13, (2, 8)), axis=1)
+    beside = np.r_[truth[:, 0].min() - away[0], truth[:, -1].max() + away[1]]
+    stripes = np.tile(beside, (120, 1)), rng.uniform(0.25, 0.35, 16)
+    picture = ridges(truth, width=700, fwhm_px=8.0)
+    picture += ridges(stripes[0], width=700, fwhm_px=3.3, contrast=stripes[1])
+    assert track_sheets(strip(picture)).sizes["sheet"] == 20
+
+
 @pytest.mark.parametrize("off", [0.0, 0.1, 0.3])
 def test_dim_sheets_between_bright_ones_are_kept(off):
     """Every second sheet is five times dimmer, and nearer to one neighbour. A failure means that the bright

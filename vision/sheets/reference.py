@@ -306,22 +306,23 @@ def _choose_sheets(reference: ReferenceComb, comb: RidgeComb, sheets: int | None
 
 
 def _even_but_for_others(reference: ReferenceComb, comb: RidgeComb) -> bool:
-    """Return whether the entries that are alike are spaced by the pitch, but neither all nor the others are.
+    """Return whether the entries that are alike are spaced by the pitch, but those between them are not.
 
     The others are then parts of what holds the sheets, which move along. Others that are even themselves may
-    be every second sheet.
+    be every second sheet, and those outside tell nothing of the comb.
     """
     alike = _alike(reference, reference)
     if alike.sum() < 6:
         return False
+    first, last = np.flatnonzero(alike)[[0, -1]]
+    x_px, alike = reference.x_px[first : last + 1], alike[first : last + 1]
 
     def uneven(x_px: Floats, pitch_px: float) -> bool:
         spread = sigma_about_zero(np.log(np.maximum(np.diff(x_px), 1e-3) / pitch_px))
         return not spread < comb.settings.even_spread  # NaN of less than two
 
-    x_px, pitch_px = reference.x_px, comb.pitch_px
-    mixed = uneven(x_px, float(np.median(np.diff(x_px)))) and uneven(x_px[~alike], pitch_px)
-    return mixed and not uneven(x_px[alike], pitch_px)
+    mixed = uneven(x_px, float(np.median(np.diff(x_px)))) and uneven(x_px[~alike], comb.pitch_px)
+    return mixed and not uneven(x_px[alike], comb.pitch_px)
 
 
 def _local_pitch(x_px: Floats, comb: RidgeComb) -> Floats:
