@@ -15,7 +15,14 @@ from vision.clock import force_slips
 from vision.errors import InputError
 from vision.force import find_stick_slip
 from vision.force.settings import ForceSettings
-from vision.force.signal import averaged, find_spikes, noise_sigma, ringing_period, with_slow_noise
+from vision.force.signal import (
+    averaged,
+    find_spikes,
+    noise_sigma,
+    ringing_period,
+    smoothed_samples,
+    with_slow_noise,
+)
 from vision.force.slips import find_slips
 
 
@@ -31,6 +38,25 @@ def test_noise_is_never_below_the_quantum() -> None:
     """A failure means a coarse load cell, whose samples repeat, counts as free of noise."""
     steps = np.repeat(np.arange(100.0), 50) * 0.5
     assert noise_sigma(steps) == pytest.approx(0.5 / np.sqrt(12))
+
+
+@pytest.mark.parametrize("quantum", [0.0, 0.5])
+def test_noise_behind_a_moving_mean_is_smooth_and_that_of_a_low_pass_is_not(quantum: float) -> None:
+    """A failure means that the swings of an averaged load are searched for slips, or that samples of random
+    walks and of low-passed noise are left out, also where the noise is a few steps of a coarse load."""
+    rng = np.random.default_rng(2)
+    sticks = rng.integers(700, 1300, 60)
+    saw = np.concatenate([np.linspace(0, 50, size) for size in sticks])
+    white = rng.standard_normal(saw.size)
+
+    def smoothed(load: np.ndarray) -> int:
+        return smoothed_samples(np.round(load / quantum) * quantum if quantum else load, ForceSettings())
+
+    for width in (4, 7, 10, 14, 20):
+        mean = np.convolve(saw + 3 * np.sqrt(width) * white, np.full(width, 1 / width), "valid")
+        assert width / 2 < smoothed(mean) < 4 * width, width
+    for other in (white, 0.2 * np.cumsum(white), lfilter([1], [1, -0.9], white)):
+        assert smoothed(saw + 2 * other) == 1
 
 
 def test_spikes_are_found_and_corners_are_not() -> None:

@@ -37,8 +37,9 @@ class ForceSettings:
 
     smooth_growth: float = 1.5
     """Growth of the noise, if every second sample is left out, from which a filter has smoothed it. Smaller
-    takes random walks (1.41) for smooth, larger takes the noise of a filter for slips; shown by paper on
-    paper behind filters of 10 to 200 Hz, of which thousands of swings were events."""
+    takes random walks (1.41) for smooth, larger takes the noise of a filter for slips: that of a moving mean
+    grows by 1.51 to 1.73 at its length; shown by paper on paper behind filters of 10 to 200 Hz, of which
+    thousands of swings were events, and behind moving means."""
 
     smooth_fewest: int = 1000
     """Samples that are left of a recording of smoothed noise, at least. Fewer do not tell its noise, more

@@ -213,27 +213,44 @@ def noise_sigma(y: Floats) -> float:
 def smoothed_samples(load: Floats, settings: ForceSettings) -> int:
     """Return the samples over which a filter has smoothed the noise, a power of two; 1 for none.
 
-    The noise of every k-th sample, `noise_sigma`, grows with k by up to a factor of four where k doubles as
+    The noise of every k-th sample grows with k by up to a factor of four where k doubles as
     long as samples are alike, and not at all once they are not; bent sticks and slips let it grow again. k is
-    where it grows least. Noise of neighbouring samples that grows by less than `smooth_growth`, as that of a
-    random walk, is not smooth. Of hum, four samples in each period are left.
+    where it grows least. Noise that nowhere before grows by `smooth_growth`, as that of a random walk or of a
+    first-order low-pass, is not smooth. That behind a moving mean grows like a random walk up to the length
+    of the mean, and faster there. Of hum, four samples in each period are left.
     """
     most = load.size // settings.smooth_fewest
-    if most < 2 or noise_sigma(load[::2]) < settings.smooth_growth * noise_sigma(load):
+    if most < 2:
+        return 1
+    # Rounding hides how noise of less than half a quantum grows.
+    least_N = max(0.5 * quantum(load), 1e-9 * float(np.ptp(load)), np.finfo(float).tiny)
+    if _noise_of_half(load[::2], least_N) < 1.3 * _noise_of_half(load, least_N):  # neighbours are not alike
         return 1
     hum = find_hum(load, settings)
     quiet = load - np.sum([line.wave for line in hum], axis=0) if hum else load
-    sigma, growth = [noise_sigma(quiet)], [np.inf]
-    while 2 ** len(growth) <= most and growth[-1] <= 1.2 * min(growth):  # a fifth more may be chance
+    sigma, growth = [_noise_of_half(quiet, least_N)], [np.inf]
+    # At the length of a moving mean it grows by a quarter more than before.
+    while 2 ** len(growth) <= most and growth[-1] <= 1.3 * min(growth):
         every = 2 ** len(growth)
-        sigma.append(float(np.median([noise_sigma(quiet[k::every]) for k in range(min(every, 4))])))
+        parts = [_noise_of_half(quiet[k::every], least_N) for k in range(min(every, 4))]
+        sigma.append(float(np.median(parts)))
         growth.append(sigma[-1] / sigma[-2])
-    if growth[1] < settings.smooth_growth:
-        return 1
     least = int(np.argmin(growth)) - 1
+    if max(growth[1 : least + 2]) < settings.smooth_growth:
+        return 1
     every = 1 << least
     fastest = max((line.frequency for line in hum if line.rms > sigma[least]), default=0.0)
     return every if every * fastest <= 0.25 else 1 << max(int(np.log2(0.25 / fastest)), 0)
+
+
+def _noise_of_half(y: Floats, least: float) -> float:
+    """Return the noise, at least `least`, from the mean of the smaller half of the second differences.
+
+    Their median, as in `noise_sigma`, would be a multiple of the quantum, and jump as the noise grows.
+    """
+    size = np.abs(np.diff(y, 2))
+    half = np.partition(size, size.size // 2)[: size.size // 2]
+    return max(float(half.mean() / (0.3247 * np.sqrt(6))), least)
 
 
 def noise_levels(y: Floats, settings: ForceSettings) -> tuple[Floats, float]:
