@@ -1153,6 +1153,18 @@ def test_a_load_that_rings_on_is_not_called_sampled_too_slowly_alone() -> None:
         find_stick_slip(test.force.assign(load_N=("time_s", load + ringing)))
 
 
+def test_a_load_that_rings_in_few_samples_is_told_to_be_averaged() -> None:
+    """A failure means that ringing of 6.7 samples, in which no slip is found, is answered by the advice to
+    lower the threshold."""
+    test = plain(sticks=40, samples=1500, snr=800, jitter=0.07)
+    load, time = test.force["load_N"].to_numpy(), np.arange(400)
+    swing = 0.3 * np.exp(-time / 33) * np.cos(2 * np.pi * 0.15 * time)
+    drop = np.diff(load, prepend=load[0])
+    ringing = np.convolve(np.where(drop < -1, drop, 0.0), swing)[: load.size]
+    with pytest.raises(InputError, match=r"at least two slips.*oscillates at 15 Hz .*give `average_s` auto"):
+        find_stick_slip(test.force.assign(load_N=("time_s", load + ringing)))
+
+
 def test_ringing_after_a_slip_is_no_valley() -> None:
     """A failure means that the load cell's own swing below the stick line is taken for the valley, with an
     error that does not tell."""

@@ -286,7 +286,7 @@ def _too_few_slips(signal: Signal, slips: Slips, source: str, rings: str) -> Inp
         "at least two slips",
         f"{slips.edge.size} drops between fitted lines above {slips.threshold:.3g} "
         f"(noise {signal.sigma:.2g})",
-        "lower `threshold_N` if smaller drops are slips",
+        rings or "lower `threshold_N` if smaller drops are slips",
     )
 
 
