@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from tests.scenes.sawtooth import recording
+from tests.scenes.sawtooth import realistic, recording
+from vision.data import StickMetadata
 from vision.errors import InputError
 from vision.force import ForceSettings, find_stick_slip
 from vision.force.corners import find_extremes
@@ -156,3 +157,21 @@ def test_smoothed_noise_gives_no_event_called_ok(seed: int) -> None:
     time = np.arange(load.size) / 100
     force = recording(time, 20 + 0.01 * time + 0.05 * load / load.std(), 13 + time / 60, 1.0)
     assert not (find_stick_slip(force)["flag"] == "ok").any()
+
+
+@pytest.mark.parametrize("size_um", [0.0, 0.5, 2.0])
+@pytest.mark.parametrize("measured", [True, False])
+def test_a_periodic_error_of_the_displacement_is_told(size_um: float, measured: bool) -> None:
+    """A failure means that K of single sticks, wrong by up to 16 %, has no warning, or that a crosshead that
+    itself moves unevenly is said to be measured wrongly."""
+    made = realistic(tau=0.0, noise=0.1, d1=14.0)
+    time, d, load = (made.force[name].to_numpy() for name in ("time_s", "d_mm", "load_N"))
+    off = 1e-3 * size_um * np.sin(2 * np.pi * (d - d[0]) / 0.08)
+    if not measured:  # the same displacement, which the load now follows
+        load = np.interp(time + 60 * off, time, load)
+    force = made.force.assign(load_N=("time_s", load), d_mm=("time_s", d + off))
+    said = [line for line in StickMetadata.of(find_stick_slip(force)).warnings if "periodic error" in line]
+    assert len(said) == (measured and size_um > 0)
+    for line in said:
+        assert f"±{size_um:.2g} µm every" in line
+        assert float(line.split("every ")[1].split(" ")[0]) == pytest.approx(80, rel=0.06)

@@ -15,7 +15,7 @@ from vision.force.lines import fit_lines
 from vision.force.settings import ForceSettings
 from vision.force.signal import Signal, noise_sigma, step_between
 from vision.force.slips import Slips, upward_share
-from vision.numeric import Bools, Floats, flat_ranges, nan_median, white_noise
+from vision.numeric import Bools, Floats, flat_ranges, nan_median, quantum, white_noise
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ def doubts(
             lines.append(
                 f"{what} has steps of {step:.3g} {unit_of_steps}, sticks are {stick:.3g} {unit_of_steps}"
             )
-    lines += _displacement_warnings(signal, events)
+    lines += _displacement_warnings(signal, events) + _periodic_warnings(signal, events)
     lines += slips.warnings(unit, settings) + _load_warnings(signal, slips, events, unit)
     lines += _fall_warnings(signal, slips, events, unit)
     for word, meaning in _FLAGGED.items():
@@ -174,6 +174,41 @@ def _displacement_warnings(signal: Signal, events: pd.DataFrame) -> list[str]:
         f"the displacement's noise of {noise_um:.2g} µm makes K of a stick uncertain by {100 * share:.0f} %: "
         "Λ̂, N̂ and Y_eff may be wrong by several of their errors; record the crosshead's position, or "
         "average the displacement"
+    ]
+
+
+def _periodic_warnings(signal: Signal, events: pd.DataFrame) -> list[str]:
+    """Return that the displacement has a periodic error, which makes K of single sticks wrong by 1 % or more.
+
+    One line, with five periods or more, then holds most of what the displacement deviates from a straight
+    line, beyond its steps. The crosshead itself may also move unevenly, but K does not change with that: it
+    falls as the displacement that is measured in a stick grows. Lines of up to three sticks in a period may
+    be the stick-slip itself, of a displacement measured on the sample.
+    """
+    if not np.isfinite(signal.travel).all() or len(events) < 8:
+        return []
+    time = signal.time - signal.time.mean()
+    rest = signal.travel - np.polynomial.Polynomial.fit(time, signal.travel, 1)(time)
+    power = np.abs(np.fft.rfft(np.hanning(rest.size) * rest)) ** 2
+    line = 5 + int(np.argmax(power[5:]))
+    share = float(power[line - 2 : line + 3].sum() / max(power[1:].sum(), np.finfo(float).tiny))
+    size_um, period_um = (
+        1e3 * float(np.sqrt(2 * share) * np.std(rest)),
+        1e3 * float(np.ptp(signal.travel)) / line,
+    )
+    change = 2 * np.pi * size_um / max(period_um, np.finfo(float).tiny)
+    sticks = time.size / line / float((events["t_p_s"] - events["t_v_s"]).median() / signal.interval_s)
+    if share < 0.5 or size_um < 1e3 * quantum(signal.travel) or change < 0.01 or sticks < 3:
+        return []
+    pace = events["stick_length_um"] / (events["t_p_s"] - events["t_v_s"])
+    both = np.stack([pace, events["K_N_per_mm"]]).astype(float)
+    steps = np.diff(np.log(both[:, (both > 0).all(axis=0)]), axis=1)  # K falls slowly in a test
+    if not np.sum(steps[0] * steps[1]) < -0.5 * np.sum(steps[0] ** 2):
+        return []
+    return [
+        f"the displacement has a periodic error of ±{size_um:.2g} µm every {period_um:.3g} µm, as of a screw "
+        f"or a scale: Λ_st and K of single sticks may be wrong by {100 * change:.2g} %, whatever their "
+        "errors; the fits average over it"
     ]
 
 
