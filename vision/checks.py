@@ -212,6 +212,13 @@ def _of_tracks(tracks: xr.Dataset, settings: CheckSettings) -> Iterator[str]:
             f" before frame{'s' * (len(steps) > 1)} {_first(steps, 5)}: film an end of the comb, or"
             " mark a sheet"
         )
+    if unseen := found.unseen_jumps:
+        yield (
+            f"the brightnesses along the comb moved on by sheets before frame{'s' * (len(unseen) > 1)}"
+            f" {_first(unseen, 5)}, but the sheets seem to stay, and neither end of the comb is in view:"
+            " displacements of the whole comb may be wrong by multiples of the spacing"
+            f" ({found.pitch_px:.1f} px) from there on: film an end of the comb, or mark a sheet"
+        )
     if found.gap_depth < settings.gap_depth and found.sheets_how == "found":
         yield (
             f"the gaps between ridges are only {100 * found.gap_depth:.0f} % as deep as the background beside"

@@ -283,6 +283,7 @@ class TrackMetadata(Metadata):
     wide_spacings: Sequence[str] = field(default_factory=list)  # "748 px (1.9 pitches)": a sheet overlooked
     sheets_alike: Literal["yes", "no"] = "no"  # whether a picture does not show which sheets it contains
     large_steps: Sequence[int] = field(default_factory=list)  # if so: frames before which the comb moved far
+    unseen_jumps: Sequence[int] = field(default_factory=list)  # frames before which looks moved on by sheets
     ridges_beyond: int = 0  # ridges like sheets beyond or between the given number of sheets
     locking_px: float = 0.0  # locking to whole pixels that was subtracted, rms (`vision.sheets.distortion`)
     locking_err_px: float = 0.0  # what remains of it in the errors

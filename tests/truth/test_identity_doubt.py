@@ -175,3 +175,25 @@ def test_a_comb_back_at_rest_after_a_large_slip_is_not_doubted(seed):
     tracks = track_sheets(strip(ridges(truth, width=600, contrast=height * brightness(16))))
     assert wrong_positions(tracks, truth) == 0
     assert (tracks.flag == "doubtful").values.mean() < 0.05
+
+
+@pytest.mark.parametrize(("spread", "until"), [(0.05, 180), (0.1, FRAMES)])
+def test_a_jump_that_only_brightness_shows_is_named(spread, until):
+    """Sheets that differ by little, both ends out of view, pushed by 0.95 pitch: they seem to stay. A failure
+    means that all positions after it are other sheets and nobody is told, or that a comb that stays is told
+    of a jump."""
+    frame, level = np.arange(FRAMES), np.exp(spread * np.random.default_rng(1).normal(size=50))
+    for pitches in (0.0, 0.95):
+        truth = comb(FRAMES, slip=0.4, axis_px=480)
+        truth = truth + pitches * PITCH * ((frame >= 150) & (frame < until))[:, None]
+        tracks = track_sheets(strip(ridges(truth, width=960, contrast=level)))
+        told = "moved on by sheets before frame" in " ".join(tracking_warnings(tracks))
+        assert told == bool(pitches)
+        assert (wrong_positions(tracks, truth) > 0) == bool(pitches)
+        assert set(tracks.attrs["unseen_jumps"]) <= {150, *range(until - 8, until + 1)}
+
+
+def test_noise_of_equal_sheets_is_no_jump():
+    """A thousand frames of equal sheets in much noise. A failure means that chance is named as a jump."""
+    picture = strip(ridges(comb(1000, slip=0.4, axis_px=480), width=960), snr=12)
+    assert track_sheets(picture).attrs["unseen_jumps"] == []

@@ -34,7 +34,7 @@ from vision.numeric import (
     sigma_about_zero,
     without_common_change,
 )
-from vision.sheets.identities import Doubt, Identities, last_seen
+from vision.sheets.identities import SHIFTS, Doubt, Identities, last_seen
 from vision.sheets.reference import rest_positions
 from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb, Ridges, in_blocks
 from vision.sheets.settings import TrackingSettings
@@ -239,6 +239,11 @@ BESIDE = 4  # sheets on each side whose common change of brightness or width is 
 AROUND = 2  # frames before or after a frame whose looks are judged together
 QUIET_SHARE = 0.25  # of the sheets, which tells how much looks deviate where most sheets may be wrong
 QUIET_SIGMAS = 0.3186  # quantile of this share of the absolute value of a normal variable
+BY_CHANCE = 3.6
+"""Gain of another numbering, in nats over the root of the number of looks, that chance does not reach. It
+scatters by 0.8 for sheets that are equal but for noise. Larger passes jumps that few sheets show, smaller
+names jumps of equal sheets that stay (test_noise_of_equal_sheets_is_no_jump at 1.6)."""
+SETTLED = 8  # frames whose mean looks are compared: more tell less distinct sheets, fewer jumps in short turn
 PART_SHIFTS = (-3, -2, -1, 1, 2, 3)  # sheets by which a part of the comb may be numbered otherwise
 
 
@@ -458,8 +463,7 @@ def sheets_alike(x_px: Floats, contrast: Floats32, fwhm_px: Floats32, comb: Ridg
     fewer than five sheets. Positions, contrasts and widths are (frame, N), NaN where missing.
     """
     rest = rest_positions(x_px)
-    reach = comb.settings.edge_pitches * comb.pitch_px
-    if len(rest) < 5 or rest[0] > reach or rest[-1] < comb.width_px - 1 - reach:
+    if len(rest) < 5 or _end_in_view(rest, comb):
         return False
     alike = nan_median(np.abs(_bend(rest))) < comb.settings.spacing_spread * comb.pitch_px
     for values in (contrast, fwhm_px):
@@ -468,6 +472,66 @@ def sheets_alike(x_px: Floats, contrast: Floats32, fwhm_px: Floats32, comb: Ridg
         within = nan_median(median_size(pattern, mean))
         alike &= nan_median(np.abs(_bend(mean))) < comb.settings.alike_scatter * within
     return bool(alike)
+
+
+def _end_in_view(rest_px: Floats, comb: RidgeComb) -> bool:
+    """Return whether the first or the last of the sheets rests away from the edges of the picture."""
+    reach = comb.settings.edge_pitches * comb.pitch_px
+    return bool(rest_px[0] > reach or rest_px[-1] < comb.width_px - 1 - reach)
+
+
+def unseen_jumps(x_px: Floats, contrast: Floats32, fwhm_px: Floats32, comb: RidgeComb) -> Ints:
+    r"""Return the frames before which the sheets' looks moved on by sheets, although the sheets seem to stay.
+
+    Where a comb without an end in view jumps by about its pitch, each sheet may be taken for the next one.
+    The looks of almost equal sheets do not outweigh that the comb seems to stay, but they show that it may
+    have jumped. Let a and b be the mean log contrasts and log widths of the `SETTLED` frames before and
+    after. Then the sum over the sheets n of
+
+    .. math:: \min\Big(\frac{(b_n - a_n)^2}{2 s^2}, t\Big)
+              - \min\Big(\frac{(b_{n+k} - a_n)^2}{2 s^2}, t\Big),
+
+    with the usual change s of such means and t `TERM_LIMIT`, exceeds `BY_CHANCE` times the root of the number
+    of its terms for a k of `SHIFTS`.
+    Empty if an end of the comb is in view. Positions, contrasts and widths are (frame, N), NaN where missing.
+    """
+    if _end_in_view(rest_positions(x_px), comb):
+        return np.zeros(0, np.int64)
+    gain = np.zeros(len(contrast))
+
+    def compare(rows: slice) -> None:
+        first = max(0, rows.start - SETTLED)
+        near = np.log(np.stack([looks[first : rows.stop + SETTLED] for looks in (contrast, fwhm_px)]))
+        looks = _without_light(near, nan_median(near, axis=1)[:, None])
+        variance = sigma_about_zero(np.diff(looks, axis=1), axis=1)[:, None] ** 2 / 2
+        known = np.isfinite(looks)
+        count, total = (
+            np.pad(np.cumsum(values, axis=1), ((0, 0), (1, 0), (0, 0)))
+            for values in (known, np.where(known, looks, 0.0))
+        )
+        at = np.arange(max(rows.start, 1), rows.stop) - first
+        edges = np.stack([np.maximum(at - SETTLED, 0), at, np.minimum(at + SETTLED, len(near[0]))])
+        frames = np.diff(count[:, edges], axis=1).astype(np.float64)
+        frames[frames == 0] = np.nan
+        (before, after), (many, others) = (
+            np.moveaxis(values, 1, 0) for values in (np.diff(total[:, edges], axis=1) / frames, frames)
+        )
+
+        def cost(by: int) -> Floats:
+            """Return the cost of the looks afterwards if they are those of the sheets `by` further on."""
+            moved, seen = (np.stack([shifted(kind, by) for kind in values]) for values in (after, others))
+            changed = (moved - before) ** 2 / (LEAST_SCATTER**2 + variance * (1 / many + 1 / seen))
+            return np.asarray(np.minimum(changed / 2, TERM_LIMIT))
+
+        own = cost(0)
+        for by in SHIFTS:
+            saved = own - cost(by)
+            terms = np.maximum(np.isfinite(saved).sum(axis=(0, 2)), 1)
+            gain[at + first] = np.fmax(gain[at + first], np.nansum(saved, axis=(0, 2)) / np.sqrt(terms))
+
+    in_two_threads(compare, row_parts(len(gain)))
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(gain, SETTLED), 2 * SETTLED + 1)
+    return np.flatnonzero((gain > BY_CHANCE) & (gain >= around.max(axis=1)))
 
 
 def _bend(values: Floats) -> Floats:

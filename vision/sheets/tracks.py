@@ -35,7 +35,7 @@ from vision.sheets.distortion import (
     pixel_locking,
     two_in_one,
 )
-from vision.sheets.doubts import predicted_by_neighbours, sheets_alike
+from vision.sheets.doubts import predicted_by_neighbours, sheets_alike, unseen_jumps
 from vision.sheets.film import gap_depth, motion_blur, repeated_frames
 from vision.sheets.identities import WHYS, Doubt, identify_sheets
 from vision.sheets.numbering import Numbering, number_sheets
@@ -168,6 +168,7 @@ def track_sheets(
     alike = sheets_alike(assessed.x_px, detections.contrast, detections.fwhm_px, comb)
     step = median_step(np.where(np.isnan(assessed.x_px), detections.withheld_px, assessed.x_px))
     large = number[1:][np.abs(step) > settings.step_fraction * comb.pitch_px]
+    unseen = unseen_jumps(assessed.x_px, detections.contrast, detections.fwhm_px, comb)
     lasting = 0.0
     if facts.codec not in BETWEEN_FRAMES:  # these keep noise, or remove it, and their errors are measured
         lasting = noise_correlation(
@@ -187,6 +188,7 @@ def track_sheets(
         corrections_applied=len(corrections),
         sheets_alike="yes" if alike else "no",
         large_steps=large.tolist() if alike else [],
+        unseen_jumps=number[unseen].tolist(),
         noise_lasts=lasting,
     )
     return record(
