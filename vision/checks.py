@@ -479,7 +479,7 @@ def _comb_warnings(tracks: xr.Dataset, found: TrackMetadata, settings: CheckSett
             "a ridge beyond the outermost sheet is left out"
             + " on both sides" * (found.ridges_beyond > 1)
             + ": if it is a sheet, the axis and n change: look at overview.png, and give the number of sheets"
-            " (`sheets`)"
+            " (`sheets`), or `frames` in which all of them are apart"
         )
     elif found.ridges_beyond:
         lines.append(

@@ -222,3 +222,20 @@ def test_a_ridge_left_out_beyond_the_outermost_sheet_is_warned_of(slip):
     tracks = track_sheets(strip(ridges(truth, width=300, fwhm_px=6.5)))
     assert tracks.sizes["sheet"] < 20
     assert [line for line in consistency_warnings(tracks) if "beyond the outermost" in line]
+
+
+@pytest.mark.parametrize("first", [6, 34])
+def test_a_part_that_slips_onto_the_next_sheets_is_named(first):
+    """From frame 30 of 240 on, the sheets from `first` on are 0.72 pitches further left, one of them in one
+    ridge with its neighbour. A failure means that the comb has a sheet too few, and those beyond take their
+    neighbours' places, without a word, or that a comb that stays whole is warned of."""
+    truth = comb(240, per_side=20, axis_px=430, slip=0.3, period=30)
+    for slipped in (0.0, 0.72):
+        truth[30:, first:] -= slipped * 20.0
+        tracks = track_sheets(
+            strip(ridges(truth, width=860, contrast=0.8 + 0.2 * np.sin(1.7 * np.arange(40))))
+        )
+        nearest = np.abs(tracks.x_px.values[..., None] - truth[:, None]).argmin(axis=2)
+        assert (nearest[0] != nearest[-1]).any() == bool(slipped)
+        told = [line for line in consistency_warnings(tracks) if "beyond the outermost" in line]
+        assert bool(told) == bool(slipped)

@@ -136,21 +136,27 @@ def identify_sheets(
 def _left_out_beyond(match: Ints32, x: Floats32, ridges: Ridges, comb: RidgeComb) -> int:
     """Return at how many ends of the comb a ridge is left out that may be a further sheet: it is often as
     near as the next sheet would be, and moves along with the last one, or this one moves too little to tell.
-    x: positions of the sheets, px, (frame, N)."""
+    One as bright as a sheet, away from the picture's edge, counts if it is seldom there: where a part of the
+    comb slipped onto the place of the next sheets, it is one only before. x: positions of the sheets, px,
+    (frame, N)."""
     settings, frame = comb.settings, np.arange(len(x))
-    common, found = common_change(x, nan_median(x)), 0
+    common, found, reach = common_change(x, nan_median(x)), 0, settings.edge_pitches * comb.pitch_px
     for end, step in ((0, -1), (-1, 1)):
         beside = match[:, end] + step
         known = (match[:, end] >= 0) & (beside >= 0) & (beside < ridges.count)
         other = np.where(known, ridges.x_px[frame, np.where(known, beside, 0)], np.nan)
         apart = np.abs(other - x[:, end]) / comb.pitch_px
         near = (apart > settings.nearest_beyond) & (apart < settings.wide_pitches)
-        if near.mean() < settings.present_inside:
+        if not near.any():
+            continue
+        contrast = np.median(ridges.contrast[frame, np.where(known, beside, 0)][near])
+        in_view = reach < np.median(other[near]) < comb.width_px - 1 - reach
+        clear = in_view and contrast > settings.clear_beyond * comb.contrast
+        if near.mean() < (settings.seldom_beyond if clear else settings.present_inside):
             continue
         other, last = (at[near] - common[near] for at in (other, x[:, end]))
         other, last = other - np.median(other), last - np.median(last)
         still = np.sqrt((last**2).mean()) < settings.moving_px / 2
-        contrast = np.median(ridges.contrast[frame, np.where(known, beside, 0)][near])
         bright = contrast > settings.faint_contrast * comb.contrast
         found += bool(bright if still else motion_likeness(other, last) > settings.along_beyond)
     return found

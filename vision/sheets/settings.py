@@ -205,6 +205,15 @@ class TrackingSettings:
     """Correlation of its motion with the outermost sheet's above which a warning names a ridge that is left
     out. Larger misses sheets that move by less than a pixel, smaller warns of dust."""
 
+    seldom_beyond: float = 0.05
+    """Share of the frames from which that warning names a ridge as bright as a sheet. Beside combs with one
+    sheet too few it is 0.09 to 0.3, else below 0.03. Larger misses such combs, smaller warns of specks that
+    pass (test_a_part_that_slips_onto_the_next_sheets_is_named)."""
+
+    clear_beyond: float = 0.7
+    """Contrast of such a ridge, over that of the comb. Larger misses faint sheets, smaller warns of texture
+    that shows at times (up to 0.5)."""
+
     nearest_beyond: float = 0.45
     """Distance, in pitches, from the outermost sheet from which a ridge that is left out may be a further
     sheet. Larger misses sheets close to the next, smaller warns of the second edge of a sheet."""
