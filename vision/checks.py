@@ -528,9 +528,11 @@ def _stationary_ends(tracks: xr.Dataset, settings: CheckSettings) -> Bools:
         two = known[:, 1:-1] & known[:, 2:]  # the next two of the first, of the second, …
         inner = (moved[:, 1:-1] + moved[:, 2:]) / 2 * two
         both, power = known.T @ two.astype(float), known.T @ inner**2
-        # Edges stay in view; a sheet that leaves it is seen where it has moved less.
+        # Edges stay in view; a sheet that leaves it is seen where it has moved less, unless an edge that
+        # stays is still further out.
         least = (settings.end_moves * noise[inwards][n, None]) ** 2
-        stands = (both > 0.8 * len(known)) & (power > both * least)
+        stands = (both > 0.25 * len(known)) & (power > both * least)
+        stands[0] &= both[0] > 0.8 * len(known)
         stands &= np.fmax(moved.T @ inner, (moved**2).T @ two) < settings.end_still * power
         row = np.flatnonzero(np.logical_and.accumulate(stands, axis=0).diagonal())
         still[inwards][n[: row.max(initial=-1) + 1]] = True
