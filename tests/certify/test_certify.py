@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 from scipy.ndimage import gaussian_filter1d
 
+from tests.docs.test_columns import documented
 from tests.scenes.combs import comb, ridges, strip
 from tests.scenes.degraded import CODECS, DEGRADATIONS, FPS, FRAMES, SCENE, clean
 from tests.scenes.films import write_encoded
@@ -229,6 +230,7 @@ def test_files(tmp_path, monkeypatch):
     table = pd.read_csv(tmp_path / "out/certificate.csv")
     page = (tmp_path / "out/certificate.html").read_text("utf-8")
     assert facts["error_px"] == pytest.approx(certificate.error_px)
+    assert list(documented()["certificate.csv"]) == list(table.columns)
     assert list(table["n"]) == list(tracks["n"].values)
     assert re.search(r"Random error of a position.*?0\.\d{3,4} px \(\d?\.?\d{2,4} µm\)", page, re.DOTALL)
     assert "that of single sheets is from 0." in page and "(the worst)" in page

@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 import vision
+from tests.docs.test_columns import documented
 from tests.scenes.comparison import campaign, events, write_campaign, write_run
 from tests.scenes.undrawn import undrawn
 from vision.command.main import run
@@ -51,10 +52,12 @@ def test_the_folder(six, tmp_path, capsys):
     assert run(["compare", *six, "--table", "tests.csv"]) == 1  # μ follows the humidity
     shown = capsys.readouterr()
     assert "track: warning: a: no single μ fits the 4 tests" in shown.err
-    assert "one μ " in shown.out and " for 4 tests" in shown.out
+    assert "one μ of sample a " in shown.out and " for 4 tests" in shown.out
+    assert "one μ of all samples " in shown.out
     folder = tmp_path / "comparison"
     table = pd.read_csv(folder / "tests.csv")
     assert list(table.columns[: len(COLUMNS)]) == COLUMNS
+    assert sorted(documented()["tests.csv"]) == sorted({*table.columns, "T_C"})
     assert table["run"].tolist() == six
     trends = json.loads((folder / "trends.json").read_text(encoding="utf-8"))
     assert {t["quantity"] for t in trends["trends"]} == {"mu", "N_hat_N", "Lambda_hat_mm"}

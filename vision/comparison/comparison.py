@@ -291,9 +291,10 @@ def _joint(
 
 def answers(found: Comparison) -> list[Answer]:
     """Return the main results, for the top of the page and for the summary of the command."""
+    named = {test.sample_name for test in found.tests}
     boxes = [
         Answer(
-            f"one μ of {one.name}",
+            f"one μ of {'sample ' * (one.name in named)}{one.name}",
             both_errors(one.mu, one.error_contains) if one.fits else "none fits the tests",
             f"for {len(one.runs)} tests{_joint_detail(one)}",
             doubt=one.disagrees or bool(one.at_limit),
