@@ -67,6 +67,14 @@ def test_a_film_that_is_missing_costs_nothing_but_itself(films, capsys):
     assert all(Path(f"{Path(film).stem}_tracks", "run.json").exists() for film in films)
 
 
+def test_a_noise_that_was_not_measured_is_an_empty_cell(films, capsys):
+    """A failure means that "nan" stands in the table, as if something had gone wrong."""
+    assert run([*films, "--frames", "0:2", "--no-report"]) == 1
+    _, *rows = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert [row[5:7] for row in rows] == [["100.00", "%"]] * 3
+    assert not any("nan" in row for row in rows)
+
+
 def test_warnings_name_their_film(films, capsys):
     """A failure means that nobody knows which of a hundred films lost frames."""
     pixels = frames_of(positions(30))

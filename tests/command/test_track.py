@@ -184,6 +184,15 @@ def test_an_earlier_run_is_kept_unless_told_otherwise(video, refused):
     assert Path("comb_tracks/run.json").read_bytes() != stamp
 
 
+def test_a_finished_run_is_not_resumed(video, refused):
+    """A failure means that the user is told to give another folder, and not that the run is complete."""
+    assert run([str(video), "--quiet", "--resume"]) == 0  # nothing is stored: it starts at the first frame
+    said = refused(str(video), "--resume")
+    assert "comb_tracks: expected an interrupted run to resume; found one that is finished" in said
+    assert "give --overwrite" in said
+    assert run([str(video), "--quiet", "--resume", "--overwrite"]) == 0
+
+
 def test_a_new_run_keeps_the_user_s_files_and_decisions(video, tmp_path, capsys):
     """A failure means that --overwrite takes a notebook, or hours of review, without a word."""
     decisions = tmp_path / "mine.toml"

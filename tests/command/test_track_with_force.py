@@ -126,10 +126,10 @@ def test_a_video_with_more_ridges_than_sheets_says_so(truth, capsys):
     """A failure means that a sample of 30 sheets is fitted as one of 20, or as the assumed 25, in silence."""
     options = ("--offset", str(truth.attrs["offset_s"]), "--frames", "0:120", "--overwrite")
     assert run([*VIDEO, *FORCE, *options, "--sheets-per-block", "20"]) == 1
-    assert (
-        "20 sheets per block and side given, but n reaches 25: check --sheets-per-block"
-        in capsys.readouterr().err
-    )
+    said = capsys.readouterr()
+    assert "20 sheets per block and side given, but n reaches 25: check --sheets-per-block" in said.err
+    # The sizes that were not given are assumed, and must not go without a word.
+    assert "M = 20 sheets of 0.1 x 45 x 57 mm (the publication's where not given)" in said.out
     assert run([*VIDEO, *FORCE, *options, "--axis", "800"]) == 1
     said = capsys.readouterr()
     assert "25 sheets per block and side assumed, but n reaches 33" in said.err

@@ -171,6 +171,9 @@ def _check_run(video: Path, target: Path, run: RunOptions, settings: Settings) -
     if is_run(video):
         found, advice = "a run folder", "track review, figures and export take it"
         raise InputError(video, "a video or a folder of images", found, advice)
+    if run.resume and not run.overwrite and is_run(target):
+        advice = "give `overwrite` to track the film again"
+        raise InputError(target, "an interrupted run to resume", "one that is finished", advice)
     try:
         check_target(target, overwrite=run.overwrite)
     except InputError:
@@ -326,7 +329,7 @@ def _row(video: Path, status: int, found: Analysis | None, why: str, seconds: fl
         return (video.name, str(status), "", "", "", "", "", f"{seconds:.1f}", why)
     strip, flags = StripMetadata.of(found.tracks), flag_counts(found.tracks)
     share = sum(flags.get(name, 0) for name in MEASURED) / max(1, sum(flags.values()))
-    count = len(found.warnings)
+    count, noise = len(found.warnings), noise_figures(found.tracks, None)["measured_px"]
     return (
         video.name,
         str(status),
@@ -334,7 +337,7 @@ def _row(video: Path, status: int, found: Analysis | None, why: str, seconds: fl
         str(strip.frames_read),
         str(strip.frames_lost),
         f"{100 * share:.2f} %",
-        f"{noise_figures(found.tracks, None)['measured_px']:.4f}",
+        f"{noise:.4f}" if math.isfinite(noise) else "",  # not measured in a few frames
         f"{seconds:.1f}",
         counted(count, "warning") if count else "",
     )
