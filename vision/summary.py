@@ -117,8 +117,8 @@ def _lines(results: Results, assumed: Sample | None) -> Iterator[tuple[str, str]
         yield "shells", _shells(results.motion, results.shells)
     for k, text in enumerate(_systematic(systematic_budget(results))):
         yield "" if k else "errors", text
-    if assumed is not None:
-        yield "sample", _assumed(assumed, results.tracks)
+    if results.fits is not None:
+        yield "sample", _sample(results.fits.sample, results.tracks, assumed=assumed is not None)
 
 
 def _fit_lines(fits: ModelFits) -> Iterator[tuple[str, str]]:
@@ -398,11 +398,16 @@ def _systematic(budget: Budget) -> list[str]:
     return lines
 
 
-def _assumed(sample: Sample, tracks: xr.Dataset | None) -> str:
-    """Return the assumed sample, and how many ridges the fuller side of the film shows if that differs."""
+def _sample(sample: Sample, tracks: xr.Dataset | None, *, assumed: bool) -> str:
+    """Return the sample, and how many ridges the fuller side of the film shows if that differs.
+
+    Whoever gives the thickness alone must see that the other lengths are the publication's.
+    """
     size = f"{sample.thickness_mm:g} x {sample.width_mm:g} x {sample.length_mm:g} mm"
     seen = sample.sheets_per_block
     if tracks is not None:
         seen = max(int((tracks["side"].values == side).sum()) for side in (-1, 1))
     unlike = f"; the video shows {seen} per side" if seen != sample.sheets_per_block else ""
-    return f"assumed: the publication's, M = {sample.sheets_per_block} sheets of {size}{unlike}"
+    before = "assumed: the publication's, " if assumed else ""
+    after = "" if assumed else " (the publication's where not given)"
+    return f"{before}M = {sample.sheets_per_block} sheets of {size}{after}{unlike}"

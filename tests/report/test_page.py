@@ -251,7 +251,7 @@ def test_methods_tell_that_the_error_of_d0_is_not_known(pulled):
     known, unknown = (replace(pulled.fits, input_errors=errors) for errors in ({"d0_mm": 0.1}, {}))
     assert "d0" not in " ".join(methods(replace(pulled, fits=known)))
     text = " ".join(methods(replace(pulled, fits=unknown)))
-    assert "systematic errors; the latter without that of d0, which is not known)" in text
+    assert "systematic errors; the latter without the error of d0, which is not known)" in text
     assert re.search(r"the noise is [\d.]+ N\)", text)
 
 

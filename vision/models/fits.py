@@ -654,7 +654,7 @@ def _remarks(
         )
         yield line, False
     if not np.isfinite(facts.d0_err_mm):
-        yield "systematic errors do not include that of d0, which is unknown (give `d0_err_mm`)", False
+        yield "systematic errors do not include the error of d0, which is not given (give `d0_err_mm`)", False
 
 
 def _offset_remarks(
