@@ -67,6 +67,7 @@ def test_an_analysis_shows_itself(whole):
     assert whole.plot.tracks(ax) is ax
     assert isinstance(whole.plot.noise(), Axes)
     assert {"tracks", "force", "deformation"} <= set(dir(whole.plot))
+    assert "deformation" in repr(whole.plot)  # what a notebook shows
     with pytest.raises(AttributeError, match="no figure"):
         _ = whole.plot.nonsense
 

@@ -123,11 +123,12 @@ def test_systematic_errors_are_a_line_each():
     """A failure means numbers that nobody can find in one long line, or no word on what is missing."""
     lines = summary_lines(with_force())
     first = next(k for k, line in enumerate(lines) if line.startswith("errors"))
-    place, stiffness, rest = (line[11:] for line in lines[first:])
+    place, stiffness, rest, sample = (line[11:] for line in lines[first:])
     assert place.startswith("position of a sheet") and place.count("±") == 1
     assert "systematic" in place and "statistical" in place
     assert stiffness.startswith("K ±") and "N/mm" in stiffness
     assert rest == "not included, since no error is known: compliance of the machine, pixel size, clock"
+    assert sample == "M = 25 sheets of 0.1 x 45 x 57 mm (the publication's where not given)"
     assert sum("d0" in line for line in lines) == 1  # the note of the fits
 
 

@@ -243,6 +243,16 @@ def test_the_frame_numbers_its_sheets(tracks):
     assert (figure.panel.bands[0].low, figure.panel.bands[0].high) == (59.5, 143.5)
 
 
+def test_an_axis_that_the_motion_does_not_show_is_called_so(tracks):
+    """A failure means a dashed line in the middle of the picture that is taken for a measured axis."""
+    for low_px, said in ((np.nan, True), (90.0, False)):
+        known = tracks.assign_attrs(axis_how="geometry", axis_low_px=low_px, axis_high_px=low_px + 20)
+        figure = frame_figure(np.zeros((200, 220)), known)
+        for text in (figure.panel.title, figure.caption):
+            assert ("(dashed; the motion does not show it)" in text) == said
+            assert ("axis (dashed)" in text) != said
+
+
 def test_locked_positions_show_in_the_locking_check():
     """A failure means that the report cannot tell a fit that locks to whole pixels."""
     rng = np.random.default_rng(0)

@@ -54,6 +54,12 @@ def sides_known(tracks: xr.Dataset) -> bool:
     return found.axis_how == "given" or bool(limited and (side < 0).any() and (side > 0).any())
 
 
+def _axis_is_middle(tracks: xr.Dataset) -> bool:
+    """Tell whether the axis is only the middle of the sheets in view, as the motion does not show it."""
+    found = TrackMetadata.of(tracks)
+    return found.axis_how == "geometry" and math.isnan(found.axis_low_px)
+
+
 def frame_figure(
     frame: Pixels,
     tracks: xr.Dataset,
@@ -77,7 +83,8 @@ def frame_figure(
     x = None if strip is None else strip["x"].values
     across = None if x is None else (float(x[0]) - 0.5, float(x[-1]) + 0.5)
     axis_px = TrackMetadata.of(tracks).axis_px if axis else math.nan
-    numbers = "sheet numbers n, symmetry axis (dashed)" if axis else "index from the left (axis not known)"
+    how = "dashed; the motion does not show it" if _axis_is_middle(tracks) else "dashed"
+    numbers = f"sheet numbers n, symmetry axis ({how})" if axis else "index from the left (axis not known)"
     aspect = rows / columns
     shown = float(np.clip(aspect, 0.09, 1.5))
     z_scale = shown / aspect  # over that of x
@@ -115,7 +122,7 @@ def frame_figure(
         panel,
         f"{which} of the recording. The outlined rows {z0:.0f} to {z1:.0f} (half-open) are averaged to the "
         "profile I(x); vertical strokes mark the sheets that were found, with their "
-        + ("number n counted outwards from the symmetry axis (dashed)" if axis else "index from the left")
+        + (f"number n counted outwards from the symmetry axis ({how})" if axis else "index from the left")
         + f"{stretched}.",
         title="The frame, the strip and the numbered sheets",
     )
@@ -320,8 +327,7 @@ def common_steps_s(tracks: xr.Dataset | None) -> Floats | None:
     """
     if tracks is None:
         return None
-    found = TrackMetadata.of(tracks)
-    if found.axis_how == "geometry" and math.isnan(found.axis_low_px):
+    if _axis_is_middle(tracks):
         return None
     try:
         return video_slips(tracks)["time_s"].to_numpy(float)

@@ -277,6 +277,9 @@ class Plots:
     def __dir__(self) -> list[str]:
         return list(FIGURES)
 
+    def __repr__(self) -> str:
+        return f"plot.NAME(ax=None) with a NAME of {', '.join(FIGURES)}"
+
 
 def figure_named(results: Results, name: str) -> Figure:
     """Return a figure by its name.  Raises: InputError if the results lack its data."""

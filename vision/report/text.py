@@ -383,7 +383,8 @@ def _models(fits: ModelFits) -> str:
         for name in ("mu", "T0_N", "A", "N_hat_N", "Y_eff_GPa")
         for symbol, unit in [QUANTITIES[name]]
     )
-    lacking = "" if "d0_mm" in fits.input_errors else "; the latter without the error of d0, which is not known"
+    without = "; the latter without the error of d0, which is not known"
+    lacking = "" if "d0_mm" in fits.input_errors else without
     fitted = " (fitted)" if math.isfinite(fits.t_star_N.error) else ""
     given = [symbol for name, symbol in (("mu", "μ"), ("modulus_GPa", "Y_eff")) if name in fits.held]
     known = f" {' and '.join(given)} {'were' if len(given) > 1 else 'was'} given." if given else ""
