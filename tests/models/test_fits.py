@@ -472,9 +472,9 @@ def test_the_error_of_d0_is_systematic() -> None:
     made = events()
     found = fit_models(MADE.assign_attrs(d0_err_mm=0.1), made, geometry_err={"thickness_mm": 0.002})
     moved = fit_models(MADE, made.assign(d_v_mm=made["d_v_mm"] + 0.1, d_p_mm=made["d_p_mm"] + 0.1))
-    (note,) = (line for line in fit(made).notes if "systematic errors do not include that of d0" in line)
+    (note,) = (line for line in fit(made).notes if "systematic errors do not include the error of d0" in line)
     assert "`d0_err_mm`" in note and "--d0 with its error" in with_options(note, option_names())
-    assert not any("without that of d0" in line for line in found.notes)
+    assert not any("the error of d0" in line for line in found.notes)
     part = found.budget["d0"]["mu"]
     assert part == pytest.approx(abs(moved.mu.value - fit(made).mu.value), rel=0.1)
     assert part > 10 * found.mu.error
