@@ -60,11 +60,11 @@ def test_an_axis_through_a_sheet_is_said():
     """A failure means that an overlooked sheet, which makes their number odd, is not thought of."""
     test = with_force()
     plain, sheets = axis_line(test.tracks), test.tracks["x_mean_px"].values
-    assert "through sheet" not in plain
+    assert "goes through" not in plain
     sheet = int(test.tracks["side"].values.searchsorted(1))
     on_it = test.tracks.assign_attrs(axis_px=float(sheets[sheet]) - 1.0)
-    assert f"; through sheet {sheet}, counted as n = 1 on the right: " in axis_line(on_it)
-    assert "through sheet" not in axis_line(on_it.assign_attrs(axis_how="given"))  # the user knows
+    assert f"; it goes through sheet {sheet}, which counts as n = 1 on the right: " in axis_line(on_it)
+    assert "goes through" not in axis_line(on_it.assign_attrs(axis_how="given"))  # the user knows
 
 
 def axis_line(tracks):

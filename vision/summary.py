@@ -270,8 +270,8 @@ def _axis_on_sheet(tracks: xr.Dataset) -> str:
     sheet = int(np.nanargmin(apart))
     side, n = {-1: "left", 1: "right"}[int(tracks["side"].values[sheet])], int(tracks["n"].values[sheet])
     return (
-        f"; through sheet {sheet}, counted as n = {n} on the {side}: if it lies between two sheets, one is "
-        "overlooked, or one is none (`axis_px`)"
+        f"; it goes through sheet {sheet}, which counts as n = {n} on the {side}: if it should lie between "
+        "two sheets, one was overlooked, or one is no sheet (`axis_px`)"
     )
 
 

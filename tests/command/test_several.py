@@ -75,6 +75,16 @@ def test_a_noise_that_was_not_measured_is_an_empty_cell(films, capsys):
     assert not any("nan" in row for row in rows)
 
 
+def test_frames_that_a_film_lacks_are_not_measured(films, capsys):
+    """A failure means that a film of which most is lost looks as if all of it had been measured."""
+    write_video(Path("cut.avi"), frames_of(positions(40)))
+    Path("cut.avi").write_bytes(Path("cut.avi").read_bytes()[: Path("cut.avi").stat().st_size // 2])
+    assert run(["cut.avi", "t0.tif", "--fps", "20", "--no-report"]) == 1
+    cut, whole = [line.split() for line in capsys.readouterr().out.splitlines()[1:]]
+    assert float(cut[5]) == pytest.approx(100 * int(cut[3]) / 40, abs=0.01) and int(cut[3]) < 25
+    assert float(whole[5]) == 100
+
+
 def test_warnings_name_their_film(films, capsys):
     """A failure means that nobody knows which of a hundred films lost frames."""
     pixels = frames_of(positions(30))

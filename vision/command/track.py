@@ -328,12 +328,14 @@ def _row(video: Path, status: int, found: Analysis | None, why: str, seconds: fl
     if found is None or found.tracks is None:
         return (video.name, str(status), "", "", "", "", "", f"{seconds:.1f}", why)
     strip, flags = StripMetadata.of(found.tracks), flag_counts(found.tracks)
-    share = sum(flags.get(name, 0) for name in MEASURED) / max(1, sum(flags.values()))
+    sheets = found.tracks.sizes["sheet"]
+    wanted = max(sum(flags.values()), sheets * (strip.frames_read + strip.frames_lost))
+    share = sum(flags.get(name, 0) for name in MEASURED) / max(1, wanted)  # lost frames at the end: no rows
     count, noise = len(found.warnings), noise_figures(found.tracks, None)["measured_px"]
     return (
         video.name,
         str(status),
-        str(found.tracks.sizes["sheet"]),
+        str(sheets),
         str(strip.frames_read),
         str(strip.frames_lost),
         f"{100 * share:.2f} %",
