@@ -494,7 +494,9 @@ def test_a_filter_that_settles_within_the_sticks_is_an_error_of_the_scale(hertz:
     for filtered in (load, sosfilt(butter(2, hertz, fs=200.0, output="sos"), load)):
         force = made.force.assign(load_N=("time_s", filtered))
         events = find_stick_slip(force)
-        assert len(events) == len(made.truth)  # the filter rounds the valleys, but leaves no jumps upward
+        # The filter rounds the valleys, but leaves no jumps upward; the last slip it delays to the end.
+        late = events["t_p_s"].to_numpy() - made.truth["t_p_s"].to_numpy()[: len(events)]
+        assert len(made.truth) - len(events) <= 1 and np.abs(late).max() < 0.2
         found.append(fit_models(force, events).scale_mm)
     sharp, blurred = found
     off = abs(blurred.value - sharp.value)
