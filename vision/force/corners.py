@@ -368,17 +368,17 @@ class Shape:
         middle = np.median(share, axis=0)
         scatter = mad_sigma(share, axis=0)
         standard = 1.25 * scatter / np.sqrt(some.size)
-        clear = (np.abs(middle) > settings.shape_sigmas * standard) & (some.size >= 8)
         reach = float(np.median(length[some] / (stop - 1 - start)[some]))
         ends = legvander(np.array([-reach, reach]), 4)[:, 2:]
-        kept = np.where(clear, middle, 0.0)
-        off = (ends * kept).sum(axis=1)
         count = np.bincount(row)
         noise = np.bincount(row, residual**2) / np.maximum(count - 5, 1) / count / rise[some] ** 2
         white = (2 * np.arange(2, 5) + 1) * np.median(noise)
         if some.size < 8:
             bend = float(np.sqrt(max(middle[0] ** 2 - white[0] / some.size, 0.0)))
             return cls(errors=min(bend, 1.0) * ends[:, :1])
+        clear = np.abs(middle) > settings.shape_sigmas * standard
+        kept = np.where(clear, middle, 0.0)
+        off = (ends * kept).sum(axis=1)
         if not clear.any() or np.abs(off).max() > 1.0:  # no stick deviates that far
             return cls()
         # What the terms left out, and those beyond the last, may add: as much as the last one.
