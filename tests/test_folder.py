@@ -14,7 +14,7 @@ import pytest
 from vision import folder
 from vision.errors import InputError
 from vision.folder import run_folder, write_json
-from vision.run import Parameter
+from vision.run.provenance import Parameter
 
 
 def write_run(folder, text="{}"):

@@ -256,7 +256,7 @@ def analyse(
     progress
         Called with (frames done, total frames or None) while the video is read.
     log, follow
-        `vision.run.Checkpoint`, which stores what is read so that an interrupted run can be resumed;
+        `vision.run.reading.Checkpoint`, which stores what is read so that an interrupted run can be resumed;
         `vision.video.Follow`, which reads a growing recording until it is closed.
 
     Returns

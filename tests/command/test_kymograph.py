@@ -16,7 +16,7 @@ from vision.command import views
 from vision.command.main import run
 from vision.command.options import VideoOptions, WindowOptions
 from vision.figures import Results
-from vision.run import read_run
+from vision.run.reading import read_run
 
 SHEET, COLUMN = ["--sheet", "right:4"], 7  # the outermost on the right
 

@@ -9,8 +9,9 @@ import pytest
 from tests.scenes.analysed import with_force
 from vision.data import MOTION, SHELLS, STICKS, TRACKS
 from vision.pipeline import Settings, analyse
-from vision.run import Origin, write_run
+from vision.run.provenance import Origin
 from vision.run.tables import sheets_table
+from vision.run.writing import write_run
 from vision.shells import deformation_table
 
 PROJECT = Path(__file__).parents[2]

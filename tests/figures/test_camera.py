@@ -17,11 +17,11 @@ from vision.figures import (
     frame_figure,
     kymograph_figure,
     noise_figure,
-    overview,
     pixel_locking_figure,
     space_time_figure,
     tracks_figure,
 )
+from vision.figures.catalogue import overview
 from vision.figures.decimate import grey_levels, grey_limits
 from vision.figures.drawing import MOST_LINES, new_figure
 from vision.figures.positions import MOST_POINTS

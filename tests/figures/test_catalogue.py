@@ -11,7 +11,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from tests.scenes.analysed import Found
 from tests.scenes.report_data import make_profile, make_tracks, sawtooth
-from vision.figures import (
+from vision.figures.camera import intensity_figure, single_sheets_figure, space_time_figure
+from vision.figures.catalogue import (
     FIGURES,
     figures_of,
     kymograph,
@@ -20,7 +21,6 @@ from vision.figures import (
     publication_figures_of,
     sections_of,
 )
-from vision.figures.camera import intensity_figure, single_sheets_figure, space_time_figure
 from vision.figures.figure import Figure, Image, Panel
 from vision.figures.positions import mean_deformation_figure
 from vision.folder import html_table

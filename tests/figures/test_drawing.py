@@ -14,17 +14,8 @@ from matplotlib.font_manager import FontProperties, findfont, get_font
 
 from tests.scenes.analysed import with_force
 from tests.scenes.report_data import make_tracks, sawtooth
-from vision.figures import (
-    Figure,
-    Image,
-    Panel,
-    Series,
-    figures_of,
-    noise_figure,
-    space_time_figure,
-    tracks_figure,
-)
-from vision.figures.catalogue import figure_named
+from vision.figures import Figure, Image, Panel, Series, noise_figure, space_time_figure, tracks_figure
+from vision.figures.catalogue import figure_named, figures_of
 from vision.figures.decimate import label_step
 from vision.figures.drawing import new_figure, picture_style, render
 from vision.figures.force import clocks_figure

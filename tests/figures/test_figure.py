@@ -9,13 +9,8 @@ from matplotlib.figure import Figure as Page
 
 from tests.scenes.report_data import make_tracks, sawtooth
 from vision.errors import InputError
-from vision.figures import (
-    figures_of,
-    force_overview_figure,
-    load_figures,
-    overview,
-    save_figures,
-)
+from vision.figures import force_overview_figure, load_figures, save_figures
+from vision.figures.catalogue import figures_of, overview
 from vision.figures.force import clocks_figure
 from vision.figures.positions import shells_figure, tracks_figure
 

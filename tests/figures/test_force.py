@@ -9,7 +9,8 @@ import pytest
 from tests.figures.conftest import JUMP_PX, by_label
 from tests.scenes.report_data import make_tracks
 from vision.clock import video_slips
-from vision.figures import figures_of, force_overview_figure
+from vision.figures import force_overview_figure
+from vision.figures.catalogue import figures_of
 from vision.figures.force import (
     FIRST_SLIPS,
     _some_sticks,

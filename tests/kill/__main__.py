@@ -25,7 +25,7 @@ from tests.scenes.undrawn import undraw
 from vision.command.main import main as track
 from vision.command.main import run
 from vision.folder import reading_folder
-from vision.run import Checkpoint
+from vision.run.reading import Checkpoint
 
 FRAMES = {"old": 150, "new": 200}
 SHEETS = 8

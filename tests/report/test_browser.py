@@ -13,7 +13,8 @@ from PIL import Image
 
 from tests.scenes.analysed import FACTS
 from tests.scenes.browser import Visit, assert_shut_in
-from vision.figures import Figure, Panel, Series, figures_of
+from vision.figures import Figure, Panel, Series
+from vision.figures.catalogue import figures_of
 from vision.figures.style import DATA, to_unicode
 from vision.report import write_report
 from vision.report.page import render_page

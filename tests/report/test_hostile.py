@@ -20,7 +20,7 @@ from tests.scenes.comparison import campaign, write_campaign
 from vision.certify import CertifySettings, certify, write_certificate
 from vision.command.main import run
 from vision.figures import load_figures, save_figures
-from vision.run import read_run, read_strip
+from vision.run.reading import read_run, read_strip
 
 NAME = '=HYPERLINK("http:x.y")<script>alert(1)<script>"onload=alert(2) $\\frac{$ {{7*7}}\r\n\udcff ../x'
 NAME = NAME.replace("/", "_")

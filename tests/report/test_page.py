@@ -9,7 +9,7 @@ import pytest
 from tests.scenes.analysed import FACTS, Found
 from tests.scenes.report_data import make_profile, make_tracks, sawtooth
 from vision.data import NOT_SUBTRACTED
-from vision.figures import figures_of
+from vision.figures.catalogue import figures_of
 from vision.models import Estimate
 from vision.report import write_report
 from vision.report.page import budget_table

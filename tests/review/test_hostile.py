@@ -15,7 +15,7 @@ from tests.scenes.reviewed import PLANTED, SETTINGS, VIDEO, remedies
 from tests.scenes.served import Served, Started, app_of, page_of
 from vision.errors import InputError
 from vision.review.session import Session
-from vision.run import read_run
+from vision.run.reading import read_run
 from vision.sheets.corrections import read_decisions
 
 pytestmark = pytest.mark.thorough

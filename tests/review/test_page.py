@@ -24,8 +24,9 @@ from vision.pipeline import Settings, analyse
 from vision.review.api import keep_first_view
 from vision.review.server import read_first_view
 from vision.review.session import Session
-from vision.run import Origin, Parameter, write_run
+from vision.run.provenance import Origin, Parameter
 from vision.run.reading import read_run
+from vision.run.writing import write_run
 
 pytestmark = pytest.mark.thorough
 SHOTS = os.environ.get("SHEETVISION_SCREENSHOTS")

@@ -16,7 +16,7 @@ from vision.review import effects, saving
 from vision.review.positions import CELLS, apply
 from vision.review.saving import save_run
 from vision.review.session import Session
-from vision.run import read_run
+from vision.run.reading import read_run
 from vision.sheets.corrections import correction_of
 from vision.sheets.recovery import Flag
 

@@ -16,7 +16,7 @@ from tests.scenes.films import comb, write_avi, write_encoded
 from vision.command.main import run
 from vision.errors import InputError
 from vision.folder import clean_up, reading_folder, run_folder
-from vision.run import Checkpoint, RunFolder, read_run, read_strip
+from vision.run.reading import Checkpoint, RunFolder, read_run, read_strip
 from vision.video import VideoSettings, open_video, strip_profile
 
 

@@ -15,7 +15,8 @@ from tests.scenes import analysed
 from vision.errors import InputError
 from vision.figures import drawing
 from vision.pipeline import Analysis, Settings, Tuning
-from vision.run import Origin, provenance, tables, write_run, writing
+from vision.run import provenance, tables, writing
+from vision.run.provenance import Origin
 from vision.run.tables import (
     frame_step_s,
     stored_kymograph,
@@ -23,6 +24,7 @@ from vision.run.tables import (
     write_kymograph_tif,
     write_space_time_tif,
 )
+from vision.run.writing import write_run
 from vision.shells import ShellSettings
 
 

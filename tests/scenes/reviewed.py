@@ -10,7 +10,8 @@ from typing import Any
 import xarray as xr
 
 from vision.pipeline import Analysis, Settings, analyse
-from vision.run import Origin, Parameter, write_run
+from vision.run.provenance import Origin, Parameter
+from vision.run.writing import write_run
 from vision.sheets.corrections import correction_of
 
 FIXTURE = Path(__file__).parents[2] / "fixtures" / "late"

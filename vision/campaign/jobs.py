@@ -31,7 +31,7 @@ from vision.campaign.results import page_age, write_page, write_partitions
 from vision.errors import InputError, install_advice
 from vision.files import answered, prefetch, shortened
 from vision.pipeline import Analysis
-from vision.run import is_run
+from vision.run.reading import is_run
 
 # --- Snakemake, a process -----------------------------------------------------------------------------------
 

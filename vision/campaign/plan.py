@@ -23,9 +23,8 @@ from vision.campaign.films import PATHS, SETTINGS, Row, is_remote
 from vision.errors import InputError
 from vision.files import Stamp, answered, reading, shortened
 from vision.folder import plain, whole_file, write_json
-from vision.run import describe_input, is_run
-from vision.run.provenance import checksum_of
-from vision.run.reading import read_json
+from vision.run.provenance import checksum_of, describe_input
+from vision.run.reading import is_run, read_json
 from vision.video import open_video, video_files
 
 # --- states -------------------------------------------------------------------------------------------------

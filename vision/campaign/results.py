@@ -26,8 +26,8 @@ from vision.files import reading
 from vision.folder import whole_file, write_csv, write_json
 from vision.numeric import number
 from vision.pipeline import Analysis
-from vision.run import Origin, is_run
-from vision.run.reading import read_json
+from vision.run.provenance import Origin
+from vision.run.reading import is_run, read_json
 from vision.run.tables import columns_in_parts, sheets_table
 from vision.shells import deformation_table
 

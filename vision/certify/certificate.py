@@ -21,7 +21,7 @@ from vision.deformation import horizontal_deformation
 from vision.errors import InputError
 from vision.files import Progress
 from vision.numeric import Bools, Floats, Ints, nan_median, rms
-from vision.run import RunFolder, read_strip
+from vision.run.reading import RunFolder, read_strip
 from vision.sheets import TrackingSettings, track_sheets
 from vision.sheets.scatter import BetweenSlips, spatial_scatter
 from vision.sheets.subpixel import FitChoice, position_noise

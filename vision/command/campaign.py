@@ -43,7 +43,8 @@ from vision.command.track import origin_of, run_name, track_one, why_refused
 from vision.errors import InputError, counted, with_options
 from vision.files import usable_cores
 from vision.folder import claim
-from vision.run import FAILURES, Parameter
+from vision.run.provenance import Parameter
+from vision.run.writing import FAILURES
 from vision.summary import aligned
 
 

@@ -63,7 +63,8 @@ from vision.models.modulus import (
 from vision.models.rheometer import RotationMetadata, read_rheometer
 from vision.numeric import with_minus
 from vision.pipeline import analyse
-from vision.run import check_results, results_folder, write_run
+from vision.run.reading import check_results
+from vision.run.writing import results_folder, write_run
 from vision.sample import Sample
 from vision.summary import aligned
 

@@ -18,7 +18,8 @@ from vision.files import AGAIN, read_toml, reading, shortened
 from vision.force import parse_columns
 from vision.numeric import number
 from vision.pipeline import Settings
-from vision.run import Parameter, read_run
+from vision.run.provenance import Parameter
+from vision.run.reading import read_run
 from vision.sample import PUBLISHED, Sample
 from vision.sheets import read_corrections
 from vision.spacetime import Sheet

@@ -26,17 +26,9 @@ from vision.errors import InputError, counted
 from vision.files import TIFF, answered
 from vision.folder import check_target
 from vision.pipeline import Analysis, Settings, analyse, open_recording, track_strip
-from vision.run import (
-    FAILURES,
-    Checkpoint,
-    Checksums,
-    Origin,
-    Parameter,
-    describe_input,
-    is_run,
-    set_aside,
-    write_run,
-)
+from vision.run.provenance import Checksums, Origin, Parameter, describe_input
+from vision.run.reading import Checkpoint, is_run
+from vision.run.writing import FAILURES, set_aside, write_run
 from vision.sheets.corrections import read_decisions
 from vision.summary import aligned, findings, noise_figures
 from vision.video import Follow, open_video, video_files

@@ -46,9 +46,10 @@ from vision.files import AGAIN
 from vision.files import reading as reading_of
 from vision.folder import check_new, whole_file
 from vision.pipeline import Analysis, Settings, analyse, open_recording
-from vision.run import check_outside, check_results, export_run, is_run, read_run, read_strip, results_folder
-from vision.run.export import Format, write_overlay
+from vision.run.export import Format, export_run, write_overlay
+from vision.run.reading import check_outside, check_results, is_run, read_run, read_strip
 from vision.run.tables import frame_step_s, unevenness_s, write_space_time_tif
+from vision.run.writing import results_folder
 from vision.spacetime import Sheet, space_time
 from vision.summary import aligned
 from vision.video import Video, strip_profile, video_files

@@ -35,7 +35,8 @@ from vision.models import Estimate, both_errors, plus_minus
 from vision.models.single_fits import is_slow
 from vision.report.page import render_page
 from vision.report.text import ANALYSED_WITH, Answer, citation
-from vision.run import Origin, results_folder
+from vision.run.provenance import Origin
+from vision.run.writing import results_folder
 from vision.sample import Sample
 
 MARK = "compare"  # key in run.json that distinguishes a comparison from a run

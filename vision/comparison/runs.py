@@ -21,9 +21,8 @@ from vision.errors import InputError, check_kind
 from vision.files import AGAIN, check_regular, reading, shortened
 from vision.models.single_fits import NEEDED, complete_events, with_fitted_stiffness
 from vision.numeric import Floats, number
-from vision.run import RunFolder, is_run, read_run
 from vision.run.provenance import checksum_of
-from vision.run.reading import read_json
+from vision.run.reading import RunFolder, is_run, read_json, read_run
 from vision.sample import PUBLISHED, Sample
 
 COLUMNS = ("run", "sample", "V_mm_min", "n_test", "RH_percent", "T_C")

@@ -21,7 +21,8 @@ from PIL import Image as Pillow
 
 from vision.data import ForceMetadata, StripMetadata
 from vision.errors import with_options
-from vision.figures import Figure, Image, Panel, Results, Series, figures_of, missing_parts, sections_of
+from vision.figures import Figure, Image, Panel, Series
+from vision.figures.catalogue import Results, figures_of, missing_parts, sections_of
 from vision.figures.style import MISSING, rgb, to_html, to_unicode
 from vision.folder import flattened
 from vision.numeric import Floats, two_digits, with_minus

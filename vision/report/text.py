@@ -21,8 +21,8 @@ from vision.data import (
     TrackMetadata,
     load_unit_text,
 )
-from vision.figures import Results, percent
-from vision.figures.style import candidates_text, drift_text, offset_text
+from vision.figures import Results
+from vision.figures.style import candidates_text, drift_text, offset_text, percent
 from vision.models import Estimate, ModelFits, both_errors, plus_minus
 from vision.models.single_fits import has_knees
 from vision.sheets.tracks import LOSSY

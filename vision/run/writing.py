@@ -17,15 +17,8 @@ from typing import Any
 from vision.checks import flag_counts
 from vision.data import ForceMetadata, StickMetadata, StripMetadata, changed_settings
 from vision.errors import InputError
-from vision.figures import (
-    FIGURES,
-    Figure,
-    figures_of,
-    kymograph,
-    overview,
-    publication_figures_of,
-    save_figures,
-)
+from vision.figures import Figure, save_figures
+from vision.figures.catalogue import FIGURES, figures_of, kymograph, overview, publication_figures_of
 from vision.folder import RUN_JSON, keep_others, run_folder, write_csv, write_json
 from vision.mapped import give_back_freed
 from vision.pipeline import Analysis
