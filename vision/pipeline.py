@@ -129,19 +129,10 @@ class Settings:
     tuning: Tuning = field(default_factory=Tuning)  #: constants of the stages
 
     def __post_init__(self) -> None:
+        values = dict(vars(self))
+        values |= {name: None for name in _AUTO if values[name] == "auto"}
         for check, names in _CHECKS:
-            values = {name: getattr(self, name) for name in names}
-            check(
-                **{
-                    name: None if name in _AUTO and value == "auto" else value
-                    for name, value in values.items()
-                }
-            )
-        check_pixel_size(self.pixel_size_um)
-        check_threshold(self.threshold)
-        for name, words in _WORDS.items():
-            check_word(words, **{name: getattr(self, name)})
-        check_window(self.window_px)
+            check(**{name: values[name] for name in names})
         check_fit_range(self.fit_range_mm)
 
 
@@ -164,16 +155,16 @@ _CHECKS: tuple[tuple[Callable[..., None], tuple[str, ...]], ...] = (
         partial(check_within, "a number of seconds from 0, or auto", 0, math.inf),
         ("force_lowpass_s", "force_average_s"),
     ),
+    (check_pixel_size, ("pixel_size_um",)),
+    (check_threshold, ("threshold",)),
+    (partial(check_word, (0, 90, 180, 270)), ("rotate",)),
+    (partial(check_word, ("bright", "dark", "auto")), ("ridges",)),
+    (partial(check_word, get_args(FitChoice)), ("fit",)),
+    (check_window, ("window_px",)),
 )
 """How the fields of `Settings` are checked when it is made."""
 _AUTO = ("force_lowpass_s", "force_average_s")
 """Fields of `Settings` that may also be "auto"."""
-_WORDS: Mapping[str, tuple[object, ...]] = {
-    "rotate": (0, 90, 180, 270),
-    "ridges": ("bright", "dark", "auto"),
-    "fit": get_args(FitChoice),
-}
-"""Fields of `Settings` that have one of a few values."""
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

@@ -150,20 +150,10 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> Iterator
     axis = f"{found.axis_px:.1f} px ({_axis(found, int(tracks['n'].min()), one_side=len(set(side)) == 1)})"
     axis += _axis_on_sheet(tracks)
     ridges = counted(found.sheets, f"{found.ridges} ridge")
-    yield (
-        "sheets",
-        (
-            f"{ridges} ({(side < 0).sum()} left, {(side > 0).sum()} right); other ridges ignored: "
-            f"{found.ridges_dropped}{unseen}"
-        ),
-    )
-    yield (
-        "frames",
-        (
-            f"{strip.frames_read} of {strip.frames_expected} read; {strip.frames_lost} lost{corrupt}, "
-            f"{strip.frames_blank} blank{frozen}"
-        ),
-    )
+    sides = f"{(side < 0).sum()} left, {(side > 0).sum()} right"
+    yield "sheets", f"{ridges} ({sides}); other ridges ignored: {found.ridges_dropped}{unseen}"
+    read = f"{strip.frames_read} of {strip.frames_expected} read"
+    yield "frames", f"{read}; {strip.frames_lost} lost{corrupt}, {strip.frames_blank} blank{frozen}"
     yield "positions", positions_line(flags)
     locked = f"; locking to pixels of {found.locking_px:.3f} px rms subtracted" * (found.locking_px > 0)
     yield "noise", f"{_noise(noise, length)}{predicted}{locked}" if measured else "no position measured"
