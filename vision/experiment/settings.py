@@ -36,44 +36,31 @@ RidgeShape = Literal["gaussian", "flat", "shouldered"]
 class Mechanics:
     """Friction, stiffness, the pull, and how regular the stick-slip events are."""
 
+    #: Origin of the events: drawn from the publication's equations, or the result of 2M springs whose
+    #: thresholds decide which sheets stick. With "sheets", `mu` applies to every face,
+    #: `amplitude` is 2(μ_s − μ_d), `modulus_GPa` is that of a sheet, and settings that describe events
+    #: (`n_hat_N`, `t0_N`, and `peak_scatter` to `buildup_mm`) are not used.
     model: Literal["equations", "sheets"] = "equations"
-    """Origin of the events: drawn from the publication's equations, or the result of 2M springs whose
-    thresholds decide which sheets stick. With "sheets", `mu` applies to every face,
-    `amplitude` is 2(μ_s − μ_d), `modulus_GPa` is that of a sheet, and settings that describe events
-    (`n_hat_N`, `t0_N`, and `peak_scatter` to `buildup_mm`) are not used."""
-    threshold_scatter: Fraction = 0.02
-    """Relative spread of the sheets' thresholds (model sheets)."""
-    speed_mm_min: Positive = 1.0
-    """Speed V of the crosshead."""
-    d0_mm: Positive = 13.0
-    """Separation at which the pull starts."""
-    d_end_mm: Positive = 18.0
-    """Separation at which the machine stops."""
-    mu: Positive = 0.89
-    """Friction coefficient."""
-    t0_N: float = 0.0
-    """𝒯0, constant offset of the peaks."""
-    amplitude: Positive = 0.34
-    """A, force drop over total normal force."""
-    n_hat_N: Positive = 0.57
-    """N̂, normal force above which a sheet is stiff."""
-    modulus_GPa: Positive = 3.8
-    """Effective modulus of a sheet."""
-    peak_scatter: Fraction = 0.015
-    """Relative standard deviation of the peak forces."""
+    threshold_scatter: Fraction = 0.02  #: relative spread of the sheets' thresholds (model sheets)
+    speed_mm_min: Positive = 1.0  #: speed V of the crosshead
+    d0_mm: Positive = 13.0  #: separation at which the pull starts
+    d_end_mm: Positive = 18.0  #: separation at which the machine stops
+    mu: Positive = 0.89  #: friction coefficient
+    t0_N: float = 0.0  #: 𝒯0, constant offset of the peaks
+    amplitude: Positive = 0.34  #: A, force drop over total normal force
+    n_hat_N: Positive = 0.57  #: N̂, normal force above which a sheet is stiff
+    modulus_GPa: Positive = 3.8  #: effective modulus of a sheet
+    peak_scatter: Fraction = 0.015  #: relative standard deviation of the peak forces
+    #: Relative standard deviation of the force drops and hence of the stick lengths.
     period_jitter: Fraction = 0.07
-    """Relative standard deviation of the force drops and hence of the stick lengths."""
-    softening: Fraction = 0.07
-    """Relative decrease of the slope from the start to the end of a stick phase."""
+    softening: Fraction = 0.07  #: relative decrease of the slope from the start to the end of a stick phase
+    #: Factor by which the first `early_fraction` of each stick phase is steeper, as above 1 mm/min in the
+    #: publication; K is then the later slope.
     early_stiffness_ratio: Positive = 1.0
-    """Factor by which the first `early_fraction` of each stick phase is steeper, as above 1 mm/min in the
-    publication; K is then the later slope."""
-    early_fraction: Fraction = 0.3
-    """Fraction of the stick phase that is steeper."""
+    early_fraction: Fraction = 0.3  #: fraction of the stick phase that is steeper
+    #: Distance over which the peaks initially grow to those of Eq. 1; 0: no build-up.
     buildup_mm: NonNegative = 0.0
-    """Distance over which the peaks initially grow to those of Eq. 1; 0: no build-up."""
-    slip_s: Positive = 0.001
-    """Duration of a slip."""
+    slip_s: Positive = 0.001  #: duration of a slip
 
     @property
     def pull_s(self) -> float:
@@ -85,103 +72,63 @@ class Mechanics:
 class Sheets:
     """Positions and motion of the ridges."""
 
-    count: PositiveInt | None = None
-    """Number of ridges in view; None: all ridges of the sides in view."""
+    count: PositiveInt | None = None  #: number of ridges in view; None: all ridges of the sides in view
+    #: Number of ridges on one side of the axis (2 M if the sheets of both blocks are visible); None: the
+    #: sample's M. The displacement depends on rank / per_side.
     per_side: PositiveInt | None = None
-    """Number of ridges on one side of the axis (2 M if the sheets of both blocks are visible); None: the
-    sample's M. The displacement depends on rank / per_side."""
-    side: Literal["both", "left", "right"] = "both"
-    """Side of the axis that is in view."""
-    pitch_px: Positive = 20.0
-    """Mean distance between ridges."""
-    pitch_jitter: Fraction = 0.06
-    """Largest deviation of a ridge from a regular comb, in pitches."""
-    outer_ratio: NonNegative = 0.5
-    """σ_x/Λ_st of the outermost sheet."""
-    stiff_ratio: NonNegative = 0.1
-    """σ_x/Λ_st at M_eff; below it a sheet is stiff."""
-    sweep_scatter: Fraction = 0.0
-    """Relative scatter of a sheet's sweep from one stick phase to the next."""
-    spread_per_mm: float = 0.004
-    """Relative widening of the comb per mm of separation."""
-    bow_px: float = 1.0
-    """Deflection of the bowed outermost ridge over half the frame's height."""
-    slip_delay_s: NonNegative = 0.0
-    """Largest delay of the slip of a single sheet."""
+    side: Literal["both", "left", "right"] = "both"  #: side of the axis that is in view
+    pitch_px: Positive = 20.0  #: mean distance between ridges
+    pitch_jitter: Fraction = 0.06  #: largest deviation of a ridge from a regular comb, in pitches
+    outer_ratio: NonNegative = 0.5  #: σ_x/Λ_st of the outermost sheet
+    stiff_ratio: NonNegative = 0.1  #: σ_x/Λ_st at M_eff; below it a sheet is stiff
+    sweep_scatter: Fraction = 0.0  #: relative scatter of a sheet's sweep from one stick phase to the next
+    spread_per_mm: float = 0.004  #: relative widening of the comb per mm of separation
+    bow_px: float = 1.0  #: deflection of the bowed outermost ridge over half the frame's height
+    slip_delay_s: NonNegative = 0.0  #: largest delay of the slip of a single sheet
 
 
 @dataclass(frozen=True, kw_only=True)
 class Optics:
     """Appearance of the sheets: ridges, paper, light, lens, and movement of the camera."""
 
-    shape: RidgeShape = "gaussian"
-    """Profile of a ridge."""
-    polarity: Literal["bright", "dark"] = "bright"
-    """Brightness of the ridges relative to the gaps."""
-    fwhm_px: Positive = 8.0
-    """Mean full width of the ridges at half maximum."""
-    fwhm_spread: Fraction = 0.05
-    """Relative spread of the widths."""
-    contrast: Fraction = 0.25
-    """(ridge - gap) / (ridge + gap)."""
-    contrast_spread: Fraction = 0.2
-    """Relative spread of the heights."""
-    faint_sheets: NonNegativeInt = 0
-    """Number of ridges with a fifth of their height."""
-    level: Fraction = 0.4
-    """Brightness between the ridges as a fraction of saturation."""
-    surround: NonNegative = 0.5
-    """Brightness beyond the sample relative to that between the ridges."""
-    gradient: NonNegative = 0.2
-    """Relative change of the light across the frame."""
-    flicker: Fraction = 0.015
-    """Relative amplitude of the flicker of the light."""
-    flicker_Hz: Positive = 100.0
-    """Frequency of the flicker."""
-    tilt_deg: float = 0.2
-    """Tilt of the ridges against the vertical."""
-    distortion: float = 0.0
-    """Relative radial magnification error at the frame's far corner."""
-    drift_px: float = 0.5
-    """Slow movement of the camera over the whole video."""
-    vibration_px: NonNegative = 0.05
-    """RMS vibration of the camera."""
-    texture: Fraction = 0.08
-    """RMS relative brightness of the paper's texture."""
-    texture_px: Positive = 6.0
-    """Size (FWHM) of the texture's grains."""
-    dust: NonNegativeInt = 0
-    """Number of dark spots on the lens."""
+    shape: RidgeShape = "gaussian"  #: profile of a ridge
+    polarity: Literal["bright", "dark"] = "bright"  #: brightness of the ridges relative to the gaps
+    fwhm_px: Positive = 8.0  #: mean full width of the ridges at half maximum
+    fwhm_spread: Fraction = 0.05  #: relative spread of the widths
+    contrast: Fraction = 0.25  #: (ridge - gap) / (ridge + gap)
+    contrast_spread: Fraction = 0.2  #: relative spread of the heights
+    faint_sheets: NonNegativeInt = 0  #: number of ridges with a fifth of their height
+    level: Fraction = 0.4  #: brightness between the ridges as a fraction of saturation
+    surround: NonNegative = 0.5  #: brightness beyond the sample relative to that between the ridges
+    gradient: NonNegative = 0.2  #: relative change of the light across the frame
+    flicker: Fraction = 0.015  #: relative amplitude of the flicker of the light
+    flicker_Hz: Positive = 100.0  #: frequency of the flicker
+    tilt_deg: float = 0.2  #: tilt of the ridges against the vertical
+    distortion: float = 0.0  #: relative radial magnification error at the frame's far corner
+    drift_px: float = 0.5  #: slow movement of the camera over the whole video
+    vibration_px: NonNegative = 0.05  #: RMS vibration of the camera
+    texture: Fraction = 0.08  #: RMS relative brightness of the paper's texture
+    texture_px: Positive = 6.0  #: size (FWHM) of the texture's grains
+    dust: NonNegativeInt = 0  #: number of dark spots on the lens
 
 
 @dataclass(frozen=True, kw_only=True)
 class Camera:
     """Sensor, region, and length of the video. Defaults: an IMX392-class sensor behind 10 µm/px."""
 
-    width: PositiveInt = 1920
-    """Columns."""
-    height: PositiveInt = 100
-    """Rows."""
+    width: PositiveInt = 1920  #: columns
+    height: PositiveInt = 100  #: rows
+    #: Rows of the strip for which the truth is computed, in the middle of the frame.
     strip_rows: PositiveInt = 84
-    """Rows of the strip for which the truth is computed, in the middle of the frame."""
-    pixel_size_um: Positive = 10.0
-    """Size of a pixel in the plane of the sheets."""
-    fps: Positive = 60.0
-    """Frames per second."""
-    duration_s: Positive = 20.0
-    """Length of the video."""
-    exposure_s: NonNegative = 0.004
-    """Exposure time of a frame."""
-    bits: PositiveInt = 8
-    """Bits per pixel, 8 to 16."""
-    full_well_e: Positive = 10500.0
-    """Electrons at saturation."""
-    read_noise_e: NonNegative = 2.5
-    """RMS read-out noise, electrons."""
-    prnu: Fraction = 0.007
-    """Relative spread of the sensitivity of pixels (photo-response non-uniformity)."""
-    noise: bool = True
-    """Whether photon and read-out noise are added."""
+    pixel_size_um: Positive = 10.0  #: size of a pixel in the plane of the sheets
+    fps: Positive = 60.0  #: frames per second
+    duration_s: Positive = 20.0  #: length of the video
+    exposure_s: NonNegative = 0.004  #: exposure time of a frame
+    bits: PositiveInt = 8  #: bits per pixel, 8 to 16
+    full_well_e: Positive = 10500.0  #: electrons at saturation
+    read_noise_e: NonNegative = 2.5  #: RMS read-out noise, electrons
+    prnu: Fraction = 0.007  #: relative spread of the sensitivity of pixels (photo-response non-uniformity)
+    noise: bool = True  #: whether photon and read-out noise are added
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -191,52 +138,35 @@ class Clocks:
     The time of a frame is the middle of its exposure.
     """
 
-    offset_s: float = 36.0
-    """Force clock at video time 0."""
-    drift_ppm: float = 50.0
-    """Relative excess of the rate of the force clock."""
-    dropped: Fraction = 0.0
-    """Fraction of the frames that are lost."""
-    stale: Fraction = 0.0
-    """Fraction of the time stamps that repeat the previous one."""
-    force_rate_Hz: Positive = 200.0
-    """Samples per second of the force recording."""
+    offset_s: float = 36.0  #: force clock at video time 0
+    drift_ppm: float = 50.0  #: relative excess of the rate of the force clock
+    dropped: Fraction = 0.0  #: fraction of the frames that are lost
+    stale: Fraction = 0.0  #: fraction of the time stamps that repeat the previous one
+    force_rate_Hz: Positive = 200.0  #: samples per second of the force recording
 
 
 @dataclass(frozen=True, kw_only=True)
 class LoadCell:
     """Load cell and amplifier."""
 
-    lowpass_s: NonNegative = 0.003
-    """Time constant of the first-order low-pass."""
-    ringing_Hz: NonNegative = 0.0
-    """Frequency at which the load cell rings after slips; 0 for none."""
-    ringing_damping: Positive = 0.05
-    """Damping of the ringing, as a fraction of the critical one."""
-    noise_N: NonNegative = 0.05
-    """RMS white noise."""
-    drift_N: float = 0.2
-    """Drift of the zero over the whole pull."""
-    quantum_N: NonNegative = 0.01
-    """Resolution of the recorded load."""
-    displacement_quantum_mm: NonNegative = 5e-5
-    """Resolution of the recorded displacement."""
+    lowpass_s: NonNegative = 0.003  #: time constant of the first-order low-pass
+    ringing_Hz: NonNegative = 0.0  #: frequency at which the load cell rings after slips; 0 for none
+    ringing_damping: Positive = 0.05  #: damping of the ringing, as a fraction of the critical one
+    noise_N: NonNegative = 0.05  #: RMS white noise
+    drift_N: float = 0.2  #: drift of the zero over the whole pull
+    quantum_N: NonNegative = 0.01  #: resolution of the recorded load
+    displacement_quantum_mm: NonNegative = 5e-5  #: resolution of the recorded displacement
 
 
 @dataclass(frozen=True, kw_only=True)
 class ForceFile:
     """Format of force.txt."""
 
-    layout: Literal["mts", "instron", "zwick", "csv"] = "mts"
-    """Layout, named after the testing machine."""
-    decimal: Literal[".", ","] = "."
-    """Decimal mark."""
-    encoding: Literal["utf-8-sig", "utf-8", "latin-1"] = "utf-8-sig"
-    """Encoding of the text."""
-    unit: Literal["N", "kN"] = "N"
-    """Unit of the force."""
-    video_time: bool = False
-    """Whether the camera's clock is an additional column (mts only)."""
+    layout: Literal["mts", "instron", "zwick", "csv"] = "mts"  #: layout, named after the testing machine
+    decimal: Literal[".", ","] = "."  #: decimal mark
+    encoding: Literal["utf-8-sig", "utf-8", "latin-1"] = "utf-8-sig"  #: encoding of the text
+    unit: Literal["N", "kN"] = "N"  #: unit of the force
+    video_time: bool = False  #: whether the camera's clock is an additional column (mts only)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -249,10 +179,8 @@ class Experiment:
         For an invalid setting; the message names it and what was expected.
     """
 
-    seed: NonNegativeInt = 0
-    """Seed of all random numbers."""
-    sample: Sample = PUBLISHED
-    """M, the dimensions of the sheets, and T*."""
+    seed: NonNegativeInt = 0  #: seed of all random numbers
+    sample: Sample = PUBLISHED  #: M, the dimensions of the sheets, and T*
     mechanics: Mechanics = field(default_factory=Mechanics)
     sheets: Sheets = field(default_factory=Sheets)
     optics: Optics = field(default_factory=Optics)
@@ -269,9 +197,7 @@ class Experiment:
                 continue
             for name, kind in _types(type(value)).items():
                 _check_value(f"{part.name}.{name}", getattr(value, name), kind)
-        _check_pull(self)
-        _check_view(self)
-        _check_camera(self)
+        _check_together(self)
 
     @property
     def ridges_per_side(self) -> int:
@@ -381,8 +307,8 @@ def _require(
         raise InputError(f"setting {setting}", expected, found or str(value), advice)
 
 
-def _check_pull(e: Experiment) -> None:
-    """Check that the pull ends before the blocks separate, and that the video shows some of it."""
+def _check_together(e: Experiment) -> None:
+    """Check settings that limit each other."""
     m, offset, video_s, length = e.mechanics, e.clocks.offset_s, e.camera.duration_s, e.sample.length_mm
     end = "mechanics.d_end_mm"
     _require(e, end, m.d0_mm < m.d_end_mm, f"more than d0 = {m.d0_mm:g} mm")
@@ -393,9 +319,6 @@ def _check_pull(e: Experiment) -> None:
     advice = "set the offset (force clock at video time 0) to suit the speed"
     _require(e, "clocks.offset_s", -video_s < offset < m.pull_s, expected, f"{offset:g} s", advice)
 
-
-def _check_view(e: Experiment) -> None:
-    """Check that the sheets in view exist and fit into the frame."""
     sheets, width, count = e.sheets, e.camera.width, e.ridges_in_view
     comb_px = count * sheets.pitch_px
     found = f"{count} sheets {sheets.pitch_px:g} px apart = {comb_px:g} px"
@@ -405,9 +328,6 @@ def _check_view(e: Experiment) -> None:
     _require(e, "sheets.count", count <= possible, f"at most {possible} with this per_side", str(count))
     _require(e, "optics.faint_sheets", e.optics.faint_sheets <= count, "at most the sheets in view")
 
-
-def _check_camera(e: Experiment) -> None:
-    """Check that the sensor can take these frames."""
     camera, longest = e.camera, 1 / e.camera.fps
     _require(e, "camera.bits", 8 <= camera.bits <= 16, "8 to 16")
     _require(e, "camera.exposure_s", camera.exposure_s <= longest, f"at most 1/fps = {longest:.4g} s")
