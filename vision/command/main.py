@@ -196,20 +196,15 @@ def run(arguments: Sequence[str]) -> int:
 
 
 def _answer(arguments: Sequence[str]) -> Any:
-    """Call the command and return its result."""
+    """Call the command and return its result.  Raises: InputError if the first word is nearly a command."""
     if arguments in ([], ["--help"]):  # skipping the parser saves a quarter of the time
         return make_app(brief=True).help_print([])
-    app = make_app()
-    _check_command(app, arguments[0])
-    return app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
-
-
-def _check_command(app: App, first: str) -> None:
-    """Raise InputError if the first word is no file, and nearly a command."""
+    app, first = make_app(), arguments[0]
     commands = [name for name in app if not name.startswith("-")]
     near = did_you_mean(first.lower(), commands, 0.7)
     if near and first not in commands and "." not in first and not os.path.lexists(first):
         raise InputError(first, "a command or a video", "neither", near)
+    return app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
 
 
 def _stopped(kept: str = "") -> int:

@@ -124,31 +124,34 @@ def _light_per_cell(positions_px: Floats, brightness: Floats, ridges: RidgeAppea
 # --- from sheets to pixels ----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Geometry:
     """The constant map from sheet coordinates to pixels."""
 
-    width: int
-    height: int
-    tilt: float
-    bow_px: float
-    axis_px: float
-    half_comb_px: float
-    distortion: float
+    experiment: Experiment
+    comb: RestingComb
+
+    @property
+    def tilt(self) -> float:
+        """Columns by which a ridge shifts from row to row."""
+        return float(np.tan(np.radians(self.experiment.optics.tilt_deg)))
 
     @property
     def zeta_px(self) -> Floats:
         """ζ of every row."""
-        return np.arange(self.height, dtype=float) - (self.height - 1) / 2
+        height = self.experiment.camera.height
+        return np.arange(height, dtype=float) - (height - 1) / 2
 
     def shift_px(self, x_px: Floats, zeta_px: Floats, zeta2_px2: Floats | None = None) -> Floats:
         """Return s(x, z) in px, a polynomial in ζ: means of ζ and ζ² over rows give the mean shift."""
+        camera, axis_px = self.experiment.camera, self.comb.axis_px
+        half_comb_px = float(np.max(np.abs(self.comb.rest_px - axis_px))) or 1.0
         z2 = zeta_px**2 if zeta2_px2 is None else zeta2_px2
-        out = np.clip((x_px - self.axis_px) / self.half_comb_px, -1.5, 1.5)
-        bowed = -self.bow_px * out * np.abs(out) * z2 / (self.height / 2) ** 2
-        off = x_px - (self.width - 1) / 2
-        corner2 = (self.width / 2) ** 2 + (self.height / 2) ** 2
-        lens = self.distortion * off * (off**2 + z2) / corner2
+        out = np.clip((x_px - axis_px) / half_comb_px, -1.5, 1.5)
+        bowed = -self.experiment.sheets.bow_px * out * np.abs(out) * z2 / (camera.height / 2) ** 2
+        off = x_px - (camera.width - 1) / 2
+        corner2 = (camera.width / 2) ** 2 + (camera.height / 2) ** 2
+        lens = self.experiment.optics.distortion * off * (off**2 + z2) / corner2
         return np.asarray(self.tilt * zeta_px + bowed + lens)
 
     def source_px(self, x_px: Floats, zeta_px: Floats) -> Floats:
@@ -157,20 +160,6 @@ class Geometry:
         for _ in range(12):  # each step reduces the error to a few per cent or less
             source = x_px - self.shift_px(source, zeta_px)
         return source
-
-
-def camera_geometry(experiment: Experiment, comb: RestingComb) -> Geometry:
-    """Return the geometry of an experiment."""
-    optics, camera = experiment.optics, experiment.camera
-    return Geometry(
-        width=camera.width,
-        height=camera.height,
-        tilt=float(np.tan(np.radians(optics.tilt_deg))),
-        bow_px=experiment.sheets.bow_px,
-        axis_px=comb.axis_px,
-        half_comb_px=float(np.max(np.abs(comb.rest_px - comb.axis_px))) or 1.0,
-        distortion=optics.distortion,
-    )
 
 
 # --- the camera's clock -------------------------------------------------------------------------------------
@@ -290,12 +279,13 @@ class Scene:
     @cached_property
     def line(self) -> Line:
         """Line of cells, wider than the frame by the largest shift due to tilt, bow and distortion."""
-        g = self.geometry
-        if not (g.tilt or g.bow_px or g.distortion):  # all rows show the same positions
-            return Line(start_px=-0.5, per_px=1, cells=g.width)
-        largest_shift = abs(g.tilt) * g.height / 2 + 2.25 * abs(g.bow_px) + abs(g.distortion) * g.width
+        camera, tilt = self.experiment.camera, self.geometry.tilt
+        bow_px, distortion = self.experiment.sheets.bow_px, self.experiment.optics.distortion
+        if not (tilt or bow_px or distortion):  # all rows show the same positions
+            return Line(start_px=-0.5, per_px=1, cells=camera.width)
+        largest_shift = abs(tilt) * camera.height / 2 + 2.25 * abs(bow_px) + abs(distortion) * camera.width
         margin, per_px = int(np.ceil(largest_shift)) + 3, 8
-        return Line(start_px=-0.5 - margin, per_px=per_px, cells=(g.width + 2 * margin) * per_px)
+        return Line(start_px=-0.5 - margin, per_px=per_px, cells=(camera.width + 2 * margin) * per_px)
 
     @cached_property
     def base(self) -> Floats:
@@ -395,7 +385,7 @@ def make_scene(experiment: Experiment) -> Scene:
         comb=comb,
         motion=motion,
         ridges=_ridge_appearance(experiment),
-        geometry=camera_geometry(experiment, comb),
+        geometry=Geometry(experiment, comb),
         times=frame_times(experiment),
     )
 

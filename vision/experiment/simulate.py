@@ -90,11 +90,11 @@ class _Painter:
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        cell = _cell_of(scene, np.arange(scene.geometry.width + 1, dtype=float) - 0.5)
+        column = np.arange(scene.experiment.camera.width + 1.0)
+        cell = _cell_of(scene, column - 0.5)
         self.edge_cell = np.floor(cell).astype(np.int32)
         self.edge_share = np.asarray(cell - self.edge_cell, np.float32)
-        centre = _cell_of(scene, np.arange(scene.geometry.width, dtype=float))
-        self.centre_cell = centre.astype(np.int32)
+        self.centre_cell = _cell_of(scene, column[:-1]).astype(np.int32)
         self.base = self._seen(scene.base)
         # Cached properties are computed before threads start, which is not thread-safe.
         self.response = scene.response
@@ -186,7 +186,7 @@ def _row_average(scene: Scene) -> csr_array:
     The light of a pixel is the cumulative light at its right edge minus that at its left edge, interpolated
     between cell edges in each row. Rows are weighted with their light.
     """
-    rows, edges = strip_slice(scene.experiment), np.arange(scene.geometry.width + 1, dtype=np.float64)
+    rows, edges = strip_slice(scene.experiment), np.arange(scene.experiment.camera.width + 1.0)
     weight = scene.row_light[rows]
     at = _cell_of(scene, edges - 0.5)[rows]
     cell = np.floor(at).astype(np.int64)

@@ -83,7 +83,9 @@ def render_page(
     `facts` is the content of run.json; `content` holds the other variables of the template: title, kind,
     subtitle, answers, warnings, missing, methods, citation and tables.
     """
-    data = page_data([figure for _, part in sections for figure in part])
+    store = ArrayStore()
+    charts = {one.name: _panel_data(one.name, one.panel, store) for _, part in sections for one in part}
+    data = {"charts": charts, "blobs": store.blobs()}
     text = _template().render(
         sections=sections,
         provenance=provenance(facts),
@@ -121,13 +123,6 @@ def _asset(name: str) -> str:
 
 
 # --- data for the page's script -----------------------------------------------------------------------------
-
-
-def page_data(figures: Iterable[Figure]) -> dict[str, Any]:
-    """Return the data of the page's script: figures by name, and the long arrays that they share."""
-    store = ArrayStore()
-    content = {figure.name: _panel_data(figure.name, figure.panel, store) for figure in figures}
-    return {"charts": content, "blobs": store.blobs()}
 
 
 def _panel_data(name: str, panel: Panel, store: ArrayStore) -> dict[str, Any]:

@@ -74,8 +74,12 @@ class Effects:
         """Return the current and other positions of some rows near one of them, and the stick phase there."""
         before, shown = self.run.positions.copied(rows), _rows_around(at - rows.start)
         stick_before = stick_after = near and self._current(near.event)
-        if near and _changes_stick(before, after, near.since(rows.start)):
-            stick_after = self._measured(after, near.since(rows.start))
+        if near:
+            near = replace(near, rows=near.rows - rows.start)
+            same = np.array_equal(before.side, after.side) and np.array_equal(before.n, after.n)
+            old, new = (part.x_px[near.rows] for part in (before, after))
+            if not (same and np.array_equal(old, new, equal_nan=True)):
+                stick_after = self._measured(after, near)
         return {
             "frames": before.frame[shown],
             "before": _shown(before, shown),
@@ -265,16 +269,6 @@ class StickAndNeighbours:
     clock: Clock  # clock that relates the stick phases to the rows
     sticks: pd.DataFrame
     rows: Ints
-
-    def since(self, row: int) -> StickAndNeighbours:
-        """Return this part with rows counted from another one."""
-        return replace(self, rows=self.rows - row)
-
-
-def _changes_stick(before: Positions, after: Positions, near: StickAndNeighbours) -> bool:
-    """Return whether numbering or positions differ in the rows of a stick phase."""
-    same = np.array_equal(before.side, after.side) and np.array_equal(before.n, after.n)
-    return not (same and np.array_equal(before.x_px[near.rows], after.x_px[near.rows], equal_nan=True))
 
 
 def _unknown(error: InputError) -> dict[str, Any]:

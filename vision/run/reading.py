@@ -18,7 +18,6 @@ from typing import Any, BinaryIO, Literal, Self
 import numpy as np
 import pandas as pd
 import xarray as xr
-from numpy.typing import NDArray
 
 import vision
 from vision.clock import Candidate, Clock
@@ -334,7 +333,8 @@ class Checkpoint:
         with reading(frames, "frames of an interrupted run", RESTART):
             self._file = frames.open("r+b", buffering=0)
         while (part := np.fromfile(self._file, self._record, PART)).size:
-            written = part[: _count_written(part["status"])]
+            unwritten = (part["status"] == 0) | (part["status"] >= len(STATUS))
+            written = part[: int(unwritten.argmax()) if unwritten.any() else None]
             self.kept += written.size
             yield FramesRead(written["intensity"], np.array(STATUS)[written["status"]], written["time_s"])
             if written.size < part.size:
@@ -402,9 +402,3 @@ def _film_and_settings(video: Video, rows: slice, columns: slice) -> dict[str, A
             for path in video_files(video.path)
         ],
     }
-
-
-def _count_written(status: NDArray[np.uint8]) -> int:
-    """Return the number of records before the first one that was not written."""
-    unwritten = np.flatnonzero((status == 0) | (status >= len(STATUS)))
-    return int(unwritten[0]) if unwritten.size else status.size
