@@ -431,20 +431,10 @@ def _strip(
     _check_lengths(chosen, video.shape[1])
     correction, settings = last_of(chosen.corrections, "strip"), chosen.tuning.video
     rows = chosen.rows if correction is None or correction.rows is None else slice(*correction.rows)
+    how: dict[str, Any] = {"columns": chosen.columns, "progress": progress, "settings": settings}
     if chosen.strips != 1:
-        return strip_profiles(
-            video,
-            chosen.strips,
-            rows,
-            columns=chosen.columns,
-            progress=progress,
-            settings=settings,
-            folder=None if log is None else log.folder,
-        )
-    whole = strip_profile(
-        video, rows, columns=chosen.columns, progress=progress, settings=settings, log=log, follow=follow
-    )
-    return whole, None
+        return strip_profiles(video, chosen.strips, rows, folder=None if log is None else log.folder, **how)
+    return strip_profile(video, rows, log=log, follow=follow, **how), None
 
 
 def _check_lengths(chosen: Settings, width_px: int) -> None:

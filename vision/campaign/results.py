@@ -231,17 +231,12 @@ def as_arrow(table: pd.DataFrame) -> pa.Table:
 
     Floating-point columns are double, integers int64, all others strings, even if every value is missing.
     """
+    kinds = {"b": pa.bool_(), "i": pa.int64(), "u": pa.int64(), "f": pa.float64()}
     columns = {}
     for name, column in table.items():
-        if pd.api.types.is_bool_dtype(column):
-            kind = pa.bool_()
-        elif pd.api.types.is_integer_dtype(column):
-            kind = pa.int64()
-        elif pd.api.types.is_float_dtype(column):
-            kind = pa.float64()
-        else:
-            kind, column = pa.string(), column.astype("string")  # noqa: PLW2901
-        columns[str(name)] = pa.array(column, type=kind, from_pandas=True)
+        kind = kinds.get(column.dtype.kind, pa.string())
+        values = column.astype("string") if kind == pa.string() else column
+        columns[str(name)] = pa.array(values, type=kind, from_pandas=True)
     return pa.table(columns)
 
 

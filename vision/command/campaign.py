@@ -14,15 +14,7 @@ from typing import IO, Annotated, Any
 from cyclopts import Parameter as Option
 
 from vision.campaign import jobs
-from vision.campaign.films import (
-    NO_FILMS,
-    Check,
-    FolderWatch,
-    Row,
-    is_remote,
-    read_campaign,
-    safe_name,
-)
+from vision.campaign.films import NO_FILMS, Check, FolderWatch, Row, is_remote, read_campaign, safe_name
 from vision.campaign.films import SETTINGS as CAMPAIGN
 from vision.campaign.jobs import Outcome, run_job
 from vision.campaign.plan import (

@@ -20,14 +20,7 @@ from cyclopts import Parameter as Option
 
 from vision import __version__
 from vision.command.console import attempt, complain, hold_streams, return_freed_memory, silence_libraries
-from vision.command.options import (
-    Config,
-    ForceOptions,
-    RunOptions,
-    SampleOptions,
-    TestOptions,
-    VideoOptions,
-)
+from vision.command.options import Config, ForceOptions, RunOptions, SampleOptions, TestOptions, VideoOptions
 from vision.command.review import review
 from vision.errors import InputError, did_you_mean
 from vision.files import MOST_PIXELS

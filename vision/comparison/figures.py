@@ -15,16 +15,7 @@ from vision.data import with_word
 from vision.errors import InputError
 from vision.figures.figure import Figure, Panel, Series, load_figures
 from vision.figures.force import amplitude_curve, stiffness_curves
-from vision.figures.style import (
-    DATA,
-    MODEL,
-    PEAK,
-    QUIET,
-    VALLEY,
-    VALLEY_SEPARATION,
-    from_zero,
-    ordered_inks,
-)
+from vision.figures.style import DATA, MODEL, PEAK, QUIET, VALLEY, VALLEY_SEPARATION, from_zero, ordered_inks
 from vision.models import Estimate, both_errors, equations, plus_minus
 from vision.numeric import Floats, with_minus
 
