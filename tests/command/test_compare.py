@@ -19,24 +19,10 @@ from vision.experiment.mechanics import simulate_pull
 from vision.figures import load_figures
 from vision.figures.style import to_unicode
 
-COLUMNS = [
-    "run",
-    "sample",
-    "V_mm_min",
-    "n_test",
-    "RH_percent",
-    "mu",
-    "mu_err",
-    "T0_N",
-    "T0_err_N",
-    "A",
-    "A_err",
-    "N_hat_N",
-    "N_hat_err_N",
-    "Lambda_hat_mm",
-    "Lambda_hat_err_mm",
-    "chi2_dof",
-]
+COLUMNS = (
+    "run,sample,V_mm_min,n_test,RH_percent,mu,mu_err,T0_N,T0_err_N,A,A_err,N_hat_N,N_hat_err_N,"
+    "Lambda_hat_mm,Lambda_hat_err_mm,chi2_dof"
+)
 
 
 @pytest.fixture
@@ -56,7 +42,7 @@ def test_the_folder(six, tmp_path, capsys):
     assert "one μ of all samples " in shown.out
     folder = tmp_path / "comparison"
     table = pd.read_csv(folder / "tests.csv")
-    assert list(table.columns[: len(COLUMNS)]) == COLUMNS
+    assert ",".join(table.columns).startswith(COLUMNS)
     assert sorted(documented()["tests.csv"]) == sorted({*table.columns, "T_C"})
     assert table["run"].tolist() == six
     trends = json.loads((folder / "trends.json").read_text(encoding="utf-8"))

@@ -17,20 +17,10 @@ from vision.models import fit_models
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
 
-COLUMNS = [
-    "event",
-    "t_v_s",
-    "t_p_s",
-    "d_v_mm",
-    "d_p_mm",
-    "F_v_N",
-    "F_p_N",
-    "dF_N",
-    "stick_length_um",
-    "slip_length_um",
-    "K_N_per_mm",
-    "K_err_N_per_mm",
-]
+COLUMNS = (
+    "event,t_v_s,t_p_s,d_v_mm,d_p_mm,F_v_N,F_p_N,dF_N,stick_length_um,slip_length_um,K_N_per_mm,"
+    "K_err_N_per_mm"
+)
 
 
 def force(file: Path, *options: str) -> int:
@@ -116,7 +106,7 @@ def test_a_run_folder_is_complete_and_kept(
     assert force(file, "--d0", "13") == 0
     folder = Path("pull_force")
     events = pd.read_csv(folder / "events.csv")
-    assert list(events.columns[: len(COLUMNS)]) == COLUMNS
+    assert ",".join(events.columns).startswith(COLUMNS)
     assert len(events) == len(test.truth)
     np.testing.assert_allclose(events["d_v_mm"], test.truth["d_v_mm"], atol=2e-3)
     models = json.loads((folder / "models.json").read_text(encoding="utf-8"))

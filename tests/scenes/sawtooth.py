@@ -118,18 +118,8 @@ def realistic(
         knots_f.extend(f)
         t, peak, d = t_v + length / v_mm_s, f_v + rise, d_v + length
         rows.append((t_v, t, d_v, d, f_v, peak, rise, length * 1e3, k_all, k))
-    columns = [
-        "t_v_s",
-        "t_p_s",
-        "d_v_mm",
-        "d_p_mm",
-        "F_v_N",
-        "F_p_N",
-        "dF_N",
-        "stick_length_um",
-        "K_N_per_mm",
-    ]
-    truth = pd.DataFrame(rows, columns=[*columns, "K_sample_N_per_mm"])
+    columns = "t_v_s,t_p_s,d_v_mm,d_p_mm,F_v_N,F_p_N,dF_N,stick_length_um,K_N_per_mm,K_sample_N_per_mm"
+    truth = pd.DataFrame(rows, columns=columns.split(","))
     knots_t.append(t + slip_s)
     knots_f.append(peak * 0.7)
     knots_t.append(t + slip_s + 0.2)
