@@ -389,6 +389,15 @@ def pulled_page(planted, tmp_path_factory):
         yield here
 
 
+@pytest.fixture
+def visit(browser, pulled_page):
+    """Its open review, which finds nothing to complain about."""
+    visit = ReviewVisit(browser, pulled_page)
+    yield visit
+    assert visit.complaints == []
+    visit.context.close()
+
+
 def test_the_first_view_is_there_before_the_run_is_read(browser, planted, tmp_path):
     """A failure means that somebody with a long run waits for all of it before anything is seen."""
     run, begun, free = shutil.copytree(planted, tmp_path / "late"), Event(), Event()
@@ -421,10 +430,9 @@ def test_the_first_view_is_there_before_the_run_is_read(browser, planted, tmp_pa
             visit.context.close()
 
 
-def test_zooming_out_draws_the_tracks_now_and_then(browser, pulled_page):
+def test_zooming_out_draws_the_tracks_now_and_then(visit):
     """A failure means that a look from one slip out to the whole test stutters: lines are slow to draw, so
     that they are stretched in between, and drawn as they are once the picture rests."""
-    visit = ReviewVisit(browser, pulled_page)
     steps, drawn, plain = visit.page.evaluate(
         """async () => {
           const { view, views: { diagram } } = review, counts = { drawn: 0, lines: 0 };
@@ -446,12 +454,10 @@ def test_zooming_out_draws_the_tracks_now_and_then(browser, pulled_page):
     assert steps > 60
     assert 3 < drawn < steps / 4
     assert plain >= 1
-    visit.context.close()
 
 
-def test_dragging_the_strip_shows_its_noise_at_once(browser, pulled_page):
+def test_dragging_the_strip_shows_its_noise_at_once(visit):
     """A failure means that rows are chosen blindly."""
-    visit = ReviewVisit(browser, pulled_page)
     page = visit.page
     page.wait_for_selector("#decide-strip:not([disabled])")
     page.click("#decide-strip")
@@ -469,13 +475,10 @@ def test_dragging_the_strip_shows_its_noise_at_once(browser, pulled_page):
     visit.shot("strip")
     visit.press("Escape")
     visit.reads("film-facts", before)
-    assert visit.complaints == []
-    visit.context.close()
 
 
-def test_a_drag_goes_to_no_frame_in_whatever_direction(browser, pulled_page):
+def test_a_drag_goes_to_no_frame_in_whatever_direction(visit):
     """A failure means that the cursor jumps where a person only moved a picture."""
-    visit = ReviewVisit(browser, pulled_page)
     mouse = visit.page.mouse
     for name in ("film", "diagram", "tracks"):
         box = visit.page.locator(f"#{name}").bounding_box()
@@ -488,7 +491,6 @@ def test_a_drag_goes_to_no_frame_in_whatever_direction(browser, pulled_page):
         assert visit.page.evaluate("review.view.frame") == 0, name
     mouse.click(x, y)
     assert visit.page.evaluate("review.view.frame") > 0
-    visit.context.close()
 
 
 def test_another_strip_is_tracked_again_before_it_is_kept(browser, planted, tmp_path):
@@ -572,9 +574,8 @@ def test_the_page_fits_its_window(browser, pulled_page, width, height, scheme):
     visit.context.close()
 
 
-def test_every_control_and_picture_has_a_name(browser, pulled_page):
+def test_every_control_and_picture_has_a_name(visit):
     """For a screen reader: a failure means that it says "button", or nothing where something changed."""
-    visit = ReviewVisit(browser, pulled_page)
     page = visit.page
     asked = visit.context.new_cdp_session(page)
 
@@ -612,12 +613,10 @@ def test_every_control_and_picture_has_a_name(browser, pulled_page):
           .filter((one) => one.checkVisibility() && !one.disabled).map((one) => one.id)"""
     )
     assert set(wanted) <= focused
-    visit.context.close()
 
 
-def test_an_answer_about_an_earlier_value_settles_nothing(browser, pulled_page):
+def test_an_answer_about_an_earlier_value_settles_nothing(visit):
     """A failure means that a decision can be kept beside the effect of another."""
-    visit = ReviewVisit(browser, pulled_page)
     visit.page.click("#decide-axis")
     visit.effect()
     late = visit.page.evaluate(
@@ -639,12 +638,10 @@ def test_an_answer_about_an_earlier_value_settles_nothing(browser, pulled_page):
     assert late[0] is False
     assert "earlier" not in late[1]
     assert "earlier" not in visit.effect()
-    visit.context.close()
 
 
-def test_an_effect_on_a_part_of_the_frames_says_so(browser, pulled_page):
+def test_an_effect_on_a_part_of_the_frames_says_so(visit):
     """A failure means that the effect near the cursor is taken for the whole one."""
-    visit = ReviewVisit(browser, pulled_page)
     lines = visit.page.evaluate(
         """async () => {
           const { effectOn } = await import("./page/effect.js");
@@ -656,7 +653,6 @@ def test_an_effect_on_a_part_of_the_frames_says_so(browser, pulled_page):
     )
     assert "concerns" not in lines[0]
     assert "frames 7–8 (near the cursor; the decision concerns 90 frames)" in lines[1]
-    visit.context.close()
 
 
 def test_a_second_window_is_told_of_the_first(browser, pulled_page):
