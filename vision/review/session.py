@@ -94,22 +94,18 @@ class Session:
         self.events, self.saved_clock = self.stored.events, self.stored.clock
         columns = self.settings.columns
         first = (columns.start or 0) if columns else 0
+        ridges = self.stored.facts.get("found", {}).get("ridges", {}).get("polarity", "bright")
         self.diagram = Diagram(self.folder / "kymograph.tif", first, self.settings.tuning.tracking)
         try:
-            self._load_positions()
+            self.positions = read_positions(self.folder / "tracks.nc")
+            self.tiles = Tiles(self.diagram, bright=ridges == "bright")
+            if len(self.positions.frame) != self.diagram.frames:
+                frames = f"{len(self.positions.frame)} rows, one per frame of tracks.nc"
+                raise InputError(self.diagram.path, frames, f"{self.diagram.frames}", AGAIN)
             self._load_decisions()
         except BaseException:
             self.diagram.close()
             raise
-
-    def _load_positions(self) -> None:
-        """Read the positions, and build the tiles of the diagram."""
-        ridges = self.stored.facts.get("found", {}).get("ridges", {}).get("polarity", "bright")
-        self.positions = read_positions(self.folder / "tracks.nc")
-        self.tiles = Tiles(self.diagram, bright=ridges == "bright")
-        if len(self.positions.frame) != self.diagram.frames:
-            frames = f"{len(self.positions.frame)} rows, one per frame of tracks.nc"
-            raise InputError(self.diagram.path, frames, f"{self.diagram.frames}", AGAIN)
 
     def _load_decisions(self) -> None:
         """Read the decisions and bring the positions, in which the saved ones are applied, up to date."""
