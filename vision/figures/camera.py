@@ -325,9 +325,7 @@ def common_steps_s(tracks: xr.Dataset | None) -> Floats | None:
     They are not known if the axis is only the middle of the sheets in view, as the outward direction is then
     not known.
     """
-    if tracks is None:
-        return None
-    if _axis_is_middle(tracks):
+    if tracks is None or _axis_is_middle(tracks):
         return None
     try:
         return video_slips(tracks)["time_s"].to_numpy(float)

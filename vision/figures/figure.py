@@ -295,8 +295,7 @@ class Figure:
 
         return drawing.png(drawing.render(self))
 
-    def _repr_png_(self) -> bytes:
-        return self.png()
+    _repr_png_ = png  # for notebooks
 
 
 def _long(table: pd.DataFrame, panel: Panel) -> pd.DataFrame:
