@@ -26,7 +26,9 @@ def films(tmp_path):
 def test_each_film_has_its_folder_and_its_row(films, capsys):
     """A failure means that one film's results stand under another's name, or that the table lacks one."""
     assert run([*films, "--fps", "20", "--no-report"]) == 0
-    head, *rows = [line.split() for line in capsys.readouterr().out.splitlines()]
+    *table, where = capsys.readouterr().out.splitlines()
+    assert where == "results: FILM_tracks/ (look at overview.png first)"
+    head, *rows = [line.split() for line in table]
     assert head[:4] == ["film", "status", "sheets", "frames"]
     assert [row[:4] for row in rows] == [[f"t{k}.tif", "0", str(8 - k), "30"] for k in range(3)]
     for k in range(3):
@@ -42,7 +44,9 @@ def test_a_bad_film_costs_nothing_but_itself(films, capsys, monkeypatch):
     assert sorted(path.name for path in Path("runs").iterdir()) == ["t0_tracks", "t2_tracks"]
     assert len(said.err.splitlines()) == 1
     assert "t1.tif" in said.err
-    assert [line.split()[1] for line in said.out.splitlines()[1:]] == ["0", "2", "0"]
+    *table, where = said.out.splitlines()
+    assert where == f"results: {Path('runs', 'FILM_tracks')}/ (look at overview.png first)"
+    assert [line.split()[1] for line in table[1:]] == ["0", "2", "0"]
     assert run([*films, "--out", "runs", "--no-report", "--overwrite", "--quiet"]) == 2
     assert not capsys.readouterr().out
 
@@ -70,7 +74,7 @@ def test_a_film_that_is_missing_costs_nothing_but_itself(films, capsys):
 def test_a_noise_that_was_not_measured_is_an_empty_cell(films, capsys):
     """A failure means that "nan" stands in the table, as if something had gone wrong."""
     assert run([*films, "--frames", "0:2", "--no-report"]) == 1
-    _, *rows = [line.split() for line in capsys.readouterr().out.splitlines()]
+    _, *rows, _ = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert [row[5:7] for row in rows] == [["100.00", "%"]] * 3
     assert not any("nan" in row for row in rows)
 
@@ -80,7 +84,7 @@ def test_frames_that_a_film_lacks_are_not_measured(films, capsys):
     write_video(Path("cut.avi"), frames_of(positions(40)))
     Path("cut.avi").write_bytes(Path("cut.avi").read_bytes()[: Path("cut.avi").stat().st_size // 2])
     assert run(["cut.avi", "t0.tif", "--fps", "20", "--no-report"]) == 1
-    cut, whole = [line.split() for line in capsys.readouterr().out.splitlines()[1:]]
+    cut, whole = [line.split() for line in capsys.readouterr().out.splitlines()[1:3]]
     assert float(cut[5]) == pytest.approx(100 * int(cut[3]) / 40, abs=0.01) and int(cut[3]) < 25
     assert float(whole[5]) == 100
 

@@ -65,6 +65,17 @@ def test_swap_and_leave_out(film, tmp_path):
     assert np.isnan(fixed.x_px.values[5, 0])
 
 
+def test_one_entry_may_name_several_sheets(film, tmp_path):
+    """A failure means that a stretch of many doubtful sheets takes as many entries."""
+    _, picture, _ = film
+    text = '[[leave_out]]\nsheets=[0, 3, 7]\nframes="5:7"'
+    found = written(tmp_path, text)
+    assert [one.sheets for one in found] == [(0,), (3,), (7,)]
+    fixed = track_sheets(picture, sheets=11, corrections=found)
+    left_out = fixed.flag.values == "left_out"
+    assert sorted(zip(*np.nonzero(left_out), strict=True)) == [(t, k) for t in (5, 6) for k in (0, 3, 7)]
+
+
 @pytest.mark.parametrize(
     ("text", "names"),
     [
@@ -72,6 +83,10 @@ def test_swap_and_leave_out(film, tmp_path):
         ("[[accept]]\nsheet=1", "[[accept]] 1"),
         ('[[accept]]\nsheet="a"\nframes="1:2"', "[[accept]] 1"),
         ('[[accept]]\nsheet=1\nframes="2:1"', "[[accept]] 1"),
+        ('[[accept]]\nsheets=[]\nframes="1:2"', "[[accept]] 1"),
+        ('[[accept]]\nsheets=[1, "a"]\nframes="1:2"', "[[accept]] 1"),
+        ('[[accept]]\nsheet=1\nsheets=[2]\nframes="1:2"', "[[accept]] 1"),
+        ("[[delete]]\nsheets=[1, 2]", "[[delete]] 1"),
         ('[[swap]]\nsheets=[1, 1]\nframes="1:2"', "[[swap]] 1"),
         ('[[assign]]\nsheet=1\nframes="1:2"\nx_px="left"', "[[assign]] 1"),
         ("accept = 3", "accept"),

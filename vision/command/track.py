@@ -311,7 +311,10 @@ def _track_several(
         worst = max(worst, status)
         rows.append(_row(video, status, analysis, why, time.perf_counter() - started))
     if not run.quiet:
-        say(in_columns(rows, "<>>>>>>>"))
+        lines = in_columns(rows, "<>>>>>>>")
+        if folder := next((target.parent for target in targets.values() if is_run(target)), None):
+            lines.append(f"results: {folder / 'FILM_tracks'}/ (look at overview.png first)")
+        say(lines)
     return worst
 
 

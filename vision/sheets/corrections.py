@@ -39,8 +39,9 @@ are sheets:
     offset_s = 36.0024
     drift_ppm = -181.4
 
-`sheet` is the index from the left, as in tracks.csv. Every entry may have a ``date``. Entries with a date are
-applied in order of date, each to the result of the earlier ones: an index is the one seen at that date.
+`sheet` is the index from the left, as in tracks.csv; `accept` and `leave_out` take several at once, as in
+``sheets = [0, 1, 2]``. Every entry may have a ``date``. Entries with a date are applied in order of date,
+each to the result of the earlier ones: an index is the one seen at that date.
 Entries without a date are applied first, with the indices of the tracking. Of several axes, strips or clocks
 the last is used. ``[run]`` names the film that the decisions belong to; entries under ``[[undone]]`` have no
 effect.
@@ -81,6 +82,8 @@ KEYS: Mapping[str, tuple[str, ...]] = {
 """Kinds of corrections, and the keys that an entry of each kind must have."""
 OPTIONAL: Mapping[str, tuple[str, ...]] = {"clock": ("drift_ppm",)}
 """Further keys that an entry may have, besides its date."""
+OF_SEVERAL = ("accept", "leave_out")
+"""Kinds that may name several sheets in one entry."""
 OF_STRETCHES = ("accept", "leave_out", "swap", "assign")
 OF_SHEETS = (*OF_STRETCHES, "add", "delete")
 """Kinds that change which ridge is which sheet; the others change one number of the run."""
@@ -236,14 +239,26 @@ def read_decisions(path: str | Path) -> Decisions:
         if not isinstance(entries, list):
             raise InputError(path, f"[[{kind}]], in two brackets", f"{kind} = {entries!r}")
         found += [
-            correction_of(kind, entry, f"{path}, [[{kind}]] {number}")
+            correction_of(kind, one, f"{path}, [[{kind}]] {number}")
             for number, entry in enumerate(entries, 1)
+            for one in _one_sheet_each(kind, entry)
         ]
     return Decisions(
         corrections=ordered(found),
         undone=tuple(_undone(path, number, entry) for number, entry in enumerate(undone, 1)),
         film=str(run.get("film", "")),
     )
+
+
+def _one_sheet_each(kind: str, entry: Any) -> list[Any]:
+    """Return one entry per sheet of an entry with several, and any other entry as it is."""
+    if kind not in OF_SEVERAL or not isinstance(entry, dict) or "sheet" in entry:
+        return [entry]
+    sheets = entry.get("sheets")
+    if not isinstance(sheets, list) or not sheets:
+        return [entry]
+    rest = {key: value for key, value in entry.items() if key != "sheets"}
+    return [{**rest, "sheet": sheet} for sheet in sheets]
 
 
 def _undone(path: str | Path, number: int, entry: Any) -> Correction:
