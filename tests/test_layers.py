@@ -8,10 +8,10 @@ VISION = Path(__file__).parents[1] / "vision"
 LAYERS = (
     "errors",
     "numeric",
-    "mapped",
     "words",
     "signals",
     "files",
+    "mapped",
     "folder",
     "data",
     "sample",

@@ -9,6 +9,7 @@ file in a separate process (`try_out`).
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import glob
 import itertools
 import json
@@ -60,8 +61,11 @@ def check_regular(path: Path, wanted: str) -> os.stat_result:
 
 def members(path: Path) -> list[Path]:
     """Return what a folder holds, else the path itself or what matches it as a pattern; in no order."""
-    if path.is_dir():
-        return list(path.iterdir())
+    return list(path.iterdir()) if path.is_dir() else matching(path)
+
+
+def matching(path: Path) -> list[Path]:
+    """Return a path that exists, or what matches it as a pattern, in no order: not every shell expands it."""
     return [path] if path.exists() else [Path(name) for name in glob.glob(str(path))]  # noqa: PTH207  # absolute
 
 
@@ -283,6 +287,11 @@ def usable_cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def c_library() -> ctypes.CDLL | None:
+    """Return the C library of a Linux system, for calls that only it has; None on others."""
+    return ctypes.CDLL(None, use_errno=True) if sys.platform.startswith("linux") else None
 
 
 def in_threads(work: Callable[[Item], Result], items: Iterable[Item], *, held: int = 32) -> Iterator[Result]:

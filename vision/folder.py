@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import errno
 import glob
 import html
@@ -12,7 +11,6 @@ import os
 import re
 import secrets
 import shutil
-import sys
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, is_dataclass
@@ -20,6 +18,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 from vision.errors import InputError
+from vision.files import c_library
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -253,9 +252,7 @@ def _restore_or_remove(old: Path, target: Path) -> None:
 
 def _exchange(one: Path, other: Path) -> bool:
     """Exchange two names in one step; return False if the system or the file system cannot."""
-    if not sys.platform.startswith("linux"):
-        return False
-    call = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
+    call = getattr(c_library(), "renameat2", None)
     if call is None:
         return False
     at_fdcwd, rename_exchange = -100, 2  # the former: relative names start at the working directory

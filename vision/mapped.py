@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import mmap
 import os
 import tempfile
@@ -16,6 +15,7 @@ import numpy as np
 from numpy.lib.array_utils import byte_bounds
 from numpy.typing import NDArray
 
+from vision.files import c_library
 from vision.numeric import Floats32, Ints, row_parts
 
 _APART_AT_ONCE = 16  # rows far from each other in the file
@@ -46,7 +46,7 @@ def table_in_file(rows: int, columns: int, folder: Path | None) -> Floats32:
         if hasattr(os, "posix_fallocate"):  # writing to a mapping on a full disk would kill the process
             os.posix_fallocate(file.fileno(), 0, size)
         else:
-            os.truncate(file.fileno(), size)
+            os.ftruncate(file.fileno(), size)
         return np.ndarray((rows, columns), np.float32, _TemporaryFile(file.fileno(), size))
 
 
@@ -93,8 +93,9 @@ def give_back_freed() -> None:
 
     Nothing happens where it is not the GNU C library. It takes a few milliseconds.
     """
-    with suppress(OSError, AttributeError):
-        ctypes.CDLL(None).malloc_trim(0)
+    if library := c_library():
+        with suppress(AttributeError):
+            library.malloc_trim(0)
 
 
 def parts_in_turn(table: NDArray[Any], at_once: int = _ROWS_AT_ONCE) -> Iterator[slice]:

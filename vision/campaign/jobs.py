@@ -5,7 +5,6 @@ Snakemake only schedules. The results of films are read from their states, and a
 
 from __future__ import annotations
 
-import ctypes
 import importlib
 import importlib.util
 import multiprocessing
@@ -29,7 +28,7 @@ from vision.campaign.films import SETTINGS, is_remote
 from vision.campaign.plan import PLAN, Plan, PlannedFilm, State, Word, inputs_of, write_plan, write_state
 from vision.campaign.results import page_age, write_page, write_partitions
 from vision.errors import InputError, install_advice
-from vision.files import answered, prefetch, shortened
+from vision.files import answered, c_library, prefetch, shortened
 from vision.pipeline import Analysis
 from vision.run.reading import is_run
 
@@ -102,6 +101,9 @@ def run_snakemake(
 
 def _stop(process: subprocess.Popen[bytes]) -> None:
     """End Snakemake and the processes it started. On a cluster it first cancels its jobs."""
+    if not hasattr(os, "killpg"):  # Windows
+        process.kill()
+        return
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
         with suppress(OSError):
             os.killpg(process.pid, number)
@@ -236,8 +238,8 @@ def _until_parent_ends(work: Callable[[], None]) -> None:
 
     for each in signals:
         signal.signal(each, once)
-    if sys.platform.startswith("linux"):
-        ctypes.CDLL(None).prctl(1, signal.SIGTERM)
+    if library := c_library():
+        library.prctl(1, signal.SIGTERM)
     try:
         work()
     except KeyboardInterrupt:

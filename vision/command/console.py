@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import difflib
 import errno
 import os
@@ -18,7 +17,7 @@ from cyclopts import CoercionError, CycloptsError, UnknownOptionError, UnusedCli
 
 from vision.command.options import option_names, with_point
 from vision.errors import InputError, with_options
-from vision.files import Progress
+from vision.files import Progress, c_library
 
 T = TypeVar("T")
 
@@ -61,10 +60,10 @@ def return_freed_memory() -> None:
     with 24 sheets 55 MB while sheets are tracked, and 180 MB afterwards. Of smaller arrays it is to keep
     8 MiB: the system needs longer to give them again than most computations with them take.
     """
-    with suppress(OSError, AttributeError):  # only the GNU C library has these settings
-        library = ctypes.CDLL(None)
-        library.mallopt(-3, 4 << 20)  # M_MMAP_THRESHOLD of malloc.h
-        library.mallopt(-1, 8 << 20)  # M_TRIM_THRESHOLD, 128 KiB once the other is set
+    if library := c_library():
+        with suppress(AttributeError):  # only the GNU C library has these settings
+            library.mallopt(-3, 4 << 20)  # M_MMAP_THRESHOLD of malloc.h
+            library.mallopt(-1, 8 << 20)  # M_TRIM_THRESHOLD, 128 KiB once the other is set
 
 
 def say(lines: Iterable[str]) -> None:

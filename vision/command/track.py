@@ -62,12 +62,12 @@ def track_films(videos: Sequence[Path], groups: Sequence[Any], run: RunOptions, 
 
 
 def films_of(video: Path) -> list[Path]:
-    """Return the films of a folder that holds some, else the path itself. Pictures beside films are left out.
+    """Return the films of a folder or of a pattern, else the path itself. Pictures beside films are left out.
 
     A folder often holds pictures of its films, such as those of `track preview`, and overlays of its runs,
     which are left out as well.
     """
-    if not answered(lambda: video.is_dir() and not is_run(video), video):
+    if not answered(lambda: not is_run(video) if video.is_dir() else not video.exists(), video):
         return [video]
     films = [
         film

@@ -205,7 +205,8 @@ def in_child(server: int) -> None:
     lines, sys.stdout = sys.stdout, sys.stderr
 
     def tell(content: Any, done: int = 0, total: int = 0, *, kind: str = "stage") -> None:
-        if os.getppid() != server:
+        # On Windows the parent may be the launcher of the virtual environment.
+        if os.name == "posix" and os.getppid() != server:
             os._exit(1)
         lines.write(json.dumps([kind, content, done, total]) + "\n")
         lines.flush()

@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from vision.errors import PATH, InputError, check_kind, check_within, shown
-from vision.files import Stamp, answered, check_pixels, check_regular, reading
+from vision.files import Stamp, answered, check_pixels, check_regular, members, reading
 from vision.folder import html_table
 from vision.numeric import Floats, Ints, Pixels
 from vision.video.raw import PIXELS, is_photron, open_raw, photron_files
@@ -333,12 +333,12 @@ def video_files(path: Path) -> tuple[Path, ...]:
 
 
 def files_in(folder: Path, suffixes: Collection[str]) -> list[Path]:
-    """Return the files of a folder that have one of these suffixes, in order of their names, none hidden.
+    """Return the files of a folder, or of a pattern, with one of these suffixes, in order of their names.
 
-    Raises: InputError if the folder cannot be read.
+    Hidden ones are left out.  Raises: InputError if the folder cannot be read.
     """
     with reading(folder, "a folder that can be read", "check its permissions"):
-        files = [file for file in sorted(folder.iterdir()) if file.suffix.lower() in suffixes]
+        files = [file for file in sorted(members(folder)) if file.suffix.lower() in suffixes]
     return [file for file in files if not file.name.startswith(".") and file.is_file()]
 
 

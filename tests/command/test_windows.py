@@ -1,0 +1,82 @@
+"""On Windows, as far as another system can show it: many laboratory computers run it."""
+
+import ctypes
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from tests.scenes.comb_video import frames_of, positions, write_video
+from vision import files
+from vision.mapped import put_rows, table_in_file
+
+ROOT = Path(__file__).resolve().parents[2]
+PAPER = ROOT / "fixtures" / "paper"
+
+
+def windows(*arguments, folder):
+    """Run the command without what POSIX systems alone have."""
+    command = [sys.executable, "-m", "tests.scenes.windows", *map(str, arguments)]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, check=False, cwd=folder, env=environment, capture_output=True, text=True)
+    return done.returncode, done.stderr
+
+
+def test_the_main_job_runs_and_replaces_its_run(tmp_path):
+    """A failure means that `track` ends in an unexpected error on Windows."""
+    film = [
+        PAPER / "video.avi",
+        "--pixel-size",
+        "10",
+        "--timestamps",
+        PAPER / "timestamps.txt",
+        "--out",
+        "r",
+    ]
+    force = ["--force", PAPER / "force.txt", "--d0", "13", "--offset", "36"]
+    assert windows(*film, "--no-report", folder=tmp_path)[0] == 0
+    before = pd.read_csv(tmp_path / "r" / "tracks.csv")
+    assert windows(*film, *force, "--overwrite", folder=tmp_path)[0] == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["r"]
+    assert (tmp_path / "r" / "deformation.csv").exists()
+    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "r" / "tracks.csv"), before)
+
+
+def test_a_parser_is_tried_out_in_a_process_without_limits(tmp_path):
+    """A failure means that no MATLAB file can be read on Windows, or that a damaged one is."""
+    (tmp_path / "pull.mat").write_bytes(b"MATLAB 5.0 MAT-file" + bytes(200))
+    status, said = windows("force", "pull.mat", folder=tmp_path)
+    assert status == 2
+    assert said.startswith("track: pull.mat: expected a MATLAB .mat file; found")
+
+
+def test_a_pattern_that_the_shell_does_not_expand(tmp_path):
+    """A failure means that `track *.avi` finds no film in the command prompt."""
+    for name in ("a.avi", "b.avi"):
+        write_video(tmp_path / name, frames_of(positions(30)))
+    assert windows("*.avi", "--no-report", folder=tmp_path)[0] == 0
+    assert sorted(path.name for path in tmp_path.glob("*_tracks")) == ["a_tracks", "b_tracks"]
+
+
+def test_the_c_library_is_that_of_linux_alone(monkeypatch):
+    """A failure means that a call of Linux is looked for where ctypes raises TypeError for it."""
+    monkeypatch.setattr(files.sys, "platform", "win32")
+    assert files.c_library() is None
+    monkeypatch.setattr(files.sys, "platform", "linux")
+    if Path("/proc/self").exists():
+        assert isinstance(files.c_library(), ctypes.CDLL)
+
+
+def test_tables_in_files_without_calls_of_posix(tmp_path, monkeypatch):
+    """A failure means that a film whose I(x, t) does not fit into memory is not tracked on Windows."""
+    for name in ("posix_fallocate", "pwrite"):
+        monkeypatch.delattr(f"os.{name}", raising=False)
+    monkeypatch.delattr("mmap.MADV_DONTNEED", raising=False)
+    table = table_in_file(100, 7, tmp_path)
+    rows = np.arange(140, dtype=np.float32).reshape(20, 7)
+    put_rows(table, 30, rows)
+    np.testing.assert_array_equal(table[30:50], rows)
+    assert not table[50:].any()
