@@ -365,7 +365,9 @@ def _shells(motion: xr.Dataset, shells: pd.DataFrame) -> str:
         found = f"{size.median():.0f}" + (f" ({least} to {most})" if least < most else " in each")
     if (ratio := nan_median(motion["ratio"].values)).size and np.isfinite(ratio).any():  # of each sheet
         found += f"; median σ_x/Λ_st of a sheet {np.nanmin(ratio):.3f} to {np.nanmax(ratio):.3f}"
-    return f"{motion.sizes['event']} stick phases in the video; stiff sheets per side {found}"
+    short = int((motion["flag"] == "few").all("sheet").sum())
+    too_short = f", {short} of them too short for σ_x/Λ_st" if short else ""
+    return f"{motion.sizes['event']} stick phases in the video{too_short}; stiff sheets per side {found}"
 
 
 def _systematic(budget: Budget) -> list[str]:

@@ -195,8 +195,11 @@ def test_fewer_than_four_frames_give_nothing():
     for name in ("ratio", "ratio_err", "sigma_x_um", "sigma_x_corrected_um", "sweep_um"):
         assert np.isnan(motion[name].to_numpy()[few]).all()
         assert np.isfinite(motion[name].to_numpy()[~few]).all()
-    short = make(uniform(1.0, 20.0, events=5), frames=4)
-    assert (measure(short)["flag"] == "few").all()
+    assert not MotionMetadata.of(motion).warnings
+    short = measure(make(uniform(1.0, 20.0, events=5), frames=4))
+    assert (short["flag"] == "few").all()
+    (line,) = MotionMetadata.of(short).warnings
+    assert line.startswith("5 of 5 stick phases are too short for σ_x/Λ_st, with 4 frames in the median")
 
 
 @pytest.mark.parametrize("seen", [slice(0, 25), slice(25, 50), slice(24, 26), slice(30, 31)])

@@ -154,6 +154,7 @@ def horizontal_deformation(
     at = time[frames.frame]
     frames = frames.only((at > first[frames.row] + interval) & (at < last[frames.row] - interval))
     motion, found = _measure(tracks, events, frames, pixel, common_mode, settings)
+    found["warnings"] += _too_short(motion, every)
     motion["frames_left_out"] = "event", every.counts - frames.counts, MOTION["frames_left_out"].attrs
     facts = MotionMetadata(
         source=source,
@@ -411,6 +412,18 @@ def _own_warnings(
         if found >= settings.warned_sheets * size_px.size:
             lines.append(f"{found} of {size_px.size} sheets {cause}; the error of σ_x/Λ_st contains it")
     return lines
+
+
+def _too_short(motion: xr.Dataset, frames: StickFrames) -> list[str]:
+    """Warning if most stick phases have too few frames for any sheet; shorter ones among longer are usual."""
+    short = (motion["flag"] == "few").all("sheet").values
+    if short.sum() <= short.size / 2:
+        return []
+    return [
+        f"{short.sum()} of {short.size} stick phases are too short for σ_x/Λ_st, with"
+        f" {np.median(frames.counts):.0f} frames in the median (4 are needed, without those beside a slip):"
+        " film more frames/s, or pull more slowly"
+    ]
 
 
 def _without_vibration(
