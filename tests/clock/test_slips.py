@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.signal import bilinear, lfilter
 
 from tests.scenes.slip_trains import sawtooth, slip_times, sticks_of, tracks
-from vision.clock import force_slips, video_slips
+from vision.clock import ClockSettings, force_slips, video_slips
 from vision.errors import InputError
 
 STOP_S = 60.0
@@ -53,6 +54,34 @@ def test_without_the_correction_they_are_late(slips_s):
     fall = np.maximum(-np.gradient(load), 0) * near
     assert np.mean((fall * time_s).sum(axis=1) / fall.sum(axis=1) - slips_s) > 7e-3
     assert abs(np.mean(force_slips(force, sticks_of(slips_s))["time_s"].to_numpy() - slips_s)) < 3e-3
+
+
+@pytest.mark.parametrize(("frequency_hz", "damping"), [(20, 0.4), (35, 0.3), (35, 0.7)])
+def test_a_filter_of_second_order_is_in_the_error(frequency_hz, damping, slips_s):
+    """A failure means that clocks are off by many errors behind a load cell whose delay does not show."""
+    force = sawtooth(np.random.default_rng(11), slips_s, stop_s=STOP_S, rate_hz=1000, lowpass_s=0.0003)
+    turn = 2 * np.pi * frequency_hz
+    cell = bilinear([turn**2], [1, 2 * damping * turn, turn**2], fs=1000)
+    delayed = force.assign(load_N=("sample", lfilter(*cell, force["load_N"].to_numpy())))
+    found = force_slips(delayed, sticks_of(slips_s))
+    bias = np.mean(found["time_s"].to_numpy() - slips_s)
+    assert 0.7 * found["lag_s"].iloc[0] < bias < 2 * found["lag_s"].iloc[0]
+    unaware = force_slips(delayed, sticks_of(slips_s), settings=ClockSettings(unseen_delay=0.0))
+    assert bias > 4 * unaware["lag_s"].iloc[0]
+
+
+def test_slips_are_timed_without_the_ringing(slips_s):
+    """A failure means that a load that rings delays the film's clock by a quarter of its period."""
+    force = sawtooth(np.random.default_rng(12), slips_s, stop_s=STOP_S, rate_hz=1000, lowpass_s=0.0003)
+    turn, damping = 2 * np.pi * 25, 0.05
+    cell = bilinear([turn**2], [1, 2 * damping * turn, turn**2], fs=1000)
+    rings = force.assign(load_N=("sample", lfilter(*cell, force["load_N"].to_numpy())))
+    sticks = sticks_of(slips_s)
+    unaware = force_slips(rings, sticks)
+    sticks.attrs["ringing_s"] = 0.04
+    found = force_slips(rings, sticks)
+    assert abs(np.mean(found["time_s"].to_numpy() - slips_s)) < 2e-3
+    assert np.mean(unaware["time_s"].to_numpy() - slips_s) > 7e-3
 
 
 def test_no_sticks_no_slips(slips_s):

@@ -39,6 +39,10 @@ class ClockSettings:
     drop_end: float = 0.01
     """Fraction of the steepest slope below which a drop ends. Larger → the transient is cut off and slips are
     late (by 0.2 ms at 0.02); smaller → noise is taken for a transient."""
+    unseen_delay: float = 2.0
+    """Error of the slips' times for a filter whose delay the drops do not show, over the standard deviation
+    in time that is left of a drop. Larger → wider errors where slips last long; smaller → too small ones
+    behind such filters (`test_a_filter_of_second_order_is_in_the_error`)."""
     longest_drop: float = 3.0
     """Usual sampling intervals from which the interval of a drop is a gap, which leaves the time of the slip
     open. Larger → gaps displace the clock (`test_slips_in_gaps_do_not_set_the_clock`); smaller → slips are

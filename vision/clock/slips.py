@@ -48,14 +48,19 @@ def force_slips(
     gives the slip's time to a fraction of a sampling interval. The load cell's low-pass delays that mean by
     its time constant :math:`\tau` and makes the drop asymmetric: the impulse response
     :math:`e^{-t/\tau}/\tau` has a third central moment of :math:`2\tau^3`, while a slip itself is symmetric
-    and has none. So the mean third moment of all slips gives the delay.
+    and has none. So the mean third moment of all slips gives the delay. A filter with a symmetric response,
+    or a load cell that swings, delays slips with no sign of it but their width, which slips that last have as
+    well: `lag_s` contains `unseen_delay` times the standard deviation that neither the low-pass nor the
+    sampling explains. A load that rings is averaged over one period.
     """
     good = good_samples(force)
     time, load = good["time_s"].to_numpy().astype(float), good["load_N"].to_numpy().astype(float)
     begin, end, drop = _bounds(sticks)
     if not len(begin) or len(time) < 3:
         return _no_slips()
-    if average_s := StickMetadata.of(sticks).average_s:
+    facts = StickMetadata.of(sticks)
+    average_s = float(np.nan_to_num(facts.average_s or facts.ringing_s))
+    if average_s:
         load = averaged(time, load, average_s)  # the first swing of a load that rings would be the drop
     interval = float(np.median(np.diff(time)))
     steepest, of = np.unique(_steepest(time, load, begin, end), return_index=True)
@@ -64,12 +69,16 @@ def force_slips(
     if not timed.any():
         return _no_slips()
     steepest, of = steepest[timed], of[timed]
-    middle, delay, duration, largest = _mean_times(time, load, steepest, longest[timed], settings)
+    middle, delay, duration, width, largest = _mean_times(time, load, steepest, longest[timed], settings)
+    # What widens a drop besides the low-pass of that delay, the sampling and the averaging.
+    other_s = np.sqrt(max(0.0, width**2 - delay**2 - interval**2 / 6 - average_s**2 / 12))
     order = np.argsort(middle)
     # A drop within one interval may lie anywhere in it; one that spreads over several is timed by its mean.
     error = np.full(len(order), max(largest, 0.5) * interval / np.sqrt(12))
-    # Remaining errors of the delay, of the sampling, and of the shape of a drop.
-    lag = np.multiply((0.25, 0.12, 0.02), (delay, interval, duration))
+    # Remaining errors of the delay, of the sampling, of the shape of a drop, and of a filter whose response
+    # is symmetric: it widens a drop as a slip that lasts does, but delays it as well.
+    parts = (delay, interval, duration, other_s)
+    lag = np.multiply((0.25, 0.12, 0.02, settings.unseen_delay), parts)
     return pd.DataFrame(
         {
             "time_s": (middle - delay)[order],
@@ -122,9 +131,9 @@ def _steepest(time: Floats, load: Floats, begin: Floats, end: Floats) -> Ints:
 
 def _mean_times(
     time: Floats, load: Floats, steepest: Ints, longest: Floats, settings: ClockSettings
-) -> tuple[Floats, float, float, float]:
-    """Mean time of each drop, delay of the low-pass, and duration of a drop (`drop_end`), s; and the part of
-    a drop within its steepest interval.
+) -> tuple[Floats, float, float, float, float]:
+    """Mean time of each drop, delay of the low-pass, duration (`drop_end`) and standard deviation in time of
+    a drop, s; and the part of a drop within its steepest interval.
 
     longest: interval from which there is a gap, for each drop, s.
     """
@@ -139,7 +148,7 @@ def _mean_times(
     whole = np.max(np.diff(time)[np.clip(index, 0, len(time) - 2)], axis=1)
     inside &= whole < longest
     if not inside.any():
-        return middle, 0.0, 0.0, 1.0
+        return middle, 0.0, 0.0, 0.0, 1.0
     index = index[inside]
     drop = load[index] - load[index + 1]
     drop = drop - np.median(drop, axis=1, keepdims=True)  # without the rise of the stick phase
@@ -150,10 +159,12 @@ def _mean_times(
     since_steepest = when - middle[inside, None]
     shift = np.clip((drop * since_steepest).sum(axis=1) / total, since_steepest[:, 0], since_steepest[:, -1])
     middle[inside] += shift
-    third = float((drop * (since_steepest - shift[:, None]) ** 3).sum() / total.sum())
+    second, third = (
+        float((drop * (since_steepest - shift[:, None]) ** power).sum() / total.sum()) for power in (2, 3)
+    )
     duration = float(np.median(since_steepest[:, -1] - since_steepest[:, 0]))
     largest = float(np.median(drop.max(axis=1) / total))
-    return middle, float(np.cbrt(max(third, 0.0) / 2)), duration, largest
+    return middle, float(np.cbrt(max(third, 0.0) / 2)), duration, float(np.sqrt(max(second, 0.0))), largest
 
 
 def _drop_extent(profile: Floats, centre: int, end: float) -> tuple[int, int]:
