@@ -300,6 +300,22 @@ def test_the_build_up_is_left_out_and_counted() -> None:
     assert any("does not follow the peaks" in line for line in whole.warnings)
 
 
+@pytest.mark.parametrize("d1", [15.5, 18.0])
+@pytest.mark.parametrize("drift_N", [-5.0, 5.0])
+def test_a_drift_that_cancels_the_offset_is_in_the_errors(drift_N: float, d1: float) -> None:
+    """A failure means μ is off by many of its errors, or most events are left out, where 𝒯0 hides a drift."""
+    made = events(d1=d1)
+    along = (made["d_p_mm"] - 13) / (d1 - 13)
+    fits = fit(made.assign(F_p_N=made["F_p_N"] - 4 - 1.2 * drift_N + drift_N * along))
+    mu, t0 = fits.mu, fits.t0_N
+    assert abs(mu.value - 0.89) < 2 * np.hypot(mu.error, mu.systematic_error)
+    assert abs(t0.value + 1.2 * drift_N) < 2 * np.hypot(t0.error, t0.systematic_error)
+    assert fits.goodness["peaks"].points == len(made)
+    assert fits.drift_N.value == pytest.approx(drift_N, abs=4 * fits.drift_N.error)
+    assert d1 < 18 or any("the load seems to drift by" in line for line in fits.warnings)
+    assert not any("drift by" in line for line in fit(made).warnings)
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize("length_mm", [0.1, 0.4])
 def test_errors_hold_with_a_build_up(length_mm: float) -> None:

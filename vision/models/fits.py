@@ -37,6 +37,7 @@ from vision.models.single_fits import (
     is_slow,
     largest_chi2,
     normal_force_at_scale,
+    plus_minus,
     with_fitted_stiffness,
     with_friction,
 )
@@ -104,8 +105,8 @@ def fit_models(
     by their size, to which their scatter is proportional; K is weighted by its errors. Standard errors follow
     from the residuals (White's covariance), so they are valid for any size of the scatter; they are
     multiplied by the root of chi2_dof if that exceeds 1. Systematic errors are the changes of the parameters
-    when d0 and the geometry change by their errors, and when the load cell drifts by as much as T0 (at most
-    10 N) over the test.
+    when d0 and the geometry change by their errors, and when the load cell drifts, over the test, by as much
+    as T0 or as a term linear in d that fits the peaks beside T0 (the larger one, at most 10 N).
     Source: paper, Eqs. 1 and 2, section on the effective number of sheets.
     """
     FORCE.check(force)
@@ -171,6 +172,15 @@ class _Given:
     def fit_peaks(self, events: pd.DataFrame) -> Fit:
         """Fit Eq. 1 with the T* of the sample, which suffices to judge whether it describes the peaks."""
         return fit_peaks(events, self.sample, mu=self.mu)
+
+    def fit_drift(self, events: pd.DataFrame) -> Fit | None:
+        """Fit Eq. 1 and a drift of the load; None where the peaks fall too little to tell them apart."""
+        mu, offset, *_ = self.fit_peaks(events).value.tolist()
+        ends = events["d_p_mm"].agg(["min", "max"])
+        first, last = equations.traction(ends, mu=max(mu, 1e-3), sample=self.sample) + offset
+        if not first > self.settings.drift_fall * last > 0:
+            return None
+        return fit_peaks(events, self.sample, mu=self.mu, free_drift=True)
 
 
 def _undetermined(reason: str, advice: str = "") -> InputError:
@@ -320,7 +330,7 @@ def _first_that_fits(events: pd.DataFrame, given: _Given, top: int) -> int:
         part = events.iloc[int(start) :]
         if len(part) < given.settings.least_events:
             break
-        fit = given.fit_peaks(part)
+        fit = given.fit_drift(part) or given.fit_peaks(part)
         first = fit.residual[: max(5, len(part) // 20)]
         noise = np.sqrt(np.mean(np.diff(fit.residual) ** 2) / 2)
         if abs(float(first.mean())) < 2 * noise / np.sqrt(first.size):
@@ -381,9 +391,7 @@ def _fit_all(events: pd.DataFrame, given: _Given) -> ModelFits:
     """Run the three fits one after the other, and derive N̂ and the bending length."""
     peaks = fit_peaks(events, given.sample, mu=given.mu, free_t_star=given.free_t_star)
     mu, t0 = peaks.estimate(0), peaks.estimate(1)
-    t_star = Estimate(given.sample.t_star_N, float("nan"))
-    if given.free_t_star:
-        t_star = replace(peaks.estimate(2), value=abs(float(peaks.value[2])))
+    t_star = Estimate(abs(float(peaks.value[2])), peaks.estimate(2).error if given.free_t_star else math.nan)
     if not mu.value > mu.error:  # also where either is NaN
         known = f" ± {two_digits(mu.error)}" if mu.error > 0 else ", its error not determined"
         raise _undetermined(f"friction coefficient {with_minus(f'{mu.value:.3g}')}{known}")
@@ -396,6 +404,7 @@ def _fit_all(events: pd.DataFrame, given: _Given) -> ModelFits:
         undetermined = ("Lambda_hat_mm", "N_hat_N", "bending_length_mm")
         undetermined += ("Y_eff_GPa",) if given.modulus_GPa is None else ()
     n_hat, bending, correlation = _derived(stiffness, peaks, sample, given.free_t_star, 0.5 * sum(span))
+    drifting = given.fit_drift(events)
     return ModelFits(
         mu=mu,
         t0_N=t0,
@@ -405,6 +414,7 @@ def _fit_all(events: pd.DataFrame, given: _Given) -> ModelFits:
         modulus_GPa=stiffness.estimate(1),
         scale_mm=stiffness.estimate(0),
         bending_mm=bending,
+        drift_N=drifting.estimate(3) if drifting else Estimate(math.nan, math.nan),
         goodness={"peaks": peaks.goodness, "drops": drops.goodness, "stiffness": stiffness.goodness},
         correlation=correlation,
         d_mm=span,
@@ -427,8 +437,7 @@ def _derived(
     of_bending = float(bending) / 2 * (of_modulus / modulus - of_n_hat / n_hat)
     covariance = np.zeros((4, 4))
     covariance[:2, :2] = stiffness.covariance
-    shared = [0, 2] if free_t_star else [0]
-    covariance[2 : 2 + len(shared), 2 : 2 + len(shared)] = peaks.covariance[np.ix_(shared, shared)]
+    covariance[2:, 2:] = peaks.covariance[np.ix_([0, 2], [0, 2])]
     jacobian = np.array([of_n_hat, of_bending, of_modulus])
     propagated = jacobian @ covariance @ jacobian.T
     errors = np.sqrt(np.diag(propagated)).tolist()
@@ -451,7 +460,9 @@ def _with_systematics(
 ) -> ModelFits:
     """Add a budget of systematic errors, by repeating the fits with each source changed by its error."""
     d0_err = ForceMetadata.of(force).d0_err_mm
-    drift = min(max(abs(fits.t0_N.value), fits.t0_N.error), given.settings.largest_offset_N)
+    # A drift may cancel the offset that the load cell's zero would leave: then only the drift itself shows.
+    drift = max(abs(fits.t0_N.value), fits.t0_N.error, abs(fits.drift_N.value))
+    drift = min(drift, given.settings.largest_offset_N)
     span = max(fits.d_mm[1] - fits.d_mm[0], 1e-9)
 
     def refit(changed: pd.DataFrame, sample: Sample = fits.sample) -> dict[str, float]:
@@ -482,7 +493,8 @@ def _with_systematics(
 
     unknown: dict[str, float | None] = dict.fromkeys((*PARAMETERS, "K_N_per_mm"))
     budget = {"d0": by(shifted, d0_err) if np.isfinite(d0_err) else unknown}
-    budget["load_drift"] = by(drifted, drift) | {"T0_N": drift}
+    by_drift = by(drifted, drift)
+    budget["load_drift"] = by_drift | {"T0_N": max(drift, by_drift["T0_N"] or 0.0)}
     budget |= _coarse_displacement(force, events, refit)
     budget |= _unresolved_corners(fits, force, events, refit)
     budget |= {name: by(resized(name), error) for name, error in geometry.items()}
@@ -642,6 +654,10 @@ def _remarks(
             line += f"errors widened {two_digits(np.sqrt(good.chi2_dof))} times; {_SUSPECTS}"
             yield line, good.chi2_dof > settings.contradicting_chi2
     yield from _offset_remarks(fits.t0_N, peak_N, facts.d0_err_mm, settings)
+    if abs(fits.drift_N.value) > max(settings.clear_offset * fits.drift_N.error, abs(fits.t0_N.value)):
+        line = f"the load seems to drift by {plus_minus(fits.drift_N)} N over the test, which 𝒯0 hides, or a "
+        line += "filter lowers the peaks: μ and 𝒯0 may be off by their systematic errors; check the zero"
+        yield f"{line} before and after", True
     if fits.undetermined:
         names = "Λ̂, N̂ and Y_eff" if "Y_eff_GPa" in fits.undetermined else "Λ̂ and N̂"
         yield f"K does not fall with d as M_eff does: {names} are not determined", True

@@ -54,6 +54,10 @@ class FitSettings:
     large_offset: float = 0.1
     """𝒯0 over the usual peak above which an unknown error of d0 is a warning: drifts of load cells are at
     0.03, a d0 that is 3 mm off at 0.17."""
+    drift_fall: float = 3.0
+    """Fall of the peaks over a test, as a ratio, from which a drift of the load is told from μ and 𝒯0.
+    Smaller takes the scatter of short tests for drifts of 10 N, larger is silent about drifts that cancel 𝒯0
+    (`test_a_drift_that_cancels_the_offset_is_in_the_errors`)."""
     unlike_drops: float = 0.4
     """Relative scatter of the drops above which a warning is given: it is 0.05 to 0.2 in a test, 0.5 if half
     of them are small."""
@@ -129,6 +133,7 @@ class ModelFits:
     modulus_GPa: Estimate  # Y_eff
     scale_mm: Estimate  # Lambda-hat, where M_eff reaches 0
     bending_mm: Estimate  # bending length of the outermost sheet in the middle of the test
+    drift_N: Estimate  # of the load over the range of d, if the peaks have one; the fits assume none
     goodness: dict[str, Goodness]  # of the fits to "peaks", "drops" and "stiffness"
     correlation: dict[str, float]  # of parameters that are fitted together
     d_mm: tuple[float, float]  # separation at the first and last event used
@@ -194,7 +199,7 @@ class ModelFits:
 
     def to_json(self) -> dict[str, Any]:
         """Return the content of models.json: values with errors, goodness of fit and sample."""
-        named = self.named() | {"bending_length_mm": self.bending_mm}
+        named = self.named() | {"bending_length_mm": self.bending_mm, "load_drift_N": self.drift_N}
         if np.isfinite(self.t_star_N.error):
             named["T_star_N"] = self.t_star_N
         return {
@@ -284,28 +289,33 @@ def fit_weighted(
 
 
 def fit_peaks(
-    events: pd.DataFrame, sample: Sample, *, mu: float | None = None, free_t_star: bool = False
+    events: pd.DataFrame,
+    sample: Sample,
+    *,
+    mu: float | None = None,
+    free_t_star: bool = False,
+    free_drift: bool = False,
 ) -> Fit:
-    """Fit μ, unless it is given, 𝒯0 and, if it is free, T* to the peak forces."""
-    d, peak = events["d_p_mm"].to_numpy(float), events["F_p_N"].to_numpy(float)
+    """Fit μ, unless it is given, 𝒯0 and, if they are free, T* and a drift of the load to the peak forces.
 
-    def force(friction: float, offset: float, t_star: float = sample.t_star_N) -> Floats:
+    The drift is linear in d, from 0 at the smallest separation to its value at the largest.
+    """
+    d, peak = events["d_p_mm"].to_numpy(float), events["F_p_N"].to_numpy(float)
+    along = (d - d.min()) / max(float(np.ptp(d)), 1e-9)
+
+    def force(friction: float, offset: float, t_star: float = sample.t_star_N, drift: float = 0.0) -> Floats:
         assumed = replace(sample, t_star_N=max(abs(t_star), 1e-12))
-        return np.asarray(equations.traction(d, mu=max(friction, 1e-3), sample=assumed) + offset)
+        steady = equations.traction(d, mu=max(friction, 1e-3), sample=assumed)
+        return np.asarray(steady + offset + drift * along)
 
     trials = np.linspace(0.2, 2.0, 91) if mu is None else np.array([mu])
     width = np.maximum(np.abs(peak), 1e-3 * float(np.abs(peak).max()))
     rest = peak - np.array([force(trial, 0.0) for trial in trials.tolist()])
     offset = np.average(rest, axis=1, weights=width**-2.0)
     best = int(np.argmin((((rest - offset[:, np.newaxis]) / width) ** 2).sum(axis=1)))
-    start = [float(trials[best]), float(offset[best]), sample.t_star_N]
-    return fit_weighted(
-        lambda q: force(*q.tolist()),
-        peak,
-        None,
-        start[: 3 if free_t_star else 2],
-        held=() if mu is None else (0,),
-    )
+    start = [float(trials[best]), float(offset[best]), sample.t_star_N, 0.0]
+    held = [k for k, free in ((0, mu is None), (2, free_t_star), (3, free_drift)) if not free]
+    return fit_weighted(lambda q: force(*q.tolist()), peak, None, start, held=held)
 
 
 def fit_drops(events: pd.DataFrame, sample: Sample, mu: float) -> Fit:
