@@ -582,9 +582,9 @@ def find_hum(y: Floats, settings: ForceSettings) -> list[Hum]:
     """Return the narrow lines of a load's spectrum, the strongest first; regular stick-slip also has some.
 
     The spectra of the load's steps over overlapping parts of the recording are averaged. The largest steps,
-    the slips, are cut to the size of the others, as their broad spectrum would hide faint hum; not of a load
-    that oscillates visibly, since ringing has a line too. A line exceeds the median of the frequencies around
-    it by `hum_ratio`. Its amplitude and phase may change within 30 periods.
+    the slips, are cut to the size of the others, as their broad spectrum would hide faint hum. A line exceeds
+    the median of the frequencies around it by `hum_ratio`. Its amplitude and phase may change within 30
+    periods.
     """
     part = min(1 << int(np.log2(max(y.size / _LEAST_SPECTRA, 2))), _LONGEST_PART)
     if part < _LEAST_PART:
@@ -592,7 +592,7 @@ def find_hum(y: Floats, settings: ForceSettings) -> list[Hum]:
     step = np.diff(y)
     step -= np.median(step)
     most = float(np.quantile(np.abs(step), settings.ringing_steps))
-    if most and np.isnan(ringing_period(y, settings)):
+    if most:
         step = np.clip(step, -most, most)
     parts = sliding_window_view(step, part)[:: part // 2]
     power, taper = np.zeros(part // 2 + 1), np.hanning(part)
