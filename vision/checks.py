@@ -85,6 +85,10 @@ class CheckSettings:
     """Motion of those two, in errors of a position, from which that is judged. Smaller judges noise; larger
     leaves edges beside sheets that hardly move (`test_a_still_edge_beyond_the_comb` at 5)."""
 
+    end_in_view: float = 0.25
+    """Share of the frames that must show both from which that is judged. Smaller judges few frames, larger
+    leaves edges beside sheets that are often lost (`test_a_still_edge_beyond_the_comb` at 0.8)."""
+
     unequal_sides: float = 1.3
     """Ratio of the sheets on the two sides, less two sheets, above which an axis found from motion is
     questioned.  A camera that moves a tenth as far as the outermost sheets, in time with them, makes 33
@@ -531,7 +535,7 @@ def _stationary_ends(tracks: xr.Dataset, settings: CheckSettings) -> Bools:
         # Edges stay in view; a sheet that leaves it is seen where it has moved less, unless an edge that
         # stays is still further out.
         least = (settings.end_moves * noise[inwards][n, None]) ** 2
-        stands = (both > 0.25 * len(known)) & (power > both * least)
+        stands = (both > settings.end_in_view * len(known)) & (power > both * least)
         stands[0] &= both[0] > 0.8 * len(known)
         stands &= np.fmax(moved.T @ inner, (moved**2).T @ two) < settings.end_still * power
         row = np.flatnonzero(np.logical_and.accumulate(stands, axis=0).diagonal())

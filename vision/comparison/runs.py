@@ -19,7 +19,7 @@ import pandas as pd
 from vision.data import whole_events
 from vision.errors import InputError, check_kind
 from vision.files import AGAIN, check_regular, reading, shortened
-from vision.models.single_fits import NEEDED, complete_events, with_fitted_stiffness
+from vision.models.single_fits import check_columns, complete_events, with_fitted_stiffness
 from vision.numeric import Floats, number
 from vision.run.provenance import checksum_of
 from vision.run.reading import RunFolder, is_run, read_json, read_run
@@ -312,8 +312,7 @@ def _events(run: RunFolder, sample: Sample) -> pd.DataFrame:
     if "flag" in table:
         table = table.assign(flag=table["flag"].fillna("ok"))
     table = with_fitted_stiffness(table)
-    if absent := [name for name in NEEDED if name not in table]:
-        raise InputError(path, f"columns {', '.join(NEEDED)}", f"no {', '.join(absent)}")
+    check_columns(table, path)
     complete, d = complete_events(table), table[["d_v_mm", "d_p_mm"]].to_numpy(float)
     within = (d[:, 0] > 0) & (d[:, 1] < sample.length_mm)
     if complete.any() and not within[complete].any():

@@ -126,7 +126,7 @@ def doubts(
             lines.append(
                 f"{what} has steps of {step:.3g} {unit_of_steps}, sticks are {stick:.3g} {unit_of_steps}"
             )
-    lines += _displacement_warnings(signal, events) + _periodic_warnings(signal, events)
+    lines += _displacement_warnings(signal, events) + _periodic_warnings(signal, events, settings)
     lines += slips.warnings(unit, settings) + _load_warnings(signal, slips, events, unit)
     lines += _fall_warnings(signal, slips, events, unit)
     for word, meaning in _FLAGGED.items():
@@ -177,7 +177,7 @@ def _displacement_warnings(signal: Signal, events: pd.DataFrame) -> list[str]:
     ]
 
 
-def _periodic_warnings(signal: Signal, events: pd.DataFrame) -> list[str]:
+def _periodic_warnings(signal: Signal, events: pd.DataFrame, settings: ForceSettings) -> list[str]:
     """Return that the displacement has a periodic error, which makes K of single sticks wrong by 1 % or more.
 
     One line, with five periods or more, then holds most of what the displacement deviates from a straight
@@ -198,12 +198,13 @@ def _periodic_warnings(signal: Signal, events: pd.DataFrame) -> list[str]:
     )
     change = 2 * np.pi * size_um / max(period_um, np.finfo(float).tiny)
     sticks = time.size / line / float((events["t_p_s"] - events["t_v_s"]).median() / signal.interval_s)
-    if share < 0.5 or size_um < 1e3 * quantum(signal.travel) or change < 0.01 or sticks < 3:
+    small = size_um < 1e3 * quantum(signal.travel) or change < settings.periodic_change
+    if share < settings.periodic_share or small or sticks < 3:
         return []
     pace = events["stick_length_um"] / (events["t_p_s"] - events["t_v_s"])
     both = np.stack([pace, events["K_N_per_mm"]]).astype(float)
     steps = np.diff(np.log(both[:, (both > 0).all(axis=0)]), axis=1)  # K falls slowly in a test
-    if not np.sum(steps[0] * steps[1]) < -0.5 * np.sum(steps[0] ** 2):
+    if not np.sum(steps[0] * steps[1]) < -settings.periodic_share * np.sum(steps[0] ** 2):
         return []
     return [
         f"the displacement has a periodic error of ±{size_um:.2g} µm every {period_um:.3g} µm, as of a screw "

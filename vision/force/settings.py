@@ -220,6 +220,14 @@ class ForceSettings:
     the median jump reaches it the recording shows noise. Smaller flags slips in two or three steps of a
     coarse load cell (0.31), larger passes noise (pink, brown, telegraph and filtered: 0.43 to 13)."""
 
+    periodic_share: float = 0.5
+    """Share of what the displacement deviates from a straight line that one line of its spectrum holds, and
+    of which K shows the inverse, from which it has a periodic error. Smaller names uneven machines, larger
+    misses errors beside others (test_regime)."""
+
+    periodic_change: float = 0.01
+    """Change of K by that error from which a warning is given. Smaller warns of what no fit shows."""
+
     equal_share: float = 0.5
     """Duration of falls over that of rises (or its inverse) from which the two count as equally long. Slow
     slips of true stick-slip stay below it or have straight sticks; a sinusoid has 1."""

@@ -22,13 +22,13 @@ from vision.models import equations
 from vision.models.single_fits import (
     DEFAULT,
     FIT_ERRORS,
-    NEEDED,
     PARAMETERS,
     SLOW_MM_MIN,
     Estimate,
     Fit,
     FitSettings,
     ModelFits,
+    check_columns,
     complete_events,
     fit_drops,
     fit_peaks,
@@ -248,8 +248,7 @@ def _misread_lengths(fits: ModelFits, events: pd.DataFrame, given: _Given, force
 
 def _complete_events(sticks: pd.DataFrame, given: _Given, force: xr.Dataset) -> pd.DataFrame:
     """Return the complete events with all that the fits need; raise InputError if they are too few."""
-    if absent := [name for name in NEEDED if name not in sticks]:
-        raise InputError("the force recording", f"columns {', '.join(NEEDED)}", f"no {', '.join(absent)}")
+    check_columns(sticks, "the force recording")
     events = with_fitted_stiffness(sticks)
     events = events[complete_events(events)]
     if len(events) < given.settings.least_events:

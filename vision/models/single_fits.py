@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from vision.data import whole_events
+from vision.errors import InputError
 from vision.folder import html_table
 from vision.models import equations
 from vision.numeric import Bools, Floats, with_minus
@@ -388,6 +390,12 @@ def with_fitted_stiffness(events: pd.DataFrame) -> pd.DataFrame:
 
 NEEDED = ("d_v_mm", "d_p_mm", "F_p_N", "dF_N", "K_N_per_mm")
 """Columns of events that the fits use."""
+
+
+def check_columns(events: pd.DataFrame, source: str | PathLike[str]) -> None:
+    """Raise `InputError` for a table from `source` without all columns that the fits use."""
+    if absent := [name for name in NEEDED if name not in events]:
+        raise InputError(source, f"columns {', '.join(NEEDED)}", f"no {', '.join(absent)}")
 
 
 def complete_events(events: pd.DataFrame) -> Bools:
