@@ -178,6 +178,8 @@ class StripMetadata(Metadata):
     # As FFmpeg names it ("mjpeg" also for JPEG images and JPEG in TIFF), "uncompressed", "packed", the
     # compression of a TIFF, or the suffix of an image file. A lossy codec hides the noise.
     codec: str = ""
+    # Step, grey levels, to which a codec that predicts frames from others rounds changes; 0 if unknown.
+    quantiser_step: float = 0.0
     pixel_format: str = ""  # how a pixel is stored
     decoder: str = ""  # the program that decoded it, "none" if none was needed
     grey: str = ""  # how grey values follow from pixels

@@ -92,6 +92,26 @@ def test_h264_gives_the_luma_plane(tmp_path):
     assert np.abs(whole(video).astype(float) - (16 + frames.astype(float) * 219 / 255)).max() <= 2
 
 
+@pytest.mark.parametrize(
+    ("codec", "options", "step"),
+    [
+        ("libx264", {"qp": "28", "x264-params": "ipratio=1.4:pbratio=1.3"}, 16.0),
+        ("libx264", {"qp": "28", "g": "1"}, 0.0),  # no frame is predicted
+        ("mpeg4", {"qmin": "5", "qmax": "5"}, 10.0),
+        ("mpeg2video", {"qmin": "5", "qmax": "5"}, 10.0),
+        ("ffv1", {}, 0.0),
+    ],
+)
+def test_the_step_of_the_quantiser_is_read(tmp_path, codec, options, step):
+    """By which errors of films that predict frames are stated. Failure: that of key or B frames is taken."""
+    frames = np.random.default_rng(1).integers(0, 255, (16, 32, 64), dtype=np.uint8)
+    kind = "gray" if codec == "ffv1" else "yuv420p"
+    path = write_encoded(
+        tmp_path / "a.mkv", frames, codec=codec, pix_fmt=kind, source="gray", options=options
+    )
+    assert open_video(path).facts.quantiser_step == pytest.approx(step)
+
+
 @pytest.mark.parametrize("flags", ["", "+ildct+ilme"])
 def test_interlaced_films_are_named(tmp_path, flags):
     """Failure: rows that were recorded at two times are averaged without a word."""

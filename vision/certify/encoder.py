@@ -7,13 +7,11 @@ creeping sheet stands still for some frames. A film with known truth that is enc
 from __future__ import annotations
 
 import re
-import struct
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, cast
 
 import av
 import numpy as np
@@ -24,7 +22,7 @@ from vision.certify.settings import CertifySettings
 from vision.errors import InputError
 from vision.numeric import Floats, Floats32, Pixels
 from vision.video import open_video
-from vision.video.encoded import open_container
+from vision.video.encoded import EXPORT_QUANTISERS, block_quantisers, open_container
 from vision.video.strip import row_means
 
 ENCODERS = {
@@ -219,7 +217,7 @@ def read_encoder(
             if ENCODERS.get(codec) not in av.codecs_available:
                 return None
             header = bytes(stream.codec_context.extradata or b"")
-            stream.codec_context.options = {"export_side_data": "venc_params"}
+            stream.codec_context.options = EXPORT_QUANTISERS
             stream.thread_type = "NONE"
             quantisers, keys, size, decoded, b_frames = [], [], 0, 0, False
             for n, packet in enumerate(film.demux(stream)):
@@ -281,18 +279,12 @@ def _setting(text: bytes, encoder: bytes, name: bytes) -> float | None:
 
 
 def _quantiser(frame: av.VideoFrame, codec: str) -> list[float]:
-    """Return the quantiser of a frame from FFmpeg's AVVideoEncParams, as a list; empty if not reported.
+    """Return the quantiser of a frame in the units of the encoder's options, as a list; empty if unknown.
 
-    It is in the units of the encoder's options: for H.264 as reported, for VP9 the index over 4, and for
-    MPEG-2 and MPEG-4 half of the values of the blocks.
+    Those of MPEG-2 and MPEG-4 are the median of the blocks.
     """
-    part = cast("Mapping[str, Any]", frame.side_data).get("VIDEO_ENC_PARAMS")
-    if part is None:
+    found = block_quantisers(frame)
+    if found is None:
         return []
-    # unsigned nb_blocks; size_t blocks_offset, block_size; enum type; int32 qp
-    blocks, first, step, _, base = struct.unpack_from("@IQQii", bytes(part))
-    if codec in ("h264", "vp9"):
-        return [base if codec == "h264" else base / 4]
-    # of a block: int src_x, src_y, w, h; int32 delta_qp
-    given = [struct.unpack_from("@i", bytes(part), first + k * step + 16)[0] for k in range(min(blocks, 64))]
-    return [float(np.median(given)) / 2] if given else []
+    base, of_blocks = found
+    return [{"h264": base, "vp9": base / 4}.get(codec, float(np.median(of_blocks)) / 2)]

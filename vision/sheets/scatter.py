@@ -1,7 +1,8 @@
 """Scatter of positions: what errors from frame to frame, between sheets, and of a codec add up to.
 
 `BetweenSlips` are positions without slips. `spatial_scatter` measures errors that persist from frame to
-frame, `shared_error` those that neighbours share, and `noise_excess` what all stated errors leave out.
+frame, `shared_error` those that neighbours share, and `noise_excess` what all stated errors leave out;
+`left_behind` is what a codec does not code, and positions do not show.
 """
 
 from __future__ import annotations
@@ -210,6 +211,21 @@ def shared_error(positions: BetweenSlips) -> float:
     shaking = _deviation_of_all(positions.second((1,), nan_median(positions.x_px, axis=1)[:, None]))
     followed = own * shaking / max(shaking + 2 * own, 1e-9)
     return float(np.hypot(blocks, max(blocks, followed)))
+
+
+def left_behind(x_px: Floats, step_px: Floats, settings: TrackingSettings) -> Floats:
+    """Return by how far a codec that predicts frames from others leaves ridges behind, px, (frame, N).
+
+    It codes no change of a block below a share of its quantiser's step. A ridge that creeps so far stays
+    where it was drawn last, which no scatter shows. One that moves at once, in a slip or with the camera, is
+    left behind by a share of that motion, up to a larger share of the step.
+
+    x_px: positions, NaN where missing or repeated, (frame, N). step_px: shift of a ridge that changes its
+    pixels by one step of the quantiser, (N,).
+    """
+    least, most, share = settings.left_behind
+    moved = np.nan_to_num(np.abs(np.diff(x_px, axis=0, prepend=x_px[:1])))
+    return np.asarray(np.clip(share * moved, least * step_px, most * step_px), np.float64)
 
 
 def _motion(second: Floats) -> tuple[Floats, list[Floats]]:

@@ -560,6 +560,12 @@ class TrackingSettings:
     """Step of a sheet, over the scatter of its steps, from which it is a slip and no noise. Larger takes the
     slips of a few sheets for noise (test_scatter.py at 20), smaller leaves out noise (there at 1.5)."""
 
+    left_behind: tuple[float, float, float] = (0.05, 0.25, 0.3)
+    """Least and largest error of a position in a film of which the quantiser is known, over the shift that
+    changes a ridge's pixels by one step of it, and error over the motion between two frames, in between.
+    Larger overstates errors of films whose noise is coded, smaller understates them where sheets creep or
+    slip unseen (TEST)."""
+
     # --- symmetry axis (numbering.py) ---
 
     axis_slack: float = 0.02

@@ -48,7 +48,13 @@ from vision.sheets.ridges import (
     frames_with_values,
     no_ridges,
 )
-from vision.sheets.scatter import BetweenSlips, noise_excess, shared_error, spatial_scatter
+from vision.sheets.scatter import (
+    BetweenSlips,
+    left_behind,
+    noise_excess,
+    shared_error,
+    spatial_scatter,
+)
 from vision.sheets.second_comb import SecondComb, second_comb
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.sheets.subpixel import (
@@ -159,7 +165,7 @@ def track_sheets(
     detections = detected.detections
     frozen = repeated_frames(profile, settings)
     fitted = _fit(profile, detections.start_px, comb, fit, window, frozen)
-    errors = _errors(fitted, frozen, facts.codec, settings)
+    errors = _errors(fitted, frozen, facts, settings)
     assessed = _assess_ridges(profile, fitted.x_px, errors, detections, frozen, comb)
     axis = None if axis_px is None else axis_px - first_px
     width = profile.shape[1]
@@ -399,11 +405,13 @@ def check_axis(axis_px: float | None, first_px: float, last_px: float) -> None:
 
 
 class _Fitted(NamedTuple):
-    """Positions and their errors from noise, px, (frame, N); noise of the profile at each sheet, grey levels,
-    (N,); the fit that was used; the locking to whole pixels that positions were corrected for."""
+    """Positions and their errors from noise, px, (frame, N); error per grey level of noise, px, and noise of
+    the profile, grey levels, of each sheet, (N,); the fit that was used; the locking to whole pixels that
+    positions were corrected for."""
 
     x_px: Floats
     err_px: Floats
+    per_grey: Floats
     noise: Floats
     fit: FitName
     locking: PixelLocking
@@ -421,6 +429,7 @@ def _fit(
     used: FitName = "sliding" if fit == "auto" else fit
     x, err = fit_sheets(profile, start_px, fit=used, window_px=window_px, comb=comb)
     noise = intensity_noise(profile, x, frozen, half_px=window_px // 2, fallback=comb.noise)
+    noise[~(noise > 0)] = WHOLE_LEVELS  # no error is zero: a profile without noise has whole grey levels
     new, usual_px = _unrepeated(x, frozen), float(nan_median(nan_median(err) * noise))
     locking = NO_LOCKING if fit == "paper" else pixel_locking(new, usual_px, comb.settings)
     if fit == "auto":
@@ -430,7 +439,8 @@ def _fit(
             other = pixel_locking(_unrepeated(matched, frozen), matched_px, comb.settings)
             if _locks_less(other, matched_px, locking, usual_px):
                 used, x, err, locking = "template", matched, matched_err, other
-    err *= noise  # it was that per grey level
+    per_grey = nan_median(err)
+    err *= noise
     if locking.error_px:
         for rows in row_parts(len(x)):
             x[rows] -= locking.at(x[rows])
@@ -438,7 +448,7 @@ def _fit(
     if fit == "paper":  # it locks to whole pixels by more than the noise, as the sliding window shows
         free, _ = fit_sheets(profile, start_px, fit="sliding", window_px=window_px, comb=comb)
         err = np.hypot(err, np.nan_to_num(np.abs(x - free)))
-    return _Fitted(x, err, noise, used, locking)
+    return _Fitted(x, err, per_grey, noise, used, locking)
 
 
 def _locks_less(template: PixelLocking, err_px: float, window: PixelLocking, window_err_px: float) -> bool:
@@ -453,7 +463,7 @@ def _locks_less(template: PixelLocking, err_px: float, window: PixelLocking, win
     return bool(less and better)
 
 
-def _errors(fitted: _Fitted, frozen: Bools, codec: str, settings: TrackingSettings) -> _Errors:
+def _errors(fitted: _Fitted, frozen: Bools, facts: StripMetadata, settings: TrackingSettings) -> _Errors:
     """Return the stated errors, and what was predicted from the pixels and measured from the positions.
 
     The prediction from the pixels holds where their noise is independent. Where a camera sharpens, it is too
@@ -461,22 +471,17 @@ def _errors(fitted: _Fitted, frozen: Bools, codec: str, settings: TrackingSettin
     of pixels and shifts ridges for several frames: the scatter between sheets shows this, and `shared_error`
     adds what neighbours share if the codec predicts frames from others. Where sheets are too few for that, a
     codec that moves blocks by quarter pixels is assumed to err by their rounding. Repeated frames are left
-    out, as they would hide scatter. No error is zero: a profile without noise still has whole grey levels.
+    out, as they would hide scatter. What the quantiser of a codec leaves behind is the least error, as it
+    is not seen where nothing is coded (`left_behind`).
     The errors of the fit are changed in place.
     """
     new = _unrepeated(fitted.x_px, frozen)
-    between_frames = codec in BETWEEN_FRAMES
+    between_frames = facts.codec in BETWEEN_FRAMES
     noise_px = position_noise(fitted.x_px[~frozen] if frozen.any() else fitted.x_px)
     positions = BetweenSlips(new)
     scatter_px = spatial_scatter(positions, between_frames=between_frames)
     err = fitted.err_px
-    unknown = ~(np.isfinite(err) & (err > 0))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        per_grey = err[unknown] / fitted.noise[np.nonzero(unknown)[1]]
-    err[unknown] = WHOLE_LEVELS * np.nan_to_num(per_grey, nan=1.0)
-    np.maximum(err, LEAST_ERROR_PX, out=err)
-    predicted = median_where(np.isfinite(new), err)
-    del new
+    predicted = np.fmax(median_where(np.isfinite(new), err), LEAST_ERROR_PX)
     rounding = QUARTER_PIXEL if between_frames else 0.0
     measured = np.where(np.isfinite(scatter_px), scatter_px, np.hypot(np.fmax(noise_px, predicted), rounding))
     known = np.isfinite(measured)
@@ -484,11 +489,13 @@ def _errors(fitted: _Fitted, frozen: Bools, codec: str, settings: TrackingSettin
         measured = np.full_like(measured, np.median(measured[known]))
     if between_frames:
         measured = np.hypot(measured, shared_error(positions))
-    elif codec not in LOSSY:
+    elif facts.codec not in LOSSY:
         excess = float(nan_median(noise_excess(positions, err, settings)))
         # Locking to whole pixels lasts, and scatters less than the error that contains it.
         measured = predicted * (1.0 if fitted.fit == "paper" else min(1.0, settings.sharpened * excess))
     err *= np.nan_to_num(measured / predicted, nan=1.0)
+    if facts.quantiser_step:
+        np.fmax(err, left_behind(new, facts.quantiser_step * fitted.per_grey, settings), out=err)
     return _Errors(np.maximum(err, LEAST_ERROR_PX, out=err), noise_px, scatter_px, predicted)
 
 

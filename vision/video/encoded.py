@@ -5,22 +5,24 @@ from __future__ import annotations
 import contextlib
 import itertools
 import re
-from collections.abc import Iterator, Sequence
+import struct
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import av
 import av.container
 import av.error
 import numpy as np
 import simplejpeg
+from av.video.frame import PictureType
 
 from vision.errors import InputError
 from vision.files import MOST_PIXELS, check_pixels, check_regular, in_threads
-from vision.numeric import Pixels
+from vision.numeric import Ints, Pixels
 from vision.video.reader import (
     AS_STORED,
     LUMA_RULE,
@@ -42,6 +44,9 @@ _FORMATS = (
 )
 _RAW = {"mjpeg", "h264", "hevc", "m4v", "mpegvideo", "obu", "vc1"}  # pictures alone, without a container
 _CONTAINERS = {".avi", ".mp4", ".mkv", ".mov"}
+_FRAMES_WITH_STEPS = 12  # the quantiser of the first predicted frames is that of the film to 2 of 51 levels
+EXPORT_QUANTISERS = {"export_side_data": "venc_params"}
+"""Option of FFmpeg's decoders for `block_quantisers`."""
 _RESTART = re.compile(rb"\xff([\xd0-\xd7])")
 
 
@@ -72,6 +77,7 @@ class EncodedReader:
         with open_container(path) as container:
             stream = _video_stream(container, path)
             stream.thread_type = "NONE"  # with threads FFmpeg decodes several frames before it returns one
+            stream.codec_context.options = EXPORT_QUANTISERS
             first = _first_frame(container, stream, path)
             warnings = []
             if _ends_early(path):
@@ -84,7 +90,9 @@ class EncodedReader:
                 what = "odd and even rows are half a frame apart, which blurs moving ridges"
                 warnings.append(f"{path.name}: the film is interlaced: {what}")
             size = path.stat().st_size
-            facts = replace(_facts(container, stream, first, size), warnings=tuple(warnings))
+            facts = _facts(container, stream, first, size)
+            step = _quantiser_step(container, stream, facts.codec)
+            facts = replace(facts, quantiser_step=step, warnings=tuple(warnings))
             return cls(
                 path=path,
                 facts=facts,
@@ -396,6 +404,37 @@ def _facts(
         times_in_blocks=stamped,
         turned_deg=-90 * round(first.rotation / 90) % 360,
     )
+
+
+def _quantiser_step(container: av.container.InputContainer, stream: av.VideoStream, codec: str) -> float:
+    """Return the median step, grey levels, of the next frames that are predicted from frames before them.
+
+    0 if there are none, or the decoder does not report quantisers. The step is that of a transform that
+    keeps the sum of squares. That of H.264 doubles with every 6 levels and is 1 at level 4.
+    """
+    if codec not in ("h264", "mpeg4", "mpeg2video", "mpeg1video"):
+        return 0.0
+    steps = []
+    for _, frame in itertools.islice(_decoded(container, stream), _FRAMES_WITH_STEPS):
+        found = None if frame is None or frame.pict_type != PictureType.P else block_quantisers(frame)
+        if found is not None:
+            level = float(np.mean(found[1]))
+            steps.append(2.0 ** ((level - 4) / 6) if codec == "h264" else level)
+    return float(np.median(steps)) if steps else 0.0
+
+
+def block_quantisers(frame: av.VideoFrame) -> tuple[int, Ints] | None:
+    """Return the quantiser of a frame and those of its blocks, in FFmpeg's units: twice those of MPEG-2 and
+    MPEG-4, four times those of VP9. None if the decoder, opened with `EXPORT_QUANTISERS`, reports none."""
+    part = cast("Mapping[str, Any]", frame.side_data).get("VIDEO_ENC_PARAMS")
+    if part is None:
+        return None
+    # unsigned nb_blocks; size_t blocks_offset, block_size; enum type; int32 qp
+    blocks, first, size, _, base = struct.unpack_from("@IQQii", data := bytes(part))
+    if not blocks:
+        return None
+    # of a block: int src_x, src_y, w, h; int32 delta_qp
+    return base, base + np.ndarray((blocks,), np.int32, data, first + 16, (size,)).astype(np.int64)
 
 
 def _is_uneven(stream: av.VideoStream) -> bool:

@@ -50,6 +50,8 @@ class Facts:
         µm per pixel that the file states; None without.
     scale_unused
         A scale in the file that is not used, and why; "" without.
+    quantiser_step
+        Step, grey levels, to which a codec that predicts frames from others rounds changes; 0 if unknown.
     turned_deg
         Clockwise rotation for display that the file states (films of phones), degrees.
     container, codec, pixel_format, decoder, grey
@@ -75,6 +77,7 @@ class Facts:
     times_in_blocks: bool = False
     pixel_size_um: float | None = None
     scale_unused: str = ""
+    quantiser_step: float = 0.0
     turned_deg: int = 0
     warnings: tuple[str, ...] = ()
 

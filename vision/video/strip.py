@@ -318,6 +318,7 @@ def _metadata(
         source=str(video.path),
         container=facts.container,
         codec=facts.codec,
+        quantiser_step=facts.quantiser_step,
         pixel_format=facts.pixel_format,
         decoder=facts.decoder,
         grey=facts.grey,
