@@ -187,15 +187,12 @@ def shared_error(positions: BetweenSlips) -> float:
     It is to be added in quadrature to `spatial_scatter`, which does not include it. 0 for fewer than eight
     sheets or sixteen frames.
 
-    Blocks of the codec are wider than a sheet's spacing, and predicted frames move them by quarter pixels.
-
-    1. Sheets in one block share an error. Second differences of positions in time, without the motion of the
-       comb (`_motion`), scatter by :math:`a` over all sheets and by :math:`b` between neighbours:
-       :math:`c = s_x\,(a^2/b^2 - 1)^{1/2}`, with :math:`s_x` the usual `spatial_scatter`. The ratio a/b is
-       taken at a lag of at most four frames: creep that bends in a stick shows in a at longer ones.
-    2. All sheets share an error that cannot be distinguished from vibration of the camera. It is the larger
-       of c and :math:`s_x\,s/(s + 2 s_x)`, where s is the vibration seen from frame to frame. Both were
-       measured on H.264, HEVC, MPEG-2, MPEG-4 and VP9 (reports/degraded.md).
+    Blocks of the codec are wider than a sheet's spacing, and sheets in one block share an error. Second
+    differences of positions in time, without the motion of the comb (`_motion`), scatter by :math:`a` over
+    all sheets and by :math:`b` between neighbours: :math:`c = s_x\,(a^2/b^2 - 1)^{1/2}`, with :math:`s_x` the
+    usual `spatial_scatter`. The ratio a/b is taken at a lag of at most four frames: creep that bends in a
+    stick shows in a at longer ones. As much again is shared by all sheets (reports/degraded.md: H.264, HEVC,
+    MPEG-2, MPEG-4 and VP9).
     """
     sheets = positions.x_px.shape[1]
     if sheets < len(FOURTH) + 3 or positions.frames < 2 * LEAST_FRAMES:
@@ -207,10 +204,7 @@ def shared_error(positions: BetweenSlips) -> float:
     apart = min(_deviation_of_all(second - opening[:, None] * share) for share in shares)
     apart /= np.sqrt(1 - _fitted(sheets) / sheets)
     ratio = apart / max(between, 1e-9)
-    blocks = own * float(np.sqrt(max(0.0, ratio**2 - 1)))
-    shaking = _deviation_of_all(positions.second((1,), nan_median(positions.x_px, axis=1)[:, None]))
-    followed = own * shaking / max(shaking + 2 * own, 1e-9)
-    return float(np.hypot(blocks, max(blocks, followed)))
+    return own * float(np.sqrt(2 * max(0.0, ratio**2 - 1)))
 
 
 def left_behind(x_px: Floats, step_px: Floats, settings: TrackingSettings) -> Floats:

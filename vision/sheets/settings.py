@@ -564,7 +564,7 @@ class TrackingSettings:
     """Least and largest error of a position in a film of which the quantiser is known, over the shift that
     changes a ridge's pixels by one step of it, and error over the motion between two frames, in between.
     Larger overstates errors of films whose noise is coded, smaller understates them where sheets creep or
-    slip unseen (TEST)."""
+    slip unseen (test_errors_hold_where_a_codec_codes_no_motion)."""
 
     # --- symmetry axis (numbering.py) ---
 

@@ -469,10 +469,9 @@ def _errors(fitted: _Fitted, frozen: Bools, facts: StripMetadata, settings: Trac
     The prediction from the pixels holds where their noise is independent. Where a camera sharpens, it is too
     large; positions then scatter less (`noise_excess`), and the error is reduced. Compression hides the noise
     of pixels and shifts ridges for several frames: the scatter between sheets shows this, and `shared_error`
-    adds what neighbours share if the codec predicts frames from others. Where sheets are too few for that, a
-    codec that moves blocks by quarter pixels is assumed to err by their rounding. Repeated frames are left
-    out, as they would hide scatter. What the quantiser of a codec leaves behind is the least error, as it
-    is not seen where nothing is coded (`left_behind`).
+    adds what neighbours share if the codec predicts frames from others. Where sheets are too few for that, or
+    nothing changes, such a codec is assumed to err by a rounding to quarter pixels. What its quantiser leaves
+    behind is the least error (`left_behind`). Repeated frames are left out, as they would hide scatter.
     The errors of the fit are changed in place.
     """
     new = _unrepeated(fitted.x_px, frozen)
@@ -483,7 +482,7 @@ def _errors(fitted: _Fitted, frozen: Bools, facts: StripMetadata, settings: Trac
     err = fitted.err_px
     predicted = np.fmax(median_where(np.isfinite(new), err), LEAST_ERROR_PX)
     rounding = QUARTER_PIXEL if between_frames else 0.0
-    measured = np.where(np.isfinite(scatter_px), scatter_px, np.hypot(np.fmax(noise_px, predicted), rounding))
+    measured = np.where(scatter_px > 0, scatter_px, np.hypot(np.fmax(noise_px, predicted), rounding))
     known = np.isfinite(measured)
     if between_frames and known.any():  # all sheets share one quantiser
         measured = np.full_like(measured, np.median(measured[known]))
