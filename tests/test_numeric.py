@@ -2,6 +2,7 @@
 
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -40,6 +41,16 @@ def test_where_nothing_is_left_there_is_no_value():
     for found in (nan_median(values), nan_quantile(values, 0.75)):
         np.testing.assert_array_equal(found, [np.nan, 4.0])
     assert nan_median(np.empty((0, 2))).shape == nan_quantile(np.empty((0, 2)), 0.75).shape == (2,)
+
+
+def test_computations_in_two_threads_may_contain_others():
+    """A failure means that a thread waits for itself for ever."""
+
+    def product(k):
+        return sum(in_two_threads(lambda n: n * k, range(50)))
+
+    found = ThreadPoolExecutor(1).submit(in_two_threads, product, range(50))
+    assert found.result(timeout=20) == [1225 * k for k in range(50)]
 
 
 def test_indices_are_spread_from_the_first_to_the_last():

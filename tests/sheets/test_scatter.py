@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from tests.scenes.combs import comb, creeping, ridges, strip
-from vision.sheets import track_sheets
+from vision.sheets import scatter, track_sheets
 from vision.sheets.scatter import BetweenSlips, noise_excess, shared_error, spatial_scatter
 
 
@@ -55,6 +55,20 @@ def test_slips_are_seen_while_the_camera_shakes():
     x = 20 * np.arange(50) + slips + rng.normal(0, 0.5, (400, 1)) + rng.normal(0, 0.02, (400, 50))
     assert np.diff(BetweenSlips(x).slips)[38::40].all()
     assert np.median(noise_excess(BetweenSlips(x), np.full(x.shape, 0.02))) == pytest.approx(1, abs=0.1)
+
+
+def test_a_part_of_a_long_film_tells_by_how_much_positions_scatter(monkeypatch):
+    """Light that flickers makes every second frame noisier.  A failure means that errors of long films are
+    those of its even frames, or take ten times as long."""
+    rng = np.random.default_rng(8)
+    noise_px = np.where(np.arange(16_000) % 2, 0.02, 0.06)[:, None] * np.linspace(1, 2, 12)
+    x, err_px = 20 * np.arange(12) + rng.normal(0, noise_px), np.full(noise_px.shape, 0.02)
+    counted, motion = [], scatter._motion
+    monkeypatch.setattr(scatter, "_motion", lambda second: counted.append(len(second)) or motion(second))
+    found = noise_excess(BetweenSlips(x), err_px)
+    assert max(counted) < 5000
+    monkeypatch.setattr(scatter, "SIZED_FRAMES", len(x))
+    np.testing.assert_allclose(found, noise_excess(BetweenSlips(x), err_px), rtol=0.02)
 
 
 @pytest.mark.parametrize(("period", "size"), [(8, 2.0), (20, 2.0), (20, 0.25)])

@@ -26,6 +26,10 @@ from vision.sheets.settings import DEFAULT, LEAST_FRAMES, TrackingSettings
 FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 OPENING = 10  # sheets that show the opening of the comb
 NOISE_LAGS = range(2, 9)  # frames: an error that repeats itself vanishes at some of them
+SIZED_FRAMES = 4096
+"""Frames of a long film by whose scatter errors are judged. Fewer judge worse (these to 1 %), more take
+longer (test_scatter.py)."""
+STRETCH_FRAMES = 32  # consecutive ones of these: of single frames evenly spread, all may be even ones
 ONE_SIGMA = 0.6827  # share of values that lie within one standard deviation
 LAGS = (4, 3, 2, 1)
 """Lags, in frames, of second differences in time."""
@@ -75,12 +79,8 @@ class BetweenSlips:
         for lag in lags:
             calm = self.without_slip(2 * lag)
             if calm.sum() >= LEAST_FRAMES:
-                second = x[lag:-lag] * -2.0
-                second += x[: -2 * lag]
-                second += x[2 * lag :]
-                second = second if calm.all() else second[calm]
-                second /= np.sqrt(6)
-                return second
+                second = -2.0 * x[lag:-lag] + x[: -2 * lag] + x[2 * lag :]
+                return np.asarray(second[calm] / np.sqrt(6), np.float64)
         return x[:0]
 
     def settled(self) -> Bools:
@@ -135,30 +135,26 @@ def noise_excess(positions: BetweenSlips, err_px: Floats, settings: TrackingSett
     sheets = err_px.shape[1]
     if sheets < len(FOURTH):
         return np.ones(sheets)
-    slips = _slips_of_sheets(positions.x_px, settings)
-    variance = np.asfortranarray(err_px[positions.seen])
-    np.square(variance, out=variance)
-    settled = positions.settled()
+    x_px, slips = positions.x_px, _slips_of_sheets(positions.x_px, settings)
+    settled, seen = positions.settled(), np.flatnonzero(positions.seen)
 
     def size(lag: int) -> Floats:
-        calm = positions.without_slip(2 * lag)
-        if calm.sum() < 2 * LEAST_FRAMES:
+        calm = np.flatnonzero(positions.without_slip(2 * lag))
+        if len(calm) < 2 * LEAST_FRAMES:
             return np.full((2, sheets), np.nan)
-        second = positions.second((lag,))
-        for values, slip in zip(second.T, slips.T, strict=True):
-            values[(slip[2 * lag :] != slip[: -2 * lag])[calm]] = np.nan
+        first = calm[np.arange(len(calm)) // STRETCH_FRAMES % -(-len(calm) // SIZED_FRAMES) == 0]
+        middle, last = first + lag, first + 2 * lag
+        second = (-2.0 * x_px[middle] + x_px[first] + x_px[last]) / np.sqrt(6)
+        second[slips[last] != slips[first]] = np.nan
         opening, shares = _motion(second)
-        of_sheets, late = np.empty((len(shares), 2, sheets)), settled[: -2 * lag][calm]
+        before, at, after = (err_px[seen[some]] ** 2 for some in (first, middle, last))
+        expected = np.sqrt((before + 4 * at + after) / 6)
+        late = settled[first]
         late |= late.sum() < 2 * LEAST_FRAMES  # a quantile of fewer is too small
-
-        for n, own in enumerate(variance.T):
-            expected = (own[: -2 * lag] + 4 * own[lag:-lag] + own[2 * lag :])[calm]
-            expected /= 6
-            np.sqrt(expected, out=expected)
-            for of_lag, share in zip(of_sheets, shares, strict=True):
-                scatter = np.abs(second[:, n] - opening * share[n])
-                scatter /= expected
-                of_lag[:, n] = [nan_quantile(values, ONE_SIGMA) for values in (scatter, scatter[late])]
+        of_sheets = []
+        for share in shares:
+            scatter = np.abs(second - opening[:, None] * share) / expected
+            of_sheets.append(np.array([nan_quantile(some, ONE_SIGMA) for some in (scatter, scatter[late])]))
         return min(of_sheets, key=lambda of_lag: float(nan_median(of_lag[0])))
 
     sizes = np.array(in_two_threads(size, NOISE_LAGS))
@@ -174,11 +170,10 @@ def _slips_of_sheets(x_px: Floats, settings: TrackingSettings) -> NDArray[np.int
     """Return the number of slips of each sheet up to each frame, beyond the common motion, (frame, N)."""
     step = np.diff(x_px, axis=0)
     step -= nan_median(step, axis=1)[:, None]
-    slips = np.zeros(x_px.shape, np.int32, order="F")
-    for moved, count in zip(step.T, slips.T, strict=True):
-        size = np.abs(moved - nan_median(moved))
-        np.cumsum(size > settings.slip_sigmas * nan_median(size) / NORMAL_MEDIAN, out=count[1:])
-    return slips
+    step -= nan_median(step)
+    np.abs(step, out=step)
+    slip = step > settings.slip_sigmas * nan_median(step) / NORMAL_MEDIAN
+    return np.pad(np.cumsum(slip, axis=0, dtype=np.int32), ((1, 0), (0, 0)))
 
 
 def shared_error(positions: BetweenSlips) -> float:
@@ -236,11 +231,8 @@ def _motion(second: Floats) -> tuple[Floats, list[Floats]]:
     third, place = sheets // 3, np.arange(sheets) - (sheets - 1) / 2
     low, high = (nan_median(part, axis=1) for part in (second[:, :third], second[:, -third:]))
     opening = np.nan_to_num(high - low)
-    share = np.empty(sheets)
-    for n, own in enumerate(second.T):
-        known = np.isfinite(own)
-        seen = opening[known]
-        share[n] = (seen * own[known]).sum() / max((seen**2).sum(), TINY)
+    known = np.isfinite(second)
+    share = opening @ np.where(known, second, 0.0) / np.fmax(opening**2 @ known, TINY)
     beside = np.pad(share, 1, "reflect", reflect_type="odd")
     return opening, [place / (sheets - third), (beside[:-2] + beside[2:]) / 2]
 

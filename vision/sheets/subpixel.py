@@ -675,11 +675,9 @@ def position_noise(x_px: Floats) -> Floats:
     -------
     (N,), NaN for sheets seen in fewer than eight groups of three consecutive frames.
     """
-    second = x_px[1:-1] * -2.0
-    if not len(second):
+    if len(x_px) < 3:
         return np.full(x_px.shape[1], np.nan)
-    second += x_px[2:]
-    second += x_px[:-2]
+    second = -2.0 * x_px[1:-1] + x_px[2:] + x_px[:-2]
     if x_px.shape[1] >= 5:
         second -= np.nan_to_num(nan_median(second, axis=1))[:, None]
     known = np.isfinite(second).sum(axis=0) >= LEAST_TRIPLES
