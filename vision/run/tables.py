@@ -104,18 +104,17 @@ def write_tracks_nc(
     file is made in memory, because HDF5 crashes the process if a disk fills up.  Raises: OSError.
     """
     data = tracks.assign_coords(index=("sheet", tracks["sheet"].values, {"long_name": "index from the left"}))
-    data["frame"] = data["frame"].assign_attrs(long_name="frame number")
-    data["sheet"] = data["sheet"].assign_attrs(long_name="sheet, counted from the left")
+    data["frame"].attrs["long_name"] = "frame number"
+    data["sheet"].attrs["long_name"] = "sheet, counted from the left"
     for whole in ("frame", "sheet", "index", "side", "n"):
-        data[whole] = data[whole].assign_attrs(units="1")
+        data[whole].attrs["units"] = "1"
     for words, meanings in (("flag", FLAG_MEANINGS), ("why", DOUBTS)):
         if words in data:
             text = "; ".join(f"{word}: {meaning}" for word, meaning in meanings.items())
-            data[words] = data[words].assign_attrs(meanings=text)
+            data[words].attrs["meanings"] = text
     if math.isfinite(constant_error_px):
         comment = "x_err_px: random error of a position; constant_error_px: equal in all frames"
-        about = {"constant_error_px": constant_error_px, "comment": comment}
-        data["x_px"] = data["x_px"].assign_attrs(about)
+        data["x_px"].attrs |= {"constant_error_px": constant_error_px, "comment": comment}
     if pixel_size_um is not None:
         about = {"long_name": "position of the sheet", "units": "um"}
         data = data.assign(x_um=(("frame", "sheet"), data["x_px"].values * pixel_size_um, about))
@@ -169,11 +168,13 @@ def attrs_of_netcdf(attrs: Mapping[str, Any]) -> dict[str, Any]:
 # --- space-time diagrams ------------------------------------------------------------------------------------
 
 
-def write_kymograph_tif(strip: xr.DataArray, path: Path, *, pixel_size_um: float | None) -> None:
+def write_kymograph_tif(
+    strip: xr.DataArray, path: Path, *, pixel_size_um: float | None, stop: threading.Event | None = None
+) -> None:
     """Write I(x, t) as 32-bit grey levels: rows are frames, columns x; NaN for frames without a picture.
 
-    ImageJ metadata hold the size of a pixel: µm (or "pixel") along x and seconds along t. Above 4 GiB the
-    file is a plain BigTIFF without them.
+    It stops early once `stop` is set. ImageJ metadata hold the size of a pixel: µm (or "pixel") along x and
+    seconds along t. Above 4 GiB the file is a plain BigTIFF without them.
     """
     values = np.asarray(strip.values, np.float32)
     large = values.nbytes > IMAGEJ_BYTES
@@ -183,6 +184,8 @@ def write_kymograph_tif(strip: xr.DataArray, path: Path, *, pixel_size_um: float
     with path.open("r+b") as file:
         file.seek(place[0])
         for part in parts_in_turn(values):
+            if stop is not None and stop.is_set():
+                return
             file.write(np.ascontiguousarray(values[part]).data)
 
 

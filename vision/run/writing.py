@@ -67,7 +67,7 @@ def write_run(
     seconds = dict(analysis.seconds)
     with run_folder(target, overwrite=overwrite) as folder:
         failures = dict(analysis.failures)
-        with _tracks_csv_meanwhile(analysis, folder):
+        with _largest_meanwhile(analysis, folder):
             inputs, budget = origin.describe(), systematic_budget(analysis)
             _write_tables(analysis, folder, origin, budget)
             give_back_freed()
@@ -212,7 +212,6 @@ def _write_tables(analysis: Analysis, folder: Path, origin: Origin, budget: Budg
         constant = budget.total("x_px")
         write_tracks_nc(analysis.tracks, path, pixel_size_um=size, constant_error_px=constant)
         write_csv(sheets_table(analysis.tracks), folder / "sheets.csv", digits=None)
-        write_kymograph_tif(analysis.strip, folder / "kymograph.tif", pixel_size_um=size)
     if analysis.sticks is not None:
         write_csv(analysis.sticks, folder / "events.csv")
     if analysis.fits is not None:
@@ -230,20 +229,22 @@ def _write_tables(analysis: Analysis, folder: Path, origin: Origin, budget: Budg
 
 
 @contextmanager
-def _tracks_csv_meanwhile(analysis: Analysis, folder: Path) -> Iterator[None]:
-    """Write tracks.csv, the largest text, in a thread while the other files are written."""
+def _largest_meanwhile(analysis: Analysis, folder: Path) -> Iterator[None]:
+    """Write tracks.csv and kymograph.tif, the largest files, in a thread while the others are written."""
     if analysis.tracks is None or analysis.strip is None:
         yield
         return
     size, stop = analysis.pixel_size_um, threading.Event()
     with ThreadPoolExecutor(1) as pool:
-        path = folder / "tracks.csv"
-        text = pool.submit(write_tracks_csv, analysis.tracks, path, pixel_size_um=size, stop=stop)
+        to: dict[str, Any] = {"pixel_size_um": size, "stop": stop}
+        text = pool.submit(write_tracks_csv, analysis.tracks, folder / "tracks.csv", **to)
+        picture = pool.submit(write_kymograph_tif, analysis.strip, folder / "kymograph.tif", **to)
         try:
             yield
             text.result()
+            picture.result()
         finally:
-            stop.set()  # Ctrl-C does not wait for the complete table
+            stop.set()  # Ctrl-C does not wait for complete files
 
 
 def _write_pictures(
