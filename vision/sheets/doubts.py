@@ -83,7 +83,8 @@ def _unproved_jumps(
     rest = identities.rest_px
     no_end_in_view = (rest[:, 0] < reach) & (rest[:, -1] > comb.width_px - 1 - reach)
     run = np.cumsum(np.abs(step) > settings.jump_fraction * comb.pitch_px)
-    place = np.array([nan_median(moved[run == one]) for one in range(run[-1] + 1)])
+    runs = [run == one for one in range(run[-1] + 1)]
+    place = np.array([nan_median(moved[one]) for one in runs])
     apart = np.abs(place - place[:, None]) / (settings.step_fraction * comb.pitch_px)
     away = apart[np.argmax((apart < 0.5) @ np.bincount(run))][run] > 1
     if not away.any():
@@ -95,7 +96,6 @@ def _unproved_jumps(
     misfit = np.nan_to_num(sigma_about_zero(off, axis=1)) ** 2  # of most: some are dimmed, or cut off
     worse = np.maximum(misfit / settings.least_misfit**2, 1.0)
     margin = nan_median(identities.margin, axis=1)  # of the whole comb; single sheets may be less certain
-    runs = [run == one for one in range(run[-1] + 1)]
     # medians: a slip within the exposure of one frame changes brightnesses there alone
     given, wanted = (np.array([nan_median(part[one]) for one in runs]) for part in (margin, least * worse))
     unproved = away & (given < wanted)[run]

@@ -199,42 +199,25 @@ def _faint_ridges(
     """Return faint ridges at the expected positions of missing sheets: frame, sheet, and position, contrast
     and width (3, ridges). `found` holds these for the sheets already detected, (3, frame, N)."""
     wanted = np.isnan(found[0]) & np.isfinite(expected) & ~doubtful
-    rows = np.flatnonzero(wanted.any(axis=1))
-    usual = np.nan_to_num(nan_median(found[1])) if len(rows) else np.zeros(0)
-    parts = [
-        _faint_in_part(profile, rows[part], wanted, found, expected, usual, comb)
-        for part in row_parts(len(rows))
-    ]
-    if not parts:
-        return rows, rows, np.zeros((3, 0))
-    frame, sheet, there = zip(*parts, strict=True)
-    return np.concatenate(frame), np.concatenate(sheet), np.concatenate(there, axis=1)
-
-
-def _faint_in_part(
-    profile: Floats32,
-    rows: Ints,
-    wanted: Bools,
-    found: Floats32,
-    expected: Floats,
-    usual: Floats,
-    comb: RidgeComb,
-) -> tuple[Ints, Ints, Floats]:
-    """Return row and sheet of the faint ridges in some frames, and their positions, contrasts and widths.
-
-    wanted: the missing sheets. usual: the contrast of each.
-    """
-    faint = find_ridges(some_rows(profile, rows), replace(comb, contrast=0.0))
-    row, sheet = np.nonzero(wanted[rows])
-    frame = rows[row]
-    best, distance = nearest(faint.x_px[row], expected[frame, sheet])
-    there = np.stack([faint.x_px, faint.contrast, faint.fwhm_px])[:, row, best].astype(np.float64)
-    keep = (distance <= comb.settings.faint_reach * comb.pitch_px) & (
-        there[1] >= comb.settings.faint_contrast * usual[sheet]
-    )
-    keep &= nearest(found[0, frame], there[0])[1] > 0.5 * comb.fwhm_px
-    keep &= _unshared(frame, there[0], keep)
-    return frame[keep], sheet[keep], there[:, keep]
+    missing = np.flatnonzero(wanted.any(axis=1))
+    usual = np.nan_to_num(nan_median(found[1])) if len(missing) else np.zeros(0)  # contrasts
+    none = np.zeros(0, np.int64)
+    parts = [(none, none, np.zeros((3, 0)))]
+    for part in row_parts(len(missing)):
+        rows = missing[part]
+        faint = find_ridges(some_rows(profile, rows), replace(comb, contrast=0.0))
+        row, sheet = np.nonzero(wanted[rows])
+        frame = rows[row]
+        best, distance = nearest(faint.x_px[row], expected[frame, sheet])
+        there = np.stack([faint.x_px, faint.contrast, faint.fwhm_px])[:, row, best].astype(np.float64)
+        keep = (distance <= comb.settings.faint_reach * comb.pitch_px) & (
+            there[1] >= comb.settings.faint_contrast * usual[sheet]
+        )
+        keep &= nearest(found[0, frame], there[0])[1] > 0.5 * comb.fwhm_px
+        keep &= _unshared(frame, there[0], keep)
+        parts.append((frame[keep], sheet[keep], there[:, keep]))
+    frame, sheet, there = (np.concatenate(one, axis=-1) for one in zip(*parts, strict=True))
+    return frame, sheet, there
 
 
 def _unshared(frame: Ints, x: Floats, keep: Bools) -> Bools:

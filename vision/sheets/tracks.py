@@ -171,10 +171,6 @@ def track_sheets(
     width = profile.shape[1]
     numbering = number_sheets(assessed.x_px, axis_px=axis, width_px=width, settings=settings)
     found = _Tracked(comb, detected, numbering, fitted, errors, assessed, frozen, first_px)
-    alike = sheets_alike(assessed.x_px, detections.contrast, detections.fwhm_px, comb)
-    step = median_step(np.where(np.isnan(assessed.x_px), detections.withheld_px, assessed.x_px))
-    large = number[1:][np.abs(step) > settings.step_fraction * comb.pitch_px]
-    unseen = unseen_jumps(assessed.x_px, detections.contrast, detections.fwhm_px, comb)
     lasting = 0.0
     if facts.codec not in BETWEEN_FRAMES:  # these keep noise, or remove it, and their errors are measured
         lasting = noise_correlation(
@@ -192,10 +188,8 @@ def track_sheets(
         fit_asked=fit,
         gap_depth=gap_depth(profile, assessed.x_px, comb),
         corrections_applied=len(corrections),
-        sheets_alike="yes" if alike else "no",
-        large_steps=large.tolist() if alike else [],
-        unseen_jumps=number[unseen].tolist(),
         noise_lasts=lasting,
+        **found.jumps(number),
     )
     return record(
         _dataset(strip, found, metadata),
@@ -382,6 +376,22 @@ class _Tracked:
             ridges_beyond=reference.beyond,
             wide_spacings=[f"{x + self.origin_px:.0f} px ({size:.1f} pitches)" for x, size in gaps],
         )
+
+    def jumps(self, number: Ints) -> dict[str, Any]:
+        """Return fields of `TrackMetadata` about jumps of the whole comb that the sheets may not show.
+
+        number: of each frame in the film, (frame,).
+        """
+        detections, x_px, comb = self.detected.detections, self.assessed.x_px, self.comb
+        looks = detections.contrast, detections.fwhm_px
+        alike = sheets_alike(x_px, *looks, comb)
+        step = median_step(np.where(np.isnan(x_px), detections.withheld_px, x_px))
+        large = number[1:][np.abs(step) > comb.settings.step_fraction * comb.pitch_px]
+        return {
+            "sheets_alike": "yes" if alike else "no",
+            "large_steps": large.tolist() if alike else [],
+            "unseen_jumps": number[unseen_jumps(x_px, *looks, comb)].tolist(),
+        }
 
 
 def _check(profile: Floats32, source: str) -> None:
