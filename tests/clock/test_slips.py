@@ -70,20 +70,6 @@ def test_a_filter_of_second_order_is_in_the_error(frequency_hz, damping, slips_s
     assert bias > 4 * unaware["lag_s"].iloc[0]
 
 
-def test_slips_are_timed_without_the_ringing(slips_s):
-    """A failure means that a load that rings delays the film's clock by a quarter of its period."""
-    force = sawtooth(np.random.default_rng(12), slips_s, stop_s=STOP_S, rate_hz=1000, lowpass_s=0.0003)
-    turn, damping = 2 * np.pi * 25, 0.05
-    cell = bilinear([turn**2], [1, 2 * damping * turn, turn**2], fs=1000)
-    rings = force.assign(load_N=("sample", lfilter(*cell, force["load_N"].to_numpy())))
-    sticks = sticks_of(slips_s)
-    unaware = force_slips(rings, sticks)
-    sticks.attrs["ringing_s"] = 0.04
-    found = force_slips(rings, sticks)
-    assert abs(np.mean(found["time_s"].to_numpy() - slips_s)) < 2e-3
-    assert np.mean(unaware["time_s"].to_numpy() - slips_s) > 7e-3
-
-
 def test_no_sticks_no_slips(slips_s):
     """A failure means a traceback where a recording has no events."""
     force = sawtooth(np.random.default_rng(10), slips_s, stop_s=STOP_S)
