@@ -177,6 +177,19 @@ def test_the_background_beside_the_comb_tells_sheets_from_gaps(sign, shift_px):
 
 
 @pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_background_of_one_pitch_tells_sheets_from_gaps(seed, sign):
+    """Sheets that touch and differ in height and width, before a background of one pitch at either end. A
+    failure means that the narrow, even gaps between them are tracked without a word."""
+    rng = np.random.default_rng(seed)
+    x = comb(FRAMES, per_side=20, pitch_px=10.0, axis_px=207, uneven=0.06)
+    width, height = (np.clip(rng.normal(1, scatter, 40), 0.5, 1.6) for scatter in (0.2, 0.35))
+    light = ridges(x, width=415, fwhm_px=6.5 * width, contrast=height)
+    found = describe_ridges(strip(light, sign=sign).values)
+    assert found.polarity == ("bright" if sign > 0 else "dark")
+
+
+@pytest.mark.parametrize("sign", [1, -1])
 def test_a_given_polarity_that_takes_gaps_for_sheets_is_told(sign):
     """A failure means that the user of a wrong --ridges publishes the gaps and never learns of it."""
     _, light = wide_sheets()
