@@ -401,7 +401,7 @@ def _background(line: Floats32, bright: _MainRidges, dark: _MainRidges, pitch: f
     """Return +1 if the background beside the comb is as dark as the dark stripes near by, -1 if as bright as
     the bright ones.
 
-    It is the mean over both ends and all frames in which nearly a pitch is in view there: 0 where the
+    It is the mean over both ends and all frames in which a pitch is in view there: 0 where the
     background is neither, and 0 if these are less than a tenth of all. An end says nothing if it does so only
     with, or only without, the slope of the light along the comb's first stripes.
     """
@@ -413,7 +413,7 @@ def _background(line: Floats32, bright: _MainRidges, dark: _MainRidges, pitch: f
         from_right = row[::-1], last - bright_px[::-1], last - dark_px[::-1]
         for at, ups, downs in ((row, bright_px, dark_px), from_right):
             end = min(ups[0], downs[0])
-            if end > 0.9 * pitch:
+            if end > pitch:
                 level = at - np.arange(len(at)) * _slope_at_end(at, ups, downs)
                 said = [_beside_end(one, ups, downs, end, pitch, margin) for one in (at, level)]
                 sides.append(said[0] if said[0] == said[1] else 0.0)
