@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
+import h5py
 import numpy as np
 import pandas as pd
 import scipy
@@ -592,8 +593,6 @@ def _load_mat(path: Path) -> tuple[str, Mapping[str, Any]]:
 
     Both parsers can crash or never return on a damaged file, so a separate process reads it first.
     """
-    import h5py  # for this alone, where most recordings are text
-
     with reading(path, _WANTED_MAT, "save it again"):
         if not h5py.is_hdf5(path):
             try_out(path, READ_MATLAB, _WANTED_MAT)
