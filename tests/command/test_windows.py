@@ -1,4 +1,4 @@
-"""On Windows, as far as another system can show it: many laboratory computers run it."""
+"""On Windows, as far as Linux can show it: many laboratory computers run it."""
 
 import ctypes
 import os
@@ -8,18 +8,20 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pytest
 
 from tests.scenes.comb_video import frames_of, positions, write_video
 from vision import files
 from vision.mapped import put_rows, table_in_file
 
+pytestmark = pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="shown on Linux alone")
 ROOT = Path(__file__).resolve().parents[2]
 PAPER = ROOT / "fixtures" / "paper"
 
 
-def windows(*arguments, folder):
+def windows(*arguments, folder, program=("-m", "tests.scenes.windows")):
     """Run the command without what POSIX systems alone have."""
-    command = [sys.executable, "-m", "tests.scenes.windows", *map(str, arguments)]
+    command = [sys.executable, *program, *map(str, arguments)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run(command, check=False, cwd=folder, env=environment, capture_output=True, text=True)
     return done.returncode, done.stderr
@@ -45,6 +47,25 @@ def test_the_main_job_runs_and_replaces_its_run(tmp_path):
     pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "r" / "tracks.csv"), before)
 
 
+STORES_AT_ONCE = """
+from tests.scenes.windows import become_windows
+
+become_windows()
+from vision.command import main
+from vision.run.reading import Checkpoint
+
+Checkpoint.__init__.__kwdefaults__["after_s"] = 0
+raise SystemExit(main())
+"""
+
+
+def test_frames_stored_for_resume_are_removed(tmp_path):
+    """A failure means that every long film leaves a hidden folder behind, as open files cannot be removed."""
+    film = [PAPER / "video.avi", "--out", "r", "--no-report"]
+    assert windows(*film, folder=tmp_path, program=("-c", STORES_AT_ONCE))[0] == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["r"]
+
+
 def test_a_parser_is_tried_out_in_a_process_without_limits(tmp_path):
     """A failure means that no MATLAB file can be read on Windows, or that a damaged one is."""
     (tmp_path / "pull.mat").write_bytes(b"MATLAB 5.0 MAT-file" + bytes(200))
@@ -66,8 +87,7 @@ def test_the_c_library_is_that_of_linux_alone(monkeypatch):
     monkeypatch.setattr(files.sys, "platform", "win32")
     assert files.c_library() is None
     monkeypatch.setattr(files.sys, "platform", "linux")
-    if Path("/proc/self").exists():
-        assert isinstance(files.c_library(), ctypes.CDLL)
+    assert isinstance(files.c_library(), ctypes.CDLL)
 
 
 def test_tables_in_files_without_calls_of_posix(tmp_path, monkeypatch):

@@ -1,6 +1,7 @@
-"""The command as on Windows: without what Python has on POSIX systems alone.
+"""The command as on Windows: without what Python has on POSIX systems alone, and unable to move or remove
+what is open.
 
-Run as `python -m tests.scenes.windows ARGUMENTS…`. Stdlib and libraries are loaded first, since they choose
+Run on Linux as `python -m tests.scenes.windows ARGUMENTS…`. Libraries are loaded first, since they choose
 their own ways by the system that they see.
 """
 
@@ -8,8 +9,10 @@ import ctypes
 import mmap
 import multiprocessing
 import os
+import shutil
 import signal
 import sys
+from collections.abc import Callable
 from types import ModuleType, SimpleNamespace
 
 import cv2  # noqa: F401
@@ -33,8 +36,31 @@ def _load(self: ctypes.CDLL, name: str | None, *more: object, **options: object)
     _LOAD(self, name, *more, **options)  # type: ignore[arg-type]
 
 
-def main() -> int:
-    """Take away what Windows lacks, and run the command."""
+def _held(path: object) -> str | None:
+    """Return a file at or below a path that this process holds open or mapped, None if there is none."""
+    place = os.path.abspath(os.fspath(path))  # noqa: PTH100
+    opened = [os.readlink(entry.path) for entry in os.scandir("/proc/self/fd") if os.path.islink(entry.path)]  # noqa: PTH114, PTH115
+    with open("/proc/self/maps", encoding="utf-8") as file:  # noqa: PTH123
+        mapped = [line.split(maxsplit=5)[5].strip() for line in file if line.count("/")]
+    return next((one for one in opened + mapped if one == place or one.startswith(place + "/")), None)
+
+
+def _refusing(call: Callable[..., None]) -> Callable[..., None]:
+    """Wrap a call that moves or removes a path, which Windows refuses for what is open."""
+
+    def wrapped(path: object, *more: object, **options: object) -> None:
+        if options.get("dir_fd") is None and (name := _held(path)):
+            raise PermissionError(13, "the process cannot access the file as it is being used", name)
+        call(path, *more, **options)
+
+    return wrapped
+
+
+def become_windows() -> None:
+    """Take away what Windows lacks, and refuse what it refuses; before the project is imported."""
+    for name in ("rename", "replace", "unlink", "remove", "rmdir"):
+        setattr(os, name, _refusing(getattr(os, name)))
+    shutil._use_fd_functions = False  # type: ignore[attr-defined]
     for module, names in ABSENT.items():
         for name in names.split():
             if hasattr(module, name):
@@ -47,10 +73,10 @@ def main() -> int:
     from vision import files
 
     files.sys = SimpleNamespace(**vars(sys) | {"platform": "win32"})  # type: ignore[assignment]
-    from vision.command import main as command
-
-    return command()
 
 
 if __name__ == "__main__":
+    become_windows()
+    from vision.command import main
+
     sys.exit(main())

@@ -315,6 +315,8 @@ class Checkpoint:
 
     def remove(self) -> None:
         """Remove what was stored, which nobody will resume."""
+        if self._file is not None:
+            self._file.close()  # Windows does not remove open files
         if self._own:
             shutil.rmtree(self._place, ignore_errors=True)
         self.__exit__()
