@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.signal import bilinear, lfilter
+from scipy.signal import bilinear, butter, lfilter
 
 from tests.scenes.slip_trains import sawtooth, slip_times, sticks_of, tracks
 from vision.clock import ClockSettings, force_slips, video_slips
@@ -62,12 +62,24 @@ def test_a_filter_of_second_order_is_in_the_error(frequency_hz, damping, slips_s
     force = sawtooth(np.random.default_rng(11), slips_s, stop_s=STOP_S, rate_hz=1000, lowpass_s=0.0003)
     turn = 2 * np.pi * frequency_hz
     cell = bilinear([turn**2], [1, 2 * damping * turn, turn**2], fs=1000)
-    delayed = force.assign(load_N=("sample", lfilter(*cell, force["load_N"].to_numpy())))
+    delayed = force.assign(load_N=("time_s", lfilter(*cell, force["load_N"].to_numpy())))
     found = force_slips(delayed, sticks_of(slips_s))
     bias = np.mean(found["time_s"].to_numpy() - slips_s)
     assert 0.7 * found["lag_s"].iloc[0] < bias < 2 * found["lag_s"].iloc[0]
     unaware = force_slips(delayed, sticks_of(slips_s), settings=ClockSettings(unseen_delay=0.0))
     assert bias > 4 * unaware["lag_s"].iloc[0]
+
+
+@pytest.mark.parametrize("order", [2, 4])
+def test_a_filter_as_fast_as_the_sampling_is_in_the_error(order, slips_s):
+    """A failure means that clocks are off by many errors behind the usual filter before slow sampling."""
+    force = sawtooth(np.random.default_rng(12), slips_s, stop_s=STOP_S, rate_hz=2000, lowpass_s=0.0003)
+    load = force["load_N"].to_numpy()
+    load = lfilter(*butter(order, 40, fs=2000), load - load[0]) + load[0]
+    filtered = force.assign(load_N=("time_s", load)).isel(time_s=slice(None, None, 20))
+    found = force_slips(filtered, sticks_of(slips_s))
+    bias = np.mean(found["time_s"].to_numpy() - slips_s)
+    assert 0.004 < bias < 4 * found["lag_s"].iloc[0]
 
 
 def test_no_sticks_no_slips(slips_s):

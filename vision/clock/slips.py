@@ -75,10 +75,10 @@ def force_slips(
     order = np.argsort(middle)
     # A drop within one interval may lie anywhere in it; one that spreads over several is timed by its mean.
     error = np.full(len(order), max(largest, 0.5) * interval / np.sqrt(12))
-    # Remaining errors of the delay, of the sampling, of the shape of a drop, and of a filter whose response
-    # is symmetric: it widens a drop as a slip that lasts does, but delays it as well.
+    # Remaining errors of the delay, of a filter that is faster than the sampling, of the shape of a drop, and
+    # of a filter whose response is symmetric: it widens a drop as a slip that lasts does, but delays it.
     parts = (delay, interval, duration, other_s)
-    lag = np.multiply((0.25, 0.12, 0.02, settings.unseen_delay), parts)
+    lag = np.multiply((0.25, 0.3, 0.02, settings.unseen_delay), parts)
     return pd.DataFrame(
         {
             "time_s": (middle - delay)[order],
