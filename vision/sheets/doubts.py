@@ -529,7 +529,7 @@ def unseen_jumps(x_px: Floats, contrast: Floats32, fwhm_px: Floats32, comb: Ridg
             terms = np.maximum(np.isfinite(saved).sum(axis=(0, 2)), 1)
             gain[at + first] = np.fmax(gain[at + first], np.nansum(saved, axis=(0, 2)) / np.sqrt(terms))
 
-    in_two_threads(compare, row_parts(len(gain)))
+    in_two_threads(compare, row_parts(len(gain), 1024))  # ten tables of each part are held at once
     around = np.lib.stride_tricks.sliding_window_view(np.pad(gain, SETTLED), 2 * SETTLED + 1)
     return np.flatnonzero((gain > BY_CHANCE) & (gain >= around.max(axis=1)))
 

@@ -144,16 +144,23 @@ def noise_excess(positions: BetweenSlips, err_px: Floats, settings: TrackingSett
             return np.full((2, sheets), np.nan)
         first = calm[np.arange(len(calm)) // STRETCH_FRAMES % -(-len(calm) // SIZED_FRAMES) == 0]
         middle, last = first + lag, first + 2 * lag
-        second = (-2.0 * x_px[middle] + x_px[first] + x_px[last]) / np.sqrt(6)
+        second = -2.0 * x_px[middle]
+        second += x_px[first]
+        second += x_px[last]
+        second /= np.sqrt(6)
         second[slips[last] != slips[first]] = np.nan
         opening, shares = _motion(second)
-        before, at, after = (err_px[seen[some]] ** 2 for some in (first, middle, last))
-        expected = np.sqrt((before + 4 * at + after) / 6)
+        expected = 4 * err_px[seen[middle]] ** 2
+        expected += err_px[seen[first]] ** 2
+        expected += err_px[seen[last]] ** 2
+        expected = np.sqrt(expected / 6)
         late = settled[first]
         late |= late.sum() < 2 * LEAST_FRAMES  # a quantile of fewer is too small
         of_sheets = []
         for share in shares:
-            scatter = np.abs(second - opening[:, None] * share) / expected
+            scatter = second - opening[:, None] * share
+            np.abs(scatter, out=scatter)
+            scatter /= expected
             of_sheets.append(np.array([nan_quantile(some, ONE_SIGMA) for some in (scatter, scatter[late])]))
         return min(of_sheets, key=lambda of_lag: float(nan_median(of_lag[0])))
 
@@ -172,8 +179,9 @@ def _slips_of_sheets(x_px: Floats, settings: TrackingSettings) -> NDArray[np.int
     step -= nan_median(step, axis=1)[:, None]
     step -= nan_median(step)
     np.abs(step, out=step)
-    slip = step > settings.slip_sigmas * nan_median(step) / NORMAL_MEDIAN
-    return np.pad(np.cumsum(slip, axis=0, dtype=np.int32), ((1, 0), (0, 0)))
+    slips = np.zeros(x_px.shape, np.int32)
+    np.cumsum(step > settings.slip_sigmas * nan_median(step) / NORMAL_MEDIAN, axis=0, out=slips[1:])
+    return slips
 
 
 def shared_error(positions: BetweenSlips) -> float:
