@@ -26,9 +26,10 @@ from vision.sheets.settings import DEFAULT, LEAST_FRAMES, TrackingSettings
 FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 OPENING = 10  # sheets that show the opening of the comb
 NOISE_LAGS = range(2, 9)  # frames: an error that repeats itself vanishes at some of them
-SIZED_FRAMES = 4096
+SIZED_FRAMES = 2048
 """Frames of a long film by whose scatter errors are judged. Fewer judge worse (these to 1 %), more take
-longer (test_scatter.py)."""
+longer and more memory: of 9600 frames all tables of the tracking fit beside them (test_scatter.py,
+test_tracks.py)."""
 STRETCH_FRAMES = 32  # consecutive ones of these: of single frames evenly spread, all may be even ones
 ONE_SIGMA = 0.6827  # share of values that lie within one standard deviation
 LAGS = (4, 3, 2, 1)
