@@ -22,6 +22,7 @@ from vision.models import equations
 from vision.models.single_fits import (
     DEFAULT,
     FIT_ERRORS,
+    NOT_TOLD,
     PARAMETERS,
     SLOW_MM_MIN,
     Estimate,
@@ -128,7 +129,7 @@ def fit_models(
     with np.errstate(all="ignore"):  # fits may diverge; their results are checked
         try:
             events, left_out = _choose_events(complete, given, fit_range_mm)
-            fits = _fit_all(events, given)
+            fits = replace(_fit_all(events, given), drift_N=given.drift(events))
         except InputError as error:
             if unit_doubt and not error.is_of_argument:
                 error.advice = "; ".join(filter(None, (error.advice, unit_doubt)))
@@ -173,14 +174,22 @@ class _Given:
         """Fit Eq. 1 with the T* of the sample, which suffices to judge whether it describes the peaks."""
         return fit_peaks(events, self.sample, mu=self.mu)
 
-    def fit_drift(self, events: pd.DataFrame) -> Fit | None:
-        """Fit Eq. 1 and a drift of the load; None where the peaks fall too little to tell them apart."""
-        mu, offset, *_ = self.fit_peaks(events).value.tolist()
+    def fit_drift(self, events: pd.DataFrame, peaks: Fit) -> Fit | None:
+        """Fit Eq. 1 and a drift of the load; None where the peaks fall too little to tell them apart.
+
+        peaks: the fit without drift.
+        """
+        mu, offset, *_ = peaks.value.tolist()
         ends = events["d_p_mm"].agg(["min", "max"])
         first, last = equations.traction(ends, mu=max(mu, 1e-3), sample=self.sample) + offset
         if not first > self.settings.drift_fall * last > 0:
             return None
         return fit_peaks(events, self.sample, mu=self.mu, free_drift=True)
+
+    def drift(self, events: pd.DataFrame) -> Estimate:
+        """Return the drift of the load over the test, N; NaN where it cannot be told."""
+        fit = self.fit_drift(events, self.fit_peaks(events))
+        return fit.estimate(3) if fit else NOT_TOLD
 
 
 def _undetermined(reason: str, advice: str = "") -> InputError:
@@ -329,7 +338,8 @@ def _first_that_fits(events: pd.DataFrame, given: _Given, top: int) -> int:
         part = events.iloc[int(start) :]
         if len(part) < given.settings.least_events:
             break
-        fit = given.fit_drift(part) or given.fit_peaks(part)
+        fit = given.fit_peaks(part)
+        fit = given.fit_drift(part, fit) or fit
         first = fit.residual[: max(5, len(part) // 20)]
         noise = np.sqrt(np.mean(np.diff(fit.residual) ** 2) / 2)
         if abs(float(first.mean())) < 2 * noise / np.sqrt(first.size):
@@ -403,7 +413,6 @@ def _fit_all(events: pd.DataFrame, given: _Given) -> ModelFits:
         undetermined = ("Lambda_hat_mm", "N_hat_N", "bending_length_mm")
         undetermined += ("Y_eff_GPa",) if given.modulus_GPa is None else ()
     n_hat, bending, correlation = _derived(stiffness, peaks, sample, given.free_t_star, 0.5 * sum(span))
-    drifting = given.fit_drift(events)
     return ModelFits(
         mu=mu,
         t0_N=t0,
@@ -413,7 +422,6 @@ def _fit_all(events: pd.DataFrame, given: _Given) -> ModelFits:
         modulus_GPa=stiffness.estimate(1),
         scale_mm=stiffness.estimate(0),
         bending_mm=bending,
-        drift_N=drifting.estimate(3) if drifting else Estimate(math.nan, math.nan),
         goodness={"peaks": peaks.goodness, "drops": drops.goodness, "stiffness": stiffness.goodness},
         correlation=correlation,
         d_mm=span,

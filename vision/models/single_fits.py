@@ -123,6 +123,9 @@ class Goodness:
     chi2_dof: float
 
 
+NOT_TOLD = Estimate(math.nan, math.nan)
+
+
 @dataclass(frozen=True, kw_only=True)
 class ModelFits:
     """Parameters of the paper's models for one recording, with standard errors."""
@@ -135,11 +138,12 @@ class ModelFits:
     modulus_GPa: Estimate  # Y_eff
     scale_mm: Estimate  # Lambda-hat, where M_eff reaches 0
     bending_mm: Estimate  # bending length of the outermost sheet in the middle of the test
-    drift_N: Estimate  # of the load over the range of d, if the peaks have one; the fits assume none
     goodness: dict[str, Goodness]  # of the fits to "peaks", "drops" and "stiffness"
     correlation: dict[str, float]  # of parameters that are fitted together
     d_mm: tuple[float, float]  # separation at the first and last event used
     sample: Sample  # as given
+    # Drift of the load over the range of d, if the peaks have one; the fits assume none. NaN if not told.
+    drift_N: Estimate = NOT_TOLD
     notes: tuple[str, ...] = ()  # limitations of the result
     warnings: tuple[str, ...] = ()  # reasons why it may be wrong
     held: tuple[str, ...] = ()  # names of parameters that were given, not fitted
