@@ -61,12 +61,16 @@ def check_regular(path: Path, wanted: str) -> os.stat_result:
 
 def members(path: Path) -> list[Path]:
     """Return what a folder holds, else the path itself or what matches it as a pattern; in no order."""
-    return list(path.iterdir()) if path.is_dir() else matching(path)
+    return list(path.iterdir()) if path.is_dir() else _matching(path)
 
 
-def matching(path: Path) -> list[Path]:
-    """Return a path that exists, or what matches it as a pattern, in no order: not every shell expands it."""
+def _matching(path: Path) -> list[Path]:
     return [path] if path.exists() else [Path(name) for name in glob.glob(str(path))]  # noqa: PTH207  # absolute
+
+
+def expanded(paths: Iterable[Path]) -> tuple[Path, ...]:
+    """Return paths with patterns replaced by what matches them, in order: not every shell does so."""
+    return tuple(one for path in paths for one in sorted(_matching(path)) or [path])
 
 
 def no_such_file(path: Path, wanted: str) -> InputError:

@@ -40,7 +40,7 @@ from vision.experiment import settings_from_toml, with_settings
 from vision.experiment import simulate as make_test
 from vision.figures import Figure, save_figures
 from vision.figures.single_sheets import friction_figure, modulus_figure
-from vision.files import matching
+from vision.files import expanded
 from vision.folder import write_csv, write_json
 from vision.force import parse_columns, read_force
 from vision.models import Estimate, both_errors, plus_minus
@@ -193,7 +193,7 @@ def friction(
     A file or measurement that cannot be used is named, the others are used, and the exit status is 1.
     """
     started = time.perf_counter()
-    files = tuple(one for file in files for one in sorted(matching(file)) or [file])
+    files = expanded(files)
     if not files:
         raise InputError("track friction", "one or more files", "none", "name the rheometer's files")
     target = output.out or Path(f"{files[0].stem}_friction")

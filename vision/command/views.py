@@ -42,7 +42,7 @@ from vision.comparison.comparison import MARK, answers
 from vision.data import DiagramMetadata, StripMetadata, TrackMetadata, warnings_of
 from vision.errors import InputError, counted, did_you_mean
 from vision.figures import kymograph_figure, load_figures, preview_figure
-from vision.files import AGAIN, matching
+from vision.files import AGAIN, expanded
 from vision.files import reading as reading_of
 from vision.folder import check_new, whole_file
 from vision.pipeline import Analysis, Settings, analyse, open_recording
@@ -461,8 +461,7 @@ def compare(
     """
     target = output.out or Path("comparison")
     table, main_sample, fix_yeff = options.table, options.main_sample, options.fix_yeff
-    runs = tuple(one for run in runs for one in sorted(matching(run)) or [run])
-    found = compare_runs(runs, table, main_sample=main_sample, modulus_GPa=fix_yeff)
+    found = compare_runs(expanded(runs), table, main_sample=main_sample, modulus_GPa=fix_yeff)
     try:
         check_results(target, overwrite=output.overwrite, mark=MARK)
     except InputError:
