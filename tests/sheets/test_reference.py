@@ -239,3 +239,17 @@ def test_a_part_that_slips_onto_the_next_sheets_is_named(first):
         assert (nearest[0] != nearest[-1]).any() == bool(slipped)
         told = [line for line in consistency_warnings(tracks) if "beyond the outermost" in line]
         assert bool(told) == bool(slipped)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_the_last_sheet_is_kept_where_the_light_falls_off(mirrored):
+    """The light falls to a tenth along the comb, and the last sheet, as bright as those beside it, moves by
+    a third of their motion. A failure means that a sheet which everybody sees is lost without a word. One of
+    that brightness beside sheets in full light is a speck."""
+    truth = comb(80, per_side=10, axis_px=260)
+    truth[:, -1] = truth[:, -1].mean() + 0.3 * (truth[:, -1] - truth[:, -1].mean())
+    falling = np.geomspace(1.0, 0.1, 20)
+    for contrast, sheets in ((falling, 20), (np.r_[np.ones(19), falling[-1]], 19)):
+        picture = ridges(truth, width=520, contrast=contrast)
+        tracks = track_sheets(strip(picture[:, ::-1] if mirrored else picture))
+        assert tracks.sizes["sheet"] == sheets

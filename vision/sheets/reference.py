@@ -453,33 +453,34 @@ def faint_ends(reference: ReferenceComb, moved_px: Floats, *, settings: Tracking
     if reference.sheets < 5:
         return none
     contrast, width = (values - np.median(values) for values in (reference.log_contrast, reference.log_width))
-    faint, dim = contrast < np.log(settings.faint_end), contrast < np.log(settings.dim_end)
+    faint_end, dim_end = np.log(settings.faint_end), np.log(settings.dim_end)
     power = np.array([(moved[np.isfinite(moved)] ** 2).sum() for moved in moved_px.T]) / len(moved_px)
     in_comb = moved_px - nan_median(moved_px, axis=1)[:, None]  # a shaken camera moves all alike
-    for end, inner in ((0, 1), (-1, -2)):
+    for end, inner, beside in ((0, 1, contrast[1:6]), (-1, -2, contrast[-6:-1])):
+        own = contrast[end] - min(0.0, float(np.median(beside)))  # the light may fall off towards an end
         seen = np.isfinite(moved_px[:, end]).mean()
         moves = power[inner] > settings.moving_px**2 / 4
         slow = moves and power[end] < settings.slow_end**2 * power[inner]
         along = motion_likeness(in_comb[:, end], in_comb[:, inner]) > settings.along_end
         odd = abs(width[end]) > np.log(settings.odd_width)
-        none[end] = faint[end] and bool(slow or (not along and (moves or seen < 0.5 or odd)))
-        none[end] |= dim[end] and bool(moves and odd and not along)
+        none[end] = own < faint_end and bool(slow or (not along and (moves or seen < 0.5 or odd)))
+        none[end] |= own < dim_end and bool(moves and odd and not along)
     for inwards in (slice(None), slice(None, None, -1)):
-        found = _stationary_beside(faint[inwards], contrast[inwards], moved_px[:, inwards], settings)
+        found = _stationary_beside(contrast[inwards], moved_px[:, inwards], settings)
         none[inwards][:found] = True
     return none
 
 
-def _stationary_beside(faint: Bools, contrast: Floats, moved_px: Floats, settings: TrackingSettings) -> int:
+def _stationary_beside(contrast: Floats, moved_px: Floats, settings: TrackingSettings) -> int:
     """Return the number of entries from the first on that are a stationary pattern beside a moving comb.
 
     A reflection or a fabric behind the comb leaves rows of ridges. All of these are faint, the brightest is
     far fainter than the sheet beside them, and that sheet moves while none of them does. A comb that darkens
     gradually towards its stationary middle differs in this step. 0 where there is none.
 
-    faint, contrast (logarithm): (N,). moved_px: (frame, N).
+    contrast: logarithm, over the median, (N,). moved_px: (frame, N).
     """
-    row = int(np.argmin(faint))
+    row = int(np.argmin(contrast < np.log(settings.faint_end)))
     if not row or contrast[:row].max() > contrast[row] + np.log(settings.faint_end):
         return 0
     moved = moved_px[:, : row + 1]
