@@ -266,3 +266,15 @@ def test_a_saturated_film_is_said_to_be_saturated(tmp_path):
     tifffile.imwrite(tmp_path / "wide.tif", ridged.astype(np.uint8), photometric="minisblack")
     with pytest.raises(InputError, match="a window no wider than the ridges' spacing"):
         vision.analyse(tmp_path / "wide.tif", settings=Settings(window_px=99))
+
+
+@pytest.mark.parametrize("offset_s", [999.0, -999.0])
+def test_an_offset_outside_the_force_is_refused_before_the_film_is_read(offset_s):
+    """A failure means that a long film is tracked before a mistyped offset is named."""
+    read = []
+    settings = Settings(pixel_size_um=10, offset_s=offset_s, timestamps=DEEP / "timestamps.txt")
+    with pytest.raises(InputError, match="`offset_s`: expected a video within the force recording"):
+        vision.analyse(
+            DEEP / "video.tif", DEEP / "force.txt", settings, progress=lambda *done: read.append(done)
+        )
+    assert not read

@@ -25,6 +25,7 @@ import xarray as xr
 
 from vision.checks import CheckSettings, all_warnings
 from vision.clock import Clock, ClockSettings, synchronise
+from vision.clock.clock import check_overlap
 from vision.data import STIFF_BELOW, check_pixel_size, check_threshold
 from vision.deformation import DeformationSettings, horizontal_deformation
 from vision.errors import (
@@ -66,6 +67,7 @@ from vision.video import (
     strip_profile,
     strip_profiles,
 )
+from vision.video.video import cut
 
 Result = TypeVar("Result")
 
@@ -274,6 +276,8 @@ def analyse(
     machine = None if force is None else stages.required("reading force", open_force, force, chosen)
     film = None if video is None else open_recording(video, chosen, follow)
     found = _reusable(earlier, Analysis(settings=chosen, video=film))
+    if film is not None and found.strip is None:
+        check_recordings(film, None if follow else machine, chosen)
     found = _read_and_track(stages, found, progress, log, follow)
     chosen, tracks = found.settings, found.tracks
     sticks = stages.optional("sticks", _sticks, machine, chosen, alone=found.strip is None)
@@ -428,21 +432,33 @@ def _strip(
     video: Video, chosen: Settings, progress: Progress | None, log: ReadingLog | None, follow: Follow | None
 ) -> tuple[xr.DataArray, xr.DataArray | None]:
     """Return I(x, t) of the strip, and that of its parts if `strips` asks for them."""
-    _check_lengths(chosen, video.shape[1])
-    correction, settings = last_of(chosen.corrections, "strip"), chosen.tuning.video
-    rows = chosen.rows if correction is None or correction.rows is None else slice(*correction.rows)
-    how: dict[str, Any] = {"columns": chosen.columns, "progress": progress, "settings": settings}
+    rows = _rows(chosen)
+    how: dict[str, Any] = {"columns": chosen.columns, "progress": progress, "settings": chosen.tuning.video}
     if chosen.strips != 1:
         return strip_profiles(video, chosen.strips, rows, folder=None if log is None else log.folder, **how)
     return strip_profile(video, rows, log=log, follow=follow, **how), None
 
 
-def _check_lengths(chosen: Settings, width_px: int) -> None:
-    """Reject lengths far beyond the picture's width before a long film is read."""
-    window = chosen.window_px
-    check_axis(chosen.axis_px, 0, width_px - 1)
-    if isinstance(window, int) and window > width_px:
-        raise InputError("`window_px`", f"at most the picture's {width_px} columns", str(window), "try auto")
+def _rows(chosen: Settings) -> slice | None:
+    """Return the rows of the strip, if they are given; those of a correction take precedence."""
+    correction = last_of(chosen.corrections, "strip")
+    return chosen.rows if correction is None or correction.rows is None else slice(*correction.rows)
+
+
+def check_recordings(film: Video, force: xr.Dataset | None, chosen: Settings) -> None:
+    """Reject what the picture or the recordings cannot have before they are read.  Raises: InputError."""
+    (height, width), window = film.shape, chosen.window_px
+    cut(_rows(chosen), height, what=f"{film.path}: `rows`")
+    cut(chosen.columns, width, what=f"{film.path}: `columns`")
+    check_axis(chosen.axis_px, 0, width - 1)
+    if isinstance(window, int) and window > width:
+        raise InputError("`window_px`", f"at most the picture's {width} columns", str(window), "try auto")
+    offset_s, drift_ppm = _given_clock(chosen)
+    if force is not None and offset_s is not None and film.expected and not film.facts.times_in_blocks:
+        times_s = film.times(np.array([film.first, film.first + film.expected - 1]))
+        if np.isfinite(times_s).all():
+            clock = Clock(offset_s=offset_s, drift_ppm=drift_ppm, status="given", how="given")
+            check_overlap(times_s, force, clock, "`offset_s`")
 
 
 def _suggesting_rotation(film: Video | None, chosen: Settings, work: Callable[[], Result]) -> Result:
@@ -540,12 +556,16 @@ def _fits(force: xr.Dataset, sticks: pd.DataFrame, chosen: Settings) -> ModelFit
 
 
 def _clock(tracks: xr.Dataset, force: xr.Dataset, sticks: pd.DataFrame, chosen: Settings) -> Clock:
-    correction, offset_s, drift_ppm = last_of(chosen.corrections, "clock"), chosen.offset_s, 0.0
-    if correction is not None:
-        offset_s, drift_ppm = correction.offset_s, correction.drift_ppm
+    offset_s, drift_ppm = _given_clock(chosen)
     return synchronise(
         tracks, force, sticks, offset_s=offset_s, drift_ppm=drift_ppm, settings=chosen.tuning.clock
     )
+
+
+def _given_clock(chosen: Settings) -> tuple[float | None, float]:
+    """Return the given offset, None without, and drift; those of a correction take precedence."""
+    correction = last_of(chosen.corrections, "clock")
+    return (chosen.offset_s, 0.0) if correction is None else (correction.offset_s, correction.drift_ppm)
 
 
 def _motion(tracks: xr.Dataset, sticks: pd.DataFrame, clock: Clock, chosen: Settings) -> xr.Dataset:

@@ -87,6 +87,15 @@ def test_all_good_films_are_done_and_the_bad_one_is_named(tmp_path, monkeypatch,
     assert (out / "snakemake.log").stat().st_size == log
 
 
+@pytest.mark.thorough
+def test_a_campaign_of_bad_films_alone_ends_with_two(tmp_path, monkeypatch):
+    """A failure means that a script takes a campaign without any result for one with warnings."""
+    monkeypatch.setenv("PYTHONPATH", str(HERE))
+    (tmp_path / "bad.tif").write_bytes(b"II*\0nothing")
+    path = table(tmp_path / "tests.csv", ["bad.tif"], fps=[20])
+    assert run(["campaign", str(path), "--out", str(tmp_path / "out"), "--cores", "1", "--no-report"]) == 2
+
+
 @pytest.mark.slow
 def test_an_interrupt_keeps_what_is_done_and_ends_all_it_started(tmp_path):
     """Ctrl-C, or a closed terminal: no process is left, the next call goes on."""

@@ -191,7 +191,7 @@ def test_dry_run_says_what_would_run_and_writes_nothing(tmp_path, capsys):
     names = [*(path.name for path in paths), "bad.avi"]
     (tmp_path / "t.csv").write_text("film,fps\n" + "".join(f"{name},20\n" for name in names))
     before = sorted(out.rglob("*"))
-    assert run(["campaign", str(tmp_path / "t.csv"), "--out", str(out), "--dry-run"]) == 0
+    assert run(["campaign", str(tmp_path / "t.csv"), "--out", str(out), "--dry-run"]) == 1
     said = capsys.readouterr().out
     assert "30 frames x 180 px" in said
     assert "3 of 4 films would run" in said
@@ -200,6 +200,36 @@ def test_dry_run_says_what_would_run_and_writes_nothing(tmp_path, capsys):
     assert re.search(r"bad +would fail  .*bad\.avi: expected", said)
     assert "nothing was written" in said
     assert sorted(out.rglob("*")) == before
+
+
+def test_a_dry_run_names_what_film_and_force_cannot_have(tmp_path, capsys):
+    """A failure means that a dry run calls fine what then fails."""
+    films(tmp_path, 5)
+    rows = "\n".join(f"{k / 10}\t{k % 9}\t{k / 1000}" for k in range(100))
+    (tmp_path / "f.txt").write_text(f"Time [s]\tLoad [N]\tDisplacement [mm]\n{rows}\n")
+    (tmp_path / "t.txt").write_text("\n".join(str(k / 20) for k in range(7)))
+    table = "film,fps,timestamps,strip,window,force,offset\n" + "\n".join(
+        (
+            "t0.tif,20,,,,f.txt,5",
+            "t1.tif,20,,,,f.txt,999",
+            "t2.tif,20,,0:5000,,,",
+            "t3.tif,20,,,999,,",
+            "t4.tif,,t.txt,,,,",
+        )
+    )
+    (tmp_path / "t.csv").write_text(table)
+    assert run(["campaign", str(tmp_path / "t.csv"), "--out", str(tmp_path / "out"), "--dry-run"]) == 1
+    said = capsys.readouterr().out
+    assert re.search(r"t0 +would run +30 frames", said)
+    for name, reason in (
+        ("t1", "--offset: expected a video within the force recording"),
+        ("t2", ".*--strip: expected a range within"),
+        ("t3", "--window: expected at most the picture's 180 columns"),
+        ("t4", ".*t.txt: expected 30 times"),
+    ):
+        assert re.search(rf"{name} +would fail +{reason}", said), said
+    (tmp_path / "t.csv").write_text("film,fps,window\nt3.tif,20,999\n")
+    assert run(["campaign", str(tmp_path / "t.csv"), "--out", str(tmp_path / "out"), "--dry-run"]) == 2
 
 
 def test_a_state_that_cannot_be_read_is_none(tmp_path):

@@ -186,10 +186,10 @@ def synchronise(
         warnings = ("frame times are the file's playback rate, which need not be the camera's: give `fps`",)
     if offset_s is not None:
         given = Clock(offset_s=offset_s, drift_ppm=drift_ppm, status="given", how="given")
-        _check_overlap(tracks, force, given, "`offset_s`")
+        check_overlap(_frame_times(tracks), force, given, "`offset_s`")
         clock = _given(tracks, force, sticks, given, settings)
     elif (column := clock_from_column(force)) is not None:
-        _check_overlap(tracks, force, column, ForceMetadata.of(force).source)
+        check_overlap(_frame_times(tracks), force, column, ForceMetadata.of(force).source)
         clock = _given(tracks, force, sticks, column, settings)
     else:
         clock = _from_slips(tracks, force, sticks, settings)
@@ -199,15 +199,19 @@ def synchronise(
     return replace(clock, warnings=(*warnings, *clock.warnings))
 
 
-def _check_overlap(tracks: xr.Dataset, force: xr.Dataset, clock: Clock, about: str) -> None:
-    """Raise InputError if this clock puts the video outside the force recording."""
-    times = tracks["time_s"].to_numpy()
-    times = times[np.isfinite(times)]
-    if not len(times):
+def _frame_times(tracks: xr.Dataset) -> Floats:
+    """The times of the frames that have one.  Raises: InputError if none has."""
+    times: Floats = tracks["time_s"].to_numpy()
+    if not len(times := times[np.isfinite(times)]):
         source = StripMetadata.of(tracks).source
         raise InputError(source, "a time for each frame", "none", "give `fps` or `timestamps`")
+    return times
+
+
+def check_overlap(video_s: Floats, force: xr.Dataset, clock: Clock, about: str) -> None:
+    """Raise InputError if this clock puts frames at these times, s, outside the force recording."""
     machine = good_samples(force)["time_s"].to_numpy()
-    begin, end = clock.to_force_s([times.min(), times.max()])
+    begin, end = clock.to_force_s([video_s.min(), video_s.max()])
     if end < machine[0] or begin > machine[-1]:
         raise InputError(
             about,

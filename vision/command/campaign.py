@@ -33,8 +33,9 @@ from vision.command.options import SETTINGS, CampaignOptions, RunOptions, option
 from vision.command.settings import at_least, parse_option, read_config, settings_of, with_config
 from vision.command.track import origin_of, run_name, track_one, why_refused
 from vision.errors import InputError, counted, with_options
-from vision.files import usable_cores
+from vision.files import answered, usable_cores
 from vision.folder import claim
+from vision.pipeline import check_recordings, open_force, open_recording
 from vision.run.provenance import Parameter
 from vision.run.writing import FAILURES
 from vision.summary import aligned
@@ -189,16 +190,17 @@ def _read(table: Path, check: Check, awaited: Path | None) -> list[Row]:
 
 
 def _dry_run(plan: Plan, cores: int) -> int:
-    """Print what would run and how long it would take."""
+    """Print what would run and how long it would take; return the exit status."""
     waiting = {name for job in plan.jobs.values() for name in job.films}
     running, lines = 0, []
     for film in plan.films:
         what, size = f"is {plan.state(film).state}", ""
         if film.name in waiting:
-            fails = film.doubt and not is_remote(film.film)
-            what = "would fail" if fails else "would run"
-            size = film.doubt or f"{film.frames} frames x {film.columns} px, about {duration(film.seconds)}"
-            running += not fails
+            why = "" if is_remote(film.film) else _refused(plan, film)
+            what = "would fail" if why else "would run"
+            size = f"{film.frames} frames x {film.columns} px, about {duration(film.seconds)}"
+            size = why or film.doubt or size
+            running += not why
         lines.append((film.name, what, size))
     say(in_columns(lines, "<<"))
     seconds = [job.seconds for job in plan.jobs.values()]
@@ -212,7 +214,26 @@ def _dry_run(plan: Plan, cores: int) -> int:
         f"{cores} at a time, up to {memory / 1000:.1f} GB for each; nothing was written"
     )
     say([line])
-    return 0
+    return 0 if running == len(waiting) else 1 if running else 2
+
+
+def _refused(plan: Plan, film: PlannedFilm) -> str:
+    """Return why the film or its options will be refused before it is read; "" if they will not."""
+
+    def check() -> None:
+        parameters = _parameters_of(plan, film)
+        settings, force = settings_of(parameters), parameters["force"].value
+        machine = None if force is None else open_force(force, settings)
+        check_recordings(open_recording(film.film, settings), machine, settings)
+
+    _, _, why = attempt(partial(answered, check, Path(film.film), CAMPAIGN.answer_s))
+    return with_options(why, option_names())
+
+
+def _parameters_of(plan: Plan, film: PlannedFilm) -> dict[str, Parameter]:
+    """Return every option of a planned film with its origin."""
+    values = {name: parse_option(plan.out, name, text) for name, text in film.options.items()}
+    return _parameters(values, plan.config)
 
 
 def _profile(options: CampaignOptions) -> Path:
@@ -254,8 +275,8 @@ def _carry_out(plan: Plan, options: CampaignOptions, profile: Path) -> int:
         complain(f"the tests could not be compared; see {plan.out / jobs.LOG}")
     if not options.quiet:
         say(_summary(plan, states, time.perf_counter() - started))
-    good = pooled and all(state.state == "done" for state in states)
-    return 2 if unwritten else 0 if good else 1
+    found = {state.state for state in states}
+    return 2 if unwritten or found == {"failed"} else 0 if pooled and found <= {"done"} else 1
 
 
 def _progress(plan: Plan, *, quiet: bool) -> Callable[[], None] | None:
@@ -324,8 +345,7 @@ def _watch(
 
 def _track_film(plan: Plan, film: PlannedFilm, source: Path, target: Path) -> Outcome:
     """Track one film of a job as `track` does; `source` is the film or a copy of it."""
-    values = {name: parse_option(plan.out, name, text) for name, text in film.options.items()}
-    parameters = _parameters(values, plan.config)
+    parameters = _parameters_of(plan, film)
     local = not is_remote(film.film)
     video = Path(film.film) if local else source
 
