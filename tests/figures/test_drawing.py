@@ -302,3 +302,41 @@ def test_a_unit_stays_with_its_number():
         assert " ".join(lines) == title
         assert not any(line.startswith("s)") for line in lines)
         assert min(map(len, lines)) > 0.4 * max(map(len, lines))
+
+
+def test_points_of_many_events_do_not_hide_those_of_other_tests():
+    """A failure means that of tests that collapse only the last is seen."""
+    x = np.linspace(13, 18, 600)
+    inks = [("#ff0000", "#ff0000"), ("#00ff00", "#00ff00"), ("#0000ff", "#0000ff")]
+    series = tuple(Series.points(f"test {k}", x, 20 - x, ink) for k, ink in enumerate(inks))
+    pixels = render(Figure.of("f", Panel(x_label="d", y_label="K", series=series), "")).astype(int)
+    seen = [int(((pixels[..., k] > 200) & (pixels[..., :3].sum(axis=2) < 300)).sum()) for k in range(3)]
+    assert min(seen) > 0.5 * max(seen), seen
+    assert len(series) == 3
+    assert Panel(x_label="d", y_label="K", series=series).table().notna().all(axis=None)
+
+
+def test_numbers_of_an_axis_are_whole_and_do_not_touch_its_label():
+    """A failure means that an axis shows 0.0025 and +1.909e1 above, or numbers over the label."""
+    panel = Panel(
+        x_label="n", y_label="Λ̂ (mm)", series=(Series.points("", [0, 1], [19.0925, 19.0955], DATA, [0, 0]),)
+    )
+    with picture_style():
+        page = new_figure(Figure.of("f", panel, ""))
+        FigureCanvasAgg(page).draw()
+    axis = page.axes[0].yaxis
+    assert axis.get_offset_text().get_text() == ""
+    left = min(number.get_window_extent().x0 for number in axis.get_ticklabels() if number.get_text())
+    assert left > axis.label.get_window_extent().x1
+
+
+def test_a_png_states_its_size_on_paper(tmp_path):
+    """A failure means that a text processor shows a figure of 6 inches as one of 19."""
+    panel = Panel(x_label="x", y_label="y", series=(Series.points("", [0, 1], [0, 1], DATA),))
+    Figure.of("f", panel, "").save(tmp_path / "f.png", dpi=300)
+    content = (tmp_path / "f.png").read_bytes()
+    at = content.index(b"pHYs") + 4
+    assert int.from_bytes(content[at : at + 4]) == pytest.approx(300 / 0.0254, abs=1)
+    width = int.from_bytes(content[16:20])
+    assert width / 300 == pytest.approx(6.0, abs=0.02)
+    assert mpl.image.imread(tmp_path / "f.png").shape[1] == width

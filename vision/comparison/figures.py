@@ -210,7 +210,7 @@ def collapse_figure(found: Comparison, events: pd.DataFrame) -> Figure | None:
     inset = Panel(
         x_label=VALLEY_SEPARATION,
         y_label="K (N/mm)",
-        series=tuple(replace(one, label="") for one in _by_name(stiffness, "d_v_mm", "K_N_per_mm")),
+        series=_by_name(stiffness, "d_v_mm", "K_N_per_mm"),
     )
     top = 1.05 * float(np.nanquantile(named["sheets"], 0.999))
     return Figure.of(
@@ -280,11 +280,12 @@ def trends_figures(found: Comparison) -> list[Figure]:
         for predictor, what in PREDICTORS.items():
             panel = _trend_panel(found, quantities, predictor, what)
             if panel is not None:
-                results = [_trend_text(_trend_of(found, quantity, predictor)) for quantity in quantities]
+                trends = [_trend_of(found, quantity, predictor) for quantity in quantities]
+                lines = ", and weighted lines" * any(np.isfinite(trend.slope) for trend in trends)
                 caption = (
                     "Values of every test with standard errors, without systematic ones (columns "
-                    f"_systematic of tests.csv), and weighted lines. {' '.join(results)}"
-                )
+                    f"_systematic of tests.csv){lines}. {' '.join(map(_trend_text, trends))}"
+                ).strip()
                 file = f"trend_{name}_{predictor.partition('_')[0]}"
                 figures.append(Figure.of(file, panel, caption, title=f"{title} against {what}"))
     if len(figures) > 1:

@@ -256,7 +256,7 @@ def _with_arrows(panel: Panel, events: pd.DataFrame) -> Panel:
             Arrow(x=(0.0, length), y=(1.05 * top, 1.05 * top), label="Λ_st"),
         ),
         x_range=(float(x.min()) - 0.02 * right, 1.14 * right),
-        y_range=(min(float(y.min()), 0.0), 1.16 * top),
+        y_range=(min(float(y.min()), 0.0) - 0.03 * top, 1.16 * top),
     )
 
 
