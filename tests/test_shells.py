@@ -295,3 +295,9 @@ def test_a_ratio_known_exactly_is_on_one_side_of_the_threshold():
     motion = ideal(np.array([[0.0999, 0.1, 0.1001, -0.0999, -0.1001]]), 0.0)
     p = classify_sheets(motion)["p_stiff"].to_numpy()[0]
     np.testing.assert_allclose(p, [1, 0.5, 0, 1, 0], atol=1e-6)
+
+
+def test_effective_sheets_that_are_no_function_are_named():
+    """A failure means that a number in place of a function ends in "'int' object is not callable"."""
+    with pytest.raises(InputError, match="`effective_sheets`: expected a function"):
+        classify_shells(ideal(np.linspace(0, 1, 10)[None], 0.01), effective_sheets=8)

@@ -12,6 +12,7 @@ import scipy
 import xarray as xr
 
 from vision.data import MOTION, SHELLS, STIFF_BELOW, changed_settings, check_threshold, record
+from vision.errors import check_kind
 from vision.numeric import Bools, Floats, Floats32, Ints, row_parts
 
 
@@ -140,6 +141,9 @@ def classify_shells(
     """
     MOTION.check(motion)
     check_threshold(threshold)
+    check_kind(
+        Callable | None, "a function, such as that of `vision.fit_models`", effective_sheets=effective_sheets
+    )
     sides = [Side.of(motion, side) for side in np.unique(motion["side"].to_numpy())]
     table = pd.concat([_side_table(side, motion, threshold, settings) for side in sides])
     table = table.sort_values(["event", "side"], ignore_index=True)

@@ -279,3 +279,11 @@ def test_option_that_cannot_be_parsed(text: str) -> None:
     with pytest.raises(InputError, match="`force_columns`: expected ROLE=COLUMN") as caught:
         parse_columns(text)
     assert "write time=Time,load=Load:kN" in str(caught.value)
+
+
+def test_a_separation_below_zero_is_refused(tmp_path):
+    """A failure means that d0 with a wrong sign shifts every separation without a word."""
+    path = tmp_path / "f.txt"
+    path.write_text("Time [s]\tLoad [N]\tDisplacement [mm]\n" + "".join(f"{k}\t1\t{k}\n" for k in range(9)))
+    with pytest.raises(InputError, match="`d0_mm`: expected a number of mm from 0; found -13"):
+        read_force(path, d0_mm=-13)

@@ -426,6 +426,8 @@ def test_given_modulus_and_range_are_used() -> None:
         fit_models(MADE, events(), fit_range_mm=(20.0, 21.0))
     with pytest.raises(InputError, match="`mu`"):
         fit_models(MADE, events(), mu=-1.0)
+    with pytest.raises(InputError, match="check `mu` and"):  # in per cent
+        fit_models(MADE, events(), mu=89.0)
 
 
 def test_another_sample() -> None:

@@ -90,8 +90,8 @@ def statements(certificate: Certificate) -> list[Answer]:
         Answer(
             "Random error of a position",
             f"{'about ' if c.uncertain else ''}{_length(c.error_px, c)}",
-            f"RMS over all sheets; that of single sheets is from {_length(float(worst.min()), c)} (the best) "
-            f"to {_length(float(worst.max()), c)} (the worst)",
+            f"RMS over all sheets; that of the best is {_length(float(worst.min()), c)}, that of the worst "
+            f"{_length(float(worst.max()), c)}",
             doubt=c.uncertain,
         ),
         Answer(

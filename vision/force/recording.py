@@ -18,7 +18,7 @@ import numpy as np
 import xarray as xr
 
 from vision.data import FORCE, ForceMetadata, changed_settings, record
-from vision.errors import PATH, InputError, check_kind, check_number, check_positive, check_within
+from vision.errors import PATH, InputError, check_kind, check_positive, check_within
 from vision.force.files import TIME_OF_DAY, Dimension, Table, Unit, read_tables, unit_of
 from vision.force.settings import ForceSettings
 from vision.numeric import Bools, Floats, Strings, spread_indices
@@ -80,8 +80,7 @@ def read_force(
     check_kind(PATH, "the path of a force recording", path=path)
     check_kind(Mapping | None, "roles and the names of their columns", columns=columns)
     check_positive(speed_mm_min=speed_mm_min)
-    check_number(d0_mm=d0_mm)
-    check_within("a number from 0", 0, math.inf, d0_err_mm=d0_err_mm)
+    check_within("a number of mm from 0", 0, math.inf, d0_mm=d0_mm, d0_err_mm=d0_err_mm)
     path = Path(path)
     with np.errstate(invalid="ignore"):
         found, facts, blocks = _joined(path, read_tables(path), columns)

@@ -137,7 +137,8 @@ def fit_models(
         except FIT_ERRORS as error:
             raise _undetermined("a fit that does not converge", unit_doubt) from error
         if not all(np.isfinite((one.value, one.error)).all() for one in fits.named().values()):
-            raise _undetermined("values or errors that are not finite", unit_doubt)
+            held = "" if mu is None and modulus_GPa is None else "check `mu` and `modulus_GPa`"
+            raise _undetermined("values or errors that are not finite", held or unit_doubt)
         left_out = {"flagged": len(sticks) - len(complete)} | left_out
         fits = _with_systematics(fits, force, events, given, errors)
         misread = _misread_lengths(fits, complete, given, force)
