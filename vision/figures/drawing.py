@@ -80,9 +80,9 @@ def draw_panel(ax: Axes, panel: Panel) -> Axes:
     if panel.switchable:
         _draw_sheets(ax, panel)
     else:
-        for series in _in_turns(panel.series):
+        for series, first in _in_turns(panel.series):
             if series.look != "ticks":
-                _draw_series(right if series.axis == "right" and right else ax, series)
+                _draw_series(right if series.axis == "right" and right else ax, series, first)
     for x in panel.x_lines:
         for colour, dashes in (("white", "-"), (QUIET[0], (0, (6, 4)))):  # visible on dark and light images
             ax.axvline(x, color=colour, lw=1, ls=dashes)
@@ -292,24 +292,22 @@ def _isolated(y: Floats) -> Bools:
     return np.asarray(known[1:-1] & ~known[:-2] & ~known[2:])
 
 
-def _in_turns(group: Sequence[Series]) -> list[Series]:
-    """Return series of many points in parts, one of each in turn: else the last would hide the others."""
+def _in_turns(group: Sequence[Series]) -> list[tuple[Series, int | None]]:
+    """Return series with the first of every `_TURNS` points to draw; None for all.
+
+    Series of many points take turns, else the last would hide the others. Those drawn last are at different
+    x, so that each is seen where all coincide.
+    """
     crowd = [series for series in group if series.look == "points" and series.x.size > _MANY_POINTS]
-    if len(crowd) < 2:
-        return list(group)
-    # Those drawn last are at different x, so that each series is seen where all coincide.
-    ahead = [k * _TURNS // len(crowd) for k in range(len(crowd))]
-    parts = [
-        series.gapped((np.arange(series.x.size) + k) % _TURNS == turn)
-        for turn in range(_TURNS)
-        for k, series in zip(ahead, crowd, strict=True)
-    ]
-    return [*(series for series in group if series not in crowd), *parts]
+    crowd = crowd if len(crowd) > 1 else []
+    shifted = [(series, k * _TURNS // len(crowd)) for k, series in enumerate(crowd)]
+    turns = [(series, (turn - shift) % _TURNS) for turn in range(_TURNS) for series, shift in shifted]
+    return [*((series, None) for series in group if series not in crowd), *turns]
 
 
-def _draw_series(ax: Axes, series: Series) -> None:
-    colour, at = series.ink[0], series.x + series.shift
-    if series.low is not None and series.high is not None:
+def _draw_series(ax: Axes, series: Series, first: int | None = None) -> None:
+    colour, at, every = series.ink[0], series.x + series.shift, None if first is None else (first, _TURNS)
+    if series.low is not None and series.high is not None and not first:
         if series.look == "line":  # a shaded range about a curve
             ax.fill_between(at, series.low, series.high, color=colour, alpha=0.2, lw=0)
         else:
@@ -319,7 +317,7 @@ def _draw_series(ax: Axes, series: Series) -> None:
         width = float(series.x[1] - series.x[0]) if len(series.x) > 1 else 1.0
         ax.bar(at, series.y, width, color=colour, alpha=0.5, ec=colour, label=series.label)
         return
-    ax.plot(at, series.y, label=to_mathtext(series.label) or "_", **_line_style(series))
+    ax.plot(at, series.y, label=to_mathtext(series.label) or "_", markevery=every, **_line_style(series))
     if series.look == "line" and (alone := _isolated(series.y)).any():
         ax.plot(at[alone], series.y[alone], ls="none", marker="o", ms=2.5, color=colour)
 
@@ -388,8 +386,8 @@ def _draw_inset(ax: Axes, panel: Panel) -> None:
     ax.set_ylim(bottom, bottom + 1.6 * (top - bottom))  # room above the points, without ticks
     ax.set_yticks(ticks)
     small = ax.inset_axes((0.55, 0.62, 0.43, 0.37))
-    for series in _in_turns(panel.series):
-        _draw_series(small, series)
+    for series, first in _in_turns(panel.series):
+        _draw_series(small, series, first)
     small.set_xlabel(to_mathtext(panel.x_label), fontsize=8, labelpad=3)
     small.set_ylabel(to_mathtext(panel.y_label), fontsize=8, labelpad=4)
     small.tick_params(labelsize=7, pad=2)

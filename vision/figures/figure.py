@@ -58,12 +58,6 @@ class Series:
         bars = {} if error is None else {"low": y - np.asarray(error), "high": y + np.asarray(error)}
         return cls(label=label, x=x, y=y, ink=ink, look="points", **bars | rest)
 
-    def gapped(self, shown: Bools) -> Series:
-        """Return the series with gaps where a value is not to be shown, (k,)."""
-        ends = {name: y for name in ("y", "low", "high") if (y := getattr(self, name)) is not None}
-        parts: dict[str, Any] = {name: np.where(shown, y, np.nan) for name, y in ends.items()}
-        return replace(self, **parts)
-
     @classmethod
     def model(cls, label: str, x: Floats, y: Any, ink: Ink) -> Series:
         """Return the curve of a model, wide and dashed."""
