@@ -106,13 +106,24 @@ def test_common_motion_is_taken_off_unless_told_otherwise(truth, known):
     assert np.nanmax(np.abs(ratios[0] - ratios[1])) > 1e-6
 
 
-def test_a_recording_that_does_not_fit_keeps_the_tracks(capsys):
-    """A failure means that an hour of tracking is thrown away for a wrong offset."""
-    assert run([*VIDEO, *FORCE, "--offset", "100000"]) == 2
+def test_a_stage_without_its_input_keeps_the_tracks(truth, capsys):
+    """A failure means that an hour of tracking is thrown away for an option that was left out."""
+    at = VIDEO.index("--pixel-size")
+    film = VIDEO[:at] + VIDEO[at + 2 :]
+    assert run([*film, *FORCE, "--offset", str(truth.attrs["offset_s"])]) == 2
     assert "earlier results are in run" in capsys.readouterr().err
     assert Path("run/tracks.csv").exists()
     assert Path("run/events.csv").exists()
-    assert json.loads(Path("run/run.json").read_text())["not_measured"]["clock"]
+    assert json.loads(Path("run/run.json").read_text())["not_measured"]["motion"]
+
+
+def test_an_offset_outside_the_recording_is_said_before_the_work(capsys):
+    """A failure means that a wrong offset is noticed only after the video was read."""
+    assert run([*VIDEO, *FORCE, "--offset", "100000"]) == 2
+    said = capsys.readouterr().err
+    assert "--offset: expected a video within the force recording" in said
+    assert said.count("\n") == 1
+    assert not Path("run").exists()
 
 
 def test_a_recording_that_cannot_be_read_is_said_before_the_work(capsys):
