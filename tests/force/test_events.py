@@ -821,6 +821,15 @@ def test_single_slow_slips_among_sudden_ones() -> None:
     assert np.allclose(events["dF_N"], 10, atol=0.4)
 
 
+def test_slips_between_two_samples_have_no_larger_errors_than_that() -> None:
+    """A failure means errors of ΔF and Λ_st that hold four of five clean events, or one of two."""
+    test = plain(sticks=800, samples=40, snr=400, jitter=0.1)
+    events, truth = matched(find_stick_slip(test.force), test.truth)
+    assert len(events) == len(test.truth)
+    for name, error in (("dF_N", "dF_err_N"), ("stick_length_um", "stick_length_err_um")):
+        assert 0.62 < np.mean(np.abs(events[name] - truth[name]) < events[error]) < 0.78, name
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_samples_that_are_means_since_the_one_before(seed: int) -> None:
     """A failure means that drops and lengths are 2 to 4 % too small with errors that a tenth of them hold."""

@@ -19,6 +19,8 @@ from vision.signals import running_mean
 _HALF_COSINE, _STRAIGHT = 0.59, 0.8
 # Width of one mean after which the crossings of a sudden drop are as far apart as after two of width 1.
 _TWICE = 1.38
+# Error of a corner in samples: it may lie anywhere between two, in 68 % of the cases so close to the middle.
+BETWEEN_SAMPLES = 0.34
 # Error of a corner, as a share of the time over which the load is averaged: a slip of two fifths of it looks
 # like a sudden one.
 AVERAGE_ERROR = 0.2
@@ -115,6 +117,10 @@ def find_corners(
             high, middle, low = _crossings(seen.load, seen.edge, base)
             halves = np.stack([middle - high, low - middle])
     (before, after), usual = _half_lengths(seen, base, halves, settings)
+    # The position of a corner errs by the noise over the slip's slope, by the sampling, and by its shape.
+    systematic = np.hypot(BETWEEN_SAMPLES, settings.shape_error * usual)
+    systematic = np.hypot(systematic, AVERAGE_ERROR * seen.averaged)
+    steepest = np.pi / 2 * np.maximum(base.drop, seen.sigma) / max(usual, seen.width)
     middle = middle - seen.late
     last = seen.load.size - 1.0
     return Corners(
@@ -124,7 +130,7 @@ def find_corners(
         drop=base.drop,
         knee=base.knee - seen.late,
         shape=base.shape,
-        error=_errors(seen, base.drop, usual, settings),
+        error=np.hypot(seen.sigma / steepest, systematic),
         lowpass=lowpass,
         two_slopes=two_slopes,
     )
@@ -239,14 +245,6 @@ def _half_from_crossing(distance: Floats, slope: Floats, drop: Floats) -> Floats
             straight = np.clip(2 * slope * half / np.maximum(drop, np.finfo(float).tiny), 0, 1)
         half = distance / (_HALF_COSINE + (_STRAIGHT - _HALF_COSINE) * np.nan_to_num(straight))
     return half
-
-
-def _errors(seen: _DeconvolvedLoad, drop: Floats, length: float, settings: ForceSettings) -> Floats:
-    """Return the position error of each corner: noise over the slip's slope, sampling, and unknown shape."""
-    systematic = np.hypot(settings.corner_error, settings.shape_error * length)
-    systematic = np.hypot(systematic, AVERAGE_ERROR * seen.averaged)
-    steepest = np.pi / 2 * np.maximum(drop, seen.sigma) / max(length, seen.width)
-    return np.hypot(seen.sigma / steepest, systematic)
 
 
 @dataclass(frozen=True)

@@ -82,36 +82,30 @@ def find_stick_slip(
     two_slopes
         Whether sticks are fitted with K1 up to a knee and K2 after it; by default decided from the sticks.
     lowpass_s
-        Time constant of the load cell's low-pass to correct for; 0 for no correction. "auto" corrects for the
-        constant that the transients after slips prove, if any. Either way a constant that was found is
-        proposed (``lowpass_proposed_s``).
+        Time constant of the load cell's low-pass to correct for; 0 for none, "auto" for the one that the
+        transients after slips prove, if any. One that was found is proposed (``lowpass_proposed_s``).
     average_s
-        Time over which the load is averaged, for a load cell that rings after slips: one period. 0 for the
-        load as recorded, "auto" for the period of the ringing, if there is any. It cannot be combined with
-        `lowpass_s`.
+        Time over which the load is averaged, for a load cell that rings after slips; 0 for none, "auto" for
+        one period of the ringing, if there is any. It excludes `lowpass_s`.
     settings
         See `ForceSettings`.
 
     Returns
     -------
-    Table with the columns of ``events.csv`` in order, then further ones; all are described in
-    `vision.data.STICKS`. F_v and F_p are the ends, at valley and peak, of a line through the central 80 % of
-    the stick, with the curvature common to all sticks and limited to what was recorded; beside slow slips
-    they are the recorded extremes. K is the slope of the central half, K1 and K2 those before and after a
-    knee. Lengths and stiffness are NaN where d is unknown.
+    Table with the columns of ``events.csv`` in order, then further ones, which `vision.data.STICKS`
+    describes, and the attributes of `vision.data.StickMetadata`. F_v and F_p are the ends, at valley and
+    peak, of a line through the central 80 % of the stick, with the curvature common to all sticks and limited
+    to what was recorded; beside slow slips they are the recorded extremes. K is the slope of the central
+    half, K1 and K2 those before and after a knee. Lengths and stiffness are NaN where d is unknown.
     ``flag`` is "ok" or, joined by "+", what is wrong within the stick (gap, nan, saturated, repeated,
-    backwards, few (samples), falling, unloading), or within it or beside it (jump: an upward jump as large as
-    slips; still: the machine pauses), what the instrument cannot give (short, negative), or how it
-    was measured (slow);
-    "oscillation", "cycles" and "noise" are those of the whole recording. Attributes are described in
-    `vision.data.StickMetadata`.
+    backwards, few, falling, unloading) or beside it (jump, still), what the instrument cannot give (short,
+    negative), how it was measured (slow), and what the whole recording shows (oscillation, cycles, noise).
 
     Raises
     ------
     InputError
         For a load in compression, a crosshead that goes back in the sticks, too few samples per slip, fewer
-        than two slips, falls that are all unloading, a `lowpass_s` below 0 or not shorter than the usual time
-        between slips, or an `average_s` below 0 or beside a `lowpass_s`.
+        than two slips, falls that are all unloading, or a `lowpass_s` or `average_s` that cannot be.
 
     Notes
     -----
@@ -528,46 +522,31 @@ def _measure(
     """
     corners, found = analysis.corners, analysis.found
     known = bool(corners.lowpass or found.proven or signal.averaged)
-    events = measure_sticks(
-        signal,
-        corners,
-        analysis.extremes,
-        compliance,
-        settings,
-        lengthened=analysis.lengthened,
-        filter_known=known,
-    )
+
+    def measured(corners: Corners, lengthened: float, known: bool) -> pd.DataFrame:
+        extremes = analysis.extremes
+        return measure_sticks(signal, corners, extremes, compliance, settings, lengthened, known)
+
+    events = measured(corners, analysis.lengthened, known)
     if corners.lowpass or found.corners is None:
         return events, {}
-    lengthened = filter_length(signal, found.corners, analysis.extremes, settings)
-    other = measure_sticks(
-        signal, found.corners, analysis.extremes, compliance, settings, lengthened=lengthened
+    other = measured(
+        found.corners, filter_length(signal, found.corners, analysis.extremes, settings), known=True
     )
-    return _with_bias(events, other), _lowpass_shares(events, other)
-
-
-def _with_bias(events: pd.DataFrame, other: pd.DataFrame) -> pd.DataFrame:
-    """Add the difference of the `other` events to the errors, and that of K to its column.
-
-    The bias is equal in all events, so that it is added linearly, not in quadrature.
-    """
+    # The bias is equal in all events, so that it is added linearly, not in quadrature.
     pairs = [(f"{name}_N", f"{name}_err_N") for name in ("F_v", "F_p", "dF")]
     pairs += [("stick_length_um", "stick_length_err_um"), ("K_N_per_mm", "K_err_N_per_mm")]
     bias = {error: (other[value] - events[value]).abs().fillna(0.0) for value, error in pairs}
-    share = other["K_N_per_mm"] / events["K_N_per_mm"] - 1
     errors = {error: events[error] + added for error, added in bias.items()}
-    return events.assign(**errors, K_lowpass_share=share)
-
-
-def _lowpass_shares(events: pd.DataFrame, other: pd.DataFrame) -> dict[str, float]:
-    """Return the fields of `StickMetadata` that say what a correction, which `other` has, would change."""
+    share = other["K_N_per_mm"] / events["K_N_per_mm"] - 1
     changes = {
         "lowpass_dF_share": other["dF_N"] / events["dF_N"] - 1,
-        "lowpass_K_share": other["K_N_per_mm"] / events["K_N_per_mm"] - 1,
+        "lowpass_K_share": share,
         "lowpass_peak_mm": (other["F_p_N"] - events["F_p_N"]) / events["K_N_per_mm"],
     }
     finite = {name: change[np.isfinite(change)] for name, change in changes.items()}
-    return {name: float(change.median()) for name, change in finite.items() if len(change)}
+    medians = {name: float(change.median()) for name, change in finite.items() if len(change)}
+    return events.assign(**errors, K_lowpass_share=share), medians
 
 
 def _missed_warnings(

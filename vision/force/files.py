@@ -64,25 +64,15 @@ class Table:
 def read_tables(path: Path) -> list[Table]:
     """Read every block of numbers of a recording, in file order.
 
-    Parameters
-    ----------
-    path
-        Text as MTS TestSuite (text and CSV), MTS 793, Instron Bluehill, Zwick TRA, Shimadzu Trapezium
-        and LabVIEW (.lvm) write it, plain tables with or without a header, units in the cells, one column
-        with a unit in each line; an Excel workbook (.xlsx, .xlsm), whose worksheets are read like text;
-        or a MATLAB .mat file, v4 to v7.3.
+    It may be text as MTS TestSuite (text and CSV), MTS 793, Instron Bluehill, Zwick TRA, Shimadzu Trapezium
+    and LabVIEW (.lvm) write it, a plain table with or without a header, with units in the cells, or one
+    column with a unit in each line; an Excel workbook (.xlsx, .xlsm), whose worksheets are read like text; or
+    a MATLAB .mat file, v4 to v7.3, which gives one table of the vectors that share the commonest length:
+    fields of a struct are named "struct.field" and columns of a matrix "matrix 1", "matrix 2" …. Clock times
+    become seconds, with the unit `TIME_OF_DAY`. Thousands separators are removed, and overflow marks become
+    NaN.
 
-    Returns
-    -------
-    One table per block. A .mat file gives one table of the vectors that share the commonest length; fields of
-    a struct are named "struct.field" and columns of a matrix "matrix 1", "matrix 2" …, and units are ""
-    unless a name ends in one ("load_N"). Clock times become seconds, with the unit `TIME_OF_DAY`. Thousands
-    separators are removed, and overflow marks become NaN.
-
-    Raises
-    ------
-    InputError
-        For a file that cannot be read, no block of three rows of numbers, or no vectors.
+    Raises InputError for a file that cannot be read, no block of three rows of numbers, or no vectors.
     """
     size = check_regular(path, _WANTED).st_size
     if size > _Most.bytes:

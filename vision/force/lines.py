@@ -198,12 +198,17 @@ class BrokenLines:
 
 
 def fit_broken_lines(x: Floats, y: Floats, start: Ints, stop: Ints, *, lag: float = 0.0) -> BrokenLines:
-    """Fit a line with the best of 15 knees, from 15 to 85 % of each stretch; NaN with fewer than 12 samples.
+    """Fit a line with the best of 15 knees, from 15 to 85 % of each stretch.
 
-    Parameters are those of `fit_lines`.
+    NaN with fewer than 12 samples or where x does not vary. Parameters are those of `fit_lines`.
     """
     row, index = _known_samples(x, y, start, stop)
-    low, span = _extent(x[index], row, start.size)
+    low, high = np.full(start.size, np.inf), np.full(start.size, -np.inf)
+    np.minimum.at(low, row, x[index])
+    np.maximum.at(high, row, x[index])
+    good = (np.bincount(row, minlength=start.size) >= LEAST_FOR_KNEE) & (high > low)
+    span = np.subtract(high, low, out=np.full(start.size, np.nan), where=good)
+    low = np.where(good, low, 0.0)
     u = (x[index] - low[row]) / span[row]
     late = lag / np.maximum(stop - start - 1.0, 1.0)
     transient = np.exp(-(index - start[row]) / lag) if lag else np.zeros_like(u)
@@ -232,19 +237,6 @@ def lagged_hinge(t: Floats, tau: Floats | float) -> Floats:
         return late
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(np.greater(tau, 0), late + tau * np.expm1(-late / tau), late)
-
-
-def _extent(x: Floats, row: Ints, rows: int) -> tuple[Floats, Floats]:
-    """Return the lowest x and the span of each row.
-
-    The span is NaN with fewer than 12 samples or where x does not vary.
-    """
-    low, high = np.full(rows, np.inf), np.full(rows, -np.inf)
-    np.minimum.at(low, row, x)
-    np.maximum.at(high, row, x)
-    good = (np.bincount(row, minlength=rows) >= LEAST_FOR_KNEE) & (high > low)
-    span = np.subtract(high, low, out=np.full(rows, np.nan), where=good)
-    return np.where(good, low, 0.0), span
 
 
 def bend_squares(y: Floats, start: Ints, stop: Ints, knee: Floats) -> Floats:

@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 
 from vision.data import LowpassDoubt
-from vision.force.corners import Corners, SlipTransients, find_corners
+from vision.force.corners import BETWEEN_SAMPLES, Corners, SlipTransients, find_corners
 from vision.force.lines import lagged_hinge
 from vision.force.settings import ForceSettings
 from vision.force.signal import Signal
@@ -54,7 +54,9 @@ def find_lowpass(signal: Signal, slips: Slips, plain: Corners, settings: ForceSe
             corners = corrected(again.samples)
             if not _same_everywhere(y, transients, again.samples, settings):
                 return Lowpass(again.samples, corners, "differs")
-            return Lowpass(again.samples, corners, "shape" if _have_tails(corners, settings) else "")
+            # Corrected slips have no tail, but behind a filter of higher order, which falls off gradually.
+            least = (1 - settings.lowpass_tail) * nan_median(corners.end) - BETWEEN_SAMPLES
+            return Lowpass(again.samples, corners, "shape" if nan_median(corners.onset) < least else "")
         found = again
     return Lowpass()
 
@@ -74,16 +76,6 @@ def _same_everywhere(y: Floats, transients: SlipTransients, tau: float, settings
             if found is None or abs(np.log(found.samples / tau)) > settings.lowpass_same:
                 return False
     return True
-
-
-def _have_tails(corrected: Corners, settings: ForceSettings) -> bool:
-    """Return whether slips in the corrected load last longer after their middle than before it.
-
-    A first-order low-pass leaves none once it is corrected for. A filter of higher order falls off gradually,
-    too, but is not corrected by a single time constant.
-    """
-    least = (1 - settings.lowpass_tail) * nan_median(corrected.end) - settings.corner_error
-    return bool(nan_median(corrected.onset) < least)
 
 
 @dataclass(frozen=True)

@@ -364,21 +364,9 @@ class Column:
 def parse_columns(text: str) -> dict[str, str]:
     """Parse the roles in a text such as ``time=Time,load=Load:kN,displacement=3``.
 
-    Parameters
-    ----------
-    text
-        ``role=column`` pairs. A column is a name, or a number counted from 1. ``:unit`` states the unit, a
-        leading ``-`` inverts the sign, and ``time=2000Hz`` gives the sampling rate of a recording without
-        times.
-
-    Returns
-    -------
-    Role to column, as `read_force` takes it.
-
-    Raises
-    ------
-    InputError
-        For anything else.
+    Returns role to column, as `read_force` takes it. A column is a name, or a number counted from 1.
+    ``:unit`` states the unit, a leading ``-`` inverts the sign, and ``time=2000Hz`` gives the sampling rate
+    of a recording without times. Raises InputError for anything else.
     """
     found: dict[str, str] = {}
     for part in re.split(r",(?=\s*\w+\s*=)", text.strip().strip(",")):
@@ -446,7 +434,9 @@ def _guessed(path: Path, table: Table, role: Role) -> Column | None:
     every = range(len(table.names))
     candidates = [k for k in every if _fits(table, role, k)]
     if not candidates and role != "video_time":
-        candidates = [k for k in every if _fits_by_unit(table, role, k)]
+        units = [unit_of(unit) for unit in table.units]
+        candidates = [k for k in every if (unit := units[k]) and unit.dimension == _DIMENSION[role]]
+        candidates = [k for k in candidates if not set(_words(table.names[k])) & _NEVER]
     if not candidates:
         return None
     ranks = {k: _rank(table, role, k) for k in candidates}
@@ -474,12 +464,6 @@ def _fits(table: Table, role: Role, k: int) -> bool:
     if role == "displacement" and words & _WORDS["load"]:
         return False
     return bool(words & _WORDS[role]) and not words & _VIDEO
-
-
-def _fits_by_unit(table: Table, role: Role, k: int) -> bool:
-    """Return whether a column has a unit of this role."""
-    unit = unit_of(table.units[k])
-    return bool(unit and unit.dimension == _DIMENSION[role] and not set(_words(table.names[k])) & _NEVER)
 
 
 def _rank(table: Table, role: Role, k: int) -> tuple[bool, bool, int]:

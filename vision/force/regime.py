@@ -108,7 +108,17 @@ def doubts(
     """
     if rings and regime.name != "stick-slip":
         return [rings, *_load_warnings(signal, slips, events, unit)]
-    lines = _regime_warnings(regime, signal, unit)
+    range_N, ratio = np.ptp(np.percentile(signal.clean, [1, 99])), f"{regime.fall_over_rise:.2g}"
+    of_all = {
+        "oscillation": f"an oscillation, not stick-slip: falls last {ratio} times as long as rises, which "
+        f"are rounded, and the load varies by {range_N:.3g} {unit}",
+        "cycles": f"not stick-slip: falls last {ratio} times as long as rises and are equally straight, as "
+        "in cycles of loading and unloading",
+        "noise": "stick-slip is not clearly visible: within the sticks the load jumps upward by "
+        f"{regime.upward_share:.2g} times the median drop, as noise does, so all events are flagged noise; "
+        "a larger `threshold_N` leaves out the smaller drops",
+    }
+    lines = [of_all[regime.name]] if regime.name in of_all else []
     if rings and has_flag(events["flag"], "jump").any():
         lines.append(rings)
     period_s = slips.period * signal.interval_s
@@ -133,28 +143,6 @@ def doubts(
         if count := int(has_flag(events["flag"], word).sum()):
             lines.append(f"{count} of {len(events)} sticks {meaning} (flag {word})")
     return lines
-
-
-def _regime_warnings(regime: Regime, signal: Signal, unit: str) -> list[str]:
-    """Return that the whole recording shows something else than stick-slip."""
-    if regime.name == "oscillation":
-        return [
-            f"an oscillation, not stick-slip: falls last {regime.fall_over_rise:.2g} times as long as rises, "
-            f"which are rounded, and the load varies by {np.ptp(np.percentile(signal.clean, [1, 99])):.3g} "
-            f"{unit}"
-        ]
-    if regime.name == "cycles":
-        return [
-            f"not stick-slip: falls last {regime.fall_over_rise:.2g} times as long as rises and are equally "
-            "straight, as in cycles of loading and unloading"
-        ]
-    if regime.name == "noise":
-        return [
-            "stick-slip is not clearly visible: within the sticks the load jumps upward by "
-            f"{regime.upward_share:.2g} times the median drop, as noise does, so all events are flagged "
-            "noise; a larger `threshold_N` leaves out the smaller drops"
-        ]
-    return []
 
 
 def _displacement_warnings(signal: Signal, events: pd.DataFrame) -> list[str]:

@@ -15,8 +15,7 @@ class ForceSettings:
     # samples that are left out
     gap_intervals: float = 5.0
     """A step of more sampling intervals than this, in time or in the crosshead's way, is a gap; as many lost
-    samples in a row flag the stick. Larger overlooks short interruptions, smaller flags the jitter of clocks;
-    shown by recordings of which a part was cut out."""
+    samples in a row flag the stick. Larger overlooks interruptions, smaller flags the jitter of clocks."""
 
     saturated_run: int = 5
     """Equal samples in a row at the largest load that mean saturation. Smaller flags the rounded peaks of a
@@ -25,21 +24,20 @@ class ForceSettings:
     # white noise and spikes
     noise_ratio: float = 4.0
     """Ratio of the noise in parts of a recording from which each part has its own. Smaller follows the
-    scatter of the estimates, larger overlooks a change; shown by changes of range and of noise."""
+    scatter of the estimates, larger overlooks a change of range."""
 
     spike_sigmas: float = 6.0
     """A sample this far from the median of the five around it is a spike. Smaller takes noise for spikes,
-    larger lets spikes make slips; shown by sawteeth with 1 % of spikes added."""
+    larger lets spikes make slips (sawteeth with 1 % of spikes)."""
 
     most_spikes: float = 0.05
     """Share of spikes from which a recording is refused as sampled too slowly. Smaller refuses real impulses
-    (1 % of the samples); larger takes beats of the sampling for slips (5 Hz at 20 Hz: 50 % of spikes)."""
+    (1 %), larger takes beats of the sampling for slips (5 Hz at 20 Hz: 50 %)."""
 
     smooth_growth: float = 1.5
     """Growth of the noise, if every second sample is left out, from which a filter has smoothed it. Smaller
-    takes random walks (1.41) for smooth, larger takes the noise of a filter for slips: that of a moving mean
-    grows by 1.51 to 1.73 at its length; shown by paper on paper behind filters of 10 to 200 Hz, of which
-    thousands of swings were events, and behind moving means."""
+    takes random walks (1.41) for smooth, larger takes the noise of a moving mean (1.51 to 1.73 at its length)
+    for slips (paper on paper behind filters of 10 to 200 Hz)."""
 
     smooth_fewest: int = 1000
     """Samples that are left of a recording of smoothed noise, at least. Fewer do not tell its noise, more
@@ -47,29 +45,27 @@ class ForceSettings:
 
     hum_ratio: float = 10.0
     """Power of a line of the load's spectrum over that of the frequencies around it from which it may be hum.
-    Smaller takes chance for hum, which 15 averaged spectra of noise reach at 3; larger leaves faint hum in
-    the search for slips, where it hides or cuts sticks; shown by hum of 0.3 to 30 % of the drop."""
+    Smaller takes chance for hum (15 averaged spectra reach 3), larger leaves faint hum in the search for
+    slips, where it hides or cuts sticks (hum of 0.3 to 30 % of the drop)."""
 
     hum_in_phase: float = 0.7
     """Mean resultant length of a line's phases at ten slips in a row from which it belongs to the slips: 0.28
-    by chance, near 1 for harmonics of regular slips. Smaller leaves hum in the search for slips (test_events
-    at 0.35), larger takes harmonics of irregular slips for hum."""
+    by chance, near 1 for harmonics of regular slips. Smaller leaves hum in the search for slips, larger takes
+    harmonics of irregular slips for hum (test_events)."""
 
     # slips
     step_width: float = 0.15
     """Half the width of the step filter, in periods. Wider averages more noise, narrower follows irregular
-    slips; shown by recall at drops of six sigmas."""
+    slips (recall at drops of six sigmas)."""
 
     missed_share: float = 0.05
     """Excess of downward over upward steps within the sticks, over the slips found, from which a warning says
-    that slips were missed. Smaller warns of a few, larger of many only; shown by small slips near the noise,
-    and by curved sticks, hum, low-passes, slow noise and a coarse load, which have none."""
+    that slips were missed. Smaller warns of a few, larger of many only (small slips near the noise)."""
 
     close_share: float = 0.05
     """Smallest drop, over those beside it, of a slip that is closer to them than the step filter tells apart;
-    over the usual one, of a drop whose omission is a warning.
-    Smaller takes the tail of a low-pass for slips, larger misses small slips among large ones; shown by
-    load cells with a low-pass, and by slips of which some have a tenth of the drop."""
+    over the usual one, of a drop whose omission is a warning. Smaller takes the tail of a low-pass for slips,
+    larger misses small slips among large ones."""
 
     candidate_sigmas: float = 5.5
     """Prominence, in standard deviations of the step filter's output, that makes a drop a candidate. Smaller
@@ -77,16 +73,16 @@ class ForceSettings:
 
     split_sigmas: float = 5.0
     """By how much two lines must fit better than one for a slip to be between them. Smaller splits sticks in
-    noise, larger joins sticks over small slips; shown by ramps of noise, which must give no event."""
+    noise, larger joins sticks over small slips (ramps of noise must give no event)."""
 
     line_reach: float = 2.0
     """Usual spacings of drops from a drop within which lines are fitted beside it. Smaller averages less
     noise in long sticks, larger takes noise in a rest of the machine for drops and misses sudden slips beside
-    slow ones; shown by rests of 2 to 100 s before a pull and by slow slips among sudden ones."""
+    slow ones (rests of 2 to 100 s)."""
 
     threshold_sigmas: float = 4.0
     """Smallest drop between stick lines that is a slip, where no threshold is given. Lower finds smaller
-    slips and more false ones; shown by at most 1 % false events at drops of six sigmas."""
+    slips and more false ones (at most 1 % at drops of six sigmas)."""
 
     threshold_gap: float = 3.0
     """A gap of this ratio in the sizes of the drops separates noise from slips and moves the threshold there.
@@ -94,12 +90,11 @@ class ForceSettings:
 
     jump_cost: float = 3.0
     """Number of drops that one upward jump of the same size offsets when the threshold is chosen. Smaller
-    retains more small slips and more false ones; shown by pink noise and by knocks."""
+    retains more small slips and more false ones (pink noise, knocks)."""
 
     slow_gap: float = 2.0
     """Ratio, as for `threshold_gap`, where most drops below the gap last nearly as long as the rises beside
-    them: smoothed noise. Smaller cuts off small slow slips, larger takes noise for slips; shown by slow slips
-    of lognormal sizes, and by noise that an amplifier has smoothed."""
+    them: smoothed noise. Smaller cuts off small slow slips, larger takes noise for slips."""
 
     # lines through the sticks
     uneven_parts: int = 8
@@ -108,38 +103,31 @@ class ForceSettings:
 
     uneven_excess: float = 1.7
     """Ratio of that deviation to the noise from which it enters the errors. Smaller enlarges the errors of
-    sticks with white noise, of which 1 % exceed this; larger leaves out small slips."""
+    sticks with white noise (1 % exceed this), larger leaves out small slips."""
 
     line_part: float = 0.8
-    """Central part of a stick through which its line is fitted; drops, F_v and F_p are extrapolated
-    from it. Larger comes closer to the rounded ends, smaller extrapolates further."""
+    """Central part of a stick through which its line is fitted and extrapolated. Larger comes closer to the
+    rounded ends, smaller extrapolates further."""
 
     shape_sigmas: float = 4.0
     """Standard errors by which the curvature common to all sticks must differ from 0 to extend their lines.
-    Smaller bends straight sticks, larger reads the ends of curved sticks from straight lines; shown by
-    straight and by parabolic sticks at signal to noise of 10 to 40."""
+    Smaller bends straight sticks, larger reads the ends of curved sticks from straight lines."""
 
     shape_slip: float = 0.1
     """Largest median length of slips, over that of sticks, with which this curvature is used. Longer slips
-    reach into the stretches between them and would count as the ends of the sticks."""
+    would count as the ends of the sticks."""
 
     knee_ratio: float = 1.2
     """Slope before over slope after the knee, at the median of the sticks, from which a recording's sticks
-    have two slopes. Sticks that soften by 10 % reach 1.1 and stay single; fast pulls of the publication's
-    kind reach 1.8."""
+    have two slopes. Sticks that soften by 10 % reach 1.1, the publication's fast pulls 1.8."""
 
     knee_gain: float = 1.5
     """How many times smaller the squared residuals with a knee must be for a stick to have two slopes.
     Smaller sees knees in noise, larger misjudges the corners of bent sticks."""
 
     # corners of the slips
-    corner_error: float = 0.4
-    """Samples by which a corner may be off because it lies between two; shown by how often the stated error
-    of Λ_st covers the truth."""
-
-    shape_error: float = 0.04
-    """Part of a slip's length by which its corners may be off because its shape is assumed; shown like
-    `corner_error`."""
+    shape_error: float = 0.045
+    """Part of a slip's length by which its corners may be off because its shape is assumed (test_corners)."""
 
     # the load cell's low-pass
     lowpass_accepted: float = 5.0
@@ -152,9 +140,8 @@ class ForceSettings:
 
     lowpass_tail: float = 0.2
     """Share by which slips may be shorter before their middle than after it when corrected for a low-pass.
-    Half cosines behind a first-order low-pass stay below 0.1, Butterworth filters of 2.5 to 8 Hz reach 0.4,
-    and damped load cells 0.26 to 0.6 (test_slips: a second-order filter). Larger corrects for a low-pass that
-    the load did not pass, smaller doubts true ones."""
+    Half cosines behind one stay below 0.1, Butterworth filters reach 0.4, damped load cells 0.26 to 0.6
+    (test_slips). Larger corrects for a low-pass that the load did not pass, smaller doubts true ones."""
 
     # what was recorded at the ends of the sticks
     slow_slip: float = 0.2
@@ -163,20 +150,19 @@ class ForceSettings:
 
     level_share: float = 0.06
     """Share by which slow slips may be shorter from peak to valley than half a cosine, or before their middle
-    than after it, with the load still level at their ends. Half a cosine and paper on paper stay below 0.03,
-    moving means reach 0.09 to 0.15 and Butterworth filters 0.24 (test_events: a moving mean); smaller
-    widens the errors of slips that are resolved, larger trusts what a filter has cut."""
+    than after it, with the load still level at their ends. Paper on paper stays below 0.03, moving means
+    reach 0.09 to 0.15. Smaller widens the errors of slips that are resolved, larger trusts what a filter
+    cut."""
 
     smooth_noise: float = 0.3
-    """Correlation of the noise over a twentieth of a slow slip above which a filter may have made the slip.
-    Moving means have 0.34 or more, filters without delay 0.6, paper on paper up to 0.12, white noise less
-    than 0 (test_events: a smoothed recording). Smaller doubts slow slips whose noise is pink; larger trusts
-    smoothed ones."""
+    """Correlation of the noise over a twentieth of a slow slip above which a filter may have made the slip:
+    moving means 0.34 or more, paper on paper up to 0.12, white noise less than 0. Smaller doubts slow slips
+    whose noise is pink, larger trusts smoothed ones (test_events)."""
 
     filter_share: float = 0.3
     """Length of slips over that of sticks from which a filter that may have lengthened them leaves too little
-    of the sticks for K. Behind Butterworth filters K is off by 4 % at 0.35 and by 10 % at 0.5; smaller doubts
-    recordings that are resolved, larger is silent about a wrong N̂ (test_events)."""
+    of the sticks for K, off by 4 % at 0.35 and by 10 % at 0.5. Smaller doubts recordings that are resolved,
+    larger is silent about a wrong N̂ (test_events)."""
 
     extreme_sigmas: float = 4.0
     """Noise by which the extreme of many samples may differ from the load. Larger leaves F_v of steep sticks
@@ -185,21 +171,21 @@ class ForceSettings:
     ringing_share: float = 0.2
     """Second swing of the load cell after a slip, over its first, from which it rings and the stick line, not
     the recorded valley, is F_v. Larger takes F_v from the swing of a damped load cell, smaller from the line
-    where sticks begin steeply (test_events: ringing sticks; test_sheet_film)."""
+    where sticks begin steeply."""
 
     ringing_alike: float = 0.35
     """Autocorrelation of the load's steps, at a period and below its negative at half of it, from which the
-    load rings. Ringing that decays within one period reaches 0.4, ordinary slips, noise and low-passes 0.26;
-    smaller proposes to average what does not ring, larger overlooks ringing (test_signal)."""
+    load rings. Ringing that decays within one period reaches 0.4, slips, noise and low-passes 0.26; smaller
+    proposes to average what does not ring, larger overlooks ringing."""
 
     ringing_steps: float = 0.97
     """Quantile of the load's steps to which larger ones, the slips, are cut before their autocorrelation;
     where that shows no ringing, three times as many are. Larger lets slips hide faint ringing, smaller cuts
-    ringing that decays within a tenth of a stick (test_signal)."""
+    ringing that decays fast (test_signal)."""
 
     ringing_fewest: int = 40
-    """Periods of ringing in a recording, at least. Smaller takes sticks for periods, larger overlooks the
-    ringing of short recordings."""
+    """Periods of ringing in a recording, at least. Smaller takes sticks for periods, larger overlooks
+    ringing."""
 
     ringing_between: float = 5.0
     """Periods of ringing from slip to slip, at least, in the median. Smaller averages sticks of which too
@@ -212,13 +198,12 @@ class ForceSettings:
 
     # what is not stick-slip, or not resolved
     short_stick: float = 3.0
-    """Shortest stick, in time constants of the load cell's low-pass. A shorter one is flagged "short", since
-    mainly the response of the instrument was recorded."""
+    """Shortest stick, in time constants of the low-pass. A shorter one mainly shows the instrument."""
 
     upward_share: float = 0.4
     """Upward jump within a stick over the median drop from which the drops beside it may be no slips; where
-    the median jump reaches it the recording shows noise. Smaller flags slips in two or three steps of a
-    coarse load cell (0.31), larger passes noise (pink, brown, telegraph and filtered: 0.43 to 13)."""
+    the median jump reaches it the recording shows noise. Smaller flags slips in a few steps of a coarse load
+    cell (0.31), larger passes noise (0.43 to 13)."""
 
     periodic_share: float = 0.5
     """Share of what the displacement deviates from a straight line that one line of its spectrum holds, and
@@ -235,24 +220,22 @@ class ForceSettings:
     # stiffness
     central_part: float = 0.5
     """Central part of the stick over which K is measured. Larger lowers the error of K but includes the
-    curvature of the ends; the columns K30 and K70 show how much it matters."""
+    curvature of the ends, as the columns K30 and K70 show."""
 
     # noise that is not white
     alike_sigmas: float = 6.0
     """Excess variance of the means of quarters of the sticks, in units of 1 over the root of their number,
     beyond which noise counts as slow; of their curvatures, beyond which each stick bends by its own amount.
-    Smaller widens errors by chance, larger leaves those in slow noise, or of unlike sticks, too small."""
+    Smaller widens errors by chance, larger leaves them too small."""
 
     contrasts: int = 4
     """Independent values per stick that a time scale counts for at most in the fit of slow noise. More give
-    the shortest scales, where hum and digits disturb, more weight; fewer tell time constants from random
-    walks less well."""
+    the shortest scales, where hum and digits disturb, more weight; fewer tell its kinds apart less well."""
 
     # flags of sticks
     falling_share: float = 0.1
     """Fall of the load within a stick, over its rise, from which it is flagged "falling". Smaller flags small
-    slips and noise, larger takes K and Λ_st across slips that were not found; shown by slips that last for
-    seconds among sudden ones (test_events)."""
+    slips and noise, larger takes K and Λ_st across slips that were not found (test_events)."""
 
     least_speed: float = 0.8
     """Speed of the crosshead in a stick, over the usual one of the sticks around, below which it paused.

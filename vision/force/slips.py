@@ -113,25 +113,12 @@ def find_slips(
     A step filter of 0.15 local periods on either side proposes drops. Two neighbouring sticks
     are joined where one line, straight or with a knee, fits both as well as two lines do, or where the load
     falls between two drops. A remaining drop is a slip where the lines on both sides, extended to the drop,
-    differ by the threshold. Fitted lines average the noise, so 4 sigma here is stricter than 6 sigma between
-    single samples.
+    differ by the threshold: by default 4 `sigma`, the white noise of y at every sample or one for all. Lines
+    average the noise, so this is stricter than 6 sigma between single samples.
 
     Noise that is not white, knocks and ringing jump upward as often as downward, but slips only fall. The
     number of upward jumps within the sticks therefore estimates how many drops of each size are not slips,
-    and may raise the threshold. A jump nearly as large as the drops makes those beside it doubtful.
-
-    Parameters
-    ----------
-    y
-        Load, finite.
-    sigma
-        Standard deviation of its white noise, in the unit of y: of every sample, or one for all. Drops are
-        compared as multiples of the noise beside them.
-    threshold
-        Smallest drop that counts as a slip. By default 4 sigma, the size of the upward jumps, or the middle
-        of the widest gap in the logarithm of the drops where one separates small from large drops.
-    settings
-        See `ForceSettings`.
+    and may raise the threshold, as does a wide gap between the sizes of small and large drops.
     """
     sigma = np.broadcast_to(sigma, y.shape)
     load = FittedLoad(y)
@@ -428,7 +415,14 @@ def _best_scale(scales: Ints, found: list[Ints], start: float, stop: float) -> t
 def _join_weak(load: FittedLoad, edge: Ints, sigma: Floats, settings: ForceSettings) -> Ints:
     """Join neighbouring sticks that one line fits as well as two, the least certain edge first."""
     while edge.size:
-        score = _split_gain(*_lines_beside(load, edge, settings)) / sigma[edge] ** 2
+        a, b = _lines_beside(load, edge, settings)
+        weight = a.count * b.count / (a.count + b.count)
+        apart_x, apart_y = b.mean_x - a.mean_x, b.mean_y - a.mean_y
+        joint_sxx = a.sxx + b.sxx + weight * apart_x**2
+        joint_sxy = a.slope * a.sxx + b.slope * b.sxx + weight * apart_x * apart_y
+        # By how much two lines, in place of one, lower the squared residuals over both stretches.
+        gain = weight * apart_y**2 + a.slope**2 * a.sxx + b.slope**2 * b.sxx - joint_sxy**2 / joint_sxx
+        score = gain / sigma[edge] ** 2
         weak = ~(score > settings.split_sigmas**2)
         if not weak.any():
             break
@@ -499,16 +493,6 @@ def _squares_with_knee(load: FittedLoad, low: Ints, edge: Ints, high: Ints) -> F
     squares = np.full(edge.size, np.inf)
     squares[knee] = bend_squares(load.y, low[knee], high[knee], meet[knee])
     return squares
-
-
-def _split_gain(a: Lines, b: Lines) -> Floats:
-    """Return by how much two lines, in place of one, lower the squared residuals over both stretches."""
-    weight = a.count * b.count / (a.count + b.count)
-    apart_x, apart_y = b.mean_x - a.mean_x, b.mean_y - a.mean_y
-    sxy = a.slope * a.sxx + b.slope * b.sxx
-    joint_sxx = a.sxx + b.sxx + weight * apart_x**2
-    joint_sxy = sxy + weight * apart_x * apart_y
-    return weight * apart_y**2 + a.slope**2 * a.sxx + b.slope**2 * b.sxx - joint_sxy**2 / joint_sxx
 
 
 def stick_drops(load: Floats | FittedLoad, edge: Ints, settings: ForceSettings) -> Floats:

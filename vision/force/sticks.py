@@ -71,9 +71,8 @@ def measure_sticks(
     extremes: Extremes,
     compliance: float,
     settings: ForceSettings,
-    *,
     lengthened: float,
-    filter_known: bool = True,
+    filter_known: bool,
 ) -> pd.DataFrame:
     """Return the columns of `vision.data.STICKS` that are measured on each stick.
 
@@ -102,10 +101,10 @@ def measure_sticks(
     d, d_next, noise_mm = _separations(signal, sticks, valley[-1], force, compliance)
     (f_v, f_p), (t_v, t_p), (d_v, d_p) = force, time, d
     t_next = signal.time_at(valley[1:])
-    off, lost = _position_errors(signal, corners, filter_known)
-    lost = np.fmin(lost, lengthened / np.sqrt(2))
-    error = _corner_errors(signal, sticks, ends, force, _beside(off), _beside(lost))
-    apart = np.hypot(*np.hypot(_beside(off), _rounded(sticks, ends, force, extremes)))
+    off, half = (_beside(part) for part in _position_errors(signal, corners, filter_known))
+    error = _corner_errors(signal, sticks, ends, force, off)
+    lost = ends.rise * np.where(sticks.slow, np.fmin(half, lengthened / 2), half)
+    apart = np.hypot(np.hypot(*np.hypot(off, _rounded(sticks, ends, force, extremes))), half.sum(axis=0))
     relative = apart / np.where(samples == 0, np.nan, samples)
     table = pd.DataFrame(
         {
@@ -122,9 +121,8 @@ def measure_sticks(
             **_stiffness(signal, sticks, corners.two_slopes, compliance),
             "F_v_raw_N": sticks.furthest[0],
             "F_p_raw_N": sticks.furthest[1],
-            "F_v_err_N": np.hypot(ends.error, error)[0],
-            "F_p_err_N": np.hypot(ends.error, error)[1],
-            "dF_err_N": np.hypot(ends.error_rise, np.hypot(*error)),
+            **dict(zip(("F_v_err_N", "F_p_err_N"), np.hypot(np.hypot(ends.error, error), lost), strict=True)),
+            "dF_err_N": np.hypot(np.hypot(ends.error_rise, np.hypot(*error)), lost.sum(axis=0)),
             "stick_length_err_um": 1e3 * np.hypot((d_p - d_v) * relative, np.sqrt(2) * noise_mm),
             "K_lowpass_share": 0.0,
             "slip_time_s": t_next - t_p,
@@ -136,7 +134,12 @@ def measure_sticks(
         "slow": slow[:-1] | slow[1:],
         "still": _held(1e3 * (d_next - d_v), table["stick_length_err_um"].to_numpy(), t_next - t_v, settings),
     }
-    return table.assign(flag=_event_flags(signal, sticks, corners, marks))
+    # Both neighbouring slips count: bad samples in them hide how high or low the load was.
+    (v, p), last = sticks.position, signal.time.size - 1
+    begin, end = np.floor(np.fmin(corners.peak[:-1], v)), np.ceil(np.fmax(corners.valley[1:], p))
+    first, final = (np.clip(at, 0, last).astype(int) for at in (begin, end))
+    damaged = {kind: count[final] > count[first] for kind, count in signal.damage.items()}
+    return table.assign(flag=joined_flags(damaged | {"few": samples < settings.few_samples} | marks))
 
 
 def _held(way: Floats, error: Floats, duration: Floats, settings: ForceSettings) -> Bools:
@@ -156,40 +159,46 @@ def _held(way: Floats, error: Floats, duration: Floats, settings: ForceSettings)
 def _contain_falls(signal: Signal, sticks: _Sticks, rise: Floats) -> Bools:
     """Return in which sticks the load falls by `falling_share` of their `rise`, clear of the noise.
 
-    They contain a slip that was not found, such as one that lasts longer than they do. Means over
-    `uneven_parts` of each stick are compared.
+    They contain a slip that was not found, such as one that lasts longer than they do.
     """
-    parts, start, stop = sticks.settings.uneven_parts, *sticks.central(sticks.settings.line_part)
-    edge = start + np.arange(parts + 1)[:, np.newaxis] * (stop - start) // parts
-    mean = fit_lines(signal.time, signal.spikeless, edge[:-1].ravel(), edge[1:].ravel()).mean_y
-    mean = mean.reshape(parts, -1)
+    settings = sticks.settings
+    (mean,), samples = _part_means(*sticks.central(settings.line_part), settings, signal.clean)
     fall = np.fmax.reduce(np.fmax.accumulate(mean) - mean)
-    samples = np.maximum((stop - start) / parts, 1)
-    noise = signal.noise_at(sticks.position[0]) * np.sqrt(2 * signal.alike / samples)
-    return np.asarray(
-        fall > np.fmax(sticks.settings.falling_share * rise, sticks.settings.spike_sigmas * noise), np.bool_
-    )
+    noise = signal.noise_at(sticks.position[0]) * np.sqrt(2 * signal.alike / np.maximum(samples.min(0), 1))
+    return np.asarray(fall > np.fmax(settings.falling_share * rise, settings.spike_sigmas * noise), np.bool_)
+
+
+def _part_means(
+    start: Ints, stop: Ints, settings: ForceSettings, *values: Floats
+) -> tuple[list[Floats], Ints]:
+    """Return the means of each of these values over `uneven_parts` of each stick, (part, stick), and the
+    samples of each part."""
+    parts = settings.uneven_parts
+    edge = start + np.arange(parts + 1)[:, np.newaxis] * (stop - start) // parts
+    samples, means = np.diff(edge, axis=0), []
+    for each in values:
+        total = np.r_[0.0, np.cumsum(each - each.mean())]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            means.append(np.diff(total[edge], axis=0) / samples + each.mean())
+    return means, samples
 
 
 def _position_errors(signal: Signal, corners: Corners, filter_known: bool) -> tuple[Floats, Floats]:
-    """Return the standard error of the position of both corners of each slip, and its part by lengthening.
-
-    All in samples.
+    """Return the standard error of the position of each corner, and how far lengthening may have moved both
+    corners of a slip apart; in samples.
 
     A slip may be as long as it appears, or lengthened: up to 2.5 samples where each is the mean since the one
     before, further by a filter of the machine, in which the noise of neighbouring samples is common unless it
-    arose later. The two corners of a stick are then together off by its length. So they are where two samples
-    or more in a row were lost at the slip, since the load between them is interpolated.
+    arose later. Either corner is then off by half the length, and the two of a stick by all of it. So they
+    are where two samples or more in a row were lost at the slip, since the load between them is interpolated.
     """
     # Corners lie between two samples; of lost ones the next known samples are further apart.
     known = np.flatnonzero(~signal.is_missing)
     after = np.clip(np.searchsorted(known, corners.middle), 1, known.size - 1)
     apart = known[after] - known[after - 1]
-    length = corners.length
-    lengthened = ((length < UNRESOLVED) | (not filter_known)) & ~signal.is_missing.any()
+    lengthened = ((corners.length < UNRESOLVED) | (not filter_known)) & ~signal.is_missing.any()
     lengthened = lengthened | (signal.alike > 1) | (apart > 2)
-    part = np.where(lengthened, length / np.sqrt(2), 0)
-    return np.hypot(corners.error * apart, part), part
+    return corners.error * apart, np.where(lengthened, corners.length / 2, 0)
 
 
 def _rounded(sticks: _Sticks, ends: _Ends, force: Floats, extremes: Extremes) -> Floats:
@@ -238,15 +247,11 @@ def _is_smooth(signal: Signal, corners: Corners, apart: float, settings: ForceSe
     return bool(correlation > settings.smooth_noise)
 
 
-def _corner_errors(
-    signal: Signal, sticks: _Sticks, ends: _Ends, force: Floats, off: Floats, lost: Floats
-) -> Floats:
-    """Return the errors of F_v and F_p (`force`) from those of the corners, (2, stick).
+def _corner_errors(signal: Signal, sticks: _Sticks, ends: _Ends, force: Floats, off: Floats) -> Floats:
+    """Return the errors of F_v and F_p (`force`) from those of the corners, `off` samples, (2, stick).
 
-    `off` is the error of each corner's position, in samples. At the extreme of a slow slip the load is level,
-    so that an error of its position causes none; but it is the largest of several means, errs by the noise
-    of one, and half of its samples lie on the rising stick. Where the load is not level there, a filter of
-    the machine may have made a sudden slip slow, which cuts off what the stick rises in `lost` samples.
+    At the extreme of a slow slip the load is level, so that an error of its position causes none; but it is
+    the largest of several means, errs by the noise of one, and half of its samples lie on the rising stick.
     Ringing oscillates about the stick line, a filter may overshoot it before the slip as well, a stick may
     bend too sharply for it, and a coarse load ends below it: what was recorded beyond the line, noise aside,
     is part of the error, and so is how far the force was moved from the line to what was recorded.
@@ -254,7 +259,7 @@ def _corner_errors(
     line = np.where(sticks.slow, force, ends.force)
     noise = sticks.settings.extreme_sigmas * signal.noise_at(sticks.position)
     beyond = np.fmax(_OUTWARDS * (sticks.furthest - line) - noise, np.abs(force - line))
-    at_extreme = np.hypot(signal.sigma / np.sqrt(sticks.width), ends.rise * np.hypot(sticks.width / 8, lost))
+    at_extreme = np.hypot(signal.sigma / np.sqrt(sticks.width), ends.rise * sticks.width / 8)
     return np.hypot(np.where(sticks.slow, at_extreme, ends.rise * off), beyond)
 
 
@@ -393,24 +398,16 @@ def _unevenness(
 ) -> Floats:
     """Return how many times more each stick leaves its line for a while than `noise` explains, at least 1.
 
-    Small slips within a stick and the steps of a coarse load do so. Each stick is divided into
-    `uneven_parts`, whose means deviate from the line by the noise over the square root of their samples, and
-    by what all sticks have in common in proportion to their rises, which is their curvature.
+    Small slips within a stick and the steps of a coarse load do so. The means over its parts deviate from the
+    line by the noise over the square root of their samples, and by what all sticks have in common in
+    proportion to their rises, which is their curvature.
     """
-    parts = settings.uneven_parts
-    edge = start + np.arange(parts + 1)[:, np.newaxis] * (stop - start) // parts
-    samples = np.diff(edge, axis=0)
-
-    def means(values: Floats) -> Floats:
-        total = np.r_[0.0, np.cumsum(values - values.mean())]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(np.diff(total[edge], axis=0) / samples + values.mean())
-
-    off = means(signal.clean) - line.at(means(signal.time))
+    (load, time), samples = _part_means(start, stop, settings, signal.clean, signal.time)
+    off = load - line.at(time)
     rise = line.slope * (signal.time[stop - 1] - signal.time[start])
     with np.errstate(divide="ignore", invalid="ignore"):
         off = off - rise * nan_median(off / rise, axis=1)[:, np.newaxis]
-        size = np.sqrt(np.sum(off**2 * samples, axis=0) / (parts - 2)) / noise
+        size = np.sqrt(np.sum(off**2 * samples, axis=0) / (settings.uneven_parts - 2)) / noise
     return np.where((size > settings.uneven_excess) & (noise > 0), size, 1.0)
 
 
@@ -458,14 +455,3 @@ def _stiffness(signal: Signal, sticks: _Sticks, two_slopes: bool, compliance: fl
     return columns | dict(
         zip(names, (of_sample(broken.first), *second, broken.knee, broken.gain), strict=True)
     )
-
-
-def _event_flags(signal: Signal, sticks: _Sticks, corners: Corners, found: dict[str, Bools]) -> list[str]:
-    """Return what is wrong within each stick, `found` included, joined by "+", or "ok"."""
-    (v, p), last = sticks.position, signal.time.size - 1
-    # Both neighbouring slips count: bad samples in them hide how high or low the load was.
-    begin, end = np.fmin(corners.peak[:-1], v), np.fmax(corners.valley[1:], p)
-    first, final = (np.clip(at, 0, last).astype(int) for at in (np.floor(begin), np.ceil(end)))
-    marks = {kind: count[final] > count[first] for kind, count in signal.damage.items()}
-    marks |= {"few": p - v < sticks.settings.few_samples} | found
-    return joined_flags(marks)
