@@ -7,7 +7,7 @@ slip is either a slip of the force, with a Gaussian error, or false; every slip 
 missed. Where both instruments measured the sizes of the slips, the sizes count too.
 
 Slips are nearly periodic, so an alignment shifted by whole slips fits nearly as well as the right one, and
-unrelated trains can agree by chance. An alignment is accepted only if it passes all tests of `_ambiguity`.
+unrelated trains can agree by chance: `align` tests for both.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import scipy
 from numpy.lib.stride_tricks import sliding_window_view
 
 from vision.clock.settings import ClockSettings
-from vision.numeric import Bools, Floats, Ints, mad_sigma, nearest_sorted, sigma_about_zero, with_minus
+from vision.numeric import Floats, Ints, mad_sigma, nearest_sorted, sigma_about_zero, with_minus
 from vision.signals import running_median
 
 # --- trains of slips ----------------------------------------------------------------------------------------
@@ -41,27 +41,29 @@ class SlipSizes:
 
     @classmethod
     def of(cls, size: Floats, error: Floats | float = 0.0, settings: ClockSettings = ClockSettings()) -> Self:
-        """Scores of the slips in their order, from sizes and standard errors in the same unit."""
+        """Scores of the slips in their order, from sizes and standard errors in the same unit.
+
+        The trend is a straight line (Theil and Sen's) and, in long trains, a running median.
+        """
         known = np.isfinite(size) & (size > 0)
         score = np.full(len(size), np.nan)
         if known.sum() < 5:  # too few for a scatter
             return cls(score, 0.0)
-        deviation = _subtract_trend(np.log(size[known]), settings)
+        deviation = np.log(size[known])
+        order = np.arange(len(deviation))
+        every = (
+            1 + len(order) // 1001
+        )  # the number of pairs, whose slopes are compared, grows with the square
+        slope, intercept, *_ = scipy.stats.theilslopes(deviation[::every], order[::every])
+        deviation = deviation - intercept - slope * order
+        if len(order) >= 2 * settings.size_trend_slips:
+            deviation -= running_median(deviation, settings.size_trend_slips)
         scatter = float(sigma_about_zero(deviation))
         noise = float(np.median(np.broadcast_to(error, size.shape)[known] / size[known]))
         if not scatter > max(noise, 1e-9):
             return cls(score, 0.0)
         score[known] = np.clip(deviation / scatter, -2, 2)
         return cls(score, float(np.sqrt(1 - (noise / scatter) ** 2)))
-
-
-def _subtract_trend(values: Floats, settings: ClockSettings) -> Floats:
-    """Values minus a straight line (Theil and Sen's) and, in long series, minus a running median."""
-    every = 1 + len(values) // 1001  # the number of pairs, whose slopes are compared, grows with the square
-    slope, intercept, *_ = scipy.stats.theilslopes(values[::every], np.arange(len(values))[::every])
-    residual = values - intercept - slope * np.arange(len(values))
-    window = settings.size_trend_slips
-    return residual - running_median(residual, window) if len(residual) >= 2 * window else residual
 
 
 @dataclass(frozen=True)
@@ -94,7 +96,7 @@ class SlipTrains:
         """
         # The 1 is the cost of the presence of an unrelated slip (a Poisson process: rate times time).
         density = 1 + np.log(self.period_s / (self.error_s * np.sqrt(2 * np.pi)))
-        gain = np.clip(density, 0.0, settings.largest_pair_gain) + 2 * settings.log_p_seen
+        gain = np.clip(density, 0.0, settings.largest_pair_gain) + 2 * np.log(settings.share_seen)
         return np.asarray(gain - 2 * settings.log_p_missed)
 
 
@@ -159,7 +161,13 @@ def fit_clocks(
     mapped = clocks.map(trains.video_s)
     partner = nearest_sorted(trains.force_s, mapped)
     residual = mapped - trains.force_s[partner]
-    mutual = _is_mutual(partner, np.abs(residual), len(trains.force_s))
+    # Whether each camera slip is the nearest one to its partner, (K, video slips).
+    key = (
+        partner + len(trains.force_s) * np.arange(len(partner))[:, None]
+    )  # one for each clock and force slip
+    nearest = np.full(len(partner) * len(trains.force_s), np.inf)
+    np.minimum.at(nearest, key.ravel(), np.abs(residual).ravel())
+    mutual = np.abs(residual) <= nearest[key]
     video, force = _in_common_time(trains, mapped)
     z2 = (residual / trains.error_s) ** 2
     prior = -0.5 * (1e6 * clocks.drift / settings.drift_prior_ppm) ** 2
@@ -183,14 +191,6 @@ def fit_clocks(
         video=video,
         force=force,
     )
-
-
-def _is_mutual(partner: Ints, distance_s: Floats, force_slips: int) -> Bools:
-    """Whether each camera slip is the nearest one to its partner, (K, video slips)."""
-    key = partner + force_slips * np.arange(len(partner))[:, None]  # one for each clock and force slip
-    least = np.full(key.shape[0] * force_slips, np.inf)
-    np.minimum.at(least, key.ravel(), distance_s.ravel())
-    return np.asarray(distance_s <= least[key])
 
 
 def _in_common_time(trains: SlipTrains, mapped_s: Floats) -> tuple[Ints, Ints]:
@@ -290,7 +290,12 @@ def _vote_of_part(trains: SlipTrains, settings: ClockSettings) -> Floats:
         scaled = (1 + drift) * (trains.video_s - centre)
         with_drift = _offset_scores(trains, scaled, low + centre, width, bins, settings)
         score, best = np.maximum(score, with_drift), np.where(with_drift > score, drift, best)
-    chosen = _local_maxima(score, settings.candidates)
+    # The highest bins that no neighbour within two exceeds.
+    highest = sliding_window_view(np.pad(score, 2, "edge"), 5).max(axis=1)
+    maxima = np.flatnonzero((score == highest) & np.isfinite(score))
+    chosen = maxima[np.argsort(-score[maxima], kind="stable")[: settings.candidates]]
+    if not len(chosen):
+        chosen = np.array([int(np.argmax(score))])
     middle = low + centre + width * (chosen + 0.5)
     return np.stack([middle, best[chosen], np.full(len(chosen), centre), score[chosen]])
 
@@ -328,15 +333,6 @@ def _offset_scores(
     gain = float(np.median(trains.pair_gain(settings)))
     score = gain * np.minimum(votes, fewest) + settings.log_p_missed * (force + video)
     return np.where(fewest >= 3, score, -np.inf)  # fewer common slips agree at too many offsets
-
-
-def _local_maxima(score: Floats, most: int) -> Ints:
-    """Indices of the highest bins that no neighbour within two exceeds, at most `most`."""
-    highest = sliding_window_view(np.pad(score, 2, "edge"), 5).max(axis=1)
-    maxima = np.flatnonzero((score == highest) & np.isfinite(score))
-    if not len(maxima):
-        return np.array([int(np.argmax(score))])
-    return maxima[np.argsort(-score[maxima], kind="stable")[:most]]
 
 
 def _refine(trains: SlipTrains, clocks: CandidateClocks, settings: ClockSettings) -> CandidateClocks:
@@ -455,7 +451,10 @@ def _ambiguity(
     least_evidence = settings.least_margin + np.log(len(trains.video_s) + len(trains.force_s))
     if evidence <= least_evidence:
         return "times and sizes of the slips are too regular to exclude a shift by one slip"
-    if _residual_correlation(fits, trains) > settings.largest_wander:
+    # Correlation of neighbouring residuals, in standard errors (von Neumann's ratio).
+    z = (fits.residual_s[0] / trains.error_s)[fits.partner[0] >= 0]
+    correlation = 1 - np.sum(np.diff(z) ** 2) / (2 * max(np.sum(z**2), np.finfo(float).tiny))
+    if correlation * np.sqrt(len(z)) > settings.largest_wander:
         return "neighbouring residuals are correlated: the clocks differ by more than an offset and a rate"
     return _jump(trains, clocks, settings)
 
@@ -519,10 +518,3 @@ def _jump(trains: SlipTrains, clocks: CandidateClocks, settings: ClockSettings) 
         f"the {slips} slips {'from' if at_end else 'up to'} {first:.6g} s of the film fit better"
         f" {step} s from the offset of the others (lost frames or samples? a clock that jumps?)"
     )
-
-
-def _residual_correlation(fits: ClockFits, trains: SlipTrains) -> float:
-    """Correlation of neighbouring residuals, in standard errors (von Neumann's ratio)."""
-    z = (fits.residual_s[0] / trains.error_s)[fits.partner[0] >= 0]
-    correlation = 1 - np.sum(np.diff(z) ** 2) / (2 * max(np.sum(z**2), np.finfo(float).tiny))
-    return float(correlation * np.sqrt(len(z)))

@@ -47,63 +47,31 @@ class Candidate:
 class Clock:
     r"""How video time maps to the force clock.
 
-    Parameters
-    ----------
-    offset_s
-        Force clock at video time 0.
-    drift_ppm
-        By how much the force clock is faster than the camera's.
-    residual_ms
-        Median absolute residual of the matched slips; NaN without any.
-    matched, unmatched_video, unmatched_force
-        Numbers of slips within the time that both recordings cover.
-    only_video_s
-        Times of the slips of the film that match no slip of the force, s, on the force clock.
-    matched_s
-        Times of the slips of the force that match one of the film, s, on the force clock.
-    margin
-        Log-likelihood minus that of the next different alignment; NaN where the clock was given.
-    status
-        "ok"; "ambiguous": the numbers are those of the best candidate, which may be wrong by whole slips and
-        must be checked before use; or "given": set by an offset or by a column of video times.
-    how
-        What set the clock.
-    error_ms
-        Standard error of a mapped time in the middle of the matched slips; NaN where the clock was given.
-    drift_err_ppm
-        Standard error of the drift; NaN where the clock was given.
-    offset_err_s
-        Standard error of the offset, including that of the drift up to video time 0; NaN where the clock was
-        given.
-    candidates
-        Alignments considered, best first.
-    ambiguity
-        Why the status is "ambiguous"; "" otherwise.
-    warnings
-        Warnings for the user.
-
-    Notes
-    -----
     .. math:: t_\mathrm{force} = \mathtt{offset\_s} + (1 + 10^{-6}\,\mathtt{drift\_ppm})\, t_\mathrm{video}
     """
 
-    offset_s: float
-    drift_ppm: float
-    residual_ms: float = math.nan
+    offset_s: float  # force clock at video time 0
+    drift_ppm: float  # by how much the force clock is faster than the camera's
+    residual_ms: float = math.nan  # median absolute residual of the matched slips; NaN without any
+    # Numbers of slips within the time that both recordings cover.
     matched: int = 0
     unmatched_video: int = 0
     unmatched_force: int = 0
-    only_video_s: tuple[float, ...] = ()
-    matched_s: tuple[float, ...] = ()
-    margin: float = math.nan
+    only_video_s: tuple[float, ...] = ()  # times on the force clock of the slips that only the film shows
+    matched_s: tuple[float, ...] = ()  # and of the slips of the force that match one of the film
+    margin: float = math.nan  # log-likelihood minus that of the next different alignment
+    # "ok"; "ambiguous": the numbers are those of the best candidate, which may be wrong by whole slips and
+    # must be checked before use; or "given": set by an offset or by a column of video times.
     status: Status
-    how: How
+    how: How  # what set the clock
+    # Standard errors, NaN as is the margin where the clock was given: of a mapped time in the middle of the
+    # matched slips, of the drift, and of the offset, that of the drift up to video time 0 included.
     error_ms: float = math.nan
     drift_err_ppm: float = math.nan
     offset_err_s: float = math.nan
-    candidates: tuple[Candidate, ...] = ()
-    ambiguity: str = ""
-    warnings: tuple[str, ...] = ()
+    candidates: tuple[Candidate, ...] = ()  # alignments considered, best first
+    ambiguity: str = ""  # why the status is "ambiguous"
+    warnings: tuple[str, ...] = ()  # for the user
 
     def to_force_s(self, video_time_s: ArrayLike) -> Floats:
         """Force clock at these video times, s; NaN stays NaN."""
@@ -152,12 +120,8 @@ def synchronise(
 
     Parameters
     ----------
-    tracks
-        From `track_sheets`.
-    force
-        From `read_force`.
-    sticks
-        From `find_stick_slip`.
+    tracks, force, sticks
+        From `track_sheets`, `read_force` and `find_stick_slip`.
     offset_s
         Force clock at video time 0, where it is known.
     drift_ppm
@@ -383,20 +347,17 @@ def _given(
         given = replace(clock, unmatched_video=len(seen), unmatched_force=len(drops))
     if min(len(seen), len(drops)) < settings.least_slips:  # too few for an alignment of their own
         return given
-    return replace(given, warnings=_contradiction(given, align(trains, settings)))
-
-
-def _contradiction(given: Clock, found: Alignments) -> tuple[str, ...]:
-    """Warning that the slips do not match a given clock; empty where they do."""
+    found = align(trains, settings)
     centre = found.clocks.centre_s[0]
     difference = float(found.clocks.middle_s[0] - given.to_force_s(centre))
     error = float(np.hypot(found.errors()[0], found.trains.typical_error_s))
-    if not found.ambiguity and abs(difference) > found.settings.contradiction_sigma * error:
-        return (
+    warnings = _unmatched_warnings(given, settings)
+    if not found.ambiguity and abs(difference) > settings.contradiction_sigma * error:
+        warnings = [
             f"according to the slips the force clock is {found.clocks.offset_s[0]:.4f} s at video time 0, "
             f"not {given.offset_s:.4f} s (margin {found.margin:.0f})",
-        )
-    return tuple(_unmatched_warnings(given, found.settings))
+        ]
+    return replace(given, warnings=tuple(warnings))
 
 
 # --- a column of video times in the force recording ---------------------------------------------------------
@@ -406,8 +367,8 @@ def clock_from_column(force: xr.Dataset) -> Clock | None:
     """Return the clock that the video times in the testing machine's recording lie on.
 
     A value is repeated until the next frame arrives, so only its first sample counts. Values more than 5 σ
-    off the line are left out. None without a usable column: it needs ten different values, and a rate
-    within 2 % of the machine's.
+    off the line are left out, beginning with that of medians. None without a usable column: it needs ten
+    different values, and a rate within 2 % of the machine's.
     """
     if "video_time_s" not in force:
         return None
@@ -418,8 +379,20 @@ def clock_from_column(force: xr.Dataset) -> Clock | None:
     video, machine = video[new], machine[new]
     if len(video) < 10:
         return None
-    centre = float(np.median(video))
-    slope, middle = _robust_line(video - centre, machine)
+    # Slopes across half of the values; none rises where the video times start again.
+    half, centre = len(video) // 2, float(np.median(video))
+    video = video - centre
+    rise, run = machine[-half:] - machine[:half], video[-half:] - video[:half]
+    if not np.any(run > 0):
+        return None
+    slope = float(np.median(rise[run > 0] / run[run > 0]))
+    middle = float(np.median(machine - slope * video))
+    for _ in range(10):
+        residual = np.abs(machine - middle - slope * video)
+        used = residual <= 5 * max(float(sigma_about_zero(residual)), 1e-6)
+        if not np.ptp(video[used]) > 0:
+            break
+        slope, middle = (float(c) for c in np.polyfit(video[used], machine[used], 1))
     if not abs(slope - 1) <= 0.02:
         return None
     return Clock(
@@ -428,23 +401,3 @@ def clock_from_column(force: xr.Dataset) -> Clock | None:
         status="given",
         how="video time column",
     )
-
-
-def _robust_line(x: Floats, y: Floats) -> tuple[float, float]:
-    """Slope and intercept without outliers, starting from the median of slopes across half the data.
-
-    NaN where x does not rise from the first half to the second.
-    """
-    half = len(x) // 2
-    rise, run = y[-half:] - y[:half], x[-half:] - x[:half]
-    if not np.any(run > 0):  # the video times start again
-        return math.nan, math.nan
-    slope = float(np.median(rise[run > 0] / run[run > 0]))
-    intercept = float(np.median(y - slope * x))
-    for _ in range(10):
-        residual = np.abs(y - intercept - slope * x)
-        used = residual <= 5 * max(float(sigma_about_zero(residual)), 1e-6)
-        if not np.ptp(x[used]) > 0:
-            break
-        slope, intercept = (float(c) for c in np.polyfit(x[used], y[used], 1))
-    return slope, intercept

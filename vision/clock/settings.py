@@ -17,17 +17,16 @@ class ClockSettings:
     # Slips of the camera
     step_significance: float = 6.0
     """Standard errors that a common step must exceed to count as a slip. Larger → small slips are missed;
-    smaller → noise counts as slips. `test_slips.py`: all slips are found at 3 to 20; at 3 noise makes one."""
+    smaller → noise counts as slips (`test_slips.py`: at 3 it makes one)."""
     step_part_significance: float = 3.0
     """Standard errors that part of a step must exceed to be one. Larger → slips during an exposure are timed
-    less well; smaller → noise counts as parts of steps, and at 1.5 the errors are two to four times those
-    stated."""
+    less well; smaller → noise counts as parts, and at 1.5 errors are two to four times those stated."""
     reach_s: float = 0.025
     """Time before and after a step within which single sheets may follow it. Larger → creep passes for slips;
-    smaller → late sheets are overlooked (`test_the_time_from_the_first_to_the_last_sheet_is_measured`)."""
+    smaller → late sheets are overlooked."""
     bad_frame_return: float = 0.6
     """Fraction of a step that a neighbouring movement must reverse for it to be a bad frame. Larger → bad
-    frames count as slips (at 1.2 in `test_inward_steps_and_bad_single_frames_are_no_slips` only they do)."""
+    frames count as slips (`test_inward_steps_and_bad_single_frames_are_no_slips`)."""
     least_sheets: float = 0.2
     """Fraction of the sheets that a frame must show to be used. Larger → slips in poor frames are timed less
     well."""
@@ -45,8 +44,7 @@ class ClockSettings:
     behind such filters (`test_a_filter_of_second_order_is_in_the_error`)."""
     longest_drop: float = 3.0
     """Usual sampling intervals from which the interval of a drop is a gap, which leaves the time of the slip
-    open. Larger → gaps displace the clock (`test_slips_in_gaps_do_not_set_the_clock`); smaller → slips are
-    left out where times are recorded unevenly."""
+    open. Larger → gaps displace the clock; smaller → slips are left out where times are uneven."""
 
     # Candidates
     largest_drift_ppm: float = 4000.0
@@ -54,13 +52,12 @@ class ClockSettings:
     chance; smaller → poor camera clocks are not found. `test_drift_is_found` needs 3000."""
     drift_prior_ppm: float = 1500.0
     """Standard deviation of the prior on the drift. Larger → few slips set the drift; smaller → true drifts
-    are pulled towards 0. A factor of 2 either way changes one of a hundred hard alignments."""
+    are pulled towards 0."""
     candidates: int = 100
     """Number of offsets that are refined. Larger → slower; smaller → the right one may be left out."""
     voting_slips: int = 150
-    """Largest number of camera slips that vote for offsets together. Larger → slower, by the square of it
-    with many slips; smaller → parts in which few slips match have no right candidate. 60 random pairs of 200
-    to 900 slips have the same alignments at 150, 300 and without parts. `test_thousands_of_slips…`."""
+    """Largest number of camera slips that vote for offsets together. Larger → slower, by the square of it;
+    smaller → parts in which few slips match have no right candidate (`test_thousands_of_slips…`)."""
     error_scales: tuple[float, ...] = (1.0, 1.4, 2.0)
     """Factors by which the stated errors of slips may be too small. Larger → chance pairs fit; 1 alone →
     slips are lost where errors are understated."""
@@ -68,28 +65,27 @@ class ClockSettings:
     """Log-likelihood that wider errors must gain. Larger → slips whose errors are understated are lost; at 0
     one of ten correct alignments is widened by chance, and may be called ambiguous."""
     share_seen: float = 0.75
-    """Assumed probability that one instrument detects a slip of the other. Larger → missed slips cost more
-    and damaged trains are called ambiguous; smaller → the lead over a shift by one slip shrinks."""
+    """Assumed probability that one instrument detects a slip of the other. Larger → damaged trains are called
+    ambiguous; smaller → the lead over a shift by one slip shrinks."""
     largest_pair_gain: float = 3.2
-    """Largest log-likelihood gain of one pair of slips from its times alone. Larger → the ends of even
-    trains decide; at half of it almost no alignment is accepted.
-    `test_a_wrong_alignment_is_never_believed`."""
+    """Largest log-likelihood gain of one pair of slips from its times alone. Larger → the ends of even trains
+    decide; at half of it almost no alignment is accepted."""
 
     # Sizes of the slips
     size_trend_slips: int = 15
     """Window, in slips, of the running median that is subtracted as a trend. Larger → a curved trend counts
-    as agreement; smaller → true differences are removed. `test_a_common_trend_is_no_evidence`."""
+    as agreement; smaller → true differences are removed."""
     size_correlations: tuple[float, ...] = (0.3, 0.5, 0.7, 0.9)
     """Possible correlations, equally likely, between the sizes that the two instruments measure."""
     false_size_share: float = 0.2
     """Probability that the sizes of a pair belong to different slips. Larger → sizes weigh less; smaller →
-    one bad frame outweighs many good pairs. `test_no_pair_and_no_set_of_pairs_decides_alone`."""
+    one bad frame outweighs many good pairs."""
     unrelated_sizes: float = 0.1
     """Prior probability that the two sizes are unrelated, as paper need not move as the force falls. The
     sizes can lower the log-likelihood of an alignment by at most its logarithm."""
     largest_size_gain: float = 1.0
     """Largest log-likelihood gain from the sizes of one pair. Larger → a few similar sizes decide; smaller →
-    sizes are of no use in `test_sizes_decide_where_times_hardly_do`."""
+    sizes are of no use."""
 
     # Ambiguity
     least_slips: int = 4
@@ -98,44 +94,36 @@ class ClockSettings:
     """Fewest matched slips for which an alignment may be unambiguous."""
     least_likelihood: float = 14.0
     """Log-likelihood, without that of sizes, below which an alignment may be a coincidence. Larger → short
-    clips are ambiguous (at 28 a quarter fewer of the hard ones pass); smaller → hardly any more pass."""
+    clips are ambiguous (at 28 a quarter fewer of the hard ones pass)."""
     clear_likelihood: float = 20.0
-    """Log-likelihood below which the required leads are doubled. Larger → more clocks are ambiguous (at 20 a
-    tenth fewer of the hard alignments pass than at 14)."""
+    """Log-likelihood below which the required leads are doubled. Larger → more clocks are ambiguous."""
     least_margin: float = 6.0
     """Log-likelihood by which the best alignment must exceed the next one. Larger → more clocks are
-    ambiguous; smaller → wrong ones pass. `test_a_wrong_alignment_is_never_believed`."""
+    ambiguous; smaller → wrong ones pass (`test_a_wrong_alignment_is_never_believed`)."""
     largest_wander: float = 3.0
     """Correlation of neighbouring residuals, in standard errors, above which the clocks differ by more than
     an offset and a rate. Without it 18 of 24 recordings with an unreported lost frame pass, else 4."""
     largest_jump_periods: float = 2.5
     """Largest jump of a clock that is tried, in mean times between slips. Larger jumps leave the slips beyond
-    without partners, which `paired_by_chance` tells; larger → slower."""
+    without partners; larger → slower."""
     jumped_slips: int = 1_000_000
-    """Number of jumps that are tried, times slips. Larger → slower, more memory; smaller → jumps are tried in
-    coarser steps. Up to 500 slips all are tried."""
+    """Number of jumps that are tried, times slips. Larger → slower, more memory; smaller → coarser steps."""
     least_jump_slips: int = 3
     """Fewest slips before or after a jump. Smaller → one false slip and its neighbour make a jump."""
     least_jump_lead: float = 8.0
     """Log-likelihood that a jump must gain. Larger → the loss of a whole slip is overlooked (at 8 in one of
-    fifteen random trains with one, which pass all other tests); smaller → false and missed slips of correct
-    clocks make jumps (at 8 in one of a hundred, at 6 in one of forty)."""
+    fifteen random trains); smaller → false and missed slips of correct clocks make jumps (at 8 in one of a
+    hundred, at 6 in one of forty)."""
     usual_drift_ppm: float = 500.0
     """Difference of the clocks' rates that two standard errors must exceed for a warning about the frame
-    rate. Larger → a rate wrong by a thousandth passes; smaller → poor but correct clocks get a warning."""
+    rate. Larger → a rate wrong by a thousandth passes; smaller → poor but correct clocks are warned of."""
     unmatched_share: float = 0.2
     """Share of the slips of film or force without a partner above which a warning is given. Larger →
-    recordings that contradict each other pass; smaller → a warning for each missed slip."""
+    contradicting recordings pass; smaller → a warning for each missed slip."""
     contradiction_sigma: float = 3.0
-    """Difference, in standard errors, between a given clock and that of the slips above which a warning is
-    given."""
-
-    @property
-    def log_p_seen(self) -> float:
-        """Log of the probability that one instrument detects a slip of the other."""
-        return math.log(self.share_seen)
+    """Difference, in standard errors, between a given clock and that of the slips that is warned of."""
 
     @property
     def log_p_missed(self) -> float:
-        """Log of the probability that it does not."""
+        """Log of the probability that one instrument does not detect a slip of the other."""
         return math.log(1 - self.share_seen)

@@ -23,15 +23,6 @@ def force_slips(
 ) -> pd.DataFrame:
     r"""Find the time of every slip in the force, beginning with the one that ends the initial loading.
 
-    Parameters
-    ----------
-    force
-        From `read_force`.
-    sticks
-        From `find_stick_slip`.
-    settings
-        See `ClockSettings`.
-
     Returns
     -------
     A table, empty where `sticks` is, without the slips during which samples are lost; with the columns
@@ -56,18 +47,20 @@ def force_slips(
     good = good_samples(force)
     time, load = good["time_s"].to_numpy().astype(float), good["load_N"].to_numpy().astype(float)
     begin, end, drop = _bounds(sticks)
+    none = pd.DataFrame(dict.fromkeys(("time_s", "error_s", "drop_N", "lag_s"), np.empty(0)))
     if not len(begin) or len(time) < 3:
-        return _no_slips()
+        return none
     facts = StickMetadata.of(sticks)
     average_s = float(np.nan_to_num(facts.average_s or facts.ringing_s))
     if average_s:
         load = averaged(time, load, average_s)  # the first swing of a load that rings would be the drop
     interval = float(np.median(np.diff(time)))
     steepest, of = np.unique(_steepest(time, load, begin, end), return_index=True)
-    longest = settings.longest_drop * _usual_interval(time, steepest)
+    around = np.clip(steepest[:, None] + np.arange(-10, 11), 0, len(time) - 2)
+    longest = settings.longest_drop * np.median(time[around + 1] - time[around], axis=1)
     timed = time[steepest + 1] - time[steepest] < longest
     if not timed.any():
-        return _no_slips()
+        return none
     steepest, of = steepest[timed], of[timed]
     middle, delay, duration, width, largest = _mean_times(time, load, steepest, longest[timed], settings)
     # What widens a drop besides the low-pass of that delay, the sampling and the averaging.
@@ -87,16 +80,6 @@ def force_slips(
             "lag_s": float(np.sqrt(lag @ lag)),
         }
     )
-
-
-def _no_slips() -> pd.DataFrame:
-    return pd.DataFrame(dict.fromkeys(("time_s", "error_s", "drop_N", "lag_s"), np.empty(0)))
-
-
-def _usual_interval(time: Floats, at: Ints) -> Floats:
-    """Return the median of the ten sampling intervals on either side of each sample."""
-    around = np.clip(at[:, None] + np.arange(-10, 11), 0, len(time) - 2)
-    return np.asarray(np.median(time[around + 1] - time[around], axis=1))
 
 
 def _bounds(sticks: pd.DataFrame) -> tuple[Floats, Floats, Floats]:
@@ -152,7 +135,10 @@ def _mean_times(
     index = index[inside]
     drop = load[index] - load[index + 1]
     drop = drop - np.median(drop, axis=1, keepdims=True)  # without the rise of the stick phase
-    first, last = _drop_extent(drop.sum(axis=0), reach, settings.drop_end)
+    profile = drop.sum(axis=0)  # it ends on either side of the steepest interval
+    small = np.flatnonzero(profile < settings.drop_end * profile[reach])
+    first = int(small[small < reach].max(initial=-1)) + 1
+    last = int(small[small > reach].min(initial=len(profile))) - 1
     drop, when = drop[:, first : last + 1], (0.5 * (time[index] + time[index + 1]))[:, first : last + 1]
     total = np.maximum(drop.sum(axis=1), drop.max(axis=1))
     total[total <= 0] = 1.0  # a constant load has no drop
@@ -165,14 +151,6 @@ def _mean_times(
     duration = float(np.median(since_steepest[:, -1] - since_steepest[:, 0]))
     largest = float(np.median(drop.max(axis=1) / total))
     return middle, float(np.cbrt(max(third, 0.0) / 2)), duration, float(np.sqrt(max(second, 0.0))), largest
-
-
-def _drop_extent(profile: Floats, centre: int, end: float) -> tuple[int, int]:
-    """First and last index around the centre at which the profile exceeds `end` times its central value."""
-    small = np.flatnonzero(profile < end * profile[centre])
-    first = small[small < centre].max(initial=-1) + 1
-    last = small[small > centre].min(initial=len(profile)) - 1
-    return int(first), int(last)
 
 
 # --- slips of the camera ------------------------------------------------------------------------------------
@@ -192,13 +170,7 @@ class _Steps:
 def video_slips(tracks: xr.Dataset, *, settings: ClockSettings = ClockSettings()) -> pd.DataFrame:
     r"""Find the common outward steps of all sheets, in order of time.
 
-    Parameters
-    ----------
-    tracks
-        From `track_sheets`: x_px (frame, sheet), time_s, side and n. Missing positions and frames are left
-        out.
-    settings
-        See `ClockSettings`.
+    Missing positions and frames are left out.
 
     Returns
     -------
