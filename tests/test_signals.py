@@ -1,4 +1,4 @@
-"""Running medians and means, and maxima that are apart, against SciPy's."""
+"""Running medians and means, and maxima that are apart, against SciPy's; extremes of intervals."""
 
 import tracemalloc
 
@@ -7,7 +7,14 @@ import pytest
 from scipy import ndimage
 from scipy.signal import find_peaks
 
-from vision.signals import enforce_distance, find_maxima, half_widths, running_mean, running_median
+from vision.signals import (
+    enforce_distance,
+    find_maxima,
+    half_widths,
+    minmax_decimate,
+    running_mean,
+    running_median,
+)
 
 
 @pytest.mark.parametrize("size", [1, 2, 5, 6, 9])
@@ -65,3 +72,60 @@ def test_running_median_takes_little_memory():
     tracemalloc.stop()
     assert peak < 15 * values.nbytes
     assert found[777] == np.median(values[777 - 50 : 777 + 51])
+
+
+def test_a_slip_of_one_frame_keeps_its_full_height():
+    """A failure means that a slip can vanish from the report of a long test."""
+    y = np.zeros((100_000, 3))
+    y[54_321, 1], y[77_777, 2] = 5.0, -3.0
+    _, shown = minmax_decimate(np.arange(100_000.0), y, most=2000)
+    assert len(shown) <= 2000
+    assert (shown[:, 1].max(), shown[:, 2].min()) == (5.0, -3.0)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_decimated_curve_keeps_the_order_in_time(sign):
+    """A failure means that a rising stretch could be drawn as falling: a slip with the wrong sign."""
+    y = sign * np.arange(10_000.0)[:, None]
+    _, shown = minmax_decimate(np.arange(10_000.0), y, most=500)
+    assert (np.diff(sign * shown[:, 0]) > 0).all()
+
+
+def test_the_decimated_curve_says_when_within_one_stretch():
+    """A failure means that events are drawn at the wrong time."""
+    time = np.arange(60_000) / 60
+    y = (time > 700).astype(float)[:, None]
+    x, shown = minmax_decimate(time, y, most=3000)
+    stretch = time[-1] / (len(x) / 2)
+    assert abs(x[np.argmax(shown[:, 0] > 0.5)] - 700) <= stretch
+
+
+def test_short_records_are_drawn_as_they_are():
+    """A failure means that a short record loses points for nothing."""
+    time, y = np.arange(50.0), np.random.default_rng(0).normal(size=(50, 2))
+    x, shown = minmax_decimate(time, y, most=50)
+    np.testing.assert_array_equal(x, time)
+    np.testing.assert_array_equal(shown, y)
+
+
+def test_unknown_stretches_stay_unknown():
+    """A failure means that a gap is drawn over, or that one missing frame empties a stretch."""
+    y = np.ones((4000, 2))
+    y[1000:2000, 0] = np.nan
+    y[::3, 1] = np.nan
+    x, shown = minmax_decimate(np.arange(4000.0), y, most=400)
+    inside = (x >= 1020) & (x < 1980)
+    assert np.isnan(shown[inside, 0]).all()
+    assert np.isfinite(shown[~((x > 980) & (x < 2020)), 0]).all()
+    assert np.isfinite(shown[:, 1]).all()
+
+
+def test_positions_of_a_long_film_are_reduced_a_few_sheets_at_a_time():
+    """A failure means that drawing a long film takes several copies of its positions."""
+    positions = np.zeros((40_000, 30))
+    tracemalloc.start()
+    try:
+        minmax_decimate(np.arange(40_000.0), positions, most=2000)
+        assert tracemalloc.get_traced_memory()[1] < positions.nbytes / 2
+    finally:
+        tracemalloc.stop()

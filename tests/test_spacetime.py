@@ -1,4 +1,4 @@
-"""Space-time diagrams: a comb with known motion, cut as asked."""
+"""Space-time diagrams: a comb with known motion, cut as asked; their pictures."""
 
 import numpy as np
 import pytest
@@ -7,6 +7,7 @@ from scipy.special import erf
 
 from vision import space_time
 from vision.errors import InputError
+from vision.spacetime import grey_levels, time_rows
 
 SIGMA_PX = 2.6  # FWHM 6 px, the narrowest ridge in view
 FRAMES, SHEETS, PITCH, COLUMNS, ORIGIN = 80, 6, 20.0, 140, 30
@@ -216,3 +217,55 @@ def test_a_sheet_never_seen_has_no_window(comb):
     gone["x_px"][:, 2] = np.nan
     with pytest.raises(InputError, match="left:1"):
         space_time(strip, around=gone, sheet=2, width_px=9)
+
+
+def test_means_would_lose_that_slip():
+    """The plain way to thin a record fails here, so the test above is not empty."""
+    y = np.zeros(100_000)
+    y[54_321] = 5.0
+    assert y.reshape(1000, -1).mean(axis=1).max() < 0.1
+
+
+def test_picture_rows_are_means_of_their_frames():
+    """A failure means that the space-time diagram shows other grey values than the strip."""
+    values = np.random.default_rng(2).normal(100, 10, (6400, 7)).astype(np.float32)
+    rows, edges = time_rows(values, np.arange(6400) / 60, most=200)
+    assert rows.shape == (200, 7)
+    assert len(edges) == 201
+    direct = values[: 32 * 199].reshape(199, 32, 7).mean(axis=1)
+    # the first row may take one frame more or less than the plain split does
+    np.testing.assert_allclose(rows[5:190].mean(axis=0), direct[5:190].mean(axis=0), rtol=5e-3)
+    assert np.isfinite(rows).all()
+
+
+def test_every_frame_has_its_own_row_while_there_is_room():
+    """A failure means that frames are shifted or merged without need."""
+    values = np.arange(50, dtype=np.float32)[:, None] * np.ones((1, 3), np.float32)
+    rows, _ = time_rows(values, np.arange(50) * 0.04, most=1200)
+    np.testing.assert_array_equal(rows, values)
+
+
+def test_lost_frames_leave_their_rows_empty():
+    """A failure means that frames which do not exist are shown as if they did."""
+    values = np.ones((100, 2), np.float32)
+    values[40:50] = np.nan
+    rows, _ = time_rows(values, np.arange(100.0), most=1200)
+    assert np.isnan(rows[40:50]).all()
+    assert np.isfinite(rows[np.r_[0:40, 50:100]]).all()
+
+
+def test_a_pause_of_the_camera_keeps_the_time_scale():
+    """A failure means that the tracks do not lie on their ridges after a pause in the recording."""
+    time = np.r_[np.arange(100.0), 200 + np.arange(100.0)]
+    values = np.r_[np.zeros((100, 1)), np.ones((100, 1))].astype(np.float32)
+    rows, edges = time_rows(values, time, most=150)
+    centre = (edges[:-1] + edges[1:]) / 2
+    assert (rows[(centre > 203)] == 1).all()
+    assert (rows[(centre < 97)] == 0).all()
+    assert np.isnan(rows[(centre > 110) & (centre < 190)]).all()
+
+
+def test_grey_levels_span_black_to_white():
+    """A failure means a picture without contrast, or unknown pixels shown as black."""
+    grey = grey_levels(np.array([0.0, 50.0, 100.0, 200.0, np.nan]), 0.0, 100.0)
+    assert grey.tolist() == [0, 128, 255, 255, 128]

@@ -1,4 +1,4 @@
-"""Maxima, running medians and running means of one-dimensional signals.
+"""Maxima, running medians and means, and the extremes of intervals, of one-dimensional signals.
 
 `scipy.signal` and `scipy.ndimage` have equivalent functions, but importing them takes longer than tracking a
 thousand frames. Force recordings, which have millions of samples, are searched by those of SciPy.
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from vision.numeric import AT_ONCE, Floats, Ints, row_parts
+from vision.numeric import AT_ONCE, Floats, Ints, column_parts, row_parts
 
 
 def running_median(
@@ -54,6 +54,38 @@ def sums_around(values: NDArray[np.floating], reach: int) -> Floats:
         sums[:, k:] += own[:, :-k]
         sums[:, :-k] += own[:, k:]
     return sums
+
+
+def minmax_decimate(x: Floats, y: NDArray[np.floating], *, most: int) -> tuple[Floats, Floats]:
+    """Return the minimum and maximum of every column in intervals of equally many points, in order of time.
+
+    Unlike an average, this preserves the whole jump of a slip, however short it is.
+
+    x: (points,).  y: (points, columns) or (points,), NaN if not known.  most: largest number of points.
+    The result has two points per interval, NaN without values; x and y are unchanged if they are few enough.
+    """
+    if len(x) <= most:
+        return np.asarray(x, np.float64), np.asarray(y, np.float64)
+    columns = y.reshape(len(y), -1)
+    step = -(-2 * len(x) // most)
+    intervals = -(-len(x) // step)
+    rows = np.minimum(np.arange(intervals)[:, None] * step + [0, min(step - 1, step // 2)], len(x) - 1)
+    extremes = np.empty((2 * intervals, columns.shape[1]))
+    for part in column_parts(columns):  # limits the memory
+        extremes[:, part] = _extremes(columns[:, part], step, intervals)
+    return np.asarray(x, np.float64)[rows.ravel()], extremes.reshape(-1, *y.shape[1:])
+
+
+def _extremes(y: NDArray[np.floating], step: int, intervals: int) -> Floats:
+    """Return the extremes of each interval of `step` rows, the earlier first, (2 intervals, columns)."""
+    padded = np.full((intervals * step, y.shape[1]), np.nan)
+    padded[: len(y)] = y
+    blocks = padded.reshape(intervals, step, -1)
+    unknown = np.isnan(blocks)
+    low = np.where(unknown, np.inf, blocks).argmin(axis=1)
+    high = np.where(unknown, -np.inf, blocks).argmax(axis=1)
+    order = np.sort(np.stack([low, high], axis=1), axis=1)
+    return np.take_along_axis(blocks, order, axis=1).reshape(2 * intervals, -1)
 
 
 class Maxima(NamedTuple):

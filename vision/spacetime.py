@@ -1,4 +1,4 @@
-"""space_time(): I(x, t) of the whole strip or of a window, which is fixed or follows a sheet."""
+"""space_time(): I(x, t) of the strip or of a window that is fixed or follows a sheet, and its pictures."""
 
 from __future__ import annotations
 
@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 
 from vision.data import STRIP, TRACKS, DiagramMetadata, record
 from vision.errors import InputError
+from vision.mapped import give_back, some_rows
 from vision.numeric import Bools, Floats, Floats32, Ints
 
 Sheet = tuple[str, int] | int  # ("right", 23), or the index counted from the left
 
 SIDES = {"left": -1, "right": 1}
+_ROWS_AT_ONCE = 64  # of a picture, so that memory stays at a few copies of them
 
 
 def space_time(
@@ -214,3 +216,74 @@ def _cubic(rows: Floats32, at: Floats) -> Floats32:
     taps = (np.take_along_axis(rows, np.clip(left + k, 0, last), axis=1) for k in (-1, 0, 1, 2))
     total = sum((weight * tap for weight, tap in zip(weights, taps, strict=True)), np.zeros(at.shape))
     return np.asarray(np.where((at >= 0) & (at <= last), total, np.nan), np.float32)
+
+
+# --- pictures -----------------------------------------------------------------------------------------------
+
+
+def time_rows(values: NDArray[np.floating], time: Floats, *, most: int) -> tuple[Floats32, Floats]:
+    """Return rows of an image at equal steps of time, each the mean of its frames.
+
+    values: (frames, columns), NaN in lost frames, read in parts.  time: (frames,), rising.  most: largest
+    number of rows; there are no more than frames in the recording's duration.
+
+    Returns the rows (k, columns) and their k + 1 edges in time. A single row without a frame, as frame times
+    may jitter, repeats the row before; rows in longer gaps are NaN.
+    """
+    steps = np.diff(time)
+    step = float(np.median(steps)) if steps.size else 0.0
+    span = float(time[-1] - time[0])
+    count = min(most, 1 + round(span / step)) if step > 0 else min(most, len(time))
+    half = step / 2 or 0.5
+    edges = np.linspace(time[0] - half, time[-1] + half, count + 1)
+    ends = np.searchsorted(time, edges)
+    has_frame = np.diff(ends) > 0
+    rows = np.full((count, values.shape[1]), np.nan, np.float32)
+    for start in range(0, count, _ROWS_AT_ONCE):
+        part = ends[start : start + _ROWS_AT_ONCE + 1]
+        filled = np.flatnonzero(np.diff(part) > 0)
+        if filled.size:
+            rows[start + filled] = _means(values[part[0] : part[-1]], part[filled] - part[0])
+            give_back(values[part[0] : part[-1]])
+    single = np.flatnonzero(~has_frame[1:-1] & has_frame[:-2] & has_frame[2:]) + 1
+    rows[single] = rows[single - 1]
+    return rows, edges
+
+
+def _means(values: NDArray[np.floating], starts: NDArray[np.integer[Any]]) -> Floats:
+    """Return means of the known values from each start to the next start or the end."""
+    known = np.isfinite(values)
+    if known.all():  # as in most films
+        count = np.diff(np.append(starts, len(values)))[:, None]
+        return np.asarray(np.add.reduceat(values, starts, axis=0, dtype=np.float64) / count)
+    total = np.add.reduceat(np.where(known, values, 0), starts, axis=0, dtype=np.float64)
+    count = np.add.reduceat(known, starts, axis=0, dtype=np.int32)
+    return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
+
+
+def grey_limits(*pictures: NDArray[np.floating]) -> tuple[float, float]:
+    """Return the grey levels that are drawn black and white in every picture (rows, columns).
+
+    These are the quantiles at 0.2 and 99.8 %. The extremes would be those of a few dead pixels or
+    reflections; with 0.5 and 99.5 % narrow ridges, bright or dark, would be cut off. About 500 rows and
+    columns are used; NaN is ignored.
+    """
+    steps = [[max(1, size // 500) for size in picture.shape] for picture in pictures]
+    samples = [
+        some_rows(picture, np.arange(0, len(picture), down))[:, ::across]
+        for picture, (down, across) in zip(pictures, steps, strict=True)
+    ]
+    known = np.concatenate([np.empty(0), *(part[np.isfinite(part)] for part in samples)])
+    if not known.size:
+        return 0.0, 1.0
+    low, high = np.percentile(known, (0.2, 99.8))
+    return float(low), float(max(high, low + 1e-6))
+
+
+def grey_levels(values: NDArray[np.floating], low: float, high: float) -> NDArray[np.uint8]:
+    """Convert values to 8-bit grey, black at `low` and white at `high`; NaN becomes mid-grey."""
+    grey = np.subtract(values, low, dtype=np.float32)
+    grey *= 255 / max(high - low, 1e-9)
+    grey[np.isnan(grey)] = 127.5
+    np.clip(grey, 0, 255, out=grey)  # in place, in a seventh of the time
+    return np.asarray(np.rint(grey, out=grey), np.uint8)

@@ -11,9 +11,9 @@ from matplotlib.figure import Figure as Page
 
 from tests.figures.conftest import JUMP_PX, by_label
 from tests.scenes.report_data import make_profile, make_tracks, sawtooth
+from vision import spacetime
 from vision.figures import (
     camera,
-    decimate,
     frame_figure,
     kymograph_figure,
     noise_figure,
@@ -22,10 +22,10 @@ from vision.figures import (
     tracks_figure,
 )
 from vision.figures.catalogue import overview
-from vision.figures.decimate import grey_levels, grey_limits
 from vision.figures.drawing import MOST_LINES, new_figure
 from vision.figures.positions import MOST_POINTS
 from vision.figures.style import LEFT_ON_GREY, MISSING, RIGHT_ON_GREY
+from vision.spacetime import grey_levels, grey_limits
 
 
 def draw_kymograph(ax, diagram, *, slips_s=None):
@@ -144,7 +144,7 @@ def test_a_gap_in_time_stays_empty(ax):
 def test_long_recordings_are_averaged_not_thinned(monkeypatch):
     """A failure means that most rows of a long recording are not in the picture at all."""
     monkeypatch.setattr(camera, "MOST_ROWS", 20)
-    monkeypatch.setattr(decimate, "_ROWS_AT_ONCE", 3)
+    monkeypatch.setattr(spacetime, "_ROWS_AT_ONCE", 3)
     diagram = diagram_of(60)
     diagram[9:12] = np.nan
     image = kymograph_figure([diagram]).panel.image

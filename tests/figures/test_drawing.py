@@ -16,10 +16,9 @@ from tests.scenes.analysed import with_force
 from tests.scenes.report_data import make_tracks, sawtooth
 from vision.figures import Figure, Image, Panel, Series, noise_figure, space_time_figure, tracks_figure
 from vision.figures.catalogue import figure_named, figures_of
-from vision.figures.decimate import label_step
 from vision.figures.drawing import new_figure, picture_style, render
 from vision.figures.force import clocks_figure
-from vision.figures.style import DATA
+from vision.figures.style import DATA, label_step
 
 
 def test_the_same_figure_gives_the_same_file(tmp_path):

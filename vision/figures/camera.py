@@ -13,7 +13,6 @@ import xarray as xr
 from vision.clock import video_slips
 from vision.data import DiagramMetadata, StripMetadata, TrackMetadata
 from vision.errors import InputError
-from vision.figures.decimate import grey_levels, grey_limits, time_rows
 from vision.figures.figure import Band, Figure, Image, Panel, Range, Series
 from vision.figures.positions import decimated_tracks, sheet_series
 from vision.figures.style import (
@@ -31,7 +30,7 @@ from vision.figures.style import (
     time_axis,
 )
 from vision.numeric import Floats, Floats32, Pixels, nan_median
-from vision.spacetime import space_time
+from vision.spacetime import grey_levels, grey_limits, space_time, time_rows
 from vision.words import is_word
 
 MOST_ROWS = 1200  # of an image

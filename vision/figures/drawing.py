@@ -29,9 +29,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from vision.figures.decimate import label_step
 from vision.figures.figure import Arrow, Band, Figure, Image, Panel, Series
-from vision.figures.style import CASING, HIGHLIGHT, MISSING, MODEL, QUIET, SLIPS, to_mathtext
+from vision.figures.style import CASING, HIGHLIGHT, MISSING, MODEL, QUIET, SLIPS, label_step, to_mathtext
 from vision.numeric import Bools, Floats
 
 MOST_LINES = 40  # marked times that get a line across; more are marked only at the edges

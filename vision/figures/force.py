@@ -11,7 +11,6 @@ import xarray as xr
 from vision.clock import Clock, force_slips, video_slips
 from vision.data import ForceMetadata, StickMetadata, load_unit, load_unit_text, only_flags
 from vision.errors import InputError
-from vision.figures.decimate import minmax_decimate
 from vision.figures.figure import Arrow, Figure, Ink, Panel, Range, Series
 from vision.figures.positions import outward_px
 from vision.figures.style import (
@@ -36,6 +35,7 @@ from vision.models import Estimate, ModelFits, both_errors, equations
 from vision.models.single_fits import has_knees, with_fitted_stiffness
 from vision.numeric import Floats, nearest_sorted
 from vision.sample import Sample
+from vision.signals import minmax_decimate
 
 FIRST_SLIPS = 10  # in the first view of the clocks, of a film with more than twice as many
 SHOWN_STICKS = 5  # events from first to last, or of the early or late part of a test

@@ -11,7 +11,6 @@ import xarray as xr
 
 from vision.clock import Clock
 from vision.data import STIFF_BELOW, MotionMetadata
-from vision.figures.decimate import minmax_decimate
 from vision.figures.figure import Band, Figure, Ink, Panel, Series
 from vision.figures.style import (
     DATA,
@@ -28,6 +27,7 @@ from vision.figures.style import (
 )
 from vision.models import ModelFits
 from vision.numeric import Floats, Ints, nan_median, spread_indices
+from vision.signals import minmax_decimate
 
 MOST_POINTS = 1600  # of one sheet
 BINS = 20  # per pixel

@@ -8,13 +8,13 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vision.figures.decimate import minmax_decimate
 from vision.figures.figure import Band, Figure, Panel, Range, Series
 from vision.figures.style import DATA, MODEL, PEAK, QUIET, VALLEY, ordered_inks
 from vision.models import Estimate, plus_minus
 from vision.models.friction import PUBLISHED_FRICTION, DiscFriction, StaticFriction, friction_table
 from vision.models.modulus import CyclesMetadata, mean_over_cycles
 from vision.numeric import Floats
+from vision.signals import minmax_decimate
 
 MOST_POINTS = 3000  # of a curve
 

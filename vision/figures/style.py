@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
@@ -179,3 +179,11 @@ def from_zero(*values: Floats, share: float = 1.0) -> tuple[float, float] | None
 def load_label(name: str, unit: str) -> str:
     """Return the label of an axis of force."""
     return f"{name} / weight" if unit == "1" else f"{name} ({unit})"
+
+
+def label_step(x: Any, width: float) -> int:
+    """Return 1, 2, 5, 10, 20, …: labels of this width fit at every so many-th point."""
+    pitch = float(np.median(np.abs(np.diff(x)))) if len(x) > 1 else width
+    least = width / max(pitch, 1e-9)
+    steps = np.outer(10 ** np.arange(6), [1, 2, 5]).ravel()
+    return int(steps[min(int(np.searchsorted(steps, least)), steps.size - 1)])

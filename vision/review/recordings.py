@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from vision.clock import Clock
 from vision.errors import InputError
-from vision.figures.decimate import grey_levels, grey_limits, minmax_decimate
 from vision.files import AGAIN, Stamp
 from vision.folder import RUN_JSON
 from vision.numeric import Floats, Floats32, Pixels, row_parts, spread_indices
@@ -30,6 +29,8 @@ from vision.run.reading import RunFolder, read_json
 from vision.run.tables import stored_kymograph
 from vision.sheets.corrections import Correction, correction_of
 from vision.sheets.settings import TrackingSettings
+from vision.signals import minmax_decimate
+from vision.spacetime import grey_levels, grey_limits
 from vision.video import Video
 from vision.video.encoded import EncodedReader
 

@@ -13,7 +13,6 @@ import numpy as np
 
 from vision.clock import Clock
 from vision.errors import InputError
-from vision.figures.decimate import minmax_decimate
 from vision.files import AGAIN, reading
 from vision.folder import claim, plain, whole_file
 from vision.numeric import Floats, Floats32, Ints, nearest, stretches
@@ -45,6 +44,7 @@ from vision.sheets.corrections import (
 )
 from vision.sheets.identities import DOUBTS, WHYS
 from vision.sheets.recovery import FLAGS
+from vision.signals import minmax_decimate
 
 
 class Session:

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 
 from vision.data import MEASURED, StripMetadata
 from vision.errors import InputError
-from vision.figures.decimate import grey_limits, label_step
-from vision.figures.style import HIGHLIGHT, LEFT_ON_GREY, RIGHT_ON_GREY, rgb
+from vision.figures.style import HIGHLIGHT, LEFT_ON_GREY, RIGHT_ON_GREY, label_step, rgb
 from vision.files import AGAIN, Progress, reading
 from vision.folder import check_new, flattened, harmless, run_folder, whole_file, write_csv, write_json
 from vision.numeric import Floats, Ints, Pixels, nan_median
 from vision.run.reading import RunFolder, check_outside, check_results, read_json
 from vision.run.tables import sheets_table, tracks_table
+from vision.spacetime import grey_limits
 from vision.video import Video, open_video
 
 Format = Literal["csv", "xlsx", "parquet", "mat", "trackpy", "napari"]

@@ -22,12 +22,12 @@ from numpy.typing import NDArray
 from pyarrow import csv
 
 from vision.errors import InputError
-from vision.figures.decimate import grey_limits
 from vision.files import AGAIN, check_regular, reading
 from vision.mapped import parts_in_turn
 from vision.numeric import Floats, Floats32, row_parts
 from vision.sheets.identities import DOUBTS
 from vision.sheets.recovery import FLAG_MEANINGS
+from vision.spacetime import grey_limits
 from vision.video import FrameStore
 from vision.video.reader import read_fully
 from vision.video.stacks import check_tiff
@@ -307,10 +307,7 @@ def read_kymograph_tif(path: Path, frames: int) -> Floats32:
     if shape[0] != frames:
         raise InputError(path, f"{frames} rows, one per frame of tracks.nc", f"shape {shape}", AGAIN)
     rows = FrameStore(shape[1], expected=frames)
-    with (
-        reading(path, "a space-time diagram as track writes it", AGAIN),
-        path.open("rb", buffering=0) as file,
-    ):
+    with reading(path, "a space-time diagram as track writes it", AGAIN), path.open("rb") as file:
         file.seek(start)
         for first in range(0, frames, ROWS):
             part = np.empty((min(ROWS, frames - first), shape[1]), stored)
