@@ -8,7 +8,7 @@ from tests.scenes.combs import comb, ridges
 from vision.data import StripMetadata
 from vision.sheets import track_sheets
 from vision.video import open_video, strip_profile, strip_profiles
-from vision.video.mosaic import equalise_columns
+from vision.video.strip import equalise_columns
 
 FRAMES, WIDTH, ROWS = 120, 360, 24
 RED, GREEN, BLUE = 0.5, 1.0, 0.75

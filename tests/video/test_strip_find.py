@@ -9,7 +9,7 @@ import tifffile
 from tests.scenes.films import comb
 from vision.errors import InputError
 from vision.video import VideoSettings, find_strip, measure_strip, open_video, strip_profile
-from vision.video.strip_rows import ridge_width_px, tilt_px
+from vision.video.strip_find import ridge_width_px, tilt_px
 
 DATA = Path(__file__).parents[2] / "../shared/data"
 HEIGHT, WIDTH, CLAMP, LABEL = 240, 960, slice(0, 20), slice(205, 230)

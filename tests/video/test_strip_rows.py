@@ -11,7 +11,7 @@ from vision.experiment import Camera, Experiment, Sheets, simulate
 from vision.sheets import track_sheets
 from vision.video import find_strip, measure_strip, open_video, strip_profile
 from vision.video.settings import VideoSettings
-from vision.video.strip_rows import row_shifts, strip_errors
+from vision.video.strip_find import row_shifts, strip_errors
 
 HEIGHT, WIDTH, FRAMES = 100, 800, 6
 KEPT = replace(VideoSettings(), least_bias_px=99.0, edge_bow_px=99.0)  # rows are left out for nothing

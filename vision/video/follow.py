@@ -22,24 +22,16 @@ from vision.video.video import Video, open_video, pixels_file
 
 @dataclass(frozen=True, kw_only=True)
 class Follow:
-    """How a growing recording is followed.
+    """How a growing recording is followed."""
 
-    Parameters
-    ----------
-    stop
-        Set by the caller to end with what has been read.
-    closed
-        Set when the recording is closed and has been read to its end.
-    seen
-        Called after each block with a function that returns I(x, t) of a number of the last frames, and with
-        the number of frames in the file that are not read yet (None if unknown).
-    waiting
-        Called once with the reason if the recording cannot be read yet, such as an MP4 that is not closed.
-    """
-
-    stop: threading.Event = field(default_factory=threading.Event)
-    closed: threading.Event = field(default_factory=threading.Event)
+    stop: threading.Event = field(
+        default_factory=threading.Event
+    )  #: set by the caller: what is read suffices
+    closed: threading.Event = field(default_factory=threading.Event)  #: set when it is closed and read
+    #: Called after each block with a function that returns I(x, t) of a number of the last frames, and with
+    #: the number of frames in the file that are not read yet (None if unknown).
     seen: Callable[[Callable[[int], xr.DataArray], int | None], None] | None = None
+    #: Called once with the reason if the recording cannot be read yet, such as an MP4 that is not closed.
     waiting: Callable[[str], None] | None = None
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import struct
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vision.errors import InputError
-from vision.numeric import Floats, Ints
+from vision.numeric import Floats, Ints, number
 from vision.video.reader import (
     AS_STORED,
     LUMA_RULE,
@@ -373,13 +374,14 @@ def _open_photron(path: Path) -> Reader:
         )
     if rest:
         warnings.append(f"{pixels.name}: the file ends inside frame {held}, which is left out")
-    rate, step = _number(fields.get("Record Rate(fps)")), int(_number(fields.get("Save Step")) or 1)
-    if step > 1 and rate is not None:
+    names = ("Record Rate(fps)", "Save Step", "EffectiveBit Depth")
+    stated = (number(fields.get(name)) for name in names)
+    rate, step, effective = (value if 0 < value < math.inf else 0.0 for value in stated)
+    if step >= 2 and rate:
         warnings.append(
-            f"{text.name}: {rate:g} frames/s were recorded, and the save step is {step}: "
-            f"if only every {step}th frame was saved, give `fps` {rate / step:g}"
+            f"{text.name}: {rate:g} frames/s were recorded, and the save step is {int(step)}: "
+            f"if only every {int(step)}th frame was saved, give `fps` {rate / int(step):g}"
         )
-    effective = _number(fields.get("EffectiveBit Depth"))
     used = bits if bits == 8 or not effective or effective > bits else int(effective)
     unused = bits - used
     upper = bits == 16 and unused > 0 and fields.get("EffectiveBit Side", "").lower() == "higher"
@@ -393,7 +395,7 @@ def _open_photron(path: Path) -> Reader:
         pixel_format=f"grey {bits} bit, the upper {used} used" if upper else f"grey {bits} bit",
         decoder="none",
         grey=AS_STORED,
-        camera_fps=rate,
+        camera_fps=rate or None,
         warnings=tuple(warnings),
     )
     return MappedReader(
@@ -453,12 +455,3 @@ def _whole(text: Path, fields: Mapping[str, str], name: str, most: int) -> int:
         found = f"'{value[:40]}'" if value else "none"
         raise InputError(text, f"{name} : a whole number from 1 to {most}", found, "copy it again")
     return int(value)
-
-
-def _number(value: str | None) -> float | None:
-    """Return a positive number, None for anything else."""
-    try:
-        number = float(value or "")
-    except ValueError:
-        return None
-    return number if 0 < number < float("inf") else None

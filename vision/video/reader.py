@@ -24,62 +24,30 @@ SECONDS |= {"min": 60.0, "h": 3600.0}
 
 @dataclass(frozen=True, kw_only=True)
 class Facts:
-    """Facts from the headers of a file, in the file's own orientation.
+    """Facts from the headers of a file, in the file's own orientation."""
 
-    Parameters
-    ----------
-    shape
-        (rows, columns).
-    depth_bits, saturation_level
-        Significant bits per pixel, 32 for float; value of a saturated pixel, None for float.
-    declared_frames
-        Number of frames that the file states; None without.
-    estimated_frames
-        Number of frames from duration and rate, if none is declared.
-    duration_s
-        Duration that the file states, if frames carry times.
-    playback_fps
-        The container's rate, which need not be the camera's.
-    camera_fps
-        The rate at which the camera recorded according to its header, if frames carry no times.
-    times_s
-        The recording's own time of each frame (frame), if the headers contain them.
-    times_in_blocks
-        Whether these times come with the blocks instead.
-    pixel_size_um
-        µm per pixel that the file states; None without.
-    scale_unused
-        A scale in the file that is not used, and why; "" without.
-    quantiser_step
-        Step, grey levels, to which a codec that predicts frames from others rounds changes; 0 if unknown.
-    turned_deg
-        Clockwise rotation for display that the file states (films of phones), degrees.
-    container, codec, pixel_format, decoder, grey
-        How pixels are stored, which program decodes them, and what a grey value means.
-    warnings
-        Conditions that may spoil the results.
-    """
-
-    shape: tuple[int, int]
-    depth_bits: int
-    saturation_level: float | None
-    declared_frames: int | None
+    shape: tuple[int, int]  # (rows, columns)
+    depth_bits: int  # significant bits per pixel; 32 for float
+    saturation_level: float | None  # value of a saturated pixel; None for float
+    declared_frames: int | None  # number of frames that the file states; None without
+    # how pixels are stored, which program decodes them, and what a grey value means
     container: str
     codec: str
     pixel_format: str
     decoder: str
     grey: str
-    estimated_frames: int | None = None
-    duration_s: float | None = None
-    playback_fps: float | None = None
-    camera_fps: float | None = None
-    times_s: Floats | None = None
-    times_in_blocks: bool = False
-    pixel_size_um: float | None = None
-    scale_unused: str = ""
+    estimated_frames: int | None = None  # from duration and rate, if none are declared
+    duration_s: float | None = None  # that the file states, if frames carry times
+    playback_fps: float | None = None  # the container's rate, which need not be the camera's
+    camera_fps: float | None = None  # rate of the camera by its header, if frames carry no times
+    times_s: Floats | None = None  # the recording's own time of each frame, if the headers contain them
+    times_in_blocks: bool = False  # whether these times come with the blocks instead
+    pixel_size_um: float | None = None  # µm per pixel that the file states; None without
+    scale_unused: str = ""  # a scale in the file that is not used, and why
+    # step, grey levels, to which a codec that predicts frames from others rounds changes; 0 if unknown
     quantiser_step: float = 0.0
-    turned_deg: int = 0
-    warnings: tuple[str, ...] = ()
+    turned_deg: int = 0  # clockwise rotation for display that the file states (films of phones)
+    warnings: tuple[str, ...] = ()  # conditions that may spoil the results
 
     @property
     def frames(self) -> int | None:
@@ -89,25 +57,14 @@ class Facts:
 
 @dataclass(frozen=True)
 class Block:
-    """Consecutive frames, cut to the rows and columns asked for.
+    """Consecutive frames, cut to the rows and columns asked for."""
 
-    Parameters
-    ----------
-    pixels
-        (k, rows, columns), grey, in the file's own unsigned type or float32; read only. Pixels of a frame
-        that is not "ok" have no meaning.
-    start
-        Number of the first frame, counted from 0 at the start of the file.
-    status
-        One entry per frame.
-    times_s
-        The recording's own time of each frame, s, if it is known only as frames are read.
-    """
-
+    # (k, rows, columns), grey, in the file's own unsigned type or float32; read only. Pixels of a frame that
+    # is not "ok" have no meaning.
     pixels: Pixels
-    start: int
-    status: tuple[Status, ...]
-    times_s: Floats | None = None
+    start: int  # number of the first frame, counted from 0 at the start of the file
+    status: tuple[Status, ...]  # one per frame
+    times_s: Floats | None = None  # the recording's own times, if they are known only as frames are read
 
 
 class Reader(Protocol):
@@ -269,7 +226,7 @@ class MappedReader:
 
     def _fill(self, raw: NDArray[np.uint8], first: int, start: int) -> None:
         """Read one row of `raw` per frame from `first` on, from byte `start` of each frame."""
-        with self.path.open("rb", buffering=0) as file:
+        with self.path.open("rb") as file:
             for place, frame in zip(self.offsets[first : first + len(raw)].tolist(), raw, strict=True):
                 if place < 0:
                     frame[:] = 0
@@ -278,18 +235,15 @@ class MappedReader:
                     read_fully(file, memoryview(frame), self.path)
 
     def _grey(self, pixels: Pixels) -> Pixels:
+        native = self.dtype.newbyteorder("=")
         if self.channels > 1:
             k, height, width = pixels.shape[:3]
             colour = pixels[..., 2::-1] if self.blue_first else pixels[..., :3]
-            return luma(colour.astype(self._native).reshape(k * height, width, 3)).reshape(k, height, width)
+            return luma(colour.astype(native).reshape(k * height, width, 3)).reshape(k, height, width)
         if self.grey_levels is not None:
             flat = np.ascontiguousarray(pixels).reshape(-1, pixels.shape[-1])
             return np.asarray(cv2.LUT(flat, self.grey_levels)).reshape(pixels.shape)
-        return pixels if self.dtype.isnative else pixels.astype(self._native)
-
-    @property
-    def _native(self) -> np.dtype[np.generic]:
-        return self.dtype.newbyteorder("=")
+        return pixels if self.dtype.isnative else pixels.astype(native)
 
 
 def whole_frames(places: Ints, frame_bytes: int, size: int) -> Ints:
@@ -302,18 +256,10 @@ def whole_frames(places: Ints, frame_bytes: int, size: int) -> Ints:
 
 
 def read_fully(file: BinaryIO, buffer: memoryview, path: Path) -> None:
-    """Read from an unbuffered file until the buffer is full; InputError, which names `path`, if it ends
-    before.
-    """
-    done = 0
-    while done < len(buffer):
-        count = file.readinto(buffer[done:])  # type: ignore[attr-defined]  # raw files have it
-        if not count:
-            advice = "wait until it is copied, then run again"
-            raise InputError(
-                path, "a file that does not change while it is read", "one that became shorter", advice
-            )
-        done += count
+    """Fill the buffer from a buffered file; InputError, which names `path`, if the file ends before."""
+    if file.readinto(buffer) < len(buffer):  # type: ignore[attr-defined]  # buffered files have it
+        wanted, found = "a file that does not change while it is read", "one that became shorter"
+        raise InputError(path, wanted, found, "wait until it is copied, then run again")
 
 
 def luma(rgb: Pixels) -> Pixels:

@@ -16,10 +16,9 @@ import xarray as xr
 from vision.data import STRIP, STRIP_PARTS, StripMetadata, changed_settings, record
 from vision.errors import InputError, check_kind, counted
 from vision.files import Progress, prefetch
-from vision.mapped import give_back, parts_in_turn, put_rows, table_in_file
-from vision.numeric import Bools, Floats, Floats32, Pixels, Strings
+from vision.mapped import give_back, parts_in_turn, put_rows, some_rows, table_in_file
+from vision.numeric import Bools, Floats, Floats32, Pixels, Strings, spread_indices
 from vision.video.follow import Follow, followed
-from vision.video.mosaic import equalise_columns
 from vision.video.reader import Block
 from vision.video.settings import VideoSettings
 from vision.video.strip_find import Strip, choose_strip, measure_strip
@@ -27,6 +26,8 @@ from vision.video.times import are_uneven, lost_between, thinned_from, usual_ste
 from vision.video.video import RANGE, Video, cut
 
 STATUS_TYPE = "<U7"  # ok, blank, corrupt, lost
+_COLUMN_FRAMES = 200  # spread over the film, of which the mean shows the gain of the columns
+_COLUMN_PARTS = 8  # of the columns, which must agree
 
 
 class ReadingLog(Protocol):
@@ -95,7 +96,7 @@ def strip_profile(
     .. math:: I(x, t) = \frac{1}{z_1 - z_0} \sum_{z=z_0}^{z_1 - 1} g(x, z, t).
 
     Integers are summed exactly; the mean is rounded once, to float32. Columns below a Bayer pattern are
-    brought to one brightness (`vision.video.mosaic.equalise_columns`). Source: paper, appendix B.
+    brought to one brightness (`equalise_columns`). Source: paper, appendix B.
     """
     check_kind(Video, "what `vision.open_video` returns", video=video)
     check_kind(slice | None, RANGE, rows=rows, columns=columns)
@@ -430,6 +431,45 @@ def expected_frames(
                 f"{name}: {stated}; its last {missing_s:.3f} s are missing, about {beyond} frames"
             )
     return max(status.size, video.expected or 0) + between + beyond, warnings
+
+
+# --- columns of unequal gain --------------------------------------------------------------------------------
+
+
+def equalise_columns(intensity: Floats32, usable: Bools, settings: VideoSettings = VideoSettings()) -> float:
+    r"""Divide I(x, t), (frame, x), by the gain of its columns, in place, and return by how much they differ.
+
+    Columns below a Bayer pattern of colour filters, saved as grey, are brighter and darker in turn. They hide
+    ridges, shift positions within the pixel, and look like a reflection. With light L(x) that is smooth from
+    pixel to pixel,
+
+    .. math:: I(x) = L(x)\,\bigl(1 + (-1)^x a\bigr), \qquad
+        a = \frac{\sum (-1)^x \left(I(x) - \tfrac12 I(x-1) - \tfrac12 I(x+1)\right)}{2 \sum I(x)} .
+
+    The gain is corrected if the mean a of eight parts of the columns exceeds `settings.column_gain` and
+    `settings.column_sigmas` times its standard error: sharp ridges contribute by chance, with another sign in
+    each part. Sheets and gaps of different colours have different gains, of which this is the mean. The
+    result is 2|a|, or 0 without a correction. usable: which frames show something, (frame,).
+    """
+    frames = np.flatnonzero(usable)
+    if not frames.size or intensity.shape[1] < 4 * _COLUMN_PARTS:
+        return 0.0
+    shown = some_rows(intensity, frames[spread_indices(frames.size, _COLUMN_FRAMES)])
+    mean = shown.mean(axis=0, dtype=np.float64)
+    sign = 1.0 - 2.0 * (np.arange(mean.size) % 2)
+    beside = 0.5 * (mean[:-2] + mean[2:])
+    sums = sign[1:-1] * (mean[1:-1] - beside), mean[1:-1] + beside
+    change, level = ([part.sum() for part in np.array_split(one, _COLUMN_PARTS)] for one in sums)
+    if min(level) <= 0:
+        return 0.0
+    gains = np.divide(change, level)
+    gain, error = float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(_COLUMN_PARTS))
+    if not abs(gain) > max(settings.column_gain, settings.column_sigmas * error):
+        return 0.0
+    factor = (1 / (1 + sign * gain)).astype(np.float32)
+    for rows in parts_in_turn(intensity):
+        intensity[rows] *= factor
+    return 2 * abs(gain)
 
 
 # --- storage of the frames that are read --------------------------------------------------------------------

@@ -31,19 +31,12 @@ RANGE = "a slice such as slice(60, 144)"
 
 @dataclass(frozen=True)
 class FrameClock:
-    """Source of the frame times.
+    """Source of the frame times."""
 
-    Parameters
-    ----------
-    kind
-        "file" (time stamps or rate of the recording itself), "given" (`fps` or `timestamps`) or "playback" (a
-        container's rate, which need not be the camera's).
-    fps
-        Frames per second; None if unknown.
-    """
-
+    # time stamps or rate of the recording itself ("file"), `fps` or `timestamps` ("given"), or a container's
+    # rate, which need not be the camera's ("playback")
     kind: Literal["file", "given", "playback"]
-    fps: float | None
+    fps: float | None  # None if unknown
 
 
 @dataclass(repr=False, frozen=True, kw_only=True)
@@ -51,40 +44,20 @@ class Video:
     """A recording, opened by `open_video`: facts are known at once, pixels are read in one sequential pass.
 
     The whole file is never loaded.
-
-    Parameters
-    ----------
-    path, reader
-        The file, and the code for its format.
-    rotate
-        Degrees clockwise, a multiple of 90, by which frames are turned after the file's own rotation.
-    first, stop
-        Range of frame numbers, half-open; stop None is the end.
-    given_fps, given_times_s, timestamps
-        The camera's clock as given by the user, which takes precedence over the file's; the name of the file
-        that the times are from, "" without.
-    warnings
-        Defects of the file that its headers show.
-    pixels_path
-        The file or folder that holds the pixels: `path`, or the .mraw of a Photron recording.
-    stamp
-        Its size and time when it was opened.
-    answer_s
-        See `VideoSettings.answer_s`.
     """
 
     path: Path
-    reader: Reader
-    rotate: int
-    first: int
-    stop: int | None
-    given_fps: float | None
+    reader: Reader  #: code for its format
+    rotate: int  #: degrees clockwise by which frames are turned after the file's own rotation
+    first: int  #: range of frame numbers, half-open
+    stop: int | None  #: None: the end
+    given_fps: float | None  #: the camera's clock as given by the user, instead of the file's
     given_times_s: Floats | None
-    timestamps: str
-    warnings: tuple[str, ...]
-    pixels_path: Path
-    stamp: Stamp
-    answer_s: float
+    timestamps: str  #: name of the file that the given times are from, "" without
+    warnings: tuple[str, ...]  #: defects of the file that its headers show
+    pixels_path: Path  #: file or folder that holds the pixels: `path`, or the .mraw of a Photron recording
+    stamp: Stamp  #: its size and time when it was opened
+    answer_s: float  #: see `VideoSettings.answer_s`
 
     def __repr__(self) -> str:
         count = "an unknown number of" if self.expected is None else self.expected
