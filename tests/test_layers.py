@@ -39,7 +39,7 @@ LAYERS = (
 )
 # Commands import the module that does their work when they are called, so that `track --help` answers at
 # once, and the review serves its page before it has imported what reads the run.
-DEFERRED = ("vision/command/main.py", "vision/command/review.py")
+DEFERRED = ("vision/command/main.py",)
 # matplotlib is imported by a module of the first alone, and only once something is drawn; FFmpeg by the
 # second, and only for films that it decodes.
 DEFERRED_MODULES = ("vision.figures", "vision.video.encoded")

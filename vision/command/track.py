@@ -18,8 +18,8 @@ import xarray as xr
 
 from vision.checks import flag_counts
 from vision.command.console import attempt, complain, frame_progress, in_columns, say
+from vision.command.main import keep_first_view
 from vision.command.options import ForceOptions, RunOptions, TestOptions, flag_of, option_names
-from vision.command.review import keep_first_view
 from vision.command.settings import merged, parameters_given, settings_of
 from vision.data import MEASURED, StripMetadata
 from vision.errors import InputError, counted
