@@ -62,17 +62,9 @@ class Schema:
         return self.variables[name]
 
     def check(self, data: Data, needs: Sequence[str] | None = None) -> None:
-        """Check that the data have the declared variables and dimensions.
+        """Raise `InputError`, which names every such variable, unless the data are as declared.
 
-        Parameters
-        ----------
-        data, needs
-            Input of a stage, and the variables that it requires; by default those that every stage needs.
-
-        Raises
-        ------
-        InputError
-            If anything is not as declared. One message names every such variable.
+        needs: variables that the stage requires; by default those that every later stage needs.
         """
         if isinstance(data, self.kind):
             needed = needs or self.needs or list(self.variables)

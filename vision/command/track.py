@@ -345,14 +345,28 @@ def _row(video: Path, status: int, found: Analysis | None, why: str, seconds: fl
 
 @contextmanager
 def _following(settings: Settings, *, quiet: bool) -> Iterator[Follow]:
-    """Follow a growing recording and print its state now and then; Ctrl-C completes the recording.
+    """Follow a growing recording and print its state every five seconds; Ctrl-C completes the recording.
 
     A second Ctrl-C, or one while the results are written, interrupts the run as usual.
     """
-    follow = Follow(
-        seen=None if quiet else _StatePrinter(settings),
-        waiting=None if quiet else lambda reason: complain(f"waiting: {reason}"),
-    )
+    next_at = time.monotonic()
+
+    def show(last: Callable[[int], xr.DataArray], behind: int | None) -> None:
+        nonlocal next_at
+        if sys.stderr is None or time.monotonic() < next_at:
+            return
+        strip = last(100)  # give the noise to 10 %, and are tracked quickly
+        if behind and strip.sizes["frame"] < 20:
+            return  # too few to measure the noise, and more are in the file
+        line = _state(strip, behind, settings)
+        sys.stderr.write(f"\r\x1b[K{line}" if sys.stderr.isatty() else f"{line}\n")
+        sys.stderr.flush()
+        next_at = time.monotonic() + 5.0
+
+    def wait(reason: str) -> None:
+        complain(f"waiting: {reason}")
+
+    follow = Follow() if quiet else Follow(seen=show, waiting=wait)
     earlier = signal.getsignal(signal.SIGINT)
 
     def end(number: int, frame: Any) -> None:
@@ -365,26 +379,6 @@ def _following(settings: Settings, *, quiet: bool) -> Iterator[Follow]:
         yield follow
     finally:
         signal.signal(signal.SIGINT, earlier)
-
-
-class _StatePrinter:
-    """Prints the state of the recording to standard error, at most every five seconds."""
-
-    def __init__(self, settings: Settings) -> None:
-        self._settings = settings
-        self._next = time.monotonic()
-
-    def __call__(self, last: Callable[[int], xr.DataArray], behind: int | None) -> None:
-        if sys.stderr is None or time.monotonic() < self._next:
-            return
-        strip = last(100)  # give the noise to 10 %, and are tracked quickly
-        if behind and strip.sizes["frame"] < 20:
-            return  # too few to measure the noise, and more are in the file
-        line = _state(strip, behind, self._settings)
-        tty = sys.stderr.isatty()
-        sys.stderr.write(f"\r\x1b[K{line}" if tty else f"{line}\n")
-        sys.stderr.flush()
-        self._next = time.monotonic() + 5.0
 
 
 def _state(strip: xr.DataArray, behind: int | None, settings: Settings) -> str:

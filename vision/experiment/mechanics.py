@@ -439,24 +439,14 @@ def pull_sheets(
 ) -> xr.Dataset:
     """Simulate the whole pull, event by event; it starts without loads.
 
-    Parameters
-    ----------
-    m
-        μ (static), A = 2(μ_s − μ_d), Young's modulus Y of one sheet (k = εWY/L), and the pull.
-    sample
-        M, ε, W, L and T*.
-    threshold_factor
-        Factor on the threshold of each sheet from left to right, shape (2M,); None for equal sheets.
-    longest_step_um
-        Largest step of d between updates of N.
+    m: μ (static), A = 2(μ_s − μ_d), Young's modulus Y of one sheet (k = εWY/L), and the pull.
+    threshold_factor: factor on the threshold of each sheet from left to right, (2M,); None for equal sheets.
+    longest_step_um: largest step of d between updates of N.
 
-    Returns
-    -------
-    xarray.Dataset
-        Along ``step``: ``d_mm``, ``time_s``, ``force_N`` (sum of the loads), ``load_N`` (step, sheet) and
-        ``slipped``. A slip consists of two steps at the same d and time; ``slipped`` is True on the second.
-        Between steps loads are linear in d. Sheets are ordered from left to right, with ``side`` and ``n``.
-        attrs: ``stiffness_N_per_mm`` of one sheet.
+    Returns ``d_mm``, ``time_s``, ``force_N`` (sum of the loads), ``load_N`` (step, sheet) and ``slipped``
+    along ``step``. A slip consists of two steps at the same d and time; ``slipped`` is True on the second.
+    Between steps loads are linear in d. Sheets are ordered from left to right, with ``side`` and ``n``.
+    attrs: ``stiffness_N_per_mm`` of one sheet.
     """
     sheets = _Assembly(m, sample, threshold_factor)
     steps = [(sheets.d, sheets.load, False)]

@@ -158,12 +158,7 @@ def profiles(experiment: Experiment) -> tuple[xr.DataArray, xr.Dataset]:
     Rows are averaged before noise is added, so the noise is that of the mean. Structure along the rows
     (shapes of dust, texture inside a bowed ridge) is averaged as well.
 
-    Returns
-    -------
-    strip : DataArray
-        intensity (frame, x), float32 grey levels, as `strip_profile` gives it for this experiment's video.
-    truth : Dataset
-        As in truth.nc, see `truth_of`.
+    Returns I(x, t) as `strip_profile` gives it for this experiment's video, and the truth (`truth_of`).
     """
     scene, rows, camera = make_scene(experiment), strip_slice(experiment), experiment.camera
     total, average = len(scene.times.camera_s), _row_average(scene)

@@ -75,12 +75,11 @@ def frame_figure(
     """
     rows, columns = frame.shape
     step = max(1, -(-rows // MOST_ROWS), -(-columns // (2 * MOST_ROWS)))
-    grey = np.asarray(frame, np.float32)[::step, ::step]
+    grey = frame[::step, ::step].astype(np.float32)
     low, high = grey_limits(grey)
     facts = StripMetadata.of(tracks)
     z0, z1 = float(facts.strip_z0), float(facts.strip_z1)
-    x = None if strip is None else strip["x"].values
-    across = None if x is None else (float(x[0]) - 0.5, float(x[-1]) + 0.5)
+    across = None if strip is None else (float(strip["x"][0]) - 0.5, float(strip["x"][-1]) + 0.5)
     axis_px = TrackMetadata.of(tracks).axis_px if axis else math.nan
     how = "dashed; the motion does not show it" if _axis_is_middle(tracks) else "dashed"
     numbers = f"sheet numbers n, symmetry axis ({how})" if axis else "index from the left (axis not known)"
@@ -93,7 +92,12 @@ def frame_figure(
     # Numbers that do not fit between the picture's edge and the strip are above the picture.
     numbers_z = z0 - 0.5 if z0 > number_height else -0.5
     z_range = min(-0.5, numbers_z - number_height), rows - 0.5
-    which = _which_frame(tracks)
+    first = 0  # the frame shown is the first that is not lost, blank or corrupt
+    if "flag" in tracks:
+        first = int((~is_word(tracks["flag"], "lost", "blank", "corrupt")).all(axis=1).argmax())
+    time_s = float(tracks["time_s"].values[first])
+    which = f"Frame {int(tracks['frame'].values[first])}"
+    which += f" (t = {time_s:.4g} s)" if np.isfinite(time_s) else ""
     panel = Panel(
         title=f"{which}: averaged rows (outlined), {numbers}{stretched}",
         x_label=X_PX if pixel_size_um is None else f"x (px of {pixel_size_um:.4g} µm)",
@@ -125,16 +129,6 @@ def frame_figure(
         + f"{stretched}.",
         title="The frame, the strip and the numbered sheets",
     )
-
-
-def _which_frame(tracks: xr.Dataset) -> str:
-    """Return number and time of the frame shown, the first that is not lost, blank or corrupt."""
-    first = 0
-    if "flag" in tracks:
-        first = int((~is_word(tracks["flag"], "lost", "blank", "corrupt")).all(axis=1).argmax())
-    time = float(tracks["time_s"].values[first])
-    at = f" (t = {time:.4g} s)" if np.isfinite(time) else ""
-    return f"Frame {int(tracks['frame'].values[first])}{at}"
 
 
 def _strokes(tracks: xr.Dataset, z0: float, z1: float, numbers_z: float, *, axis: bool) -> tuple[Series, ...]:
@@ -362,9 +356,11 @@ def space_time_figure(
         slips_from=slips_from,
     )
     image, marks = panel.image, panel.marks
-    assert image is not None
-    assert marks is not None
-    panel = replace(panel, y_range=_comb_range(tracks, image, scale))
+    assert image is not None and marks is not None
+    x, pitch = tracks["x_px"].values, TrackMetadata.of(tracks).pitch_px
+    if np.isfinite(pitch) and np.isfinite(x).any():  # the sheets and two pitches beside them
+        low, high = (np.nanmin(x) - 2 * pitch) * scale, (np.nanmax(x) + 2 * pitch) * scale
+        panel = replace(panel, y_range=(max(image.left, float(low)), min(image.right, float(high))))
     averaged = strip.sizes["frame"] / len(image.pixels)
     means = f" Each row is the mean of about {averaged:.0f} frames." if averaged > 1.5 else ""
     marked = f" Magenta ticks: {marks.size} slips, from {slips_from}." if marks.size else ""
@@ -377,34 +373,16 @@ def space_time_figure(
     )
 
 
-def _comb_range(tracks: xr.Dataset, image: Image, scale: float) -> Range:
-    """Return the range of the sheets and two pitches beside them, within the image."""
-    x, pitch = tracks["x_px"].values, TrackMetadata.of(tracks).pitch_px
-    if not (np.isfinite(pitch) and np.isfinite(x).any()):
-        return image.left, image.right
-    low, high = (np.nanmin(x) - 2 * pitch) * scale, (np.nanmax(x) + 2 * pitch) * scale
-    return max(image.left, float(low)), min(image.right, float(high))
-
-
 def kymograph_figure(
     diagrams: Sequence[xr.DataArray], *, slips_s: Floats | None = None, slips_from: str = "the force"
 ) -> Figure:
-    """Return space-time diagrams side by side, with one time axis and one grey scale.
+    """Return space-time diagrams, as `space_time` returns them, with one time axis and one grey scale.
 
-    Parameters
-    ----------
-    diagrams
-        The whole strip, or windows around sheets, as returned by `space_time`.
-    slips_s
-        Times to mark, on the recording's clock, s.
-    slips_from
-        Source of the times, for the label.
+    slips_s: times to mark, on the recording's clock.  slips_from: source of these times, for the label.
     """
     limits = grey_limits(*(diagram.values for diagram in diagrams))
     windows = bool(DiagramMetadata.of(diagrams[0]).sheet)
-    rows = max(len(diagram) for diagram in diagrams)
-    height = float(np.clip(rows / 75, 3, 8)) if windows else 6.5
-    width = 13.0 if not windows else 1.1 + 2.3 * len(diagrams)
+    height = float(np.clip(max(map(len, diagrams)) / 75, 3, 8)) if windows else 6.5
     panels = tuple(
         _diagram_panel(
             diagram,
@@ -428,7 +406,7 @@ def kymograph_figure(
         caption=KYMOGRAPH_CAPTION + INTERPOLATED * interpolated,
         panels=panels,
         columns=len(panels),
-        width_in=width,
+        width_in=1.1 + 2.3 * len(diagrams) if windows else 13.0,
         panel_titles=True,
     )
 

@@ -251,10 +251,9 @@ def _in_full(panel: Panel) -> set[tuple[int, int]]:
     sheets = {series.sheet for series in panel.series if series.sheet is not None}
     if panel.image is not None:
         return sheets
-    known = [series.y[np.isfinite(series.y)] for series in panel.series]
-    heights = np.concatenate([np.empty(0), *known])
+    known = [y for series in panel.series if (y := series.y[np.isfinite(series.y)]).size]
     travel = sum(float(np.abs(np.diff(y)).sum()) for y in known)
-    if not heights.size or travel <= 600 * np.ptp(heights):
+    if not known or travel <= 600 * np.ptp(np.concatenate(known)):
         return sheets
     full: set[tuple[int, int]] = set()
     for side in (-1, 1):
@@ -400,12 +399,10 @@ def _draw_arrows(ax: Axes, arrows: tuple[Arrow, ...]) -> None:
         (x0, x1), (y0, y1) = arrow.x, arrow.y
         head = {"arrowstyle": "<->", "shrinkA": 0, "shrinkB": 0, "color": MODEL[0], "lw": 1.1}
         ax.annotate("", (x1, y1), (x0, y0), arrowprops=head)
-        vertical = x0 == x1
-        style: dict[str, Any] = (
-            {"ha": "left", "va": "center"} if vertical else {"ha": "center", "va": "bottom"}
-        )
-        middle, offset = ((x0 + x1) / 2, (y0 + y1) / 2), (5, 0) if vertical else (0, 3)
-        ax.annotate(to_mathtext(arrow.label), middle, offset, textcoords="offset points", **style)
+        ha, va, offset = ("left", "center", (5, 0)) if x0 == x1 else ("center", "bottom", (0, 3))
+        middle = (x0 + x1) / 2, (y0 + y1) / 2
+        label = to_mathtext(arrow.label)
+        ax.annotate(label, middle, offset, textcoords="offset points", ha=ha, va=va)
 
 
 def _draw_marks(ax: Axes, marks: Floats) -> None:
@@ -451,13 +448,9 @@ def _stack(ax: Axes, right: Axes, panel: Panel) -> None:
     """Set the ranges of two y axes so that the curves in view are above each other."""
     low, high = ax.get_xlim()
     for axes, side, below, above in ((ax, "left", 1.15, 0.05), (right, "right", 0.05, 1.15)):
-        in_view = [np.empty(0)]
-        for series in panel.series:
-            if series.axis == side:
-                inside = (series.x >= low) & (series.x <= high)
-                ends = (series.y, series.low, series.high)  # with error bars
-                in_view += [y[inside & np.isfinite(y)] for y in ends if y is not None]
-        y = np.concatenate(in_view)
+        mine = [series for series in panel.series if series.axis == side]
+        drawn = [(one.x, y) for one in mine for y in (one.y, one.low, one.high) if y is not None]
+        y = np.concatenate([y[(x >= low) & (x <= high) & np.isfinite(y)] for x, y in drawn] or [np.empty(0)])
         if y.size:
             span = float(np.ptp(y)) or 1.0
             axes.set_ylim(float(y.min()) - below * span, float(y.max()) + above * span)

@@ -83,11 +83,9 @@ class Image:
         """The grey scale in words; "" without one."""
         if self.black is None or self.white is None:
             return ""
-        black, white = (
-            f"{level:.3g}" if abs(level) < 1000 else f"{level:.0f}" for level in (self.black, self.white)
-        )
+        ends = (f"{one:.3g}" if abs(one) < 1000 else f"{one:.0f}" for one in (self.black, self.white))
         how = ", interpolated along x" if self.interpolated else ""
-        return f"black to white: grey levels {black} to {white}{how}"
+        return f"black to white: grey levels {' to '.join(ends)}{how}"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -231,22 +229,10 @@ class Figure:
         return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame()
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw with matplotlib.
+        """Draw with matplotlib, and return the axes of the first panel; ``.figure`` is the whole figure.
 
-        Parameters
-        ----------
-        ax
-            Axes to draw on, for a figure of one panel. By default a new matplotlib figure is made, which
-            notebooks that use pyplot display.
-
-        Returns
-        -------
-        The axes of the first panel; ``.figure`` is the whole figure.
-
-        Raises
-        ------
-        InputError
-            If `ax` is given for a figure of several panels.
+        ax: axes to draw on, for a figure of one panel. By default a new matplotlib figure is made, which
+        notebooks that use pyplot display.  Raises: InputError if axes are given for several panels.
         """
         from vision.figures import drawing
 
@@ -257,25 +243,12 @@ class Figure:
         return drawing.draw_panel(ax, self.panel)
 
     def save(self, path: str | Path, *, dpi: float | None = None) -> Path:
-        """Write the figure in the format of the suffix of `path`.
+        """Write the figure in the format of the suffix of `path`, which is returned.
 
-        Parameters
-        ----------
-        path
-            File with suffix .png, .pdf or .svg (both with text as text), or .csv for the table.
-        dpi
-            Resolution of a PNG and of images within the other two; by default that of the format.
+        path: a file with suffix .png, .pdf or .svg (both with text as text), or .csv for the table.
+        dpi: resolution of a PNG and of images within the other two; by default that of the format.
 
-        Returns
-        -------
-        The path.
-
-        Raises
-        ------
-        InputError
-            For another suffix.
-        OSError
-            If the file cannot be written.
+        Raises: InputError for another suffix, OSError if the file cannot be written.
         """
         path = Path(path)
         kind = path.suffix.lower()

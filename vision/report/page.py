@@ -30,6 +30,7 @@ from vision.report.text import answers, citation, methods, subtitle
 from vision.sheets import doubtful_stretches
 from vision.systematics import QUANTITIES, SOURCES, systematic_budget
 
+_PART = " (of its size and 64 MiB of it)"  # what a fingerprint covers
 PLAIN = 400  # largest number of values of an array that is written as plain numbers
 
 
@@ -48,24 +49,23 @@ def write_report(
     argument of the library in messages.  Raises: OSError if the file cannot be written.
     """
     figures = figures_of(results) if figures is None else figures
-    named = dict(options or {})
-    lines = [
-        *map(str, facts.get("warnings", ())),
-        *results.warnings,
-        *(results.reasons[name] for name in results.refused()),
-    ]
-    warnings = dict.fromkeys(with_options(line, named) for line in lines)
+    refused = (results.reasons[name] for name in results.refused())
+    lines = (*map(str, facts.get("warnings", ())), *results.warnings, *refused)
+    warnings = dict.fromkeys(with_options(line, options) for line in lines)
+    title = "recording" if results.force is None else Path(ForceMetadata.of(results.force).source).name
+    if results.strip is not None:
+        title = Path(StripMetadata.of(results.strip).source).name
     tables = [budget_table(results), *([] if results.tracks is None else [doubt_table(results.tracks)])]
     return render_page(
         path,
         sections_of(figures),
         facts,
-        title=_title(results),
+        title=title,
         kind="sheet positions",
         subtitle=subtitle(results),
         answers=answers(results),
         warnings=list(warnings),
-        missing=[with_options(line, named) for line in missing_parts(results)],
+        missing=[with_options(line, options) for line in missing_parts(results)],
         methods=methods(results),
         citation=citation(),
         tables=[table for table in tables if table.rows],
@@ -97,23 +97,13 @@ def render_page(
     return path
 
 
-def _title(results: Results) -> str:
-    if results.strip is not None:
-        return Path(StripMetadata.of(results.strip).source).name
-    return "recording" if results.force is None else Path(ForceMetadata.of(results.force).source).name
-
-
 @cache
 def _template() -> Template:
     """Return the template, with the plotting library and the page's own style and script."""
     environment = Environment(autoescape=True, undefined=StrictUndefined)
     environment.filters["symbols"] = to_html
-    shipped = {
-        "plot_css": "uPlot.min.css",
-        "plot_js": "uPlot.iife.min.js",
-        "css": "report.css",
-        "js": "report.js",
-    }
+    shipped = {"plot_css": "uPlot.min.css", "plot_js": "uPlot.iife.min.js"}
+    shipped |= {"css": "report.css", "js": "report.js"}
     environment.globals.update({name: Markup(_asset(place)) for name, place in shipped.items()})
     return environment.from_string(_asset("report.html.jinja"))
 
@@ -204,9 +194,7 @@ class ArrayStore:
             start, slope = float(values[0]), float(values[-1] - values[0]) / (values.size - 1)
         residual = values - start - slope * np.arange(values.size)
         known = np.isfinite(residual)
-        low, high = (
-            (float(residual[known].min()), float(residual[known].max())) if known.any() else (0.0, 0.0)
-        )
+        low, high = (float(end(residual[known])) if known.any() else 0.0 for end in (np.min, np.max))
         middle, step = (low + high) / 2, (high - low) / (2 * 32767) or 1.0
         code = np.where(known, np.rint((np.nan_to_num(residual) - middle) / step), -32768).astype("<i2")
         index = self._indices.setdefault(code.tobytes(), len(self._indices))
@@ -266,7 +254,7 @@ def doubt_table(tracks: xr.Dataset) -> FactsTable:
             str(row["sheet"]),
             {-1: "left", 1: "right"}[row["side"]],
             str(row["n"]),
-            _frames(row["first_frame"], row["last_frame"]),
+            "\u2060–\u2060".join(map(str, sorted({row["first_frame"], row["last_frame"]}))),  # on one line
             str(row["why"]),
             _digits(row["x_withheld_px"], places=1),
             _digits(row["x_expected_px"], places=1),
@@ -279,11 +267,6 @@ def doubt_table(tracks: xr.Dataset) -> FactsTable:
     if more := len(table) - len(rows):
         note += f" {more} shorter ones: run.json."
     return FactsTable("Doubtful stretches", heads, rows, note)
-
-
-def _frames(first: int, last: int) -> str:
-    """Return a range of frames, which stays on one line."""
-    return str(first) if first == last else f"{first}\u2060–\u2060{last}"
 
 
 def _digits(value: float | None, *, places: int | None = None) -> str:
@@ -307,11 +290,7 @@ def provenance(facts: Mapping[str, Any]) -> list[FactsTable]:
         for one in facts.get("corrections", ())
     )
     inputs = (
-        (
-            str(one["path"]),
-            str(one["size_bytes"]),
-            str(one.get("sha256") or f"{one['fingerprint']} (of its size and 64 MiB of it)"),
-        )
+        (str(one["path"]), str(one["size_bytes"]), str(one.get("sha256") or f"{one['fingerprint']}{_PART}"))
         for one in facts.get("inputs", ())
     )
     tables = [

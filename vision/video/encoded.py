@@ -223,15 +223,6 @@ class MjpegReader(EncodedReader):
         return Frame(pixels[rows.start - first : rows.stop - first], "ok", time_s)
 
 
-def open_packed_cine(path: Path, facts: Facts) -> EncodedReader:
-    """Return a reader of the packed frames of a cine, in the camera's own grey levels.
-
-    facts: those of the cine's headers. FFmpeg widens the frames to 16 bits.
-    """
-    reader = EncodedReader.of(path)
-    return replace(reader, facts=facts, shift=reader.facts.depth_bits - facts.depth_bits)
-
-
 def open_encoded(path: Path) -> EncodedReader:
     """Return an `MjpegReader` if its first frame is FFmpeg's up to rounding, else an `EncodedReader`.
 

@@ -9,7 +9,7 @@ import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import BinaryIO
 from xml.etree import ElementTree
 
 import numpy as np
@@ -207,22 +207,13 @@ def _grey_levels(table: bytes) -> NDArray[np.uint8] | None:
 # --- Phantom ------------------------------------------------------------------------------------------------
 
 
-class _Cine(NamedTuple):
-    """What the headers of a .cine state."""
+def _cine_headers(path: Path, size: int) -> tuple[int, int, int, int, int, int, int, Ints, Floats | None]:
+    """Return what the headers of a .cine of this size state.
 
-    kind: int  # 2: the pixels of a colour camera without interpolation
-    announced: int  # number of frames
-    width: int
-    height: int  # negative if the top row is stored first
-    stored: int  # bits of a pixel in the file
-    compression: int  # 0: none
-    bits: int  # significant bits of a pixel; not from 1 to 16 if unknown
-    frames: Ints  # position of each frame in the file, -1 for one that is not in it
-    times_s: Floats | None
-
-
-def _cine_headers(path: Path, size: int) -> _Cine:
-    """Return the headers of a file of this size, without frames beyond its end."""
+    The kind (2: pixels of a colour camera without interpolation), number of frames, width, height (negative
+    if the top row is stored first), bits of a pixel in the file, compression (0: none), significant bits (not
+    from 1 to 16 if unknown), position of each frame (-1 for one that is not in the file), and its time, s.
+    """
     main = struct.Struct("<2sHHHiIiIIII8x")
     try:
         with path.open("rb") as file:
@@ -237,7 +228,7 @@ def _cine_headers(path: Path, size: int) -> _Cine:
     except (struct.error, ValueError):
         raise InputError(path, "a whole cine header", "a file cut short inside it", "copy it again") from None
     frames = whole_frames(frames, 4, size)  # each begins with the length of its annotation
-    return _Cine(kind, count, width, height, stored, compression, bits, frames, times_s)
+    return kind, count, width, height, stored, compression, bits, frames, times_s
 
 
 def _open_cine(path: Path) -> Reader:
@@ -273,9 +264,10 @@ def _open_cine(path: Path) -> Reader:
     if compression != 0 or stored not in (8, 16, 24, 48):
         grey = f"{bits} bit as stored, companded by the camera, not linear in light"
         facts = replace(facts, codec="packed", decoder="FFmpeg", grey=grey)
-        from vision.video.encoded import open_packed_cine
+        from vision.video.encoded import EncodedReader
 
-        return open_packed_cine(path, facts)
+        reader = EncodedReader.of(path)  # FFmpeg widens the frames to 16 bits
+        return replace(reader, facts=facts, shift=reader.facts.depth_bits - bits)
     with path.open("rb") as file:
         for n in np.flatnonzero(frames >= 0):
             file.seek(frames[n])

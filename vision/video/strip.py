@@ -141,27 +141,15 @@ def strip_profiles(
     settings: VideoSettings = VideoSettings(),
     folder: Path | None = None,
 ) -> tuple[xr.DataArray, xr.DataArray]:
-    r"""Return I(x, t) of the strip, and I(x, z, t) of parts of it at several heights, from one pass.
+    """Return I(x, t) as `strip_profile` does, and I(x, z, t) of parts of the strip one above the other.
 
-    Parameters
-    ----------
-    video, rows, columns, progress, settings
-        As for `strip_profile`.
-    strips
-        Number of parts, 2 or more; their heights differ by at most one row.
-    folder
-        Where the temporary file of a long film is made; by default the system's folder for these.
+    Both are read in one pass. The parts, "intensity" (z, frame, x), are as `vision.data.STRIP_PARTS` declares
+    them; z is the middle of a part's rows, px. Their heights differ by at most one row.
 
-    Returns
-    -------
-    xarray.DataArray, xarray.DataArray
-        The strip as `strip_profile` returns it, and its parts, "intensity" (z, frame, x), as
-        `vision.data.STRIP_PARTS` declares them; z is the middle of a part's rows, px.
+    strips: number of parts, 2 or more.  folder: where the temporary file of a long film is made; by default
+    the system's folder for these.
 
-    Raises
-    ------
-    InputError
-        As `strip_profile`, and for parts of fewer than two rows.
+    Raises: InputError as `strip_profile`, and for parts of fewer than two rows.
     """
     plan = _Plan.of(video, rows, columns, settings)
     first, height, width = plan.strip.rows.start, plan.strip.rows.stop - plan.strip.rows.start, plan.width
@@ -302,6 +290,9 @@ def _check_shows_something(video: Video, status: Strings) -> None:
         raise InputError(video.path, "at least one frame that shows something", f"none ({found})", advice)
 
 
+_SAME_FACTS = ("container", "codec", "quantiser_step", "pixel_format", "decoder", "grey", "depth_bits")
+
+
 def _metadata(
     video: Video, strip: Strip, read: FramesRead, settings: VideoSettings, columns_differ: float
 ) -> StripMetadata:
@@ -317,16 +308,10 @@ def _metadata(
     usable = int(np.isin(status, ("ok", "blank")).sum())
     return StripMetadata(
         source=str(video.path),
-        container=facts.container,
-        codec=facts.codec,
-        quantiser_step=facts.quantiser_step,
-        pixel_format=facts.pixel_format,
-        decoder=facts.decoder,
-        grey=facts.grey,
+        **{name: getattr(facts, name) for name in _SAME_FACTS},
         file_pixel_size_um=math.nan if facts.pixel_size_um is None else facts.pixel_size_um,
         file_scale_unused=facts.scale_unused,
         rotate=video.rotate,
-        depth_bits=video.depth_bits,
         saturation_level=math.nan if video.saturation_level is None else video.saturation_level,
         strip_z0=strip.rows.start,
         strip_z1=strip.rows.stop,
