@@ -390,7 +390,7 @@ def consistency_warnings(
     columns: the columns of I(x,t), px; None where they are not known, so that the comb's ends may be outside.
     """
     found, used, most = TrackMetadata.of(tracks), sample or assumed, int(tracks["n"].max())
-    lines = _comb_warnings(tracks, found, settings)
+    lines = list(_comb_warnings(tracks, found, settings))
     one_side = len(np.unique(tracks["side"].values)) == 1
     one_at_most = used is not None and tracks.sizes["sheet"] <= used.sheets_per_block
     ends_px = _outermost_px(tracks)
@@ -440,18 +440,18 @@ def consistency_warnings(
 
 def _axis_warnings(
     tracks: xr.Dataset, found: TrackMetadata, in_view: tuple[bool, bool], settings: CheckSettings
-) -> list[str]:
+) -> Iterator[str]:
     """Warn of an axis that is doubtful although, or because, an end of the comb is in view.
 
     in_view: whether the first sheet, and the last one, is known to be an end of the comb.
     """
-    lines, side = [], tracks["side"].values
+    side = tracks["side"].values
     left, right = (int((side == which).sum()) for which in (-1, 1))
     fewer, more = sorted((left, right))
     one_side = fewer == 0
     unequal = fewer > 0 and more > settings.unequal_sides * fewer + 2
     if unequal and found.axis_how == "motion" and all(in_view):
-        lines.append(
+        yield (
             f"{left} sheets on the left of the axis but {right} on the right, though the whole comb is in"
             " view: the axis is where the sheets do not move, which is wrong if the camera moves along with"
             " them: look at overview.png, and give `axis_px`"
@@ -462,31 +462,29 @@ def _axis_warnings(
         if found.axis_carried == "yes":
             count = "all or most"
             taken = "both sides, which the load carries along, with the axis in the middle of the ridges"
-        lines.append(
+        yield (
             f"{count} sheets move the same way; they are taken for {taken}: side and n of all sheets may"
             " be wrong: look at overview.png, and give `axis_px`"
         )
     undecided = found.axis_open == "yes" and found.axis_how != "given"
     if undecided and any(in_view) and not (all(in_view) or one_side):
-        lines.append(
+        yield (
             "the picture may cut off one end of the comb, and the motion leaves open where the axis is: side"
             " and n of all sheets may be wrong: look at overview.png, and give `axis_px`"
         )
-    return lines
 
 
-def _comb_warnings(tracks: xr.Dataset, found: TrackMetadata, settings: CheckSettings) -> list[str]:
+def _comb_warnings(tracks: xr.Dataset, found: TrackMetadata, settings: CheckSettings) -> Iterator[str]:
     """Warn of further or doubtful ridges of the comb, and of an axis that the motion excludes."""
-    lines = []
     if found.ridges_beyond and found.sheets_how == "found":
-        lines.append(
+        yield (
             "a ridge beyond the outermost sheet is left out"
             + " on both sides" * (found.ridges_beyond > 1)
             + ": if it is a sheet, the axis and n change: look at overview.png, and give the number of sheets"
             " (`sheets`), or `frames` in which all of them are apart"
         )
     elif found.ridges_beyond:
-        lines.append(
+        yield (
             f"{found.ridges_beyond} more ridges continue the comb of the {found.sheets} sheets or lie between"
             f" them, and would change every n: give `sheets` as {found.sheets + found.ridges_beyond} or leave"
             " it out"
@@ -496,18 +494,17 @@ def _comb_warnings(tracks: xr.Dataset, found: TrackMetadata, settings: CheckSett
     odd = (snr < 0.1 * nan_median(snr)) | (share < 0.25) | wide | _stationary_ends(tracks, settings)
     if (weak := np.flatnonzero(odd)).size and found.sheets > 1:
         which = _first(weak.tolist(), 6)
-        lines.append(
+        yield (
             f"{len(weak)} of {found.sheets} sheets (index {which}) may be something else (little contrast,"
             " found in few frames, far wider than the others, or still at the comb's end): restrict `columns`"
             " or give `sheets`"
         )
     if not _motion_allows_axis(tracks, found):
-        lines.append(
+        yield (
             f"the axis at {found.axis_px:.0f} px is outside the range that the motion allows"
             f" ({found.axis_low_px:.0f} to {found.axis_high_px:.0f} px): check `axis_px`, and whether both"
             " sides are in view"
         )
-    return lines
 
 
 def _stationary_ends(tracks: xr.Dataset, settings: CheckSettings) -> Bools:

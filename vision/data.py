@@ -20,7 +20,7 @@ import pandas as pd
 import xarray as xr
 
 from vision.errors import InputError, check_within
-from vision.numeric import Bools
+from vision.numeric import Bools, Floats, Floats32, Ints
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -214,6 +214,19 @@ STRIP = Schema(
     needs=("frame", "x", "time_s"),
     kind=xr.DataArray,
 )
+
+
+def strip_of(
+    intensity: Floats32, *, frame: Ints, first_x: int, time_s: Floats, status: Any, attrs: Mapping[str, Any]
+) -> xr.DataArray:
+    """Return I(x, t), (frame, x), as `STRIP` declares it.  first_x: number of the leftmost column."""
+    columns = np.arange(first_x, first_x + intensity.shape[1], dtype=np.int64)
+    along = {"frame": frame, "time_s": time_s, "status": status}
+    coords = {name: ("frame", values, STRIP[name].attrs) for name, values in along.items()}
+    coords["x"] = ("x", columns, STRIP["x"].attrs)
+    declared = STRIP["intensity"].attrs
+    attrs = {**declared, **attrs, **declared}
+    return xr.DataArray(intensity, dims=("frame", "x"), coords=coords, name="intensity", attrs=attrs)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,7 +22,9 @@ from vision.certify.encoder import read_encoder
 from vision.certify.likeness import find_slips, learn, own_time
 from vision.certify.page import certificate_figure
 from vision.errors import InputError
-from vision.experiment import frame_blocks, make_scene, preset, profiles, with_settings
+from vision.experiment import preset, profiles, with_settings
+from vision.experiment.scene import make_scene
+from vision.experiment.simulate import frame_blocks
 from vision.pipeline import Settings, analyse
 from vision.run.reading import read_json
 from vision.sheets import track_sheets

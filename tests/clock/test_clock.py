@@ -10,8 +10,8 @@ import xarray as xr
 from tests.scenes.slip_trains import as_tracks, sawtooth, slip_sizes, slip_times, sticks_of, tracks
 from vision.clock import Clock, force_slips, synchronise, video_slips
 from vision.errors import InputError
-from vision.experiment import force_recording, preset, truth_of, with_settings, write_force
-from vision.experiment.scene import make_scene
+from vision.experiment import force_recording, preset, with_settings, write_force
+from vision.experiment.scene import make_scene, truth_of
 from vision.folder import plain
 from vision.force import find_stick_slip
 from vision.force.recording import read_force

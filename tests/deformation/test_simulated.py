@@ -8,16 +8,9 @@ import pytest
 
 from tests.scenes.degraded import write_h264
 from vision.deformation import horizontal_deformation
-from vision.experiment import (
-    force_recording,
-    frame_blocks,
-    make_scene,
-    preset,
-    profiles,
-    with_settings,
-    write_force,
-)
-from vision.experiment.scene import truth_of
+from vision.experiment import force_recording, preset, profiles, with_settings, write_force
+from vision.experiment.scene import make_scene, truth_of
+from vision.experiment.simulate import frame_blocks
 from vision.force import find_stick_slip
 from vision.force.recording import read_force
 from vision.sheets.tracks import track_sheets

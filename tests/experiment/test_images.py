@@ -5,17 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vision.experiment import (
-    Camera,
-    Experiment,
-    Mechanics,
-    Optics,
-    Sheets,
-    frame_blocks,
-    make_scene,
-    profiles,
-)
-from vision.experiment.simulate import electrons_per_level, grey_levels
+from vision.experiment import Experiment, profiles
+from vision.experiment.scene import make_scene
+from vision.experiment.settings import Camera, Mechanics, Optics, Sheets
+from vision.experiment.simulate import electrons_per_level, frame_blocks, grey_levels
 
 PLAIN = Optics(contrast_spread=0, gradient=0, texture=0, flicker=0, tilt_deg=0)
 WIDE = Sheets(count=8, pitch_px=70, bow_px=0)

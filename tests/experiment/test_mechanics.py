@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vision.experiment import Clocks, Experiment, Mechanics, Sheets, simulate_pull
+from vision.experiment import Experiment, simulate_pull
 from vision.experiment.mechanics import comb_at_rest, sheet_motion
+from vision.experiment.settings import Clocks, Mechanics, Sheets
 from vision.models import equations as eq
 from vision.sample import Sample
 

@@ -6,7 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vision.experiment import Camera, Experiment, Optics, frame_blocks, make_scene, profiles
+from vision.experiment import Experiment, profiles
+from vision.experiment.scene import make_scene
+from vision.experiment.settings import Camera, Optics
+from vision.experiment.simulate import frame_blocks
 
 SHORT = Experiment(camera=Camera(duration_s=0.5, height=20, width=1200))
 

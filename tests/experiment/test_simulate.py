@@ -8,15 +8,9 @@ import xarray as xr
 
 from tests.scenes.experiments import SMALL
 from vision.errors import InputError
-from vision.experiment import (
-    force_recording,
-    frame_blocks,
-    make_scene,
-    preset,
-    simulate,
-    simulate_pull,
-    with_settings,
-)
+from vision.experiment import force_recording, preset, simulate, simulate_pull, with_settings
+from vision.experiment.scene import make_scene
+from vision.experiment.simulate import frame_blocks
 from vision.force.recording import read_force
 from vision.video import open_video
 

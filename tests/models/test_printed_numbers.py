@@ -8,7 +8,8 @@ import pytest
 
 from tests.scenes.sawtooth import recording
 from tests.scenes.single_sheets import DiscTest
-from vision.experiment import Mechanics, simulate_pull
+from vision.experiment import simulate_pull
+from vision.experiment.settings import Mechanics
 from vision.models import equations, fit_models
 from vision.models.single_fits import fit_drops, fit_peaks, fit_weighted, with_friction
 from vision.sample import PUBLISHED, Sample

@@ -10,8 +10,9 @@ import numpy as np
 
 from vision.clock import Clock
 from vision.deformation import horizontal_deformation
-from vision.experiment import Camera, Experiment, force_recording, profiles, write_force
+from vision.experiment import Experiment, force_recording, profiles, write_force
 from vision.experiment.scene import make_scene
+from vision.experiment.settings import Camera
 from vision.figures import Results
 from vision.force import find_stick_slip
 from vision.force.recording import read_force

@@ -20,7 +20,9 @@ import xarray as xr
 from scipy.ndimage import gaussian_filter1d
 
 from tests.scenes.films import write_encoded
-from vision.experiment import frame_blocks, make_scene, preset, with_settings
+from vision.experiment import preset, with_settings
+from vision.experiment.scene import make_scene
+from vision.experiment.simulate import frame_blocks
 from vision.numeric import Floats, Pixels
 from vision.sheets import track_sheets
 from vision.video import open_video, strip_profile

@@ -7,7 +7,8 @@ import pandas as pd
 import xarray as xr
 
 from tests.scenes.sawtooth import recording
-from vision.experiment import Mechanics, simulate_pull
+from vision.experiment import simulate_pull
+from vision.experiment.settings import Mechanics
 from vision.models import equations, fit_models
 from vision.sample import Sample
 

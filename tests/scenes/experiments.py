@@ -1,6 +1,7 @@
 """Small synthetic tests that several tests share."""
 
-from vision.experiment import Camera, Clocks, Experiment, Mechanics, Sheets
+from vision.experiment import Experiment
+from vision.experiment.settings import Camera, Clocks, Mechanics, Sheets
 
 SMALL = Experiment(
     camera=Camera(width=322, height=20, duration_s=0.4),

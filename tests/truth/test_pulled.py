@@ -7,7 +7,8 @@ import pytest
 
 import vision
 from vision.errors import InputError
-from vision.experiment import Camera, Experiment, profiles, simulate, with_settings
+from vision.experiment import Experiment, profiles, simulate, with_settings
+from vision.experiment.settings import Camera
 
 
 @pytest.fixture(scope="module")

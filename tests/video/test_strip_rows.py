@@ -7,7 +7,8 @@ import pytest
 import xarray as xr
 
 from tests.video.test_strip_find import Scene
-from vision.experiment import Camera, Experiment, Sheets, simulate
+from vision.experiment import Experiment, simulate
+from vision.experiment.settings import Camera, Sheets
 from vision.sheets import track_sheets
 from vision.video import find_strip, measure_strip, open_video, strip_profile
 from vision.video.settings import VideoSettings

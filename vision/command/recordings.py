@@ -62,7 +62,7 @@ from vision.models.modulus import (
     summarise_modulus,
 )
 from vision.models.rheometer import RotationMetadata, read_rheometer
-from vision.numeric import with_minus
+from vision.numeric import number, with_minus
 from vision.pipeline import analyse
 from vision.run.reading import check_results
 from vision.run.writing import results_folder, write_run
@@ -121,12 +121,10 @@ def modulus(
     columns = parse_columns(options.force_columns) if options.force_columns else None
     with known_as(columns="force_columns"):
         force = read_force(file, columns=columns)
-    size: dict[str, Any] = {}
-    sheet_err: dict[str, float] = {}
-    for name in ("thickness", "width", "length"):
-        size[f"{name}_mm"], error = parse_with_error(getattr(options, name), flag_of(name))
-        if error is not None:
-            sheet_err[f"{name}_mm"] = error
+    names = ("thickness", "width", "length")
+    sizes = {f"{name}_mm": parse_with_error(getattr(options, name), flag_of(name)) for name in names}
+    size: dict[str, Any] = {name: value for name, (value, _) in sizes.items()}
+    sheet_err = {name: error for name, (_, error) in sizes.items() if error is not None}
     sheet = Sample(**size)
     cycles = measure_cycles(
         force,
@@ -137,9 +135,8 @@ def modulus(
     )
     means = summarise_modulus(cycles, sheet_err)
     measured = CyclesMetadata.of(cycles)
-    notes, warnings = list(measured.notes), measured.warnings
-    if sheet == PUBLISHED_SHEET:
-        notes.append("sheet of ε = 0.1, W = 45, L = 16.8 mm, the publication's size")
+    published = ["sheet of ε = 0.1, W = 45, L = 16.8 mm, the publication's size"]
+    notes, warnings = [*measured.notes, *published * (sheet == PUBLISHED_SHEET)], measured.warnings
     origin = origin_of([file], parameters_given(options, output))
     content = {
         **means,
@@ -213,7 +210,6 @@ def friction(
     warnings = [
         f"{Path(one.source).name}, {one.measurement}: {line}" for one in measured for line in one.warnings
     ]
-    table = friction_table(measured)
     origin = origin_of([file for file in files if file.is_file()], parameters_given(options, output))
     content: dict[str, Any] = dict.fromkeys(("a", "a_err", "b_N", "b_err_N", "chi2_dof"))
     content |= asdict(law) if law else {}
@@ -223,12 +219,11 @@ def friction(
         "caveat": RIM_CAVEAT,
         "notes": origin.named(notes),
     }
-    facts = origin.facts(failures=failures, warnings=warnings, notes=[*notes, RIM_CAVEAT]) | {
-        "measurements": len(measured)
-    }
+    facts = origin.facts(failures=failures, warnings=warnings, notes=[*notes, RIM_CAVEAT])
+    facts |= {"measurements": len(measured)}
     figure = friction_figure(measured, law, mu=options.mu, dynamic_deg=settings.dynamic_deg)
     with results_folder(target, facts, started=started, overwrite=output.overwrite) as folder:
-        _write(folder, "friction", table, figure, content)
+        _write(folder, "friction", friction_table(measured), figure, content)
     if law is None:
         complain(note)
     count = f"{counted(len(measured), 'measurement')} of {counted(len(files), 'file')}"
@@ -302,13 +297,10 @@ def _loads(text: str | None, files: int) -> list[float | None]:
     """Return the normal force typed for each file, None to take the recorded one.  Raises: InputError."""
     if text is None:
         return [None] * files
-    try:
-        loads: list[float | None] = [float(part) for part in text.split(",")]
-    except ValueError:
-        loads = []
-    if len(loads) not in (1, files) or not all(load is not None and 0 < load < 1e9 for load in loads):
+    loads = [number(part) for part in text.split(",")]
+    if len(loads) not in (1, files) or not all(0 < load < 1e9 for load in loads):
         raise InputError("--normal-force", f"one positive number, or {files} with commas", f"'{text}'")
-    return loads * files if len(loads) == 1 else loads
+    return [*loads] * (files // len(loads))
 
 
 # --- a synthetic test ---------------------------------------------------------------------------------------

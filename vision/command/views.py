@@ -52,8 +52,7 @@ from vision.run.tables import frame_step_s, unevenness_s, write_space_time_tif
 from vision.run.writing import results_folder
 from vision.spacetime import Sheet, space_time
 from vision.summary import aligned
-from vision.video import Video, strip_profile, video_files
-from vision.video.strip_find import choose_strip
+from vision.video import Video, find_strip, measure_strip, strip_profile, video_files
 
 DIAGRAMS = "diagrams"  # key in run.json that distinguishes a folder of diagrams from a run
 
@@ -100,7 +99,9 @@ def preview(
 def make_preview(path: Path, settings: Settings) -> tuple[Video, Analysis]:
     """Return a film, and the analysis of its first frames.  Raises: InputError as `track` does."""
     film = open_recording(path, settings)
-    chosen = choose_strip(film, settings.rows, columns=settings.columns, settings=settings.tuning.video)
+    how: dict[str, Any] = {"columns": settings.columns, "settings": settings.tuning.video}
+    rows = settings.rows
+    chosen = find_strip(film, **how) if rows is None else measure_strip(film, rows, **how)
     count = min(24, film.estimated or 24)  # 24 frames give the scatter of a position to one seventh
     first = slice(film.first, film.first + count)
     # Corrections are about frames that are not tracked here.

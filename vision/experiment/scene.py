@@ -121,47 +121,6 @@ def _light_per_cell(positions_px: Floats, brightness: Floats, ridges: RidgeAppea
     return np.asarray(total[: frames * cells].reshape(frames, cells))
 
 
-# --- from sheets to pixels ----------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Geometry:
-    """The constant map from sheet coordinates to pixels."""
-
-    experiment: Experiment
-    comb: RestingComb
-
-    @property
-    def tilt(self) -> float:
-        """Columns by which a ridge shifts from row to row."""
-        return float(np.tan(np.radians(self.experiment.optics.tilt_deg)))
-
-    @property
-    def zeta_px(self) -> Floats:
-        """ζ of every row."""
-        height = self.experiment.camera.height
-        return np.arange(height, dtype=float) - (height - 1) / 2
-
-    def shift_px(self, x_px: Floats, zeta_px: Floats, zeta2_px2: Floats | None = None) -> Floats:
-        """Return s(x, z) in px, a polynomial in ζ: means of ζ and ζ² over rows give the mean shift."""
-        camera, axis_px = self.experiment.camera, self.comb.axis_px
-        half_comb_px = float(np.max(np.abs(self.comb.rest_px - axis_px))) or 1.0
-        z2 = zeta_px**2 if zeta2_px2 is None else zeta2_px2
-        out = np.clip((x_px - axis_px) / half_comb_px, -1.5, 1.5)
-        bowed = -self.experiment.sheets.bow_px * out * np.abs(out) * z2 / (camera.height / 2) ** 2
-        off = x_px - (camera.width - 1) / 2
-        corner2 = (camera.width / 2) ** 2 + (camera.height / 2) ** 2
-        lens = self.experiment.optics.distortion * off * (off**2 + z2) / corner2
-        return np.asarray(self.tilt * zeta_px + bowed + lens)
-
-    def source_px(self, x_px: Floats, zeta_px: Floats) -> Floats:
-        """Return the inverse: the x that appears at pixel coordinate x_px of a row."""
-        source = np.broadcast_to(x_px, np.broadcast_shapes(x_px.shape, zeta_px.shape)).astype(float)
-        for _ in range(12):  # each step reduces the error to a few per cent or less
-            source = x_px - self.shift_px(source, zeta_px)
-        return source
-
-
 # --- the camera's clock -------------------------------------------------------------------------------------
 
 
@@ -226,7 +185,6 @@ class Scene:
     comb: RestingComb
     motion: SheetMotion
     ridges: RidgeAppearance
-    geometry: Geometry
     times: FrameTimes
 
     # Positions
@@ -257,9 +215,41 @@ class Scene:
         Rows are weighted with their light.
         """
         rows, x_px = strip_slice(self.experiment), self.positions_px(frames)[0]
-        zeta, weight = self.geometry.zeta_px[rows], self.row_light[rows]
+        zeta, weight = self.zeta_px[rows], self.row_light[rows]
         first, second = np.average(zeta, weights=weight), np.average(zeta**2, weights=weight)
-        return np.asarray(x_px + self.geometry.shift_px(x_px, np.asarray(first), np.asarray(second)))
+        return np.asarray(x_px + self.shift_px(x_px, np.asarray(first), np.asarray(second)))
+
+    # The map from sheet coordinates to pixels
+
+    @property
+    def tilt(self) -> float:
+        """Columns by which a ridge shifts from row to row."""
+        return float(np.tan(np.radians(self.experiment.optics.tilt_deg)))
+
+    @property
+    def zeta_px(self) -> Floats:
+        """ζ of every row."""
+        height = self.experiment.camera.height
+        return np.arange(height, dtype=float) - (height - 1) / 2
+
+    def shift_px(self, x_px: Floats, zeta_px: Floats, zeta2_px2: Floats | None = None) -> Floats:
+        """Return s(x, z) in px, a polynomial in ζ: means of ζ and ζ² over rows give the mean shift."""
+        camera, axis_px = self.experiment.camera, self.comb.axis_px
+        half_comb_px = float(np.max(np.abs(self.comb.rest_px - axis_px))) or 1.0
+        z2 = zeta_px**2 if zeta2_px2 is None else zeta2_px2
+        out = np.clip((x_px - axis_px) / half_comb_px, -1.5, 1.5)
+        bowed = -self.experiment.sheets.bow_px * out * np.abs(out) * z2 / (camera.height / 2) ** 2
+        off = x_px - (camera.width - 1) / 2
+        corner2 = (camera.width / 2) ** 2 + (camera.height / 2) ** 2
+        lens = self.experiment.optics.distortion * off * (off**2 + z2) / corner2
+        return np.asarray(self.tilt * zeta_px + bowed + lens)
+
+    def source_px(self, x_px: Floats, zeta_px: Floats) -> Floats:
+        """Return the inverse: the x that appears at pixel coordinate x_px of a row."""
+        source = np.broadcast_to(x_px, np.broadcast_shapes(x_px.shape, zeta_px.shape)).astype(float)
+        for _ in range(12):  # each step reduces the error to a few per cent or less
+            source = x_px - self.shift_px(source, zeta_px)
+        return source
 
     # Light
 
@@ -267,7 +257,7 @@ class Scene:
     def row_light(self) -> Floats:
         """Relative light of every row; its gradient is half that along x."""
         camera, gradient = self.experiment.camera, self.experiment.optics.gradient
-        return 1 + gradient / 2 * self.geometry.zeta_px / camera.height
+        return 1 + gradient / 2 * self.zeta_px / camera.height
 
     def flicker(self, frames: slice) -> Floats:
         """Return the brightness factor of each frame: the flicker averaged over the exposure."""
@@ -279,7 +269,7 @@ class Scene:
     @cached_property
     def line(self) -> Line:
         """Line of cells, wider than the frame by the largest shift due to tilt, bow and distortion."""
-        camera, tilt = self.experiment.camera, self.geometry.tilt
+        camera, tilt = self.experiment.camera, self.tilt
         bow_px, distortion = self.experiment.sheets.bow_px, self.experiment.optics.distortion
         if not (tilt or bow_px or distortion):  # all rows show the same positions
             return Line(start_px=-0.5, per_px=1, cells=camera.width)
@@ -385,7 +375,6 @@ def make_scene(experiment: Experiment) -> Scene:
         comb=comb,
         motion=motion,
         ridges=_ridge_appearance(experiment),
-        geometry=Geometry(experiment, comb),
         times=frame_times(experiment),
     )
 

@@ -23,7 +23,7 @@ import tifffile
 import xarray as xr
 from scipy.sparse import coo_array, csr_array
 
-from vision.data import STRIP, StripMetadata, record
+from vision.data import StripMetadata, record, strip_of
 from vision.errors import InputError, known_as
 from vision.experiment.mechanics import Pull, random_stream
 from vision.experiment.scene import FrameTimes, Scene, camera_time, make_scene, strip_slice, truth_of
@@ -79,62 +79,48 @@ def frame_blocks(scene: Scene) -> Iterator[Pixels]:
     A block has a few million pixels; at most four of them exist at a time. Every frame has its own stream of
     random numbers, so the data depend neither on the blocks nor on the threads.
     """
-    camera, total = scene.experiment.camera, len(scene.times.camera_s)
-    step = int(np.clip(4_000_000 // (camera.width * camera.height), 1, 32))
-    spans = (slice(first, min(first + step, total)) for first in range(0, total, step))
-    return in_threads(_Painter(scene).block, spans, held=4)
+    experiment, camera, total = scene.experiment, scene.experiment.camera, len(scene.times.camera_s)
+    column = np.arange(camera.width + 1.0)
+    cell = _cell_of(scene, column - 0.5)
+    edge_cell = np.floor(cell).astype(np.int32)
+    edge_share = np.asarray(cell - edge_cell, np.float32)
+    centre_cell = _cell_of(scene, column[:-1]).astype(np.int32)
 
+    def seen(light: Floats) -> Floats32:
+        """Return the light per pixel (row, column): cumulative light at its right minus left edge."""
+        at_edges = np.concatenate([[0.0], np.cumsum(light)])[edge_cell]
+        at_edges += edge_share * light.astype(np.float32)[edge_cell]
+        return np.asarray(np.diff(at_edges, axis=1), np.float32)
 
-class _Painter:
-    """Draws blocks of frames of one scene; safe to use from several threads."""
+    # Cached properties are computed before threads start, which is not thread-safe.
+    base, response, _ = seen(scene.base), scene.response, scene.texture(slice(0, 1))
 
-    def __init__(self, scene: Scene) -> None:
-        self.scene = scene
-        column = np.arange(scene.experiment.camera.width + 1.0)
-        cell = _cell_of(scene, column - 0.5)
-        self.edge_cell = np.floor(cell).astype(np.int32)
-        self.edge_share = np.asarray(cell - self.edge_cell, np.float32)
-        self.centre_cell = _cell_of(scene, column[:-1]).astype(np.int32)
-        self.base = self._seen(scene.base)
-        # Cached properties are computed before threads start, which is not thread-safe.
-        self.response = scene.response
-        scene.texture(slice(0, 1))
-
-    def block(self, frames: slice) -> Pixels:
-        scene = self.scene
-        light, flicker = scene.ridge_light(frames), scene.flicker(frames)
-        texture = scene.texture(frames).astype(np.float32)
-        owners = _owners(scene, frames)
-        drawn = [
-            self._frame(light[i], texture[i], owners[i], float(flicker[i]), frames.start + i)
-            for i in range(frames.stop - frames.start)
-        ]
-        return np.stack(drawn)
-
-    def _frame(self, light: Floats, texture: Floats32, owner: Ints, flicker: float, number: int) -> Pixels:
+    def drawn(light: Floats, texture: Floats32, owner: Ints, flicker: float, number: int) -> Pixels:
         """Draw one frame from the ridges' light per cell, the texture (row, sheet) and each cell's sheet."""
-        ridges = self._seen(light)
-        factor = np.take_along_axis(texture, owner[self.centre_cell], axis=1)
+        ridges = seen(light)
+        factor = np.take_along_axis(texture, owner[centre_cell], axis=1)
         factor += 1
         ridges *= factor
-        ridges += self.base
-        ridges *= self.response
+        ridges += base
+        ridges *= response
         ridges *= np.float32(flicker)
-        rng = random_stream(self.scene.experiment.seed, "sensor", number)
-        return grey_levels(ridges, self.scene.experiment.camera, rng)
+        return grey_levels(ridges, camera, random_stream(experiment.seed, "sensor", number))
 
-    def _seen(self, light: Floats) -> Floats32:
-        """Return the light per pixel (row, column): cumulative light at its right minus left edge."""
-        up_to = np.concatenate([[0.0], np.cumsum(light)])
-        at_edges = up_to[self.edge_cell]
-        at_edges += self.edge_share * light.astype(np.float32)[self.edge_cell]
-        return np.asarray(np.diff(at_edges, axis=1), np.float32)
+    def block(frames: slice) -> Pixels:
+        textures = scene.texture(frames).astype(np.float32)
+        parts = scene.ridge_light(frames), textures, _owners(scene, frames), scene.flicker(frames).tolist()
+        each = zip(*parts, range(frames.start, frames.stop), strict=True)
+        return np.stack([drawn(*one) for one in each])
+
+    step = int(np.clip(4_000_000 // (camera.width * camera.height), 1, 32))
+    spans = (slice(first, min(first + step, total)) for first in range(0, total, step))
+    return in_threads(block, spans, held=4)
 
 
 def _cell_of(scene: Scene, x_px: Floats) -> Floats:
     """Return the position on the line of cells, (row, column), of pixel coordinates x_px in every row."""
     line = scene.line
-    at = (scene.geometry.source_px(x_px, scene.geometry.zeta_px[:, None]) - line.start_px) * line.per_px
+    at = (scene.source_px(x_px, scene.zeta_px[:, None]) - line.start_px) * line.per_px
     return np.asarray(np.clip(at, 0, line.cells - 1e-9))
 
 
@@ -196,18 +182,6 @@ def _row_average(scene: Scene) -> csr_array:
 def _as_strip(intensity: Floats32, scene: Scene) -> xr.DataArray:
     """Return the strip with the coordinates and metadata that `strip_profile` gives it."""
     experiment, rows, kept = scene.experiment, strip_slice(scene.experiment), len(intensity)
-    strip = xr.DataArray(
-        intensity,
-        dims=("frame", "x"),
-        coords={
-            "frame": np.arange(kept, dtype=np.int64),
-            "x": np.arange(intensity.shape[1], dtype=np.int64),
-            "time_s": ("frame", scene.times.stamp_s, STRIP["time_s"].attrs),
-            "status": ("frame", np.full(kept, "ok")),
-        },
-        name="intensity",
-        attrs=STRIP["intensity"].attrs,
-    )
     metadata = StripMetadata(
         source="synthetic",
         depth_bits=experiment.camera.bits,
@@ -220,7 +194,15 @@ def _as_strip(intensity: Floats32, scene: Scene) -> xr.DataArray:
         frames_expected=kept,
         frames_read=kept,
     )
-    return record(strip.assign_attrs(metadata.attrs()), "profiles", **asdict(experiment))
+    strip = strip_of(
+        intensity,
+        frame=np.arange(kept, dtype=np.int64),
+        first_x=0,
+        time_s=scene.times.stamp_s,
+        status=np.full(kept, "ok"),
+        attrs=metadata.attrs(),
+    )
+    return record(strip, "profiles", **asdict(experiment))
 
 
 # --- a test and its files -----------------------------------------------------------------------------------
@@ -349,72 +331,42 @@ def _rounded(values: Floats, step: float) -> Floats:
 
 
 def write_force(path: Path, recording: pd.DataFrame, style: ForceFile) -> None:
-    """Write a recording in the layout, units, decimal mark and encoding of `style`."""
-    data = recording.copy()
-    if style.unit == "kN":
-        data["load_N"] /= 1000
-    text = _LAYOUTS[style.layout](data, style)
+    """Write a recording in the layout, units, decimal mark and encoding of `style`, with ten digits.
+
+    "mts": an MTS TestSuite export, with tabs, names with trailing spaces and a trailing tab in the header.
+    "instron": Instron Bluehill's quoted numbers or, with decimal commas, semicolons and no quotes.
+    "zwick": a .TRA file with French names.  "csv": a plain table with units in brackets after the names.
+    """
+    comma, unit, quote = style.decimal == ",", style.unit, ""
+    separator, order = ";" if comma else ",", ["time_s", "crosshead_mm", "load_N"]
+    head: list[Sequence[str]] = [["time (s)", "displacement (mm)", f"force ({unit})"]]
+    if style.layout == "mts":
+        separator, order = "\t", ["crosshead_mm", "load_N", "time_s"] + ["video_time_s"] * style.video_time
+        names = ["Crosshead ", "Load ", "Time ", *["Video Time "] * style.video_time, ""]
+        head = [*([line] for line in _MTS_HEAD), names, ["mm", unit, "sec", *["sec"] * style.video_time]]
+    elif style.layout == "instron":
+        names = ["Time", "Displacement", "Force"] if comma else ["Time", "Extension", "Load"]
+        head, quote = [names, ["(s)", "(mm)", f"({unit})"]], "" if comma else '"'
+    elif style.layout == "zwick":
+        names = ['"Temps"', '"Traverse absolue"', '"Force standard"']
+        head = [['"Épaisseur éprouvette"', "1", '"mm"'], names, ['"s"', '"mm"', f'"{unit}"']]
+    data = recording.assign(load_N=recording["load_N"] / (1000 if unit == "kN" else 1))
+    columns = [
+        [quote + f"{value:.10g}".replace(".", style.decimal) + quote for value in data[name]]
+        for name in order
+    ]
+    text = "".join(separator.join(cells) + "\r\n" for cells in (*head, *zip(*columns, strict=True)))
     path.write_bytes(text.encode(style.encoding))
 
 
-def _rows(
-    data: pd.DataFrame,
-    style: ForceFile,
-    *head: Sequence[str],
-    order: Sequence[str] = ("time_s", "crosshead_mm", "load_N"),
-    separator: str = "",
-    quote: str = "",
-) -> str:
-    """Format header and table, with ten digits and the style's decimal mark, as lines that end with CRLF."""
-    comma = separator or (";" if style.decimal == "," else ",")
-    columns = [
-        data[name].map(lambda v: quote + f"{v:.10g}".replace(".", style.decimal) + quote) for name in order
-    ]
-    return "".join(comma.join(cells) + "\r\n" for cells in (*head, *zip(*columns, strict=True)))
-
-
-def _mts(data: pd.DataFrame, style: ForceFile) -> str:
-    """Format as an MTS TestSuite export: tabs, names with trailing spaces, a trailing tab in the header."""
-    video = style.video_time
-    about = [
-        r"File Path: C:\MTS\synthetic\DAQ- Crosshead, Load, Time - (Timed).txt",
-        "Test: MTS EM Tension (Simplified)",
-        "Test Run: synthetic",
-        "Date: 1/10/2022 12:52:17 PM",
-        "",
-        "",
-    ]
-    names = ["Crosshead ", "Load ", "Time ", *(["Video Time "] if video else []), ""]
-    units = ["mm", style.unit, "sec", *(["sec"] if video else [])]
-    order = ["crosshead_mm", "load_N", "time_s", *(["video_time_s"] if video else [])]
-    return _rows(data, style, *([line] for line in about), names, units, order=order, separator="\t")
-
-
-def _instron(data: pd.DataFrame, style: ForceFile) -> str:
-    """Format as Instron Bluehill does: quoted numbers or, with decimal commas, semicolons and no quotes."""
-    comma = style.decimal == ","
-    names = ("Time", "Displacement", "Force") if comma else ("Time", "Extension", "Load")
-    return _rows(data, style, names, ("(s)", "(mm)", f"({style.unit})"), quote="" if comma else '"')
-
-
-def _zwick(data: pd.DataFrame, style: ForceFile) -> str:
-    """Format as a Zwick .TRA file with French names."""
-    names = ('"Temps"', '"Traverse absolue"', '"Force standard"')
-    head = ('"Épaisseur éprouvette"', "1", '"mm"')
-    return _rows(data, style, head, names, ('"s"', '"mm"', f'"{style.unit}"'))
-
-
-def _csv(data: pd.DataFrame, style: ForceFile) -> str:
-    """Format as a plain table with units in brackets after the names."""
-    return _rows(data, style, ("time (s)", "displacement (mm)", f"force ({style.unit})"))
-
-
-_LAYOUTS: dict[str, Callable[[pd.DataFrame, ForceFile], str]] = {
-    "mts": _mts,
-    "instron": _instron,
-    "zwick": _zwick,
-    "csv": _csv,
-}
+_MTS_HEAD = (
+    r"File Path: C:\MTS\synthetic\DAQ- Crosshead, Load, Time - (Timed).txt",
+    "Test: MTS EM Tension (Simplified)",
+    "Test Run: synthetic",
+    "Date: 1/10/2022 12:52:17 PM",
+    "",
+    "",
+)
 
 
 # --- video --------------------------------------------------------------------------------------------------

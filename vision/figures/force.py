@@ -340,15 +340,15 @@ def stiffness_residuals_figure(sticks: pd.DataFrame, fits: ModelFits, *, unit: s
 
     unit: of the load, "1" for a force over a weight.
     """
-    sticks = with_fitted_stiffness(sticks)
-    measured = _points(sticks, "d_v_mm", "K_N_per_mm", "K", DATA, error="K_err_N_per_mm")
-    if not measured.x.size or measured.low is None or measured.high is None:
+    names = ["d_v_mm", "K_N_per_mm", "K_err_N_per_mm"]
+    events = _complete(with_fitted_stiffness(sticks)).dropna(subset=names[:2]).sort_values(names[0])
+    if events.empty:
         return None
-    residual = measured.y - fits.stiffness_N_per_mm(measured.x)
-    points = Series.points("K − M_eff K_eff", measured.x, residual, DATA, measured.high - measured.y)
-    line = Series(label="", x=measured.x, y=np.zeros(measured.x.size), ink=MODEL, dashed=True)
-    ends = np.abs(points.y) + measured.high - measured.y  # of the error bars
-    reach = 1.05 * float(np.nanquantile(ends, 0.98)) or 1.0
+    d, k, error = (events[name].to_numpy(float) for name in names)
+    residual = k - fits.stiffness_N_per_mm(d)
+    points = Series.points("K − M_eff K_eff", d, residual, DATA, error)
+    line = Series(label="", x=d, y=np.zeros(d.size), ink=MODEL, dashed=True)
+    reach = 1.05 * float(np.nanquantile(np.abs(residual) + error, 0.98)) or 1.0  # the ends of error bars
     panel = Panel(
         x_label=VALLEY_SEPARATION,
         y_label=_stiffness_label("K − model", unit),

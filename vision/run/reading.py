@@ -21,7 +21,7 @@ import xarray as xr
 
 import vision
 from vision.clock import Candidate, Clock
-from vision.data import TRACKS, StripMetadata, TrackMetadata
+from vision.data import TRACKS, StripMetadata, TrackMetadata, strip_of
 from vision.errors import InputError
 from vision.files import AGAIN, READ_HDF5, reading, shortened, try_out
 from vision.folder import (
@@ -205,17 +205,13 @@ def read_strip(run: RunFolder) -> xr.DataArray:
     start = str(run.value("columns") or "").partition(":")[0].strip()
     first = int(start) if start.isdigit() else 0
     flags = tracks["flag"].values[:, 0]
-    return xr.DataArray(
+    return strip_of(
         values,
-        dims=("frame", "x"),
-        coords={
-            "frame": tracks["frame"].values,
-            "x": np.arange(first, first + values.shape[1], dtype=np.int64),
-            "time_s": ("frame", tracks["time_s"].values, {"units": "s"}),
-            "status": ("frame", np.where(np.isfinite(values[:, 0]), "ok", flags)),
-        },
-        name="intensity",
-        attrs=tracks.attrs | {"units": "grey level", "long_name": "mean intensity of the strip"},
+        frame=tracks["frame"].values,
+        first_x=first,
+        time_s=tracks["time_s"].values,
+        status=np.where(np.isfinite(values[:, 0]), "ok", flags),
+        attrs=tracks.attrs,
     )
 
 

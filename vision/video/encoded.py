@@ -74,15 +74,13 @@ class EncodedReader:
     @classmethod
     def of(cls, path: Path) -> EncodedReader:
         """Open a file and decode its first frame; InputError if nothing in it can be decoded."""
-        with open_container(path) as container:
-            stream = _video_stream(container, path)
+        with _video_stream(path) as stream:
             stream.thread_type = "NONE"  # with threads FFmpeg decodes several frames before it returns one
             stream.codec_context.options = EXPORT_QUANTISERS
-            first = _first_frame(container, stream, path)
-            warnings = []
+            first, kind, warnings = _first_frame(stream, path), stream.container.format.name, []
             if _ends_early(path):
                 warnings.append(f"{path.name}: the file was cut short; its last frames are missing")
-            if container.format.name in _RAW and path.suffix.lower() in _CONTAINERS:
+            if kind in _RAW and path.suffix.lower() in _CONTAINERS:
                 what = "the beginning of the file is missing or damaged, and with it the header"
                 why = "earlier frames and the frame rate are lost: copy the file again, or give `fps`"
                 warnings.append(f"{path.name}: {what}; {why}")
@@ -90,14 +88,14 @@ class EncodedReader:
                 what = "odd and even rows are half a frame apart, which blurs moving ridges"
                 warnings.append(f"{path.name}: the film is interlaced: {what}")
             size = path.stat().st_size
-            facts = _facts(container, stream, first, size)
-            step = _quantiser_step(container, stream, facts.codec)
+            facts = _facts(stream, first, size)
+            step = _quantiser_step(stream, facts.codec)
             facts = replace(facts, quantiser_step=step, warnings=tuple(warnings))
             return cls(
                 path=path,
                 facts=facts,
                 dtype=grey_plane(first).dtype.newbyteorder("="),
-                fixed_rate=stream.average_rate if container.format.name == "avi" else None,
+                fixed_rate=stream.average_rate if kind == "avi" else None,
                 # A dropped frame takes 8 bytes.
                 most_frames=max(facts.frames or 0, size // 8),
             )
@@ -110,12 +108,11 @@ class EncodedReader:
     def sample(self, numbers: Sequence[int]) -> Iterator[Pixels]:
         """Yield the key frame at or before each number, each only once, without decoding other frames."""
         packets: list[av.Packet[av.VideoStream]] = []
-        with open_container(self.path) as container:
-            stream = _video_stream(container, self.path)
+        with _video_stream(self.path) as stream:
             rate = self.facts.playback_fps or 1 / float(stream.time_base or 1)
             for number in numbers:
-                if _enter(container, stream, number / rate, stream.start_time or 0):
-                    packet = next(_video_packets(container, stream))
+                if _enter(stream, number / rate, stream.start_time or 0):
+                    packet = next(_video_packets(stream))
                     seen = [other.pos for other in packets if other.pos is not None]
                     if packet is not None and packet.pos not in seen:
                         packets.append(packet)
@@ -131,12 +128,11 @@ class EncodedReader:
 
         Yield none if the file has no entry there, or no times in the order of display.
         """
-        with open_container(self.path) as container:
-            stream = _video_stream(container, self.path)
+        with _video_stream(self.path) as stream:
             first = stream.start_time or 0
-            if not _enter(container, stream, time_s, 0 if self.facts.times_in_blocks else first):
+            if not _enter(stream, time_s, 0 if self.facts.times_in_blocks else first):
                 return
-            for pts, frame in _decoded(container, stream):
+            for pts, frame in _decoded(stream):
                 if pts is None:
                     return
                 if frame is not None and not frame.is_corrupt:
@@ -145,9 +141,8 @@ class EncodedReader:
     def _frames(self, stop: int | None) -> Iterator[Frame]:
         """Yield every frame number once, in order, up to `stop`."""
         number = 0
-        with open_container(self.path) as container:
-            stream = _video_stream(container, self.path)
-            for pts, decoded in _decoded(container, stream):
+        with _video_stream(self.path) as stream:
+            for pts, decoded in _decoded(stream):
                 for _ in range(self._skipped(pts, number, stream)):
                     yield Frame(None, "lost")
                     number += 1
@@ -189,16 +184,16 @@ class MjpegReader(EncodedReader):
 
     def read(self, start: int, stop: int | None, rows: slice, columns: slice) -> Iterator[Block]:
         """Yield frames in file order; those before `start` are not decoded."""
-        with open_container(self.path) as container:
-            jpegs = itertools.islice(self._jpegs(container), start, stop)
+        with _video_stream(self.path) as stream:
+            jpegs = itertools.islice(self._jpegs(stream), start, stop)
             frames = in_threads(partial(self._decode, rows=rows), jpegs)
             decoded = slice(0, rows.stop - rows.start)
             yield from gather_blocks(frames, start=start, rows=decoded, columns=columns, dtype=np.uint8)
 
-    def _jpegs(self, container: av.container.InputContainer) -> Iterator[tuple[bytes, float | None]]:
+    def _jpegs(self, stream: av.VideoStream) -> Iterator[tuple[bytes, float | None]]:
         """Yield (JPEG, its own time) for every frame number; no bytes for a frame that the camera dropped."""
-        stream, number = _video_stream(container, self.path), 0
-        for packet in _video_packets(container, stream):
+        number = 0
+        for packet in _video_packets(stream):
             if packet is None:
                 return
             for _ in range(self._skipped(packet.pts, number, stream)):
@@ -231,10 +226,9 @@ def open_encoded(path: Path) -> EncodedReader:
     reader = EncodedReader.of(path)
     if reader.facts.codec != "mjpeg" or reader.facts.depth_bits != 8:
         return reader
-    with open_container(path) as container:
-        stream = _video_stream(container, path)
+    with _video_stream(path) as stream:
         stream.thread_type = "NONE"
-        packet = next(_video_packets(container, stream))
+        packet = next(_video_packets(stream))
         fast = None if packet is None else _y_plane(bytes(packet))
         slow = [grey_plane(frame) for frame in _frames_of(packet, stream)]
         if fast is None or not slow or slow[0].shape != fast.shape:
@@ -320,23 +314,25 @@ def open_container(path: Path) -> av.container.InputContainer:
     return container
 
 
-def _video_stream(container: av.container.InputContainer, path: Path) -> av.VideoStream:
-    """Return the video stream, set to decode on all cores; InputError for none or an unknown codec."""
-    if not container.streams.video:
-        raise InputError(path, "a video stream", "none (sound or data only)")
-    stream = container.streams.video[0]
-    if getattr(stream, "codec_context", None) is None:
-        advice = "convert the video to FFV1 or raw AVI"
-        raise InputError(path, "a codec FFmpeg knows", "an unknown one", advice)
-    if stream.codec_context.width and stream.codec_context.height:
-        check_pixels(path, stream.codec_context.height, stream.codec_context.width)
-    stream.thread_type = "AUTO"
-    return stream
+@contextlib.contextmanager
+def _video_stream(path: Path) -> Iterator[av.VideoStream]:
+    """Open a film and yield its video stream, set to decode on all cores; InputError if it has none."""
+    with open_container(path) as container:
+        if not container.streams.video:
+            raise InputError(path, "a video stream", "none (sound or data only)")
+        stream = container.streams.video[0]
+        if getattr(stream, "codec_context", None) is None:
+            advice = "convert the video to FFV1 or raw AVI"
+            raise InputError(path, "a codec FFmpeg knows", "an unknown one", advice)
+        if stream.codec_context.width and stream.codec_context.height:
+            check_pixels(path, stream.codec_context.height, stream.codec_context.width)
+        stream.thread_type = "AUTO"
+        yield stream
 
 
-def _first_frame(container: av.container.InputContainer, stream: av.VideoStream, path: Path) -> av.VideoFrame:
+def _first_frame(stream: av.VideoStream, path: Path) -> av.VideoFrame:
     """Return the first frame that can be decoded; InputError if there is none."""
-    for _, frame in _decoded(container, stream):
+    for _, frame in _decoded(stream):
         if frame is not None:
             return frame
     codec = stream.codec_context.name
@@ -368,11 +364,9 @@ def _vint(data: bytes, at: int) -> tuple[int | None, int]:
     return (value if known else None), at + size
 
 
-def _facts(
-    container: av.container.InputContainer, stream: av.VideoStream, first: av.VideoFrame, size: int
-) -> Facts:
+def _facts(stream: av.VideoStream, first: av.VideoFrame, size: int) -> Facts:
     """Return the facts of a file; it cannot hold more frames than bytes."""
-    rate = stream.average_rate
+    container, rate = cast("av.container.InputContainer", stream.container), stream.average_rate
     kinds = container.format.name.split(",")
     # MP4 has a table with the time of every frame, in which phones write the camera's own: uneven ones
     stamped = "matroska" in kinds or ("mov" in kinds and _is_uneven(stream))
@@ -397,7 +391,7 @@ def _facts(
     )
 
 
-def _quantiser_step(container: av.container.InputContainer, stream: av.VideoStream, codec: str) -> float:
+def _quantiser_step(stream: av.VideoStream, codec: str) -> float:
     """Return the median step, grey levels, of the next frames that are predicted from frames before them.
 
     0 if there are none, or the decoder does not report quantisers. The step is that of a transform that
@@ -406,7 +400,7 @@ def _quantiser_step(container: av.container.InputContainer, stream: av.VideoStre
     if codec not in ("h264", "mpeg4", "mpeg2video", "mpeg1video"):
         return 0.0
     steps = []
-    for _, frame in itertools.islice(_decoded(container, stream), _FRAMES_WITH_STEPS):
+    for _, frame in itertools.islice(_decoded(stream), _FRAMES_WITH_STEPS):
         found = None if frame is None or frame.pict_type != PictureType.P else block_quantisers(frame)
         if found is not None:
             level = float(np.mean(found[1]))
@@ -439,9 +433,7 @@ def _is_uneven(stream: av.VideoStream) -> bool:
     return bool((np.abs(interval - usual) > max(1.5, 0.1 * usual)).any())
 
 
-def _decoded(
-    container: av.container.InputContainer, stream: av.VideoStream
-) -> Iterator[tuple[int | None, av.VideoFrame | None]]:
+def _decoded(stream: av.VideoStream) -> Iterator[tuple[int | None, av.VideoFrame | None]]:
     """Yield (pts, frame) in display order; the frame is None if the decoder never returned it.
 
     A packet failed to decode if a later frame was returned before its own, for every codec and number of
@@ -449,8 +441,8 @@ def _decoded(
     """
     waiting: list[int] = []
     # AVI has only times of decoding, which are wrong if the order of display differs
-    timed = container.format.name != "avi" or not _reorders(stream)
-    for packet in _video_packets(container, stream):
+    timed = stream.container.format.name != "avi" or not _reorders(stream)
+    for packet in _video_packets(stream):
         if timed and packet is not None and packet.pts is not None:
             waiting.append(packet.pts)
         for frame in _frames_of(packet, stream):
@@ -467,10 +459,9 @@ def _reorders(stream: av.VideoStream) -> bool:
     return bool(stream.codec_context.codec.properties & 8)  # AV_CODEC_PROP_REORDER
 
 
-def _video_packets(
-    container: av.container.InputContainer, stream: av.VideoStream
-) -> Iterator[av.Packet[av.VideoStream] | None]:
+def _video_packets(stream: av.VideoStream) -> Iterator[av.Packet[av.VideoStream] | None]:
     """Yield packets until the file ends or breaks off, then None, which flushes the decoder."""
+    container = cast("av.container.InputContainer", stream.container)
     with contextlib.suppress(av.error.FFmpegError, OSError):
         yield from (packet for packet in container.demux(stream) if packet.size)
     yield None
@@ -483,12 +474,12 @@ def _frames_of(packet: av.Packet[av.VideoStream] | None, stream: av.VideoStream)
         return []
 
 
-def _enter(
-    container: av.container.InputContainer, stream: av.VideoStream, time_s: float, origin: int
-) -> bool:
+def _enter(stream: av.VideoStream, time_s: float, origin: int) -> bool:
     """Seek the key frame at or before `time_s` after `origin`; return False if there is no entry."""
     try:
-        container.seek(int(time_s / (stream.time_base or 1)) + origin, stream=stream)
+        cast("av.container.InputContainer", stream.container).seek(
+            int(time_s / (stream.time_base or 1)) + origin, stream=stream
+        )
     except (av.error.FFmpegError, OSError):
         return False
     return True

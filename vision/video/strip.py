@@ -8,12 +8,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import xarray as xr
 
-from vision.data import STRIP, STRIP_PARTS, StripMetadata, changed_settings, record
+from vision.data import STRIP_PARTS, StripMetadata, changed_settings, record, strip_of
 from vision.errors import InputError, check_kind, counted
 from vision.files import Progress, prefetch
 from vision.mapped import give_back, parts_in_turn, put_rows, some_rows, table_in_file
@@ -21,7 +21,7 @@ from vision.numeric import Bools, Floats, Floats32, Pixels, Strings, spread_indi
 from vision.video.follow import Follow, followed
 from vision.video.reader import Block
 from vision.video.settings import VideoSettings
-from vision.video.strip_find import Strip, choose_strip, measure_strip
+from vision.video.strip_find import Strip, find_strip, measure_strip
 from vision.video.times import are_uneven, lost_between, thinned_from, usual_step_s
 from vision.video.video import RANGE, Video, cut
 
@@ -196,7 +196,9 @@ class _Plan:
         x = cut(columns, video.shape[1], what=f"{video.path}: `columns`")
         spans = {"rows": rows, "columns": columns}
         asked = {name: span and [span.start, span.stop] for name, span in spans.items()}
-        return cls(choose_strip(video, rows, columns=x, settings=settings), x, asked, settings)
+        how: dict[str, Any] = {"columns": x, "settings": settings}
+        strip = find_strip(video, **how) if rows is None else measure_strip(video, rows, **how)
+        return cls(strip, x, asked, settings)
 
     @property
     def width(self) -> int:
@@ -209,19 +211,13 @@ class _Plan:
         status[is_blank(intensity, readable, saturation_level=saturated, settings=settings)] = "blank"
         blank_out(intensity, status != "ok")
         columns_differ = equalise_columns(intensity, status == "ok", settings)
-        frames = video.first + first + np.arange(status.size, dtype=np.int64)
-        profile = xr.DataArray(
+        profile = strip_of(
             intensity,
-            dims=("frame", "x"),
-            coords={
-                "frame": ("frame", frames, STRIP["frame"].attrs),
-                "x": ("x", np.arange(self.columns.start, self.columns.stop), STRIP["x"].attrs),
-                "time_s": ("frame", read.times_s, STRIP["time_s"].attrs),
-                "status": ("frame", status, STRIP["status"].attrs),
-            },
-            name="intensity",
-            attrs=STRIP["intensity"].attrs
-            | _metadata(video, self.strip, read, settings, columns_differ).attrs(),
+            frame=video.first + first + np.arange(status.size, dtype=np.int64),
+            first_x=self.columns.start,
+            time_s=read.times_s,
+            status=status,
+            attrs=_metadata(video, self.strip, read, settings, columns_differ).attrs(),
         )
         return record(profile, "strip_profile", **self.asked, settings=changed_settings(settings))
 

@@ -92,19 +92,6 @@ class _Slopes:
         return replace(self, mean=self.mean[bands], difference=self.difference[bands])
 
 
-def choose_strip(
-    video: Video,
-    rows: slice | None,
-    *,
-    columns: slice | None = None,
-    settings: VideoSettings = VideoSettings(),
-) -> Strip:
-    """Return the strip of the given rows, or the one that `find_strip` finds if rows is None."""
-    if rows is None:
-        return find_strip(video, columns=columns, settings=settings)
-    return measure_strip(video, rows, columns=columns, settings=settings)
-
-
 def find_strip(
     video: Video, *, columns: slice | None = None, settings: VideoSettings = VideoSettings()
 ) -> Strip:
