@@ -279,19 +279,30 @@ def test_cut_matroska_is_reported(tmp_path):
     assert "missing" in strip.warnings[0]
 
 
-def test_skipped_frames_in_an_encoded_avi_are_lost(tmp_path):
-    """Failure: frames the camera dropped (empty chunks) shift all later times."""
+def avi_that_skips(tmp_path, drop):
     path = mjpeg(tmp_path / "b.avi", count=8)
     with av.open(str(path)) as file:
         jpegs = [bytes(packet) for packet in file.demux(video=0) if packet.size]
     raw = [np.frombuffer(j, np.uint8) for j in jpegs]
     length = max(map(len, jpegs))
     padded = np.stack([np.pad(j, (0, length - len(j))) for j in raw])[:, None, :]
-    out = write_avi(tmp_path / "a.avi", padded, fourcc=b"MJPG", bits=24, drop=(3,))
+    out = write_avi(tmp_path / "a.avi", padded, fourcc=b"MJPG", bits=24, drop=drop)
     data = bytearray(out.read_bytes())  # the header's frame size is that of the picture, not of its bytes
     data[data.index(b"strf") + 12 : data.index(b"strf") + 20] = struct.pack("<ii", 96, 48)
     out.write_bytes(data)
-    assert states(open_video(out)) == ["ok"] * 3 + ["lost"] + ["ok"] * 4
+    return out
+
+
+def test_skipped_frames_in_an_encoded_avi_are_lost(tmp_path):
+    """Failure: frames the camera dropped (empty chunks) shift all later times."""
+    assert states(open_video(avi_that_skips(tmp_path, (3,)))) == ["ok"] * 3 + ["lost"] + ["ok"] * 4
+
+
+def test_a_part_that_ends_among_skipped_frames_ends_there(tmp_path):
+    """Failure: more frames than asked for, where those at the end were dropped."""
+    reader = EncodedReader.of(avi_that_skips(tmp_path, (3, 4, 5)))
+    blocks = reader.read(1, 5, slice(0, 48), slice(0, 96))
+    assert [status for block in blocks for status in block.status] == ["ok"] * 2 + ["lost"] * 2
 
 
 def test_changing_size_is_refused(tmp_path):

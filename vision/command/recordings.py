@@ -44,23 +44,8 @@ from vision.files import expanded
 from vision.folder import write_csv, write_json
 from vision.force import parse_columns, read_force
 from vision.models import Estimate, both_errors, plus_minus
-from vision.models.friction import (
-    RIM_CAVEAT,
-    DiscFriction,
-    FrictionSettings,
-    StaticFriction,
-    fit_static_friction,
-    friction_of_disc,
-    friction_table,
-)
-from vision.models.modulus import (
-    PUBLISHED_SHEET,
-    CyclesMetadata,
-    MeanValue,
-    ModulusSettings,
-    measure_cycles,
-    summarise_modulus,
-)
+from vision.models import friction as discs
+from vision.models import modulus as push_pull
 from vision.models.rheometer import RotationMetadata, read_rheometer
 from vision.numeric import number, with_minus
 from vision.pipeline import analyse
@@ -126,17 +111,17 @@ def modulus(
     size: dict[str, Any] = {name: value for name, (value, _) in sizes.items()}
     sheet_err = {name: error for name, (_, error) in sizes.items() if error is not None}
     sheet = Sample(**size)
-    cycles = measure_cycles(
+    cycles = push_pull.measure_cycles(
         force,
         sheet=sheet,
         clamp_distance_mm=options.clamp_distance,
         machine_stiffness_N_per_mm=options.machine_stiffness,
-        settings=ModulusSettings(part=shares),
+        settings=push_pull.ModulusSettings(part=shares),
     )
-    means = summarise_modulus(cycles, sheet_err)
-    measured = CyclesMetadata.of(cycles)
+    means = push_pull.summarise_modulus(cycles, sheet_err)
+    measured = push_pull.CyclesMetadata.of(cycles)
     published = ["sheet of ε = 0.1, W = 45, L = 16.8 mm, the publication's size"]
-    notes, warnings = [*measured.notes, *published * (sheet == PUBLISHED_SHEET)], measured.warnings
+    notes, warnings = [*measured.notes, *published * (sheet == push_pull.PUBLISHED_SHEET)], measured.warnings
     origin = origin_of([file], parameters_given(options, output))
     content = {
         **means,
@@ -155,7 +140,7 @@ def modulus(
     return conclude(lines, [f"{file.name}: {line}" for line in warnings], quiet=output.quiet)
 
 
-def _modulus_lines(means: Mapping[str, MeanValue], cycles: int) -> list[str]:
+def _modulus_lines(means: Mapping[str, push_pull.MeanValue], cycles: int) -> list[str]:
     """Return the moduli, forces and losses as text."""
     lines = []
     for name, key in (("Y_p = |F0|/(εW)", "Y_p_GPa"), ("kL/(εW)", "Y_slope_GPa")):
@@ -198,7 +183,7 @@ def friction(
     wanted = "two angles A:B in degrees with 0 <= A < B"
     at_least(options.mu, "--mu", 1e-9)
     angles = parse_pair(options.dynamic, "--dynamic", wanted, advice="write 0.3:120")
-    settings = FrictionSettings(dynamic_deg=angles)
+    settings = discs.FrictionSettings(dynamic_deg=angles)
     loads = _loads(options.normal_force, len(files))
     measured, failures, notes = _measure(files, loads, options.radius, settings)
     if not measured:
@@ -216,18 +201,18 @@ def friction(
     content |= {
         "mu": options.mu,
         "thresholds_equal_at_N": law.crossing_N(options.mu) if law and options.mu > law.a else None,
-        "caveat": RIM_CAVEAT,
+        "caveat": discs.RIM_CAVEAT,
         "notes": origin.named(notes),
     }
-    facts = origin.facts(failures=failures, warnings=warnings, notes=[*notes, RIM_CAVEAT])
+    facts = origin.facts(failures=failures, warnings=warnings, notes=[*notes, discs.RIM_CAVEAT])
     facts |= {"measurements": len(measured)}
     figure = friction_figure(measured, law, mu=options.mu, dynamic_deg=settings.dynamic_deg)
     with results_folder(target, facts, started=started, overwrite=output.overwrite) as folder:
-        _write(folder, "friction", friction_table(measured), figure, content)
+        _write(folder, "friction", discs.friction_table(measured), figure, content)
     if law is None:
         complain(note)
     count = f"{counted(len(measured), 'measurement')} of {counted(len(files), 'file')}"
-    lines = [f"{count} -> {target}/", *_friction_summary(measured, law), RIM_CAVEAT]
+    lines = [f"{count} -> {target}/", *_friction_summary(measured, law), discs.RIM_CAVEAT]
     return conclude(lines, warnings, failures=failures, quiet=output.quiet)
 
 
@@ -240,13 +225,13 @@ def _write(folder: Path, name: str, table: pd.DataFrame, figure: Figure, content
 
 
 def _measure(
-    files: Sequence[Path], loads: Sequence[float | None], radius_mm: float, settings: FrictionSettings
-) -> tuple[list[DiscFriction], list[str], list[str]]:
+    files: Sequence[Path], loads: Sequence[float | None], radius_mm: float, settings: discs.FrictionSettings
+) -> tuple[list[discs.DiscFriction], list[str], list[str]]:
     """Return the friction in every measurement of every file, failures (one line each), and notes.
 
     A file or measurement that fails costs no other.
     """
-    measured: list[DiscFriction] = []
+    measured: list[discs.DiscFriction] = []
     failures: list[str] = []
     notes: list[str] = []
     for file, load in zip(files, loads, strict=True):
@@ -259,18 +244,20 @@ def _measure(
         for rotation in rotations:
             notes += [f"{file.name}: {line}" for line in RotationMetadata.of(rotation).notes]
             try:
-                one = friction_of_disc(rotation, radius_mm=radius_mm, normal_force_N=load, settings=settings)
+                one = discs.friction_of_disc(
+                    rotation, radius_mm=radius_mm, normal_force_N=load, settings=settings
+                )
                 measured.append(one)
             except InputError as error:
                 failures.append(str(error))
     return measured, failures, notes
 
 
-def _law(measured: Sequence[DiscFriction]) -> tuple[StaticFriction | None, str]:
+def _law(measured: Sequence[discs.DiscFriction]) -> tuple[discs.StaticFriction | None, str]:
     """Return the fitted law and a note on it, "" for none; or None and the reason why there is none."""
-    table = friction_table(measured)
+    table = discs.friction_table(measured)
     try:
-        law = fit_static_friction(table["N_N"], table["mu_s"], table["mu_s_err"])
+        law = discs.fit_static_friction(table["N_N"], table["mu_s"], table["mu_s_err"])
     except InputError as error:
         return None, f"no law fitted: {error}"
     if law.chi2_dof <= 1:
@@ -281,7 +268,7 @@ def _law(measured: Sequence[DiscFriction]) -> tuple[StaticFriction | None, str]:
     )
 
 
-def _friction_summary(measured: Sequence[DiscFriction], law: StaticFriction | None) -> list[str]:
+def _friction_summary(measured: Sequence[discs.DiscFriction], law: discs.StaticFriction | None) -> list[str]:
     lines = [
         f"N = {one.N_N:.4g} N: μ_s {plus_minus(Estimate(one.mu_s, one.mu_s_err))}, "
         f"μ_d {plus_minus(Estimate(one.mu_d, one.mu_d_err))}"

@@ -210,16 +210,13 @@ def _stick_shape(u: Floats, m: Mechanics) -> Floats:
 
 @dataclass(frozen=True, kw_only=True)
 class RestingComb:
-    """Ridges at rest, left to right: position, side (-1, +1), n from 1, and `rank`.
-
-    The rank of a ridge is its distance from the axis in pitches, counted from ½ below its n.
-    """
+    """Ridges at rest, left to right."""
 
     axis_px: float
-    rest_px: Floats
-    side: Ints
-    n: Ints
-    rank: Floats
+    rest_px: Floats  # position
+    side: Ints  # -1 or +1
+    n: Ints  # from 1
+    rank: Floats  # distance from the axis in pitches, counted from ½ below n
 
 
 def comb_at_rest(experiment: Experiment) -> RestingComb:
@@ -248,14 +245,11 @@ def comb_at_rest(experiment: Experiment) -> RestingComb:
 
 @dataclass(frozen=True, kw_only=True)
 class SheetMotion(ABC):
-    """Displacement of every sheet from rest, px, as a function of the machine's time.
+    """Displacement of every sheet from rest, px, as a function of the machine's time."""
 
-    `sweep_px` (inward motion from valley to peak), `ratio` (σ_x/Λ_st) and `delay_s` are (stick phase, sheet).
-    """
-
-    sweep_px: Floats
-    ratio: Floats
-    delay_s: Floats
+    sweep_px: Floats  # inward motion from valley to peak, (stick phase, sheet)
+    ratio: Floats  # σ_x/Λ_st, (stick phase, sheet)
+    delay_s: Floats  # of the slip, (stick phase, sheet)
 
     def mean_px(self, from_s: Floats, to_s: Floats) -> Floats:
         """Return the exact mean displacement between two times, (time, sheet)."""
@@ -288,7 +282,10 @@ class Motion(SheetMotion):
         k = np.clip(np.searchsorted(self.begin_s, t, side="right") - 1, 0, None)
         inside = self._within_segment(k, (t - self.begin_s[k])[:, None])
         early, late = np.minimum(time_s, 0)[:, None], np.maximum(time_s - self.stop_s, 0)[:, None]
-        outside = early * self.outer_px[0] + late * self._final_px()
+        last = np.clip(np.searchsorted(self.begin_s, self.stop_s, side="right") - 1, 0, None)
+        share = np.clip((self.stop_s - self.begin_s[last] - self.slip_s) / self.length_s[last], 0, 1)
+        at_stop = self.outer_px[last] + share * (self.inner_px[last] - self.outer_px[last])
+        outside = early * self.outer_px[0] + late * at_stop
         return np.asarray(self._before_segment[k] + inside + outside)
 
     @cached_property
@@ -308,12 +305,6 @@ class Motion(SheetMotion):
         v = np.maximum(tau - delay - slip, 0)
         jump = before * u + (outer - before) * (u / 2 - slip / (2 * np.pi) * np.sin(np.pi * u / slip))
         return np.asarray(before * rested + jump + outer * v + (inner - outer) * v**2 / (2 * creep))
-
-    def _final_px(self) -> Floats:
-        """Return the displacement after the machine has stopped."""
-        last = np.clip(np.searchsorted(self.begin_s, self.stop_s, side="right") - 1, 0, None)
-        share = np.clip((self.stop_s - self.begin_s[last] - self.slip_s) / self.length_s[last], 0, 1)
-        return np.asarray(self.outer_px[last] + share * (self.inner_px[last] - self.outer_px[last]))
 
 
 def sheet_motion(experiment: Experiment, pull: Pull, comb: RestingComb) -> Motion:

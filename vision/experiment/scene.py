@@ -126,16 +126,12 @@ def _light_per_cell(positions_px: Floats, brightness: Floats, ridges: RidgeAppea
 
 @dataclass(frozen=True, kw_only=True)
 class FrameTimes:
-    """Times of mid-exposure, one entry per frame in the file.
+    """Times of mid-exposure, one entry per frame in the file."""
 
-    camera_s is the true time on the camera's clock, stamp_s the recorded one (stale stamps repeat the
-    previous one), machine_s the force clock; `exposed` numbers the frames including lost ones.
-    """
-
-    camera_s: Floats
-    stamp_s: Floats
-    machine_s: Floats
-    exposed: Ints
+    camera_s: Floats  # true time on the camera's clock
+    stamp_s: Floats  # recorded time; stale stamps repeat the previous one
+    machine_s: Floats  # force clock
+    exposed: Ints  # number of the frame, counting lost ones
     lost: int
 
 

@@ -173,10 +173,7 @@ class ForceFile:
 class Experiment:
     """All settings of a synthetic test. The same settings, including the seed, give the same data.
 
-    Raises
-    ------
-    InputError
-        For an invalid setting; the message names it and what was expected.
+    Raises: InputError for an invalid setting; the message names it and what was expected.
     """
 
     seed: NonNegativeInt = 0  #: seed of all random numbers

@@ -270,6 +270,10 @@ def _tracking(tracks: xr.Dataset) -> str:
         if math.isfinite(t.axis_px)
         else "the symmetry axis is not known"
     )
+    made = (
+        f"{t.corrections_applied} decision{'s were' if t.corrections_applied > 1 else ' was'} made manually"
+    )
+    decisions = f" {made}; see “Manual decisions”." if t.corrections_applied else ""
     apart = f" and {t.spacing_px:.1f} px apart" if math.isfinite(t.spacing_px) else ""
     seen = (
         f"The {t.sheets} sheets appear as {t.ridges} ridges {t.ridge_fwhm_px:.1f} px wide{apart}. "
@@ -279,16 +283,7 @@ def _tracking(tracks: xr.Dataset) -> str:
         else f"One sheet appears as a {t.ridges} ridge {t.ridge_fwhm_px:.1f} px wide. Its positions x(t) "
         f"were measured {method}."
     )
-    return f"{seen}{scatter}{_withheld(tracks)}{_decisions(tracks)}"
-
-
-def _decisions(tracks: xr.Dataset) -> str:
-    """Return how many manual decisions there are and where they are listed, "" if there are none."""
-    count = TrackMetadata.of(tracks).corrections_applied
-    if not count:
-        return ""
-    made = "decisions were" if count > 1 else "decision was"
-    return f" {count} {made} made manually; see “Manual decisions”."
+    return f"{seen}{scatter}{_withheld(tracks)}{decisions}"
 
 
 def _withheld(tracks: xr.Dataset) -> str:

@@ -55,21 +55,16 @@ class EncodedReader:
     """One video stream of a container, decoded frame by frame by FFmpeg.
 
     A packet that cannot be decoded gives a "corrupt" frame; a number that the container skips gives a "lost"
-    frame.
-
-    dtype: type of the decoded pixels. fixed_rate: rate of an AVI, which has no times and skips the numbers of
-    frames that the camera dropped; None for other containers. most_frames: more cannot be in the file.
-    shift: bits by which FFmpeg widens the pixels of a packed cine, and which are taken back.
-
-    Raises: InputError while reading, if a frame has another size than the first.
+    frame.  Raises: InputError while reading, if a frame has another size than the first.
     """
 
     path: Path
     facts: Facts
-    dtype: np.dtype[np.generic]
+    dtype: np.dtype[np.generic]  # of the decoded pixels
+    # of an AVI, which has no times and skips the numbers of frames that the camera dropped; None for others
     fixed_rate: Fraction | None
-    most_frames: int
-    shift: int = 0
+    most_frames: int  # more cannot be in the file
+    shift: int = 0  # bits by which FFmpeg widens the pixels of a packed cine, and which are taken back
 
     @classmethod
     def of(cls, path: Path) -> EncodedReader:
@@ -77,7 +72,11 @@ class EncodedReader:
         with _video_stream(path) as stream:
             stream.thread_type = "NONE"  # with threads FFmpeg decodes several frames before it returns one
             stream.codec_context.options = EXPORT_QUANTISERS
-            first, kind, warnings = _first_frame(stream, path), stream.container.format.name, []
+            first = next((frame for _, frame in _decoded(stream) if frame is not None), None)
+            if first is None:
+                found = f"none (codec {stream.codec_context.name})"
+                raise InputError(path, "a video with at least one readable frame", found)
+            kind, warnings = stream.container.format.name, []
             if _ends_early(path):
                 warnings.append(f"{path.name}: the file was cut short; its last frames are missing")
             if kind in _RAW and path.suffix.lower() in _CONTAINERS:
@@ -102,7 +101,7 @@ class EncodedReader:
 
     def read(self, start: int, stop: int | None, rows: slice, columns: slice) -> Iterator[Block]:
         """Yield frames in file order; those before `start` are decoded, too, as codecs need them."""
-        frames = itertools.islice(self._frames(stop), start, None)
+        frames = itertools.islice(self._frames(), start, stop)
         yield from gather_blocks(frames, start=start, rows=rows, columns=columns, dtype=self.dtype)
 
     def sample(self, numbers: Sequence[int]) -> Iterator[Pixels]:
@@ -138,16 +137,14 @@ class EncodedReader:
                 if frame is not None and not frame.is_corrupt:
                     yield float((pts - first) * (stream.time_base or 1)), self._checked(grey_plane(frame))
 
-    def _frames(self, stop: int | None) -> Iterator[Frame]:
-        """Yield every frame number once, in order, up to `stop`."""
+    def _frames(self) -> Iterator[Frame]:
+        """Yield every frame number once, in order."""
         number = 0
         with _video_stream(self.path) as stream:
             for pts, decoded in _decoded(stream):
                 for _ in range(self._skipped(pts, number, stream)):
                     yield Frame(None, "lost")
                     number += 1
-                if stop is not None and number >= stop:
-                    return
                 time_s = self._time_s(pts, stream)
                 if decoded is None or decoded.is_corrupt:
                     yield Frame(None, "corrupt", time_s)
@@ -328,15 +325,6 @@ def _video_stream(path: Path) -> Iterator[av.VideoStream]:
             check_pixels(path, stream.codec_context.height, stream.codec_context.width)
         stream.thread_type = "AUTO"
         yield stream
-
-
-def _first_frame(stream: av.VideoStream, path: Path) -> av.VideoFrame:
-    """Return the first frame that can be decoded; InputError if there is none."""
-    for _, frame in _decoded(stream):
-        if frame is not None:
-            return frame
-    codec = stream.codec_context.name
-    raise InputError(path, "a video with at least one readable frame", f"none (codec {codec})")
 
 
 def _ends_early(path: Path) -> bool:

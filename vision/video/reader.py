@@ -127,16 +127,12 @@ def gather_blocks(
 
 @dataclass(frozen=True)
 class ImagesReader:
-    """A `Reader` of frames that are stored and decoded one by one: compressed TIFF pages, image files.
-
-    dtype: type of the decoded pixels. count: frame numbers in the file. decode: function that yields the
-    frames of given numbers, in that order.
-    """
+    """A `Reader` of frames that are stored and decoded one by one: compressed TIFF pages, image files."""
 
     facts: Facts
-    dtype: np.dtype[np.generic]
-    count: int
-    decode: Callable[[Sequence[int]], Iterator[Frame]]
+    dtype: np.dtype[np.generic]  # of the decoded pixels
+    count: int  # of the frame numbers in the file
+    decode: Callable[[Sequence[int]], Iterator[Frame]]  # yields the frames of these numbers, in that order
 
     def read(self, start: int, stop: int | None, rows: slice, columns: slice) -> Iterator[Block]:
         """Yield frames in order, decoded in threads."""
@@ -156,23 +152,17 @@ class MappedReader:
     """A `Reader` of frames stored uncompressed in a file; only the wanted rows are read.
 
     The file is not mapped into memory: a mapped file that becomes shorter kills the process.
-
-    offsets: byte at which the first stored row of each frame begins, -1 for a frame that the camera lost.
-    row_bytes: from one stored row to the next; 0 for 12-bit pixels packed two in three bytes without padding.
-    dtype, channels: type of one channel; 1, or 3 or 4 for colour. blue_first: whether colour is BGR.
-    bottom_up: whether the lowest row is stored first. grey_levels: grey value of each stored 8-bit index of a
-    palette.
     """
 
     path: Path
     facts: Facts
-    offsets: Ints
-    row_bytes: int
-    dtype: np.dtype[np.generic]
-    channels: int = 1
-    blue_first: bool = False
-    bottom_up: bool = False
-    grey_levels: NDArray[np.uint8] | None = None
+    offsets: Ints  # byte at which the first stored row of each frame begins, -1 for a frame that was lost
+    row_bytes: int  # from one row to the next; 0 for 12-bit pixels packed two in three bytes without padding
+    dtype: np.dtype[np.generic]  # of one channel
+    channels: int = 1  # 3 or 4 for colour
+    blue_first: bool = False  # whether colour is BGR
+    bottom_up: bool = False  # whether the lowest row is stored first
+    grey_levels: NDArray[np.uint8] | None = None  # grey value of each 8-bit index of a palette
 
     def read(self, start: int, stop: int | None, rows: slice, columns: slice) -> Iterator[Block]:
         """Yield blocks of frames in order."""

@@ -223,13 +223,7 @@ class _Plan:
 
 
 def reference_frame(video: Video) -> Pixels:
-    """Return the first readable frame that is not constant, whole, after rotation.
-
-    Raises
-    ------
-    InputError
-        If there is none.
-    """
+    """Return the first readable frame that is not constant, whole, after rotation.  Raises: InputError."""
     # first try only the first frame, which suffices in most films, so that no others are decoded
     for part in (replace(video, stop=video.first + 1), video):
         for pixels in part.frames():

@@ -33,15 +33,12 @@ from vision.video.video import Video, cut
 
 
 class StripErrors(NamedTuple):
-    """Dependence of positions on the choice of rows, px, without tilt and noise; 0 if not significant.
+    """Dependence of positions on the choice of rows, px, without tilt and noise; 0 if not significant."""
 
-    halves_px, bow_px: RMS difference of positions from the upper and the lower half, and from the outer and
-    the inner half. error_px: RMS displacement of the mean if a tenth of the rows were left out at both ends,
-    which is an equally good choice; as it does not vary with time, it is a systematic error.
-    """
-
-    halves_px: float = 0.0
-    bow_px: float = 0.0
+    halves_px: float = 0.0  # RMS difference of positions from the upper and the lower half
+    bow_px: float = 0.0  # and from the outer and the inner half
+    # RMS displacement of the mean if a tenth of the rows were left out at both ends, which is an equally good
+    # choice; as it does not vary with time, it is a systematic error
     error_px: float = 0.0
 
 
@@ -61,19 +58,14 @@ class Strip:
 
 @dataclass(frozen=True)
 class _Slopes:
-    """Slopes along x of bands of rows in some frames.
+    """Slopes along x of bands of rows in some frames, and the settings with which they are judged."""
 
-    mean, difference: mean of odd and even rows, and half their difference, which is noise, (frame, band, x).
-    along_z, along_x: mean square steps of the grey level over 2 px, of every second row. picture: mean of the
-    frames, every second row and column. settings: those with which they are measured and judged.
-    """
-
-    mean: Floats32
-    difference: Floats32
+    mean: Floats32  # of odd and even rows, (frame, band, x)
+    difference: Floats32  # half that of odd and even rows, which is noise
     band_rows: int
-    along_z: Floats
+    along_z: Floats  # mean square steps of the grey level over 2 px, of every second row
     along_x: Floats
-    picture: Floats32
+    picture: Floats32  # mean of the frames, every second row and column
     settings: VideoSettings
 
     @property
@@ -207,10 +199,7 @@ def measure_strip(
 ) -> Strip:
     """Return the strip of the given rows with its tilt and clarity, both NaN for fewer than four rows.
 
-    Raises
-    ------
-    InputError
-        For rows or columns outside the frame.
+    Raises: InputError for rows or columns outside the frame.
     """
     height, width = video.shape
     z = cut(rows, height, what=f"{video.path}: `rows`")
@@ -506,17 +495,12 @@ def ridge_width_px(slopes: NDArray[np.floating]) -> float:
 
 @dataclass(frozen=True)
 class RowShifts:
-    """Displacement of the ridges in each band of rows against the bands in the middle.
+    """Displacement of the ridges in each band of rows against the bands in the middle."""
 
-    shift_px: along x, without the common tilt and the tilt of the segment, (band, segment), mean over
-    `frames` frames. strength: of the ridges in each band, 1 in the middle, (band,). noise_px: standard
-    deviation of one band's displacement in one segment and frame, at strength 1.
-    """
-
-    shift_px: Floats
-    strength: Floats
-    noise_px: float
-    frames: int
+    shift_px: Floats  # along x, without the common tilt and that of the segment, (band, segment)
+    strength: Floats  # of the ridges in each band, 1 in the middle, (band,)
+    noise_px: float  # standard deviation of one band's displacement in one segment and frame, at strength 1
+    frames: int  # over which the mean is taken
 
 
 def row_shifts(bands: NDArray[np.floating], tilt: float, settings: VideoSettings) -> RowShifts | None:
