@@ -174,9 +174,8 @@ def parse_duration(text: str | float, option: str) -> float | Literal["auto"]:
     figures, ms, rest = str(text).strip().partition("ms")
     value = math.nan if rest else number(figures) * (1e-3 if ms else 1.0)
     if not 0 <= value < math.inf:
-        raise InputError(
-            option, "seconds from 0, such as 0.05 or 50ms, or auto", f"'{text}'", with_point(figures)
-        )
+        wanted = "seconds from 0, such as 0.05 or 50ms, or auto"
+        raise InputError(option, wanted, f"'{text}'", with_point(figures))
     return value
 
 

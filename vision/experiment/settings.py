@@ -294,14 +294,13 @@ def _check_value(name: str, value: Any, declared: Any) -> None:
             raise InputError(f"setting {name}", expected, str(value))
 
 
-def _require(
-    e: Experiment, setting: str, fine: bool, expected: str, found: str = "", advice: str = ""
-) -> None:
-    """Raise InputError about a setting unless it is fine; `found` is by default its value."""
-    if not fine:
+def _require(e: Experiment, setting: str, ok: bool, expected: str, found: str = "", advice: str = "") -> None:
+    """Raise InputError about a setting unless it is ok; `found` is by default its value."""
+    if not ok:
         group, _, key = setting.partition(".")
-        value = getattr(getattr(e, group), key)
-        raise InputError(f"setting {setting}", expected, found or str(value), advice)
+        raise InputError(
+            f"setting {setting}", expected, found or str(getattr(getattr(e, group), key)), advice
+        )
 
 
 def _check_together(e: Experiment) -> None:

@@ -77,9 +77,8 @@ def outer_inner_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None
     curves = outer_less_inner_px(tracks)
     if not curves:
         return None
-    at, y = minmax_decimate(
-        time_axis(tracks)[0], np.stack(list(curves.values()), axis=1) * scale, most=MOST_POINTS
-    )
+    time, x_label = time_axis(tracks)
+    at, y = minmax_decimate(time, np.stack(list(curves.values()), axis=1) * scale, most=MOST_POINTS)
     series = tuple(
         Series(
             label="left side" if which < 0 else "right side",
@@ -94,7 +93,7 @@ def outer_inner_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None
     )
     panel = Panel(
         title="Outer less inner sheets",
-        x_label=time_axis(tracks)[1],
+        x_label=x_label,
         y_label=f"outer − inner ({unit})",
         series=series,
         placeholder="no frame with all of these sheets",

@@ -73,7 +73,7 @@ def _along(colours: tuple[str, ...], shares: Floats) -> list[str]:
 # --- symbols: σ_x, Λ_st and M_eff are written so in the program and in tables -------------------------------
 
 _SYMBOL = re.compile(r"(?<![A-Za-z0-9_])([A-Za-zΔΛσδ𝒯])_(st|sl|eff|x|v|p|0)\b")
-_SMALL_LETTERS = str.maketrans("xvpst0", "ₓᵥₚₛₜ₀")
+_SUBSCRIPTS = str.maketrans("xvpst0", "ₓᵥₚₛₜ₀")
 
 
 def to_html(text: str) -> Markup:
@@ -83,9 +83,7 @@ def to_html(text: str) -> Markup:
 
 def to_unicode(text: str) -> str:
     """Return plain text with Unicode subscripts; "_eff" and "_sl" are unchanged, as Unicode lacks them."""
-    return _SYMBOL.sub(
-        lambda m: m[0] if m[2] in ("eff", "sl") else m[1] + m[2].translate(_SMALL_LETTERS), text
-    )
+    return _SYMBOL.sub(lambda m: m[0] if m[2] in ("eff", "sl") else m[1] + m[2].translate(_SUBSCRIPTS), text)
 
 
 def to_mathtext(text: str) -> str:

@@ -270,10 +270,9 @@ def _tracking(tracks: xr.Dataset) -> str:
         if math.isfinite(t.axis_px)
         else "the symmetry axis is not known"
     )
-    made = (
-        f"{t.corrections_applied} decision{'s were' if t.corrections_applied > 1 else ' was'} made manually"
-    )
-    decisions = f" {made}; see “Manual decisions”." if t.corrections_applied else ""
+    count = t.corrections_applied
+    made = "decisions were" if count > 1 else "decision was"
+    decisions = f" {count} {made} made manually; see “Manual decisions”." if count else ""
     apart = f" and {t.spacing_px:.1f} px apart" if math.isfinite(t.spacing_px) else ""
     seen = (
         f"The {t.sheets} sheets appear as {t.ridges} ridges {t.ridge_fwhm_px:.1f} px wide{apart}. "

@@ -24,9 +24,7 @@ from vision.video.video import Video, open_video, pixels_file
 class Follow:
     """How a growing recording is followed."""
 
-    stop: threading.Event = field(
-        default_factory=threading.Event
-    )  #: set by the caller: what is read suffices
+    stop: threading.Event = field(default_factory=threading.Event)  #: set by the caller to end
     closed: threading.Event = field(default_factory=threading.Event)  #: set when it is closed and read
     #: Called after each block with a function that returns I(x, t) of a number of the last frames, and with
     #: the number of frames in the file that are not read yet (None if unknown).

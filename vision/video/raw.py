@@ -335,9 +335,7 @@ def photron_files(path: Path) -> tuple[Path, Path]:
     """
     wanted = HEADERS if path.suffix.lower() == PIXELS else (PIXELS,)
     beside = sorted(path.parent.glob("*"))
-    others = [
-        other for end in wanted for other in beside if other.stem == path.stem and other.suffix.lower() == end
-    ]
+    others = [one for end in wanted for one in beside if (one.stem, one.suffix.lower()) == (path.stem, end)]
     if not others:
         name = f"{path.stem}{wanted[0]}"
         raise InputError(path, f"{name} beside it", "no such file", "copy both files of the recording")

@@ -72,14 +72,12 @@ def open_stack(path: Path) -> Reader:
     """
     is_whole = check_tiff(path)
     with reading(path, "a TIFF stack"), tifffile.TiffFile(path) as tif:
-        reader = _reader_of_pages(tif, _pages(tif, path), path)
+        reader = _pages_reader(tif, _pages(tif, path), path)
     cut_short = (f"{path.name}: the file was cut short; more pages were to follow",)
     return reader if is_whole else replace(reader, facts=replace(reader.facts, warnings=cut_short))
 
 
-def _reader_of_pages(
-    tif: tifffile.TiffFile, pages: Sequence[Page], path: Path
-) -> MappedReader | ImagesReader:
+def _pages_reader(tif: tifffile.TiffFile, pages: Sequence[Page], path: Path) -> MappedReader | ImagesReader:
     first = tif.pages.first
     if first.dtype is None or first.dtype.kind not in "uf" or first.dtype.itemsize > 4:
         wanted, found = "unsigned integers of 8 or 16 bits, or float32", str(first.dtype)
@@ -299,8 +297,11 @@ def _own_pixel_size_um(tif: tifffile.TiffFile) -> tuple[float | None, str]:
     The size is None without a calibration. A size in inch or cm, also that of the TIFF itself, and one of
     pixels that are not square are not used; they are returned as text.
     """
-    by_ome = tif.is_ome and not tif.is_imagej
-    (across, unit), (down, unit_down) = _stated_by_ome(tif) if by_ome else _stated_by_tags(tif)
+    stated, about = _stated_by_tags(tif), _ome_pixels(tif)
+    if tif.is_ome and not tif.is_imagej:
+        names = ("PhysicalSizeX", "PhysicalSizeY")
+        stated = [(number(about.get(one)), about.get(f"{one}Unit", "µm").strip().lower()) for one in names]
+    (across, unit), (down, unit_down) = stated
     size, height = across * _UM_PER.get(unit, 0.0), down * _UM_PER.get(unit_down, 0.0)
     if 0 < size < math.inf and math.isclose(size, height, rel_tol=1e-3):
         return size, ""
@@ -309,12 +310,6 @@ def _own_pixel_size_um(tif: tifffile.TiffFile) -> tuple[float | None, str]:
     if unit in _OF_PRINTS and 0 < across < math.inf:
         return None, f"{1 / across:.4g} px per {unit.replace('inches', 'inch')}, mostly the size of a print"
     return None, ""
-
-
-def _stated_by_ome(tif: tifffile.TiffFile) -> list[tuple[float, str]]:
-    """Return the size of a pixel along x and y with their units, as OME states them; NaN without."""
-    about, names = _ome_pixels(tif), ("PhysicalSizeX", "PhysicalSizeY")
-    return [(number(about.get(name)), about.get(f"{name}Unit", "µm").strip().lower()) for name in names]
 
 
 def _stated_by_tags(tif: tifffile.TiffFile) -> list[tuple[float, str]]:
@@ -469,10 +464,9 @@ def _image(file: Path) -> Pixels | None:
         raise
     except Exception:  # decoders raise any exception for damaged data
         return None
-    usable = (
-        pixels is not None and pixels.ndim == 2 and pixels.dtype.kind in "uf" and pixels.dtype.itemsize <= 4
-    )
-    return pixels if usable else None
+    if pixels is None or pixels.ndim != 2 or pixels.dtype.kind not in "uf" or pixels.dtype.itemsize > 4:
+        return None
+    return pixels
 
 
 class _SeveralPagesError(InputError):

@@ -401,10 +401,8 @@ def expected_frames(
         missing_s = video.duration_s - float(known[-1]) if usual_s > 0 else 0.0
         if missing_s > settings.early_end_steps * usual_s:
             beyond = round(missing_s / usual_s) - 1  # the last frame itself lasts one step
-            stated = f"the file should last {video.duration_s:.3f} s"
-            warnings.append(
-                f"{name}: {stated}; its last {missing_s:.3f} s are missing, about {beyond} frames"
-            )
+            stated = f"{name}: the file should last {video.duration_s:.3f} s"
+            warnings.append(f"{stated}; its last {missing_s:.3f} s are missing, about {beyond} frames")
     return max(status.size, video.expected or 0) + between + beyond, warnings
 
 

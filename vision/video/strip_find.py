@@ -133,7 +133,7 @@ def find_strip(
     band_rows = max(2, round(height / settings.bands))
     if height < 2 * band_rows:
         return Strip(slice(0, height), "all rows")
-    slopes = _measure_slopes(video, slice(0, height), x, band_rows, settings)
+    slopes = _slopes_of(video, slice(0, height), x, band_rows, settings)
     text = _text_bands(slopes)
     best = _best_without_text(slopes, text)
     if best is None:
@@ -207,7 +207,7 @@ def measure_strip(
     count = z.stop - z.start
     if count < 4:
         return Strip(z, "given", clarity=math.nan)
-    slopes = _measure_slopes(video, z, x, max(2, round(count / settings.bands)), settings)
+    slopes = _slopes_of(video, z, x, max(2, round(count / settings.bands)), settings)
     strip = _described(slopes, 0, slopes.mean.shape[1], Strip(z, "given"))
     return replace(strip, warnings=(*strip.warnings, *_text_warnings(z, _text_bands(slopes))))
 
@@ -308,9 +308,7 @@ def _power_of_shared_pattern(bands: Floats32) -> Floats:
     return np.asarray((part @ pattern) ** 2 / max(float(pattern @ pattern), 1e-12), np.float64)
 
 
-def _measure_slopes(
-    video: Video, rows: slice, columns: slice, band_rows: int, settings: VideoSettings
-) -> _Slopes:
+def _slopes_of(video: Video, rows: slice, columns: slice, band_rows: int, settings: VideoSettings) -> _Slopes:
     """Measure the slopes of the bands in sampled frames, or in the first ones if a file cannot be sampled."""
     count = settings.sample_frames
     frames = list(video.sample(count)) or list(itertools.islice(video.frames(), count))
