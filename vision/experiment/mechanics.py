@@ -38,7 +38,6 @@ from functools import cached_property, lru_cache
 import numpy as np
 import pandas as pd
 import xarray as xr
-from scipy import optimize
 
 from vision.experiment.settings import Experiment, Mechanics, Sheets
 from vision.models import equations as eq
@@ -401,11 +400,20 @@ class _Assembly:
 
     def step_to_slip(self, longest: float) -> float:
         """Return the step of d after which no sheet sticks, at most `longest`."""
-        if self.margin(longest) >= -_CLOSE:
-            return longest
-        if self.margin(0.0) <= 0:
-            return 0.0
-        return float(optimize.brentq(self.margin, 0.0, longest, xtol=_NARROW * self.d))
+        low, at_low = 0.0, max(self.margin(0.0), 0.0)
+        high = step = longest
+        at_high = margin = self.margin(longest)
+        while not (margin >= -_CLOSE and (step == longest or margin <= _CLOSE)):
+            if high - low <= _NARROW * self.d:
+                return high
+            # Loads and thresholds are nearly linear within a step: take the crossing of lines.
+            step = low + (high - low) * at_low / (at_low - at_high)
+            margin = self.margin(step)
+            if margin < 0:
+                high, at_high = step, margin
+            else:
+                low, at_low = step, margin
+        return step
 
     def slip(self) -> None:
         """Reflect all loads at the level of dynamic friction."""
