@@ -61,8 +61,8 @@ STATED = (
     f" {sheets.usual_likeness:g}",
     f"{sheets.wide_by_a_gap:g} times as wide as the others",
     f"distorted by {sheets.mark_distorted:g} widths and moves less than {sheets.mark_motion:g} of",
-    f"within {sheets.merged_widths:g} widths, or is {sheets.merged_height:g} times as high or"
-    f" {sheets.merged_width:g} times as wide",
+    f"within {sheets.merged_widths:g} ridge widths of it, or the neighbour is {sheets.merged_height:g}"
+    f" times as high or {sheets.merged_width:g} times as wide",
     f"less than {sheets.faint_end:g} of its contrast is no sheet if it moves by less than"
     f" {sheets.slow_end:g} of the next",
     f"(correlation below {sheets.along_end:g})",
