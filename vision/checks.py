@@ -87,7 +87,7 @@ class CheckSettings:
 
     end_in_view: float = 0.25
     """Share of the frames that must show both from which that is judged. Smaller judges few frames, larger
-    leaves edges beside sheets that are often lost (`test_a_still_edge_beyond_the_comb` at 0.8)."""
+    leaves edges beside sheets often lost (`test_stripes_of_the_background_that_continue_the_comb` at 0.8)."""
 
     unequal_sides: float = 1.3
     """Ratio of the sheets on the two sides, less two sheets, above which an axis found from motion is

@@ -23,9 +23,11 @@ def flags(x, **options):
 
 
 def faded(level):
-    """Sheet 5 at another contrast in frames 60 to 79."""
+    """Sheet 5, fainter than the others, fades to this share of its contrast in frames 60 to 79: to less than
+    the first search finds."""
     contrast = np.ones((FRAMES, 16))
-    contrast[60:80, 5] = level
+    contrast[:, 5] = 0.3
+    contrast[60:80, 5] *= level
     return contrast
 
 

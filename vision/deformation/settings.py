@@ -92,11 +92,11 @@ class DeformationSettings:
     too much of their own noise (test_common_mode)."""
 
     least_pairs: int = 3
-    """Fewest pairs left and right from which drift is separated from creep (test_common_mode)."""
+    """Fewest pairs left and right from which drift is separated from creep (test_common_mode: six sheets)."""
 
     least_repeats: int = 5
     """Fewest sticks from which the scatter of the pull, or of what a sheet does in each of them, is measured.
-    Fewer are alike by chance (test_common_mode: few sticks); more leave short films without."""
+    Fewer are alike by chance; more leave short films without (test_common_mode: paper that settles)."""
 
     neighbouring_sticks: int = 8
     """Number of sticks before and after from which the creep of each sheet is predicted, with one side in
@@ -104,7 +104,7 @@ class DeformationSettings:
 
     jump_spreads: float = 6.0
     """Median sizes of common movement beyond which the camera was pushed.  Larger counts pushes as drift;
-    smaller leaves out sticks with fast drift (test_common_mode: a camera that is pushed)."""
+    smaller leaves out sticks with fast drift (test_common_mode: a camera that moves at every slip)."""
 
     one_side_contrast: float = 25.0
     """Variance of the creep over the sheets, in units of its noise, above which drift is measured with one

@@ -270,7 +270,7 @@ def numbered_by_a_neighbour(
     ridge lies between two sheets. It is :math:`\sum \min(z^2/2, t)` of a ridge that is higher or wider than
     one sheet, less the same for the ridges beside the missing sheet, which may be in one of them. It is
     -`anchor_nats`/2 where nothing shows a ridge too many. The identities are doubtful if the sum exceeds
-    `doubt`. Where most sheets of a frame deviate, z² and t are divided by how much more than usual they do.
+    `doubt`. Where most sheets of a frame deviate, z and t are divided by how much more than usual they do.
 
     Parameters
     ----------
@@ -380,7 +380,7 @@ def numbered_in_part(looks: Floats32, certain: Floats32, settings: TrackingSetti
 
     over its sheets, as a mean of the frame with `AROUND` frames before or after it, exceeds `part_nats` for a
     shift k of up to three sheets. t is `TERM_LIMIT` and s `sheet_nats`: four sheets have to agree. If even
-    the quarter of the sheets that deviates least does so more than usual, z² and t are divided by how much
+    the quarter of the sheets that deviates least does so more than usual, z and t are divided by how much
     more. The sheets beside such a part are doubtful, too. False for fewer than `pattern_sheets` sheets.
 
     Parameters

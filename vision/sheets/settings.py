@@ -33,13 +33,13 @@ class TrackingSettings:
 
     surroundings_widths: float = 1.7
     """Half-width of the surroundings in which the prominence of a ridge is measured, in ridge widths, where a
-    Gaussian has ended. Smaller cuts off ridges ("cropped combs" at 0.85), larger includes gradients of the
-    background."""
+    Gaussian has ended. Smaller cuts off ridges ("comb comes in from outside the picture" at 0.85), larger
+    includes gradients of the background."""
 
     background_margin: float = 0.2
     """How far from the middle between bright and dark stripes all of the background beside the comb must be
-    to decide which are the sheets, as a share of their difference. Smaller trusts uneven backgrounds, larger
-    leaves out combs of touching sheets ("touching" at 0.3)."""
+    to decide, as a share of their difference. Smaller trusts uneven backgrounds, larger fewer even ones
+    (test_a_background_that_seldom_says_anything_is_heard at 0.02)."""
 
     background_seen: float = 0.1
     """Share of the frames in which the background beside the comb speaks against the stripes, though it says
@@ -64,9 +64,9 @@ class TrackingSettings:
 
     same_level: float = 1 / 255
     """Median difference of the bright stripes' levels, as a share of their median, up to which the film
-    counts as overexposed, and levels do not speak against the background beside the comb. Smaller misses
-    ceilings that a codec blurs (`test_gaps_of_an_overexposed_comb_are_no_sheets`); larger ignores what even
-    light tells."""
+    counts as overexposed, and levels do not speak against the background beside the comb. Smaller leaves
+    ceilings that noise blurs to `ceiling`, which finds nearly all of them; larger ignores what even light
+    tells."""
 
     ceiling: float = 0.2
     """How far the bright stripes' levels rise above their median, over how far they fall below it (quantiles
@@ -160,20 +160,20 @@ class TrackingSettings:
     sheets; test_reference.py puts a speck there."""
 
     uneven_cost: float = 3.0
-    """Cost per unit of the logarithm of spacing over pitch. Smaller takes dust for sheets ("dust that comes
-    and goes" at 1.5), larger drops sheets of uneven combs."""
+    """Cost per unit of the logarithm of spacing over pitch. Smaller takes texture for sheets
+    (test_reference.py at 0.75), larger drops those of uneven combs (12 of the fixture "hostile" at 12)."""
 
     even_spread: float = 0.12
     """Scatter of the logarithm of the spacings up to which a comb is even; beyond it spacings count for less.
-    The fixture "hostile" gets another number of sheets at 0.06."""
+    At 0.03 and at 0.5, texture beside a comb is taken for a sheet (test_reference.py)."""
 
     contrast_score: float = 0.4
-    """Score per unit of the logarithm of contrast. Larger drops faint sheets, smaller keeps faint dust (the
-    fixture "hostile" at 0.2)."""
+    """Score per unit of the logarithm of contrast. Larger drops faint sheets (test_reference.py at 0.8),
+    smaller keeps faint texture (there at 0)."""
 
     odd_width_cost: float = 3.0
-    """Cost per unit of the logarithm of width beyond the usual differences. Larger drops sheets out of focus,
-    smaller keeps labels and scratches (the fixture "hostile" at 1.5)."""
+    """Cost per unit of the logarithm of width beyond the usual differences. Larger drops sheets out of focus
+    (test_reference.py at 12), smaller keeps labels and texture (there at 1.5)."""
 
     moving_px: float = 0.7
     """Motion of the neighbours, px rms, above which a ridge between them can be called stationary. Larger
@@ -254,7 +254,7 @@ class TrackingSettings:
 
     brightness_spread: float = 0.25
     """Change of the logarithm of a sheet's brightness that costs half a nat. Larger ignores brightness
-    ("sheets come in and go out at the edges" at 0.5), smaller takes flicker for another sheet ("cropped
+    ("comb comes in from outside the picture" at 0.5), smaller takes flicker for another sheet ("cropped
     combs" at 0.125)."""
 
     stay_cost: float = 4.0
@@ -266,12 +266,12 @@ class TrackingSettings:
     shifts combs that are half covered (test_degraded.py's hands), smaller loses sheets."""
 
     missing_cost: float = 6.0
-    """Cost of not finding a sheet that is always seen. Smaller trades sheets for false detections ("cropped
-    combs" at 3), larger takes dust in place of a sheet."""
+    """Cost of not finding a sheet that is always seen. Smaller trades sheets for false detections ("comb
+    comes in from outside the picture" at 3), larger takes dust in place of a sheet."""
 
     false_detection_cost: float = 7.0
-    """Cost of a false detection as bright as the sheets. Smaller drops sheets, larger forces specks into the
-    comb ("cropped combs" at 3.5 and at 14)."""
+    """Cost of a false detection as bright as the sheets. Smaller drops sheets ("cropped combs" at 3.5),
+    larger forces specks into the comb."""
 
     crossing_cost: float = 2.0
     """Cost of a sheet that leaves or enters the picture with the comb's displacement. Larger keeps all sheets
@@ -301,7 +301,7 @@ class TrackingSettings:
 
     faint_contrast: float = 0.2
     """Fraction of the sheet's usual contrast that this ridge must have. Larger loses shaded sheets, smaller
-    accepts noise; test_recovery.py fades a sheet to 0.25 and to nothing."""
+    accepts noise; test_recovery.py fades a faint sheet to 0.25 and to nothing."""
 
     least_squeeze: float = 2.0
     """Displacement of the comb's ends towards its middle, in pitches, from which sheets are identified at the
@@ -367,7 +367,7 @@ class TrackingSettings:
 
     merged_height: float = 1.15
     """Height over its usual height above which a ridge beside a missing sheet is both sheets. Larger passes
-    sheets that touch, smaller withholds ridges that brighten (test_sheets_that_touch_are_one_ridge)."""
+    sheets that touch (test_sheets_that_touch_are_one_ridge), smaller withholds ridges that brighten."""
 
     merged_width: float = 1.25
     """Width over its usual width above which a ridge beside a missing sheet is both sheets. Larger passes the
