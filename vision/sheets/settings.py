@@ -294,7 +294,7 @@ class TrackingSettings:
     unmoved_frames: int = 8
     """Frames from one certain frame to the next within which a comb that lies where it was, and never jumps,
     did not jump by a pitch and back. Larger ends longer doubts without other evidence, smaller withholds
-    sheets in plain view (tests/real: of the sarcomeres 151 positions at 0, 50 at 8)."""
+    sheets in plain view (tests/real: of the sarcomeres 175 positions at 0, 44 at 8)."""
 
     faint_reach: float = 0.3
     """Distance, in pitches, from its expected position within which a faint ridge is a missing sheet."""
@@ -339,9 +339,9 @@ class TrackingSettings:
     slip."""
 
     sheet_nats: float = 0.5
-    """Log-likelihood ratio per sheet by which another numbering must explain a jump better. Larger leaves
-    jumps that a blurred slip only seems to make, smaller takes noise of the brightnesses for such a slip
-    (test_the_upper_floor_in_poor_jpegs_is_not_given_a_marker_further)."""
+    """Log-likelihood ratio per sheet by which another numbering must explain a jump, or the looks of sheets,
+    better. Larger passes sheets that are numbered by a neighbour (test_doubts.py at 1.5), and leaves jumps
+    that a blurred slip only seems to make; smaller takes noise of the brightnesses for either."""
 
     part_nats: float = 13.5
     """Log-likelihood ratio by which a part of the comb must look like the sheets beside it to be doubtful.
