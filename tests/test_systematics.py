@@ -9,7 +9,7 @@ import pytest
 from tests.scenes.analysed import Found, video_only, with_force
 from tests.scenes.combs import comb, ridges, strip
 from vision.sheets import track_sheets
-from vision.systematics import Budget, systematic_budget, uneven_light_px
+from vision.systematics import Budget, systematic_budget
 
 
 def lit(gradient):
@@ -27,14 +27,16 @@ def test_uneven_light_shifts_places_by_what_the_budget_says(gradient):
     x, picture = lit(gradient)
     tracks = track_sheets(picture)
     actual = np.sqrt(np.mean(np.mean(tracks.x_px.values - x, axis=0) ** 2))
-    assert uneven_light_px(picture, tracks) == pytest.approx(actual, rel=0.25)
+    assert systematic_budget(Found(strip=picture, tracks=tracks)).total("x_px") == pytest.approx(
+        actual, rel=0.25
+    )
     assert actual > 5 * float(tracks.x_predicted_px.median()) / np.sqrt(len(x))
 
 
 def test_even_light_shifts_nothing():
     """A failure means a systematic error where there is none to find."""
     _, picture = lit(0.0)
-    assert uneven_light_px(picture, track_sheets(picture)) < 0.003
+    assert float(track_sheets(picture).constant_error_px.max()) < 0.003
 
 
 def test_the_choice_of_rows_is_in_the_budget_and_in_no_statistical_error():

@@ -328,6 +328,9 @@ TRACKS = Schema(
             "px",
             "rough size of a lasting distortion, which shifts all positions of the sheet; 0 if none is seen",
         ),
+        "x_overlap_px": Variable(_SHEET, "px", "shift of all positions by neighbours that overlap"),
+        "x_light_px": Variable(_SHEET, "px", "shift of all positions by uneven light"),
+        "constant_error_px": Variable(_SHEET, "px", "error of a position that is the same in all frames"),
         "misscaled": Variable(
             _SHEET,
             "1",

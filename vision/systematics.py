@@ -1,8 +1,8 @@
 """The budget of systematic errors, which every frame or event shares.
 
 The statistical error of each number does not contain them. Their sources are the initial separation, the
-sample's geometry, drift of the load cell, the pixel size, the choice of the strip's rows, uneven light, the
-clock, and the compliance of the machine.
+sample's geometry, drift of the load cell, the pixel size, the choice of the strip's rows, uneven light,
+ridges that overlap, the clock, and the compliance of the machine.
 """
 
 from __future__ import annotations
@@ -12,13 +12,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
 import xarray as xr
 
-from vision.data import MotionMetadata, StickMetadata, StripMetadata, TrackMetadata
-from vision.mapped import some_rows
-from vision.numeric import FWHM, nan_median, rms, spread_indices
-from vision.sheets.ridges import frames_with_values
+from vision.data import MotionMetadata, StickMetadata, StripMetadata
+from vision.numeric import nan_median, rms
 
 if TYPE_CHECKING:
     from vision.figures import Results
@@ -49,6 +46,7 @@ SOURCES = {
     "t_star_N": "T*, friction of adhering sheets",
     "strip": "choice of the strip's rows",
     "light": "uneven light",
+    "overlap": "overlap of neighbouring ridges",
     "pixel_size": "pixel size",
     "clock": "clock",
     "machine": "compliance of the machine",
@@ -94,10 +92,11 @@ def systematic_budget(results: Results) -> Budget:
     """Return the budget of a run's results; empty without tracks, motion and fits.
 
     Errors of the fitted parameters are those of `ModelFits.budget` (a fit repeated with each source changed).
-    The strip's rows and uneven light shift each sheet by a constant, which displacements and σ_x do not have.
-    The pixel size scales σ_x/Λ_st; its error is not known. An error of the clock does not affect σ_x as long
-    as it is smaller than the time left out beside each slip. A machine that is not stiff moves less at the
-    sample than its crosshead does: K and σ_x/Λ_st are too small by K over its stiffness, unless corrected.
+    The strip's rows, uneven light and neighbours shift each sheet by a constant, which displacements and
+    σ_x do not have (`constant_error_px` of the tracks for each sheet). The pixel size scales σ_x/Λ_st; its
+    error is not known. An error of the clock does not affect σ_x as long as it is smaller than the time left
+    out beside each slip. A machine that is not stiff moves less at the sample than its crosshead does: K and
+    σ_x/Λ_st are too small by K over its stiffness, unless corrected.
     """
     values: dict[str, float] = {}
     statistical: dict[str, float] = {}
@@ -110,8 +109,8 @@ def systematic_budget(results: Results) -> Budget:
         values["x_px"] = math.nan  # a position for every sheet and frame
         statistical["x_px"] = float(nan_median(results.tracks["x_err_px"].values.ravel()))
         add("strip", "x_px", StripMetadata.of(results.tracks).strip_err_px)
-        light = None if results.strip is None else uneven_light_px(results.strip, results.tracks)
-        add("light", "x_px", light)
+        add("light", "x_px", _size_of(results.tracks, "x_light_px"))
+        add("overlap", "x_px", _size_of(results.tracks, "x_overlap_px"))
     if results.fits is not None and results.sticks is not None:
         fitted = results.fits.named()
         for quantity, estimate in fitted.items():
@@ -135,34 +134,7 @@ def systematic_budget(results: Results) -> Budget:
     return Budget(values=values, statistical=statistical, sources=sources)
 
 
-def uneven_light_px(strip: xr.DataArray, tracks: xr.Dataset) -> float | None:
-    r"""Return by how much uneven light shifts the ridges, RMS over the sheets in px; None if not known.
-
-    A Gaussian ridge of standard width :math:`\sigma` and height C (negative if dark) stands at :math:`x_n` on
-    a level V. In light of intensity L(x), a parabola fitted over a window of w pixels has its vertex at x,
-    where to first order
-
-    .. math:: x - x_n = \frac{L'}{L}\, \frac{V + C}{C}\, \left(\sigma^2 + \frac{w^2}{20}\right)
-
-    (:math:`w^2/20` is the variance of the parabolic kernel whose convolution with the profile has the
-    parabola's slope). V and :math:`L'/L` are measured in the gaps on both sides of a ridge in the mean frame.
-    """
-    found = TrackMetadata.of(tracks)
-    x = nan_median(tracks["x_px"].values) - float(strip["x"].values[0])  # column of each sheet
-    known = frames_with_values(strip.values[:, :1])
-    if x.size < 3 or not known.any() or not math.isfinite(found.pitch_px):
-        return None
-    frames = np.flatnonzero(known)
-    sample = frames[spread_indices(frames.size, 50)]
-    mean = some_rows(strip.values, sample).astype(np.float64).mean(axis=0)
-    column = np.arange(mean.size)
-    gaps = np.interp(x[:-1] + np.diff(x) / 2, column, mean)
-    level = (gaps[1:] + gaps[:-1]) / 2
-    slope = np.diff(gaps) / ((x[2:] - x[:-2]) / 2)
-    top = np.interp(x[1:-1], column, mean)
-    height = np.abs(top - level)
-    variance = (found.ridge_fwhm_px / FWHM) ** 2 + found.window_px**2 / 20
-    with np.errstate(divide="ignore", invalid="ignore"):
-        shift = slope / level * top / height * variance
-    size = rms(shift)
+def _size_of(tracks: xr.Dataset, shift: str) -> float | None:
+    """Return a shift of positions, root mean square over the sheets; None if it is not known."""
+    size = rms(tracks[shift].values) if shift in tracks else math.nan
     return size if math.isfinite(size) else None

@@ -6,7 +6,6 @@ The TIFFs open in Fiji with µm and s per pixel; those of a run are read back.
 from __future__ import annotations
 
 import json
-import math
 import os
 import threading
 from collections.abc import Iterator, Mapping
@@ -24,7 +23,7 @@ from pyarrow import csv
 from vision.errors import InputError
 from vision.files import AGAIN, check_regular, reading
 from vision.mapped import parts_in_turn
-from vision.numeric import Floats, Floats32, row_parts
+from vision.numeric import Floats, Floats32, rms, row_parts
 from vision.sheets.identities import DOUBTS
 from vision.sheets.recovery import FLAG_MEANINGS
 from vision.spacetime import grey_limits
@@ -90,17 +89,16 @@ def tracks_columns(tracks: xr.Dataset, *, pixel_size_um: float | None = None) ->
 def sheets_table(tracks: xr.Dataset) -> pd.DataFrame:
     """Return one row per sheet: index, side, n, x_mean_px, found, fwhm_px, snr and noise columns."""
     digits = {"x_mean_px": 4, "found": 5, "fwhm_px": 2, "snr": 1, "x_noise_px": 5}
-    digits |= {name: 5 for name in ("x_scatter_px", "x_predicted_px", "misscaled") if name in tracks}
+    others = ("x_scatter_px", "x_predicted_px", "constant_error_px", "misscaled")
+    digits |= {name: 5 for name in others if name in tracks}
     who = {"index": tracks["sheet"].values, "side": tracks["side"].values, "n": tracks["n"].values}
     return pd.DataFrame(who | {name: tracks[name].values.round(places) for name, places in digits.items()})
 
 
-def write_tracks_nc(
-    tracks: xr.Dataset, path: Path, *, pixel_size_um: float | None, constant_error_px: float = math.nan
-) -> None:
+def write_tracks_nc(tracks: xr.Dataset, path: Path, *, pixel_size_um: float | None) -> None:
     """Write netCDF-4 with CF units and long names; x_um only if the pixel size is known; flags as characters.
 
-    `constant_error_px`, an attribute of x_px, is the error of positions that every frame has. The
+    `constant_error_px`, also an attribute of x_px (rms of the sheets), is the error that every frame has. The
     file is made in memory, because HDF5 crashes the process if a disk fills up.  Raises: OSError.
     """
     data = tracks.assign_coords(index=("sheet", tracks["sheet"].values, {"long_name": "index from the left"}))
@@ -112,9 +110,10 @@ def write_tracks_nc(
         if words in data:
             text = "; ".join(f"{word}: {meaning}" for word, meaning in meanings.items())
             data[words].attrs["meanings"] = text
-    if math.isfinite(constant_error_px):
+    if "constant_error_px" in data:
         comment = "x_err_px: random error of a position; constant_error_px: equal in all frames"
-        data["x_px"].attrs |= {"constant_error_px": constant_error_px, "comment": comment}
+        constant = rms(data["constant_error_px"].values)
+        data["x_px"].attrs |= {"constant_error_px": constant, "comment": comment}
     if pixel_size_um is not None:
         about = {"long_name": "position of the sheet", "units": "um"}
         data = data.assign(x_um=(("frame", "sheet"), data["x_px"].values * pixel_size_um, about))

@@ -69,7 +69,7 @@ def write_run(
         failures = dict(analysis.failures)
         with _largest_meanwhile(analysis, folder):
             inputs, budget = origin.describe(), systematic_budget(analysis)
-            _write_tables(analysis, folder, origin, budget)
+            _write_tables(analysis, folder, origin)
             give_back_freed()
             seconds["tables"] = time.perf_counter() - started
             content = {**run_facts(analysis, origin, inputs, budget), **(facts or {})}
@@ -206,11 +206,10 @@ def _video_facts(analysis: Analysis) -> dict[str, Any]:
     }
 
 
-def _write_tables(analysis: Analysis, folder: Path, origin: Origin, budget: Budget) -> None:
+def _write_tables(analysis: Analysis, folder: Path, origin: Origin) -> None:
     if analysis.tracks is not None and analysis.strip is not None:
         size, path = analysis.pixel_size_um, folder / "tracks.nc"
-        constant = budget.total("x_px")
-        write_tracks_nc(analysis.tracks, path, pixel_size_um=size, constant_error_px=constant)
+        write_tracks_nc(analysis.tracks, path, pixel_size_um=size)
         write_csv(sheets_table(analysis.tracks), folder / "sheets.csv", digits=None)
     if analysis.sticks is not None:
         write_csv(analysis.sticks, folder / "events.csv")

@@ -267,7 +267,7 @@ def _sampled_profiles(profile: Floats32, x_px: Floats, half: int, comb: RidgeCom
     """Return the pixels at offsets u from the positions in some frames, with mean 0 and standard deviation 1,
     (frame, u, N), and their median over all sheets and frames, (u,)."""
     sample = spread_indices(len(profile), 200)
-    level = _around(comb.bright(some_rows(profile, sample)), x_px[sample], half)
+    level = levels_around(comb.bright(some_rows(profile, sample)), x_px[sample], half)
     level -= level.mean(axis=1, keepdims=True)
     level /= level.std(axis=1, keepdims=True)
     return level, nan_median(level.swapaxes(1, 2).reshape(-1, level.shape[1]))
@@ -390,7 +390,7 @@ def _fit_shape(
     height, apart, sloping, pulled_px2 = (np.empty_like(x_px) for _ in range(4))
 
     def fit(rows: slice) -> None:
-        around = _around(comb.bright(profile[rows]), x_px[rows], half)
+        around = levels_around(comb.bright(profile[rows]), x_px[rows], half)
         found = fits @ around
         with np.errstate(divide="ignore", invalid="ignore"):
             shift = found[:, 1::2] / found[:, ::2]
@@ -635,7 +635,7 @@ def _if_above(size: Floats, least: Floats | float) -> Floats:
     return np.where(size > least, size, 0.0)
 
 
-def _around(bright: Floats32, x_px: Floats, half: int) -> Floats:
+def levels_around(bright: Floats32, x_px: Floats, half: int) -> Floats:
     """Return grey levels at whole pixels from each position, (frame, u, N), by cubics through four pixels."""
     frames, sheets = x_px.shape
     left = np.floor(np.nan_to_num(x_px, nan=-10.0 * half)).astype(np.int64)

@@ -26,6 +26,7 @@ from vision.numeric import (
     nan_quantile,
     row_parts,
 )
+from vision.sheets.constant_shift import constant_shift
 from vision.sheets.corrections import Correction, apply_corrections, last_of
 from vision.sheets.distortion import (
     NO_LOCKING,
@@ -142,8 +143,8 @@ def track_sheets(
     (`vision.sheets.second_comb.second_comb`). Positions of ridges sharper than their pixels are corrected for
     locking to whole pixels (`vision.sheets.distortion.pixel_locking`), except with ``fit="paper"``: x_err_px
     includes it. For lossy video it is the scatter between sheets, since compression hides the noise and adds
-    its own artefacts. It does not include errors that are the same in all frames (uneven light, the choice of
-    rows).
+    its own artefacts. It does not include errors that are the same in all frames (`constant_error_px`: uneven
+    light, neighbours that overlap, the choice of rows).
     """
     STRIP.check(strip)
     check_word(("bright", "dark", "auto"), ridges=ridges)
@@ -515,6 +516,9 @@ def _dataset(strip: xr.DataArray, found: _Tracked, metadata: TrackMetadata) -> x
     ok = (flag == Flag.OK) | (flag == Flag.BLURRED)
     x, err = assessed.x_px, assessed.err_px
     x[~ok] = err[~ok] = np.nan
+    profile = np.asarray(strip.values, np.float32)
+    overlap, light = constant_shift(profile, x, metadata.window_px, found.comb)
+    constant = np.hypot(StripMetadata.of(strip).strip_err_px, np.hypot(overlap, np.nan_to_num(light)))
     x += found.origin_px
     why = np.where(flag == Flag.DOUBTFUL, detections.why, np.uint8(Doubt.NONE))
     values: dict[str, Any] = {
@@ -530,6 +534,9 @@ def _dataset(strip: xr.DataArray, found: _Tracked, metadata: TrackMetadata) -> x
         "snr": median_where(ok, detections.contrast) / np.maximum(found.fitted.noise, 1e-12),
         "distorted": (assessed.distorted & ok).sum(axis=0) / np.maximum(ok.sum(axis=0), 1),
         "x_lasting_px": assessed.lasting_px,
+        "x_overlap_px": overlap,
+        "x_light_px": light,
+        "constant_error_px": constant,
         "misscaled": assessed.scale,
         "x_noise_px": errors.noise_px,
         "x_scatter_px": errors.scatter_px,

@@ -1,0 +1,98 @@
+"""Shifts of positions that are the same in all frames: by ridges that overlap, and by uneven light."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vision.mapped import some_rows
+from vision.numeric import FWHM, Floats, Floats32, nan_median, spread_indices
+from vision.sheets.distortion import levels_around
+from vision.sheets.ridges import FEWEST, RidgeComb
+from vision.sheets.subpixel import Starts, sliding_vertex
+
+FRAMES = 200  # spread over the film, whose median profile is fitted
+STEPS = 8  # of the fit, which settles after five
+# How far places (in ridge widths), widths and exponent (logarithms) lie from those expected, and how well the
+# ridges have the shape that is fitted, over their height. Larger lets ridges that touch exchange their light,
+# smaller holds back those that are twice as wide as others (test_constant_shift.py).
+PLACES, WIDTHS, MISFIT = 0.25, 0.5, 0.01
+EXPONENTS = np.log([1.5, 8.0])  # from sharp ridges to boxes
+DARKEST = 0.1  # of a ridge's height: a darker background tells nothing of the light
+
+
+def constant_shift(profile: Floats32, x_px: Floats, window_px: int, comb: RidgeComb) -> tuple[Floats, Floats]:
+    r"""Return by how much neighbours and uneven light shift positions x_px (frame, N) of the sliding window.
+
+    Both are in px, (N,), NaN for sheets without positions; that by light also for fewer than five sheets,
+    which may lie on anything.
+
+    The comb of all ridges on its background is fitted to the median profile around the sheets. The sliding
+    window is then applied to the ridges so drawn, together and each alone: the difference is the shift by
+    neighbours. A ridge of standard width :math:`\sigma` and height C (negative if dark) on a background V in
+    light of intensity L(x), of which V shows the slope, is shifted to first order by
+
+    .. math:: \frac{L'}{L}\, \frac{V + C}{C}\, \left(\sigma^2 + \frac{w^2}{20}\right) ,
+
+    since :math:`w^2/20` is the variance of the parabolic kernel whose convolution with the profile has the
+    slope of a parabola over w pixels. The template keeps the mean position of the sliding window, and the
+    publication's fit has it in the mean over a pixel, so that both shifts hold for them as well.
+    """
+    rest, rows = nan_median(x_px), spread_indices(len(x_px), FRAMES)
+    seen = np.isfinite(rest)
+    by_neighbours, by_light = np.full((2, len(rest)), np.nan)
+    if not seen.any():
+        return by_neighbours, by_light
+    half = max(comb.half_px(1.0), round(comb.pitch_px))
+    bright = comb.bright(some_rows(profile, rows))
+    around = nan_median(levels_around(bright, x_px[np.ix_(rows, seen)], half))
+    at = rest[seen] + np.arange(-half, half + 1)[:, None]
+    nearest = np.abs(at[..., None] - rest[seen]).argmin(axis=2) == np.arange(at.shape[1])
+    known = np.isfinite(around) & nearest  # each pixel once
+    place, width, exponent, height, level, slope = _fitted_comb(at[known], around[known], rest[seen], comb)
+    away = np.abs(np.arange(profile.shape[1]) - place[:, None]) / width[:, None]
+    drawn = height[:, None] * np.exp(-(away**exponent) / 2)
+    frame, start = np.arange(len(place)), np.rint(place).astype(np.int64)
+    alone = sliding_vertex(drawn, Starts(frame, start), window_px=window_px)
+    together = sliding_vertex(drawn.sum(axis=0)[None], Starts(0 * frame, start), window_px=window_px)
+    by_neighbours[seen] = together.x_px - alone.x_px
+    if len(place) >= FEWEST:
+        level = np.copysign(np.fmax(np.abs(level), DARKEST * np.abs(height)), level)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            shift = slope / level * (level + height) / height * (width**2 + window_px**2 / 20)
+        by_light[seen] = np.clip(shift, -comb.fwhm_px / 2, comb.fwhm_px / 2)  # a position is on its ridge
+    return by_neighbours, by_light
+
+
+def _fitted_comb(at_px: Floats, grey: Floats, rest_px: Floats, comb: RidgeComb) -> tuple[Floats, ...]:
+    r"""Fit ridges :math:`C_n \exp(-|x - x_n|^p / 2\sigma_n^p)` on a background of second degree to grey
+    levels (K,) at these columns, by the method of Gauss and Newton.
+
+    Returns :math:`x_n, \sigma_n, p, C_n`, and the background and its slope per px at :math:`x_n`. rest_px:
+    measured positions, (N,).
+    """
+    sheets, middle, half = len(rest_px), (at_px.max() + at_px.min()) / 2, np.ptp(at_px) / 2
+    background = np.vander((at_px - middle) / half, 3)
+    width = np.full(sheets, np.log(comb.fwhm_px / FWHM))
+    spread = np.repeat([PLACES * comb.fwhm_px, WIDTHS, np.inf], [sheets, sheets + 1, sheets + 3])
+    weight, parts = (MISFIT * comb.contrast / spread) ** 2, np.cumsum([sheets, sheets, 1, sheets])
+    expected = found = np.concatenate([rest_px, width, [np.log(2)], np.zeros(sheets + 3)])
+    for _ in range(STEPS):
+        place, width, exponent, height, base = np.split(found, parts)
+        away = (at_px[:, None] - place) / np.exp(width)
+        away[away == 0] = 1e-9  # whose logarithm is finite
+        raised = np.abs(away) ** np.exp(exponent) / 2
+        ridge = np.exp(-raised)
+        rise = ridge * raised * height * np.exp(exponent)
+        sharper = -(rise * np.log(np.abs(away))).sum(axis=1, keepdims=True)
+        regressors = np.hstack([rise / (away * np.exp(width)), rise, sharper, ridge, background])
+        left = grey - ridge @ height - background @ base
+        normal = regressors.T @ regressors + np.diag(weight)
+        normal += 1e-12 * np.trace(normal) * np.eye(len(normal))  # solvable, whatever is seen
+        change = np.linalg.solve(normal, regressors.T @ left + weight * (expected - found))
+        change[: parts[2]] = np.clip(change[: parts[2]], -0.3, 0.3)
+        found = found + change
+        found[parts[1]] = np.clip(found[parts[1]], *EXPONENTS)
+    place, width, exponent, height, base = np.split(found, parts)
+    there = (place - middle) / half
+    background_there = np.polyval(base, there), np.polyval(np.polyder(base), there) / half
+    return place, np.exp(width), np.exp(exponent), height, *background_there
