@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.scenes.combs import ridges, strip
+from tests.scenes.combs import comb, ridges, strip
 from tests.sheets.test_doubts import marked_comb
 from vision.errors import InputError
 from vision.sheets import doubtful_stretches, read_corrections, track_sheets
@@ -163,6 +163,26 @@ def test_a_sheet_that_was_not_counted_is_added_and_followed_both_ways(comb_film,
     wrong = f"[[add]]\nframe=60\nx_px={x[60, 5]:.1f}"
     with pytest.raises(InputError, match="sheet 5"):
         track_sheets(picture, corrections=written(tmp_path, wrong))
+
+
+@pytest.mark.parametrize(("widths", "faint"), [(6.5, 0.1), (9.0, 0.2)])
+def test_a_faint_sheet_on_the_flanks_of_wide_ones_is_added(tmp_path, widths, faint):
+    """Its neighbours leave only the top of its ridge, or make it unlike all others. A failure means that a
+    sheet which a person sees cannot be measured, or is called a mark although this person says that it is a
+    sheet; or that nothing says how far the neighbours pull it."""
+    x = comb(120, per_side=10, pitch_px=16.0, axis_px=180, uneven=0.04, slip=0.2)
+    height, width = np.ones(20), np.full(20, widths)
+    height[14], width[[13, 15]] = faint, 1.15 * widths
+    picture = strip(ridges(x, width=360, fwhm_px=width, contrast=height), snr=200)
+    assert track_sheets(picture).sizes["sheet"] == 19
+    text = f"[[add]]\nframe=50\nx_px={x[50, 14]:.0f}"
+    tracks = track_sheets(picture, corrections=written(tmp_path, text))
+    assert tracks.sizes["sheet"] == 20
+    off = tracks.x_px.values[:, 14] - x[:, 14]
+    assert (tracks.flag.values[:, 14] == "ok").mean() > 0.4
+    assert abs(np.nanmean(off)) < 2 * float(tracks.constant_error_px[14]) + 0.03
+    moved, known = np.abs(off - np.nanmean(off)), np.isfinite(off)
+    assert (moved < tracks.x_err_px.values[:, 14])[known].mean() > 0.6
 
 
 def test_the_axis_is_where_it_is_put(comb_film, tmp_path):

@@ -25,7 +25,7 @@ from vision.sheets.doubts import predicted_by_neighbours
 from vision.sheets.identities import WHYS
 from vision.sheets.numbering import number_sheets
 from vision.sheets.recovery import FLAGS, Flag
-from vision.sheets.ridges import RidgeComb, Ridges, find_ridges
+from vision.sheets.ridges import RidgeComb, Ridges, find_by_hand
 from vision.sheets.subpixel import FitName, fit_sheets
 from vision.words import word_codes
 
@@ -111,10 +111,10 @@ class Positions:
             raise InputError("the frame", f"one from {self.frame[0]} to {self.frame[-1]}", f"{frame}")
         return row
 
-    def ridges(self, diagram: Diagram, rows: slice) -> Ridges:
+    def ridges(self, diagram: Diagram, rows: slice) -> tuple[Ridges, Ridges]:
         """Find the ridges in these rows as the tracking does; x counts from the diagram's first column."""
         profile = diagram.rows(self.first_row + rows.start, self.first_row + rows.stop)
-        return find_ridges(profile, self.comb(diagram))
+        return find_by_hand(profile, self.comb(diagram))
 
     def copied(self, rows: slice) -> Positions:
         """Return a copy of some rows that can be changed independently."""
@@ -213,7 +213,7 @@ class _CorrectedPositions(Corrected):
             part = slice(int(rows[block].min()), int(rows[block].max()) + 1)
             ridges = self.positions.ridges(self.diagram, part)
             x_px = self.positions.x_px[part] - np.float64(origin)
-            fitted_from = nearest_ridges(ridges.x_px, x_px, SAME_RIDGE_PX)
+            fitted_from = nearest_ridges(ridges[0].x_px, x_px, SAME_RIDGE_PX)
             whole = np.where(np.isfinite(fitted_from), fitted_from, np.rint(x_px))
             order = rows[block] - part.start
             found, owner[block] = follow_ridge(

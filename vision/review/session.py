@@ -405,7 +405,7 @@ class Session:
         with self.lock:
             positions = self.positions
             row = positions.row_of(frame)
-            seen = positions.ridges(self.diagram, slice(row, row + 1))
+            seen, _ = positions.ridges(self.diagram, slice(row, row + 1))
             known = np.isfinite(seen.x_px[0])
             x = seen.x_px[0][known].astype(float) + self.diagram.first_column
             owner = _owners(x, positions.x_px[row])

@@ -464,7 +464,12 @@ class _CorrectedDetections(Corrected):
     """Detections, in columns of the profile, whose first pixel lies at column `origin_px` of the picture."""
 
     def __init__(
-        self, detections: Detections, ridges: Ridges, comb: RidgeComb, frames: Ints, origin_px: float
+        self,
+        detections: Detections,
+        ridges: tuple[Ridges, Ridges],
+        comb: RidgeComb,
+        frames: Ints,
+        origin_px: float,
     ) -> None:
         arrays = {part.name: np.array(getattr(detections, part.name)) for part in fields(detections)}
         super().__init__(arrays, "start_px", frames)
@@ -477,11 +482,12 @@ class _CorrectedDetections(Corrected):
         )
 
     def put(self, rows: Ints, sheet: int, ridge_px: Floats, otherwise: Flag) -> None:
-        known, (best, _) = np.isfinite(ridge_px), nearest(self.ridges.x_px[rows], ridge_px)
+        ridges = self.ridges[1]
+        known, (best, _) = np.isfinite(ridge_px), nearest(ridges.x_px[rows], ridge_px)
         values = {
             "start_px": ridge_px,
-            "contrast": np.where(known, self.ridges.contrast[rows, best], np.nan),
-            "fwhm_px": np.where(known, self.ridges.fwhm_px[rows, best], np.nan),
+            "contrast": np.where(known, ridges.contrast[rows, best], np.nan),
+            "fwhm_px": np.where(known, ridges.fwhm_px[rows, best], np.nan),
             "flag": np.where(known, Flag.OK, otherwise),
             "why": Doubt.NONE,
             "withheld_px": np.nan,
@@ -492,7 +498,7 @@ class _CorrectedDetections(Corrected):
 
 def apply_corrections(
     detections: Detections,
-    ridges: Ridges,
+    ridges: tuple[Ridges, Ridges],
     corrections: Sequence[Correction],
     comb: RidgeComb,
     *,
@@ -502,7 +508,7 @@ def apply_corrections(
     """Return the detections with the manual corrections applied, in the order of `ordered`.
 
     frames: frame numbers in the film, (frame,). origin_px: column of the profile's first pixel in the
-    picture. ridges: candidates of every frame.
+    picture. ridges: of every frame, from `find_by_hand`.
 
     Raises
     ------
@@ -535,7 +541,7 @@ def follow_ridge(
     correction: Correction,
     rows: Ints,
     others: Floats,
-    ridges: Ridges,
+    ridges: tuple[Ridges, Ridges],
     comb: RidgeComb,
     *,
     without: int | None = None,
@@ -544,9 +550,10 @@ def follow_ridge(
     """Follow a ridge from row to row, with the motion of the other sheets.
 
     In the first row it is the ridge nearest to the correction's x_px, a column of the picture, then the one
-    nearest to where that motion moves it. Return whole pixels, one per row, NaN where no ridge is near; and
-    the sheet that has this ridge already, -1 for none. rows: rows of `others` and `ridges`, in the order in
-    which the ridge is followed. others: whole pixels of the sheets, (frame, sheet). without: one to ignore.
+    nearest to where that motion moves it: of the candidates, or of all maxima where none of these is near.
+    Return whole pixels, one per row, NaN where no ridge is near; and the sheet that has this ridge already,
+    -1 for none. rows: rows of `others` and `ridges` (`find_by_hand`), in the order in which the ridge is
+    followed. others: whole pixels of the sheets, (frame, sheet). without: one to ignore.
 
     Raises
     ------
@@ -559,19 +566,25 @@ def follow_ridge(
     moved = np.nan_to_num(nan_median(np.diff(others, axis=0), axis=1))
     reach = comb.settings.faint_reach * comb.pitch_px
     travelled = np.concatenate([[0.0], np.cumsum(moved)])
-    relative = ridges.x_px[rows] - travelled[:, None]  # relative to the other sheets
+    candidates, maxima = (one.x_px[rows] - travelled[:, None] for one in ridges)  # relative to the others
     x = np.full(len(rows), np.nan)
     at = float(correction.x_px or 0.0) - origin_px
-    for k, row in enumerate(values.tolist() for values in relative):  # ascending, NaN last
-        after = bisect_left(row, at)
-        beside = range(max(0, after - 1), min(after + 1, len(row)))
-        best = min(beside, key=lambda i: abs(row[i] - at))
-        if abs(row[best] - at) <= reach:
-            at, x[k] = row[best], ridges.x_px[rows[k], best]
+    for k, row in enumerate(values.tolist() for values in candidates):
+        best = _nearest(row, at)
+        if not abs(best - at) <= reach:
+            best = _nearest(maxima[k].tolist(), at)
+        if abs(best - at) <= reach:
+            at, x[k] = best, round(best + travelled[k])
         elif k == 0:
-            seen = ridges.x_px[rows[0]][np.isfinite(ridges.x_px[rows[0]])]
+            seen = maxima[0][np.isfinite(maxima[0])]
             close = np.sort(seen[np.argsort(np.abs(seen - at))[:2]] + origin_px)
             found = f"the nearest at {' and '.join(f'{x_px:.0f}' for x_px in close)}" * bool(close.size)
             raise InputError(correction.name, f"a ridge near x_px = {correction.x_px:g}", found or "none")
     taken = others == x[:, None]
     return x, np.where(taken.any(axis=1), taken.argmax(axis=1), -1)
+
+
+def _nearest(row: list[float], at: float) -> float:
+    """Return the nearest of ascending values, with NaN last; NaN for none."""
+    after = bisect_left(row, at)
+    return min(row[max(0, after - 1) : after + 1], key=lambda x: abs(x - at), default=np.nan)

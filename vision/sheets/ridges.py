@@ -482,6 +482,15 @@ def find_ridges(profile: Floats32, comb: RidgeComb) -> Ridges:
     return Ridges(*tables)
 
 
+def find_by_hand(profile: Floats32, comb: RidgeComb) -> tuple[Ridges, Ridges]:
+    """Return the candidates, and all maxima above the noise, of which a decision may say that one is a sheet.
+
+    Of a faint ridge on the flank of a neighbour only the top stands out, as narrow as a hot pixel.
+    """
+    anything = replace(comb, contrast=0.0, settings=replace(comb.settings, narrowest_widths=0.0))
+    return find_ridges(profile, comb), find_ridges(profile, anything)
+
+
 def in_blocks(work: Callable[[slice], Result], table: NDArray[Any]) -> list[Result]:
     """Return the results of `work` for consecutive blocks of frames of a table (frame, ...), found in two
     threads. The memory of a block in a temporary file is given back."""

@@ -45,6 +45,7 @@ from vision.sheets.reference import ReferenceComb, marks, wide_spacings
 from vision.sheets.ridges import (
     RidgeComb,
     describe_ridges,
+    find_by_hand,
     find_ridges,
     frames_with_values,
     no_ridges,
@@ -167,7 +168,7 @@ def track_sheets(
     frozen = repeated_frames(profile, settings)
     fitted = _fit(profile, detections.start_px, comb, fit, window, frozen)
     errors = _errors(fitted, frozen, facts, settings)
-    assessed = _assess_ridges(profile, fitted.x_px, errors, detections, frozen, comb)
+    assessed = _assess_ridges(profile, fitted.x_px, errors, detected, frozen, comb)
     axis = None if axis_px is None else axis_px - first_px
     width = profile.shape[1]
     numbering = number_sheets(assessed.x_px, axis_px=axis, width_px=width, settings=settings)
@@ -206,11 +207,13 @@ def track_sheets(
 
 
 class _Detected(NamedTuple):
-    """The ridges of the sheets, the comb that they form, and the least certain identity, nats."""
+    """The ridges of the sheets, the comb that they form, the least certain identity, nats, and which sheets a
+    manual correction added, (N,)."""
 
     detections: Detections
     reference: ReferenceComb
     least_margin: float
+    added: Bools
 
 
 def _detect(
@@ -231,8 +234,17 @@ def _detect(
         raise no_ridges(profile, source)
     identities = identify_sheets(ridges, comb, sheets=sheets, source=source)
     detections = assign_detections(profile, ridges, identities, comb)
-    detections = apply_corrections(detections, ridges, corrections, comb, frames=frames, origin_px=origin_px)
-    return _Detected(detections, identities.reference, float(np.nanmin(identities.margin, initial=np.inf)))
+    if corrections:
+        by_hand = find_by_hand(profile, comb)
+        detections = apply_corrections(
+            detections, by_hand, corrections, comb, frames=frames, origin_px=origin_px
+        )
+    added = np.zeros(detections.flag.shape[1], bool)
+    for one in (one for one in corrections if one.kind == "add"):
+        away = np.abs(detections.start_px[frames == one.first] + origin_px - one.x_px)[0]
+        added |= away <= comb.settings.faint_reach * comb.pitch_px
+    margin = float(np.nanmin(identities.margin, initial=np.inf))
+    return _Detected(detections, identities.reference, margin, added)
 
 
 class _Assessed(NamedTuple):
@@ -251,14 +263,14 @@ class _Assessed(NamedTuple):
 
 
 def _assess_ridges(
-    profile: Floats32, x_px: Floats, errors: _Errors, detections: Detections, frozen: Bools, comb: RidgeComb
+    profile: Floats32, x_px: Floats, errors: _Errors, detected: _Detected, frozen: Bools, comb: RidgeComb
 ) -> _Assessed:
     """Find ridges that are blurred, cut or distorted, and those that are not the ridge of one sheet.
 
     What positions scatter beyond all these errors is added to them (`noise_excess`). Positions and errors are
-    changed in place.
+    changed in place. A sheet that was added by hand is one, whatever its ridge looks like.
     """
-    err = errors.err_px
+    err, detections = errors.err_px, detected.detections
     changing = _unrepeated(x_px, frozen)
     blurred, blur_px = motion_blur(changing, detections.contrast, detections.fwhm_px, comb)
     del changing
@@ -274,6 +286,7 @@ def _assess_ridges(
     not_a_sheet = not_one_ridge(profile, x_px, lasting_px, comb)
     not_a_sheet |= two_in_one(x_px, detections.fwhm_px, comb)
     not_a_sheet |= marks(x_px, err, np.hypot(lasting_px, usual_px), comb)
+    not_a_sheet &= ~detected.added
     flag = np.where((detections.flag == Flag.OK) & not_a_sheet, np.uint8(Flag.MERGED), detections.flag)
     is_distorted = distorted_px > np.fmax(err, comb.settings.distortion_floor)
     np.square(err, out=err)
