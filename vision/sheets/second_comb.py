@@ -13,6 +13,7 @@ import numpy as np
 
 from vision.mapped import some_rows
 from vision.numeric import FWHM, Bools, Floats, Floats32, nan_median, spread_indices
+from vision.sheets.distortion import levels_around
 from vision.sheets.ridges import RidgeComb
 
 LEAST_SHEETS = 5
@@ -84,17 +85,10 @@ def second_comb(profile: Floats32, x_px: Floats, blurred: Bools, comb: RidgeComb
 def levels_at(bright: Floats32, x_px: Floats) -> Floats:
     """Return the mean of three pixels around each place x_px (frame, K); NaN at NaN and at the edge.
 
-    Cubic (Catmull–Rom): a line between pixels lowers tops and raises gaps that lie there, by 1 % of a ridge
-    of 6 px, as a second comb would.
+    A line between pixels would lower tops and raise gaps that lie there, by 1 % of a ridge of 6 px, as a
+    second comb does.
     """
-    smooth = (bright[:, :-2] + bright[:, 1:-1] + bright[:, 2:]) / 3
-    inside = (x_px >= 2) & (x_px < bright.shape[1] - 3)
-    place = np.where(inside, x_px - 1, 1.0)
-    left = place.astype(np.int64)
-    part = place - left
-    before, low, high, after = (np.take_along_axis(smooth, left + k, axis=1) for k in (-1, 0, 1, 2))
-    bend = part * (3 * (low - high) + after - before) + 2 * before - 5 * low + 4 * high - after
-    return np.where(inside, low + 0.5 * part * (high - before + part * bend), np.nan)
+    return np.asarray(levels_around(bright, x_px, 1).mean(axis=1), np.float64)
 
 
 def _of_periods(values: Floats) -> Floats:
