@@ -165,7 +165,7 @@ def test_a_sheet_that_was_not_counted_is_added_and_followed_both_ways(comb_film,
         track_sheets(picture, corrections=written(tmp_path, wrong))
 
 
-@pytest.mark.parametrize(("widths", "faint"), [(6.5, 0.1), (9.0, 0.2)])
+@pytest.mark.parametrize(("widths", "faint"), [(6.5, 0.1), (9.0, 0.2), (9.3, 0.2)])
 def test_a_faint_sheet_on_the_flanks_of_wide_ones_is_added(tmp_path, widths, faint):
     """Its neighbours leave only the top of its ridge, or make it unlike all others. A failure means that a
     sheet which a person sees cannot be measured, or is called a mark although this person says that it is a
