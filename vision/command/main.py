@@ -235,8 +235,8 @@ def _isolate_environment() -> None:
     sys.path[:] = [place for place in sys.path if place]  # "" is the working directory, with the data
     os.environ.pop("MPLBACKEND", None)  # Jupyter sets one that may not be installed here
     os.environ["MATPLOTLIBRC"] = os.devnull
-    # Threads of linear algebra without work sleep at once: otherwise each keeps a core busy for a while.
-    os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "4")
+    # Matrices are small: a second thread of linear algebra mostly keeps a core busy while it waits for work.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Tables of positions are formatted by Arrow, whose own allocator keeps what it frees.
     os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
