@@ -330,6 +330,7 @@ TRACKS = Schema(
         ),
         "x_overlap_px": Variable(_SHEET, "px", "shift of all positions by neighbours that overlap"),
         "x_light_px": Variable(_SHEET, "px", "shift of all positions by uneven light"),
+        "x_shape_px": Variable(_SHEET, "px", "error of all positions by the shape of the ridge"),
         "constant_error_px": Variable(_SHEET, "px", "error of a position that is the same in all frames"),
         "misscaled": Variable(
             _SHEET,

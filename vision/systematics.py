@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from vision.figures import Results
 
 QUANTITIES: Mapping[str, tuple[str, str]] = {
-    "x_px": ("position of a sheet (not in x_err_px)", "px"),
+    "x_px": ("absolute position of a sheet", "px"),
     "mu": ("μ", ""),
     "T0_N": ("𝒯_0", "N"),
     "A": ("A", ""),
@@ -47,6 +47,7 @@ SOURCES = {
     "strip": "choice of the strip's rows",
     "light": "uneven light",
     "overlap": "overlap of neighbouring ridges",
+    "shape": "ridges that are brighter on one side",
     "pixel_size": "pixel size",
     "clock": "clock",
     "machine": "compliance of the machine",
@@ -92,11 +93,11 @@ def systematic_budget(results: Results) -> Budget:
     """Return the budget of a run's results; empty without tracks, motion and fits.
 
     Errors of the fitted parameters are those of `ModelFits.budget` (a fit repeated with each source changed).
-    The strip's rows, uneven light and neighbours shift each sheet by a constant, which displacements and
-    σ_x do not have (`constant_error_px` of the tracks for each sheet). The pixel size scales σ_x/Λ_st; its
-    error is not known. An error of the clock does not affect σ_x as long as it is smaller than the time left
-    out beside each slip. A machine that is not stiff moves less at the sample than its crosshead does: K and
-    σ_x/Λ_st are too small by K over its stiffness, unless corrected.
+    The strip's rows, uneven light, neighbours and the shape of ridges shift each sheet by a constant, which
+    displacements and σ_x do not have (`constant_error_px` of the tracks for each sheet). The pixel size
+    scales σ_x/Λ_st; its error is not known. An error of the clock does not affect σ_x as long as it is
+    smaller than the time left out beside each slip. A machine that is not stiff moves less at the sample than
+    its crosshead does: K and σ_x/Λ_st are too small by K over its stiffness, unless corrected.
     """
     values: dict[str, float] = {}
     statistical: dict[str, float] = {}
@@ -109,8 +110,7 @@ def systematic_budget(results: Results) -> Budget:
         values["x_px"] = math.nan  # a position for every sheet and frame
         statistical["x_px"] = float(nan_median(results.tracks["x_err_px"].values.ravel()))
         add("strip", "x_px", StripMetadata.of(results.tracks).strip_err_px)
-        add("light", "x_px", _size_of(results.tracks, "x_light_px"))
-        add("overlap", "x_px", _size_of(results.tracks, "x_overlap_px"))
+        sources |= {one: {"x_px": _size_of(results.tracks, one)} for one in ("light", "overlap", "shape")}
     if results.fits is not None and results.sticks is not None:
         fitted = results.fits.named()
         for quantity, estimate in fitted.items():
@@ -134,7 +134,7 @@ def systematic_budget(results: Results) -> Budget:
     return Budget(values=values, statistical=statistical, sources=sources)
 
 
-def _size_of(tracks: xr.Dataset, shift: str) -> float | None:
+def _size_of(tracks: xr.Dataset, source: str) -> float | None:
     """Return a shift of positions, root mean square over the sheets; None if it is not known."""
-    size = rms(tracks[shift].values) if shift in tracks else math.nan
+    size = rms(tracks[name].values) if (name := f"x_{source}_px") in tracks else math.nan
     return size if math.isfinite(size) else None

@@ -530,8 +530,7 @@ def _dataset(strip: xr.DataArray, found: _Tracked, metadata: TrackMetadata) -> x
     x, err = assessed.x_px, assessed.err_px
     x[~ok] = err[~ok] = np.nan
     profile = np.asarray(strip.values, np.float32)
-    overlap, light = constant_shift(profile, x, metadata.window_px, found.comb)
-    constant = np.hypot(StripMetadata.of(strip).strip_err_px, np.hypot(overlap, np.nan_to_num(light)))
+    shift = constant_shift(profile, x, metadata.window_px, found.comb)
     x += found.origin_px
     why = np.where(flag == Flag.DOUBTFUL, detections.why, np.uint8(Doubt.NONE))
     values: dict[str, Any] = {
@@ -547,9 +546,10 @@ def _dataset(strip: xr.DataArray, found: _Tracked, metadata: TrackMetadata) -> x
         "snr": median_where(ok, detections.contrast) / np.maximum(found.fitted.noise, 1e-12),
         "distorted": (assessed.distorted & ok).sum(axis=0) / np.maximum(ok.sum(axis=0), 1),
         "x_lasting_px": assessed.lasting_px,
-        "x_overlap_px": overlap,
-        "x_light_px": light,
-        "constant_error_px": constant,
+        "x_overlap_px": shift.overlap,
+        "x_light_px": shift.light,
+        "x_shape_px": shift.shape,
+        "constant_error_px": np.hypot(StripMetadata.of(strip).strip_err_px, shift.size_px),
         "misscaled": assessed.scale,
         "x_noise_px": errors.noise_px,
         "x_scatter_px": errors.scatter_px,
