@@ -124,7 +124,7 @@ def test_systematic_errors_are_a_line_each():
     lines = summary_lines(with_force())
     first = next(k for k, line in enumerate(lines) if line.startswith("errors"))
     place, stiffness, rest, sample = (line[11:] for line in lines[first:])
-    assert place.startswith("position of a sheet") and place.count("±") == 1
+    assert place.startswith("absolute position of a sheet") and place.count("±") == 1
     assert "systematic" in place and "statistical" in place
     assert stiffness.startswith("K ±") and "N/mm" in stiffness
     assert rest == "not included, since no error is known: compliance of the machine, pixel size, clock"

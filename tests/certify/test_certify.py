@@ -235,7 +235,7 @@ def test_files(tmp_path, monkeypatch):
     assert list(documented()["certificate.csv"]) == list(table.columns)
     assert list(table["n"]) == list(tracks["n"].values)
     assert re.search(r"Random error of a position.*?0\.\d{3,4} px \(\d?\.?\d{2,4} µm\)", page, re.DOTALL)
-    assert "that of single sheets is from 0." in page and "(the worst)" in page
+    assert "that of the best is 0." in page and "that of the worst 0." in page
     (panel,) = certificate_figure(certificate).panels
     errors = next(line.y for line in panel.series if line.label == "RMS random error of a position")
     assert panel.y_label == "error, sweep (10⁻³ px)"

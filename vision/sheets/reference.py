@@ -457,8 +457,9 @@ def faint_ends(reference: ReferenceComb, moved_px: Floats, *, settings: Tracking
     power = np.array([(moved[np.isfinite(moved)] ** 2).sum() for moved in moved_px.T]) / len(moved_px)
     in_comb = moved_px - nan_median(moved_px, axis=1)[:, None]  # a shaken camera moves all alike
     for end, inner, beside in ((0, 1, contrast[1:6]), (-1, -2, contrast[-6:-1])):
-        own = contrast[end] - min(0.0, float(np.median(beside)))  # the light may fall off towards an end
-        seen = np.isfinite(moved_px[:, end]).mean()
+        seen, own = np.isfinite(moved_px[:, end]).mean(), contrast[end]
+        if seen > 0.5:  # and the light may fall off towards this end
+            own -= min(0.0, float(np.median(beside)))
         moves = power[inner] > settings.moving_px**2 / 4
         slow = moves and power[end] < settings.slow_end**2 * power[inner]
         along = motion_likeness(in_comb[:, end], in_comb[:, inner]) > settings.along_end

@@ -184,9 +184,9 @@ class TrackingSettings:
     centre, smaller keeps dust."""
 
     faint_end: float = 0.35
-    """Contrast of the comb's first or last ridge, over the median of all or, where that is lower, of the five
-    beside it, below which one more sign shows that it is no sheet. Larger drops unequal sheets, smaller takes
-    background beside a speck for a sheet (test_degraded.py's dirt)."""
+    """Contrast of the comb's first or last ridge, over the median of all (of the five beside it, if that is
+    lower and the ridge is there in most frames), below which one more sign shows that it is no sheet. Larger
+    drops unequal sheets, smaller takes background beside a speck for a sheet (test_degraded.py's dirt)."""
 
     dim_end: float = 0.5
     """The same for a ridge of another width that does not move along with a neighbour that moves. Larger
