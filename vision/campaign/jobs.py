@@ -224,11 +224,9 @@ def _in_child(work: Callable[[], None]) -> int:
 
 
 def _until_parent_ends(work: Callable[[], None]) -> None:
-    """Run `work` in a child that ends with its parent, however that ends, and is interrupted only once.
-
-    A terminal or batch system signals all processes, then the parent signals its child: the second signal
-    would interrupt the clean-up.
-    """
+    """Run `work` in a child that ends with its parent, however that ends, and is interrupted only once. A
+    terminal or batch system signals all processes, then the parent signals its child: the second signal would
+    interrupt the clean-up."""
     signals = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
     def once(number: int, frame: object) -> None:

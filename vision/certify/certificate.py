@@ -259,11 +259,9 @@ def _counting(track: Tracker, progress: Progress, total: int) -> Tracker:
 
 
 def _with_hidden_motion(like: Likeness, track: Tracker, settings: CertifySettings) -> Likeness:
-    """Return a likeness whose films show as much common motion of all sheets as the recording.
-
-    The codec leaves out a part of this motion. If films had just the motion that is left, hardly any of it
-    would be lost when they are encoded again. They have another one with the same spectrum.
-    """
+    """Return a likeness whose films show as much common motion of all sheets as the recording. The codec
+    leaves out a part of this motion. If films had just the motion that is left, hardly any of it would be
+    lost when they are encoded again. They have another one with the same spectrum."""
     if not (kept := like.common_px).any():
         return like
     waves = np.abs(np.fft.rfft(kept)).astype(complex)
@@ -409,10 +407,8 @@ def _largest_jump(like: Likeness) -> float:
 def _identity_margin(
     like: Likeness, track: Tracker, measured: list[_Measured], scales: list[float]
 ) -> tuple[float, float]:
-    """Return the largest multiple of the motion without a wrong identity, and the largest tested.
-
-    Multiples at which sheets would overlap are not tested.
-    """
+    """Return the largest multiple of the motion without a wrong identity, and the largest tested. Multiples
+    at which sheets would overlap are not tested."""
     centre = np.median(like.motion_px, axis=0)
     margin = 0.0 if any(film.wrong for film in measured) else 1.0
     tried, found = 1.0, float(np.isfinite(measured[0].error_px).mean())

@@ -258,11 +258,9 @@ def read_encoder(
 
 
 def _part_to_encode(picture: Pixels, rows: tuple[int, int], tried_frames: int) -> tuple[Floats, int]:
-    """Return the part of a picture around the strip that films are encoded with, and its first row.
-
-    Encoders demand even numbers. Large pictures are cropped to fewer rows, so that a film for finding the
-    noise has at most 60 million pixels, unless the strip itself has more.
-    """
+    """Return the part of a picture around the strip that films are encoded with, and its first row. Encoders
+    demand even numbers. Large pictures are cropped to fewer rows, so that a film for finding the noise has at
+    most 60 million pixels, unless the strip itself has more."""
     even = picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2].astype(np.float64)
     most = 60_000_000 // (tried_frames * even.shape[1])
     if len(even) <= most:
@@ -280,9 +278,7 @@ def _setting(text: bytes, encoder: bytes, name: bytes) -> float | None:
 
 def _quantiser(frame: av.VideoFrame, codec: str) -> list[float]:
     """Return the quantiser of a frame in the units of the encoder's options, as a list; empty if unknown.
-
-    Those of MPEG-2 and MPEG-4 are the median of the blocks.
-    """
+    Those of MPEG-2 and MPEG-4 are the median of the blocks."""
     found = block_quantisers(frame)
     if found is None:
         return []

@@ -170,10 +170,8 @@ def _coefficients(values: Floats) -> Floats:
 
 
 def _material(columns: Floats, at_px: Floats, rest_px: Floats, rigid_px: Floats) -> Floats:
-    """Return ξ of pixel columns: x − x_n + ξ_n near each sheet n, and stretched in between.
-
-    The picture is stationary beyond 3.5 times `rigid_px` outside the outermost sheets.
-    """
+    """Return ξ of pixel columns: x − x_n + ξ_n near each sheet n, and stretched in between. The picture is
+    stationary beyond 3.5 times `rigid_px` outside the outermost sheets."""
     moved = np.column_stack([at_px - rigid_px, at_px + rigid_px]).ravel()
     rest = np.column_stack([rest_px - rigid_px, rest_px + rigid_px]).ravel()
     left, right = rest_px[0] - 3.5 * rigid_px[0], rest_px[-1] + 3.5 * rigid_px[-1]
@@ -272,10 +270,8 @@ def _residuals(
     settings: CertifySettings,
 ) -> Residuals:
     """Return residuals that may be exchanged, from those of the usable frames, (usable frame, x).
-
     excluded: pixels that have none, (frame, x). left: share of the noise's variance that is not in the
-    motion, (frame, sheet).
-    """
+    motion, (frame, sheet)."""
     edges = np.union1d(slips, 1 + np.flatnonzero(np.diff(part)))
     slow = _slow_part(residual, usable, edges, len(part), settings.slow_frames)
     residual = _undisturbed(residual - slow[usable], excluded[usable])
@@ -295,11 +291,9 @@ def _residuals(
 def _distorted(
     x_px: Floats, err_px: Floats, flag: Strings, beside: Bools, settings: CertifySettings
 ) -> Bools:
-    """Return which positions, (frame, sheet), are distorted: of large error, or blurred without a slip.
-
-    The error is large compared with the sheet's own in frames before and after, or with that of most sheets;
-    and it is larger than the error with which neighbours predict a position, which replaces it.
-    """
+    """Return which positions, (frame, sheet), are distorted: of large error, or blurred without a slip. The
+    error is large compared with the sheet's own in frames before and after, or with that of most sheets; and
+    it is larger than the error with which neighbours predict a position, which replaces it."""
     own = nan_median(err_px)
     with np.errstate(invalid="ignore"):
         large = err_px > settings.distorted_errors * own

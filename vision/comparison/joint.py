@@ -229,10 +229,8 @@ def fit_test(test: TractionTest, modulus: Estimate, settings: CompareSettings = 
 def _fit(
     events: pd.DataFrame, sample: Sample, modulus: float, known: Mapping[str, Estimate] | None = None
 ) -> tuple[dict[str, Estimate], float, float]:
-    """Return (`QUANTITIES`, χ²/dof, relative scatter of the peaks about the fit).
-
-    If μ, 𝒯0 and A are known, only the stiffness is fitted.
-    """
+    """Return (`QUANTITIES`, χ²/dof, relative scatter of the peaks about the fit). If μ, 𝒯0 and A are known,
+    only the stiffness is fitted."""
     with np.errstate(all="ignore"):  # fits may leave the valid range on the way; the result is checked
         stiffness = fit_stiffness(events, sample, modulus_GPa=modulus)
         fits = [stiffness]

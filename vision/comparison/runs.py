@@ -228,9 +228,7 @@ def _rows_of_runs(
 
 def _check_unique(run: RunFolder, name: str, recordings: dict[Any, str]) -> None:
     """Refuse a second run of one force recording: it is no second measurement of μ.
-
-    recordings: name of the run of each fingerprint so far, to which this one is added.
-    """
+    recordings: name of the run of each fingerprint so far, to which this one is added."""
     source = (run.facts.get("force") or {}).get("source")
     inputs = run.facts.get("inputs") or ()
     marks = [checksum_of(one) for one in inputs if one.get("path") == source]

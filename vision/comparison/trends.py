@@ -279,11 +279,9 @@ def _splits(level: Floats, least: int) -> Ints:
 
 
 def _smooth_rise_is_better(level: Floats, d: Floats, at: int) -> bool:
-    """Return whether a line or a parabola in d describes the level as well as two levels do, by BIC.
-
-    The parabola allows for constant noise relative to a falling ΔF, whose logarithm is curved. The position
-    of the change counts as three parameters, since it is the best of many (Hall, Osborn & Sakkas 2013).
-    """
+    """Return whether a line or a parabola in d describes the level as well as two levels do, by BIC. The
+    parabola allows for constant noise relative to a falling ΔF, whose logarithm is curved. The position of
+    the change counts as three parameters, since it is the best of many (Hall, Osborn & Sakkas 2013)."""
     n = level.size
     steps = sum(float(np.sum((part - part.mean()) ** 2)) for part in (level[:at], level[at:]))
     smooth = []

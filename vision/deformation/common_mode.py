@@ -160,12 +160,9 @@ class BothSides:
     def _constant_correction(
         self, value: Floats, random: Floats, share: Floats, pairs: _Pairs, own_px2: float
     ) -> tuple[float, float]:
-        """Correction of the drift that is the same in all sticks, and its error, px.
-
-        It lies between 0 and the difference, beyond noise, from the drift of the sheets' mean positions from
-        stick to stick.  It is limited such that the sheets of the pair that creeps least do not creep
-        outwards.
-        """
+        """Correction of the drift that is the same in all sticks, and its error, px. It lies between 0 and
+        the difference, beyond noise, from the drift of the sheets' mean positions from stick to stick. It is
+        limited such that the sheets of the pair that creeps least do not creep outwards."""
         slow = (self.slow_px[:, self.left] + self.slow_px[:, self.right]) / 2
         difference = float(np.median((share * np.nan_to_num(slow)).sum(axis=1) - value))
         noise = np.pi / 2 * float(np.median(random)) / len(value)  # variance of a median
@@ -198,9 +195,7 @@ class _Pairs:
     def limits_of_correction(self, value: Floats, own_px2: float) -> tuple[float, float]:
         """Range of a constant correction of the drift for which no sheet of the pair that creeps least creeps
         outwards, in the median over the sticks and within two standard errors, px.
-
-        own_px2: variance of the half sums by movement of the sheets' own.
-        """
+        own_px2: variance of the half sums by movement of the sheets' own."""
         step, residual, noise = (
             nan_median(np.where(self.known, part, np.nan))
             for part in (self.step, self.middle - value[:, None], self.noise)
@@ -213,11 +208,9 @@ class _Pairs:
         return float(residual[least] - creep), float(residual[least] + creep)
 
     def difference_of_sides(self, weight: Floats) -> tuple[float, float]:
-        """Half sum as a share of the creep that all pairs have in common, and its error.
-
-        0 where all pairs creep alike, because there it cannot be separated from drift.  What one pair differs
-        by repeats in every stick, so each pair contributes one residual to the error.
-        """
+        """Half sum as a share of the creep that all pairs have in common, and its error. 0 where all pairs
+        creep alike, because there it cannot be separated from drift. What one pair differs by repeats in
+        every stick, so each pair contributes one residual to the error."""
         weight = weight * self.quiet
         total = np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
         step, middle = (v - (weight * v).sum(axis=1, keepdims=True) / total for v in (self.step, self.middle))
@@ -241,9 +234,7 @@ class _Pairs:
 
 def _missing_sheets(middle_px: Floats, outwards: Ints) -> Ints:
     """Number of sheets missing between the innermost of these sheets and each, (sheet,); 0 for others.
-
-    outwards: indices of the sheets of one side, from the axis outwards.
-    """
+    outwards: indices of the sheets of one side, from the axis outwards."""
     count = np.zeros(middle_px.shape[1], np.int64)
     gap = np.abs(np.diff(nan_median(middle_px)[outwards]))
     if np.isfinite(gap).any():
@@ -442,10 +433,8 @@ def _without_common_part(bend: Floats, slope: Floats, used: Bools) -> Floats:
 
 
 def _net_rate(middle_px: Floats, frames: StickFrames, settings: DeformationSettings) -> tuple[Floats, Floats]:
-    """Rate at which the mean positions (stick, sheet) move, px/s, and its standard error, (sheet,).
-
-    Distant sticks are compared, since sheets that miss some slips move randomly between adjacent sticks.
-    """
+    """Rate at which the mean positions (stick, sheet) move, px/s, and its standard error, (sheet,). Distant
+    sticks are compared, since sheets that miss some slips move randomly between adjacent sticks."""
     apart = max(frames.sticks // 4, 1)  # so few pairs of sticks contain the single jump of a sheet
     elapsed_s = (frames.middle_s[apart:] - frames.middle_s[:-apart])[:, None]
     rates = (middle_px[apart:] - middle_px[:-apart]) / elapsed_s

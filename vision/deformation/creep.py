@@ -177,9 +177,7 @@ def _normal_equations(
     x_px: Floats, frames: StickFrames, terms: int, noise: AR1Noise
 ) -> tuple[Floats, Floats]:
     """Matrix (A x)' R⁻¹ (A x) of every stick and sheet, (stick, sheet, terms + 1, terms + 1), and log det R.
-
-    (A x) is the design matrix A with the positions x as another column.
-    """
+    (A x) is the design matrix A with the positions x as another column."""
     sheet, at = np.nonzero(np.isfinite(x_px).T)
     cell = frames.row[at] * x_px.shape[1] + sheet  # positions of one stick and sheet are consecutive
     begins = np.ones(cell.size, bool)
@@ -200,9 +198,7 @@ def _normal_equations(
 
 def _times_inverse(columns: Floats, phi: Floats, share: float) -> tuple[Floats, Floats]:
     """R⁻¹ times the columns, (k, N), and the contribution of each position to log det R, (N,).
-
-    phi: correlation of the AR(1) noise with that of the previous position, 0 where a stick begins, (N,).
-    """
+    phi: correlation of the AR(1) noise with that of the previous position, 0 where a stick begins, (N,)."""
     if share == 0 or phi.size == 0:
         return columns, np.zeros(phi.size)
     weight = 1 / (1 - phi**2)
@@ -304,9 +300,7 @@ def _near_the_ends(frames: StickFrames, settings: DeformationSettings) -> Bools:
 
 def _extrapolation_error(noise_px: Floats, creep: Creep, ends: StickFrames) -> Floats:
     """Standard error of the residuals at the ends, which are not fitted, px, (F, sheet).
-
-    noise_px: standard deviation of the residuals of each sheet that are fitted, (sheet,).
-    """
+    noise_px: standard deviation of the residuals of each sheet that are fitted, (sheet,)."""
     terms = creep.coefficient.shape[2]
     count = max(float(np.median(creep.count)), terms + 1)
     design = legendre(ends.u, terms)
@@ -323,10 +317,8 @@ def _lower_quantile(part: Floats, share: float) -> Floats:
 
 def _longest_delay(first_s: Floats, late: Bools, clear: Bools, settings: DeformationSettings) -> float:
     """Longest delay of a sheet, s, at which the expected share of late sheets equals the observed one.
-
-    first_s: time of the first frame of each stick, (stick,); a sheet is late if its delay exceeds it.  0 if
-    too few sheets are late.
-    """
+    first_s: time of the first frame of each stick, (stick,); a sheet is late if its delay exceeds it. 0 if
+    too few sheets are late."""
     weight = clear.sum(axis=1)
     observed = (late & clear).sum() / max(weight.sum(), 1)
     if observed < 0.004:
@@ -370,12 +362,9 @@ def measure_noise(x_px: Floats, frames: StickFrames, terms: int, settings: Defor
 def _fit_correlation(
     x_px: Floats, frames: StickFrames, terms: int, used: Bools, settings: DeformationSettings
 ) -> AR1Noise:
-    """Fit AR(1) plus white noise by restricted maximum likelihood, or white noise if that fits as well.
-
-    Each sheet has its own variance.
-    In long recordings a regular selection of sheets and sticks is fitted.  used: which sheets in which sticks
-    may be selected, (stick, sheet).
-    """
+    """Fit AR(1) plus white noise by restricted maximum likelihood, or white noise if that fits as well. Each
+    sheet has its own variance. In long recordings a regular selection of sheets and sticks is fitted. used:
+    which sheets in which sticks may be selected, (stick, sheet)."""
     every = max(1, round(x_px.size / settings.correlation_positions))
     sheets = max(1, min(every, x_px.shape[1] // 8))
     selected = used[:, ::sheets] & (np.arange(frames.sticks) % max(1, every // sheets) == 0)[:, None]

@@ -252,10 +252,8 @@ def _uninterrupted(
 
 def _between_slips(clock: Clock, after_s: Floats, before_s: Floats) -> tuple[Floats, Floats]:
     """Times of the film's last slip up to `after_s` that the force lacks, and of the first from `before_s`
-    on, s, of each stick; infinite without one.
-
-    Where the clock is wrong they are the true ends of the stick. Frames beyond them belong to another one.
-    """
+    on, s, of each stick; infinite without one. Where the clock is wrong they are the true ends of the stick.
+    Frames beyond them belong to another one."""
     times = np.sort(clock.only_video_s)
     first = np.r_[-np.inf, times][np.searchsorted(times, after_s, side="right")]
     last = np.r_[times, np.inf][np.searchsorted(times, before_s)]
@@ -348,10 +346,8 @@ def _relative_to_length(
     pixel_um: float,
     settings: DeformationSettings,
 ) -> dict[str, Any]:
-    """The size of the creep in µm and relative to Λ_st, errors and flags, by their names in `MOTION`.
-
-    A negative size that is not significant becomes 0.
-    """
+    """The size of the creep in µm and relative to Λ_st, errors and flags, by their names in `MOTION`. A
+    negative size that is not significant becomes 0."""
     length = events["stick_length_um"].to_numpy(float)[:, None]
     length = np.where(length > 0, length, np.nan)
     sigma_length_err, length_err = _length_errors(events, curve.end_slope, settings)
@@ -382,10 +378,8 @@ def _with_noise_of_codec(
     noise: Noise, error_px: Floats, settings: DeformationSettings
 ) -> tuple[Noise, list[str]]:
     """Noise of at least the stated error of positions (sheet,), for codecs that predict frames from others.
-
     Such a codec repeats a sheet that creeps by less than its rounding, so that its residuals are near zero
-    while it is wrong by up to its movement. Also return a warning if many sheets are held still.
-    """
+    while it is wrong by up to its movement. Also return a warning if many sheets are held still."""
     held = noise.noise_px < settings.held_noise * error_px
     raised = replace(noise, noise_px=np.fmax(noise.noise_px, error_px))
     if not held.any() or held.sum() < settings.warned_sheets * held.size:
@@ -450,10 +444,8 @@ def _rms(x_px: Floats, frames: StickFrames) -> Floats:
 
 @dataclass(frozen=True)
 class _Curve:
-    """Creep without drift, x = middle + slope P1(u) + bend P2(u), px, (stick, sheet).
-
-    It is a parabola where that differs significantly from a line, else a line.
-    """
+    """Creep without drift, x = middle + slope P1(u) + bend P2(u), px, (stick, sheet). It is a parabola where
+    that differs significantly from a line, else a line."""
 
     middle: Floats
     slope: Floats
@@ -474,9 +466,7 @@ class _Curve:
         settings: DeformationSettings,
     ) -> _Curve:
         """Choose line or parabola for each sheet and stick, and subtract the drift of the camera.
-
-        errors: standard errors of the coefficients of the line and of the parabola.
-        """
+        errors: standard errors of the coefficients of the line and of the parabola."""
         line_err, parabola_err = errors
         bend, bend_err, _ = _without_drift(
             camera, parabola.coefficient[..., 2], parabola_err[..., 2], slow=False

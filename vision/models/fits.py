@@ -177,9 +177,7 @@ class _Given:
 
     def fit_drift(self, events: pd.DataFrame, peaks: Fit) -> Fit | None:
         """Fit Eq. 1 and a drift of the load; None where the peaks fall too little to tell them apart.
-
-        peaks: the fit without drift.
-        """
+        peaks: the fit without drift."""
         mu, offset, *_ = peaks.value.tolist()
         ends = events["d_p_mm"].agg(["min", "max"])
         first, last = equations.traction(ends, mu=max(mu, 1e-3), sample=self.sample) + offset
@@ -213,11 +211,9 @@ def _read_as(force: xr.Dataset) -> str:
 
 
 def _doubtful_units(events: pd.DataFrame, sample: Sample, force: xr.Dataset) -> str:
-    """Why the units are doubtful, "" if they are not.
-
-    The modulus of the sheets is at least the one at which all M sheets together have the stiffness K.
-    InputError is raised if no material has it, or if events are closer than a crosshead can resolve.
-    """
+    """Why the units are doubtful, "" if they are not. The modulus of the sheets is at least the one at which
+    all M sheets together have the stiffness K. InputError is raised if no material has it, or if events are
+    closer than a crosshead can resolve."""
     distance = float(np.ptp(events["d_v_mm"])) / (len(events) - 1)
     if distance < 1e-4:  # below the resolution of any crosshead
         wanted, found = "events at least 0.1 µm apart", f"{1e3 * distance:.2g} µm"
@@ -232,9 +228,7 @@ def _doubtful_units(events: pd.DataFrame, sample: Sample, force: xr.Dataset) -> 
 
 def _misread_lengths(fits: ModelFits, events: pd.DataFrame, given: _Given, force: xr.Dataset) -> str:
     """Warning that Eq. 1 fits only if the displacement is in another unit than mm; "" if that is not so.
-
-    InputError is raised instead if the file states no unit, so that mm was a guess.
-    """
+    InputError is raised instead if the file states no unit, so that mm was a guess."""
     facts, chi2 = ForceMetadata.of(force), fits.goodness["peaks"].chi2_dof
     worst, largest_N = given.settings.contradicting_chi2, given.settings.largest_offset_N
     if not (chi2 > worst and abs(fits.t0_N.value) > largest_N and np.isfinite(facts.d0_mm)):
@@ -355,11 +349,9 @@ def _first_that_fits(events: pd.DataFrame, given: _Given, top: int) -> int:
 
 
 def _end_of_build_up(events: pd.DataFrame, given: _Given, start: int) -> int:
-    """First event from which the rest of a build-up changes μ and 𝒯0 by at most a tenth of their errors.
-
-    The build-up is modelled as exponential. Noise hides its last part, which still biases the fit. Its length
-    follows from its beginning, and its effect on each parameter from the linearised fit.
-    """
+    """First event from which the rest of a build-up changes μ and 𝒯0 by at most a tenth of their errors. The
+    build-up is modelled as exponential. Noise hides its last part, which still biases the fit. Its length
+    follows from its beginning, and its effect on each parameter from the linearised fit."""
     d, peak = events["d_p_mm"].to_numpy(float), events["F_p_N"].to_numpy(float)
     after = given.fit_peaks(events.iloc[start:])
 

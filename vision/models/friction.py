@@ -135,10 +135,8 @@ def _curve(
 
 
 def _running_load(rotation: pd.DataFrame, settings: FrictionSettings) -> tuple[Floats, Floats]:
-    """Running mean of the normal force and its standard error; compression is positive.
-
-    Without times, it is one over samples.
-    """
+    """Running mean of the normal force and its standard error; compression is positive. Without times, it is
+    one over samples."""
     time, window = rotation["time_s"].to_numpy(float), settings.normal_window_s
     record_N = rotation["normal_force_N"].to_numpy(float)
     known = np.isfinite(record_N)

@@ -348,10 +348,8 @@ def _part(smooth: Floats, start: int, stop: int, part: tuple[float, float]) -> s
 
 
 def _line(delta: Floats, load: Floats, sheet: Sample) -> dict[str, float]:
-    """Columns of the table that follow from the least-squares line F = kΔ + F0 through the samples.
-
-    Standard errors are those of correlated residuals. Only k if it is not positive; -inf if Δ does not vary.
-    """
+    """Columns of the table that follow from the least-squares line F = kΔ + F0 through the samples. Standard
+    errors are those of correlated residuals. Only k if it is not positive; -inf if Δ does not vary."""
     if not np.ptp(delta) > 0:
         return {"k_N_per_mm": -math.inf}
     line = scipy.stats.linregress(delta, load)
@@ -377,11 +375,9 @@ def _line(delta: Floats, load: Floats, sheet: Sample) -> dict[str, float]:
 
 
 def _unloading(cycles: _Cycles, start: int, top: int, stop: int | None, sheet: Sample) -> dict[str, float]:
-    """Columns of the unloading: energy lost in the cycle, change of Δ at F = 0, and slope after the turn.
-
-    The slope is taken from 5 % to 25 % of the fall of the force, without the rounded turn itself. There the
-    friction within the sample reverses and nothing slides yet, so it is the stiffness of the whole sample.
-    """
+    """Columns of the unloading: energy lost in the cycle, change of Δ at F = 0, and slope after the turn. The
+    slope is taken from 5 % to 25 % of the fall of the force, without the rounded turn itself. There the
+    friction within the sample reverses and nothing slides yet, so it is the stiffness of the whole sample."""
     if stop is None:
         return dict.fromkeys(("loop_mJ", "residual_mm", "K_tangent_N_per_mm"), math.nan)
     delta, load, smooth = cycles.delta, cycles.load, cycles.smooth

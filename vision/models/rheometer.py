@@ -221,9 +221,7 @@ def _words(line: str, separator: str) -> list[str]:
 
 def _read_interval(block: _Block, lines: list[str], announced: str) -> None:
     """Fill an interval: a row of names, rows of which the last has the units in brackets, then data.
-
-    announced: number of points, as written.
-    """
+    announced: number of points, as written."""
     cells = _cells(lines, _separator(lines[0])).map(str.strip)
     block.names = [str(cell) for cell in cells.iloc[0, 1:]]
     block.units = [""] * len(block.names)
@@ -326,10 +324,8 @@ def _column(path: Path, block: _Block, quantity: _Quantity) -> pd.Series[float] 
 
 
 def _numbers(cells: pd.Series[Any]) -> pd.Series[float]:
-    """Numbers from text with a decimal point or comma; NaN where the text is not a number.
-
-    Where cells have both, the last mark is the decimal one, and the other separates thousands.
-    """
+    """Numbers from text with a decimal point or comma; NaN where the text is not a number. Where cells have
+    both, the last mark is the decimal one, and the other separates thousands."""
     text = cells.astype(str)
     comma = text.str.contains(",", regex=False)
     both = text[comma & text.str.contains(".", regex=False)]
@@ -372,10 +368,8 @@ def _continues(first: _Block, second: _Block) -> bool:
 
 
 def _left_out(blocks: list[_Block], results: Mapping[int, str]) -> list[str]:
-    """Results and intervals without a usable measurement, with the reason.
-
-    A result without any is one line; otherwise each interval is. results: names by line of the file.
-    """
+    """Results and intervals without a usable measurement, with the reason. A result without any is one line;
+    otherwise each interval is. results: names by line of the file."""
     found: list[str] = []
     for line in dict.fromkeys([*results, *(block.line for block in blocks)]):
         of_result = [block for block in blocks if block.line == line]

@@ -198,9 +198,7 @@ class Checksums:
 
 def _parts(files: Sequence[tuple[Path, int]], *, whole: bool) -> Iterator[bytes]:
     """Yield the parts to hash of files that are joined; a part of 1 MiB may begin in one and end in the next.
-
-    files: path and length in bytes.
-    """
+    files: path and length in bytes."""
     size = sum(length for _, length in files)
     starts = [round(part * (size - MIB) / (PARTS - 1)) for part in range(PARTS)]
     wanted = [(0, size)] if whole else [(start, start + MIB) for start in starts]

@@ -250,9 +250,8 @@ def _write_pictures(
     analysis: Analysis, folder: Path, figures: Sequence[Figure], pool: Executor
 ) -> list[Future[Any]]:
     """Write figures.npz, overview.png and kymograph.png (without a video force.png); return what to wait for.
-
-    Pictures are drawn here, and compressed in the thread of `pool` while others are drawn: in half the time.
-    """
+    Pictures are drawn here, and compressed in the thread of `pool` while others are drawn: in half the
+    time."""
     from vision.figures import drawing  # loads matplotlib
 
     stored = [*figures, *publication_figures_of(analysis)]

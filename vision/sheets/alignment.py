@@ -189,11 +189,9 @@ def _pair_costs(candidates: Candidates, expected: ExpectedSheets) -> tuple[Float
 
 
 def _outside(x: Floats, expected: ExpectedSheets, missing: Floats, false_detection: Floats) -> Floats:
-    """Return the discount for an alignment that begins with each pair, (N, lists, K), zero or less.
-
-    Sheets further to the left that are then expected outside the picture are missing at little cost. If there
-    may be more sheets beyond the first, candidates to its left are sheets not yet known.
-    """
+    """Return the discount for an alignment that begins with each pair, (N, lists, K), zero or less. Sheets
+    further to the left that are then expected outside the picture are missing at little cost. If there may be
+    more sheets beyond the first, candidates to its left are sheets not yet known."""
     sheet_x, low, crossing = expected.x_px, expected.view_px[0], expected.settings.crossing_cost
     saved = np.maximum(missing - crossing, 0)[:, :MOST_CROSSING]
     saved = np.pad(np.cumsum(saved, axis=1), ((0, 0), (1, 0)))
@@ -279,9 +277,8 @@ def _band(pair: Floats) -> Iterator[tuple[int, int]]:
 
 def _spacing_cost(change_px: Floats, expected: ExpectedSheets, spacings: Ints) -> Floats:
     """Return Huber's function of the change of a spacing (knee at 1.5 spreads), capped; NaN costs the cap.
-
-    Beyond a tear it grows again: sheets may part, but no part of the comb moves to other sheets' positions.
-    """
+    Beyond a tear it grows again: sheets may part, but no part of the comb moves to other sheets'
+    positions."""
     costs = expected.settings
     size = np.abs(change_px)
     size /= costs.spacing_spread * expected.pitch_px * np.sqrt(spacings)

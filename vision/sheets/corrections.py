@@ -428,10 +428,8 @@ class Corrected(ABC):
         return sheets
 
     def _add(self, correction: Correction, row: int) -> int:
-        """Insert a sheet at its position among the others; return its index.
-
-        It is "missing" in frames in which its ridge is lost or is another sheet's.
-        """
+        """Insert a sheet at its position among the others; return its index. It is "missing" in frames in
+        which its ridge is lost or is another sheet's."""
         others = self.arrays[self.position]
         frames = np.arange(len(others))
         ridge_px, owner = np.full(len(others), np.nan), np.full(len(others), -1)

@@ -147,10 +147,8 @@ def pixel_waves(x_px: Floats) -> Floats:
 
 
 def _at_one_place(x_px: Floats, settings: TrackingSettings) -> bool:
-    """Return whether sheets lie at the same place in their pixels, or at two places half a pixel apart.
-
-    Their shifts are then in proportion to their motion, which none of the waves may take away.
-    """
+    """Return whether sheets lie at the same place in their pixels, or at two places half a pixel apart. Their
+    shifts are then in proportion to their motion, which none of the waves may take away."""
     turns = np.exp(2j * np.pi * x_px[np.isfinite(x_px)])
     return any(abs(np.sum(turns**k)) > settings.locking_alike * len(turns) for k in range(1, _HARMONICS + 1))
 
@@ -494,10 +492,8 @@ def texture_error(x_px: Floats, log_height: Floats, comb: RidgeComb) -> float:
 
 def _slopes_in_cells(x: Floats, y: Floats, width: float) -> tuple[float, float]:
     """Return the mean square of the slopes of y over x, both (frame,), each within a cell of this width, and
-    what chance adds to it; NaN for few values.
-
-    Cells count by their spread of x. In a single cell the slope is that of `_regression`.
-    """
+    what chance adds to it; NaN for few values. Cells count by their spread of x. In a single cell the slope
+    is that of `_regression`."""
     known = np.isfinite(x) & np.isfinite(y)
     if known.sum() <= LEAST_FRAMES:
         return np.nan, np.nan
@@ -721,10 +717,8 @@ def _raise_to_slope_across(
 
 def _tilt(light: Floats, x_px: Floats, scatter: float, settings: TrackingSettings) -> Floats:
     """Return the size of the slope of the light over the whole comb, per px, (frame,); 0 where it is scatter.
-
     It is the median over all pairs of sheets that are half the comb apart, which single sheets and shadows do
-    not change.
-    """
+    not change."""
     half, rest = light.shape[1] // 2, nan_median(x_px)
     apart = rest[half:] - rest[:-half]
     apart = np.where(apart > 0, apart, np.nan)

@@ -181,11 +181,9 @@ def _displacements(moved: Floats, rest: Floats) -> Floats:
 
 
 def _predicted_by_fewer(moved: Floats, pairs: Floats, frame: Ints, sheet: Ints) -> Floats:
-    """Return displacements predicted where fewer than three pairs (3, points) are known.
-
-    Where fewer than two are known, as near the ends of the comb, lines through two sheets on one side are
-    used as well, so that one wrong sheet never has the majority.
-    """
+    """Return displacements predicted where fewer than three pairs (3, points) are known. Where fewer than two
+    are known, as near the ends of the comb, lines through two sheets on one side are used as well, so that
+    one wrong sheet never has the majority."""
     few = np.isfinite(pairs).sum(axis=0) < 2
     frame, sheet = frame[few], sheet[few]
     furthest = max(max(line) for line in LINES)
@@ -308,10 +306,8 @@ def _shifted_below(
     looks: Floats, middle: Floats, scatter: Floats, extra: Floats, lost: Bools, settings: TrackingSettings
 ) -> Bools:
     """Return which sheets may be on the ridge of the sheet above, up to a sheet that is `lost`, (frame, N).
-
     looks: log contrasts and log widths, (2, frame, N), with the usual ones and their scatter. extra: evidence
-    of an unpaired ridge between a sheet and the next, (frame, N - 1).
-    """
+    of an unpaired ridge between a sheet and the next, (frame, N - 1)."""
     found = np.isfinite(looks[0])
     off = (looks - middle) / scatter
     worse = np.fmax(sigma_about_zero(off, axis=2)[..., None], 1.0)

@@ -101,10 +101,8 @@ def _blurred(
     moved: Floats, fast: Bools, excess: Floats, loss: Floats, comb: RidgeComb
 ) -> tuple[Bools, Floats]:
     """Return which ridges of some frames are blurred, and how far this may shift them, px; (frame, N).
-
     moved: motion over `BLUR_FRAMES` frames before and after, px. fast: whether it may blur. excess, loss: the
-    signs of each sheet itself, to which those of the frame are added here.
-    """
+    signs of each sheet itself, to which those of the frame are added here."""
     settings = comb.settings
     apart = moved / comb.fwhm_px
     pitches = np.maximum(np.rint(moved / comb.pitch_px), 1.0)

@@ -163,11 +163,9 @@ def _left_out_beyond(match: Ints32, x: Floats32, ridges: Ridges, comb: RidgeComb
 
 
 def _rest_over_time(x_px: NDArray[np.floating], reference: ReferenceComb, comb: RidgeComb) -> Floats:
-    """Return the median position of each sheet over about thirty frames, at every frame, (frame, N).
-
-    Gaps are filled from neighbouring sheets, then from other times. Frames in which neighbours moved far
-    apart, which no slip does, are left out.
-    """
+    """Return the median position of each sheet over about thirty frames, at every frame, (frame, N). Gaps are
+    filled from neighbouring sheets, then from other times. Frames in which neighbours moved far apart, which
+    no slip does, are left out."""
     frames = len(x_px)
     blocks = max(1, round(frames / comb.settings.frames_per_rest))
     edges = np.linspace(0, frames, blocks + 1).astype(int)
@@ -289,11 +287,9 @@ def _exchanged_forwards(
 
 
 def _weaker_side(exchange: Ints, seen: Bools, margin: Floats) -> Bools:
-    """Return the positions before or after each exchange that are the less certain ones, (frame, N).
-
-    An exchange needs a ridge that comes or goes: frames with more missing sheets are the weaker side, as far
-    as sheets stay missing. If as many are missing, it is the side with the smaller sum of margins.
-    """
+    """Return the positions before or after each exchange that are the less certain ones, (frame, N). An
+    exchange needs a ridge that comes or goes: frames with more missing sheets are the weaker side, as far as
+    sheets stay missing. If as many are missing, it is the side with the smaller sum of margins."""
     sheets = exchange.shape[1]
     run, lacking = np.cumsum(exchange, axis=0), np.isnan(margin).sum(axis=1)
     most = int(run.max()) + 1
@@ -422,9 +418,7 @@ def _jump_costs(x: Floats, level: Floats, after: Ints) -> tuple[Floats, Floats]:
 
 def _lowest_sums(own: Floats, change: Floats) -> Floats:
     """Return the lowest sum of all costs if a run has each numbering, (runs, numberings).
-
-    own: cost of each run in each numbering. change: cost of each jump for each of `CHANGES`.
-    """
+    own: cost of each run in each numbering. change: cost of each jump for each of `CHANGES`."""
     cost = change[RENUMBERED - RENUMBERED[:, None] - CHANGES[0]]  # (number before, number after, jump)
 
     def before(own: Floats, cost: Floats) -> Floats:
@@ -500,9 +494,7 @@ def comb_displacement(ridges: Ridges, comb: RidgeComb) -> Floats:
 
 def _mean_steps(in_one_row: Floats, apart: float, comb: RidgeComb) -> tuple[Floats, Bools]:
     """Return the mean step of the ridges from each frame to the next, and whether most were followed.
-
-    in_one_row: positions in frames that lie `apart` in one row, px, (frame, K).
-    """
+    in_one_row: positions in frames that lie `apart` in one row, px, (frame, K)."""
     row = in_one_row[np.isfinite(in_one_row)]
     if not len(row):
         return np.zeros(len(in_one_row) - 1), np.zeros(len(in_one_row) - 1, bool)
@@ -595,10 +587,8 @@ def split_segments(ridges: Ridges, comb: RidgeComb) -> Segments:
 
 def _compared(ridges: Ridges, rows: Ints, came: int, comb: RidgeComb) -> tuple[Bools, Floats, Floats]:
     """Return whether the next frames continue frames `rows`, the mean steps of the candidates, px, and the
-    rms changes of their log brightness.
-
-    It is assumed that `came` candidates entered on the left, or left there, if negative.
-    """
+    rms changes of their log brightness. It is assumed that `came` candidates entered on the left, or left
+    there, if negative."""
     continues, (step, change) = np.empty(len(rows), bool), np.empty((2, len(rows)))
 
     def compare(part: slice) -> None:

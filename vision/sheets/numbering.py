@@ -114,11 +114,9 @@ def ends_in_view(
 
 
 def _rest(x_px: Floats) -> Floats:
-    """Return the median position of each sheet, (N,).
-
-    A sheet that has no position in any frame is placed evenly between those beside it, and beyond the ends at
-    their median spacing. NaN only if no sheet has a position.
-    """
+    """Return the median position of each sheet, (N,). A sheet that has no position in any frame is placed
+    evenly between those beside it, and beyond the ends at their median spacing. NaN only if no sheet has a
+    position."""
     position = nan_median(x_px, axis=0)
     index, known = np.arange(len(position)), np.flatnonzero(np.isfinite(position))
     if not len(known) or len(known) == len(position):
@@ -129,11 +127,9 @@ def _rest(x_px: Floats) -> Floats:
 
 
 def _places(position: Floats, settings: TrackingSettings) -> Ints:
-    """Return the place of each sheet in the comb, from 0, if those that seem to be missing count, (N,).
-
-    In each wide spacing at least one is missing. How many is counted in spacings of the whole comb, as the
-    nine around a gap scatter too much.
-    """
+    """Return the place of each sheet in the comb, from 0, if those that seem to be missing count, (N,). In
+    each wide spacing at least one is missing. How many is counted in spacings of the whole comb, as the nine
+    around a gap scatter too much."""
     ordered = np.sort(position)  # manual corrections may have swapped sheets
     gap = np.diff(ordered)
     with np.errstate(divide="ignore", invalid="ignore"):  # sheets at the same position, or none with any
@@ -211,10 +207,8 @@ def _split_by_motion(
 
 def _opening(step: Floats, apart: Floats) -> Floats:
     """Return the step of each sheet per step of the ends, (N,), from the steps (frame − 1, N) in which it is
-    seen; unknown ones, NaN, are replaced by what follows from it, in place.
-
-    Sheets that touch in every slip are not seen in any: those beside tell how they move.
-    """
+    seen; unknown ones, NaN, are replaced by what follows from it, in place. Sheets that touch in every slip
+    are not seen in any: those beside tell how they move."""
     unknown = np.isnan(step)
     step[unknown] = 0.0
     seen = apart**2 @ ~unknown
@@ -233,10 +227,8 @@ def _contrast(step: Floats) -> Floats:
 
 def _asymmetry(opening: Floats, split: int, *, shifted: bool = False) -> float:
     """Return the RMS of the sums of the motions (N,) of the k-th sheets left and right of a split.
-
     shifted: without what all pairs share, as where all sheets are carried along. The middle sheet of an odd
-    comb has no pair. NaN with too few pairs.
-    """
+    comb has no pair. NaN with too few pairs."""
     right = opening[split + (2 * split + 1 == len(opening)) :]
     pairs = min(split, len(right))
     if pairs <= shifted:

@@ -135,11 +135,9 @@ def assign_detections(
 
 
 def _reassign_hops(ridges: Ridges, paired: Floats32, why: Codes, comb: RidgeComb) -> None:
-    """Give each sheet that hopped to another ridge the ridge at its predicted position, or doubt it.
-
-    A ridge that another sheet has is not given. Positions, contrasts and widths of the paired ridges,
-    (3, frame, N), and doubts are changed in place.
-    """
+    """Give each sheet that hopped to another ridge the ridge at its predicted position, or doubt it. A ridge
+    that another sheet has is not given. Positions, contrasts and widths of the paired ridges, (3, frame, N),
+    and doubts are changed in place."""
     for _ in range(4):  # each pass finds the largest residual among neighbours and sets that sheet aside
         x = np.where(why == Doubt.NONE, paired[0], np.float32(np.nan))
         residual = unlike_neighbours(x)
@@ -161,11 +159,9 @@ def _reassign_hops(ridges: Ridges, paired: Floats32, why: Codes, comb: RidgeComb
 
 
 def _alone_and_away(x: Floats32, comb: RidgeComb) -> Bools:
-    """Return which ridges lie where the sheet is not and which no neighbour confirms, (frame, N).
-
-    They lie more than half a pitch outside the range between the sheet's confirmed positions before and
-    after. The edge of what hides the sheets around may look like a ridge.
-    """
+    """Return which ridges lie where the sheet is not and which no neighbour confirms, (frame, N). They lie
+    more than half a pitch outside the range between the sheet's confirmed positions before and after. The
+    edge of what hides the sheets around may look like a ridge."""
     away, rows = np.zeros(x.shape, bool), np.flatnonzero(np.isnan(x).any(axis=1))
     if x.shape[1] < 3 or not len(rows):  # nobody predicts, or all are seen
         return away
@@ -184,9 +180,7 @@ def _alone_and_away(x: Floats32, comb: RidgeComb) -> Bools:
 
 def _expected(start: Floats32, rest: Floats) -> Floats:
     """Return rest positions plus the displacement of the neighbours, in frames in which a sheet is missing.
-
-    NaN in all other frames, and where fewer than half of the sheets are detected.
-    """
+    NaN in all other frames, and where fewer than half of the sheets are detected."""
     expected = np.full(start.shape, np.nan)
     rows = np.isnan(start).any(axis=1) & (np.isfinite(start).mean(axis=1) >= 0.5)
     expected[rows] = rest[rows] + fill_rows(start[rows] - rest[rows], nan_median(rest))
@@ -233,10 +227,8 @@ def _unshared(frame: Ints, x: Floats, keep: Bools) -> Bools:
 
 def _merged(found: Floats32, expected: Floats, comb: RidgeComb) -> Bools:
     """Return which missing sheets form one ridge with a detected neighbour, and these neighbours, (frame, N).
-
     Their expected positions are within a ridge's width of each other, or the neighbour is as high or as wide
-    as two sheets. `found` holds positions, contrasts and widths (3, frame, N).
-    """
+    as two sheets. `found` holds positions, contrasts and widths (3, frame, N)."""
     missing = np.isnan(found[0])
     if not missing.any():
         return np.zeros_like(missing)

@@ -132,10 +132,8 @@ def build_reference(
 
 def _left_out_of(everything: ReferenceComb, best: ReferenceComb) -> int:
     """Return how many ridges outside the comb continue it, and how many are skipped where its most even
-    sheets are every second or third ridge.
-
-    Ridges outside count at the spacing of all that are similar to its sheets, up to the last such ridge.
-    """
+    sheets are every second or third ridge. Ridges outside count at the spacing of all that are similar to its
+    sheets, up to the last such ridge."""
     like = _alike(everything, best)
     often, x = everything.found >= 0.5, everything.x_px
     spacing = float(np.median(np.diff(x[like & often], append=np.inf)))
@@ -181,10 +179,8 @@ def _too_few(x_px: Floats, sheets: int, source: str, settings: TrackingSettings)
 
 
 def _seed(candidates: Candidates, frames: Ints, displacement_px: Floats, pitch_px: float) -> ReferenceComb:
-    """Return the list of the longest segment among those with the commonest number of candidates.
-
-    The number includes the sheets that fit into gaps; how common it is, is counted in frames.
-    """
+    """Return the list of the longest segment among those with the commonest number of candidates. The number
+    includes the sheets that fit into gaps; how common it is, is counted in frames."""
     x = candidates.x_px
     count = np.isfinite(x).sum(axis=1)
     gap = np.diff(x, axis=1)
@@ -203,11 +199,9 @@ def _seed(candidates: Candidates, frames: Ints, displacement_px: Floats, pitch_p
 
 
 def _fill_gaps(known: ReferenceComb, pitch_px: float) -> ReferenceComb:
-    """Return the comb with sheets added wherever a spacing is wide enough for them.
-
-    If some sheets are covered in every frame, no list has all sheets. Added sheets that the other lists do
-    not show are removed in the revision; until then they may be missing at little cost.
-    """
+    """Return the comb with sheets added wherever a spacing is wide enough for them. If some sheets are
+    covered in every frame, no list has all sheets. Added sheets that the other lists do not show are removed
+    in the revision; until then they may be missing at little cost."""
     x = known.x_px
     room = np.maximum(np.rint(np.diff(x) / pitch_px).astype(np.int64), 1)
     after = np.repeat(np.arange(len(room)), room - 1)
@@ -227,9 +221,7 @@ def _revise(
     reference: ReferenceComb, candidates: Candidates, weight: Floats, displacement_px: Floats, comb: RidgeComb
 ) -> ReferenceComb:
     """Add ridges that many lists show, remove those that few show, and measure all again.
-
-    weight: number of frames of each list.
-    """
+    weight: number of frames of each list."""
     rest = reference.x_px + displacement_px[:, None]
     match = align(candidates, reference.expected(rest, comb), margins=False).match
     tables = (candidates.x_px, candidates.log_contrast, candidates.log_width)
@@ -253,10 +245,8 @@ def _revise(
 def _unmatched(
     reference: ReferenceComb, candidates: Candidates, match: Ints, weight: Floats, pitch_px: float
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return unpaired candidates that persist: rest position, log contrast, log width, share of the frames.
-
-    A revision adds at most one per spacing between the sheets, and one per pitch outside them.
-    """
+    """Return unpaired candidates that persist: rest position, log contrast, log width, share of the frames. A
+    revision adds at most one per spacing between the sheets, and one per pitch outside them."""
     x = candidates.x_px
     taken = np.zeros(x.shape, bool)
     rows, sheet = np.nonzero(match >= 0)
@@ -306,11 +296,9 @@ def _choose_sheets(reference: ReferenceComb, comb: RidgeComb, sheets: int | None
 
 
 def _even_but_for_others(reference: ReferenceComb, comb: RidgeComb) -> bool:
-    """Return whether the entries that are alike are spaced by the pitch, but those between them are not.
-
-    The others are then parts of what holds the sheets, which move along. Others that are even themselves may
-    be every second sheet, and those outside tell nothing of the comb.
-    """
+    """Return whether the entries that are alike are spaced by the pitch, but those between them are not. The
+    others are then parts of what holds the sheets, which move along. Others that are even themselves may be
+    every second sheet, and those outside tell nothing of the comb."""
     alike = _alike(reference, reference)
     if alike.sum() < 6:
         return False
@@ -326,11 +314,9 @@ def _even_but_for_others(reference: ReferenceComb, comb: RidgeComb) -> bool:
 
 
 def _local_pitch(x_px: Floats, comb: RidgeComb) -> Floats:
-    """Return the median of the nine spacings around each entry.
-
-    It is limited to within a quarter of the pitch, because dust changes it abruptly, unless it changes
-    gradually along the comb, as it does in films at an angle.
-    """
+    """Return the median of the nine spacings around each entry. It is limited to within a quarter of the
+    pitch, because dust changes it abruptly, unless it changes gradually along the comb, as it does in films
+    at an angle."""
     if len(x_px) < 6:
         return np.full(len(x_px), comb.pitch_px)
     smooth = running_median(np.diff(x_px), 9)
@@ -410,11 +396,9 @@ def static_ridges(moved_px: Floats, rest_px: Floats, *, settings: TrackingSettin
 
 
 def _ruler_beside_comb(moved_px: Floats, rest_px: Floats, settings: TrackingSettings) -> Bools:
-    """Return which entries belong to a ruler, a stationary row of marks beside the comb, (N,).
-
-    These are the smaller part on one side of a wide spacing, if its pitch differs from the rest and it is
-    stationary while sheets near it move. `vision.video.strip_find` says how rulers elsewhere are avoided.
-    """
+    """Return which entries belong to a ruler, a stationary row of marks beside the comb, (N,). These are the
+    smaller part on one side of a wide spacing, if its pitch differs from the rest and it is stationary while
+    sheets near it move. `vision.video.strip_find` says how rulers elsewhere are avoided."""
     gap, ruler = np.diff(rest_px), np.zeros(len(rest_px), bool)
     if not len(gap):
         return ruler

@@ -176,9 +176,7 @@ def profile_noise(profile: Floats32) -> float:
 
 def _smoothed(profile: Floats32, sigma_px: float, wall_px: int = 0) -> Floats32:
     """Smooth profiles (frame, x) along x with a Gaussian, leaving `wall_px` columns free on both sides.
-
-    Values that are not finite are replaced by 0.
-    """
+    Values that are not finite are replaced by 0."""
     finite = np.isfinite(profile)
     clean = profile if finite.all() else np.where(finite, profile, np.float32(0))
     half = max(1, int(np.ceil(4 * sigma_px)))
@@ -262,9 +260,8 @@ def _commonest_width(
     widths: Floats, strength: Floats, frame: Ints, sheets: int | None
 ) -> tuple[float, Bools]:
     """Return the width of the kind of ridge with the largest total prominence, and which ridges are of it.
-
-    The sum is divided by the root of the width to favour narrow ridges: the gap between two is not a ridge.
-    """
+    The sum is divided by the root of the width to favour narrow ridges: the gap between two is not a
+    ridge."""
     tried = np.geomspace(1.5, max(2.0, float(widths.max(initial=2.0))), 40)
     off = np.abs(np.log(np.maximum(widths, 0.1) / tried[:, None]))
     kinds = (strength > 0) & (off < np.log(1.6))
@@ -372,10 +369,8 @@ def _clipped(line: Floats32, bright: _MainRidges, settings: TrackingSettings) ->
 
 def _halfway(line: Floats32, bright: _MainRidges, dark: _MainRidges) -> tuple[_MainRidges, _MainRidges]:
     """Return bright and dark stripes between places halfway from dark to bright, with middles and widths.
-
     Widths at half prominence would change with the neighbours' levels. Halfway is a parabola through the
-    levels of all stripes of a frame, so that uneven light does not matter.
-    """
+    levels of all stripes of a frame, so that uneven light does not matter."""
     found: tuple[list[tuple[Floats, Floats]], ...] = ([], [])
     for row, up, down in zip(line, bright.x, dark.x, strict=True):
         edges, rises = np.zeros(0), np.zeros(0, bool)
@@ -505,10 +500,7 @@ def in_blocks(work: Callable[[slice], Result], table: NDArray[Any]) -> list[Resu
 
 def _find_block(profile: Floats32, comb: RidgeComb) -> tuple[Ints, Floats32]:
     """Return the number of ridges in each of a block of frames, and position, contrast and width of all in
-    turn, (3, ridges).
-
-    The block is searched as one long line with walls between the frames.
-    """
+    turn, (3, ridges). The block is searched as one long line with walls between the frames."""
     settings = comb.settings
     smoothing_px = max(0.5, settings.smoothing_widths * comb.fwhm_px)
     least = _noise_floor(comb.noise, smoothing_px, settings)

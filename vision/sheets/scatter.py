@@ -257,11 +257,9 @@ def _fourth_differences(x_px: Floats) -> Floats:
 
 
 def _deviation(values: Floats) -> float:
-    """Return a robust standard deviation of values about zero, NaN where nothing is known.
-
-    Absolute values are limited to their 0.9 quantile, which reduces a normal variable's deviation to 0.9118.
-    A median absolute deviation would be zero where codecs repeat blocks.
-    """
+    """Return a robust standard deviation of values about zero, NaN where nothing is known. Absolute values
+    are limited to their 0.9 quantile, which reduces a normal variable's deviation to 0.9118. A median
+    absolute deviation would be zero where codecs repeat blocks."""
     size = np.abs(values.ravel())
     count = np.isfinite(size).sum()
     if not count:

@@ -259,9 +259,7 @@ def _slope(profile: NDArray[np.floating], window_px: int) -> Floats32:
 
 def _nearest(left: Ints, slope: Floats32, start: Ints, reach: int) -> tuple[Ints, Bools]:
     """Return the pixel just left of the zero nearest to each start, and whether that zero is within reach.
-
-    left: pixels just left of a zero of the slope.
-    """
+    left: pixels just left of a zero of the slope."""
     if not len(left):
         return np.zeros_like(start), np.zeros(len(start), bool)
     zero = left + slope[left] / (slope[left].astype(np.float64) - slope[left + 1])
@@ -273,9 +271,7 @@ def _nearest(left: Ints, slope: Floats32, start: Ints, reach: int) -> tuple[Ints
 
 def _cubic_zero(four: Floats) -> tuple[Floats, Floats]:
     """Return the zero in [0, 1] of the cubic through values at −1, 0, 1, 2 (4, points), and its slope there.
-
-    Newton's method, started at the zero of the chord.
-    """
+    Newton's method, started at the zero of the chord."""
     a, b, c, d = four
     cubic = np.stack([(-a + 3 * b - 3 * c + d) / 6, (a - 2 * b + c) / 2, c - b / 2 - a / 3 - d / 6, b])
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -687,9 +683,7 @@ def position_noise(x_px: Floats) -> Floats:
 
 def _triples(seen: Bools, lag: int) -> Ints:
     """Return the middle frames of triples in which most sheets are seen, spread over the recording.
-
-    seen: whether most are, (frame,). lag: frames between those of a triple.
-    """
+    seen: whether most are, (frame,). lag: frames between those of a triple."""
     middle = lag + np.flatnonzero(seen[2 * lag :] & seen[lag:-lag] & seen[: -2 * lag])
     if not len(middle):
         return np.asarray(middle, np.int64)
@@ -698,9 +692,7 @@ def _triples(seen: Bools, lag: int) -> Ints:
 
 def _residual_variance(change: Floats, mean: Floats) -> Floats:
     """Return the variance of `change` (points, pixels) without the fitted changes of the mean ridge.
-
-    Gram-Schmidt treats all points at once; LAPACK's QR of each small matrix takes several times as long.
-    """
+    Gram-Schmidt treats all points at once; LAPACK's QR of each small matrix takes several times as long."""
     known = np.isfinite(mean).all(axis=1) & np.isfinite(change).all(axis=1)
     mean = mean[known]
     inner = mean[:, 1:-1]

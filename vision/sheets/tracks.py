@@ -226,9 +226,7 @@ def _detect(
     origin_px: float,
 ) -> _Detected:
     """Find and identify the ridges, and apply the manual corrections.
-
-    frames: frame numbers in the film, (frame,). origin_px: column of the profile's first pixel.
-    """
+    frames: frame numbers in the film, (frame,). origin_px: column of the profile's first pixel."""
     ridges = find_ridges(profile, comb)
     if not ridges.count.any():
         raise no_ridges(profile, source)
@@ -265,11 +263,9 @@ class _Assessed(NamedTuple):
 def _assess_ridges(
     profile: Floats32, x_px: Floats, errors: _Errors, detected: _Detected, frozen: Bools, comb: RidgeComb
 ) -> _Assessed:
-    """Find ridges that are blurred, cut or distorted, and those that are not the ridge of one sheet.
-
-    What positions scatter beyond all these errors is added to them (`noise_excess`). Positions and errors are
-    changed in place. A sheet that was added by hand is one, whatever its ridge looks like.
-    """
+    """Find ridges that are blurred, cut or distorted, and those that are not the ridge of one sheet. What
+    positions scatter beyond all these errors is added to them (`noise_excess`). Positions and errors are
+    changed in place. A sheet that was added by hand is one, whatever its ridge looks like."""
     err, detections = errors.err_px, detected.detections
     changing = _unrepeated(x_px, frozen)
     blurred, blur_px = motion_blur(changing, detections.contrast, detections.fwhm_px, comb)
@@ -302,11 +298,9 @@ def _assess_ridges(
 
 
 def _cut(detections: Detections, comb: RidgeComb) -> Bools:
-    """Return which ridges beside a missing sheet are lower or narrower than usual, beyond what
-    light and focus change in all ridges of the frame, (frame, N): what hides that sheet cuts them as well.
-
-    What is usual is measured where no sheet is missing beside.
-    """
+    """Return which ridges beside a missing sheet are lower or narrower than usual, beyond what light and
+    focus change in all ridges of the frame, (frame, N): what hides that sheet cuts them as well. What is
+    usual is measured where no sheet is missing beside."""
     settings, changed = comb.settings, beside(detections.flag == Flag.MISSING)
     rows, alone = np.flatnonzero(changed.any(axis=1)), ~changed
     if not len(rows):
@@ -393,9 +387,7 @@ class _Tracked:
 
     def jumps(self, number: Ints) -> dict[str, Any]:
         """Return fields of `TrackMetadata` about jumps of the whole comb that the sheets may not show.
-
-        number: of each frame in the film, (frame,).
-        """
+        number: of each frame in the film, (frame,)."""
         detections, x_px, comb = self.detected.detections, self.assessed.x_px, self.comb
         looks = detections.contrast, detections.fwhm_px
         alike = sheets_alike(x_px, *looks, comb)
@@ -477,9 +469,7 @@ def _fit(
 
 def _locks_less(template: PixelLocking, err_px: float, window: PixelLocking, window_err_px: float) -> bool:
     """Return whether the template is better than the sliding window as far as locking to pixels is concerned.
-
-    Of ridges sharper than their pixels the mean shape is wrong, and locks more than the window does.
-    """
+    Of ridges sharper than their pixels the mean shape is wrong, and locks more than the window does."""
     if template is NO_LOCKING:
         return True
     less = template.rms_px <= np.hypot(window.rms_px, err_px)
