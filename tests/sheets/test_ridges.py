@@ -233,13 +233,15 @@ def test_sheets_of_a_comb_that_leaves_the_picture_are_measured():
     assert away[there].max() < 0.5
 
 
+@pytest.mark.parametrize(("fwhm_px", "gain", "noise"), [(11.0, 4, 0.0), (9.0, 6, 1.0)])
 @pytest.mark.parametrize("uneven", [0.1, 0.15])
-def test_gaps_of_an_overexposed_comb_are_no_sheets(uneven):
-    """Ridges whose tops are clipped to one level are wider than the gaps, which then differ more in
-    brightness than the ridges do. A failure means that every position is that of a gap."""
+def test_gaps_of_an_overexposed_comb_are_no_sheets(uneven, fwhm_px, gain, noise):
+    """Ridges whose tops are clipped to one level, with a codec's noise or without, are wider than the gaps,
+    which then differ more in brightness than they do. A failure means that positions are those of gaps."""
     x = comb(FRAMES, per_side=10, pitch_px=20.0, axis_px=WIDTH / 2, uneven=uneven, slip=0.3)
-    film = strip(ridges(x, width=WIDTH, fwhm_px=11.0, contrast=shades(20)))
-    film = film.copy(data=np.minimum(4 * (film.values - 25), 250).astype(np.float32))
+    film = strip(ridges(x, width=WIDTH, fwhm_px=fwhm_px, contrast=shades(20)))
+    of_codec = np.random.default_rng(3).normal(0, noise, film.shape)
+    film = film.copy(data=(np.minimum(gain * (film.values - 25), 250) + of_codec).astype(np.float32))
     tracks = track_sheets(film)
     assert tracks.attrs["ridges"] == "bright"
     assert polarity_warnings(tracks) == []

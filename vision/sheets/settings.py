@@ -64,9 +64,9 @@ class TrackingSettings:
 
     same_level: float = 1 / 255
     """Median difference of the bright stripes' levels, as a share of their median, up to which the film
-    counts as overexposed, and levels do not speak against the background beside the comb. Smaller leaves
-    ceilings that noise blurs to `ceiling`, which finds nearly all of them; larger ignores what even light
-    tells."""
+    counts as overexposed, and levels do not speak against the background beside the comb. Smaller takes gaps
+    for sheets where a codec adds noise to one level (`test_gaps_of_an_overexposed_comb_are_no_sheets` at 0),
+    larger ignores what even light tells."""
 
     ceiling: float = 0.2
     """How far the bright stripes' levels rise above their median, over how far they fall below it (quantiles
