@@ -10,13 +10,13 @@ from tests.scenes.creeping import PIXEL_UM, errors, make, measure, uniform
 from vision.deformation import creep as creep_module
 from vision.deformation.creep import (
     AR1Noise,
+    DeformationSettings,
     find_late_slips,
     fit_creep,
     fixed_pattern_gain,
     frames_of_sticks,
     legendre,
 )
-from vision.deformation.settings import DeformationSettings
 
 SETTINGS = DeformationSettings()
 

@@ -13,8 +13,7 @@ from typing import ClassVar
 import numpy as np
 import scipy
 
-from vision.deformation.creep import Creep, Noise, StickFrames, coefficient_errors
-from vision.deformation.settings import DeformationSettings
+from vision.deformation.creep import Creep, DeformationSettings, Noise, StickFrames, coefficient_errors
 from vision.numeric import Bools, Floats, Ints, median_size, nan_median, row_parts, sigma_about_zero
 
 # --- vibration ----------------------------------------------------------------------------------------------

@@ -35,6 +35,7 @@ from vision.deformation.common_mode import (
 )
 from vision.deformation.creep import (
     Creep,
+    DeformationSettings,
     LateSlips,
     Noise,
     StickFrames,
@@ -44,7 +45,6 @@ from vision.deformation.creep import (
     frames_of_sticks,
     measure_noise,
 )
-from vision.deformation.settings import DeformationSettings
 from vision.errors import InputError, shown
 from vision.numeric import Bools, Floats, Ints, nan_median, sigma_about_zero
 from vision.sheets import BETWEEN_FRAMES
