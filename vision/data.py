@@ -295,7 +295,7 @@ class TrackMetadata(Metadata):
     locking_px: float = 0.0  # locking to whole pixels that was subtracted, rms (`vision.sheets.distortion`)
     locking_err_px: float = 0.0  # what remains of it in the errors
     # light that goes from ridges to the gaps beside them or back, rms, over the ridges' height, and the error
-    # of all positions by it; 0 unless it shows a second comb (`vision.sheets.second_comb`)
+    # of all positions by it; 0 unless it shows a second comb (`vision.sheets.film.second_comb`)
     second_comb: float = 0.0
     second_comb_err_px: float = 0.0
     noise_lasts: float = 0.0  # correlation of a frame's noise with the next if the camera averages in time

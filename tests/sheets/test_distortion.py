@@ -19,7 +19,7 @@ from vision.sheets.distortion import (
     _significant,
     pixel_locking,
 )
-from vision.sheets.second_comb import SecondComb
+from vision.sheets.film import SecondComb
 from vision.sheets.settings import DEFAULT, TrackingSettings
 
 

@@ -7,7 +7,7 @@ from tests.scenes.combs import comb, ridges, strip
 from vision.checks import tracking_warnings
 from vision.data import TrackMetadata
 from vision.sheets import track_sheets
-from vision.sheets.second_comb import SecondComb
+from vision.sheets.film import SecondComb
 
 WIDTH = 640
 WARNING = "a reflection or a second comb"

@@ -37,7 +37,7 @@ from vision.sheets.distortion import (
     two_in_one,
 )
 from vision.sheets.doubts import predicted_by_neighbours, sheets_alike, unseen_jumps
-from vision.sheets.film import gap_depth, motion_blur, repeated_frames
+from vision.sheets.film import SecondComb, gap_depth, motion_blur, repeated_frames, second_comb
 from vision.sheets.identities import WHYS, Doubt, identify_sheets
 from vision.sheets.numbering import Numbering, number_sheets
 from vision.sheets.recovery import FLAGS, Detections, Flag, assign_detections
@@ -57,7 +57,6 @@ from vision.sheets.scatter import (
     shared_error,
     spatial_scatter,
 )
-from vision.sheets.second_comb import SecondComb, second_comb
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.sheets.subpixel import (
     WHOLE_LEVELS,
@@ -141,7 +140,7 @@ def track_sheets(
     scatter by more (`vision.sheets.scatter.noise_excess`), where the ridge moves during the exposure
     (`vision.sheets.film.motion_blur`), and where the ridge is distorted
     (`vision.sheets.distortion.distortion`) or a second comb lies over the sheets
-    (`vision.sheets.second_comb.second_comb`). Positions of ridges sharper than their pixels are corrected for
+    (`vision.sheets.film.second_comb`). Positions of ridges sharper than their pixels are corrected for
     locking to whole pixels (`vision.sheets.distortion.pixel_locking`), except with ``fit="paper"``: x_err_px
     includes it. For lossy video it is the scatter between sheets, since compression hides the noise and adds
     its own artefacts. It does not include errors that are the same in all frames (`constant_error_px`: uneven
