@@ -208,9 +208,7 @@ def collapse_figure(found: Comparison, events: pd.DataFrame) -> Figure | None:
         label = "M √(1 − d̂)" + f", M = {m:g}" * (len(blocks) > 1)
         masters.append(Series.model(label, d_hat, m * np.sqrt(1 - d_hat), MODEL))
     inset = Panel(
-        x_label=VALLEY_SEPARATION,
-        y_label="K (N/mm)",
-        series=_by_name(stiffness, "d_v_mm", "K_N_per_mm"),
+        x_label=VALLEY_SEPARATION, y_label="K (N/mm)", series=_by_name(stiffness, "d_v_mm", "K_N_per_mm")
     )
     top = 1.05 * float(np.nanquantile(named["sheets"], 0.999))
     return Figure.of(

@@ -156,13 +156,7 @@ def horizontal_deformation(
     motion, found = _measure(tracks, events, frames, pixel, common_mode, settings)
     found["warnings"] += _too_short(motion, every)
     motion["frames_left_out"] = "event", every.counts - frames.counts, MOTION["frames_left_out"].attrs
-    facts = MotionMetadata(
-        source=source,
-        pixel_size_um=pixel,
-        margin_s=margin,
-        interval_s=interval,
-        **found,
-    )
+    facts = MotionMetadata(source=source, pixel_size_um=pixel, margin_s=margin, interval_s=interval, **found)
     return record(
         motion.assign_attrs(facts.attrs()),
         "horizontal_deformation",

@@ -452,11 +452,7 @@ def _derived(
 
 
 def _with_systematics(
-    fits: ModelFits,
-    force: xr.Dataset,
-    events: pd.DataFrame,
-    given: _Given,
-    geometry: Mapping[str, float],
+    fits: ModelFits, force: xr.Dataset, events: pd.DataFrame, given: _Given, geometry: Mapping[str, float]
 ) -> ModelFits:
     """Add a budget of systematic errors, by repeating the fits with each source changed by its error."""
     d0_err = ForceMetadata.of(force).d0_err_mm
@@ -574,10 +570,7 @@ def _larger(first: Mapping[str, float | None], second: Mapping[str, float | None
 
 
 def _settling(
-    fits: ModelFits,
-    part: float,
-    events: pd.DataFrame,
-    refit: Callable[[pd.DataFrame], dict[str, float]],
+    fits: ModelFits, part: float, events: pd.DataFrame, refit: Callable[[pd.DataFrame], dict[str, float]]
 ) -> dict[str, float | None]:
     """What an unknown filter, or ringing, may change, after which the load settles within the sticks: as much
     as the fit to the slopes of their central 30 % differs from that to the central `part`, noise aside."""

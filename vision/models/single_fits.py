@@ -332,11 +332,7 @@ def fit_drops(events: pd.DataFrame, sample: Sample, mu: float) -> Fit:
 
 
 def fit_stiffness(
-    events: pd.DataFrame,
-    sample: Sample,
-    *,
-    modulus_GPa: float | None = None,
-    settings: FitSettings = DEFAULT,
+    events: pd.DataFrame, sample: Sample, *, modulus_GPa: float | None = None, settings: FitSettings = DEFAULT
 ) -> Fit:
     """Fit Λ̂ and, unless it is given, Y_eff to the stiffness, K = M √(1 − d/Λ̂) ε W Y_eff / L, without μ."""
     d, k = events["d_v_mm"].to_numpy(float), events["K_N_per_mm"].to_numpy(float)

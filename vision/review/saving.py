@@ -343,11 +343,7 @@ def _deformation_differs(before: Path, after: Path, old: Ints, new: Ints) -> dic
     index = dict(zip(old.tolist(), new.tolist(), strict=True))
     both = sheets.assign(index=sheets["index"].map(index)).merge(sheets_new, on=["event", "index"])
     change = (both["ratio_y"] - both["ratio_x"]).abs().dropna()
-    ratios = {
-        "of": len(change),
-        "median": float(change.median()),
-        "largest": float(change.max()),
-    }
+    ratios = {"of": len(change), "median": float(change.median()), "largest": float(change.max())}
     sides = shells.merge(shells_new, on=["event", "side"])
     sizes = [
         {

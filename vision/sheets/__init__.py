@@ -4,14 +4,7 @@ from vision.sheets.corrections import Correction, read_corrections
 from vision.sheets.recovery import doubtful_stretches
 from vision.sheets.reference import wide_spacings
 from vision.sheets.settings import TrackingSettings
-from vision.sheets.subpixel import (
-    FitChoice,
-    FitName,
-    Starts,
-    choose_window,
-    paper_vertex,
-    sliding_vertex,
-)
+from vision.sheets.subpixel import FitChoice, FitName, Starts, choose_window, paper_vertex, sliding_vertex
 from vision.sheets.tracks import BETWEEN_FRAMES, pixel_size_of, track_sheets, with_heights
 
 __all__ = [

@@ -246,12 +246,7 @@ PART_SHIFTS = (-3, -2, -1, 1, 2, 3)  # sheets by which a part of the comb may be
 
 
 def numbered_by_a_neighbour(
-    ridges: Ridges,
-    match: Ints32,
-    paired: Floats32,
-    certain: Floats32,
-    expected_px: Floats,
-    comb: RidgeComb,
+    ridges: Ridges, match: Ints32, paired: Floats32, certain: Floats32, expected_px: Floats, comb: RidgeComb
 ) -> Bools:
     r"""Return which sheets may be on the ridge of the next sheet, as are all up to a missing one, (frame, N).
 

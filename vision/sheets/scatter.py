@@ -12,15 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from vision.numeric import (
-    NORMAL_MEDIAN,
-    Bools,
-    Floats,
-    in_two_threads,
-    nan_median,
-    nan_quantile,
-    row_parts,
-)
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, in_two_threads, nan_median, nan_quantile, row_parts
 from vision.sheets.settings import DEFAULT, LEAST_FRAMES, TrackingSettings
 
 FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])

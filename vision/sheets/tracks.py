@@ -50,13 +50,7 @@ from vision.sheets.ridges import (
     frames_with_values,
     no_ridges,
 )
-from vision.sheets.scatter import (
-    BetweenSlips,
-    left_behind,
-    noise_excess,
-    shared_error,
-    spatial_scatter,
-)
+from vision.sheets.scatter import BetweenSlips, left_behind, noise_excess, shared_error, spatial_scatter
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.sheets.subpixel import (
     WHOLE_LEVELS,
@@ -175,11 +169,7 @@ def track_sheets(
     lasting = 0.0
     if facts.codec not in BETWEEN_FRAMES:  # these keep noise, or remove it, and their errors are measured
         lasting = noise_correlation(
-            profile,
-            fitted.x_px,
-            frozen,
-            half_px=window // 2,
-            least=settings.lasting_noise,
+            profile, fitted.x_px, frozen, half_px=window // 2, least=settings.lasting_noise
         )
     likelier = ridges if ridges == "auto" else describe_ridges(profile, settings=settings).polarity
     metadata = replace(
