@@ -84,9 +84,7 @@ class Certificate:
     @property
     def facts(self) -> dict[str, Any]:
         """All fields but the table of sheets, for certificate.json."""
-        values = {part.name: getattr(self, part.name) for part in fields(self)}
-        values.pop("sheets")
-        return values
+        return {name: value for name, value in vars(self).items() if name != "sheets"}
 
 
 @dataclass(frozen=True)
@@ -163,10 +161,6 @@ def certify(
         Tunable constants.
     progress
         Called with (films tracked, total films).
-
-    Returns
-    -------
-    Certificate
 
     Raises
     ------

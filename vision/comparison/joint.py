@@ -17,6 +17,7 @@ from vision.models.single_fits import (
     DEFAULT,
     FIT_ERRORS,
     SLOW_MM_MIN,
+    UNKNOWN,
     fit_drops,
     fit_peaks,
     fit_stiffness,
@@ -241,7 +242,7 @@ def _fit(
             known = {"mu": peaks.estimate(0), "T0_N": peaks.estimate(1), "A": drops.estimate(0)}
         scale = stiffness.estimate(0)
         if not scale.value < 0.999 * DEFAULT.largest_scale * float(events["d_v_mm"].max()):
-            scale = Estimate(float("nan"), float("nan"))
+            scale = UNKNOWN
         mu = known["mu"]
         n_hat, by_scale, by_mu, _ = normal_force_at_scale(mu.value, scale.value, sample)
         error = float(np.hypot(by_mu * mu.error, by_scale * scale.error))
@@ -321,14 +322,14 @@ def _modulus_of_test(test: TractionTest) -> Estimate:
         with np.errstate(all="ignore"):
             return fit_stiffness(test.events[usable_range(test)], test.sample).estimate(1)
     except FIT_ERRORS:
-        return Estimate(float("nan"), float("nan"))
+        return UNKNOWN
 
 
 def weighted_mean(parts: Sequence[Estimate]) -> Estimate:
     """Return the mean of the known parts. Its error is scaled by √(χ²/dof) if they disagree."""
     known = [part for part in parts if np.isfinite(part.value) and part.error > 0]
     if not known:
-        return Estimate(float("nan"), float("nan"))
+        return UNKNOWN
     value, error = np.array([part.value for part in known]), np.array([part.error for part in known])
     mean = float(np.average(value, weights=error**-2))
     chi2 = float(np.sum(((value - mean) / error) ** 2) / (len(known) - 1)) if len(known) > 1 else 1.0

@@ -14,7 +14,7 @@ from vision.comparison.joint import CompareSettings
 from vision.comparison.runs import TractionTest
 from vision.data import with_word
 from vision.errors import counted
-from vision.numeric import Bools, Floats, Ints, rms
+from vision.numeric import Bools, Floats, rms
 
 # by columns of tests.csv
 SYMBOLS = {"mu": "μ", "N_hat_N": "N̂", "Lambda_hat_mm": "Λ̂"}
@@ -233,12 +233,12 @@ def find_irregular(test: TractionTest, settings: CompareSettings = CompareSettin
     r *= 1 / np.sqrt(1 - weight)  # the smoothed course follows part of the scatter
     square, count = (np.convolve(part, np.ones(window), "same") for part in (r**2, np.ones(d.size)))
     level = np.log(np.abs(r) + 0.05 * float(np.median(np.abs(r))) + 1e-12)
-    at = int(_splits(level[np.newaxis], least)[0])
+    gains = _gains(level[np.newaxis], least)[0]  # of every split
+    at = int(gains.argmax()) + least
     rng = np.random.default_rng(settings.seed)
     draws = min(settings.draws, 500)  # enough to distinguish 1 % from 2 %
     shuffled = rng.permuted(np.tile(level, (draws, 1)), axis=1)
-    best = _gains(level[np.newaxis], least)[0].max()
-    p = float((1 + np.sum(_gains(shuffled, least).max(axis=1) >= best)) / (draws + 1))
+    p = float((1 + np.sum(_gains(shuffled, least).max(axis=1) >= gains.max())) / (draws + 1))
     before, after = (rms(part) for part in (r[:at], r[at:]))
     both = rms(r)
     reason, error = "", np.nan
@@ -250,7 +250,7 @@ def find_irregular(test: TractionTest, settings: CompareSettings = CompareSettin
         reason = "the scatter rises smoothly, without a change point"
     else:
         parts = [rng.choice(part, (200, part.size)) for part in (level[:at], level[at:])]
-        splits = _splits(np.concatenate(parts, axis=1), least)
+        splits = _gains(np.concatenate(parts, axis=1), least).argmax(axis=1) + least
         error = float(np.hypot(np.std(d[splits]), np.median(np.diff(d))))
     return Irregularity(
         **about,
@@ -271,11 +271,6 @@ def _gains(level: Floats, least: int) -> Floats:
     left = np.cumsum(centred, axis=1)[:, least - 1 : n - least]
     count = np.arange(least, n - least + 1)
     return np.asarray(left**2 * (1 / count + 1 / (n - count)))
-
-
-def _splits(level: Floats, least: int) -> Ints:
-    """Return the index of the first event after the best split of each row."""
-    return np.asarray(_gains(level, least).argmax(axis=1) + least)
 
 
 def _smooth_rise_is_better(level: Floats, d: Floats, at: int) -> bool:

@@ -22,9 +22,9 @@ from vision.models import equations
 from vision.models.single_fits import (
     DEFAULT,
     FIT_ERRORS,
-    NOT_TOLD,
     PARAMETERS,
     SLOW_MM_MIN,
+    UNKNOWN,
     Estimate,
     Fit,
     FitSettings,
@@ -188,7 +188,7 @@ class _Given:
     def drift(self, events: pd.DataFrame) -> Estimate:
         """Return the drift of the load over the test, N; NaN where it cannot be told."""
         fit = self.fit_drift(events, self.fit_peaks(events))
-        return fit.estimate(3) if fit else NOT_TOLD
+        return fit.estimate(3) if fit else UNKNOWN
 
 
 def _undetermined(reason: str, advice: str = "") -> InputError:

@@ -367,10 +367,6 @@ def fit_static_friction(N_N: ArrayLike, mu_s: ArrayLike, mu_s_err: ArrayLike | N
         Standard errors. If None, or not all positive, all points have equal weights and the errors follow
         from the scatter.
 
-    Returns
-    -------
-    StaticFriction
-
     Raises
     ------
     InputError

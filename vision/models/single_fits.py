@@ -85,6 +85,9 @@ class Estimate:
     systematic_error: float = float("nan")
 
 
+UNKNOWN = Estimate(math.nan, math.nan)
+
+
 def plus_minus(estimate: Estimate) -> str:
     """Return a value ± its standard error, to two digits of the error; four digits without an error."""
     value, error = estimate.value, estimate.error
@@ -123,9 +126,6 @@ class Goodness:
     chi2_dof: float
 
 
-NOT_TOLD = Estimate(math.nan, math.nan)
-
-
 @dataclass(frozen=True, kw_only=True)
 class ModelFits:
     """Parameters of the paper's models for one recording, with standard errors."""
@@ -143,7 +143,7 @@ class ModelFits:
     d_mm: tuple[float, float]  # separation at the first and last event used
     sample: Sample  # as given
     # Drift of the load over the range of d, if the peaks have one; the fits assume none. NaN if not told.
-    drift_N: Estimate = NOT_TOLD
+    drift_N: Estimate = UNKNOWN
     notes: tuple[str, ...] = ()  # limitations of the result
     warnings: tuple[str, ...] = ()  # reasons why it may be wrong
     held: tuple[str, ...] = ()  # names of parameters that were given, not fitted
