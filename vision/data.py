@@ -61,6 +61,10 @@ class Schema:
     def __getitem__(self, name: str) -> Variable:
         return self.variables[name]
 
+    def declared(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the variables with these values as `xarray.Dataset` takes them."""
+        return {name: (self[name].dims, one, self[name].attrs) for name, one in values.items()}
+
     def check(self, data: Data, needs: Sequence[str] | None = None) -> None:
         """Raise `InputError`, which names every such variable, unless the data are as declared.
 

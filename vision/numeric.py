@@ -171,6 +171,12 @@ def without_common_change(values: NDArray[np.floating]) -> Floats:
     return np.asarray(values - common_change(values, nan_median(values))[:, None], np.float64)
 
 
+def centred(values: Floats, known: Bools, axis: int = 0) -> Floats:
+    """Return values less the mean of the known ones along an axis, and 0 where they are not known."""
+    kept, count = np.where(known, values, 0.0), np.maximum(known.sum(axis=axis, keepdims=True), 1)
+    return np.where(known, kept - kept.sum(axis=axis, keepdims=True) / count, 0.0)
+
+
 def row_parts(rows: int, at_once: int = ROWS_AT_ONCE) -> Iterator[slice]:
     """Yield slices of consecutive rows: what is computed of a part at a time takes little memory."""
     return (slice(start, min(start + at_once, rows)) for start in range(0, rows, at_once))

@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 
 from vision.deformation.creep import Creep, DeformationSettings, Noise, StickFrames, coefficient_errors
-from vision.numeric import Bools, Floats, Ints, median_size, nan_median, row_parts, sigma_about_zero
+from vision.numeric import Bools, Floats, Ints, centred, median_size, nan_median, row_parts, sigma_about_zero
 
 # --- vibration ----------------------------------------------------------------------------------------------
 
@@ -425,8 +425,7 @@ def repeated_bends(creep: Creep, noise: Noise, settings: DeformationSettings) ->
 
 def _without_common_part(bend: Floats, slope: Floats, used: Bools) -> Floats:
     """Bends (stick, sheet, ...) minus what the sheets of a stick share: a constant, a part of the slope."""
-    count = np.maximum(used.sum(axis=1, keepdims=True), 1)
-    bend, slope = (np.where(used, v - v.sum(axis=1, keepdims=True) / count, 0.0) for v in (bend, slope))
+    bend, slope = centred(bend, used, axis=1), centred(slope, used, axis=1)
     square = np.maximum((slope**2).sum(axis=1, keepdims=True), 1e-12)
     return np.asarray(bend - slope * (bend * slope).sum(axis=1, keepdims=True) / square)
 

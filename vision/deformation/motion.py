@@ -278,7 +278,11 @@ def _measure(
     del x_px  # tables of positions are large in long films
     vibration, factor = np.zeros(len(steady)), np.ones(side.size)
     if common_mode and len(steady):
-        steady, vibration, factor = _without_vibration(steady, frames, terms, settings)
+        residual = fit_creep(steady, frames, terms, settings).at(frames)
+        np.subtract(steady, residual, out=residual)
+        vibration, factor = common_mode_motion(residual, settings)
+        del residual
+        steady = steady - vibration[:, None]
     slips = find_late_slips(steady, frames, settings)
     steady = np.where(slips.outside, np.nan, steady)
     noise = measure_noise(steady, frames, terms, settings)
@@ -318,11 +322,8 @@ def _measure(
     }
     coords = {name: events[name].to_numpy(float) for name in ENDS if name in events}
     coords |= {name: tracks[name].values for name in ("side", "n")}
-    declared = {
-        name: (MOTION[name].dims, data, MOTION[name].attrs) for name, data in (values | coords).items()
-    }
     index = {"event": events["event"].to_numpy(), "sheet": tracks["sheet"].values}
-    motion = xr.Dataset(declared, index).set_coords(list(coords))
+    motion = xr.Dataset(MOTION.declared(values | coords), index).set_coords(list(coords))
     return motion, {
         "noise_share": noise.correlation.share,
         "noise_rho": noise.correlation.rho,
@@ -412,17 +413,6 @@ def _too_short(motion: xr.Dataset, frames: StickFrames) -> list[str]:
         f" {np.median(frames.counts):.0f} frames in the median (4 are needed, without those beside a slip):"
         " film more frames/s, or pull more slowly"
     ]
-
-
-def _without_vibration(
-    x_px: Floats, frames: StickFrames, terms: int, settings: DeformationSettings
-) -> tuple[Floats, Floats, Floats]:
-    """Positions without the vibration of the camera; this vibration in each usable frame, px; and the factor
-    on each sheet's noise variance that restores what the subtraction removed."""
-    residual = fit_creep(x_px, frames, terms, settings).at(frames)
-    np.subtract(x_px, residual, out=residual)
-    vibration, factor = common_mode_motion(residual, settings)
-    return x_px - vibration[:, None], vibration, factor
 
 
 def _rms(x_px: Floats, frames: StickFrames) -> Floats:

@@ -25,7 +25,7 @@ from vision.sheets.doubts import predicted_by_neighbours
 from vision.sheets.identities import WHYS
 from vision.sheets.numbering import number_sheets
 from vision.sheets.recovery import FLAGS, Flag
-from vision.sheets.ridges import RidgeComb, Ridges, find_by_hand
+from vision.sheets.ridges import RidgeComb, Ridges, find_candidates_and_maxima
 from vision.sheets.subpixel import FitName, fit_sheets
 from vision.words import word_codes
 
@@ -92,9 +92,8 @@ class Positions:
             "side": self.side,
             "n": self.n,
         }
-        data = {name: (TRACKS[name].dims, one, TRACKS[name].attrs) for name, one in values.items()}
         axes = {"frame": self.frame[rows], "sheet": np.arange(self.sheets)}
-        return xr.Dataset(data, axes, dict(self.attrs)).set_coords(["time_s", "side", "n"])
+        return xr.Dataset(TRACKS.declared(values), axes, dict(self.attrs)).set_coords(["time_s", "side", "n"])
 
     def slips_s(self) -> Floats:
         """Return the times at which the sheets step outwards, s on the camera's clock."""
@@ -114,7 +113,7 @@ class Positions:
     def ridges(self, diagram: Diagram, rows: slice) -> tuple[Ridges, Ridges]:
         """Find the ridges in these rows as the tracking does; x counts from the diagram's first column."""
         profile = diagram.rows(self.first_row + rows.start, self.first_row + rows.stop)
-        return find_by_hand(profile, self.comb(diagram))
+        return find_candidates_and_maxima(profile, self.comb(diagram))
 
     def copied(self, rows: slice) -> Positions:
         """Return a copy of some rows that can be changed independently."""

@@ -221,11 +221,8 @@ def read_corrections(path: str | Path) -> tuple[Correction, ...]:
 def read_decisions(path: str | Path) -> Decisions:
     """Read a whole TOML file of decisions; the module describes its format.
 
-    Raises
-    ------
-    InputError
-        For a file that cannot be read, an unknown kind or key, or a value of the wrong type. The message
-        names the entry.
+    Raises: InputError for a file that cannot be read, an unknown kind or key, or a value of the wrong type.
+    The message names the entry.
     """
     advice = "write entries such as [[swap]], sheets = [4, 5]"
     table = read_toml(Path(path), "a TOML file of corrections", advice)
@@ -289,10 +286,8 @@ def _paragraph(head: str, values: Mapping[str, Any]) -> str:
 def correction_of(kind: str, entry: Any, name: str = "the correction") -> Correction:
     """Return the decision that an entry of a file states.
 
-    Raises
-    ------
-    InputError
-        For a key that is missing or unknown, or a value of the wrong type. The message names the entry.
+    Raises: InputError for a key that is missing or unknown, or a value of the wrong type. The message names
+    the entry.
     """
     allowed = {*KEYS[kind], *OPTIONAL.get(kind, ()), "date"}
     if not isinstance(entry, dict) or not set(KEYS[kind]) <= set(entry) <= allowed:
@@ -304,8 +299,10 @@ def correction_of(kind: str, entry: Any, name: str = "the correction") -> Correc
     if "frames" in entry:
         parts["first"], parts["stop"] = _range(entry["frames"], name, "frames", open_end=True)
     if "frame" in entry:
-        parts["first"] = _whole(entry["frame"], name, "frame, a number from 0")
-        parts["stop"] = parts["first"] + 1
+        frame = entry["frame"]
+        if type(frame) is not int or not 0 <= frame < 1 << 60:
+            raise InputError(name, "frame, a number from 0", repr(frame))
+        parts["first"], parts["stop"] = frame, frame + 1
     if "rows" in entry:
         parts["rows"] = _range(entry["rows"], name, "rows")
     for key, unit in (("x_px", "a column in px"), ("offset_s", "seconds"), ("drift_ppm", "a number")):
@@ -330,12 +327,6 @@ def _range(text: Any, name: str, what: str, *, open_end: bool = False) -> tuple[
     if not (colon and digits and len(first + stop) < 19 and (not stop or int(first) < int(stop))):
         raise InputError(name, f'{what} = "A:B" with A < B', repr(text))
     return int(first), int(stop) if stop else None
-
-
-def _whole(value: Any, name: str, wanted: str) -> int:
-    if type(value) is not int or not 0 <= value < 1 << 60:
-        raise InputError(name, wanted, repr(value))
-    return value
 
 
 def _number(value: Any, name: str, wanted: str) -> float:
@@ -381,10 +372,7 @@ class Corrected(ABC):
     def rows_of(self, correction: Correction) -> Ints:
         """Return the rows of a correction.
 
-        Raises
-        ------
-        InputError
-            For a sheet or frames that do not exist.
+        Raises: InputError for a sheet or frames that do not exist.
         """
         sheets, end = self.arrays["flag"].shape[1], int(self.frames[-1]) + 1
         stop = end if correction.stop is None else correction.stop
@@ -399,10 +387,7 @@ class Corrected(ABC):
     def apply(self, correction: Correction) -> tuple[int, ...]:
         """Apply a correction of the sheets; return which sheets it concerns.
 
-        Raises
-        ------
-        InputError
-            As `apply_corrections`. Nothing is changed then.
+        Raises: InputError as `apply_corrections`. Nothing is changed then.
         """
         rows, sheets = self.rows_of(correction), correction.sheets
         match correction.kind:
@@ -506,13 +491,11 @@ def apply_corrections(
     """Return the detections with the manual corrections applied, in the order of `ordered`.
 
     frames: frame numbers in the film, (frame,). origin_px: column of the profile's first pixel in the
-    picture. ridges: of every frame, from `find_by_hand`.
+    picture. ridges: of every frame, from `find_candidates_and_maxima`.
 
-    Raises
-    ------
-    InputError
-        For a sheet or frames that do not exist, two entries about one sheet in one frame, no doubtful ridge
-        to accept, or a ridge that does not exist or is another sheet's. The message names the entry.
+    Raises: InputError for a sheet or frames that do not exist, two entries about one sheet in one frame, no
+    doubtful ridge to accept, or a ridge that does not exist or is another sheet's. The message names the
+    entry.
     """
     wanted = ordered([one for one in corrections if one.kind in OF_SHEETS])
     if not wanted:
@@ -550,13 +533,11 @@ def follow_ridge(
     In the first row it is the ridge nearest to the correction's x_px, a column of the picture, then the one
     nearest to where that motion moves it: of the candidates, or of all maxima where none of these is near.
     Return whole pixels, one per row, NaN where no ridge is near; and the sheet that has this ridge already,
-    -1 for none. rows: rows of `others` and `ridges` (`find_by_hand`), in the order in which the ridge is
-    followed. others: whole pixels of the sheets, (frame, sheet). without: one to ignore.
+    -1 for none. rows: rows of `others` and of `ridges`, in the order in which the ridge is followed. others:
+    whole pixels of the sheets, (frame, sheet). ridges: from `find_candidates_and_maxima`. without: a sheet to
+    ignore.
 
-    Raises
-    ------
-    InputError
-        If no ridge is near the column in the first row.
+    Raises: InputError if no ridge is near the column in the first row.
     """
     others = others[rows]
     if without is not None:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator, Sequence
-from functools import partial
 from typing import NamedTuple, Self
 
 import cv2
@@ -23,6 +22,7 @@ from vision.numeric import (
     Bools,
     Floats,
     Floats32,
+    centred,
     correlation_inflation,
     in_two_threads,
     median_of_all,
@@ -59,18 +59,10 @@ _WELL_SEEN = 0.1  # variance of cosine and sine of a position beside its motion:
 
 
 class PixelLocking(NamedTuple):
-    """By how much a position is shifted depending on where in a pixel it lies.
+    """By how much a position is shifted depending on where in a pixel it lies."""
 
-    Parameters
-    ----------
-    waves
-        Amplitudes, px, of cos 2πx, sin 2πx, cos 4πx and sin 4πx, (4,).
-    error_px
-        Root mean square of what the sheets lock by otherwise than these amplitudes, with their errors.
-    """
-
-    waves: Floats
-    error_px: float
+    waves: Floats  # amplitudes, px, of cos 2πx, sin 2πx, cos 4πx and sin 4πx, (4,)
+    error_px: float  # RMS of what the sheets lock by otherwise than these amplitudes, with their errors
 
     @property
     def rms_px(self) -> float:
@@ -169,14 +161,8 @@ def normal_equations(regressors: Floats, values: Floats, known: Bools) -> tuple[
 
     Both are taken less their means over the frames. regressors: (K, frame, N); values, known: (frame, N).
     """
-    count = np.maximum(known.sum(axis=0), 1)
-
-    def centred(rows: Floats) -> Floats:
-        kept = np.where(known, rows, 0.0)
-        return np.where(known, kept - kept.sum(axis=-2, keepdims=True) / count, 0.0)
-
-    rows = centred(regressors)
-    return np.einsum("afn,bfn->nab", rows, rows), np.einsum("afn,fn->na", rows, centred(values))
+    rows = centred(regressors, known, axis=-2)
+    return np.einsum("afn,bfn->nab", rows, rows), np.einsum("afn,fn->na", rows, centred(values, known))
 
 
 def _scatter_of_sheets(
@@ -311,7 +297,7 @@ def distortion(
 
     Light that falls off over a ridge hardly changes its shape; it shows in the heights (`_shift_by_light`).
     What covers a flank, such as a needle or a cable, may leave shape and height as they are, but not the
-    width: the position shifts by half of what is gone (`_alone`), at most.
+    width: the position shifts by half of what is gone (`_single_width_changes`), at most.
     What stands still where a ridge moves changes all displacements of its sheet by the same factor
     (`displacement_scale_error`). A texture of the light does so to all sheets, up to a ridge width or so; it
     shows in the heights of all of them together (`texture_error`).
@@ -335,7 +321,7 @@ def distortion(
     else:  # otherwise heights change with the distance of the neighbours
         texture = texture_error(x_px, log_height, comb)
     scale = displacement_scale_error(x_px, shapes, settings)
-    covered_px = comb.fwhm_px / 2 * _alone(np.log(fwhm_px), settings)
+    covered_px = comb.fwhm_px / 2 * _single_width_changes(np.log(fwhm_px), settings)
     size = _shift_by_light(x_px, log_height, pulled_px2, settings)
     del height, log_height, shapes  # each is as large as the positions
     differences = [
@@ -514,9 +500,8 @@ def _slopes_in_cells(x: Floats, y: Floats, width: float) -> tuple[float, float]:
 def _regression(x: Floats, y: Floats) -> tuple[float, float, int]:
     """Return the slope of y over x, both (frame,), its squared error, and the number of known values."""
     known = np.isfinite(y) & np.isfinite(x)
-    total = int(known.sum())
-    count = max(total, 1)
-    x, y = (np.where(known, v - np.where(known, v, 0.0).sum() / count, 0.0) for v in (x, y))
+    count = max(int(known.sum()), 1)
+    x, y = centred(x, known), centred(y, known)
     spread = max(float((x**2).sum()), 1e-12)
     slope = float((x * y).sum()) / spread
     rest = y - slope * x
@@ -668,6 +653,10 @@ def _shift_by_light(
     sheets do not show that scatter: every change of the slope between two sheets, beyond its noise in time,
     then counts as light.
     """
+
+    def smooth(of_sheet: Floats) -> None:
+        of_sheet[:] = mean_over(of_sheet, settings.distortion_frames)
+
     light = log_height
     light -= nan_median(light)
     light -= nan_median(light, axis=1)[:, None]  # exposure
@@ -676,7 +665,7 @@ def _shift_by_light(
         shift = np.zeros_like(light)
         np.fmax(shift, _tilt(light, x_px, scatter, settings)[:, None], out=shift)
         _raise_to_slope_across(shift, light, x_px, scatter, settings)
-        in_two_threads(partial(_smooth, frames=settings.distortion_frames), light.T)
+        in_two_threads(smooth, light.T)
         _raise_to_slope_across(shift, light, x_px, _scatter_across(light), settings)
     else:
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -687,11 +676,6 @@ def _shift_by_light(
         shift = np.fmax(np.pad(slope, ((0, 0), (1, 0))), np.pad(slope, ((0, 0), (0, 1))))
     pulled_px2 *= shift
     return pulled_px2
-
-
-def _smooth(values: Floats, frames: int) -> None:
-    """Replace values of a sheet (frame,) by their means over some frames."""
-    values[:] = mean_over(values, frames)
 
 
 def _raise_to_slope_across(
@@ -729,7 +713,7 @@ def _tilt(light: Floats, x_px: Floats, scatter: float, settings: TrackingSetting
     return np.nan_to_num(_if_above(slope, settings.distortion_sigmas * of_median))
 
 
-def _alone(log_width: Floats, settings: TrackingSettings) -> Floats32:
+def _single_width_changes(log_width: Floats, settings: TrackingSettings) -> Floats32:
     """Return by how much each ridge alone became wider or narrower, (frame, N); 0 where it is scatter.
 
     It is the change against the median of the two sheets on either side, or against the ridge's own usual

@@ -14,6 +14,7 @@ from vision.numeric import (
     Bools,
     Floats,
     Floats32,
+    centred,
     in_two_threads,
     nan_median,
     nan_quantile,
@@ -270,11 +271,6 @@ def _changes(level: Floats, apart_px: Floats, most: float) -> Floats:
     level = level - nan_median(level)
     level -= nan_median(level, axis=1)[:, None]
     known = np.isfinite(level) & np.isfinite(apart_px)
-    count = np.maximum(known.sum(axis=0), 1)
-    centred = [
-        np.where(known, values - np.where(known, values, 0.0).sum(axis=0) / count, 0.0)
-        for values in (level, apart_px)
-    ]
-    change, apart = centred
+    change, apart = centred(level, known), centred(apart_px, known)
     slope = (change * apart).sum(axis=0) / np.maximum((apart**2).sum(axis=0), 1e-12)
     return np.where(known, np.clip(change - slope * apart, -most, most), np.nan)

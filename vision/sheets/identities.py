@@ -84,10 +84,7 @@ def identify_sheets(
     most of the recording agrees on. All segments are aligned with that comb, and aligned again with each
     sheet expected where it was found around that time. All of this is done at the comb's usual spacing.
 
-    Raises
-    ------
-    InputError
-        If there are no ridges, or fewer than `sheets`; the message names `source`.
+    Raises: InputError if there are no ridges, or fewer than `sheets`; the message names `source`.
     """
     scale, middle_px = comb_squeeze(ridges, comb.settings)
     if (scale != 1).any():

@@ -163,7 +163,7 @@ def _alone_and_away(x: Floats32, comb: RidgeComb) -> Bools:
     more than half a pitch outside the range between the sheet's confirmed positions before and after. The
     edge of what hides the sheets around may look like a ridge."""
     away, rows = np.zeros(x.shape, bool), np.flatnonzero(np.isnan(x).any(axis=1))
-    if x.shape[1] < 3 or not len(rows):  # nobody predicts, or all are seen
+    if x.shape[1] < 3 or not len(rows):  # no neighbours predict, or all sheets are seen
         return away
     away[rows] = np.isfinite(x[rows]) & np.isnan(unlike_neighbours(x[rows]))
     some = np.flatnonzero(away.any(axis=0))
@@ -247,13 +247,8 @@ def _merged(found: Floats32, expected: Floats, comb: RidgeComb) -> Bools:
         near = apart < comb.settings.merged_widths * comb.fwhm_px
         one = missing[rows, 1:] ^ missing[rows, :-1]
         pair[rows] = (near | double[:, 1:] | double[:, :-1]) & one
-    return _both(pair)
-
-
-def _both(pair: Bools) -> Bools:
-    """Return both sheets, (frame, N), of each pair of neighbours, (frame, N − 1)."""
-    none = np.zeros((len(pair), 1), bool)
-    return np.asarray(np.hstack([pair, none]) | np.hstack([none, pair]), bool)
+    padded = np.pad(pair, ((0, 0), (1, 1)))
+    return np.asarray(padded[:, 1:] | padded[:, :-1], bool)  # both sheets of each pair
 
 
 # --- doubtful identities as a table -------------------------------------------------------------------------

@@ -98,11 +98,8 @@ def build_reference(
     There is one list of candidates for each segment of frames; `frames` is its number of frames and
     `displacement_px` the displacement of the whole comb at that time, (lists,).
 
-    Raises
-    ------
-    InputError
-        For fewer ridges than `sheets`, not counting specks far outside the comb, or if no ridge is in most
-        frames; the message names `source`.
+    Raises: InputError for fewer ridges than `sheets`, not counting specks far outside the comb, or if no
+    ridge is in most frames; the message names `source`.
     """
     settings = comb.settings
     spread = spread_indices(len(frames), 192)
@@ -429,8 +426,8 @@ def faint_ends(reference: ReferenceComb, moved_px: Floats, *, settings: Tracking
     beside it, although motion grows outwards. Specks on the lens leave such bumps of the background beside a
     comb. One sign is not enough: sheets may be faint, and if one side of the comb is in view, one end is
     stationary. An entry that moves along with the next is a sheet: the ridge of one close to its neighbour is
-    low and narrow. One of unusual width and another motion needs to be dim only (`dim_end`). Of
-    several faint entries at an end, all are none if they are `_stationary_beside` a bright sheet. moved_px:
+    low and narrow. An entry of unusual width and with another motion need only be dim (`dim_end`). Several
+    faint entries at an end are all no sheets if they are `_stationary_beside` a bright one. moved_px:
     displacement from the rest positions (frame, N), NaN where missing.
     """
     none = np.zeros(reference.sheets, bool)

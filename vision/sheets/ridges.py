@@ -140,7 +140,7 @@ def describe_ridges(
     found = [main for main in measured if main is not None]
     if not found:
         raise no_ridges(sample, source)
-    return _likelier(sample, found[0], found[1], settings) if len(found) == 2 else found[0].comb
+    return _choose_polarity(sample, found[0], found[1], settings) if len(found) == 2 else found[0].comb
 
 
 def frames_with_values(profile: Floats32) -> Bools:
@@ -297,7 +297,7 @@ class _MainRidges(NamedTuple):
         return np.concatenate([np.diff(x) for x in self.x])
 
 
-def _likelier(
+def _choose_polarity(
     sample: Floats32, bright: _MainRidges, dark: _MainRidges, settings: TrackingSettings
 ) -> RidgeComb:
     """Return the comb of the stripes that are the sheets, with the reason if that is doubtful.
@@ -477,8 +477,8 @@ def find_ridges(profile: Floats32, comb: RidgeComb) -> Ridges:
     return Ridges(*tables)
 
 
-def find_by_hand(profile: Floats32, comb: RidgeComb) -> tuple[Ridges, Ridges]:
-    """Return the candidates, and all maxima above the noise, of which a decision may say that one is a sheet.
+def find_candidates_and_maxima(profile: Floats32, comb: RidgeComb) -> tuple[Ridges, Ridges]:
+    """Return the candidates, and all maxima above the noise, any of which a correction may call a sheet.
 
     Of a faint ridge on the flank of a neighbour only the top stands out, as narrow as a hot pixel.
     """

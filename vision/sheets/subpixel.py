@@ -50,18 +50,10 @@ LASTING_AT_FOUR = 0.8  # least variance at four frames over that at two, of nois
 
 
 class FittedPositions(NamedTuple):
-    """Positions and errors, one per starting point.
+    """Positions and errors, one per starting point."""
 
-    Parameters
-    ----------
-    x_px
-        Position, NaN where the fit fails.
-    err_per_noise
-        Standard error of the position, px, per grey level of white noise in the profile.
-    """
-
-    x_px: Floats
-    err_per_noise: Floats
+    x_px: Floats  # NaN where the fit fails
+    err_per_noise: Floats  # standard error of the position, px, per grey level of white noise in the profile
 
 
 class Starts(NamedTuple):
@@ -160,7 +152,10 @@ def sliding_vertex(profile: NDArray[np.floating], starts: Starts, *, window_px: 
     Source: paper, appendix B; Savitzky & Golay 1964.
     """
     half, width = window_px // 2, profile.shape[1]
-    slope = _slope(profile, window_px).ravel()
+    offsets = np.arange(-half, half + 1)
+    kernel, clean = (offsets / (offsets**2).sum())[None, :], np.ascontiguousarray(profile, np.float32)
+    filtered = cv2.filter2D(clean, cv2.CV_32F, kernel, borderType=cv2.BORDER_REPLICATE)
+    slope = np.asarray(filtered.ravel(), np.float32)
     left = np.flatnonzero((slope[:-1] >= 0) & (slope[1:] < 0))
     column = left % width
     left = left[(column >= half) & (column <= width - 2 - half)]  # the parabola is inside the frame
@@ -169,7 +164,7 @@ def sliding_vertex(profile: NDArray[np.floating], starts: Starts, *, window_px: 
     step, steepness = _cubic_zero(four)
     frame, column = np.divmod(at, width)
     found &= np.isfinite(step) & (frame == starts.frame)
-    err = 1 / np.sqrt((np.arange(-half, half + 1) ** 2).sum()) / np.abs(steepness)
+    err = 1 / np.sqrt((offsets**2).sum()) / np.abs(steepness)
     return FittedPositions(np.where(found, column + step, np.nan), np.where(found, err, np.nan))
 
 
@@ -247,14 +242,6 @@ def _parabola(pixels: Floats, offsets: NDArray[np.integer]) -> tuple[Floats, Flo
     quadratic = (square - square.mean()) / _quadratic_norm(offsets)
     level = pixels - pixels.mean(axis=1, keepdims=True)
     return level @ linear, level @ quadratic
-
-
-def _slope(profile: NDArray[np.floating], window_px: int) -> Floats32:
-    """Return the slope of the sliding parabola at every pixel, grey levels per px."""
-    offsets = np.arange(-(window_px // 2), window_px // 2 + 1)
-    kernel = (offsets / (offsets**2).sum())[None, :]
-    clean = np.ascontiguousarray(profile, np.float32)
-    return np.asarray(cv2.filter2D(clean, cv2.CV_32F, kernel, borderType=cv2.BORDER_REPLICATE), np.float32)
 
 
 def _nearest(left: Ints, slope: Floats32, start: Ints, reach: int) -> tuple[Ints, Bools]:

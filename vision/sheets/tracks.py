@@ -45,7 +45,7 @@ from vision.sheets.reference import ReferenceComb, marks, wide_spacings
 from vision.sheets.ridges import (
     RidgeComb,
     describe_ridges,
-    find_by_hand,
+    find_candidates_and_maxima,
     find_ridges,
     frames_with_values,
     no_ridges,
@@ -222,7 +222,7 @@ def _detect(
     identities = identify_sheets(ridges, comb, sheets=sheets, source=source)
     detections = assign_detections(profile, ridges, identities, comb)
     if corrections:
-        by_hand = find_by_hand(profile, comb)
+        by_hand = find_candidates_and_maxima(profile, comb)
         detections = apply_corrections(
             detections, by_hand, corrections, comb, frames=frames, origin_px=origin_px
         )
@@ -537,7 +537,7 @@ def _dataset(strip: xr.DataArray, found: _Tracked, metadata: TrackMetadata) -> x
         "side": found.numbering.side,
         "n": found.numbering.n,
     }
-    variables = {name: (TRACKS[name].dims, data, TRACKS[name].attrs) for name, data in values.items()}
+    variables = TRACKS.declared(values)
     coords = {name: variables.pop(name) for name in ("time_s", "side", "n")}
     index = {"frame": strip["frame"].values, "sheet": np.arange(x.shape[1])}
     of_film = {name: fact for name, fact in strip.attrs.items() if name not in ("long_name", "units")}
@@ -620,8 +620,7 @@ def with_heights(
         stated = nan_median(tracks["x_err_px"].values) / tracks["x_predicted_px"].values
         err *= np.fmax(stated, 1.0)[:, None]
     found = {"x_z_px": x + float(parts["x"].values[0]), "x_z_err_px": err}
-    variables = {name: (TRACKS[name].dims, data, TRACKS[name].attrs) for name, data in found.items()}
-    return record(tracks.assign(variables).assign_coords(z=parts["z"]), "with_heights")
+    return record(tracks.assign(TRACKS.declared(found)).assign_coords(z=parts["z"]), "with_heights")
 
 
 def pixel_size_of(
