@@ -335,7 +335,7 @@ TRACKS = Schema(
         "x_overlap_px": Variable(_SHEET, "px", "shift of all positions by neighbours that overlap"),
         "x_light_px": Variable(_SHEET, "px", "shift of all positions by uneven light"),
         "x_shape_px": Variable(_SHEET, "px", "error of all positions by the shape of the ridge"),
-        "constant_error_px": Variable(_SHEET, "px", "error of a position that is the same in all frames"),
+        "constant_error_px": Variable(_SHEET, "px", "error that all positions share; empty if not known"),
         "misscaled": Variable(
             _SHEET,
             "1",

@@ -1,10 +1,13 @@
 """Errors of positions that are the same in all frames: by neighbours, uneven light and lopsided ridges."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
 from tests.scenes.combs import comb, ridges, strip
 from vision.sheets import constant_shift, track_sheets
+from vision.sheets.ridges import describe_ridges
 
 
 def unequal(seed, *, widths_apart=1.5, dark=False, gradient=0.0, flat=0.0):
@@ -68,3 +71,68 @@ def test_sheets_that_are_brighter_on_one_side_have_a_constant_error(side, monkey
         off = np.nanmean(tracks.x_px.values - x, axis=0)
         assert (side * off > -0.01).all() and np.abs(off).max() > 0.3
         assert ((np.abs(off) < 2 * tracks.constant_error_px.values + 0.01).mean() > 0.9) == said
+
+
+def test_sheets_with_few_positions_have_a_constant_error():
+    """Six frames of two thousand have positions, as where most identities are doubtful, and one sheet has
+    none. A failure means that the run ends with an unexpected error, or that this sheet has an error."""
+    x = comb(2000, per_side=4, pitch_px=16.0, axis_px=100)
+    profile = ridges(x, width=200, fwhm_px=7.0)
+    described = describe_ridges(profile, sheets=8)
+    x[:, 3] = x[:1002] = x[1008:] = np.nan
+    size = constant_shift.constant_shift(profile, x, 9, described).size_px
+    assert np.flatnonzero(np.isnan(size)).tolist() == [3]
+    assert np.nanmax(size) < 0.15
+    x[:] = np.nan
+    assert np.isnan(constant_shift.constant_shift(profile, x, 9, described).size_px).all()
+
+
+@pytest.mark.parametrize("left_out", [7, 19])
+def test_a_ridge_that_is_no_sheet_does_not_spoil_the_fit(left_out):
+    """A ridge has no positions, or lies beyond the last sheet. A failure means that errors of its neighbours
+    of a hundredth of a pixel are stated as up to five pixels."""
+    x = comb(60, per_side=10, pitch_px=16.0, axis_px=180, uneven=0.05, slip=0.15)
+    height = np.exp(np.random.default_rng(0).uniform(-0.4, 0.4, 20))
+    profile = strip(ridges(x, width=360, fwhm_px=7.0, contrast=height), snr=200).values
+    shown = np.delete(x, left_out, axis=1)
+    shift = constant_shift.constant_shift(profile, shown, 9, describe_ridges(profile, sheets=20))
+    assert shift.size_px.max() < 0.1
+
+
+def test_dark_lines_within_bright_bands_have_no_large_error():
+    """The sheets are dark lines in the middle of bright bands, which are no ridges on a smooth background. A
+    failure means that errors of several pixels are stated, the widths of what is fitted to the bands."""
+    x = comb(40, per_side=4, pitch_px=100.0, axis_px=450)
+    band, line = ridges(x, width=900, fwhm_px=4.0, flat_px=26.0), ridges(x, width=900, fwhm_px=14.0)
+    profile = np.linspace(150, 10, 900) + 100 * band / band.max() - 70 * line / line.max()
+    described = describe_ridges(profile, polarity="dark", sheets=8)
+    size = constant_shift.constant_shift(profile.astype(np.float32), x, 25, described).size_px
+    assert not (size > 1).any()
+
+
+def test_a_position_beside_its_ridge_has_no_error_larger_than_the_pitch():
+    """A position lies between sharp ridges, where noise alone rises and falls. A failure means that the
+    middle of flanks that are not there is put far away."""
+    x = comb(40, per_side=5, pitch_px=20.0, axis_px=120)
+    noise = np.random.default_rng(1).normal(0, 1, (40, 240)).astype(np.float32)
+    profile = ridges(x, width=240, fwhm_px=2.0) + noise
+    described = describe_ridges(profile, sheets=10)
+    for away in np.linspace(0.0, 10.0, 81):
+        shown = x + away * (np.arange(10) == 4)
+        assert np.nanmax(constant_shift.constant_shift(profile, shown, 9, described).shape) < 20
+
+
+def test_the_constant_error_of_many_sheets_needs_little_memory(monkeypatch):
+    """The fit compares pixels with the ridges beside them alone, which changes nothing. A failure means that
+    a comb of 300 sheets needs hundreds of megabytes and seconds, or has other errors."""
+    x = comb(60, per_side=150, pitch_px=12.0, axis_px=1830, uneven=0.05)
+    profile = ridges(x, width=3660, fwhm_px=8.0)
+    described = describe_ridges(profile, sheets=300)
+    tracemalloc.start()
+    shift = constant_shift.constant_shift(profile, x, 9, described)
+    assert tracemalloc.get_traced_memory()[1] < 80e6
+    tracemalloc.stop()
+    monkeypatch.setattr(constant_shift, "TOGETHER", 300)
+    whole = constant_shift.constant_shift(profile, x, 9, described)
+    assert np.abs(np.subtract(shift, whole)).max() < 1e-4
+    assert np.nanmax(shift.size_px) > 0.01
