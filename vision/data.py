@@ -228,8 +228,7 @@ def strip_of(
     along = {"frame": frame, "time_s": time_s, "status": status}
     coords = {name: ("frame", values, STRIP[name].attrs) for name, values in along.items()}
     coords["x"] = ("x", columns, STRIP["x"].attrs)
-    declared = STRIP["intensity"].attrs
-    attrs = {**declared, **attrs, **declared}
+    attrs = {**attrs, **STRIP["intensity"].attrs}
     return xr.DataArray(intensity, dims=("frame", "x"), coords=coords, name="intensity", attrs=attrs)
 
 

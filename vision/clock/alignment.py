@@ -51,9 +51,7 @@ class SlipSizes:
             return cls(score, 0.0)
         deviation = np.log(size[known])
         order = np.arange(len(deviation))
-        every = (
-            1 + len(order) // 1001
-        )  # the number of pairs, whose slopes are compared, grows with the square
+        every = 1 + len(order) // 1001  # slopes of all pairs are compared
         slope, intercept, *_ = scipy.stats.theilslopes(deviation[::every], order[::every])
         deviation = deviation - intercept - slope * order
         if len(order) >= 2 * settings.size_trend_slips:
@@ -161,10 +159,8 @@ def fit_clocks(
     mapped = clocks.map(trains.video_s)
     partner = nearest_sorted(trains.force_s, mapped)
     residual = mapped - trains.force_s[partner]
-    # Whether each camera slip is the nearest one to its partner, (K, video slips).
-    key = (
-        partner + len(trains.force_s) * np.arange(len(partner))[:, None]
-    )  # one for each clock and force slip
+    # Whether each camera slip is the nearest one to its partner, (K, video slips), by a key for both.
+    key = partner + len(trains.force_s) * np.arange(len(partner))[:, None]
     nearest = np.full(len(partner) * len(trains.force_s), np.inf)
     np.minimum.at(nearest, key.ravel(), np.abs(residual).ravel())
     mutual = np.abs(residual) <= nearest[key]

@@ -298,9 +298,8 @@ def _require(e: Experiment, setting: str, ok: bool, expected: str, found: str = 
     """Raise InputError about a setting unless it is ok; `found` is by default its value."""
     if not ok:
         group, _, key = setting.partition(".")
-        raise InputError(
-            f"setting {setting}", expected, found or str(getattr(getattr(e, group), key)), advice
-        )
+        value = getattr(getattr(e, group), key)
+        raise InputError(f"setting {setting}", expected, found or str(value), advice)
 
 
 def _check_together(e: Experiment) -> None:

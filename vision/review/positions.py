@@ -25,7 +25,7 @@ from vision.sheets.doubts import predicted_by_neighbours
 from vision.sheets.identities import WHYS
 from vision.sheets.numbering import number_sheets
 from vision.sheets.recovery import FLAGS, Flag
-from vision.sheets.ridges import RidgeComb, Ridges, find_candidates_and_maxima
+from vision.sheets.ridges import RidgeComb, Ridges, find_faint, find_ridges
 from vision.sheets.subpixel import FitName, fit_sheets
 from vision.words import word_codes
 
@@ -113,7 +113,7 @@ class Positions:
     def ridges(self, diagram: Diagram, rows: slice) -> tuple[Ridges, Ridges]:
         """Find the ridges in these rows as the tracking does; x counts from the diagram's first column."""
         profile = diagram.rows(self.first_row + rows.start, self.first_row + rows.stop)
-        return find_candidates_and_maxima(profile, self.comb(diagram))
+        return find_ridges(profile, self.comb(diagram)), find_faint(profile, self.comb(diagram))
 
     def copied(self, rows: slice) -> Positions:
         """Return a copy of some rows that can be changed independently."""

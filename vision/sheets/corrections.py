@@ -210,10 +210,7 @@ def ordered(corrections: Sequence[Correction]) -> tuple[Correction, ...]:
 def read_corrections(path: str | Path) -> tuple[Correction, ...]:
     """Read decisions from a TOML file, in the order of application.
 
-    Raises
-    ------
-    InputError
-        As `read_decisions`.
+    Raises: InputError as `read_decisions`.
     """
     return read_decisions(path).corrections
 
@@ -491,7 +488,7 @@ def apply_corrections(
     """Return the detections with the manual corrections applied, in the order of `ordered`.
 
     frames: frame numbers in the film, (frame,). origin_px: column of the profile's first pixel in the
-    picture. ridges: of every frame, from `find_candidates_and_maxima`.
+    picture. ridges: of every frame, from `find_ridges` and `find_faint`.
 
     Raises: InputError for a sheet or frames that do not exist, two entries about one sheet in one frame, no
     doubtful ridge to accept, or a ridge that does not exist or is another sheet's. The message names the
@@ -533,9 +530,8 @@ def follow_ridge(
     In the first row it is the ridge nearest to the correction's x_px, a column of the picture, then the one
     nearest to where that motion moves it: of the candidates, or of all maxima where none of these is near.
     Return whole pixels, one per row, NaN where no ridge is near; and the sheet that has this ridge already,
-    -1 for none. rows: rows of `others` and of `ridges`, in the order in which the ridge is followed. others:
-    whole pixels of the sheets, (frame, sheet). ridges: from `find_candidates_and_maxima`. without: a sheet to
-    ignore.
+    -1 for none. rows: rows of `others` and `ridges` (`find_ridges`, `find_faint`), in the order in
+    which the ridge is followed. others: whole pixels of the sheets, (frame, sheet). without: one to ignore.
 
     Raises: InputError if no ridge is near the column in the first row.
     """

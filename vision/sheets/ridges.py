@@ -128,10 +128,7 @@ def describe_ridges(
     settings
         Thresholds.
 
-    Raises
-    ------
-    InputError
-        If no structure rises above the noise.
+    Raises: InputError if no structure rises above the noise.
     """
     sample = _sample(profile)
     noise = profile_noise(sample)
@@ -477,13 +474,13 @@ def find_ridges(profile: Floats32, comb: RidgeComb) -> Ridges:
     return Ridges(*tables)
 
 
-def find_candidates_and_maxima(profile: Floats32, comb: RidgeComb) -> tuple[Ridges, Ridges]:
-    """Return the candidates, and all maxima above the noise, any of which a correction may call a sheet.
+def find_faint(profile: Floats32, comb: RidgeComb) -> Ridges:
+    """Return all maxima above the noise, of which a decision may say that one is a sheet.
 
     Of a faint ridge on the flank of a neighbour only the top stands out, as narrow as a hot pixel.
     """
     anything = replace(comb, contrast=0.0, settings=replace(comb.settings, narrowest_widths=0.0))
-    return find_ridges(profile, comb), find_ridges(profile, anything)
+    return find_ridges(profile, anything)
 
 
 def in_blocks(work: Callable[[slice], Result], table: NDArray[Any]) -> list[Result]:

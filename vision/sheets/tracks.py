@@ -45,7 +45,7 @@ from vision.sheets.reference import ReferenceComb, marks, wide_spacings
 from vision.sheets.ridges import (
     RidgeComb,
     describe_ridges,
-    find_candidates_and_maxima,
+    find_faint,
     find_ridges,
     frames_with_values,
     no_ridges,
@@ -221,11 +221,9 @@ def _detect(
         raise no_ridges(profile, source)
     identities = identify_sheets(ridges, comb, sheets=sheets, source=source)
     detections = assign_detections(profile, ridges, identities, comb)
-    if corrections:
-        by_hand = find_candidates_and_maxima(profile, comb)
-        detections = apply_corrections(
-            detections, by_hand, corrections, comb, frames=frames, origin_px=origin_px
-        )
+    by_hand = any(one.kind in ("add", "assign") for one in corrections)
+    both = ridges, find_faint(profile, comb) if by_hand else ridges
+    detections = apply_corrections(detections, both, corrections, comb, frames=frames, origin_px=origin_px)
     added = np.zeros(detections.flag.shape[1], bool)
     for one in (one for one in corrections if one.kind == "add"):
         away = np.abs(detections.start_px[frames == one.first] + origin_px - one.x_px)[0]
