@@ -107,11 +107,8 @@ def read_rheometer(path: str | Path) -> list[pd.DataFrame]:
         and, if recorded, the normal force in N (NaN where a cell is empty). The angle starts at 0. Angle and
         torque are positive in the direction of the rotation. ``attrs`` as in `RotationMetadata`.
 
-    Raises
-    ------
-    InputError
-        If the file is missing, empty or binary, or no part of it has a torque with a known unit and a
-        rotation.
+    Raises: InputError if the file is missing, empty or binary, or no part of it has a torque with a known
+    unit and a rotation.
 
     Notes
     -----

@@ -416,10 +416,7 @@ def choose_window(comb: RidgeComb, asked: int | Literal["auto"] | None, *, fit: 
     fit
         With "paper", the publication's fit, tops count as round.
 
-    Raises
-    ------
-    InputError
-        For an even window, one below 3 px, or one wider than the ridges' spacing.
+    Raises: InputError for an even window, one below 3 px, or one wider than the ridges' spacing.
     """
     check_window(asked)
     if isinstance(asked, int | np.integer):
