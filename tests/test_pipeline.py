@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tifffile
+import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -278,3 +279,13 @@ def test_an_offset_outside_the_force_is_refused_before_the_film_is_read(offset_s
             DEEP / "video.tif", DEEP / "force.txt", settings, progress=lambda *done: read.append(done)
         )
     assert not read
+
+
+@pytest.mark.parametrize(
+    "force", [xr.Dataset(), xr.Dataset({"load_N": ("time", [1.0])})], ids=["empty", "load alone"]
+)
+def test_a_dataset_that_is_no_force_recording_is_refused_at_once(force):
+    """A failure means that another table in place of the force, with an offset, ends in a KeyError."""
+    settings = Settings(pixel_size_um=10, offset_s=1.0, timestamps=DEEP / "timestamps.txt")
+    with pytest.raises(InputError, match="force"):
+        vision.analyse(DEEP / "video.tif", force, settings)

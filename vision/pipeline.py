@@ -26,7 +26,7 @@ import xarray as xr
 from vision.checks import CheckSettings, all_warnings
 from vision.clock import Clock, ClockSettings, synchronise
 from vision.clock.clock import check_overlap
-from vision.data import STIFF_BELOW, check_pixel_size, check_threshold
+from vision.data import FORCE, STIFF_BELOW, check_pixel_size, check_threshold
 from vision.deformation import DeformationSettings, horizontal_deformation
 from vision.errors import (
     PATH,
@@ -516,8 +516,9 @@ def track_strip(strip: xr.DataArray, chosen: Settings, parts: xr.DataArray | Non
 
 @known_as(columns="force_columns")
 def open_force(force: xr.Dataset | str | Path, chosen: Settings) -> xr.Dataset:
-    """Read a force recording with the options of the settings; a dataset is returned as is."""
+    """Read a force recording with the options of the settings; a dataset is only checked."""
     if isinstance(force, xr.Dataset):
+        FORCE.check(force)
         return force
     return read_force(
         force,
