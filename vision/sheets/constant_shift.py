@@ -23,7 +23,7 @@ TOGETHER, BESIDE = 40, 5
 PLACES, WIDTHS, MISFIT = 0.25, 0.5, 0.01
 EXPONENTS = np.log([1.5, 8.0])  # from sharp ridges to boxes
 # Share of a ridge's height at which its flanks are looked for, and by what the distance of their middle is
-# multiplied, since blur moves flanks as well. On 30 films of sheets with a slope and a texture, 64 of 100
+# multiplied, since blur moves flanks as well. On 30 films of sheets with a slope and a texture, 63 of 100
 # positions lie within one error (52 at half the height); lower flanks and larger factors overstate the error.
 FLANK, LOPSIDED = 0.35, 2.0
 BEYOND = 0.6  # pitches, within which grey levels beside a sheet are its own in a comb with uneven gaps
