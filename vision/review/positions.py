@@ -25,7 +25,7 @@ from vision.sheets.doubts import predicted_by_neighbours
 from vision.sheets.identities import WHYS
 from vision.sheets.numbering import number_sheets
 from vision.sheets.recovery import FLAGS, Flag
-from vision.sheets.ridges import RidgeComb, Ridges, find_faint, find_ridges
+from vision.sheets.ridges import RidgeComb, find_faint, find_ridges
 from vision.sheets.subpixel import FitName, fit_sheets
 from vision.words import word_codes
 
@@ -110,10 +110,9 @@ class Positions:
             raise InputError("the frame", f"one from {self.frame[0]} to {self.frame[-1]}", f"{frame}")
         return row
 
-    def ridges(self, diagram: Diagram, rows: slice) -> tuple[Ridges, Ridges]:
-        """Find the ridges in these rows as the tracking does; x counts from the diagram's first column."""
-        profile = diagram.rows(self.first_row + rows.start, self.first_row + rows.stop)
-        return find_ridges(profile, self.comb(diagram)), find_faint(profile, self.comb(diagram))
+    def profile(self, diagram: Diagram, rows: slice) -> Floats32:
+        """Return the diagram, (frame, x), in these rows."""
+        return diagram.rows(self.first_row + rows.start, self.first_row + rows.stop)
 
     def copied(self, rows: slice) -> Positions:
         """Return a copy of some rows that can be changed independently."""
@@ -210,7 +209,8 @@ class _CorrectedPositions(Corrected):
         while True:
             block = slice(at, at + BLOCK)
             part = slice(int(rows[block].min()), int(rows[block].max()) + 1)
-            ridges = self.positions.ridges(self.diagram, part)
+            profile = self.positions.profile(self.diagram, part)
+            ridges = find_ridges(profile, self.comb), find_faint(profile, self.comb)
             x_px = self.positions.x_px[part] - np.float64(origin)
             fitted_from = nearest_ridges(ridges[0].x_px, x_px, SAME_RIDGE_PX)
             whole = np.where(np.isfinite(fitted_from), fitted_from, np.rint(x_px))
@@ -250,7 +250,7 @@ class _CorrectedPositions(Corrected):
         for begin in range(0, len(rows), BLOCK):
             part = slice(begin, begin + BLOCK)
             first, stop = int(rows[part].min()), int(rows[part].max()) + 1
-            profile = self.diagram.rows(self.positions.first_row + first, self.positions.first_row + stop)
+            profile = self.positions.profile(self.diagram, slice(first, stop))
             seen = profile[rows[part] - first]
             found, _ = fit_sheets(seen, start[part, None], fit=fit, window_px=facts.window_px, comb=self.comb)
             x[part] = found[:, 0]

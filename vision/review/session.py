@@ -44,6 +44,7 @@ from vision.sheets.corrections import (
 )
 from vision.sheets.identities import DOUBTS, WHYS
 from vision.sheets.recovery import FLAGS
+from vision.sheets.ridges import find_ridges
 from vision.signals import minmax_decimate
 
 
@@ -405,7 +406,8 @@ class Session:
         with self.lock:
             positions = self.positions
             row = positions.row_of(frame)
-            seen, _ = positions.ridges(self.diagram, slice(row, row + 1))
+            profile = positions.profile(self.diagram, slice(row, row + 1))
+            seen = find_ridges(profile, positions.comb(self.diagram))  # as the tracking does
             known = np.isfinite(seen.x_px[0])
             x = seen.x_px[0][known].astype(float) + self.diagram.first_column
             owner = _owners(x, positions.x_px[row])
