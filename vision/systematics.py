@@ -136,5 +136,6 @@ def systematic_budget(results: Results) -> Budget:
 
 def _size_of(tracks: xr.Dataset, source: str) -> float | None:
     """Return a shift of positions, root mean square over the sheets; None if it is not known."""
-    size = rms(tracks[name].values) if (name := f"x_{source}_px") in tracks else math.nan
+    name = f"x_{source}_px"
+    size = rms(tracks[name].values) if name in tracks else math.nan
     return size if math.isfinite(size) else None

@@ -196,8 +196,8 @@ def _dry_run(plan: Plan, cores: int) -> int:
         if film.name in waiting:
             why = "" if is_remote(film.film) else _refused(plan, film)
             what = "would fail" if why else "would run"
-            size = f"{film.frames} frames x {film.columns} px, about {duration(film.seconds)}"
-            size = why or film.doubt or size
+            length = f"{film.frames} frames x {film.columns} px, about {duration(film.seconds)}"
+            size = why or film.doubt or length
             running += not why
         lines.append((film.name, what, size))
     say(in_columns(lines, "<<"))

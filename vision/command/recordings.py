@@ -120,8 +120,9 @@ def modulus(
     )
     means = push_pull.summarise_modulus(cycles, sheet_err)
     measured = push_pull.CyclesMetadata.of(cycles)
-    published = ["sheet of ε = 0.1, W = 45, L = 16.8 mm, the publication's size"]
-    notes, warnings = [*measured.notes, *published * (sheet == push_pull.PUBLISHED_SHEET)], measured.warnings
+    notes, warnings = list(measured.notes), measured.warnings
+    if sheet == push_pull.PUBLISHED_SHEET:
+        notes.append("sheet of ε = 0.1, W = 45, L = 16.8 mm, the publication's size")
     origin = origin_of([file], parameters_given(options, output))
     content = {
         **means,
@@ -287,7 +288,7 @@ def _loads(text: str | None, files: int) -> list[float | None]:
     loads = [number(part) for part in text.split(",")]
     if len(loads) not in (1, files) or not all(0 < load < 1e9 for load in loads):
         raise InputError("--normal-force", f"one positive number, or {files} with commas", f"'{text}'")
-    return [*loads] * (files // len(loads))
+    return [*loads] * files if len(loads) == 1 else [*loads]
 
 
 # --- a synthetic test ---------------------------------------------------------------------------------------

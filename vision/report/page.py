@@ -194,7 +194,8 @@ class ArrayStore:
             start, slope = float(values[0]), float(values[-1] - values[0]) / (values.size - 1)
         residual = values - start - slope * np.arange(values.size)
         known = np.isfinite(residual)
-        low, high = (float(end(residual[known])) if known.any() else 0.0 for end in (np.min, np.max))
+        inside = residual[known]
+        low, high = (float(inside.min()), float(inside.max())) if inside.size else (0.0, 0.0)
         middle, step = (low + high) / 2, (high - low) / (2 * 32767) or 1.0
         code = np.where(known, np.rint((np.nan_to_num(residual) - middle) / step), -32768).astype("<i2")
         index = self._indices.setdefault(code.tobytes(), len(self._indices))
@@ -254,7 +255,7 @@ def doubt_table(tracks: xr.Dataset) -> FactsTable:
             str(row["sheet"]),
             {-1: "left", 1: "right"}[row["side"]],
             str(row["n"]),
-            "\u2060–\u2060".join(map(str, sorted({row["first_frame"], row["last_frame"]}))),  # on one line
+            _frames(row["first_frame"], row["last_frame"]),
             str(row["why"]),
             _digits(row["x_withheld_px"], places=1),
             _digits(row["x_expected_px"], places=1),
@@ -267,6 +268,11 @@ def doubt_table(tracks: xr.Dataset) -> FactsTable:
     if more := len(table) - len(rows):
         note += f" {more} shorter ones: run.json."
     return FactsTable("Doubtful stretches", heads, rows, note)
+
+
+def _frames(first: int, last: int) -> str:
+    """Return a range of frames, which stays on one line."""
+    return str(first) if first == last else f"{first}\u2060–\u2060{last}"
 
 
 def _digits(value: float | None, *, places: int | None = None) -> str:

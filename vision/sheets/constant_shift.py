@@ -80,14 +80,17 @@ def constant_shift(profile: Floats32, x_px: Floats, window_px: int, comb: RidgeC
     known = nearest & _of_sheets(around, BEYOND * comb.pitch_px)
     grey = np.where(known, around, np.nan)  # each pixel once
     place, width, exponent, height, level, slope = _fitted_comb(at, grey, rest, comb)
-    away = np.abs(np.arange(profile.shape[1]) - place[:, None]) / width[:, None]
-    drawn = height[:, None] * np.exp(-(away**exponent) / 2)
+
+    def ridges_at(x: Floats) -> Floats:
+        """Return each ridge alone at columns x, (…, N)."""
+        return np.asarray(height * np.exp(-((np.abs(x - place) / width) ** exponent) / 2), np.float64)
+
+    drawn = ridges_at(np.arange(profile.shape[1], dtype=np.float64)[:, None]).T
     frame, start, comb_drawn = np.arange(seen.size), np.rint(place).astype(np.int64), drawn.sum(axis=0)[None]
     alone = sliding_vertex(drawn, Starts(frame, start), window_px=window_px)
     together = sliding_vertex(comb_drawn, Starts(0 * frame, start), window_px=window_px)
     shift.overlap[seen] = together.x_px - alone.x_px
-    ridge = height * np.exp(-((np.abs(at - place) / width) ** exponent) / 2)
-    others = levels_around(comb_drawn, rest[None], half)[0] - ridge
+    others = levels_around(comb_drawn, rest[None], half)[0] - ridges_at(at)
     own = around - others - level - slope * (at - place)
     lopsided = LOPSIDED * (_middle_of_flanks(own) + shift.overlap[seen])
     on_ridge = comb.fwhm_px / 2  # where a maximum lies

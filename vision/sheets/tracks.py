@@ -225,9 +225,10 @@ def _detect(
     both = ridges, find_faint(profile, comb) if by_hand else ridges
     detections = apply_corrections(detections, both, corrections, comb, frames=frames, origin_px=origin_px)
     added = np.zeros(detections.flag.shape[1], bool)
-    for one in (one for one in corrections if one.kind == "add"):
-        away = np.abs(detections.start_px[frames == one.first] + origin_px - one.x_px)[0]
-        added |= away <= comb.settings.faint_reach * comb.pitch_px
+    for one in corrections:
+        if one.kind == "add":
+            away = np.abs(detections.start_px[frames == one.first] + origin_px - one.x_px)[0]
+            added |= away <= comb.settings.faint_reach * comb.pitch_px
     margin = float(np.nanmin(identities.margin, initial=np.inf))
     return _Detected(detections, identities.reference, margin, added)
 
