@@ -8,10 +8,9 @@ VISION = Path(__file__).parents[1] / "vision"
 LAYERS = (
     "errors",
     "numeric",
-    "words",
     "signals",
     "files",
-    "mapped",
+    "memory",
     "folder",
     "data",
     "sample",

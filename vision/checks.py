@@ -13,12 +13,12 @@ import xarray as xr
 
 from vision.data import ForceMetadata, StripMetadata, TrackMetadata, load_unit, warnings_of
 from vision.errors import counted
+from vision.memory import is_word, word_counts
 from vision.models.equations import effective_sheets
 from vision.numeric import Bools, Floats, Pixels, nan_median, nan_quantile, stretches
 from vision.sample import Sample
 from vision.sheets.numbering import ends_in_view
 from vision.sheets.tracks import comb_is_stationary
-from vision.words import is_word, word_counts
 
 if TYPE_CHECKING:
     from vision.figures import Results

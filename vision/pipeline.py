@@ -43,7 +43,7 @@ from vision.figures.catalogue import Plots, Results, figure_named
 from vision.files import Progress
 from vision.folder import html_table
 from vision.force import ForceSettings, find_stick_slip, read_force
-from vision.mapped import give_back_freed
+from vision.memory import give_back_freed
 from vision.models import FitSettings, ModelFits, fit_models
 from vision.models.fits import check_fit_range
 from vision.sample import PUBLISHED, Sample

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from vision.data import STRIP, TRACKS, DiagramMetadata, record
 from vision.errors import InputError
-from vision.mapped import give_back, some_rows
+from vision.memory import give_back, some_rows
 from vision.numeric import Bools, Floats, Floats32, Ints
 
 Sheet = tuple[str, int] | int  # ("right", 23), or the index counted from the left

@@ -12,7 +12,7 @@ import pytest
 
 from tests.scenes.comb_video import frames_of, positions, write_video
 from vision import files
-from vision.mapped import put_rows, table_in_file
+from vision.memory import put_rows, table_in_file
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="shown on Linux alone")
 ROOT = Path(__file__).resolve().parents[2]

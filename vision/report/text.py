@@ -23,12 +23,12 @@ from vision.data import (
 )
 from vision.figures import Results
 from vision.figures.style import candidates_text, drift_text, offset_text, percent
+from vision.memory import is_word
 from vision.models import Estimate, ModelFits, both_errors, plus_minus
 from vision.models.single_fits import has_knees
 from vision.sheets.tracks import LOSSY
 from vision.summary import axis_source, noise_figures
 from vision.systematics import QUANTITIES
-from vision.words import is_word
 
 PAPER = (
     "A. Plati, F. Restagno, C. Poulard, Stick-slip dynamics in an interleaved system with self-amplified "

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from vision.clock import video_slips
 from vision.data import TRACKS, StripMetadata, TrackMetadata
 from vision.errors import InputError
+from vision.memory import word_codes
 from vision.numeric import Bools, Codes, Floats, Floats32, Ints, nan_median, nearest
 from vision.review.recordings import Diagram
 from vision.run.reading import read_tracks
@@ -27,7 +28,6 @@ from vision.sheets.numbering import number_sheets
 from vision.sheets.recovery import FLAGS, Flag
 from vision.sheets.ridges import RidgeComb, find_faint, find_ridges
 from vision.sheets.subpixel import FitName, fit_sheets
-from vision.words import word_codes
 
 CELLS = ("x_px", "err_px", "withheld_px", "flag", "why")
 """Names of the arrays of (frame, sheet)."""

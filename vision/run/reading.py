@@ -34,10 +34,10 @@ from vision.folder import (
     whole_file,
     write_json,
 )
+from vision.memory import words_of_characters
 from vision.run.provenance import Parameter, describe_input
 from vision.run.tables import attrs_of_netcdf, read_kymograph_tif
 from vision.video import FramesRead, FrameStore, Video, VideoSettings, video_files
-from vision.words import words_of_characters
 
 _NUMBERS: dict[Any, Callable[[Any], float]] = {"float": float, "int": int}  # by the type of a field
 TEXT_COLUMNS = ("flag", "shell")  # of the tables of a run; all others hold numbers

@@ -22,7 +22,7 @@ from pyarrow import csv
 
 from vision.errors import InputError
 from vision.files import AGAIN, check_regular, reading
-from vision.mapped import parts_in_turn
+from vision.memory import parts_in_turn
 from vision.numeric import Floats, Floats32, rms, row_parts
 from vision.sheets.identities import DOUBTS
 from vision.sheets.recovery import FLAG_MEANINGS

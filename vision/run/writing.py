@@ -20,7 +20,7 @@ from vision.errors import InputError
 from vision.figures import Figure, save_figures
 from vision.figures.catalogue import FIGURES, figures_of, kymograph, overview, publication_figures_of
 from vision.folder import RUN_JSON, keep_others, run_folder, write_csv, write_json
-from vision.mapped import give_back_freed
+from vision.memory import give_back_freed
 from vision.pipeline import Analysis
 from vision.report import write_report
 from vision.run.provenance import Origin, checksum_of

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vision.mapped import some_rows
+from vision.memory import some_rows
 from vision.numeric import FWHM, Bools, Floats, Floats32, nan_median, spread_indices
 from vision.sheets.distortion import levels_around
 from vision.sheets.ridges import FEWEST, RidgeComb

@@ -15,7 +15,7 @@ from typing import NamedTuple, Self
 import cv2
 import numpy as np
 
-from vision.mapped import some_rows
+from vision.memory import some_rows
 from vision.numeric import (
     FWHM,
     NORMAL_MEDIAN,

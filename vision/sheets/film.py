@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vision.mapped import some_rows
+from vision.memory import some_rows
 from vision.numeric import (
     FWHM,
     Bools,

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vision.mapped import some_rows
+from vision.memory import is_word, some_rows
 from vision.numeric import (
     Bools,
     Codes,
@@ -39,7 +39,6 @@ from vision.sheets.doubts import (
 )
 from vision.sheets.identities import DOUBTS, Doubt, Identities, exchanged, fill_rows, last_seen
 from vision.sheets.ridges import RidgeComb, Ridges, find_ridges
-from vision.words import is_word
 
 USUAL_FRAMES = 2000  # of the film, from which the usual brightnesses and widths are taken
 

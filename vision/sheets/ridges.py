@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from vision.data import TrackMetadata
 from vision.errors import InputError, NoRidgesError
-from vision.mapped import give_back, some_rows
+from vision.memory import give_back, some_rows
 from vision.numeric import (
     FWHM,
     NORMAL_MEDIAN,

@@ -17,7 +17,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from vision.errors import InputError, shown
-from vision.mapped import give_back, some_rows
+from vision.memory import give_back, some_rows
 from vision.numeric import (
     NORMAL_MEDIAN,
     Bools,

@@ -12,6 +12,7 @@ import xarray as xr
 
 from vision.data import PIXEL_SIZE_UM, STRIP, STRIP_PARTS, TRACKS, StripMetadata, TrackMetadata, record
 from vision.errors import InputError, NoRidgesError, check_number, check_within, check_word
+from vision.memory import words
 from vision.numeric import (
     NORMAL_MEDIAN,
     Bools,
@@ -63,7 +64,6 @@ from vision.sheets.subpixel import (
     noise_correlation,
     position_noise,
 )
-from vision.words import words
 
 _MPEG = {"mpeg1video", "mpeg2video", "mpeg4", "h261", "h263", "h264", "hevc", "vvc"}
 _OTHERS = {"av1", "vp3", "vp6", "vp7", "vp8", "vp9", "theora", "flv1", "rv30", "rv40", "svq3", "cinepak"}

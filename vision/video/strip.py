@@ -16,7 +16,7 @@ import xarray as xr
 from vision.data import STRIP_PARTS, StripMetadata, changed_settings, record, strip_of
 from vision.errors import InputError, check_kind, counted
 from vision.files import Progress, prefetch
-from vision.mapped import give_back, parts_in_turn, put_rows, some_rows, table_in_file
+from vision.memory import give_back, parts_in_turn, put_rows, some_rows, table_in_file
 from vision.numeric import Bools, Floats, Floats32, Pixels, Strings, spread_indices
 from vision.video.follow import Follow, followed
 from vision.video.reader import Block

@@ -1,0 +1,216 @@
+"""Large tables that take little memory: those in temporary files, and those of few different words.
+
+Of a table in a file only the part in use is in memory. Words, such as the flags of positions, take a byte
+each: as text they take 36 bytes a position, so that a film of 100 000 frames would have more text than
+positions. Text is made when it is read, of the part that is read.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import tempfile
+import weakref
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from functools import reduce
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.lib.array_utils import byte_bounds
+from numpy.typing import NDArray
+from xarray.backends import BackendArray
+from xarray.core import indexing
+
+from vision.files import c_library
+from vision.numeric import Bools, Codes, Floats32, Ints, row_parts
+
+_APART_AT_ONCE = 16  # rows far from each other in the file
+_ROWS_AT_ONCE = 1024  # consecutive ones: 8 MiB of 1920 columns
+
+
+# --- tables in temporary files ------------------------------------------------------------------------------
+
+
+class _TemporaryFile(mmap.mmap):
+    """A shared mapping of a file without a name, which goes when the last array in it does.
+
+    The file keeps what is written to a shared mapping, so that its pages can be given back.
+    """
+
+    def __init__(self, descriptor: int, _size: int) -> None:
+        self.address: int = np.frombuffer(self, np.uint8).ctypes.data
+        self.descriptor = os.dup(descriptor)  # for `put_rows`
+        weakref.finalize(self, os.close, self.descriptor)
+
+
+def table_in_file(rows: int, columns: int, folder: Path | None) -> Floats32:
+    """Return a table of zeros (rows, columns) in a temporary file in `folder`, by default the system's.
+
+    It is used as any array; `give_back` lets go of the memory of a part.
+
+    Raises: OSError if the disk is full.
+    """
+    size = 4 * rows * columns
+    with tempfile.TemporaryFile(prefix="sheetvision-", dir=folder) as file:  # the mapping keeps it
+        if hasattr(os, "posix_fallocate"):  # writing to a mapping on a full disk would kill the process
+            os.posix_fallocate(file.fileno(), 0, size)
+        else:
+            os.ftruncate(file.fileno(), size)
+        return np.ndarray((rows, columns), np.float32, _TemporaryFile(file.fileno(), size))
+
+
+def put_rows(table: Floats32, start: int, rows: Floats32) -> None:
+    """Write consecutive rows into a table from row `start` on; into a file, without bringing it into memory.
+
+    Writing through the mapping would first have the system fetch each page, which takes four times as long.
+    """
+    place = table[start : start + len(rows)]
+    file = _file_of(table)
+    if file is None or not place.flags.c_contiguous or not hasattr(os, "pwrite"):
+        place[:] = rows
+        give_back(place)
+        return
+    data = np.ascontiguousarray(rows, np.float32).reshape(-1).view(np.uint8).data
+    at = byte_bounds(place)[0] - file.address
+    while data:
+        written = os.pwrite(file.descriptor, data, at)
+        data, at = data[written:], at + written
+
+
+def give_back(values: NDArray[Any]) -> None:
+    """Give the memory of values in a temporary file back to the system, which reads them again when needed.
+
+    Nothing happens to values that are in memory alone, or where the system has no such call.
+    """
+    file = _file_of(values)
+    if file is not None and values.size and hasattr(mmap, "MADV_DONTNEED"):
+        start, stop = (int(place) - file.address for place in byte_bounds(values))
+        start -= start % mmap.PAGESIZE
+        file.madvise(mmap.MADV_DONTNEED, start, stop - start)
+
+
+def _file_of(values: NDArray[Any]) -> _TemporaryFile | None:
+    """Return the temporary file in which values are stored, None if they are in memory alone."""
+    owner: Any = values
+    while isinstance(owner, np.ndarray):
+        owner = owner.base
+    return owner if isinstance(owner, _TemporaryFile) else None
+
+
+def give_back_freed() -> None:
+    """Give memory that was freed, and that the C library keeps between what is in use, back to the system.
+
+    Nothing happens where it is not the GNU C library. It takes a few milliseconds.
+    """
+    if library := c_library():
+        with suppress(AttributeError):
+            library.malloc_trim(0)
+
+
+def parts_in_turn(table: NDArray[Any], at_once: int = _ROWS_AT_ONCE) -> Iterator[slice]:
+    """Yield slices of consecutive rows of a table, and give back the memory of each before the next."""
+    for rows in row_parts(len(table), at_once):
+        yield rows
+        give_back(table[rows])
+
+
+def some_rows(table: NDArray[Any], rows: Ints) -> NDArray[Any]:
+    """Return some rows of a table, copied.
+
+    A few are copied at a time, since each can bring the megabytes around it in the file into memory.
+    """
+    found = np.empty((len(rows), *table.shape[1:]), table.dtype)
+    for part in row_parts(len(rows), _APART_AT_ONCE):
+        found[part] = table[rows[part]]
+        give_back(table)
+    return found
+
+
+# --- tables of words ----------------------------------------------------------------------------------------
+
+
+class _Words(BackendArray):
+    """Words as xarray reads them: the number of each in a list of words."""
+
+    def __init__(self, codes: Codes, listed: Sequence[str]) -> None:
+        self.codes, self.listed = codes, np.array(listed)
+        self.shape, self.dtype = codes.shape, self.listed.dtype
+
+    def __getitem__(self, key: indexing.ExplicitIndexer) -> Any:
+        support = indexing.IndexingSupport.OUTER_1VECTOR
+        return indexing.explicit_indexing_adapter(key, self.shape, support, self._read)
+
+    def _read(self, key: tuple[Any, ...]) -> Any:
+        return self.listed[self.codes[key]]
+
+
+def words(codes: Codes, listed: Sequence[str]) -> indexing.MemoryCachedArray:
+    """Return the data of a variable whose values are words.
+
+    codes: number of each word in the list.  listed: the words.
+
+    Returns
+    -------
+    MemoryCachedArray
+        To pass to `xarray.Variable` as its data, as xarray does for files. What is read of the variable is an
+        array of str; one that was read or changed as a whole stays in memory as text.
+    """
+    read_later: Any = indexing.LazilyIndexedArray(_Words(codes, listed))
+    return indexing.MemoryCachedArray(indexing.CopyOnWriteArray(read_later))  # type: ignore[no-untyped-call]
+
+
+def words_of_characters(characters: xr.DataArray) -> indexing.MemoryCachedArray:
+    """Return the data of a variable of words that a file holds as characters, (rows, …, character).
+
+    The file is read a few rows at a time.
+
+    Raises: ValueError or OverflowError if they are no text, or more than 256 different words.
+    """
+    codes = np.empty(characters.shape[:-1], np.uint8)
+    listed: list[bytes] = []
+    for rows in row_parts(len(characters)):
+        whole = np.ascontiguousarray(characters[rows].values).view(f"S{characters.shape[-1]}")
+        codes[rows] = _codes(whole[..., 0], listed)
+    return words(codes, [word.decode() for word in listed])
+
+
+def word_codes(text: xr.DataArray, listed: Sequence[str]) -> Codes:
+    """Return the number of each word of a table (rows, …) in a list; 0 for words that are not in it."""
+    known = list(listed)
+    parts = [_codes(text[rows].values, known) for rows in row_parts(len(text))]
+    codes = np.concatenate([np.empty((0, *text.shape[1:]), np.uint8), *parts])
+    return np.where(codes < len(listed), codes, np.uint8(0))
+
+
+def _codes(text: NDArray[Any], listed: list[Any]) -> Codes:
+    """Return the number of each word in a list, to which words that it lacks are added."""
+    flat, codes, left = text.ravel(), np.empty(text.size, np.uint8), np.arange(text.size)
+    while left.size:  # there are about a dozen words; np.unique would sort all of them
+        word = flat[left[0]].item()
+        if word not in listed:
+            listed.append(word)
+        other = flat[left] != word
+        codes[left[~other]] = listed.index(word)
+        left = left[other]
+    return codes.reshape(text.shape)
+
+
+def is_word(text: xr.DataArray, *wanted: str) -> Bools:
+    """Return where a table of words (rows, …) has one of those that are wanted; a part is read at a time."""
+    found = np.zeros(text.shape, bool)
+    for rows in row_parts(len(text)):
+        part: NDArray[Any] = text[rows].values
+        found[rows] = reduce(np.logical_or, (part == word for word in wanted))
+    return found
+
+
+def word_counts(text: xr.DataArray) -> dict[str, int]:
+    """Return how often each word occurs in a table (rows, …), in alphabetical order."""
+    listed: list[str] = []
+    counts = np.zeros(256, np.int64)
+    for rows in row_parts(len(text)):
+        counts += np.bincount(_codes(text[rows].values, listed).ravel(), minlength=256)
+    return {word: int(counts[listed.index(word)]) for word in sorted(listed)}
