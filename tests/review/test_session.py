@@ -13,7 +13,7 @@ from vision import folder
 from vision.command.settings import settings_of_run
 from vision.errors import InputError
 from vision.review import effects, saving
-from vision.review.positions import CELLS, apply
+from vision.review.effects import CELLS, apply
 from vision.review.saving import save_run
 from vision.review.session import Session
 from vision.run.reading import read_run

@@ -22,7 +22,7 @@ from vision.files import PACKAGE_PATHS
 from vision.folder import clean_up, keep_others, plain, put_in_place, unwritable
 from vision.numeric import Floats, Ints
 from vision.pipeline import Analysis, Settings, analyse, open_recording
-from vision.review.positions import Positions, median_positions, read_positions
+from vision.review.effects import Positions, median_positions, read_positions
 from vision.review.recordings import StoredRun
 from vision.run.provenance import Origin, Parameter
 from vision.run.reading import read_run, read_strip

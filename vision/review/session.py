@@ -17,8 +17,7 @@ from vision.files import AGAIN, reading
 from vision.folder import claim, plain, whole_file
 from vision.numeric import Floats, Floats32, Ints, nearest, stretches
 from vision.pipeline import Settings
-from vision.review.effects import Effects
-from vision.review.positions import SAME_RIDGE_PX, apply, median_positions, read_positions
+from vision.review.effects import SAME_RIDGE_PX, Effects, apply, median_positions, read_positions
 from vision.review.recordings import (
     TILE_COLUMNS,
     TILE_FACTOR,
