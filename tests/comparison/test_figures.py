@@ -9,7 +9,7 @@ from tests.scenes.comparison import events, write_run
 from vision.comparison.comparison import _methods
 from vision.comparison.figures import slope_text
 from vision.comparison.trends import Trend
-from vision.figures.figure import Figure, Panel, Series, save_figures
+from vision.figures.figure import Panel, Series, save_figures
 from vision.figures.style import DATA
 from vision.models import equations
 from vision.sample import PUBLISHED, Sample
@@ -18,7 +18,7 @@ from vision.sample import PUBLISHED, Sample
 def with_sticks(folder, title):
     """A run that has kept its figure of single sticks."""
     panel = Panel(x_label="d − d_v (µm)", y_label="F − F_v (N)", title=title, series=(LINE,))
-    save_figures(folder / "figures.npz", [Figure.of("sticks", panel, "Sticks.", title="Sticks")])
+    save_figures(folder / "figures.npz", [panel.figure("sticks", "Sticks.", title="Sticks")])
     return folder
 
 

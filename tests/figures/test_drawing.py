@@ -266,7 +266,7 @@ def test_sheets_that_coincide_hide_neither_side():
         for side, most in ((-1, 3), (1, 4))
         for n in range(1, most + 1)
     )
-    figure = Figure.of("both", Panel(x_label="t", y_label="x", series=series), "")
+    figure = Panel(x_label="t", y_label="x", series=series).figure("both", "")
     pixels = render(figure)[..., :3].astype(int)
     red, blue = pixels[..., 0] - pixels[..., 2] > 100, pixels[..., 2] - pixels[..., 0] > 100
     assert 0.3 < red.sum() / blue.sum() < 3
@@ -280,7 +280,7 @@ def test_fast_oscillations_do_not_fill_a_space_time_diagram():
     image = Image(pixels=np.full((100, 100), 128, np.uint8), left=0, right=100, top=0, bottom=10)
     ranges = {"x_range": (0.0, 10.0), "y_range": (0.0, 100.0)}
     panel = Panel(x_label="t", y_label="x", series=(track,), image=image, time_down=True, **ranges)
-    ax = Figure.of("diagram", panel, "").plot()
+    ax = panel.figure("diagram", "").plot()
     ax.figure.draw_without_rendering()
     for collection in ax.collections:
         (path,) = collection.get_paths()
@@ -296,7 +296,7 @@ def test_a_unit_stays_with_its_number():
     title = "Displacement of every sheet from x₀, its median over frames 104 to 123 (t = 3.59 to 4.24 s)"
     for width in np.arange(3, 7.5, 0.25):
         panel = Panel(title=title, x_label="t (s)", y_label="x")
-        page = new_figure(Figure.of("one", panel, "", width_in=width, panel_titles=True))
+        page = new_figure(panel.figure("one", "", width_in=width, panel_titles=True))
         lines = page.texts[0].get_text().split("\n")
         assert " ".join(lines) == title
         assert not any(line.startswith("s)") for line in lines)
@@ -308,7 +308,7 @@ def test_points_of_many_events_do_not_hide_those_of_other_tests():
     x = np.linspace(13, 18, 600)
     inks = [("#ff0000", "#ff0000"), ("#00ff00", "#00ff00"), ("#0000ff", "#0000ff")]
     series = tuple(Series.points(f"test {k}", x, 20 - x, ink) for k, ink in enumerate(inks))
-    pixels = render(Figure.of("f", Panel(x_label="d", y_label="K", series=series), "")).astype(int)
+    pixels = render(Panel(x_label="d", y_label="K", series=series).figure("f", "")).astype(int)
     seen = [int(((pixels[..., k] > 200) & (pixels[..., :3].sum(axis=2) < 300)).sum()) for k in range(3)]
     assert min(seen) > 0.5 * max(seen), seen
     assert len(series) == 3
@@ -321,7 +321,7 @@ def test_numbers_of_an_axis_are_whole_and_do_not_touch_its_label():
         x_label="n", y_label="Λ̂ (mm)", series=(Series.points("", [0, 1], [19.0925, 19.0955], DATA, [0, 0]),)
     )
     with picture_style():
-        page = new_figure(Figure.of("f", panel, ""))
+        page = new_figure(panel.figure("f", ""))
         FigureCanvasAgg(page).draw()
     axis = page.axes[0].yaxis
     assert axis.get_offset_text().get_text() == ""
@@ -332,7 +332,7 @@ def test_numbers_of_an_axis_are_whole_and_do_not_touch_its_label():
 def test_a_png_states_its_size_on_paper(tmp_path):
     """A failure means that a text processor shows a figure of 6 inches as one of 19."""
     panel = Panel(x_label="x", y_label="y", series=(Series.points("", [0, 1], [0, 1], DATA),))
-    Figure.of("f", panel, "").save(tmp_path / "f.png", dpi=300)
+    panel.figure("f", "").save(tmp_path / "f.png", dpi=300)
     content = (tmp_path / "f.png").read_bytes()
     at = content.index(b"pHYs") + 4
     assert int.from_bytes(content[at : at + 4]) == pytest.approx(300 / 0.0254, abs=1)

@@ -13,7 +13,7 @@ from PIL import Image
 
 from tests.scenes.analysed import FACTS
 from tests.scenes.browser import Visit, assert_shut_in
-from vision.figures import Figure, Panel, Series
+from vision.figures import Panel, Series
 from vision.figures.catalogue import figures_of
 from vision.figures.style import DATA, to_unicode
 from vision.report import write_report
@@ -130,7 +130,7 @@ def test_one_sheet_on_a_side_hides_no_number_of_the_other(browser, tmp_path):
         )
     )
     panel = Panel(x_label="x", y_label="z", series=(left, right), x_range=(0.0, 30.0), y_range=(-2.0, 2.0))
-    visit = page_with(browser, tmp_path, [Figure.of("frame", panel, "Caption.", title="frame")])
+    visit = page_with(browser, tmp_path, [panel.figure("frame", "Caption.", title="frame")])
     assert ">77</text>" in visit.page.evaluate("document.getElementById('frame').svg()")
     visit.context.close()
 
@@ -144,7 +144,7 @@ def test_error_bars_lie_within_the_axes(browser, tmp_path):
         "single": Panel(x_label="n", y_label="a", series=(left,)),
         "double": Panel(x_label="n", y_label="a", y2_label="b", series=(left, right)),
     }
-    figures = [Figure.of(name, panel, "Caption.", title=name) for name, panel in panels.items()]
+    figures = [panel.figure(name, "Caption.", title=name) for name, panel in panels.items()]
     visit = page_with(browser, tmp_path, figures)
     for name, scale in (("single", "y"), ("double", "y"), ("double", "y2")):
         low, high = visit.range_of(name, scale)

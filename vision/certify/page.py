@@ -80,7 +80,7 @@ def certificate_figure(certificate: Certificate) -> Figure:
         aspect=0.45,
     )
     caption = "Measured on films that are similar to the recording and have known truth."
-    return Figure.of("certificate", panel, caption, title="Accuracy of each sheet's position")
+    return panel.figure("certificate", caption, title="Accuracy of each sheet's position")
 
 
 def statements(certificate: Certificate) -> list[Answer]:

@@ -66,9 +66,8 @@ def peaks_figure(found: Comparison, events: pd.DataFrame) -> Figure:
         t_star = f"T* = {1000 * sample.t_star_N:g} mN"
         value = both_errors(mu, joint.error_contains if joint else "stat.")
         model = f"Dashed: Eq. 1 with μ = {value}, {whose}, {t_star}."
-    return Figure.of(
+    return Panel(x_label="d_p (mm)", y_label="F_p − 𝒯_0 (N)", series=series).figure(
         "peaks",
-        Panel(x_label="d_p (mm)", y_label="F_p − 𝒯_0 (N)", series=series),
         f"Peak force of every event less its test's offset 𝒯_0. {model}",
         title="Peak forces of all tests",
     )
@@ -82,14 +81,13 @@ def drops_figure(found: Comparison, events: pd.DataFrame) -> Figure:
         curve = amplitude_curve(_span(events, "d_v_mm"), found.mu, amplitude, found.sample_of_mu)
         series = (*series, curve)
         model = f" Dashed: A times the total normal force, A = {both_errors(amplitude)} (slow tests)."
-    return Figure.of(
+    return Panel(
+        x_label=VALLEY_SEPARATION,
+        y_label="ΔF (N)",
+        y_range=from_zero(events["dF_N"].to_numpy(float), share=0.98),
+        series=series,
+    ).figure(
         "drops",
-        Panel(
-            x_label=VALLEY_SEPARATION,
-            y_label="ΔF (N)",
-            y_range=from_zero(events["dF_N"].to_numpy(float), share=0.98),
-            series=series,
-        ),
         f"ΔF = F_p − F_v of every event against the separation at its valley.{model}",
         title="Stick-slip amplitudes of all tests",
     )
@@ -105,9 +103,8 @@ def stiffnesses_figure(found: Comparison, events: pd.DataFrame) -> Figure:
         k = np.asarray(equations.effective_sheets(d / scale, sample=sample) * one)
         series = (*series, *stiffness_curves("M_eff K_eff, median Λ̂", d, k, sample))
     y_range = from_zero(events["K_N_per_mm"].to_numpy(float), share=0.98)
-    return Figure.of(
+    return Panel(x_label=VALLEY_SEPARATION, y_label="K (N/mm)", y_range=y_range, series=series).figure(
         "stiffnesses",
-        Panel(x_label=VALLEY_SEPARATION, y_label="K (N/mm)", y_range=y_range, series=series),
         "K of every event, the slope of the central part of its stick phase, or after the knee if there are "
         "knees. Dashed: M_eff K_eff with the median Λ̂ of the tests and Y_eff = "
         f"{found.modulus_text}. Solid: lengthening alone.",
@@ -167,7 +164,7 @@ def sticks_figures(found: Comparison) -> list[Figure]:
     figures = []
     for v, panel in panels.items():
         name, title = f"sticks_V{v:g}".replace(".", "p"), f"Stick-slip events at V = {v:g} mm/min"
-        figures.append(Figure.of(name, panel, f"{panel.title}. {caption}", title=title))
+        figures.append(panel.figure(name, f"{panel.title}. {caption}", title=title))
     if len(panels) > 1:
         parts = tuple(panels.values())
         title = "Single stick-slip events at several velocities"
@@ -211,16 +208,15 @@ def collapse_figure(found: Comparison, events: pd.DataFrame) -> Figure | None:
         x_label=VALLEY_SEPARATION, y_label="K (N/mm)", series=_by_name(stiffness, "d_v_mm", "K_N_per_mm")
     )
     top = 1.05 * float(np.nanquantile(named["sheets"], 0.999))
-    return Figure.of(
+    return Panel(
+        x_label="d̂ = d_v / Λ̂",
+        y_label="K / stiffness of one sheet",
+        series=(*_by_name(named, "d_hat", "sheets"), *masters),
+        y_range=(0.0, top),
+        inset=inset,
+        aspect=0.75,
+    ).figure(
         "collapse",
-        Panel(
-            x_label="d̂ = d_v / Λ̂",
-            y_label="K / stiffness of one sheet",
-            series=(*_by_name(named, "d_hat", "sheets"), *masters),
-            y_range=(0.0, top),
-            inset=inset,
-            aspect=0.75,
-        ),
         "K/K_eff of every event against d̂ = d_v/Λ̂, with the Λ̂ of each test at fixed Y_eff = "
         f"{found.modulus_text}. Dashed: the master curve. Root mean square distance from it: "
         f"{c.rms_before:.3g} sheets with one Λ̂ for all tests, {c.rms_after:.3g} with individual Λ̂; "
@@ -253,15 +249,14 @@ def irregular_figure(found: Comparison) -> Figure | None:
     changes = [f"{one.run}: {plus_minus(Estimate(one.change_mm, one.change_err_mm))} mm" for one in changed]
     rises = f"Vertical: where it rises permanently ({'; '.join(changes[:6])})."
     where = rises if changes else "No test has a change."
-    return Figure.of(
+    return Panel(
+        x_label=VALLEY_SEPARATION,
+        y_label="coefficient of variation of ΔF",
+        series=tuple(series),
+        x_lines=tuple(one.change_mm for one in changed),
+        y_range=from_zero(*(one.variation for one in irregular)),
+    ).figure(
         "irregular",
-        Panel(
-            x_label=VALLEY_SEPARATION,
-            y_label="coefficient of variation of ΔF",
-            series=tuple(series),
-            x_lines=tuple(one.change_mm for one in changed),
-            y_range=from_zero(*(one.variation for one in irregular)),
-        ),
         f"Coefficient of variation of ΔF about its smooth course, over a running window of events. {where}",
         title="Regularity of stick-slip",
     )
@@ -285,7 +280,7 @@ def trends_figures(found: Comparison) -> list[Figure]:
                     f"_systematic of tests.csv){lines}. {' '.join(map(_trend_text, trends))}"
                 ).strip()
                 file = f"trend_{name}_{predictor.partition('_')[0]}"
-                figures.append(Figure.of(file, panel, caption, title=f"{title} against {what}"))
+                figures.append(panel.figure(file, caption, title=f"{title} against {what}"))
     if len(figures) > 1:
         parts = tuple(replace(figure.panel, title=figure.title) for figure in figures)
         caption = " ".join(f"({figure.title}) {figure.caption}" for figure in figures)

@@ -98,7 +98,7 @@ def frame_figure(
     time_s = float(tracks["time_s"].values[first])
     which = f"Frame {int(tracks['frame'].values[first])}"
     which += f" (t = {time_s:.4g} s)" if np.isfinite(time_s) else ""
-    panel = Panel(
+    return Panel(
         title=f"{which}: averaged rows (outlined), {numbers}{stretched}",
         x_label=X_PX if pixel_size_um is None else f"x (px of {pixel_size_um:.4g} µm)",
         y_label="z (px)",
@@ -119,10 +119,8 @@ def frame_figure(
         downwards=True,
         aspect=z_scale * (z_range[1] - z_range[0]) / columns,
         square_pixels=shown == aspect,
-    )
-    return Figure.of(
+    ).figure(
         "frame",
-        panel,
         f"{which} of the recording. The outlined rows {z0:.0f} to {z1:.0f} (half-open) are averaged to the "
         "profile I(x); vertical strokes mark the sheets that were found, with their "
         + (f"number n counted outwards from the symmetry axis ({how})" if axis else "index from the left")
@@ -364,9 +362,8 @@ def space_time_figure(
     averaged = strip.sizes["frame"] / len(image.pixels)
     means = f" Each row is the mean of about {averaged:.0f} frames." if averaged > 1.5 else ""
     marked = f" Magenta ticks: {marks.size} slips, from {slips_from}." if marks.size else ""
-    return Figure.of(
+    return panel.figure(
         "space_time",
-        panel,
         "Intensity I(x,t) averaged over the strip's rows, one frame below the other, time downwards; the "
         "lines are the positions x(n,t), left of the symmetry axis blue, right orange, interrupted at jumps."
         f"{means}{marked} kymograph.tif holds every frame.",

@@ -170,7 +170,7 @@ def kymograph(figures: Iterable[Figure]) -> Figure | None:
     whole = (panel.image.left, panel.image.right)
     title = "Space-time diagram of the strip"
     panel = replace(panel, series=(), y_range=whole, title=title, aspect=0.55)
-    return Figure.of("kymograph", panel, camera.KYMOGRAPH_CAPTION, width_in=13.0, panel_titles=True)
+    return panel.figure("kymograph", camera.KYMOGRAPH_CAPTION, width_in=13.0, panel_titles=True)
 
 
 def _has(r: Results, part: str) -> bool:

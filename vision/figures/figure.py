@@ -158,6 +158,10 @@ class Panel:
         """Whether there is nothing to draw."""
         return self.image is None and not any(np.isfinite(series.y).any() for series in self.series)
 
+    def figure(self, name: str, caption: str, *, title: str = "", **rest: Any) -> Figure:
+        """Return a figure of this panel alone, with its title unless another is given."""
+        return Figure(name=name, title=title or self.title, caption=caption, panels=(self,), **rest)
+
     def table(self) -> pd.DataFrame:
         """Return one column per series if all share x, else one row per point with its series' label."""
         if not self.series:
@@ -189,11 +193,6 @@ class Figure:
     columns: int = 1  # number of panels side by side
     width_in: float = 6.0  # width of the saved figure, inches
     panel_titles: bool = False  # whether a single panel has its title, too (several always have)
-
-    @classmethod
-    def of(cls, name: str, panel: Panel, caption: str, *, title: str = "", **rest: Any) -> Figure:
-        """Return a figure of one panel, with the panel's title unless another is given."""
-        return cls(name=name, title=title or panel.title, caption=caption, panels=(panel,), **rest)
 
     @classmethod
     def grid(

@@ -68,9 +68,8 @@ def force_figure(
         )
     title = "Force against separation" if known else "Force against time"
     panel = _force_panel(force, title, tuple(series), against_d=known)
-    return Figure.of(
+    return panel.figure(
         "force",
-        panel,
         "Traction force as recorded (minimum and maximum of each small step), with the peaks (filled) and "
         "valleys (hollow) of the stick phases, from a line fitted to each and extended to its ends."
         f"{model}",
@@ -116,9 +115,8 @@ def clocks_figure(
         ),
     )
     ambiguous = " The clocks are ambiguous: this alignment is only the likeliest."
-    return Figure.of(
+    return panel.figure(
         "clocks",
-        panel,
         "Force (solid, left axis, above) and mean outward displacement of all sheets (dashed, right axis, "
         f"below) on the force clock, t(force) = t_0 + (1 + r) t(video) with t_0 = {offset_text(clock)} and "
         f"r = {drift_text(clock)}. Zoom in to one slip: the steps must coincide. {_agreement(clock)}{shown}"
@@ -146,7 +144,7 @@ def clock_residuals_figure(
     if not at.size:
         return None
     reach = 1.1 * float(np.max(np.abs(residual) + error))
-    panel = Panel(
+    return Panel(
         x_label=FORCE_TIME,
         y_label="video − force (ms)",
         series=(
@@ -155,10 +153,8 @@ def clock_residuals_figure(
         ),
         y_range=(-reach, reach),
         aspect=0.25,
-    )
-    return Figure.of(
+    ).figure(
         "clock_residuals",
-        panel,
         "Time of each slip in the video on the force clock less that of the nearest slip in the force, with "
         f"the standard error of the former; {at.size} of {camera.size} slips of the video are within "
         f"{SAME_SLIP:g} of a stick time from one in the force. A trend means an uncorrected drift, a "
@@ -229,9 +225,8 @@ def sticks_figure(force: xr.Dataset, sticks: pd.DataFrame) -> Figure:
         y_label=load_label("F − F_v", load_unit(force)),
         series=series + _central_parts(chosen, series, part),
     )
-    return Figure.of(
+    return _with_arrows(panel, chosen).figure(
         "sticks",
-        _with_arrows(panel, chosen),
         "Force above the valley against separation beyond the valley as recorded, for events from the "
         "beginning to the end of the test; later ones are brighter. Dots: the central "
         f"{100 * part:.0f} %, whose slope is K; arrows: the height ΔF and the length Λ_st of the first "
@@ -297,7 +292,7 @@ def force_drop_figure(sticks: pd.DataFrame, fits: ModelFits | None = None, *, un
     )
     against = "separation" if known else "time"
     caption = f"ΔF = F_p − F_v of every event against the {against} at its valley.{model}"
-    return Figure.of("force_drop", panel, caption)
+    return panel.figure("force_drop", caption)
 
 
 def stiffness_figure(sticks: pd.DataFrame, fits: ModelFits | None = None, *, unit: str = "N") -> Figure:
@@ -328,7 +323,7 @@ def stiffness_figure(sticks: pd.DataFrame, fits: ModelFits | None = None, *, uni
         placeholder="d is not known",
     )
     caption = f"K, the slope of {slope}, with its standard error.{model}"
-    return Figure.of("stiffness", panel, caption)
+    return panel.figure("stiffness", caption)
 
 
 def _stiffness_label(name: str, unit: str) -> str:
@@ -349,16 +344,14 @@ def stiffness_residuals_figure(sticks: pd.DataFrame, fits: ModelFits, *, unit: s
     points = Series.points("K − M_eff K_eff", d, residual, DATA, error)
     line = Series(label="", x=d, y=np.zeros(d.size), ink=MODEL, dashed=True)
     reach = 1.05 * float(np.nanquantile(np.abs(residual) + error, 0.98)) or 1.0  # the ends of error bars
-    panel = Panel(
+    return Panel(
         x_label=VALLEY_SEPARATION,
         y_label=_stiffness_label("K − model", unit),
         y_range=(-reach, reach),
         series=(line, points),
         aspect=0.25,
-    )
-    return Figure.of(
+    ).figure(
         "stiffness_residuals",
-        panel,
         "K of every stick phase less M_eff K_eff at its d_v, with the standard error of K. If the points are "
         "not scattered evenly about zero, the model does not describe them.",
         title="Residuals of the stiffness",

@@ -53,17 +53,15 @@ def tracks_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> 
         else ""
     )
     origin = _origin_text(tracks, frames)
-    panel = Panel(
+    return Panel(
         title=f"Displacement of every sheet from x₀, {origin}",
         x_label=time_axis(tracks)[1],
         y_label=f"x − x₀ ({unit})",
         series=sheet_series(tracks, at, displacement, inks=sheet_inks(tracks)),
         placeholder="no positions",
         aspect=0.4,
-    )
-    return Figure.of(
+    ).figure(
         "tracks",
-        panel,
         f"Position of each sheet less x₀, {origin}, the first in which most sheets were measured. A sheet "
         "may move in these frames, and then does not start at 0. Left sheets are dashed and blue, right ones "
         f"solid and orange; the tone changes from the centre outwards.{decimated}",
@@ -91,17 +89,15 @@ def outer_inner_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None
         # The right one is drawn first: the left one is dashed, so that both are visible.
         for which, column in sorted(zip(curves, y.T, strict=True), key=lambda curve: -curve[0])
     )
-    panel = Panel(
+    return Panel(
         title="Outer less inner sheets",
         x_label=x_label,
         y_label=f"outer − inner ({unit})",
         series=series,
         placeholder="no frame with all of these sheets",
         aspect=0.25,
-    )
-    return Figure.of(
+    ).figure(
         "outer_inner",
-        panel,
         "Mean outward displacement of the outer third of each side's sheets less that of its inner third. "
         "Motion of the camera and of the whole sample cancels, and deformation remains. Frames in which one "
         "of the sheets has no position are left out.",
@@ -116,7 +112,7 @@ def noise_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> F
     unknown = np.full(order.size, np.nan)
     scatter = (tracks["x_scatter_px"].values[order] if "x_scatter_px" in tracks else unknown) * scale
     stated = nan_median(tracks["x_err_px"].values)[order] * scale
-    panel = Panel(
+    return Panel(
         x_label=SHEET_NUMBER,
         y_label=f"noise of x ({unit})",
         series=(
@@ -127,10 +123,8 @@ def noise_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> F
         y_range=from_zero(measured, scatter, stated),
         whole_numbers=True,
         aspect=0.4,
-    )
-    return Figure.of(
+    ).figure(
         "noise",
-        panel,
         "Filled: scatter of each sheet's position from frame to frame, from second differences in time, "
         "which exclude creep and common motion. Line: scatter against its neighbours, from fourth "
         "differences along n. Hollow: stated error of a position (median over the frames), from the noise of "
@@ -149,7 +143,7 @@ def pixel_locking_figure(tracks: xr.Dataset) -> Figure:
     x = tracks["x_px"].values
     density, error = _density_modulo_one(x)
     centre = (np.arange(BINS) + 0.5) / BINS
-    panel = Panel(
+    return Panel(
         x_label="x modulo 1 px",
         y_label="density over even spread",
         series=(
@@ -160,10 +154,8 @@ def pixel_locking_figure(tracks: xr.Dataset) -> Figure:
         x_range=(0.0, 1.0),
         y_range=from_zero(density, np.array([1 + 2 * error])),
         aspect=0.4,
-    )
-    return Figure.of(
+    ).figure(
         "pixel_locking",
-        panel,
         f"Density of x modulo one pixel of {np.isfinite(x).sum()} positions; 1 is an even spread. With a fit "
         "that locks to whole pixels, the density is high near 0 and 1 and low in the middle. Band: two "
         "standard errors about 1, from the scatter between sheets; it is wide if the sheets move by less "
@@ -238,10 +230,8 @@ def stick_figure(tracks: xr.Dataset, motion: xr.Dataset, clock: Clock) -> Figure
     delta_px = tracks["x_px"].values[inside] - stick["x_hat_px"].values
     delta_um = delta_px * MotionMetadata.of(motion).pixel_size_um
     series = sheet_series(tracks, since_s[inside], delta_um, inks=sheet_inks(tracks))
-    panel = Panel(x_label="t − t_v (s)", y_label="δx (µm)", series=series)
-    return Figure.of(
+    return Panel(x_label="t − t_v (s)", y_label="δx (µm)", series=series).figure(
         "stick",
-        panel,
         "Displacement δx = x − x̂ of every sheet while the force rises from valley to peak, where x̂ is its "
         "mean position in the stick phase; positive to the right. Stick length Λ_st = "
         f"{float(stick['stick_length_um']):.1f} µm. Noise and motion of the camera are not removed. Left "
@@ -256,9 +246,8 @@ def deformation_figure(motion: xr.Dataset, *, threshold: float = STIFF_BELOW) ->
     count = known.sizes["event"]
     sticks = (known.isel(event=index) for index in spread_indices(count, min(count, 5)))
     curves = [(f"d_v = {float(one['d_v_mm']):.2f} mm", one["ratio"], one["ratio_err"]) for one in sticks]
-    return Figure.of(
+    return _ratio_panel(motion, curves, threshold, look="both", width=1.0).figure(
         "deformation",
-        _ratio_panel(motion, curves, threshold, look="both", width=1.0),
         f"σ_x/Λ_st, the RMS displacement in a stick phase, {MotionMetadata.of(motion).corrected_for}, over "
         "the stick length, with standard errors; for stick phases spread over the video, later ones "
         f"brighter, every other one hollow. Shaded: below {threshold:g}, where a sheet counts as stiff.",
@@ -278,9 +267,8 @@ def mean_deformation_figure(motion: xr.Dataset, *, threshold: float = STIFF_BELO
         label = f"d_v = {part['d_v_mm'].to_numpy().mean():.2f} mm, mean of {each}"
         spread = part["ratio"].std("event", ddof=1).fillna(0)
         curves.append((label, part["ratio"].mean("event"), spread))
-    return Figure.of(
+    return _ratio_panel(motion, curves, threshold, width=1.4).figure(
         "mean_deformation",
-        _ratio_panel(motion, curves, threshold, width=1.4),
         f"σ_x/Λ_st of every sheet: means over {each} stick phases with mean separation d_v, and their "
         "standard deviation (shaded curves). Shaded range: below "
         f"{threshold:g}, where a sheet counts as stiff.",
@@ -331,15 +319,13 @@ def shells_figure(shells: pd.DataFrame, fits: ModelFits | None = None) -> Figure
         d = np.linspace(float(known["d_v_mm"].min()), float(known["d_v_mm"].max()), 300)
         series.append(Series.model("M_eff (force)", d, fits.effective_sheets(d), MODEL))
         model = " Dashed: M_eff = M √(1 − d̂), from the stiffness of the force recording alone."
-    panel = Panel(
+    return Panel(
         x_label=VALLEY_SEPARATION,
         y_label="stiff sheets per side",
         y_range=(0.0, 1.15 * float(known["stiff_high"].max()) + 1) if len(known) else None,
         series=tuple(series),
-    )
-    return Figure.of(
+    ).figure(
         "shells",
-        panel,
         "Number of sheets per side, from the centre, whose σ_x/Λ_st is below the threshold, with the "
         "interval that the errors allow; one point per stick phase and side (left hollow and shifted to the "
         f"left, right filled and shifted to the right).{model}",
