@@ -11,7 +11,7 @@ import pandas as pd
 import scipy
 import xarray as xr
 
-from vision.data import MOTION, SHELLS, STIFF_BELOW, changed_settings, check_threshold, record
+from vision.data import MOTION, STIFF_BELOW, changed_settings, check_threshold, record
 from vision.errors import check_kind
 from vision.numeric import Bools, Floats, Floats32, Ints, row_parts
 
@@ -147,15 +147,10 @@ def classify_shells(
     sides = [Side.of(motion, side) for side in np.unique(motion["side"].to_numpy())]
     table = pd.concat([_side_table(side, motion, threshold, settings) for side in sides])
     table = table.sort_values(["event", "side"], ignore_index=True)
-    table = record(table, "classify_shells", threshold=threshold, settings=changed_settings(settings))
-    return table if effective_sheets is None else with_model(table, effective_sheets)
-
-
-def with_model(shells: pd.DataFrame, effective_sheets: Callable[[Floats], Floats]) -> pd.DataFrame:
-    """Return the table with M_eff_model: M_eff per side according to the force at d_v, mm."""
-    SHELLS.check(shells)
-    d_mm = shells["d_v_mm"].to_numpy(float)
-    return shells.assign(M_eff_model=np.asarray(effective_sheets(d_mm), float))
+    if effective_sheets is not None:
+        d_mm = table["d_v_mm"].to_numpy(float)
+        table["M_eff_model"] = np.asarray(effective_sheets(d_mm), float)
+    return record(table, "classify_shells", threshold=threshold, settings=changed_settings(settings))
 
 
 def _side_table(side: Side, motion: xr.Dataset, threshold: float, settings: ShellSettings) -> pd.DataFrame:

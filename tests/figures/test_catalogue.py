@@ -17,8 +17,8 @@ from vision.figures.catalogue import (
     figures_of,
     kymograph,
     missing_parts,
+    not_in_report,
     overview,
-    publication_figures_of,
     sections_of,
 )
 from vision.figures.figure import Figure, Image, Panel
@@ -223,7 +223,7 @@ def test_ambiguous_clocks_are_named_in_a_sentence(pulled):
 
 def test_a_whole_run_has_them_all_with_their_numbers(pulled):
     """A failure means that a figure of the publication is not there, or does not say which one it is."""
-    figures = publication_figures_of(pulled)
+    figures = figures_of(pulled, not_in_report())
     assert [f.name for f in figures] == ["force_insets", "single_sheets", "mean_deformation", "intensity"]
     assert all(f"figure {FIGURES[f.name].paper} of the publication" in f.caption for f in figures)
 

@@ -113,18 +113,15 @@ class CatalogueEntry:
         return replace(figure, caption=f"{figure.caption} Compare figure {self.paper} of the publication.")
 
 
-def figures_of(results: Results) -> list[Figure]:
-    """Return all figures of the report for which there are data, in reading order."""
-    return _made(results, (entry for entry in FIGURES.values() if entry.section))
+def figures_of(results: Results, names: Iterable[str] | None = None) -> list[Figure]:
+    """Return the figures of these names, by default those of the report, for which there are data."""
+    chosen = [name for name, entry in FIGURES.items() if entry.section] if names is None else names
+    return [figure for name in chosen if (figure := FIGURES[name].make(results)) is not None]
 
 
-def publication_figures_of(results: Results) -> list[Figure]:
-    """Return the figures that correspond to the publication's but are not in the report."""
-    return _made(results, (entry for entry in FIGURES.values() if entry.paper and not entry.section))
-
-
-def _made(results: Results, entries: Iterable[CatalogueEntry]) -> list[Figure]:
-    return [figure for entry in entries if (figure := entry.make(results)) is not None]
+def not_in_report() -> list[str]:
+    """Return the names of figures that correspond to the publication's but are not in the report."""
+    return [name for name, entry in FIGURES.items() if entry.paper and not entry.section]
 
 
 def sections_of(figures: Iterable[Figure]) -> list[tuple[str, list[Figure]]]:
@@ -213,10 +210,8 @@ FIGURES: Mapping[str, CatalogueEntry] = {
     "single_sheets": CatalogueEntry("", camera.single_sheets_figure, paper="7b and c"),
     "mean_deformation": CatalogueEntry("", positions.mean_deformation_figure, paper="8"),
     "intensity": CatalogueEntry("", camera.intensity_figure, paper="12"),
-    "overview": CatalogueEntry(
-        "", lambda results: overview(_made(results, [FIGURES[name] for name in OVERVIEW]))
-    ),
-    "kymograph": CatalogueEntry("", lambda results: kymograph(_made(results, [FIGURES["space_time"]]))),
+    "overview": CatalogueEntry("", lambda results: overview(figures_of(results, OVERVIEW))),
+    "kymograph": CatalogueEntry("", lambda results: kymograph(figures_of(results, ["space_time"]))),
     "force_overview": CatalogueEntry("", force.force_overview_figure),
 }
 """Figures by name, in reading order."""

@@ -18,7 +18,7 @@ from vision.checks import flag_counts
 from vision.data import ForceMetadata, StickMetadata, StripMetadata, changed_settings
 from vision.errors import InputError
 from vision.figures import Figure, save_figures
-from vision.figures.catalogue import FIGURES, figures_of, kymograph, overview, publication_figures_of
+from vision.figures.catalogue import FIGURES, figures_of, kymograph, not_in_report, overview
 from vision.folder import RUN_JSON, keep_others, run_folder, write_csv, write_json
 from vision.memory import give_back_freed
 from vision.pipeline import Analysis
@@ -254,7 +254,7 @@ def _write_pictures(
     time."""
     from vision.figures import drawing  # loads matplotlib
 
-    stored = [*figures, *publication_figures_of(analysis)]
+    stored = [*figures, *figures_of(analysis, not_in_report())]
     written: list[Future[Any]] = [pool.submit(save_figures, folder / "figures.npz", stored)]
     if analysis.tracks is None:
         pictures = {"force.png": FIGURES["force_overview"].make(analysis)}
