@@ -136,7 +136,7 @@ def test_slips_are_moved_to_the_video_s_clock_where_it_is_sure(there, status, kn
     """A failure means slips marked at the wrong time, or by a clock that may be wrong."""
     folder = Path("comb_tracks")
     slips, made = give_events(folder, status), read_run(folder)
-    found = Results(sticks=made.table("events"), clock=made.clock).slips_s
+    found = Results(sticks=made.table("events"), clock=made.clock).slips.time_s
     if known:
         np.testing.assert_allclose(found, slips, atol=1e-9)
     else:

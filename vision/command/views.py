@@ -167,7 +167,7 @@ def kymograph(
     facts |= {DIAGRAMS: list(map(_diagram_facts, diagrams)), "slips": slips}
     shown = [DiagramMetadata.of(diagram).sheet or "strip" for diagram in diagrams]
     names = [f"kymograph_{sheet.replace(':', '')}.tif" for sheet in shown]
-    figure = kymograph_figure(diagrams, slips_s=data.slips_s, slips_from=data.slips_from)
+    figure = kymograph_figure(diagrams, slips=data.slips)
     size = data.pixel_size_um
     with results_folder(target, facts, started=started, overwrite=output.overwrite) as folder:
         for name, diagram in zip(names, diagrams, strict=True):
@@ -277,12 +277,12 @@ def _diagram_facts(diagram: xr.DataArray) -> dict[str, Any]:
 
 def _slips_shown(data: Analysis, diagram: xr.DataArray) -> str:
     """Return how many slips are marked and what they were found from, or why none is marked."""
-    if data.slips_s is None:
+    if data.slips.time_s is None:
         return "not known: without a force recording, tracked sheets and a symmetry axis are needed"
     times = diagram["time_s"].values
     half = frame_step_s(times) / 2
-    shown = (data.slips_s >= times[0] - half) & (data.slips_s <= times[-1] + half)
-    return f"{shown.sum()} in the part shown, from {data.slips_from}"
+    shown = data.slips.within(times[0] - half, times[-1] + half)
+    return f"{shown.size} in the part shown, from {data.slips.source}"
 
 
 # --- finished runs: export, figures, overlay, certify, compare ----------------------------------------------

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -41,6 +42,21 @@ KYMOGRAPH_CAPTION = (
     "Pale blue: not recorded."
 )
 INTERPOLATED = " Interpolated between pixels along x; the TIFF files hold the pixels."
+
+
+class Slips(NamedTuple):
+    """Rising times of slips on the camera's clock, s, None if unknown, and what they were found from."""
+
+    time_s: Floats | None = None
+    source: str = "the force"
+
+    def within(self, start_s: float, stop_s: float) -> Floats:
+        """Return the times from start to stop; none if they are unknown."""
+        known = np.empty(0) if self.time_s is None else self.time_s
+        return known[(known >= start_s) & (known <= stop_s)]
+
+
+NO_SLIPS = Slips()
 
 
 def sides_known(tracks: xr.Dataset) -> bool:
@@ -215,13 +231,13 @@ def page_width_in(frame: Panel) -> float:
     return min(13.0, 1.1 + 7.0 / frame.aspect)
 
 
-def intensity_figure(strip: xr.DataArray, tracks: xr.Dataset, slips_s: Floats | None = None) -> Figure | None:
+def intensity_figure(strip: xr.DataArray, tracks: xr.Dataset, slips: Slips = NO_SLIPS) -> Figure | None:
     """Return I(x) of one frame, and one ridge at the start and end of a stick phase and after the slip.
 
-    slips_s: rising times on the camera's clock. With fewer than two only I(x) is shown.
+    With fewer than two slips only I(x) is shown.
     """
     x_px = np.asarray(tracks["x_px"].values, np.float64)
-    frames = _stick_frames(tracks, slips_s)
+    frames = _stick_frames(tracks, slips)
     measured = np.flatnonzero(np.isfinite(x_px).any(axis=1))
     if not measured.size:
         return None
@@ -262,20 +278,20 @@ def _profile_panel(strip: xr.DataArray, tracks: xr.Dataset, row: int, title: str
     )
 
 
-def _stick_frames(tracks: xr.Dataset, slips_s: Floats | None) -> tuple[int, int, int] | None:
+def _stick_frames(tracks: xr.Dataset, slips: Slips) -> tuple[int, int, int] | None:
     """Return first and last frame of the longest early stick phase, and the first frame after its slip."""
     time, label = time_axis(tracks)
-    if slips_s is None or label == "frame" or time.size < 4:
+    if label == "frame" or time.size < 4:
         return None
     step = float(np.median(np.diff(time)))
-    slips = slips_s[(slips_s > time[0]) & (slips_s < time[-1] - 2 * step)]
-    if slips.size < 2:
+    slips_s = slips.within(time[0], time[-1] - 2 * step)
+    if slips_s.size < 2:
         return None
-    which = int(np.diff(slips[: SHOWN_SLIPS + 1]).argmax())
+    which = int(np.diff(slips_s[: SHOWN_SLIPS + 1]).argmax())
     # One frame is left out on each side of a slip, as the slip may be in its exposure.
-    start = int(np.searchsorted(time, slips[which] + step))
-    end = int(np.searchsorted(time, slips[which + 1] - step)) - 1
-    after = int(np.searchsorted(time, slips[which + 1] + step))
+    start = int(np.searchsorted(time, slips_s[which] + step))
+    end = int(np.searchsorted(time, slips_s[which + 1] - step)) - 1
+    after = int(np.searchsorted(time, slips_s[which + 1] + step))
     return (start, end, after) if start < end < after < time.size else None
 
 
@@ -329,8 +345,7 @@ def space_time_figure(
     tracks: xr.Dataset,
     *,
     pixel_size_um: float | None = None,
-    slips_s: Floats | None = None,
-    slips_from: str = "the force",
+    slips: Slips = NO_SLIPS,
 ) -> Figure:
     """Return I(x, t), time downwards, with the tracks and marks at the times of the slips.
 
@@ -350,8 +365,7 @@ def space_time_figure(
             for series in sheet_series(tracks, at, x_px * scale, inks=inks, width=min(1.0, 50 / len(inks)))
         ),
         title="Space-time diagram with the tracks",
-        slips_s=slips_s,
-        slips_from=slips_from,
+        slips=slips,
     )
     image, marks = panel.image, panel.marks
     assert image is not None and marks is not None
@@ -361,7 +375,7 @@ def space_time_figure(
         panel = replace(panel, y_range=(max(image.left, float(low)), min(image.right, float(high))))
     averaged = strip.sizes["frame"] / len(image.pixels)
     means = f" Each row is the mean of about {averaged:.0f} frames." if averaged > 1.5 else ""
-    marked = f" Magenta ticks: {marks.size} slips, from {slips_from}." if marks.size else ""
+    marked = f" Magenta ticks: {marks.size} slips, from {slips.source}." if marks.size else ""
     return panel.figure(
         "space_time",
         "Intensity I(x,t) averaged over the strip's rows, one frame below the other, time downwards; the "
@@ -370,12 +384,10 @@ def space_time_figure(
     )
 
 
-def kymograph_figure(
-    diagrams: Sequence[xr.DataArray], *, slips_s: Floats | None = None, slips_from: str = "the force"
-) -> Figure:
+def kymograph_figure(diagrams: Sequence[xr.DataArray], *, slips: Slips = NO_SLIPS) -> Figure:
     """Return space-time diagrams, as `space_time` returns them, with one time axis and one grey scale.
 
-    slips_s: times to mark, on the recording's clock.  slips_from: source of these times, for the label.
+    slips: those to mark.
     """
     limits = grey_limits(*(diagram.values for diagram in diagrams))
     windows = bool(DiagramMetadata.of(diagrams[0]).sheet)
@@ -386,8 +398,7 @@ def kymograph_figure(
             pixel_size_um=DiagramMetadata.of(diagram).size_um,
             limits=limits,
             title=_window_title(diagram),
-            slips_s=slips_s,
-            slips_from=slips_from,
+            slips=slips,
             with_time=k == 0,
             aspect=height / (2.1 if windows else 12),
         )
@@ -415,8 +426,7 @@ def _diagram_panel(
     limits: Range,
     title: str,
     series: tuple[Series, ...] = (),
-    slips_s: Floats | None,
-    slips_from: str,
+    slips: Slips,
     with_time: bool = True,
     aspect: float = 0.5,
 ) -> Panel:
@@ -427,9 +437,7 @@ def _diagram_panel(
     rows, edges = time_rows(np.asarray(diagram.values)[:, ::thin], time, most=MOST_ROWS)
     drawn = _finer(rows) if DiagramMetadata.of(diagram).sheet else rows
     missing = ~np.isfinite(drawn)
-    marks = np.empty(0)
-    if slips_s is not None and time_label != "frame":
-        marks = slips_s[(slips_s >= edges[0]) & (slips_s <= edges[-1])]
+    marks = np.empty(0) if time_label == "frame" else slips.within(edges[0], edges[-1])
     return Panel(
         title=title,
         x_label=time_label if with_time else "",
@@ -447,7 +455,7 @@ def _diagram_panel(
             interpolated=drawn.shape != rows.shape,
         ),
         marks=marks,
-        marks_label=f"magenta: slips, from {slips_from}" if marks.size else "",
+        marks_label=f"magenta: slips, from {slips.source}" if marks.size else "",
         x_range=(float(edges[0]), float(edges[-1])),
         y_range=(float(edges_x[0]), float(edges_x[-1])),
         time_down=True,
@@ -504,22 +512,19 @@ def _window_title(diagram: xr.DataArray) -> str:
 def single_sheets_figure(
     strip: xr.DataArray,
     tracks: xr.Dataset,
-    slips_s: Floats,
+    slips: Slips = NO_SLIPS,
     *,
     pixel_size_um: float | None = None,
-    slips_from: str = "the force",
 ) -> Figure | None:
     """Return space-time diagrams around an outer and an inner sheet over a few slips; None without slips.
 
     The windows are 0.2 mm wide, as in the publication, or one pitch without a pixel size.
-    slips_s: rising times on the camera's clock.
     """
     time = time_axis(tracks)[0]
-    slips = slips_s[(slips_s >= time[0]) & (slips_s <= time[-1])]
+    shown = slips.within(time[0], time[-1])[:SHOWN_SLIPS]
     names = _two_sheets(tracks)
-    if slips.size < 2 or not names:
+    if shown.size < 2 or not names:
         return None
-    shown = slips[:SHOWN_SLIPS]
     half = 0.5 * float(np.median(np.diff(shown)))  # of a stick phase
     try:
         diagrams = [
@@ -538,12 +543,12 @@ def single_sheets_figure(
         return None
     sheets = " and ".join(f"n = {n} ({side})" for side, n in names)
     return replace(
-        kymograph_figure(diagrams, slips_s=shown, slips_from=slips_from),
+        kymograph_figure(diagrams, slips=Slips(shown, slips.source)),
         name="single_sheets",
         title="Space-time diagrams of single sheets",
         caption=(
             f"Intensity in a window around {sheets}, one frame below the other, over {shown.size} slips "
-            f"(magenta, from {slips_from}). In the publication, outer sheets move more."
+            f"(magenta, from {slips.source}). In the publication, outer sheets move more."
         ),
     )
 

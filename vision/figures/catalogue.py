@@ -18,7 +18,7 @@ from vision.errors import InputError
 from vision.figures import camera, force, positions
 from vision.figures.figure import Figure
 from vision.models import ModelFits
-from vision.numeric import Floats, Pixels
+from vision.numeric import Pixels
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -66,22 +66,12 @@ class Results:
         return "N" if self.force is None else load_unit(self.force)
 
     @cached_property
-    def slips(self) -> tuple[Floats | None, str]:
-        """Times of the slips on the camera's clock, s, or None; and what they were found from."""
+    def slips(self) -> camera.Slips:
+        """Slips of the force or, without one or a clock, of the sheets."""
         sticks, clock = self.sticks, self.clock
         if sticks is None or not len(sticks) or clock is None or clock.status == "ambiguous":
-            return camera.common_steps_s(self.tracks), "the sheets' common steps"
-        return np.sort(clock.to_video_s(sticks["t_p_s"].to_numpy(float))), "the force"
-
-    @property
-    def slips_s(self) -> Floats | None:
-        """Times of the slips on the camera's clock, s; None if unknown."""
-        return self.slips[0]
-
-    @property
-    def slips_from(self) -> str:
-        """What the times of the slips were found from."""
-        return self.slips[1]
+            return camera.Slips(camera.common_steps_s(self.tracks), "the sheets' common steps")
+        return camera.Slips(np.sort(clock.to_video_s(sticks["t_p_s"].to_numpy(float))))
 
     @property
     def threshold(self) -> float:
