@@ -9,7 +9,7 @@ from tests.scenes.comb_video import frames_of, positions, write_video
 from vision.campaign.films import FolderWatch, Row, read_campaign, safe_name
 from vision.command.campaign import _checker
 from vision.command.main import run
-from vision.command.options import SETTINGS
+from vision.command.options import SETTING_OF
 from vision.command.track import run_name
 from vision.errors import InputError
 
@@ -18,7 +18,7 @@ from vision.errors import InputError
 
 def read(path, config=None, awaited=None):
     return read_campaign(
-        path, options=list(SETTINGS), check=_checker(config), name_of=run_name, awaited=awaited
+        path, options=list(SETTING_OF), check=_checker(config), name_of=run_name, awaited=awaited
     )
 
 

@@ -19,7 +19,7 @@ from tests.scenes.films import write_encoded
 from vision.certify import CertifySettings, certify, write_certificate
 from vision.certify.certificate import StickPhases
 from vision.certify.encoder import read_encoder
-from vision.certify.likeness import find_slips, learn, own_time
+from vision.certify.likeness import find_jumps, learn, own_time
 from vision.certify.page import certificate_figure
 from vision.errors import InputError
 from vision.experiment import preset, profiles, with_settings
@@ -164,7 +164,7 @@ def test_smallest_sweep_is_three_actual_errors():
     strip, tracks, error = drawn("noisy")
     certificate = certify(strip, tracks, settings=CertifySettings(largest_jump=1.0))
     frames = int(certificate.stick_frames)
-    slips = find_slips(tracks.x_px.values, CertifySettings())
+    slips = find_jumps(tracks.x_px.values, CertifySettings())
     u = np.linspace(-0.5, 0.5, frames)
     starts = [
         start + 1

@@ -8,7 +8,7 @@ import pytest
 from vision.experiment import Experiment, profiles
 from vision.experiment.scene import make_scene
 from vision.experiment.settings import Camera, Mechanics, Optics, Sheets
-from vision.experiment.simulate import electrons_per_level, frame_blocks, grey_levels
+from vision.experiment.simulate import electrons_per_level, frame_blocks, sensor_levels
 
 PLAIN = Optics(contrast_spread=0, gradient=0, texture=0, flicker=0, tilt_deg=0)
 WIDE = Sheets(count=8, pitch_px=70, bow_px=0)
@@ -71,7 +71,7 @@ def test_photon_transfer_curve(bits):
     gain = electrons_per_level(camera)
     rng = np.random.default_rng(0)
     for light in (0.05, 0.2, 0.5, 0.8):
-        flat = grey_levels(np.full((400, 500), light, np.float32), camera, rng).astype(float)
+        flat = sensor_levels(np.full((400, 500), light, np.float32), camera, rng).astype(float)
         electrons = light * camera.full_well_e
         expected = (electrons + 30.0**2) / gain**2 + 1 / 12
         assert flat.mean() == pytest.approx(electrons / gain, rel=2e-3)
@@ -95,6 +95,6 @@ def test_profile_noise_is_that_of_the_mean_of_its_rows():
 def test_saturation_clips():
     """Light beyond the full well is the highest level, not an overflow."""
     camera = Camera()
-    levels = grey_levels(np.full((10, 10), 3.0, np.float32), camera, np.random.default_rng(0))
+    levels = sensor_levels(np.full((10, 10), 3.0, np.float32), camera, np.random.default_rng(0))
     assert (levels == 255).all()
     assert levels.dtype == np.uint8

@@ -21,7 +21,7 @@ from vision.figures import (
     space_time_figure,
     tracks_figure,
 )
-from vision.figures.camera import Slips
+from vision.figures.camera import SlipTimes
 from vision.figures.catalogue import overview
 from vision.figures.drawing import MOST_LINES, new_figure
 from vision.figures.positions import MOST_POINTS
@@ -30,7 +30,7 @@ from vision.spacetime import grey_levels, grey_limits
 
 
 def draw_kymograph(ax, diagram, *, slips_s=None):
-    return kymograph_figure([diagram], slips=Slips(slips_s)).plot(ax)
+    return kymograph_figure([diagram], slips=SlipTimes(slips_s)).plot(ax)
 
 
 def diagram_of(frames=60, columns=20, *, times=None, **attrs):
@@ -160,9 +160,9 @@ def test_long_recordings_are_averaged_not_thinned(monkeypatch):
 def test_the_picture_says_what_its_marks_are(tmp_path):
     """A failure means marks of unknown origin, or a note on marks that are not there."""
     path, slips = tmp_path / "k.svg", np.array([1.0])
-    kymograph_figure([diagram_of(**WINDOW)], slips=Slips(slips, "the sheets")).save(path)
+    kymograph_figure([diagram_of(**WINDOW)], slips=SlipTimes(slips, "the sheets")).save(path)
     assert "magenta: slips, from the sheets" in path.read_text()
-    kymograph_figure([diagram_of(**WINDOW)], slips=Slips(slips[:0])).save(path)
+    kymograph_figure([diagram_of(**WINDOW)], slips=SlipTimes(slips[:0])).save(path)
     assert "magenta" not in path.read_text()
 
 
@@ -172,7 +172,9 @@ def test_the_picture_says_what_its_marks_are(tmp_path):
 def test_any_number_of_panels_fits(panels, frames):
     """A failure means panels that overlap, or are crushed to nothing."""
     page = (
-        kymograph_figure([diagram_of(frames, **WINDOW)] * panels, slips=Slips(np.array([1.0]))).plot().figure
+        kymograph_figure([diagram_of(frames, **WINDOW)] * panels, slips=SlipTimes(np.array([1.0])))
+        .plot()
+        .figure
     )
     FigureCanvasAgg(page).draw()
     boxes = [ax.get_tightbbox() for ax in page.axes]
@@ -189,7 +191,7 @@ def test_any_number_of_panels_fits(panels, frames):
 def test_the_note_below_a_narrow_window_is_whole(panels):
     """A failure means that the note on grey levels begins outside the picture."""
     window = diagram_of(columns=20, **WINDOW)
-    page = kymograph_figure([window] * panels, slips=Slips(np.array([1.0]))).plot().figure
+    page = kymograph_figure([window] * panels, slips=SlipTimes(np.array([1.0]))).plot().figure
     FigureCanvasAgg(page).draw()
     (note,) = (text for text in page.texts if "black to white" in text.get_text())
     assert "interpolated along x" in note.get_text().replace("\n", " ")

@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from tests.scenes.analysed import Found
 from tests.scenes.report_data import make_profile, make_tracks, sawtooth
-from vision.figures.camera import Slips, intensity_figure, single_sheets_figure, space_time_figure
+from vision.figures.camera import SlipTimes, intensity_figure, single_sheets_figure, space_time_figure
 from vision.figures.catalogue import (
     FIGURES,
     figures_of,
@@ -244,7 +244,7 @@ def test_one_ridge_moves_inwards_and_back():
     """A failure means that the three frames are not start and end of a stick and after its slip."""
     tracks = make_tracks(sawtooth(400, 12, period=50, noise_px=0.001))
     strip = make_profile(tracks, 260)
-    figure = intensity_figure(strip, tracks, Slips(tracks["time_s"].values[50:351:50] - 0.5 / 60))
+    figure = intensity_figure(strip, tracks, SlipTimes(tracks["time_s"].values[50:351:50] - 0.5 / 60))
     lines = [s for s in figure.panels[1].series if s.dashed]
     start, end, after = (float(s.x[0]) for s in lines)
     assert start - end == pytest.approx(4.0, abs=0.5)  # the jump, right side: inwards is to the left
@@ -255,13 +255,13 @@ def test_one_ridge_moves_inwards_and_back():
 def test_space_time_of_two_sheets_over_four_slips(pulled):
     """A failure means the wrong sheets, or slips marked elsewhere than in the force."""
     slips, source = pulled.slips
-    figure = single_sheets_figure(pulled.strip, pulled.tracks, Slips(slips), pixel_size_um=10.0)
+    figure = single_sheets_figure(pulled.strip, pulled.tracks, SlipTimes(slips), pixel_size_um=10.0)
     assert source == "the force"
     assert [panel.title.split("\n")[0] for panel in figure.panels] == ["right, n = 23", "right, n = 10"]
     assert len({panel.y_range for panel in figure.panels}) == 1  # and so the same ticks
     inside = slips[(slips > 0) & (slips < float(pulled.tracks["time_s"][-1]))]
     np.testing.assert_allclose(figure.panels[0].marks, inside[:4])
-    assert single_sheets_figure(pulled.strip, pulled.tracks, Slips(inside[:1])) is None
+    assert single_sheets_figure(pulled.strip, pulled.tracks, SlipTimes(inside[:1])) is None
 
 
 def test_k_is_marked_where_it_is_taken(pulled):

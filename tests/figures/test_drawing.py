@@ -15,7 +15,7 @@ from matplotlib.font_manager import FontProperties, findfont, get_font
 from tests.scenes.analysed import with_force
 from tests.scenes.report_data import make_tracks, sawtooth
 from vision.figures import Figure, Image, Panel, Series, noise_figure, space_time_figure, tracks_figure
-from vision.figures.camera import Slips
+from vision.figures.camera import SlipTimes
 from vision.figures.catalogue import figure_named, figures_of
 from vision.figures.drawing import new_figure, picture_style, render
 from vision.figures.force import clocks_figure
@@ -152,7 +152,9 @@ def test_legends_and_lines_show_what_there_is():
 
 def test_the_label_of_marks_is_below_their_panel(video_only):
     """A failure means that the displacements seem to have marks, or that nobody knows what marks are."""
-    panel = space_time_figure(video_only.strip, video_only.tracks, slips=Slips(np.array([1.0, 2.0]))).panel
+    panel = space_time_figure(
+        video_only.strip, video_only.tracks, slips=SlipTimes(np.array([1.0, 2.0]))
+    ).panel
     lower = Panel(
         x_label="x", y_label="y", series=(Series(label="F", x=np.arange(3.0), y=np.arange(3.0), ink=DATA),)
     )

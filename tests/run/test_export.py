@@ -264,7 +264,7 @@ def test_a_table_too_long_for_a_worksheet_is_said(run, monkeypatch):
 
 def test_long_tables_are_written_in_parts(run, truth, monkeypatch):
     """A failure means rows lost or doubled between the parts of a long table."""
-    monkeypatch.setattr(export, "ROWS_AT_ONCE", 7)
+    monkeypatch.setattr(export, "CELL_ROWS_AT_ONCE", 7)
     rows = list(openpyxl.load_workbook(export_run(run, "xlsx")[0])["tracks"].values)[1:]
     assert [row[0] for row in rows] == np.repeat(truth["frame"].values, 4).tolist()
 

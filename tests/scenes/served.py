@@ -18,7 +18,7 @@ from starlette.testclient import TestClient
 from starlette.types import ASGIApp
 
 from vision.review.api import session_app
-from vision.review.server import make_app, serve
+from vision.review.server import guarded_app, serve
 from vision.review.session import Session
 
 PORT, TOKEN = 54321, "a-token-of-this-test"
@@ -29,7 +29,7 @@ PATIENCE_S = 120.0  # the machine may be busy
 
 def app_of(session: Session) -> ASGIApp:
     """What a review serves, without a server."""
-    return make_app(session_app(session, lambda: None), port=PORT, token=TOKEN)
+    return guarded_app(session_app(session, lambda: None), port=PORT, token=TOKEN)
 
 
 def page_of(app: ASGIApp) -> TestClient:

@@ -198,7 +198,7 @@ def learn(strip: xr.DataArray, tracks: xr.Dataset, settings: CertifySettings) ->
     whole = _whole(x_px, values, settings)
     often = np.isfinite(x_px[whole]).mean(axis=0) > 0.5
     x_px, err_px, frozen = x_px[:, often], err_px[:, often], (flag == "frozen").all(axis=1)
-    slips = find_slips(x_px, settings)
+    slips = find_jumps(x_px, settings)
     beside = _beside(slips, len(x_px))
     distorted = _distorted(x_px, err_px, flag[:, often], beside, settings)
     between_frames = StripMetadata.of(strip).codec in BETWEEN_FRAMES
@@ -366,7 +366,7 @@ def _beside(slips: Ints, frames: int) -> Bools:
     return beside
 
 
-def find_slips(x_px: Floats, settings: CertifySettings) -> Ints:
+def find_jumps(x_px: Floats, settings: CertifySettings) -> Ints:
     """Return the frames before which sheets jump relative to each other; common steps are the camera's."""
     step = np.diff(x_px, axis=0)
     step = step - nan_median(step, axis=1)[:, None]

@@ -14,8 +14,16 @@ from typing import IO, Annotated, Any
 from cyclopts import Parameter as Option
 
 from vision.campaign import jobs
-from vision.campaign.films import NO_FILMS, Check, FolderWatch, Row, is_remote, read_campaign, safe_name
-from vision.campaign.films import SETTINGS as CAMPAIGN
+from vision.campaign.films import (
+    NO_FILMS,
+    SETTINGS,
+    Check,
+    FolderWatch,
+    Row,
+    is_remote,
+    read_campaign,
+    safe_name,
+)
 from vision.campaign.jobs import Outcome, run_job
 from vision.campaign.plan import (
     Plan,
@@ -29,7 +37,7 @@ from vision.campaign.plan import (
 )
 from vision.campaign.results import duration, needs_pool, pool, read_remarks, write_page
 from vision.command.console import attempt, complain, in_columns, say
-from vision.command.options import SETTINGS, CampaignOptions, RunOptions, option_names
+from vision.command.options import SETTING_OF, CampaignOptions, RunOptions, option_names
 from vision.command.settings import at_least, parse_option, read_config, settings_of, with_config
 from vision.command.track import origin_of, run_name, track_one, why_refused
 from vision.errors import InputError, counted, with_options
@@ -164,12 +172,14 @@ def _checker(config: Path | None) -> Check:
 
 def _parameters(values: Mapping[str, Any], config: Path | None = None) -> dict[str, Parameter]:
     """Return every option of `track` with its origin, from the values of some."""
-    return with_config({**dict.fromkeys(SETTINGS), **values}, config)
+    return with_config({**dict.fromkeys(SETTING_OF), **values}, config)
 
 
 def _read(table: Path, check: Check, awaited: Path | None) -> list[Row]:
     """Return the table's rows.  Raises: InputError, after printing every problem of every row."""
-    rows, problems = read_campaign(table, options=[*SETTINGS], check=check, name_of=run_name, awaited=awaited)
+    rows, problems = read_campaign(
+        table, options=SETTING_OF, check=check, name_of=run_name, awaited=awaited
+    )
     if problems:
         if any((p.row, p.column, p.text) == (1, "film", NO_FILMS) for p in problems):
             raise InputError(table, "a column film, with a film in each row", "none", "is it another table?")
@@ -203,7 +213,7 @@ def _dry_run(plan: Plan, cores: int) -> int:
     say(in_columns(lines, "<<"))
     seconds = [job.seconds for job in plan.jobs.values()]
     memory = max((job.memory_mb for job in plan.jobs.values()), default=0)
-    once = CAMPAIGN.campaign_seconds if seconds else 0.0
+    once = SETTINGS.campaign_seconds if seconds else 0.0
     total, longest = sum(seconds) + once, max(sum(seconds) / cores, *seconds, 0.0) + once
     films, jobs_ = counted(len(plan.films), "film"), counted(len(plan.jobs), "job")
     line = (
@@ -224,7 +234,7 @@ def _refused(plan: Plan, film: PlannedFilm) -> str:
         machine = None if force is None else open_force(force, settings)
         check_recordings(open_recording(film.film, settings), machine, settings)
 
-    _, _, why = attempt(partial(answered, check, Path(film.film), CAMPAIGN.answer_s))
+    _, _, why = attempt(partial(answered, check, Path(film.film), SETTINGS.answer_s))
     return with_options(why, option_names())
 
 

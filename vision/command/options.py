@@ -27,9 +27,9 @@ def _sets(setting: str, default: Any = None) -> Any:
 
 
 Whole = Annotated[int, Option(converter=_whole)]
-Flag = Annotated[bool, Option(negative="", show_default=False)]
+Switch = Annotated[bool, Option(negative="", show_default=False)]
 Report = Annotated[bool, Option(show_default=False)]  # also --no-report
-Quiet = Annotated[Flag, Option(help="Print no progress bar and no summary.")]
+Quiet = Annotated[Switch, Option(help="Print no progress bar and no summary.")]
 Run = Annotated[Path, Option(help="Run folder.")]
 Config = Annotated[
     Path | None, Option(help="TOML file with any of these options; the command line takes precedence.")
@@ -142,18 +142,18 @@ class RunOptions:
 
     out: Path | None = None
     """Run folder; NAME_tracks in the working directory if not given."""
-    overwrite: Flag = False
+    overwrite: Switch = False
     """Replace an earlier run folder."""
-    resume: Flag = False
+    resume: Switch = False
     """Continue an interrupted run of the same film."""
-    follow: Flag = False
+    follow: Switch = False
     """Track a film or folder while a camera writes it, until nothing was added for 10 s or Ctrl-C."""
     report: Report = True
     """Write report.html."""
-    checksum: Flag = False
+    checksum: Switch = False
     """Store the SHA-256 of every whole input file instead of a fingerprint of 64 MiB of it."""
     quiet: Quiet = False
-    verbose: Flag = False
+    verbose: Switch = False
     """Print all findings of run.json in the summary."""
 
 
@@ -164,7 +164,7 @@ class OutputOptions:
 
     out: Path | None = None
     """Where the results go, instead of the name given above."""
-    overwrite: Flag = False
+    overwrite: Switch = False
     """Replace what an earlier command wrote there."""
     quiet: Quiet = False
 
@@ -178,7 +178,7 @@ class WindowOptions:
     """Sheet to show: side and number, such as right:23, or the index from the left; can be repeated."""
     width: str | None = None
     """Width of the window in mm, um, µm or px; 0.2mm, or one pitch without a pixel size."""
-    follow: Flag = False
+    follow: Switch = False
     """Move the window with the sheet (interpolated between pixels) instead of keeping it in place."""
     time: str | None = _sets("time_s")
     """Part of the recording, A:B in seconds of the video's clock."""
@@ -249,7 +249,7 @@ class SimulateOptions:
     """TOML file of settings in the tables sample, mechanics, sheets, optics, camera, clocks, load_cell."""
     set_: Annotated[tuple[str, ...], Option(name="--set", show_default=False)] = ()
     """Any setting by name, such as --set camera.fps=25 or --set optics.tilt_deg=0.5; can be repeated."""
-    overwrite: Flag = False
+    overwrite: Switch = False
     """Replace an earlier synthetic test."""
     quiet: Quiet = False
     seed: int | None = None
@@ -267,7 +267,7 @@ class CampaignOptions:
     """The campaign's folder; TABLE_campaign in the working directory if not given."""
     config: Path | None = None
     """TOML file of options for all films; values in the table take precedence."""
-    dry_run: Flag = False
+    dry_run: Switch = False
     """Print what would run and how long it would take; write nothing."""
     executor: Literal["local", "slurm"] = "local"
     """Where the jobs run: on this machine (local) or on a cluster (slurm)."""
@@ -279,18 +279,18 @@ class CampaignOptions:
     """Folder into which films are written: each is tracked when it is complete, until Ctrl-C."""
     idle: float | None = None
     """Stop watching when no new film has come for this many seconds."""
-    stage: Flag = False
+    stage: Switch = False
     """Copy each film to the node's local disk (TMPDIR) before it is read."""
     report: Report = True
     """Write report.html of each run."""
-    quiet: Flag = False
+    quiet: Switch = False
     """Print no progress and no summary."""
-    plan: Annotated[Flag, Option(show=False)] = False
+    plan: Annotated[Switch, Option(show=False)] = False
     """Write plan.json and end: for the Snakefile."""
 
 
 GROUPS = (VideoOptions, ForceOptions, SampleOptions, TestOptions)
-SETTINGS: Mapping[str, str] = {
+SETTING_OF: Mapping[str, str] = {
     one.name: one.metadata.get("setting", one.name) for group in GROUPS for one in fields(group)
 }
 """Options that a configuration file or a campaign's table may contain, and what the library calls each."""

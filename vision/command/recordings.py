@@ -16,13 +16,13 @@ from cyclopts import Parameter as Option
 from vision.command.console import complain, conclude, frame_progress, one_line
 from vision.command.options import (
     Config,
-    Flag,
     ForceOptions,
     FrictionOptions,
     ModulusOptions,
     OutputOptions,
     SampleOptions,
     SimulateOptions,
+    Switch,
     flag_of,
 )
 from vision.command.settings import (
@@ -62,7 +62,7 @@ def force(
     sample: SampleOptions = SampleOptions(),
     *,
     free_t_star: Annotated[
-        Flag, Option(help="Also fit T* (the data hardly separate it from the friction coefficient).")
+        Switch, Option(help="Also fit T* (the data hardly separate it from the friction coefficient).")
     ] = False,
     config: Config = None,
     output: OutputOptions = OutputOptions(),

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from cyclopts import App, CycloptsError
 
-from vision.command.options import GROUPS, SETTINGS, flag_of, names_given, with_point
+from vision.command.options import GROUPS, SETTING_OF, flag_of, names_given, with_point
 from vision.data import PIXEL_SIZE_UM
 from vision.errors import InputError, did_you_mean
 from vision.files import AGAIN, read_toml, reading, shortened
@@ -25,7 +25,7 @@ from vision.sheets import read_corrections
 from vision.spacetime import Sheet
 
 UM_PER = {"mm": 1000.0, "um": 1.0, "µm": 1.0, "μm": 1.0}  # micro sign and Greek mu
-_GEOMETRY = {SETTINGS[name]: name for name in ("thickness", "width", "length", "t_star")}
+_GEOMETRY = {SETTING_OF[name]: name for name in ("thickness", "width", "length", "t_star")}
 _SAMPLE = ("sheets_per_block", *_GEOMETRY.values())
 _WITH_ERROR = ("d0", "force_lowpass", "force_average", *_GEOMETRY.values())
 _DEFAULT = Settings()
@@ -119,9 +119,9 @@ def parse_option(source: Path, name: str, value: Any) -> Any:
     source: the TOML file or table that holds it.  name: the option, with underscores.
     Raises: InputError for an unknown option, or a value that it does not accept.
     """
-    if name not in SETTINGS:
-        advice = did_you_mean(name, SETTINGS)
-        wanted = "options of track" if advice else f"options of track ({', '.join(SETTINGS)})"
+    if name not in SETTING_OF:
+        advice = did_you_mean(name, SETTING_OF)
+        wanted = "options of track" if advice else f"options of track ({', '.join(SETTING_OF)})"
         raise InputError(source, wanted, f"'{name}'", advice)
     if not isinstance(value, str | int | float) or isinstance(value, bool):
         raise InputError(source, f"one value for '{name}'", f"a {type(value).__name__}")
@@ -311,7 +311,7 @@ def settings_of(parameters: Mapping[str, Parameter]) -> Settings:
     value = {name: parameter.value for name, parameter in parameters.items()}
     parts: dict[str, Any] = {
         setting: _PARSERS[option](value[option], flag_of(option)) if option in _PARSERS else value[option]
-        for option, setting in SETTINGS.items()
+        for option, setting in SETTING_OF.items()
         if value.get(option) is not None and setting in Settings.__dataclass_fields__
     }
     parts["d0_mm"], parts["d0_err_mm"] = parse_with_error(value.get("d0"), "--d0")

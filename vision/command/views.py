@@ -16,10 +16,10 @@ from vision.command.console import complain, conclude, frame_progress, in_column
 from vision.command.options import (
     CompareOptions,
     Config,
-    Flag,
     MovedFilm,
     OutputOptions,
     Run,
+    Switch,
     VideoOptions,
     WindowOptions,
     flag_of,
@@ -322,7 +322,7 @@ def figures(
     *names: Annotated[str, Option(help="Names of figures; all if none is given.")],
     to: Annotated[Literal["pdf", "svg", "png", "csv"], Option(help="Format.")] = "pdf",
     list_: Annotated[
-        Flag, Option(name="--list", help="Print the name and title of every figure, and write nothing.")
+        Switch, Option(name="--list", help="Print the name and title of every figure, and write nothing.")
     ] = False,
     output: OutputOptions = OutputOptions(),
 ) -> int:

@@ -13,7 +13,7 @@ import pandas as pd
 
 from vision.comparison.figures import compare_figures, slope_text, velocity
 from vision.comparison.joint import (
-    QUANTITIES,
+    COMPARED,
     Collapse,
     CompareSettings,
     JointFriction,
@@ -185,8 +185,8 @@ def compare(
     joint = _joint(tests, fits, settings)
     warnings += [one.warning for one in joint if one.warning]
     rows = _table(tests, fits)
-    shared = {name: shared_shifts(tests, fits, name) for name in QUANTITIES}
-    individual = {with_word(name, "err"): [fit.individual_error(name) for fit in fits] for name in QUANTITIES}
+    shared = {name: shared_shifts(tests, fits, name) for name in COMPARED}
+    individual = {with_word(name, "err"): [fit.individual_error(name) for fit in fits] for name in COMPARED}
     return Comparison(
         tests=tests,
         fits=fits,

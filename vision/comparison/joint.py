@@ -31,7 +31,7 @@ from vision.sample import Sample
 
 JOINT_ERROR = "stat. and d_0"
 """What the error of a joint μ contains."""
-QUANTITIES = ("mu", "T0_N", "A", "N_hat_N", "Lambda_hat_mm")  # columns of tests.csv
+COMPARED = ("mu", "T0_N", "A", "N_hat_N", "Lambda_hat_mm")  # columns of tests.csv
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -230,7 +230,7 @@ def fit_test(test: TractionTest, modulus: Estimate, settings: CompareSettings = 
 def _fit(
     events: pd.DataFrame, sample: Sample, modulus: float, known: Mapping[str, Estimate] | None = None
 ) -> tuple[dict[str, Estimate], float, float]:
-    """Return (`QUANTITIES`, χ²/dof, relative scatter of the peaks about the fit). If μ, 𝒯0 and A are known,
+    """Return (`COMPARED`, χ²/dof, relative scatter of the peaks about the fit). If μ, 𝒯0 and A are known,
     only the stiffness is fitted."""
     with np.errstate(all="ignore"):  # fits may leave the valid range on the way; the result is checked
         stiffness = fit_stiffness(events, sample, modulus_GPa=modulus)
@@ -270,9 +270,9 @@ def systematic_shifts(test: TractionTest, fit: TestFit, modulus: Estimate, main:
         try:
             shifted, *_ = _fit(events, sample, y_GPa, fit.values if peaks_unchanged else None)
         except FIT_ERRORS:
-            shifts[source] = dict.fromkeys(QUANTITIES, float("nan"))
+            shifts[source] = dict.fromkeys(COMPARED, float("nan"))
         else:
-            shifts[source] = {q: shifted[q].value - fit.values[q].value for q in QUANTITIES}
+            shifts[source] = {q: shifted[q].value - fit.values[q].value for q in COMPARED}
 
     y_errors = {"Y_eff": modulus.error} | ({} if main else {"main_sample": modulus.systematic_error})
     for source, error in y_errors.items():
@@ -287,7 +287,7 @@ def systematic_shifts(test: TractionTest, fit: TestFit, modulus: Estimate, main:
             y_GPa = modulus.value * growth ** (-power if main else 0)
             refit(name, sample=replace(test.sample, **{name: size * growth}), y_GPa=y_GPa)
     for source, parts in test.instrument.items():
-        shifts[source] = {q: parts.get(q, 0.0) for q in QUANTITIES}
+        shifts[source] = {q: parts.get(q, 0.0) for q in COMPARED}
     return replace(fit, shifts=shifts)
 
 

@@ -26,7 +26,7 @@ from vision.run.reading import RunFolder, is_run, read_json, read_run
 from vision.sample import PUBLISHED, Sample
 
 COLUMNS = ("run", "sample", "V_mm_min", "n_test", "RH_percent", "T_C")
-Row = Mapping[Hashable, Any]  # cells of one row of the table, by column
+Cells = Mapping[Hashable, Any]  # cells of one row of the table, by column
 LIMITS = {"V_mm_min": (1e-6, 1e4), "n_test": (0.0, 1e6), "RH_percent": (0.0, 100.0), "T_C": (-90.0, 200.0)}
 # Usual names of the columns. A message about an unknown column suggests the nearest of them.
 ALIKE = {
@@ -195,7 +195,7 @@ def _path_of(name: str, base: Path) -> Path:
 
 def _rows_of_runs(
     folders: Sequence[Path], rows: pd.DataFrame | None, base: Path, failures: list[str], warnings: list[str]
-) -> dict[Path, Row]:
+) -> dict[Path, Cells]:
     """Return the table's row of each run; warn about runs without a row and rows without a run."""
     if rows is None:
         return {}
@@ -204,7 +204,7 @@ def _rows_of_runs(
             expected = f"{len(folders)} rows, one per run in their order, or a column run"
             raise InputError("`table`", expected, f"{len(rows)}")
         return dict(zip(folders, rows.to_dict("records"), strict=True))
-    known: dict[Path, Row] = {}
+    known: dict[Path, Cells] = {}
     for row in rows.to_dict("records"):
         name = str(row["run"]).strip()
         path = _path_of(name, base)
@@ -242,7 +242,7 @@ def _check_unique(run: RunFolder, name: str, recordings: dict[Any, str]) -> None
         )
 
 
-def _read_test(made: RunFolder, name: str, row: Row, warnings: list[str]) -> TractionTest:
+def _read_test(made: RunFolder, name: str, row: Cells, warnings: list[str]) -> TractionTest:
     _check_separation(made)
     folder = made.folder
     models = read_json(folder / "models.json") if (folder / "models.json").is_file() else {}

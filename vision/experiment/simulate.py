@@ -45,7 +45,7 @@ def electrons_per_level(camera: Camera) -> float:
     return camera.full_well_e / saturation_level(camera)
 
 
-def grey_levels(light: Floats32, camera: Camera, rng: np.random.Generator) -> Pixels:
+def sensor_levels(light: Floats32, camera: Camera, rng: np.random.Generator) -> Pixels:
     """Convert light (fraction of saturation) to noisy, rounded and clipped grey levels."""
     electrons = light * np.float32(camera.full_well_e)
     if camera.noise:
@@ -104,7 +104,7 @@ def frame_blocks(scene: Scene) -> Iterator[Pixels]:
         ridges += base
         ridges *= response
         ridges *= np.float32(flicker)
-        return grey_levels(ridges, camera, random_stream(experiment.seed, "sensor", number))
+        return sensor_levels(ridges, camera, random_stream(experiment.seed, "sensor", number))
 
     def block(frames: slice) -> Pixels:
         textures = scene.texture(frames).astype(np.float32)

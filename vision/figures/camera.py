@@ -44,7 +44,7 @@ KYMOGRAPH_CAPTION = (
 INTERPOLATED = " Interpolated between pixels along x; the TIFF files hold the pixels."
 
 
-class Slips(NamedTuple):
+class SlipTimes(NamedTuple):
     """Rising times of slips on the camera's clock, s, None if unknown, and what they were found from."""
 
     time_s: Floats | None = None
@@ -56,7 +56,7 @@ class Slips(NamedTuple):
         return known[(known >= start_s) & (known <= stop_s)]
 
 
-NO_SLIPS = Slips()
+NO_SLIPS = SlipTimes()
 
 
 def sides_known(tracks: xr.Dataset) -> bool:
@@ -231,7 +231,7 @@ def page_width_in(frame: Panel) -> float:
     return min(13.0, 1.1 + 7.0 / frame.aspect)
 
 
-def intensity_figure(strip: xr.DataArray, tracks: xr.Dataset, slips: Slips = NO_SLIPS) -> Figure | None:
+def intensity_figure(strip: xr.DataArray, tracks: xr.Dataset, slips: SlipTimes = NO_SLIPS) -> Figure | None:
     """Return I(x) of one frame, and one ridge at the start and end of a stick phase and after the slip.
 
     With fewer than two slips only I(x) is shown.
@@ -278,7 +278,7 @@ def _profile_panel(strip: xr.DataArray, tracks: xr.Dataset, row: int, title: str
     )
 
 
-def _stick_frames(tracks: xr.Dataset, slips: Slips) -> tuple[int, int, int] | None:
+def _stick_frames(tracks: xr.Dataset, slips: SlipTimes) -> tuple[int, int, int] | None:
     """Return first and last frame of the longest early stick phase, and the first frame after its slip."""
     time, label = time_axis(tracks)
     if label == "frame" or time.size < 4:
@@ -345,7 +345,7 @@ def space_time_figure(
     tracks: xr.Dataset,
     *,
     pixel_size_um: float | None = None,
-    slips: Slips = NO_SLIPS,
+    slips: SlipTimes = NO_SLIPS,
 ) -> Figure:
     """Return I(x, t), time downwards, with the tracks and marks at the times of the slips.
 
@@ -384,7 +384,7 @@ def space_time_figure(
     )
 
 
-def kymograph_figure(diagrams: Sequence[xr.DataArray], *, slips: Slips = NO_SLIPS) -> Figure:
+def kymograph_figure(diagrams: Sequence[xr.DataArray], *, slips: SlipTimes = NO_SLIPS) -> Figure:
     """Return space-time diagrams, as `space_time` returns them, with one time axis and one grey scale.
 
     slips: those to mark.
@@ -426,7 +426,7 @@ def _diagram_panel(
     limits: Range,
     title: str,
     series: tuple[Series, ...] = (),
-    slips: Slips,
+    slips: SlipTimes,
     with_time: bool = True,
     aspect: float = 0.5,
 ) -> Panel:
@@ -512,7 +512,7 @@ def _window_title(diagram: xr.DataArray) -> str:
 def single_sheets_figure(
     strip: xr.DataArray,
     tracks: xr.Dataset,
-    slips: Slips = NO_SLIPS,
+    slips: SlipTimes = NO_SLIPS,
     *,
     pixel_size_um: float | None = None,
 ) -> Figure | None:
@@ -543,7 +543,7 @@ def single_sheets_figure(
         return None
     sheets = " and ".join(f"n = {n} ({side})" for side, n in names)
     return replace(
-        kymograph_figure(diagrams, slips=Slips(shown, slips.source)),
+        kymograph_figure(diagrams, slips=SlipTimes(shown, slips.source)),
         name="single_sheets",
         title="Space-time diagrams of single sheets",
         caption=(

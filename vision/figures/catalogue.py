@@ -66,12 +66,12 @@ class Results:
         return "N" if self.force is None else load_unit(self.force)
 
     @cached_property
-    def slips(self) -> camera.Slips:
+    def slips(self) -> camera.SlipTimes:
         """Slips of the force or, without one or a clock, of the sheets."""
         sticks, clock = self.sticks, self.clock
         if sticks is None or not len(sticks) or clock is None or clock.status == "ambiguous":
-            return camera.Slips(camera.common_steps_s(self.tracks), "the sheets' common steps")
-        return camera.Slips(np.sort(clock.to_video_s(sticks["t_p_s"].to_numpy(float))))
+            return camera.SlipTimes(camera.common_steps_s(self.tracks), "the sheets' common steps")
+        return camera.SlipTimes(np.sort(clock.to_video_s(sticks["t_p_s"].to_numpy(float))))
 
     @property
     def threshold(self) -> float:

@@ -36,7 +36,7 @@ from vision.video.encoded import EncodedReader
 
 # --- the folder ---------------------------------------------------------------------------------------------
 
-COLUMNS = ("event", "t_v_s", "t_p_s", "stick_length_um")
+EVENT_COLUMNS = ("event", "t_v_s", "t_p_s", "stick_length_um")
 """Columns of events.csv that a review needs."""
 
 
@@ -61,7 +61,7 @@ class StoredRun(RunFolder):
     def events(self) -> pd.DataFrame | None:
         """The stick-slip events; None if the run has none."""
         table = self.table("events")
-        absent = [] if table is None else [column for column in COLUMNS if column not in table]
+        absent = [] if table is None else [column for column in EVENT_COLUMNS if column not in table]
         if absent:
             found = f"no {', '.join(absent)}"
             raise InputError(self.folder / "events.csv", "a table as track writes it", found, AGAIN)

@@ -164,7 +164,7 @@ class Awaited:
         await app(scope, receive, send)
 
 
-def make_app(answers: ASGIApp, *, port: int, token: str) -> ASGIApp:
+def guarded_app(answers: ASGIApp, *, port: int, token: str) -> ASGIApp:
     """Return the guarded application: the page, the files present at the start, and answers on the run."""
     files = {path.name: path for path in PAGE.glob("*") if path.suffix in KINDS}
     cookie = f"review_{port}"
@@ -227,7 +227,7 @@ def serve(
 
         begin = cache(lambda: reader.submit(read))  # only the first call reads the run
         config = uvicorn.Config(
-            make_app(Awaited(answers, kept or {}, begin), port=number, token=token),
+            guarded_app(Awaited(answers, kept or {}, begin), port=number, token=token),
             log_level="critical",
             access_log=False,
             lifespan="off",

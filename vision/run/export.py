@@ -31,7 +31,7 @@ ENDINGS = {"xlsx": ".xlsx", "mat": ".mat", "trackpy": "_trackpy.csv", "napari": 
 MARK = "export"  # key in run.json that distinguishes exported tables from a run
 
 EXCEL_ROWS = (1 << 20) - 1  # that a worksheet holds below the header
-ROWS_AT_ONCE = 50_000  # converted to cells, so that memory does not grow with the recording
+CELL_ROWS_AT_ONCE = 50_000  # converted to cells, so that memory does not grow with the recording
 
 
 def export_run(
@@ -209,8 +209,8 @@ def _write_sheet(book: Any, name: str, table: pd.DataFrame) -> None:
 
 def _cells(table: pd.DataFrame) -> Iterator[tuple[Any, ...]]:
     """Yield the rows of a table as Excel can store them."""
-    for start in range(0, len(table), ROWS_AT_ONCE):
-        part = table.iloc[start : start + ROWS_AT_ONCE]
+    for start in range(0, len(table), CELL_ROWS_AT_ONCE):
+        part = table.iloc[start : start + CELL_ROWS_AT_ONCE]
         columns = [_column(part[name]) for name in part.columns]
         yield from zip(*columns, strict=True)
 

@@ -14,7 +14,7 @@ from numpy.typing import DTypeLike, NDArray
 from vision.errors import InputError
 from vision.numeric import Floats, Ints, Pixels
 
-Status = Literal["ok", "corrupt", "lost"]
+FrameStatus = Literal["ok", "corrupt", "lost"]
 
 LUMA_RULE = "BT.601 luma, 0.299 R + 0.587 G + 0.114 B, rounded"
 AS_STORED = "values as stored"
@@ -63,7 +63,7 @@ class Block:
     # is not "ok" have no meaning.
     pixels: Pixels
     start: int  # number of the first frame, counted from 0 at the start of the file
-    status: tuple[Status, ...]  # one per frame
+    status: tuple[FrameStatus, ...]  # one per frame
     times_s: Floats | None = None  # the recording's own times, if they are known only as frames are read
 
 
@@ -89,7 +89,7 @@ class Frame:
     """One whole decoded frame. pixels: None if not readable. time_s: its own time, if it has one."""
 
     pixels: Pixels | None
-    status: Status = "ok"
+    status: FrameStatus = "ok"
     time_s: float | None = None
 
 
@@ -110,7 +110,7 @@ def gather_blocks(
     source = iter(frames)
     while True:
         pixels = np.zeros((size, *shape), dtype)
-        status: list[Status] = []
+        status: list[FrameStatus] = []
         times: list[float] = []
         for out, frame in zip(pixels, source, strict=False):  # so that whole frames are not kept
             if frame.pixels is not None:
@@ -181,7 +181,7 @@ class MappedReader:
 
     def _block(self, first: int, last: int, rows: slice, columns: slice) -> Block:
         pixels = self._grey(self._stored(first, last, rows)[:, :, columns])
-        status: list[Status] = ["lost" if place < 0 else "ok" for place in self.offsets[first:last]]
+        status: list[FrameStatus] = ["lost" if place < 0 else "ok" for place in self.offsets[first:last]]
         return Block(pixels, first, tuple(status))
 
     def _stored(self, first: int, last: int, rows: slice) -> Pixels:
