@@ -177,9 +177,7 @@ def _parameters(values: Mapping[str, Any], config: Path | None = None) -> dict[s
 
 def _read(table: Path, check: Check, awaited: Path | None) -> list[Row]:
     """Return the table's rows.  Raises: InputError, after printing every problem of every row."""
-    rows, problems = read_campaign(
-        table, options=SETTING_OF, check=check, name_of=run_name, awaited=awaited
-    )
+    rows, problems = read_campaign(table, options=SETTING_OF, check=check, name_of=run_name, awaited=awaited)
     if problems:
         if any((p.row, p.column, p.text) == (1, "film", NO_FILMS) for p in problems):
             raise InputError(table, "a column film, with a film in each row", "none", "is it another table?")
