@@ -4,7 +4,7 @@ import pickle
 
 import pytest
 
-from vision.errors import InputError, known_as
+from vision.errors import InputError, known_as, reason_of
 
 
 def test_a_renamed_argument_is_renamed_in_every_part():
@@ -24,3 +24,9 @@ def test_an_error_is_the_same_in_another_process():
     there = pickle.loads(pickle.dumps(error))
     assert str(there) == str(error) == "film.avi: expected frames; found none, at all; film again"
     assert not there.is_of_argument
+
+
+def test_an_error_of_the_system_is_its_reason_alone():
+    """A failure means that messages name a file twice, or state the number of an error."""
+    assert reason_of(PermissionError(13, "Permission denied", "film.avi")) == "permission denied"
+    assert reason_of(ValueError("embedded null byte")) == "embedded null byte"

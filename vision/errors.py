@@ -94,6 +94,16 @@ def check_number(**values: Any) -> None:
     check_within("a number", -math.inf, math.inf, **values)
 
 
+def reason_of(error: BaseException) -> str:
+    """Return what an error says: the system's reason without its number and the file, if it has one."""
+    return str(getattr(error, "strerror", None) or error).lower()
+
+
+def unexpected(error: BaseException) -> str:
+    """Return an error that nobody foresaw in one line, with its type."""
+    return " ".join(f"unexpected {type(error).__name__}: {error}".split())
+
+
 def counted(count: int, noun: str) -> str:
     """Return "1 film" or "2 films"."""
     return f"{count} {noun}{'s' * (count != 1)}"

@@ -28,7 +28,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from vision.errors import InputError, did_you_mean
+from vision.errors import InputError, did_you_mean, reason_of
 
 TIFF = {".tif", ".tiff"}
 """Suffixes of TIFF files, which hold one picture or a film."""
@@ -51,8 +51,7 @@ def check_regular(path: Path, wanted: str) -> os.stat_result:
     except (OSError, ValueError) as error:  # ValueError: a null byte in the name
         if isinstance(error, FileNotFoundError):
             raise no_such_file(path, wanted) from None
-        found = (getattr(error, "strerror", None) or str(error)).lower()
-        raise InputError(path, wanted, found, "check the path") from None
+        raise InputError(path, wanted, reason_of(error), "check the path") from None
     if not stat.S_ISREG(facts.st_mode):
         kind = "a folder" if stat.S_ISDIR(facts.st_mode) else "a device, pipe or socket"
         raise InputError(path, wanted, kind, "give a file")
@@ -112,7 +111,7 @@ def reading(path: Path, wanted: str, advice: str = "copy or export it again") ->
     except MemoryError as error:
         raise InputError(path, wanted, "one that asks for more memory than there is", advice) from error
     except OSError as error:
-        found = f"one that cannot be read ({str(error.strerror or error).lower()})"
+        found = f"one that cannot be read ({reason_of(error)})"
         raise InputError(path, wanted, found, advice) from error
     except Exception as error:
         why = _plain_reason(error)

@@ -17,7 +17,7 @@ from dataclasses import asdict, is_dataclass
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
-from vision.errors import InputError
+from vision.errors import InputError, reason_of
 from vision.files import c_library
 
 if TYPE_CHECKING:
@@ -302,7 +302,7 @@ def unwritable(
     """Return the error for a file or folder that could not be written."""
     short = error.errno is None and "requested and" in str(error)  # NumPy's message for an incomplete write
     full = short or error.errno in (errno.ENOSPC, errno.EDQUOT)
-    found = "a full disk" if full else str(error.strerror or error).lower()
+    found = "a full disk" if full else reason_of(error)
     return InputError(target, "a place that can be written", found, advice)
 
 

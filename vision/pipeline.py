@@ -38,6 +38,7 @@ from vision.errors import (
     check_within,
     check_word,
     known_as,
+    unexpected,
 )
 from vision.figures.catalogue import Plots, Results, figure_named
 from vision.files import Progress
@@ -373,7 +374,7 @@ class _Stages:
         except InputError as error:
             self.reasons[name] = str(error)
         except Exception as error:  # no error in a late stage may lose the results of the earlier ones
-            self.reasons[name] = " ".join(f"unexpected {type(error).__name__}: {error}".split())
+            self.reasons[name] = unexpected(error)
             self.failures[name] = traceback.format_exc()
         return None
 

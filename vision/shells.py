@@ -340,14 +340,11 @@ class _Ratios:
         model_err = self.settings.profile_error * distance * growth * self.threshold
         return np.asarray((relative * ratio) ** 2 + model_err**2)
 
-    def about_profile(self, relative: float) -> Floats:
-        """Variance of the measurements about the profile; inf where unknown."""
-        return self.variance + self.scatter(self.smooth, relative)
-
 
 def _profile_weights(profiles: _Profiles, sheets: _Ratios, relative: float) -> tuple[Floats32, Floats]:
     """Weight of each profile in each event, (event, profile), with sum 1, and the log evidence, (event,)."""
-    weight = 1 / sheets.about_profile(relative)
+    variance = sheets.variance + sheets.scatter(sheets.smooth, relative)  # inf where unknown
+    weight = 1 / variance
     log_likelihood = (weight * sheets.value).astype(np.float32) @ profiles.ratio.T
     log_likelihood -= weight.astype(np.float32) @ profiles.half_square.T
     largest = log_likelihood.max(axis=1, keepdims=True)

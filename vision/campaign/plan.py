@@ -20,7 +20,7 @@ import numpy as np
 
 import vision
 from vision.campaign.films import PATHS, SETTINGS, Row, is_remote
-from vision.errors import InputError
+from vision.errors import InputError, reason_of
 from vision.files import Stamp, answered, reading, shortened
 from vision.folder import plain, whole_file, write_json
 from vision.run.provenance import checksum_of, describe_input
@@ -213,7 +213,7 @@ def check_folder(out: Path) -> None:
     try:
         empty = not out.exists() or (out.is_dir() and not any(out.iterdir()))
     except OSError as error:
-        raise InputError(out, "a folder of a campaign", (error.strerror or str(error)).lower()) from error
+        raise InputError(out, "a folder of a campaign", reason_of(error)) from error
     if empty:
         return
     if not (out / PLAN).is_file():

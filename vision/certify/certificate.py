@@ -200,7 +200,7 @@ def certify(
     sheets = _sheet_table(like, tracks, error, stated, locking, sweeps, settings.errors_resolved)
     known = np.isfinite(error)
     scatter_px = float(np.median([film.scatter_px for film in measured]))
-    doubts = _doubts(like, facts, imitated, rms(error), scatter_px, recorded_px, settings)
+    doubts = _doubts(like, imitated, rms(error), scatter_px, recorded_px, settings)
     return Certificate(
         source=facts.source,
         codec=facts.codec,
@@ -493,7 +493,6 @@ def _sheet_table(
 
 def _doubts(
     like: Likeness,
-    facts: StripMetadata,
     tracks: xr.Dataset,
     error_px: float,
     scatter_px: float,
@@ -501,11 +500,11 @@ def _doubts(
     settings: CertifySettings,
 ) -> list[str]:
     """Return warnings about parts of the recording that the films do not reproduce well."""
-    lines = []
-    between_frames = facts.codec in BETWEEN_FRAMES
+    lines, codec = [], StripMetadata.of(like.strip).codec
+    between_frames = codec in BETWEEN_FRAMES
     if between_frames and like.encoder is None:
         lines.append(
-            f"{facts.codec} carries content from frame to frame, and films could not be encoded in this way "
+            f"{codec} carries content from frame to frame, and films could not be encoded in this way "
             "(no encoder, or the film was moved): they have the recording's residuals, which lack errors "
             "that last as long as a stick phase; the true error is larger, up to twice in tests"
         )

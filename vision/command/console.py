@@ -16,7 +16,7 @@ from typing import TextIO, TypeVar
 from cyclopts import CoercionError, CycloptsError, UnknownOptionError, UnusedCliTokensError
 
 from vision.command.options import option_names, with_point
-from vision.errors import InputError, with_options
+from vision.errors import InputError, reason_of, with_options
 from vision.files import Progress, c_library
 
 T = TypeVar("T")
@@ -73,7 +73,7 @@ def say(lines: Iterable[str]) -> None:
     """
     error = _print(lines, sys.stdout)
     if error is not None and not isinstance(error, BrokenPipeError):
-        complain(f"the summary could not be printed: {(error.strerror or str(error)).lower()}")
+        complain(f"the summary could not be printed: {reason_of(error)}")
 
 
 def complain(message: str) -> None:
@@ -192,9 +192,8 @@ def one_line(error: Exception) -> str:
         return " ".join(str(error).split()) + f" ({_help_of(error)})"
     elif isinstance(error, OSError):
         about = error.filename if isinstance(error.filename, str) else "the disk"
-        found, full = (error.strerror or str(error)).lower(), error.errno == errno.ENOSPC
-        advice = "free some space" if full else "check the path and its rights"
-        error = InputError(about, "a file or folder that can be used", found, advice)
+        advice = "free some space" if error.errno == errno.ENOSPC else "check the path and its rights"
+        error = InputError(about, "a file or folder that can be used", reason_of(error), advice)
     elif isinstance(error, MemoryError):
         advice = "take a part of it (`frames`)"
         error = InputError("the recording", "enough memory", "not enough memory", advice)

@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 from vision.data import whole_events
-from vision.errors import InputError, check_kind
+from vision.errors import InputError, check_kind, reason_of
 from vision.files import AGAIN, check_regular, reading, shortened
 from vision.models.single_fits import check_columns, complete_events, with_fitted_stiffness
 from vision.numeric import Floats, number
@@ -155,8 +155,7 @@ def table_cells(path: Path, wanted: str) -> tuple[list[str], list[tuple[int, lis
         reader = csv.reader(io.StringIO(text), delimiter=separator, skipinitialspace=True, strict=True)
         table = [(reader.line_num, cells) for cells in reader if any(cell.strip() for cell in cells)]
     except (OSError, ValueError, csv.Error) as error:
-        found = shortened(str(getattr(error, "strerror", None) or error)).lower()
-        raise InputError(path, wanted, found, "save it as CSV, UTF-8") from error
+        raise InputError(path, wanted, shortened(reason_of(error)), "save it as CSV, UTF-8") from error
     if len(table) < 2:
         raise InputError(path, "a heading and a row for each test", f"{len(table)} lines")
     if separator != ",":

@@ -55,10 +55,6 @@ class Drift:
     error: Floats  # px, (stick,)
     share: Floats  # weight of each sheet in it, (stick, sheet)
 
-    def error_without(self, error: Floats) -> Floats:
-        """Errors of the coefficients minus the drift, to which each sheet contributes, (stick, sheet)."""
-        return np.asarray(np.sqrt(error**2 * (1 - self.share) + self.error[:, None] ** 2))
-
 
 def drift_model(
     line: Creep, side: Ints, n: Ints, frames: StickFrames, vibration_px: Floats, settings: DeformationSettings

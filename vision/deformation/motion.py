@@ -505,7 +505,9 @@ def _without_drift(
         none = np.zeros(len(value))
         return value, error, Drift(none, none, np.zeros_like(value))
     drift = camera.drift(value, error, slow=slow)
-    return value - drift.value[:, None], drift.error_without(error), drift
+    # Each sheet contributes to the drift that is taken from it.
+    left_over = np.sqrt(error**2 * (1 - drift.share) + drift.error[:, None] ** 2)
+    return value - drift.value[:, None], left_over, drift
 
 
 # --- errors of the stick length -----------------------------------------------------------------------------

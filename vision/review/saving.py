@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vision.errors import InputError
+from vision.errors import InputError, unexpected
 from vision.files import PACKAGE_PATHS
 from vision.folder import clean_up, keep_others, plain, put_in_place, unwritable
 from vision.numeric import Floats, Ints
@@ -223,7 +223,7 @@ def in_child(server: int) -> None:
     except BrokenPipeError:
         os._exit(1)
     except Exception as error:  # shown in the page; the run is not changed
-        tell(" ".join(f"unexpected {type(error).__name__}: {error}".split()), kind="end")
+        tell(unexpected(error), kind="end")
 
 
 # --- tracking again before a decision is made ---------------------------------------------------------------

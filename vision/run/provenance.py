@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Literal, Self
 
 import vision
-from vision.errors import InputError, with_options
+from vision.errors import InputError, reason_of, with_options
 from vision.files import Progress, begun, members
 
 PACKAGES = ("av", "h5netcdf", "numpy", "opencv-python-headless", "pandas", "scipy", "tifffile", "xarray")
@@ -130,8 +130,8 @@ def describe_input(
             if pace is not None:
                 pace(done, size)
     except OSError as error:
-        why = (error.strerror or str(error)).lower()
-        raise InputError(path, "an input that stays there until the end", why) from error
+        wanted = "an input that stays there until the end"
+        raise InputError(path, wanted, reason_of(error)) from error
     modified = max((facts.st_mtime for _, facts in files), default=0.0)
     kind = "sha256" if whole else "fingerprint"
     return {"path": str(path), "size_bytes": size, "modified_s": modified, kind: digest.hexdigest()}

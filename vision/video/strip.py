@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 
 from vision.data import STRIP_PARTS, StripMetadata, changed_settings, record, strip_of
-from vision.errors import InputError, check_kind, counted
+from vision.errors import InputError, check_kind, counted, reason_of
 from vision.files import Progress, prefetch
 from vision.memory import give_back, parts_in_turn, put_rows, some_rows, table_in_file
 from vision.numeric import Bools, Floats, Floats32, Pixels, Strings, spread_indices
@@ -530,6 +530,5 @@ class FrameStore:
 
     def _no_room(self, size: int, error: OSError) -> InputError:
         wanted = f"{size / (1 << 30):.1f} GiB for I(x, t)"
-        found = (error.strerror or str(error)).lower()
         advice = "give another `out`, or `columns`" if self._folder else "set TMPDIR, or give `columns`"
-        return InputError(self._folder or tempfile.gettempdir(), wanted, found, advice)
+        return InputError(self._folder or tempfile.gettempdir(), wanted, reason_of(error), advice)
