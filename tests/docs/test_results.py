@@ -1,5 +1,6 @@
 """The examples of docs/results.md run as they stand on the page."""
 
+import inspect
 import re
 from pathlib import Path
 
@@ -9,6 +10,9 @@ import pytest
 import xarray as xr
 
 from vision.command.main import run
+from vision.command.options import SimulateOptions
+from vision.errors import InputError
+from vision.experiment import preset
 
 PROJECT = Path(__file__).parents[2]
 LATE = PROJECT / "fixtures" / "late"
@@ -68,3 +72,18 @@ def test_the_examples_give_what_they_promise(folder, monkeypatch):
 def test_every_python_example_is_run():
     """A failure means that an example was added which no test runs."""
     assert len(BLOCKS) == 5
+
+
+def test_every_preset_is_named_wherever_presets_are_listed():
+    """A failure means that nobody learns of a preset, or that one is offered which does not exist."""
+    with pytest.raises(InputError) as caught:
+        preset("none of them")
+    names = set(caught.value.expected.split(", "))
+    glossary = (PROJECT / "docs" / "glossary.md").read_text(encoding="utf-8")
+    row = next(line for line in glossary.splitlines() if line.startswith("| preset |"))
+    assert set(re.findall(r"`(\w+)`", row)) == names
+    assert set(re.findall(r'``"(\w+)"``', inspect.getdoc(preset))) == names
+    table = PAGE.split("| preset | simulates |")[1].split("\n\n")[0]
+    assert set(re.findall(r"^\| `(\w+)`", table, re.MULTILINE)) == names
+    help_text = re.search(r'preset: str = .*\n +"""(.*)\."""', inspect.getsource(SimulateOptions))[1]
+    assert set(re.split(", | or ", help_text)) == names
