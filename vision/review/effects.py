@@ -26,7 +26,14 @@ from vision.memory import word_codes
 from vision.numeric import Bools, Codes, Floats, Floats32, Ints, Pixels, nan_median, nearest
 from vision.review.recordings import Diagram, decided_clock
 from vision.run.reading import read_tracks
-from vision.sheets.corrections import OF_SHEETS, OF_STRETCHES, Corrected, Correction, follow_ridge
+from vision.sheets.corrections import (
+    OF_SHEETS,
+    OF_STRETCHES,
+    Corrected,
+    Correction,
+    PossibleRidges,
+    follow_ridge,
+)
 from vision.sheets.doubts import predicted_by_neighbours
 from vision.sheets.identities import WHYS
 from vision.sheets.numbering import number_sheets
@@ -220,9 +227,9 @@ class _CorrectedPositions(Corrected):
             block = slice(at, at + BLOCK)
             part = slice(int(rows[block].min()), int(rows[block].max()) + 1)
             profile = self.positions.profile(self.diagram, part)
-            ridges = find_ridges(profile, self.comb), find_faint(profile, self.comb)
+            ridges = PossibleRidges(find_ridges(profile, self.comb), find_faint(profile, self.comb))
             x_px = self.positions.x_px[part] - np.float64(origin)
-            fitted_from = nearest_ridges(ridges[0].x_px, x_px, SAME_RIDGE_PX)
+            fitted_from = nearest_ridges(ridges.candidates.x_px, x_px, SAME_RIDGE_PX)
             whole = np.where(np.isfinite(fitted_from), fitted_from, np.rint(x_px))
             order = rows[block] - part.start
             found, owner[block] = follow_ridge(

@@ -57,7 +57,7 @@ from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
 from datetime import date as day
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -440,13 +440,20 @@ def _check_free(correction: Correction, frames: Ints, owner: Ints) -> None:
         raise InputError(correction.name, "a ridge that is no other sheet's", found, advice)
 
 
+class PossibleRidges(NamedTuple):
+    """Ridges of which a correction may say that one is a sheet, in the same rows."""
+
+    candidates: Ridges  # from `find_ridges`
+    maxima: Ridges  # from `find_faint`, taken where no candidate is near
+
+
 class _CorrectedDetections(Corrected):
     """Detections, in columns of the profile, whose first pixel lies at column `origin_px` of the picture."""
 
     def __init__(
         self,
         detections: Detections,
-        ridges: tuple[Ridges, Ridges],
+        ridges: PossibleRidges,
         comb: RidgeComb,
         frames: Ints,
         origin_px: float,
@@ -462,7 +469,7 @@ class _CorrectedDetections(Corrected):
         )
 
     def put(self, rows: Ints, sheet: int, ridge_px: Floats, otherwise: Flag) -> None:
-        ridges = self.ridges[1]
+        ridges = self.ridges.maxima
         known, (best, _) = np.isfinite(ridge_px), nearest(ridges.x_px[rows], ridge_px)
         values = {
             "start_px": ridge_px,
@@ -478,17 +485,17 @@ class _CorrectedDetections(Corrected):
 
 def apply_corrections(
     detections: Detections,
-    ridges: tuple[Ridges, Ridges],
+    ridges: PossibleRidges,
     corrections: Sequence[Correction],
     comb: RidgeComb,
     *,
     frames: Ints,
-    origin_px: float = 0.0,
+    origin_px: float,
 ) -> Detections:
     """Return the detections with the manual corrections applied, in the order of `ordered`.
 
     frames: frame numbers in the film, (frame,). origin_px: column of the profile's first pixel in the
-    picture. ridges: of every frame, from `find_ridges` and `find_faint`.
+    picture. ridges: of every frame.
 
     Raises: InputError for a sheet or frames that do not exist, two entries about one sheet in one frame, no
     doubtful ridge to accept, or a ridge that does not exist or is another sheet's. The message names the
@@ -519,19 +526,19 @@ def follow_ridge(
     correction: Correction,
     rows: Ints,
     others: Floats,
-    ridges: tuple[Ridges, Ridges],
+    ridges: PossibleRidges,
     comb: RidgeComb,
     *,
-    without: int | None = None,
-    origin_px: float = 0.0,
+    without: int | None,
+    origin_px: float,
 ) -> tuple[Floats, Ints]:
     """Follow a ridge from row to row, with the motion of the other sheets.
 
     In the first row it is the ridge nearest to the correction's x_px, a column of the picture, then the one
     nearest to where that motion moves it: of the candidates, or of all maxima where none of these is near.
     Return whole pixels, one per row, NaN where no ridge is near; and the sheet that has this ridge already,
-    -1 for none. rows: rows of `others` and `ridges` (`find_ridges`, `find_faint`), in the order in
-    which the ridge is followed. others: whole pixels of the sheets, (frame, sheet). without: one to ignore.
+    -1 for none. rows: rows of `others` and `ridges`, in the order in which the ridge is followed. others:
+    whole pixels of the sheets, (frame, sheet). without: one to ignore.
 
     Raises: InputError if no ridge is near the column in the first row.
     """

@@ -28,7 +28,7 @@ from vision.numeric import (
     row_parts,
 )
 from vision.sheets.constant_shift import constant_shift
-from vision.sheets.corrections import Correction, apply_corrections, last_of
+from vision.sheets.corrections import Correction, PossibleRidges, apply_corrections, last_of
 from vision.sheets.distortion import (
     NO_LOCKING,
     PixelLocking,
@@ -222,8 +222,10 @@ def _detect(
     identities = identify_sheets(ridges, comb, sheets=sheets, source=source)
     detections = assign_detections(profile, ridges, identities, comb)
     by_hand = any(one.kind in ("add", "assign") for one in corrections)
-    both = ridges, find_faint(profile, comb) if by_hand else ridges
-    detections = apply_corrections(detections, both, corrections, comb, frames=frames, origin_px=origin_px)
+    possible = PossibleRidges(ridges, find_faint(profile, comb) if by_hand else ridges)
+    detections = apply_corrections(
+        detections, possible, corrections, comb, frames=frames, origin_px=origin_px
+    )
     added = np.zeros(detections.flag.shape[1], bool)
     for one in corrections:
         if one.kind == "add":
