@@ -42,8 +42,7 @@ from vision.comparison.comparison import MARK, answers
 from vision.data import DiagramMetadata, StripMetadata, TrackMetadata, warnings_of
 from vision.errors import InputError, counted, did_you_mean
 from vision.figures import kymograph_figure, load_figures, preview_figure
-from vision.files import AGAIN, expanded
-from vision.files import reading as reading_of
+from vision.files import AGAIN, expanded, reading
 from vision.folder import check_new, whole_file
 from vision.pipeline import Analysis, Settings, analyse, open_recording
 from vision.run.export import Format, export_run, write_overlay
@@ -63,7 +62,7 @@ DIAGRAMS = "diagrams"  # key in run.json that distinguishes a folder of diagrams
 def preview(
     video: Annotated[Path, Option(help="A video as for track.")],
     /,
-    reading: VideoOptions = VideoOptions(),
+    options: VideoOptions = VideoOptions(),
     *,
     config: Config = None,
     output: OutputOptions = OutputOptions(),
@@ -79,7 +78,7 @@ def preview(
 
         track preview beam.cine --rotate 90 --strip 14:630
     """
-    video, settings = one_film(video), settings_of(merged(reading, config=config))
+    video, settings = one_film(video), settings_of(merged(options, config=config))
     target = output.out or Path(f"{run_name(video)}_preview.png")
     if output.out is not None:
         check_new(target, overwrite=output.overwrite)
@@ -119,7 +118,7 @@ def kymograph(
     video_or_run: Annotated[Path, Option(help="A run folder, or a video as for track.")],
     /,
     window: WindowOptions = WindowOptions(),
-    reading: VideoOptions = VideoOptions(),
+    options: VideoOptions = VideoOptions(),
     *,
     picture: Annotated[Literal["png", "pdf", "svg"], Option(help="Format of the picture.")] = "png",
     output: OutputOptions = OutputOptions(),
@@ -144,11 +143,11 @@ def kymograph(
     video_or_run = one_film(video_or_run)
     target = output.out or Path(f"{run_name(video_or_run)}_kymograph")
     check_results(target, overwrite=output.overwrite, mark=DIAGRAMS)
-    parameters = merged(reading)
+    parameters = merged(options)
     if is_run(video_or_run):
-        with reading_of(video_or_run, "a run folder as track writes it", AGAIN):
-            data, files = _from_run(video_or_run, reading)
-        part["frames"] = parse_range(reading.frames, "--frames")
+        with reading(video_or_run, "a run folder as track writes it", AGAIN):
+            data, files = _from_run(video_or_run, options)
+        part["frames"] = parse_range(options.frames, "--frames")
     else:
         settings = settings_of(parameters)
         film = open_recording(video_or_run, settings)
@@ -192,17 +191,17 @@ def _windows_of(window: WindowOptions) -> tuple[list[Sheet], dict[str, float]]:
     return sheets, parse_length(window.width, "--width") if window.width else {}
 
 
-def _from_run(folder: Path, reading: VideoOptions) -> tuple[Analysis, list[Path]]:
+def _from_run(folder: Path, options: VideoOptions) -> tuple[Analysis, list[Path]]:
     """Read a run's kymograph.tif, tracks and slips, and return their files; a given pixel size overrides its.
 
     Raises: InputError for options that only a video takes, columns that the run lacks, and a damaged run.
     """
     accepted = ("columns", "frames", "pixel_size")
-    if given := [name for name in names_given(reading) if name not in accepted]:
+    if given := [name for name in names_given(options) if name not in accepted]:
         found = ", ".join(map(flag_of, given))
         raise InputError(folder, "options that a run takes", found, "give the video, or run track again")
-    run, size = read_run(folder), parse_pixel_size(reading.pixel_size)
-    columns = parse_range(reading.columns, "--columns") or slice(None)
+    run, size = read_run(folder), parse_pixel_size(options.pixel_size)
+    columns = parse_range(options.columns, "--columns") or slice(None)
     files = [folder / name for name in ("kymograph.tif", "tracks.nc", "events.csv", "clock.json")]
     data = Analysis(
         settings=Settings(pixel_size_um=run.pixel_size_um if size is None else size),
