@@ -10,12 +10,15 @@ import pytest
 from vision.numeric import (
     common_change,
     in_two_threads,
-    median_of_all,
     median_step,
     nan_median,
     nan_quantile,
     row_parts,
     spread_indices,
+    typical_median,
+    typical_rows,
+    typical_size,
+    typical_where,
     weighted_median,
     without_common_change,
 )
@@ -70,7 +73,27 @@ def test_medians_of_large_tables_are_those_of_their_parts(shape, axis):
     np.testing.assert_array_equal(nan_median(values, axis=axis), np.nanmedian(values, axis=axis))
     expected = np.nanquantile(values, 0.9, axis=axis)
     np.testing.assert_allclose(nan_quantile(values, 0.9, axis=axis), expected, rtol=1e-12, atol=1e-15)
-    assert median_of_all(values.copy()) == np.nanmedian(values)
+
+
+def test_typical_values_of_long_tables_are_those_of_all_rows():
+    """A failure means that the typical values of long films are those of a part of the film, of some phases
+    of a vibration, or none for a sheet that is seen in few frames."""
+    rng = np.random.default_rng(2)
+    rows = np.arange(40_960)
+    table = rng.normal(size=(40_960, 4))
+    table[:, 1] += 3.0 * (rows % 8 < 5)  # vibration: most frames are on one side
+    table[:, 2] += rows / 1000  # creep
+    table[rng.random(40_960) > 0.002, 3] = np.nan
+    table[:, 3] += 7.0
+    scatter = np.nanstd(table, axis=0)
+    assert (np.abs(typical_median(table) - np.nanmedian(table, axis=0)) < 0.06 * scatter).all()
+    assert typical_median(table)[3] == np.nanmedian(table[:, 3])
+    known = table[:, :1] > 0
+    assert abs(typical_where(known, table[:, :1])[0] - np.median(table[known[:, 0], 0])) < 0.04
+    assert abs(typical_size(table[:, :1])[0] - 0.6745) < 0.03
+    assert np.array_equal(typical_median(table[:4096]), nan_median(table[:4096]), equal_nan=True)
+    chosen = typical_rows(40_960)
+    assert len(chosen) == 4096 and (np.diff(chosen) > 0).all() and (np.bincount(chosen % 8) > 450).all()
 
 
 @pytest.mark.parametrize("count", [1, 2, 5, 300, 30_000])

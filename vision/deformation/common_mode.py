@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 
 from vision.deformation.creep import Creep, DeformationSettings, Noise, StickFrames, coefficient_errors
-from vision.numeric import Bools, Floats, Ints, centred, median_size, nan_median, row_parts, sigma_about_zero
+from vision.numeric import Bools, Floats, Ints, centred, nan_median, row_parts, sigma_about_zero, typical_size
 
 # --- vibration ----------------------------------------------------------------------------------------------
 
@@ -26,7 +26,7 @@ def common_mode_motion(residual: Floats, settings: DeformationSettings) -> tuple
     each sheet's variance, without outliers. Also returns the factor on each sheet's noise variance that
     restores what subtracting this motion removes, (sheet,).
     """
-    spread = median_size(residual)
+    spread = typical_size(residual)
     typical = nan_median(spread)
     spread = np.maximum(spread, 0.1 * typical if typical > 0 else 1e-6)
     weight = np.where(np.isfinite(spread), spread**-2, 0.0)

@@ -13,7 +13,7 @@ import scipy
 from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, median_where, nan_median, row_parts
+from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, nan_median, row_parts, typical_where
 from vision.sheets import TrackingSettings
 
 POSITIONS_AT_ONCE = 100_000  # to which creep is fitted; more take memory, fewer calls of NumPy
@@ -377,7 +377,7 @@ def _late(x_px: Floats, frames: StickFrames, settings: DeformationSettings) -> t
     np.subtract(x_px, residual, out=residual)
     residual -= nan_median(residual, axis=1)[:, None]
     fitted = np.broadcast_to(~end[:, None], residual.shape)
-    noise_px = median_where(fitted, np.abs(residual)) / NORMAL_MEDIAN
+    noise_px = typical_where(fitted, np.abs(residual)) / NORMAL_MEDIAN
     ends, residual = frames.only(end), residual[end]
     limit = settings.late_errors * _extrapolation_error(noise_px, creep, ends)
     jump = 2 * creep.coefficient[..., 1]

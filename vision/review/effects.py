@@ -23,7 +23,7 @@ from vision.data import TRACKS, StripMetadata, TrackMetadata
 from vision.deformation import horizontal_deformation
 from vision.errors import InputError, with_options
 from vision.memory import word_codes
-from vision.numeric import Bools, Codes, Floats, Floats32, Ints, Pixels, nan_median, nearest
+from vision.numeric import Bools, Codes, Floats, Floats32, Ints, Pixels, nearest, typical_median
 from vision.review.recordings import Diagram, decided_clock
 from vision.run.reading import read_tracks
 from vision.sheets.corrections import (
@@ -177,12 +177,8 @@ to their start. A larger value would join neighbours that are 4 px apart."""
 
 
 def median_positions(positions: Positions) -> Floats:
-    """Return the median position of every sheet, from 2000 frames spread over the run."""
-    return _medians(positions.x_px)
-
-
-def _medians(values: Floats32) -> Floats:
-    return nan_median(values[:: max(1, len(values) // 2000)].astype(np.float64))
+    """Return the typical position of every sheet, px, (N,)."""
+    return typical_median(positions.x_px)
 
 
 def apply(positions: Positions, decision: Correction, diagram: Diagram) -> Positions:
@@ -245,7 +241,7 @@ class _CorrectedPositions(Corrected):
         """Fit the ridges; the positions get the sheet's median error."""
         error_px = self.arrays["err_px"]
         known = error_px[:, sheet][np.isfinite(error_px[:, sheet])]
-        error = np.median(known) if known.size else np.nanmedian(_medians(error_px))
+        error = np.median(known) if known.size else np.nanmedian(typical_median(error_px))
         seen, x = np.isfinite(ridge_px), np.full(len(rows), np.nan)
         x[seen] = self._fitted(ridge_px[seen], rows[seen])
         fitted = np.isfinite(x)

@@ -25,13 +25,15 @@ from vision.numeric import (
     centred,
     correlation_inflation,
     in_two_threads,
-    median_of_all,
-    median_where,
     nan_median,
     nan_quantile,
     row_parts,
     sigma_about_zero,
     spread_indices,
+    typical_median,
+    typical_rows,
+    typical_size,
+    typical_where,
     weighted_median,
 )
 from vision.sheets.reference import rest_positions, spacing_sizes
@@ -240,7 +242,7 @@ def two_in_one(x_px: Floats, fwhm_px: Floats32, comb: RidgeComb) -> Bools:
     _, gap = spacing_sizes(rest[order], settings=comb.settings)
     near = np.zeros(len(rest), bool)
     near[order[:-1][gap]] = near[order[1:][gap]] = True
-    wide = np.log(median_where(np.isfinite(x_px), fwhm_px))
+    wide = np.log(typical_where(np.isfinite(x_px), fwhm_px))
     wide = wide - nan_median(wide)
     scatter = sigma_about_zero(wide)
     least = max(np.log(comb.settings.wide_by_a_gap), comb.settings.distortion_sigmas * scatter)
@@ -336,16 +338,17 @@ def distortion(
         )
     ]
     usual_px, reach_px = np.empty(x_px.shape[1]), settings.texture_reach * comb.fwhm_px
-    own_noise = [position_noise(one.px) for one in differences]
+    own_noise, middles = ([of(one.px) for one in differences] for of in (position_noise, typical_median))
+    rest = typical_median(x_px)
 
     def of_sheet(n: int) -> None:
         found = slight = size[:, n]
-        for one, own in zip(differences, own_noise, strict=True):
-            values = one.px[:, n] - nan_median(one.px[:, n])
+        for one, own, middle in zip(differences, own_noise, middles, strict=True):
+            values = one.px[:, n] - middle[n]
             certain, likely = _significant(values, np.fmax(one.noise * err_px[:, n], own[n]), settings)
             found = np.fmax(found, np.hypot(one.assumed * certain, one.confirmed * likely))
             slight = np.fmax(slight, np.hypot(one.assumed, one.confirmed) * likely)
-        away = np.abs(x_px[:, n] - nan_median(x_px[:, n]))
+        away = np.abs(x_px[:, n] - rest[n])
         apart_px = reach_px * np.sqrt(-2 * np.expm1(-((away / reach_px) ** 2) / 2))
         found = np.fmax(found, np.fmax(scale[n] * away, texture * apart_px))
         within = np.where(np.isfinite(apart[:, n]), comb.fwhm_px, 0.0)  # what is fitted lies in the ridge
@@ -355,7 +358,7 @@ def distortion(
     in_two_threads(of_sheet, range(x_px.shape[1]))
     if narrow:  # of what lasts, the place among the pixels is not told from dirt if a sheet hardly moves
         return Distortion(size, *np.zeros((3, x_px.shape[1])))
-    pull = nan_median(apart)
+    pull = typical_median(apart)
     pull = np.abs(pull - nan_median(pull))
     least = np.fmax(settings.distortion_sigmas * nan_median(pull) / NORMAL_MEDIAN, settings.distortion_floor)
     return Distortion(size, usual_px, settings.distortion_error * _if_above(pull, least), scale)
@@ -604,10 +607,11 @@ def _significant(values: Floats, noise: Floats, settings: TrackingSettings) -> t
         swings = cv2.morphologyEx(lasting[:, None], cv2.MORPH_CLOSE, gap)[:, 0]
         lasting = np.fmax(lasting, swings / np.sqrt(2))
     above = np.fmax(_if_above(single, least), lasting)
-    usual, usual_noise = nan_median(mean) / NORMAL_MEDIAN, nan_median(noise) / np.sqrt(frames)
+    rows = typical_rows(len(values))
+    typical, own = nan_median(mean[rows]) / NORMAL_MEDIAN, nan_median(noise[rows]) / np.sqrt(frames)
     chance = 1 + 2 * np.sqrt(2 * frames / len(values))  # of so many means of noise
-    excess = np.sqrt(np.where(usual**2 > chance * usual_noise**2, np.abs(usual**2 - usual_noise**2), 0.0))
-    certain = _if_above(usual, settings.distortion_sigmas * usual_noise)
+    excess = np.sqrt(np.where(typical**2 > chance * own**2, np.abs(typical**2 - own**2), 0.0))
+    certain = _if_above(typical, settings.distortion_sigmas * own)
     return np.fmax(certain, above), np.fmax(excess, above)
 
 
@@ -658,7 +662,7 @@ def _shift_by_light(
         of_sheet[:] = mean_over(of_sheet, settings.distortion_frames)
 
     light = log_height
-    light -= nan_median(light)
+    light -= typical_median(light)
     light -= nan_median(light, axis=1)[:, None]  # exposure
     if light.shape[1] >= ENOUGH:
         scatter = _scatter_across(light)
@@ -669,7 +673,7 @@ def _shift_by_light(
         _raise_to_slope_across(shift, light, x_px, _scatter_across(light), settings)
     else:
         with np.errstate(divide="ignore", invalid="ignore"):
-            slope = np.diff(light, axis=1) / np.diff(nan_median(x_px))
+            slope = np.diff(light, axis=1) / np.diff(typical_median(x_px))
         noise = np.broadcast_to(position_noise(slope), slope.shape)
         for between, own in zip(slope.T, noise.T, strict=True):
             between[:] = _significant(between, np.fmax(own, 0.0), settings)[1]
@@ -686,7 +690,7 @@ def _raise_to_slope_across(
     It is the smaller of the slopes to both neighbours if these have the same sign, and its scatter is that of
     single sheets against the mean of their neighbours. The first and last sheet have that of their neighbour.
     """
-    apart = np.diff(nan_median(x_px))
+    apart = np.diff(typical_median(x_px))
     apart_px = float(nan_median(apart))
     apart = np.where(apart > 0, apart, np.nan)
     least = settings.distortion_sigmas * np.sqrt(2) * scatter / apart_px
@@ -703,7 +707,7 @@ def _tilt(light: Floats, x_px: Floats, scatter: float, settings: TrackingSetting
     """Return the size of the slope of the light over the whole comb, per px, (frame,); 0 where it is scatter.
     It is the median over all pairs of sheets that are half the comb apart, which single sheets and shadows do
     not change."""
-    half, rest = light.shape[1] // 2, nan_median(x_px)
+    half, rest = light.shape[1] // 2, typical_median(x_px)
     apart = rest[half:] - rest[:-half]
     apart = np.where(apart > 0, apart, np.nan)
     slope = np.empty(len(light))
@@ -726,14 +730,14 @@ def _single_width_changes(log_width: Floats, settings: TrackingSettings) -> Floa
     alone = np.zeros((frames, sheets), np.float32)
     if sheets < ENOUGH:
         return alone
-    usual = nan_median(log_width)
-    least = max(settings.covered_width, settings.distortion_sigmas * _scatter_across(log_width - usual))
+    middle = typical_median(log_width)
+    least = max(settings.covered_width, settings.distortion_sigmas * _scatter_across(log_width - middle))
     for rows in row_parts(frames):
-        around = np.pad(log_width[rows] - usual, ((0, 0), (2, 2)), constant_values=np.nan)
+        around = np.pad(log_width[rows] - middle, ((0, 0), (2, 2)), constant_values=np.nan)
         others = np.stack([around[:, k : k + sheets] for k in (0, 1, 3, 4)])
         own = around[:, 2:-2]
         alone[rows] = np.minimum(np.abs(own - nan_median(others)), np.abs(own))
-    noise = nan_median(np.abs(np.diff(log_width, axis=0)))
+    noise = typical_size(np.diff(log_width, axis=0))
     with np.errstate(divide="ignore", invalid="ignore"):  # in films without noise
         louder = np.clip(np.nan_to_num(noise / nan_median(noise)), 1.0, MOST_LOUDER)
     for rows in row_parts(frames):
@@ -745,7 +749,6 @@ def _single_width_changes(log_width: Floats, settings: TrackingSettings) -> Floa
 
 def _scatter_across(light: Floats) -> float:
     """Return the scatter of single sheets against the mean of their neighbours."""
-    bend = light[:, 1:-1].copy()
-    for rows in row_parts(len(bend)):
-        bend[rows] -= (light[rows, :-2] + light[rows, 2:]) / 2
-    return float(median_of_all(np.abs(bend, out=bend)) / NORMAL_MEDIAN / np.sqrt(1.5))
+    some = light[typical_rows(len(light))]
+    bend = some[:, 1:-1] - (some[:, :-2] + some[:, 2:]) / 2
+    return float(nan_median(np.abs(bend).ravel()) / NORMAL_MEDIAN / np.sqrt(1.5))

@@ -22,16 +22,16 @@ from vision.numeric import (
     Ints,
     Ints32,
     beside,
-    column_parts,
     common_change,
     in_two_threads,
-    median_size,
     median_step,
     nan_median,
     nan_quantile,
     row_parts,
     shifted,
     sigma_about_zero,
+    typical_medians,
+    typical_size,
     without_common_change,
 )
 from vision.sheets.identities import SHIFTS, Doubt, Identities, last_seen
@@ -153,12 +153,8 @@ def predicted_by_neighbours(x_px: NDArray[np.floating]) -> Floats:
     def predict(rows: slice) -> None:
         predicted[rows] = _displacements(x_px[rows] - rest, rest)
 
-    def add_usual_difference(few: slice) -> None:
-        own = predicted[:, few]
-        own += rest[few] + nan_median(x_px[:, few] - rest[few] - own)
-
     in_blocks(predict, x_px)
-    in_two_threads(add_usual_difference, column_parts(predicted))
+    predicted += rest + typical_medians(lambda rows: x_px[rows] - rest - predicted[rows], len(x_px))
     return predicted
 
 
@@ -215,7 +211,7 @@ def hops(residual: Floats, comb: RidgeComb) -> Bools:
     of most sheets in the frame, since many residuals grow at once in an avalanche or in a blurred frame.
     Among adjacent sheets only the largest residual counts: that sheet spoils the prediction for the others.
     """
-    least = np.fmax(comb.settings.leave_sigmas * median_size(residual) / NORMAL_MEDIAN, comb.fwhm_px)
+    least = np.fmax(comb.settings.leave_sigmas * typical_size(residual) / NORMAL_MEDIAN, comb.fwhm_px)
     found = np.empty(residual.shape, bool)
     for part in row_parts(len(residual)):
         found[part] = np.abs(residual[part]) > least
@@ -460,7 +456,7 @@ def sheets_alike(x_px: Floats, contrast: Floats32, fwhm_px: Floats32, comb: Ridg
     for values in (contrast, fwhm_px):
         pattern = without_common_change(np.log(values.astype(np.float64)))
         mean = nan_median(pattern)
-        within = nan_median(median_size(pattern, mean))
+        within = nan_median(typical_size(pattern, mean))
         alike &= nan_median(np.abs(_bend(mean))) < comb.settings.alike_scatter * within
     return bool(alike)
 

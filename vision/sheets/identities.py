@@ -27,6 +27,8 @@ from vision.numeric import (
     row_parts,
     shifted,
     sigma_about_zero,
+    typical_median,
+    typical_rows,
     without_common_change,
 )
 from vision.sheets.alignment import Candidates, Pairing, align, values_of
@@ -137,7 +139,7 @@ def _left_out_beyond(match: Ints32, x: Floats32, ridges: Ridges, comb: RidgeComb
     comb slipped onto the place of the next sheets, it is one only before. x: positions of the sheets, px,
     (frame, N)."""
     settings, frame = comb.settings, np.arange(len(x))
-    common, found, reach = common_change(x, nan_median(x)), 0, settings.edge_pitches * comb.pitch_px
+    common, found, reach = common_change(x, typical_median(x)), 0, settings.edge_pitches * comb.pitch_px
     for end, step in ((0, -1), (-1, 1)):
         beside = match[:, end] + step
         known = (match[:, end] >= 0) & (beside >= 0) & (beside < ridges.count)
@@ -248,7 +250,8 @@ def _exchanged_forwards(
         return np.zeros(x_px.shape, bool)
     off, here, last_x = off[rows], moved[1 + rows], last[rows]
     np.subtract(moved[1:], last, out=last)
-    usual_step = float(nan_median(np.abs(last, out=last).ravel()))
+    typical = typical_rows(len(last))
+    usual_step = float(nan_median(np.abs(last[typical]).ravel()))
     step = here - last_x
     del moved, last
     level = without_common_change(np.log(contrast.astype(np.float64)))
@@ -259,7 +262,7 @@ def _exchanged_forwards(
         brightened[:, n], last_level[:, n] = np.abs(one[1:] - before), before[rows]
     usual = [  # whole pixels
         0.5 + usual_step / NORMAL_MEDIAN,
-        0.02 + float(nan_median(brightened.ravel())) / NORMAL_MEDIAN,
+        0.02 + float(nan_median(brightened[typical].ravel())) / NORMAL_MEDIAN,
     ]
     others = fill_rows(np.where(off, np.nan, step), np.arange(sheets, dtype=np.float64))
     at, height = here - others, level[1 + rows]
@@ -439,7 +442,8 @@ def comb_squeeze(ridges: Ridges, settings: TrackingSettings) -> tuple[Floats, fl
     kinds; those of a missing sheet or a false detection are beyond the quantiles. A squeeze changes all of
     them alike: `squeeze_share` of the variance of their logarithms must be common.
     """
-    middle_px, still = float(nan_median(ridges.x_px.ravel())), np.ones((len(ridges.x_px), 1))
+    some = ridges.x_px[typical_rows(len(ridges.x_px))]
+    middle_px, still = float(nan_median(some.ravel())), np.ones((len(ridges.x_px), 1))
     sheets = np.maximum(ridges.count, 1)
     usual = np.median(sheets)
     # Without frames in which many are covered, or in which two frames share an image and many are seen twice.

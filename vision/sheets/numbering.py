@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from vision.numeric import NORMAL_MEDIAN, Floats, Ints, median_size, nan_median, row_parts
+from vision.numeric import NORMAL_MEDIAN, Floats, Ints, nan_median, row_parts, typical_median, typical_size
 from vision.sheets.reference import spacing_sizes
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.sheets.subpixel import position_noise
@@ -117,7 +117,7 @@ def _rest(x_px: Floats) -> Floats:
     """Return the median position of each sheet, (N,). A sheet that has no position in any frame is placed
     evenly between those beside it, and beyond the ends at their median spacing. NaN only if no sheet has a
     position."""
-    position = nan_median(x_px, axis=0)
+    position = typical_median(x_px)
     index, known = np.arange(len(position)), np.flatnonzero(np.isfinite(position))
     if not len(known) or len(known) == len(position):
         return position
@@ -175,7 +175,7 @@ def _split_by_motion(
     for rows in row_parts(len(step)):
         other[rows] = _contrast(step[rows] - apart[rows, None] * opening)
         other[rows] -= other[rows][:, [best]]
-    vibration = median_size(other) / NORMAL_MEDIAN * np.sqrt(power)
+    vibration = typical_size(other) / NORMAL_MEDIAN * np.sqrt(power)
     leverage = apart**2 / power
     weight = apart / np.maximum(1 - leverage, 1e-6)
     in_slips = np.array([np.linalg.norm(weight * column) for column in other.T])

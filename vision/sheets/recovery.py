@@ -22,11 +22,13 @@ from vision.numeric import (
     Floats32,
     Ints,
     beside,
-    median_where,
     nan_median,
     nearest,
     row_parts,
     stretches,
+    typical_median,
+    typical_rows,
+    typical_where,
 )
 from vision.sheets.alignment import values_of
 from vision.sheets.doubts import (
@@ -39,8 +41,6 @@ from vision.sheets.doubts import (
 )
 from vision.sheets.identities import DOUBTS, Doubt, Identities, exchanged, fill_rows, last_seen
 from vision.sheets.ridges import RidgeComb, Ridges, find_ridges
-
-USUAL_FRAMES = 2000  # of the film, from which the usual brightnesses and widths are taken
 
 
 class Flag(IntEnum):
@@ -103,7 +103,7 @@ def assign_detections(
     off = exchanged(x, contrast, identities.margin, comb)
     del x, contrast
     why[off & (why == Doubt.NONE)] = Doubt.EXCHANGE
-    sample = slice(None, None, 1 + len(why) // USUAL_FRAMES)
+    sample = typical_rows(len(why))  # shows usual contrasts and widths
     certain = np.where(why[sample] == Doubt.NONE, paired[1:, sample], np.nan)
     _reassign_hops(ridges, paired, why, comb)
     why[_alone_and_away(np.where(why == Doubt.NONE, paired[0], np.float32(np.nan)), comb)] = Doubt.ALONE
@@ -149,7 +149,7 @@ def _reassign_hops(ridges: Ridges, paired: Floats32, why: Codes, comb: RidgeComb
         candidate = np.stack([values[frame, best] for values in looks])
         there, height = candidate[:2].astype(np.float64)
         accept = (distance <= comb.settings.faint_reach * comb.pitch_px) & (there != x[off])
-        usual = median_where(why == Doubt.NONE, np.log(paired[1].astype(np.float64)))[sheet]
+        usual = typical_where(why == Doubt.NONE, np.log(paired[1].astype(np.float64)))[sheet]
         accept &= np.abs(np.log(height) - usual) < LIKE_ITSELF
         accept &= ~(np.where(off[frame], np.nan, paired[0][frame]) == there[:, None]).any(axis=1)
         accept &= _unshared(frame, there, accept)
@@ -182,7 +182,7 @@ def _expected(start: Floats32, rest: Floats) -> Floats:
     NaN in all other frames, and where fewer than half of the sheets are detected."""
     expected = np.full(start.shape, np.nan)
     rows = np.isnan(start).any(axis=1) & (np.isfinite(start).mean(axis=1) >= 0.5)
-    expected[rows] = rest[rows] + fill_rows(start[rows] - rest[rows], nan_median(rest))
+    expected[rows] = rest[rows] + fill_rows(start[rows] - rest[rows], typical_median(rest))
     return expected
 
 
@@ -233,7 +233,7 @@ def _merged(found: Floats32, expected: Floats, comb: RidgeComb) -> Bools:
         return np.zeros_like(missing)
     beside_missing = beside(missing)
     # the usual size is that without a missing neighbour, which may be missing in most frames
-    usual = np.stack([median_where(~beside_missing, sizes) for sizes in found[1:]])
+    usual = np.stack([typical_where(~beside_missing, sizes) for sizes in found[1:]])
     usual = np.where(np.isfinite(usual), usual, nan_median(found[1:], axis=1))
     pair = np.zeros((len(missing), missing.shape[1] - 1), bool)
     some = np.flatnonzero(missing.any(axis=1))

@@ -17,15 +17,16 @@ from vision.numeric import (
     Bools,
     Floats,
     Ints,
-    column_parts,
     common_change,
     in_two_threads,
     mad_sigma,
-    median_size,
     nan_median,
     nearest,
     sigma_about_zero,
     spread_indices,
+    typical_median,
+    typical_medians,
+    typical_size,
 )
 from vision.sheets.alignment import Candidates, ExpectedSheets, align, values_of
 from vision.sheets.ridges import RidgeComb
@@ -346,14 +347,13 @@ def rest_positions(x_px: NDArray[np.floating]) -> Floats:
 
     This is also right for sheets that are in view only while the comb is displaced.
     """
-    rest = nan_median(x_px)
+    rest = typical_median(x_px)
 
-    def still(few: slice) -> Floats:
-        return nan_median(x_px[:, few] - common[:, None])
+    def still(rows: Ints | slice) -> Floats:
+        return np.asarray(x_px[rows] - common_change(x_px[rows], rest)[:, None], np.float64)
 
     for _ in range(3):
-        common, before = common_change(x_px, rest), rest
-        rest = np.concatenate(in_two_threads(still, column_parts(x_px)))
+        before, rest = rest, typical_medians(still, len(x_px))
         if np.array_equal(before, rest, equal_nan=True):  # the usual case for whole pixels
             break
     return rest
@@ -494,7 +494,7 @@ def marks(x_px: Floats, err_px: Floats, usual_px: Floats, comb: RidgeComb) -> Bo
     least = 5.0 * float(nan_median(err_px.ravel()))
     sensitive = replace(settings, moving_px=least, static_fraction=settings.mark_motion)
     moved = x_px - rest
-    unmoved = median_size(moved) < least
+    unmoved = typical_size(moved) < least
     with np.errstate(divide="ignore", invalid="ignore"):  # sheets swapped manually, or never seen
         stationary = static_ridges(moved, rest, settings=sensitive)
         ruler = _ruler_beside_comb(moved, rest, replace(settings, moving_px=least))

@@ -12,7 +12,16 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from vision.numeric import NORMAL_MEDIAN, Bools, Floats, in_two_threads, nan_median, nan_quantile, row_parts
+from vision.numeric import (
+    NORMAL_MEDIAN,
+    Bools,
+    Floats,
+    in_two_threads,
+    nan_median,
+    nan_quantile,
+    row_parts,
+    typical_median,
+)
 from vision.sheets.settings import DEFAULT, LEAST_FRAMES, TrackingSettings
 
 FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
@@ -170,10 +179,10 @@ def _slips_of_sheets(x_px: Floats, settings: TrackingSettings) -> NDArray[np.int
     """Return the number of slips of each sheet up to each frame, beyond the common motion, (frame, N)."""
     step = np.diff(x_px, axis=0)
     step -= nan_median(step, axis=1)[:, None]
-    step -= nan_median(step)
+    step -= typical_median(step)
     np.abs(step, out=step)
     slips = np.zeros(x_px.shape, np.int32)
-    np.cumsum(step > settings.slip_sigmas * nan_median(step) / NORMAL_MEDIAN, axis=0, out=slips[1:])
+    np.cumsum(step > settings.slip_sigmas * typical_median(step) / NORMAL_MEDIAN, axis=0, out=slips[1:])
     return slips
 
 

@@ -25,11 +25,12 @@ from vision.numeric import (
     Floats32,
     Ints,
     in_two_threads,
-    median_size,
     nan_median,
     nan_quantile,
     row_parts,
     spread_indices,
+    typical_median,
+    typical_size,
 )
 from vision.sheets.ridges import RidgeComb, in_blocks
 from vision.sheets.settings import TrackingSettings
@@ -478,8 +479,8 @@ def learned_template(
     enough = count >= settings.template_frames
     if not enough.any() or count.sum() > settings.template_ridges:
         return x_px, err, none
-    middle = nan_median(x_px)
-    spread = median_size(x_px, middle)
+    middle = typical_median(x_px)
+    spread = typical_size(x_px, middle)
     learned = enough & (spread / NORMAL_MEDIAN >= settings.template_motion_px)
     if learned.mean() < 0.5:
         return x_px, err, none
@@ -656,7 +657,7 @@ def position_noise(x_px: Floats) -> Floats:
     if x_px.shape[1] >= 5:
         second -= np.nan_to_num(nan_median(second, axis=1))[:, None]
     known = np.isfinite(second).sum(axis=0) >= LEAST_TRIPLES
-    typical = median_size(second)
+    typical = typical_size(second)
     return np.asarray(np.where(known, typical / NORMAL_MEDIAN / np.sqrt(6), np.nan), np.float64)
 
 

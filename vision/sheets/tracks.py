@@ -22,10 +22,11 @@ from vision.numeric import (
     Ints,
     beside,
     median_step,
-    median_where,
     nan_median,
     nan_quantile,
     row_parts,
+    typical_median,
+    typical_where,
 )
 from vision.sheets.constant_shift import constant_shift
 from vision.sheets.corrections import Correction, PossibleRidges, apply_corrections, last_of
@@ -281,7 +282,7 @@ def _assess_ridges(
     err += np.square(distorted_px, out=distorted_px)
     np.sqrt(err, out=err)
     del distorted_px
-    usual = median_where(np.isfinite(x_px), err)
+    usual = typical_where(np.isfinite(x_px), err)
     excess = noise_excess(BetweenSlips(_unrepeated(x_px, frozen)), err, comb.settings)
     np.hypot(err, np.nan_to_num(usual) * np.sqrt(np.fmax(excess**2 - 1.0, 0.0)), out=err)
     return _Assessed(x_px, flag, err, blurred, is_distorted, lasting_px, scale, second)
@@ -300,8 +301,8 @@ def _cut(detections: Detections, comb: RidgeComb) -> Bools:
         (detections.contrast, settings.cut_height),
         (detections.fwhm_px, settings.cut_width),
     ):
-        usual = np.log(median_where(alone, sizes))
-        scatter = median_where(alone, np.abs(np.log(sizes) - usual)) / NORMAL_MEDIAN
+        usual = np.log(typical_where(alone, sizes))
+        scatter = typical_where(alone, np.abs(np.log(sizes) - usual)) / NORMAL_MEDIAN
         off = np.log(sizes[rows].astype(np.float64)) - usual
         off -= nan_median(off, axis=1)[:, None]
         away += np.nan_to_num(np.minimum(off, 0.0) / np.fmax(scatter, least)) ** 2
@@ -342,11 +343,10 @@ class _Tracked:
         comb, numbering, reference = self.comb, self.numbering, self.detected.reference
         unedited = len(reference.x_px) == len(numbering.n)  # no sheet was added or deleted manually
         # manual corrections may also have swapped sheets: sort
-        positions = reference.x_px if unedited else np.sort(nan_median(self.assessed.x_px))
+        positions = reference.x_px if unedited else np.sort(typical_median(self.assessed.x_px))
         wide = wide_spacings(positions, reference.dropped_px, settings=comb.settings)
         gaps = [] if count_given else zip(*wide, strict=True)
         decided_px = comb.settings.decided_sheets * comb.pitch_px
-        some = self.assessed.x_px[:: max(1, len(self.assessed.x_px) // 2000)]  # enough for medians
         return TrackMetadata(
             fit=self.fitted.fit,
             locking_px=self.fitted.locking.rms_px,
@@ -357,7 +357,7 @@ class _Tracked:
             sheets_how="given" if count_given else "found",
             ridge_fwhm_px=comb.fwhm_px,
             pitch_px=comb.pitch_px,
-            spacing_px=float(nan_median(np.diff(np.sort(nan_median(some))))),
+            spacing_px=float(nan_median(np.diff(np.sort(typical_median(self.assessed.x_px))))),
             contrast=comb.contrast,
             profile_noise=comb.noise,
             axis_px=numbering.axis_px + self.origin_px,
@@ -436,16 +436,16 @@ def _fit(
     x, err = fit_sheets(profile, start_px, fit=used, window_px=window_px, comb=comb)
     noise = intensity_noise(profile, x, frozen, half_px=window_px // 2, fallback=comb.noise)
     noise[~(noise > 0)] = WHOLE_LEVELS  # no error is zero: a profile without noise has whole grey levels
-    new, usual_px = _unrepeated(x, frozen), float(nan_median(nan_median(err) * noise))
+    new, usual_px = _unrepeated(x, frozen), float(nan_median(typical_median(err) * noise))
     locking = NO_LOCKING if fit == "paper" else pixel_locking(new, usual_px, comb.settings)
     if fit == "auto":
         matched, matched_err, learned = learned_template(profile, new, err, comb)
         if learned.any():
-            matched_px = float(nan_median(nan_median(matched_err) * noise))
+            matched_px = float(nan_median(typical_median(matched_err) * noise))
             other = pixel_locking(_unrepeated(matched, frozen), matched_px, comb.settings)
             if _locks_less(other, matched_px, locking, usual_px):
                 used, x, err, locking = "template", matched, matched_err, other
-    per_grey = nan_median(err)
+    per_grey = typical_median(err)
     err *= noise
     if locking.error_px:
         for rows in row_parts(len(x)):
@@ -484,7 +484,7 @@ def _errors(fitted: _Fitted, frozen: Bools, facts: StripMetadata, settings: Trac
     positions = BetweenSlips(new)
     scatter_px = spatial_scatter(positions, between_frames=between_frames)
     err = fitted.err_px
-    predicted = np.fmax(median_where(np.isfinite(new), err), LEAST_ERROR_PX)
+    predicted = np.fmax(typical_where(np.isfinite(new), err), LEAST_ERROR_PX)
     rounding = QUARTER_PIXEL if between_frames else 0.0
     measured = np.where(scatter_px > 0, scatter_px, np.hypot(np.fmax(noise_px, predicted), rounding))
     known = np.isfinite(measured)
@@ -522,8 +522,8 @@ def _dataset(strip: xr.DataArray, found: _Tracked, metadata: TrackMetadata) -> x
         "x_expected_px": predicted_by_neighbours(x),
         "x_mean_px": nan_median(x),
         "found": ok.mean(axis=0),
-        "fwhm_px": median_where(ok, detections.fwhm_px),
-        "snr": median_where(ok, detections.contrast) / np.maximum(found.fitted.noise, 1e-12),
+        "fwhm_px": typical_where(ok, detections.fwhm_px),
+        "snr": typical_where(ok, detections.contrast) / np.maximum(found.fitted.noise, 1e-12),
         "distorted": (assessed.distorted & ok).sum(axis=0) / np.maximum(ok.sum(axis=0), 1),
         "x_lasting_px": assessed.lasting_px,
         "x_overlap_px": shift.overlap,
@@ -565,7 +565,7 @@ def _flags(strip: xr.DataArray, found: _Tracked) -> Codes:
 def comb_is_stationary(tracks: xr.Dataset, settings: TrackingSettings = DEFAULT) -> bool:
     """Return whether hardly any sheet moves relative to the comb; False for fewer than three sheets."""
     x = tracks["x_px"].values
-    moved = x - nan_median(x)
+    moved = x - typical_median(x)
     moved -= nan_median(moved, axis=1)[:, None]
     noise = nan_median(tracks["x_err_px"].values)  # not the scatter from frame to frame: it contains slips
     moving = nan_quantile(np.abs(moved, out=moved), 0.95) > settings.still_sigmas * noise
