@@ -11,7 +11,7 @@ def test_options_toml_and_set_in_that_order(tmp_path, capsys):
     """The preset gives way to TOML, and TOML to options and --set."""
     toml = tmp_path / "a.toml"
     toml.write_text("[camera]\nfps = 20\nheight = 30\n[optics]\ntilt_deg = 0.0\n", "utf-8")
-    arguments = ["simulate", str(tmp_path / "t"), "--preset", "late", "--toml", str(toml)]
+    arguments = ["simulate", str(tmp_path / "t"), "--preset", "late", "--config", str(toml)]
     arguments += ["--duration", "0.4", "--set", "camera.width=1100", "--set", "camera.fps=25"]
     arguments += ["--seed", "3", "--set", "optics.tilt_deg=0.1", "--set", "camera.exposure_s=0.002"]
     arguments += ["--set", "sheets.count=40", "--container", "tiff"]
@@ -47,7 +47,7 @@ def test_settings_are_checked_together(tmp_path):
         ["--set", "mechanics.d_end_mm=80"],
         ["--set", "load_cell.noise_N=-1"],
         ["--set", "tilt"],
-        ["--toml", "none.toml"],
+        ["--config", "none.toml"],
     ],
 )
 def test_bad_options_end_with_one_line_and_status_2(tmp_path, refused, bad):

@@ -160,7 +160,7 @@ def review(
     return 0
 
 
-_OTHERS = {
+_IMPORTED_WHEN_CALLED = {
     "views:preview": "Show within seconds the frame, the strip, the ridges and their noise.",
     "views:overlay": "Draw the tracks of a finished run on its film, to see whether they follow the sheets.",
     "recordings:force": "Find stick-slip events, stiffness and model fits from a force recording alone.",
@@ -174,7 +174,7 @@ _OTHERS = {
     "recordings:friction": "Measure friction of two sheets from rheometer files, and fit μ_s = a(1 + b/N).",
     "recordings:modulus": "Measure Young's modulus of one sheet from push–pull cycles.",
 }
-"""Commands in modules that are imported when they are called, with the first line of their help."""
+"""Commands, with the first line of their help."""
 
 
 def make_app(*, brief: bool = False) -> App:
@@ -192,7 +192,7 @@ def make_app(*, brief: bool = False) -> App:
     )
     app.default(track)
     app.command(review, help_format="markdown")
-    for place, first_line in _OTHERS.items():
+    for place, first_line in _IMPORTED_WHEN_CALLED.items():
         shown = {"help": first_line} if brief else {}
         app.command(f"vision.command.{place}", help_format="markdown", **shown)
     # for the Snakefile

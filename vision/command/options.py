@@ -245,7 +245,7 @@ class SimulateOptions:
     """paper, late, fast, fresh, hostile or sheets."""
     container: str = "raw"
     """raw (Y800 AVI), mjpeg, h264, ffv1, tiff or png."""
-    toml: Path | None = None
+    config: Path | None = None
     """TOML file of settings in the tables sample, mechanics, sheets, optics, camera, clocks, load_cell."""
     set_: Annotated[tuple[str, ...], Option(name="--set", show_default=False)] = ()
     """Any setting by name, such as --set camera.fps=25 or --set optics.tilt_deg=0.5; can be repeated."""

@@ -305,7 +305,7 @@ def simulate(
     then the TOML file, then the options, then --set; later ones override.
     """
     experiment = ready_made(options.preset)
-    changes = settings_from_toml(options.toml) if options.toml else {}
+    changes = settings_from_toml(options.config) if options.config else {}
     typed = {"seed": options.seed, "camera.duration_s": options.duration}
     changes |= {name: value for name, value in typed.items() if value is not None}
     changes |= dict(map(_pair, options.set_))
