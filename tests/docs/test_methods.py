@@ -9,6 +9,7 @@ from vision.certify.settings import CertifySettings
 from vision.comparison import CompareSettings
 from vision.deformation import DeformationSettings
 from vision.models.single_fits import FitSettings
+from vision.numeric import TYPICAL_ROWS
 from vision.sheets import TrackingSettings
 from vision.shells import ShellSettings
 from vision.video.settings import VideoSettings
@@ -30,6 +31,7 @@ least, most, share = sheets.left_behind
 STATED = (
     f"exceeds {100 * video.column_gain:g} % and, between eight parts of the columns,"
     f" {word(video.column_sigmas)} standard errors",
+    f"is a median of up to {TYPICAL_ROWS} frames",
     f"w is {sheets.standard_window_px} for ridges {narrow:g} to {wide:g} px wide",
     f"seen in {sheets.template_frames} frames, moves by {sheets.template_motion_px:g} px (rms)",
     f"the same motion within {100 * sheets.template_scale:g} %",
