@@ -12,6 +12,7 @@ import xarray as xr
 
 from tests.scenes.comb_video import frames_of, positions, write_video
 from vision.command.main import run
+from vision.video import open_video
 
 pytestmark = pytest.mark.usefixtures("without_pictures")
 
@@ -149,3 +150,13 @@ def test_a_film_of_images_given_as_a_pattern(tmp_path):
     assert run([str(tmp_path / "f*.png"), "--quiet", "--no-report", "--out", "run"]) in (0, 1)
     assert run(["overlay", "run", "--quiet"]) == 0
     assert len(decoded("run_overlay.mp4")[0]) == 5
+
+
+def test_an_overlay_given_as_a_film_is_called_one(there):
+    """Failure: ridges below drawn strokes are tracked like those of the film, and nobody is told."""
+    assert run(["overlay", "comb_tracks", "--quiet"]) == 0
+    (line,) = open_video("comb_tracks_overlay.mp4").warnings
+    assert line.startswith("comb_tracks_overlay.mp4: an overlay")
+    shutil.copy("comb_tracks_overlay.mp4", "renamed.mp4")
+    assert open_video("renamed.mp4").warnings[0].startswith("renamed.mp4: an overlay")
+    assert not open_video("comb.tif").warnings

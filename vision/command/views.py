@@ -369,7 +369,7 @@ def overlay(
 ) -> int:
     """Draw the tracks of a finished run on its film, to see whether they follow the sheets.
 
-    Writes RUN_overlay.mp4.
+    Writes RUN_overlay.mp4. The file says what it is, and `track` warns if it is given as a film.
 
     For example:
 

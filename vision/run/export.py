@@ -25,6 +25,7 @@ from vision.run.reading import RunFolder, check_outside, check_results, read_jso
 from vision.run.tables import sheets_table, tracks_table
 from vision.spacetime import grey_limits
 from vision.video import Video, open_video
+from vision.video.reader import OVERLAY_COMMENT
 
 Format = Literal["csv", "xlsx", "parquet", "mat", "trackpy", "napari"]
 ENDINGS = {"xlsx": ".xlsx", "mat": ".mat", "trackpy": "_trackpy.csv", "napari": "_napari.csv"}
@@ -318,6 +319,7 @@ def write_overlay(
     quality = {"crf": "23", "preset": "veryfast", "maxrate": "8M", "bufsize": "16M"}
     done = 0
     with av.open(str(target), "w", format="mp4") as file:
+        file.metadata["comment"] = OVERLAY_COMMENT
         stream: Any = file.add_stream("libx264", rate=fps, options=quality)
         stream.height, stream.width = canvas.shape
         stream.pix_fmt = "yuv420p"

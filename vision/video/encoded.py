@@ -26,6 +26,7 @@ from vision.numeric import Ints, Pixels
 from vision.video.reader import (
     AS_STORED,
     LUMA_RULE,
+    OVERLAY_COMMENT,
     Block,
     Facts,
     Frame,
@@ -83,6 +84,9 @@ class EncodedReader:
                 what = "the beginning of the file is missing or damaged, and with it the header"
                 why = "earlier frames and the frame rate are lost: copy the file again, or give `fps`"
                 warnings.append(f"{path.name}: {what}; {why}")
+            if stream.container.metadata.get("comment") == OVERLAY_COMMENT:
+                what = "an overlay, on which the tracks of a run are drawn"
+                warnings.append(f"{path.name}: {what}: give the film that was recorded instead")
             if first.interlaced_frame:
                 what = "odd and even rows are half a frame apart, which blurs moving ridges"
                 warnings.append(f"{path.name}: the film is interlaced: {what}")

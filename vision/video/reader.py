@@ -18,6 +18,7 @@ FrameStatus = Literal["ok", "corrupt", "lost"]
 
 LUMA_RULE = "BT.601 luma, 0.299 R + 0.587 G + 0.114 B, rounded"
 AS_STORED = "values as stored"
+OVERLAY_COMMENT = "film with the tracks of sheets drawn on it"  # what `track overlay` writes says so
 SECONDS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9}
 SECONDS |= {"min": 60.0, "h": 3600.0}
 
