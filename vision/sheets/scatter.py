@@ -22,7 +22,7 @@ from vision.numeric import (
     row_parts,
     typical_median,
 )
-from vision.sheets.settings import DEFAULT, LEAST_FRAMES, TrackingSettings
+from vision.sheets.settings import DEFAULT, LEAST_FRAMES, QUARTER_PIXEL, TrackingSettings
 
 FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 OPENING = 10  # sheets that show the opening of the comb
@@ -215,16 +215,18 @@ def shared_error(positions: BetweenSlips) -> float:
 def left_behind(x_px: Floats, step_px: Floats, settings: TrackingSettings) -> Floats:
     """Return by how far a codec that predicts frames from others leaves ridges behind, px, (frame, N).
 
-    It codes no change of a block below a share of its quantiser's step. A ridge that creeps so far stays
-    where it was drawn last, which no scatter shows. One that moves at once, in a slip or with the camera, is
-    left behind by a share of that motion, up to a larger share of the step.
+    It codes no change of a block below a share of its quantiser's step. A ridge that creeps or vibrates so
+    far stays where it was drawn last, which no scatter shows; further than quarter pixels it is drawn where
+    it is, as these are how codecs state motion. One that moves at once, in a slip or with the camera, is left
+    behind by a share of that motion, up to a larger share of the step.
 
     x_px: positions, NaN where missing or repeated, (frame, N). step_px: shift of a ridge that changes its
     pixels by one step of the quantiser, (N,).
     """
     least, most, share = settings.left_behind
     moved = np.nan_to_num(np.abs(np.diff(x_px, axis=0, prepend=x_px[:1])))
-    return np.asarray(np.clip(share * moved, least * step_px, most * step_px), np.float64)
+    never = np.fmin(least * step_px, QUARTER_PIXEL)
+    return np.asarray(np.clip(share * moved, never, most * step_px), np.float64)
 
 
 def _motion(second: Floats) -> tuple[Floats, list[Floats]]:

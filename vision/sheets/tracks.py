@@ -53,7 +53,7 @@ from vision.sheets.ridges import (
     no_ridges,
 )
 from vision.sheets.scatter import BetweenSlips, left_behind, noise_excess, shared_error, spatial_scatter
-from vision.sheets.settings import DEFAULT, TrackingSettings
+from vision.sheets.settings import DEFAULT, QUARTER_PIXEL, TrackingSettings
 from vision.sheets.subpixel import (
     WHOLE_LEVELS,
     FitChoice,
@@ -73,7 +73,6 @@ BETWEEN_FRAMES = frozenset(_MPEG | _FURTHER | _MICROSOFT)
 """Codecs that predict a frame from other frames, and so carry errors from frame to frame."""
 LOSSY = BETWEEN_FRAMES | {"mjpeg", "mjpegb", "amv", "jpeg2000", "dvvideo", "dnxhd", "prores", "cfhd"}
 LEAST_ERROR_PX = 1e-4
-QUARTER_PIXEL = 0.25 / np.sqrt(12)  # px: standard deviation of a rounding to quarter pixels
 
 
 def track_sheets(

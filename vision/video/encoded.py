@@ -14,8 +14,10 @@ from pathlib import Path
 from typing import Any, cast
 
 import av
+import av.bitstream
 import av.container
 import av.error
+import av.logging
 import numpy as np
 import simplejpeg
 from av.video.frame import PictureType
@@ -48,6 +50,10 @@ _CONTAINERS = {".avi", ".mp4", ".mkv", ".mov"}
 _FRAMES_WITH_STEPS = 12  # the quantiser of the first predicted frames is that of the film to 2 of 51 levels
 EXPORT_QUANTISERS = {"export_side_data": "venc_params"}
 """Option of FFmpeg's decoders for `block_quantisers`."""
+_STEPS_STATED = {"mpeg1video", "mpeg2video", "mpeg4", "h263", "flv1", "wmv1", "wmv2"}
+_STEPS_STATED |= {"msmpeg4v1", "msmpeg4v2", "msmpeg4v3"}  # of these FFmpeg reports the step itself
+_FIRST_LEVEL = re.compile(r" init_qp_minus26 .*= (-?\d+)")
+_SLICE_LEVEL = re.compile(r" slice_type .*= 1\n(?:.*\n)*?.* slice_qp_delta .*= (-?\d+)")  # of a P slice
 _RESTART = re.compile(rb"\xff([\xd0-\xd7])")
 
 
@@ -386,10 +392,12 @@ def _facts(stream: av.VideoStream, first: av.VideoFrame, size: int) -> Facts:
 def _quantiser_step(stream: av.VideoStream, codec: str) -> float:
     """Return the median step, grey levels, of the next frames that are predicted from frames before them.
 
-    0 if there are none, or the decoder does not report quantisers. The step is that of a transform that
-    keeps the sum of squares. That of H.264 doubles with every 6 levels and is 1 at level 4.
+    0 if there are none, or nothing states their quantisers. The step is that of a transform that keeps the
+    sum of squares. That of H.264 and HEVC doubles with every 6 levels and is 1 at level 4.
     """
-    if codec not in ("h264", "mpeg4", "mpeg2video", "mpeg1video"):
+    if codec == "hevc":  # blocks that hardly change have finer steps than their slice: half of it with x265
+        return 0.5 * float(np.median([2.0 ** ((level - 4) / 6) for level in _slice_levels(stream)] or [0.0]))
+    if codec != "h264" and codec not in _STEPS_STATED:
         return 0.0
     steps = []
     for _, frame in itertools.islice(_decoded(stream), _FRAMES_WITH_STEPS):
@@ -398,6 +406,23 @@ def _quantiser_step(stream: av.VideoStream, codec: str) -> float:
             level = float(np.mean(found[1]))
             steps.append(2.0 ** ((level - 4) / 6) if codec == "h264" else level)
     return float(np.median(steps)) if steps else 0.0
+
+
+def _slice_levels(stream: av.VideoStream) -> list[float]:
+    """Return the levels of the quantiser of HEVC's next slices that are predicted from frames before them.
+    The decoder does not report them, but FFmpeg logs the headers of slices."""
+    before = av.logging.get_level()
+    av.logging.set_level(av.logging.INFO)
+    try:
+        with av.logging.Capture() as lines, contextlib.suppress(av.error.FFmpegError, ValueError):
+            headers = av.bitstream.BitStreamFilterContext("trace_headers", stream)
+            for packet in itertools.islice(_video_packets(stream), _FRAMES_WITH_STEPS):
+                headers.filter(packet)
+    finally:
+        av.logging.set_level(before)
+    text = "\n".join(line.strip() for _, _, line in lines)
+    first = sum(map(float, _FIRST_LEVEL.findall(text)[:1]), start=26.0)
+    return [first + float(level) for level in _SLICE_LEVEL.findall(text)]
 
 
 def block_quantisers(frame: av.VideoFrame) -> tuple[int, Ints] | None:
