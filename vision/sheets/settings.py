@@ -561,7 +561,7 @@ class TrackingSettings:
     """Step of a sheet, over the scatter of its steps, from which it is a slip and no noise. Larger takes the
     slips of a few sheets for noise (test_scatter.py at 20), smaller leaves out noise (there at 1.5)."""
 
-    left_behind: tuple[float, float, float] = (0.12, 0.25, 0.3)
+    left_behind: tuple[float, float, float] = (0.11, 0.25, 0.3)
     """Least and largest error of a position in a film of which the quantiser is known, over the shift that
     changes a ridge's pixels by one step of it, and error over the motion between two frames, in between.
     The least is 0.06 to 0.25 in films, and hardly depends on anything else that they show. Larger overstates

@@ -474,8 +474,8 @@ def _errors(fitted: _Fitted, frozen: Bools, facts: StripMetadata, settings: Trac
     of pixels and shifts ridges for several frames: the scatter between sheets shows this, and `shared_error`
     adds what neighbours share if the codec predicts frames from others. Where sheets are too few for that, or
     nothing changes, such a codec is assumed to err by a rounding to quarter pixels. What its quantiser leaves
-    behind is the least error (`left_behind`). Repeated frames are left out, as they would hide scatter.
-    The errors of the fit are changed in place.
+    behind is the least error (`left_behind`), and limits what of the scatter is the codec's. Repeated frames
+    are left out, as they would hide scatter. The errors of the fit are changed in place.
     """
     new = _unrepeated(fitted.x_px, frozen)
     between_frames = facts.codec in BETWEEN_FRAMES
@@ -495,9 +495,12 @@ def _errors(fitted: _Fitted, frozen: Bools, facts: StripMetadata, settings: Trac
         excess = float(nan_median(noise_excess(positions, err, settings)))
         # Locking to whole pixels lasts, and scatters less than the error that contains it.
         measured = predicted * (1.0 if fitted.fit == "paper" else min(1.0, settings.sharpened * excess))
+    step_px = facts.quantiser_step * fitted.per_grey
+    if facts.quantiser_step:  # what sheets that slip each in its own way scatter beyond that is their motion
+        measured = np.fmin(measured, np.hypot(predicted, settings.left_behind[1] * step_px))
     err *= np.nan_to_num(measured / predicted, nan=1.0)
     if facts.quantiser_step:
-        np.fmax(err, left_behind(new, facts.quantiser_step * fitted.per_grey, settings), out=err)
+        np.fmax(err, left_behind(new, step_px, settings), out=err)
     return _Errors(np.maximum(err, LEAST_ERROR_PX, out=err), noise_px, scatter_px, predicted)
 
 
