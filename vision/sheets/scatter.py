@@ -204,11 +204,10 @@ def shared_error(positions: BetweenSlips) -> float:
         return 0.0
     own = float(np.nan_to_num(nan_median(spatial_scatter(positions, between_frames=True))))
     second = positions.second(LAGS)
-    between = _deviation_of_all(_fourth_differences(second))
+    between = _deviation(_fourth_differences(second))
     opening, shares = _motion(second)
-    apart = min(_deviation_of_all(second - opening[:, None] * share) for share in shares)
-    apart /= np.sqrt(1 - _fitted(sheets) / sheets)
-    ratio = apart / max(between, 1e-9)
+    apart = min(_deviation(second - opening[:, None] * share) for share in shares)
+    ratio = float(np.nan_to_num(apart / max(between, 1e-9) / np.sqrt(1 - _fitted(sheets) / sheets)))
     return own * float(np.sqrt(2 * max(0.0, ratio**2 - 1)))
 
 
@@ -270,8 +269,3 @@ def _deviation(values: Floats) -> float:
     np.minimum(size, nan_quantile(size, 0.9), out=size)
     np.square(np.nan_to_num(size, copy=False), out=size)
     return float(np.sqrt(size.sum() / count) / 0.9118)
-
-
-def _deviation_of_all(values: Floats) -> float:
-    """Return a robust standard deviation of all values together; 0 where nothing is known."""
-    return float(np.nan_to_num(_deviation(values)))

@@ -486,11 +486,8 @@ def _errors(fitted: _Fitted, frozen: Bools, facts: StripMetadata, settings: Trac
     predicted = np.fmax(typical_where(np.isfinite(new), err), LEAST_ERROR_PX)
     rounding = QUARTER_PIXEL if between_frames else 0.0
     measured = np.where(scatter_px > 0, scatter_px, np.hypot(np.fmax(noise_px, predicted), rounding))
-    known = np.isfinite(measured)
-    if between_frames and known.any():  # all sheets share one quantiser
-        measured = np.full_like(measured, np.median(measured[known]))
-    if between_frames:
-        measured = np.hypot(measured, shared_error(positions))
+    if between_frames:  # all sheets share one quantiser
+        measured = np.full_like(measured, np.hypot(nan_median(measured), shared_error(positions)))
     elif facts.codec not in LOSSY:
         excess = float(nan_median(noise_excess(positions, err, settings)))
         # Locking to whole pixels lasts, and scatters less than the error that contains it.
