@@ -271,8 +271,10 @@ def doubtful_stretches(tracks: xr.Dataset) -> pd.DataFrame:
     number = tracks["frame"].values
 
     def at_first(name: str) -> Any:
+        if name not in tracks or not len(first):  # xarray before 2026.7 fails at no place in a lazy table
+            return np.full(len(first), np.nan)
         at = {"frame": xr.DataArray(first, dims="one"), "sheet": xr.DataArray(sheet, dims="one")}
-        return tracks[name].isel(at).values if name in tracks else np.full(len(sheet), np.nan)
+        return tracks[name].isel(at).values
 
     table = pd.DataFrame(
         {

@@ -538,7 +538,7 @@ def check_tiff(path: Path) -> bool:
                 found = f"{tags} tags in page {len(seen)}"
             data = file.read(max(0, min(tags, 1000)) * form.tagsize)
             whole = data[: len(data) // form.tagsize * form.tagsize]
-            for _, kind, count, _ in struct.iter_unpack(form.tagheaderformat, whole):
+            for _, kind, count, _ in struct.iter_unpack(form.tagformat1 + form.tagformat2[1:], whole):
                 spent += count * struct.calcsize("=" + tifffile.TIFF.DATA_FORMATS.get(kind, "1B"))
             if spent > size + (1 << 26):  # pages may share values; reading all would never end
                 found = "tags that point to more than the file holds"
