@@ -161,6 +161,31 @@ def test_no_low_pass_is_seen_where_there_is_none(settings: dict[str, float]) -> 
     assert not attrs["lowpass_proven"]
 
 
+def test_slips_that_are_level_at_both_ends_passed_no_low_pass() -> None:
+    """Slips of half a cosine between sticks that each begin more or less steeply. A failure means that errors
+    of forces are ten times too large, since a few of the sticks look like transients of a low-pass."""
+    rng, u, slip_s = np.random.default_rng(0), np.linspace(0, 1, 20)[1:], 0.04
+    time, load = [np.zeros(1)], [np.ones(1)]
+    valleys = []
+    for _ in range(80):
+        rise, steep = 0.3 * np.exp(0.4 * rng.standard_normal()), 0.3 * np.exp(0.8 * rng.standard_normal())
+        part = 0.1 * np.exp(0.5 * rng.standard_normal())
+        time.append(time[-1][-1] + 0.08 * rise / 0.3 * u)
+        load.append(load[-1][-1] + rise * ((1 - part) * u + part * np.expm1(-u / steep) / np.expm1(-1 / steep)))
+        peak = load[-1][-1]
+        fall = peak - max(peak - 0.3 * np.exp(0.4 * rng.standard_normal()), 0.2)
+        time.append(time[-1][-1] + slip_s * u)
+        load.append(peak - fall * (1 - np.cos(np.pi * u)) / 2)
+        valleys.append((time[-1][-1], load[-1][-1]))
+    at = np.arange(0, time[-1][-1], 1e-3)
+    recorded = np.interp(at, np.concatenate(time), np.concatenate(load)) + 0.002 * rng.standard_normal(at.size)
+    events = find_stick_slip(recording(at, recorded, 13 + at, 60.0))
+    assert np.isnan(events.attrs["lowpass_proposed_s"])
+    when, low = np.transpose(valleys)
+    off = events["F_v_N"].to_numpy() - low[np.abs(when[:, None] - events["t_v_s"].to_numpy()).argmin(axis=0)]
+    assert np.median(np.abs(off)) < np.median(events["F_v_err_N"]) < 3 * np.median(np.abs(off))
+
+
 @pytest.mark.parametrize("samples", [30, 100])
 @pytest.mark.parametrize("snr", [6.0, 20.0])
 def test_no_low_pass_is_seen_in_noise(samples: int, snr: float) -> None:

@@ -126,6 +126,24 @@ def test_the_fast_pull_has_rounded_events_and_says_so():
     assert events["K_N_per_mm"].median() == pytest.approx(0.62, abs=0.04)
 
 
+def test_errors_do_not_depend_on_a_single_drop():
+    """A failure means that errors are many times larger in the whole recording, in which one drop more is
+    found, than in one sample of two, in most of it, with a little more noise or where it is averaged."""
+    force = recorded("k168Nm_v1100")
+    load, size = force["load_N"].to_numpy(), force.sizes["time_s"]
+    noisy = load + 5e-4 * np.random.default_rng(0).standard_normal(size)
+    changed = [
+        force.isel(time_s=slice(None, None, 2)),
+        force.isel(time_s=slice(size // 10, 9 * size // 10)),
+        force.assign(load_N=("time_s", noisy, force["load_N"].attrs)),
+        force.assign(load_N=("time_s", scipy.ndimage.uniform_filter1d(load, 3), force["load_N"].attrs)),
+    ]
+    errors = ["F_v_err_N", "F_p_err_N", "dF_err_N"]
+    whole = events_of("k168Nm_v1100")[errors].median().to_numpy()
+    for other in changed:
+        assert find_stick_slip(other)[errors].median().to_numpy() == pytest.approx(whole, rel=0.5)
+
+
 @pytest.mark.parametrize("lowpass_s", [0.0, "auto"])
 def test_the_stiff_spring_oscillates(lowpass_s):
     """Almost sinusoidal, 0.19 of the weight from peak to valley: no stick-slip, no drop above that, and no

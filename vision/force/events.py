@@ -207,7 +207,7 @@ def _slips_in_smooth_noise(
     if not isinstance(lowpass_s, str) and lowpass_s > 0:
         return (full, fine), None
     found = find_lowpass(full, fine, find_corners(full, fine, settings=settings), settings)
-    return ((full, fine), found) if found.samples else ((thin, slips), None)
+    return ((full, fine), found) if found.proven else ((thin, slips), None)
 
 
 def _proposal(ringing_s: float) -> str:
@@ -374,6 +374,8 @@ def _analyse_slips(
     how: LowpassHow = "given" if given else "recorded" if lowpass_s == 0 else "none"
     if given:
         corners = find_corners(signal, slips, lowpass=given, two_slopes=bent, settings=settings)
+    elif found.doubt and not filter_length(signal, corners, extremes, settings):
+        found = Lowpass()  # it would have lengthened the ends of the slips
     elif lowpass_s == "auto" and found.corners is not None:
         corners, how = (found.corners, "found") if found.proven else (corners, "doubtful")
     lengthened = filter_length(signal, corners, extremes, settings)
