@@ -111,8 +111,13 @@ def counted(count: int, noun: str) -> str:
 
 def did_you_mean(word: str, known: Iterable[str], cutoff: float = 0.6) -> str:
     """Return "did you mean …?" with the known word most similar to this one; "" if none is."""
-    near = difflib.get_close_matches(word, known, n=1, cutoff=cutoff)
-    return f"did you mean {near[0]}?" if near else ""
+    near = nearest_word(word, known, cutoff)
+    return f"did you mean {near}?" if near else ""
+
+
+def nearest_word(word: str, known: Iterable[str], cutoff: float = 0.0) -> str:
+    """Return the known word most similar to this one; "" if none is as similar as `cutoff`, 0 to 1."""
+    return next(iter(difflib.get_close_matches(word, known, 1, cutoff)), "")
 
 
 def shown(value: Any) -> str:

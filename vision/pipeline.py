@@ -25,7 +25,7 @@ import xarray as xr
 
 from vision.checks import CheckSettings, all_warnings
 from vision.clock import Clock, ClockSettings, synchronise
-from vision.clock.clock import check_overlap
+from vision.clock.clock import given_clock
 from vision.data import FORCE, STIFF_BELOW, check_pixel_size, check_threshold
 from vision.deformation import DeformationSettings, horizontal_deformation
 from vision.errors import (
@@ -458,8 +458,7 @@ def check_recordings(film: Video, force: xr.Dataset | None, chosen: Settings) ->
     if force is not None and offset_s is not None and film.expected and not film.facts.times_in_blocks:
         times_s = film.times(np.array([film.first, film.first + film.expected - 1]))
         if np.isfinite(times_s).all():
-            clock = Clock(offset_s=offset_s, drift_ppm=drift_ppm, status="given", how="given")
-            check_overlap(times_s, force, clock, "`offset_s`")
+            given_clock(offset_s, drift_ppm, times_s, force)
 
 
 def _suggesting_rotation(film: Video | None, chosen: Settings, work: Callable[[], Result]) -> Result:

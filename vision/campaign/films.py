@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import glob
 import math
 import re
@@ -14,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from vision.comparison.runs import ALIKE, COLUMNS, LIMITS, table_cells
-from vision.errors import InputError
+from vision.errors import InputError, nearest_word
 from vision.files import TIFF, Stamp, answered, shortened
 from vision.numeric import number
 from vision.video import open_video, video_files
@@ -184,7 +183,7 @@ def _columns(header: Sequence[str], known: Sequence[str]) -> tuple[list[str], li
     for name in header:
         column = standard.get(_plain(name), "")
         if name.strip() and not column:
-            nearest = alike[difflib.get_close_matches(_plain(name), alike, n=1, cutoff=0.0)[0]]
+            nearest = alike[nearest_word(_plain(name), alike)]
             found = f"'{shortened(name, 60)}'; the nearest is {nearest}"
             text = f"expected a column of a campaign; found {found}"
             problems.append(Problem(row=1, column=shortened(name, 30), text=text))

@@ -149,11 +149,10 @@ def synchronise(
     if StripMetadata.of(tracks).clock_kind == "playback":
         warnings = ("frame times are the file's playback rate, which need not be the camera's: give `fps`",)
     if offset_s is not None:
-        given = Clock(offset_s=offset_s, drift_ppm=drift_ppm, status="given", how="given")
-        check_overlap(_frame_times(tracks), force, given, "`offset_s`")
+        given = given_clock(offset_s, drift_ppm, _frame_times(tracks), force)
         clock = _given(tracks, force, sticks, given, settings)
     elif (column := clock_from_column(force)) is not None:
-        check_overlap(_frame_times(tracks), force, column, ForceMetadata.of(force).source)
+        _check_overlap(_frame_times(tracks), force, column, ForceMetadata.of(force).source)
         clock = _given(tracks, force, sticks, column, settings)
     else:
         clock = _from_slips(tracks, force, sticks, settings)
@@ -172,7 +171,14 @@ def _frame_times(tracks: xr.Dataset) -> Floats:
     return times
 
 
-def check_overlap(video_s: Floats, force: xr.Dataset, clock: Clock, about: str) -> None:
+def given_clock(offset_s: float, drift_ppm: float, video_s: Floats, force: xr.Dataset) -> Clock:
+    """The clock of a given offset and drift.  Raises: InputError if it puts `video_s` outside the force."""
+    clock = Clock(offset_s=offset_s, drift_ppm=drift_ppm, status="given", how="given")
+    _check_overlap(video_s, force, clock, "`offset_s`")
+    return clock
+
+
+def _check_overlap(video_s: Floats, force: xr.Dataset, clock: Clock, about: str) -> None:
     """Raise InputError if this clock puts frames at these times, s, outside the force recording."""
     machine = good_samples(force)["time_s"].to_numpy()
     begin, end = clock.to_force_s([video_s.min(), video_s.max()])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import errno
 import os
 import sys
@@ -16,7 +15,7 @@ from typing import TextIO, TypeVar
 from cyclopts import CoercionError, CycloptsError, UnknownOptionError, UnusedCliTokensError
 
 from vision.command.options import option_names, with_point
-from vision.errors import InputError, reason_of, with_options
+from vision.errors import InputError, nearest_word, reason_of, with_options
 from vision.files import Progress, c_library
 
 T = TypeVar("T")
@@ -168,8 +167,8 @@ def _unknown_option(error: UnknownOptionError) -> str:
     typed = (error.token.keyword or error.token.value).partition("=")[0]
     options = [name for one in error.argument_collection if one.parse for name in one.names]
     near = [option for option in options if typed.startswith("--") and option.startswith(typed)]
-    near = near if len(near) == 1 else difflib.get_close_matches(typed, options, 1, cutoff=0.8)
-    return f"Unknown option: {typed}." + "".join(f" Did you mean {option}?" for option in near)
+    meant = near[0] if len(near) == 1 else nearest_word(typed, options, 0.8)
+    return f"Unknown option: {typed}." + (f" Did you mean {meant}?" if meant else "")
 
 
 def _help_of(error: CycloptsError) -> str:

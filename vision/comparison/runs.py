@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import csv
-import difflib
 import io
 import math
 import re
@@ -17,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from vision.data import whole_events
-from vision.errors import InputError, check_kind, reason_of
+from vision.errors import InputError, check_kind, nearest_word, reason_of
 from vision.files import AGAIN, check_regular, reading, shortened
 from vision.models.single_fits import check_columns, complete_events, with_fitted_stiffness
 from vision.numeric import Floats, number
@@ -128,8 +127,8 @@ def _read_table(table: str | Path | pd.DataFrame | None) -> tuple[pd.DataFrame |
     rows.columns = [str(name).strip() for name in rows.columns]
     warnings = []
     for name in [name for name in rows.columns if name not in COLUMNS]:
-        near = difflib.get_close_matches(name.lower(), ALIKE, n=1, cutoff=0.0)[0]
-        warnings.append(f"{source}: column '{name}' is not known and left out; the nearest is {ALIKE[near]}")
+        near = ALIKE[nearest_word(name.lower(), ALIKE)]
+        warnings.append(f"{source}: column '{name}' is not known and left out; the nearest is {near}")
     rows = rows[[name for name in COLUMNS if name in rows.columns]]
     if rows.empty or not len(rows.columns):
         raise InputError(source, f"rows with any of the columns {', '.join(COLUMNS)}", "none")
