@@ -12,7 +12,7 @@ unrelated trains can agree by chance: `align` tests for both.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -20,7 +20,7 @@ import scipy
 from numpy.lib.stride_tricks import sliding_window_view
 
 from vision.clock.settings import ClockSettings
-from vision.numeric import Floats, Ints, mad_sigma, nearest_sorted, sigma_about_zero, with_minus
+from vision.numeric import Floats, Ints, Rows, mad_sigma, nearest_sorted, sigma_about_zero, with_minus
 from vision.signals import running_median
 
 # --- trains of slips ----------------------------------------------------------------------------------------
@@ -102,7 +102,7 @@ class SlipTrains:
 
 
 @dataclass(frozen=True)
-class CandidateClocks:
+class CandidateClocks(Rows):
     """K clocks, t_force = middle_s + (1 + drift) (t_video - centre_s); each array is (K,)."""
 
     middle_s: Floats
@@ -115,10 +115,6 @@ class CandidateClocks:
             self.middle_s[:, None] + (1 + self.drift[:, None]) * (video_s - self.centre_s[:, None])
         )
 
-    def take(self, rows: Ints) -> CandidateClocks:
-        """The clocks with these indices."""
-        return CandidateClocks(self.middle_s[rows], self.drift[rows], self.centre_s[rows])
-
     @property
     def offset_s(self) -> Floats:
         """Force clock at video time 0."""
@@ -126,7 +122,7 @@ class CandidateClocks:
 
 
 @dataclass(frozen=True)
-class ClockFits:
+class ClockFits(Rows):
     """How well K clocks fit two trains."""
 
     log_likelihood: Floats  # minus that of no matched slip, with the prior of the drift, (K,)
@@ -141,10 +137,6 @@ class ClockFits:
     def matched(self) -> Ints:
         """Number of pairs, (K,)."""
         return np.asarray((self.partner >= 0).sum(axis=1))
-
-    def take(self, rows: Ints) -> ClockFits:
-        """The fits with these indices."""
-        return ClockFits(*(getattr(self, part.name)[rows] for part in fields(self)))
 
 
 def fit_clocks(

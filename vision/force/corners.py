@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.polynomial.legendre import legvander
@@ -11,7 +11,7 @@ from vision.force.lines import fit_broken_lines, fit_polynomials
 from vision.force.settings import ForceSettings
 from vision.force.signal import Signal
 from vision.force.slips import Slips, stick_lines, stick_middles
-from vision.numeric import Bools, Floats, Ints, flat_ranges, mad_sigma, nan_median
+from vision.numeric import Bools, Floats, Ints, Rows, flat_ranges, mad_sigma, nan_median
 from vision.signals import running_mean
 
 # The 90 % and 10 % crossings lie at these shares of half the slip's length from its middle: 0.59 for half a
@@ -29,7 +29,7 @@ AVERAGE_ERROR = 0.2
 
 
 @dataclass(frozen=True)
-class SlipTransients:
+class SlipTransients(Rows):
     """The stretch after each slip, in which a low-pass leaves a transient; all in samples."""
 
     start: Ints  # of half-open ranges clear of slips
@@ -38,10 +38,6 @@ class SlipTransients:
     valley: Floats  # end of the slip
     peak: Floats  # where the next slip begins
     drop: Floats  # the slip's height
-
-    def take(self, rows: Bools) -> SlipTransients:
-        """Return the selected transients."""
-        return SlipTransients(*(getattr(self, part.name)[rows] for part in fields(self)))
 
 
 @dataclass(frozen=True)

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
-from vision.numeric import Floats, Ints, flat_ranges
+from vision.numeric import Floats, Ints, Rows, flat_ranges
 
 LEAST_FOR_KNEE = 12  # samples of a stretch below which two slopes cannot be fitted
 
 
 @dataclass(frozen=True)
-class Lines:
+class Lines(Rows):
     """Least-squares lines, one per stretch: y = mean_y + slope (x - mean_x).
 
     All are NaN with fewer than three samples or where x does not vary.
@@ -47,10 +47,6 @@ class Lines:
     def slope_error(self) -> Floats:
         """Standard error of the slopes, from the residuals."""
         return self.spread / np.sqrt(self.sxx)
-
-    def take(self, rows: slice | Ints) -> Lines:
-        """Return the selected lines."""
-        return Lines(*(getattr(self, part.name)[rows] for part in fields(self)))
 
     @classmethod
     def joined(cls, parts: Sequence[Lines]) -> Lines:
