@@ -149,16 +149,14 @@ def synchronise(
     if StripMetadata.of(tracks).clock_kind == "playback":
         warnings = ("frame times are the file's playback rate, which need not be the camera's: give `fps`",)
     if offset_s is not None:
-        given = given_clock(offset_s, drift_ppm, _frame_times(tracks), force)
-        clock = _given(tracks, force, sticks, given, settings)
-    elif (column := clock_from_column(force)) is not None:
-        _check_overlap(_frame_times(tracks), force, column, ForceMetadata.of(force).source)
-        clock = _given(tracks, force, sticks, column, settings)
-    else:
-        clock = _from_slips(tracks, force, sticks, settings)
-        if "video_time_s" in force:
-            unusable = "the column of video times in the force recording is not usable: the slips are used"
-            warnings = (*warnings, unusable)
+        given: Clock | None = given_clock(offset_s, drift_ppm, _frame_times(tracks), force)
+    elif (given := clock_from_column(force)) is not None:
+        _check_overlap(_frame_times(tracks), force, given, ForceMetadata.of(force).source)
+    elif "video_time_s" in force:
+        unusable = "the column of video times in the force recording is not usable: the slips are used"
+        warnings = (*warnings, unusable)
+    recordings = tracks, force, sticks
+    clock = _given(*recordings, given, settings) if given else _from_slips(*recordings, settings)
     return replace(clock, warnings=(*warnings, *clock.warnings))
 
 
