@@ -123,10 +123,10 @@ def find_stick_slip(
     calm = _without_ringing(signal, swing_s, threshold_N, settings)
     ringing_s = swing_s if calm else math.nan
     seconds = _average(average_s, ringing_s, lowpass_s)
-    # What was searched to tell ringing, or smooth noise, is not searched again.
-    known, lowpass = calm if seconds == ringing_s else None, None
+    # Slips that were searched to tell ringing, or smooth noise, are not searched again.
+    known = calm if seconds == ringing_s else None
     if not seconds:
-        known, lowpass = _slips_in_smooth_noise(signal, threshold_N, lowpass_s, settings)
+        known = _slips_in_smooth_noise(signal, threshold_N, lowpass_s, settings)
     signal = known[0] if known else signal.average(seconds, settings)
     still_rings = signal.averaged * signal.interval_s < 0.7 * ringing_s  # not where there is no ringing
     rings = _proposal(ringing_s) if still_rings else ""
@@ -136,7 +136,7 @@ def find_stick_slip(
         raise _too_few_slips(signal, slips, source, rings)
     period_s = slips.period * signal.interval_s
     _check_lowpass(lowpass_s, period_s, source)
-    analysis = _analyse_slips(signal, slips, lowpass_s, two_slopes, settings, lowpass)
+    analysis = _analyse_slips(signal, slips, lowpass_s, two_slopes, settings)
     unloading = is_unloading(signal.travel, analysis.extremes)
     events, shares = _measure(signal, analysis, 1 / (machine_stiffness_N_per_mm or np.inf), settings)
     _check_direction(events, unloading, source)
@@ -188,26 +188,25 @@ def _without_ringing(
 
 def _slips_in_smooth_noise(
     signal: Signal, threshold_N: float | None, lowpass_s: float | str, settings: ForceSettings
-) -> tuple[tuple[Signal, Slips] | None, Lowpass | None]:
+) -> tuple[Signal, Slips] | None:
     """Return the samples as far apart as a filter has smoothed the noise, and the slips in them.
 
     Samples between add nothing, and noise that is white is told from slips. All samples are returned, with
-    this noise, where a low-pass is given or the transients after slips show one, which need them; one that
-    they show is returned as well. None where samples are not alike, or where too few would be left in a
-    stick.
+    this noise, where a low-pass is given or the transients after slips prove one, which need them. None where
+    samples are not alike, or where too few would be left in a stick.
     """
     every = smoothed_samples(signal.clean, settings)
     if every == 1:
-        return None, None
+        return None
     thin, slips = _slips(signal.thinned(every, settings), threshold_N, settings)
     if slips.edge.size < 2 or slips.period <= 3 * settings.few_samples:
-        return None, None
+        return None
     fine = slips.in_every_sample(signal.clean, every)
     full = signal.with_noise_of(thin)
-    if not isinstance(lowpass_s, str) and lowpass_s > 0:
-        return (full, fine), None
-    found = find_lowpass(full, fine, find_corners(full, fine, settings=settings), settings)
-    return ((full, fine), found) if found.proven else ((thin, slips), None)
+    given = not isinstance(lowpass_s, str) and lowpass_s > 0
+    if given or find_lowpass(full, fine, find_corners(full, fine, settings=settings), settings).proven:
+        return full, fine
+    return thin, slips
 
 
 def _proposal(ringing_s: float) -> str:
@@ -349,12 +348,8 @@ def _analyse_slips(
     lowpass_s: float | str,
     two_slopes: bool | None,
     settings: ForceSettings,
-    lowpass: Lowpass | None,
 ) -> _SlipAnalysis:
-    """Find corners, extremes, knees and the regime, and decide which low-pass to correct for.
-
-    lowpass: the one that sticks without knees show, if it was looked for.
-    """
+    """Find corners, extremes, knees and the regime, and decide which low-pass to correct for."""
     given = 0.0 if isinstance(lowpass_s, str) else lowpass_s / signal.interval_s
     bent = _have_knees(signal, slips, given, settings) if two_slopes is None else two_slopes
     corners = find_corners(signal, slips, two_slopes=bent, settings=settings)
@@ -364,7 +359,7 @@ def _analyse_slips(
         extremes = _without_average(extremes, signal, slips, settings)
     found = Lowpass()
     if not given and not signal.averaged and regime.name == "stick-slip":
-        found = lowpass if lowpass and not bent else find_lowpass(signal, slips, corners, settings)
+        found = find_lowpass(signal, slips, corners, settings)
         if found.samples and not bent and two_slopes is None:
             # The transients of the low-pass may hide the knees.
             bent = _have_knees(signal, slips, found.samples, settings)
