@@ -214,7 +214,7 @@ def test_rows_with_the_time_of_day_are_left_out(rows):
     if rows is not None:
         for frame in frames:
             cv2.putText(
-                frame, "2024-05-12 14:30:05", (8, rows.stop - 1), cv2.FONT_HERSHEY_SIMPLEX, 0.6, 255, 2
+                frame, "2024-05-12 14:30:05", (8, rows.stop - 1), cv2.FONT_HERSHEY_SIMPLEX, 0.5, 255, 2
             )
     found = find_strip(Scene(frames)).rows
     if rows is None:
