@@ -265,8 +265,9 @@ def mean_deformation_figure(motion: xr.Dataset, *, threshold: float = STIFF_BELO
     curves = []
     for part in (known.isel(event=slice(start, start + each)) for start in starts):
         label = f"d_v = {part['d_v_mm'].to_numpy().mean():.2f} mm, mean of {each}"
-        spread = part["ratio"].std("event", ddof=1).fillna(0)
-        curves.append((label, part["ratio"].mean("event"), spread))
+        mean = part["ratio"].mean("event")
+        free = (part["ratio"].count("event") - 1).clip(min=1)  # 0 of one phase
+        curves.append((label, mean, (((part["ratio"] - mean) ** 2).sum("event") / free) ** 0.5))
     return _ratio_panel(motion, curves, threshold, width=1.4).figure(
         "mean_deformation",
         f"σ_x/Λ_st of every sheet: means over {each} stick phases with mean separation d_v, and their "
