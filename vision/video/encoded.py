@@ -53,7 +53,8 @@ EXPORT_QUANTISERS = {"export_side_data": "venc_params"}
 _STEPS_STATED = {"mpeg1video", "mpeg2video", "mpeg4", "h263", "flv1", "wmv1", "wmv2"}
 _STEPS_STATED |= {"msmpeg4v1", "msmpeg4v2", "msmpeg4v3"}  # of these FFmpeg reports the step itself
 _FIRST_LEVEL = re.compile(r" init_qp_minus26 .*= (-?\d+)")
-_SLICE_LEVEL = re.compile(r" slice_type .*= 1\n(?:.*\n)*?.* slice_qp_delta .*= (-?\d+)")  # of a P slice
+_SLICE = re.compile(r" (slice_type|slice_qp_delta) .*= (-?\d+)")
+_PREDICTED = "1"  # type of a slice that is predicted from frames before
 _RESTART = re.compile(rb"\xff([\xd0-\xd7])")
 
 
@@ -422,7 +423,12 @@ def _slice_levels(stream: av.VideoStream) -> list[float]:
         av.logging.set_level(before)
     text = "\n".join(line.strip() for _, _, line in lines)
     first = sum(map(float, _FIRST_LEVEL.findall(text)[:1]), start=26.0)
-    return [first + float(level) for level in _SLICE_LEVEL.findall(text)]
+    entries = _SLICE.findall(text)  # of each slice its type and, later, its level
+    return [
+        first + float(level)
+        for (before, kind), (name, level) in itertools.pairwise(entries)
+        if (before, kind, name) == ("slice_type", _PREDICTED, "slice_qp_delta")
+    ]
 
 
 def block_quantisers(frame: av.VideoFrame) -> tuple[int, Ints] | None:
