@@ -342,6 +342,21 @@ _FORMULA = tuple("=+-@")  # first characters of cells that Excel and LibreOffice
 _NUMBER = re.compile(r"[-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?")
 
 
+class Shown:
+    """A result that shows its main values as a table in notebooks, and as lines of text elsewhere."""
+
+    def _shown(self) -> tuple[str, dict[str, str]]:
+        """Return the title, and the names and texts of the values."""
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        title, rows = self._shown()
+        return "\n".join([title, *(f"  {name}: {text}" for name, text in rows.items())])
+
+    def _repr_html_(self) -> str:
+        return html_table(*self._shown())
+
+
 def html_table(title: str, rows: Mapping[str, str]) -> str:
     """Return an HTML table of two columns for notebooks, with escaped text."""
     cells = "".join(

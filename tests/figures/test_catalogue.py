@@ -290,6 +290,10 @@ def test_clock_and_models_are_short_tables(pulled):
     assert 10 <= min(mu.error, mu.systematic_error) * 10**digits < 100
     assert clock.count("<tr>") <= 8
     assert fits.count("<tr>") <= 14
+    for shown, table in ((pulled.clock, clock), (pulled.fits, fits)):
+        lines = repr(shown).splitlines()
+        assert len(lines) == 1 + table.count("<tr>")
+        assert max(map(len, lines)) < 160
 
 
 def test_text_cannot_break_the_table():

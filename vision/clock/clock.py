@@ -25,7 +25,7 @@ from vision.clock.settings import ClockSettings
 from vision.clock.slips import force_slips, video_slips
 from vision.data import FORCE, STICKS, TRACKS, ForceMetadata, StripMetadata
 from vision.errors import InputError, check_number
-from vision.folder import html_table
+from vision.folder import Shown
 from vision.force.recording import good_samples
 from vision.numeric import Floats, nan_median, sigma_about_zero, two_digits, with_minus
 
@@ -43,8 +43,8 @@ class Candidate:
     matched: int  # number of paired slips
 
 
-@dataclass(frozen=True, kw_only=True)
-class Clock:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Clock(Shown):
     r"""How video time maps to the force clock.
 
     .. math:: t_\mathrm{force} = \mathtt{offset\_s} + (1 + 10^{-6}\,\mathtt{drift\_ppm})\, t_\mathrm{video}
@@ -81,7 +81,7 @@ class Clock:
         """Video time at these times of the force clock, s; NaN stays NaN."""
         return (np.asarray(force_time_s, np.float64) - self.offset_s) / (1 + 1e-6 * self.drift_ppm)
 
-    def _repr_html_(self) -> str:
+    def _shown(self) -> tuple[str, dict[str, str]]:
         def with_error(value: str, error: float, unit: str) -> str:
             return f"{value} ± {two_digits(error)} {unit}" if math.isfinite(error) else f"{value} {unit}"
 
@@ -97,7 +97,7 @@ class Clock:
         if math.isfinite(self.margin):
             rows["margin"] = f"{self.margin:.1f} in log-likelihood"
         rows |= {f"warning {k}": line for k, line in enumerate(self.warnings, 1)}
-        return html_table("camera's clock to force clock", rows)
+        return "camera's clock to force clock", rows
 
 
 # --- synchronise --------------------------------------------------------------------------------------------

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from vision.data import whole_events
 from vision.errors import InputError
-from vision.folder import html_table
+from vision.folder import Shown
 from vision.models import equations
 from vision.numeric import Bools, Floats, with_minus
 from vision.sample import Sample
@@ -126,8 +126,8 @@ class Goodness:
     chi2_dof: float
 
 
-@dataclass(frozen=True, kw_only=True)
-class ModelFits:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class ModelFits(Shown):
     """Parameters of the paper's models for one recording, with standard errors."""
 
     mu: Estimate  # friction coefficient
@@ -192,7 +192,7 @@ class ModelFits:
             return "not determined"
         return f"{both_errors(getattr(self, PARAMETERS[name]))} {unit}".rstrip()
 
-    def _repr_html_(self) -> str:
+    def _shown(self) -> tuple[str, dict[str, str]]:
         shown = (("μ", ""), ("𝒯0", "N"), ("A", ""), ("N̂", "N"), ("Y_eff", "GPa"), ("Λ̂", "mm"))
         rows = {symbol: self.text(name, unit) for (symbol, unit), name in zip(shown, PARAMETERS, strict=True)}
         rows["d"] = f"{self.d_mm[0]:.2f} to {self.d_mm[1]:.2f} mm"
@@ -200,8 +200,9 @@ class ModelFits:
             f"χ²/dof, {name}": f"{good.chi2_dof:.3g} ({good.points} points)"
             for name, good in self.goodness.items()
         }
-        rows |= {f"note {k}": line for k, line in enumerate(self.notes, 1)}
-        return html_table("models fitted to the force recording", rows)
+        for kind, lines in (("note", self.notes), ("warning", self.warnings)):
+            rows |= {f"{kind} {k}": line for k, line in enumerate(lines, 1)}
+        return "models fitted to the force recording", rows
 
     def to_json(self) -> dict[str, Any]:
         """Return the content of models.json: values with errors, goodness of fit and sample."""
