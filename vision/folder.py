@@ -11,7 +11,7 @@ import os
 import re
 import secrets
 import shutil
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
@@ -355,6 +355,11 @@ class Shown:
 
     def _repr_html_(self) -> str:
         return html_table(*self._shown())
+
+
+def numbered(name: str, lines: Sequence[str]) -> dict[str, str]:
+    """Return lines as rows of a table, under this name and their number: "warning 1"."""
+    return {f"{name} {k}": line for k, line in enumerate(lines, 1)}
 
 
 def html_table(title: str, rows: Mapping[str, str]) -> str:

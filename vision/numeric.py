@@ -238,12 +238,6 @@ def in_two_threads(work: Callable[[Item], Result], items: Iterable[Item]) -> lis
     return [results[k] for k in range(len(todo))]
 
 
-def column_parts(values: NDArray[Any]) -> Iterator[slice]:
-    """Yield slices of consecutive columns of a table (rows, columns), with `AT_ONCE` values or one column."""
-    rows, columns = values.shape
-    return row_parts(columns, max(1, AT_ONCE // max(1, rows)))
-
-
 def weighted_median(values: Floats, weights: Floats) -> float:
     """Return the value up to which the weights add up to half of their sum; (values,), NaN where not known.
 

@@ -42,7 +42,7 @@ from vision.errors import (
 )
 from vision.figures.catalogue import Plots, Results, figure_named
 from vision.files import Progress
-from vision.folder import html_table
+from vision.folder import html_table, numbered
 from vision.force import ForceSettings, find_stick_slip, read_force
 from vision.memory import give_back_freed
 from vision.models import FitSettings, ModelFits, fit_models
@@ -216,8 +216,7 @@ class Analysis(Results):
             head, _, rest = line.partition(" ")
             name = head or name  # an indented line continues the previous one
             found[name] = f"{found[name]}; {rest.strip()}" if name in found else rest.strip()
-        found |= {f"warning {k}": line for k, line in enumerate(self.warnings, 1)}
-        text = html_table("analysis", found)
+        text = html_table("analysis", found | numbered("warning", self.warnings))
         if self.tracks is None:
             return text
         picture = base64.b64encode(figure_named(self, "tracks").png()).decode()

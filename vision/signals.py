@@ -12,7 +12,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from vision.numeric import AT_ONCE, Floats, Ints, column_parts, row_parts
+from vision.numeric import AT_ONCE, Floats, Ints, row_parts
 
 
 def running_median(
@@ -71,7 +71,7 @@ def minmax_decimate(x: Floats, y: NDArray[np.floating], *, most: int) -> tuple[F
     intervals = -(-len(x) // step)
     rows = np.minimum(np.arange(intervals)[:, None] * step + [0, min(step - 1, step // 2)], len(x) - 1)
     extremes = np.empty((2 * intervals, columns.shape[1]))
-    for part in column_parts(columns):  # limits the memory
+    for part in row_parts(columns.shape[1], max(1, AT_ONCE // len(x))):  # limits the memory
         extremes[:, part] = _extremes(columns[:, part], step, intervals)
     return np.asarray(x, np.float64)[rows.ravel()], extremes.reshape(-1, *y.shape[1:])
 

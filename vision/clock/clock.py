@@ -25,7 +25,7 @@ from vision.clock.settings import ClockSettings
 from vision.clock.slips import force_slips, video_slips
 from vision.data import FORCE, STICKS, TRACKS, ForceMetadata, StripMetadata
 from vision.errors import InputError, check_number
-from vision.folder import Shown
+from vision.folder import Shown, numbered
 from vision.force.recording import good_samples
 from vision.numeric import Floats, nan_median, sigma_about_zero, two_digits, with_minus
 
@@ -96,8 +96,7 @@ class Clock(Shown):
             rows["residual"] = f"{self.residual_ms:.2g} ms (median)"
         if math.isfinite(self.margin):
             rows["margin"] = f"{self.margin:.1f} in log-likelihood"
-        rows |= {f"warning {k}": line for k, line in enumerate(self.warnings, 1)}
-        return "camera's clock to force clock", rows
+        return "camera's clock to force clock", rows | numbered("warning", self.warnings)
 
 
 # --- synchronise --------------------------------------------------------------------------------------------

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from vision.data import whole_events
 from vision.errors import InputError
-from vision.folder import Shown
+from vision.folder import Shown, numbered
 from vision.models import equations
 from vision.numeric import Bools, Floats, with_minus
 from vision.sample import Sample
@@ -200,8 +200,7 @@ class ModelFits(Shown):
             f"χ²/dof, {name}": f"{good.chi2_dof:.3g} ({good.points} points)"
             for name, good in self.goodness.items()
         }
-        for kind, lines in (("note", self.notes), ("warning", self.warnings)):
-            rows |= {f"{kind} {k}": line for k, line in enumerate(lines, 1)}
+        rows |= numbered("note", self.notes) | numbered("warning", self.warnings)
         return "models fitted to the force recording", rows
 
     def to_json(self) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from vision.numeric import Floats, Ints, Ints32, in_two_threads, row_parts
+from vision.numeric import Floats, Ints, Ints32, Rows, in_two_threads, row_parts
 from vision.sheets.settings import DEFAULT, TrackingSettings
 
 Real = TypeVar("Real", bound=np.floating)
@@ -57,7 +57,7 @@ class ExpectedSheets:
 
 
 @dataclass(frozen=True)
-class Candidates:
+class Candidates(Rows):
     """Candidate lists, (lists, K), each row ascending in x and padded with NaN: positions, and logarithms of
     contrast and width.
     """
@@ -65,10 +65,6 @@ class Candidates:
     x_px: Floats
     log_contrast: Floats
     log_width: Floats
-
-    def take(self, rows: Ints) -> Candidates:
-        """Return some of the lists."""
-        return Candidates(self.x_px[rows], self.log_contrast[rows], self.log_width[rows])
 
     def first(self, count: int) -> Candidates:
         """Return the first entries of every list."""

@@ -324,7 +324,8 @@ def distortion(
         texture = texture_error(x_px, log_height, comb)
     scale = displacement_scale_error(x_px, shapes, settings)
     covered_px = comb.fwhm_px / 2 * _single_width_changes(np.log(fwhm_px), settings)
-    size = _shift_by_light(x_px, log_height, pulled_px2, settings)
+    rest = typical_median(x_px)
+    size = _shift_by_light(rest, log_height, pulled_px2, settings)
     del height, log_height, shapes  # each is as large as the positions
     differences = [
         _Difference(
@@ -339,7 +340,6 @@ def distortion(
     ]
     usual_px, reach_px = np.empty(x_px.shape[1]), settings.texture_reach * comb.fwhm_px
     own_noise, middles = ([of(one.px) for one in differences] for of in (position_noise, typical_median))
-    rest = typical_median(x_px)
 
     def of_sheet(n: int) -> None:
         found = slight = size[:, n]
@@ -642,13 +642,13 @@ def levels_around(bright: Floats32, x_px: Floats, half: int) -> Floats:
 
 
 def _shift_by_light(
-    x_px: Floats, log_height: Floats, pulled_px2: Floats, settings: TrackingSettings
+    rest_px: Floats, log_height: Floats, pulled_px2: Floats, settings: TrackingSettings
 ) -> Floats:
     r"""Return the shift of each ridge due to light L that falls off over it, px, (frame, N).
 
-    pulled_px2: shift of each ridge per slope :math:`L'/L`, px², (frame, N): that of the fit of the mean shape
-    to :math:`u\,(a + b\,S(u))`, since the light between the ridges slopes as well. It and log_height, (frame,
-    N), are changed in place.
+    rest_px: usual position of each sheet, (N,). pulled_px2: shift of each ridge per slope :math:`L'/L`, px²,
+    (frame, N): that of the fit of the mean shape to :math:`u\,(a + b\,S(u))`, since the light between the
+    ridges slopes as well. It and log_height, (frame, N), are changed in place.
 
     A Gaussian in such light remains a Gaussian, shifted by :math:`\sigma_r^2 L'/L`, so that only heights
     reveal the shift. A lamp that moves, or the edge of a shadow, shows as a slope between a sheet and its
@@ -667,13 +667,13 @@ def _shift_by_light(
     if light.shape[1] >= ENOUGH:
         scatter = _scatter_across(light)
         shift = np.zeros_like(light)
-        np.fmax(shift, _tilt(light, x_px, scatter, settings)[:, None], out=shift)
-        _raise_to_slope_across(shift, light, x_px, scatter, settings)
+        np.fmax(shift, _tilt(light, rest_px, scatter, settings)[:, None], out=shift)
+        _raise_to_slope_across(shift, light, rest_px, scatter, settings)
         in_two_threads(smooth, light.T)
-        _raise_to_slope_across(shift, light, x_px, _scatter_across(light), settings)
+        _raise_to_slope_across(shift, light, rest_px, _scatter_across(light), settings)
     else:
         with np.errstate(divide="ignore", invalid="ignore"):
-            slope = np.diff(light, axis=1) / np.diff(typical_median(x_px))
+            slope = np.diff(light, axis=1) / np.diff(rest_px)
         noise = np.broadcast_to(position_noise(slope), slope.shape)
         for between, own in zip(slope.T, noise.T, strict=True):
             between[:] = _significant(between, np.fmax(own, 0.0), settings)[1]
@@ -683,14 +683,14 @@ def _shift_by_light(
 
 
 def _raise_to_slope_across(
-    size: Floats, light: Floats, x_px: Floats, scatter: float, settings: TrackingSettings
+    size: Floats, light: Floats, rest_px: Floats, scatter: float, settings: TrackingSettings
 ) -> None:
     """Raise `size` to the slope of the light from sheet to sheet, per px, (frame, N), where it is no scatter.
 
     It is the smaller of the slopes to both neighbours if these have the same sign, and its scatter is that of
     single sheets against the mean of their neighbours. The first and last sheet have that of their neighbour.
     """
-    apart = np.diff(typical_median(x_px))
+    apart = np.diff(rest_px)
     apart_px = float(nan_median(apart))
     apart = np.where(apart > 0, apart, np.nan)
     least = settings.distortion_sigmas * np.sqrt(2) * scatter / apart_px
@@ -703,12 +703,12 @@ def _raise_to_slope_across(
         np.fmax(size[rows], across, out=size[rows])
 
 
-def _tilt(light: Floats, x_px: Floats, scatter: float, settings: TrackingSettings) -> Floats:
+def _tilt(light: Floats, rest_px: Floats, scatter: float, settings: TrackingSettings) -> Floats:
     """Return the size of the slope of the light over the whole comb, per px, (frame,); 0 where it is scatter.
     It is the median over all pairs of sheets that are half the comb apart, which single sheets and shadows do
     not change."""
-    half, rest = light.shape[1] // 2, typical_median(x_px)
-    apart = rest[half:] - rest[:-half]
+    half = light.shape[1] // 2
+    apart = rest_px[half:] - rest_px[:-half]
     apart = np.where(apart > 0, apart, np.nan)
     slope = np.empty(len(light))
     for rows in row_parts(len(light)):

@@ -422,7 +422,8 @@ def _slice_levels(stream: av.VideoStream) -> list[float]:
     finally:
         av.logging.set_level(before)
     text = "\n".join(line.strip() for _, _, line in lines)
-    first = sum(map(float, _FIRST_LEVEL.findall(text)[:1]), start=26.0)
+    stated = _FIRST_LEVEL.search(text)
+    first = 26.0 + (float(stated[1]) if stated else 0.0)
     entries = _SLICE.findall(text)  # of each slice its type and, later, its level
     return [
         first + float(level)

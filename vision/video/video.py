@@ -15,7 +15,7 @@ import numpy as np
 
 from vision.errors import PATH, InputError, check_kind, check_within, shown
 from vision.files import Stamp, answered, check_pixels, check_regular, members, reading
-from vision.folder import html_table
+from vision.folder import html_table, numbered
 from vision.numeric import Floats, Ints, Pixels
 from vision.video.raw import PIXELS, is_photron, open_raw, photron_files
 from vision.video.reader import Block, Facts, Reader
@@ -74,8 +74,7 @@ class Video:
             "frame rate": f"{self.clock.fps:g} /s ({self.clock.kind})" if known else "not known",
             "duration": "not known" if self.duration_s is None else f"{self.duration_s:.4g} s",
         }
-        table |= {f"warning {k}": line for k, line in enumerate(self.warnings, 1)}
-        return html_table(self.path.name, table)
+        return html_table(self.path.name, table | numbered("warning", self.warnings))
 
     @property
     def facts(self) -> Facts:
