@@ -24,7 +24,8 @@ exclude_patterns = ["_build"]
 html_theme = "alabaster"
 html_theme_options = {
     "description": "Positions of interleaved paper sheets, x(n,t), from a video of stick-slip",
-    "page_width": "1100px",
+    "page_width": "1280px",  # lines of code are up to 110 characters long
+    "body_max_width": "none",
 }
 
 default_role = "literal"  # `name` in a docstring is code

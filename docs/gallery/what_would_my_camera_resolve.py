@@ -47,7 +47,8 @@ for (name, camera), mark in zip(cameras.items(), ("o", "s"), strict=True):
     ax.plot(tracks["side"] * tracks["n"], error_um, color=dots.get_color(), label="  error against the truth")
 
 limit_um = 0.1 * float(np.nanmedian(truth["stick_length_um"]))
-ax.axhline(limit_um, color="0.4", ls="--", label=f"σ_x at the threshold, Λ_st/10 = {limit_um:.1f} µm")
+name = rf"$\sigma_x$ at the threshold, $\Lambda_{{st}}$/10 = {limit_um:.1f} µm"
+ax.axhline(limit_um, color="0.4", ls="--", label=name)
 ax.set(xlabel="sheet, side × n", ylabel="σ of a position (µm)", ylim=(0, None))
 ax.set_title("Noise of every sheet's position in one frame, two cameras on the same test", loc="left")
 ax.legend(loc="lower right", bbox_to_anchor=(1, 1.06), ncols=3, fontsize=8, frameon=False)
