@@ -248,8 +248,9 @@ def analyse(
         clock are reused unless a changed correction affects them. With the strip reused, no video is needed.
     progress
         Called with (frames done, total frames or None) while the video is read.
-    log, follow
-        `vision.run.reading.Checkpoint`, which stores what is read so that an interrupted run can be resumed;
+    log
+        `vision.run.reading.Checkpoint`, which stores what is read so that an interrupted run can be resumed.
+    follow
         `vision.video.Follow`, which reads a growing recording until it is closed.
 
     Returns
