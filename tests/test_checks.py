@@ -16,7 +16,6 @@ from tests.scenes.combs import blurred, comb, ridges, strip
 from tests.scenes.reviewed import FORCE, SETTINGS, VIDEO, clean
 from vision.checks import (
     CheckSettings,
-    all_warnings,
     consistency_warnings,
     overexposure,
     shells_against_fits,
@@ -24,7 +23,7 @@ from vision.checks import (
     unlike_sides,
 )
 from vision.figures import Results
-from vision.pipeline import Analysis, Settings, analyse
+from vision.pipeline import Analysis, Settings, Tuning, all_warnings, analyse
 from vision.sample import PUBLISHED
 from vision.sheets import TrackingSettings, track_sheets
 from vision.shells import ShellSettings
@@ -65,11 +64,15 @@ def test_every_setting_is_used(name):
 
 def test_settings_reach_the_warnings(tracked):
     """A failure means that `tuning.checks` stops somewhere on the way."""
-    data = Analysis(settings=Settings(pixel_size_um=10.0), tracks=tracked)
-    video, shells = VideoSettings(), ShellSettings()
-    assert not all_warnings(data, None, PUBLISHED, video, shells, CheckSettings())
-    strict = CheckSettings(odd_width=0.5, unlikely_spacing=1.0)
-    wide, apart = all_warnings(data, None, PUBLISHED, video, shells, strict)
+
+    def warned(**tuning):
+        settings = Settings(pixel_size_um=10.0, sample=PUBLISHED, tuning=Tuning(**tuning))
+        return all_warnings(Analysis(settings=settings, tracks=tracked))
+
+    assert not warned()
+    (still,) = warned(tracking=TrackingSettings(still_share=1.1))
+    assert "hardly any sheet moves" in still
+    wide, apart = warned(checks=CheckSettings(odd_width=0.5, unlikely_spacing=1.0))
     assert "50 of 50 sheets" in wide and "0.2 mm apart" in apart
     assert apart.endswith("check `pixel_size_um` (µm) and `thickness_mm`")
 

@@ -11,17 +11,18 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vision.data import ForceMetadata, StripMetadata, TrackMetadata, load_unit, warnings_of
+from vision.data import TrackMetadata
 from vision.errors import counted
 from vision.memory import is_word, word_counts
 from vision.models.equations import effective_sheets
-from vision.numeric import Bools, Floats, Pixels, nan_median, nan_quantile, stretches
+from vision.numeric import Bools, Floats, Ints, Pixels, nan_median, nan_quantile, stretches
 from vision.sample import Sample
 from vision.sheets.numbering import ends_in_view
+from vision.sheets.settings import DEFAULT as TRACKING
+from vision.sheets.settings import TrackingSettings
 from vision.sheets.tracks import comb_is_stationary
 
 if TYPE_CHECKING:
-    from vision.figures import Results
     from vision.models import ModelFits
     from vision.shells import ShellSettings
     from vision.video import VideoSettings
@@ -109,52 +110,6 @@ class CheckSettings:
 DEFAULT = CheckSettings()
 
 
-def all_warnings(
-    results: Results,
-    sample: Sample | None,
-    assumed: Sample | None,
-    video: VideoSettings,
-    shells: ShellSettings,
-    settings: CheckSettings,
-) -> tuple[str, ...]:
-    """Return the warnings that matter for the results, in the order of the stages, without repetition.
-
-    sample, assumed: as for `consistency_warnings`.  video, shells: settings of these stages.
-    """
-    lines: list[str] = []
-    if (tracks := results.tracks) is not None:
-        lines += warnings_of(tracks)
-        if results.frame is not None:
-            strip = StripMetadata.of(tracks)
-            lines += overexposure(results.frame, slice(strip.strip_z0, strip.strip_z1), video)
-        lines += tracking_warnings(tracks, settings)
-        columns = None if results.strip is None else results.strip["x"].values
-        lines += consistency_warnings(
-            tracks,
-            sample,
-            assumed=assumed,
-            pixel_size_um=results.pixel_size_um,
-            columns=columns,
-            settings=settings,
-        )
-    if results.force is not None:
-        lines += warnings_of(results.force, results.sticks)
-        facts = ForceMetadata.of(results.force)
-        if facts.lacks_d0:
-            lines.append(
-                "the initial separation is not known: d is how far the machine moved, and no model is "
-                "fitted; give `d0_mm` (0 if the displacement is the separation itself)"
-            )
-        elif "fits" in results.reasons and math.isfinite(facts.d0_mm) and load_unit(results.force) == "N":
-            lines.append(f"no model fits: {results.reasons['fits']}")
-    lines += results.fits.warnings if results.fits else ()
-    lines += results.clock.warnings if results.clock else ()
-    lines += warnings_of(results.motion)
-    lines += shells_against_fits(results.shells, results.fits, shells)
-    lines += unlike_sides(results.shells, shells)
-    return tuple(dict.fromkeys(lines))
-
-
 # --- warnings about the tracks ------------------------------------------------------------------------------
 
 
@@ -170,13 +125,15 @@ DOUBTFUL = {
 """Flags of positions that are left out because they may belong to another sheet, and why."""
 
 
-def tracking_warnings(tracks: xr.Dataset, settings: CheckSettings = DEFAULT) -> list[str]:
+def tracking_warnings(
+    tracks: xr.Dataset, settings: CheckSettings = DEFAULT, tracking: TrackingSettings = TRACKING
+) -> list[str]:
     """Return warnings about polarity, frozen or averaged frames, doubtful or missing positions, motion, a
     second comb, missed sheets."""
-    return list(_of_tracks(tracks, settings))
+    return list(_of_tracks(tracks, settings, tracking))
 
 
-def _of_tracks(tracks: xr.Dataset, settings: CheckSettings) -> Iterator[str]:
+def _of_tracks(tracks: xr.Dataset, settings: CheckSettings, tracking: TrackingSettings) -> Iterator[str]:
     found, flags = TrackMetadata.of(tracks), flag_counts(tracks)
     if found.ridges_doubt:
         yield (
@@ -201,7 +158,7 @@ def _of_tracks(tracks: xr.Dataset, settings: CheckSettings) -> Iterator[str]:
     if missing > settings.usual_missing * total:
         yield f"{missing} of {total} positions missing (flags missing, edge, unfit in tracks.csv)"
     yield from _frames_with_few_sheets(tracks)
-    yield from _still(tracks, measured="ok" in flags)
+    yield from _still(tracks, tracking, measured="ok" in flags)
     yield from _second_comb(tracks, found, settings)
     if found.noise_lasts:
         yield (
@@ -249,7 +206,7 @@ def why_left_out(flags: Mapping[str, int]) -> str:
     return ": " + ", ".join(f"{count} {why}" for why, count in counts.items())
 
 
-def _still(tracks: xr.Dataset, *, measured: bool) -> Iterator[str]:
+def _still(tracks: xr.Dataset, settings: TrackingSettings, *, measured: bool) -> Iterator[str]:
     """Warn if neither motion nor noise is seen, or only noise."""
     frames = tracks.sizes["frame"]
     if frames < 3:
@@ -262,7 +219,7 @@ def _still(tracks: xr.Dataset, *, measured: bool) -> Iterator[str]:
             )
         else:
             yield "all frames are equal: neither motion nor noise can be measured"
-    elif frames >= 20 and measured and comb_is_stationary(tracks):
+    elif frames >= 20 and measured and comb_is_stationary(tracks, settings):
         yield (
             "hardly any sheet moves relative to the others by more than the noise: if more should, the comb"
             " may be a pattern in the background (`rows`, `columns`), or the pull is in other `frames`"
@@ -406,17 +363,9 @@ def consistency_warnings(
             " innermost of them: if others lie between it and the axis, n and the stiff shell are too small"
             " by their number: give `axis_px`"
         )
-    left, right = (int((tracks["side"].values == side).sum()) for side in (-1, 1))
-    fewer, more = sorted((left, right))
-    one_lacks = used is not None and more == used.sheets_per_block and 1 <= more - fewer <= 2
-    if one_lacks and found.sheets_how == "found":
-        lines.append(
-            f"{left} sheets on the left but {right} on the right: if one is overlooked, n of those beyond it"
-            " is too small: look for a wide spacing or a sheet outside the picture, or give the number of"
-            " sheets in view (`sheets`)"
-        )
     view_px = None if columns is None else (columns[0], columns[-1])
-    lines += _axis_warnings(tracks, found, ends_in_view(ends_px, view_px, found.pitch_px), settings)
+    in_view = ends_in_view(ends_px, view_px, found.pitch_px)
+    lines += _side_warnings(tracks["side"].values, found, used, in_view, settings)
     spacing = math.nan if pixel_size_um is None else found.pitch_px * pixel_size_um / 1000
     if used is None and 1000 * spacing < settings.least_spacing_um:
         lines.append(
@@ -438,17 +387,27 @@ def consistency_warnings(
     return lines
 
 
-def _axis_warnings(
-    tracks: xr.Dataset, found: TrackMetadata, in_view: tuple[bool, bool], settings: CheckSettings
+def _side_warnings(
+    side: Ints,
+    found: TrackMetadata,
+    sample: Sample | None,
+    in_view: tuple[bool, bool],
+    settings: CheckSettings,
 ) -> Iterator[str]:
-    """Warn of an axis that is doubtful although, or because, an end of the comb is in view.
+    """Warn if one side lacks a sheet, or of a doubtful axis although, or because, a comb's end is in view.
 
     in_view: whether the first sheet, and the last one, is known to be an end of the comb.
     """
-    side = tracks["side"].values
     left, right = (int((side == which).sum()) for which in (-1, 1))
     fewer, more = sorted((left, right))
     one_side = fewer == 0
+    one_lacks = sample is not None and more == sample.sheets_per_block and 1 <= more - fewer <= 2
+    if one_lacks and found.sheets_how == "found":
+        yield (
+            f"{left} sheets on the left but {right} on the right: if one is overlooked, n of those beyond it"
+            " is too small: look for a wide spacing or a sheet outside the picture, or give the number of"
+            " sheets in view (`sheets`)"
+        )
     unequal = fewer > 0 and more > settings.unequal_sides * fewer + 2
     if unequal and found.axis_how == "motion" and all(in_view):
         yield (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import errno
 import math
 import os
 import re
@@ -13,6 +14,7 @@ from typing import Any
 
 PATH = (str, os.PathLike)
 """Types of an argument that names a file."""
+FULL_DISK = "a full disk"
 _NAMED = re.compile(r"`([A-Za-z_][A-Za-z0-9_]*)`")
 
 
@@ -95,7 +97,11 @@ def check_number(**values: Any) -> None:
 
 
 def reason_of(error: BaseException) -> str:
-    """Return what an error says: the system's reason without its number and the file, if it has one."""
+    """Return what an error says: `FULL_DISK`, or the system's reason without its number and the file."""
+    if isinstance(error, OSError):
+        short = error.errno is None and "requested and" in str(error)  # NumPy's words for an incomplete write
+        if short or error.errno in (errno.ENOSPC, errno.EDQUOT):
+            return FULL_DISK
     return str(getattr(error, "strerror", None) or error).lower()
 
 

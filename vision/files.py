@@ -190,6 +190,24 @@ class Stamp:
         return "was changed"
 
 
+class Watch:
+    """Watches for how long a file or folder has not changed, by the clock of this process."""
+
+    def __init__(self, path: Path, clock: Callable[[], float] = time.monotonic) -> None:
+        self._path, self._clock = path, clock
+        self.stamp, self._since = Stamp.of(path), clock()
+
+    def unchanged_s(self) -> float:
+        """Take a new stamp, and return the seconds since a change was last seen."""
+        if (now := Stamp.of(self._path)) != self.stamp:
+            self.stamp, self._since = now, self._clock()
+        return self._clock() - self._since
+
+    def age_s(self) -> float:
+        """Return the seconds since the file's own time of change; 0 if it does not exist."""
+        return 0.0 if self.stamp.facts is None else time.time() - self.stamp.facts[1] / 1e9
+
+
 # --- in threads that can be abandoned -----------------------------------------------------------------------
 
 ANSWER_S = 60.0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import glob
 import html
 import json
@@ -300,10 +299,7 @@ def unwritable(
     target: Path, error: OSError, advice: str = "nothing was written; give another `out`"
 ) -> InputError:
     """Return the error for a file or folder that could not be written."""
-    short = error.errno is None and "requested and" in str(error)  # NumPy's message for an incomplete write
-    full = short or error.errno in (errno.ENOSPC, errno.EDQUOT)
-    found = "a full disk" if full else reason_of(error)
-    return InputError(target, "a place that can be written", found, advice)
+    return InputError(target, "a place that can be written", reason_of(error), advice)
 
 
 def write_json(content: Mapping[str, Any], path: Path) -> None:

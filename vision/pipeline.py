@@ -23,10 +23,26 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vision.checks import CheckSettings, all_warnings
+from vision.checks import (
+    CheckSettings,
+    consistency_warnings,
+    overexposure,
+    shells_against_fits,
+    tracking_warnings,
+    unlike_sides,
+)
 from vision.clock import Clock, ClockSettings, synchronise
 from vision.clock.clock import given_clock
-from vision.data import FORCE, STIFF_BELOW, check_pixel_size, check_threshold
+from vision.data import (
+    FORCE,
+    STIFF_BELOW,
+    ForceMetadata,
+    StripMetadata,
+    check_pixel_size,
+    check_threshold,
+    load_unit,
+    warnings_of,
+)
 from vision.deformation import DeformationSettings, horizontal_deformation
 from vision.errors import (
     PATH,
@@ -298,9 +314,43 @@ def analyse(
         failures=stages.failures,
         seconds=stages.seconds,
     )
-    tuning, samples = chosen.tuning, (chosen.sample, found.assumed_sample)
-    warnings = all_warnings(found, *samples, tuning.video, tuning.shells, tuning.checks)
-    return replace(found, warnings=warnings)
+    return replace(found, warnings=all_warnings(found))
+
+
+def all_warnings(found: Analysis) -> tuple[str, ...]:
+    """Return the warnings that matter for the results, in the order of the stages, without repetition."""
+    lines: list[str] = []
+    tuning = found.settings.tuning
+    if (tracks := found.tracks) is not None:
+        lines += warnings_of(tracks)
+        if found.frame is not None:
+            strip = StripMetadata.of(tracks)
+            lines += overexposure(found.frame, slice(strip.strip_z0, strip.strip_z1), tuning.video)
+        lines += tracking_warnings(tracks, tuning.checks, tuning.tracking)
+        lines += consistency_warnings(
+            tracks,
+            found.settings.sample,
+            assumed=found.assumed_sample,
+            pixel_size_um=found.pixel_size_um,
+            columns=None if found.strip is None else found.strip["x"].values,
+            settings=tuning.checks,
+        )
+    if found.force is not None:
+        lines += warnings_of(found.force, found.sticks)
+        facts = ForceMetadata.of(found.force)
+        if facts.lacks_d0:
+            lines.append(
+                "the initial separation is not known: d is how far the machine moved, and no model is "
+                "fitted; give `d0_mm` (0 if the displacement is the separation itself)"
+            )
+        elif "fits" in found.reasons and math.isfinite(facts.d0_mm) and load_unit(found.force) == "N":
+            lines.append(f"no model fits: {found.reasons['fits']}")
+    lines += found.fits.warnings if found.fits else ()
+    lines += found.clock.warnings if found.clock else ()
+    lines += warnings_of(found.motion)
+    lines += shells_against_fits(found.shells, found.fits, tuning.shells)
+    lines += unlike_sides(found.shells, tuning.shells)
+    return tuple(dict.fromkeys(lines))
 
 
 def _check_arguments(video: object, force: object, settings: object) -> None:

@@ -11,7 +11,7 @@ from vision.clock.alignment import (
     CandidateClocks,
     SlipSizes,
     SlipTrains,
-    align,
+    align_slips,
     fit_clocks,
     size_evidence,
 )
@@ -84,7 +84,7 @@ def aligned(seed, runs, **settings):
     """(alignments, their errors in s)."""
     rng = np.random.default_rng(seed)
     pairs = [pair(rng, frame_s=FRAME_S, **settings) for _ in range(runs)]
-    found = [align(p.trains) for p in pairs]
+    found = [align_slips(p.trains) for p in pairs]
     return found, np.array([p.error_s(a) for p, a in zip(pairs, found, strict=True)])
 
 
@@ -106,7 +106,7 @@ def test_thousands_of_slips_are_aligned(drift_ppm):
     damage = {"missed": (0.1, 0.05), "false": (0.1, 0.02)}
     long = pair(rng, video=2500, frame_s=FRAME_S, drift_ppm=drift_ppm, **damage)
     tracemalloc.start()
-    found = align(long.trains)
+    found = align_slips(long.trains)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert not found.ambiguity
@@ -143,7 +143,7 @@ def test_the_offset_is_less_well_known_than_the_middle_of_the_slips():
     """A failure means an error of the offset that leaves out what the drift adds up to video time 0."""
     rng = np.random.default_rng(1)
     pairs = [pair(rng, frame_s=FRAME_S) for _ in range(60)]
-    found = [align(p.trains) for p in pairs]
+    found = [align_slips(p.trains) for p in pairs]
     off = np.array([a.clocks.offset_s[0] - p.offset_s for p, a in zip(pairs, found, strict=True)])
     middle, _, zero = np.array([a.errors() for a in found]).T
     assert 0.75 < np.sqrt(np.mean((off / zero) ** 2)) < 1.3  # 60 draws
@@ -194,7 +194,7 @@ def hostile_runs():
         settings = hostile(rng)
         p = pair(rng, **settings)
         if min(len(p.trains.video_s), len(p.trains.force_s)) >= 4:
-            a = align(p.trains)
+            a = align_slips(p.trains)
             rows.append((not a.ambiguity, abs(p.error_s(a)) > max(settings["frame_s"], 0.03)))
     return np.array(rows).T
 
@@ -230,7 +230,7 @@ def test_a_trend_that_unrelated_trains_share_is_no_evidence():
         film, force = (slip_times(rng, 44, period_s=1.0, jitter=0.003, trend=-0.01) for _ in range(2))
         film = film + rng.normal(0, 0.006, 44)
         film, force = (train[rng.random(44) >= 0.15] for train in (film, force))
-        assert align(SlipTrains(film, np.full(len(film), 0.006), force)).ambiguity
+        assert align_slips(SlipTrains(film, np.full(len(film), 0.006), force)).ambiguity
 
 
 def test_few_slips_and_slips_that_fit_loosely_are_told_apart():
@@ -249,7 +249,7 @@ def test_unreported_lost_frames_are_not_believed_blindly():
     for _ in range(10):
         p = pair(rng, video=100, frame_s=FRAME_S)
         jumps = np.searchsorted(np.sort(rng.uniform(*p.trains.video_s[[0, -1]], 12)), p.trains.video_s)
-        a = align(SlipTrains(p.trains.video_s - FRAME_S * jumps, p.trains.error_s, p.trains.force_s))
+        a = align_slips(SlipTrains(p.trains.video_s - FRAME_S * jumps, p.trains.error_s, p.trains.force_s))
         assert a.ambiguity
 
 
@@ -267,7 +267,7 @@ def test_the_loss_of_about_one_slip_is_noticed(monkeypatch):
     def believed_share(lost_s, scatter_s):
         rng = np.random.default_rng(3)
         return believed(
-            [align(after_a_loss(rng, lost_s + rng.normal(0, scatter_s))) for _ in range(60)]
+            [align_slips(after_a_loss(rng, lost_s + rng.normal(0, scatter_s))) for _ in range(60)]
         ).mean()
 
     assert believed_share(0.0, 0.0) > 0.95
@@ -283,7 +283,7 @@ def test_where_a_clock_jumps_is_said(first):
     side, shift = ("up to", "−0.4") if first == 8 else ("from", "+0.4")
     for _ in range(10):
         trains = after_a_loss(rng, 0.41, jitter=0.1, first=first)
-        if "fit better" in (said := align(trains).ambiguity):  # otherwise another test noticed it
+        if "fit better" in (said := align_slips(trains).ambiguity):  # otherwise another test noticed it
             named += 1
             at_s = float(re.search(rf"slips {side} ([0-9.]+) s of the film fit better \{shift}", said)[1])
             assert (
@@ -303,7 +303,7 @@ def nearly_even():
     }.items():
         rng = np.random.default_rng(4)
         pairs = [pair(rng, video=30, force=60, jitter=0.03, missed=(0.1, 0.1), **about) for _ in range(25)]
-        found = [align(p.trains) for p in pairs]
+        found = [align_slips(p.trains) for p in pairs]
         off = np.array([abs(p.error_s(a)) > FRAME_S for p, a in zip(pairs, found, strict=True)])
         runs[name] = np.array([not a.ambiguity for a in found]), off
     return runs
@@ -342,7 +342,7 @@ def unrelated_pairs(runs):
 @pytest.mark.thorough
 def test_recordings_of_different_tests_are_never_believed():
     """A failure means that a force file that does not belong to the video goes unnoticed."""
-    assert all(align(trains).ambiguity for trains in unrelated_pairs(300))
+    assert all(align_slips(trains).ambiguity for trains in unrelated_pairs(300))
 
 
 def test_stated_errors_are_not_widened_by_chance():

@@ -161,7 +161,7 @@ def test_a_full_disk_for_a_long_recording_is_reported(monkeypatch):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(os, "posix_fallocate", full, raising=False)
-    with pytest.raises(InputError, match=r"GiB for I\(x, t\).*no space left"):
+    with pytest.raises(InputError, match=r"GiB for I\(x, t\).*a full disk"):
         FrameStore(100, expected=1000, settings=VideoSettings(spill_bytes=1000, memory_bytes=100_000))
     kept = FrameStore(100, expected=1000, settings=VideoSettings(spill_bytes=1000))  # fits into memory
     kept.append(np.ones((1000, 100), np.float32))

@@ -14,7 +14,7 @@ from typing import Any
 
 from vision.comparison.runs import ALIKE, COLUMNS, LIMITS, table_cells
 from vision.errors import InputError, nearest_word
-from vision.files import TIFF, Stamp, answered, shortened
+from vision.files import TIFF, Watch, answered, shortened
 from vision.numeric import number
 from vision.video import open_video, video_files
 from vision.video.settings import VideoSettings
@@ -308,7 +308,7 @@ class FolderWatch:
             raise InputError(folder, "a folder to watch", found, "check the path")
         self.folder = folder
         self._clock = clock
-        self._seen: dict[Path, tuple[Stamp, float]] = {}
+        self._watches: dict[Path, Watch] = {}
 
     def films(self) -> list[Path]:
         """Return every film in the folder, complete or not, in order of their names."""
@@ -360,12 +360,7 @@ class FolderWatch:
 
     def _unchanged_for(self, file: Path) -> float:
         """Return for how long a file has been seen unchanged, s; -1 if it does not exist."""
-        now, stamp = self._clock(), Stamp.of(file)
-        if stamp.facts is None:
-            self._seen.pop(file, None)
-            return -1.0
-        earlier = self._seen.get(file)
-        if earlier is None or earlier[0] != stamp:
-            self._seen[file] = (stamp, now)
-            return 0.0
-        return now - earlier[1]
+        if file not in self._watches:
+            self._watches[file] = Watch(file, self._clock)
+        unchanged_s = self._watches[file].unchanged_s()
+        return -1.0 if self._watches[file].stamp.facts is None else unchanged_s

@@ -71,7 +71,8 @@ class Certificate:
     found: float
     wrong: int  # positions called ok that are wrong by more than half a pitch
     locking_px: float  # error that repeats with the fraction of a pixel, peak to peak, median over sheets
-    smallest_sweep_px: float  # median over sheets
+    smallest_sweep_px: float  # median over sheets, so many standard errors from zero:
+    errors_resolved: float
     stick_frames: float  # number of frames of a stick phase; NaN, like the sweep, if slips are too frequent
     largest_jump_pitches: float  # of a sheet from frame to frame
     identity_margin: float  # largest multiple of the recording's motion tracked without a wrong identity
@@ -215,6 +216,7 @@ def certify(
         wrong=sum(film.wrong for film in measured),
         locking_px=float(nan_median(locking)),
         smallest_sweep_px=settings.errors_resolved * float(nan_median(sweeps)),
+        errors_resolved=settings.errors_resolved,
         stick_frames=stick_frames,
         largest_jump_pitches=_largest_jump(like),
         identity_margin=margin,

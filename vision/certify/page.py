@@ -102,7 +102,8 @@ def statements(certificate: Certificate) -> list[Answer]:
         Answer(
             "Smallest sweep",
             _length(c.smallest_sweep_px, c),
-            f"in a stick phase of {c.stick_frames:.0f} frames, three standard errors from zero",
+            f"in a stick phase of {c.stick_frames:.0f} frames, {c.errors_resolved:g} standard errors from "
+            "zero",
         )
         if math.isfinite(c.smallest_sweep_px)
         else Answer("Smallest sweep", "not known", "as no two slips are far enough apart"),

@@ -7,7 +7,7 @@ slip is either a slip of the force, with a Gaussian error, or false; every slip 
 missed. Where both instruments measured the sizes of the slips, the sizes count too.
 
 Slips are nearly periodic, so an alignment shifted by whole slips fits nearly as well as the right one, and
-unrelated trains can agree by chance: `align` tests for both.
+unrelated trains can agree by chance: `align_slips` tests for both.
 """
 
 from __future__ import annotations
@@ -386,7 +386,7 @@ class Alignments:
         return float(centre), float(drift), float(np.hypot(centre, drift * self.clocks.centre_s[0]))
 
 
-def align(trains: SlipTrains, settings: ClockSettings = ClockSettings()) -> Alignments:
+def align_slips(trains: SlipTrains, settings: ClockSettings = ClockSettings()) -> Alignments:
     r"""Find the alignments of two trains and test whether the best one is ambiguous.
 
     The best alignment is not ambiguous where

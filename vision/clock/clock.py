@@ -17,7 +17,7 @@ from vision.clock.alignment import (
     ClockFits,
     SlipSizes,
     SlipTrains,
-    align,
+    align_slips,
     find_alignments,
     fit_clocks,
 )
@@ -29,7 +29,7 @@ from vision.folder import Shown, numbered
 from vision.force.recording import good_samples
 from vision.numeric import Floats, nan_median, sigma_about_zero, two_digits, with_minus
 
-Status = Literal["ok", "ambiguous", "given"]
+ClockStatus = Literal["ok", "ambiguous", "given"]
 How = Literal["given", "video time column", "events"]
 
 
@@ -62,7 +62,7 @@ class Clock(Shown):
     margin: float = math.nan  # log-likelihood minus that of the next different alignment
     # "ok"; "ambiguous": the numbers are those of the best candidate, which may be wrong by whole slips and
     # must be checked before use; or "given": set by an offset or by a column of video times.
-    status: Status
+    status: ClockStatus
     how: How  # what set the clock
     # Standard errors, NaN as is the margin where the clock was given: of a mapped time in the middle of the
     # matched slips, of the drift, and of the offset, that of the drift up to video time 0 included.
@@ -131,8 +131,8 @@ def synchronise(
     Returns
     -------
     The clock. Slips are nearly periodic, so an alignment shifted by whole slips fits nearly as well as the
-    right one. The status is "ok" where `align` finds no ambiguity, and "ambiguous" otherwise, or where frames
-    have no times of their own and the slips fit nearly as well at another frame rate.
+    right one. The status is "ok" where `align_slips` finds no ambiguity, and "ambiguous" otherwise, or where
+    frames have no times of their own and the slips fit nearly as well at another frame rate.
 
     Raises
     ------
@@ -211,7 +211,7 @@ def _from_slips(
         if len(slips) < settings.least_slips:
             need = f"at least {settings.least_slips} slips to align the clocks"
             raise InputError(about, need, f"{len(slips)}", "give `offset_s`")
-    found, advice = _against_frame_rates(align(_slip_trains(seen, drops, settings), settings), tracks)
+    found, advice = _against_frame_rates(align_slips(_slip_trains(seen, drops, settings), settings), tracks)
     if found.fits.log_likelihood[0] <= 0:
         raise InputError(
             video,
@@ -269,7 +269,7 @@ def _against_frame_rates(found: Alignments, tracks: xr.Dataset) -> tuple[Alignme
     # Evenly spaced slips fit nearly equally well at many rates.
     if found.ambiguity and lead > settings.clear_likelihood:
         scaled = replace(found.trains, video_s=rate * found.trains.video_s)
-        if not align(scaled, settings).ambiguity:
+        if not align_slips(scaled, settings).ambiguity:
             return found, f"the slips agree at {_frame_rate(strip, rate)}: check `fps`"
     return found, ""
 
@@ -350,7 +350,7 @@ def _given(
         given = replace(clock, unmatched_video=len(seen), unmatched_force=len(drops))
     if min(len(seen), len(drops)) < settings.least_slips:  # too few for an alignment of their own
         return given
-    found = align(trains, settings)
+    found = align_slips(trains, settings)
     centre = found.clocks.centre_s[0]
     difference = float(found.clocks.middle_s[0] - given.to_force_s(centre))
     error = float(np.hypot(found.errors()[0], found.trains.typical_error_s))

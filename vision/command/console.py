@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import sys
 import tempfile
@@ -15,7 +14,7 @@ from typing import TextIO, TypeVar
 from cyclopts import CoercionError, CycloptsError, UnknownOptionError, UnusedCliTokensError
 
 from vision.command.options import option_names, with_point
-from vision.errors import InputError, nearest_word, reason_of, with_options
+from vision.errors import FULL_DISK, InputError, nearest_word, reason_of, with_options
 from vision.files import Progress, c_library
 
 T = TypeVar("T")
@@ -94,12 +93,12 @@ def conclude(
     return 1 if failures or warnings else 0
 
 
-def in_columns(rows: Sequence[Sequence[str]], align: str) -> list[str]:
-    """Format rows in columns; `align` has < or > for each but the last, which is not padded."""
-    widths = [max((len(row[k]) for row in rows), default=0) for k in range(len(align))]
+def in_columns(rows: Sequence[Sequence[str]], sides: str) -> list[str]:
+    """Format rows in columns; `sides` has < or > for each but the last, which is not padded."""
+    widths = [max((len(row[k]) for row in rows), default=0) for k in range(len(sides))]
     lines = []
     for row in rows:
-        cells = [f"{cell:{side}{width}}" for cell, side, width in zip(row, align, widths, strict=False)]
+        cells = [f"{cell:{side}{width}}" for cell, side, width in zip(row, sides, widths, strict=False)]
         lines.append("  ".join([*cells, row[-1]]).rstrip())
     return lines
 
@@ -190,9 +189,9 @@ def one_line(error: Exception) -> str:
     elif isinstance(error, CycloptsError):
         return " ".join(str(error).split()) + f" ({_help_of(error)})"
     elif isinstance(error, OSError):
-        about = error.filename if isinstance(error.filename, str) else "the disk"
-        advice = "free some space" if error.errno == errno.ENOSPC else "check the path and its rights"
-        error = InputError(about, "a file or folder that can be used", reason_of(error), advice)
+        about, found = error.filename if isinstance(error.filename, str) else "the disk", reason_of(error)
+        advice = "free some space" if found == FULL_DISK else "check the path and its rights"
+        error = InputError(about, "a file or folder that can be used", found, advice)
     elif isinstance(error, MemoryError):
         advice = "take a part of it (`frames`)"
         error = InputError("the recording", "enough memory", "not enough memory", advice)

@@ -311,7 +311,7 @@ def _open_app(folder: Path, film: Path | None, cleanup: ExitStack, stop: Callabl
     return session_app(session, stop)
 
 
-def keep_first_view(folder: Path, settings: Settings) -> None:
+def prepare_review(folder: Path, settings: Settings) -> None:
     """Store in a run folder what a review shows first, if the extra `review` is installed."""
     if importlib.util.find_spec("starlette") is not None:
         from vision.review import api

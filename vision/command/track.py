@@ -18,7 +18,7 @@ import xarray as xr
 
 from vision.checks import flag_counts
 from vision.command.console import attempt, complain, frame_progress, in_columns, say
-from vision.command.main import keep_first_view
+from vision.command.main import prepare_review
 from vision.command.options import ForceOptions, RunOptions, TestOptions, flag_of, option_names
 from vision.command.settings import merged, parameters_given, settings_of
 from vision.data import MEASURED, StripMetadata
@@ -150,7 +150,7 @@ def track_one(
     if analysis.tracks is not None and analysis.tracks.sizes["frame"] >= LONG_FRAMES:
         # These are in the run folder, and most of what is in memory; tracks of many films may be pooled.
         analysis = replace(analysis, strip=None, tracks=analysis.tracks if one_of_many else None)
-        keep_first_view(target, settings)
+        prepare_review(target, settings)
     return status, analysis
 
 

@@ -32,7 +32,7 @@ from vision.errors import InputError, counted
 from vision.figures import Figure, save_figures
 from vision.folder import write_csv, write_json
 from vision.models import Estimate, both_errors, plus_minus
-from vision.models.single_fits import is_slow
+from vision.models.single_fits import low_speed
 from vision.report.page import render_page
 from vision.report.text import ANALYSED_WITH, Answer, citation
 from vision.run.provenance import Origin
@@ -165,7 +165,7 @@ def compare(
     if modulus_GPa is None:
         main = tests[0].sample_name if main_sample is None else main_sample
     modulus, source = _modulus(tests, main, modulus_GPa)
-    if main is not None and not any(is_slow(test.speed_mm_min) for test in tests if test.run in source):
+    if main is not None and not any(low_speed(test.speed_mm_min) for test in tests if test.run in source):
         warnings.append(
             f"no test of sample {main} is slow, so Y_eff is that of faster ones, for which the models do "
             "not hold: compare a slow test of it, too, or give `modulus_GPa`, or another `main_sample`"

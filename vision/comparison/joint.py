@@ -21,7 +21,7 @@ from vision.models.single_fits import (
     fit_drops,
     fit_peaks,
     fit_stiffness,
-    is_slow,
+    low_speed,
     normal_force_at_scale,
     stiffness_errors,
     with_friction,
@@ -207,7 +207,7 @@ def fit_test(test: TractionTest, modulus: Estimate, settings: CompareSettings = 
         warnings.append(
             f"offset 𝒯0 = {with_minus(f'{t0.value:.3g}')} N lies beyond ±{settings.t0_limit_N:g} N"
         )
-    if not is_slow(test.speed_mm_min):
+    if not low_speed(test.speed_mm_min):
         notes.append(f"A, N̂ and Λ̂ are defined for V up to {SLOW_MM_MIN:g} mm/min")
     if not np.isfinite(values["Lambda_hat_mm"].value):
         notes.append("K does not follow that of M_eff sheets with this Y_eff: no Λ̂")
@@ -304,7 +304,7 @@ def common_modulus(tests: Sequence[TractionTest], main: str) -> tuple[Estimate, 
     """
     of_sample = [test for test in tests if test.sample_name == main]
     of_sample = [test for test in of_sample if not test.modulus_undetermined] or of_sample
-    slow = [test for test in of_sample if is_slow(test.speed_mm_min)] or of_sample
+    slow = [test for test in of_sample if low_speed(test.speed_mm_min)] or of_sample
     mean = weighted_mean([_modulus_of_test(test) for test in slow])
     relative = [
         slow[0].errors[name] / getattr(slow[0].sample, name)
@@ -376,7 +376,7 @@ def fit_joint(
     # Fisher information on μ in each test, with its offset fitted as well
     pairs = zip(residuals(mu + step), residuals(mu - step), strict=True)
     information = np.array([np.sum((more - less) ** 2) / (2 * step) ** 2 for (more, _), (less, _) in pairs])
-    slow = [fit.values["A"] for test, fit in zip(tests, fits, strict=True) if is_slow(test.speed_mm_min)]
+    slow = [fit.values["A"] for test, fit in zip(tests, fits, strict=True) if low_speed(test.speed_mm_min)]
     free = max(sum(int(fit.used.sum()) for fit in fits) - len(fits) - 1, 1)
     chi2 = misfit(mu) / free  # relative: residuals are in units of the scatter about the individual curves
     errors = np.array([fit.individual_error("mu") for fit in fits])

@@ -35,8 +35,8 @@ from vision.models.single_fits import (
     fit_peaks,
     fit_stiffness,
     fit_weighted,
-    is_slow,
     largest_chi2,
+    low_speed,
     normal_force_at_scale,
     plus_minus,
     with_fitted_stiffness,
@@ -657,7 +657,7 @@ def _remarks(
     if (scatter := fits.goodness["drops"].scatter) > settings.unlike_drops:
         line = f"the drops scatter by {100 * scatter:.0f} % about A 𝒩, as small slips among large ones do:"
         yield f"{line} A is the mean of both; `threshold_N` leaves the small ones out", True
-    if not is_slow(speed := facts.speed_mm_min):
+    if not low_speed(speed := facts.speed_mm_min):
         line = (
             f"the models of A, N̂ and Y_eff hold for V ≤ {SLOW_MM_MIN:g} mm/min; here V = {speed:.3g} mm/min"
         )

@@ -416,7 +416,7 @@ def stiffness_errors(events: pd.DataFrame) -> Floats:
     return np.asarray(np.hypot(error, 0.5 * median), np.float64)
 
 
-def is_slow(speed_mm_min: float) -> bool:
+def low_speed(speed_mm_min: float) -> bool:
     """Return whether all models hold at a speed, which may be 5 % off as measured; also where it is NaN."""
     return not speed_mm_min > 1.05 * SLOW_MM_MIN
 

@@ -36,7 +36,7 @@ from vision.numeric import (
     typical_where,
     weighted_median,
 )
-from vision.sheets.reference import rest_positions, spacing_sizes
+from vision.sheets.reference import spacing_sizes
 from vision.sheets.ridges import RidgeComb, in_blocks
 from vision.sheets.settings import LEAST_FRAMES, TrackingSettings
 from vision.sheets.subpixel import Starts, gather, position_noise
@@ -230,17 +230,16 @@ def not_one_ridge(profile: Floats32, x_px: Floats, lasting_px: Floats, comb: Rid
     return np.asarray(likeness < least, bool)
 
 
-def two_in_one(x_px: Floats, fwhm_px: Floats32, comb: RidgeComb) -> Bools:
+def two_in_one(x_px: Floats, rest_px: Floats, fwhm_px: Floats32, comb: RidgeComb) -> Bools:
     """Return which sheets are wider than the others beside a spacing in which one seems to be missing, (N,).
 
     The missing one then lies against its neighbour: one ridge, whose position is that of neither. A wide
     ridge alone may be a thick sheet, and a wide spacing alone a gap. x_px, fwhm_px: positions, NaN where
-    missing, and widths of the ridges, (frame, N).
+    missing, and widths of the ridges, (frame, N). rest_px: rest positions (N,).
     """
-    rest = rest_positions(x_px)
-    order = np.argsort(rest)  # corrections may have exchanged sheets
-    _, gap = spacing_sizes(rest[order], settings=comb.settings)
-    near = np.zeros(len(rest), bool)
+    order = np.argsort(rest_px)  # corrections may have exchanged sheets
+    _, gap = spacing_sizes(rest_px[order], settings=comb.settings)
+    near = np.zeros(len(order), bool)
     near[order[:-1][gap]] = near[order[1:][gap]] = True
     wide = np.log(typical_where(np.isfinite(x_px), fwhm_px))
     wide = wide - nan_median(wide)

@@ -441,18 +441,17 @@ def _usual_looks(certain: Floats32) -> tuple[Floats, Floats]:
 # --- sheets that nothing tells apart ------------------------------------------------------------------------
 
 
-def sheets_alike(x_px: Floats, contrast: Floats32, fwhm_px: Floats32, comb: RidgeComb) -> bool:
+def sheets_alike(rest_px: Floats, contrast: Floats32, fwhm_px: Floats32, comb: RidgeComb) -> bool:
     """Return whether the sheets look so alike that a picture does not show which sheets it contains.
 
     Neither end of the comb is in view, and brightness, width and spacing differ from the mean of both
     neighbours by no more than they change with time, or than slips change spacings. A jump of such a comb by
     its pitch is invisible. Light that falls off along the comb is not a pattern of the sheets. False for
-    fewer than five sheets. Positions, contrasts and widths are (frame, N), NaN where missing.
+    fewer than five sheets. rest_px: rest positions (N,). Contrasts and widths are (frame, N).
     """
-    rest = rest_positions(x_px)
-    if len(rest) < 5 or _end_in_view(rest, comb):
+    if len(rest_px) < 5 or _end_in_view(rest_px, comb):
         return False
-    alike = nan_median(np.abs(_bend(rest))) < comb.settings.spacing_spread * comb.pitch_px
+    alike = nan_median(np.abs(_bend(rest_px))) < comb.settings.spacing_spread * comb.pitch_px
     for values in (contrast, fwhm_px):
         pattern = without_common_change(np.log(values.astype(np.float64)))
         mean = nan_median(pattern)
@@ -467,7 +466,7 @@ def _end_in_view(rest_px: Floats, comb: RidgeComb) -> bool:
     return bool(rest_px[0] > reach or rest_px[-1] < comb.width_px - 1 - reach)
 
 
-def unseen_jumps(x_px: Floats, contrast: Floats32, fwhm_px: Floats32, comb: RidgeComb) -> Ints:
+def unseen_jumps(rest_px: Floats, contrast: Floats32, fwhm_px: Floats32, comb: RidgeComb) -> Ints:
     r"""Return the frames before which the sheets' looks moved on by sheets, although the sheets seem to stay.
 
     Where a comb without an end in view jumps by about its pitch, each sheet may be taken for the next one.
@@ -480,9 +479,9 @@ def unseen_jumps(x_px: Floats, contrast: Floats32, fwhm_px: Floats32, comb: Ridg
 
     with the usual change s of such means and t `TERM_LIMIT`, exceeds `BY_CHANCE` times the root of the number
     of its terms for a k of `SHIFTS`.
-    Empty if an end of the comb is in view. Positions, contrasts and widths are (frame, N), NaN where missing.
+    Empty if an end of the comb is in view. rest_px: rest positions (N,). Contrasts and widths are (frame, N).
     """
-    if _end_in_view(rest_positions(x_px), comb):
+    if _end_in_view(rest_px, comb):
         return np.zeros(0, np.int64)
     gain = np.zeros(len(contrast))
 

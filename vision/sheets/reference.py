@@ -478,7 +478,7 @@ def motion_likeness(one: Floats, other: Floats) -> float:
     return float((one[both] * other[both]).sum() / size) if size > 0 else 0.0
 
 
-def marks(x_px: Floats, err_px: Floats, usual_px: Floats, comb: RidgeComb) -> Bools:
+def marks(x_px: Floats, rest_px: Floats, err_px: Floats, usual_px: Floats, comb: RidgeComb) -> Bools:
     """Return which sheets are marks or lie under one, (N,): the measured position is not the sheet's.
 
     A mark belongs to a ruler beside the comb, or it is usually distorted and shows a second sign. The sign is
@@ -486,19 +486,18 @@ def marks(x_px: Floats, err_px: Floats, usual_px: Floats, comb: RidgeComb) -> Bo
     spacing. One sign is not enough: dirt distorts sheets, combs are uneven, and sheets of the stiff centre
     hardly move.
 
-    x_px, err_px: positions and their errors from noise (frame, N), NaN where missing. usual_px: usual
-    distortion of each sheet, px, (N,).
+    x_px, err_px: positions and their errors from noise (frame, N), NaN where missing. rest_px,
+    usual_px: rest position and usual distortion of each sheet, px, (N,).
     """
     settings = comb.settings
-    rest = rest_positions(x_px)
     least = 5.0 * float(nan_median(err_px.ravel()))
     sensitive = replace(settings, moving_px=least, static_fraction=settings.mark_motion)
-    moved = x_px - rest
+    moved = x_px - rest_px
     unmoved = typical_size(moved) < least
     with np.errstate(divide="ignore", invalid="ignore"):  # sheets swapped manually, or never seen
-        stationary = static_ridges(moved, rest, settings=sensitive)
-        ruler = _ruler_beside_comb(moved, rest, replace(settings, moving_px=least))
-        uneven = np.abs(np.log(np.diff(rest) / comb.pitch_px)) > settings.odd_spacing
+        stationary = static_ridges(moved, rest_px, settings=sensitive)
+        ruler = _ruler_beside_comb(moved, rest_px, replace(settings, moving_px=least))
+        uneven = np.abs(np.log(np.diff(rest_px) / comb.pitch_px)) > settings.odd_spacing
     misplaced = np.append(uneven, False) | np.insert(uneven, 0, False)
     distorted = usual_px > settings.mark_distorted * comb.fwhm_px
     return np.asarray(ruler | distorted & (stationary | (misplaced & unmoved)), bool)

@@ -43,7 +43,7 @@ from vision.sheets.film import SecondComb, gap_depth, motion_blur, repeated_fram
 from vision.sheets.identities import WHYS, Doubt, identify_sheets
 from vision.sheets.numbering import Numbering, number_sheets
 from vision.sheets.recovery import FLAGS, Detections, Flag, assign_detections
-from vision.sheets.reference import ReferenceComb, marks, wide_spacings
+from vision.sheets.reference import ReferenceComb, marks, rest_positions, wide_spacings
 from vision.sheets.ridges import (
     RidgeComb,
     describe_ridges,
@@ -236,13 +236,14 @@ def _detect(
 
 
 class _Assessed(NamedTuple):
-    """Positions, flags and errors once blur, distortion and cut ridges are known, (frame, N); the shift of
-    all positions of a sheet by a distortion that lasts, and the relative error of its displacements, (N,);
-    and a second comb over the sheets."""
+    """Positions, flags and errors once blur, distortion and cut ridges are known, (frame, N); each sheet's
+    rest position, the shift of all its positions by a distortion that lasts, and the relative error of its
+    displacements, (N,); and a second comb over the sheets."""
 
     x_px: Floats
     flag: Codes
     err_px: Floats
+    rest_px: Floats
     blurred: Bools
     distorted: Bools
     lasting_px: Floats
@@ -268,10 +269,11 @@ def _assess_ridges(
     distorted_px, usual_px, lasting_px, scale = distortion(
         profile, x_px, err, detections.fwhm_px, smeared, comb
     )
+    rest_px = rest_positions(x_px)
     second = second_comb(profile, x_px, smeared, comb)
     not_a_sheet = not_one_ridge(profile, x_px, lasting_px, comb)
-    not_a_sheet |= two_in_one(x_px, detections.fwhm_px, comb)
-    not_a_sheet |= marks(x_px, err, np.hypot(lasting_px, usual_px), comb)
+    not_a_sheet |= two_in_one(x_px, rest_px, detections.fwhm_px, comb)
+    not_a_sheet |= marks(x_px, rest_px, err, np.hypot(lasting_px, usual_px), comb)
     not_a_sheet &= ~detected.added
     flag = np.where((detections.flag == Flag.OK) & not_a_sheet, np.uint8(Flag.MERGED), detections.flag)
     is_distorted = distorted_px > np.fmax(err, comb.settings.distortion_floor)
@@ -284,7 +286,7 @@ def _assess_ridges(
     usual = typical_where(np.isfinite(x_px), err)
     excess = noise_excess(BetweenSlips(_unrepeated(x_px, frozen)), err, comb.settings)
     np.hypot(err, np.nan_to_num(usual) * np.sqrt(np.fmax(excess**2 - 1.0, 0.0)), out=err)
-    return _Assessed(x_px, flag, err, blurred, is_distorted, lasting_px, scale, second)
+    return _Assessed(x_px, flag, err, rest_px, blurred, is_distorted, lasting_px, scale, second)
 
 
 def _cut(detections: Detections, comb: RidgeComb) -> Bools:
@@ -377,15 +379,15 @@ class _Tracked:
     def jumps(self, number: Ints) -> dict[str, Any]:
         """Return fields of `TrackMetadata` about jumps of the whole comb that the sheets may not show.
         number: of each frame in the film, (frame,)."""
-        detections, x_px, comb = self.detected.detections, self.assessed.x_px, self.comb
-        looks = detections.contrast, detections.fwhm_px
-        alike = sheets_alike(x_px, *looks, comb)
-        step = median_step(np.where(np.isnan(x_px), detections.withheld_px, x_px))
+        detections, assessed, comb = self.detected.detections, self.assessed, self.comb
+        looks = assessed.rest_px, detections.contrast, detections.fwhm_px, comb
+        alike = sheets_alike(*looks)
+        step = median_step(np.where(np.isnan(assessed.x_px), detections.withheld_px, assessed.x_px))
         large = number[1:][np.abs(step) > comb.settings.step_fraction * comb.pitch_px]
         return {
             "sheets_alike": "yes" if alike else "no",
             "large_steps": large.tolist() if alike else [],
-            "unseen_jumps": number[unseen_jumps(x_px, *looks, comb)].tolist(),
+            "unseen_jumps": number[unseen_jumps(*looks)].tolist(),
         }
 
 
@@ -561,7 +563,7 @@ def _flags(strip: xr.DataArray, found: _Tracked) -> Codes:
 # --- from tracks to more ------------------------------------------------------------------------------------
 
 
-def comb_is_stationary(tracks: xr.Dataset, settings: TrackingSettings = DEFAULT) -> bool:
+def comb_is_stationary(tracks: xr.Dataset, settings: TrackingSettings) -> bool:
     """Return whether hardly any sheet moves relative to the comb; False for fewer than three sheets."""
     x = tracks["x_px"].values
     moved = x - typical_median(x)

@@ -14,7 +14,7 @@ from pathlib import Path
 import xarray as xr
 
 from vision.errors import InputError
-from vision.files import Stamp, answered, prefetch
+from vision.files import Watch, answered, prefetch
 from vision.video.reader import Block
 from vision.video.settings import VideoSettings
 from vision.video.video import Video, open_video, pixels_file
@@ -45,10 +45,10 @@ def await_video(
     """
     film = Path(path)
     pixels = answered(lambda: pixels_file(film), film, settings.answer_s)
-    watch = _Watch(pixels, settings.answer_s)
+    watch = answered(lambda: Watch(pixels), pixels, settings.answer_s)
     report_at = time.monotonic() + settings.follow_tell_s
     while True:
-        unchanged_s = watch.unchanged_s()
+        unchanged_s = answered(watch.unchanged_s, pixels, settings.answer_s)
         try:
             video = opened()
         except InputError as error:
@@ -115,14 +115,15 @@ def growth(video: Video, follow: Follow, settings: VideoSettings) -> Iterator[tu
 
     Raises: InputError if it was removed or replaced, or no longer grows and cannot be opened.
     """
-    watch = _Watch(video.pixels_path, settings.answer_s)
+    path, answer_s = video.pixels_path, settings.answer_s
+    watch = answered(lambda: Watch(path), path, answer_s)
     while not follow.stop.is_set():
         began = time.monotonic()
         yield video, False
         pause_until = 2 * time.monotonic() - began
         seen = watch.stamp
         while not follow.stop.wait(settings.follow_poll_s):
-            unchanged_s = watch.unchanged_s()
+            unchanged_s = answered(watch.unchanged_s, path, answer_s)
             closed = unchanged_s >= settings.follow_still_s
             if not closed and (watch.stamp == seen or time.monotonic() < pause_until):
                 continue
@@ -151,29 +152,6 @@ def _reopened(video: Video) -> Video:
         fps=video.given_fps,
         answer_s=video.answer_s,
     )
-
-
-class _Watch:
-    """Watches how long a file or folder has not changed, by the clock of this process."""
-
-    def __init__(self, path: Path, answer_s: float) -> None:
-        self._path, self._answer_s = path, answer_s
-        self.stamp = self._now()
-        self._since = time.monotonic()
-
-    def unchanged_s(self) -> float:
-        """Take a new stamp, and return the seconds since a change was last seen."""
-        now = self._now()
-        if now != self.stamp:
-            self.stamp, self._since = now, time.monotonic()
-        return time.monotonic() - self._since
-
-    def _now(self) -> Stamp:
-        return answered(lambda: Stamp.of(self._path), self._path, self._answer_s)
-
-    def age_s(self) -> float:
-        """Return the seconds since the file's own time of change; 0 if it does not exist."""
-        return 0.0 if self.stamp.facts is None else time.time() - self.stamp.facts[1] / 1e9
 
 
 def _readable(blocks: Iterator[Block]) -> Iterator[Block]:
