@@ -118,9 +118,7 @@ def test_drops_of_curved_sticks() -> None:
     within = (time % 0.3) / 0.3
     load = 60 - 20 * (1 - within) ** 2 + np.random.default_rng(3).normal(0, 0.05, time.size)
     force = recording(time, load, 13 + time / 60, 1.0)
-    for two_slopes in (None, False):
-        events = find_stick_slip(force, two_slopes=two_slopes)
-        assert events["dF_N"].median() == pytest.approx(20, rel=0.02)
+    assert find_stick_slip(force)["dF_N"].median() == pytest.approx(20, rel=0.02)
 
 
 @pytest.mark.parametrize(
@@ -321,13 +319,11 @@ def test_two_slopes_of_fast_pulls() -> None:
     phase = np.where(stick >= 0, (time - test.truth["t_v_s"].to_numpy()[stick]) / 2.0, 0.0)
     inside = (phase > 0) & (phase < 1)
     load = load + np.where(inside, np.where(phase < 0.4, 100 * phase, 100 * 0.4 * (1 - phase) / 0.6), 0.0)
-    bent = find_stick_slip(test.force.assign(load_N=("time_s", load)), two_slopes=True)
+    bent = find_stick_slip(test.force.assign(load_N=("time_s", load)))
     rise = 400 / (2.0 / 60)
     assert bent["K1_N_per_mm"].median() == pytest.approx(rise * 1.25, rel=0.03)
     assert bent["K2_N_per_mm"].median() == pytest.approx(rise * (1 - 40 / 240), rel=0.03)
     assert bent["knee_gain"].median() > 10
-    straight = find_stick_slip(test.force, two_slopes=True)
-    assert straight["knee_gain"].median() < 1.2
     assert find_stick_slip(test.force)["K1_N_per_mm"].isna().all()
 
 

@@ -59,6 +59,7 @@ class Comparison:
     trends: tuple[Trend, ...]  #: with the number of previous tests and with humidity
     failures: tuple[str, ...]  #: runs that could not be used
     warnings: tuple[str, ...]  #: those that matter for the results
+    settings: CompareSettings = CompareSettings()  #: constants of the comparison
 
     @property
     def main(self) -> JointFriction | None:
@@ -199,6 +200,7 @@ def compare(
         trends=find_trends(rows.assign(**individual), settings, shared=shared),
         failures=(*read.failures, *unfitted),
         warnings=tuple(warnings),
+        settings=settings,
     )
 
 
@@ -434,12 +436,14 @@ def _methods(found: Comparison) -> list[str]:
     ]
     if found.joint:
         paragraphs.append(
-            "One μ for all tests of a sample was fitted with an individual offset of each test within ±10 N."
+            "One μ for all tests of a sample was fitted with an individual offset of each test within "
+            f"±{found.settings.t0_limit_N:g} N."
         )
     paragraphs.append(
         "Stick-slip becomes irregular at the event that best divides the logarithm of the relative deviation "
-        "of ΔF from its smooth course into two levels. The change is claimed if fewer than 1 % of random "
-        "permutations divide as well, and a steady rise fits worse."
+        "of ΔF from its smooth course into two levels. The change is claimed if fewer than "
+        f"{100 * found.settings.change_p:g} % of random permutations divide as well, and a steady rise fits "
+        "worse."
     )
     if any(not trend.reason for trend in found.trends):
         paragraphs.append(

@@ -61,7 +61,6 @@ def find_stick_slip(
     *,
     threshold_N: float | None = None,
     machine_stiffness_N_per_mm: float | None = None,
-    two_slopes: bool | None = None,
     lowpass_s: float | Literal["auto"] = 0.0,
     average_s: float | Literal["auto"] = 0.0,
     settings: ForceSettings = ForceSettings(),
@@ -79,8 +78,6 @@ def find_stick_slip(
         Smallest drop that counts as a slip; by default found from the noise (`find_slips`).
     machine_stiffness_N_per_mm
         Corrects d for the stretch of the machine, d - F/K_machine; by default d is not corrected.
-    two_slopes
-        Whether sticks are fitted with K1 up to a knee and K2 after it; by default decided from the sticks.
     lowpass_s
         Time constant of the load cell's low-pass to correct for; 0 for none, "auto" for the one that the
         transients after slips prove, if any. One that was found is proposed (``lowpass_proposed_s``).
@@ -136,7 +133,7 @@ def find_stick_slip(
         raise _too_few_slips(signal, slips, source, rings)
     period_s = slips.period * signal.interval_s
     _check_lowpass(lowpass_s, period_s, source)
-    analysis = _analyse_slips(signal, slips, lowpass_s, two_slopes, settings)
+    analysis = _analyse_slips(signal, slips, lowpass_s, settings)
     unloading = is_unloading(signal.travel, analysis.extremes)
     events, shares = _measure(signal, analysis, 1 / (machine_stiffness_N_per_mm or np.inf), settings)
     _check_direction(events, unloading, source)
@@ -161,7 +158,6 @@ def find_stick_slip(
         "find_stick_slip",
         threshold_N=threshold_N,
         machine_stiffness_N_per_mm=machine_stiffness_N_per_mm,
-        two_slopes=two_slopes,
         lowpass_s=lowpass_s,
         average_s=average_s,
         settings=changed_settings(settings),
@@ -343,15 +339,11 @@ class _SlipAnalysis:
 
 
 def _analyse_slips(
-    signal: Signal,
-    slips: Slips,
-    lowpass_s: float | str,
-    two_slopes: bool | None,
-    settings: ForceSettings,
+    signal: Signal, slips: Slips, lowpass_s: float | str, settings: ForceSettings
 ) -> _SlipAnalysis:
     """Find corners, extremes, knees and the regime, and decide which low-pass to correct for."""
     given = 0.0 if isinstance(lowpass_s, str) else lowpass_s / signal.interval_s
-    bent = _have_knees(signal, slips, given, settings) if two_slopes is None else two_slopes
+    bent = _have_knees(signal, slips, given, settings)
     corners = find_corners(signal, slips, two_slopes=bent, settings=settings)
     extremes = find_extremes(signal.clean, signal.sigma, corners.middle, corners.length, corners.drop)
     regime = find_regime(signal.clean, slips, extremes, settings)
@@ -360,7 +352,7 @@ def _analyse_slips(
     found = Lowpass()
     if not given and not signal.averaged and regime.name == "stick-slip":
         found = find_lowpass(signal, slips, corners, settings)
-        if found.samples and not bent and two_slopes is None:
+        if found.samples and not bent:
             # The transients of the low-pass may hide the knees.
             bent = _have_knees(signal, slips, found.samples, settings)
             if bent:

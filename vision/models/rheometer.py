@@ -247,7 +247,7 @@ def _plain_table(path: Path, lines: list[str]) -> _Block:
     split = [split_name(header, lambda text: _unit(text) in known) for header in headers]
     names, units = [name.replace("_", " ") for name, _ in split], [unit for _, unit in split]
     first = 1
-    if len(cells) > 1 and not any(units) and not any(_is_number(str(cell)) for cell in cells.iloc[1]):
+    if len(cells) > 1 and not any(units) and not _numbers(cells.iloc[1]).notna().any():
         units, first = [str(cell) for cell in cells.iloc[1]], 2
     return _Block(-1, path.stem, "1", names, units, cells.iloc[first:].reset_index(drop=True))
 
@@ -258,15 +258,6 @@ def _looks_like_header(line: str) -> bool:
     if len(line) > 5000:  # not a header, and slow to split
         return False
     return max(map(line.count, _SEPARATORS)) > 0 and any(word in low for word in _QUANTITIES[0].words)
-
-
-def _is_number(text: str) -> bool:
-    """Whether the text is a number, with a decimal point or comma."""
-    try:
-        float(text.replace(",", "."))
-    except ValueError:
-        return False
-    return True
 
 
 _NO_SIGN = str.maketrans(dict.fromkeys("·⋅•∙*. _-[]()") | {"μ": "µ"})

@@ -237,7 +237,7 @@ class _CorrectedPositions(Corrected):
                 return ridge_px, owner
             at, correction = at + last, replace(correction, x_px=float(ridge_px[at + last]))
 
-    def put(self, rows: Ints, sheet: int, ridge_px: Floats, otherwise: Flag) -> None:
+    def measured(self, rows: Ints, sheet: int, ridge_px: Floats, otherwise: Flag) -> dict[str, Any]:
         """Fit the ridges; the positions get the sheet's median error."""
         error_px = self.arrays["err_px"]
         known = error_px[:, sheet][np.isfinite(error_px[:, sheet])]
@@ -245,15 +245,11 @@ class _CorrectedPositions(Corrected):
         seen, x = np.isfinite(ridge_px), np.full(len(rows), np.nan)
         x[seen] = self._fitted(ridge_px[seen], rows[seen])
         fitted = np.isfinite(x)
-        values = {
+        return {
             "x_px": x,
             "err_px": np.where(fitted, error, np.nan),
-            "withheld_px": np.nan,
             "flag": np.where(seen, np.where(fitted, Flag.OK, Flag.UNFIT), otherwise),
-            "why": 0,
         }
-        for name, one in values.items():
-            self.arrays[name][rows, sheet] = one
 
     def _fitted(self, ridge_px: Floats, rows: Ints) -> Floats:
         """Fit subpixel positions to ridges in these rows."""

@@ -363,8 +363,15 @@ class Corrected(ABC):
         """Follow the correction's ridge through these rows as `follow_ridge` does."""
 
     @abstractmethod
+    def measured(self, rows: Ints, sheet: int, ridge_px: Floats, otherwise: Flag) -> dict[str, Any]:
+        """Return position, flag and what else is stored of these ridges as those of a sheet, by array; the
+        flag is `otherwise` where the ridge is NaN."""
+
     def put(self, rows: Ints, sheet: int, ridge_px: Floats, otherwise: Flag) -> None:
         """Give these ridges to a sheet, and the flag `otherwise` where the ridge is NaN; no doubt remains."""
+        values = self.measured(rows, sheet, ridge_px, otherwise)
+        for name, one in (values | {"why": Doubt.NONE, "withheld_px": np.nan}).items():
+            self.arrays[name][rows, sheet] = one
 
     def rows_of(self, correction: Correction) -> Ints:
         """Return the rows of a correction.
@@ -468,19 +475,15 @@ class _CorrectedDetections(Corrected):
             correction, rows, others, self.ridges, self.comb, without=without, origin_px=self.origin_px
         )
 
-    def put(self, rows: Ints, sheet: int, ridge_px: Floats, otherwise: Flag) -> None:
+    def measured(self, rows: Ints, sheet: int, ridge_px: Floats, otherwise: Flag) -> dict[str, Any]:
         ridges = self.ridges.maxima
         known, (best, _) = np.isfinite(ridge_px), nearest(ridges.x_px[rows], ridge_px)
-        values = {
+        return {
             "start_px": ridge_px,
             "contrast": np.where(known, ridges.contrast[rows, best], np.nan),
             "fwhm_px": np.where(known, ridges.fwhm_px[rows, best], np.nan),
             "flag": np.where(known, Flag.OK, otherwise),
-            "why": Doubt.NONE,
-            "withheld_px": np.nan,
         }
-        for name, one in values.items():
-            self.arrays[name][rows, sheet] = one
 
 
 def apply_corrections(
