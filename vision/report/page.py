@@ -23,7 +23,7 @@ from vision.data import ForceMetadata, StripMetadata
 from vision.errors import with_options
 from vision.figures import Figure, Image, Panel, Series
 from vision.figures.catalogue import Results, figures_of, missing_parts, sections_of
-from vision.figures.style import MISSING, rgb, to_html, to_unicode
+from vision.figures.style import CASING, HIGHLIGHT, MISSING, SLIPS, rgb, to_html, to_unicode
 from vision.folder import flattened
 from vision.numeric import Floats, two_digits, with_minus
 from vision.report.text import answers, citation, methods, subtitle
@@ -85,7 +85,8 @@ def render_page(
     """
     store = ArrayStore()
     charts = {one.name: _panel_data(one.name, one.panel, store) for _, part in sections for one in part}
-    data = {"charts": charts, "blobs": store.blobs()}
+    colours = {"slips": SLIPS, "casing": CASING, "outline": HIGHLIGHT}
+    data = {"charts": charts, "blobs": store.blobs(), "colours": colours}
     text = _template().render(
         sections=sections,
         provenance=provenance(facts),

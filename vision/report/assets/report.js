@@ -50,7 +50,7 @@
       const y0 = place(band.high, "y"), y1 = place(band.low, "y");
       if (band.outline) {
         const [l, r] = band.across || chart.x_range, x0 = place(l, "x"), x1 = place(r, "x");
-        c.strokeStyle = "#e06a10"; c.lineWidth = 2 * devicePixelRatio;
+        c.strokeStyle = page.colours.outline; c.lineWidth = 2 * devicePixelRatio;
         c.strokeRect(x0, Math.min(y0, y1), x1 - x0, Math.abs(y1 - y0));
       } else {
         c.fillStyle = dark() ? "rgba(190,195,205,0.18)" : "rgba(100,105,115,0.16)";
@@ -84,7 +84,7 @@
   /* A dark edge under tracks, which would be lost on white ridges. */
   function casing(u, chart) {
     const c = u.ctx;
-    c.save(); c.strokeStyle = "rgba(16,16,16,0.7)"; c.setLineDash([]);
+    c.save(); c.strokeStyle = `${page.colours.casing}b3`; c.setLineDash([]);
     chart.series.forEach((s, k) => {
       if (!u.series[k + 1].show) return;
       c.lineWidth = 1.9 * s.width * devicePixelRatio; c.beginPath();
@@ -97,7 +97,7 @@
   function ticks(u, chart) {
     if (!chart.marks.length) return;
     const c = u.ctx, box = u.bbox, r = devicePixelRatio;
-    c.save(); c.strokeStyle = "#e04fb3"; c.setLineDash([]); c.lineWidth = 1.4 * r; c.beginPath();
+    c.save(); c.strokeStyle = page.colours.slips; c.setLineDash([]); c.lineWidth = 1.4 * r; c.beginPath();
     for (const t of chart.marks) {
       const at = u.valToPos(t, "x", true);
       if (at < box.top || at > box.top + box.height) continue;
