@@ -15,6 +15,7 @@ from vision.figures.figure import Arrow, Figure, Ink, Panel, Range, Series
 from vision.figures.positions import outward_px
 from vision.figures.style import (
     DATA,
+    FORCE_CLOCK,
     FORCE_TIME,
     MODEL,
     OTHER_MODEL,
@@ -284,7 +285,7 @@ def force_drop_figure(sticks: pd.DataFrame, fits: ModelFits | None = None, *, un
         model = f" Dashed: A times the normal force summed over the sheets (Eq. 2), A = {amplitude}."
     panel = Panel(
         title="Stick-slip amplitude",
-        x_label=VALLEY_SEPARATION if known else "t_v (s, force clock)",
+        x_label=VALLEY_SEPARATION if known else f"t_v (s{FORCE_CLOCK})",
         y_label=load_label("ΔF", unit),
         y_range=from_zero(sticks["dF_N"].to_numpy(float), share=0.98),
         series=tuple(series),
@@ -382,8 +383,7 @@ def force_overview_figure(force: xr.Dataset, sticks: pd.DataFrame, fits: ModelFi
         "The force recording and its stick-slip events",
         "The whole recording, a few events in its middle, and the amplitude and stiffness of every event, as "
         "far as they are known.",
-        # There is no other clock in it.
-        [replace(panel, x_label=panel.x_label.replace(", force clock", "")) for panel in panels],
+        [replace(panel, x_label=panel.x_label.replace(FORCE_CLOCK, "")) for panel in panels],
         aspect=0.6,
     )
 

@@ -132,7 +132,8 @@ def candidates_text(clock: Clock) -> str:
 UM_PER_MM = 1000
 # labels of axes that several figures share
 VALLEY_SEPARATION = "d_v (mm)"
-FORCE_TIME = "t (s, force clock)"
+FORCE_CLOCK = ", force clock"  # left out where there is no other clock
+FORCE_TIME = f"t (s{FORCE_CLOCK})"
 SHEET_NUMBER = "side · n (left negative)"
 
 
