@@ -9,7 +9,10 @@ from pathlib import Path
 import pytest
 
 from vision.command.main import HELP, make_app, run
+from vision.command.options import SETTING_OF, flag_of
 from vision.command.track import run_name
+from vision.data import STIFF_BELOW
+from vision.sheets.settings import DEFAULT as TRACKING
 
 ROOT = Path(__file__).parents[2]
 HEAVY = {"pandas", "xarray", "matplotlib", "scipy", "skimage", "cv2", "av", "tifffile", "h5py"}
@@ -32,6 +35,18 @@ def test_an_option_is_explained_without_line_breaks(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "500")
     assert run(["--help"]) == 0
     assert not re.findall(r"^│ {4,}\S.*", capsys.readouterr().out, re.MULTILINE)
+
+
+def test_help_and_readme_state_the_numbers_that_hold(capsys, monkeypatch):
+    """A failure means that a default was changed, or an option added, and that the words for it were not."""
+    monkeypatch.setenv("COLUMNS", "500")
+    assert run(["--help"]) == 0
+    said, readme = capsys.readouterr().out, (ROOT / "README.md").read_text(encoding="utf-8")
+    window, (low, high) = TRACKING.standard_window_px, TRACKING.standard_widths_px
+    assert f"{window} if ridges are {low:g} to {high:g} px wide" in said
+    assert f"a sheet is stiff; {STIFF_BELOW:g} if not given" in said
+    assert f"--window {window}`" in readme and f"--threshold {STIFF_BELOW:g}`" in readme
+    assert [option for option in SETTING_OF if flag_of(option) not in readme] == []
 
 
 def test_help_names_every_option_of_the_contract(capsys):
