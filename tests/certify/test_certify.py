@@ -226,7 +226,7 @@ def test_one_side_in_view_keeps_its_axis():
 def test_files(tmp_path, monkeypatch):
     """JSON, CSV and one page that needs nothing else; no NaN in the JSON."""
     strip, tracks, _ = drawn("as usual")
-    certificate = certify(strip, tracks, pixel_size_um=10, settings=ONE_FILM)
+    certificate = certify(strip, tracks, pixel_size_um=10, settings=replace(ONE_FILM, errors_resolved=2.5))
     write_certificate(certificate, tmp_path / "out")
     facts = read_json(tmp_path / "out/certificate.json")
     table = pd.read_csv(tmp_path / "out/certificate.csv")
@@ -236,6 +236,7 @@ def test_files(tmp_path, monkeypatch):
     assert list(table["n"]) == list(tracks["n"].values)
     assert re.search(r"Random error of a position.*?0\.\d{3,4} px \(\d?\.?\d{2,4} µm\)", page, re.DOTALL)
     assert "that of the best is 0." in page and "that of the worst 0." in page
+    assert "2.5 standard errors from zero" in page
     (panel,) = certificate_figure(certificate).panels
     errors = next(line.y for line in panel.series if line.label == "RMS random error of a position")
     assert panel.y_label == "error, sweep (10⁻³ px)"

@@ -339,9 +339,10 @@ def test_a_reader_that_leaves_is_no_failure(video):
 
 def test_a_full_disk_is_not_blamed_on_the_recording():
     """A failure means that a user whose disk is full looks for a damaged film."""
-    line = one_line(OSError(errno.ENOSPC, "No space left on device"))
-    assert line.startswith("the disk: ")
-    assert line.endswith("free some space")
+    for code in (errno.ENOSPC, errno.EDQUOT):
+        line = one_line(OSError(code, os.strerror(code)))
+        assert line.startswith("the disk: ")
+        assert line.endswith("found a full disk; free some space")
 
 
 def test_no_reader_at_all_is_no_failure(monkeypatch):

@@ -8,6 +8,7 @@ import vision
 from tests.scenes.comparison import events, write_run
 from vision.comparison.comparison import _methods
 from vision.comparison.figures import slope_text
+from vision.comparison.joint import CompareSettings
 from vision.comparison.trends import Trend
 from vision.figures.figure import Panel, Series, save_figures
 from vision.figures.style import DATA
@@ -145,6 +146,9 @@ def test_methods_tell_only_what_was_done(tmp_path):
     one, two = (" ".join(_methods(vision.compare(some))) for some in (runs[:1], runs))
     assert ("One μ" in one, "One μ" in two) == (False, True)
     assert "Trends" not in one + two
+    wide = vision.compare(runs, settings=CompareSettings(t0_limit_N=25.0, change_p=0.05))
+    assert "within ±10 N" in two and "within ±25 N" in " ".join(_methods(wide))
+    assert "fewer than 1 %" in two and "fewer than 5 %" in " ".join(_methods(wide))
 
 
 def test_a_test_has_the_same_colour_in_every_figure(tmp_path):
