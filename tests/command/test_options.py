@@ -73,17 +73,17 @@ def test_a_pixel_size_typed_goes_before_another_kind_in_the_file(tmp_path):
 
 def test_seconds_are_half_open_with_open_ends():
     """A failure means another part of the recording than asked for."""
-    assert parse_seconds("40:45.1", "--time") == (40, 45.1)
-    assert parse_seconds("-1.5:", "--time") == (-1.5, None)
-    assert parse_seconds(":3", "--time") == (None, 3)
-    assert parse_seconds(None, "--time") is None
+    assert parse_seconds("40:45.1") == (40, 45.1)
+    assert parse_seconds("-1.5:") == (-1.5, None)
+    assert parse_seconds(":3") == (None, 3)
+    assert parse_seconds(None) is None
 
 
 @pytest.mark.parametrize("text", ["5", ":", "2:1", "1:1", "a:b", "1:nan", "1:2:3", "inf:"])
 def test_seconds_that_are_no_range_are_refused(text):
     """A failure means an empty or a wrong part without a word."""
     with pytest.raises(InputError, match="--time"):
-        parse_seconds(text, "--time")
+        parse_seconds(text)
 
 
 def test_sheets_are_sides_and_numbers_or_indices():
@@ -208,7 +208,7 @@ def test_a_value_with_a_senseless_error_is_refused(text):
         (lambda text: parse_length(text, "--width"), "1,5 px", "1.5 px"),
         (parse_scale, "1,5mm=103,5px", "1.5mm=103.5px"),
         (lambda text: parse_pair(text, "--fit-range", "a range"), "13,2:17", "13.2:17"),
-        (lambda text: parse_seconds(text, "--time"), "40:45,1", "40:45.1"),
+        (parse_seconds, "40:45,1", "40:45.1"),
         (lambda text: parse_duration(text, "--force-lowpass"), "0,05", "0.05"),
     ],
 )

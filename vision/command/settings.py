@@ -258,8 +258,8 @@ def parse_length(text: str, option: str) -> dict[str, float]:
     return {"width_px": value} if unit == "px" else {"width_um": value * UM_PER[unit]}
 
 
-def parse_seconds(text: str | None, option: str) -> tuple[float | None, float | None] | None:
-    """Parse `A:B` in seconds, half-open; either end may be left out.  Raises: InputError."""
+def parse_seconds(text: str | None) -> tuple[float | None, float | None] | None:
+    """Parse the `A:B` of --time, half-open; either end may be left out.  Raises: InputError."""
     if text is None:
         return None
     first, colon, last = text.partition(":")
@@ -268,7 +268,7 @@ def parse_seconds(text: str | None, option: str) -> tuple[float | None, float | 
     ends = [end for end in (start, stop) if end is not None]
     if not colon or not ends or not all(map(math.isfinite, ends)) or ends != sorted(set(ends)):
         wanted = "two times in seconds A:B with A < B"
-        raise InputError(option, wanted, f"'{text}'", with_point(text) or "write 40:45.1")
+        raise InputError("--time", wanted, f"'{text}'", with_point(text) or "write 40:45.1")
     return start, stop
 
 

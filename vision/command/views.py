@@ -139,7 +139,7 @@ def kymograph(
     """
     started = time.perf_counter()
     sheets, width = _windows_of(window)
-    part: dict[str, Any] = {"time_s": parse_seconds(window.time, "--time")}
+    part: dict[str, Any] = {"time_s": parse_seconds(window.time)}
     video_or_run = one_film(video_or_run)
     target = output.out or Path(f"{run_name(video_or_run)}_kymograph")
     check_results(target, overwrite=output.overwrite, mark=DIAGRAMS)
