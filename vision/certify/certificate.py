@@ -71,8 +71,8 @@ class Certificate:
     found: float
     wrong: int  # positions called ok that are wrong by more than half a pitch
     locking_px: float  # error that repeats with the fraction of a pixel, peak to peak, median over sheets
-    smallest_sweep_px: float  # median over sheets, so many standard errors from zero:
-    errors_resolved: float
+    smallest_sweep_px: float  # median over sheets
+    errors_resolved: float  # number of standard errors by which the smallest sweep differs from zero
     stick_frames: float  # number of frames of a stick phase; NaN, like the sweep, if slips are too frequent
     largest_jump_pitches: float  # of a sheet from frame to frame
     identity_margin: float  # largest multiple of the recording's motion tracked without a wrong identity
