@@ -8,8 +8,9 @@ import pandas as pd
 import pytest
 
 from tests.scenes import doubted as scene
-from tests.scenes.reviewed import PLANTED, SETTINGS, clean, remedies, truth
+from tests.scenes.reviewed import FIXTURE, PLANTED, SETTINGS, clean, remedies, truth
 from vision import folder
+from vision.command.main import run as track
 from vision.command.settings import settings_of_run
 from vision.errors import InputError
 from vision.review import effects, saving
@@ -148,6 +149,24 @@ def test_a_preview_far_into_a_run_looks_at_the_frames_it_shows(doubted, tmp_path
         within = (frames >= first) & (frames < stop)
         shown = np.asarray(seen["after"]["x_px"])[within, sheet]
         np.testing.assert_allclose(shown, x_px[frames[within], sheet], atol=0.5)
+
+
+def test_a_film_with_time_stamps_is_shown_from_another_folder(tmp_path, monkeypatch):
+    """A failure means that a review in another working directory than the run's shows no film."""
+    for name in ("video.avi", "timestamps.txt"):
+        shutil.copy(FIXTURE / name, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    assert track(["video.avi", "--timestamps", "timestamps.txt", "--frames", "0:60", "--quiet"]) == 0
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    with Session(tmp_path / "video_tracks", settings_of_run(tmp_path / "video_tracks")) as session:
+        assert session.recordings.picture(3, 0.05).shape == (30, 1200)
+        (tmp_path / "timestamps.txt").unlink()
+    with (
+        Session(tmp_path / "video_tracks", settings_of_run(tmp_path / "video_tracks")) as session,
+        pytest.raises(InputError, match=r"^timestamps.txt: expected a readable file"),
+    ):
+        session.recordings.picture(3, 0.05)
 
 
 def test_the_effect_on_the_deformation_is_shown(session):

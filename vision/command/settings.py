@@ -330,6 +330,9 @@ def settings_of_run(folder: Path) -> Settings:
 
     Raises: InputError for a folder that is no run, or whose run.json is damaged.
     """
-    parameters = read_run(folder).parameters | {"corrections": Parameter(None, "default")}
+    run = read_run(folder)
+    parameters = run.parameters | {"corrections": Parameter(None, "default")}
     with reading(folder / "run.json", "the parameters of a run", AGAIN):
+        if times := run.value("timestamps"):  # the working directory may be another one now
+            parameters["timestamps"] = Parameter(run.found(Path(times)), "given")
         return settings_of(parameters)

@@ -297,7 +297,7 @@ class Recordings:
                 except InputError as error:
                     self._film = error
             if isinstance(self._film, InputError):
-                raise InputError("the film", "the one that was tracked", str(self._film))
+                raise self._film
             return self._film
 
     def picture(self, frame: int, time_s: float) -> Grey:

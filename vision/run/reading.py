@@ -121,6 +121,11 @@ class RunFolder:
                 raise InputError(path, wanted, found, AGAIN)
         return table
 
+    def found(self, named: Path) -> Path:
+        """Return where a file that the run used is: as it was named, or seen from beside the run folder."""
+        beside = self.folder.absolute().parent / named
+        return named if _is_there(named) or not _is_there(beside) else beside
+
     def input(self, which: Literal["film", "force"], moved: Path | None = None) -> Path:
         """Return the path of the film or the force recording after checking that it is the same file.
 
@@ -133,14 +138,10 @@ class RunFolder:
             wanted = "a run of a video" if which == "film" else "a run with a force recording"
             raise InputError(self.folder, wanted, "none in its run.json", "give another run")
         known: Mapping[str, Any] = inputs[0 if which == "film" else -1]
-        named = Path(str(known["path"]))
-        candidates = [named, self.folder.absolute().parent / named] if moved is None else [moved]
-        # A pattern has no file of its own name, and may be absolute.
-        there = (path for path in candidates if path.exists() or glob.glob(str(path)))  # noqa: PTH207
-        path = next(there, None)
-        if path is None:
+        path = self.found(Path(str(known["path"]))) if moved is None else moved
+        if not _is_there(path):
             advice = "give its new path (`film`)" if which == "film" else "put it back there"
-            raise InputError(candidates[0], f"an input of {self.folder}", "no such file", advice)
+            raise InputError(path, f"an input of {self.folder}", "no such file", advice)
         kind = "sha256" if "sha256" in known else "fingerprint"
         now = describe_input(path, whole=kind == "sha256")
         same_size = now["size_bytes"] == known["size_bytes"]
@@ -149,6 +150,11 @@ class RunFolder:
             found = "another of the same size" if same_size else f"one of {now['size_bytes']} bytes"
             raise InputError(path, wanted, found, "track it again")
         return path
+
+
+def _is_there(path: Path) -> bool:
+    """Return whether a path or a pattern, which has no file of its own name, has files."""
+    return path.exists() or bool(glob.glob(str(path)))  # noqa: PTH207  a pattern may be absolute
 
 
 def is_run(folder: Path) -> bool:
