@@ -316,6 +316,17 @@ def test_a_drift_that_cancels_the_offset_is_in_the_errors(drift_N: float, d1: fl
     assert not any("drift by" in line for line in fit(made).warnings)
 
 
+@pytest.mark.parametrize("drift_N", [-4.0, 4.0])
+def test_a_drift_too_large_to_fit_with_is_in_the_errors(drift_N: float) -> None:
+    """A failure means an error of μ that leaves out the drift that a large 𝒯0 may hide: with it nothing can
+    be fitted, but with a part of it."""
+    made = events(count=800, d1=17.4).query("d_v_mm > 16.6").reset_index(drop=True)
+    along = (made["d_p_mm"] - 16.6) / 0.8
+    mu = fit(made.assign(F_p_N=made["F_p_N"] + 4 + drift_N * along)).mu
+    assert np.hypot(mu.error, mu.systematic_error) < 0.5
+    assert mu.error < abs(mu.value - 0.89) / 10 < 2 * mu.systematic_error / 10
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize("length_mm", [0.1, 0.4])
 def test_errors_hold_with_a_build_up(length_mm: float) -> None:

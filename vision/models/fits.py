@@ -471,8 +471,12 @@ def _with_systematics(
 
     def by(change: Callable[[float], dict[str, float]], error: float) -> dict[str, float | None]:
         """Half the difference between the fits with a source changed by plus and by minus its error."""
-        plus, minus = change(error), change(-error)
-        return {name: abs(plus[name] - minus[name]) / 2 for name in plus}
+        for share in (1.0, 0.1):  # a part of an error with which nothing can be fitted, in proportion
+            plus, minus = change(share * error), change(-share * error)
+            moved = {name: abs(plus[name] - minus[name]) / (2 * share) for name in plus}
+            if np.isfinite(list(moved.values())).all():
+                break
+        return moved
 
     def shifted(d_mm: float) -> dict[str, float]:
         return refit(events.assign(d_v_mm=events["d_v_mm"] + d_mm, d_p_mm=events["d_p_mm"] + d_mm))
