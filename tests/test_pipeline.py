@@ -2,7 +2,8 @@
 
 import html
 import json
-from dataclasses import replace
+import re
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import vision
+from tests.force.test_signal import rung
 from tests.scenes.combs import comb, ridges, strip
 from vision import pipeline
 from vision.command.main import run
@@ -49,6 +51,19 @@ def test_each_operation_is_recorded_with_its_parameters(whole):
     done = [step["operation"] for step in whole.tracks.attrs["operations"]]
     assert done == ["strip_profile", "track_sheets"]
     assert "fit" in whole.tracks.attrs["operations"][-1]["parameters"]
+
+
+def test_messages_name_the_settings():
+    """A failure means that a line advises an argument that `Settings` does not have."""
+    late = DEEP.parent / "late" / "force.txt"
+    found = vision.analyse(None, late, Settings(d0_mm=16.6))
+    named = set(re.findall(r"`(\w+)`", "\n".join([*found.summary(), *found.warnings])))
+    assert "force_lowpass_s" in named
+    assert named <= {one.name for one in fields(Settings)}
+    with pytest.raises(InputError, match="lower `force_threshold_N` if"):
+        vision.analyse(None, late, Settings(d0_mm=16.6, force_threshold_N=1e4))
+    lines = vision.analyse(None, rung(10, 0.2, 0.3), Settings()).warnings
+    assert any("`force_threshold_N` 10 counts them" in line for line in lines)
 
 
 def test_a_force_recording_alone_is_an_analysis_too(whole):

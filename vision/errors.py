@@ -148,9 +148,13 @@ def known_as(**names: str) -> Iterator[None]:
         yield
     except InputError as error:
         for part in ("about", "expected", "found", "advice"):
-            renamed = _NAMED.sub(lambda match: f"`{names.get(match[1], match[1])}`", getattr(error, part))
-            setattr(error, part, renamed)
+            setattr(error, part, renamed(getattr(error, part), names))
         raise
+
+
+def renamed(message: str, names: Mapping[str, str]) -> str:
+    """Return a message with the caller's names of arguments, as in `known_as`."""
+    return _NAMED.sub(lambda match: f"`{names.get(match[1], match[1])}`", message)
 
 
 def with_options(message: str, options: Mapping[str, str] | None = None) -> str:

@@ -54,6 +54,7 @@ from vision.errors import (
     check_within,
     check_word,
     known_as,
+    renamed,
     unexpected,
 )
 from vision.figures.catalogue import Plots, Results, figure_named
@@ -184,6 +185,8 @@ _CHECKS: tuple[tuple[Callable[..., None], tuple[str, ...]], ...] = (
 """How the fields of `Settings` are checked when it is made."""
 _AUTO = ("force_lowpass_s", "force_average_s")
 """Fields of `Settings` that may also be "auto"."""
+_OF_STICKS = {name: f"force_{name}" for name in ("threshold_N", "lowpass_s", "average_s")}
+"""Arguments of `find_stick_slip` and what `Settings` calls them."""
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -350,7 +353,7 @@ def all_warnings(found: Analysis) -> tuple[str, ...]:
     lines += warnings_of(found.motion)
     lines += shells_against_fits(found.shells, found.fits, tuning.shells)
     lines += unlike_sides(found.shells, tuning.shells)
-    return tuple(dict.fromkeys(lines))
+    return tuple(dict.fromkeys(renamed(line, _OF_STICKS) for line in lines))
 
 
 def _check_arguments(video: object, force: object, settings: object) -> None:
@@ -580,7 +583,7 @@ def open_force(force: xr.Dataset | str | Path, chosen: Settings) -> xr.Dataset:
     )
 
 
-@known_as(columns="force_columns")
+@known_as(columns="force_columns", **_OF_STICKS)
 def _sticks(force: xr.Dataset, chosen: Settings) -> pd.DataFrame:
     return find_stick_slip(
         force,

@@ -321,18 +321,17 @@ def lowpass_correction(sticks: pd.DataFrame) -> str:
         if facts.lowpass_doubt == "shape":
             proposal = (
                 f"; the slips suggest a low-pass of {_ms(facts.lowpass_proposed_s)}, but have a tail without "
-                "it: another filter, which `lowpass_s` cannot correct"
+                "it: another filter, which `force_lowpass_s` cannot correct"
             )
         elif math.isfinite(facts.lowpass_proposed_s):
             proven = "show" if facts.lowpass_proven else "may show (they differ)"
             proposal = (
                 f"; the slips {proven} a low-pass of {_ms(facts.lowpass_proposed_s)}, which "
-                "`lowpass_s` auto can correct"
+                "`force_lowpass_s` auto can correct"
             )
         if math.isfinite(facts.ringing_s):
-            proposal += (
-                f"; the load oscillates at {1 / facts.ringing_s:.3g} Hz, which `average_s` auto averages"
-            )
+            rate = f"{1 / facts.ringing_s:.3g} Hz"
+            proposal += f"; the load oscillates at {rate}, which `force_average_s` auto averages"
         part = (
             f", one sample in {facts.every}: a filter has smoothed those between" if facts.every > 1 else ""
         )
