@@ -1,5 +1,7 @@
 """What the figures of several tests show, and what is said beside them."""
 
+import json
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -63,6 +65,24 @@ def test_tests_that_share_their_friction_coefficient(tmp_path, mu):
     peaks = next(figure for figure in found.figures() if figure.name == "peaks")
     assert [one.label for one in peaks.panel.series] == ["r0", "r1", "Eq. 1"]  # one velocity
     assert "fitted jointly to all tests" in peaks.caption
+
+
+def test_ten_tests_can_be_told_apart(tmp_path):
+    """A failure means that no figure shows which of ten tests is unlike the others."""
+    folders = [write_run(tmp_path / f"r{k}", events(seed=k)) for k in range(10)]
+    facts = json.loads((folders[9] / "run.json").read_text())
+    (folders[9] / "run.json").write_text(json.dumps(facts | {"warnings": ["one", "two"]}))
+    table = pd.DataFrame({"RH_percent": np.linspace(30, 50, 10), "film": "x", "force": "x"})
+    found = vision.compare(folders, table=table)
+    figures = {figure.name: figure for figure in found.figures()}
+    for name in ("peaks", "drops", "stiffnesses", "collapse"):
+        shown = figures[name].panel.series[:10]
+        assert [one.label for one in shown] == [folder.name for folder in folders], name
+        assert len({one.ink for one in shown}) == 10
+    assert found.table["notes"].str.contains("2 warnings in its report").tolist() == [False] * 9 + [True]
+    (line,) = (line for line in found.warnings if "not known and left out" in line)
+    assert "film, force" in line
+    assert "adjusted for the number of trends." in figures["trend_scale_RH"].caption
 
 
 def test_samples_at_one_speed_differ_in_colour_and_mark(tmp_path):

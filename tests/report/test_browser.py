@@ -152,6 +152,34 @@ def test_error_bars_lie_within_the_axes(browser, tmp_path):
     visit.context.close()
 
 
+def test_no_series_of_many_points_hides_another(browser, tmp_path):
+    """A failure means that of several tests that coincide only the last is seen."""
+    rng = np.random.default_rng(0)
+    inks = ("#ff0000", "#00ff00", "#0000ff")
+    series = [
+        Series.points(ink, np.linspace(0, 1, 700), 0.01 * rng.standard_normal(700), (ink, ink))
+        for ink in inks
+    ]
+    panel = Panel(x_label="d", y_label="F", series=tuple(series), y_range=(-0.5, 0.5))
+    visit = page_with(browser, tmp_path, [panel.figure("crowd", "Caption.", title="crowd")])
+    counts = visit.page.evaluate(
+        """() => {
+          const canvas = document.querySelector("#crowd canvas");
+          const data = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
+          const count = [0, 0, 0];
+          for (let i = 0; i < data.length; i += 4) {
+            const at = [0, 1, 2].filter((k) => data[i + k] > 200);
+            if (data[i + 3] > 200 && at.length === 1) count[at[0]]++;
+          }
+          return count;
+        }"""
+    )
+    assert min(counts) > 0.8 * max(counts) > 0
+    drawn = visit.page.evaluate("document.getElementById('crowd').svg()")
+    assert all(drawn.count(f'fill="{ink}"') >= 32 for ink in inks)
+    visit.context.close()
+
+
 def test_dragging_zooms_and_the_button_shows_the_whole_again(visit):
     """A failure means that a single slip cannot be looked at."""
     low, high = visit.range_of("tracks")

@@ -268,7 +268,7 @@ def _table(tests: Sequence[TractionTest], fits: Sequence[TestFit]) -> pd.DataFra
             "T_C": test.temperature_C,
             "events": len(test.events),
             "events_used": int(fit.used.sum()),
-            "notes": "; ".join((*fit.warnings, *fit.notes)),
+            "notes": "; ".join((*fit.warnings, *fit.notes, *test.notes)),
         }
         for test, fit in zip(tests, fits, strict=True)
     ]
@@ -336,7 +336,7 @@ def answers(found: Comparison) -> list[Answer]:
 def _trend_line(t: Trend) -> str:
     partial = bool(np.isfinite(t.partial_slope))
     how = ", the other held fixed" if partial else ""
-    return f"{t.name}: {slope_text(t, partial=partial)}{how} (p {t.p_adjusted:.2g})"
+    return f"{t.name}: {slope_text(t, partial=partial)}{how} (adjusted p {t.p_adjusted:.2g})"
 
 
 def _joint_detail(one: JointFriction) -> str:

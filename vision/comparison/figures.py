@@ -22,7 +22,7 @@ from vision.numeric import Floats, with_minus
 if TYPE_CHECKING:
     from vision.comparison.comparison import Comparison
 
-MOST_COLOURS = 8  # more cannot be distinguished
+MOST_COLOURS = 12  # filled and hollow in turn; of more, neighbours cannot be told apart
 
 
 def compare_figures(found: Comparison) -> dict[str, list[Figure]]:
@@ -333,7 +333,7 @@ def _trend_text(trend: Trend) -> str:
             f", with the other predictor fixed {slope_text(trend, partial=True)} (p = {trend.partial_p:.2g})"
         )
     claim = "a trend (solid line)" if trend.claimed else "no trend (dashed line)"
-    return with_minus(f"{text}; {claim}.")
+    return with_minus(f"{text}; {claim}, p = {trend.p_adjusted:.2g} adjusted for the number of trends.")
 
 
 def slope_text(trend: Trend, *, partial: bool) -> str:

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from vision.data import whole_events
-from vision.errors import InputError, check_kind, nearest_word, reason_of
+from vision.errors import InputError, check_kind, counted, nearest_word, reason_of
 from vision.files import AGAIN, check_regular, reading, shortened
 from vision.models.single_fits import check_columns, complete_events, with_fitted_stiffness
 from vision.numeric import Floats, number
@@ -58,6 +58,7 @@ class TractionTest:
     errors: Mapping[str, float]  # given errors: "d0_mm" and fields of the sample
     # shifts of the run's μ, 𝒯0, … by the errors of its force recording: {"load_drift": {"mu": 0.07, …}, …}
     instrument: Mapping[str, Mapping[str, float]]
+    notes: tuple[str, ...] = ()  # about the run
 
     def column(self, name: str) -> Floats:
         """Return one column of the events."""
@@ -126,9 +127,10 @@ def _read_table(table: str | Path | pd.DataFrame | None) -> tuple[pd.DataFrame |
         rows, source, base = pd.DataFrame(cells, columns=header), str(table), Path(table).parent
     rows.columns = [str(name).strip() for name in rows.columns]
     warnings = []
-    for name in [name for name in rows.columns if name not in COLUMNS]:
-        near = ALIKE[nearest_word(name.lower(), ALIKE)]
-        warnings.append(f"{source}: column '{name}' is not known and left out; the nearest is {near}")
+    if unknown := [name for name in rows.columns if name not in COLUMNS]:
+        near = f"nearest is {ALIKE[nearest_word(unknown[0].lower(), ALIKE)]}"
+        known = near if len(unknown) == 1 else f"known ones are {', '.join(COLUMNS)}"
+        warnings.append(f"{source}: not known and left out: {', '.join(unknown)}; the {known}")
     rows = rows[[name for name in COLUMNS if name in rows.columns]]
     if rows.empty or not len(rows.columns):
         raise InputError(source, f"rows with any of the columns {', '.join(COLUMNS)}", "none")
@@ -254,6 +256,7 @@ def _read_test(made: RunFolder, name: str, row: Cells, warnings: list[str]) -> T
     if sample is PUBLISHED:
         warnings.append(f"{name}: the run does not say which sample it had; the publication's is assumed")
     label = row.get("sample")
+    told = len(made.facts.get("warnings") or ())
     low, high = map(number, models.get("fit_range_mm") or (None, None))
     return TractionTest(
         run=name,
@@ -275,6 +278,7 @@ def _read_test(made: RunFolder, name: str, row: Cells, warnings: list[str]) -> T
             if (error := number(value)) > 0
         },
         instrument=_instrument(models.get("budget") or {}),
+        notes=(f"{counted(told, 'warning')} in its report",) if told else (),
     )
 
 

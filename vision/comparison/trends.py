@@ -49,7 +49,7 @@ class Trend:
     @property
     def name(self) -> str:
         """The quantity and the predictor as text."""
-        return f"{SYMBOLS[self.quantity]} with {self.predictor}"
+        return f"{SYMBOLS[self.quantity]} with {PREDICTORS[self.predictor].removesuffix(' (%)')}"
 
     @property
     def beyond_systematic(self) -> bool:

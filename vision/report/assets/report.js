@@ -179,6 +179,30 @@
     c.restore();
   }
 
+  /* Series of many points take turns, as in the drawn figures: else the last would hide the others. */
+  const TURNS = 32, crowd = (chart, arrays) => {
+    const many = chart.series.filter((s) => s.look === "points" && arrays[s.x].length > 150);
+    return many.length > 1 ? many : [];
+  };
+  function turns(u, k, chart, arrays) {
+    const shown = crowd(chart, arrays).filter((s) => u.series[chart.series.indexOf(s) + 1].show);
+    if (!shown.length || chart.series.indexOf(shown[shown.length - 1]) + 1 !== k) return;
+    const c = u.ctx, box = u.bbox, r = devicePixelRatio;
+    c.save(); c.beginPath(); c.rect(box.left, box.top, box.width, box.height); c.clip();
+    c.setLineDash([]); c.lineWidth = 1.3 * r;
+    for (let turn = 0; turn < TURNS; turn++) shown.forEach((s, rank) => {
+      const xs = arrays[s.x], ys = arrays[s.y], key = s.axis === "right" ? "y2" : "y", radius = pointSize(s, chart) * r / 2;
+      c.strokeStyle = c.fillStyle = ink(s.ink); c.beginPath();
+      for (let i = (turn + TURNS - Math.floor(rank * TURNS / shown.length)) % TURNS; i < xs.length; i += TURNS) {
+        if (ys[i] == null) continue;
+        const x = u.valToPos(xs[i] + s.shift, "x", true), y = u.valToPos(ys[i], key, true);
+        c.moveTo(x + radius, y); c.arc(x, y, radius, 0, 2 * Math.PI);
+      }
+      c[s.hollow ? "stroke" : "fill"]();
+    });
+    c.restore();
+  }
+
   /* ---- one chart ---- */
   const signed = (s) => s.sheet[0] * s.sheet[1];
   /* Outer sheets on top, of each pair the dashed one: both sides are seen where they coincide. */
@@ -189,19 +213,20 @@
     chart.series.sort((a, b) => pair(a) - pair(b) || a.dashed - b.dashed);
   }
   const crowded = (s, chart) => { const a = chart.arrays[s.x]; return !a.v || a.v.length > 250; };
+  const pointSize = (s, chart) => (s.hollow ? 9 : 5) * (crowded(s, chart) ? 0.75 : 1);
   /* Values with none before or after them, of which a line shows nothing; null for none. */
   function singles(u, k) {
     const y = u.data[k], alone = [];
     for (let i = 0; i < y.length; i++) if (y[i] != null && y[i - 1] == null && y[i + 1] == null) alone.push(i);
     return alone.length ? alone : null;
   }
-  function seriesOf(s, chart) {
-    const points = s.look === "points" || s.look === "both", line = ["line", "both"].includes(s.look);
+  function seriesOf(s, chart, arrays) {
+    const points = (s.look === "points" || s.look === "both") && !crowd(chart, arrays).includes(s), line = ["line", "both"].includes(s.look);
     const colour = () => (chart.picture ? s.ink[1] : ink(s.ink));
     const out = {
       label: s.label, class: s.label ? undefined : "unnamed", scale: s.axis === "right" ? "y2" : "y", stroke: colour, width: s.width,
       dash: s.dashed ? [5, 3] : undefined, spanGaps: !chart.common_x, value: (u, v) => short(v), pxAlign: 0,
-      points: { show: points, size: (s.hollow ? 9 : 5) * (crowded(s, chart) ? 0.75 : 1), width: 1.3, stroke: colour, fill: s.hollow ? "transparent" : colour },
+      points: { show: points, size: pointSize(s, chart), width: 1.3, stroke: colour, fill: s.hollow ? "transparent" : colour },
     };
     if (s.look === "line" && chart.common_x) out.points.filter = singles;
     if (s.look === "line" && chart.time_down && chart.common_x) {
@@ -297,13 +322,14 @@
     if (chart.y2_label) axes.push(axis(y2Label, Object.assign({ scale: "y2", side: 1, grid: { show: false } }, side)));
     return Object.assign(sizeOf(chart, holder), {
       scales: scalesOf(chart, arrays), axes,
-      series: [{ label: xLabel, value: (u, v) => short(v) }, ...chart.series.map((s) => seriesOf(s, chart))],
+      series: [{ label: xLabel, value: (u, v) => short(v) }, ...chart.series.map((s) => seriesOf(s, chart, arrays))],
       legend: { show: legendOf(chart) },
       focus: chart.switchable ? { alpha: 0.35 } : undefined,
       cursor: { drag: { x: true, y: both, uni: both ? 20 : undefined, setScale: false }, focus: { prox: chart.switchable ? 24 : -1 },
         points: { show: !both } },
       hooks: {
         drawClear: [(u) => underlay(u, chart, image)],
+        drawSeries: [(u, k) => turns(u, k, chart, arrays)],
         draw: [(u) => { bars(u, chart, arrays); ticks(u, chart); lengths(u, chart); holder.parentElement.dataset.drawn = "yes"; }],
         setSelect: [(u) => select(u, chart)],
         setCursor: [(u) => read(u, chart, readout)],
