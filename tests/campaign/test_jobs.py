@@ -42,6 +42,16 @@ def job_of(plan):
     return job
 
 
+def test_the_page_counts_the_frames_that_were_read(tmp_path, analysis):
+    """A failure means that a film that breaks off looks whole."""
+    read = analysis.tracks.assign_attrs(frames_read=17)
+    plan = planned(tmp_path / "out", films(tmp_path, 1))
+    assert run_job(plan, job_of(plan), lambda *one: keep(replace(analysis, tracks=read), one[2])) == 0
+    write_page(plan, live=False)
+    text = (plan.out / "index.html").read_text(encoding="utf-8")
+    assert '<td class="n">17</td>' in text and '<td class="n">30</td>' not in text
+
+
 def test_a_crash_costs_its_film_and_no_other(tmp_path, analysis):
     """A failure means that a decoder's segmentation fault, or one film's memory, ends the night."""
     plan = planned(tmp_path / "out", films(tmp_path, 5))

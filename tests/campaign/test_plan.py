@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.campaign.scenes import films, planned, rows
+from vision.campaign import jobs
 from vision.campaign.films import CampaignSettings
 from vision.campaign.plan import (
     PlannedFilm,
@@ -230,6 +231,19 @@ def test_a_dry_run_names_what_film_and_force_cannot_have(tmp_path, capsys):
         assert re.search(rf"{name} +would fail +{reason}", said), said
     (tmp_path / "t.csv").write_text("film,fps,window\nt3.tif,20,999\n")
     assert run(["campaign", str(tmp_path / "t.csv"), "--out", str(tmp_path / "out"), "--dry-run"]) == 2
+
+
+def test_a_dry_run_reads_the_force_of_films_in_storage(tmp_path, capsys, monkeypatch):
+    """A failure means that a force recording that cannot be used is found after the film was fetched."""
+    monkeypatch.setattr(jobs, "check_engine", lambda *_: None)  # the plugin of the address need not be there
+    rows = "\n".join(f"{k / 10}\t{k % 9}\t{k / 1000}" for k in range(100))
+    (tmp_path / "good.txt").write_text(f"Time [s]\tLoad [N]\tDisplacement [mm]\n{rows}\n")
+    (tmp_path / "bad.txt").write_text(f"Time [s]\tDisplacement [mm]\n{rows}\n")
+    (tmp_path / "t.csv").write_text("film,force\ns3://b/one.avi,good.txt\ns3://b/two.avi,bad.txt\n")
+    assert run(["campaign", str(tmp_path / "t.csv"), "--out", str(tmp_path / "out"), "--dry-run"]) == 1
+    said = capsys.readouterr().out
+    assert re.search(r"one +would run +in object storage", said)
+    assert re.search(r"two +would fail +.*bad.txt: expected", said), said
 
 
 def test_a_state_that_cannot_be_read_is_none(tmp_path):

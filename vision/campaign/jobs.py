@@ -27,6 +27,7 @@ from PIL import Image
 from vision.campaign.films import SETTINGS, is_remote
 from vision.campaign.plan import PLAN, Plan, PlannedFilm, State, Word, inputs_of, write_plan, write_state
 from vision.campaign.results import page_age, write_page, write_partitions
+from vision.data import StripMetadata
 from vision.errors import InputError, install_advice
 from vision.files import answered, c_library, prefetch, shortened
 from vision.pipeline import Analysis
@@ -286,7 +287,9 @@ def _run_one(plan: Plan, film: PlannedFilm, work: Work, copies: dict[str, Path])
     warnings, word = outcome.warnings, STATE_OF_STATUS.get(outcome.status, "partial")
     reason = outcome.reason or (shortened(warnings[0], 300) if warnings else "")
     more = f" (and {len(warnings) - 1} more)" if outcome.status == 1 and len(warnings) > 1 else ""
-    return replace(state, state=word, reason=reason + more, warnings=warnings)
+    tracks = outcome.analysis.tracks
+    frames = 0 if tracks is None else StripMetadata.of(tracks).frames_read
+    return replace(state, state=word, reason=reason + more, warnings=warnings, frames=frames)
 
 
 @contextmanager

@@ -46,6 +46,7 @@ class State:
     reason: str = ""  # one line: the first warning, or the error
     seconds: float = 0.0  # duration of its analysis
     warnings: tuple[str, ...] = ()  # all warnings of the run
+    frames: int = 0  # that were read
     attempts: int = 0  # attempts with this key
     at: float = 0.0  # when this was written, seconds since 1970
 

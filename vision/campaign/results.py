@@ -105,7 +105,7 @@ def _row(plan: Plan, film: PlannedFilm, state: State, facts: list[str]) -> dict[
         "link": f"runs/{quote(film.name, safe='')}/{page}" if finished else "",
         "picture": _data_uri(plan.out / "thumbnails" / f"{film.name}.png") if finished else "",
         "facts": [f"{fact:g}" if isinstance(fact, float) else fact for fact in given],
-        "frames": film.frames or "",
+        "frames": state.frames or film.frames or "",
         "seconds": f"{state.seconds:.1f}" if state.seconds else "",
         "warnings": state.warnings,
         "reason": state.reason or (film.doubt if state.state == "waiting" else ""),

@@ -202,7 +202,7 @@ def _dry_run(plan: Plan, cores: int) -> int:
     for film in plan.films:
         what, size = f"is {plan.state(film).state}", ""
         if film.name in waiting:
-            why = "" if is_remote(film.film) else _refused(plan, film)
+            why = _refused(plan, film)
             what = "would fail" if why else "would run"
             length = f"{film.frames} frames x {film.columns} px, about {duration(film.seconds)}"
             size = why or film.doubt or length
@@ -224,13 +224,16 @@ def _dry_run(plan: Plan, cores: int) -> int:
 
 
 def _refused(plan: Plan, film: PlannedFilm) -> str:
-    """Return why the film or its options will be refused before it is read; "" if they will not."""
+    """Return why the film, its force recording or its options will be refused before the film is read; "" if
+    they will not. A film in object storage is not looked at.
+    """
 
     def check() -> None:
         parameters = _parameters_of(plan, film)
         settings, force = settings_of(parameters), parameters["force"].value
         machine = None if force is None else open_force(force, settings)
-        check_recordings(open_recording(film.film, settings), machine, settings)
+        if not is_remote(film.film):
+            check_recordings(open_recording(film.film, settings), machine, settings)
 
     _, _, why = attempt(partial(answered, check, Path(film.film), SETTINGS.answer_s))
     return with_options(why, option_names())
