@@ -36,6 +36,20 @@ def test_without_force_the_page_says_what_is_missing(video_only, tmp_path):
     assert "stiff shell</div>" not in page
 
 
+def test_the_title_tells_films_of_one_name_apart(pulled, tmp_path):
+    """A failure means ten open pages that are all called video.avi."""
+    strip = pulled.strip.assign_attrs(source="/data/test 7/video.avi")
+    assert "<h1>test 7/video.avi</h1>" in page_of(replace(pulled, strip=strip), tmp_path)
+
+
+def test_the_size_of_the_shell_has_its_interval(pulled):
+    """A failure means a number without an error at the top of the page."""
+    (shell,) = (one for one in answers(pulled) if one.what == "stiff shell")
+    known = pulled.shells[pulled.shells["stiff_sheets"].notna()].sort_values("d_v_mm").head(6)
+    low, size, high = (known[name].median() for name in ("stiff_low", "stiff_sheets", "stiff_high"))
+    assert shell.value.startswith(f"{size:g} ({low:g} to {high:g})")
+
+
 def test_ambiguous_clocks_are_in_doubt_at_the_top(pulled, tmp_path):
     """A failure means that a reader takes an alignment that may be wrong for a result."""
     doubtful = replace(pulled, clock=replace(pulled.clock, status="ambiguous"), motion=None, shells=None)

@@ -54,7 +54,8 @@ def write_report(
     warnings = dict.fromkeys(with_options(line, options) for line in lines)
     title = "recording" if results.force is None else Path(ForceMetadata.of(results.force).source).name
     if results.strip is not None:
-        title = Path(StripMetadata.of(results.strip).source).name
+        film = Path(StripMetadata.of(results.strip).source)
+        title = Path(film.parent.name, film.name).as_posix()  # many films have the same name
     tables = [budget_table(results), *([] if results.tracks is None else [doubt_table(results.tracks)])]
     return render_page(
         path,

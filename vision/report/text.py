@@ -95,14 +95,16 @@ def _sticks(results: Results) -> Answer | None:
 
 
 def _shell(results: Results) -> Answer | None:
-    """Return the size of the stiff shell in the first and in the last three stick phases (medians)."""
+    """Return the size of the stiff shell, with its interval, in the first and in the last three stick phases
+    (medians)."""
     if results.shells is None:
         return None
     known = results.shells[results.shells["stiff_sheets"].notna()].sort_values("d_v_mm")
     if known.empty:
         return Answer("stiff shell", "not known", "too few sheets with a known deformation", doubt=True)
     ends = known.head(6), known.tail(6)  # three stick phases on two sides
-    first, last = (f"{end['stiff_sheets'].astype(float).median():.3g}" for end in ends)
+    names = ["stiff_sheets", "stiff_low", "stiff_high"]
+    first, last = ("{:.3g} ({:.3g} to {:.3g})".format(*end[names].astype(float).median()) for end in ends)
     d_mm = known["d_v_mm"]
     size = first if first == last else f"{first} → {last}"
     where = f"from d = {d_mm.min():.2f} to {d_mm.max():.2f} mm" if d_mm.notna().any() else "d not known"
