@@ -67,11 +67,15 @@ def test_the_examples_give_what_they_promise(folder, monkeypatch):
     label = stages["right"].yaxis.label.get_window_extent()
     assert label.x0 > stages["left"].get_window_extent().x1  # the labels do not cover the other figure
     assert stages["right"].get_legend().get_window_extent().y1 <= stages["fig"].bbox.y1
+    for block in BLOCKS[5:]:
+        exec(block, cells)
+    assert (folder / "shells.pdf").stat().st_size > 5000
+    np.testing.assert_allclose(cells["sigma_x_um"], cells["stick"].sigma_x_um, rtol=1e-6)
 
 
 def test_every_python_example_is_run():
     """A failure means that an example was added which no test runs."""
-    assert len(BLOCKS) == 5
+    assert len(BLOCKS) == 8
 
 
 def test_every_preset_is_named_wherever_presets_are_listed():
