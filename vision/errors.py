@@ -137,13 +137,7 @@ def shown(value: Any) -> str:
 
 @contextmanager
 def known_as(**names: str) -> Iterator[None]:
-    """Rename arguments in the message of an `InputError` raised inside.
-
-    Parameters
-    ----------
-    names
-        The caller's name of each renamed argument, such as ``columns="force_columns"``.
-    """
+    """Rename arguments in the message of an `InputError` raised inside, as by ``columns="force_columns"``."""
     try:
         yield
     except InputError as error:
@@ -158,18 +152,12 @@ def renamed(message: str, names: Mapping[str, str]) -> str:
 
 
 def with_options(message: str, options: Mapping[str, str] | None = None) -> str:
-    """Return a message with command-line options in place of the library's arguments.
+    """Return an error or a warning with command-line options in place of the library's arguments.
+
+    options: by argument, as in ``{"pixel_size_um": "--pixel-size"}``; other arguments lose their backticks.
 
     An argument is any single name in backticks, which a regular expression finds in the text: a message must
     have nothing else in backticks.
-
-    Parameters
-    ----------
-    message
-        Message of an `InputError`, or a warning of the library.
-    options
-        Python name to option, such as ``{"pixel_size_um": "--pixel-size"}``. Names that are not in it only
-        lose their backticks.
     """
     known = options or {}
     return _NAMED.sub(lambda match: known.get(match[1], match[1]), message)

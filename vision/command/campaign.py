@@ -56,10 +56,10 @@ def campaign(
 ) -> int:
     """Track many films, on all cores of this machine or on a cluster, each only once.
 
-    The table has one row per test. Its columns are film, force, any option of track, and the conditions
-    sample, V_mm_min, n_test, RH_percent and T_C. All rows are checked before anything starts. A film is
-    tracked again only if its files or options have changed. One that fails is tried twice; the others
-    continue.
+    The table has one row per test. Its columns are film, force, any option of track, the conditions sample,
+    V_mm_min, n_test, RH_percent and T_C, and name where films have the same. All rows are checked before
+    anything starts. A film is tracked again only if its files or options have changed. One that fails is
+    tried twice; the others continue.
 
     Writes a run folder for each film in runs/, campaign.csv, index.html (updated while it runs), the
     comparison of the finished tests in pool/ and their tables as Parquet in tables/.

@@ -150,7 +150,7 @@ class JointFriction:
         differ = f"the individual μ of {len(self.runs)} tests differ by more than their errors (χ²/dof"
         none = f"no single μ fits the {len(self.runs)} tests (χ²/dof of their individual μ"
         problem = f"{differ if self.fits else none} {self.disagreement:.3g})"
-        return f"{self.name}: {problem}: use the μ of each test, in tests.csv"
+        return f"{self.name}: {problem}: use the μ of each test, in tests.csv of the comparison"
 
     @property
     def error_contains(self) -> str:
