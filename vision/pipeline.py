@@ -108,9 +108,9 @@ class Tuning:
 class Settings:
     """Options of the analysis, which ``track --help`` explains. One that is None is found from the data.
 
-    The unit is the last part of a name. Of other names than there: `rows` is --strip, `d0_err_mm` the error in
-    --d0, `geometry_err` those of the sample, `mu` --fix-mu, `modulus_GPa` --fix-yeff. Parts of film and picture
-    are slices, as in ``rows=slice(60, 144)``; a sample is ``Sample(thickness_mm=0.1)`` of `vision.sample`.
+    The unit is the last part of a name. Called otherwise there: `rows` is --strip, `d0_err_mm` the error in
+    --d0, `geometry_err` those of the sample, `mu` --fix-mu, `modulus_GPa` --fix-yeff. Parts of film and
+    picture are slices, as in ``rows=slice(60, 144)``; a sample is a `vision.sample.Sample`.
     """
 
     rows: slice | None = None  #: averaged to the strip; half-open, px, after rotation, as are `columns`
