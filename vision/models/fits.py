@@ -473,10 +473,10 @@ def _with_systematics(
         """Half the difference between the fits with a source changed by plus and by minus its error."""
         for share in (1.0, 0.1):  # a part of an error with which nothing can be fitted, in proportion
             plus, minus = change(share * error), change(-share * error)
-            moved = {name: abs(plus[name] - minus[name]) / (2 * share) for name in plus}
-            if np.isfinite(list(moved.values())).all():
+            moved = [abs(plus[name] - minus[name]) / (2 * share) for name in plus]
+            if np.isfinite(moved).all():
                 break
-        return moved
+        return dict(zip(plus, moved, strict=True))
 
     def shifted(d_mm: float) -> dict[str, float]:
         return refit(events.assign(d_v_mm=events["d_v_mm"] + d_mm, d_p_mm=events["d_p_mm"] + d_mm))
