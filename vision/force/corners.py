@@ -112,9 +112,9 @@ def find_corners(
             base = _Baselines.of(seen, two_slopes, settings, shape)
             high, middle, low = _crossings(seen.load, seen.edge, base)
             halves = np.stack([middle - high, low - middle])
-    (before, after), usual = _half_lengths(seen, base, halves, settings)
+    (before, after), usual, gradual = _half_lengths(seen, base, halves, settings)
     # The position of a corner errs by the noise over the slip's slope, by the sampling, and by its shape.
-    systematic = np.hypot(BETWEEN_SAMPLES, settings.shape_error * usual)
+    systematic = np.hypot(BETWEEN_SAMPLES, np.hypot(settings.shape_error, gradual) * usual)
     systematic = np.hypot(systematic, AVERAGE_ERROR * seen.averaged)
     steepest = np.pi / 2 * np.maximum(base.drop, seen.sigma) / max(usual, seen.width)
     middle = middle - seen.late
@@ -134,8 +134,10 @@ def find_corners(
 
 def _half_lengths(
     seen: _DeconvolvedLoad, base: _Baselines, halves: Floats, settings: ForceSettings
-) -> tuple[Floats, float]:
-    """Return how long each slip lasts before and after its middle, (2, slip), and the usual whole length.
+) -> tuple[Floats, float, float]:
+    """Return how long each slip lasts before and after its middle, (2, slip); the usual whole length; and by
+    which share of it the usual slip may begin earlier than half a cosine does, as its first half lasts longer
+    where friction falls gradually with the speed.
 
     `halves` are the samples from 90 to 50 % and from 50 to 10 % of the drop. The individual length of a slip
     is used where its drop exceeds 20 sigma, else the median of the recording. Where the median is too short
@@ -162,7 +164,9 @@ def _half_lengths(
         halves = np.where(slow, halves, usual)
     halves[1] = np.where(slow, halves[1], np.minimum(halves[1], 2 * usual[1]))
     halves = np.where(clear, halves, usual)
-    return _half_from_crossing(halves, base.slope, base.drop), float(usual.sum()) / _HALF_COSINE
+    length = float(usual.sum()) / _HALF_COSINE
+    gradual = float(np.log(np.maximum(usual[0], 1e-9) / np.maximum(usual[1], 1e-9))[0])
+    return _half_from_crossing(halves, base.slope, base.drop), length, min(max(gradual, 0.0), 0.5)
 
 
 @dataclass(frozen=True)
@@ -376,7 +380,10 @@ class Shape:
         if not clear.any() or np.abs(off).max() > 1.0:  # no stick deviates that far
             return cls()
         # What the terms left out, and those beyond the last, may add: as much as the last one.
-        unknown = np.where(clear & (np.arange(2, 5) < 4), standard, np.abs(middle))
+        # Where the terms hardly become smaller, as at a knee or a steep beginning, as much as the last two:
+        # their ratio is 0.2 at most for powers of the time up to the third, 0.5 and more there.
+        last = 4 - (abs(middle[1]) > abs(middle[0]) / 3)
+        unknown = np.where(clear & (np.arange(2, 5) < last), standard, np.abs(middle))
         # Sticks may bend by different amounts: as far as their curvatures scatter more than noise explains.
         differ = (not alike) & (scatter**2 > white * (1 + settings.alike_sigmas / np.sqrt(some.size)))
         unknown = np.sqrt(unknown**2 + np.where(differ, scatter**2 - white, 0))

@@ -159,6 +159,12 @@ class ForceSettings:
     moving means 0.34 or more, paper on paper up to 0.12, white noise less than 0. Smaller doubts slow slips
     whose noise is pink, larger trusts smoothed ones (test_events)."""
 
+    white_noise: float = 0.05
+    """Correlation of the noise over a twentieth of a slip that is not slow above which a filter may have made
+    the slip: white noise up to 0.03, means and filters of twice as much noise as arose later 0.4 or more.
+    Larger trusts slips that a filter made, smaller has errors of ΔF and F_v up to ten times too large for
+    those of clean recordings (test_events)."""
+
     filter_share: float = 0.3
     """Length of slips over that of sticks from which a filter that may have lengthened them leaves too little
     of the sticks for K, off by 4 % at 0.35 and by 10 % at 0.5. Smaller doubts recordings that are resolved,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from vision.data import joined_flags
 from vision.force.corners import Corners, Extremes, Shape, find_extremes, is_slow, without_lowpass
-from vision.force.lines import BrokenLines, Lines, fit_broken_lines, fit_lines, fit_polynomials
+from vision.force.lines import Lines, fit_broken_lines, fit_lines, fit_polynomials
 from vision.force.settings import ForceSettings
 from vision.force.signal import Signal, slope_error_of_steps, step_between
 from vision.numeric import Bools, Floats, Ints, nan_median
@@ -40,19 +40,13 @@ class _Sticks:
         margin = 0.5 * (1 - part) * (peak - valley)
         return _between(valley + margin, peak - margin)
 
-    def one_slope(self, part: float) -> tuple[Ints, Ints]:
-        """Return the range of the central part after the knee, or before it where the knee is late."""
+    def sides(self, part: float) -> tuple[tuple[Ints, Ints], tuple[Ints, Ints]]:
+        """Return the ranges of the central part before and after the knee, or the middle, clear of it."""
         valley, peak = self.position
-        length = peak - valley
-        margin, clear = 0.5 * (1 - part) * length, 0.03 * length
+        margin, clear = 0.5 * (1 - part) * (peak - valley), 0.03 * (peak - valley)
+        knee = np.where(np.isfinite(self.knee), self.knee, 0.5 * (valley + peak))
         start, stop = valley + margin, peak - margin
-        early = self.knee - valley < 0.65 * length
-        start = np.where(early, np.fmax(start, self.knee + clear), start)
-        return _between(start, np.where(early, stop, np.fmin(stop, self.knee - clear)))
-
-    def broken(self, x: Floats, y: Floats) -> BrokenLines:
-        """Fit a line with a knee to nearly all of each stick."""
-        return fit_broken_lines(x, y, *self.central(self.settings.line_part), lag=self.lag)
+        return _between(start, np.fmin(stop, knee - clear)), _between(np.fmax(start, knee + clear), stop)
 
 
 def _between(start: Floats, stop: Floats) -> tuple[Ints, Ints]:
@@ -101,11 +95,15 @@ def measure_sticks(
     d, d_next, noise_mm = _separations(signal, sticks, valley[-1], force, compliance)
     (f_v, f_p), (t_v, t_p), (d_v, d_p) = force, time, d
     t_next = signal.time_at(valley[1:])
-    off, half = (_beside(part) for part in _position_errors(signal, corners, filter_known))
+    off, half = (_beside(part) for part in _position_errors(signal, corners, lengthened, filter_known))
     error = _corner_errors(signal, sticks, ends, force, off)
     lost = ends.rise * np.where(sticks.slow, np.fmin(half, lengthened / 2), half)
     apart = np.hypot(np.hypot(*np.hypot(off, _rounded(sticks, ends, force, extremes))), half.sum(axis=0))
     relative = apart / np.where(samples == 0, np.nan, samples)
+    length_error = 1e3 * np.hypot((d_p - d_v) * relative, np.sqrt(2) * noise_mm)
+    between = (
+        500 * (d_p - d_v) * _beside(corners.length).sum(axis=0) / np.where(samples == 0, np.nan, samples)
+    )
     table = pd.DataFrame(
         {
             "event": np.arange(samples.size),
@@ -123,7 +121,7 @@ def measure_sticks(
             "F_p_raw_N": sticks.furthest[1],
             **dict(zip(("F_v_err_N", "F_p_err_N"), np.hypot(np.hypot(ends.error, error), lost), strict=True)),
             "dF_err_N": np.hypot(np.hypot(ends.error_rise, np.hypot(*error)), lost.sum(axis=0)),
-            "stick_length_err_um": 1e3 * np.hypot((d_p - d_v) * relative, np.sqrt(2) * noise_mm),
+            "stick_length_err_um": length_error,
             "K_lowpass_share": 0.0,
             "slip_time_s": t_next - t_p,
             "samples": samples.astype(int),
@@ -132,7 +130,8 @@ def measure_sticks(
     marks = {
         "falling": ~(ends.slope > 0) | _contain_falls(signal, sticks, f_p - f_v),
         "slow": slow[:-1] | slow[1:],
-        "still": _held(1e3 * (d_next - d_v), table["stick_length_err_um"].to_numpy(), t_next - t_v, settings),
+        # The load may have relaxed in a rest, so that slow slips count with all their length.
+        "still": _held(1e3 * (d_next - d_v), np.hypot(length_error, between), t_next - t_v, settings),
     }
     # Both neighbouring slips count: bad samples in them hide how high or low the load was.
     (v, p), last = sticks.position, signal.time.size - 1
@@ -183,22 +182,27 @@ def _part_means(
     return means, samples
 
 
-def _position_errors(signal: Signal, corners: Corners, filter_known: bool) -> tuple[Floats, Floats]:
+def _position_errors(
+    signal: Signal, corners: Corners, lengthened: float, filter_known: bool
+) -> tuple[Floats, Floats]:
     """Return the standard error of the position of each corner, and how far lengthening may have moved both
     corners of a slip apart; in samples.
 
     A slip may be as long as it appears, or lengthened: up to 2.5 samples where each is the mean since the one
-    before, further by a filter of the machine, in which the noise of neighbouring samples is common unless it
-    arose later. Either corner is then off by half the length, and the two of a stick by all of it. So they
-    are where two samples or more in a row were lost at the slip, since the load between them is interpolated.
+    before, and by `lengthened` samples by a filter of the machine, further where the noise of neighbouring
+    samples is common unless it arose later. Either corner is then off by half of it, and the two of a stick
+    by all of it. So they are where two samples or more in a row were lost at the slip, since the load between
+    them is interpolated.
     """
     # Corners lie between two samples; of lost ones the next known samples are further apart.
     known = np.flatnonzero(~signal.is_missing)
     after = np.clip(np.searchsorted(known, corners.middle), 1, known.size - 1)
     apart = known[after] - known[after - 1]
-    lengthened = ((corners.length < UNRESOLVED) | (not filter_known)) & ~signal.is_missing.any()
-    lengthened = lengthened | (signal.alike > 1) | (apart > 2)
-    return corners.error * apart, np.where(lengthened, corners.length / 2, 0)
+    resolved = not lengthened and np.quantile(corners.length, 0.1) >= UNRESOLVED
+    longer = ((corners.length < UNRESOLVED) | (not filter_known)) & ~signal.is_missing.any()
+    longer = longer | (signal.alike > 1) | (apart > 2)
+    most = np.where((signal.alike > 1) | (apart > 2) | (not resolved), np.inf, UNRESOLVED)
+    return corners.error * apart, np.where(longer, np.fmin(corners.length, most) / 2, 0)
 
 
 def _rounded(sticks: _Sticks, ends: _Ends, force: Floats, extremes: Extremes) -> Floats:
@@ -216,35 +220,39 @@ def _rounded(sticks: _Sticks, ends: _Ends, force: Floats, extremes: Extremes) ->
 def filter_length(signal: Signal, corners: Corners, extremes: Extremes, settings: ForceSettings) -> float:
     """Return by how many samples a filter of the machine may have lengthened every slip; 0 for none.
 
-    A filter lengthens all slips alike, so by no more than the shortest last; and not at all where slow ones
-    are level at their ends, as those of a moving block are, and the noise is faster than they are. Half a
+    A filter lengthens all slips alike, so by no more than the shortest last; and not at all where they are
+    level at their ends, as those of a moving block are, and the noise is faster than they are. Half a
     cosine takes as long from peak to valley as its crossings say, and as long before its middle as after it.
     A straight fall, as a moving mean makes it of a sudden slip, begins and ends in less; a filter with a tail
     takes longer after the middle. A smoothed recording, as by a filter without delay, has neither sign, but
-    noise as smooth as its slips.
+    noise as smooth as its slips. Where slips are short, noise moves the extremes, so that the noise must be
+    white; those of a few samples, in which the load cell may ring, show none of this.
     """
-    length, slow = float(np.quantile(corners.length, 0.1)), is_slow(corners, settings)
+    length = float(np.quantile(corners.length, 0.1))
     with np.errstate(divide="ignore", invalid="ignore"):
-        shares = ((extremes.fall / corners.length)[slow], (corners.onset / corners.end)[slow])
-    level = slow.any() and all(nan_median(share) >= 1 - settings.level_share for share in shares)
-    level = level and not _is_smooth(signal, corners, 0.05 * length, settings)
+        shares = (extremes.fall / corners.length, corners.onset / corners.end)
+    level = all(nan_median(share) >= 1 - settings.level_share for share in shares)
+    slow = bool(is_slow(corners, settings).all())
+    most = settings.smooth_noise if slow else settings.white_noise
+    level = level and (slow or length >= 2 * settings.few_samples)
+    level = level and _noise_correlation(signal, corners, 0.05 * length) < most
     return 0.0 if level or length < UNRESOLVED else length
 
 
-def _is_smooth(signal: Signal, corners: Corners, apart: float, settings: ForceSettings) -> bool:
-    """Return whether the noise within the sticks is correlated over so many samples, as behind a filter."""
+def _noise_correlation(signal: Signal, corners: Corners, apart: float) -> float:
+    """Return the correlation of the noise within the sticks over so many samples; NaN in short sticks."""
     lag, valley, length = max(round(apart), 1), corners.valley[:-1], corners.peak[1:] - corners.valley[:-1]
-    margin = 0.5 * (1 - settings.line_part) * length
+    margin = 0.1 * length
     start, stop = _between(valley + margin, valley + length - margin)
     long = stop - start >= max(10, 4 * lag)  # a polynomial is fitted to each
     if not long.any():
-        return False
+        return float("nan")
     _, noise, row = fit_polynomials(signal.clean, start[long], stop[long])
     product = np.where(row[lag:] == row[:-lag], noise[lag:] * noise[:-lag], 0.0)
     common = np.bincount(row[lag:], product, minlength=int(long.sum()))
     with np.errstate(divide="ignore", invalid="ignore"):
-        correlation = nan_median(common / np.bincount(row, noise**2))
-    return bool(correlation > settings.smooth_noise)
+        # The five terms of the polynomial take as much from the correlation of white noise.
+        return float(nan_median(common / np.bincount(row, noise**2)) + 5 / np.median((stop - start)[long]))
 
 
 def _corner_errors(signal: Signal, sticks: _Sticks, ends: _Ends, force: Floats, off: Floats) -> Floats:
@@ -375,10 +383,16 @@ def _ends(signal: Signal, sticks: _Sticks, time: Floats, shape: Shape) -> _Ends:
     line = fit_lines(signal.time, signal.spikeless, *central, lag=sticks.lag)
     bent, duration = np.isfinite(sticks.knee), time[1] - time[0]
     rise = np.maximum(line.slope * duration, 0.0)
-    force = line.at(time) + shape.ends * rise
+    force, lever = line.at(time) + shape.ends * rise, line.lever(time)
+    apart = duration / np.sqrt(line.sxx)
     if bent.any():
-        broken = sticks.broken(signal.time, signal.spikeless)
-        force = np.where(bent, [broken.first_at(time[0]), broken.second_at(time[1])], force)
+        # Either end is that of a line through the samples on its side of the knee alone.
+        ranges = sticks.sides(sticks.settings.line_part)
+        sides = [fit_lines(signal.time, signal.spikeless, *side, lag=sticks.lag) for side in ranges]
+        bent = bent & np.isfinite(sides[0].spread + sides[1].spread)
+        force = np.where(bent, [side.at(at) for side, at in zip(sides, time, strict=True)], force)
+        lever = np.where(bent, [side.lever(at) for side, at in zip(sides, time, strict=True)], lever)
+        apart = np.where(bent, np.hypot(*lever), apart)
     # The common curvature is in the residuals of the lines, but is no noise.
     straight = np.sqrt(np.maximum(line.spread**2 - (shape.spread * rise) ** 2, 0))
     noise = np.sqrt(signal.alike) * np.fmax(straight, np.fmin(line.spread, signal.sigma))
@@ -386,10 +400,10 @@ def _ends(signal: Signal, sticks: _Sticks, time: Floats, shape: Shape) -> _Ends:
         noise = noise * np.where(bent, 1.0, _unevenness(signal, line, *central, noise, sticks.settings))
     return _Ends(
         force,
-        error=np.hypot(np.hypot(noise * line.lever(time), shape.errors * rise), signal.wander),
+        error=np.hypot(np.hypot(noise * lever, np.where(bent, 0.0, shape.errors * rise)), signal.wander),
         rise=np.abs(line.slope) * signal.interval_at(sticks.position),
         slope=line.slope,
-        error_rise=np.hypot(noise / np.sqrt(line.sxx) * duration, shape.difference_error * rise),
+        error_rise=np.hypot(noise * apart, np.where(bent, 0.0, shape.difference_error * rise)),
     )
 
 
@@ -448,8 +462,11 @@ def _stiffness(signal: Signal, sticks: _Sticks, two_slopes: bool, compliance: fl
     names = ("K1_N_per_mm", "K2_N_per_mm", "K2_err_N_per_mm", "knee", "knee_gain")
     if not two_slopes or not np.isfinite(travel).any():
         return columns | dict.fromkeys(names, np.full(k.size, np.nan))
-    broken = sticks.broken(travel, load)
-    after, after_error = with_error(*sticks.one_slope(part))
+    broken = fit_broken_lines(travel, load, *sticks.central(settings.line_part), lag=sticks.lag)
+    early = sticks.knee - sticks.position[0] < 0.65 * (sticks.position[1] - sticks.position[0])
+    after, after_error = with_error(
+        *(np.where(early, *ends[::-1]) for ends in zip(*sticks.sides(part), strict=True))
+    )
     bent = np.isfinite(sticks.knee)
     second = np.where(bent, after, of_sample(broken.second)), np.where(bent, after_error, error)
     return columns | dict(

@@ -1,0 +1,94 @@
+"""Errors of what is measured on each stick, against slips and sticks whose course is known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tests.force.test_events import matched
+from tests.scenes.sawtooth import Test, recording
+from vision.force import find_stick_slip
+from vision.numeric import Floats
+
+
+def cycles(
+    rise: Floats,
+    fall: Floats,
+    *,
+    noise: float,
+    along: Callable[[Floats], Floats] = lambda u: u,
+    down: Callable[[Floats], Floats] = lambda u: (1 + np.cos(np.pi * u)) / 2,
+) -> Test:
+    """Sticks of so many samples from 50 to 60 N with the course `along`, and slips with the course `down`."""
+    rng = np.random.default_rng(8)
+    knots = np.cumsum(np.stack([rise, fall], axis=1))
+    begin = np.r_[0.0, knots]
+    index = np.arange(knots[-1])
+    at = np.searchsorted(knots, index, side="right")
+    u = (index - begin[at]) / np.diff(begin)[at]
+    load = 50 + 10 * np.where(at % 2 == 0, along(u), down(u)) + noise * rng.standard_normal(u.size)
+    sticks = {"t_v_s": begin[2:-1:2] / 100, "t_p_s": begin[3::2] / 100, "F_v_N": 50.0, "F_p_N": 60.0}
+    truth = pd.DataFrame(sticks | {"dF_N": 10.0, "stick_length_um": rise[1:] / 6})
+    return Test(recording(0.01 * index, load, 13 + index / 6000, 1.0), truth)
+
+
+def within(events: pd.DataFrame, truth: pd.DataFrame, name: str) -> float:
+    """The share of events whose value of this column is within its error."""
+    error = events[name.replace("_N", "_err_N").replace("_um", "_err_um")]
+    return float(np.mean(np.abs(events[name] - truth[name]) < error))
+
+
+def uneven_lengths(samples: float, count: int = 60) -> Floats:
+    """So many lengths that scatter by a twentieth."""
+    return np.asarray(samples * (1 + 0.05 * np.random.default_rng(3).standard_normal(count)), np.float64)
+
+
+@pytest.mark.parametrize("fall", [30.0, 300.0])
+def test_slips_that_no_filter_lengthened_have_no_errors_of_one(fall: float) -> None:
+    """A failure means errors of Λ_st as large as the slip, up to half of Λ_st, or of ΔF ten times too large,
+    although the noise is white and the slips have the shape of a moving block's."""
+    test = cycles(uneven_lengths(600), np.full(60, fall), noise=0.1)
+    events, truth = matched(find_stick_slip(test.force), test.truth)
+    assert len(events) == 58
+    assert within(events, truth, "dF_N") > 0.6
+    assert within(events, truth, "stick_length_um") > 0.6
+    assert (events["dF_err_N"] < 0.02 * truth["dF_N"]).all()
+    assert (events["stick_length_err_um"] < 0.05 * truth["stick_length_um"]).all()
+
+
+def test_slips_that_begin_gradually_are_part_of_the_error_of_the_length() -> None:
+    """A failure means that the slips of friction that falls gradually with the speed count as half cosines:
+    hardly any Λ_st is within its error."""
+    course = np.cumsum(np.r_[0.0, np.exp(6 * np.linspace(0, 1, 400))])
+    course = 1 - course / course[-1]
+    test = cycles(
+        uneven_lengths(1000),
+        np.full(60, 80.0),
+        noise=0.3,
+        down=lambda u: np.interp(u, np.linspace(0, 1, course.size), course),
+    )
+    events, truth = matched(find_stick_slip(test.force), test.truth)
+    assert len(events) == 58
+    assert within(events, truth, "stick_length_um") > 0.6
+    assert events["stick_length_err_um"].median() < 0.08 * truth["stick_length_um"].median()
+
+
+@pytest.mark.parametrize(("ratio", "noise", "most"), [(1.4, 0.25, 1.2), (1.8, 0.05, 0.15)])
+def test_errors_at_the_ends_of_sticks_with_a_knee(ratio: float, noise: float, most: float) -> None:
+    """A failure means that F_v and ΔF are off by 2 to 8 % of the drop, ten times their errors, where noise
+    hides the knee of single sticks; or that a knee's short first line counts as one through all samples."""
+    first = 1 / (0.35 + 0.65 / ratio)
+    test = cycles(
+        uneven_lengths(600),
+        np.full(60, 1.5),
+        noise=noise,
+        along=lambda u: np.where(u < 0.35, first * u, 1 - first / ratio * (1 - u)),
+    )
+    events, truth = matched(find_stick_slip(test.force), test.truth)
+    assert len(events) == 58
+    for name in ("F_v_N", "dF_N"):
+        assert within(events, truth, name) > 0.6, name
+    assert events["dF_err_N"].median() < most
