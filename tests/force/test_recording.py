@@ -287,3 +287,12 @@ def test_a_separation_below_zero_is_refused(tmp_path):
     path.write_text("Time [s]\tLoad [N]\tDisplacement [mm]\n" + "".join(f"{k}\t1\t{k}\n" for k in range(9)))
     with pytest.raises(InputError, match="`d0_mm`: expected a number of mm from 0; found -13"):
         read_force(path, d0_mm=-13)
+
+
+@pytest.mark.parametrize(("unit", "told"), [("min", "a factor of 60"), ("s", "")])
+def test_times_in_another_unit_than_the_header_says_are_told(unit: str, told: str, tmp_path: Path) -> None:
+    """A failure means that seconds under the name of minutes leave every speed wrong by 60 without a hint."""
+    time = 0.1 * np.arange(200)
+    text = f"time ({unit}),load (N),displacement (mm)\n" + rows(time, 5 + np.sin(time), time / 60, sep=",")
+    warnings = read_force(written(tmp_path, text), speed_mm_min=1, d0_mm=13).attrs["warnings"]
+    assert any("check the unit of the time" in line and told in line for line in warnings) == bool(told)

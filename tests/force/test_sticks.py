@@ -10,6 +10,7 @@ import pytest
 
 from tests.force.test_events import matched
 from tests.scenes.sawtooth import Test, recording
+from vision.errors import InputError
 from vision.force import find_stick_slip
 from vision.numeric import Floats
 
@@ -92,3 +93,10 @@ def test_errors_at_the_ends_of_sticks_with_a_knee(ratio: float, noise: float, mo
     for name in ("F_v_N", "dF_N"):
         assert within(events, truth, name) > 0.6, name
     assert events["dF_err_N"].median() < most
+
+
+def test_a_load_that_only_rises_is_said_to_be_another_column() -> None:
+    """A failure means that a displacement taken for the load is answered with advice about the threshold."""
+    index = np.arange(2000)
+    with pytest.raises(InputError, match="without turning back; name its column"):
+        find_stick_slip(recording(0.01 * index, 1 + index / 6000, 13 + index / 6000, 1.0))

@@ -262,6 +262,9 @@ def _too_few_slips(signal: Signal, slips: Slips, source: str, rings: str) -> Inp
         )
     step = np.diff(signal.load)
     usual = float(np.mean(np.abs(step)))
+    if np.abs(step.sum()) >= 0.9 * np.abs(step).sum():
+        found = f"one that goes from {signal.load[0]:.3g} to {signal.load[-1]:.3g} without turning back"
+        return InputError(source, "a load that falls at slips", found, "name its column: `columns` load=…")
     falls = step < -usual
     if np.median(step) > 0.3 * usual and np.mean(falls) > 0.1:
         return InputError(

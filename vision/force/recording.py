@@ -269,7 +269,7 @@ def _warnings(
     if source == "displacement" and speed_mm_min and not np.isclose(measured, speed_mm_min, rtol=0.05):
         warnings.append(
             f"the crosshead moved at {measured:.3g} mm/min, not at `speed_mm_min` {speed_mm_min:g}: "
-            "crosshead used"
+            "crosshead used" + _factor(measured / speed_mm_min)
         )
     counts = {word: int(np.sum(flags == word)) for word in ("nan", "repeated", "backwards", "saturated")}
     warnings += [
@@ -278,6 +278,14 @@ def _warnings(
     if is_compression(load):
         warnings.append("the load is negative: a recording in compression, or tension counted negative")
     return warnings
+
+
+def _factor(ratio: float) -> str:
+    """Return which unit of time may be wrong for speeds of this ratio; "" for none."""
+    for factor in (60, 1000):
+        if np.isclose(abs(np.log(max(ratio, 1e-9))), np.log(factor), atol=0.05):
+            return f"; a factor of {factor}: check the unit of the time"
+    return ""
 
 
 def _gap_warnings(gap: Bools, jumps: Bools, time: Floats, travel: Floats) -> list[str]:
