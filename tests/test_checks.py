@@ -172,6 +172,24 @@ def test_stripes_of_the_background_that_continue_the_comb():
     assert "still" not in str(consistency_warnings(track_sheets(strip(ridges(opposed)))))
 
 
+def test_a_sheet_that_moves_by_itself_leaves_those_beyond_sheets():
+    """A sheet splits in mid-film, and one half of it is followed. A failure means that all sheets beyond it,
+    which move far less, are doubted."""
+    x_px = comb(150, slip=0.08)
+    x_px[75:, 28] += 0.3 * PITCH
+    assert "something else" not in str(consistency_warnings(track_sheets(strip(ridges(x_px)))))
+
+
+@pytest.mark.parametrize(("height", "said"), [(0.17, 1), (0.5, 0)])
+def test_the_end_of_a_reflection_beyond_the_comb(height, said):
+    """A faint ridge one pitch beyond the last sheet, which moves along with it. A failure means that it
+    passes for a sheet, and shifts n of all sheets of a side, or that a dim sheet is doubted."""
+    contrast = np.ones(SHEETS)
+    contrast[-1] = height
+    lines = consistency_warnings(track_sheets(film(contrast, snr=300)))
+    assert [f"(index {SHEETS - 1})" in line for line in lines if "something else" in line] == [True] * said
+
+
 @pytest.mark.parametrize(("share", "absent"), [(0.0, 0), (0.1, 0), (0.6, 0), (0.0, 10)])
 def test_an_axis_that_the_camera_moves(share, absent):
     """A machine that goes back and forth, and a camera that moves along by a share of the outermost sheets'

@@ -77,6 +77,11 @@ class CheckSettings:
     films sheets stay below 1.5, ridges between pairs and gaps taken for sheets exceed 1.9.  Smaller calls
     sheets of an uneven block something else; larger misses those."""
 
+    end_height: float = 0.25
+    """Height of an outermost sheet, in its noise, over that of the next two below which it may be something
+    else: the end of a reflection of the comb reaches 0.06 to 0.25, sheets 0.4. Larger doubts dim sheets,
+    smaller lets more of these pass (`test_the_end_of_a_reflection_beyond_the_comb`)."""
+
     end_still: float = 0.25
     """Motion of an outermost sheet, over that of the next two, below which it may be something else. Sheets
     move more than those further in; edges of the background are at 0 to 0.1. Smaller overlooks edges that
@@ -163,8 +168,8 @@ def _of_tracks(tracks: xr.Dataset, settings: CheckSettings, tracking: TrackingSe
     if found.noise_lasts:
         yield (
             "the noise of each frame resembles that of the frame before (correlation"
-            f" {found.noise_lasts:.2f}): frames were averaged in time, so that positions lag behind after"
-            " slips by more than x_err_px: switch off the camera's noise reduction"
+            f" {found.noise_lasts:.2f}): frames were averaged in time, so that positions lag behind in slips,"
+            " which x_err_px includes roughly: switch off the camera's noise reduction"
         )
     if steps := found.large_steps:
         yield (
@@ -450,7 +455,10 @@ def _comb_warnings(tracks: xr.Dataset, found: TrackMetadata, settings: CheckSett
         )
     snr, share = tracks["snr"].values, tracks["found"].values
     wide = tracks["fwhm_px"].values > settings.odd_width * nan_median(tracks["fwhm_px"].values)
-    odd = (snr < 0.1 * nan_median(snr)) | (share < 0.25) | wide | _stationary_ends(tracks, settings)
+    least = np.full(len(snr), 0.1 * nan_median(snr))
+    if len(snr) >= 5:
+        least[[0, -1]] = np.fmax(least[0], settings.end_height * snr[[[1, -2], [2, -3]]].mean(axis=0))
+    odd = (snr < least) | (share < 0.25) | wide | _stationary_ends(tracks, settings)
     if (weak := np.flatnonzero(odd)).size and found.sheets > 1:
         which = _first(weak.tolist(), 6)
         yield (
@@ -486,7 +494,9 @@ def _stationary_ends(tracks: xr.Dataset, settings: CheckSettings) -> Bools:
         known = np.isfinite(x_px[:, inwards][:, n])
         moved = np.where(known, x_px[:, inwards][:, n], 0.0)
         two = known[:, 1:-1] & known[:, 2:]  # the next two of the first, of the second, …
-        inner = (moved[:, 1:-1] + moved[:, 2:]) / 2 * two
+        # the smaller of both motions: one sheet alone may split, or stick to something
+        pair = moved[:, 1:-1], moved[:, 2:]
+        inner = np.sign(pair[0]) * np.fmin(*np.abs(pair)) * (pair[0] * pair[1] > 0) * two
         both, power = known.T @ two.astype(float), known.T @ inner**2
         # Edges stay in view; a sheet that leaves it is seen where it has moved less, unless an edge that
         # stays is still further out.

@@ -55,7 +55,7 @@ STATED = (
     f"a step beyond {sheets.slip_sigmas:g} standard deviations",
     f"beyond {sheets.own_excess:g} times the median their own value",
     rf"From $\rho = {sheets.lasting_noise:g}$ a warning",
-    f"more than {sheets.lasting_noise / 2:g} (sheets that ring",
+    rf"contains ${sheets.lag_error:g}\,\rho/(1-\rho)$ times the motion",
     rf"at least ${least:g}\,x_q$",
     rf"at least ${share:g}\,u$, up to ${most:g}\,x_q$",
     f"below {sheets.least_likeness:g} times the square",

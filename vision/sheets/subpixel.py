@@ -47,7 +47,7 @@ TRIPLES_AT_ONCE = 32  # whose pixels fit into a core's cache
 LEAST_TRIPLES = 8  # groups of three consecutive frames that a measurement of noise needs
 AT_REST_PX = 0.1  # motion from frame to frame that hardly changes a ridge's pixels beyond a fitted shift
 CORRELATED_RIDGES = 400  # differences of three ridges that tell correlated noise from chance
-LASTING_AT_FOUR = 0.8  # least variance at four frames over that at two, of noise that lasts: 1 to 2
+NO_LESS = 0.9  # least variance at a lag over that at the next shorter one, of noise that lasts: 1 to 2
 
 
 class FittedPositions(NamedTuple):
@@ -560,40 +560,36 @@ def noise_correlation(
     profile, x_px, frozen, half_px: as for `intensity_noise`. A correlation up to `least` is 0.
 
     With the noise :math:`\rho^k` correlated over k frames, second differences at lags of two frames have
-    :math:`(1 + \rho)(3 - \rho^2)/(3 - \rho)` times the variance of those at one. Motion that the fitted
-    changes do not describe adds to longer lags as well, but not less to four frames than to two. Unequal
-    pixels under a comb that vibrates over them add least to lags of its period, noise that lasts does not. It
-    is not clear in films with fewer than `CORRELATED_RIDGES` such differences, and in those whose noise is
-    less than `WHOLE_LEVELS`, which is rounding. Sheets that ring leave as much as noise that lasts: ridges
-    that hardly move between the frames must show at least half of `least`, where they are as many.
+    :math:`(1 + \rho)(3 - \rho^2)/(3 - \rho)` times the variance of those at one, and longer lags have no
+    less. Unequal pixels under a comb that vibrates or drifts over them add less to some longer lag. Motion
+    that the fitted changes do not describe adds to longer lags as well, as in slips and ringing: of ridges
+    that hardly move between the frames, where they are as many, lags of four frames add less than those of
+    two. It is not clear in films with fewer than `CORRELATED_RIDGES` such differences, and in those whose
+    noise is less than `WHOLE_LEVELS`, which is rounding.
     """
 
-    def typical(lag: int, *, at_rest: bool = False) -> float:
-        """Return the typical variance, NaN from too few differences."""
+    def typical(lag: int) -> float:
+        """Return the typical variance of ridges at rest, or of all; NaN from too few differences."""
         variance = _noise_variance(profile, x_px, frozen, half_px=half_px, lag=lag)
-        count = variance.size
-        if at_rest and count:
-            moved = _own_motion(x_px, frozen, lag)
-            resting = moved <= max(AT_REST_PX, float(nan_quantile(moved.ravel(), 0.25)))
-            variance, count = np.where(resting, variance, np.nan), int(resting.sum())
-        if count < CORRELATED_RIDGES:
+        if variance.size < CORRELATED_RIDGES:
             return float("nan")
+        moved = _own_motion(x_px, frozen, lag)
+        resting = moved <= max(AT_REST_PX, float(nan_quantile(moved.ravel(), 0.25)))
+        if resting.sum() >= CORRELATED_RIDGES:
+            variance = np.where(resting, variance, np.nan)
         return float(nan_median(nan_median(variance, axis=0)))
-
-    def correlation(ratio: float) -> float:
-        """Return the correlation that has this ratio of the variances at two frames and at one."""
-        rho = np.linspace(0, 1, 101)
-        return float(np.interp(ratio, (1 + rho) * (3 - rho**2) / (3 - rho), rho))
 
     one, two = typical(1), typical(2)
     # Noise that lasts for ever would have twice the variance at twice the lag.
     if not (one > WHOLE_LEVELS**2 and two < 2.1 * one):
         return 0.0
-    found = correlation(two / one)
-    if not (found > least and LASTING_AT_FOUR < typical(4) / two < two / one):
+    rho = np.linspace(0, 1, 101)
+    found = float(np.interp(two / one, (1 + rho) * (3 - rho**2) / (3 - rho), rho))
+    if not found > least:
         return 0.0
-    of_resting = correlation(typical(2, at_rest=True) / max(typical(1, at_rest=True), 1e-12))
-    return 0.0 if of_resting <= least / 2 else found
+    three, four, six = typical(3), typical(4), typical(6)
+    lasts = min(three / two, four / three, six / four) > NO_LESS and four / two < two / one
+    return found if lasts else 0.0
 
 
 def _own_motion(x_px: Floats, frozen: Bools, lag: int) -> Floats:

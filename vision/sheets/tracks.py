@@ -160,17 +160,17 @@ def track_sheets(
     detections = detected.detections
     frozen = repeated_frames(profile, settings)
     fitted = _fit(profile, detections.start_px, comb, fit, window, frozen)
-    errors = _errors(fitted, frozen, facts, settings)
-    assessed = _assess_ridges(profile, fitted.x_px, errors, detected, frozen, comb)
-    axis = None if axis_px is None else axis_px - first_px
-    width = profile.shape[1]
-    numbering = number_sheets(assessed.x_px, axis_px=axis, width_px=width, settings=settings)
-    found = _Tracked(comb, detected, numbering, fitted, errors, assessed, frozen, first_px)
     lasting = 0.0
     if facts.codec not in BETWEEN_FRAMES:  # these keep noise, or remove it, and their errors are measured
         lasting = noise_correlation(
             profile, fitted.x_px, frozen, half_px=window // 2, least=settings.lasting_noise
         )
+    errors = _errors(fitted, frozen, facts, settings)
+    assessed = _assess_ridges(profile, fitted.x_px, errors, detected, frozen, comb, lasting)
+    axis = None if axis_px is None else axis_px - first_px
+    width = profile.shape[1]
+    numbering = number_sheets(assessed.x_px, axis_px=axis, width_px=width, settings=settings)
+    found = _Tracked(comb, detected, numbering, fitted, errors, assessed, frozen, first_px)
     likelier = ridges if ridges == "auto" else describe_ridges(profile, settings=settings).polarity
     metadata = replace(
         found.metadata(count_given=sheets is not None),
@@ -252,10 +252,17 @@ class _Assessed(NamedTuple):
 
 
 def _assess_ridges(
-    profile: Floats32, x_px: Floats, errors: _Errors, detected: _Detected, frozen: Bools, comb: RidgeComb
+    profile: Floats32,
+    x_px: Floats,
+    errors: _Errors,
+    detected: _Detected,
+    frozen: Bools,
+    comb: RidgeComb,
+    lasting: float,
 ) -> _Assessed:
     """Find ridges that are blurred, cut or distorted, and those that are not the ridge of one sheet. What
-    positions scatter beyond all these errors is added to them (`noise_excess`). Positions and errors are
+    positions scatter beyond all these errors is added to them (`noise_excess`), and how far they lag behind
+    where frames were averaged in time (lasting: the share of the frame before). Positions and errors are
     changed in place. A sheet that was added by hand is one, whatever its ridge looks like."""
     err, detections = errors.err_px, detected.detections
     changing = _unrepeated(x_px, frozen)
@@ -270,7 +277,8 @@ def _assess_ridges(
         profile, x_px, err, detections.fwhm_px, smeared, comb
     )
     rest_px = rest_positions(x_px)
-    second = second_comb(profile, x_px, smeared, comb)
+    # images of the frames before are a second comb, which shifts positions by the lag
+    second = SecondComb() if lasting else second_comb(profile, x_px, smeared, comb)
     not_a_sheet = not_one_ridge(profile, x_px, lasting_px, comb)
     not_a_sheet |= two_in_one(x_px, rest_px, detections.fwhm_px, comb)
     not_a_sheet |= marks(x_px, rest_px, err, np.hypot(lasting_px, usual_px), comb)
@@ -281,8 +289,12 @@ def _assess_ridges(
     err[smears] += blur2
     np.fmax(distorted_px, second.error_px, out=distorted_px)  # the shapes show part of it as well
     err += np.square(distorted_px, out=distorted_px)
-    np.sqrt(err, out=err)
     del distorted_px
+    if lasting:
+        lag = comb.settings.lag_error * lasting / (1 - lasting)
+        moved = np.nan_to_num(np.diff(x_px, axis=0, prepend=x_px[:1]))
+        err += lag**2 * np.fmax(moved**2 - 2 * err, typical_median(moved) ** 2)  # less noise; at least creep
+    np.sqrt(err, out=err)
     usual = typical_where(np.isfinite(x_px), err)
     excess = noise_excess(BetweenSlips(_unrepeated(x_px, frozen)), err, comb.settings)
     np.hypot(err, np.nan_to_num(usual) * np.sqrt(np.fmax(excess**2 - 1.0, 0.0)), out=err)
