@@ -78,9 +78,9 @@ class CheckSettings:
     sheets of an uneven block something else; larger misses those."""
 
     end_height: float = 0.25
-    """Height of an outermost sheet, in its noise, over that of the next two below which it may be something
-    else: the end of a reflection of the comb reaches 0.06 to 0.25, sheets 0.4. Larger doubts dim sheets,
-    smaller lets more of these pass (`test_the_end_of_a_reflection_beyond_the_comb`)."""
+    """Height of an outermost sheet over that of the next two, each in its noise, below which it may be
+    something else: ends of reflections have 0.06 to 0.25. Larger doubts dim sheets, smaller lets more of
+    these pass (`test_the_end_of_a_reflection_beyond_the_comb`)."""
 
     end_still: float = 0.25
     """Motion of an outermost sheet, over that of the next two, below which it may be something else. Sheets
@@ -457,7 +457,7 @@ def _comb_warnings(tracks: xr.Dataset, found: TrackMetadata, settings: CheckSett
     wide = tracks["fwhm_px"].values > settings.odd_width * nan_median(tracks["fwhm_px"].values)
     least = np.full(len(snr), 0.1 * nan_median(snr))
     if len(snr) >= 5:
-        least[[0, -1]] = np.fmax(least[0], settings.end_height * snr[[[1, -2], [2, -3]]].mean(axis=0))
+        least[[0, -1]] = np.fmax(least[0], settings.end_height * snr[[[1, -2], [2, -3]]].min(axis=0))
     odd = (snr < least) | (share < 0.25) | wide | _stationary_ends(tracks, settings)
     if (weak := np.flatnonzero(odd)).size and found.sheets > 1:
         which = _first(weak.tolist(), 6)

@@ -386,8 +386,8 @@ class TrackingSettings:
 
     lasting_noise: float = 0.2
     """Correlation of the noise of a frame and the next above which the camera averages in time. It is up to
-    0.09 in 78 films in order and 0.31 to 0.67 in those averaged with 0.33 to 0.6 of the frame before. Larger
-    misses weak noise reduction, smaller warns of films that are in order (test_film.py)."""
+    0.09 in 78 films in order, 0.31 to 0.67 in averaged ones. Larger misses weak noise reduction, smaller
+    warns of films that are in order (test_film.py)."""
 
     lag_error: float = 1.4
     """Error by the lag of averaged frames over that which the correlation predicts: rounding hides part of

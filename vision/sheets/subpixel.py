@@ -47,7 +47,7 @@ TRIPLES_AT_ONCE = 32  # whose pixels fit into a core's cache
 LEAST_TRIPLES = 8  # groups of three consecutive frames that a measurement of noise needs
 AT_REST_PX = 0.1  # motion from frame to frame that hardly changes a ridge's pixels beyond a fitted shift
 CORRELATED_RIDGES = 400  # differences of three ridges that tell correlated noise from chance
-NO_LESS = 0.9  # least variance at a lag over that at the next shorter one, of noise that lasts: 1 to 2
+NO_LESS = 0.9  # least variance at four and six frames over that at a shorter lag, of noise that lasts
 
 
 class FittedPositions(NamedTuple):
@@ -553,7 +553,7 @@ def intensity_noise(
 
 
 def noise_correlation(
-    profile: NDArray[np.floating], x_px: Floats, frozen: Bools, *, half_px: int, least: float
+    profile: NDArray[np.floating], x_px: Floats, frozen: Bools, half_px: int, least: float
 ) -> float:
     r"""Return the correlation of the profile's noise between a frame and the next; 0 where it is not clear.
 
@@ -561,11 +561,10 @@ def noise_correlation(
 
     With the noise :math:`\rho^k` correlated over k frames, second differences at lags of two frames have
     :math:`(1 + \rho)(3 - \rho^2)/(3 - \rho)` times the variance of those at one, and longer lags have no
-    less. Unequal pixels under a comb that vibrates or drifts over them add less to some longer lag. Motion
-    that the fitted changes do not describe adds to longer lags as well, as in slips and ringing: of ridges
-    that hardly move between the frames, where they are as many, lags of four frames add less than those of
-    two. It is not clear in films with fewer than `CORRELATED_RIDGES` such differences, and in those whose
-    noise is less than `WHOLE_LEVELS`, which is rounding.
+    less. Unequal pixels under a comb that vibrates over them leave less at some longer lag. Motion that the
+    fitted changes do not describe, as of sheets that ring, adds to longer lags: ridges that hardly move
+    between the frames decide, where they are as many. It is not clear in films with fewer than
+    `CORRELATED_RIDGES` differences, and where noise is less than `WHOLE_LEVELS`, which is rounding.
     """
 
     def typical(lag: int) -> float:
@@ -588,7 +587,7 @@ def noise_correlation(
     if not found > least:
         return 0.0
     three, four, six = typical(3), typical(4), typical(6)
-    lasts = min(three / two, four / three, six / four) > NO_LESS and four / two < two / one
+    lasts = three > two and min(four / three, six / four) > NO_LESS and four / two < 1.2 * two / one
     return found if lasts else 0.0
 
 

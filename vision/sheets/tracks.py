@@ -160,13 +160,8 @@ def track_sheets(
     detections = detected.detections
     frozen = repeated_frames(profile, settings)
     fitted = _fit(profile, detections.start_px, comb, fit, window, frozen)
-    lasting = 0.0
-    if facts.codec not in BETWEEN_FRAMES:  # these keep noise, or remove it, and their errors are measured
-        lasting = noise_correlation(
-            profile, fitted.x_px, frozen, half_px=window // 2, least=settings.lasting_noise
-        )
-    errors = _errors(fitted, frozen, facts, settings)
-    assessed = _assess_ridges(profile, fitted.x_px, errors, detected, frozen, comb, lasting)
+    errors = _errors(profile, fitted, window, frozen, facts, settings)
+    assessed = _assess_ridges(profile, fitted.x_px, errors, detected, frozen, comb)
     axis = None if axis_px is None else axis_px - first_px
     width = profile.shape[1]
     numbering = number_sheets(assessed.x_px, axis_px=axis, width_px=width, settings=settings)
@@ -179,7 +174,7 @@ def track_sheets(
         fit_asked=fit,
         gap_depth=gap_depth(profile, assessed.x_px, comb),
         corrections_applied=len(corrections),
-        noise_lasts=lasting,
+        noise_lasts=errors.lasting,
         **found.jumps(number),
     )
     return record(
@@ -252,19 +247,13 @@ class _Assessed(NamedTuple):
 
 
 def _assess_ridges(
-    profile: Floats32,
-    x_px: Floats,
-    errors: _Errors,
-    detected: _Detected,
-    frozen: Bools,
-    comb: RidgeComb,
-    lasting: float,
+    profile: Floats32, x_px: Floats, errors: _Errors, detected: _Detected, frozen: Bools, comb: RidgeComb
 ) -> _Assessed:
     """Find ridges that are blurred, cut or distorted, and those that are not the ridge of one sheet. What
-    positions scatter beyond all these errors is added to them (`noise_excess`), and how far they lag behind
-    where frames were averaged in time (lasting: the share of the frame before). Positions and errors are
-    changed in place. A sheet that was added by hand is one, whatever its ridge looks like."""
-    err, detections = errors.err_px, detected.detections
+    positions scatter beyond all these errors is added to them (`noise_excess`), and how far they lag where
+    frames were averaged in time. Positions and errors are changed in place. A sheet that was added by hand is
+    one, whatever its ridge looks like."""
+    err, lasting, detections = errors.err_px, errors.lasting, detected.detections
     changing = _unrepeated(x_px, frozen)
     blurred, blur_px = motion_blur(changing, detections.contrast, detections.fwhm_px, comb)
     del changing
@@ -329,13 +318,15 @@ def _unrepeated(x_px: Floats, frozen: Bools) -> Floats:
 
 
 class _Errors(NamedTuple):
-    """Stated errors of positions (frame, N), and for each sheet (N,) the noise measured from frame to frame,
-    the scatter against neighbours and the error predicted from the pixels; all px."""
+    """Stated errors of positions (frame, N), for each sheet (N,) the noise measured from frame to frame, the
+    scatter against neighbours and the error predicted from the pixels, all px; and the correlation of the
+    noise of a frame with the next where frames were averaged in time, else 0."""
 
     err_px: Floats
     noise_px: Floats
     scatter_px: Floats
     predicted_px: Floats
+    lasting: float
 
 
 @dataclass(frozen=True)
@@ -480,7 +471,14 @@ def _locks_less(template: PixelLocking, err_px: float, window: PixelLocking, win
     return bool(less and better)
 
 
-def _errors(fitted: _Fitted, frozen: Bools, facts: StripMetadata, settings: TrackingSettings) -> _Errors:
+def _errors(
+    profile: Floats32,
+    fitted: _Fitted,
+    window_px: int,
+    frozen: Bools,
+    facts: StripMetadata,
+    settings: TrackingSettings,
+) -> _Errors:
     """Return the stated errors, and what was predicted from the pixels and measured from the positions.
 
     The prediction from the pixels holds where their noise is independent. Where a camera sharpens, it is too
@@ -500,9 +498,12 @@ def _errors(fitted: _Fitted, frozen: Bools, facts: StripMetadata, settings: Trac
     predicted = np.fmax(typical_where(np.isfinite(new), err), LEAST_ERROR_PX)
     rounding = QUARTER_PIXEL if between_frames else 0.0
     measured = np.where(scatter_px > 0, scatter_px, np.hypot(np.fmax(noise_px, predicted), rounding))
-    if between_frames:  # all sheets share one quantiser
+    lasting = 0.0
+    if between_frames:  # all sheets share one quantiser, which keeps noise or removes it
         measured = np.full_like(measured, np.hypot(nan_median(measured), shared_error(positions)))
-    elif facts.codec not in LOSSY:
+    else:
+        lasting = noise_correlation(profile, fitted.x_px, frozen, window_px // 2, settings.lasting_noise)
+    if facts.codec not in LOSSY:
         excess = float(nan_median(noise_excess(positions, err, settings)))
         # Locking to whole pixels lasts, and scatters less than the error that contains it.
         measured = predicted * (1.0 if fitted.fit == "paper" else min(1.0, settings.sharpened * excess))
@@ -512,7 +513,7 @@ def _errors(fitted: _Fitted, frozen: Bools, facts: StripMetadata, settings: Trac
     err *= np.nan_to_num(measured / predicted, nan=1.0)
     if facts.quantiser_step:
         np.fmax(err, left_behind(new, step_px, settings), out=err)
-    return _Errors(np.maximum(err, LEAST_ERROR_PX, out=err), noise_px, scatter_px, predicted)
+    return _Errors(np.maximum(err, LEAST_ERROR_PX, out=err), noise_px, scatter_px, predicted, lasting)
 
 
 def _dataset(strip: xr.DataArray, found: _Tracked, metadata: TrackMetadata) -> xr.Dataset:
