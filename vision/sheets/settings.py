@@ -390,9 +390,9 @@ class TrackingSettings:
     warns of films that are in order (test_film.py)."""
 
     lag_error: float = 1.4
-    """Error by the lag of averaged frames over that which the correlation predicts: rounding hides part of
-    it, and the lag is 0.5 to 2.3 times as large in films with known positions. Larger overstates errors
-    during motion, smaller understates them (test_frames_averaged_in_time_are_said_to_be)."""
+    """Error by the lag of averaged frames over that which the correlation predicts. In films with known
+    positions the lag is 0.5 to 2.3 times as large, since rounding hides correlation. Larger overstates errors
+    of motion, smaller understates them (test_frames_averaged_in_time_are_said_to_be)."""
 
     still_sigmas: float = 3.0
     """Times the noise that the largest twentieth of a sheet's displacements against the comb must exceed for

@@ -553,7 +553,7 @@ def intensity_noise(
 
 
 def noise_correlation(
-    profile: NDArray[np.floating], x_px: Floats, frozen: Bools, half_px: int, least: float
+    profile: NDArray[np.floating], x_px: Floats, frozen: Bools, *, half_px: int, least: float
 ) -> float:
     r"""Return the correlation of the profile's noise between a frame and the next; 0 where it is not clear.
 

@@ -160,7 +160,7 @@ def track_sheets(
     detections = detected.detections
     frozen = repeated_frames(profile, settings)
     fitted = _fit(profile, detections.start_px, comb, fit, window, frozen)
-    errors = _errors(profile, fitted, window, frozen, facts, settings)
+    errors = _errors(profile, fitted, frozen, facts, settings)
     assessed = _assess_ridges(profile, fitted.x_px, errors, detected, frozen, comb)
     axis = None if axis_px is None else axis_px - first_px
     width = profile.shape[1]
@@ -319,8 +319,7 @@ def _unrepeated(x_px: Floats, frozen: Bools) -> Floats:
 
 class _Errors(NamedTuple):
     """Stated errors of positions (frame, N), for each sheet (N,) the noise measured from frame to frame, the
-    scatter against neighbours and the error predicted from the pixels, all px; and the correlation of the
-    noise of a frame with the next where frames were averaged in time, else 0."""
+    scatter against neighbours and the error predicted from the pixels; all px; and `noise_correlation`."""
 
     err_px: Floats
     noise_px: Floats
@@ -416,14 +415,15 @@ def check_axis(axis_px: float | None, first_px: float, last_px: float) -> None:
 
 class _Fitted(NamedTuple):
     """Positions and their errors from noise, px, (frame, N); error per grey level of noise, px, and noise of
-    the profile, grey levels, of each sheet, (N,); the fit that was used; the locking to whole pixels that
-    positions were corrected for."""
+    the profile, grey levels, of each sheet, (N,); the fit that was used, and its window; the locking to whole
+    pixels that positions were corrected for."""
 
     x_px: Floats
     err_px: Floats
     per_grey: Floats
     noise: Floats
     fit: FitName
+    window_px: int
     locking: PixelLocking
 
 
@@ -458,7 +458,7 @@ def _fit(
     if fit == "paper":  # it locks to whole pixels by more than the noise, as the sliding window shows
         free, _ = fit_sheets(profile, start_px, fit="sliding", window_px=window_px, comb=comb)
         err = np.hypot(err, np.nan_to_num(np.abs(x - free)))
-    return _Fitted(x, err, per_grey, noise, used, locking)
+    return _Fitted(x, err, per_grey, noise, used, window_px, locking)
 
 
 def _locks_less(template: PixelLocking, err_px: float, window: PixelLocking, window_err_px: float) -> bool:
@@ -472,12 +472,7 @@ def _locks_less(template: PixelLocking, err_px: float, window: PixelLocking, win
 
 
 def _errors(
-    profile: Floats32,
-    fitted: _Fitted,
-    window_px: int,
-    frozen: Bools,
-    facts: StripMetadata,
-    settings: TrackingSettings,
+    profile: Floats32, fitted: _Fitted, frozen: Bools, facts: StripMetadata, settings: TrackingSettings
 ) -> _Errors:
     """Return the stated errors, and what was predicted from the pixels and measured from the positions.
 
@@ -502,7 +497,8 @@ def _errors(
     if between_frames:  # all sheets share one quantiser, which keeps noise or removes it
         measured = np.full_like(measured, np.hypot(nan_median(measured), shared_error(positions)))
     else:
-        lasting = noise_correlation(profile, fitted.x_px, frozen, window_px // 2, settings.lasting_noise)
+        half_px, least = fitted.window_px // 2, settings.lasting_noise
+        lasting = noise_correlation(profile, fitted.x_px, frozen, half_px=half_px, least=least)
     if facts.codec not in LOSSY:
         excess = float(nan_median(noise_excess(positions, err, settings)))
         # Locking to whole pixels lasts, and scatters less than the error that contains it.
