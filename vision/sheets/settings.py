@@ -386,7 +386,7 @@ class TrackingSettings:
 
     lasting_noise: float = 0.2
     """Correlation of the noise of a frame and the next above which the camera averages in time. It is up to
-    0.09 in 78 films in order, 0.31 to 0.67 in averaged ones. Larger misses weak noise reduction, smaller
+    0.09 in 77 films in order, 0.31 to 0.67 in averaged ones. Larger misses weak noise reduction, smaller
     warns of films that are in order (test_film.py)."""
 
     lag_error: float = 1.4
