@@ -494,12 +494,11 @@ def _errors(
     rounding = QUARTER_PIXEL if between_frames else 0.0
     measured = np.where(scatter_px > 0, scatter_px, np.hypot(np.fmax(noise_px, predicted), rounding))
     lasting = 0.0
-    if between_frames:  # all sheets share one quantiser, which keeps noise or removes it
+    if between_frames:  # all sheets share one quantiser
         measured = np.full_like(measured, np.hypot(nan_median(measured), shared_error(positions)))
-    else:
+    elif facts.codec not in LOSSY:  # whose artefacts last while ridges creep over them
         half_px, least = fitted.window_px // 2, settings.lasting_noise
         lasting = noise_correlation(profile, fitted.x_px, frozen, half_px=half_px, least=least)
-    if facts.codec not in LOSSY:
         excess = float(nan_median(noise_excess(positions, err, settings)))
         # Locking to whole pixels lasts, and scatters less than the error that contains it.
         measured = predicted * (1.0 if fitted.fit == "paper" else min(1.0, settings.sharpened * excess))
