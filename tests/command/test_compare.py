@@ -1,6 +1,7 @@
 """`track compare` from run folders to a folder of its own, and what it says of bad input."""
 
 import json
+import re
 
 import numpy as np
 import pandas as pd
@@ -56,6 +57,9 @@ def test_the_folder(six, tmp_path, capsys):
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert "6 tests: comparison" in page
     assert 'id="collapse"' in page
+    for row in table.itertuples():  # what was fitted to each test
+        cells = page.split(f"<td>{row.run}</td>")[1].split("</tr>")[0]
+        assert float(re.search(r"<td>(0\.\d+) ± ", cells)[1]) == pytest.approx(row.mu, abs=row.mu_err / 2)
     assert "No warnings" not in page and "no single μ fits the 4 tests" in page
     assert "https://" not in page.split("<script")[0]
 

@@ -33,7 +33,7 @@ from vision.figures import Figure, save_figures
 from vision.folder import write_csv, write_json
 from vision.models import Estimate, both_errors, plus_minus
 from vision.models.single_fits import low_speed
-from vision.report.page import render_page
+from vision.report.page import FactsTable, render_page
 from vision.report.text import ANALYSED_WITH, Answer, citation
 from vision.run.provenance import Origin
 from vision.run.writing import results_folder
@@ -409,7 +409,34 @@ def _write_page(
         missing=_missing(found),
         methods=_methods(found),
         citation=citation(),
-        tables=(),
+        tables=[_table_of_tests(found)],
+    )
+
+
+def _table_of_tests(found: Comparison) -> FactsTable:
+    """Return the fit of each test, in the order of `compare`."""
+
+    def text(fit: TestFit, name: str) -> str:
+        if not np.isfinite(fit.values[name].value):
+            return "not known"
+        both = both_errors(replace(fit.values[name], systematic_error=fit.systematic_error(name)))
+        return both.replace(" (stat.)", "").replace(" (syst.)", "")
+
+    rows = tuple(
+        (
+            test.run,
+            test.sample_name,
+            f"{velocity(test.speed_mm_min):g}" if test.speed_mm_min > 0 else "not known",
+            f"{int(fit.used.sum())} of {len(test.events)}",
+            *(text(fit, name) for name in COMPARED),
+            row["notes"],
+        )
+        for test, fit, (_, row) in zip(found.tests, found.fits, found.table.iterrows(), strict=True)
+    )
+    symbols = "μ", "𝒯_0 (N)", "A", "N̂ (N)", "Λ̂ (mm)"
+    heads = "test", "sample", "V (mm/min)", "events used", *symbols, "notes"
+    return FactsTable(
+        "Tests", heads, rows, "Errors are statistical and, if known, systematic, as in tests.csv."
     )
 
 
