@@ -66,6 +66,7 @@ def test_sheets_are_blue_on_the_left_and_orange_on_the_right():
             r"$M_{\mathrm{eff}}$ $K_{\mathrm{eff}}$",
         ),
         ("F_p − 𝒯_0", "Fₚ − 𝒯₀", "F<sub>p</sub> − 𝒯<sub>0</sub>", r"Fₚ − $\mathcal{T}_0$"),
+        ("𝒯0 at its limit", "𝒯0 at its limit", "𝒯<sub>0</sub> at its limit", "𝒯0 at its limit"),
         ("tracks_x.csv <b>", "tracks_x.csv <b>", "tracks_x.csv &lt;b&gt;", "tracks_x.csv <b>"),
     ],
 )

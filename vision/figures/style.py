@@ -77,8 +77,8 @@ _SUBSCRIPTS = str.maketrans("xvpst0", "ₓᵥₚₛₜ₀")
 
 
 def to_html(text: str) -> Markup:
-    """Return safe HTML, with <sub> for subscripts."""
-    return Markup(_SYMBOL.sub(r"\1<sub>\2</sub>", str(escape(text))))
+    """Return safe HTML, with <sub> for subscripts, also where lines of the terminal have 𝒯0."""
+    return Markup(_SYMBOL.sub(r"\1<sub>\2</sub>", str(escape(text)).replace("𝒯0", "𝒯_0")))
 
 
 def to_unicode(text: str) -> str:
