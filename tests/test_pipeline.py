@@ -7,6 +7,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import tifffile
 import xarray as xr
@@ -18,6 +19,7 @@ from tests.force.test_signal import rung
 from tests.scenes.combs import comb, ridges, strip
 from vision import pipeline
 from vision.command.main import run
+from vision.data import operations_of, warnings_of
 from vision.errors import InputError
 from vision.pipeline import Settings
 from vision.run import provenance, writing
@@ -48,9 +50,34 @@ def test_every_stage_is_there_or_has_its_reason(whole):
 
 def test_each_operation_is_recorded_with_its_parameters(whole):
     """A failure means that a dataset does not say how it was made."""
-    done = [step["operation"] for step in whole.tracks.attrs["operations"]]
+    done = [step["operation"] for step in operations_of(whole.tracks)]
     assert done == ["strip_profile", "track_sheets"]
-    assert "fit" in whole.tracks.attrs["operations"][-1]["parameters"]
+    assert "fit" in operations_of(whole.tracks)[-1]["parameters"]
+
+
+def test_datasets_can_be_written_by_xarray_and_used_again(whole, tmp_path):
+    """A failure means that xarray refuses a dataset, or that a stage refuses one that xarray wrote."""
+
+    def again(data):
+        data.to_netcdf(tmp_path / "data.nc")
+        load = xr.load_dataset if isinstance(data, xr.Dataset) else xr.load_dataarray
+        return load(tmp_path / "data.nc")
+
+    one, two = "a warning that stands alone", "another, of σ_x"
+    strip = again(whole.strip.assign_attrs(warnings=[one]))
+    tracks = vision.track_sheets(strip)
+    xr.testing.assert_equal(tracks, whole.tracks)
+    assert warnings_of(tracks) == [one]
+    tracks = again(tracks.assign_attrs(warnings=[one, two]))
+    sticks = vision.find_stick_slip(again(whole.force))
+    pd.testing.assert_frame_equal(sticks, whole.sticks)
+    offset_s = float(xr.load_dataset(DEEP / "truth.nc").attrs["offset_s"])
+    clock = vision.synchronise(tracks, whole.force, sticks, offset_s=offset_s)
+    motion = vision.horizontal_deformation(tracks, sticks, clock, pixel_size_um=10)
+    assert warnings_of(tracks) == [one, two]
+    shells = vision.classify_shells(again(motion))
+    pd.testing.assert_frame_equal(shells, vision.classify_shells(motion))
+    assert [step["operation"] for step in operations_of(tracks)] == ["strip_profile", "track_sheets"]
 
 
 def test_messages_name_the_settings():

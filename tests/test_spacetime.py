@@ -6,6 +6,7 @@ import xarray as xr
 from scipy.special import erf
 
 from vision import space_time
+from vision.data import operations_of
 from vision.errors import InputError
 from vision.spacetime import grey_levels, time_rows
 
@@ -100,7 +101,7 @@ def test_a_width_in_um_is_turned_with_the_pixel_size(comb):
     window = space_time(strip, around=tracks, sheet=("right", 1), width_um=200, pixel_size_um=10)
     assert window.sizes["x"] == 20
     assert window.attrs["pixel_size_um"] == 10
-    last = window.attrs["operations"][-1]
+    last = operations_of(window)[-1]
     assert last["operation"] == "space_time" and last["parameters"]["width_um"] == 200
     half = space_time(strip, around=tracks, sheet=("right", 1), width_um=200, pixel_size_um=20)
     assert half.sizes["x"] == 10

@@ -3,12 +3,14 @@
 Each stage returns an xarray object or a pandas table. Its variables are declared here as a `Schema`, which a
 later stage checks. Further facts that later stages need (the fit used, the codec, the time of the first slip)
 are declared as a `Metadata` class, stored in ``attrs`` and read back with ``of``. Every stage appends its
-name and parameters to ``attrs["operations"]``.
+name and parameters to ``attrs["operations"]``. All of it can be written by xarray and pandas themselves, and
+what xarray reads back can be given to the next stage.
 """
 
 # ruff: noqa: N815 (the unit is part of a name, and newton is N)
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, field, fields
@@ -20,6 +22,7 @@ import pandas as pd
 import xarray as xr
 
 from vision.errors import InputError, check_within
+from vision.folder import plain
 from vision.numeric import Bools, Floats, Floats32, Ints
 
 if TYPE_CHECKING:
@@ -31,6 +34,8 @@ PIXEL_SIZE_UM = (1e-3, 1000.0)
 for µm); a picture with more would not show sheets."""
 WHOLE_RATIO = 1.0
 """Largest threshold of σ_x/Λ_st: sheets that move steadily by a whole stick length have 1/√12 = 0.29."""
+OPERATIONS = "operations"
+"""Attribute with the stages that made the data, as JSON."""
 AnyData = TypeVar("AnyData", xr.DataArray, xr.Dataset, pd.DataFrame)
 
 
@@ -98,7 +103,9 @@ class Metadata:
     @classmethod
     def of(cls, data: Data) -> Self:
         """Read the metadata from the ``attrs`` of a dataset; what is not there has its default."""
-        return cls(**{part.name: data.attrs[part.name] for part in fields(cls) if part.name in data.attrs})
+        found = {part.name: data.attrs[part.name] for part in fields(cls) if part.name in data.attrs}
+        lists = {part.name for part in fields(cls) if str(part.type).startswith("list")}
+        return cls(**{name: _listed(value) if name in lists else value for name, value in found.items()})
 
     def attrs(self) -> dict[str, Any]:
         """Return the fields as a dictionary for ``assign_attrs``; the values are not copied."""
@@ -118,14 +125,19 @@ def check_threshold(threshold: Any) -> None:
 
 
 def record(data: AnyData, operation: str, **parameters: Any) -> AnyData:
-    """Return the data with the operation and its parameters appended to ``attrs["operations"]``."""
-    entry = {"operation": operation, "parameters": parameters}
-    done = [*data.attrs.get("operations", ()), entry]
+    """Return the data with the operation and its parameters appended to ``attrs["operations"]``, as JSON."""
+    done = json.dumps([*operations_of(data), plain({"operation": operation, "parameters": parameters})])
     if isinstance(data, pd.DataFrame):
         table = data.copy(deep=False)
-        table.attrs = {**data.attrs, "operations": done}
+        table.attrs = {**data.attrs, OPERATIONS: done}
         return table
-    return data.assign_attrs(operations=done)
+    return data.assign_attrs({OPERATIONS: done})
+
+
+def operations_of(data: Data) -> list[dict[str, Any]]:
+    """Return the stages that made the data, in order: each one's ``operation`` and ``parameters``."""
+    done: list[dict[str, Any]] = json.loads(data.attrs.get(OPERATIONS, "[]"))
+    return done
 
 
 def changed_settings(settings: DataclassInstance) -> dict[str, Any]:
@@ -158,8 +170,13 @@ def with_word(name: str, word: str) -> str:
 
 def warnings_of(*parts: Data | None) -> list[str]:
     """Return the warnings of several stages in order, without repetition."""
-    lines = [line for part in parts if part is not None for line in part.attrs.get("warnings", ())]
+    lines = [line for part in parts if part is not None for line in _listed(part.attrs.get("warnings", []))]
     return list(dict.fromkeys(lines))
+
+
+def _listed(value: Any) -> list[Any]:
+    """Return a list of the attributes of a dataset, of which netCDF returns an array, or its only item."""
+    return value if isinstance(value, list) else np.atleast_1d(value).tolist()
 
 
 # --- I(x, t) ------------------------------------------------------------------------------------------------

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.scenes.creeping import PIXEL_UM, Clock, errors, make, measure, profile, relaxing, straight, uniform
-from vision.data import MOTION, MotionMetadata
+from vision.data import MOTION, MotionMetadata, operations_of
 from vision.deformation import DeformationSettings
 from vision.errors import InputError
 
@@ -335,7 +335,7 @@ def test_what_is_returned_is_declared_and_says_how_it_was_made():
         assert motion[name].dims == MOTION[name].dims
     facts = MotionMetadata.of(motion)
     assert (facts.source, facts.pixel_size_um) == ("made.avi", PIXEL_UM)
-    (entry,) = motion.attrs["operations"]
+    (entry,) = operations_of(motion)
     assert entry["operation"] == "horizontal_deformation"
     assert entry["parameters"]["margin_s"] == facts.margin_s
 
@@ -349,7 +349,7 @@ def test_settings_reach_the_measurement():
     assert (measure(part)["flag"][2] == "few").all()
     less = measure(part, settings=DeformationSettings(least_cover=0.2))
     assert (less["flag"][2] != "few").all()
-    assert less.attrs["operations"][-1]["parameters"]["settings"] == {"least_cover": 0.2}
+    assert operations_of(less)[-1]["parameters"]["settings"] == {"least_cover": 0.2}
 
 
 def test_a_stick_without_length_has_no_ratio():

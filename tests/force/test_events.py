@@ -13,7 +13,7 @@ import xarray as xr
 from scipy.signal import butter, firwin, lfilter, sosfilt
 
 from tests.scenes.sawtooth import Test, plain, realistic, recording, slow_among_sudden
-from vision.data import STICKS, StickMetadata
+from vision.data import STICKS, StickMetadata, operations_of
 from vision.errors import InputError
 from vision.force import ForceSettings, find_stick_slip
 from vision.force.recording import sample_flags
@@ -401,7 +401,7 @@ def test_facts_travel_with_the_events() -> None:
     assert facts.noise_N == pytest.approx(0.2, rel=0.1)
     assert facts.threshold_how == "noise"
     assert facts.central_part == 0.5
-    assert events.attrs["operations"][-1]["parameters"]["settings"] == {"few_samples": 5}
+    assert operations_of(events)[-1]["parameters"]["settings"] == {"few_samples": 5}
     STICKS.check(events)
     assert list(STICKS.variables)[:9] == list(events.columns)[:9]
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.scenes.machine_files import LAYOUTS, LOAD, PULL, TIME, rows, written
+from vision.data import operations_of
 from vision.errors import InputError
 from vision.force import ForceSettings, good_samples, parse_columns, read_force
 
@@ -149,7 +150,7 @@ def test_settings_reach_the_flags_and_are_recorded(tmp_path: Path) -> None:
     assert "gap" not in read_force(path).attrs["warnings"]
     strict = read_force(path, settings=ForceSettings(gap_intervals=3))
     assert "1 gaps in time" in strict.attrs["warnings"]
-    (entry,) = strict.attrs["operations"]
+    (entry,) = operations_of(strict)
     assert entry["operation"] == "read_force"
     assert entry["parameters"]["settings"] == {"gap_intervals": 3}
 

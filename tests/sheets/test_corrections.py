@@ -5,6 +5,7 @@ import pytest
 
 from tests.scenes.combs import comb, ridges, strip
 from tests.sheets.test_doubts import marked_comb
+from vision.data import operations_of
 from vision.errors import InputError
 from vision.sheets import doubtful_stretches, read_corrections, track_sheets
 from vision.sheets.corrections import corrections_text, last_of, read_decisions
@@ -42,7 +43,7 @@ def test_accept_gives_the_withheld_ridge(film, tmp_path):
         picture, sheets=11, corrections=written(tmp_path, '[[accept]]\nsheet=6\nframes="80:111"')
     )
     assert np.abs(fixed.x_px.values[80:111, 6] - truth[80:111, 6] - 27).max() < 0.5
-    assert fixed.attrs["operations"][-1]["parameters"]["corrections"][0]["kind"] == "accept"
+    assert operations_of(fixed)[-1]["parameters"]["corrections"][0]["kind"] == "accept"
     assert fixed.attrs["corrections_applied"] == 1
 
 

@@ -9,6 +9,7 @@ import pytest
 
 import vision.sheets
 from tests.scenes.combs import comb, ridges, strip
+from vision.data import operations_of
 from vision.sheets import TrackingSettings, track_sheets
 
 SOURCE = "\n".join(
@@ -36,7 +37,7 @@ def test_settings_are_taken_over_and_recorded():
     strict = TrackingSettings(doubt=1e6)
     doubted = track_sheets(picture(), settings=strict)
     assert (doubted["flag"] == "doubtful").any()
-    assert doubted.attrs["operations"][-1]["parameters"]["settings"]["doubt"] == 1e6
+    assert operations_of(doubted)[-1]["parameters"]["settings"]["doubt"] == 1e6
     blind = track_sheets(picture(), settings=TrackingSettings(faint_fraction=0.5, faint_contrast=10.0))
     assert blind.sizes["sheet"] == 15
     wide = track_sheets(picture(), settings=TrackingSettings(standard_window_px=11))

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from tests.scenes.combs import as_strip, comb, ridges, strip
 from vision import numeric
-from vision.data import TRACKS, TrackMetadata
+from vision.data import TRACKS, TrackMetadata, operations_of
 from vision.errors import InputError
 from vision.sheets import track_sheets
 
@@ -158,7 +158,7 @@ def test_what_comes_out_is_as_declared():
     assert (facts.fit, facts.window_px, facts.sheets) == ("sliding", 9, tracks.sizes["sheet"])
     assert (facts.axis_px, facts.axis_how) == (260.0, "given")
     assert tracks.attrs["strip_z0"] == 60 and tracks.attrs["warnings"] == ["two frames lost"]
-    last = tracks.attrs["operations"][-1]
+    last = operations_of(tracks)[-1]
     assert last["operation"] == "track_sheets" and last["parameters"]["axis_px"] == 260.0
 
 

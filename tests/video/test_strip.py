@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 from tests.scenes.films import comb, write_avi, write_encoded
-from vision.data import STRIP, StripMetadata
+from vision.data import STRIP, StripMetadata, operations_of
 from vision.errors import InputError
 from vision.video import VideoSettings, open_video, reference_frame, strip_profile
 from vision.video.strip import FrameStore, is_blank, row_means
@@ -44,7 +44,7 @@ def test_profile_is_as_declared_and_says_how_it_was_made(tmp_path):
     assert (facts.container, facts.codec, facts.pixel_format) == ("avi", "uncompressed", "grey 8 bit")
     assert (facts.decoder, facts.grey, facts.warnings) == ("none", "values as stored", [])
     assert {*strip.attrs} == {*facts.attrs(), "units", "long_name", "operations"}
-    (operation,) = strip.attrs["operations"]
+    (operation,) = operations_of(strip)
     assert operation["operation"] == "strip_profile"
     assert (operation["parameters"]["rows"], operation["parameters"]["columns"]) == ([2, 9], None)
 

@@ -20,6 +20,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from pyarrow import csv
 
+from vision.data import OPERATIONS
 from vision.errors import InputError
 from vision.files import AGAIN, check_regular, reading
 from vision.memory import parts_in_turn
@@ -142,11 +143,13 @@ def _as_bytes(text: xr.Variable) -> NDArray[np.bytes_]:
 
 
 def netcdf_attrs(attrs: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert attributes for netCDF: lists and dicts to JSON, also text that would be read back as JSON.
+    """Convert attributes for netCDF: lists to JSON, also text that would be read back as JSON, but what is
+    JSON already.
 
     Characters of file names that are not UTF-8 become "?".
     """
-    return {name: _encoded(value) for name, value in attrs.items() if value is not None}
+    known = {name: value for name, value in attrs.items() if value is not None}
+    return {name: value if name == OPERATIONS else _encoded(value) for name, value in known.items()}
 
 
 def _encoded(value: Any) -> Any:
@@ -158,7 +161,9 @@ def _encoded(value: Any) -> Any:
 def attrs_of_netcdf(attrs: Mapping[str, Any]) -> dict[str, Any]:
     """Convert attributes back: the inverse of `netcdf_attrs`."""
     return {
-        name: json.loads(value) if isinstance(value, str) and value[:1] in _JSON else value
+        name: json.loads(value)
+        if name != OPERATIONS and isinstance(value, str) and value[:1] in _JSON
+        else value
         for name, value in attrs.items()
     }
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from vision.checks import flag_counts
-from vision.data import ForceMetadata, StickMetadata, StripMetadata, changed_settings
+from vision.data import ForceMetadata, StickMetadata, StripMetadata, changed_settings, operations_of
 from vision.errors import InputError
 from vision.figures import Figure, save_figures
 from vision.figures.catalogue import FIGURES, figures_of, kymograph, not_in_report, overview
@@ -175,8 +175,8 @@ def run_facts(
         facts["clock"] = analysis.clock
     facts["systematic_errors"] = budget.to_json()
     parts = (analysis.tracks, analysis.force, analysis.sticks, analysis.motion, analysis.shells)
-    operations = [part.attrs.get("operations", ()) for part in parts if part is not None]
-    longest = max(operations, key=len, default=())
+    operations = [operations_of(part) for part in parts if part is not None]
+    longest = max(operations, key=len, default=[])
     others = [step for steps in operations for step in steps if step not in longest]
     facts["operations"] = [*longest, *others]
     tuning = analysis.settings.tuning
