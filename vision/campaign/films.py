@@ -362,5 +362,6 @@ class FolderWatch:
         """Return for how long a file has been seen unchanged, s; -1 if it does not exist."""
         if file not in self._watches:
             self._watches[file] = Watch(file, self._clock)
-        unchanged_s = self._watches[file].unchanged_s()
-        return -1.0 if self._watches[file].stamp.facts is None else unchanged_s
+        watch = self._watches[file]
+        unchanged_s = watch.unchanged_s()
+        return -1.0 if watch.stamp.facts is None else unchanged_s

@@ -38,6 +38,7 @@ from vision.report.text import ANALYSED_WITH, Answer, citation
 from vision.run.provenance import Origin
 from vision.run.writing import results_folder
 from vision.sample import Sample
+from vision.systematics import QUANTITIES
 
 MARK = "compare"  # key in run.json that distinguishes a comparison from a run
 PICTURES = ("collapse", "trends")
@@ -305,9 +306,8 @@ def answers(found: Comparison) -> list[Answer]:
         for one in found.joint
     ]
     if not boxes:
-        fit = found.fits[0]
-        mu = replace(fit.mu, systematic_error=fit.systematic_error("mu"))
-        detail = f"needs at least two tests; that of {found.tests[0].run} is {both_errors(mu)}"
+        mu = both_errors(found.fits[0].estimate("mu"))
+        detail = f"needs at least two tests; that of {found.tests[0].run} is {mu}"
         boxes.append(Answer("one μ of all tests", "not fitted", detail))
     source = ", ".join(found.modulus_from[:3]) + (" …" if len(found.modulus_from) > 3 else "")
     doubt = found.modulus_undetermined
@@ -419,21 +419,21 @@ def _table_of_tests(found: Comparison) -> FactsTable:
     def text(fit: TestFit, name: str) -> str:
         if not np.isfinite(fit.values[name].value):
             return "not known"
-        both = both_errors(replace(fit.values[name], systematic_error=fit.systematic_error(name)))
-        return both.replace(" (stat.)", "").replace(" (syst.)", "")
+        return both_errors(fit.estimate(name)).replace(" (stat.)", "").replace(" (syst.)", "")
 
     rows = tuple(
         (
-            test.run,
-            test.sample_name,
-            f"{velocity(test.speed_mm_min):g}" if test.speed_mm_min > 0 else "not known",
-            f"{int(fit.used.sum())} of {len(test.events)}",
+            row["run"],
+            row["sample"],
+            f"{velocity(row['V_mm_min']):g}" if row["V_mm_min"] > 0 else "not known",
+            f"{row['events_used']} of {row['events']}",
             *(text(fit, name) for name in COMPARED),
             row["notes"],
         )
-        for test, fit, (_, row) in zip(found.tests, found.fits, found.table.iterrows(), strict=True)
+        for row, fit in zip(found.table.to_dict("records"), found.fits, strict=True)
     )
-    symbols = "μ", "𝒯_0 (N)", "A", "N̂ (N)", "Λ̂ (mm)"
+    compared = (QUANTITIES[name] for name in COMPARED)
+    symbols = (f"{symbol} ({unit})" if unit else symbol for symbol, unit in compared)
     heads = "test", "sample", "V (mm/min)", "events used", *symbols, "notes"
     return FactsTable(
         "Tests", heads, rows, "Errors are statistical and, if known, systematic, as in tests.csv."

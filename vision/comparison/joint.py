@@ -110,6 +110,10 @@ class TestFit:
         """Return the error of a quantity that other tests do not share: that of the fit and that of d0."""
         return float(np.hypot(self.values[name].error, self.shift("d0", name)))
 
+    def estimate(self, name: str) -> Estimate:
+        """Return a quantity with its systematic error as well."""
+        return replace(self.values[name], systematic_error=self.systematic_error(name))
+
     def systematic_error(self, name: str) -> float:
         """Return all shifts of a quantity added in quadrature; NaN if no source of an error is known."""
         total = float(np.linalg.norm([shift[name] for shift in self.shifts.values()]))

@@ -30,13 +30,22 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from vision.figures.figure import Arrow, Band, Figure, Image, Panel, Series
-from vision.figures.style import CASING, HIGHLIGHT, MISSING, MODEL, QUIET, SLIPS, label_step, to_mathtext
+from vision.figures.style import (
+    CASING,
+    HIGHLIGHT,
+    MANY_POINTS,
+    MISSING,
+    MODEL,
+    QUIET,
+    SLIPS,
+    TURNS,
+    label_step,
+    to_mathtext,
+)
 from vision.numeric import Bools, Floats
 
 MOST_LINES = 40  # marked times that get a line across; more are marked only at the edges
 _DASHES = (0, (4, 2))
-_MANY_POINTS = 150  # more points of a series are drawn smaller, with faint error bars
-_TURNS = 32  # parts in which such points are drawn; with 8, three tests of 635 events still hide the first
 _STYLE: dict[str, Any] = {
     "font.family": "DejaVu Sans",  # part of matplotlib, with all characters that figures need
     "font.size": 10,
@@ -294,25 +303,25 @@ def _isolated(y: Floats) -> Bools:
 
 
 def _in_turns(group: Sequence[Series]) -> list[tuple[Series, int | None]]:
-    """Return series with the first of every `_TURNS` points to draw; None for all.
+    """Return series with the first of every `TURNS` points to draw; None for all.
 
     Series of many points take turns, else the last would hide the others. Those drawn last are at different
     x, so that each is seen where all coincide.
     """
-    crowd = [series for series in group if series.look == "points" and series.x.size > _MANY_POINTS]
+    crowd = [series for series in group if series.look == "points" and series.x.size > MANY_POINTS]
     crowd = crowd if len(crowd) > 1 else []
-    shifted = [(series, k * _TURNS // len(crowd)) for k, series in enumerate(crowd)]
-    turns = [(series, (turn - shift) % _TURNS) for turn in range(_TURNS) for series, shift in shifted]
+    shifted = [(series, k * TURNS // len(crowd)) for k, series in enumerate(crowd)]
+    turns = [(series, (turn - shift) % TURNS) for turn in range(TURNS) for series, shift in shifted]
     return [*((series, None) for series in group if series not in crowd), *turns]
 
 
 def _draw_series(ax: Axes, series: Series, first: int | None = None) -> None:
-    colour, at, every = series.ink[0], series.x + series.shift, None if first is None else (first, _TURNS)
+    colour, at, every = series.ink[0], series.x + series.shift, None if first is None else (first, TURNS)
     if series.low is not None and series.high is not None and not first:
         if series.look == "line":  # a shaded range about a curve
             ax.fill_between(at, series.low, series.high, color=colour, alpha=0.2, lw=0)
         else:
-            faint = at.size > _MANY_POINTS
+            faint = at.size > MANY_POINTS
             ax.vlines(at, series.low, series.high, color=colour, lw=0.9, alpha=0.3 if faint else 1.0)
     if series.look == "steps":
         width = float(series.x[1] - series.x[0]) if len(series.x) > 1 else 1.0
@@ -334,7 +343,7 @@ def _line_style(series: Series) -> dict[str, Any]:
     if series.look in ("points", "both"):
         style |= {"marker": "o", "ms": 3.5, "mfc": "none" if series.hollow else series.ink[0], "mew": 0.9}
     if series.look == "points":  # a filled point fits into a hollow one
-        ring = 5.5 if series.x.size <= _MANY_POINTS else 3.5
+        ring = 5.5 if series.x.size <= MANY_POINTS else 3.5
         style |= {"ls": "none", "ms": ring if series.hollow else 3.0}
     return style
 

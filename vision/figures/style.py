@@ -36,6 +36,9 @@ SLIPS = "#e04fb3"  # marks of slips, magenta: unlike the tracks of both sides, a
 CASING = "#101010"  # edge of tracks over an image
 MISSING = "#cfe3f5"  # pixels that were not recorded
 
+MANY_POINTS = 150  # more points of a series are drawn smaller, with faint error bars, and take turns
+TURNS = 32  # parts in which such points are drawn; with 8, three tests of 635 events still hide the first
+
 # parts of matplotlib's Blues, Oranges and viridis, as (light background, dark background)
 _BLUES = ("#083c7d", "#1764ab", "#3b8bc2", "#6aaed6"), ("#dfecf7", "#b9d6ea", "#7fb9da", "#4493c7")
 _ORANGES = ("#8e2d04", "#c54102", "#ec620f", "#fd8c3b"), ("#fee7d0", "#fdc590", "#fd9a4e", "#f26b15")

@@ -37,16 +37,21 @@ class _Sticks:
     def central(self, part: float) -> tuple[Ints, Ints]:
         """Return the half-open range of the central part of each stick."""
         valley, peak = self.position
-        margin = 0.5 * (1 - part) * (peak - valley)
-        return _between(valley + margin, peak - margin)
+        return _between(*_central(valley, peak, part))
 
     def sides(self, part: float) -> tuple[tuple[Ints, Ints], tuple[Ints, Ints]]:
         """Return the ranges of the central part before and after the knee, or the middle, clear of it."""
         valley, peak = self.position
-        margin, clear = 0.5 * (1 - part) * (peak - valley), 0.03 * (peak - valley)
+        start, stop = _central(valley, peak, part)
+        clear = 0.03 * (peak - valley)
         knee = np.where(np.isfinite(self.knee), self.knee, 0.5 * (valley + peak))
-        start, stop = valley + margin, peak - margin
         return _between(start, np.fmin(stop, knee - clear)), _between(np.fmax(start, knee + clear), stop)
+
+
+def _central(valley: Floats, peak: Floats, part: float) -> tuple[Floats, Floats]:
+    """Return where the central part of each stick begins and ends, in samples."""
+    margin = 0.5 * (1 - part) * (peak - valley)
+    return valley + margin, peak - margin
 
 
 def _between(start: Floats, stop: Floats) -> tuple[Ints, Ints]:
@@ -99,11 +104,10 @@ def measure_sticks(
     error = _corner_errors(signal, sticks, ends, force, off)
     lost = ends.rise * np.where(sticks.slow, np.fmin(half, lengthened / 2), half)
     apart = np.hypot(np.hypot(*np.hypot(off, _rounded(sticks, ends, force, extremes))), half.sum(axis=0))
-    relative = apart / np.where(samples == 0, np.nan, samples)
-    length_error = 1e3 * np.hypot((d_p - d_v) * relative, np.sqrt(2) * noise_mm)
-    between = (
-        500 * (d_p - d_v) * _beside(corners.length).sum(axis=0) / np.where(samples == 0, np.nan, samples)
-    )
+    sample_um = 1e3 * (d_p - d_v) / np.where(samples == 0, np.nan, samples)
+    length_error = np.hypot(sample_um * apart, 1e3 * np.sqrt(2) * noise_mm)
+    # The load may have relaxed in a rest, so that slow slips count with all their length.
+    rest_error = np.hypot(length_error, sample_um * _beside(corners.length / 2).sum(axis=0))
     table = pd.DataFrame(
         {
             "event": np.arange(samples.size),
@@ -130,8 +134,7 @@ def measure_sticks(
     marks = {
         "falling": ~(ends.slope > 0) | _contain_falls(signal, sticks, f_p - f_v),
         "slow": slow[:-1] | slow[1:],
-        # The load may have relaxed in a rest, so that slow slips count with all their length.
-        "still": _held(1e3 * (d_next - d_v), np.hypot(length_error, between), t_next - t_v, settings),
+        "still": _held(1e3 * (d_next - d_v), rest_error, t_next - t_v, settings),
     }
     # Both neighbouring slips count: bad samples in them hide how high or low the load was.
     (v, p), last = sticks.position, signal.time.size - 1
@@ -199,9 +202,9 @@ def _position_errors(
     after = np.clip(np.searchsorted(known, corners.middle), 1, known.size - 1)
     apart = known[after] - known[after - 1]
     resolved = not lengthened and np.quantile(corners.length, 0.1) >= UNRESOLVED
-    longer = ((corners.length < UNRESOLVED) | (not filter_known)) & ~signal.is_missing.any()
-    longer = longer | (signal.alike > 1) | (apart > 2)
-    most = np.where((signal.alike > 1) | (apart > 2) | (not resolved), np.inf, UNRESOLVED)
+    wholly = (signal.alike > 1) | (apart > 2)
+    longer = wholly | ((corners.length < UNRESOLVED) | (not filter_known)) & ~signal.is_missing.any()
+    most = np.where(wholly | (not resolved), np.inf, UNRESOLVED)
     return corners.error * apart, np.where(longer, np.fmin(corners.length, most) / 2, 0)
 
 
@@ -235,15 +238,14 @@ def filter_length(signal: Signal, corners: Corners, extremes: Extremes, settings
     slow = bool(is_slow(corners, settings).all())
     most = settings.smooth_noise if slow else settings.white_noise
     level = level and (slow or length >= 2 * settings.few_samples)
-    level = level and _noise_correlation(signal, corners, 0.05 * length) < most
+    level = level and _noise_correlation(signal, corners, 0.05 * length, settings) < most
     return 0.0 if level or length < UNRESOLVED else length
 
 
-def _noise_correlation(signal: Signal, corners: Corners, apart: float) -> float:
+def _noise_correlation(signal: Signal, corners: Corners, apart: float, settings: ForceSettings) -> float:
     """Return the correlation of the noise within the sticks over so many samples; NaN in short sticks."""
-    lag, valley, length = max(round(apart), 1), corners.valley[:-1], corners.peak[1:] - corners.valley[:-1]
-    margin = 0.1 * length
-    start, stop = _between(valley + margin, valley + length - margin)
+    lag = max(round(apart), 1)
+    start, stop = _between(*_central(corners.valley[:-1], corners.peak[1:], settings.line_part))
     long = stop - start >= max(10, 4 * lag)  # a polynomial is fitted to each
     if not long.any():
         return float("nan")

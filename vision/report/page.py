@@ -23,7 +23,17 @@ from vision.data import ForceMetadata, StripMetadata
 from vision.errors import with_options
 from vision.figures import Figure, Image, Panel, Series
 from vision.figures.catalogue import Results, figures_of, missing_parts, sections_of
-from vision.figures.style import CASING, HIGHLIGHT, MISSING, SLIPS, rgb, to_html, to_unicode
+from vision.figures.style import (
+    CASING,
+    HIGHLIGHT,
+    MANY_POINTS,
+    MISSING,
+    SLIPS,
+    TURNS,
+    rgb,
+    to_html,
+    to_unicode,
+)
 from vision.folder import flattened
 from vision.numeric import Floats, two_digits, with_minus
 from vision.report.text import answers, citation, methods, subtitle
@@ -86,8 +96,8 @@ def render_page(
     """
     store = ArrayStore()
     charts = {one.name: _panel_data(one.name, one.panel, store) for _, part in sections for one in part}
-    colours = {"slips": SLIPS, "casing": CASING, "outline": HIGHLIGHT}
-    data = {"charts": charts, "blobs": store.blobs(), "colours": colours}
+    style = {"slips": SLIPS, "casing": CASING, "outline": HIGHLIGHT, "many": MANY_POINTS, "turns": TURNS}
+    data = {"charts": charts, "blobs": store.blobs(), "style": style}
     text = _template().render(
         sections=sections,
         provenance=provenance(facts),

@@ -148,12 +148,11 @@ def netcdf_attrs(attrs: Mapping[str, Any]) -> dict[str, Any]:
 
     Characters of file names that are not UTF-8 become "?".
     """
-    known = {name: value for name, value in attrs.items() if value is not None}
-    return {name: value if name == OPERATIONS else _encoded(value) for name, value in known.items()}
+    return {name: _encoded(name, value) for name, value in attrs.items() if value is not None}
 
 
-def _encoded(value: Any) -> Any:
-    if isinstance(value, list | tuple | dict) or (isinstance(value, str) and value[:1] in _JSON):
+def _encoded(name: str, value: Any) -> Any:
+    if isinstance(value, list | tuple | dict) or _is_read_as_json(name, value):
         value = json.dumps(value, default=str)
     return value.encode("utf-8", "replace").decode() if isinstance(value, str) else value
 
@@ -161,11 +160,12 @@ def _encoded(value: Any) -> Any:
 def attrs_of_netcdf(attrs: Mapping[str, Any]) -> dict[str, Any]:
     """Convert attributes back: the inverse of `netcdf_attrs`."""
     return {
-        name: json.loads(value)
-        if name != OPERATIONS and isinstance(value, str) and value[:1] in _JSON
-        else value
-        for name, value in attrs.items()
+        name: json.loads(value) if _is_read_as_json(name, value) else value for name, value in attrs.items()
     }
+
+
+def _is_read_as_json(name: str, value: Any) -> bool:
+    return name != OPERATIONS and isinstance(value, str) and value[:1] in _JSON
 
 
 # --- space-time diagrams ------------------------------------------------------------------------------------

@@ -50,7 +50,7 @@
       const y0 = place(band.high, "y"), y1 = place(band.low, "y");
       if (band.outline) {
         const [l, r] = band.across || chart.x_range, x0 = place(l, "x"), x1 = place(r, "x");
-        c.strokeStyle = page.colours.outline; c.lineWidth = 2 * devicePixelRatio;
+        c.strokeStyle = page.style.outline; c.lineWidth = 2 * devicePixelRatio;
         c.strokeRect(x0, Math.min(y0, y1), x1 - x0, Math.abs(y1 - y0));
       } else {
         c.fillStyle = dark() ? "rgba(190,195,205,0.18)" : "rgba(100,105,115,0.16)";
@@ -84,7 +84,7 @@
   /* A dark edge under tracks, which would be lost on white ridges. */
   function casing(u, chart) {
     const c = u.ctx;
-    c.save(); c.strokeStyle = `${page.colours.casing}b3`; c.setLineDash([]);
+    c.save(); c.strokeStyle = `${page.style.casing}b3`; c.setLineDash([]);
     chart.series.forEach((s, k) => {
       if (!u.series[k + 1].show) return;
       c.lineWidth = 1.9 * s.width * devicePixelRatio; c.beginPath();
@@ -97,7 +97,7 @@
   function ticks(u, chart) {
     if (!chart.marks.length) return;
     const c = u.ctx, box = u.bbox, r = devicePixelRatio;
-    c.save(); c.strokeStyle = page.colours.slips; c.setLineDash([]); c.lineWidth = 1.4 * r; c.beginPath();
+    c.save(); c.strokeStyle = page.style.slips; c.setLineDash([]); c.lineWidth = 1.4 * r; c.beginPath();
     for (const t of chart.marks) {
       const at = u.valToPos(t, "x", true);
       if (at < box.top || at > box.top + box.height) continue;
@@ -148,7 +148,7 @@
       const last = s.text ? Math.max(...s.text.map(Number)) : null;
       const xs = arrays[s.x], low = arrays[s.low], high = arrays[s.high], key = s.axis === "right" ? "y2" : "y";
       c.strokeStyle = chart.picture ? s.ink[1] : ink(s.ink); c.lineWidth = (s.text ? 1 : 1.3) * r;
-      c.globalAlpha = s.text || xs.length <= 150 ? 1 : 0.3; /* the bars of many points would hide them */
+      c.globalAlpha = s.text || xs.length <= page.style.many ? 1 : 0.3; /* the bars of many points would hide them */
       xs.forEach((x, i) => {
         if (low[i] == null || high[i] == null) return;
         const at = u.valToPos(x + s.shift, "x", true), y0 = u.valToPos(low[i], key, true), y1 = u.valToPos(high[i], key, true);
@@ -180,8 +180,8 @@
   }
 
   /* Series of many points take turns, as in the drawn figures: else the last would hide the others. */
-  const TURNS = 32, crowd = (chart, arrays) => {
-    const many = chart.series.filter((s) => s.look === "points" && arrays[s.x].length > 150);
+  const TURNS = page.style.turns, crowd = (chart, arrays) => {
+    const many = chart.series.filter((s) => s.look === "points" && arrays[s.x].length > page.style.many);
     return many.length > 1 ? many : [];
   };
   function turns(u, k, chart, arrays) {
