@@ -92,6 +92,17 @@ def test_a_workbook_has_its_suffix(there):
     assert not (there / "exp_xlsx").exists()
 
 
+def test_figures_are_drawn_as_wide_as_a_column(there, refused):
+    """A failure means that a manuscript's figures have to be drawn again by hand."""
+    wide = ["--to", "svg", "--width", "86mm", "--font-size", "8", "--out", "column", "--quiet"]
+    assert run(["figures", "comb_tracks", "noise", *wide]) == 0
+    assert 'width="243.7' in (there / "column" / "noise.svg").read_text(encoding="utf-8")
+    assert "--width" in refused("figures", "comb_tracks", "--width", "300px", "--out", "a")
+    assert "--width" in refused("figures", "comb_tracks", "--width", "5mm", "--out", "a")
+    assert "--font-size" in refused("figures", "comb_tracks", "--font-size", "900", "--out", "a")
+    assert not (there / "a").exists()
+
+
 def test_figures_are_listed_and_a_mistyped_one_is_met_with_the_nearest(there, refused, capsys):
     """A failure means that the user has to guess what a figure shows, or how it is spelled."""
     before = sorted(there.rglob("*"))

@@ -332,6 +332,16 @@ def test_numbers_of_an_axis_are_whole_and_do_not_touch_its_label():
     assert left > axis.label.get_window_extent().x1
 
 
+def test_a_label_is_not_cut_off_beside_a_low_panel():
+    """A failure means labels that end at the edge of a narrow figure."""
+    rising = Series(label="", x=np.arange(2.0), y=np.arange(2.0), ink=DATA)
+    panel = Panel(x_label="t (s)", y_label="density over even spread", aspect=0.2, series=(rising,))
+    page = new_figure(panel.figure("f", "").of_width(60))
+    label, whole = page.axes[0].yaxis.label.get_window_extent(), page.bbox
+    assert whole.y0 <= label.y0
+    assert label.y1 <= whole.y1
+
+
 def test_a_png_states_its_size_on_paper(tmp_path):
     """A failure means that a text processor shows a figure of 6 inches as one of 19."""
     panel = Panel(x_label="x", y_label="y", series=(Series.points("", [0, 1], [0, 1], DATA),))

@@ -1,6 +1,7 @@
 """Figures as data: tables, files, and figures kept in a file."""
 
-from dataclasses import fields, is_dataclass
+import re
+from dataclasses import fields, is_dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -9,7 +10,7 @@ from matplotlib.figure import Figure as Page
 
 from tests.scenes.report_data import make_tracks, sawtooth
 from vision.errors import InputError
-from vision.figures import force_overview_figure, load_figures, save_figures
+from vision.figures import FIGURES, Figure, Panel, force_overview_figure, load_figures, save_figures
 from vision.figures.catalogue import figures_of, overview
 from vision.figures.force import clocks_figure
 from vision.figures.positions import shells_figure, tracks_figure
@@ -107,6 +108,33 @@ def test_the_ending_says_what_is_written(pulled, tmp_path):
     np.testing.assert_allclose(table["t (s)"], pulled.tracks["time_s"], rtol=1e-6)
     with pytest.raises(InputError, match=r"\.png, \.pdf, \.svg or \.csv"):
         figure.save(tmp_path / "f.gif")
+
+
+def test_a_figure_fits_the_column_of_a_journal(pulled, tmp_path):
+    """A failure means figures that are scaled in the manuscript, with letters that nobody can read."""
+    figure = FIGURES["intensity"].make(pulled)
+    assert figure is not None
+    column = figure.of_width(86, font_size=8)
+    column.save(tmp_path / "f.svg", font_size=8)
+    text = (tmp_path / "f.svg").read_text(encoding="utf-8")
+    assert float(re.search(r'<svg[^>]* width="([\d.]+)pt"', text)[1]) == pytest.approx(
+        86 / 25.4 * 72, abs=0.01
+    )
+    sizes = {float(size) for size in re.findall(r"font(?:-size)?: ([\d.]+)px", text)}
+    assert max(sizes) == pytest.approx(8.8)  # titles of panels
+    assert min(sizes) == pytest.approx(6.4)  # legends
+    with pytest.raises(InputError, match="a width from 40 to 1000 mm"):
+        figure.of_width(30, font_size=8)
+
+
+def test_panels_side_by_side_are_stacked_in_a_column_with_their_labels():
+    """A failure means panels too narrow to read, or an axis without its label."""
+    left = Panel(x_label="x (px)", y_label="t (s)", title="left")
+    pair = Figure(name="f", title="", caption="", panels=(left, replace(left, y_label="")), columns=2)
+    column = pair.of_width(86)
+    assert column.columns == 1
+    assert [panel.y_label for panel in column.panels] == ["t (s)", "t (s)"]
+    assert [panel.y_label for panel in pair.of_width(178).panels] == ["t (s)", ""]
 
 
 def test_figures_are_drawn_on_given_axes_or_their_own(pulled):

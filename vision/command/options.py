@@ -186,6 +186,18 @@ class WindowOptions:
 
 @Option(name="*")
 @dataclass(frozen=True, kw_only=True)
+class PaperOptions:
+    """How figures for a manuscript are drawn."""
+
+    width: str | None = _sets("width_mm")
+    """Width on paper, such as 86mm; panels that lack the room side by side are stacked. 152mm if not given,
+    and up to 330mm of several panels."""
+    font_size: float = 10.0
+    """Size of the labels' letters, pt; numbers at marks and legends are smaller."""
+
+
+@Option(name="*")
+@dataclass(frozen=True, kw_only=True)
 class CompareOptions:
     """How several tests are compared."""
 
@@ -298,6 +310,7 @@ _ALL_GROUPS = (
     RunOptions,
     OutputOptions,
     WindowOptions,
+    PaperOptions,
     CompareOptions,
     ModulusOptions,
     FrictionOptions,

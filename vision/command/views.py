@@ -18,6 +18,7 @@ from vision.command.options import (
     Config,
     MovedFilm,
     OutputOptions,
+    PaperOptions,
     Run,
     Switch,
     VideoOptions,
@@ -323,6 +324,7 @@ def figures(
     list_: Annotated[
         Switch, Option(name="--list", help="Print the name and title of every figure, and write nothing.")
     ] = False,
+    paper: PaperOptions = PaperOptions(),
     output: OutputOptions = OutputOptions(),
 ) -> int:
     """Write the figures of a finished run for a manuscript, or their numbers as csv.
@@ -335,7 +337,7 @@ def figures(
 
         track figures test_tracks --to svg
 
-        track figures test_tracks deformation shells --to pdf --out manuscript
+        track figures test_tracks deformation shells --width 86mm --font-size 8 --out manuscript
 
         track figures comparison collapse trends
     """
@@ -346,6 +348,9 @@ def figures(
         raise InputError(run, f"figures of this run ({', '.join(made)})", ", ".join(unknown), advice)
     if list_:
         return conclude(in_columns([(name, one.title) for name, one in made.items()], "<"), (), quiet=False)
+    if paper.width is not None:
+        width_mm = _width_mm(paper.width)
+        made = {name: one.of_width(width_mm, paper.font_size) for name, one in made.items()}
     target = output.out or Path(f"{folder.resolve().name}_figures")
     check_outside(target, folder)
     files = [target / f"{name}.{to}" for name in names or made]
@@ -353,8 +358,16 @@ def figures(
         check_new(file, overwrite=output.overwrite)
     for file in files:
         with whole_file(file) as path:
-            made[file.stem].save(path, dpi=300)
+            made[file.stem].save(path, dpi=300, font_size=paper.font_size)
     return conclude([f"{counted(len(files), 'figure')} -> {target}/"], (), quiet=output.quiet)
+
+
+def _width_mm(text: str) -> float:
+    """Return the width of a figure.  Raises: InputError for a width in px, which paper does not have."""
+    width = parse_length(text, "--width")
+    if "width_px" in width:
+        raise InputError("--width", "a width on paper", f"'{text}'", "write 86mm")
+    return width["width_um"] / 1000
 
 
 def overlay(

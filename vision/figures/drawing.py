@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import matplotlib as mpl
@@ -48,8 +48,6 @@ MOST_LINES = 40  # marked times that get a line across; more are marked only at 
 _DASHES = (0, (4, 2))
 _STYLE: dict[str, Any] = {
     "font.family": "DejaVu Sans",  # part of matplotlib, with all characters that figures need
-    "font.size": 10,
-    "axes.titlesize": 11,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.formatter.useoffset": False,  # its "+1.909e1" above the axis lies on the title
@@ -61,18 +59,37 @@ _STYLE: dict[str, Any] = {
 }
 
 
-class _Inches:
-    """Sizes on a page."""
+class _Inches(NamedTuple):
+    """Sizes on a page with letters of 10 pt; `_inches` returns them for the letters in use."""
 
-    SIDE, INNER = 0.85, 0.18  # margin of a panel with and without the numbers and label of an axis
-    TOP, BOTTOM = 0.12, 0.55  # above and below each panel
-    FOOT = 0.16  # height of a line below the labels of a panel
-    TITLE, LEGEND_ROW = 0.26, 0.24  # heights
-    CHARACTER, MARKER = 0.075, 0.55  # widths in a legend
-    TITLE_CHARACTER, FOOT_CHARACTER = 0.08, 0.065  # widths of letters
-    NUMBER = 0.8  # width for each number of the x axis
-    X_LABEL, Y_LABEL = 0.3, 0.64  # from an axis to its label
-    LEAST_HEIGHT, MOST_HEIGHT = 0.35, 9.0  # of a panel
+    side: float = 0.85  # margin of a panel with the numbers and label of an axis
+    inner: float = 0.18  # without them
+    top: float = 0.12  # above each panel
+    bottom: float = 0.55  # below it
+    foot: float = 0.16  # height of a line below the labels of a panel
+    title: float = 0.26  # heights
+    legend_row: float = 0.24
+    character: float = 0.075  # widths in a legend
+    marker: float = 0.55
+    title_character: float = 0.08  # widths of letters
+    foot_character: float = 0.065
+    label_character: float = 0.069
+    number: float = 0.8  # width for each number of the x axis
+    x_label: float = 0.3  # from an axis to its label
+    y_label: float = 0.64
+    least_height: float = 0.35  # of a panel
+
+
+_MOST_HEIGHT = 9.0  # of a panel, inches
+
+
+def _letters() -> float:
+    """Return the size of letters over 10 pt, for which sizes are given here."""
+    return float(mpl.rcParams["font.size"]) / 10
+
+
+def _inches() -> _Inches:
+    return _Inches(*(_letters() * size for size in _Inches()))
 
 
 def draw_panel(ax: Axes, panel: Panel) -> Axes:
@@ -128,43 +145,45 @@ def _page(figure: Figure, *, interactive: bool = False) -> Page:
         ax = page.add_axes(box)
         draw_panel(ax, panel)
         if not (panel.x_log or panel.empty):  # so that long numbers do not touch
-            nbins = int(np.clip(width / _Inches.NUMBER, 4, 9))
+            nbins = int(np.clip(width / _inches().number, 4, 9))
             ax.locator_params(axis="x", nbins=nbins, integer=panel.whole_numbers)
         # By default matplotlib measures the tick labels at each drawing to place the axis labels.
-        ax.xaxis.set_label_coords(0.5, -_Inches.X_LABEL / height)
-        ax.yaxis.set_label_coords(-_Inches.Y_LABEL / width, 0.5)
+        ax.xaxis.set_label_coords(0.5, -_inches().x_label / height)
+        ax.yaxis.set_label_coords(-_inches().y_label / width, 0.5)
         numbers = ax.yaxis.get_major_formatter().format_ticks(ax.get_yticks().tolist())
         if not panel.y_log and max(map(len, numbers), default=0) > 6:  # they would touch the label
-            ax.tick_params(axis="y", labelsize=8)
+            ax.tick_params(axis="y", labelsize=8 * _letters())
         if panel.y2_label:
-            page.axes[-1].yaxis.set_label_coords(1 + _Inches.Y_LABEL / width, 0.5)
+            page.axes[-1].yaxis.set_label_coords(1 + _inches().y_label / width, 0.5)
         if figure.shows_titles:
             row = [other for other, box in zip(figure.panels, boxes, strict=True) if box[1] == bottom]
-            top = bottom + height + 0.06 + max(_head(other, width)[1] for other in row)
-            page.text(box[0], top / size[1], to_mathtext(_title(panel, width)), fontsize=11)
+            top = bottom + height + 0.06 * _letters() + max(_head(other, width)[1] for other in row)
+            page.text(box[0], top / size[1], to_mathtext(_title(panel, width)), fontsize=11 * _letters())
         if not _labelled(panel):
             ax.tick_params(labelleft=False)
         following = figure.panels[k + 1].foot if k + 1 < len(boxes) and boxes[k + 1][1] == bottom else ""
         if panel.foot != following:  # once for panels side by side
-            below = (left + width) / size[0], (bottom - _Inches.BOTTOM) / size[1]
-            page.text(*below, _foot(panel, width), color=QUIET[0], fontsize=8, ha="right", va="top")
+            below = (left + width) / size[0], (bottom - _inches().bottom) / size[1]
+            page.text(
+                *below, _foot(panel, width), color=QUIET[0], fontsize=8 * _letters(), ha="right", va="top"
+            )
     return page
 
 
-def write(figure: Figure, path: Path, *, dpi: float | None = None) -> None:
+def write(figure: Figure, path: Path, *, dpi: float | None = None, font_size: float = 10.0) -> None:
     """Write a PNG, PDF or SVG, by the path's suffix; equal figures give equal files."""
     kind = path.suffix.lower()
     if kind == ".png":
-        path.write_bytes(png(render(figure, dpi=dpi), dpi or 100))
+        path.write_bytes(png(render(figure, dpi=dpi, font_size=font_size), dpi or 100))
         return
     undated = {"CreationDate" if kind == ".pdf" else "Date": None}
-    with picture_style():
+    with picture_style(font_size):
         _page(figure).savefig(path, dpi=300 if dpi is None else dpi, metadata=undated)
 
 
-def render(figure: Figure, *, dpi: float | None = None) -> NDArray[np.uint8]:
+def render(figure: Figure, *, dpi: float | None = None, font_size: float = 10.0) -> NDArray[np.uint8]:
     """Return the figure's pixels, RGBA (rows, columns, 4)."""
-    with picture_style():
+    with picture_style(font_size):
         page = _page(figure)
         page.set_dpi(100 if dpi is None else dpi)
         canvas: Any = FigureCanvasAgg(page)
@@ -190,10 +209,10 @@ def png(pixels: NDArray[np.uint8], dpi: float | None = None) -> bytes:
     return content[:33] + chunk + content[33:]  # after the header
 
 
-def picture_style() -> AbstractContextManager[None]:
-    """Return a context with matplotlib's defaults and the style of these figures."""
+def picture_style(font_size: float = 10.0) -> AbstractContextManager[None]:
+    """Return a context with matplotlib's defaults and the style of these figures; font_size: pt."""
     defaults: dict[Any, Any] = {k: v for k, v in mpl.rcParamsDefault.items() if not k.startswith("backend")}
-    return mpl.rc_context(defaults | _STYLE)
+    return mpl.rc_context(defaults | _STYLE | {"font.size": font_size})
 
 
 # --- one panel ----------------------------------------------------------------------------------------------
@@ -354,7 +373,7 @@ def _draw_ticks(ax: Axes, groups: list[Series], x_lines: tuple[float, ...]) -> N
     Numbers are beside vertical lines, not on them. The x range must be set.
     """
     low, high = ax.get_xlim()
-    character = abs(high - low) / max(_width_in(ax), 0.1) * _Inches.CHARACTER  # in units of the axis
+    character = abs(high - low) / max(_width_in(ax), 0.1) * _inches().character  # in units of the axis
     taken: list[tuple[float, float]] = []  # ranges of x with a number
     box = {"boxstyle": "round,pad=0.12", "fc": "white", "ec": "none", "alpha": 0.75}
     style: dict[str, Any] = {"textcoords": "offset points", "ha": "center", "va": "bottom", "bbox": box}
@@ -387,7 +406,7 @@ def _draw_ticks(ax: Axes, groups: list[Series], x_lines: tuple[float, ...]) -> N
         free = (at for at in places if not any(at - half < b and a < at + half for a, b in taken))
         if (at := next(free, None)) is not None:
             taken.append((at - half, at + half))
-            ax.annotate(str(number), (at, y), (0, 3), fontsize=7, **style)
+            ax.annotate(str(number), (at, y), (0, 3), fontsize=7 * _letters(), **style)
 
 
 def _draw_inset(ax: Axes, panel: Panel) -> None:
@@ -398,9 +417,9 @@ def _draw_inset(ax: Axes, panel: Panel) -> None:
     small = ax.inset_axes((0.55, 0.62, 0.43, 0.37))
     for series, first in _in_turns(panel.series):
         _draw_series(small, series, first)
-    small.set_xlabel(to_mathtext(panel.x_label), fontsize=8, labelpad=3)
-    small.set_ylabel(to_mathtext(panel.y_label), fontsize=8, labelpad=4)
-    small.tick_params(labelsize=7, pad=2)
+    small.set_xlabel(to_mathtext(panel.x_label), fontsize=8 * _letters(), labelpad=3)
+    small.set_ylabel(to_mathtext(panel.y_label), fontsize=8 * _letters(), labelpad=4)
+    small.tick_params(labelsize=7 * _letters(), pad=2)
     small.locator_params(nbins=4)
     for line in small.lines:
         line.set_markersize(2.0)
@@ -478,9 +497,9 @@ def _draw_legend(ax: Axes, panel: Panel) -> None:
         handles = [_legend_handle(series, label) for series, label in entries]
         place: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1, 1), "borderaxespad": 0.1}
         place |= {"ncols": columns, "frameon": False}
-        if _Inches.LEGEND_ROW * -(-len(entries) // columns) > _above_in(ax):
+        if _inches().legend_row * -(-len(entries) // columns) > _above_in(ax):
             place = {"loc": "best", "ncols": 1, "framealpha": 0.8}  # axes of others may lack the room
-        ax.legend(handles=handles, fontsize=8, columnspacing=1.2, **place)
+        ax.legend(handles=handles, fontsize=8 * _letters(), columnspacing=1.2, **place)
 
 
 def _legend_entries(panel: Panel) -> list[tuple[Series | Band, str]]:
@@ -514,7 +533,7 @@ def _legend_handle(series: Series | Band, label: str) -> Any:
 
 def _legend_width(entries: list[tuple[Series | Band, str]], columns: int) -> float:
     """Return the approximate width in inches of a legend with this number of columns."""
-    widths = [len(label) * _Inches.CHARACTER + _Inches.MARKER for _, label in entries]
+    widths = [len(label) * _inches().character + _inches().marker for _, label in entries]
     return float(sum(part.max() for part in np.array_split(widths, columns)))
 
 
@@ -530,8 +549,8 @@ def _head(panel: Panel, width_in: float) -> tuple[float, float]:
     if not entries:
         return 0.0, 0.0
     columns = _legend_columns(entries, width_in)
-    height = _Inches.LEGEND_ROW * -(-len(entries) // columns)
-    title = 0.09 * max(map(len, _title(panel, width_in).split("\n")))
+    height = _inches().legend_row * -(-len(entries) // columns)
+    title = 0.09 * _letters() * max(map(len, _title(panel, width_in).split("\n")))
     beside = columns == len(entries) and _legend_width(entries, columns) + title < width_in
     return height, 0.0 if beside else height
 
@@ -546,20 +565,22 @@ def _layout(figure: Figure) -> tuple[list[Box], tuple[float, float]]:
     columns = min(figure.columns, len(figure.panels))
     grid = [figure.panels[k : k + columns] for k in range(0, len(figure.panels), columns)]
     across = [[row[c] for row in grid if c < len(row)] for c in range(columns)]
-    before = [_Inches.SIDE if any(map(_labelled, column)) else _Inches.INNER for column in across]
-    after = [_Inches.SIDE if any(p.y2_label for p in column) else _Inches.INNER for column in across]
+    before = [_inches().side if any(map(_labelled, column)) else _inches().inner for column in across]
+    after = [_inches().side if any(p.y2_label for p in column) else _inches().inner for column in across]
     width = (figure.width_in - sum(before) - sum(after)) / columns
     boxes, y = [], 0.0
     for row in grid:
         tallest = width * max(panel.aspect for panel in row)
-        height = float(np.clip(tallest, _Inches.LEAST_HEIGHT, _Inches.MOST_HEIGHT))
-        y -= _Inches.TOP + _top(figure, row, width) + height
+        labels = [label for p in row for label in (p.x_label if p.time_down else p.y_label, p.y2_label)]
+        least = max(_inches().least_height, max(map(len, labels)) * _inches().label_character)
+        height = float(np.clip(tallest, least, max(least, _MOST_HEIGHT)))
+        y -= _inches().top + _top(figure, row, width) + height
         x = 0.0
         for column in range(len(row)):
             x += before[column]
             boxes.append((x, y, width, height))
             x += width + after[column]
-        y -= _Inches.BOTTOM + _Inches.FOOT * max(len(_foot(panel, width).splitlines()) for panel in row)
+        y -= _inches().bottom + _inches().foot * max(len(_foot(panel, width).splitlines()) for panel in row)
     return [(x, bottom - y, width, height) for x, bottom, width, height in boxes], (figure.width_in, -y)
 
 
@@ -570,17 +591,17 @@ def _top(figure: Figure, row: Sequence[Panel], width_in: float) -> float:
     if not figure.shows_titles:
         return legend
     lines = max(1 + _title(panel, width_in).count("\n") for panel in row)
-    return max(_Inches.TITLE * lines + below, legend)
+    return max(_inches().title * lines + below, legend)
 
 
 def _title(panel: Panel, width_in: float) -> str:
     """Return the title, wrapped to the width of the panel."""
-    return _wrapped(panel.title, width_in / _Inches.TITLE_CHARACTER)
+    return _wrapped(panel.title, width_in / _inches().title_character)
 
 
 def _foot(panel: Panel, width_in: float) -> str:
     """Return the lines below a panel, wrapped to its width."""
-    return _wrapped(panel.foot, width_in / _Inches.FOOT_CHARACTER)
+    return _wrapped(panel.foot, width_in / _inches().foot_character)
 
 
 _NUMBER_AND_UNIT = re.compile(r"(?<=\d) (?=(?:s|ms|px|µm|mm|N|times)\b)")

@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from vision.errors import InputError
+from vision.errors import InputError, check_within
 from vision.files import AGAIN, reading
 from vision.folder import write_csv
 from vision.numeric import Bools, Floats
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 Ink = tuple[str, str]
 """Colour on a light and on a dark background."""
 Range = tuple[float, float]
+LETTERS = "a size of letters from 4 to 40 pt"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -241,14 +242,33 @@ class Figure:
             raise InputError("`ax`", f"None, as {self.name} has {len(self.panels)} panels", "axes")
         return drawing.draw_panel(ax, self.panel)
 
-    def save(self, path: str | Path, *, dpi: float | None = None) -> Path:
+    def of_width(self, width_mm: float, font_size: float = 10.0) -> Figure:
+        """Return the figure for this width on paper; panels without room side by side are stacked.
+
+        font_size: of the letters with which it will be saved, pt.  Raises: InputError for a width at which
+        axes and labels have no room, which is below 50 mm with letters of 10 pt.
+        """
+        check_within(LETTERS, 4, 40, font_size=font_size)
+        least = 5.0 * font_size  # mm for a panel: the numbers and label of its axis take half of them
+        check_within(f"a width from {least:g} to 1000 mm", least, 1000, width_mm=width_mm)
+        columns = min(self.columns, len(self.panels), int(width_mm / (1.2 * least)) or 1)
+        panels = list(self.panels)
+        for k, panel in enumerate(panels):
+            if columns < self.columns and k:  # a panel may share the axis of its left neighbour
+                shared = {name: getattr(panels[k - 1], name) for name in ("x_label", "y_label")}
+                panels[k] = replace(panel, **{n: text for n, text in shared.items() if not getattr(panel, n)})
+        return replace(self, width_in=width_mm / 25.4, columns=columns, panels=tuple(panels))
+
+    def save(self, path: str | Path, *, dpi: float | None = None, font_size: float = 10.0) -> Path:
         """Write the figure in the format of the suffix of `path`, which is returned.
 
         path: a file with suffix .png, .pdf or .svg (both with text as text), or .csv for the table.
         dpi: resolution of a PNG and of images within the other two; by default that of the format.
+        font_size: of labels, pt; numbers in pictures and legends are a fifth to a third smaller.
 
         Raises: InputError for another suffix, OSError if the file cannot be written.
         """
+        check_within(LETTERS, 4, 40, font_size=font_size)
         path = Path(path)
         kind = path.suffix.lower()
         if kind == ".csv":
@@ -256,7 +276,7 @@ class Figure:
         elif kind in (".png", ".pdf", ".svg"):
             from vision.figures import drawing
 
-            drawing.write(self, path, dpi=dpi)
+            drawing.write(self, path, dpi=dpi, font_size=font_size)
         else:
             raise InputError(path.name, "a name that ends in .png, .pdf, .svg or .csv", kind or "no ending")
         return path
