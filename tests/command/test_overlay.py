@@ -133,6 +133,22 @@ def test_a_film_that_is_gone_or_another_is_refused(there, refused):
     assert run(["overlay", "."]) == 2
 
 
+def test_a_film_is_found_from_any_directory(tmp_path, monkeypatch):
+    """Failure: a run in another folder than its film can only be used where it was made."""
+    (tmp_path / "films").mkdir()
+    write_video(tmp_path / "films" / "comb.tif", frames_of(positions(5)))
+    monkeypatch.chdir(tmp_path / "films")
+    assert run(["comb.tif", "--quiet", "--no-report", "--out", "../results/comb"]) in (0, 1)
+    monkeypatch.chdir("/")
+    there = str(tmp_path / "results" / "comb")
+    assert run(["overlay", there, "--out", str(tmp_path / "o.mp4"), "--quiet"]) == 0
+    (tmp_path / "results").rename(tmp_path / "films" / "results")  # both are taken to another place
+    (tmp_path / "films").rename(tmp_path / "copy")
+    shutil.move(tmp_path / "copy" / "comb.tif", tmp_path / "copy" / "results" / "comb.tif")
+    there = str(tmp_path / "copy" / "results" / "comb")
+    assert run(["overlay", there, "--out", str(tmp_path / "p.mp4"), "--quiet"]) == 0
+
+
 def test_wide_films_are_scaled_down(tmp_path):
     """Failure: a wide film gives an MP4 that no player shows."""
     x = positions(3, sheets=20, pitch_px=120.0)

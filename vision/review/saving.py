@@ -92,7 +92,7 @@ def save_run(job: SaveJob, tell: Tell = lambda stage, done=0, total=0: None) -> 
         Origin(command=str(run.facts.get("command", "")), parameters=parameters, options=job.options),
         overwrite=True,
         report=(folder / "report.html").exists(),
-        facts={"inputs": run.facts.get("inputs") or []},
+        facts={"inputs": run.facts.get("inputs") or [], "directory": run.facts.get("directory")},
         decisions=job.decisions,
     )
 

@@ -81,12 +81,13 @@ class Origin:
     def facts(
         self, inputs: Callable[[], list[Mapping[str, Any]]] | None = None, **messages: Iterable[str]
     ) -> dict[str, Any]:
-        """Return command, versions, parameters, inputs (from `describe`) and messages for run.json.
+        """Return command and its directory, versions, parameters, inputs (from `describe`) and messages for run.json.
 
         messages: lists of lines, such as ``warnings=…``, in which options replace Python's arguments.
         """
         known = {
             "command": self.command,
+            "directory": str(Path.cwd()),  # from which relative paths count
             "versions": versions(),
             "parameters": {name: asdict(one) for name, one in self.parameters.items()},
             "inputs": (inputs or self.describe())(),

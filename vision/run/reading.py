@@ -122,9 +122,13 @@ class RunFolder:
         return table
 
     def found(self, named: Path) -> Path:
-        """Return where a file that the run used is: as it was named, or seen from beside the run folder."""
-        beside = self.folder.absolute().parent / named
-        return named if _is_there(named) or not _is_there(beside) else beside
+        """Return where a file that the run used is.
+
+        A relative path is tried from where the run was made, from here, and from beside the run folder.
+        """
+        made_in = Path(str(self.facts.get("directory") or "."))
+        places = (made_in / named, named, self.folder.absolute().parent / named)
+        return next(filter(_is_there, places), named)
 
     def input(self, which: Literal["film", "force"], moved: Path | None = None) -> Path:
         """Return the path of the film or the force recording after checking that it is the same file.
