@@ -11,9 +11,12 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from tests.scenes.analysed import Found
 from tests.scenes.report_data import make_profile, make_tracks, sawtooth
+from vision.errors import InputError
 from vision.figures.camera import SlipTimes, intensity_figure, single_sheets_figure, space_time_figure
 from vision.figures.catalogue import (
     FIGURES,
+    Plots,
+    figure_named,
     figures_of,
     kymograph,
     missing_parts,
@@ -299,3 +302,23 @@ def test_clock_and_models_are_short_tables(pulled):
 def test_text_cannot_break_the_table():
     """A failure means that a file's name injects markup into a notebook."""
     assert "<script>" not in html_table("<script>", {"<script>": "<script>"})
+
+
+def test_a_figure_shows_the_stick_phases_that_were_chosen(pulled):
+    """A failure means that a notebook can show one stick phase only, or another than it was asked for."""
+    events = pulled.motion["event"].values.tolist()
+    for event in (events[0], events[-1]):
+        figure = figure_named(pulled, "stick", event=event)
+        assert f"event {event}," in figure.title
+        stick_um = float(pulled.motion["stick_length_um"].sel(event=event))
+        length_s = max(float(series.x[-1]) for series in figure.panel.series)
+        row = pulled.sticks.set_index("event").loc[event]
+        assert 0 < length_s <= row.t_p_s - row.t_v_s
+        assert f"{stick_um:.1f} µm" in figure.caption
+    assert (
+        len(Plots(pulled).deformation(events=events[:2]).get_legend().get_texts()) == 3
+    )  # and the threshold
+    with pytest.raises(InputError, match="measured stick phases"):
+        Plots(pulled).stick(event=10**6)
+    with pytest.raises(InputError, match=r"options that it has \(events\)"):
+        Plots(pulled).deformation(event=events[0])

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from inspect import signature
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -90,14 +90,20 @@ class CatalogueEntry:
     needs: str = ""  # what else the figure needs (see `_has`)
     paper: str = ""  # number of the corresponding figure of the publication
 
-    def make(self, results: Results) -> Figure | None:
-        """Return the figure, with the publication's number in its caption; None without its data."""
+    def make(self, results: Results, **chosen: Any) -> Figure | None:
+        """Return the figure, with the publication's number in its caption; None without its data.
+
+        chosen: arguments of `build` that are no part of the results, such as the event of one stick phase.
+        """
         parameters = signature(self.build).parameters
         known = {name: one for name, one in parameters.items() if hasattr(results, name)}
         needed = [name for name, one in known.items() if one.default is one.empty]
         if not all(_has(results, part) for part in filter(None, (*needed, self.needs))):
             return None
-        figure = self.build(**{name: getattr(results, name) for name in known})
+        if unknown := [name for name in chosen if name not in parameters or name in known]:
+            options = ", ".join(name for name in parameters if name not in known) or "none"
+            raise InputError("this figure", f"options that it has ({options})", ", ".join(unknown))
+        figure = self.build(**{name: getattr(results, name) for name in known}, **chosen)
         if figure is None or not self.paper:
             return figure
         return replace(figure, caption=f"{figure.caption} Compare figure {self.paper} of the publication.")
@@ -249,7 +255,10 @@ def _missing_from_force(r: Results) -> Iterator[str]:
 
 
 class Plots:
-    """Functions that draw the figures of some results: ``plot.NAME(ax=None)``."""
+    """Functions that draw the figures of some results: ``plot.NAME(ax=None)``.
+
+    Some take more: ``plot.stick(event=37)``, ``plot.deformation(events=[37, 60])``.
+    """
 
     def __init__(self, results: Results) -> None:
         self._results = results
@@ -257,7 +266,11 @@ class Plots:
     def __getattr__(self, name: str) -> Callable[..., Axes]:
         if name not in FIGURES:
             raise AttributeError(f"no figure '{name}'; there are {', '.join(FIGURES)}")
-        return figure_named(self._results, name).plot
+
+        def draw(ax: Axes | None = None, **chosen: Any) -> Axes:
+            return figure_named(self._results, name, **chosen).plot(ax)
+
+        return draw
 
     def __dir__(self) -> list[str]:
         return list(FIGURES)
@@ -266,9 +279,12 @@ class Plots:
         return f"plot.NAME(ax=None) with a NAME of {', '.join(FIGURES)}"
 
 
-def figure_named(results: Results, name: str) -> Figure:
-    """Return a figure by its name.  Raises: InputError if the results lack its data."""
-    figure = FIGURES[name].make(results)
+def figure_named(results: Results, name: str, **chosen: Any) -> Figure:
+    """Return a figure by its name.
+
+    chosen: its options, see `CatalogueEntry.make`.  Raises: InputError if the results lack its data.
+    """
+    figure = FIGURES[name].make(results, **chosen)
     if figure is None:
         reasons = "; ".join(results.reasons.values())
         raise InputError(f"the figure {name}", "an analysis that has its data", reasons or "one without")

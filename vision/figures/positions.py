@@ -11,6 +11,7 @@ import xarray as xr
 
 from vision.clock import Clock
 from vision.data import STIFF_BELOW, MotionMetadata
+from vision.errors import InputError
 from vision.figures.figure import Band, Figure, Ink, Panel, Series
 from vision.figures.style import (
     DATA,
@@ -218,13 +219,16 @@ def sheet_series(
 # --- deformation --------------------------------------------------------------------------------------------
 
 
-def stick_figure(tracks: xr.Dataset, motion: xr.Dataset, clock: Clock) -> Figure:
-    """Return the displacement of all sheets in the stick phase with most frames.
+def stick_figure(tracks: xr.Dataset, motion: xr.Dataset, clock: Clock, event: int | None = None) -> Figure:
+    """Return the displacement of all sheets in one stick phase, by default that with most frames.
 
     motion: as returned by `horizontal_deformation`. The positions are as measured: noise, camera movement and
-    the frames next to the slips are included.
+    the frames next to the slips are included.  Raises: InputError for an event without a stick phase.
     """
-    stick = motion.isel(event=int(np.argmax(motion["frames"].to_numpy().sum(axis=1))))
+    if event is None:
+        stick = motion.isel(event=int(np.argmax(motion["frames"].to_numpy().sum(axis=1))))
+    else:
+        stick = _events(motion, [event]).isel(event=0)
     since_s = clock.to_force_s(np.asarray(tracks["time_s"].values, float)) - float(stick["t_v_s"])
     inside = (since_s >= 0) & (since_s <= float(stick["t_p_s"] - stick["t_v_s"]))
     delta_px = tracks["x_px"].values[inside] - stick["x_hat_px"].values
@@ -240,16 +244,27 @@ def stick_figure(tracks: xr.Dataset, motion: xr.Dataset, clock: Clock) -> Figure
     )
 
 
-def deformation_figure(motion: xr.Dataset, *, threshold: float = STIFF_BELOW) -> Figure:
-    """Return σ_x/Λ_st against the sheet's number for a few stick phases, with standard errors."""
+def deformation_figure(
+    motion: xr.Dataset, *, threshold: float = STIFF_BELOW, events: Sequence[int] | None = None
+) -> Figure:
+    """Return σ_x/Λ_st against the sheet's number for a few stick phases, with standard errors.
+
+    events: their numbers; by default up to five spread over the video.  Raises: InputError for an event
+    without a stick phase.
+    """
     known = motion.dropna("event", how="all", subset=["ratio"])
-    count = known.sizes["event"]
-    sticks = (known.isel(event=index) for index in spread_indices(count, min(count, 5)))
+    which = "spread over the video" if events is None else "that were chosen"
+    if events is None:
+        count = known.sizes["event"]
+        known = known.isel(event=spread_indices(count, min(count, 5)))
+    else:
+        known = _events(known, events)
+    sticks = (known.isel(event=index) for index in range(known.sizes["event"]))
     curves = [(f"d_v = {float(one['d_v_mm']):.2f} mm", one["ratio"], one["ratio_err"]) for one in sticks]
     return _ratio_panel(motion, curves, threshold, look="both", width=1.0).figure(
         "deformation",
         f"σ_x/Λ_st, the RMS displacement in a stick phase, {MotionMetadata.of(motion).corrected_for}, over "
-        "the stick length, with standard errors; for stick phases spread over the video, later ones "
+        f"the stick length, with standard errors; for stick phases {which}, later ones "
         f"brighter, every other one hollow. Shaded: below {threshold:g}, where a sheet counts as stiff.",
         title="Horizontal deformation against sheet number",
     )
@@ -275,6 +290,15 @@ def mean_deformation_figure(motion: xr.Dataset, *, threshold: float = STIFF_BELO
         f"{threshold:g}, where a sheet counts as stiff.",
         title="Horizontal deformation, means over stick phases",
     )
+
+
+def _events(motion: xr.Dataset, events: Sequence[int]) -> xr.Dataset:
+    """Return these stick phases.  Raises: InputError if one was not measured."""
+    measured = motion["event"].values.tolist()
+    if missing := [event for event in events if event not in measured]:
+        wanted = f"measured stick phases ({', '.join(map(str, measured))})"
+        raise InputError("`event`", wanted, ", ".join(map(str, missing)))
+    return motion.sel(event=list(events))
 
 
 def _ratio_panel(

@@ -81,7 +81,7 @@ class Origin:
     def facts(
         self, inputs: Callable[[], list[Mapping[str, Any]]] | None = None, **messages: Iterable[str]
     ) -> dict[str, Any]:
-        """Return command and its directory, versions, parameters, inputs (from `describe`) and messages for run.json.
+        """Return command, directory, versions, parameters, inputs (of `describe`) and messages for run.json.
 
         messages: lists of lines, such as ``warnings=…``, in which options replace Python's arguments.
         """
