@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -325,6 +326,44 @@ def settings_of(parameters: Mapping[str, Parameter]) -> Settings:
     return Settings(**{name: part for name, part in parts.items() if part is not None})
 
 
+def parameters_of(settings: Settings) -> dict[str, Parameter]:
+    """Return the options that give these settings, so that `settings_of` returns these settings again.
+
+    Corrections and `Settings.tuning` are no options. A setting without one has its own name.
+    """
+    typed: dict[str, Any] = {}
+    for option, setting in SETTING_OF.items():
+        if setting in Settings.__dataclass_fields__:
+            value = getattr(settings, setting)
+            typed[option] = None if value == getattr(_DEFAULT, setting) else _as_typed(value)
+    typed |= {"corrections": None, "d0": _with_error(settings.d0_mm, settings.d0_err_mm)}
+    sample = settings.sample or (PUBLISHED if settings.geometry_err else None)
+    typed["sheets_per_block"] = None if sample is None else sample.sheets_per_block
+    for setting, option in _GEOMETRY.items():
+        error = settings.geometry_err.get(setting)
+        typed[option] = None if sample is None else _with_error(getattr(sample, setting), error)
+    typed |= {name: f"{size}um" for name in ("pixel_size", "pitch") if (size := typed[name]) is not None}
+    if typed["pitch"] is not None:  # the pixel size follows from it
+        typed["pixel_size"] = None
+    typed |= {"scale": None, "window": None if typed["window"] is None else str(typed["window"])}
+    return with_config(typed, None) | parameters_given(free_t_star=settings.t_star_fitted)
+
+
+def _as_typed(value: Any) -> Any:
+    """Return a setting as its option would be typed."""
+    if isinstance(value, slice):
+        return ":".join("" if end is None else str(end) for end in (value.start, value.stop))
+    if isinstance(value, tuple):
+        return ":".join(map(repr, map(float, value)))
+    if isinstance(value, Mapping):
+        return ",".join(f"{role}={column}" for role, column in value.items())
+    return ("on" if value else "off") if isinstance(value, bool) else value
+
+
+def _with_error(value: float | None, error: float | None) -> float | str | None:
+    return value if error is None else f"{value}±{error}"
+
+
 def settings_of_run(folder: Path) -> Settings:
     """Return the settings that a run was made with, without its corrections.
 
@@ -335,4 +374,9 @@ def settings_of_run(folder: Path) -> Settings:
     with reading(folder / "run.json", "the parameters of a run", AGAIN):
         if times := run.value("timestamps"):  # the working directory may be another one now
             parameters["timestamps"] = Parameter(run.found(Path(times)), "given")
-        return settings_of(parameters)
+        settings = replace(settings_of(parameters), t_star_fitted=run.value("free_t_star") is True)
+        tuning = settings.tuning
+        for stage, changed in (run.facts.get("tuning") or {}).items():
+            values = {name: tuple(v) if isinstance(v, list) else v for name, v in changed.items()}
+            tuning = replace(tuning, **{stage: replace(getattr(tuning, stage), **values)})
+        return replace(settings, tuning=tuning)

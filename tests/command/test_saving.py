@@ -1,0 +1,128 @@
+"""An analysis from Python as a run folder."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import vision
+from vision.command.main import run
+from vision.command.settings import parameters_of, settings_of, settings_of_run
+from vision.errors import InputError
+from vision.folder import RUN_JSON
+from vision.pipeline import Settings
+from vision.run.reading import read_run
+from vision.sample import Sample
+
+LATE = Path(__file__).parents[2] / "fixtures" / "late"
+GIVEN = Settings(
+    rows=slice(0, 30), pixel_size_um=10, timestamps=LATE / "timestamps.txt", d0_mm=16.6, d0_err_mm=0.1
+)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A test of the fixture with a changed constant, and its run folder."""
+    tuning = GIVEN.tuning
+    tracking = replace(tuning.tracking, standard_widths_px=(5.0, 14.0))
+    settings = replace(GIVEN, tuning=replace(tuning, tracking=tracking))
+    analysis = vision.analyse(LATE / "video.avi", LATE / "force.txt", settings)
+    return analysis, vision.save_run(analysis, tmp_path_factory.mktemp("saved") / "run")
+
+
+def test_the_folder_has_what_the_command_writes(made, tmp_path, monkeypatch):
+    """A failure means that results from a notebook are others than those of the command, or fewer."""
+    analysis, folder = made
+    monkeypatch.chdir(tmp_path)
+    film, force, times = (str(LATE / name) for name in ("video.avi", "force.txt", "timestamps.txt"))
+    options = ["--strip", "0:30", "--pixel-size", "10", "--timestamps", times, "--force", force]
+    assert run([film, *options, "--d0", "16.6±0.1", "--out", "typed", "--quiet"]) in (0, 1)
+    typed = tmp_path / "typed"
+    assert {path.name for path in folder.iterdir()} == {path.name for path in typed.iterdir()}
+    for name in ("sheets.csv", "events.csv", "deformation.csv", "shells.csv"):
+        pd.testing.assert_frame_equal(pd.read_csv(folder / name), pd.read_csv(typed / name))
+    ours, theirs = (json.loads((one / RUN_JSON).read_text()) for one in (folder, typed))
+    assert ours["inputs"] == theirs["inputs"]
+    for name in ("strip", "pixel_size", "timestamps", "d0", "fit", "thickness", "force"):
+        assert ours["parameters"][name] == theirs["parameters"][name], name
+    np.testing.assert_array_equal(read_run(folder).tracks["x_px"], analysis.tracks["x_px"])
+
+
+def test_the_settings_are_in_the_folder(made):
+    """A failure means that a review measures with other settings, or constants, than the notebook."""
+    analysis, folder = made
+    assert settings_of_run(folder) == analysis.settings
+    assert settings_of_run(folder).tuning.tracking.standard_widths_px == (5.0, 14.0)
+
+
+def test_other_commands_take_the_folder(made, tmp_path, monkeypatch):
+    """A failure means that results from a notebook cannot be looked at, exported or compared."""
+    _, folder = made
+    monkeypatch.chdir(tmp_path)
+    assert run(["overlay", str(folder), "--frames", "0:3", "--quiet"]) == 0
+    assert run(["export", str(folder), "--to", "csv", "--quiet"]) == 0
+    assert run(["compare", str(folder), "--quiet"]) in (0, 1)
+
+
+def test_a_force_recording_alone_is_a_run_of_track_force(tmp_path):
+    """A failure means that the results of a test without a film cannot be kept."""
+    alone = vision.analyse(None, LATE / "force.txt", Settings(d0_mm=16.6, t_star_fitted=True))
+    folder = vision.save_run(alone, tmp_path / "run")
+    assert (folder / "events.csv").exists()
+    assert settings_of_run(folder) == alone.settings
+    assert len(read_run(folder).input("force").name) > 0
+
+
+def test_an_earlier_run_stays_and_what_is_no_analysis_is_refused(made, tmp_path):
+    """A failure means lost results, or a traceback."""
+    analysis, folder = made
+    with pytest.raises(InputError, match="overwrite"):
+        vision.save_run(analysis, folder)
+    with pytest.raises(InputError, match="what `analyse` returned"):
+        vision.save_run(analysis.tracks, tmp_path / "other")
+    assert not (tmp_path / "other").exists()
+
+
+def sizes(low, high):
+    """Finite numbers in a range, or None."""
+    return st.none() | st.floats(low, high)
+
+
+@given(
+    rows=st.none() | st.builds(slice, st.none() | st.integers(0, 50), st.integers(51, 200)),
+    frames=st.none() | st.builds(slice, st.integers(0, 50), st.none()),
+    window_px=st.sampled_from([None, "auto", 9, 21]),
+    lowpass=st.sampled_from([0.0, "auto", 0.0123]),
+    axis_px=sizes(-10, 5000),
+    pixel_size_um=sizes(0.01, 1000),
+    pitch_um=sizes(1, 1000),
+    d0=sizes(0, 100),
+    d0_err=sizes(0, 1),
+    fit_range_mm=st.none() | st.just((13.25, 17.0)),
+    length_err=sizes(0.01, 1),
+    thickness=st.none() | st.floats(0.01, 1),
+    force_columns=st.none() | st.just({"time": "Time", "load": "Load, F:kN"}),
+    common_mode=st.booleans(),
+    rotate=st.sampled_from([0, 90]),
+)
+def test_settings_come_back_from_their_options(
+    lowpass, d0, d0_err, length_err, thickness, pixel_size_um, pitch_um, **rest
+):
+    """A failure means a setting that a run from Python forgets or changes."""
+    settings = Settings(
+        force_lowpass_s=lowpass,
+        d0_mm=d0,
+        d0_err_mm=None if d0 is None else d0_err,
+        sample=None if thickness is None else Sample(thickness_mm=thickness, length_mm=60.0),
+        geometry_err={} if thickness is None or length_err is None else {"length_mm": length_err},
+        pixel_size_um=pixel_size_um if pitch_um is None else None,
+        pitch_um=pitch_um,
+        **rest,
+    )
+    again = settings_of(parameters_of(settings))
+    assert again == settings
