@@ -10,6 +10,7 @@ import numpy as np
 import openpyxl
 import pandas as pd
 import pytest
+import roifile
 import xarray as xr
 
 from vision.errors import InputError
@@ -222,6 +223,25 @@ def test_napari_s_rules_for_tracks_hold(run, truth):
     assert not table.duplicated(["track_id", "t"]).any()
     back = table.pivot_table(index="t", columns="track_id", values="x").reindex(truth["frame"].values)
     np.testing.assert_allclose(back, truth["x_px"].values, atol=1e-4)
+
+
+def test_imagej_shows_the_tracks_on_the_diagram(tmp_path, monkeypatch, truth):
+    """A failure means tracks beside their ridges in Fiji, or a line across frames without a position."""
+    monkeypatch.chdir(tmp_path)
+    run = make_run(tmp_path / "film_tracks")
+    run.parameters["columns"] = Parameter("15:120", "given")  # where kymograph.tif begins
+    path = export_run(run, "imagej")[0]
+    assert path.name == "film_tracks_rois.zip"
+    rois = {roi.name: roi for roi in roifile.roiread(path)}
+    assert list(rois) == [
+        *("left_2", "left_2_2", "left_1", "left_1_2", "left_1_3"),
+        *("right_1", "right_1_2", "right_2", "right_2_2"),
+    ]
+    assert {roi.roitype for roi in rois.values()} == {roifile.ROI_TYPE.POLYLINE}
+    points = np.concatenate([rois[name].coordinates() for name in ("left_1", "left_1_2", "left_1_3")])
+    rows = [0, 1, 2, 3, 6, 7, 8, 10, 11]
+    np.testing.assert_array_equal(points[:, 1], rows)
+    np.testing.assert_allclose(points[:, 0], truth["x_px"].values[rows, 1] - 15, atol=1e-4)
 
 
 def test_without_a_pixel_size_everything_is_in_px(tmp_path, monkeypatch):

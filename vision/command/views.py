@@ -298,11 +298,12 @@ def export(
     """Write the tables of a finished run in another program's format.
 
     csv and parquet: a folder with one file per table. xlsx: one worksheet per table. mat: matrices and
-    structs for MATLAB. trackpy: x, y, frame, particle. napari: track_id, t, y, x. The unit is the last part
-    of a column's name; trackpy and napari use px. The file or folder has the run's name.
+    structs for MATLAB. trackpy: x, y, frame, particle. napari: track_id, t, y, x. imagej: the tracks as
+    polylines on kymograph.tif, for Fiji's ROI manager. The unit is the last part of a column's name; trackpy,
+    napari and imagej use px. The file or folder has the run's name.
 
-    Positions that were not measured are empty in csv, xlsx and parquet, NaN in mat, and left out for trackpy
-    and napari.
+    Positions that were not measured are empty in csv, xlsx and parquet, NaN in mat, and left out for trackpy,
+    napari and imagej.
 
     For example:
 

@@ -21,14 +21,20 @@ from vision.figures.style import HIGHLIGHT, LEFT_ON_GREY, RIGHT_ON_GREY, label_s
 from vision.files import AGAIN, Progress, reading
 from vision.folder import check_new, flattened, harmless, run_folder, whole_file, write_csv, write_json
 from vision.numeric import Floats, Ints, Pixels, nan_median
-from vision.run.reading import RunFolder, check_outside, check_results, read_json
+from vision.run.reading import RunFolder, check_outside, check_results, first_column, read_json
 from vision.run.tables import sheets_table, tracks_table
 from vision.spacetime import grey_limits
 from vision.video import Video, open_video
 from vision.video.reader import OVERLAY_COMMENT
 
-Format = Literal["csv", "xlsx", "parquet", "mat", "trackpy", "napari"]
-ENDINGS = {"xlsx": ".xlsx", "mat": ".mat", "trackpy": "_trackpy.csv", "napari": "_napari.csv"}
+Format = Literal["csv", "xlsx", "parquet", "mat", "trackpy", "napari", "imagej"]
+ENDINGS = {
+    "xlsx": ".xlsx",
+    "mat": ".mat",
+    "trackpy": "_trackpy.csv",
+    "napari": "_napari.csv",
+    "imagej": "_rois.zip",
+}
 MARK = "export"  # key in run.json that distinguishes exported tables from a run
 
 EXCEL_ROWS = (1 << 20) - 1  # that a worksheet holds below the header
@@ -43,7 +49,7 @@ def export_run(
     Returns: the file or folder that was written, and notes on what was left out.
 
     Positions that were not measured are empty in csv, xlsx and parquet, NaN in mat, and left out for
-    trackpy and napari.
+    trackpy, napari and imagej.
 
     out: file (.xlsx is added to a workbook's name without it) or folder; by default
     the run's name with the format's suffix in the working directory.
@@ -88,6 +94,8 @@ def _write_file(run: RunFolder, to: Format, path: Path) -> list[str]:
         return write_xlsx(all_tables(run), path)
     if to == "mat":
         write_mat(run, path)
+    elif to == "imagej":
+        write_rois(run, path)
     else:
         table = trackpy_table(run) if to == "trackpy" else napari_table(run)
         write_csv(table, path, digits=None)
@@ -155,6 +163,30 @@ def napari_table(run: RunFolder) -> pd.DataFrame:
     """
     table = trackpy_table(run).rename(columns={"particle": "track_id", "frame": "t"})
     return table[["track_id", "t", "y", "x"]].sort_values(["track_id", "t"], ignore_index=True)
+
+
+def write_rois(run: RunFolder, path: Path) -> None:
+    """Write each sheet's track as polylines on kymograph.tif, for the ROI manager of Fiji and ImageJ.
+
+    They are called right_23, or right_23_2 and so on after a gap. x is the diagram's column, y its row; whole
+    coordinates are the middles of pixels, as in ImageJ for lines. Left sheets are blue, right ones orange.
+    """
+    import roifile
+
+    tracks, start = run.tracks, first_column(run)
+    rois = []
+    sheets = zip(tracks["side"].values, tracks["n"].values, tracks["x_px"].values.T - start, strict=True)
+    for side, n, x in sheets:
+        name, ink = (f"left_{n}", LEFT_ON_GREY) if side < 0 else (f"right_{n}", RIGHT_ON_GREY)
+        known = np.flatnonzero(np.isfinite(x))
+        stretches = np.split(known, np.flatnonzero(np.diff(known) > 1) + 1) if known.size else []
+        for k, rows in enumerate(stretches, 1):
+            label = name if k == 1 else f"{name}_{k}"
+            roi = roifile.ImagejRoi.frompoints(np.stack([x[rows], rows], axis=1), name=label)
+            roi.roitype = roifile.ROI_TYPE.POLYLINE if rows.size > 1 else roifile.ROI_TYPE.POINT
+            roi.stroke_color = bytes((255, *rgb(ink[0])))
+            rois.append(roi)
+    roifile.roiwrite(path, rois, mode="w")
 
 
 def settings_table(run: RunFolder) -> pd.DataFrame:

@@ -201,6 +201,12 @@ def read_json(path: Path, advice: str = AGAIN) -> dict[str, Any]:
     return content
 
 
+def first_column(run: RunFolder) -> int:
+    """Return the film's column that is the first of the strip and of kymograph.tif."""
+    start = str(run.value("columns") or "").partition(":")[0].strip()
+    return int(start) if start.isdigit() else 0
+
+
 def read_strip(run: RunFolder) -> xr.DataArray:
     """Read I(x, t) from kymograph.tif, with the coordinates and attributes that `strip_profile` set.
 
@@ -212,13 +218,11 @@ def read_strip(run: RunFolder) -> xr.DataArray:
     """
     tracks = run.tracks
     values = read_kymograph_tif(run.folder / "kymograph.tif", tracks.sizes["frame"])
-    start = str(run.value("columns") or "").partition(":")[0].strip()
-    first = int(start) if start.isdigit() else 0
     flags = tracks["flag"].values[:, 0]
     return strip_of(
         values,
         frame=tracks["frame"].values,
-        first_x=first,
+        first_x=first_column(run),
         time_s=tracks["time_s"].values,
         status=np.where(np.isfinite(values[:, 0]), "ok", flags),
         attrs=tracks.attrs,
