@@ -1,8 +1,8 @@
 """Analyse a video of interleaved sheets and a force recording: x(n,t), σ_x/Λ_st, shells.
 
-`analyse` runs all stages, `save_run` writes their results as the command does, and `compare` compares several
-tests; the other names are single stages. Each is loaded from its package when first used; everything else is
-imported from its module.
+`analyse` runs all stages, `save_run` and `load_run` write and read their results, `compare` compares several
+tests, and the other names are single stages. Each is loaded from its package when first used; everything else
+is imported from its module.
 """
 
 from __future__ import annotations
@@ -19,9 +19,10 @@ _PACKAGE_OF = {
     "find_stick_slip": "vision.force",
     "fit_models": "vision.models",
     "horizontal_deformation": "vision.deformation",
+    "load_run": "vision.command.run_folders",
     "open_video": "vision.video",
     "read_force": "vision.force",
-    "save_run": "vision.command.saving",
+    "save_run": "vision.command.run_folders",
     "space_time": "vision.spacetime",
     "strip_profile": "vision.video",
     "synchronise": "vision.clock",
@@ -31,7 +32,8 @@ __all__ = ["__version__", *_PACKAGE_OF]  # noqa: PLE0604
 
 if TYPE_CHECKING:
     from vision.clock import synchronise as synchronise
-    from vision.command.saving import save_run as save_run
+    from vision.command.run_folders import load_run as load_run
+    from vision.command.run_folders import save_run as save_run
     from vision.comparison import compare as compare
     from vision.deformation import horizontal_deformation as horizontal_deformation
     from vision.force import find_stick_slip as find_stick_slip

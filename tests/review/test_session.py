@@ -15,7 +15,7 @@ from vision.command.settings import settings_of_run
 from vision.errors import InputError
 from vision.review import effects, saving
 from vision.review.effects import CELLS, apply
-from vision.review.saving import save_run
+from vision.review.saving import save_decisions
 from vision.review.session import Session
 from vision.run.reading import read_run
 from vision.sheets.corrections import correction_of
@@ -48,7 +48,7 @@ def assert_same(one, other):
 
 def save(session):
     """As the server does it, in this process."""
-    save_run(session.job(session.decisions, session.undone))
+    save_decisions(session.job(session.decisions, session.undone))
 
 
 def off_px(tracks):

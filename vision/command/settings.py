@@ -333,10 +333,10 @@ def parameters_of(settings: Settings) -> dict[str, Parameter]:
     """
     typed: dict[str, Any] = {}
     for option, setting in SETTING_OF.items():
-        if setting in Settings.__dataclass_fields__:
+        if setting in Settings.__dataclass_fields__ and option != "corrections":
             value = getattr(settings, setting)
             typed[option] = None if value == getattr(_DEFAULT, setting) else _as_typed(value)
-    typed |= {"corrections": None, "d0": _with_error(settings.d0_mm, settings.d0_err_mm)}
+    typed |= {"corrections": None, "scale": None, "d0": _with_error(settings.d0_mm, settings.d0_err_mm)}
     sample = settings.sample or (PUBLISHED if settings.geometry_err else None)
     typed["sheets_per_block"] = None if sample is None else sample.sheets_per_block
     for setting, option in _GEOMETRY.items():
@@ -345,7 +345,7 @@ def parameters_of(settings: Settings) -> dict[str, Parameter]:
     typed |= {name: f"{size}um" for name in ("pixel_size", "pitch") if (size := typed[name]) is not None}
     if typed["pitch"] is not None:  # the pixel size follows from it
         typed["pixel_size"] = None
-    typed |= {"scale": None, "window": None if typed["window"] is None else str(typed["window"])}
+    typed |= {"window": None if typed["window"] is None else str(typed["window"])}
     return with_config(typed, None) | parameters_given(free_t_star=settings.t_star_fitted)
 
 

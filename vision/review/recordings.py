@@ -6,7 +6,7 @@ slip and every thin ridge.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -27,7 +27,7 @@ from vision.pipeline import Settings, open_force, open_recording
 from vision.run.provenance import checksum_of
 from vision.run.reading import RunFolder, read_json
 from vision.run.tables import stored_kymograph
-from vision.sheets.corrections import Correction, correction_of
+from vision.sheets.corrections import Correction
 from vision.sheets.settings import TrackingSettings
 from vision.signals import minmax_decimate
 from vision.spacetime import grey_levels, grey_limits
@@ -71,20 +71,6 @@ class StoredRun(RunFolder):
     def film_checksum(self) -> str:
         """Checksum or fingerprint of the film in run.json."""
         return checksum_of(next(iter(self.facts.get("inputs") or []), {}))
-
-    @property
-    def applied(self) -> list[Correction]:
-        """Decisions that are already applied in the tables of the run."""
-        return [correction_of(one["kind"], _as_entry(one)) for one in self.facts.get("corrections") or []]
-
-
-def _as_entry(facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert a correction in run.json to an entry of a corrections file."""
-    known = {name: value for name, value in facts.items() if name in Correction.__dataclass_fields__}
-    for name in ("sheets", "rows"):
-        if known.get(name) is not None:
-            known[name] = tuple(known[name])
-    return Correction(**known).entry()
 
 
 def decided_clock(earlier: Clock | None, decision: Correction) -> Clock:

@@ -21,11 +21,11 @@ from vision.errors import InputError, unexpected
 from vision.files import PACKAGE_PATHS
 from vision.folder import clean_up, keep_others, plain, put_in_place, unwritable
 from vision.numeric import Floats, Ints
-from vision.pipeline import Analysis, Settings, analyse, open_recording
+from vision.pipeline import Settings
 from vision.review.effects import Positions, median_positions, read_positions
 from vision.review.recordings import StoredRun
 from vision.run.provenance import Origin, Parameter
-from vision.run.reading import read_run, read_strip
+from vision.run.reading import analyse_again, read_run
 from vision.run.writing import WRITTEN, write_run
 from vision.sheets.corrections import Decisions
 
@@ -52,7 +52,7 @@ class SaveJob:
     into: Path | None = None  # where to write the run if it must not replace the old one
 
 
-def save_run(job: SaveJob, tell: Tell = lambda stage, done=0, total=0: None) -> None:
+def save_decisions(job: SaveJob, tell: Tell = lambda stage, done=0, total=0: None) -> None:
     """Run the stages that the decisions affect again, and replace the run folder.
 
     Raises: InputError if a decision is not valid or a file is missing; the run is not changed then.
@@ -61,28 +61,12 @@ def save_run(job: SaveJob, tell: Tell = lambda stage, done=0, total=0: None) -> 
     folder, settings = job.folder, replace(job.settings, corrections=job.decisions.corrections)
     run = StoredRun.of(folder)
     parameters = dict(run.parameters)
-    earlier = Analysis(
-        settings=replace(settings, corrections=tuple(run.applied)),
-        strip=read_strip(run),
-        tracks=run.tracks,
-        clock=run.clock,  # used again unless a decision changes it
-    )
     tell("measuring")
 
     def read(done: int, total: int | None) -> None:
         tell("reading the film" if done != total else "measuring", done, total or 0)
 
-    try:
-        video = open_recording(run.input("film", job.film), job.settings)
-    except InputError:  # the film is gone; only another strip would need it
-        video = None
-    analysis = analyse(
-        video,
-        None if run.value("force") is None else run.input("force"),
-        settings if settings.pitch_um is None else replace(settings, pixel_size_um=None),
-        earlier=earlier,
-        progress=read,
-    )
+    analysis = analyse_again(run, settings, film=job.film, progress=read)
     if settings.pitch_um is not None and run.value("pixel_size") is not None:
         parameters["pixel_size"] = Parameter(analysis.pixel_size_um, "found")
     tell("writing")
@@ -213,7 +197,7 @@ def in_child(server: int) -> None:
 
     try:
         job = pickle.load(sys.stdin.buffer)
-        save_run(job, tell)
+        save_decisions(job, tell)
         if job.into is not None:
             tell("comparing")
             tell(plain(differences(job.folder, job.into)), kind="found")

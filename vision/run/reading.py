@@ -10,7 +10,7 @@ import os
 import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, BinaryIO, Literal, Self
@@ -23,7 +23,7 @@ import vision
 from vision.clock import Candidate, Clock
 from vision.data import TRACKS, StripMetadata, TrackMetadata, strip_of
 from vision.errors import InputError
-from vision.files import AGAIN, READ_HDF5, reading, shortened, try_out
+from vision.files import AGAIN, READ_HDF5, Progress, reading, shortened, try_out
 from vision.folder import (
     RUN_JSON,
     check_target,
@@ -35,8 +35,10 @@ from vision.folder import (
     write_json,
 )
 from vision.memory import words_of_characters
+from vision.pipeline import Analysis, Settings, analyse, open_recording
 from vision.run.provenance import Parameter, describe_input
 from vision.run.tables import attrs_of_netcdf, read_kymograph_tif
+from vision.sheets.corrections import Correction, correction_of
 from vision.video import FramesRead, FrameStore, Video, VideoSettings, video_files
 
 _NUMBERS: dict[Any, Callable[[Any], float]] = {"float": float, "int": int}  # by the type of a field
@@ -73,6 +75,11 @@ class RunFolder:
             if not 0 < size < math.inf:
                 raise ValueError(value)
         return size
+
+    @property
+    def with_force(self) -> bool:
+        """Whether the run has a force recording."""
+        return bool(self.value("force") or self.facts.get("force_alone"))
 
     @property
     def of_video(self) -> bool:
@@ -121,6 +128,11 @@ class RunFolder:
                 raise InputError(path, wanted, found, AGAIN)
         return table
 
+    @property
+    def applied(self) -> list[Correction]:
+        """Decisions that are already applied in the tables of the run."""
+        return [correction_of(one["kind"], _as_entry(one)) for one in self.facts.get("corrections") or []]
+
     def found(self, named: Path) -> Path:
         """Return where a file that the run used is.
 
@@ -138,10 +150,10 @@ class RunFolder:
         Raises: InputError if the run has none, there is no such file, or its size or fingerprint differs.
         """
         inputs = self.facts.get("inputs") or []  # the film is the first, the force recording the last
-        if not inputs or not (self.of_video if which == "film" else self.value("force")):
+        if not inputs or not (self.of_video if which == "film" else self.with_force):
             wanted = "a run of a video" if which == "film" else "a run with a force recording"
             raise InputError(self.folder, wanted, "none in its run.json", "give another run")
-        known: Mapping[str, Any] = inputs[0 if which == "film" else -1]
+        known: Mapping[str, Any] = inputs[0 if which == "film" or not self.of_video else -1]
         path = self.found(Path(str(known["path"]))) if moved is None else moved
         if not _is_there(path):
             advice = "give its new path (`film`)" if which == "film" else "put it back there"
@@ -154,6 +166,15 @@ class RunFolder:
             found = "another of the same size" if same_size else f"one of {now['size_bytes']} bytes"
             raise InputError(path, wanted, found, "track it again")
         return path
+
+
+def _as_entry(facts: Mapping[str, Any]) -> dict[str, Any]:
+    """Convert a correction in run.json to an entry of a corrections file."""
+    known = {name: value for name, value in facts.items() if name in Correction.__dataclass_fields__}
+    for name in ("sheets", "rows"):
+        if known.get(name) is not None:
+            known[name] = tuple(known[name])
+    return Correction(**known).entry()
 
 
 def _is_there(path: Path) -> bool:
@@ -205,6 +226,39 @@ def first_column(run: RunFolder) -> int:
     """Return the film's column that is the first of the strip and of kymograph.tif."""
     start = str(run.value("columns") or "").partition(":")[0].strip()
     return int(start) if start.isdigit() else 0
+
+
+def analyse_again(
+    run: RunFolder,
+    settings: Settings,
+    *,
+    film: Path | None = None,
+    force: Path | None = None,
+    progress: Progress | None = None,
+) -> Analysis:
+    """Analyse a finished run again, with its strip, tracks and clock as far as corrections leave them.
+
+    settings: those of the run, with the corrections to apply.  film, force: paths of files that were moved.
+    progress: see `analyse`.  Without the film, there is no image of a frame, and no correction of the strip.
+
+    Raises: InputError if the force recording, or another file that is needed, is missing or has changed.
+    """
+    recording = run.input("force", force) if run.with_force else None
+    if not run.of_video:
+        return analyse(None, recording, settings)
+    earlier = Analysis(
+        settings=replace(settings, corrections=tuple(run.applied)),
+        strip=read_strip(run),
+        tracks=run.tracks,
+        clock=run.clock,  # used again unless a correction changes it
+    )
+    try:
+        video = open_recording(run.input("film", film), settings)
+    except InputError:  # the film is gone; only another strip would need it
+        video = None
+    if settings.pitch_um is not None:
+        settings = replace(settings, pixel_size_um=None)  # which follows from the tracks
+    return analyse(video, recording, settings, earlier=earlier, progress=progress)
 
 
 def read_strip(run: RunFolder) -> xr.DataArray:

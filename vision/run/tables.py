@@ -158,10 +158,9 @@ def _encoded(name: str, value: Any) -> Any:
 
 
 def attrs_of_netcdf(attrs: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert attributes back: the inverse of `netcdf_attrs`."""
-    return {
-        name: json.loads(value) if _is_read_as_json(name, value) else value for name, value in attrs.items()
-    }
+    """Convert attributes back to what Python has: the inverse of `netcdf_attrs`."""
+    plain = {name: one.item() if isinstance(one, np.generic) else one for name, one in attrs.items()}
+    return {name: json.loads(one) if _is_read_as_json(name, one) else one for name, one in plain.items()}
 
 
 def _is_read_as_json(name: str, value: Any) -> bool:

@@ -1,15 +1,17 @@
-"""Write what was analysed from Python to a run folder, which every command takes."""
+"""Run folders from Python: what was analysed is written to one, and one becomes an analysis again."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
-from vision.command.settings import parameters_of
+from vision.command.settings import parameters_of, settings_of_run
 from vision.data import ForceMetadata
 from vision.errors import InputError
 from vision.folder import check_target
 from vision.pipeline import Analysis
 from vision.run.provenance import Origin, Parameter
+from vision.run.reading import analyse_again, read_run
 from vision.run.writing import write_run
 from vision.video import video_files
 
@@ -43,8 +45,9 @@ def save_run(analysis: Analysis, folder: str | Path, *, overwrite: bool = False,
     force = None if analysis.force is None else Path(ForceMetadata.of(analysis.force).source)
     force = force if force is not None and force.is_file() else None
     # A review expects the film first and the force recording last.
-    film = () if analysis.video is None else video_files(analysis.video.path)
-    inputs = [*film, *(file for file in (analysis.settings.timestamps, force) if file is not None)]
+    times = analysis.settings.timestamps
+    film = () if analysis.video is None else (*video_files(analysis.video.path), times)
+    inputs = [file for file in (*film, force) if file is not None]
     parameters = parameters_of(analysis.settings) | {
         "force": Parameter(force, "default" if force is None else "given"),
         "report": Parameter(report, "given"),
@@ -56,3 +59,29 @@ def save_run(analysis: Analysis, folder: str | Path, *, overwrite: bool = False,
     facts = {"force_alone": True} if analysis.tracks is None else None
     write_run(analysis, folder, origin, overwrite=overwrite, report=report, facts=facts)
     return folder
+
+
+def load_run(folder: str | Path, *, film: Path | None = None, force: Path | None = None) -> Analysis:
+    """Return the analysis of a run folder, of the command or of `save_run`, for its figures and datasets.
+
+    Strip, tracks and clock are those of the folder. The other stages run again, with the settings of the run
+    and with this version of the program, which takes seconds.
+
+    Parameters
+    ----------
+    folder
+        The run folder.
+    film, force
+        New paths of the film and the force recording, if they were moved. Without its film, an analysis lacks
+        the image of a frame.
+
+    Raises
+    ------
+    InputError
+        If the folder is no run or is damaged, or the force recording is missing or another one.
+    """
+    run = read_run(Path(folder))
+    if film is not None:
+        run.input("film", film)
+    settings = replace(settings_of_run(run.folder), corrections=tuple(run.applied))
+    return analyse_again(run, settings, film=film, force=force)

@@ -1,6 +1,7 @@
 """An analysis from Python as a run folder."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,10 +15,12 @@ import vision
 from vision.command.main import run
 from vision.command.settings import parameters_of, settings_of, settings_of_run
 from vision.errors import InputError
+from vision.figures.catalogue import figures_of
 from vision.folder import RUN_JSON
 from vision.pipeline import Settings
 from vision.run.reading import read_run
 from vision.sample import Sample
+from vision.sheets.corrections import correction_of
 
 LATE = Path(__file__).parents[2] / "fixtures" / "late"
 GIVEN = Settings(
@@ -75,7 +78,52 @@ def test_a_force_recording_alone_is_a_run_of_track_force(tmp_path):
     folder = vision.save_run(alone, tmp_path / "run")
     assert (folder / "events.csv").exists()
     assert settings_of_run(folder) == alone.settings
-    assert len(read_run(folder).input("force").name) > 0
+    assert vision.load_run(folder).summary() == alone.summary()
+    typed = ["force", str(LATE / "force.txt"), "--d0", "16.6", "--out", str(tmp_path / "typed")]
+    assert run([*typed, "--quiet"]) in (0, 1)
+    plain = vision.analyse(None, LATE / "force.txt", Settings(d0_mm=16.6))
+    assert vision.load_run(tmp_path / "typed").fits.mu == plain.fits.mu
+
+
+def test_a_run_is_loaded_as_it_was_saved(made):
+    """A failure means that last week's run has other numbers in a notebook, or lacks a figure."""
+    analysis, folder = made
+    again = vision.load_run(folder)
+    np.testing.assert_array_equal(again.tracks["x_px"], analysis.tracks["x_px"])
+    np.testing.assert_allclose(again.motion["ratio"], analysis.motion["ratio"], rtol=1e-9)
+    pd.testing.assert_frame_equal(again.shells, analysis.shells)
+    assert again.clock == analysis.clock
+    assert again.fits.mu == analysis.fits.mu
+    assert again.warnings == analysis.warnings
+    assert again.summary() == analysis.summary()
+    assert {f.name for f in figures_of(again)} == {f.name for f in figures_of(analysis)}
+
+
+def test_corrections_of_a_run_are_in_what_is_loaded(tmp_path):
+    """A failure means that a sheet that was left out by hand is back."""
+    cut = replace(GIVEN, corrections=(correction_of("leave_out", {"sheet": 3, "frames": "5:9"}),))
+    folder = vision.save_run(vision.analyse(LATE / "video.avi", None, cut), tmp_path / "run")
+    again = vision.load_run(folder)
+    assert again.settings.corrections == cut.corrections
+    assert (again.tracks["flag"][5:9, 3] == "left_out").all()
+
+
+def test_moved_files_are_said_or_found(made, tmp_path):
+    """A failure means results without a force recording and without a word, or those of another one."""
+    _, folder = made
+    for name in ("video.avi", "force.txt", "timestamps.txt"):
+        shutil.copy(LATE / name, tmp_path)
+    shutil.copytree(folder, tmp_path / "run")
+    facts = json.loads((tmp_path / "run" / RUN_JSON).read_text().replace(str(LATE), str(tmp_path)))
+    (tmp_path / "run" / RUN_JSON).write_text(json.dumps(facts))
+    (tmp_path / "force.txt").rename(tmp_path / "moved.txt")
+    with pytest.raises(InputError, match="force"):
+        vision.load_run(tmp_path / "run")
+    assert len(vision.load_run(tmp_path / "run", force=tmp_path / "moved.txt").sticks)
+    with pytest.raises(InputError, match=r"bytes|same size"):
+        vision.load_run(tmp_path / "run", film=tmp_path / "moved.txt")
+    (tmp_path / "video.avi").unlink()
+    assert vision.load_run(tmp_path / "run", force=tmp_path / "moved.txt").frame is None
 
 
 def test_an_earlier_run_stays_and_what_is_no_analysis_is_refused(made, tmp_path):
