@@ -5,7 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.scenes.creeping import PIXEL_UM, Clock, errors, make, measure, profile, relaxing, uniform
+from tests.scenes.creeping import (
+    PIXEL_UM,
+    Clock,
+    errors,
+    make,
+    measure,
+    profile,
+    relaxing,
+    straight,
+    uniform,
+)
 from vision.data import warnings_of
 from vision.deformation import DeformationSettings, horizontal_deformation
 from vision.deformation.common_mode import BothSides, common_mode_motion
@@ -52,6 +62,45 @@ def test_few_sticks_do_not_tell_what_sheets_repeat(events):
     off = [errors(one, motion) for one, motion in zip(made, motions, strict=True)]
     assert 0.60 < np.mean([np.abs(wrong) < stated for wrong, stated in off]) < 0.75
     assert not any(warnings_of(motion) for motion in motions)
+
+
+KNOCKED = {  # events, knock in px, sheets, shape of the creep, RMS error of σ_x/Λ_st
+    "both sides": (11, 1.0, slice(None), straight, 0.02),
+    "a hard knock": (11, 5.0, slice(None), straight, 0.02),
+    "two sticks": (2, 1.0, slice(None), straight, 0.02),
+    "one side": (11, 1.0, slice(25, None), straight, 0.02),
+    "two sticks of one side": (2, 1.0, slice(25, None), straight, 0.5),  # the camera's movement is not known
+    "creep that slows down": (11, 1.0, slice(None), relaxing(1.5), 0.1),  # half of it was seen
+    "no knock": (11, 0.0, slice(None), relaxing(1.5), 0.1),
+}
+
+
+@pytest.mark.parametrize("case", KNOCKED)
+def test_sheets_hidden_before_or_after_a_knock(case):
+    """A failure means that a sheet which is hidden for part of a stick, in which the camera is knocked, has a
+    σ_x/Λ_st of many times its own with a small error and no flag."""
+    events, knock_px, sheets, shape, rms = KNOCKED[case]
+    off = []
+    for seed in range(16):
+        made = make(profile(np.full(events, 8.0)), noise_px=0.03, shape=shape, seed=seed)
+        rng, tracks = np.random.default_rng(seed), made.tracks
+        x, time = tracks["x_px"].values.copy(), tracks["time_s"].values
+        start, stop = made.sticks.loc[events // 2, ["t_v_s", "t_p_s"]] - 5
+        at = start + (stop - start) * rng.uniform(0.3, 0.7)
+        x += knock_px * (time > at)[:, None]
+        part = (time > start) & (time < stop) & ((time < at) if seed % 2 else (time > at))
+        hidden = rng.choice(np.arange(50)[sheets], 3, replace=False)
+        x[np.ix_(part, hidden)] = np.nan
+        seen = tracks.assign(x_px=(tracks["x_px"].dims, x)).isel(sheet=sheets)
+        motion = horizontal_deformation(seen, made.sticks, Clock(), pixel_size_um=PIXEL_UM)
+        found = motion.isel(event=events // 2).sel(sheet=hidden)
+        wrong = found["ratio"] - made.ratio[events // 2, hidden]
+        off += list(zip(wrong.values, found["ratio_err"].values, strict=True))
+    wrong, stated = np.array([pair for pair in off if np.isfinite(pair).all()]).T
+    assert wrong.size >= 12
+    assert np.mean(np.abs(wrong) < stated) > 0.55
+    assert (np.abs(wrong) < 4 * stated).all()
+    assert np.sqrt(np.mean(wrong**2)) < rms
 
 
 def test_one_side_in_view_tells_drift_from_creep():

@@ -44,6 +44,37 @@ def common_mode_motion(residual: Floats, settings: DeformationSettings) -> tuple
     return motion, np.asarray(1 / (1 - np.minimum(weight / weight.sum(), 0.5)))
 
 
+def camera_bends(creep: Creep, side: Ints, settings: DeformationSettings) -> tuple[Floats, Floats]:
+    """Coefficients from P₂ on of the camera's movement in each stick, and their errors, px, (stick, term).
+
+    creep: fit to the positions, with at least three terms. A sheet's fit takes up this part of the movement,
+    and that of a sheet which is hidden for part of a stick another part. Creep cancels between the two sides.
+    With one side in view, what sheets repeat in every stick is creep; with few sticks nothing is found then,
+    and the error is the bend itself. Coefficients that are not significant are 0.
+    """
+    whole = creep.good & ~creep.hidden(settings)
+    bend = np.where(whole[..., None], creep.coefficient[..., 2:], np.nan)
+    sides = [side == one for one in (-1, 1) if (side == one).sum() >= settings.least_pairs]
+
+    def common(values: Floats) -> Floats:
+        return np.asarray(np.mean([nan_median(values[:, one], axis=1) for one in sides], axis=0))
+
+    none = np.zeros(bend.shape[::2])
+    if not sides:
+        return none, none
+    repeated = len(bend) >= settings.least_repeats
+    usual = nan_median(bend)[None]
+    if repeated:
+        bend = bend - (usual - common(usual)[:, None] if len(sides) == 2 else usual)
+    found = common(bend)
+    count = np.maximum(whole.sum(axis=1), 1)[:, None]
+    error = sigma_about_zero(bend - found[:, None], axis=1) * np.sqrt(np.pi / 2 / count)
+    if not repeated and len(sides) < 2:
+        return none, np.nan_to_num(np.hypot(error, found))
+    significant = np.abs(found) > settings.curvature_errors * error
+    return np.where(significant, found, 0.0), np.nan_to_num(error)
+
+
 # --- drift --------------------------------------------------------------------------------------------------
 
 

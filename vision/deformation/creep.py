@@ -41,6 +41,15 @@ class DeformationSettings:
     """Standard errors by which a parabola must differ from a line to be used.  Larger biases sticks with
     decelerating creep (test_motion); smaller adds the noise of a coefficient to every sheet."""
 
+    mostly_seen: float = 0.75
+    """Share of a stick's positions from which a sheet counts as seen in all of it.  Larger leaves few sheets
+    to measure the camera's bends where single positions are missing (test_motion: missing positions); smaller
+    takes sheets that saw another part of its movement (test_common_mode: a camera that is knocked)."""
+
+    bend_as_slope: float = 1.5
+    """Slope that a bend of 1 px gives a sheet that is seen in half of the stick.  It multiplies the bend of
+    the creep, and the error of the camera's, for sheets hidden for part of a stick (test_common_mode)."""
+
     least_curved: int = 6
     """Fewest positions to which a parabola is fitted; with fewer, single blurred frames bend the curve."""
 
@@ -221,6 +230,12 @@ class Creep:
         for some in row_parts(len(design)):
             fitted[some] = np.einsum("fk,fsk->fs", design[some], self.coefficient[frames.row[some]])
         return fitted
+
+    def hidden(self, settings: DeformationSettings) -> Bools:
+        """Whether a sheet is not seen in a large part of the frames in which another is, (stick, sheet)."""
+        return np.asarray(
+            self.count < settings.mostly_seen * self.count.max(axis=1, keepdims=True, initial=0)
+        )
 
     @property
     def dof(self) -> Ints:

@@ -28,6 +28,7 @@ from vision.deformation.common_mode import (
     BothSides,
     Drift,
     OneSide,
+    camera_bends,
     common_mode_motion,
     drift_model,
     own_movement,
@@ -43,6 +44,7 @@ from vision.deformation.creep import (
     find_late_slips,
     fit_creep,
     frames_of_sticks,
+    legendre,
     measure_noise,
 )
 from vision.errors import InputError, shown
@@ -115,8 +117,8 @@ def horizontal_deformation(
     :math:`a_2` exceeds 3 errors.  For many frames the result equals
     :math:`\sqrt{\sigma^2 - \mathrm{noise}^2}`; for few frames it has less bias, since it keeps the sign.
 
-    Camera movement consists of vibration, the common motion in each frame beyond the creep, and of drift
-    during the stick.  Drift is found from left and right, or, with one side in view, from the creep of the
+    Camera movement consists of vibration, the common motion in each frame beyond the creep, with its bends
+    within a stick, and of drift during the stick.  Drift is found from left and right, or, with one side in view, from the creep of the
     sheets in other sticks; ``attrs["camera_movement"]`` states which.  The creep of a sheet that slips late
     or early is shortened accordingly.
 
@@ -277,12 +279,17 @@ def _measure(
     steady, rms_px, facts = x_px, _rms(x_px, frames), TrackMetadata.of(tracks)
     del x_px  # tables of positions are large in long films
     vibration, factor = np.zeros(len(steady)), np.ones(side.size)
+    bends_err_px = np.zeros(frames.sticks)
     if common_mode and len(steady):
-        residual = fit_creep(steady, frames, terms, settings).at(frames)
+        creep = fit_creep(steady, frames, terms, settings)
+        residual = creep.at(frames)
         np.subtract(steady, residual, out=residual)
         vibration, factor = common_mode_motion(residual, settings)
         del residual
-        steady = steady - vibration[:, None]
+        bends, bends_err = camera_bends(creep, side, settings)
+        bends_err_px = np.sqrt((bends_err**2).sum(axis=1))
+        moved = vibration + (legendre(frames.u, terms)[:, 2:] * bends[frames.row]).sum(axis=1)
+        steady = steady - moved[:, None]
     slips = find_late_slips(steady, frames, settings)
     steady = np.where(slips.outside, np.nan, steady)
     noise = measure_noise(steady, frames, terms, settings)
@@ -308,7 +315,9 @@ def _measure(
     own_px = own_movement(curve.middle, curve.straight, frames, settings)
     bends_px = repeated_bends(close, noise, settings)
     warnings += _own_warnings(own_px, bends_px, curve.slope_err, settings)
-    curve = replace(curve, slope_err=np.sqrt(curve.slope_err**2 + own_px**2 + bends_px**2))
+    own_bend_px = np.abs(curve.slope) * curve.end_slope[:, None] / 3  # which a hidden sheet does not show
+    hidden_px = settings.bend_as_slope * np.hypot(bends_err_px[:, None], own_bend_px) * line.hidden(settings)
+    curve = replace(curve, slope_err=np.sqrt(curve.slope_err**2 + own_px**2 + bends_px**2 + hidden_px**2))
     values = {
         "sigma_x_um": np.where(line.good, rms_px, np.nan) * pixel_um,
         **_relative_to_length(curve, line, noise.excess > 1, events, side, pixel_um, settings),
