@@ -1,5 +1,6 @@
 """analyse(): every stage once, in order, and nothing lost where one of them fails."""
 
+import dataclasses
 import html
 import json
 import re
@@ -331,3 +332,12 @@ def test_a_dataset_that_is_no_force_recording_is_refused_at_once(force):
     settings = Settings(pixel_size_um=10, offset_s=1.0, timestamps=DEEP / "timestamps.txt")
     with pytest.raises(InputError, match="force"):
         vision.analyse(DEEP / "video.tif", force, settings)
+
+
+def test_settings_show_what_was_changed():
+    """A failure means that a notebook fills a screen with constants, and hides the few that were set."""
+    clock = pipeline.Tuning().clock
+    least = type(clock)(**{dataclasses.fields(clock)[0].name: 1})
+    shown = repr(Settings(fps=25.0, tuning=pipeline.Tuning(clock=least)))
+    assert shown == f"Settings(fps=25.0, tuning=Tuning(clock={least!r}))"
+    assert repr(Settings()) == "Settings()"

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vision.data import TrackMetadata
+from vision.data import TrackMetadata, Tunable
 from vision.errors import counted
 from vision.memory import is_word, word_counts
 from vision.models.equations import effective_sheets
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from vision.video import VideoSettings
 
 
-@dataclass(frozen=True, kw_only=True)
-class CheckSettings:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class CheckSettings(Tunable):
     """Tunable constants of these warnings, and of the advice if no ridges are found."""
 
     most_saturated: float = 0.5

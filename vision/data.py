@@ -140,6 +140,14 @@ def operations_of(data: Data) -> list[dict[str, Any]]:
     return done
 
 
+class Tunable:
+    """Base of settings dataclasses, which have too many fields to show: shown are those that were changed."""
+
+    def __repr__(self: DataclassInstance) -> str:
+        changed = ", ".join(f"{name}={value!r}" for name, value in changed_settings(self).items())
+        return f"{type(self).__name__}({changed})"
+
+
 def changed_settings(settings: DataclassInstance) -> dict[str, Any]:
     """Return the fields of a settings dataclass that differ from its defaults, for `record`."""
     defaults = type(settings)()

@@ -38,6 +38,7 @@ from vision.data import (
     STIFF_BELOW,
     ForceMetadata,
     StripMetadata,
+    Tunable,
     check_pixel_size,
     check_threshold,
     load_unit,
@@ -90,8 +91,8 @@ from vision.video.video import cut
 Result = TypeVar("Result")
 
 
-@dataclass(frozen=True, kw_only=True)
-class Tuning:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Tuning(Tunable):
     """Tunable constants of every stage. Each field says what its value trades and what shows it is right."""
 
     video: VideoSettings = field(default_factory=VideoSettings)
@@ -104,8 +105,8 @@ class Tuning:
     checks: CheckSettings = field(default_factory=CheckSettings)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Settings:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Settings(Tunable):
     """Options of the analysis, which ``track --help`` explains. One that is None is found from the data.
 
     The unit is the last part of a name. Called otherwise there: `rows` is --strip, `d0_err_mm` the error in

@@ -11,13 +11,13 @@ import pandas as pd
 import scipy
 import xarray as xr
 
-from vision.data import MOTION, STIFF_BELOW, changed_settings, check_threshold, record
+from vision.data import MOTION, STIFF_BELOW, Tunable, changed_settings, check_threshold, record
 from vision.errors import check_kind
 from vision.numeric import Bools, Floats, Floats32, Ints, row_parts
 
 
-@dataclass(frozen=True, kw_only=True)
-class ShellSettings:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class ShellSettings(Tunable):
     """Tunable constants of the statistics of shells, measured on the scenes of `tests/test_shells.py`."""
 
     sheet_scatters: tuple[float, ...] = (0.03, 0.08, 0.15, 0.25)

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from vision.comparison.runs import ALIKE, COLUMNS, LIMITS, table_cells
+from vision.data import Tunable
 from vision.errors import InputError, nearest_word
 from vision.files import TIFF, Watch, answered, shortened
 from vision.numeric import number
@@ -23,8 +24,8 @@ from vision.video.video import FILMS, files_in
 # --- tunable constants -------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
-class CampaignSettings:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class CampaignSettings(Tunable):
     """Tunable constants of a campaign. `reports/campaign.py` measures the values used for estimates."""
 
     # estimates of a film's time and memory before any film has been measured

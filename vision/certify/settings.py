@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from vision.data import Tunable
 
-@dataclass(frozen=True, kw_only=True)
-class CertifySettings:
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class CertifySettings(Tunable):
     """Tunable constants of `certify`; tests/certify and reports/certify.md show their effect."""
 
     most_frames: int = 600

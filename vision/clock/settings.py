@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from vision.data import Tunable
 
-@dataclass(frozen=True, kw_only=True)
-class ClockSettings:
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class ClockSettings(Tunable):
     """Tunable constants of the alignment.
 
     The tests named below use slip trains and recordings with a known clock.  `tests/clock/test_alignment.py`

@@ -11,6 +11,7 @@ import pandas as pd
 import scipy
 
 from vision.comparison.runs import INSTRUMENT, TractionTest
+from vision.data import Tunable
 from vision.errors import InputError, counted
 from vision.models import Estimate, equations
 from vision.models.single_fits import (
@@ -34,8 +35,8 @@ JOINT_ERROR = "stat. and d_0"
 COMPARED = ("mu", "T0_N", "A", "N_hat_N", "Lambda_hat_mm")  # columns of tests.csv
 
 
-@dataclass(frozen=True, kw_only=True)
-class CompareSettings:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class CompareSettings(Tunable):
     """Tunable constants of the comparison."""
 
     t0_limit_N: float = DEFAULT.largest_offset_N

@@ -13,14 +13,15 @@ import scipy
 from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
+from vision.data import Tunable
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, nan_median, row_parts, typical_where
 from vision.sheets import TrackingSettings
 
 POSITIONS_AT_ONCE = 100_000  # to which creep is fitted; more take memory, fewer calls of NumPy
 
 
-@dataclass(frozen=True, kw_only=True)
-class DeformationSettings:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class DeformationSettings(Tunable):
     """Tunable constants of `horizontal_deformation`; the tests named are in tests/deformation."""
 
     slip_near_end: float = 0.15

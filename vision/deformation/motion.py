@@ -118,9 +118,9 @@ def horizontal_deformation(
     :math:`\sqrt{\sigma^2 - \mathrm{noise}^2}`; for few frames it has less bias, since it keeps the sign.
 
     Camera movement consists of vibration, the common motion in each frame beyond the creep, with its bends
-    within a stick, and of drift during the stick.  Drift is found from left and right, or, with one side in view, from the creep of the
-    sheets in other sticks; ``attrs["camera_movement"]`` states which.  The creep of a sheet that slips late
-    or early is shortened accordingly.
+    within a stick, and of drift during the stick.  Drift is found from left and right, or, with one side in
+    view, from the creep of the sheets in other sticks; ``attrs["camera_movement"]`` states which.  The creep
+    of a sheet that slips late or early is shortened accordingly.
 
     Errors follow from the residuals of each sheet and their autocorrelation.  For positions measured in a
     picture they include unequal pixels, unequal magnification and static dirt and, with the publication's

@@ -128,18 +128,23 @@ def draw_panel(ax: Axes, panel: Panel) -> Axes:
 def new_figure(figure: Figure) -> Page:
     """Return a matplotlib figure with all panels.
 
-    In a notebook that uses pyplot, pyplot makes it, so that it is displayed below the cell.
+    In a notebook pyplot makes it, so that it is displayed below the cell.
     """
+    page = Page()
+    if "ipykernel" in sys.modules:
+        import matplotlib.pyplot as plt
+
+        page = plt.figure()  # outside of the style, in which pyplot would not be interactive, and remain so
     with picture_style():
-        return _page(figure, interactive=True)
+        page.set_facecolor(mpl.rcParams["figure.facecolor"])
+        return _page(figure, page)
 
 
-def _page(figure: Figure, *, interactive: bool = False) -> Page:
-    """Return a matplotlib figure; the caller sets the style."""
+def _page(figure: Figure, page: Page | None = None) -> Page:
+    """Return a matplotlib figure, by default a new one, with all panels; the caller sets the style."""
     boxes, size = _layout(figure)
-    notebook = interactive and "ipykernel" in sys.modules
-    pyplot = sys.modules.get("matplotlib.pyplot") if notebook else None
-    page: Page = pyplot.figure(figsize=size) if pyplot else Page(figsize=size)
+    page = Page() if page is None else page
+    page.set_size_inches(size)
     for k, (panel, (left, bottom, width, height)) in enumerate(zip(figure.panels, boxes, strict=True)):
         box = left / size[0], bottom / size[1], width / size[0], height / size[1]
         ax = page.add_axes(box)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from vision.data import Tunable
 
-@dataclass(frozen=True, kw_only=True)
-class ForceSettings:
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class ForceSettings(Tunable):
     """Tunable numbers of `read_force` and `find_stick_slip`; the defaults suit recordings of 10 to 10 000 Hz.
 
     A sigma is the standard deviation of the load's white noise unless stated otherwise.

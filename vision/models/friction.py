@@ -17,6 +17,7 @@ import pandas as pd
 import scipy
 from numpy.typing import ArrayLike
 
+from vision.data import Tunable
 from vision.errors import InputError, check_positive
 from vision.models.rheometer import ROTATION, RotationMetadata
 from vision.numeric import Floats, white_noise
@@ -31,8 +32,8 @@ RIM_CAVEAT = (
 """Assumption of the static coefficient, to be shown beside it."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class FrictionSettings:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class FrictionSettings(Tunable):
     """Tunable constants of the measurement of μ_s and μ_d from a curve μ(φ)."""
 
     dynamic_deg: tuple[float, float] = (0.3, 120.0)

@@ -18,7 +18,17 @@ import scipy
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from vision.data import FORCE, ForceMetadata, Metadata, Schema, Variable, load_unit, record, with_word
+from vision.data import (
+    FORCE,
+    ForceMetadata,
+    Metadata,
+    Schema,
+    Tunable,
+    Variable,
+    load_unit,
+    record,
+    with_word,
+)
 from vision.errors import InputError, check_positive
 from vision.numeric import Floats, Ints, correlation_inflation
 from vision.sample import LEAST_GPA, MOST_GPA, Sample, is_plausible_modulus
@@ -28,8 +38,8 @@ PUBLISHED_SHEET = Sample(length_mm=16.8)
 """The publication's single sheet between its clamps: ε = 0.1, W = 45, L = 16.8 mm."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class ModulusSettings:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class ModulusSettings(Tunable):
     """Tunable constants of the cycles and of the fit to a loading branch."""
 
     part: tuple[float, float] = (0.4, 0.9)

@@ -18,7 +18,7 @@ import pandas as pd
 import scipy
 from numpy.typing import ArrayLike
 
-from vision.data import whole_events
+from vision.data import Tunable, whole_events
 from vision.errors import InputError
 from vision.folder import Shown, numbered
 from vision.models import equations
@@ -41,8 +41,8 @@ SLOW_MM_MIN = 1.0
 """Pulling speed up to which the publication's models of A, N̂ and Y_eff hold."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class FitSettings:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class FitSettings(Tunable):
     """Tunable constants of the fits of the models; the tests named are in tests/models/test_fits.py."""
 
     least_events: int = 6

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from vision.data import Tunable
+
 LEAST_FRAMES = 8  # fewer do not show how values of a film scatter
 QUARTER_PIXEL = 0.25 / 12**0.5  # px: standard deviation of a rounding to quarter pixels
 
 
-@dataclass(frozen=True, kw_only=True)
-class TrackingSettings:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class TrackingSettings(Tunable):
     """Thresholds and costs of `vision.track_sheets`.
 
     Lengths are fractions of the ridges' width (FWHM) or pitch, so that they suit every magnification; costs

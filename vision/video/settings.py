@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from vision.data import Tunable
 from vision.files import ANSWER_S
 
 
-@dataclass(frozen=True, kw_only=True)
-class VideoSettings:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class VideoSettings(Tunable):
     """Settings of `find_strip`, `measure_strip` and `strip_profile`. The tests named are in tests/video."""
 
     # the strip
