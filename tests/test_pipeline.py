@@ -274,6 +274,41 @@ def test_only_what_follows_from_a_decision_is_run_again(whole, kind, entry, kept
         assert again.tracks.attrs["axis_px"] == 300.0
 
 
+@pytest.mark.parametrize(
+    ("changed", "kept"),
+    [
+        ({"fps": 30.0, "timestamps": None}, ()),
+        ({"rows": slice(0, 10)}, ()),
+        ({"sheets": 20}, ("strip",)),
+        ({"ridges": "dark"}, ("strip",)),
+        ({"tuning": pipeline.Tuning(tracking=pipeline.TrackingSettings(window_per_width=0.8))}, ("strip",)),
+        ({"offset_s": 12.0}, ("strip", "tracks")),
+        ({"d0_mm": 13.5, "pixel_size_um": 9.0}, ("strip", "tracks")),
+    ],
+)
+def test_what_follows_from_a_changed_setting_is_run_again(whole, changed, kept):
+    """A failure means results of the earlier settings under the new ones."""
+    settings = replace(whole.settings, **changed)
+    try:
+        again = vision.analyse(DEEP / "video.tif", DEEP / "force.txt", settings, earlier=whole)
+    except InputError as error:  # of a number of sheets that the film does not have
+        assert "sheets" in changed or "ridges" in changed, error
+        return
+    assert [name for name in ("strip", "tracks") if getattr(again, name) is getattr(whole, name)] == [*kept]
+    if "fps" in changed:
+        assert np.diff(again.tracks["time_s"]).mean() == pytest.approx(1 / 30)
+    if "pixel_size_um" in changed:
+        assert again.pixel_size_um == 9.0
+
+
+def test_another_film_is_read(whole):
+    """A failure means the positions of the earlier film under the name of another."""
+    settings = replace(whole.settings, timestamps=None)
+    earlier = replace(whole, settings=settings)
+    again = vision.analyse(DEEP.parent / "dark" / "video.mp4", None, settings, earlier=earlier)
+    assert again.tracks.sizes != whole.tracks.sizes
+
+
 def test_without_a_change_nothing_is_run_again(whole):
     """Nor is the film needed."""
     again = vision.analyse(None, whole.force, whole.settings, earlier=whole)

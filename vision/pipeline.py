@@ -15,6 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
+from operator import attrgetter
 from pathlib import Path
 from types import NoneType
 from typing import Any, Literal, TypeVar, get_args
@@ -269,8 +270,8 @@ def analyse(
     settings
         Options; those not given are found from the data.
     earlier
-        An analysis of the same video whose settings differ in their corrections only. Its strip, tracks and
-        clock are reused unless a changed correction affects them. With the strip reused, no video is needed.
+        An analysis of the same video with other settings. Its strip, tracks and clock are reused unless a
+        changed setting or correction affects them. With the strip reused, no video is needed.
     progress
         Called with (frames done, total frames or None) while the video is read.
     log
@@ -301,7 +302,7 @@ def analyse(
     # Reading a video takes long, so an unreadable force file is rejected first.
     machine = None if force is None else stages.required("reading force", open_force, force, chosen)
     film = None if video is None else open_recording(video, chosen, follow)
-    found = _reusable(earlier, Analysis(settings=chosen, video=film))
+    found = _reusable(earlier, Analysis(settings=chosen, video=film, force=machine))
     if film is not None and found.strip is None:
         check_recordings(film, None if follow else machine, chosen)
     found = _read_and_track(stages, found, progress, log, follow)
@@ -374,8 +375,14 @@ def _check_arguments(video: object, force: object, settings: object) -> None:
     check_kind(Settings | None, "a `Settings`, as in Settings(pixel_size_um=10)", settings=settings)
 
 
+_OF_STRIP = ("rows", "columns", "strips", "rotate", "frames", "fps", "timestamps", "tuning.video")
+_OF_TRACKS = ("ridges", "sheets", "axis_px", "fit", "window_px", "tuning.tracking")
+_OF_CLOCK = ("offset_s", "tuning.force", "tuning.clock")
+"""Settings that change the strip, also the tracks, and also the clock; the force does so, too."""
+
+
 def _reusable(earlier: Analysis | None, new: Analysis) -> Analysis:
-    """Return `new` with the earlier strip, tracks and clock, unless a changed correction affects them.
+    """Return `new` with the earlier strip, tracks and clock, unless a changed setting affects them.
 
     Raises: InputError if the strip must be read again but there is no film.
     """
@@ -389,14 +396,22 @@ def _reusable(earlier: Analysis | None, new: Analysis) -> Analysis:
     def unchanged(kind: str) -> bool:
         return decisions(before, [kind])[-1:] == decisions(now, [kind])[-1:]  # only the last one counts
 
-    strip = earlier.strip if unchanged("strip") else None
+    def same(names: Sequence[str]) -> bool:
+        return all(attrgetter(name)(before) == attrgetter(name)(now) for name in names)
+
+    films = [one.video.stamp for one in (earlier, new) if one.video is not None]
+    strip = earlier.strip if unchanged("strip") and same(_OF_STRIP) and len(set(films)) < 2 else None
     same_sheets = unchanged("axis") and decisions(before, OF_SHEETS) == decisions(now, OF_SHEETS)
+    same_sheets = same_sheets and same(_OF_TRACKS)
     tracks = earlier.tracks if strip is not None and same_sheets else None
     if tracks is None and now.strips != 1:
         strip = None  # the parts of the strip, which tracking needs, are not stored
     if strip is None and new.video is None:
         raise InputError("the strip", "the film, to be read again", "none", "say where it lies (`film`)")
-    clock = earlier.clock if tracks is not None and unchanged("clock") else None
+    recordings = [one.force for one in (earlier, new) if one.force is not None]
+    same_force = len(recordings) < 2 or recordings[0].equals(recordings[1])
+    same_clock = unchanged("clock") and same(_OF_CLOCK) and same_force
+    clock = earlier.clock if tracks is not None and same_clock else None
     return replace(new, strip=strip, tracks=tracks, clock=clock)
 
 
