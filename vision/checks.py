@@ -257,8 +257,9 @@ def _second_comb(tracks: xr.Dataset, found: TrackMetadata, settings: CheckSettin
     if found.second_comb_err_px > settings.second_comb * nan_median(noise_px):
         yield (
             f"light moves between the ridges and the gaps beside them (by {100 * found.second_comb:.1f} % of"
-            " the ridges' height): a reflection or a second comb lies over the sheets, or they lean; x_err_px"
-            f" includes {found.second_comb_err_px:.2g} px for it: look at the film, and keep reflections out"
+            " the ridges' height): a reflection, a second comb or haze lies over the sheets, or they lean;"
+            f" x_err_px includes {found.second_comb_err_px:.2g} px for it: look at the film, and keep"
+            " reflections out"
         )
 
 

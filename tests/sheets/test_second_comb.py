@@ -10,7 +10,7 @@ from vision.sheets import track_sheets
 from vision.sheets.film import SecondComb
 
 WIDTH = 640
-WARNING = "a reflection or a second comb"
+WARNING = "a reflection, a second comb or haze"
 
 
 def film(second, *, frames=300, seed=1, sign=1, width_px=11.0, snr=100):
@@ -73,6 +73,19 @@ def test_other_light_is_no_second_comb(what, snr):
     tracks = track_sheets(beside(what, picture))
     assert TrackMetadata.of(tracks).second_comb_err_px == 0
     assert not any(WARNING in line for line in tracking_warnings(tracks))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_haze_that_grows_over_a_part_of_the_comb_is_no_reflection(seed):
+    """It dims ridges and fills the gaps beside them, whatever the sheets do. A failure means that errors are
+    15 times too large."""
+    frames, column = 150, np.arange(400)
+    x = comb(frames, per_side=12, pitch_px=13, axis_px=200, period=25, slip=0.2, uneven=0.04, seed=seed)
+    light = ridges(x, width=400, fwhm_px=6.5)
+    haze = 0.5 * np.linspace(0, 1, frames)[:, None] * np.exp(-(((column - 130) / 50) ** 2))
+    tracks = track_sheets(strip(light * (1 - haze) + 0.5 * light.max() * haze, snr=150, seed=seed))
+    off = displacement_error(tracks, x)
+    assert 0.25 < in_errors(off, tracks) < 1.4
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -211,10 +211,12 @@ def second_comb(profile: Floats32, x_px: Floats, blurred: Bools, comb: RidgeComb
     size of a ridge, and which the sheets move against, changes them in opposite directions: if t and g, of
     all gaps together, are correlated by less than -`second_comb_correlation`, the error of all positions is
 
-    .. math:: k\,\sigma_r\,\sqrt{-\langle t\,g\rangle} ,
+    .. math:: k\,\sigma_r\,\sqrt{-q\,\langle t\,g\rangle} ,
 
     where :math:`\sigma_r` is the standard deviation of a ridge and k is `second_comb_shift`. It is the same
     in all frames, since a ridge exactly over another changes the tops most and shifts the position least.
+    A reflection changes as quickly as the sheets move, haze slowly: q, at most 1, is the share of steps from
+    period to period in :math:`\langle t\,g\rangle` over their share in the squares of the displacements.
     It must also hold if the weight of each gap is limited to the upper quartile of all weights, as scratches
     change few gaps.
 
@@ -228,9 +230,9 @@ def second_comb(profile: Floats32, x_px: Floats, blurred: Bools, comb: RidgeComb
         return SecondComb()
     rows = (PERIOD_FRAMES * spread_indices(periods, MOST_PERIODS)[:, None] + np.arange(PERIOD_FRAMES)).ravel()
     bright, x = comb.bright(some_rows(profile, rows)), np.where(blurred[rows], np.nan, x_px[rows])
+    tops, gaps = levels_at(bright, x), levels_at(bright, (x[:, 1:] + x[:, :-1]) / 2)
+    tops, gaps, x = (_of_periods(values) for values in ((tops[:, 1:] + tops[:, :-1]) / 2, gaps, x))
     apart = np.diff(x, axis=1)
-    tops, gaps = levels_at(bright, x), levels_at(bright, x[:, :-1] + 0.5 * apart)
-    tops, gaps, apart = (_of_periods(values) for values in ((tops[:, 1:] + tops[:, :-1]) / 2, gaps, apart))
     height = nan_median(tops - gaps)
     height[~(height > 0)] = np.nan
     tops, gaps = (_changes(values / height, apart, settings.second_comb_most) for values in (tops, gaps))
@@ -243,7 +245,10 @@ def second_comb(profile: Floats32, x_px: Floats, blurred: Bools, comb: RidgeComb
     least = -settings.second_comb_correlation
     if any(np.sum(each * shared) >= least * np.sum(each * size) for each in (count, count * capped)):
         return SecondComb()
-    depth = float(np.sqrt(-np.average(shared, weights=count)))
+    moved = centred(x - nan_median(x, axis=1)[:, None], np.isfinite(x))
+    motion = np.sum(moved**2) / np.fmax(np.sum(np.diff(moved, axis=0) ** 2), 1e-12)
+    light = np.sum(np.diff(tops, axis=0) * np.diff(gaps, axis=0)) / np.sum(tops * gaps)
+    depth = float(np.sqrt(-np.average(shared, weights=count) * np.clip(light * motion, 0.0, 1.0)))
     return SecondComb(depth, settings.second_comb_shift * comb.fwhm_px / FWHM * depth)
 
 
@@ -266,11 +271,12 @@ def _of_periods(values: Floats) -> Floats:
 
 
 def _changes(level: Floats, apart_px: Floats, most: float) -> Floats:
-    """Return the changes of levels (period, K) in time, against those of all sheets, and without what is in
-    proportion to the distance of the two sheets; at most `most`."""
+    """Return the changes of levels (period, K) in time, against those of all sheets, and without what changes
+    from period to period in proportion to the distance of the two sheets; at most `most`."""
     level = level - nan_median(level)
     level -= nan_median(level, axis=1)[:, None]
     known = np.isfinite(level) & np.isfinite(apart_px)
-    change, apart = centred(level, known), centred(apart_px, known)
-    slope = (change * apart).sum(axis=0) / np.maximum((apart**2).sum(axis=0), 1e-12)
-    return np.where(known, np.clip(change - slope * apart, -most, most), np.nan)
+    step, opening = (np.diff(np.where(known, values, np.nan), axis=0) for values in (level, apart_px))
+    slope = np.nansum(step * opening, axis=0) / np.fmax(np.nansum(opening**2, axis=0), 1e-12)
+    change = centred(level - slope * apart_px, known)
+    return np.where(known, np.clip(change, -most, most), np.nan)
