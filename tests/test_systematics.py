@@ -28,7 +28,7 @@ def test_uneven_light_shifts_places_by_what_the_budget_says(gradient):
     tracks = track_sheets(picture)
     actual = np.sqrt(np.mean(np.mean(tracks.x_px.values - x, axis=0) ** 2))
     assert systematic_budget(Found(strip=picture, tracks=tracks)).total("x_px") == pytest.approx(
-        actual, rel=0.25
+        actual, rel=0.3
     )
     assert actual > 5 * float(tracks.x_predicted_px.median()) / np.sqrt(len(x))
 

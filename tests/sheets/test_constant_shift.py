@@ -73,6 +73,27 @@ def test_sheets_that_are_brighter_on_one_side_have_a_constant_error(side, monkey
         assert ((np.abs(off) < 2 * tracks.constant_error_px.values + 0.01).mean() > 0.9) == said
 
 
+def test_sheets_with_a_texture_have_the_usual_constant_error(monkeypatch):
+    """The texture shifts maxima and flanks, of some sheets both alike. A failure means that most positions are
+    off by more than the stated error."""
+    x = comb(60, per_side=12, pitch_px=15.0, axis_px=190, uneven=0.03, slip=0.15)
+    random = np.random.default_rng(5)
+    parts = [
+        ridges(x + away, width=380, fwhm_px=2.0, contrast=np.exp(random.normal(0, 0.12, 24)))
+        for away in range(-3, 4)
+    ]
+    picture = strip(np.sum(parts, axis=0), snr=200)
+    within = {}
+    for usual in (True, False):
+        if not usual:
+            monkeypatch.setattr(constant_shift, "sigma_about_zero", lambda own: own)
+        tracks = track_sheets(picture, sheets=24)
+        off = np.nanmean(tracks.x_px.values - x, axis=0)
+        within[usual] = (np.abs(off) < tracks.constant_error_px.values).mean()
+    assert 0.5 < within[True] < 0.8
+    assert within[False] < 0.4
+
+
 def test_sheets_with_few_positions_have_a_constant_error():
     """Six frames of two thousand have positions, as where most identities are doubtful, and one sheet has
     none. A failure means that the run ends with an unexpected error, or that this sheet has an error."""
