@@ -74,8 +74,8 @@ def test_sheets_that_are_brighter_on_one_side_have_a_constant_error(side, monkey
 
 
 def test_sheets_with_a_texture_have_the_usual_constant_error(monkeypatch):
-    """The texture shifts maxima and flanks, of some sheets both alike. A failure means that most positions are
-    off by more than the stated error."""
+    """The texture shifts maxima and flanks, of some sheets both alike. A failure means that most are off
+    by more than the stated error."""
     x = comb(60, per_side=12, pitch_px=15.0, axis_px=190, uneven=0.03, slip=0.15)
     random = np.random.default_rng(5)
     parts = [

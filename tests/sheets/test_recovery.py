@@ -134,3 +134,19 @@ def test_a_sheet_displaced_unlike_its_neighbours_is_doubtful():
     # both are one ridge with its neighbour, or this is measured with a larger error
     assert np.isin(np.delete(got, 5, axis=1), ("ok", "blurred", "merged")).all()
     assert (np.delete(got, (4, 5), axis=1) == "ok").all()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_half_of_a_sheet_that_splits_is_not_followed(seed):
+    """Its halves, half as wide, part within ten frames. A failure means that one of them is called ok, a
+    quarter of the pitch from the middle of the sheet."""
+    x = comb(FRAMES, per_side=8, pitch_px=15.0, axis_px=150, slip=0.2, uneven=0.05, seed=seed)
+    whole, apart = 4 + 3 * seed, 2.7 * np.clip((np.arange(FRAMES) - 50) / 10, 0, 1)[:, None]
+    light = ridges(np.delete(x, whole, axis=1), width=300, fwhm_px=2.2, flat_px=5.0)
+    for side in (-1, 1):
+        own = x[:, [whole]] + side * (apart + 1.25)
+        light = light + ridges(own, width=300, fwhm_px=2.2, flat_px=2.5)
+    tracks = track_sheets(strip(light, snr=100, seed=seed))
+    assert tracks.sizes["sheet"] == 16
+    assert (tracks.why.values[65:, whole] == "split").all()
+    assert (np.delete(tracks.flag.values, whole, axis=1) == "ok").mean() > 0.99

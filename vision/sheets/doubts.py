@@ -329,6 +329,23 @@ def _shifted_below(
     return np.asarray(doubtful, bool)
 
 
+def split(ridges: Ridges, match: Ints32, paired: Floats32, certain: Floats32) -> Bools:
+    """Return which sheets may be one half of a sheet that splits, (frame, N): beside a ridge too many, and
+    nearer to half of the width that they have in a quarter of the film than to all of it. The parameters are
+    those of `numbered_by_a_neighbour`."""
+    width, halves = paired[2], np.zeros(match.shape, bool)
+    usual = nan_quantile(certain[1], 0.75)
+    for rows in row_parts(len(width)):
+        size = width[rows] / usual
+        narrow = np.sqrt(2) * size < nan_median(size, axis=1)[:, None]
+        some = np.arange(rows.start, rows.stop)[narrow.any(axis=1)]
+        if len(some):
+            between = _unpaired(ridges, some, match[some], np.isfinite(width[some])) > 0
+            beside_one = np.pad(between, ((0, 0), (1, 0))) | np.pad(between, ((0, 0), (0, 1)))
+            halves[some] = narrow[some - rows.start] & beside_one
+    return halves
+
+
 def _unpaired(ridges: Ridges, rows: Ints, match: Ints32, found: Bools) -> Floats:
     """Return 1 where an unpaired ridge like a sheet lies between two sheets that are found, else 0, in some
     rows, (rows, N - 1)."""

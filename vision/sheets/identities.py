@@ -41,7 +41,7 @@ from vision.signals import running_median
 class Doubt(IntEnum):
     """Why the identity of a ridge is doubtful; in one byte, as every sheet of every frame has one."""
 
-    NONE, MARGIN, JUMP, PATTERN, EXCHANGE, NEIGHBOUR, HOP, ALONE = range(8)
+    NONE, MARGIN, JUMP, PATTERN, EXCHANGE, NEIGHBOUR, HOP, ALONE, SPLIT = range(9)
 
 
 WHYS = ("", *(doubt.name.lower() for doubt in Doubt if doubt))
@@ -54,6 +54,7 @@ DOUBTS = {
     "neighbour": "between a missing sheet and a ridge too many: numbered by a neighbour",
     "hop": "on another ridge, away from the position that the neighbours predict",
     "alone": "away from where the sheet was and will be, with no neighbour in view",
+    "split": "narrower than before, beside a ridge too many: a half of a sheet that splits",
 }
 """Meaning of each of `WHYS`."""
 BLOCKS_AT_ONCE = 64  # of frames over which positions at rest are medians

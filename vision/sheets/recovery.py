@@ -37,6 +37,7 @@ from vision.sheets.doubts import (
     hops,
     numbered_by_a_neighbour,
     numbered_in_part,
+    split,
     unlike_neighbours,
 )
 from vision.sheets.identities import DOUBTS, Doubt, Identities, exchanged, fill_rows, last_seen
@@ -112,6 +113,8 @@ def assign_detections(
     why[off & (why == Doubt.NONE)] = Doubt.NEIGHBOUR
     off = numbered_in_part(np.where(why == Doubt.NONE, paired[1:], np.nan), certain, comb.settings)
     why[off] = Doubt.PATTERN
+    off = split(ridges, identities.match, paired, certain)
+    why[off & (why == Doubt.NONE)] = Doubt.SPLIT
     doubtful, unpaired = why != Doubt.NONE, np.isnan(paired[0])
     withheld = np.where(doubtful, paired[0], np.nan)
     found = paired
