@@ -101,13 +101,15 @@ def test_h264_gives_the_luma_plane(tmp_path):
         ("mpeg2video", {"qmin": "5", "qmax": "5"}, 10.0),
         ("msmpeg4", {"qmin": "5", "qmax": "5"}, 10.0),
         ("libx265", {"x265-params": "qp=28:ipratio=1.4:pbratio=1.3:log-level=none"}, 8.0),  # half of it
+        ("libx265 10", {"x265-params": "qp=28:ipratio=1.4:pbratio=1.3:log-level=none"}, 32.0),  # of 1023
         ("ffv1", {}, 0.0),
     ],
 )
 def test_the_step_of_the_quantiser_is_read(tmp_path, codec, options, step):
     """By which errors of films that predict frames are stated. Failure: that of key or B frames is taken."""
     frames = np.random.default_rng(1).integers(0, 255, (16, 32, 64), dtype=np.uint8)
-    kind = "gray" if codec == "ffv1" else "yuv420p"
+    codec, _, bits = codec.partition(" ")
+    kind = "gray" if codec == "ffv1" else f"yuv420p{bits}le" if bits else "yuv420p"
     path = write_encoded(
         tmp_path / "a.mkv", frames, codec=codec, pix_fmt=kind, source="gray", options=options
     )

@@ -99,7 +99,7 @@ class EncodedReader:
                 warnings.append(f"{path.name}: the film is interlaced: {what}")
             size = path.stat().st_size
             facts = _facts(stream, first, size)
-            step = _quantiser_step(stream, facts.codec)
+            step = _quantiser_step(stream, facts)
             facts = replace(facts, quantiser_step=step, warnings=tuple(warnings))
             return cls(
                 path=path,
@@ -390,14 +390,16 @@ def _facts(stream: av.VideoStream, first: av.VideoFrame, size: int) -> Facts:
     )
 
 
-def _quantiser_step(stream: av.VideoStream, codec: str) -> float:
+def _quantiser_step(stream: av.VideoStream, facts: Facts) -> float:
     """Return the median step, grey levels, of the next frames that are predicted from frames before them.
 
     0 if there are none, or nothing states their quantisers. The step is that of a transform that keeps the
-    sum of squares. That of H.264 and HEVC doubles with every 6 levels and is 1 at level 4.
+    sum of squares. That of H.264 and HEVC doubles with every 6 levels and is 1 at level 4; levels of HEVC's
+    slices are those of 8 bits.
     """
-    if codec == "hevc":  # blocks that hardly change have finer steps than their slice: half of it with x265
-        return 0.5 * float(np.median([2.0 ** ((level - 4) / 6) for level in _slice_levels(stream)] or [0.0]))
+    codec, levels = facts.codec, _slice_levels(stream) if facts.codec == "hevc" else []
+    if levels:  # blocks that hardly change have finer steps than their slice: half of it with x265
+        return float(2.0 ** (facts.depth_bits - 9 + (np.median(levels) - 4) / 6))
     if codec != "h264" and codec not in _STEPS_STATED:
         return 0.0
     steps = []
