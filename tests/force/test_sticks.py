@@ -77,6 +77,22 @@ def test_slips_that_begin_gradually_are_part_of_the_error_of_the_length() -> Non
     assert events["stick_length_err_um"].median() < 0.08 * truth["stick_length_um"].median()
 
 
+@pytest.mark.parametrize("lost", [0.01, 0.3])
+def test_lost_samples_leave_the_errors_of_what_lengthened_the_slips(lost: float) -> None:
+    """A failure means that once any sample is lost, the error of Λ_st of slips behind a moving mean is a third
+    of what it should be, or that slips that are interpolated count as longer."""
+    test = cycles(uneven_lengths(200), np.full(60, 0.5), noise=0.05)
+    load = test.force["load_N"].rolling(time_s=5, center=True, min_periods=1).mean()
+    kept = np.flatnonzero(np.random.default_rng(2).random(load.size) > lost)
+    whole, found = (
+        matched(find_stick_slip(test.force.assign(load_N=load).isel(time_s=rows)), test.truth)[0]
+        for rows in (np.arange(load.size), kept)
+    )
+    assert len(found) == len(whole) == 58
+    for name in ("dF_err_N", "stick_length_err_um"):
+        assert found[name].median() == pytest.approx(whole[name].median(), rel=0.25)
+
+
 @pytest.mark.parametrize(("ratio", "noise", "most"), [(1.4, 0.25, 1.2), (1.8, 0.05, 0.15)])
 def test_errors_at_the_ends_of_sticks_with_a_knee(ratio: float, noise: float, most: float) -> None:
     """A failure means that F_v and ΔF are off by 2 to 8 % of the drop, ten times their errors, where noise

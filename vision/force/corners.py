@@ -112,7 +112,8 @@ def find_corners(
             base = _Baselines.of(seen, two_slopes, settings, shape)
             high, middle, low = _crossings(seen.load, seen.edge, base)
             halves = np.stack([middle - high, low - middle])
-    (before, after), usual, gradual = _half_lengths(seen, base, halves, settings)
+    interpolated = signal.is_missing[seen.edge] | signal.is_missing[seen.edge - 1]
+    (before, after), usual, gradual = _half_lengths(seen, base, halves, interpolated, settings)
     # The position of a corner errs by the noise over the slip's slope, by the sampling, and by its shape.
     systematic = np.hypot(BETWEEN_SAMPLES, np.hypot(settings.shape_error, gradual) * usual)
     systematic = np.hypot(systematic, AVERAGE_ERROR * seen.averaged)
@@ -133,14 +134,15 @@ def find_corners(
 
 
 def _half_lengths(
-    seen: _DeconvolvedLoad, base: _Baselines, halves: Floats, settings: ForceSettings
+    seen: _DeconvolvedLoad, base: _Baselines, halves: Floats, interpolated: Bools, settings: ForceSettings
 ) -> tuple[Floats, float, float]:
     """Return how long each slip lasts before and after its middle, (2, slip); the usual whole length; and by
     which share of it the usual slip may begin earlier than half a cosine does, as its first half lasts longer
     where friction falls gradually with the speed.
 
     `halves` are the samples from 90 to 50 % and from 50 to 10 % of the drop. The individual length of a slip
-    is used where its drop exceeds 20 sigma, else the median of the recording. Where the median is too short
+    is used where its drop exceeds 20 sigma and no sample beside it is `interpolated`, which makes it look
+    longer, unless it is slow; else the median of the recording. Where the median is too short
     to be resolved, slips count as half as long as they appear on average, but slow ones keep their own
     length.
     """
@@ -148,10 +150,11 @@ def _half_lengths(
     # more where deconvolution leaves a sample part of the way down. This blur is subtracted in squares.
     blur = np.hypot(0.4 * seen.width, 0.5 if seen.late else 0.0)
     halves = np.sqrt(np.maximum(halves**2 - blur**2, 0.0))
-    usual = np.nan_to_num(nan_median(halves, axis=1))[:, np.newaxis]
     # A single slow slip among sudden ones has its own length. A drift lengthens one half of a sudden one.
     sticks = np.diff(np.r_[0, seen.edge, seen.load.size])
     slow = 2 * halves.min(axis=0) > _HALF_COSINE * settings.slow_slip * np.minimum(sticks[:-1], sticks[1:])
+    halves = np.where(slow | ~interpolated, halves, np.nan)
+    usual = np.nan_to_num(nan_median(halves, axis=1))[:, np.newaxis]
     clear = base.drop > 20 * seen.sigma  # noise scatters the lengths of smaller slips
     clear &= np.isfinite(halves).all(axis=0)
     # In averages, sticks that begin steeply look like slips of half the averaged time.

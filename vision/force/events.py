@@ -587,7 +587,7 @@ def _metadata(
     """Return what later stages need to know of the slips and of the low-pass."""
     tau, found, peak = analysis.corners.lowpass, analysis.found, analysis.corners.peak
     widened = 0.0
-    if not (tau or found.samples or signal.averaged or signal.is_missing.any()):
+    if not (tau or found.samples or signal.averaged):
         widened = analysis.lengthened
     first, last = signal.time_at(peak[[0, -1]])
     return StickMetadata(

@@ -194,17 +194,16 @@ def _position_errors(
     A slip may be as long as it appears, or lengthened: up to 2.5 samples where each is the mean since the one
     before, and by `lengthened` samples by a filter of the machine, further where the noise of neighbouring
     samples is common unless it arose later. Either corner is then off by half of it, and the two of a stick
-    by all of it. So they are where two samples or more in a row were lost at the slip, since the load between
-    them is interpolated.
+    by all of it.
     """
     # Corners lie between two samples; of lost ones the next known samples are further apart.
     known = np.flatnonzero(~signal.is_missing)
     after = np.clip(np.searchsorted(known, corners.middle), 1, known.size - 1)
     apart = known[after] - known[after - 1]
     resolved = not lengthened and np.quantile(corners.length, 0.1) >= UNRESOLVED
-    wholly = (signal.alike > 1) | (apart > 2)
-    longer = wholly | ((corners.length < UNRESOLVED) | (not filter_known)) & ~signal.is_missing.any()
-    most = np.where(wholly | (not resolved), np.inf, UNRESOLVED)
+    wholly = signal.alike > 1
+    longer = wholly | (corners.length < UNRESOLVED) | (not filter_known)
+    most = np.inf if wholly or not resolved else UNRESOLVED
     return corners.error * apart, np.where(longer, np.fmin(corners.length, most) / 2, 0)
 
 
