@@ -14,7 +14,7 @@ from vision.force.corners import Corners, Extremes, Shape, find_extremes, is_slo
 from vision.force.lines import Lines, fit_broken_lines, fit_lines, fit_polynomials
 from vision.force.settings import ForceSettings
 from vision.force.signal import Signal, slope_error_of_steps, step_between
-from vision.numeric import Bools, Floats, Ints, nan_median
+from vision.numeric import Bools, Floats, Ints, mad_sigma, nan_median
 
 # Samples below which a slip may be sudden, where each sample is the mean since the one before.
 UNRESOLVED = 2.5
@@ -328,7 +328,8 @@ def _within_recorded(signal: Signal, sticks: _Sticks, ends: _Ends) -> Floats:
     sample to sample there. At valleys a small share of the drop is added, since the load cell
     is late. The range of the whole recording is never exceeded.
     Lines cut the corners of sticks that begin steeply, or end with a small slip before the large one: the
-    recorded peak and, unless the load rings, valley hold, except for the noise of single samples.
+    recorded peak and, unless the load rings, valley hold, except for the noise of single samples; a begin
+    that is steep in most sticks holds in all.
     """
     (lowest, highest), settings = sticks.furthest, sticks.settings
     margin = ends.rise.copy()
@@ -338,33 +339,39 @@ def _within_recorded(signal: Signal, sticks: _Sticks, ends: _Ends) -> Floats:
         _OUTWARDS * ends.force, np.minimum(_OUTWARDS * sticks.furthest + margin, limit)
     )
     noise_v, noise_p = settings.extreme_sigmas * signal.noise_at(sticks.position)
-    if not _rings(signal, ends, sticks):
+    begin = _steep_begin(signal, ends, sticks)
+    if begin is not None:
         f_v = np.fmin(f_v, lowest + noise_v)
+    if begin:
+        f_v = np.fmin(f_v, ends.force[0] + begin * (ends.force[1] - ends.force[0]))
     return np.stack([f_v, np.fmax(f_p, highest - noise_p)])
 
 
-def _rings(signal: Signal, ends: _Ends, sticks: _Sticks) -> bool:
-    """Tell whether the load oscillates about the stick lines after the slips.
+def _steep_begin(signal: Signal, ends: _Ends, sticks: _Sticks) -> float | None:
+    """Return how far the sticks begin below their lines, over the drop, at most 0; None if the load rings.
 
-    Ringing shows in the median over all sticks of the load minus the line from valley to peak, as a function
-    of the time since the valley: its maximum in the first quarter of the sticks exceeds its level in the
-    second quarter by `ringing_share` of the first swing or more. The load of a stick that begins steeply only
-    rises to that level.
+    Both show in the median over all sticks of the load minus the line from valley to peak, as a function of
+    the time since the valley. Where the load oscillates about the stick lines after the slips, its maximum in
+    the first quarter of the sticks exceeds its level in the second quarter by `ringing_share` of the first
+    swing or more. The load of a stick that begins steeply only rises to that level. The median shows such a
+    begin where noise hides it in each stick.
     """
     length = sticks.position[1] - sticks.position[0]
     quarter = int(np.median(length) / 4)
     some = np.flatnonzero(length >= 2 * quarter)
     if quarter < 4 or some.size < 4:
-        return False
+        return 0.0
     valley, length = (part[some, np.newaxis] for part in (sticks.position[0], length))
     index = np.minimum(np.ceil(valley) + np.arange(2 * quarter), signal.clean.size - 1).astype(np.int64)
     low, high = ends.force[:, some, np.newaxis]
-    along = (index - valley) / length
-    course = np.median((signal.clean[index] - low) / np.maximum(high - low, 1e-300) - along, axis=0)
+    off = (signal.clean[index] - low) / np.maximum(high - low, 1e-300) - (index - valley) / length
+    course = np.median(off, axis=0)
     level = np.median(course[quarter:])
     swing = int(np.argmin(course[:quarter]))
-    above = np.max(course[swing:quarter]) - level
-    return bool(above > sticks.settings.ringing_share * (level - course[swing]))
+    if np.max(course[swing:quarter]) - level > sticks.settings.ringing_share * (level - course[swing]):
+        return None
+    chance = sticks.settings.extreme_sigmas * float(mad_sigma(off[:, swing])) / np.sqrt(some.size)
+    return float(min(course[swing] + chance, 0.0))
 
 
 @dataclass(frozen=True)
