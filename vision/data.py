@@ -461,8 +461,8 @@ class StickMetadata(Metadata):
     average_s: float = 0.0  # time over which the load was averaged, 0 for none
     ringing_s: float = math.nan  # period of the load's ringing after slips, or of hum
     # Duration that a filter of the machine may have given every slip, whose effect is part of the errors of
-    # the fits; 0 where a low-pass was found, samples were lost, slips last less than 2.5 samples, or the load
-    # is level at their ends.
+    # the fits; 0 where a low-pass was found, slips last less than 2.5 samples, or the load is level at their
+    # ends.
     filter_s: float = 0.0
     two_slopes: bool = False  # whether stick phases were fitted with a knee
     # Correction of the lines at the valley for the curvature common to all sticks, over their rise; negative

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.signal import butter, sosfilt
 
 from tests.force.test_events import matched
 from tests.scenes.sawtooth import Test, recording
@@ -58,6 +59,27 @@ def test_slips_that_no_filter_lengthened_have_no_errors_of_one(fall: float) -> N
     assert within(events, truth, "stick_length_um") > 0.6
     assert (events["dF_err_N"] < 0.02 * truth["dF_N"]).all()
     assert (events["stick_length_err_um"] < 0.05 * truth["stick_length_um"]).all()
+
+
+def test_slips_of_a_few_samples_that_no_filter_lengthened() -> None:
+    """A failure means an error of Λ_st as large as the slip, 16 times too large."""
+    test = cycles(uneven_lengths(300), np.full(60, 5.3), noise=0.03)
+    events, truth = matched(find_stick_slip(test.force), test.truth)
+    assert len(events) == 58
+    for name in ("F_v_N", "F_p_N", "dF_N", "stick_length_um"):
+        assert within(events, truth, name) > 0.6, name
+    assert (events["stick_length_err_um"] < 1.5 / 6).all()  # of a sample and a half
+
+
+def test_slips_that_a_sharp_filter_lengthened_keep_the_error_of_it() -> None:
+    """A failure means that white noise, which arose after the filter, makes slips count as resolved, although
+    the load overshoots: Λ_st is then off by five of its errors."""
+    test = cycles(uneven_lengths(300), np.full(60, 0.6), noise=0.0)
+    load = sosfilt(butter(4, 0.2, output="sos"), test.force["load_N"] - 50) + 50
+    load += 0.05 * np.random.default_rng(1).standard_normal(load.size)
+    events, truth = matched(find_stick_slip(test.force.assign(load_N=("time_s", load))), test.truth)
+    assert len(events) == 58
+    assert within(events, truth, "stick_length_um") > 0.6
 
 
 def test_slips_that_begin_gradually_are_part_of_the_error_of_the_length() -> None:

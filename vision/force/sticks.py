@@ -192,19 +192,20 @@ def _position_errors(
     corners of a slip apart; in samples.
 
     A slip may be as long as it appears, or lengthened: up to 2.5 samples where each is the mean since the one
-    before, and by `lengthened` samples by a filter of the machine, further where the noise of neighbouring
-    samples is common unless it arose later. Either corner is then off by half of it, and the two of a stick
-    by all of it.
+    before, in squares if it is longer, and by `lengthened` samples by a filter of the machine, further where
+    the noise of neighbouring samples is common unless it arose later. Either corner is then off by half of
+    it, and the two of a stick by all of it.
     """
     # Corners lie between two samples; of lost ones the next known samples are further apart.
     known = np.flatnonzero(~signal.is_missing)
     after = np.clip(np.searchsorted(known, corners.middle), 1, known.size - 1)
     apart = known[after] - known[after - 1]
-    resolved = not lengthened and np.quantile(corners.length, 0.1) >= UNRESOLVED
+    length = corners.length
     wholly = signal.alike > 1
-    longer = wholly | (corners.length < UNRESOLVED) | (not filter_known)
-    most = np.inf if wholly or not resolved else UNRESOLVED
-    return corners.error * apart, np.where(longer, np.fmin(corners.length, most) / 2, 0)
+    longer = wholly | (length < UNRESOLVED) | (not filter_known)
+    resolved = not (wholly or lengthened) and np.quantile(length, 0.1) >= UNRESOLVED
+    before = np.sqrt(np.maximum(length**2 - UNRESOLVED**2, 0)) if resolved else 0.0
+    return corners.error * apart, np.where(longer, (length - before) / 2, 0)
 
 
 def _rounded(sticks: _Sticks, ends: _Ends, force: Floats, extremes: Extremes) -> Floats:
@@ -228,16 +229,23 @@ def filter_length(signal: Signal, corners: Corners, extremes: Extremes, settings
     A straight fall, as a moving mean makes it of a sudden slip, begins and ends in less; a filter with a tail
     takes longer after the middle. A smoothed recording, as by a filter without delay, has neither sign, but
     noise as smooth as its slips. Where slips are short, noise moves the extremes, so that the noise must be
-    white; those of a few samples, in which the load cell may ring, show none of this.
+    white and the load must not swing below the stick after them, as behind a sharp filter or in a load cell
+    that rings.
     """
     length = float(np.quantile(corners.length, 0.1))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        shares = (extremes.fall / corners.length, corners.onset / corners.end)
-    level = all(nan_median(share) >= 1 - settings.level_share for share in shares)
     slow = bool(is_slow(corners, settings).all())
+    long = slow or length >= 2 * settings.few_samples
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shares = (corners.onset / corners.end, extremes.fall / corners.length)[: 1 + long]
+    level = all(nan_median(share) >= 1 - settings.level_share for share in shares)
     most = settings.smooth_noise if slow else settings.white_noise
-    level = level and (slow or length >= 2 * settings.few_samples)
     level = level and _noise_correlation(signal, corners, 0.05 * length, settings) < most
+    if level and not long:
+        position = np.stack([corners.valley[:-1], corners.peak[1:]])
+        central = _between(*_central(position[0], position[1], settings.line_part))
+        line = fit_lines(np.arange(float(signal.clean.size)), signal.clean, *central)
+        rise = np.maximum(line.slope * (position[1] - position[0]), 0.0)
+        level = _begin(signal, position, line.at(position) + corners.shape.ends * rise, settings) == 0
     return 0.0 if level or length < UNRESOLVED else length
 
 
@@ -339,7 +347,7 @@ def _within_recorded(signal: Signal, sticks: _Sticks, ends: _Ends) -> Floats:
         _OUTWARDS * ends.force, np.minimum(_OUTWARDS * sticks.furthest + margin, limit)
     )
     noise_v, noise_p = settings.extreme_sigmas * signal.noise_at(sticks.position)
-    begin = _steep_begin(signal, ends, sticks)
+    begin = _begin(signal, sticks.position, ends.force, settings)
     if begin is not None:
         f_v = np.fmin(f_v, lowest + noise_v)
     if begin:
@@ -347,31 +355,31 @@ def _within_recorded(signal: Signal, sticks: _Sticks, ends: _Ends) -> Floats:
     return np.stack([f_v, np.fmax(f_p, highest - noise_p)])
 
 
-def _steep_begin(signal: Signal, ends: _Ends, sticks: _Sticks) -> float | None:
+def _begin(signal: Signal, position: Floats, force: Floats, settings: ForceSettings) -> float | None:
     """Return how far the sticks begin below their lines, over the drop, at most 0; None if the load rings.
 
-    Both show in the median over all sticks of the load minus the line from valley to peak, as a function of
-    the time since the valley. Where the load oscillates about the stick lines after the slips, its maximum in
-    the first quarter of the sticks exceeds its level in the second quarter by `ringing_share` of the first
-    swing or more. The load of a stick that begins steeply only rises to that level. The median shows such a
-    begin where noise hides it in each stick.
+    The lines go from valley to peak, at `position` and `force`, (2, stick). Both show in the median over all
+    sticks of the load minus the line, as a function of the time since the valley. Where the load oscillates
+    about the stick lines after the slips, its maximum in the first quarter of the sticks exceeds its level in
+    the second quarter by `ringing_share` of the first swing or more. The load of a stick that begins steeply
+    only rises to that level. The median shows such a begin where noise hides it in each stick.
     """
-    length = sticks.position[1] - sticks.position[0]
+    length = position[1] - position[0]
     quarter = int(np.median(length) / 4)
     some = np.flatnonzero(length >= 2 * quarter)
     if quarter < 4 or some.size < 4:
         return 0.0
-    valley, length = (part[some, np.newaxis] for part in (sticks.position[0], length))
+    valley, length = (part[some, np.newaxis] for part in (position[0], length))
     index = np.minimum(np.ceil(valley) + np.arange(2 * quarter), signal.clean.size - 1).astype(np.int64)
-    low, high = ends.force[:, some, np.newaxis]
+    low, high = force[:, some, np.newaxis]
     off = (signal.clean[index] - low) / np.maximum(high - low, 1e-300) - (index - valley) / length
     course = np.median(off, axis=0)
     level = np.median(course[quarter:])
     swing = int(np.argmin(course[:quarter]))
-    if np.max(course[swing:quarter]) - level > sticks.settings.ringing_share * (level - course[swing]):
-        return None
-    chance = sticks.settings.extreme_sigmas * float(mad_sigma(off[:, swing])) / np.sqrt(some.size)
-    return float(min(course[swing] + chance, 0.0))
+    chance = settings.extreme_sigmas * float(mad_sigma(off[:, swing])) / np.sqrt(some.size)
+    begin = float(min(course[swing] + chance, 0.0))
+    again = np.max(course[swing:quarter]) - level
+    return None if begin and again > settings.ringing_share * (level - course[swing]) else begin
 
 
 @dataclass(frozen=True)
