@@ -7,13 +7,19 @@ import errno
 import math
 import os
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import is_dataclass
+from functools import cache, partial
 from numbers import Integral, Real
-from typing import Any
+from pathlib import Path
+from types import NoneType
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 PATH = (str, os.PathLike)
 """Types of an argument that names a file."""
+RANGE = "a slice such as slice(60, 144)"
+"""What an argument for rows, columns or frames must be, for messages."""
 FULL_DISK = "a full disk"
 _NAMED = re.compile(r"`([A-Za-z_][A-Za-z0-9_]*)`")
 
@@ -94,6 +100,52 @@ def check_positive(**values: Any) -> None:
 def check_number(**values: Any) -> None:
     """Raise `InputError` for an argument that is neither None nor a finite number."""
     check_within("a number", -math.inf, math.inf, **values)
+
+
+# Types of a dataclass's fields that state which numbers they may be; `check_fields` checks them.
+Positive = Annotated[float, check_positive]
+NonNegative = Annotated[float, partial(check_within, "a number from 0", 0, math.inf)]
+PositiveInt = Annotated[int, partial(check_within, "a whole number from 1", 1, math.inf, whole=True)]
+NonNegativeInt = Annotated[int, partial(check_within, "a whole number from 0", 0, math.inf, whole=True)]
+
+
+def check_fields(one: Any) -> None:
+    """Raise `InputError` for a field of a dataclass that has another value than its type allows.
+
+    Choices are written as ``Literal``. A type that is ``Annotated`` names functions such as `check_positive`,
+    which are called with the field. Numbers of other fields are finite. ``| None`` allows None as well.
+    """
+    for name, optional, check in _checks_of(one.__class__):
+        value = getattr(one, name)
+        if not (optional and value is None):
+            check(**{name: value})
+
+
+@cache
+def _checks_of(kind: Any) -> list[tuple[str, bool, Callable[..., None]]]:
+    """Return the fields of a dataclass, whether each may be None, and the functions that check it."""
+    found: list[tuple[str, bool, Callable[..., None]]] = []
+    for name, declared in get_type_hints(kind, include_extras=True).items():
+        optional = NoneType in get_args(declared)
+        part = get_args(declared)[0] if optional else declared
+        origin = get_origin(part) or part
+        checks = getattr(part, "__metadata__", [_CHECKS[origin]] if origin in _CHECKS else [])
+        if origin is Literal:
+            checks = [partial(check_word, get_args(part))]
+        elif is_dataclass(origin):
+            checks = [partial(check_kind, origin, f"a `{part.__name__}`")]
+        found += [(name, optional, check) for check in checks]
+    return found
+
+
+_CHECKS: Mapping[Any, Callable[..., None]] = {
+    float: check_number,
+    bool: partial(check_kind, bool, "True or False"),
+    slice: partial(check_kind, slice, RANGE),
+    Path: partial(check_kind, PATH, "the path of a file"),
+    Mapping: partial(check_kind, Mapping, "names and values"),
+}
+"""How values of a type are checked."""
 
 
 def reason_of(error: BaseException) -> str:

@@ -18,7 +18,7 @@ from functools import partial
 from operator import attrgetter
 from pathlib import Path
 from types import NoneType
-from typing import Any, Literal, TypeVar, get_args
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -49,12 +49,13 @@ from vision.deformation import DeformationSettings, horizontal_deformation
 from vision.errors import (
     PATH,
     InputError,
+    NonNegative,
     NoRidgesError,
+    Positive,
+    PositiveInt,
+    check_fields,
     check_kind,
-    check_number,
-    check_positive,
     check_within,
-    check_word,
     known_as,
     renamed,
     unexpected,
@@ -75,7 +76,6 @@ from vision.sheets.tracks import check_axis
 from vision.shells import ShellSettings, classify_shells
 from vision.summary import summary_lines
 from vision.video import (
-    RANGE,
     Follow,
     ReadingLog,
     Video,
@@ -106,6 +106,16 @@ class Tuning(Tunable):
     checks: CheckSettings = field(default_factory=CheckSettings)
 
 
+def _check_seconds(**values: Any) -> None:
+    """Raise `InputError` for an argument that is neither "auto" nor a number of seconds from 0."""
+    numbers = {name: value for name, value in values.items() if value != "auto"}
+    check_within("a number of seconds from 0, or auto", 0, math.inf, **numbers)
+
+
+_Separation = Annotated[float, partial(check_within, "a number of mm from 0", 0, math.inf)]
+_Seconds = Annotated[float | Literal["auto"], _check_seconds]
+
+
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Settings(Tunable):
     """Options of the analysis, which ``track --help`` explains. One that is None is found from the data.
@@ -117,37 +127,38 @@ class Settings(Tunable):
 
     rows: slice | None = None  #: averaged to the strip; half-open, px, after rotation, as are `columns`
     columns: slice | None = None  #: of the strip
-    strips: int = 1  #: parts, one above the other, in which the strip is measured as well; 1 for none
-    rotate: int = 0  #: degrees clockwise by which each frame is rotated first: 0, 90, 180 or 270
+    strips: PositiveInt = 1  #: parts, one above the other, in which the strip is measured as well; 1 for none
+    rotate: Literal[0, 90, 180, 270] = 0  #: degrees clockwise by which each frame is rotated first
     frames: slice | None = None  #: part of the video, half-open
-    fps: float | None = None  #: the camera's frame rate
+    fps: Positive | None = None  #: the camera's frame rate
     timestamps: Path | None = None  #: text file with the time of every frame
     ridges: Literal["bright", "dark", "auto"] = "auto"  #: polarity
-    sheets: int | None = None  #: number of ridges in view
+    sheets: PositiveInt | None = None  #: number of ridges in view
     axis_px: float | None = None  #: symmetry axis
     fit: FitChoice = "auto"  #: subpixel method: "auto", "sliding", "paper" or "template"
-    window_px: int | Literal["auto"] | None = None  #: of the fit, odd
+    window_px: Annotated[int | Literal["auto"], check_window] | None = None  #: of the fit, odd
     #: Manual corrections from `vision.sheets.read_corrections`. Those of the strip, the axis and the clock
     #: take precedence over `rows`, `axis_px` and `offset_s`.
     corrections: tuple[Correction, ...] = ()
     #: µm per pixel (None: as the film's file states). Without it: no lengths in µm and no deformation.
-    pixel_size_um: float | None = None
-    pitch_um: float | None = None  #: mean distance of neighbouring sheets, which gives the pixel size
-    speed_mm_min: float | None = None  #: V, if no displacement is recorded
-    d0_mm: float | None = None  #: initial separation
-    d0_err_mm: float | None = None  #: its error
+    pixel_size_um: Annotated[float, check_pixel_size] | None = None
+    pitch_um: Positive | None = None  #: mean distance of neighbouring sheets, which gives the pixel size
+    speed_mm_min: Positive | None = None  #: V, if no displacement is recorded
+    d0_mm: _Separation | None = None  #: initial separation
+    d0_err_mm: _Separation | None = None  #: its error
     force_columns: Mapping[str, str] | None = None  #: the recording's columns by role
-    force_threshold_N: float | None = None  #: smallest drop of the force that counts as a slip
+    force_threshold_N: NonNegative | None = None  #: smallest drop of the force that counts as a slip
     #: Time constant of the load cell to correct for; 0: none; "auto": found, if it is proven.
-    force_lowpass_s: float | Literal["auto"] = 0.0
+    force_lowpass_s: _Seconds = 0.0
     #: Time over which a load that rings is averaged; 0: none; "auto": the period of the ringing.
-    force_average_s: float | Literal["auto"] = 0.0
-    fit_range_mm: tuple[float, float] | None = None  #: separations between which the models are fitted
-    mu: float | None = None  #: friction coefficient, if it is known
-    modulus_GPa: float | None = None  #: Y_eff, if it is known
-    machine_stiffness_N_per_mm: float | None = None  #: by which d is corrected
+    force_average_s: _Seconds = 0.0
+    #: Separations between which the models are fitted.
+    fit_range_mm: Annotated[tuple[float, float], check_fit_range] | None = None
+    mu: Positive | None = None  #: friction coefficient, if it is known
+    modulus_GPa: Positive | None = None  #: Y_eff, if it is known
+    machine_stiffness_N_per_mm: Positive | None = None  #: by which d is corrected
     offset_s: float | None = None  #: force clock at video time 0
-    threshold: float = STIFF_BELOW  #: σ_x/Λ_st below which a sheet is stiff
+    threshold: Annotated[float, check_threshold] = STIFF_BELOW  #: σ_x/Λ_st below which a sheet is stiff
     common_mode: bool = True  #: whether the motion that all sheets share (the camera's) is subtracted
     #: Geometry and adhesion (None: the publication's, with a remark that it is assumed).
     sample: Sample | None = None
@@ -156,42 +167,9 @@ class Settings(Tunable):
     tuning: Tuning = field(default_factory=Tuning)  #: constants of the stages
 
     def __post_init__(self) -> None:
-        values = dict(vars(self))
-        values |= {name: None for name in _AUTO if values[name] == "auto"}
-        for check, names in _CHECKS:
-            check(**{name: values[name] for name in names})
-        check_fit_range(self.fit_range_mm)
+        check_fields(self)
 
 
-_CHECKS: tuple[tuple[Callable[..., None], tuple[str, ...]], ...] = (
-    (partial(check_kind, slice | None, RANGE), ("rows", "columns", "frames")),
-    (
-        partial(check_kind, (*PATH, NoneType), "the path of a file with the time of every frame"),
-        ("timestamps",),
-    ),
-    (partial(check_kind, Sample | None, "a `Sample`"), ("sample",)),
-    (partial(check_kind, Tuning, "a `Tuning`"), ("tuning",)),
-    (partial(check_kind, bool, "True or False"), ("common_mode", "t_star_fitted")),
-    (partial(check_kind, Mapping | None, "names and values"), ("force_columns", "geometry_err")),
-    (partial(check_within, "a whole number from 1", 1, math.inf, whole=True), ("strips", "sheets")),
-    (check_number, ("axis_px", "offset_s")),
-    (check_positive, ("fps", "pitch_um", "speed_mm_min", "mu", "modulus_GPa", "machine_stiffness_N_per_mm")),
-    (partial(check_within, "a number of mm from 0", 0, math.inf), ("d0_mm", "d0_err_mm")),
-    (partial(check_within, "a number from 0", 0, math.inf), ("force_threshold_N",)),
-    (
-        partial(check_within, "a number of seconds from 0, or auto", 0, math.inf),
-        ("force_lowpass_s", "force_average_s"),
-    ),
-    (check_pixel_size, ("pixel_size_um",)),
-    (check_threshold, ("threshold",)),
-    (partial(check_word, (0, 90, 180, 270)), ("rotate",)),
-    (partial(check_word, ("bright", "dark", "auto")), ("ridges",)),
-    (partial(check_word, get_args(FitChoice)), ("fit",)),
-    (check_window, ("window_px",)),
-)
-"""How the fields of `Settings` are checked when it is made."""
-_AUTO = ("force_lowpass_s", "force_average_s")
-"""Fields of `Settings` that may also be "auto"."""
 _OF_STICKS = {name: f"force_{name}" for name in ("threshold_N", "lowpass_s", "average_s")}
 """Arguments of `find_stick_slip` and what `Settings` calls them."""
 

@@ -3,10 +3,9 @@
 # ruff: noqa: N815 (the unit is part of a name, and newton is N)
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
-from vision.errors import InputError
+from vision.errors import Positive, PositiveInt, check_fields
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,20 +23,14 @@ class Sample:
     """
 
     # M, number of sheets of one block on each side of the symmetry axis; the block has 2M.
-    sheets_per_block: int = 25
-    thickness_mm: float = 0.1  # ε, of one sheet
-    width_mm: float = 45.0  # W, of the sheets
-    length_mm: float = 57.0  # L, of the sheets from the clamp to their end
-    t_star_N: float = 0.003  # T*, traction on the outermost sheet due to adhesion
+    sheets_per_block: PositiveInt = 25
+    thickness_mm: Positive = 0.1  # ε, of one sheet
+    width_mm: Positive = 45.0  # W, of the sheets
+    length_mm: Positive = 57.0  # L, of the sheets from the clamp to their end
+    t_star_N: Positive = 0.003  # T*, traction on the outermost sheet due to adhesion
 
     def __post_init__(self) -> None:
-        for part in fields(self):
-            value = getattr(self, part.name)
-            number = isinstance(value, int | float) and not isinstance(value, bool)
-            if not number or not math.isfinite(value) or value <= 0:
-                raise InputError(f"`{part.name}`", "a positive number", f"{value!r}")
-        if int(self.sheets_per_block) != self.sheets_per_block:
-            raise InputError("`sheets_per_block`", "a whole number", f"{self.sheets_per_block!r}")
+        check_fields(self)
 
 
 PUBLISHED = Sample()

@@ -8,27 +8,26 @@ whether the settings are consistent; an invalid value raises InputError with the
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from pathlib import Path
 from types import NoneType
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
-from vision.errors import InputError
+from vision.errors import (
+    InputError,
+    NonNegative,
+    NonNegativeInt,
+    Positive,
+    PositiveInt,
+    check_fields,
+    check_within,
+)
 from vision.files import read_toml
 from vision.sample import PUBLISHED, Sample
 
-Positive = Annotated[float, "more than zero"]
-NonNegative = Annotated[float, "zero or more"]
-Fraction = Annotated[float, "a fraction from 0 to below 1"]
-PositiveInt = Annotated[int, "more than zero"]
-NonNegativeInt = Annotated[int, "zero or more"]
-_IN_RANGE: dict[str, Callable[[float], bool]] = {
-    "more than zero": lambda value: value > 0,
-    "zero or more": lambda value: value >= 0,
-    "a fraction from 0 to below 1": lambda value: 0 <= value < 1,
-}
-
+Fraction = Annotated[float, partial(check_within, "a fraction from 0 to below 1", 0, math.nextafter(1, 0))]
 RidgeShape = Literal["gaussian", "flat", "shouldered"]
 
 
@@ -187,13 +186,13 @@ class Experiment:
     force_file: ForceFile = field(default_factory=ForceFile)
 
     def __post_init__(self) -> None:
-        for part in fields(self):
-            value = getattr(self, part.name)
-            if part.name == "seed":
-                _check_value("seed", value, _types(Experiment)["seed"])
-                continue
-            for name, kind in _types(type(value)).items():
-                _check_value(f"{part.name}.{name}", getattr(value, name), kind)
+        groups = {f"{part.name}.": getattr(self, part.name) for part in fields(self) if part.name != "seed"}
+        for prefix, one in ({"": self} | groups).items():
+            try:
+                check_fields(one)
+            except InputError as error:
+                about = f"setting {prefix}{error.about.strip('`')}"
+                raise InputError(about, error.expected, error.found) from None
         _check_together(self)
 
     @property
@@ -220,7 +219,7 @@ def with_settings(experiment: Experiment, changes: Mapping[str, Any]) -> Experim
             top["seed"] = _converted(value, int, name)
             continue
         group, key = _known(name, experiment)
-        kind = _types(type(getattr(experiment, group)))[key]
+        kind = get_type_hints(type(getattr(experiment, group)), include_extras=True)[key]
         groups.setdefault(group, {})[key] = _converted(value, kind, name)
     top |= {group: replace(getattr(experiment, group), **values) for group, values in groups.items()}
     return replace(experiment, **top)
@@ -254,7 +253,7 @@ def _known(name: str, experiment: Experiment) -> tuple[str, str]:
 
 def _converted(value: Any, declared: Any, name: str) -> Any:
     """Convert a value to the declared type of a setting."""
-    kind = _declaration(declared)[0]
+    kind = _plain(declared)
     try:
         if kind is bool:
             return {"true": True, "false": False, "1": True, "0": False}[str(value).lower()]
@@ -266,32 +265,12 @@ def _converted(value: Any, declared: Any, name: str) -> Any:
         raise InputError(f"setting {name}", wanted, str(value)) from error
 
 
-def _types(group: type) -> dict[str, Any]:
-    """Return the declared type of every setting of a group."""
-    return get_type_hints(group, include_extras=True)
-
-
-def _declaration(declared: Any) -> tuple[type, tuple[str, ...], tuple[str, ...], bool]:
-    """Return the plain type of a setting, its choices, its ranges, and whether it may be None."""
+def _plain(declared: Any) -> Any:
+    """Return the type of a setting without None, its choices and its range."""
     if get_origin(declared) is Literal:
-        return str, get_args(declared), (), False
-    optional = NoneType in get_args(declared)
-    kind = get_args(declared)[0] if optional else declared
-    ranges = getattr(kind, "__metadata__", ())
-    return get_args(kind)[0] if ranges else kind, (), ranges, optional
-
-
-def _check_value(name: str, value: Any, declared: Any) -> None:
-    """Check that a value is one of the choices, or a number in the range, of its declared type."""
-    _, choices, ranges, optional = _declaration(declared)
-    if value is None and optional:
-        return
-    wanted = [(value in choices, ", ".join(choices))]
-    if not choices:
-        wanted = [(math.isfinite(value), "a finite number"), *((_IN_RANGE[r](value), r) for r in ranges)]
-    for fine, expected in wanted:
-        if not fine:
-            raise InputError(f"setting {name}", expected, str(value))
+        return str
+    kind = get_args(declared)[0] if NoneType in get_args(declared) else declared
+    return get_args(kind)[0] if get_origin(kind) is Annotated else kind
 
 
 def _require(e: Experiment, setting: str, ok: bool, expected: str, found: str = "", advice: str = "") -> None:

@@ -299,13 +299,14 @@ def _choose_events(
     return events.iloc[start:], {"build_up": top, "misfit": start - top}
 
 
-def check_fit_range(range_mm: Any) -> None:
+def check_fit_range(fit_range_mm: Any) -> None:
     """Raise `InputError` for a range of separations that is not two increasing numbers or None."""
-    if range_mm is None:
+    if fit_range_mm is None:
         return
-    pair = range_mm if isinstance(range_mm, tuple | list) and len(range_mm) == 2 else (math.nan, math.nan)
-    if not (all(isinstance(end, Real) for end in pair) and 0 <= pair[0] < pair[1] < math.inf):
-        raise InputError("`fit_range_mm`", "two separations A < B in mm", shown(range_mm))
+    pair = fit_range_mm if isinstance(fit_range_mm, tuple | list) else ()
+    numbers = len(pair) == 2 and all(isinstance(end, Real) for end in pair)
+    if not (numbers and 0 <= pair[0] < pair[1] < math.inf):
+        raise InputError("`fit_range_mm`", "two separations A < B in mm", shown(fit_range_mm))
 
 
 def _maximum(peaks: Floats, least: int) -> int:

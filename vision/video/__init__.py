@@ -12,10 +12,9 @@ from vision.video.strip import (
 )
 from vision.video.strip_find import find_strip, measure_strip
 from vision.video.times import read_timestamps
-from vision.video.video import RANGE, Video, open_video, video_files
+from vision.video.video import Video, open_video, video_files
 
 __all__ = [
-    "RANGE",
     "Follow",
     "FrameStore",
     "FramesRead",

@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 
 from vision.data import STRIP_PARTS, StripMetadata, changed_settings, record, strip_of
-from vision.errors import InputError, check_kind, counted, reason_of
+from vision.errors import RANGE, InputError, check_kind, counted, reason_of
 from vision.files import Progress, prefetch
 from vision.memory import give_back, parts_in_turn, put_rows, some_rows, table_in_file
 from vision.numeric import Bools, Floats, Floats32, Pixels, Strings, spread_indices
@@ -23,7 +23,7 @@ from vision.video.reader import Block
 from vision.video.settings import VideoSettings
 from vision.video.strip_find import Strip, find_strip, measure_strip
 from vision.video.times import are_uneven, lost_between, thinned_from, usual_step_s
-from vision.video.video import RANGE, Video, cut
+from vision.video.video import Video, cut
 
 STATUS_TYPE = "<U7"  # ok, blank, corrupt, lost
 _COLUMN_FRAMES = 200  # spread over the film, of which the mean shows the gain of the columns

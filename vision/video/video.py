@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from vision.errors import PATH, InputError, check_kind, check_within, shown
+from vision.errors import PATH, RANGE, InputError, check_kind, check_within, shown
 from vision.files import Stamp, answered, check_pixels, check_regular, members, reading
 from vision.folder import html_table, numbered
 from vision.numeric import Floats, Ints, Pixels
@@ -25,8 +25,6 @@ from vision.video.times import median_rate, read_timestamps, unit_warning
 
 FILMS = {".avi", ".mp4", ".m4v", ".mkv", ".mov", ".cine", PIXELS}
 """Suffixes by which the films of a folder are found. A film that is named may have any suffix."""
-RANGE = "a slice such as slice(60, 144)"
-"""What an argument for rows, columns or frames must be, for messages."""
 
 
 @dataclass(frozen=True)
