@@ -140,6 +140,13 @@ def operations_of(data: Data) -> list[dict[str, Any]]:
     return done
 
 
+def parameters_of(data: Data, operation: str) -> dict[str, Any]:
+    """Return the parameters of the last such stage that made the data, those with its defaults left out of
+    ``settings``; empty if there is none."""
+    done = [step["parameters"] for step in operations_of(data) if step["operation"] == operation]
+    return done[-1] if done else {}
+
+
 class Tunable:
     """Base of settings dataclasses, which have too many fields to show: shown are those that were changed."""
 

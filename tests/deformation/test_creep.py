@@ -221,13 +221,28 @@ def test_a_jump_of_many_sheets_within_one_stick_leaves_the_others_alone():
     assert np.abs(change).max() < 0.5
 
 
-def test_how_much_of_a_fixed_pattern_goes_into_the_creep():
-    """A failure means that the error of long sticks from unequal pixels has the wrong size."""
+@pytest.mark.parametrize("window_px", [9, 21])
+def test_how_much_of_a_fixed_pattern_goes_into_the_creep(window_px):
+    """A failure means that the error of long sticks from unequal pixels has the wrong size, or is that of
+    another window than the one that was fitted."""
     rng = np.random.default_rng(4)
     response, u, reach = rng.standard_normal(6000), np.linspace(-1, 1, 401), 6.0
-    pattern = np.convolve(response, -np.arange(-4, 5), "same")
+    half_px = window_px // 2
+    pattern = np.convolve(response, -np.arange(-half_px, half_px + 1), "same")
     pattern /= pattern.std()
     at = rng.uniform(20, 5980, 1500)[:, None] + reach * u
     moved = np.interp(at, np.arange(6000), pattern)
     share = np.linalg.lstsq(legendre(u, 3), moved.T, rcond=None)[0]
-    np.testing.assert_allclose(np.sqrt((share**2).mean(axis=1)), fixed_pattern_gain(reach, 3), rtol=0.1)
+    size = np.sqrt((share**2).mean(axis=1))
+    np.testing.assert_allclose(size, fixed_pattern_gain(reach, 3, window_px), rtol=0.1)
+
+
+def test_the_window_of_the_fit_decides_how_much_unequal_pixels_add():
+    """A failure means that errors are those of a window of 9 px where another was fitted."""
+    made = make(uniform(5.0, 20.0), noise_px=0.03, frames=40)
+    errors = []
+    for window_px in (9, 21):
+        made.tracks.attrs |= {"fit": "sliding", "window_px": window_px}
+        settings = DeformationSettings(fixed_pattern=3.0)  # the largest part of the error
+        errors.append(np.nanmedian(measure(made, settings=settings)["ratio_err"]))
+    assert errors[1] < 0.9 * errors[0]

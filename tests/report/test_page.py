@@ -8,8 +8,9 @@ import pytest
 
 from tests.scenes.analysed import FACTS, Found
 from tests.scenes.report_data import make_profile, make_tracks, sawtooth
-from vision.data import NOT_SUBTRACTED
+from vision.data import NOT_SUBTRACTED, changed_settings, record
 from vision.figures.catalogue import figures_of
+from vision.force import ForceSettings
 from vision.models import Estimate
 from vision.report import write_report
 from vision.report.page import budget_table
@@ -258,6 +259,16 @@ def test_methods_tell_what_was_given_and_corrected(pulled):
     assert "T* = 3.1 mN (fitted)" in text
     assert "μ and Y_eff were given." in text
     assert "d was corrected for a machine of 100000 N/mm." in text
+
+
+def test_methods_state_the_part_of_the_sticks_that_was_fitted(pulled):
+    """A failure means that the page of a run with another `line_part` states that of the default."""
+    assert "through the central 80 % of each stick phase" in " ".join(methods(pulled))
+    sticks = pulled.sticks.copy()
+    sticks.attrs = {**sticks.attrs, "operations": "[]"}
+    sticks = record(sticks, "find_stick_slip", settings=changed_settings(ForceSettings(line_part=0.6)))
+    text = " ".join(methods(replace(pulled, sticks=sticks)))
+    assert "through the central 60 % of each stick phase" in text
 
 
 def test_methods_tell_that_the_error_of_d0_is_not_known(pulled):

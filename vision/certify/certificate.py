@@ -16,7 +16,7 @@ from vision.certify.encoder import Encoder, read_encoder
 from vision.certify.likeness import Likeness, learn, smooth_motion
 from vision.certify.settings import CertifySettings
 from vision.clock import Clock
-from vision.data import STIFF_BELOW, StripMetadata, TrackMetadata, operations_of
+from vision.data import STIFF_BELOW, StripMetadata, TrackMetadata, parameters_of
 from vision.deformation import horizontal_deformation
 from vision.errors import InputError
 from vision.files import Progress
@@ -308,8 +308,7 @@ def _tracker(tracks: xr.Dataset, like: Likeness, recorded_px: float) -> Tracker:
 
 def _parameters(tracks: xr.Dataset) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the run's parameters of `track_sheets`, and its settings."""
-    steps = [step for step in operations_of(tracks) if step["operation"] == "track_sheets"]
-    parameters = dict(steps[-1]["parameters"]) if steps else {}
+    parameters = parameters_of(tracks, "track_sheets")
     tuned, known = parameters.pop("settings", {}), {part.name for part in fields(TrackingSettings)}
     values = {
         name: tuple(value) if isinstance(value, list) else value

@@ -13,9 +13,8 @@ import scipy
 from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
-from vision.data import Tunable
+from vision.data import TrackMetadata, Tunable
 from vision.numeric import NORMAL_MEDIAN, Bools, Floats, Ints, nan_median, row_parts, typical_where
-from vision.sheets import TrackingSettings
 
 POSITIONS_AT_ONCE = 100_000  # to which creep is fitted; more take memory, fewer calls of NumPy
 
@@ -544,17 +543,17 @@ def _variance(square: Floats, dof: Ints, settings: DeformationSettings) -> Float
 # --- fixed-pattern error ------------------------------------------------------------------------------------
 
 
-def fixed_pattern_gain(reach_px: Floats, terms: int) -> Floats:
+def fixed_pattern_gain(reach_px: Floats, terms: int, window_px: int) -> Floats:
     r"""RMS contribution of a fixed pattern of 1 px RMS to each coefficient of the creep, (..., terms).
 
     reach_px (...): half the distance r that the sheet creeps.  A wave of frequency f per px contributes
     :math:`(2 l + 1) j_l(2 \pi f r)` to the coefficient of :math:`P_l` (spherical Bessel functions).  Waves
-    are weighted by the transfer function of the subpixel fit, which weights pixels by their distance from its
-    centre.
+    are weighted by the transfer function of the subpixel fit, which weights the pixels of its window by their
+    distance from its centre.
     """
     waves_per_px = np.arange(0.01, 0.5, 0.01)
-    window_px = np.arange(TrackingSettings().standard_window_px // 2 + 1)
-    power = (np.sin(2 * np.pi * waves_per_px[:, None] * window_px) @ window_px) ** 2
+    away_px = np.arange(window_px // 2 + 1)
+    power = (np.sin(2 * np.pi * waves_per_px[:, None] * away_px) @ away_px) ** 2
     reach = np.nan_to_num(np.abs(reach_px))
     grid = np.linspace(0, float(reach.max(initial=0.0)) + 1e-9, 200)
     order, phase = np.arange(terms)[:, None, None], 2 * np.pi * waves_per_px[:, None] * grid
@@ -566,15 +565,19 @@ def fixed_pattern_gain(reach_px: Floats, terms: int) -> Floats:
 
 
 def coefficient_errors(
-    fit: Creep, noise: Noise, pattern_px: Floats | float = 0.0, scale: Floats | float = 0.0
+    fit: Creep,
+    noise: Noise,
+    pattern_px: Floats | float = 0.0,
+    scale: Floats | float = 0.0,
+    window_px: int = TrackMetadata.window_px,
 ) -> Floats:
     """Standard errors of the coefficients of a fit with the correlation of `noise`, px, (stick, sheet, term).
 
     pattern_px: fixed-pattern error of each sheet, (sheet,).  scale: relative error of all displacements of a
-    sheet, (sheet,).
+    sheet, (sheet,).  window_px: of the subpixel fit.
     """
     variance = np.einsum("eskk->esk", fit.inverse)
     random = np.sqrt(variance) * (noise.noise_px * noise.excess)[..., None]
     reach = fit.coefficient[..., 1]
-    pattern = fixed_pattern_gain(reach, variance.shape[2]) * np.reshape(pattern_px, (-1, 1))
+    pattern = fixed_pattern_gain(reach, variance.shape[2], window_px) * np.reshape(pattern_px, (-1, 1))
     return np.asarray(np.sqrt(random**2 + pattern**2 + (scale * reach)[..., None] ** 2))

@@ -295,18 +295,9 @@ def _measure(
     noise = measure_noise(steady, frames, terms, settings)
     line, parabola, close = (fit_creep(steady, frames, k, settings, noise.correlation) for k in (2, 3, terms))
     noise = replace(noise, noise_px=noise.noise_px * np.sqrt(factor))
-    warnings: list[str] = []
-    if StripMetadata.of(tracks).codec in BETWEEN_FRAMES and "x_err_px" in tracks:
-        of_codec = nan_median(tracks["x_err_px"].values) ** 2 - facts.second_comb_err_px**2
-        noise, warnings = _with_noise_of_codec(noise, np.sqrt(np.fmax(of_codec, 0.0)), settings)
-    pattern = scale = np.zeros(side.size)
-    if facts.fit != "unknown":  # measured in a picture, with errors of unequal pixels
-        pattern = settings.fixed_pattern * noise.noise_px
-        locking = settings.locking if facts.fit == "paper" else 0.0
-        scale = np.full(side.size, np.hypot(settings.scale_error, locking))
-    if "misscaled" in tracks:
-        scale = np.hypot(scale, tracks["misscaled"].values)
-    errors = [coefficient_errors(part, noise, pattern, scale) for part in (line, parabola)]
+    noise, warnings = _with_noise_of_codec(noise, tracks, settings)
+    of_picture = (*_errors_of_picture(noise, tracks, settings), facts.window_px)
+    errors = [coefficient_errors(part, noise, *of_picture) for part in (line, parabola)]
     camera = drift_model(line, side, tracks["n"].values, frames, vibration, settings) if common_mode else None
     # The share of independent frames is the ratio of the sweep's variances for white and correlated noise.
     white = fit_creep(steady, frames, 2, settings)
@@ -379,11 +370,15 @@ def _relative_to_length(
 
 
 def _with_noise_of_codec(
-    noise: Noise, error_px: Floats, settings: DeformationSettings
+    noise: Noise, tracks: xr.Dataset, settings: DeformationSettings
 ) -> tuple[Noise, list[str]]:
-    """Noise of at least the stated error of positions (sheet,), for codecs that predict frames from others.
-    Such a codec repeats a sheet that creeps by less than its rounding, so that its residuals are near zero
-    while it is wrong by up to its movement. Also return a warning if many sheets are held still."""
+    """Noise of at least the stated error of positions, for codecs that predict frames from others. Such a
+    codec repeats a sheet that creeps by less than its rounding, so that its residuals are near zero while it
+    is wrong by up to its movement. Also return a warning if many sheets are held still."""
+    if StripMetadata.of(tracks).codec not in BETWEEN_FRAMES or "x_err_px" not in tracks:
+        return noise, []
+    second_px = TrackMetadata.of(tracks).second_comb_err_px
+    error_px = np.sqrt(np.fmax(nan_median(tracks["x_err_px"].values) ** 2 - second_px**2, 0.0))
     held = noise.noise_px < settings.held_noise * error_px
     raised = replace(noise, noise_px=np.fmax(noise.noise_px, error_px))
     if not held.any() or held.sum() < settings.warned_sheets * held.size:
@@ -391,6 +386,19 @@ def _with_noise_of_codec(
     what = f"the film's compression holds {held.sum()} of {held.size} sheets still between slips"
     bias = "their σ_x/Λ_st are too small by about their errors, alike in all sticks"
     return raised, [f"{what}: {bias}: record raw, FFV1 or MJPEG"]
+
+
+def _errors_of_picture(
+    noise: Noise, tracks: xr.Dataset, settings: DeformationSettings
+) -> tuple[Floats, Floats]:
+    """Error by unequal pixels, px, and relative error of displacements, of each sheet, (sheet,)."""
+    fit, sheets = TrackMetadata.of(tracks).fit, noise.noise_px.size
+    pattern = scale = np.zeros(sheets)
+    if fit != "unknown":  # measured in a picture
+        pattern = settings.fixed_pattern * noise.noise_px
+        locking = settings.locking if fit == "paper" else 0.0
+        scale = np.full(sheets, np.hypot(settings.scale_error, locking))
+    return pattern, np.hypot(scale, tracks["misscaled"].values) if "misscaled" in tracks else scale
 
 
 def _own_warnings(

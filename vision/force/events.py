@@ -91,7 +91,7 @@ def find_stick_slip(
     -------
     Table with the columns of ``events.csv`` in order, then further ones, which `vision.data.STICKS`
     describes, and the attributes of `vision.data.StickMetadata`. F_v and F_p are the ends, at valley and
-    peak, of a line through the central 80 % of the stick, with the curvature common to all sticks and limited
+    peak, of a line through the central part of the stick, with the curvature common to all sticks and limited
     to what was recorded; beside slow slips they are the recorded extremes. K is the slope of the central
     half, K1 and K2 those before and after a knee. Lengths and stiffness are NaN where d is unknown.
     ``flag`` is "ok" or, joined by "+", what is wrong within the stick (gap, nan, saturated, repeated,
@@ -362,13 +362,15 @@ def _analyse_slips(
                 corners = find_corners(signal, slips, two_slopes=bent, settings=settings)
                 found = find_lowpass(signal, slips, corners, settings)
     how: LowpassHow = "given" if given else "recorded" if lowpass_s == 0 else "none"
+    lengthened = 0.0 if given else filter_length(signal, corners, extremes, settings)
     if given:
         corners = find_corners(signal, slips, lowpass=given, two_slopes=bent, settings=settings)
-    elif found.doubt and not filter_length(signal, corners, extremes, settings):
+    elif found.doubt and not lengthened:
         found = Lowpass()  # it would have lengthened the ends of the slips
     elif lowpass_s == "auto" and found.corners is not None:
         corners, how = (found.corners, "found") if found.proven else (corners, "doubtful")
-    lengthened = filter_length(signal, corners, extremes, settings)
+    if corners.lowpass:
+        lengthened = filter_length(signal, corners, extremes, settings)
     return _SlipAnalysis(corners, extremes, regime, found, how, lengthened)
 
 

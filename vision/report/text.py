@@ -20,9 +20,11 @@ from vision.data import (
     StripMetadata,
     TrackMetadata,
     load_unit_text,
+    parameters_of,
 )
 from vision.figures import Results
 from vision.figures.style import candidates_text, drift_text, offset_text, percent
+from vision.force import ForceSettings
 from vision.memory import is_word
 from vision.models import Estimate, ModelFits, both_errors, plus_minus
 from vision.models.single_fits import has_knees
@@ -314,14 +316,16 @@ def _stick_phases(force: xr.Dataset, sticks: pd.DataFrame) -> str:
     unit = load_unit_text(force)
     line = "a line with a knee" if s.two_slopes else "a line"
     knees = " The models are fitted to the slope after the knee of each." if has_knees(sticks) else ""
+    tuned = parameters_of(sticks, "find_stick_slip").get("settings", {})
+    part = f"{100 * tuned.get('line_part', ForceSettings.line_part):.0f} %"
     stiffness = s.machine_stiffness_N_per_mm
     machine = f" d was corrected for a machine of {stiffness:g} N/mm." if math.isfinite(stiffness) else ""
     return (
         f"The traction force was recorded while the blocks were pulled apart{pulled}.{machine} Slips are "
         f"drops at which the lines fitted before and after differ by more than {s.threshold_N:.3g} {unit} "
         f"({source}; the noise is {s.noise_N:.2g} {unit}); {len(sticks)} stick phases were found. Peak and "
-        f"valley forces F_p and F_v are those of {line} through the central 80 % of each stick phase, "
-        "extended to its ends but not beyond the recorded forces, and beside slow slips the recorded "
+        f"valley forces F_p and F_v are those of {line} through the central {part} of each stick "
+        "phase, extended to its ends but not beyond the recorded forces, and beside slow slips the recorded "
         f"extremes. The stiffness K is the slope of the central {100 * s.central_part:.0f} %."
         f"{knees}{_lowpass(s)}"
     )
