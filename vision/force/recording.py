@@ -153,10 +153,9 @@ def _dataset(
     good = usable(flags)
     if not good.any():
         raise InputError(path, "rising times and finite loads", f"none among {time.size} rows")
-    start = 0.0
+    # With d0 = 0 the column is the separation itself.
+    start = 0.0 if crosshead is None or not d0_mm else float(crosshead[good][0])
     if crosshead is not None:
-        # With d0 = 0 the column is the separation itself.
-        start = float(crosshead[good][0]) if d0_mm else 0.0
         travel, source = crosshead - start, "displacement"
     elif speed_mm_min is not None:
         travel, source = speed_mm_min / 60.0 * (time - float(time[good][0])), "speed"
@@ -174,12 +173,7 @@ def _dataset(
     measured = _speed(time[good], travel[good])
     jumps = np.zeros_like(good) if crosshead is None else _jumps(crosshead, flags == "nan", settings)
     warnings = _restart_warnings(restart, time.size, blocks)
-    if found["load"].assumed:
-        warnings.append(
-            f'expected a load with a unit; found "{found["load"].name}" without, taken for N: write the unit '
-            "beside its name, or give `force_columns` load=NAME:N (or kgf, lbf)"
-        )
-    warnings += _warnings(flags, load[good], source, speed_mm_min, measured)
+    warnings += _warnings(found["load"], flags, load[good], source, speed_mm_min, measured)
     warnings += _gap_warnings(flags == "gap", jumps, time, travel)
     if source == "speed":
         warnings += _rest_warnings(time[good], load[good], travel[good], d0_mm)
@@ -259,10 +253,15 @@ def _notes(found: dict[Role, Column], source: str, d0_mm: float | None, on_sampl
 
 
 def _warnings(
-    flags: Strings, load: Floats, source: str, speed_mm_min: float | None, measured: float
+    column: Column, flags: Strings, load: Floats, source: str, speed_mm_min: float | None, measured: float
 ) -> list[str]:
-    """Return what may spoil the results."""
+    """Return what may spoil the results; `load`: the good samples of the load's column."""
     warnings = []
+    if column.assumed:
+        warnings.append(
+            f'expected a load with a unit; found "{column.name}" without, taken for N: write the unit '
+            "beside its name, or give `force_columns` load=NAME:N (or kgf, lbf)"
+        )
     if source == "none":
         warnings.append("no displacement column and no `speed_mm_min`: d, lengths and stiffness are empty")
     # A machine holds its speed to a per cent; five leave room for the start and stop.

@@ -26,6 +26,7 @@ class _Sticks:
     """Where each stick begins, its valley, and ends, its peak; what was recorded there, (2, stick)."""
 
     position: Floats  # in samples
+    last_valley: float  # that after the last slip
     slow: Bools  # whether the slip there is slow: `position` is then that of the extreme
     extreme: Floats  # lowest load at the valley and highest at the peak, averaged
     furthest: Floats  # the same of single samples
@@ -33,6 +34,28 @@ class _Sticks:
     knee: Floats  # position of the knee, (stick,); NaN for none
     lag: float  # time constant of the low-pass that is corrected for; 0 for none
     settings: ForceSettings
+
+    @classmethod
+    def of(cls, corners: Corners, extremes: Extremes, slow: Bools, settings: ForceSettings) -> _Sticks:
+        """Return the sticks between slips, of which some are slow."""
+        valley = np.where(slow, extremes.valley, corners.valley)
+        peak = np.where(slow, extremes.peak, corners.peak)
+        return cls(
+            position=np.stack([valley[:-1], peak[1:]]),
+            last_valley=valley[-1],
+            slow=_beside(slow),
+            extreme=np.stack([extremes.low[:-1], extremes.high[1:]]),
+            furthest=extremes.furthest,
+            width=extremes.width,
+            knee=corners.knee[1:-1],
+            lag=corners.lowpass,
+            settings=settings,
+        )
+
+    @property
+    def valleys(self) -> Floats:
+        """Positions of the valleys, and of that after the last slip."""
+        return np.append(self.position[0], self.last_valley)
 
     def central(self, part: float) -> tuple[Ints, Ints]:
         """Return the half-open range of the central part of each stick."""
@@ -81,25 +104,13 @@ def measure_sticks(
     `filter_known`: the low-pass of the load is known, so that longer slips are not due to another filter.
     """
     slow = is_slow(corners, settings)
-    recorded = slow & (corners.lowpass == 0)
-    valley = np.where(recorded, extremes.valley, corners.valley)
-    peak = np.where(recorded, extremes.peak, corners.peak)
-    sticks = _Sticks(
-        position=np.stack([valley[:-1], peak[1:]]),
-        slow=_beside(recorded),
-        extreme=np.stack([extremes.low[:-1], extremes.high[1:]]),
-        furthest=extremes.furthest,
-        width=extremes.width,
-        knee=corners.knee[1:-1],
-        lag=corners.lowpass,
-        settings=settings,
-    )
+    sticks = _Sticks.of(corners, extremes, slow & (corners.lowpass == 0), settings)
     samples, time = sticks.position[1] - sticks.position[0], signal.time_at(sticks.position)
     ends = _ends(signal, sticks, time, corners.shape)
     force = _forces(signal, corners, sticks, ends)
-    d, d_next, noise_mm = _separations(signal, sticks, valley[-1], force, compliance)
+    d, d_next, noise_mm = _separations(signal, sticks, force, compliance)
     (f_v, f_p), (t_v, t_p), (d_v, d_p) = force, time, d
-    t_next = signal.time_at(valley[1:])
+    t_next = signal.time_at(sticks.valleys[1:])
     off, half = (_beside(part) for part in _position_errors(signal, corners, lengthened, filter_known))
     error = _corner_errors(signal, sticks, ends, force, off)
     lost = ends.rise * np.where(sticks.slow, np.fmin(half, lengthened / 2), half)
@@ -132,16 +143,23 @@ def measure_sticks(
         }
     )
     marks = {
+        "few": samples < settings.few_samples,
         "falling": ~(ends.slope > 0) | _contain_falls(signal, sticks, f_p - f_v),
         "slow": slow[:-1] | slow[1:],
         "still": _held(1e3 * (d_next - d_v), rest_error, t_next - t_v, settings),
     }
-    # Both neighbouring slips count: bad samples in them hide how high or low the load was.
-    (v, p), last = sticks.position, signal.time.size - 1
-    begin, end = np.floor(np.fmin(corners.peak[:-1], v)), np.ceil(np.fmax(corners.valley[1:], p))
+    return table.assign(flag=joined_flags(_damaged(signal, corners, sticks) | marks))
+
+
+def _damaged(signal: Signal, corners: Corners, sticks: _Sticks) -> dict[str, Bools]:
+    """Return for each kind of bad samples in which sticks there are any.
+
+    Both neighbouring slips count: bad samples in them hide how high or low the load was.
+    """
+    (valley, peak), last = sticks.position, signal.time.size - 1
+    begin, end = np.floor(np.fmin(corners.peak[:-1], valley)), np.ceil(np.fmax(corners.valley[1:], peak))
     first, final = (np.clip(at, 0, last).astype(int) for at in (begin, end))
-    damaged = {kind: count[final] > count[first] for kind, count in signal.damage.items()}
-    return table.assign(flag=joined_flags(damaged | {"few": samples < settings.few_samples} | marks))
+    return {kind: count[final] > count[first] for kind, count in signal.damage.items()}
 
 
 def _held(way: Floats, error: Floats, duration: Floats, settings: ForceSettings) -> Bools:
@@ -282,12 +300,13 @@ def _corner_errors(signal: Signal, sticks: _Sticks, ends: _Ends, force: Floats, 
 
 
 def _separations(
-    signal: Signal, sticks: _Sticks, last: float, force: Floats, compliance: float
+    signal: Signal, sticks: _Sticks, force: Floats, compliance: float
 ) -> tuple[Floats, Floats, Floats]:
     """Return d at the ends of each stick, (2, stick), at its next valley, and the error of one sample of it.
 
-    `last`: position of the last valley. The error contains the noise and the steps of d.
+    The error contains the noise and the steps of d.
     """
+    last = sticks.last_valley
     pace = fit_lines(signal.time, signal.travel, *_between(*sticks.position))
     # The machine's stretch is subtracted at the corners only: at every sample it would add the load's noise.
     d = _travel_at(signal, sticks, pace) - compliance * force
