@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import h5py
@@ -11,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
+from tests.scenes.waiting import until
 from vision.errors import InputError
 from vision.files import READ_HDF5, READ_MATLAB, check_regular, read_toml, reading, try_out
 
@@ -104,14 +104,6 @@ def test_it_ends_with_its_parent(matlab, tmp_path):
     parent.kill()
     parent.wait()
     until(lambda: not alive(int(pid)))
-
-
-def until(true, seconds=120):
-    end = time.monotonic() + seconds
-    while not (value := true()):
-        assert time.monotonic() < end
-        time.sleep(0.05)
-    return value
 
 
 def alive(pid):

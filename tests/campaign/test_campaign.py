@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -16,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from tests.campaign.scenes import environment, films, table
+from tests.scenes.waiting import until
 from vision.campaign.results import open_tables
 from vision.command.main import run
 
@@ -114,14 +114,6 @@ def test_an_interrupt_keeps_what_is_done_and_ends_all_it_started(tmp_path):
     assert start([path, "--out", out, "--no-report"], tmp_path).wait(170) == 0
     assert {row["state"] for row in states(out).values()} == {"done"}
     assert all(file.stat().st_mtime_ns == made for file, made in before.items())
-
-
-def until(ready, seconds=120):
-    """Wait for something."""
-    end = time.monotonic() + seconds
-    while not ready():
-        assert time.monotonic() < end, "it never came"
-        time.sleep(0.2)
 
 
 @pytest.mark.slow

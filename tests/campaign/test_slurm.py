@@ -17,6 +17,7 @@ from pathlib import Path
 import pytest
 
 from tests.campaign.scenes import environment, films, table
+from tests.scenes.waiting import until
 from vision.campaign import jobs
 
 pytestmark = pytest.mark.slow
@@ -102,14 +103,6 @@ def at_work(out):
     return ""
 
 
-def until(ready, seconds=300):
-    end = time.monotonic() + seconds
-    while not (found := ready()):
-        assert time.monotonic() < end, "it never came"
-        time.sleep(0.5)
-    return found
-
-
 def test_forty_films_one_killed_job_one_drained_node_one_bad_film(cluster, tmp_path):
     """A failure means that what happens on a cluster every week costs the other films, or is not said."""
     films(tmp_path, 40, frames=60)
@@ -126,7 +119,7 @@ def test_forty_films_one_killed_job_one_drained_node_one_bad_film(cluster, tmp_p
         env=environment(HERE), cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     try:
-        killed = until(lambda: len(list(out.glob("runs/*/run.json"))) >= 2 and at_work(out))
+        killed = until(lambda: len(list(out.glob("runs/*/run.json"))) >= 2 and at_work(out), 300)
         subprocess.run(["scancel", "--full", "--signal=KILL", killed], check=True)
         name = command("sinfo", "-h", "-o", "%n").split()[0]
         subprocess.run(["scontrol", "update", f"nodename={name}", "state=drain", "reason=test"], check=True)

@@ -128,3 +128,11 @@ def creeping(frames=120, snr=100):
     """Truth and strip of sixteen sheets that creep by 3 px."""
     x = comb(frames, per_side=8, axis_px=200) + np.linspace(0, 3, frames)[:, None]
     return x, strip(ridges(x, width=400), snr=snr)
+
+
+def shaken_comb(seed: int = 5, shake: float = 0.05) -> tuple[Floats, Floats]:
+    """Creeping sheets and a shaking camera, and the noise of pixels, (frame, sheet)."""
+    rng = np.random.default_rng(seed)
+    place = np.linspace(-1, 1, 50)
+    moving = 525 + 500 * place + np.linspace(0, 3, 400)[:, None] * place**3 + rng.normal(0, shake, (400, 1))
+    return moving, rng.normal(0, 0.02, moving.shape)

@@ -122,14 +122,6 @@ def test_a_camera_that_shakes_by_pixels_repeats_no_frame():
     assert np.flatnonzero(repeated_frames(picture)).tolist() == [60]
 
 
-def filmed(seed=5, shake=0.05):
-    """Creeping sheets and a shaking camera, and the noise of pixels, (frame, sheet)."""
-    rng = np.random.default_rng(seed)
-    place = np.linspace(-1, 1, 50)
-    moving = 525 + 500 * place + np.linspace(0, 3, 400)[:, None] * place**3 + rng.normal(0, shake, (400, 1))
-    return moving, rng.normal(0, 0.02, moving.shape)
-
-
 def slipping(slip_widths, *, fwhm=7.0, frames=240, seed=0):
     """Forty sheets, the outermost of which jump to and fro by so many widths within every sixth exposure, at
     a random time: two ridges drawn over each other. Truth is the mean over the exposure."""

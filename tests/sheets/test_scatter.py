@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from tests.scenes.combs import comb, creeping, ridges, strip
+from tests.scenes.combs import comb, creeping, ridges, shaken_comb, strip
 from vision.sheets import scatter, track_sheets
 from vision.sheets.scatter import BetweenSlips, noise_excess, shared_error, spatial_scatter
 
@@ -134,17 +134,9 @@ def test_a_scatter_needs_frames_between_slips():
     assert shared_error(BetweenSlips(x)) == 0
 
 
-def filmed(seed=5, shake=0.05):
-    """Creeping sheets and a shaking camera, and the noise of pixels, (frame, sheet)."""
-    rng = np.random.default_rng(seed)
-    place = np.linspace(-1, 1, 50)
-    moving = 525 + 500 * place + np.linspace(0, 3, 400)[:, None] * place**3 + rng.normal(0, shake, (400, 1))
-    return moving, rng.normal(0, 0.02, moving.shape)
-
-
 def test_noise_that_differs_from_sheet_to_sheet_is_not_shared():
     """A failure means that motion, of sheets or of the camera, is taken for errors of a codec."""
-    moving, noise = filmed()
+    moving, noise = shaken_comb()
     excess = noise_excess(BetweenSlips(moving + noise), np.full(noise.shape, 0.02))
     assert np.median(excess) == pytest.approx(1, abs=0.1)
     assert shared_error(BetweenSlips(moving + noise)) < 0.4 * 0.02
@@ -155,7 +147,7 @@ def test_noise_that_differs_from_sheet_to_sheet_is_not_shared():
 def test_errors_that_neighbours_share_are_counted():
     """Blocks that hold three sheets each, and all of them by as much: fourth differences see less than there
     is."""
-    moving, noise = filmed()
+    moving, noise = shaken_comb()
     blocks = np.repeat(np.random.default_rng(1).normal(0, 0.04, (400, 17)), 3, axis=1)[:, :50]
     blocks += np.random.default_rng(2).normal(0, 0.04, (400, 1))
     seen = np.median(spatial_scatter(BetweenSlips(moving + noise + blocks), between_frames=True))
@@ -170,7 +162,7 @@ def test_errors_that_neighbours_share_are_counted():
 def test_creep_that_bends_is_no_error_that_sheets_share(bend):
     """Sheets creep by up to 6 px in sticks of 40 frames, fast at first or at last.  A failure means that
     H.264 films of such sheets get errors three to ten times too large."""
-    _, noise = filmed()
+    _, noise = shaken_comb()
     place, stick = np.linspace(-1, 1, 50), np.arange(400) % 40
     x = 525 + 500 * place - 6 * place * np.abs(place) * ((stick + 1) / 40)[:, None] ** bend + noise
     positions = BetweenSlips(x)
@@ -181,7 +173,7 @@ def test_creep_that_bends_is_no_error_that_sheets_share(bend):
 @pytest.mark.parametrize("skipped", [0.3, 0.5])
 def test_a_shaking_that_a_codec_leaves_out_in_part_is_counted(skipped):
     """Every second frame is as its neighbours say, in this share of its blocks, as with B frames."""
-    moving, noise = filmed(shake=0.03)
+    moving, noise = shaken_comb(shake=0.03)
     shown = moving + noise
     between = (shown[:-2] + shown[2:]) / 2
     blocks = np.repeat(np.random.default_rng(2).random((398, 17)) < skipped, 3, axis=1)[:, :50]
