@@ -172,25 +172,22 @@ def typical_rows(rows: int) -> Ints | slice:
 
 def median_step(values: NDArray[np.floating]) -> Floats:
     """Return the median step of all columns from each row to the next, (rows − 1,), a part at a time."""
-    step = np.empty(max(0, len(values) - 1))
 
-    def of_part(rows: slice) -> None:
+    def of_part(rows: slice) -> Floats:
         near = values[rows.start : rows.stop + 1].astype(np.float64)
-        step[rows] = nan_median(np.diff(near, axis=0), axis=1)
+        return nan_median(np.diff(near, axis=0), axis=1)
 
-    in_two_threads(of_part, row_parts(len(step)))
-    return step
+    return _of_rows(of_part, len(values) - 1)
 
 
 def common_change(values: NDArray[np.floating], usual: Floats) -> Floats:
     """Return the median difference of each row from the usual values (columns,), a part at a time."""
-    change = np.empty(len(values))
+    return _of_rows(lambda rows: nan_median(values[rows] - usual, axis=1), len(values))
 
-    def of_part(rows: slice) -> None:
-        change[rows] = nan_median(values[rows] - usual, axis=1)
 
-    in_two_threads(of_part, row_parts(len(values)))
-    return change
+def _of_rows(work: Callable[[slice], Floats], rows: int) -> Floats:
+    """Return the results of `work` for all parts of the rows, one after the other."""
+    return np.concatenate([np.empty(0), *in_two_threads(work, row_parts(rows))])
 
 
 def without_common_change(values: NDArray[np.floating]) -> Floats:

@@ -11,7 +11,7 @@ from vision.figures.style import DATA, PEAK, VALLEY, from_zero
 from vision.folder import whole_file, write_csv, write_json
 from vision.numeric import with_minus
 from vision.report.page import render_page
-from vision.report.text import ANALYSED_WITH, Answer, citation
+from vision.report.text import Answer
 
 # How films were made, and what the certificate does not include.
 _RESIDUALS = (
@@ -53,8 +53,7 @@ def _write_page(c: Certificate, path: Path) -> None:
             made[1],
             "Frames in which a slip happens.",
         ],
-        methods=_methods(c, made[0].format(c.encoding)),
-        citation=citation(),
+        methods=[_methods(c, made[0].format(c.encoding))],
         tables=(),
     )
 
@@ -157,8 +156,8 @@ def _digits(number: float) -> str:
     return f"{number:.{decimals}f}"
 
 
-def _methods(c: Certificate, films_made: str) -> list[str]:
-    return [
+def _methods(c: Certificate, films_made: str) -> str:
+    return (
         "The recording was separated into its mean picture in coordinates that move with the sheets (the "
         "shape of each ridge, the gaps, the light), the smooth motion of the sheets between slips "
         f"including their common motion, and the residual. {films_made} Synthetic films of the same length"
@@ -166,6 +165,5 @@ def _methods(c: Certificate, films_made: str) -> list[str]:
         "locking the sheets cross one pixel without noise. For the identities the motion was enlarged. At"
         " the threshold every sheet creeps by √12 times the threshold times Λ_st in each stick phase, and"
         " the whole analysis follows. Repeated and missing frames, steps of the brightness, clipped "
-        "pixels and distorted ridges are in the films where they are in the recording.",
-        ANALYSED_WITH,
-    ]
+        "pixels and distorted ridges are in the films where they are in the recording."
+    )

@@ -191,15 +191,6 @@ def parse_pair(
     return low, high
 
 
-def parse_window(text: str, option: str) -> int | Literal["auto"]:
-    """Parse a number of pixels, or "auto".  Raises: InputError."""
-    if text == "auto":
-        return "auto"
-    if not re.fullmatch(r"[0-9]{1,9}", text):
-        raise InputError(option, "an odd number of pixels, or auto", f"'{text}'")
-    return int(text)
-
-
 def at_least(value: float, option: str, least: float) -> float:
     """Return the number unchanged if it is finite and not below `least`.  Raises: InputError."""
     if not (least <= value < math.inf):
@@ -295,7 +286,7 @@ def _sheet(text: str) -> Sheet:
 
 _PARSERS: Mapping[str, Callable[[Any, str], Any]] = {
     **dict.fromkeys(("strip", "columns", "frames"), parse_range),
-    "window": parse_window,
+    "window": lambda text, _: int(text) if re.fullmatch(r"[0-9]{1,9}", text) else text,
     "corrections": lambda file, _: read_corrections(file),
     "pitch": parse_pitch,
     "force_columns": lambda text, _: parse_columns(text),

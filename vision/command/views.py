@@ -27,6 +27,7 @@ from vision.command.options import (
     names_given,
 )
 from vision.command.settings import (
+    at_least,
     merged,
     parameters_given,
     parse_length,
@@ -434,9 +435,8 @@ def certify(
 
         track certify test_tracks --films 6 --out certified
     """
-    for name, value, least in (("--films", films, 1), ("--most-frames", most_frames, 30)):
-        if value < least:
-            raise InputError(name, f"a whole number from {least}", f"{value}")
+    at_least(films, "--films", 1)
+    at_least(most_frames, "--most-frames", 30)
     finished = read_run(run)
     target = output.out or Path(f"{finished.folder.resolve().name}_certificate")
     check_outside(target, finished.folder)

@@ -34,7 +34,7 @@ from vision.folder import write_csv, write_json
 from vision.models import Estimate, both_errors, plus_minus
 from vision.models.single_fits import low_speed
 from vision.report.page import FactsTable, render_page
-from vision.report.text import ANALYSED_WITH, Answer, citation
+from vision.report.text import Answer
 from vision.run.provenance import Origin
 from vision.run.writing import results_folder
 from vision.sample import Sample
@@ -408,7 +408,6 @@ def _write_page(
         warnings=list(facts.get("warnings", ())),
         missing=_missing(found),
         methods=_methods(found),
-        citation=citation(),
         tables=[_table_of_tests(found)],
     )
 
@@ -477,4 +476,4 @@ def _methods(found: Comparison) -> list[str]:
             "Trends are weighted lines. Their p values come from permutations, with the other predictor "
             "fixed after Freedman and Lane, and are adjusted for the number of trends after Holm."
         )
-    return [*paragraphs, ANALYSED_WITH]
+    return paragraphs

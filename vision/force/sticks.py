@@ -52,11 +52,6 @@ class _Sticks:
             settings=settings,
         )
 
-    @property
-    def valleys(self) -> Floats:
-        """Positions of the valleys, and of that after the last slip."""
-        return np.append(self.position[0], self.last_valley)
-
     def central(self, part: float) -> tuple[Ints, Ints]:
         """Return the half-open range of the central part of each stick."""
         valley, peak = self.position
@@ -110,7 +105,7 @@ def measure_sticks(
     force = _forces(signal, corners, sticks, ends)
     d, d_next, noise_mm = _separations(signal, sticks, force, compliance)
     (f_v, f_p), (t_v, t_p), (d_v, d_p) = force, time, d
-    t_next = signal.time_at(sticks.valleys[1:])
+    t_next = np.append(t_v[1:], signal.time_at(np.array(sticks.last_valley)))
     off, half = (_beside(part) for part in _position_errors(signal, corners, lengthened, filter_known))
     error = _corner_errors(signal, sticks, ends, force, off)
     lost = ends.rise * np.where(sticks.slow, np.fmin(half, lengthened / 2), half)

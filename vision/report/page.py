@@ -36,7 +36,7 @@ from vision.figures.style import (
 )
 from vision.folder import flattened
 from vision.numeric import Floats, two_digits, with_minus
-from vision.report.text import answers, citation, methods, subtitle
+from vision.report.text import ANALYSED_WITH, answers, citation, methods, subtitle
 from vision.sheets import doubtful_stretches
 from vision.systematics import QUANTITIES, SOURCES, systematic_budget
 
@@ -78,7 +78,6 @@ def write_report(
         warnings=list(warnings),
         missing=[with_options(line, options) for line in missing_parts(results)],
         methods=methods(results),
-        citation=citation(),
         tables=[table for table in tables if table.rows],
     )
 
@@ -92,7 +91,7 @@ def render_page(
     """Write a page of figures, with one panel each, under their headings.
 
     `facts` is the content of run.json; `content` holds the other variables of the template: title, kind,
-    subtitle, answers, warnings, missing, methods, citation and tables.
+    subtitle, answers, warnings, missing, methods and tables.
     """
     store = ArrayStore()
     charts = {one.name: _panel_data(one.name, one.panel, store) for _, part in sections for one in part}
@@ -101,6 +100,8 @@ def render_page(
     text = _template().render(
         sections=sections,
         provenance=provenance(facts),
+        analysed_with=ANALYSED_WITH,
+        citation=citation(),
         data=htmlsafe_json_dumps(data, allow_nan=False, separators=(",", ":"), ensure_ascii=False),
         **content,
     )

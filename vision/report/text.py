@@ -205,7 +205,7 @@ def methods(results: Results) -> list[str]:
         paragraphs.append(_deformation(results.motion, results.threshold))
     if results.fits is not None:
         paragraphs.append(_models(results.fits))
-    return [*paragraphs, ANALYSED_WITH]
+    return paragraphs
 
 
 def citation() -> list[str]:
