@@ -114,7 +114,7 @@ def test_the_page_fits_its_window(browser, report, width, scheme):
 def page_with(browser, folder, figures):
     """Open a page of these figures and nothing else."""
     words = dict.fromkeys(("title", "kind", "subtitle"), "")
-    lists = {name: [] for name in ("answers", "warnings", "missing", "methods", "citation", "tables")}
+    lists = {name: [] for name in ("answers", "warnings", "missing", "methods", "tables")}
     return ReportVisit(
         browser, render_page(folder / "page.html", [("Section", figures)], {}, **words, **lists)
     )
