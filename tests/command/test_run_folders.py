@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import vision
 from vision.command.main import run
-from vision.command.settings import parameters_of, settings_of, settings_of_run
+from vision.command.settings import options_of, settings_of, settings_of_run
 from vision.errors import InputError
 from vision.figures.catalogue import figures_of
 from vision.folder import RUN_JSON
@@ -172,5 +172,5 @@ def test_settings_come_back_from_their_options(
         pitch_um=pitch_um,
         **rest,
     )
-    again = settings_of(parameters_of(settings))
+    again = settings_of(options_of(settings))
     assert again == settings

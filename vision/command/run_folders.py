@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from vision.command.settings import parameters_of, settings_of_run
+from vision.command.settings import options_of, settings_of_run
 from vision.data import ForceMetadata
 from vision.errors import InputError
 from vision.folder import check_target
@@ -48,7 +48,7 @@ def save_run(analysis: Analysis, folder: str | Path, *, overwrite: bool = False,
     times = analysis.settings.timestamps
     film = () if analysis.video is None else (*video_files(analysis.video.path), times)
     inputs = [file for file in (*film, force) if file is not None]
-    parameters = parameters_of(analysis.settings) | {
+    parameters = options_of(analysis.settings) | {
         "force": Parameter(force, "default" if force is None else "given"),
         "report": Parameter(report, "given"),
     }

@@ -317,7 +317,7 @@ def settings_of(parameters: Mapping[str, Parameter]) -> Settings:
     return Settings(**{name: part for name, part in parts.items() if part is not None})
 
 
-def parameters_of(settings: Settings) -> dict[str, Parameter]:
+def options_of(settings: Settings) -> dict[str, Parameter]:
     """Return the options that give these settings, so that `settings_of` returns these settings again.
 
     Corrections and `Settings.tuning` are no options. A setting without one has its own name.
