@@ -270,6 +270,18 @@ def test_the_legend_is_whole_on_axes_of_pyplot(name):
     assert page.bbox.y0 <= legend.y0 <= legend.y1 <= page.bbox.y1
 
 
+def test_two_tests_on_one_axes_are_told_apart():
+    """A failure means that curves of two tests look alike, or that the legend names the last one only."""
+    ax, figure = Page(figsize=(8, 6)).subplots(), figure_named(with_force(), "shells")
+    plain = figure.plot(Page().subplots()).get_legend().get_texts()
+    figure.plot(ax, label="dry", color="C2")
+    figure.plot(ax, label="humid", color="C3")
+    labels = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert labels == [f"{test}: {text.get_text()}" for test in ("dry", "humid") for text in plain]
+    colours = [line.get_color() for line in ax.get_lines()]
+    assert colours == ["C2"] * (len(colours) // 2) + ["C3"] * (len(colours) // 2)
+
+
 def test_sheets_that_coincide_hide_neither_side():
     """A failure means that one side covers the other where they move alike."""
     at = np.arange(100.0)

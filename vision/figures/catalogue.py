@@ -257,7 +257,8 @@ def _missing_from_force(r: Results) -> Iterator[str]:
 class Plots:
     """Functions that draw the figures of some results: ``plot.NAME(ax=None)``.
 
-    Some take more: ``plot.stick(event=37)``, ``plot.deformation(events=[37, 60])``.
+    Some take more: ``plot.stick(event=37)``, ``plot.deformation(events=[37, 60])``. Several tests on the same
+    axes: ``plot.NAME(ax, label="test 2", color="C3")``.
     """
 
     def __init__(self, results: Results) -> None:
@@ -267,8 +268,8 @@ class Plots:
         if name not in FIGURES:
             raise AttributeError(f"no figure '{name}'; there are {', '.join(FIGURES)}")
 
-        def draw(ax: Axes | None = None, **chosen: Any) -> Axes:
-            return figure_named(self._results, name, **chosen).plot(ax)
+        def draw(ax: Axes | None = None, *, label: str = "", color: str | None = None, **chosen: Any) -> Axes:
+            return figure_named(self._results, name, **chosen).plot(ax, label=label, color=color)
 
         return draw
 

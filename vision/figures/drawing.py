@@ -92,11 +92,12 @@ def _inches() -> _Inches:
     return _Inches(*(_letters() * size for size in _Inches()))
 
 
-def draw_panel(ax: Axes, panel: Panel) -> Axes:
+def draw_panel(ax: Axes, panel: Panel, name: str = "") -> Axes:
     """Draw a panel on these axes with colours for a light background, and return the axes.
 
     A second y axis is added if the panel has one. The legend is above the axes, so that it hides no
-    data, or inside them if the figure has no room there.
+    data, or inside them if the figure has no room there. It keeps the entries of what was drawn on the axes
+    before; `name` precedes the new ones.
     """
     right = ax.twinx() if panel.y2_label else None
     if panel.image is not None:
@@ -121,7 +122,7 @@ def draw_panel(ax: Axes, panel: Panel) -> Axes:
     if panel.empty:
         ax.text(0.5, 0.5, panel.placeholder, transform=ax.transAxes, ha="center", color=QUIET[0])
         ax.set(xticks=[], yticks=[])
-    _draw_legend(ax, panel)
+    _draw_legend(ax, panel, name)
     return ax
 
 
@@ -495,16 +496,23 @@ def _stack(ax: Axes, right: Axes, panel: Panel) -> None:
 # --- legends ------------------------------------------------------------------------------------------------
 
 
-def _draw_legend(ax: Axes, panel: Panel) -> None:
-    entries = _legend_entries(panel)
-    if entries:
-        columns = _legend_columns(entries, _width_in(ax))
-        handles = [_legend_handle(series, label) for series, label in entries]
+def _draw_legend(ax: Axes, panel: Panel, name: str) -> None:
+    earlier = ax.get_legend()
+    known = [] if earlier is None else earlier.legend_handles
+    handles: dict[str, Any] = {str(one.get_label()): one for one in known if one is not None}
+    labels = [re.sub(r"\\\w+|[${}_]", "", label) for label in handles]  # their width is that of the letters
+    for series, text in _legend_entries(panel):
+        label = f"{name}: {text}" if name and isinstance(series, Series) else text
+        handle = _legend_handle(series, label)
+        if handles.setdefault(handle.get_label(), handle) is handle:
+            labels.append(label)
+    if handles:
+        columns = _legend_columns(labels, _width_in(ax))
         place: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1, 1), "borderaxespad": 0.1}
         place |= {"ncols": columns, "frameon": False}
-        if _inches().legend_row * -(-len(entries) // columns) > _above_in(ax):
+        if _inches().legend_row * -(-len(handles) // columns) > _above_in(ax):
             place = {"loc": "best", "ncols": 1, "framealpha": 0.8}  # axes of others may lack the room
-        ax.legend(handles=handles, fontsize=8 * _letters(), columnspacing=1.2, **place)
+        ax.legend(handles=list(handles.values()), fontsize=8 * _letters(), columnspacing=1.2, **place)
 
 
 def _legend_entries(panel: Panel) -> list[tuple[Series | Band, str]]:
@@ -536,27 +544,27 @@ def _legend_handle(series: Series | Band, label: str) -> Any:
     return Line2D([], [], label=text, **_line_style(series) | {"lw": max(series.width, 1.2)})
 
 
-def _legend_width(entries: list[tuple[Series | Band, str]], columns: int) -> float:
+def _legend_width(labels: list[str], columns: int) -> float:
     """Return the approximate width in inches of a legend with this number of columns."""
-    widths = [len(label) * _inches().character + _inches().marker for _, label in entries]
+    widths = [len(label) * _inches().character + _inches().marker for label in labels]
     return float(sum(part.max() for part in np.array_split(widths, columns)))
 
 
-def _legend_columns(entries: list[tuple[Series | Band, str]], width_in: float) -> int:
+def _legend_columns(labels: list[str], width_in: float) -> int:
     """Return the largest number of columns that fits."""
-    fitting = (k for k in range(len(entries), 1, -1) if _legend_width(entries, k) <= width_in)
+    fitting = (k for k in range(len(labels), 1, -1) if _legend_width(labels, k) <= width_in)
     return next(fitting, 1)
 
 
 def _head(panel: Panel, width_in: float) -> tuple[float, float]:
     """Return the height of a panel's legend, and the part of it below the title: all or nothing, inches."""
-    entries = _legend_entries(panel)
-    if not entries:
+    labels = [label for _, label in _legend_entries(panel)]
+    if not labels:
         return 0.0, 0.0
-    columns = _legend_columns(entries, width_in)
-    height = _inches().legend_row * -(-len(entries) // columns)
+    columns = _legend_columns(labels, width_in)
+    height = _inches().legend_row * -(-len(labels) // columns)
     title = 0.09 * _letters() * max(map(len, _title(panel, width_in).split("\n")))
-    beside = columns == len(entries) and _legend_width(entries, columns) + title < width_in
+    beside = columns == len(labels) and _legend_width(labels, columns) + title < width_in
     return height, 0.0 if beside else height
 
 

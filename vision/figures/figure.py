@@ -228,11 +228,12 @@ class Figure:
         parts = [_long(panel.table(), panel) for panel in self.panels if panel.series]
         return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame()
 
-    def plot(self, ax: Axes | None = None) -> Axes:
+    def plot(self, ax: Axes | None = None, *, label: str = "", color: str | None = None) -> Axes:
         """Draw with matplotlib, and return the axes of the first panel; ``.figure`` is the whole figure.
 
         ax: axes to draw on, for a figure of one panel. By default a new matplotlib figure is made, which
-        notebooks that use pyplot display.  Raises: InputError if axes are given for several panels.
+        notebooks display.  label, color: of this test among others on the same axes; the label precedes the
+        entries of the legend.  Raises: InputError if axes are given for several panels.
         """
         from vision.figures import drawing
 
@@ -240,7 +241,10 @@ class Figure:
             return drawing.new_figure(self).axes[0]
         if len(self.panels) > 1:
             raise InputError("`ax`", f"None, as {self.name} has {len(self.panels)} panels", "axes")
-        return drawing.draw_panel(ax, self.panel)
+        panel = self.panel
+        if color is not None:
+            panel = replace(panel, series=tuple(replace(one, ink=(color, color)) for one in panel.series))
+        return drawing.draw_panel(ax, panel, label)
 
     def of_width(self, width_mm: float, font_size: float = 10.0) -> Figure:
         """Return the figure for this width on paper; panels without room side by side are stacked.
