@@ -369,6 +369,16 @@ def test_a_dataset_that_is_no_force_recording_is_refused_at_once(force):
         vision.analyse(DEEP / "video.tif", force, settings)
 
 
+def test_single_settings_are_given_by_name(whole):
+    """A failure means that a typed setting is ignored, or ends in a traceback of Python."""
+    again = vision.analyse(None, whole.force, whole.settings, earlier=whole, pixel_size_um=9)
+    assert again.settings == replace(whole.settings, pixel_size_um=9)
+    with pytest.raises(InputError, match="did you mean fps"):
+        vision.analyse(DEEP / "video.tif", fsp=25)
+    with pytest.raises(InputError, match="`fps`: expected a positive number"):
+        vision.analyse(DEEP / "video.tif", fps=-25)
+
+
 def test_settings_show_what_was_changed():
     """A failure means that a notebook fills a screen with constants, and hides the few that were set."""
     clock = pipeline.Tuning().clock

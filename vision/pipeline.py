@@ -56,6 +56,7 @@ from vision.errors import (
     check_fields,
     check_kind,
     check_within,
+    did_you_mean,
     known_as,
     renamed,
     unexpected,
@@ -236,6 +237,7 @@ def analyse(
     progress: Progress | None = None,
     log: ReadingLog | None = None,
     follow: Follow | None = None,
+    **options: Any,
 ) -> Analysis:
     """Run every stage on one test, in order.
 
@@ -256,6 +258,8 @@ def analyse(
         `vision.run.reading.Checkpoint`, which stores what is read so that an interrupted run can be resumed.
     follow
         `vision.video.Follow`, which reads a growing recording until it is closed.
+    options
+        Fields of `Settings`, in place of those in `settings`: ``analyse("test.avi", fps=60)``.
 
     Returns
     -------
@@ -271,7 +275,11 @@ def analyse(
     if video is None and force is None and earlier is None:
         raise InputError("`video` and `force`", "at least one of them", "none")
     _check_arguments(video, force, settings)
-    chosen = settings or Settings()
+    if unknown := [name for name in options if name not in Settings.__dataclass_fields__]:
+        raise InputError(
+            "`options`", "fields of `Settings`", unknown[0], did_you_mean(unknown[0], vars(Settings()))
+        )
+    chosen = replace(settings or Settings(), **options)
     if chosen.strips != 1 and follow is not None:
         raise InputError("`strips` and `follow`", "one of the two", "both", "track again when it is complete")
     if chosen.pitch_um is not None and chosen.pixel_size_um is not None:
