@@ -17,6 +17,7 @@ from tests.scenes.reviewed import FORCE, SETTINGS, VIDEO, clean
 from vision.checks import (
     CheckSettings,
     consistency_warnings,
+    decision_warnings,
     overexposure,
     shells_against_fits,
     tracking_warnings,
@@ -26,6 +27,7 @@ from vision.figures import Results
 from vision.pipeline import Analysis, Settings, Tuning, all_warnings, analyse
 from vision.sample import PUBLISHED
 from vision.sheets import TrackingSettings, track_sheets
+from vision.sheets.corrections import correction_of
 from vision.shells import ShellSettings
 from vision.summary import _noise, noise_figures, summary_lines
 from vision.video import VideoSettings
@@ -498,3 +500,14 @@ def test_an_overexposed_film_is_told(gain, top, told):
     lines = overexposure(frame, slice(10, 50), settings)
     assert [f"the brightest ({top})" in line for line in lines] == [True] * told
     assert overexposure(frame, slice(10, 50), replace(settings, overexposed=1.1)) == []
+
+
+def test_a_swap_that_lets_two_sheets_jump_is_told(picture):
+    """A failure means that one wrong decision by hand makes a sheet another one, and nobody notices."""
+    swap = correction_of("swap", {"sheets": [4, 5], "frames": "60:"})
+    (line,) = decision_warnings(track_sheets(picture, corrections=(swap,)), (swap,))
+    assert line.startswith(swap.text())
+    assert "in frame 60" in line
+    assert "+1.0 and -1.0 pitches" in line
+    whole = correction_of("swap", {"sheets": [4, 5], "frames": "0:"})
+    assert decision_warnings(track_sheets(picture, corrections=(whole,)), (whole,)) == []

@@ -17,6 +17,7 @@ from vision.memory import is_word, word_counts
 from vision.models.equations import effective_sheets
 from vision.numeric import Bools, Floats, Ints, Pixels, nan_median, nan_quantile, stretches
 from vision.sample import Sample
+from vision.sheets.corrections import Correction
 from vision.sheets.numbering import ends_in_view
 from vision.sheets.settings import DEFAULT as TRACKING
 from vision.sheets.settings import TrackingSettings
@@ -315,6 +316,27 @@ def _alternating(spacing_px: Floats, settings: CheckSettings) -> str:
             but = f", but for the ridge of index {best + 1}" if len(tried) > 1 else ""
             return f"spacings of {narrow:.0f} and {wide:.0f} px alternate{but}"
     return ""
+
+
+def decision_warnings(tracks: xr.Dataset, corrections: Sequence[Correction]) -> list[str]:
+    """Return warnings of manual swaps and assignments that let a sheet jump by over half a pitch, against the
+    others: an identity that was right is wrong then."""
+    x_px, frame = tracks["x_px"].values, tracks["frame"].values
+    pitch, lines = TrackMetadata.of(tracks).pitch_px, []
+    for one in corrections:
+        if one.kind not in ("swap", "assign"):
+            continue
+        ends = [np.searchsorted(frame, end) for end in (one.first, one.stop) if end is not None]
+        for row in (row for row in ends if 0 < row < len(frame)):
+            step = x_px[row] - x_px[row - 1]
+            step = step - nan_median(step)
+            if jumped := [k for k in one.sheets if k < step.size and abs(step[k]) > pitch / 2]:
+                far = " and ".join(f"{step[k] / pitch:+.1f}" for k in jumped)
+                lines.append(
+                    f"{one.text()}: in frame {frame[row]} this moves them by {far} pitches against the other"
+                    " sheets: look at the tracks there"
+                )
+    return lines
 
 
 def overexposure(frame: Pixels, rows: slice, settings: VideoSettings) -> list[str]:

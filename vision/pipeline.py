@@ -27,6 +27,7 @@ import xarray as xr
 from vision.checks import (
     CheckSettings,
     consistency_warnings,
+    decision_warnings,
     overexposure,
     shells_against_fits,
     tracking_warnings,
@@ -323,6 +324,7 @@ def all_warnings(found: Analysis) -> tuple[str, ...]:
             strip = StripMetadata.of(tracks)
             lines += overexposure(found.frame, slice(strip.strip_z0, strip.strip_z1), tuning.video)
         lines += tracking_warnings(tracks, tuning.checks, tuning.tracking)
+        lines += decision_warnings(tracks, found.settings.corrections)
         lines += consistency_warnings(
             tracks,
             found.settings.sample,
