@@ -44,7 +44,7 @@ STATED = (
     rf"the error is ${sheets.texture_shift:g}\,\sigma_r s\,\Delta$",
     f"from {sheets.texture_reach:g} ridge widths on, nearly constant",
     f"correlation over all gaps is below −{sheets.second_comb_correlation:g}",
-    rf"${sheets.second_comb_shift:g}\,\sigma_r\sqrt{{-\langle t g\rangle}}$",
+    rf"${sheets.second_comb_shift:g}\,\sigma_r\sqrt{{-q\langle t g\rangle}}$",
     f"ridges narrower than {sheets.second_comb_least_px:g} px",
     f"exceeds {word(sheets.distortion_sigmas)} times its noise in a single frame, as a mean over"
     f" {word(sheets.distortion_frames)} frames",
