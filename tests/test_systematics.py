@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.scenes.analysed import Found, video_only, with_force
+from tests.scenes.analysed import PIXEL_UM, Found, video_only, with_force
 from tests.scenes.combs import comb, ridges, strip
+from vision.deformation import horizontal_deformation
 from vision.sheets import track_sheets
 from vision.systematics import Budget, systematic_budget
 
@@ -69,6 +70,18 @@ def test_the_budget_of_a_whole_run():
     )  # a clock that matters nothing is no error of 0
     assert math.isnan(systematic_budget(video_only()).values["x_px"])
     assert systematic_budget(Found()).values == {}
+
+
+@pytest.mark.parametrize("wrong", [0.97, 1.03])
+def test_a_pixel_size_wrong_by_its_error_shifts_ratios_by_what_the_budget_says(wrong):
+    """A failure means that σ_x/Λ_st is off by more than the stated error of the scale allows."""
+    right = with_force()
+    motion = horizontal_deformation(right.tracks, right.sticks, right.clock, pixel_size_um=wrong * PIXEL_UM)
+    off = replace(right, motion=motion, pixel_size_um=wrong * PIXEL_UM, pixel_size_err_um=0.03 * PIXEL_UM)
+    true, read = (systematic_budget(one).values["ratio"] for one in (right, off))
+    stated = systematic_budget(off).total("ratio")
+    assert stated == pytest.approx(abs(read - true), rel=0.05)
+    assert "pixel_size" not in systematic_budget(off).unknown("ratio")
 
 
 def test_sources_add_in_squares():

@@ -123,8 +123,9 @@ class Settings(Tunable):
     """Options of the analysis, which ``track --help`` explains. One that is None is found from the data.
 
     The unit is the last part of a name. Called otherwise there: `rows` is --strip, `d0_err_mm` the error in
-    --d0, `geometry_err` those of the sample, `mu` --fix-mu, `modulus_GPa` --fix-yeff. Parts of film and
-    picture are slices, as in ``rows=slice(60, 144)``; a sample is a `vision.sample.Sample`.
+    --d0, `pixel_size_err_um` and `pitch_err_um` likewise, `geometry_err` those of the sample, `mu` --fix-mu,
+    `modulus_GPa` --fix-yeff. Parts of film and picture are slices, as in ``rows=slice(60, 144)``; a sample is
+    a `vision.sample.Sample`.
     """
 
     rows: slice | None = None  #: averaged to the strip; half-open, px, after rotation, as are `columns`
@@ -144,7 +145,9 @@ class Settings(Tunable):
     corrections: tuple[Correction, ...] = ()
     #: µm per pixel (None: as the film's file states). Without it: no lengths in µm and no deformation.
     pixel_size_um: Annotated[float, check_pixel_size] | None = None
+    pixel_size_err_um: NonNegative | None = None  #: its error
     pitch_um: Positive | None = None  #: mean distance of neighbouring sheets, which gives the pixel size
+    pitch_err_um: NonNegative | None = None  #: its error, which gives that of the pixel size
     speed_mm_min: Positive | None = None  #: V, if no displacement is recorded
     d0_mm: _Separation | None = None  #: initial separation
     d0_err_mm: _Separation | None = None  #: its error
@@ -192,6 +195,11 @@ class Analysis(Results):
     def pixel_size_um(self) -> float | None:
         """µm per pixel; None if it is unknown."""
         return self.settings.pixel_size_um
+
+    @property
+    def pixel_size_err_um(self) -> float | None:
+        """Its error; None if it is unknown."""
+        return self.settings.pixel_size_err_um
 
     @property
     def threshold(self) -> float:
@@ -283,7 +291,7 @@ def analyse(
     chosen = replace(settings or Settings(), **options)
     if chosen.strips != 1 and follow is not None:
         raise InputError("`strips` and `follow`", "one of the two", "both", "track again when it is complete")
-    if chosen.pitch_um is not None and chosen.pixel_size_um is not None:
+    if chosen.pitch_um is not None and (chosen.pixel_size_um, chosen.pixel_size_err_um) != (None, None):
         raise InputError("`pitch_um` and `pixel_size_um`", "one of the two", "both")
     stages = _Stages()
     # Reading a video takes long, so an unreadable force file is rejected first.
@@ -465,6 +473,9 @@ def _read_and_track(
     if tracks is not None:
         size = pixel_size_of(tracks, pixel_size_um=chosen.pixel_size_um, pitch_um=chosen.pitch_um)
         chosen = replace(chosen, pixel_size_um=size)
+        if size is not None and chosen.pitch_um is not None and chosen.pitch_err_um is not None:
+            relative = chosen.pitch_err_um / chosen.pitch_um
+            chosen = replace(chosen, pixel_size_err_um=size * relative)
     return replace(reused, settings=chosen, video=film, frame=frame, strip=strip, tracks=tracks)
 
 

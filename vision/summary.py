@@ -96,7 +96,7 @@ def aligned(lines: Iterable[tuple[str, str]]) -> list[str]:
 def _lines(results: Results, assumed: Sample | None) -> Iterator[tuple[str, str]]:
     """Yield the name and the text of each line of the summary."""
     if results.tracks is not None:
-        yield from _tracking_lines(results.tracks, results.pixel_size_um)
+        yield from _tracking_lines(results.tracks, results.pixel_size_um, results.pixel_size_err_um)
     if results.force is not None and results.sticks is not None:
         sizes, lowpass = event_sizes(results.force, results.sticks), lowpass_correction(results.sticks)
         facts = StickMetadata.of(results.sticks)
@@ -130,7 +130,9 @@ def _fit_lines(fits: ModelFits) -> Iterator[tuple[str, str]]:
     yield from (("", note) for note in fits.notes)
 
 
-def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> Iterator[tuple[str, str]]:
+def _tracking_lines(
+    tracks: xr.Dataset, pixel_size_um: float | None, pixel_size_err_um: float | None
+) -> Iterator[tuple[str, str]]:
     """Yield the lines about a film."""
     strip, found = StripMetadata.of(tracks), TrackMetadata.of(tracks)
     side, flags = tracks["side"].values, flag_counts(tracks)
@@ -165,7 +167,7 @@ def _tracking_lines(tracks: xr.Dataset, pixel_size_um: float | None) -> Iterator
     yield "ridges", ridges_line(found)
     yield "axis", axis if math.isfinite(found.axis_px) else "not known"
     yield "clock", frame_rate_text(strip)
-    yield "scale", scale_line(pixel_size_um, strip)
+    yield "scale", scale_line(pixel_size_um, pixel_size_err_um, strip)
 
 
 def _noise(noise: Mapping[str, float], length: str) -> str:
@@ -280,7 +282,12 @@ def frame_rate_text(strip: StripMetadata) -> str:
     return f"{strip.fps:g} frames/s{kinds[strip.clock_kind]}"
 
 
-def scale_line(pixel_size_um: float | None, strip: StripMetadata) -> str:
+def pixel_size_text(size_um: float, err_um: float | None) -> str:
+    """Return µm per pixel, with its error if that is known."""
+    return f"{size_um:g}" + ("" if err_um is None else f" ± {err_um:.2g}") + " µm per px"
+
+
+def scale_line(pixel_size_um: float | None, err_um: float | None, strip: StripMetadata) -> str:
     """Return the pixel size, and the scale in the film's file if it differs or is not used."""
     stated, unused = strip.file_pixel_size_um, strip.file_scale_unused
     how = f" (not used: the film's file states {unused})" if unused else ""
@@ -289,7 +296,7 @@ def scale_line(pixel_size_um: float | None, strip: StripMetadata) -> str:
     if math.isfinite(stated):
         source = "from the film's file" if stated == pixel_size_um else f"the film's file states {stated:g}"
         how = f" ({source})"
-    return f"{pixel_size_um:g} µm per px{how}"
+    return f"{pixel_size_text(pixel_size_um, err_um)}{how}"
 
 
 def positions_line(flags: Mapping[str, int]) -> str:

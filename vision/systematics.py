@@ -95,7 +95,7 @@ def systematic_budget(results: Results) -> Budget:
     Errors of the fitted parameters are those of `ModelFits.budget` (a fit repeated with each source changed).
     The strip's rows, uneven light, neighbours and the shape of ridges shift each sheet by a constant, which
     displacements and σ_x do not have (`constant_error_px` of the tracks for each sheet). The pixel size
-    scales σ_x/Λ_st; its error is not known. An error of the clock does not affect σ_x as long as it is
+    scales σ_x/Λ_st. An error of the clock does not affect σ_x as long as it is
     smaller than the time left out beside each slip. A machine that is not stiff moves less at the sample than
     its crosshead does: K and σ_x/Λ_st are too small by K over its stiffness, unless corrected.
     """
@@ -123,7 +123,9 @@ def systematic_budget(results: Results) -> Budget:
     if results.motion is not None:
         values["ratio"] = float(nan_median(results.motion["ratio"].values.ravel()))
         statistical["ratio"] = float(nan_median(results.motion["ratio_err"].values.ravel()))
-        add("pixel_size", "ratio", None)
+        size, error = results.pixel_size_um, results.pixel_size_err_um
+        relative = None if size is None or error is None else error / size
+        add("pixel_size", "ratio", None if relative is None else abs(values["ratio"]) * relative)
         if results.clock is not None:
             margin_s = MotionMetadata.of(results.motion).margin_s
             add("clock", "ratio", 0.0 if 1e-3 * results.clock.error_ms <= margin_s else None)

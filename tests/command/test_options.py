@@ -47,16 +47,44 @@ def test_a_length_without_sense_is_refused(text):
 @pytest.mark.parametrize("text", ["1mm=103px", "103 px = 1 mm", "1000um=103px", "0.5mm=51.5px"])
 def test_a_scale_is_its_length_over_its_pixels(text):
     """A failure means a pixel size upside down, or a unit ignored."""
-    assert parse_scale(text) == pytest.approx(1000 / 103)
+    assert parse_scale(text) == (pytest.approx(1000 / 103), None)
 
 
 @pytest.mark.parametrize(
-    "text", ["1mm", "103px", "1=103", "1mm=0px", "1mm=2mm", "1px=2px", "1mm=2px=3px", ""]
+    "text",
+    ["1mm", "103px", "1=103", "1mm=0px", "1mm=2mm", "1px=2px", "1mm=2px=3px", "", "1mm=103±px", "1±-1mm=9px"],
 )
 def test_a_scale_without_sense_is_refused(text):
     """A failure means that lengths are scaled by a guess."""
     with pytest.raises(InputError, match="--scale"):
         parse_scale(text)
+
+
+@pytest.mark.parametrize(
+    ("typed", "size", "error"),
+    [
+        ({"pixel_size": "10±0.1"}, 10, 0.1),
+        ({"pixel_size": "10+-0.1um"}, 10, 0.1),
+        ({"pixel_size": "0.01 +/- 0.0001 mm/px"}, 10, 0.1),
+        ({"scale": "1mm=100±1px"}, 10, 0.1),
+        ({"scale": "100px = 1±0.01mm"}, 10, 0.1),
+        ({"scale": "1±0.03mm=100±4px"}, 10, 0.5),
+        ({"pixel_size": "10"}, 10, None),
+    ],
+)
+def test_a_pixel_size_has_its_error(typed, size, error):
+    """A failure means an error of the scale that is refused, or in another unit than its value."""
+    read = settings_of(merged(*(group() for group in GROUPS[1:]), VideoOptions(**typed)))
+    assert read.pixel_size_um == pytest.approx(size)
+    assert read.pixel_size_err_um == (None if error is None else pytest.approx(error))
+    assert parse_pitch("0.2±0.002mm", "--pitch") == pytest.approx((200, 2))
+
+
+@pytest.mark.parametrize("text", ["10±", "±1", "10±x", "10±-1", "10px", "10±1±1", "nan", "10 ± inf"])
+def test_a_pixel_size_with_a_senseless_error_is_refused(text):
+    """A failure means that a typing error becomes a scale."""
+    with pytest.raises(InputError, match="--pixel-size"):
+        parse_pixel_size(text)
 
 
 def test_a_pixel_size_typed_goes_before_another_kind_in_the_file(tmp_path):

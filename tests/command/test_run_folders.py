@@ -85,6 +85,23 @@ def test_a_force_recording_alone_is_a_run_of_track_force(tmp_path):
     assert vision.load_run(tmp_path / "typed").fits.mu == plain.fits.mu
 
 
+@pytest.mark.parametrize(
+    "scale", [["--pixel-size", "10±0.1"], ["--scale", "1±0.01mm=100px"], ["--pitch", "0.2+-0.002mm"]]
+)
+def test_the_error_of_the_pixel_size_is_in_the_folder(scale, tmp_path, monkeypatch):
+    """A failure means that a typed error of the scale is lost in run.json, in a review or in a notebook."""
+    monkeypatch.chdir(tmp_path)
+    force = ["--force", str(LATE / "force.txt"), "--d0", "16.6", "--timestamps", str(LATE / "timestamps.txt")]
+    assert run([str(LATE / "video.avi"), *force, *scale, "--strip", "0:30", "--out", "typed", "--quiet"]) == 0
+    facts = json.loads(Path("typed", RUN_JSON).read_text())
+    ratio = facts["systematic_errors"]["ratio"]
+    assert ratio["sources"]["pixel_size"] == pytest.approx(0.01 * ratio["value"])
+    loaded = vision.load_run("typed")
+    assert " ± 0.1" in next(line for line in loaded.summary() if line.startswith("scale"))
+    assert loaded.pixel_size_err_um == pytest.approx(0.01 * loaded.pixel_size_um)
+    assert loaded.settings == vision.load_run(vision.save_run(loaded, "saved")).settings
+
+
 def test_a_run_is_loaded_as_it_was_saved(made):
     """A failure means that last week's run has other numbers in a notebook, or lacks a figure."""
     analysis, folder = made
@@ -149,6 +166,7 @@ def sizes(low, high):
     axis_px=sizes(-10, 5000),
     pixel_size_um=sizes(0.01, 1000),
     pitch_um=sizes(1, 1000),
+    scale_err=sizes(0, 10),
     d0=sizes(0, 100),
     d0_err=sizes(0, 1),
     fit_range_mm=st.none() | st.just((13.25, 17.0)),
@@ -159,7 +177,7 @@ def sizes(low, high):
     rotate=st.sampled_from([0, 90]),
 )
 def test_settings_come_back_from_their_options(
-    lowpass, d0, d0_err, length_err, thickness, pixel_size_um, pitch_um, **rest
+    lowpass, d0, d0_err, length_err, thickness, pixel_size_um, pitch_um, scale_err, **rest
 ):
     """A failure means a setting that a run from Python forgets or changes."""
     settings = Settings(
@@ -169,7 +187,9 @@ def test_settings_come_back_from_their_options(
         sample=None if thickness is None else Sample(thickness_mm=thickness, length_mm=60.0),
         geometry_err={} if thickness is None or length_err is None else {"length_mm": length_err},
         pixel_size_um=pixel_size_um if pitch_um is None else None,
+        pixel_size_err_um=scale_err if pitch_um is None and pixel_size_um is not None else None,
         pitch_um=pitch_um,
+        pitch_err_um=None if pitch_um is None else scale_err,
         **rest,
     )
     again = settings_of(options_of(settings))

@@ -52,6 +52,7 @@ class Found(Results):
 
     threshold: float = 0.1
     pixel_size_um: float | None = None
+    pixel_size_err_um: float | None = None
 
 
 EXPERIMENT = Experiment(camera=Camera(duration_s=6.0))

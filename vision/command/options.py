@@ -61,11 +61,12 @@ class VideoOptions:
     corrections: Path | None = None
     """TOML file of manual decisions: accept, leave_out, swap, assign, add, delete, axis, strip, clock."""
     pixel_size: str | None = _sets("pixel_size_um")
-    """µm per pixel, also as 10um or 0.01mm; else the scale stored by ImageJ or OME, or lengths in px."""
+    """µm per pixel, also as 10um, 0.01mm or with its error 10±0.1um; else the scale stored by ImageJ or OME,
+    or lengths in px."""
     scale: str | None = None
-    """Pixel size from a known length, such as 1mm=103px."""
+    """Pixel size from a known length, such as 1mm=103px; with errors as 1mm=103±1px or 1±0.01mm=103px."""
     pitch: str | None = _sets("pitch_um")
-    """Pixel size from the known mean distance between neighbouring sheets, such as 0.2mm."""
+    """Pixel size from the known mean distance between neighbouring sheets, such as 0.2mm or 0.2±0.002mm."""
     fps: float | None = None
     """The camera's frame rate, where the file states only a playback rate."""
     timestamps: Path | None = None
@@ -320,6 +321,8 @@ _ALL_GROUPS = (
 )
 _OTHER_NAMES: Mapping[str, str] = {
     "d0_err_mm": "--d0 with its error, like 13.0±0.1",
+    "pixel_size_err_um": "--pixel-size with its error, like 10±0.1",
+    "pitch_err_um": "--pitch with its error, like 0.2±0.002mm",
     "threshold_N": "--force-threshold",
     "lowpass_s": "--force-lowpass",
     "average_s": "--force-average",

@@ -10,7 +10,7 @@ from vision.data import ForceMetadata
 from vision.errors import InputError
 from vision.folder import check_target
 from vision.pipeline import Analysis
-from vision.run.provenance import Origin, Parameter
+from vision.run.provenance import Origin, Parameter, found_pixel_size
 from vision.run.reading import analyse_again, read_run
 from vision.run.writing import write_run
 from vision.video import video_files
@@ -54,7 +54,7 @@ def save_run(analysis: Analysis, folder: str | Path, *, overwrite: bool = False,
     }
     stated_um = None if analysis.video is None else analysis.video.facts.pixel_size_um
     if analysis.settings.pitch_um is not None or analysis.pixel_size_um == stated_um is not None:
-        parameters["pixel_size"] = Parameter(analysis.pixel_size_um, "found")
+        parameters |= found_pixel_size(analysis)
     origin = Origin(command="analysed from Python", inputs=inputs, parameters=parameters)
     facts = {"force_alone": True} if analysis.tracks is None else None
     write_run(analysis, folder, origin, overwrite=overwrite, report=report, facts=facts)

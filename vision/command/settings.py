@@ -75,7 +75,7 @@ def with_config(typed: Mapping[str, Any], config: Path | None) -> dict[str, Para
 
 
 def _pixel_size(options: Mapping[str, Parameter]) -> dict[str, Parameter]:
-    """Return the three options that set the pixel size, with `pixel_size` in µm or None.
+    """Return the three options that set the pixel size, with `pixel_size` and `pixel_size_err` in µm or None.
 
     One of them on the command line overrides those of a file.
 
@@ -88,8 +88,11 @@ def _pixel_size(options: Mapping[str, Parameter]) -> dict[str, Parameter]:
     given = [flag_of(name) for name in names if chosen[name].value is not None]
     if len(given) > 1:
         raise InputError(" and ".join(given), "one of --pixel-size, --scale and --pitch", f"{len(given)}")
-    size = parse_pixel_size(chosen["pixel_size"].value) or parse_scale(chosen["scale"].value)
-    return chosen | {"pixel_size": Parameter(size, how if size else "default")}
+    size, error = parse_pixel_size(chosen["pixel_size"].value)
+    if size is None:
+        size, error = parse_scale(chosen["scale"].value)
+    found = {"pixel_size": size, "pixel_size_err": error}
+    return chosen | {name: Parameter(one, "default" if one is None else how) for name, one in found.items()}
 
 
 def _plain(name: str, value: Any) -> Any:
@@ -159,13 +162,25 @@ def parse_with_error(text: str | float | None, option: str) -> tuple[float | Non
     if text is None:
         return None, None
     unit = "N" if option == flag_of("t_star") else "mm"
-    plain = str(text).strip().removesuffix(unit).replace("+-", "±").replace("+/-", "±")
-    value, sign, error = plain.partition("±")
-    parts = number(value), number(error) if sign else 0.0
-    if not all(0 <= part < math.inf for part in parts):
+    value, error = _value_and_error(str(text).strip().removesuffix(unit))
+    if not 0 <= value < math.inf:
         advice = f"write it in {unit} with a decimal point, like 13.5 or 13.5±0.1"
         raise InputError(option, f"a number of {unit} from 0, or with its error", f"'{text}'", advice)
-    return parts[0], parts[1] if sign else None
+    return value, error
+
+
+def _value_and_error(text: str) -> tuple[float, float | None]:
+    """Return the numbers of 13, 13±0.1, 13+-0.1 or 13+/-0.1, None for no error; NaN without sense."""
+    first, sign, last = text.replace("+-", "±").replace("+/-", "±").partition("±")
+    value, error = number(first), number(last) if sign else 0.0
+    return value if 0 <= error < math.inf else math.nan, error if sign else None
+
+
+def _length_and_error(text: str) -> tuple[float, float | None, str]:
+    """Return value, error and unit of a length, such as 10±0.1um; "" for no unit, NaN without sense."""
+    text = text.strip()
+    unit = next((unit for unit in (*UM_PER, "px") if text.endswith(unit)), "")
+    return (*_value_and_error(text.removesuffix(unit)), unit)
 
 
 def parse_duration(text: str | float, option: str) -> float | Literal["auto"]:
@@ -199,41 +214,50 @@ def at_least(value: float, option: str, least: float) -> float:
     return value
 
 
-def parse_pixel_size(text: str | None) -> float | None:
-    """Parse µm per pixel: a plain number, or one with its unit (10um, 0.01mm).  Raises: InputError."""
+def parse_pixel_size(text: str | None) -> tuple[float | None, float | None]:
+    """Return µm per pixel and its error, or None, from 10, 10um, 0.01mm or 10±0.1um.  Raises: InputError."""
     if text is None:
-        return None
-    match = re.fullmatch(r"\s*(\S+?)\s*(mm|um|µm|μm)?(/px)?\s*", text)
-    value = number(match[1]) * UM_PER[match[2] or "um"] if match else math.nan
-    if not PIXEL_SIZE_UM[0] <= value <= PIXEL_SIZE_UM[1]:
-        wanted = f"a number from {PIXEL_SIZE_UM[0]:g} to {PIXEL_SIZE_UM[1]:g} (µm per px)"
-        advice = with_point(text) or "write 10.5, 10.5um or 0.0105mm"
+        return None, None
+    value, error, unit = _length_and_error(text.strip().removesuffix("/px"))
+    factor = UM_PER.get(unit or "um", math.nan)
+    if not PIXEL_SIZE_UM[0] <= value * factor <= PIXEL_SIZE_UM[1]:
+        wanted = f"a number from {PIXEL_SIZE_UM[0]:g} to {PIXEL_SIZE_UM[1]:g} (µm per px), or with its error"
+        advice = with_point(text) or "write 10.5, 10.5um, 0.0105mm or 10.5±0.1um"
         raise InputError("--pixel-size", wanted, f"'{text}'", advice)
-    return value
+    return value * factor, None if error is None else error * factor
 
 
-def parse_scale(text: str | None) -> float | None:
-    """Return µm per pixel from a length in both units, in either order: 1mm=103px.  Raises: InputError."""
+def parse_scale(text: str | None) -> tuple[float | None, float | None]:
+    """Return µm per pixel and its error, or None, from a length in both units, in either order.
+
+    Both lengths may have an error: 1mm=103px, 1mm=103±1px.  Raises: InputError.
+    """
     if text is None:
-        return None
-    sides = sorted(text.split("="), key=lambda side: side.strip().endswith("px"))
-    try:
-        lengths = [parse_length(side, "--scale") for side in sides]
-        size = lengths[0]["width_um"] / lengths[1]["width_px"] if len(lengths) == 2 else math.nan
-    except (InputError, KeyError):
-        size = math.nan
-    if not 1e-6 <= size < math.inf:
-        advice = with_point(text) or "write 1mm=103px"
-        raise InputError("--scale", "a length and its pixels", f"'{text}'", advice)
-    return size
+        return None, None
+    sides = sorted(map(_length_and_error, text.split("=")), key=lambda side: side[2] == "px")
+    units = [side[2] for side in sides]
+    lengths = [side[0] * UM_PER.get(side[2], 1.0) for side in sides]
+    right = len(sides) == 2 and units[0] in UM_PER and units[1] == "px"
+    if not (right and all(0 < one < math.inf for one in lengths) and lengths[0] / lengths[1] >= 1e-6):
+        advice = with_point(text) or "write 1mm=103px or 1mm=103±1px"
+        raise InputError("--scale", "a length and its pixels, or with their errors", f"'{text}'", advice)
+    size = lengths[0] / lengths[1]
+    relative = [error / value for value, error, _ in sides if error is not None]
+    return size, size * math.hypot(*relative) if relative else None
 
 
-def parse_pitch(text: str, option: str) -> float:
-    """Return the distance of neighbouring sheets in µm from a length: 0.2mm.  Raises: InputError."""
-    length = parse_length(text, option)
-    if "width_um" not in length:
-        raise InputError(option, "a length in mm or µm", f"'{text}'", "write 0.2mm")
-    return length["width_um"]
+def parse_pitch(text: str | None, option: str) -> tuple[float | None, float | None]:
+    """Return the distance of neighbouring sheets in µm and its error, or None, from 0.2mm or 0.2±0.002mm.
+
+    Raises: InputError.
+    """
+    if text is None:
+        return None, None
+    value, error, unit = _length_and_error(text)
+    if unit not in UM_PER or not 0 < value < math.inf:
+        advice = with_point(text) or "write 0.2mm or 0.2±0.002mm"
+        raise InputError(option, "a length in mm or µm, or with its error", f"'{text}'", advice)
+    return value * UM_PER[unit], None if error is None else error * UM_PER[unit]
 
 
 def parse_length(text: str, option: str) -> dict[str, float]:
@@ -288,7 +312,6 @@ _PARSERS: Mapping[str, Callable[[Any, str], Any]] = {
     **dict.fromkeys(("strip", "columns", "frames"), parse_range),
     "window": lambda text, _: int(text) if re.fullmatch(r"[0-9]{1,9}", text) else text,
     "corrections": lambda file, _: read_corrections(file),
-    "pitch": parse_pitch,
     "force_columns": lambda text, _: parse_columns(text),
     "force_lowpass": parse_duration,
     "force_average": parse_duration,
@@ -307,6 +330,8 @@ def settings_of(parameters: Mapping[str, Parameter]) -> Settings:
         if value.get(option) is not None and setting in Settings.__dataclass_fields__
     }
     parts["d0_mm"], parts["d0_err_mm"] = parse_with_error(value.get("d0"), "--d0")
+    parts["pitch_um"], parts["pitch_err_um"] = parse_pitch(value.get("pitch"), "--pitch")
+    parts["pixel_size_err_um"] = value.get("pixel_size_err")
     sizes = {name: parse_with_error(value.get(option), flag_of(option)) for name, option in _GEOMETRY.items()}
     parts["geometry_err"] = {name: error for name, (_, error) in sizes.items() if error is not None}
     if any(parameters[name].how != "default" for name in _SAMPLE if name in parameters):
@@ -333,7 +358,8 @@ def options_of(settings: Settings) -> dict[str, Parameter]:
     for setting, option in _GEOMETRY.items():
         error = settings.geometry_err.get(setting)
         typed[option] = None if sample is None else _with_error(getattr(sample, setting), error)
-    typed |= {name: f"{size}um" for name in ("pixel_size", "pitch") if (size := typed[name]) is not None}
+    for name, error in (("pixel_size", settings.pixel_size_err_um), ("pitch", settings.pitch_err_um)):
+        typed[name] = None if typed[name] is None else f"{_with_error(typed[name], error)}um"
     if typed["pitch"] is not None:  # the pixel size follows from it
         typed["pixel_size"] = None
     typed |= {"window": None if typed["window"] is None else str(typed["window"])}

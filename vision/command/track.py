@@ -26,7 +26,7 @@ from vision.errors import InputError, counted
 from vision.files import TIFF, answered
 from vision.folder import check_target
 from vision.pipeline import Analysis, Settings, analyse, open_recording, track_strip
-from vision.run.provenance import Checksums, Origin, Parameter, describe_input
+from vision.run.provenance import Checksums, Origin, Parameter, describe_input, found_pixel_size
 from vision.run.reading import Checkpoint, is_run
 from vision.run.writing import FAILURES, set_aside, write_run
 from vision.sheets.corrections import read_decisions
@@ -129,7 +129,7 @@ def track_one(
         files = (parameters["timestamps"].value, config, parameters["corrections"].value, force)
         inputs = (*video_files(video), *(file for file in files if file is not None))
         if analysis.pixel_size_um != settings.pixel_size_um:
-            parameters = {**parameters, "pixel_size": Parameter(analysis.pixel_size_um, "found")}
+            parameters = {**parameters, **found_pixel_size(analysis)}
         analysis = _warn_of_other_film(analysis, parameters["corrections"].value, inputs[0])
         if kept := set_aside(target, analysis.settings.corrections):
             line = f"decisions of the earlier run were not applied: give {target / kept} as `corrections`"

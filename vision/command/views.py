@@ -202,7 +202,7 @@ def _from_run(folder: Path, options: VideoOptions) -> tuple[Analysis, list[Path]
     if given := [name for name in names_given(options) if name not in accepted]:
         found = ", ".join(map(flag_of, given))
         raise InputError(folder, "options that a run takes", found, "give the video, or run track again")
-    run, size = read_run(folder), parse_pixel_size(options.pixel_size)
+    run, (size, _) = read_run(folder), parse_pixel_size(options.pixel_size)
     columns = parse_range(options.columns, "--columns") or slice(None)
     files = [folder / name for name in ("kymograph.tif", "tracks.nc", "events.csv", "clock.json")]
     data = Analysis(

@@ -61,6 +61,11 @@ class Results:
         return None
 
     @property
+    def pixel_size_err_um(self) -> float | None:
+        """Its error; None if it is unknown."""
+        return None
+
+    @property
     def unit(self) -> str:
         """Unit of the load, "1" for a force over a weight."""
         return "N" if self.force is None else load_unit(self.force)

@@ -29,7 +29,7 @@ from vision.memory import is_word
 from vision.models import Estimate, ModelFits, both_errors, plus_minus
 from vision.models.single_fits import has_knees
 from vision.sheets.tracks import LOSSY
-from vision.summary import axis_source, noise_figures
+from vision.summary import axis_source, noise_figures, pixel_size_text
 from vision.systematics import QUANTITIES
 
 PAPER = (
@@ -64,7 +64,8 @@ def subtitle(results: Results) -> str:
     time = np.asarray(results.strip["time_s"].values, np.float64)
     known = time[np.isfinite(time)]
     span = f" over {known[-1] - known[0]:.4g} s" if known.size > 1 else ""
-    scale = "no pixel size given" if results.pixel_size_um is None else f"{results.pixel_size_um:g} µm per px"
+    size = results.pixel_size_um
+    scale = "no pixel size given" if size is None else pixel_size_text(size, results.pixel_size_err_um)
     return f"{results.strip.sizes['frame']} frames{span}, {results.strip.sizes['x']} columns, {scale}"
 
 
@@ -194,7 +195,7 @@ def methods(results: Results) -> list[str]:
     """Return paragraphs that describe the analysis, with the numbers used in this run."""
     paragraphs = []
     if results.strip is not None:
-        paragraphs.append(_video(results.strip, results.pixel_size_um))
+        paragraphs.append(_video(results.strip, results.pixel_size_um, results.pixel_size_err_um))
     if results.tracks is not None:
         paragraphs.append(_tracking(results.tracks))
     if results.force is not None and results.sticks is not None:
@@ -213,7 +214,7 @@ def citation() -> list[str]:
     return [f"sheetvision, version {vision.__version__} (positions of interleaved sheets from video).", PAPER]
 
 
-def _video(profile: xr.DataArray, pixel_size_um: float | None) -> str:
+def _video(profile: xr.DataArray, pixel_size_um: float | None, pixel_size_err_um: float | None) -> str:
     strip = StripMetadata.of(profile)
     source = {
         "playback": " (the file's playback rate)",
@@ -221,7 +222,7 @@ def _video(profile: xr.DataArray, pixel_size_um: float | None) -> str:
     }.get(strip.clock_kind, "")
     known = math.isfinite(strip.fps)
     rate = f"{strip.fps:.6g} frames per second{source}" if known else "a frame rate that is not known"
-    scale = "" if pixel_size_um is None else f" at {pixel_size_um:g} µm per pixel"
+    scale = "" if pixel_size_um is None else f" at {pixel_size_text(pixel_size_um, pixel_size_err_um)}"
     unknown = " The pixel size is not known." if pixel_size_um is None else ""
     chosen = {"given": "as given", "all rows": "the whole frame"}.get(strip.strip_how, "found automatically")
     tilt = (

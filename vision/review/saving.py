@@ -24,7 +24,7 @@ from vision.numeric import Floats, Ints
 from vision.pipeline import Settings
 from vision.review.effects import Positions, median_positions, read_positions
 from vision.review.recordings import StoredRun
-from vision.run.provenance import Origin, Parameter
+from vision.run.provenance import Origin, found_pixel_size
 from vision.run.reading import analyse_again, read_run
 from vision.run.writing import WRITTEN, write_run
 from vision.sheets.corrections import Decisions
@@ -68,7 +68,7 @@ def save_decisions(job: SaveJob, tell: Tell = lambda stage, done=0, total=0: Non
 
     analysis = analyse_again(run, settings, film=job.film, progress=read)
     if settings.pitch_um is not None and run.value("pixel_size") is not None:
-        parameters["pixel_size"] = Parameter(analysis.pixel_size_um, "found")
+        parameters |= found_pixel_size(analysis)
     tell("writing")
     write_run(
         analysis,

@@ -12,11 +12,14 @@ from concurrent.futures import CancelledError, Future
 from dataclasses import asdict, dataclass, field, is_dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import vision
 from vision.errors import InputError, reason_of, with_options
 from vision.files import Progress, begun, members
+
+if TYPE_CHECKING:
+    from vision.figures import Results
 
 PACKAGES = ("av", "h5netcdf", "numpy", "opencv-python-headless", "pandas", "scipy", "tifffile", "xarray")
 MIB = 1 << 20
@@ -36,6 +39,12 @@ class Parameter:
 
     value: Any
     how: Literal["given", "config", "default", "found"]
+
+
+def found_pixel_size(results: Results) -> dict[str, Parameter]:
+    """Return the pixel size, and its error, that follow from the pitch or from the film's file."""
+    size, error = results.pixel_size_um, results.pixel_size_err_um
+    return {"pixel_size": Parameter(size, "found"), "pixel_size_err": Parameter(error, "found")}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -256,8 +256,8 @@ def analyse_again(
         video = open_recording(run.input("film", film), settings)
     except InputError:  # the film is gone; only another strip would need it
         video = None
-    if settings.pitch_um is not None:
-        settings = replace(settings, pixel_size_um=None)  # which follows from the tracks
+    if settings.pitch_um is not None:  # the pixel size follows from the tracks
+        settings = replace(settings, pixel_size_um=None, pixel_size_err_um=None)
     return analyse(video, recording, settings, earlier=earlier, progress=progress)
 
 
