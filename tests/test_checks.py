@@ -18,6 +18,7 @@ from vision.checks import (
     CheckSettings,
     consistency_warnings,
     decision_warnings,
+    longest_stretches,
     overexposure,
     shells_against_fits,
     tracking_warnings,
@@ -28,6 +29,8 @@ from vision.pipeline import Analysis, Settings, Tuning, all_warnings, analyse
 from vision.sample import PUBLISHED
 from vision.sheets import TrackingSettings, track_sheets
 from vision.sheets.corrections import correction_of
+
+from vision.sheets.recovery import missing_stretches
 from vision.shells import ShellSettings
 from vision.summary import _noise, noise_figures, summary_lines
 from vision.video import VideoSettings
@@ -511,3 +514,27 @@ def test_a_swap_that_lets_two_sheets_jump_is_told(picture):
     assert "+1.0 and -1.0 pitches" in line
     whole = correction_of("swap", {"sheets": [4, 5], "frames": "0:"})
     assert decision_warnings(track_sheets(picture, corrections=(whole,)), (whole,)) == []
+
+
+@pytest.mark.parametrize("frames", [(100, 300), (100, 141)])
+def test_a_sheet_that_is_lost_for_long_is_named(frames):
+    """A failure means that nobody learns which sheet has no ridge, and when, without reading tracks.csv."""
+    x = comb(300)
+    x[slice(*frames), 12] = np.nan
+    tracks = track_sheets(strip(ridges(x)))
+    where = f"left 13 (sheet 12) in frames {frames[0]}:{frames[1]} (missing)"
+    count = frames[1] - frames[0]
+    line = f"{count} of 15000 positions missing (flag in tracks.csv: {count} missing): {where}"
+    assert tracking_warnings(tracks) == ([line] if 100 * count > 15000 else [])
+    assert f"no ridge   for 10 frames or more: {where}" in summary_lines(Results(tracks=tracks))
+
+
+def test_sheets_that_blink_are_not_listed(tracked):
+    """A failure means a list of single frames, in which the long stretches are not seen."""
+    blinking = tracked.copy(deep=True)
+    blinking["flag"][10:19, 3] = "missing"
+    assert len(missing_stretches(tracked)) == len(missing_stretches(blinking)) == 0
+    for sheet in range(0, 20, 2):
+        blinking["flag"][50 + sheet : 90, sheet] = "edge"
+    assert list(missing_stretches(blinking)["sheet"]) == list(range(0, 20, 2))
+    assert longest_stretches(missing_stretches(blinking), "flag").endswith("(edge) …")

@@ -19,6 +19,7 @@ from vision.numeric import Bools, Floats, Ints, Pixels, nan_median, nan_quantile
 from vision.sample import Sample
 from vision.sheets.corrections import Correction
 from vision.sheets.numbering import ends_in_view
+from vision.sheets.recovery import LONG_GAP, WITHOUT_RIDGE, missing_stretches
 from vision.sheets.settings import DEFAULT as TRACKING
 from vision.sheets.settings import TrackingSettings
 from vision.sheets.tracks import comb_is_stationary
@@ -160,9 +161,12 @@ def _of_tracks(tracks: xr.Dataset, settings: CheckSettings, tracking: TrackingSe
                 else "check where the tracks lie, and exclude what hides the comb with `frames` or `columns`"
             )
         yield line
-    missing = flags.get("missing", 0) + flags.get("edge", 0) + flags.get("unfit", 0)
-    if missing > settings.usual_missing * total:
-        yield f"{missing} of {total} positions missing (flags missing, edge, unfit in tracks.csv)"
+    lost = {flag: count for flag in WITHOUT_RIDGE if (count := flags.get(flag))}
+    if (missing := sum(lost.values())) > settings.usual_missing * total:
+        named = ", ".join(f"{count} {flag}" for flag, count in lost.items())
+        where = longest_stretches(missing_stretches(tracks), "flag")
+        line = f"{missing} of {total} positions missing (flag in tracks.csv: {named})"
+        yield f"{line}: {where}" if where else line
     yield from _frames_with_few_sheets(tracks)
     yield from _still(tracks, tracking, measured="ok" in flags)
     yield from _second_comb(tracks, found, settings)
@@ -193,6 +197,29 @@ def _of_tracks(tracks: xr.Dataset, settings: CheckSettings, tracking: TrackingSe
             f" camera, and confirm the {found.sheets} ridges found with `sheets`"
         )
     yield from _spacings(tracks, found, settings)
+
+
+def longest_stretches(table: pd.DataFrame, why: str) -> str:
+    """Return the longest three stretches of a table of `vision.sheets.recovery` as text, "" without any.
+
+    Sheets with the same frames and reason, in the column `why`, count as one stretch.
+    """
+    alike = [rows for _, rows in table.groupby(["first_frame", "last_frame", why], sort=False)]
+    longest = sorted(alike, key=lambda rows: -int(rows["frames"].sum()))
+    texts = [
+        f"{_sheet_range(rows)} in frames {rows['first_frame'].iloc[0]}:{rows['last_frame'].iloc[0] + 1}"
+        f" ({rows[why].iloc[0]})"
+        for rows in longest[:3]
+    ]
+    return "; ".join(texts) + " …" * (len(alike) > 3)
+
+
+def _sheet_range(rows: pd.DataFrame) -> str:
+    """Return "left 13 (sheet 12)", or "4 sheets between 3 and 9"."""
+    if len(rows) == 1:
+        side = "left" if rows["side"].iloc[0] < 0 else "right"
+        return f"{side} {rows['n'].iloc[0]} (sheet {rows['sheet'].iloc[0]})"
+    return f"{len(rows)} sheets between {rows['sheet'].min()} and {rows['sheet'].max()}"
 
 
 def _other_polarity(found: TrackMetadata) -> str:
@@ -233,12 +260,12 @@ def _still(tracks: xr.Dataset, settings: TrackingSettings, *, measured: bool) ->
 
 
 def _frames_with_few_sheets(tracks: xr.Dataset) -> Iterator[str]:
-    """Warn if fewer than half of the sheets are found in ten or more successive frames."""
+    """Warn if fewer than half of the sheets are found in many successive frames."""
     flags = tracks["flag"]
     read = ~is_word(flags, "frozen", "blank", "corrupt", "lost").all(axis=1)
-    few = read & (is_word(flags, "missing", "edge", "unfit").mean(axis=1) > 0.5)
+    few = read & (is_word(flags, *WITHOUT_RIDGE).mean(axis=1) > 0.5)
     _, first, stop = stretches(few[:, None])
-    if not len(first) or (stop - first).max() < 10:
+    if not len(first) or (stop - first).max() < LONG_GAP:
         return
     longest = int(np.argmax(stop - first))
     number = tracks["frame"].values

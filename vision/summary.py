@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vision.checks import flag_counts
+from vision.checks import flag_counts, longest_stretches
 from vision.data import (
     MEASURED,
     ForceMetadata,
@@ -25,6 +25,7 @@ from vision.figures.style import candidates_text, drift_text, offset_text
 from vision.numeric import nan_median, two_digits, with_minus
 from vision.sample import Sample
 from vision.sheets import doubtful_stretches
+from vision.sheets.recovery import LONG_GAP, missing_stretches
 from vision.sheets.tracks import LOSSY
 from vision.systematics import QUANTITIES, SOURCES, Budget, systematic_budget
 
@@ -159,8 +160,10 @@ def _tracking_lines(
     yield "positions", positions_line(flags)
     locked = f"; locking to pixels of {found.locking_px:.3f} px rms subtracted" * (found.locking_px > 0)
     yield "noise", f"{_noise(noise, length)}{predicted}{locked}" if measured else "no position measured"
-    if doubt := doubt_line(tracks):
-        yield "doubtful", doubt
+    if len(doubts := doubtful_stretches(tracks)):
+        yield "doubtful", f"{len(doubts)} stretches; longest: {longest_stretches(doubts, 'why')}"
+    if len(gaps := missing_stretches(tracks)):
+        yield "no ridge", f"for {LONG_GAP} frames or more: {longest_stretches(gaps, 'flag')}"
     yield "strip", f"rows {strip.strip_z0}:{strip.strip_z1} ({strip.strip_how}){tilt}"
     if "x_z_px" in tracks:
         yield "heights", heights_line(tracks)
@@ -178,31 +181,6 @@ def _noise(noise: Mapping[str, float], length: str) -> str:
     if noise.get("scatter_px", 0.0) > 0:
         parts.append(f"{noise['scatter_px']:.4f} px between sheets")
     return ", ".join(parts) or "not measured (too few frames that differ)"
-
-
-def doubt_line(tracks: xr.Dataset) -> str:
-    """Return the number of doubtful stretches and the longest three, or "".
-
-    Sheets with the same frames and reason count as one stretch among the longest.
-    """
-    table = doubtful_stretches(tracks)
-    if table.empty:
-        return ""
-    alike = [rows for _, rows in table.groupby(["first_frame", "last_frame", "why"], sort=False)]
-    worst = sorted(alike, key=lambda rows: -int(rows["frames"].sum()))
-    longest = [
-        f"{_sheet_range(rows['sheet'])} in frames"
-        f" {rows['first_frame'].iloc[0]}:{rows['last_frame'].iloc[0] + 1} ({rows['why'].iloc[0]})"
-        for rows in worst[:3]
-    ]
-    return f"{len(table)} stretches; longest: {'; '.join(longest)}"
-
-
-def _sheet_range(sheets: pd.Series) -> str:
-    """Return "sheet 3", or "4 sheets between 3 and 9"."""
-    if len(sheets) == 1:
-        return f"sheet {sheets.iloc[0]}"
-    return f"{len(sheets)} sheets between {sheets.min()} and {sheets.max()}"
 
 
 def heights_line(tracks: xr.Dataset) -> str:

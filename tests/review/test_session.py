@@ -130,6 +130,17 @@ def test_a_preview_is_what_the_decision_does(session, decision):
     assert not np.array_equal(seen["before"][changed], seen["after"][changed], equal_nan=True)
 
 
+def test_stretches_without_a_ridge_are_listed_after_the_doubtful_ones(doubted):
+    """A failure means that a review does not lead to where a sheet is lost, or not to the doubts first."""
+    with Session(doubted, settings_of_run(doubted)) as session:
+        before = [(one["sheet"], one["first"]) for one in session.doubts()]
+        session.positions.flag[20:200, 3] = Flag.MISSING
+        session.positions.flag[20:25, 5] = Flag.MISSING
+        (lost,) = session.doubts()[len(before) :]
+        assert [(one["sheet"], one["first"]) for one in session.doubts()[:-1]] == before
+    assert (lost["sheet"], lost["first"], lost["stop"], lost["why"]) == (3, 20, 200, "no ridge")
+
+
 @pytest.mark.parametrize("kind", ["accept", "assign"])
 def test_a_preview_far_into_a_run_looks_at_the_frames_it_shows(doubted, tmp_path, monkeypatch, kind):
     """Of a long run only the frames about the cursor are looked at. A failure means that ridges of other

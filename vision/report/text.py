@@ -10,7 +10,7 @@ import pandas as pd
 import xarray as xr
 
 import vision
-from vision.checks import DOUBTFUL, flag_counts, why_left_out
+from vision.checks import DOUBTFUL, flag_counts, longest_stretches, why_left_out
 from vision.clock import Clock
 from vision.data import (
     MEASURED,
@@ -28,6 +28,7 @@ from vision.force import ForceSettings
 from vision.memory import is_word
 from vision.models import Estimate, ModelFits, both_errors, plus_minus
 from vision.models.single_fits import has_knees
+from vision.sheets.recovery import LONG_GAP, missing_stretches
 from vision.sheets.tracks import LOSSY
 from vision.summary import axis_source, noise_figures, pixel_size_text
 from vision.systematics import QUANTITIES
@@ -300,7 +301,9 @@ def _withheld(tracks: xr.Dataset) -> str:
     if doubtful:
         text += f" {doubtful} of {total} positions were left out{why_left_out(flags)}."
     if other:
-        text += f" {other} of {total} positions are missing or carry another flag (tracks.csv)."
+        where = longest_stretches(missing_stretches(tracks), "flag")
+        text += f" {other} of {total} positions are missing or carry another flag (tracks.csv)"
+        text += (f"; without a ridge for {LONG_GAP} frames or more: {where}" if where else "") + "."
     return text
 
 

@@ -42,7 +42,7 @@ from vision.sheets.corrections import (
     read_decisions,
 )
 from vision.sheets.identities import DOUBTS, WHYS
-from vision.sheets.recovery import FLAGS
+from vision.sheets.recovery import FLAG_MEANINGS, FLAGS, LONG_GAP, WITHOUT_RIDGE
 from vision.sheets.ridges import find_ridges
 from vision.signals import minmax_decimate
 
@@ -328,10 +328,14 @@ class Session:
         ]
 
     def doubts(self) -> list[dict[str, Any]]:
-        """Return the longest doubtful stretches, at most 500, the longest first."""
+        """Return the doubtful stretches, then those without a ridge for `LONG_GAP` frames or more, at most
+        500, the longest of each first."""
         positions = self.positions
-        sheet, first, stop = stretches(positions.doubtful)
-        longest = np.argsort(first - stop, kind="stable")[:500]
+        missing = np.isin(positions.flag, [FLAGS.index(flag) for flag in WITHOUT_RIDGE])
+        sheet, first, stop = np.hstack([stretches(positions.doubtful), stretches(missing)])
+        gap = missing[first, sheet]
+        longest = np.lexsort((first - stop, gap))
+        longest = longest[~gap[longest] | (stop - first >= LONG_GAP)[longest]][:500]
         expected = positions.expected_px(first[longest])
         return [
             {
@@ -341,7 +345,9 @@ class Session:
                 "first": int(positions.frame[first[k]]),
                 "stop": int(positions.frame[stop[k] - 1]) + 1,
                 "frames": int(stop[k] - first[k]),
-                "why": DOUBTS.get(WHYS[positions.why[first[k], sheet[k]]], "identity not certain"),
+                "why": FLAG_MEANINGS[FLAGS[positions.flag[first[k], sheet[k]]]]
+                if gap[k]
+                else DOUBTS.get(WHYS[positions.why[first[k], sheet[k]]], "identity not certain"),
                 "x_withheld_px": float(positions.withheld_px[first[k], sheet[k]]),
                 "x_expected_px": float(expected[row, sheet[k]]),
             }

@@ -28,6 +28,7 @@ from vision.run.tables import sheets_table, write_kymograph_tif, write_tracks_cs
 from vision.sample import PUBLISHED
 from vision.sheets import doubtful_stretches
 from vision.sheets.corrections import Correction, Decisions, corrections_text, ordered, read_decisions
+from vision.sheets.recovery import missing_stretches
 from vision.shells import deformation_table
 from vision.summary import findings, noise_figures
 from vision.systematics import Budget, systematic_budget
@@ -199,6 +200,7 @@ def _video_facts(analysis: Analysis) -> dict[str, Any]:
         "positions": flag_counts(tracks),
         "noise": noise_figures(tracks, analysis.pixel_size_um),
         "doubtful_stretches": doubtful_stretches(tracks).astype(object).to_dict("records"),
+        "missing_stretches": missing_stretches(tracks).astype(object).to_dict("records"),
         "corrections": [
             asdict(correction) | {"text": correction.text()}
             for correction in ordered(analysis.settings.corrections)

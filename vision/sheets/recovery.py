@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Any
@@ -52,6 +53,11 @@ class Flag(IntEnum):
 
 FLAGS = tuple(flag.name.lower() for flag in Flag)
 """Name of each `Flag`, as in tracks.csv."""
+WITHOUT_RIDGE = ("missing", "edge", "unfit")
+"""Flags of frames in which a sheet was looked for and has no position."""
+LONG_GAP = 10
+"""Number of successive frames without a ridge from which a sheet is named. Fewer would name sheets that
+flicker at the edge of the picture; more would be silent where a sheet lacks a whole stick phase."""
 FLAG_MEANINGS = {
     "ok": "measured",
     "blurred": "measured, with a larger error: the ridge moved while the shutter was open",
@@ -270,7 +276,21 @@ def doubtful_stretches(tracks: xr.Dataset) -> pd.DataFrame:
         sheet, side, n; first_frame and last_frame, frames; why (in words); x_withheld_px, the doubtful ridge,
         and x_expected_px, the position that the neighbours predict, both in the first frame (NaN if unknown).
     """
-    sheet, first, stop = stretches(is_word(tracks["flag"], "doubtful"))
+    table = _stretches(tracks, ("doubtful",), ("why", "x_withheld_px", "x_expected_px"))
+    return table.assign(why=[DOUBTS.get(str(why), "identity not certain") for why in table["why"]])
+
+
+def missing_stretches(tracks: xr.Dataset) -> pd.DataFrame:
+    """List where a sheet has no ridge in `LONG_GAP` successive frames or more, as `doubtful_stretches` does:
+    sheet, side, n, first_frame, last_frame, frames, flag (in the first of them)."""
+    table = _stretches(tracks, WITHOUT_RIDGE, ("flag",))
+    return table[table["frames"] >= LONG_GAP]
+
+
+def _stretches(tracks: xr.Dataset, flags: Sequence[str], more: Sequence[str]) -> pd.DataFrame:
+    """Return the unbroken stretches with these flags, the longest first, with further variables of the tracks
+    in the first frame of each."""
+    sheet, first, stop = stretches(is_word(tracks["flag"], *flags))
     number = tracks["frame"].values
 
     def at_first(name: str) -> Any:
@@ -279,17 +299,13 @@ def doubtful_stretches(tracks: xr.Dataset) -> pd.DataFrame:
         at = {"frame": xr.DataArray(first, dims="one"), "sheet": xr.DataArray(sheet, dims="one")}
         return tracks[name].isel(at).values
 
-    table = pd.DataFrame(
-        {
-            "sheet": sheet,
-            "side": tracks["side"].values[sheet],
-            "n": tracks["n"].values[sheet],
-            "first_frame": number[first],
-            "last_frame": number[stop - 1],
-            "frames": stop - first,
-            "why": [DOUBTS.get(str(why), "identity not certain") for why in at_first("why")],
-            "x_withheld_px": at_first("x_withheld_px"),
-            "x_expected_px": at_first("x_expected_px"),
-        }
-    )
+    found = {
+        "sheet": sheet,
+        "side": tracks["side"].values[sheet],
+        "n": tracks["n"].values[sheet],
+        "first_frame": number[first],
+        "last_frame": number[stop - 1],
+        "frames": stop - first,
+    }
+    table = pd.DataFrame(found | {name: at_first(name) for name in more})
     return table.sort_values("frames", ascending=False, kind="stable", ignore_index=True)

@@ -225,7 +225,7 @@ class Page {
       button.addEventListener("click", () => this.goToDoubt(doubt));
       const item = element("li"); item.append(button); list.append(item);
     }
-    if (!doubts.length) list.append(element("li", { class: "none" }, "No stretch is doubtful."));
+    if (!doubts.length) list.append(element("li", { class: "none" }, "No stretch is doubtful, or without a ridge."));
     this.markDoubt();
   }
 
@@ -251,7 +251,7 @@ class Page {
 
   nextDoubt(way) {
     const { doubts } = this.state, now = doubts.findIndex((d) => this.isChosen(d));
-    if (!doubts.length) { this.tell("No stretch is doubtful."); return; }
+    if (!doubts.length) { this.tell("No stretch is doubtful, or without a ridge."); return; }
     this.goToDoubt(doubts[now < 0 ? (way > 0 ? 0 : doubts.length - 1) : (now + way + doubts.length) % doubts.length]);
   }
 
