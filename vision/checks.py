@@ -319,7 +319,7 @@ def _spacings(tracks: xr.Dataset, found: TrackMetadata, settings: CheckSettings)
     yield (
         f"sheets may be missing at x = {', '.join(found.wide_spacings)}: n of the sheets further out would"
         f" then be too small{axis * assumed}: check these positions (dirt, faint sheets){give * assumed}, and"
-        f" confirm the {found.sheets} ridges found with `sheets`"
+        f" count them by [[add]] in `corrections`, or confirm the {found.sheets} ridges found with `sheets`"
     )
 
 
@@ -508,7 +508,7 @@ def _comb_warnings(tracks: xr.Dataset, found: TrackMetadata, settings: CheckSett
     least = np.full(len(snr), 0.1 * nan_median(snr))
     if len(snr) >= 5:
         least[[0, -1]] = np.fmax(least[0], settings.end_height * snr[[[1, -2], [2, -3]]].min(axis=0))
-    odd = (snr < least) | (share < 0.25) | wide | _stationary_ends(tracks, settings)
+    odd = (snr < least) | ((share > 0) & (share < 0.25)) | wide | _stationary_ends(tracks, settings)
     if (weak := np.flatnonzero(odd)).size and found.sheets > 1:
         which = _first(weak.tolist(), 6)
         yield (

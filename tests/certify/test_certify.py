@@ -28,6 +28,7 @@ from vision.experiment.simulate import frame_blocks
 from vision.pipeline import Settings, analyse
 from vision.run.reading import read_json
 from vision.sheets import track_sheets
+from vision.sheets.corrections import correction_of
 from vision.video import open_video, strip_profile
 
 # A third of the frames that the program encodes to find the noise, and a third of the accuracy: a quarter of
@@ -221,6 +222,17 @@ def test_one_side_in_view_keeps_its_axis():
     phases = StickPhases(sticks=found.sticks, clock=found.clock)
     certificate = certify(found.strip, found.tracks, pixel_size_um=10, phases=phases, settings=ONE_FILM)
     assert abs(certificate.threshold.bias) < 0.05
+
+
+def test_a_run_with_decisions_is_certified():
+    """A failure means that whoever has settled a doubt, or counted a covered sheet, gets no certificate."""
+    x = comb(60, per_side=8, axis_px=200)
+    x[:, 4] = np.nan
+    film = strip(ridges(x, width=400))
+    decided = [correction_of("add", {"frame": 0, "x_px": 130.0})]
+    for fit in ("auto", "paper"):
+        certificate = certify(film, track_sheets(film, corrections=decided, fit=fit), settings=ONE_FILM)
+        assert math.isfinite(certificate.error_px)
 
 
 def test_files(tmp_path, monkeypatch):

@@ -6,8 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+import tifffile
 
 from tests.scenes import doubted as scene
+from tests.scenes.combs import comb, ridges, strip
 from tests.scenes.reviewed import FIXTURE, PLANTED, SETTINGS, clean, remedies, truth
 from vision import folder
 from vision.command.main import run as track
@@ -160,6 +162,24 @@ def test_a_preview_far_into_a_run_looks_at_the_frames_it_shows(doubted, tmp_path
         within = (frames >= first) & (frames < stop)
         shown = np.asarray(seen["after"]["x_px"])[within, sheet]
         np.testing.assert_allclose(shown, x_px[frames[within], sheet], atol=0.5)
+
+
+def test_a_covered_sheet_is_counted(tmp_path):
+    """A failure means that n cannot be put right in a review, or is another one in the saved run."""
+    x = comb(60, per_side=8, axis_px=200)
+    x[:, 4] = np.nan
+    picture = np.rint(strip(ridges(x, width=400)).values).astype(np.uint8)
+    tifffile.imwrite(tmp_path / "film.tif", np.repeat(picture[:, None], 8, axis=1), photometric="minisblack")
+    out = tmp_path / "run"
+    assert track([str(tmp_path / "film.tif"), "--out", str(out), "--no-report", "--quiet"]) == 1
+    with Session(out, settings_of_run(out)) as session:
+        assert len(session.sheets()) == 15
+        session.decide({"kind": "add", "frame": 0, "x_px": 130.0})
+        seen = session.sheets()
+        assert [sheet["n"] for sheet in seen] == [*range(8, 0, -1), *range(1, 9)]
+        assert seen[4]["x_px"] == pytest.approx(130, abs=2)
+        save(session)
+    assert list(pd.read_csv(out / "sheets.csv")["n"]) == [*range(8, 0, -1), *range(1, 9)]
 
 
 def test_a_film_with_time_stamps_is_shown_from_another_folder(tmp_path, monkeypatch):

@@ -5,6 +5,7 @@ import pytest
 
 from tests.scenes.combs import comb, ridges, strip
 from tests.sheets.test_doubts import marked_comb
+from vision.checks import consistency_warnings, tracking_warnings
 from vision.data import operations_of
 from vision.errors import InputError
 from vision.sheets import doubtful_stretches, read_corrections, track_sheets
@@ -184,6 +185,46 @@ def test_a_faint_sheet_on_the_flanks_of_wide_ones_is_added(tmp_path, widths, fai
     assert abs(np.nanmean(off)) < 2 * float(tracks.constant_error_px[14]) + 0.03
     moved, known = np.abs(off - np.nanmean(off)), np.isfinite(off)
     assert (moved < tracks.x_err_px.values[:, 14])[known].mean() > 0.6
+
+
+@pytest.mark.parametrize("covered", [5, 24, 40])
+def test_a_sheet_that_is_covered_throughout_the_film_is_counted(tmp_path, covered):
+    """A failure means that all sheets further out than a covered one keep an n that is too small, with a
+    warning and no remedy."""
+    x = comb(150)
+    hidden = x.copy()
+    hidden[:, covered] = np.nan
+    picture = strip(ridges(hidden))
+    n = np.r_[np.arange(25, 0, -1), np.arange(1, 26)]
+    before = track_sheets(picture)
+    assert (before.n.values != np.delete(n, covered)).any()
+    assert len(before.attrs["wide_spacings"]) == 1
+    added = written(tmp_path, f"[[add]]\nframe=3\nx_px={x[3, covered]:.0f}")
+    tracks = track_sheets(picture, corrections=added)
+    np.testing.assert_array_equal(tracks.n.values, n)
+    assert set(tracks.flag.values[:, covered]) == {"missing"}
+    assert np.isnan(tracks.x_predicted_px.values[covered])
+    assert np.nanmax(np.abs(tracks.x_px.values - x)) < 0.2
+    assert len(tracks.attrs["wide_spacings"]) == 0
+    lines = tracking_warnings(tracks) + consistency_warnings(tracks)
+    assert len(lines) == 1 and "of 7500 positions missing" in lines[0]
+
+
+def test_a_sheet_is_counted_only_where_there_is_room(tmp_path):
+    """A failure means that a typing error shifts n of a whole side without a word."""
+    x = comb(60)
+    hidden = x.copy()
+    hidden[:, [10, 30, 31]] = np.nan
+    picture = strip(ridges(hidden))
+
+    def added(*places):
+        text = "".join(f"[[add]]\nframe=0\nx_px={at:.0f}\n" for at in places)
+        return track_sheets(picture, corrections=written(tmp_path, text)).sizes["sheet"]
+
+    assert added(x[0, 10], x[0, 30], x[0, 31]) == 50
+    for wrong in ([x[0, 10], x[0, 10] + 2], [x[0, 20] + 10], [x[0, 0] - 25], [x[0, 30], x[0, 30], x[0, 31]]):
+        with pytest.raises(InputError, match="a ridge near x_px"):
+            added(*wrong)
 
 
 def test_the_axis_is_where_it_is_put(comb_film, tmp_path):

@@ -22,7 +22,7 @@ from vision.errors import InputError
 from vision.files import Progress
 from vision.numeric import Bools, Floats, Ints, nan_median, rms
 from vision.run.reading import RunFolder, read_strip
-from vision.sheets import TrackingSettings, track_sheets
+from vision.sheets import Correction, TrackingSettings, track_sheets
 from vision.sheets.scatter import BetweenSlips, spatial_scatter
 from vision.sheets.subpixel import FitChoice, position_noise
 from vision.sheets.tracks import BETWEEN_FRAMES
@@ -292,6 +292,7 @@ def _tracker(tracks: xr.Dataset, like: Likeness, recorded_px: float) -> Tracker:
     used: FitChoice = TrackMetadata.of(tracks).fit  # type: ignore[assignment]
     asked = parameters.pop("fit", used)
     parameters["axis_px"] = TrackMetadata.of(tracks).axis_px
+    parameters.pop("corrections", None)  # they name frames of the recording
 
     def with_fit(fit: FitChoice) -> Tracker:
         return lambda film: track_sheets(film, **parameters, fit=fit, settings=settings)
@@ -315,6 +316,8 @@ def _parameters(tracks: xr.Dataset) -> tuple[dict[str, Any], dict[str, Any]]:
         for name, value in tuned.items()
         if name in known
     }
+    if decided := parameters.get("corrections"):
+        parameters["corrections"] = [Correction(**one | {"sheets": tuple(one["sheets"])}) for one in decided]
     return parameters, values
 
 

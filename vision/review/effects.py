@@ -36,7 +36,7 @@ from vision.sheets.corrections import (
 )
 from vision.sheets.doubts import predicted_by_neighbours
 from vision.sheets.identities import WHYS
-from vision.sheets.numbering import number_sheets
+from vision.sheets.numbering import number_sheets, placed
 from vision.sheets.recovery import FLAGS, Flag
 from vision.sheets.ridges import RidgeComb, describe_ridges, find_faint, find_ridges
 from vision.sheets.subpixel import FitName, fit_sheets, position_noise
@@ -212,8 +212,9 @@ class _CorrectedPositions(Corrected):
     """Positions, in columns of the picture, whose ridges are searched in the diagram."""
 
     def __init__(self, positions: Positions, diagram: Diagram) -> None:
-        super().__init__({name: getattr(positions, name) for name in CELLS}, "x_px", positions.frame)
-        self.positions, self.diagram, self.comb = positions, diagram, positions.comb(diagram)
+        arrays, comb = {name: getattr(positions, name) for name in CELLS}, positions.comb(diagram)
+        super().__init__(arrays, "x_px", positions.frame, comb, origin_px=0.0)
+        self.positions, self.diagram = positions, diagram
 
     def follow(self, correction: Correction, rows: Ints, without: int | None = None) -> tuple[Floats, Ints]:
         """Follow a ridge block by block; each block starts where the ridge was last seen."""
@@ -281,11 +282,9 @@ def nearest_ridges(ridges_px: NDArray[np.floating], targets: Floats, reach: floa
 def _renumbered(positions: Positions) -> Positions:
     """Number the sheets from the axis; one without any position lies between its neighbours."""
     facts, x_px = positions.track_facts, median_positions(positions)
-    known = np.flatnonzero(np.isfinite(x_px))
-    if not known.size:
+    if not np.isfinite(x_px).any():
         raise InputError("the decision", "a sheet with a position that remains", "none")
-    x_px = np.interp(np.arange(len(x_px)), known, x_px[known])
-    numbering = number_sheets(x_px[None], axis_px=facts.axis_px)
+    numbering = number_sheets(placed(x_px)[None], axis_px=facts.axis_px)
     unseen = 0 if facts.axis_how == "given" else numbering.n.min() - 1
     return replace(positions, side=numbering.side, n=numbering.n - unseen)
 

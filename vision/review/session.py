@@ -42,6 +42,7 @@ from vision.sheets.corrections import (
     read_decisions,
 )
 from vision.sheets.identities import DOUBTS, WHYS
+from vision.sheets.numbering import placed
 from vision.sheets.recovery import FLAG_MEANINGS, FLAGS, LONG_GAP, WITHOUT_RIDGE
 from vision.sheets.ridges import find_ridges
 from vision.signals import minmax_decimate
@@ -321,7 +322,7 @@ class Session:
 
     def sheets(self) -> list[dict[str, Any]]:
         """Return one entry per sheet, from the left."""
-        positions, x_px = self.positions, median_positions(self.positions)
+        positions, x_px = self.positions, placed(median_positions(self.positions))
         return [
             {"index": k, "side": int(side), "n": int(n), "x_px": float(x_px[k])}
             for k, (side, n) in enumerate(zip(positions.side, positions.n, strict=True))

@@ -22,8 +22,8 @@ are sheets:
     frames = "80:111"
     x_px = 687.0
 
-    [[add]]               # this ridge is a sheet that was not counted, followed both ways
-    frame = 500
+    [[add]]               # a sheet that was not counted: the ridge here, followed both ways, or an empty
+    frame = 500           # place between two sheets that are far enough apart: a sheet without positions
     x_px = 312.0
 
     [[delete]]            # this is no sheet
@@ -65,6 +65,7 @@ from vision.errors import InputError
 from vision.files import read_toml
 from vision.numeric import Floats, Ints, nan_median, nearest
 from vision.sheets.identities import Doubt
+from vision.sheets.numbering import placed
 from vision.sheets.recovery import Detections, Flag
 from vision.sheets.ridges import RidgeComb, Ridges
 
@@ -138,7 +139,7 @@ class Correction:
             case "assign":
                 return f"ridge at {self.x_px:.1f} px assigned to {who}, {when}"
             case "add":
-                return f"ridge at {self.x_px:.1f} px of frame {self.first} added as a sheet"
+                return f"sheet added at {self.x_px:.1f} px of frame {self.first}"
             case "delete":
                 return f"{who} deleted"
             case "axis":
@@ -352,11 +353,15 @@ class Corrected(ABC):
     """Sheets to which corrections are applied: their positions and what else is stored of them.
 
     arrays: (frame, sheet), with at least flag, why and withheld_px; changed in place, and replaced where a
-    sheet is added or deleted. position: which of them has the positions. frames: their numbers in the film.
+    sheet is added or deleted. position: which of them has the positions, from column `origin_px` of the
+    picture. frames: their numbers in the film.
     """
 
-    def __init__(self, arrays: dict[str, Any], position: str, frames: Ints) -> None:
+    def __init__(
+        self, arrays: dict[str, Any], position: str, frames: Ints, comb: RidgeComb, origin_px: float
+    ) -> None:
         self.arrays, self.position, self.frames = arrays, position, frames
+        self.comb, self.origin_px = comb, origin_px
 
     @abstractmethod
     def follow(self, correction: Correction, rows: Ints, without: int | None = None) -> tuple[Floats, Ints]:
@@ -418,24 +423,41 @@ class Corrected(ABC):
 
     def _add(self, correction: Correction, row: int) -> int:
         """Insert a sheet at its position among the others; return its index. It is "missing" in frames in
-        which its ridge is lost or is another sheet's."""
+        which its ridge is lost or is another sheet's, and in all frames if the place is empty but has room
+        for a sheet: n of the sheets further out needs one that is covered throughout the film."""
         others = self.arrays[self.position]
         frames = np.arange(len(others))
         ridge_px, owner = np.full(len(others), np.nan), np.full(len(others), -1)
-        for rows in (frames[row:], frames[row::-1]):
-            ridge_px[rows], owner[rows] = self.follow(correction, rows)
-        _check_free(correction, self.frames[[row]], owner[[row]])
-        ridge_px[owner >= 0] = np.nan
         usual = others[row].astype(np.float64)
         unseen = np.isnan(usual)
         usual[unseen] = nan_median(others[:, unseen])
-        sheet = int((usual < ridge_px[row]).sum())
+        at = float(correction.x_px or 0.0) - self.origin_px
+        try:
+            for rows in (frames[row:], frames[row::-1]):
+                ridge_px[rows], owner[rows] = self.follow(correction, rows)
+        except _NoRidgeNearError:
+            if not self._has_room(usual, at):
+                raise
+        _check_free(correction, self.frames[[row]], owner[[row]])
+        ridge_px[owner >= 0] = np.nan
+        sheet = int((placed(usual) < (at if np.isnan(ridge_px[row]) else ridge_px[row])).sum())
         empty = {"flag": Flag.MISSING, "why": Doubt.NONE}
         self.arrays = {
             name: np.insert(one, sheet, empty.get(name, np.nan), axis=1) for name, one in self.arrays.items()
         }
         self.put(frames, sheet, ridge_px, Flag.MISSING)
         return sheet
+
+    def _has_room(self, usual_px: Floats, at_px: float) -> bool:
+        """Return whether one more sheet fits between those beside this place, with positions (N,), NaN of
+        sheets that were added without any: spacings are then no narrower than those of a wide one halved."""
+        known = np.flatnonzero(np.isfinite(usual_px))
+        right = int(np.searchsorted(usual_px[known], at_px))
+        if right in (0, len(known)):
+            return False
+        beside = known[[right - 1, right]]
+        narrowest = self.comb.settings.wide_pitches / 2 * self.comb.pitch_px
+        return bool(np.diff(usual_px[beside])[0] / (np.diff(beside)[0] + 1) > narrowest)
 
 
 def _check_free(correction: Correction, frames: Ints, owner: Ints) -> None:
@@ -445,6 +467,10 @@ def _check_free(correction: Correction, frames: Ints, owner: Ints) -> None:
         found = f"sheet {owner[first]}'s in frame {frames[first]}"
         advice = "swap the two, or leave the other one out"
         raise InputError(correction.name, "a ridge that is no other sheet's", found, advice)
+
+
+class _NoRidgeNearError(InputError):
+    """No ridge is near the column that a correction names."""
 
 
 class PossibleRidges(NamedTuple):
@@ -466,8 +492,8 @@ class _CorrectedDetections(Corrected):
         origin_px: float,
     ) -> None:
         arrays = {part.name: np.array(getattr(detections, part.name)) for part in fields(detections)}
-        super().__init__(arrays, "start_px", frames)
-        self.ridges, self.comb, self.origin_px = ridges, comb, origin_px
+        super().__init__(arrays, "start_px", frames, comb, origin_px)
+        self.ridges = ridges
 
     def follow(self, correction: Correction, rows: Ints, without: int | None = None) -> tuple[Floats, Ints]:
         others = self.arrays["start_px"]
@@ -564,7 +590,9 @@ def follow_ridge(
             seen = maxima[0][np.isfinite(maxima[0])]
             close = np.sort(seen[np.argsort(np.abs(seen - at))[:2]] + origin_px)
             found = f"the nearest at {' and '.join(f'{x_px:.0f}' for x_px in close)}" * bool(close.size)
-            raise InputError(correction.name, f"a ridge near x_px = {correction.x_px:g}", found or "none")
+            raise _NoRidgeNearError(
+                correction.name, f"a ridge near x_px = {correction.x_px:g}", found or "none"
+            )
     taken = others == x[:, None]
     return x, np.where(taken.any(axis=1), taken.argmax(axis=1), -1)
 

@@ -73,7 +73,7 @@ def number_sheets(
 
     .. math:: \sum_{n > k} s_n - \sum_{n \le k} s_n .
     """
-    position = _rest(x_px)
+    position = placed(typical_median(x_px))
     sheets = len(position)
     place = _places(position, settings)
     all_sheets = int(place[-1]) + 1
@@ -113,11 +113,9 @@ def ends_in_view(
     return bool(view_px[0] < ends_px[0] - room_px), bool(ends_px[1] + room_px < view_px[1])
 
 
-def _rest(x_px: Floats) -> Floats:
-    """Return the median position of each sheet, (N,). A sheet that has no position in any frame is placed
-    evenly between those beside it, and beyond the ends at their median spacing. NaN only if no sheet has a
-    position."""
-    position = typical_median(x_px)
+def placed(position: Floats) -> Floats:
+    """Return positions of the sheets, (N,), with those that are NaN placed evenly between those beside them,
+    and beyond the ends at their median spacing. NaN only if no sheet has a position."""
     index, known = np.arange(len(position)), np.flatnonzero(np.isfinite(position))
     if not len(known) or len(known) == len(position):
         return position

@@ -41,7 +41,7 @@ from vision.sheets.distortion import (
 from vision.sheets.doubts import predicted_by_neighbours, sheets_alike, unseen_jumps
 from vision.sheets.film import SecondComb, gap_depth, motion_blur, repeated_frames, second_comb
 from vision.sheets.identities import WHYS, Doubt, identify_sheets
-from vision.sheets.numbering import Numbering, number_sheets
+from vision.sheets.numbering import Numbering, number_sheets, placed
 from vision.sheets.recovery import FLAGS, Detections, Flag, assign_detections
 from vision.sheets.reference import ReferenceComb, marks, rest_positions, wide_spacings
 from vision.sheets.ridges import (
@@ -346,7 +346,7 @@ class _Tracked:
         comb, numbering, reference = self.comb, self.numbering, self.detected.reference
         unedited = len(reference.x_px) == len(numbering.n)  # no sheet was added or deleted manually
         # manual corrections may also have swapped sheets: sort
-        positions = reference.x_px if unedited else np.sort(typical_median(self.assessed.x_px))
+        positions = reference.x_px if unedited else np.sort(placed(typical_median(self.assessed.x_px)))
         wide = wide_spacings(positions, reference.dropped_px, settings=comb.settings)
         gaps = [] if count_given else zip(*wide, strict=True)
         decided_px = comb.settings.decided_sheets * comb.pitch_px
@@ -490,7 +490,7 @@ def _errors(
     positions = BetweenSlips(new)
     scatter_px = spatial_scatter(positions, between_frames=between_frames)
     err = fitted.err_px
-    predicted = np.fmax(typical_where(np.isfinite(new), err), LEAST_ERROR_PX)
+    predicted = np.maximum(typical_where(np.isfinite(new), err), LEAST_ERROR_PX)  # NaN without positions
     rounding = QUARTER_PIXEL if between_frames else 0.0
     measured = np.where(scatter_px > 0, scatter_px, np.hypot(np.fmax(noise_px, predicted), rounding))
     lasting = 0.0

@@ -13,7 +13,7 @@ export const KINDS = [
   { kind: "assign", key: "g", label: "Assign ridge", fields: ["sheet", "first", "stop", "ridge"],
     explain: "The ridge at this column of the first frame is the sheet; it is followed from there. Click on a ridge, or choose one." },
   { kind: "add", key: "i", label: "Add sheet", fields: ["ridge"],
-    explain: "A ridge that is a sheet, too. Click on it, or choose one of those that the program saw in this frame." },
+    explain: "A ridge that is a sheet, too. Click on it, or choose one of those that the program saw in this frame. An empty place with room for a sheet counts as one without positions." },
   { kind: "delete", key: "x", label: "Delete sheet", fields: ["sheet"],
     explain: "This is no sheet; the others are numbered anew." },
   { kind: "axis", key: "m", label: "Move axis", fields: ["axis"],
