@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 import vision
-from tests.scenes.comparison import events, write_run
+from tests.scenes.comparison import campaign, events, write_campaign, write_run
 from vision.comparison.comparison import _methods
 from vision.comparison.figures import slope_text
 from vision.comparison.joint import CompareSettings
@@ -195,3 +195,21 @@ def test_single_sticks_name_their_test(tmp_path):
     figures = {figure.name: figure for figure in vision.compare(folders).figures()}
     assert figures["sticks_V1"].caption.startswith("V = 1 mm/min, r")
     assert figures["sticks_V1"].panel.title.startswith("V = 1 mm/min, r")
+
+
+def test_a_trend_shows_its_samples_and_a_line_only_if_it_is_claimed(tmp_path):
+    """A failure means that samples cannot be told apart, or that a line suggests a trend without one."""
+    truth = campaign(np.random.default_rng(5), n_hat_rh=0.0)
+    found = vision.compare(*write_campaign(tmp_path / "all", truth))
+    claimed = {(t.quantity, t.predictor): t.claimed for t in found.trends}
+    assert claimed["N_hat_N", "n_test"] and not claimed["mu", "n_test"]
+    figure = next(figure for figure in found.figures() if figure.name == "trend_fits_n")
+    points = [one for one in figure.panel.series if one.look == "points"]
+    assert [one.label for one in points] == [f"{what}, {name}" for what in ("N̂", "μ") for name in "abc"]
+    assert len({one.ink for one in points}) == 3
+    assert [one.hollow for one in points] == 3 * [False] + 3 * [True]
+    assert [one.label for one in figure.panel.series if one.look == "line"] == ["N̂, trend"]
+    assert "tests of all samples together" in figure.caption and "; no trend, p" in figure.caption
+    alone = vision.compare(*write_campaign(tmp_path / "one", truth.assign(sample="a")))
+    panel = next(figure for figure in alone.figures() if figure.name == "trend_fits_n").panel
+    assert [one.label for one in panel.series if one.look == "points"] == ["N̂", "μ"]

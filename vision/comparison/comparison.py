@@ -473,7 +473,8 @@ def _methods(found: Comparison) -> list[str]:
     )
     if any(not trend.reason for trend in found.trends):
         paragraphs.append(
-            "Trends are weighted lines. Their p values come from permutations, with the other predictor "
-            "fixed after Freedman and Lane, and are adjusted for the number of trends after Holm."
+            "Trends are weighted lines through the tests of all samples. Their p values come from "
+            "permutations, with the other predictor fixed after Freedman and Lane, and are adjusted for the "
+            "number of trends after Holm."
         )
     return paragraphs

@@ -274,10 +274,9 @@ def trends_figures(found: Comparison) -> list[Figure]:
             panel = _trend_panel(found, quantities, predictor, what)
             if panel is not None:
                 trends = [_trend_of(found, quantity, predictor) for quantity in quantities]
-                lines = ", and weighted lines" * any(np.isfinite(trend.slope) for trend in trends)
                 caption = (
-                    "Values of every test with standard errors, without systematic ones (columns "
-                    f"_systematic of tests.csv){lines}. {' '.join(map(_trend_text, trends))}"
+                    "Values of every test with standard errors, without systematic ones (columns _systematic "
+                    f"of tests.csv).{_lines_of(found, trends)} {' '.join(map(_trend_text, trends))}"
                 ).strip()
                 file = f"trend_{name}_{predictor.partition('_')[0]}"
                 figures.append(panel.figure(file, caption, title=f"{title} against {what}"))
@@ -289,21 +288,32 @@ def trends_figures(found: Comparison) -> list[Figure]:
 
 
 def _trend_panel(found: Comparison, quantities: Sequence[str], predictor: str, what: str) -> Panel | None:
+    """Return quantities against a predictor, with one colour per sample if there are several, and the line of
+    each trend that is claimed. The second quantity has the right axis, hollow points and a dashed line."""
     series: list[Series] = []
+    samples = list(dict.fromkeys(test.sample_name for test in found.tests))
+    by_sample = 1 < len(samples) <= MOST_COLOURS
+    inks = dict(zip(samples, ordered_inks(len(samples)), strict=True))
     for k, quantity in enumerate(quantities):
-        ink = (DATA, PEAK)[k] if len(quantities) > 1 else VALLEY
+        of_quantity = (DATA, PEAK)[k] if len(quantities) > 1 else VALLEY
         known = found.table.dropna(subset=[quantity, predictor]).sort_values(predictor)
         if known.empty or known[predictor].nunique() < 2:
             continue
-        columns = predictor, quantity, with_word(quantity, "err")
-        x, y, error = (known[name].to_numpy(float) for name in columns)
-        look: dict[str, Any] = {"ink": ink, "axis": "right" if k else "left"}
-        series.append(Series.points(SYMBOLS[quantity], x, y, error=error, hollow=k == 1, **look))
+        look: dict[str, Any] = {"axis": "right" if k else "left"}
+        for name in samples if by_sample else [None]:
+            part = known if name is None else known[known["sample"] == name]
+            columns = predictor, quantity, with_word(quantity, "err")
+            x, y, error = (part[column].to_numpy(float) for column in columns)
+            label = ", ".join([SYMBOLS[quantity]] + ([name or "sample not named"] if by_sample else []))
+            ink = of_quantity if name is None else inks[name]
+            if len(part):
+                series.append(Series.points(label, x, y, ink, error, hollow=k == 1, **look))
         trend = _trend_of(found, quantity, predictor)
-        if np.isfinite(trend.slope):
-            ends = x[[0, -1]]
-            line = trend.intercept + trend.slope * ends
-            series.append(Series(label="", x=ends, y=line, dashed=not trend.claimed, **look))
+        if trend.claimed:
+            ends = known[predictor].to_numpy(float)[[0, -1]]
+            line, ink = trend.intercept + trend.slope * ends, MODEL if by_sample else of_quantity
+            label = f"{SYMBOLS[quantity]}, trend" * by_sample
+            series.append(Series(label=label, x=ends, y=line, ink=ink, dashed=k == 1, **look))
     if not series or (len(quantities) > 1 and not any(s.axis == "right" for s in series)):
         return None
     labels = [SYMBOLS[name] + (f" ({UNITS[name]})" if name in UNITS else "") for name in quantities]
@@ -316,6 +326,15 @@ def _trend_panel(found: Comparison, quantities: Sequence[str], predictor: str, w
         aspect=0.6,
         whole_numbers=predictor == "n_test",
     )
+
+
+def _lines_of(found: Comparison, trends: Sequence[Trend]) -> str:
+    """Return what the lines of these trends are fitted to, as a sentence; "" without a line."""
+    if not (drawn := [trend for trend in trends if trend.claimed]):
+        return ""
+    several = len({test.sample_name for test in found.tests}) > 1
+    free = ", with the other predictor free" * any(np.isfinite(trend.partial_slope) for trend in drawn)
+    return f" Line: weighted fit to the tests {'of all samples together' if several else 'shown'}{free}."
 
 
 def _trend_of(found: Comparison, quantity: str, predictor: str) -> Trend:
@@ -332,7 +351,7 @@ def _trend_text(trend: Trend) -> str:
         text += (
             f", with the other predictor fixed {slope_text(trend, partial=True)} (p = {trend.partial_p:.2g})"
         )
-    claim = "a trend (solid line)" if trend.claimed else "no trend (dashed line)"
+    claim = "a trend (line)" if trend.claimed else "no trend"
     return with_minus(f"{text}; {claim}, p = {trend.p_adjusted:.2g} adjusted for the number of trends.")
 
 
