@@ -1,4 +1,4 @@
-"""Compare several finished tests: one table, a joint μ, the collapse, the trends."""
+"""Compare several finished tests: one table, a joint μ, the collapse, deformation and shells, the trends."""
 
 from vision.comparison.comparison import Comparison, compare, write_comparison
 from vision.comparison.joint import CompareSettings

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from vision.comparison.deformation import film_columns
 from vision.comparison.figures import compare_figures, slope_text, velocity
 from vision.comparison.joint import (
     COMPARED,
@@ -269,6 +270,7 @@ def _table(tests: Sequence[TractionTest], fits: Sequence[TestFit]) -> pd.DataFra
             "T_C": test.temperature_C,
             "events": len(test.events),
             "events_used": int(fit.used.sum()),
+            **film_columns(test.film),
             "notes": "; ".join((*fit.warnings, *fit.notes, *test.notes)),
         }
         for test, fit in zip(tests, fits, strict=True)

@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from vision.comparison.deformation import FilmResults
 from vision.comparison.runs import TractionTest
 from vision.comparison.trends import PER, PREDICTORS, SYMBOLS, UNITS, Trend
 from vision.data import with_word
 from vision.errors import InputError
 from vision.figures.figure import Figure, Panel, Series, load_figures
 from vision.figures.force import amplitude_curve, stiffness_curves
+from vision.figures.positions import ratio_panel
 from vision.figures.style import DATA, MODEL, PEAK, QUIET, VALLEY, VALLEY_SEPARATION, from_zero, ordered_inks
 from vision.models import Estimate, both_errors, equations, plus_minus
 from vision.numeric import Floats, with_minus
@@ -22,6 +24,9 @@ from vision.numeric import Floats, with_minus
 if TYPE_CHECKING:
     from vision.comparison.comparison import Comparison
 
+LEAST_STICKS = 3
+"""Number of stick phases that each film must have within the separations common to all, for their means to be
+of these alone. Of fewer, the scatter between stick phases is hardly known."""
 MOST_COLOURS = 12  # filled and hollow in turn; of more, neighbours cannot be told apart
 
 
@@ -32,6 +37,7 @@ def compare_figures(found: Comparison) -> dict[str, list[Figure]]:
         "All tests": [make(found, events) for make in (peaks_figure, drops_figure, stiffnesses_figure)],
         "Single stick-slip events": sticks_figures(found),
         "The collapse": [collapse_figure(found, events)],
+        "Deformation and the stiff shell": [ratios_figure(found), shells_figure(found)],
         "Where stick-slip becomes irregular": [irregular_figure(found)],
         "Trends": trends_figures(found),
     }
@@ -223,6 +229,78 @@ def collapse_figure(found: Comparison, events: pd.DataFrame) -> Figure | None:
         f"neighbouring events scatter by {c.rms_noise:.3g}.",
         title="Stiffness in units of one sheet against the reduced separation",
     )
+
+
+# --- deformation and shells ---------------------------------------------------------------------------------
+
+
+def ratios_figure(found: Comparison) -> Figure | None:
+    """Return σ_x/Λ_st of each run against the sheet's number, mean over its stick phases, at the separations
+    that all films have in common if there are enough stick phases."""
+    films = {name: film for name, film in _films(found).items() if len(film.sheets)}
+    if not films:
+        return None
+    spans = {name: film.separations_mm() for name, film in films.items()}
+    low, high = max(d[0] for d in spans.values()), min(d[-1] for d in spans.values())
+    common = all(((d >= low) & (d <= high)).sum() >= LEAST_STICKS for d in spans.values())
+    low, high = (low, high) if common else (-np.inf, np.inf)
+    looks, series = _looks(found), []
+    for name, film in films.items():
+        means, d_mm = film.mean_ratios(low, high), spans[name][(spans[name] >= low) & (spans[name] <= high)]
+        y, err = means["ratio"].to_numpy(float), means["error"].to_numpy(float)
+        ends = {"low": np.maximum(y - err, 0), "high": y + err}
+        label = f"{name}, d_v = {d_mm.mean():.2f} mm, mean of {len(d_mm)}"
+        series.append(
+            Series(label=label, x=means["number"].to_numpy(float), y=y, look="both", **ends, **looks[name])
+        )
+    which = f"from d_v = {low:.2f} to {high:.2f} mm, which all films show" if common else "in the film"
+    apart = "" if common or len(films) == 1 else " The films show different separations, which matter, too."
+    thresholds = sorted({film.threshold for film in films.values()})
+    return ratio_panel(series, *thresholds).figure(
+        "ratios",
+        f"σ_x/Λ_st of every sheet: mean over the stick phases {which}, with its error.{apart} "
+        f"Shaded: below {' or '.join(f'{one:g}' for one in thresholds)}, where a sheet counts as stiff.",
+        title="Horizontal deformation of all tests",
+    )
+
+
+def shells_figure(found: Comparison) -> Figure | None:
+    """Return the number of stiff sheets per side of each run against d."""
+    looks, series = _looks(found), []
+    for name, film in _films(found).items():
+        sizes = film.shells.groupby("event").mean().sort_values("d_v_mm")
+        look: dict[str, Any] = {end: sizes[f"stiff_{end}"].to_numpy(float) for end in ("low", "high")}
+        if len(sizes):
+            look |= looks[name]
+            series.append(Series.points(name, sizes["d_v_mm"], sizes["stiff_sheets"], **look))
+    if not series:
+        return None
+    top = max(float(one.high.max()) for one in series if one.high is not None)
+    return Panel(
+        x_label=VALLEY_SEPARATION,
+        y_label="stiff sheets per side",
+        y_range=(0.0, 1.15 * top + 1),
+        series=tuple(series),
+    ).figure(
+        "shells",
+        "Number of sheets per side, from the centre, whose σ_x/Λ_st is below the threshold: mean of both "
+        "sides of every stick phase in the film, with the interval that the errors allow.",
+        title="Size of the stiff shell of all tests",
+    )
+
+
+def _films(found: Comparison) -> dict[str, FilmResults]:
+    """Return what the films show, by run."""
+    return {test.run: test.film for test in found.tests if test.film is not None}
+
+
+def _looks(found: Comparison) -> dict[str, dict[str, Any]]:
+    """Return the colour of each run, and whether its points are hollow, as in the other figures."""
+    inks = ordered_inks(len(found.tests))
+    return {
+        test.run: {"ink": ink, "hollow": k % 2 == 1}
+        for k, (test, ink) in enumerate(zip(found.tests, inks, strict=True))
+    }
 
 
 # --- irregular stick-slip -----------------------------------------------------------------------------------

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from vision.comparison.deformation import FilmResults
 from vision.data import whole_events
 from vision.errors import InputError, check_kind, counted, nearest_word, reason_of
 from vision.files import AGAIN, check_regular, reading, shortened
@@ -59,6 +60,7 @@ class TractionTest:
     # shifts of the run's μ, 𝒯0, … by the errors of its force recording: {"load_drift": {"mu": 0.07, …}, …}
     instrument: Mapping[str, Mapping[str, float]]
     notes: tuple[str, ...] = ()  # about the run
+    film: FilmResults | None = None  # σ_x/Λ_st and shells; None for a force recording alone
 
     def column(self, name: str) -> Floats:
         """Return one column of the events."""
@@ -279,6 +281,7 @@ def _read_test(made: RunFolder, name: str, row: Cells, warnings: list[str]) -> T
         },
         instrument=_instrument(models.get("budget") or {}),
         notes=(f"{counted(told, 'warning')} in its report",) if told else (),
+        film=FilmResults.of(made, warnings),
     )
 
 

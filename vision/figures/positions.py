@@ -261,7 +261,7 @@ def deformation_figure(
         known = _events(known, events)
     sticks = (known.isel(event=index) for index in range(known.sizes["event"]))
     curves = [(f"d_v = {float(one['d_v_mm']):.2f} mm", one["ratio"], one["ratio_err"]) for one in sticks]
-    return _ratio_panel(motion, curves, threshold, look="both", width=1.0).figure(
+    return ratio_panel(_ratio_series(motion, curves, look="both", width=1.0), threshold).figure(
         "deformation",
         f"σ_x/Λ_st, the RMS displacement in a stick phase, {MotionMetadata.of(motion).corrected_for}, over "
         f"the stick length, with standard errors; for stick phases {which}, later ones "
@@ -283,7 +283,7 @@ def mean_deformation_figure(motion: xr.Dataset, *, threshold: float = STIFF_BELO
         mean = part["ratio"].mean("event")
         free = (part["ratio"].count("event") - 1).clip(min=1)  # 0 of one phase
         curves.append((label, mean, (((part["ratio"] - mean) ** 2).sum("event") / free) ** 0.5))
-    return _ratio_panel(motion, curves, threshold, width=1.4).figure(
+    return ratio_panel(_ratio_series(motion, curves, width=1.4), threshold).figure(
         "mean_deformation",
         f"σ_x/Λ_st of every sheet: means over {each} stick phases with mean separation d_v, and their "
         "standard deviation (shaded curves). Shaded range: below "
@@ -301,13 +301,10 @@ def _events(motion: xr.Dataset, events: Sequence[int]) -> xr.Dataset:
     return motion.sel(event=list(events))
 
 
-def _ratio_panel(
-    motion: xr.Dataset,
-    curves: Sequence[tuple[str, xr.DataArray, xr.DataArray]],
-    threshold: float,
-    **look: Any,
-) -> Panel:
-    """Return curves of σ_x/Λ_st against the sheet's number, and the range of stiff sheets.
+def _ratio_series(
+    motion: xr.Dataset, curves: Sequence[tuple[str, xr.DataArray, xr.DataArray]], **look: Any
+) -> list[Series]:
+    """Return σ_x/Λ_st against the sheet's number.
 
     curves: label, values and errors of the sheets; every other one is hollow.
     """
@@ -317,11 +314,16 @@ def _ratio_panel(
         y, err = ratio.to_numpy()[order], spread.to_numpy()[order]
         ends = {"low": np.maximum(y - err, 0), "high": y + err}
         series.append(Series(label=label, x=numbers, y=y, ink=ink, hollow=k % 2 == 1, **ends, **look))
+    return series
+
+
+def ratio_panel(series: Sequence[Series], *thresholds: float) -> Panel:
+    """Return curves of σ_x/Λ_st against the sheet's number, and the ranges of stiff sheets."""
     return Panel(
         x_label=SHEET_NUMBER,
         y_label="σ_x / Λ_st",
         series=tuple(series),
-        bands=(Band(low=0.0, high=threshold, label=f"stiff (below {threshold:g})"),),
+        bands=tuple(Band(low=0.0, high=one, label=f"stiff (below {one:g})") for one in thresholds),
         whole_numbers=True,
     )
 
