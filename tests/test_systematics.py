@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.scenes.analysed import PIXEL_UM, Found, video_only, with_force
+from tests.scenes.analysed import EXPERIMENT, PIXEL_UM, Found, video_only, with_force
 from tests.scenes.combs import comb, ridges, strip
 from vision.deformation import horizontal_deformation
+from vision.experiment import profiles
 from vision.sheets import track_sheets
 from vision.systematics import Budget, systematic_budget
 
@@ -82,6 +83,10 @@ def test_a_pixel_size_wrong_by_its_error_shifts_ratios_by_what_the_budget_says(w
     stated = systematic_budget(off).total("ratio")
     assert stated == pytest.approx(abs(read - true), rel=0.05)
     assert "pixel_size" not in systematic_budget(off).unknown("ratio")
+    truth = profiles(EXPERIMENT)[1]
+    nearest = np.abs(motion["t_v_s"].values[:, None] - truth["t_v_s"].values).argmin(axis=1)
+    relative = motion["ratio"].values[:, [0, -1]] / truth["ratio"].values[nearest][:, [0, -1]] - 1
+    assert 0.02 < abs(np.nanmedian(relative)) < 1.2 * stated / read  # of the outermost sheets
 
 
 def test_sources_add_in_squares():

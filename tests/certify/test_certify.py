@@ -224,14 +224,17 @@ def test_one_side_in_view_keeps_its_axis():
     assert abs(certificate.threshold.bias) < 0.05
 
 
-def test_a_run_with_decisions_is_certified():
+@pytest.mark.parametrize(
+    "decided", [("leave_out", {"sheet": 3, "frames": "5:9"}), ("add", {"frame": 0, "x_px": 130.0})]
+)
+def test_a_run_with_decisions_is_certified(decided):
     """A failure means that whoever has settled a doubt, or counted a covered sheet, gets no certificate."""
     x = comb(60, per_side=8, axis_px=200)
     x[:, 4] = np.nan
     film = strip(ridges(x, width=400))
-    decided = [correction_of("add", {"frame": 0, "x_px": 130.0})]
     for fit in ("auto", "paper"):
-        certificate = certify(film, track_sheets(film, corrections=decided, fit=fit), settings=ONE_FILM)
+        tracks = track_sheets(film, corrections=[correction_of(*decided)], fit=fit)
+        certificate = certify(film, tracks, settings=ONE_FILM)
         assert math.isfinite(certificate.error_px)
 
 
