@@ -261,8 +261,8 @@ def frame_rate_text(strip: StripMetadata) -> str:
 
 
 def pixel_size_text(size_um: float, err_um: float | None) -> str:
-    """Return µm per pixel, with its error if that is known."""
-    return f"{size_um:g}" + ("" if err_um is None else f" ± {err_um:.2g}") + " µm per px"
+    """Return a pixel size in µm, with its error if that is known."""
+    return f"{size_um:g}" + ("" if err_um is None else f" ± {err_um:.2g}") + " µm"
 
 
 def scale_line(pixel_size_um: float | None, err_um: float | None, strip: StripMetadata) -> str:
@@ -274,7 +274,7 @@ def scale_line(pixel_size_um: float | None, err_um: float | None, strip: StripMe
     if math.isfinite(stated):
         source = "from the film's file" if stated == pixel_size_um else f"the film's file states {stated:g}"
         how = f" ({source})"
-    return f"{pixel_size_text(pixel_size_um, err_um)}{how}"
+    return f"{pixel_size_text(pixel_size_um, err_um)} per px{how}"
 
 
 def positions_line(flags: Mapping[str, int]) -> str:

@@ -61,8 +61,7 @@ class VideoOptions:
     corrections: Path | None = None
     """TOML file of manual decisions: accept, leave_out, swap, assign, add, delete, axis, strip, clock."""
     pixel_size: str | None = _sets("pixel_size_um")
-    """µm per pixel, also as 10um, 0.01mm or with its error 10±0.1um; else the scale stored by ImageJ or OME,
-    or lengths in px."""
+    """µm per pixel: 10, 10um, 0.01mm or 10±0.1um; else as ImageJ or OME stored it, or lengths in px."""
     scale: str | None = None
     """Pixel size from a known length, such as 1mm=103px; with errors as 1mm=103±1px or 1±0.01mm=103px."""
     pitch: str | None = _sets("pitch_um")

@@ -66,7 +66,8 @@ def subtitle(results: Results) -> str:
     known = time[np.isfinite(time)]
     span = f" over {known[-1] - known[0]:.4g} s" if known.size > 1 else ""
     size = results.pixel_size_um
-    scale = "no pixel size given" if size is None else pixel_size_text(size, results.pixel_size_err_um)
+    error = results.pixel_size_err_um
+    scale = "no pixel size given" if size is None else f"{pixel_size_text(size, error)} per px"
     return f"{results.strip.sizes['frame']} frames{span}, {results.strip.sizes['x']} columns, {scale}"
 
 
@@ -223,7 +224,9 @@ def _video(profile: xr.DataArray, pixel_size_um: float | None, pixel_size_err_um
     }.get(strip.clock_kind, "")
     known = math.isfinite(strip.fps)
     rate = f"{strip.fps:.6g} frames per second{source}" if known else "a frame rate that is not known"
-    scale = "" if pixel_size_um is None else f" at {pixel_size_text(pixel_size_um, pixel_size_err_um)}"
+    scale = (
+        "" if pixel_size_um is None else f" at {pixel_size_text(pixel_size_um, pixel_size_err_um)} per pixel"
+    )
     unknown = " The pixel size is not known." if pixel_size_um is None else ""
     chosen = {"given": "as given", "all rows": "the whole frame"}.get(strip.strip_how, "found automatically")
     tilt = (

@@ -172,7 +172,7 @@ def _too_few(x_px: Floats, sheets: int, source: str, settings: TrackingSettings)
     found += f" and {far} far outside their comb" if far else ""
     found += f", and none that stands out in the gaps at {gaps}" if gaps else ""
     advice = f"give `sheets` as {len(x_px) - far} or leave it out"
-    advice += ", and count sheets that are there by [[add]] in `corrections`" if gaps else ""
+    advice += ", and give the axis (`axis_px`), or count sheets by [[add]] in `corrections`" if gaps else ""
     return NoRidgesError(source, f"{sheets} ridges (`sheets`)", found, advice)
 
 
