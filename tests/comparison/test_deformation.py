@@ -101,6 +101,21 @@ def test_a_damaged_table_of_the_film_leaves_the_force(damage, tmp_path):
     assert np.isnan(found.table.iloc[0]["film_sticks"])
 
 
+def test_values_that_are_no_numbers_count_for_nothing(tmp_path):
+    """A failure means that one damaged cell ends a comparison, or changes its result."""
+    run = with_film(tmp_path / "a", slice(20, 60))
+    before = vision.compare([run]).table.iloc[0]
+    for name, columns in (("deformation", ("n", "ratio", "event")), ("shells", ("stiff_sheets", "side"))):
+        table = pd.read_csv(run / f"{name}.csv").astype(float)
+        for k, column in enumerate(columns):
+            table.loc[k, column] = (np.inf, np.nan)[k % 2]
+        table.to_csv(run / f"{name}.csv", index=False)
+    found = vision.compare([run])
+    assert found.table.iloc[0]["stiff_left"] == before["stiff_left"]
+    assert found.table.iloc[0]["ratio_n_left"] == 25
+    assert {"ratios", "shells"} <= set(figures_of(found))
+
+
 def test_a_simulated_film_has_its_true_shell_and_ratio(tmp_path):
     """A failure means that tests.csv contradicts what the sheets did."""
     settings = Settings(pixel_size_um=10, timestamps=LATE / "timestamps.txt", d0_mm=16.6)

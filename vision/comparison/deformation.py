@@ -46,8 +46,8 @@ class FilmResults:
         sheets = sheets[OF_SHEETS].assign(d_v_mm=sheets["event"].map(d_mm))
         threshold = number(run.value("threshold"))
         return cls(
-            sheets=sheets.dropna(subset=["ratio", "d_v_mm"]),
-            shells=shells[OF_SHELLS].dropna(subset=["stiff_sheets", "d_v_mm"]),
+            sheets=sheets.replace([np.inf, -np.inf], np.nan).dropna(),
+            shells=shells[OF_SHELLS].replace([np.inf, -np.inf], np.nan).dropna(),
             threshold=threshold if threshold > 0 else STIFF_BELOW,
         )
 
