@@ -39,7 +39,7 @@ READ = {
     "export": ("run.json", "tracks.nc", *TABLES, "models.json", "clock.json"),
     "figures": ("run.json", "tracks.nc", "figures.npz"),
     "kymograph": ("run.json", "tracks.nc", "kymograph.tif", "clock.json", "events.csv"),
-    "compare": ("run.json", "events.csv", "models.json"),
+    "compare": ("run.json", *TABLES, "models.json"),
     "review": ("run.json", "tracks.nc", "kymograph.tif", *TABLES, "clock.json"),
 }
 KIND = {".json": "json", ".csv": "text", ".nc": "hdf5", ".tif": "tiff", ".npz": "npz"}
@@ -88,6 +88,7 @@ def write_seed(place: Path) -> Path:
     )
     table.to_csv(place / "run" / "deformation.csv", index=False)
     shells = pd.DataFrame({"event": range(5), "d_v_mm": 13.0, "side": 1, "stiff_sheets": 2})
+    shells = shells.assign(stiff_low=1, stiff_high=3)
     shells.to_csv(place / "run" / "shells.csv", index=False)
     shutil.rmtree(forced)
     return place / "run"

@@ -42,12 +42,12 @@ class FilmResults:
             found = ", ".join(sorted(missing))
             warnings.append(f"{run.folder}: no column {found}; the film of this run is not compared")
             return None
-        d_mm = shells.groupby("event")["d_v_mm"].first()
-        sheets = sheets[OF_SHEETS].assign(d_v_mm=sheets["event"].map(d_mm))
+        sheets, shells = _numbers(sheets[OF_SHEETS]), _numbers(shells[OF_SHELLS])
+        sheets = sheets.assign(d_v_mm=sheets["event"].map(shells.groupby("event")["d_v_mm"].first()))
         threshold = number(run.value("threshold"))
         return cls(
-            sheets=sheets.replace([np.inf, -np.inf], np.nan).dropna(),
-            shells=shells[OF_SHELLS].replace([np.inf, -np.inf], np.nan).dropna(),
+            sheets=sheets.dropna(),
+            shells=shells.dropna(),
             threshold=threshold if threshold > 0 else STIFF_BELOW,
         )
 
@@ -67,6 +67,12 @@ class FilmResults:
         scatter = groups["ratio"].std(ddof=0)
         error = np.sqrt(groups["variance"].mean() + scatter**2 / groups.size())
         return pd.DataFrame({"ratio": groups["ratio"].mean(), "error": error}).reset_index()
+
+
+def _numbers(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the values as finite numbers, NaN for all others."""
+    table = table.apply(pd.to_numeric, errors="coerce").astype(float)
+    return table.where(np.isfinite(table))
 
 
 def film_columns(film: FilmResults | None) -> dict[str, float]:
