@@ -29,7 +29,6 @@ from vision.pipeline import Analysis, Settings, Tuning, all_warnings, analyse
 from vision.sample import PUBLISHED
 from vision.sheets import TrackingSettings, track_sheets
 from vision.sheets.corrections import correction_of
-
 from vision.sheets.recovery import missing_stretches
 from vision.shells import ShellSettings
 from vision.summary import _noise, noise_figures, summary_lines
