@@ -13,11 +13,12 @@ import openpyxl
 import pytest
 from scipy.io import savemat
 
-from tests.scenes.machine_files import LAYOUTS, LOAD, PULL, TIME, written
+from tests.scenes.machine_files import LAYOUTS, LOAD, PULL, TIME, labview, labview_segments, written
 from vision.data import ForceMetadata
 from vision.errors import InputError
 from vision.force import read_force
 from vision.force.files import read_tables
+from vision.force.recording import good_samples
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
@@ -29,6 +30,46 @@ def test_layout_gives_back_the_numbers(layout: str, tmp_path: Path) -> None:
     np.testing.assert_allclose(force["d_mm"], 13 + PULL, atol=2e-5)
     assert force.attrs["separation_from"] == "displacement"
     assert set(force["flag"].values) == {"ok"}
+
+
+@pytest.mark.parametrize(("pause_s", "samples"), [(0.5, 40), (30.0, 20)])
+def test_segments_of_labview_are_one_recording_or_several(
+    pause_s: float, samples: int, tmp_path: Path
+) -> None:
+    """A failure means that the time between segments is lost, or that two tests are joined to one."""
+    force = read_force(written(tmp_path, labview_segments("No", pause_s=pause_s)))
+    good = good_samples(force)
+    np.testing.assert_allclose(good["time_s"], (TIME + pause_s * (np.arange(40) // 20))[:samples], atol=1e-4)
+    np.testing.assert_allclose(good["load_N"], LOAD[:samples])
+    assert any("two recordings" in line for line in ForceMetadata.of(force).warnings) == (samples < 40)
+
+
+def test_labview_without_units_assumes_that_of_the_load(tmp_path: Path) -> None:
+    """A failure means that the load's unit is assumed silently."""
+    force = read_force(written(tmp_path, labview(TIME, LOAD, PULL, x="One")))
+    assert any("taken for N" in line for line in ForceMetadata.of(force).warnings)
+
+
+def test_values_of_labview_over_another_axis_are_no_times(tmp_path: Path) -> None:
+    """A failure means that frequencies are read as seconds."""
+    text = labview(TIME, LOAD, PULL, x="One", tags="X_Dimension\tFrequency\tFrequency\t\n")
+    with pytest.raises(InputError, match='a time column; found columns 1 "X_Value"'):
+        read_force(written(tmp_path, text))
+
+
+def test_channels_of_labview_at_different_times_are_refused(tmp_path: Path) -> None:
+    """A failure means that loads are paired with positions of other times."""
+    text = labview(TIME, LOAD, PULL, x="No").replace("0,100000\t0,100000", "0,100000\t0,200000")
+    with pytest.raises(InputError, match='channels at the same times; found "Force" and "Position"'):
+        read_force(written(tmp_path, text))
+
+
+def test_an_empty_time_column_is_named_with_what_to_give(tmp_path: Path) -> None:
+    """A failure means that nothing tells how to give the sampling rate of a recording without times."""
+    lines = [f";{load:.3f};{pull:.6f}" for load, pull in zip(LOAD, PULL, strict=True)]
+    text = "Time (s);Load (N);Position (mm)\n" + "\n".join(lines) + "\n"
+    with pytest.raises(InputError, match=r'a time column; found columns 1 "Time" \[s\] \(empty\).*2000Hz'):
+        read_force(written(tmp_path, text))
 
 
 CLOCKS = {

@@ -60,6 +60,47 @@ LABVIEW = (
     "X_Dimension\tTime\tTime\t\nDelta_X\t0,100000\t0,100000\t\n***End_of_Header***\t\t\t\n"
     "X_Value\tKraft\tWeg\tComment\n"
 ) + rows(TIME, LOAD / 1e3, PULL / 10, decimal=",")
+
+
+def labview(*columns: np.ndarray, x: str, clock: str = "12:52:17,25", tags: str = "", start: str = "") -> str:
+    """A segment of a LabVIEW file with times in "One" column, in "Multi" or in "No"."""
+    gap = "\t\t" if x == "Multi" else "\t"  # a column of X_Value before each channel
+
+    def line(tag: str, *cells: str) -> str:
+        return tag + "\t" + gap.join(cells) + "\t\n"
+
+    time, load, pull = columns
+    named = {"One": (time, load, pull), "Multi": (time, load, time, pull), "No": (load, pull)}[x]
+    values = rows(*named, decimal=",")
+    return (
+        (start or "LabVIEW Measurement\t\nSeparator\tTab\nDecimal_Separator\t,\nMulti_Headings\tYes\n")
+        + f"X_Columns\t{x}\nDate\t2022/01/09\nTime\t08:00:00\n***End_of_Header***\t\n\t\n" * (not start)
+        + line("Channels", "2")
+        + line("Samples", str(len(load)), str(len(load)))
+        + line("Date", "2022/01/10", "2022/01/10")
+        + line("Time", clock, clock)
+        + tags
+        + line("X0", "0,0000000000000000E+0", "0,0000000000000000E+0")
+        + line("Delta_X", "0,100000", "0,100000")
+        + "***End_of_Header***\t\t\t\n"
+        + ("X_Value\tForce\tX_Value\tPosition" if x == "Multi" else "X_Value\tForce\tPosition")
+        + "\tComment\n"
+        + ("\t" + values.rstrip("\n").replace("\n", "\n\t") + "\n" if x == "No" else values)
+    )
+
+
+def labview_segments(x: str, *, pause_s: float = 0.0) -> str:
+    """Two segments whose times begin again from 0, and whose stamps tell when they begin."""
+    text = ""
+    for k in range(2):
+        part = slice(20 * k, 20 * (k + 1))
+        second = f"{17.25 + k * (2 + pause_s):09.6f}".replace(".", ",")
+        begin = "\n" if k else ""
+        text += labview(TIME[:20], LOAD[part], PULL[part], x=x, clock=f"12:52:{second}", start=begin)
+    return text
+
+
+LABVIEW_UNITS = "Y_Unit_Label\tkN\t\tcm\t\nX_Dimension\tTime\t\tTime\t\n"
 UNITS_ABOVE = "min;kN;cm\nTime;Load;Position\n" + rows(TIME / 60, LOAD / 1e3, PULL / 10, sep=";")
 UNITS_ALONE = "when;channel 1;channel 2\ns;N;mm\n" + rows(TIME, LOAD, PULL, sep=";")
 _SWAP = str.maketrans(",.", ".,")
@@ -79,6 +120,15 @@ LAYOUTS = {
     "spanish": (SPANISH, "latin-1", "\n"),
     "trapezium": (TRAPEZIUM, "utf-8", "\r\n"),
     "labview": (LABVIEW, "utf-8", "\r\n"),
+    "labview-one": (labview(TIME, LOAD, PULL, x="One"), "utf-8", "\r\n"),
+    "labview-multi": (labview(TIME, LOAD, PULL, x="Multi"), "utf-8", "\n"),
+    "labview-no": (labview(TIME, LOAD, PULL, x="No"), "utf-8", "\r\n"),
+    "labview-units": (
+        labview(TIME, LOAD / 1e3, PULL / 10, x="Multi", tags=LABVIEW_UNITS),
+        *("utf-8", "\r\n"),
+    ),
+    "labview-segments": (labview_segments("One"), "utf-8", "\r\n"),
+    "labview-segments-no": (labview_segments("No"), "utf-8", "\r\n"),
     "units-above": (UNITS_ABOVE, "utf-8", "\n"),
     "units-alone": (UNITS_ALONE, "utf-8", "\n"),
     "thousands": (GROUPED, "latin-1", "\r\n"),

@@ -11,6 +11,7 @@ import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from datetime import date
 from pathlib import Path
 from typing import Any, Literal
 
@@ -57,7 +58,8 @@ class Table:
         for k, (name, unit) in enumerate(zip(self.names, self.units, strict=True)):
             first = self.numbers[0, k] if len(self.numbers) else float("nan")
             named = f'"{name}"' + (f" [{unit}]" if unit else "")
-            shown.append(f"{k + 1} " + (named if name else f"(no name, starts {first:g})"))
+            empty = "" if np.isfinite(self.numbers[:, k]).any() else " (empty)"
+            shown.append(f"{k + 1} " + (named + empty if name else f"(no name, starts {first:g})"))
         return ", ".join(shown)
 
 
@@ -229,7 +231,10 @@ def _read_plain(path: Path) -> Table | None:
         return None  # a remark, or the last line cut short
     _check_commas(path, lines[:start], lines[start:], style, width)
     names, units = _header(lines[:start], style, width)
-    return _drop_empty(Table(names, units, values, _facts(lines, style, encoding), start + 1))
+    table = Table(names, units, values, _facts(lines, style, encoding), start + 1)
+    if tags := _labview_tags(lines[:start], style):
+        table = _with_labview_times(path, table, tags)
+    return _drop_empty(table)
 
 
 def _facts(lines: list[str], style: _Style, encoding: str) -> dict[str, str]:
@@ -354,6 +359,7 @@ def _read_blocks(path: Path, lines: list[str], style: _Style, facts: dict[str, s
     """Return each run of data lines as a table, with the header above it."""
     tables: list[Table] = []
     header_from = 0
+    stamps: list[_Stamp | None] = []  # when segments of a LabVIEW file begin
     for start, stop in _runs(lines, style):
         values, written = _numbers(path, [line for line in lines[start:stop] if line.strip()], style)
         _check_commas(path, lines[header_from:start], lines[start:stop], style, values.shape[1])
@@ -362,8 +368,12 @@ def _read_blocks(path: Path, lines: list[str], style: _Style, facts: dict[str, s
         if tables and not any(names) and values.shape[1] == tables[-1].numbers.shape[1]:
             # A remark between two runs of numbers is not a header: the columns stay the same.
             names, units = tables[-1].names, tables[-1].units
-        tables.append(_drop_empty(Table(names, units, values, facts, start + 1)))
+        table = Table(names, units, values, facts, start + 1)
+        tags = _labview_tags(lines[header_from:start], style)
+        stamps.append(_stamp_of(tags))
+        tables.append(_drop_empty(_with_labview_times(path, table, tags) if tags else table))
         header_from = stop
+    _continue_segments(tables, stamps)
     return tables
 
 
@@ -480,9 +490,6 @@ def _header(lines: list[str], style: _Style, width: int) -> tuple[tuple[str, ...
     if not rows or not named[-1]:
         return blank, blank
     split = [split_name(cell) for cell in _fit(rows[-1], width)]
-    labels = next((row[1:] for row in rows if row[0] == "Y_Unit_Label"), None)  # LabVIEW: far above the names
-    if labels and rows[-1][0] == "X_Value":
-        return ("Time", *_fit(rows[-1][1:], width - 1)), ("s", *_fit(labels, width - 1))
     return tuple(name for name, _ in split), tuple(unit for _, unit in split)
 
 
@@ -522,6 +529,87 @@ def _suffixed_column(path: Path, lines: list[str], encoding: str) -> Table:
     numbers = [float(match["number"]) for match in found] if with_unit else [float(line) for line in plain]
     unit = found[0]["unit"] if with_unit else ""
     return Table(("",), (unit,), np.array(numbers)[:, np.newaxis], facts)
+
+
+# --- LabVIEW ------------------------------------------------------------------------------------------------
+
+_Stamp = tuple[int, float]  # day and second of the day
+_LONGEST_PAUSE_S = 1.0  # between segments of one recording: saving takes less, another test more
+
+
+def _labview_tags(lines: list[str], style: _Style) -> dict[str, list[str]]:
+    """Return the header of a segment of a LabVIEW file by its tags, {} for another file.
+
+    A tag's cells are those of its whole line: the cell of a channel is in the column of its values. Tags of
+    the segment replace those of the file.
+    """
+    rows = [style.cells(line) for line in lines if line.strip()]
+    return {row[0]: row for row in rows} if rows and rows[-1][0] == "X_Value" else {}
+
+
+def _with_labview_times(path: Path, table: Table, tags: dict[str, list[str]]) -> Table:
+    """Return a LabVIEW segment with one column of times, and the units of its channels.
+
+    Times are X_Value, in one column or one for each channel, or X0 + i Delta_X where that is empty. They
+    remain X_Value where X_Dimension is not the time.  Raises: InputError if channels have times of their own.
+    """
+    width = len(table.names)
+
+    def cell(tag: str, k: int) -> str:
+        return _fit(tags.get(tag, []), width)[k]
+
+    def number(tag: str, k: int) -> float:
+        try:
+            return float(cell(tag, k).replace(",", "."))
+        except ValueError:
+            return np.nan
+
+    x = [k for k, name in enumerate(table.names) if name == "X_Value"]
+    channels = [k for k in range(width) if k not in x and np.isfinite(table.numbers[:, k]).any()]
+    units = [cell("Y_Unit_Label", k) or unit for k, unit in enumerate(table.units)]
+    if not channels or (cell("X_Dimension", channels[0]) or "Time").casefold() != "time":
+        return replace(table, units=tuple(units))
+    times: Floats | None = None
+    for k in channels:
+        own: Floats = table.numbers[:, max((column for column in x if column < k), default=0)]
+        if not np.isfinite(own).any():
+            own = number("X0", k) + number("Delta_X", k) * np.arange(len(own), dtype=np.float64)
+        if times is None:
+            times, first = own, k
+        elif np.nanmax(np.abs(own - times), initial=0) > 0.5 * np.nanmedian(np.abs(np.diff(times))):
+            found = f'"{table.names[first]}" and "{table.names[k]}" at different times'
+            raise InputError(path, "channels at the same times", found, "save them with one X column")
+    numbers = table.numbers.copy()
+    numbers[:, x[0]], units[x[0]] = times, "s"
+    keep = [k for k in range(width) if k not in x[1:]]
+    names = ["Time" if k in x else table.names[k] for k in keep]
+    return replace(table, names=tuple(names), units=tuple(units[k] for k in keep), numbers=numbers[:, keep])
+
+
+def _stamp_of(tags: dict[str, list[str]]) -> _Stamp | None:
+    """Return when a segment begins; None where its header does not state it."""
+    day, clock = ("".join(tags.get(tag, [])[1:2]) for tag in ("Date", "Time"))
+    with contextlib.suppress(ValueError):  # not the year first, as LabVIEW writes it
+        year, month, of_month = map(int, day.split("/"))
+        hour, minute, second = clock.replace(",", ".").split(":")
+        return date(year, month, of_month).toordinal(), 3600 * int(hour) + 60 * int(minute) + float(second)
+    return None
+
+
+def _continue_segments(tables: list[Table], stamps: list[_Stamp | None]) -> None:
+    """Let the times of segments that begin again from X0 go on, by the difference of their stamps.
+
+    Where a segment does not begin about where the one before ends, it is another recording and stays as it
+    is.
+    """
+    for before, table, stamp in zip(tables[:-1], tables[1:], stamps[1:], strict=True):
+        first, previous, times = stamps[0], before.numbers[:, 0], table.numbers[:, 0]
+        if first and stamp and table.names[0] == before.names[0] == "Time":
+            later = 86400 * (stamp[0] - first[0]) + stamp[1] - first[1]
+            step = float(np.median(np.diff(previous)))
+            end = previous[-1] + step
+            if times[0] < end - 0.5 * step and abs(times[0] + later - end) <= _LONGEST_PAUSE_S:
+                times += max(later, end - times[0])  # segments do not overlap
 
 
 # --- Excel --------------------------------------------------------------------------------------------------

@@ -438,7 +438,7 @@ def _locate(path: Path, table: Table, text: str) -> tuple[int, int, str]:
 
 def _guessed(path: Path, table: Table, role: Role) -> Column | None:
     """Return the column whose name, or else whose unit alone, fits a role best; None where none fits."""
-    every = range(len(table.names))
+    every = np.flatnonzero(np.isfinite(table.numbers).any(axis=0)).tolist()  # an empty column is none
     candidates = [k for k in every if _fits(table, role, k)]
     if not candidates and role != "video_time":
         units = [unit_of(unit) for unit in table.units]
