@@ -163,6 +163,23 @@ def test_even_slips_at_a_wrong_frame_rate(rate):
     assert clock.status == "ambiguous"
 
 
+@pytest.mark.parametrize("stamps", [True, False])
+def test_few_slips_of_frames_with_time_stamps_set_the_clock(stamps):
+    """Ten slips that fit as well at another frame rate.  A failure means that time stamps are not believed,
+    or that a rate is believed which may be wrong."""
+    rng = np.random.default_rng(0)
+    slips = 17 + slip_times(rng, 20, period_s=1.0, jitter=0.03)
+    shown = slips[4:14] - 20
+    film = tracks(rng, shown, stop_s=shown[-1] + 0.4, frame_s=FRAME_S)
+    film = film.assign_attrs(fps=20.0, clock_file="times.txt" if stamps else "")
+    clock = synchronise(film, sawtooth(rng, slips, stop_s=slips[-1] + 1), sticks_of(slips))
+    assert off_s(clock, 20, shown.mean()) == pytest.approx(0, abs=0.01)
+    assert clock.status == ("ok" if stamps else "ambiguous")
+    if not stamps:
+        (told,) = clock.warnings
+        assert re.search(r"fit nearly as well at [\d.]+ frames/s instead of 20; give `timestamps`", told)
+
+
 def test_another_test_suggests_no_frame_rate(recorded):
     """A failure means that a film that does not belong to the force is said to do so at another rate."""
     _, force, sticks = recorded

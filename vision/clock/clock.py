@@ -132,7 +132,8 @@ def synchronise(
     -------
     The clock. Slips are nearly periodic, so an alignment shifted by whole slips fits nearly as well as the
     right one. The status is "ok" where `align_slips` finds no ambiguity, and "ambiguous" otherwise, or where
-    frames have no times of their own and the slips fit nearly as well at another frame rate.
+    frames have no times of their own, from the file or from time stamps, and the slips fit nearly as well at
+    another frame rate, also if one is given: the camera may have been slower than it was set.
 
     Raises
     ------
@@ -260,12 +261,13 @@ def _from_slips(
 def _against_frame_rates(found: Alignments, tracks: xr.Dataset) -> tuple[Alignments, str]:
     """The alignments, ambiguous also where other frame rates fit as well, and advice on the cause or ""."""
     strip, settings = StripMetadata.of(tracks), found.settings
-    if strip.clock_kind == "file":
-        return found, ""
+    if strip.clock_kind == "file" or strip.clock_file:
+        return found, ""  # each frame has its own time; a rate that is given may be the one that was set
     rate, likelihood = _best_beyond_search(found)
     lead = likelihood - float(found.fits.log_likelihood[0])
     if not found.ambiguity and lead > -settings.least_margin:
-        return replace(found, ambiguity="evenly spaced slips fit nearly as well at other frame rates"), ""
+        why = f"the slips fit nearly as well at {_frame_rate(strip, rate)}"
+        return replace(found, ambiguity=why), "give `timestamps` of the frames, or `offset_s`"
     # Evenly spaced slips fit nearly equally well at many rates.
     if found.ambiguity and lead > settings.clear_likelihood:
         scaled = replace(found.trains, video_s=rate * found.trains.video_s)
