@@ -126,7 +126,8 @@ def _plain_reason(error: Exception) -> str:
         return "its text is not UTF-8"
     if isinstance(error, KeyError) and error.args and isinstance(error.args[0], str):
         return f"'{shortened(error.args[0], 40)}' is missing"
-    return "a quotation mark is never closed" if "inside string" in str(error) else ""
+    open_quote = ("inside string", "unexpected end of data")  # pandas, csv
+    return "a quotation mark is never closed" if any(mark in str(error) for mark in open_quote) else ""
 
 
 def read_toml(path: Path, wanted: str, advice: str) -> dict[str, Any]:

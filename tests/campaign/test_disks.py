@@ -38,7 +38,7 @@ def dies(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("name", "asked"), [("t1.tif", "exists"), ("f.csv", "is_file"), ("table.csv", "read_text")]
+    ("name", "asked"), [("t1.tif", "exists"), ("f.csv", "is_file"), ("table.csv", "read_bytes")]
 )
 def test_a_table_whose_disk_dies_ends_in_one_line(tmp_path, dies, name, asked):
     """A failure means that `track campaign` waits for ever, without a word, for a connection that is lost."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import openpyxl
 import pytest
 
 from tests.campaign.scenes import films, table
@@ -11,6 +12,7 @@ from vision.command.campaign import _checker
 from vision.command.main import run
 from vision.command.options import SETTING_OF
 from vision.command.track import run_name
+from vision.comparison.runs import _read_table
 from vision.errors import InputError
 
 # --- the table ----------------------------------------------------------------------------------------------
@@ -120,6 +122,38 @@ def test_semicolons_and_decimal_commas(tmp_path):
     assert rows[0].values["fps"] == 29.97
 
 
+TABLE = [
+    ["film", "sample", "RH_percent", "d0", "fit_range", "fps", "pixel_size", "notes"],
+    ["t0,1.tif", "feucht für", "43,5", "16,6±0,1", "13,2:17,5", "29,97", "10,5µm", "1,5 mm, dann 3"],
+]
+
+
+@pytest.mark.parametrize("kind", ["cp1252", "utf-16", "xlsx", "numbers.xlsx"])
+def test_tables_of_spreadsheets_as_they_are_saved(kind, tmp_path):
+    """A failure means that a table must be saved in another form, or that its decimal commas are refused."""
+    films(tmp_path, 1)
+    (tmp_path / "t0.tif").rename(tmp_path / "t0,1.tif")
+    path = tmp_path / f"t.{kind}"
+    if kind.endswith("xlsx"):
+        book = openpyxl.Workbook()
+        sheet = book.create_sheet("tests")  # the first one is empty
+        cells = [43.5 if cell == "43,5" and "numbers" in kind else cell for cell in TABLE[1]]
+        for row in (TABLE[0], [], cells):
+            sheet.append(row)
+        book.save(path)
+    else:
+        path.write_bytes("\r\n".join(map(";".join, TABLE)).encode(kind))
+    (row,), wrong = read(path)
+    assert wrong == ()
+    assert row.row == (3 if kind.endswith("xlsx") else 2)
+    assert row.facts == {"sample": "feucht für", "RH_percent": 43.5, "notes": "1,5 mm, dann 3"}
+    assert row.film == str(tmp_path / "t0,1.tif")
+    assert (row.values["d0"], row.values["fit_range"]) == ("16.6±0.1", "13.2:17.5")
+    assert (row.values["fps"], row.values["pixel_size"]) == (29.97, 10.5)
+    _, warnings = _read_table(path)[1:]
+    assert "fps" in warnings[0]  # the table of `compare` is read alike
+
+
 def test_films_of_one_name_need_names(tmp_path):
     """A failure means that one film's run replaces another's."""
     films(tmp_path / "a", 1), films(tmp_path / "b", 1)
@@ -147,7 +181,12 @@ def test_a_folder_of_films_is_read_as_by_track(tmp_path):
 
 @pytest.mark.parametrize(
     ("content", "word"),
-    [(b"", "0 lines"), (b"film\n", "1 lines"), (b"\xff\xfe\x00", "utf-8"), (b'film\n"open', "end of data")],
+    [
+        (b"", "an empty file"),
+        (b"film\n", "1 lines"),
+        (b"film\x00\x01\n", "a binary file"),
+        (b'film\n"open', "a quotation mark is never closed"),
+    ],
 )
 def test_what_is_no_table(tmp_path, content, word):
     """A failure means that a file of another kind ends in a traceback, or starts an empty campaign."""
@@ -180,7 +219,7 @@ def test_films_that_are_still_to_come(tmp_path, monkeypatch):
         (["t.csv", "--profile", "gone"], "--profile: expected a folder with a Snakemake profile"),
         (["t.csv", "--config", "gone.toml"], "gone.toml"),
         (["t.csv", "--watch", "gone"], "a folder to watch"),
-        (["gone.csv"], "gone.csv: expected a CSV table with a column film"),
+        (["gone.csv"], "gone.csv: expected a CSV or Excel table with a column film"),
         (["t.csv", "--out", "t.csv"], "found a file"),
     ],
 )

@@ -137,7 +137,7 @@ def test_runs_that_cannot_be_used_are_named_and_the_rest_done(six, tmp_path, cap
         (["compare"], "expected finished run folders"),
         (["compare", "nowhere"], "found no such folder"),
         (["compare", "tests.csv"], "found a file"),
-        (["compare", "test00", "--table", "none.csv"], "none.csv: expected a CSV table"),
+        (["compare", "test00", "--table", "none.csv"], "none.csv: expected a CSV or Excel table"),
         (["compare", "test00", "--table", "empty.csv"], "empty.csv"),
         (["compare", "test00", "--table", "tests.csv", "--main-sample", "z"], "--main-sample: expected"),
         (["compare", "test00", "--fix-yeff", "-1"], "--fix-yeff: expected a positive number"),

@@ -149,14 +149,14 @@ def read_campaign(
 ) -> tuple[tuple[Row, ...], tuple[Problem, ...]]:
     """Read a table of films; return the rows without problems, and the problems in order of the rows.
 
-    path: CSV with commas, semicolons or tabs, and a column ``film``. Others may be ``name``, `FACTS` and
+    path: a table as `table_cells` reads it, with a column ``film``. Others may be ``name``, `FACTS` and
     options; paths in it are relative to it.  options, check: names of the options of `track`, and a function
     that converts those of one row into values.  name_of: returns the default name of a film.  awaited: a
     watched folder; films in it, and their other files, need not exist yet.
 
     Raises: InputError if the file is not a table or has no rows, or a disk does not answer.
     """
-    read = partial(table_cells, path, "a CSV table with a column film")
+    read = partial(table_cells, path, "a CSV or Excel table with a column film")
     header, lines = answered(read, path, SETTINGS.answer_s)
     columns, problems = _columns(header, ("film", "name", *FACTS, *options))
     rows: list[Row] = []

@@ -50,7 +50,9 @@ from vision.summary import aligned
 
 
 def campaign(
-    table: Annotated[Path | None, Option(help="CSV file; paths in it are relative to its folder.")] = None,
+    table: Annotated[
+        Path | None, Option(help="CSV or Excel file; paths in it are relative to its folder.")
+    ] = None,
     /,
     options: CampaignOptions = CampaignOptions(),
 ) -> int:

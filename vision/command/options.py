@@ -202,8 +202,8 @@ class CompareOptions:
     """How several tests are compared."""
 
     table: Path | None = None
-    """CSV with any of the columns run,sample,V_mm_min,n_test,RH_percent,T_C; n_test counts the sample's tests
-    before this one."""
+    """CSV or .xlsx with any of the columns run,sample,V_mm_min,n_test,RH_percent,T_C; n_test counts the
+    sample's tests before this one."""
     main_sample: str | None = None
     """Sample whose Y_eff is used for all tests; that of the first run if not given."""
     fix_yeff: float | None = None

@@ -17,8 +17,9 @@ import pandas as pd
 
 from vision.comparison.deformation import FilmResults
 from vision.data import whole_events
-from vision.errors import InputError, check_kind, counted, nearest_word, reason_of
-from vision.files import AGAIN, check_regular, reading, shortened
+from vision.errors import InputError, check_kind, counted, nearest_word
+from vision.files import AGAIN, check_regular, reading
+from vision.force.files import EXCEL, decode_text, worksheets
 from vision.models.single_fits import check_columns, complete_events, with_fitted_stiffness
 from vision.numeric import Floats, number
 from vision.run.provenance import checksum_of
@@ -124,7 +125,7 @@ def _read_table(table: str | Path | pd.DataFrame | None) -> tuple[pd.DataFrame |
     if isinstance(table, pd.DataFrame):
         rows, source, base = table.copy(), "`table`", Path()
     else:
-        header, lines = table_cells(Path(table), "a CSV table of tests")
+        header, lines = table_cells(Path(table), "a CSV or Excel table of tests")
         cells = [dict(zip(header, (cell.strip() or None for cell in row), strict=False)) for _, row in lines]
         rows, source, base = pd.DataFrame(cells, columns=header), str(table), Path(table).parent
     rows.columns = [str(name).strip() for name in rows.columns]
@@ -143,28 +144,40 @@ def _read_table(table: str | Path | pd.DataFrame | None) -> tuple[pd.DataFrame |
 
 
 def table_cells(path: Path, wanted: str) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """Return the heading of a CSV table and, with their line numbers, the rows that are not empty.
+    """Return the heading of a table and, with their line numbers, the rows that are not empty.
 
-    Commas separate cells, or semicolons or tabs; then commas in numbers are decimal marks.
+    The table is the first worksheet of an Excel workbook that is not empty, or text in any encoding. There
+    commas separate cells, or semicolons or tabs; then commas in numbers are decimal marks.
 
     wanted: what the file should be, for the message.  Raises: InputError.
     """
     if check_regular(path, wanted).st_size > 1 << 24:
         raise InputError(path, wanted, "a far larger file", "check its name")
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-        first = text.lstrip().partition("\n")[0]
-        separator = max((",", ";", "\t"), key=first.count)
-        reader = csv.reader(io.StringIO(text), delimiter=separator, skipinitialspace=True, strict=True)
-        table = [(reader.line_num, cells) for cells in reader if any(cell.strip() for cell in cells)]
-    except (OSError, ValueError, csv.Error) as error:
-        raise InputError(path, wanted, shortened(reason_of(error)), "save it as CSV, UTF-8") from error
+    with reading(path, wanted, "save it again"):
+        if path.suffix.lower() in EXCEL:
+            sheets = ([*enumerate(rows, start=1)] for _, rows in worksheets(path))
+            table, separator = next((rows for rows in sheets if any(cells for _, cells in rows)), []), ""
+        else:
+            text, _ = decode_text(path, path.read_bytes(), wanted)
+            first = text.lstrip().partition("\n")[0]
+            separator = max((",", ";", "\t"), key=first.count)
+            reader = csv.reader(io.StringIO(text), delimiter=separator, skipinitialspace=True, strict=True)
+            table = [(reader.line_num, cells) for cells in reader]
+    table = [(number, cells) for number, cells in table if any(cell.strip() for cell in cells)]
     if len(table) < 2:
         raise InputError(path, "a heading and a row for each test", f"{len(table)} lines")
     if separator != ",":
-        decimal = re.compile(r"^\s*([-+]?[0-9]+),([0-9]+)\s*$")
-        table = [(number, [decimal.sub(r"\1.\2", cell) for cell in cells]) for number, cells in table]
+        table = [(number, [_with_points(cell) for cell in cells]) for number, cells in table]
     return table[0][1], table[1:]
+
+
+_VALUE = r"[-+]?[0-9]+(?:[.,][0-9]+)?\s*(?:mm|[uµμ]m|px|ms|s|N)?(?:/px)?"
+_VALUES = re.compile(rf"\s*{_VALUE}(?:\s*(?:±|\+-|\+/-|[:=])\s*{_VALUE})*\s*")
+
+
+def _with_points(cell: str) -> str:
+    """Return a cell with decimal points if it is numbers alone, as 16,6 or 16,6±0,1 or 13,2:17."""
+    return re.sub(r"(?<=[0-9]),(?=[0-9])", ".", cell) if _VALUES.fullmatch(cell) else cell
 
 
 def _numbers(

@@ -617,26 +617,32 @@ def _continue_segments(tables: list[Table], stamps: list[_Stamp | None]) -> None
 
 def _read_workbook(path: Path) -> list[Table]:
     """Read every block of numbers of an Excel workbook, worksheet by worksheet."""
+    tables: list[Table] = []
+    for title, rows in worksheets(path):
+        lines = ["\t".join(row) for row in rows]
+        if style := _find_style(lines):
+            facts = {"layout": f"Excel, {title}", "encoding": "xlsx", "separator": "cells"}
+            tables += _read_blocks(path, lines, style, facts | {"decimal": style.decimal})
+    if not tables:
+        raise InputError(path, f"{LEAST_ROWS} rows of numbers in a worksheet", "none", _ADVICE)
+    return tables
+
+
+def worksheets(path: Path) -> Iterator[tuple[str, Iterator[list[str]]]]:
+    """Yield the title of each worksheet of an Excel workbook, and its rows as cells of text."""
     import openpyxl
 
     size = sum(part.file_size for part in zipfile.ZipFile(path).infolist())  # unpacked
     if size > _Most.mixed_bytes:
         wanted = f"a workbook of at most {_Most.mixed_bytes >> 30} GiB when unpacked"
         raise InputError(path, wanted, f"{size >> 20} MiB", "export one table of numbers as text")
-    tables: list[Table] = []
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about styles and menus, which are not read
         book = openpyxl.load_workbook(path, read_only=True, data_only=True)
     with contextlib.closing(book):
         for sheet in book.worksheets:
             sheet.reset_dimensions()  # stated ones may be wrong
-            lines = ["\t".join(_written(row, path)) for row in sheet.iter_rows(values_only=True)]
-            if style := _find_style(lines):
-                facts = {"layout": f"Excel, {sheet.title}", "encoding": "xlsx", "separator": "cells"}
-                tables += _read_blocks(path, lines, style, facts | {"decimal": style.decimal})
-    if not tables:
-        raise InputError(path, f"{LEAST_ROWS} rows of numbers in a worksheet", "none", _ADVICE)
-    return tables
+            yield sheet.title, (_written(row, path) for row in sheet.iter_rows(values_only=True))
 
 
 def _written(row: tuple[object, ...], path: Path) -> list[str]:
@@ -702,4 +708,5 @@ def _vectors(variables: Mapping[str, Any], level: int = 0) -> Iterator[tuple[str
             yield from ((f"{name} {k + 1}", column.astype(float)) for k, column in enumerate(array.T))
 
 
-_READERS = {".mat": _read_mat, ".xlsx": _read_workbook, ".xlsm": _read_workbook}
+EXCEL = (".xlsx", ".xlsm")
+_READERS = {".mat": _read_mat, **dict.fromkeys(EXCEL, _read_workbook)}
