@@ -8,12 +8,14 @@ import pandas as pd
 import pytest
 
 from tests.scenes.analysed import with_force
+from tests.scenes.machine_files import SNAKE, written
 from vision.clock.clock import Candidate
 from vision.data import StickMetadata, TrackMetadata
 from vision.figures.catalogue import FIGURES
+from vision.force import read_force
 from vision.report.page import budget_table
-from vision.report.text import answers, methods
-from vision.summary import lowpass_correction, positions_line, ridges_line, summary_lines
+from vision.report.text import answers, methods, subtitle
+from vision.summary import force_columns_text, lowpass_correction, positions_line, ridges_line, summary_lines
 
 
 @pytest.mark.parametrize(("sheets", "line"), [(2, "8.0 px wide, 20.0 px apart; "), (1, "8.0 px wide; ")])
@@ -29,6 +31,20 @@ def test_blurred_positions_are_measured():
         positions_line({"blurred": 3, "missing": 2, "ok": 95}) == "98 measured (3 of them blurred); 2 missing"
     )
     assert positions_line({"ok": 100}) == "100 measured; none missing"
+
+
+def test_the_columns_taken_from_the_force_recording_are_named(tmp_path):
+    """A failure means that nobody notices that another column or unit was taken, or that a long name fills
+    the screen."""
+    path = written(tmp_path, SNAKE)
+    test = replace(with_force(), force=read_force(path))
+    taken = "test.txt: time = time [s], load = load [mN], displacement = crosshead [cm]; 10 Hz"
+    assert f"force      {taken}" in summary_lines(test)
+    assert f"; force from {taken}" in subtitle(test)
+    long = written(tmp_path, SNAKE.replace("load", "load_" + "x" * 80), name="f" * 100 + ".txt")
+    line = force_columns_text(read_force(long))
+    assert len(line) < 160
+    assert "load = load_xxx" in line and "… [mN], displacement = crosshead [cm]; 10 Hz" in line
 
 
 def test_both_errors_are_printed():

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,6 +24,8 @@ from vision.data import (
 )
 from vision.errors import counted
 from vision.figures.style import candidates_text, drift_text, offset_text
+from vision.files import shortened
+from vision.force.recording import good_samples
 from vision.numeric import nan_median, two_digits, with_minus
 from vision.sample import Sample
 from vision.sheets import doubtful_stretches
@@ -98,16 +102,8 @@ def _lines(results: Results, assumed: Sample | None) -> Iterator[tuple[str, str]
     """Yield the name and the text of each line of the summary."""
     if results.tracks is not None:
         yield from _tracking_lines(results.tracks, results.pixel_size_um, results.pixel_size_err_um)
-    if results.force is not None and results.sticks is not None:
-        sizes, lowpass = event_sizes(results.force, results.sticks), lowpass_correction(results.sticks)
-        facts = StickMetadata.of(results.sticks)
-        regime = facts.regime
-        kind = "stick-slip events" if regime == "stick-slip" else f"events ({regime}, not stick-slip)"
-        yield "events", f"{len(results.sticks)} {kind}; {sizes}; {lowpass}"
-        if facts.hum_N:
-            hum = f"{facts.hum_Hz:.4g} Hz, {facts.hum_N:.2g} {load_unit_text(results.force)} rms"
-            yield "hum", f"slips are searched without hum of {hum}"
-        yield from (("", note) for note in ForceMetadata.of(results.force).notes)
+    if results.force is not None:
+        yield from _force_lines(results.force, results.sticks)
     if (fits := results.fits) is not None:
         yield from _fit_lines(fits)
     elif reason := results.reasons.get("fits"):
@@ -120,6 +116,22 @@ def _lines(results: Results, assumed: Sample | None) -> Iterator[tuple[str, str]
         yield "" if k else "errors", text
     if results.fits is not None:
         yield "sample", _sample(results.fits.sample, results.tracks, assumed=assumed is not None)
+
+
+def _force_lines(force: xr.Dataset, sticks: pd.DataFrame | None) -> Iterator[tuple[str, str]]:
+    """Yield the lines about a force recording and its events."""
+    if text := force_columns_text(force):
+        yield "force", text
+    if sticks is None:
+        return
+    facts = StickMetadata.of(sticks)
+    regime = facts.regime
+    kind = "stick-slip events" if regime == "stick-slip" else f"events ({regime}, not stick-slip)"
+    yield "events", f"{len(sticks)} {kind}; {event_sizes(force, sticks)}; {lowpass_correction(sticks)}"
+    if facts.hum_N:
+        hum = f"{facts.hum_Hz:.4g} Hz, {facts.hum_N:.2g} {load_unit_text(force)} rms"
+        yield "hum", f"slips are searched without hum of {hum}"
+    yield from (("", note) for note in ForceMetadata.of(force).notes)
 
 
 def _fit_lines(fits: ModelFits) -> Iterator[tuple[str, str]]:
@@ -284,6 +296,18 @@ def positions_line(flags: Mapping[str, int]) -> str:
         measured += f" ({blurred} of them blurred)"
     others = ", ".join(f"{count} {name}" for name, count in flags.items() if name not in MEASURED)
     return f"{measured}; {others or 'none missing'}"
+
+
+def force_columns_text(force: xr.Dataset) -> str:
+    """Return the name of the force recording, the columns taken from it, and its rate; "" if not known."""
+    facts = ForceMetadata.of(force)
+    if not facts.columns:
+        return ""
+    roles = re.split(r"; (?=(?:load|displacement|video_time) = )", facts.columns)
+    taken = (re.sub(r"(?<= = ).*(?= \[)", lambda name: shortened(name[0], 24), role) for role in roles)
+    step = float(nan_median(np.diff(good_samples(force)["time_s"].values)))
+    rate = f"; {1 / step:.4g} Hz" if step > 0 else ""
+    return f"{shortened(Path(facts.source).name, 40)}: {', '.join(taken)}{rate}"
 
 
 def event_sizes(force: xr.Dataset, sticks: pd.DataFrame) -> str:

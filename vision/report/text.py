@@ -30,7 +30,7 @@ from vision.models import Estimate, ModelFits, both_errors, plus_minus
 from vision.models.single_fits import has_knees
 from vision.sheets.recovery import LONG_GAP, missing_stretches
 from vision.sheets.tracks import LOSSY
-from vision.summary import axis_source, noise_figures, pixel_size_text
+from vision.summary import axis_source, force_columns_text, noise_figures, pixel_size_text
 from vision.systematics import QUANTITIES
 
 PAPER = (
@@ -60,15 +60,17 @@ def answers(results: Results) -> list[Answer]:
 
 def subtitle(results: Results) -> str:
     """Return a line that describes the recording."""
+    taken = "" if results.force is None else force_columns_text(results.force)
+    force = f"; force from {taken}" if taken else ""
     if results.strip is None:
-        return "a force recording without a video"
+        return f"a force recording without a video{force}"
     time = np.asarray(results.strip["time_s"].values, np.float64)
     known = time[np.isfinite(time)]
     span = f" over {known[-1] - known[0]:.4g} s" if known.size > 1 else ""
-    size = results.pixel_size_um
-    error = results.pixel_size_err_um
+    size, error = results.pixel_size_um, results.pixel_size_err_um
     scale = "no pixel size given" if size is None else f"{pixel_size_text(size, error)} per px"
-    return f"{results.strip.sizes['frame']} frames{span}, {results.strip.sizes['x']} columns, {scale}"
+    frames, columns = results.strip.sizes["frame"], results.strip.sizes["x"]
+    return f"{frames} frames{span}, {columns} columns, {scale}{force}"
 
 
 def _sheets(results: Results) -> Answer | None:
