@@ -142,6 +142,13 @@ def read_toml(path: Path, wanted: str, advice: str) -> dict[str, Any]:
         return tomllib.loads(path.read_text(encoding="utf-8"))
 
 
+def path_beside(folder: Path, name: str | Path) -> Path:
+    """Return a path that a file in this folder names: relative to it or, if only that exists, to the working
+    directory."""
+    beside = folder / name
+    return beside if beside.exists() or not Path(name).exists() else Path(name)
+
+
 def shortened(text: str, most: int = 160) -> str:
     """Return the text as one line of at most `most` characters."""
     line = " ".join(text.split())

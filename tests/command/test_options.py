@@ -1,7 +1,10 @@
 """Lengths, seconds and sheets as typed; options from a file."""
 
+from pathlib import Path
+
 import pytest
 
+from vision.command import options
 from vision.command.main import run
 from vision.command.options import GROUPS, SampleOptions, VideoOptions, option_names
 from vision.command.settings import (
@@ -199,6 +202,22 @@ def test_a_file_of_options_gives_what_it_says(tmp_path):
         "6:14",
         25,
     ]
+
+
+def test_paths_in_a_file_of_options_are_relative_to_it(tmp_path, monkeypatch):
+    """A failure means that a file of options only works from one folder, or takes a file of the same name in
+    the working directory for the one beside it."""
+    (tmp_path / "setup").mkdir()
+    monkeypatch.chdir(tmp_path)
+    config = Path("setup/a.toml")
+    config.write_text("force = 'f.txt'\ntimestamps = 't.txt'\ncorrections = 'setup/c.toml'\n")
+    for name in ("setup/f.txt", "f.txt", "setup/c.toml"):
+        Path(name).write_text("")
+    found = merged(VideoOptions(), options.TestOptions(), config=config)
+    assert found["force"].value == Path("setup/f.txt")
+    assert found["timestamps"].value == Path("setup/t.txt")  # there is none
+    assert found["corrections"].value == Path("setup/c.toml")  # only from the working directory
+    assert merged(options.TestOptions(force=Path("f.txt")), config=config)["force"].value == Path("f.txt")
 
 
 @pytest.mark.parametrize(

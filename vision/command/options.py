@@ -32,7 +32,8 @@ Report = Annotated[bool, Option(show_default=False)]  # also --no-report
 Quiet = Annotated[Switch, Option(help="Print no progress bar and no summary.")]
 Run = Annotated[Path, Option(help="Run folder.")]
 Config = Annotated[
-    Path | None, Option(help="TOML file with any of these options; the command line takes precedence.")
+    Path | None,
+    Option(help="TOML file of any of these options, with paths relative to it; the command line wins."),
 ]
 MovedFilm = Annotated[Path | None, Option(help="Path of the film, if it was moved since it was tracked.")]
 

@@ -15,7 +15,7 @@ from cyclopts import App, CycloptsError
 from vision.command.options import GROUPS, SETTING_OF, flag_of, names_given, with_point
 from vision.data import PIXEL_SIZE_UM
 from vision.errors import InputError, did_you_mean
-from vision.files import AGAIN, read_toml, reading, shortened
+from vision.files import AGAIN, path_beside, read_toml, reading, shortened
 from vision.force import parse_columns
 from vision.numeric import number
 from vision.pipeline import Settings
@@ -105,7 +105,7 @@ def read_config(path: Path) -> dict[str, Any]:
     """Read options from a TOML file and parse them as if they were typed.
 
     Keys are the long names with hyphens or underscores. Options of the sample may be in a table
-    ``[sample]``.
+    ``[sample]``. Paths are relative to the file, as those in a table of films.
     """
     table = read_toml(path, "a TOML file of options", "write lines like: strip = '60:144'")
     found: dict[str, Any] = {}
@@ -113,7 +113,8 @@ def read_config(path: Path) -> dict[str, Any]:
         options = value if isinstance(value, dict) and key == "sample" else {key: value}
         for name, item in options.items():
             option = name.replace("-", "_")
-            found[option] = parse_option(path, option, item)
+            parsed = parse_option(path, option, item)
+            found[option] = path_beside(path.parent, parsed) if isinstance(parsed, Path) else parsed
     return found
 
 

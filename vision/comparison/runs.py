@@ -18,7 +18,7 @@ import pandas as pd
 from vision.comparison.deformation import FilmResults
 from vision.data import whole_events
 from vision.errors import InputError, check_kind, counted, nearest_word
-from vision.files import AGAIN, check_regular, reading
+from vision.files import AGAIN, check_regular, path_beside, reading
 from vision.force.files import EXCEL, decode_text, worksheets
 from vision.models.single_fits import check_columns, complete_events, with_fitted_stiffness
 from vision.numeric import Floats, number
@@ -93,7 +93,7 @@ def read_tests(runs: Sequence[str | Path] = (), table: str | Path | pd.DataFrame
     if not folders:
         if rows is None or "run" not in rows:
             raise InputError("`runs`", "finished run folders", "none", "name them, or give `table`")
-        folders = [_path_of(str(name), base) for name in rows["run"]]
+        folders = [path_beside(base, str(name)) for name in rows["run"]]
     folders = list(dict.fromkeys(folders))
     row_of = _rows_of_runs(folders, rows, base, failures, warnings)
     names = [folder.resolve().name for folder in folders]
@@ -202,12 +202,6 @@ def _numbers(
     return values
 
 
-def _path_of(name: str, base: Path) -> Path:
-    """Return the path of a folder named in the table, relative to the table or the working directory."""
-    beside = base / name
-    return beside if beside.exists() or not Path(name).exists() else Path(name)
-
-
 def _rows_of_runs(
     folders: Sequence[Path], rows: pd.DataFrame | None, base: Path, failures: list[str], warnings: list[str]
 ) -> dict[Path, Cells]:
@@ -222,7 +216,7 @@ def _rows_of_runs(
     known: dict[Path, Cells] = {}
     for row in rows.to_dict("records"):
         name = str(row["run"]).strip()
-        path = _path_of(name, base)
+        path = path_beside(base, name)
         matches = [f for f in folders if f.resolve() == path.resolve()]
         matches = matches or [f for f in folders if f.resolve().name == Path(name).name]
         if len(matches) > 1:
