@@ -498,10 +498,10 @@ def _comb_warnings(tracks: xr.Dataset, found: TrackMetadata, settings: CheckSett
             " (`sheets`), or `frames` in which all of them are apart"
         )
     elif found.ridges_beyond:
+        beyond, s = counted(found.ridges_beyond, "more ridge"), "s" * (found.ridges_beyond == 1)
         yield (
-            f"{found.ridges_beyond} more ridges continue the comb of the {found.sheets} sheets or lie between"
-            f" them, and would change every n: give `sheets` as {found.sheets + found.ridges_beyond} or leave"
-            " it out"
+            f"{beyond} continue{s} the comb of the {found.sheets} sheets or lie{s} between them, and would"
+            f" change every n: give `sheets` as {found.sheets + found.ridges_beyond} or leave it out"
         )
     snr, share = tracks["snr"].values, tracks["found"].values
     wide = tracks["fwhm_px"].values > settings.odd_width * nan_median(tracks["fwhm_px"].values)

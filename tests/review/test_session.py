@@ -83,6 +83,8 @@ def test_planted_mistakes_are_put_right_and_saved(session):
 def test_what_a_page_shows_is_what_saving_measures(session):
     """A failure means that the positions shown after a decision are not those that come of it."""
     session.decide({"kind": "swap", "sheets": [20, 22], "frames": "30:"})
+    told = session.state()["decisions"][-1]["text"]  # with the names that the page shows
+    assert told == "left 1 (index 20) and right 2 (index 22) swapped, frames 30:"
     session.decide(remedies()[1])
     shown = session.positions.x_px.copy()
     save(session)

@@ -1,5 +1,7 @@
 """Manual decisions: what they change, and what is refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,14 @@ from vision.checks import consistency_warnings, tracking_warnings
 from vision.data import operations_of
 from vision.errors import InputError
 from vision.sheets import doubtful_stretches, read_corrections, track_sheets
-from vision.sheets.corrections import corrections_text, last_of, read_decisions
+from vision.sheets.corrections import (
+    Decisions,
+    corrections_text,
+    decision_texts,
+    last_of,
+    read_decisions,
+    sheet_names,
+)
 
 
 @pytest.fixture(scope="module")
@@ -302,9 +311,40 @@ x_px = 3.5
     assert again.film == "abc"
 
 
+def test_a_note_is_kept_and_shown(tmp_path):
+    """A failure means that the reason of a decision is lost, or changes what the decision is."""
+    (one,) = written(tmp_path, '[[leave_out]]\nsheet = 1\nframes = "70"\nnote = "dust,\\nleft"\n')
+    assert (one.first, one.stop, one.note) == (70, 71, "dust, left")
+    names = sheet_names(np.array([-1, -1, 1]), np.array([2, 1, 1]))
+    assert one.text(names) == "left 1 (index 1) left out, frames 70:71 (dust, left)"
+    (again,) = written(tmp_path, corrections_text(Decisions(corrections=(one,))))
+    assert again.note == one.note
+    assert again.what == replace(one, note="").what
+
+
+def test_sheets_have_their_present_names_only_since_the_numbering_changed(tmp_path):
+    """A failure means that a decision of the history is read as one about another sheet."""
+    found = written(
+        tmp_path,
+        '[[swap]]\nsheets = [0, 1]\nframes = "3:4"\ndate = "2026-01-01"\n'
+        '[[delete]]\nsheet = 1\ndate = "2026-01-02"\n'
+        '[[swap]]\nsheets = [0, 1]\nframes = "5"\ndate = "2026-01-03"\n',
+    )
+    assert decision_texts(found, sheet_names(np.array([-1, 1]), np.array([1, 1]))) == [
+        "the sheet of index 0 and the sheet of index 1 swapped, frames 3:4",
+        "the sheet of index 1 deleted",
+        "left 1 (index 0) and right 1 (index 1) swapped, frames 5:6",
+    ]
+
+
 @pytest.mark.parametrize(
     ("text", "names"),
     [
+        (
+            '[[accept]]\nsheet=1\nframes="1:2"\nreason="dust"',
+            "sheet, frames, date, note; found 'reason'",
+        ),
+        ('[[accept]]\nsheet=1\nframes="1:2"\nnotes="dust"', "found 'notes'; did you mean note?"),
         ("[[add]]\nframe=1.5\nx_px=3", "frame"),
         ('[[delete]]\nsheet=1\nframes="1:2"', "[[delete]] 1"),
         ("[[axis]]\nx_px=inf", "x_px"),

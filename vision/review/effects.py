@@ -319,7 +319,8 @@ class Effects:
             part = self.run.positions.copied(rows)
             after = apply(part, _clipped(decision, part), self.run.diagram)
             compared = self._compared(after, at, near, rows)
-            return {"text": decision.text(), "concerned": self._concerned(decision), **compared}
+            text = decision.text(self.run.names())
+            return {"text": text, "concerned": self._concerned(decision), **compared}
 
     def _concerned(self, decision: Correction) -> int:
         """Return the number of frames that a decision concerns, of which a preview shows those near one."""

@@ -38,8 +38,10 @@ from vision.sheets.corrections import (
     Decisions,
     correction_of,
     corrections_text,
+    decision_texts,
     last_of,
     read_decisions,
+    sheet_names,
 )
 from vision.sheets.identities import DOUBTS, WHYS
 from vision.sheets.numbering import placed
@@ -307,18 +309,22 @@ class Session:
 
     def state(self) -> dict[str, Any]:
         """Return what changes with each decision."""
-        saved = len(self.decisions) - len(self.pending)
+        saved, names = len(self.decisions) - len(self.pending), self.names()
         return {
             "revision": self.revision,
-            "decisions": [_listed(one) | {"saved": k < saved} for k, one in enumerate(self.decisions)],
-            "undone": [_listed(one) for one in self.undone],
+            "decisions": [one | {"saved": k < saved} for k, one in enumerate(_listed(self.decisions, names))],
+            "undone": _listed(self.undone, names),
             "can_undo": bool(self.decisions),
             "can_redo": bool(self.undone),
             "changed": self.changed,
-            "unseen": [one.text() for one in self.unseen],
+            "unseen": decision_texts(self.unseen, names),
             "warnings": [str(line) for line in self.stored.facts.get("warnings") or ()],
             "saving": self.saving(),
         }
+
+    def names(self) -> list[str]:
+        """Return the names of the sheets for texts about decisions, from the left."""
+        return sheet_names(self.positions.side, self.positions.n)
 
     def sheets(self) -> list[dict[str, Any]]:
         """Return one entry per sheet, from the left."""
@@ -428,8 +434,9 @@ class Session:
         return {"frame": frame, "candidates": candidates, "sheets": sheets}
 
 
-def _listed(one: Correction) -> dict[str, Any]:
-    return {"kind": one.kind, "text": one.text(), "date": one.date, "entry": one.entry()}
+def _listed(decisions: Sequence[Correction], names: Sequence[str]) -> list[dict[str, Any]]:
+    texts = zip(decisions, decision_texts(decisions, names), strict=True)
+    return [{"kind": one.kind, "text": text, "date": one.date, "entry": one.entry()} for one, text in texts]
 
 
 def _common_start(one: Sequence[Correction], other: Sequence[Correction]) -> int:

@@ -27,7 +27,15 @@ from vision.run.provenance import Origin, checksum_of
 from vision.run.tables import sheets_table, write_kymograph_tif, write_tracks_csv, write_tracks_nc
 from vision.sample import PUBLISHED
 from vision.sheets import doubtful_stretches
-from vision.sheets.corrections import Correction, Decisions, corrections_text, ordered, read_decisions
+from vision.sheets.corrections import (
+    Correction,
+    Decisions,
+    corrections_text,
+    decision_texts,
+    ordered,
+    read_decisions,
+    sheet_names,
+)
 from vision.sheets.recovery import missing_stretches
 from vision.shells import deformation_table
 from vision.summary import findings, noise_figures
@@ -193,6 +201,8 @@ def _video_facts(analysis: Analysis) -> dict[str, Any]:
     assert tracks is not None
     recording = asdict(StripMetadata.of(tracks))
     frames = {name: recording.pop(f"frames_{name}") for name in COUNTS}
+    corrections = ordered(analysis.settings.corrections)
+    names = sheet_names(tracks["side"].values, tracks["n"].values)
     return {
         "found": findings(tracks),
         "recording": {name: value for name, value in recording.items() if name not in ELSEWHERE},
@@ -202,8 +212,8 @@ def _video_facts(analysis: Analysis) -> dict[str, Any]:
         "doubtful_stretches": doubtful_stretches(tracks).astype(object).to_dict("records"),
         "missing_stretches": missing_stretches(tracks).astype(object).to_dict("records"),
         "corrections": [
-            asdict(correction) | {"text": correction.text()}
-            for correction in ordered(analysis.settings.corrections)
+            asdict(one) | {"text": text}
+            for one, text in zip(corrections, decision_texts(corrections, names), strict=True)
         ],
     }
 

@@ -40,8 +40,9 @@ are sheets:
     drift_ppm = -181.4
 
 `sheet` is the index from the left, as in tracks.csv; `accept` and `leave_out` take several at once, as in
-``sheets = [0, 1, 2]``. Every entry may have a ``date``. Entries with a date are applied in order of date,
-each to the result of the earlier ones: an index is the one seen at that date.
+``sheets = [0, 1, 2]``; ``frames = "70"`` is one frame. Every entry may have a ``note``, which is kept, and a
+``date``. Entries with a date are applied in order of date, each to the result of the earlier ones: an index
+is the one seen at that date.
 Entries without a date are applied first, with the indices of the tracking. Of several axes, strips or clocks
 the last is used. ``[run]`` names the film that the decisions belong to; entries under ``[[undone]]`` have no
 effect.
@@ -61,8 +62,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from vision.errors import InputError
-from vision.files import read_toml
+from vision.errors import InputError, did_you_mean
+from vision.files import read_toml, shortened
 from vision.numeric import Floats, Ints, nan_median, nearest
 from vision.sheets.identities import Doubt
 from vision.sheets.numbering import placed
@@ -82,12 +83,14 @@ KEYS: Mapping[str, tuple[str, ...]] = {
 }
 """Kinds of corrections, and the keys that an entry of each kind must have."""
 OPTIONAL: Mapping[str, tuple[str, ...]] = {"clock": ("drift_ppm",)}
-"""Further keys that an entry may have, besides its date."""
+"""Further keys that an entry may have, besides its date and a note."""
 OF_SEVERAL = ("accept", "leave_out")
 """Kinds that may name several sheets in one entry."""
 OF_STRETCHES = ("accept", "leave_out", "swap", "assign")
 OF_SHEETS = (*OF_STRETCHES, "add", "delete")
 """Kinds that change which ridge is which sheet; the others change one number of the run."""
+_LONGEST_NOTE = 500  # characters
+_RENUMBERING = ("add", "delete", "axis")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,6 +113,8 @@ class Correction:
         Offset and drift of the clock.
     date
         Time of the decision, ISO 8601; "" if not stated.
+    note
+        What the user notes about it.
     name
         Name of the entry in messages.
     """
@@ -123,11 +128,19 @@ class Correction:
     offset_s: float | None = None
     drift_ppm: float = 0.0
     date: str = ""
+    note: str = ""
     name: str = "the correction"
 
-    def text(self) -> str:
-        """Return the decision in words, for the report and the list of decisions."""
-        who = " and ".join(f"sheet {k}" for k in self.sheets)
+    def text(self, names: Sequence[str] = ()) -> str:
+        """Return the decision and its note in words.
+
+        names: as from `sheet_names`, one per sheet; without them a sheet is named by its index.
+        """
+        return self._text(names) + (f" ({self.note})" if self.note else "")
+
+    def _text(self, names: Sequence[str]) -> str:
+        named = (names[k] if k < len(names) else f"the sheet of index {k}" for k in self.sheets)
+        who = " and ".join(named)
         when = f"frames {self.first}:{'' if self.stop is None else self.stop}"
         match self.kind:
             case "accept":
@@ -153,8 +166,8 @@ class Correction:
 
     @property
     def what(self) -> tuple[str, dict[str, Any]]:
-        """Content of the decision, without its date and name."""
-        return self.kind, replace(self, date="").entry()
+        """Content of the decision, without its date, note and name."""
+        return self.kind, replace(self, date="", note="").entry()
 
     def entry(self) -> dict[str, Any]:
         """Return the entry as written in a file, without its kind."""
@@ -170,7 +183,8 @@ class Correction:
             "drift_ppm": self.drift_ppm,
         }
         keys = (*KEYS[self.kind], *OPTIONAL.get(self.kind, ()))
-        return {key: values[key] for key in keys} | ({"date": self.date} if self.date else {})
+        further = {"date": self.date, "note": self.note}
+        return {key: values[key] for key in keys} | {key: text for key, text in further.items() if text}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,6 +198,21 @@ class Decisions:
     corrections: tuple[Correction, ...] = ()
     undone: tuple[Correction, ...] = ()
     film: str = ""
+
+
+def sheet_names(side: Ints, n: Ints) -> list[str]:
+    """Return the names of the sheets, from the left: "left 8 (index 4)"."""
+    pairs = enumerate(zip(side.tolist(), n.tolist(), strict=True))
+    return [f"{'left' if side < 0 else 'right'} {number} (index {k})" for k, (side, number) in pairs]
+
+
+def decision_texts(corrections: Sequence[Correction], names: Sequence[str]) -> list[str]:
+    """Return decisions in words, with the names of the sheets as they are after all of them.
+
+    Up to the last decision that changes the numbering, sheets had other names, and are named by their index.
+    """
+    last = max((k for k, one in enumerate(corrections) if one.kind in _RENUMBERING), default=-1)
+    return [one.text(names if k > last else ()) for k, one in enumerate(corrections)]
 
 
 def last_of(corrections: Sequence[Correction], kind: str) -> Correction | None:
@@ -287,10 +316,7 @@ def correction_of(kind: str, entry: Any, name: str = "the correction") -> Correc
     Raises: InputError for a key that is missing or unknown, or a value of the wrong type. The message names
     the entry.
     """
-    allowed = {*KEYS[kind], *OPTIONAL.get(kind, ()), "date"}
-    if not isinstance(entry, dict) or not set(KEYS[kind]) <= set(entry) <= allowed:
-        found = ", ".join(entry) if isinstance(entry, dict) else repr(entry)
-        raise InputError(name, " and ".join(KEYS[kind]), found or "nothing")
+    _check_keys(kind, entry, name)
     parts: dict[str, Any] = {}
     if "sheet" in entry or "sheets" in entry:
         parts["sheets"] = _sheets(kind, entry, name)
@@ -306,7 +332,18 @@ def correction_of(kind: str, entry: Any, name: str = "the correction") -> Correc
     for key, unit in (("x_px", "a column in px"), ("offset_s", "seconds"), ("drift_ppm", "a number")):
         if key in entry:
             parts[key] = _number(entry[key], name, f"{key}, {unit}")
-    return Correction(kind=kind, date=_date(entry.get("date", ""), name), name=name, **parts)
+    date, note = _date(entry.get("date", ""), name), shortened(str(entry.get("note", "")), _LONGEST_NOTE)
+    return Correction(kind=kind, date=date, note=note, name=name, **parts)
+
+
+def _check_keys(kind: str, entry: Any, name: str) -> None:
+    """Refuse an entry that lacks a key of its kind, or has another one."""
+    allowed = (*KEYS[kind], *OPTIONAL.get(kind, ()), "date", "note")
+    if isinstance(entry, dict) and (unknown := next((key for key in entry if key not in allowed), None)):
+        raise InputError(name, f"keys {', '.join(allowed)}", f"'{unknown}'", did_you_mean(unknown, allowed))
+    if not isinstance(entry, dict) or not set(KEYS[kind]) <= set(entry):
+        found = ", ".join(entry) if isinstance(entry, dict) else repr(entry)
+        raise InputError(name, " and ".join(KEYS[kind]), found or "nothing")
 
 
 def _sheets(kind: str, entry: Mapping[str, Any], name: str) -> tuple[int, ...]:
@@ -320,6 +357,8 @@ def _sheets(kind: str, entry: Mapping[str, Any], name: str) -> tuple[int, ...]:
 
 
 def _range(text: Any, name: str, what: str, *, open_end: bool = False) -> tuple[int, int | None]:
+    if open_end and str(text).strip().isdecimal() and len(str(text)) < 19:  # one frame
+        return int(text), int(text) + 1
     first, colon, stop = (part.strip() for part in str(text).partition(":"))
     digits = first.isdecimal() and (stop.isdecimal() or (open_end and not stop))
     if not (colon and digits and len(first + stop) < 19 and (not stop or int(first) < int(stop))):

@@ -130,7 +130,7 @@ export class Decisions {
     const { page } = this, id = `field-${name}`;
     if (name === "sheet" || name === "other") {
       const select = element("select", { id, "data-field": name });
-      for (const sheet of page.state.sheets) select.append(element("option", { value: sheet.index }, `${page.name(sheet)} (sheet ${sheet.index})`));
+      for (const sheet of page.state.sheets) select.append(element("option", { value: sheet.index }, `${page.name(sheet)} (index ${sheet.index})`));
       return select;
     }
     if (name === "candidate") {
