@@ -13,7 +13,7 @@ import pytest
 
 from vision import folder
 from vision.errors import InputError
-from vision.folder import run_folder, write_json
+from vision.folder import check_target, run_folder, write_json
 from vision.run.provenance import Parameter
 
 
@@ -69,6 +69,16 @@ def test_only_run_folders_are_ever_overwritten(tmp_path):
     assert (tmp_path / "thesis" / "chapter1.tex").exists()
     with pytest.raises(InputError, match="overwrite"), run_folder(tmp_path / "thesis"):
         pass
+
+
+def test_what_overwrite_does_not_change_is_said_at_once(tmp_path):
+    """A failure means that `overwrite` is asked for, and the folder is then refused all the same."""
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(InputError, match=r"a new folder, or a run folder to overwrite; found something else"):
+        check_target(tmp_path, overwrite=False)
+    (tmp_path / "run.json").write_text("{}")
+    with pytest.raises(InputError, match="give `overwrite`"):
+        check_target(tmp_path, overwrite=False)
 
 
 def test_an_empty_folder_is_used_without_being_asked(tmp_path):

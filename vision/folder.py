@@ -63,19 +63,19 @@ def check_new(target: Path, *, overwrite: bool, kind: str = "file") -> None:
 def _check_earlier(target: Path, *, overwrite: bool, known_by: str) -> None:
     """Check that an existing folder may be replaced: an empty one, or one with `known_by`, if asked for.
 
-    Raises: InputError if not, or if it cannot be written.
+    Raises: InputError if not, or if it cannot be written; what `overwrite` does not change is said first.
     """
     if not target.is_dir():
         raise InputError(target, "a folder to write", "a file of this name", "give another `out`")
     empty = not any(target.iterdir())
-    check_new(target, overwrite=overwrite or empty, kind="folder")
-    wanted = f"{KNOWN_BY[known_by]} to overwrite"
+    wanted = f"a new folder, or {KNOWN_BY[known_by]} to overwrite"
     if not (empty or (target / known_by).is_file()):
         raise InputError(target, wanted, f"something else (no {known_by} in it)", "give another `out`")
     if target.samefile(Path.cwd()):
         raise InputError(target, wanted, "the working directory", "go one folder up")
     if not os.access(target, os.W_OK | os.X_OK):
         raise InputError(target, wanted, "one that is read-only", "give another `out`")
+    check_new(target, overwrite=overwrite or empty, kind="folder")
 
 
 @contextmanager

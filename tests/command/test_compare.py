@@ -142,7 +142,7 @@ def test_runs_that_cannot_be_used_are_named_and_the_rest_done(six, tmp_path, cap
         (["compare", "test00", "--table", "tests.csv", "--main-sample", "z"], "--main-sample: expected"),
         (["compare", "test00", "--fix-yeff", "-1"], "--fix-yeff: expected a positive number"),
         (["compare", "test00", "--table", "nameless.csv"], "--table: expected 1 rows"),
-        (["compare", "test00", "--out", "test01", "--overwrite"], "test01: expected an earlier result"),
+        (["compare", "test00", "--out", "test01", "--overwrite"], "or an earlier result of the same command"),
     ],
 )  # fmt: skip
 def test_input_that_cannot_be_used(six, tmp_path, arguments, said, refused):

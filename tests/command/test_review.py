@@ -46,12 +46,16 @@ def test_without_the_extra_it_says_what_to_install(folder, monkeypatch, refused)
     ("arguments", "says"),
     [
         (["nowhere.avi"], "nowhere.avi: expected a run folder or a video"),
+        (["RUN", "--film", "OTHER"], "other.avi: expected an input of"),
+        (["RUN", "--film", "gone.avi"], "gone.avi: expected an input of"),
         (["RUN", "--pixel-size", "3"], "without further options; found --pixel-size; give"),
     ],
 )
-def test_what_cannot_be_reviewed_is_one_line(folder, arguments, says, refused):
+def test_what_cannot_be_reviewed_is_one_line(folder, arguments, says, tmp_path, refused):
     """A failure means a traceback, or options that are taken and do nothing."""
-    assert says in refused("review", *(folder if name == "RUN" else name for name in arguments))
+    (other := tmp_path / "other.avi").write_bytes(b"RIFF")
+    meant = {"RUN": folder, "OTHER": other}
+    assert says in refused("review", *(meant.get(name, name) for name in arguments))
 
 
 @pytest.mark.parametrize(

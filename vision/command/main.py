@@ -144,6 +144,10 @@ def review(
     elif given := [*map(flag_of, names_given(*groups, run)), *(["--config"] if config else [])]:
         wanted, advice = "a run without further options", "give the video, or run track again"
         raise InputError(folder, wanted, ", ".join(given), advice)
+    if film is not None:
+        from vision.run.reading import read_run
+
+        read_run(folder).input("film", film)  # a wrong film is refused before the page opens
     from vision.review.server import read_first_view, serve
 
     def opened(address: str) -> None:

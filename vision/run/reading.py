@@ -193,10 +193,10 @@ def check_results(target: Path, *, overwrite: bool, mark: str) -> None:
     It must be new, or hold earlier results of the same command to be replaced, whose run.json has the key
     `mark`.  Raises: InputError, also as `vision.folder.check_target`.
     """
-    check_target(target, overwrite=overwrite)
     if is_run(target) and mark not in read_json(target / RUN_JSON):
-        wanted = "an earlier result of the same command"
+        wanted = "a new folder, or an earlier result of the same command to overwrite"
         raise InputError(target, wanted, "another run", "give another `out`")
+    check_target(target, overwrite=overwrite)
 
 
 def check_outside(target: Path, run: Path) -> None:
