@@ -509,7 +509,7 @@ def test_a_swap_that_lets_two_sheets_jump_is_told(picture):
     """A failure means that one wrong decision by hand makes a sheet another one, and nobody notices."""
     swap = correction_of("swap", {"sheets": [4, 5], "frames": "60:"})
     (line,) = decision_warnings(track_sheets(picture, corrections=(swap,)), (swap,))
-    assert line.startswith(swap.text())
+    assert line.startswith("left 21 (index 4) and left 20 (index 5) swapped, frames 60:")
     assert "in frame 60" in line
     assert "+1.0 and -1.0 pitches" in line
     whole = correction_of("swap", {"sheets": [4, 5], "frames": "0:"})

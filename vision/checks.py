@@ -17,7 +17,7 @@ from vision.memory import is_word, word_counts
 from vision.models.equations import effective_sheets
 from vision.numeric import Bools, Floats, Ints, Pixels, nan_median, nan_quantile, stretches
 from vision.sample import Sample
-from vision.sheets.corrections import Correction
+from vision.sheets.corrections import Correction, decision_texts, ordered, sheet_names
 from vision.sheets.numbering import ends_in_view
 from vision.sheets.recovery import LONG_GAP, WITHOUT_RIDGE, missing_stretches
 from vision.sheets.settings import DEFAULT as TRACKING
@@ -350,7 +350,9 @@ def decision_warnings(tracks: xr.Dataset, corrections: Sequence[Correction]) -> 
     others: an identity that was right is wrong then."""
     x_px, frame = tracks["x_px"].values, tracks["frame"].values
     pitch, lines = TrackMetadata.of(tracks).pitch_px, []
-    for one in corrections:
+    done = ordered(corrections)
+    texts = decision_texts(done, sheet_names(tracks["side"].values, tracks["n"].values))
+    for one, text in zip(done, texts, strict=True):
         if one.kind not in ("swap", "assign"):
             continue
         ends = [np.searchsorted(frame, end) for end in (one.first, one.stop) if end is not None]
@@ -360,7 +362,7 @@ def decision_warnings(tracks: xr.Dataset, corrections: Sequence[Correction]) -> 
             if jumped := [k for k in one.sheets if k < step.size and abs(step[k]) > pitch / 2]:
                 far = " and ".join(f"{step[k] / pitch:+.1f}" for k in jumped)
                 lines.append(
-                    f"{one.text()}: in frame {frame[row]} this moves them by {far} pitches against the other"
+                    f"{text}: in frame {frame[row]} this moves them by {far} pitches against the other"
                     " sheets: look at the tracks there"
                 )
     return lines
