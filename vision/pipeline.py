@@ -373,8 +373,15 @@ def _check_arguments(video: object, force: object, settings: object) -> None:
 
 _OF_STRIP = ("rows", "columns", "strips", "rotate", "frames", "fps", "timestamps", "tuning.video")
 _OF_TRACKS = ("ridges", "sheets", "axis_px", "fit", "window_px", "tuning.tracking")
-_OF_CLOCK = ("offset_s", "tuning.force", "tuning.clock")
-"""Settings that change the strip, also the tracks, and also the clock; the force does so, too."""
+_OF_STICKS_TIMES = (
+    "force_columns",
+    "force_threshold_N",
+    "force_lowpass_s",
+    "force_average_s",
+    "tuning.force",
+)
+_OF_CLOCK = ("offset_s", "tuning.clock", *_OF_STICKS_TIMES)
+"""Settings that change the strip, the tracks and the clock. Each changes the next; so does the force."""
 
 
 def _reusable(earlier: Analysis | None, new: Analysis) -> Analysis:

@@ -64,6 +64,7 @@ then at tracks.csv, tracks.nc, sheets.csv, kymograph.tif and run.json. Examples:
     track markers.avi --ridges dark --sheets 7
     track 'frames/*.tiff' --fps 60
     track *.avi --out series
+    track test_tracks --pixel-size 9.8 --out corrected
 
 Exit status: 0 done, 1 finished with a warning that matters, 2 input that cannot be used, 3 an unexpected \
 error (earlier results are written); of several films the highest. compare, friction and campaign end with 1 \
@@ -91,6 +92,9 @@ def track(
     Several videos are tracked one after the other, each into its own folder. If one cannot be used, the
     others are still tracked, and the exit status is the highest of all, here 2. --out is then the folder that
     holds their folders.
+
+    A run folder is measured again with the options that are given, such as --pixel-size or --force; the
+    others are those of the run. Its film is read again only for another strip. Needs --out or --overwrite.
     """
     from vision.command.track import track_films  # takes a second, which `--help` does not need
 

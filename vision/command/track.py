@@ -20,14 +20,14 @@ from vision.checks import flag_counts
 from vision.command.console import attempt, complain, frame_progress, in_columns, say
 from vision.command.main import prepare_review
 from vision.command.options import ForceOptions, RunOptions, TestOptions, flag_of, option_names
-from vision.command.settings import merged, parameters_given, settings_of
+from vision.command.settings import merged, parameters_given, settings_of, settings_of_run
 from vision.data import MEASURED, StripMetadata
 from vision.errors import InputError, counted
 from vision.files import TIFF, answered
 from vision.folder import check_target
 from vision.pipeline import Analysis, Settings, analyse, open_recording, track_strip
 from vision.run.provenance import Checksums, Origin, Parameter, describe_input, found_pixel_size
-from vision.run.reading import Checkpoint, is_run
+from vision.run.reading import Checkpoint, is_run, read_run, stored_analysis
 from vision.run.writing import FAILURES, set_aside, write_run
 from vision.sheets.corrections import read_decisions
 from vision.summary import aligned, findings, noise_figures
@@ -49,6 +49,8 @@ def track_films(videos: Sequence[Path], groups: Sequence[Any], run: RunOptions, 
     """
     parameters = merged(*groups, config=config)
     videos = [film for video in videos for film in films_of(video)]
+    if len(videos) == 1 and is_run(videos[0]):
+        return measure_again(videos[0], parameters, run, config)
     if len(videos) == 1:
         _check_force(parameters)
         target = run.out or Path(f"{run_name(videos[0])}_tracks")
@@ -154,6 +156,57 @@ def track_one(
     return status, analysis
 
 
+def measure_again(
+    folder: Path, parameters: Mapping[str, Parameter], run: RunOptions, config: Path | None
+) -> int:
+    """Measure a finished run with other options; return the exit status.
+
+    Options that are not given are those of the run, also its corrections. What they do not change is used
+    again: the film is read for another strip only.
+    """
+    if along := [name for name in ("follow", "resume", "checksum") if getattr(run, name)]:
+        raise InputError(folder, f"a video with {flag_of(along[0])}", "a run folder", "leave the option out")
+    stored, target = read_run(folder), run.out or folder
+    check_target(target, overwrite=run.overwrite)
+    typed = {name: one for name, one in parameters.items() if one.how != "default"}
+    if sizes := {"pixel_size", "scale", "pitch"} & typed.keys():
+        typed |= {name: parameters[name] for name in ("pixel_size", "pixel_size_err", "scale", "pitch")}
+    before = settings_of_run(folder)
+    parameters = {**stored.parameters, "corrections": parameters["corrections"], **typed}
+    settings = settings_of(parameters)
+    kept: dict[str, Any] = {} if "timestamps" in typed else {"timestamps": before.timestamps}
+    if "corrections" not in typed:
+        kept["corrections"] = tuple(stored.applied)
+    if settings.pitch_um is not None and not sizes:
+        kept |= {"pixel_size_um": None, "pixel_size_err_um": None}  # which follow from the pitch
+    settings = replace(settings, tuning=before.tuning, **kept)
+    earlier, force = stored_analysis(stored, before), parameters["force"].value
+    if "force" in typed:
+        earlier = replace(earlier, clock=None)
+    elif stored.with_force:
+        force = stored.input("force")
+    try:
+        film = open_recording(stored.input("film"), settings)
+    except InputError:  # is gone; only another strip needs it
+        film = None
+    with frame_progress("reading", quiet=run.quiet) as progress:
+        analysis = analyse(film, force, settings, earlier=earlier, progress=progress)
+    if analysis.pixel_size_um != settings.pixel_size_um:
+        parameters |= found_pixel_size(analysis)
+    files = {"timestamps": settings.timestamps, "force": force}  # where they are, seen from here
+    parameters |= {name: replace(parameters[name], value=file) for name, file in files.items()}
+    known = {stored.found(Path(str(one["path"]))): one for one in stored.facts.get("inputs") or []}
+    used = (settings.timestamps, config, parameters["corrections"].value, force)
+    inputs = [Path(file) for file in (*video_files(next(iter(known))), *used) if file is not None]
+    origin = origin_of(
+        [file for file in inputs if file in known or file.exists()],
+        parameters | parameters_given(run, config=config),
+        described={file: {**one, "path": str(file)} for file, one in known.items()},
+    )
+    write_run(analysis, target, origin, overwrite=run.overwrite, report=run.report)
+    return finish(analysis, target, "overview.png", quiet=run.quiet, verbose=run.verbose)
+
+
 def _check_run(video: Path, target: Path, run: RunOptions, settings: Settings) -> None:
     """Refuse options that exclude each other, a run folder in place of a film, and a folder that is kept."""
     if run.follow and run.resume:
@@ -161,8 +214,8 @@ def _check_run(video: Path, target: Path, run: RunOptions, settings: Settings) -
     if run.resume and settings.strips != 1:
         raise InputError("`resume` and `strips`", "one of the two", "both", "leave `resume` out")
     if is_run(video):
-        found, advice = "a run folder", "track review, figures and export take it"
-        raise InputError(video, "a video or a folder of images", found, advice)
+        advice = "give it alone to measure it again with other options"
+        raise InputError(video, "a video or a folder of images", "a run folder", advice)
     if run.resume and not run.overwrite and is_run(target):
         advice = "give `overwrite` to track the film again"
         raise InputError(target, "an interrupted run to resume", "one that is finished", advice)

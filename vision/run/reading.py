@@ -246,12 +246,7 @@ def analyse_again(
     recording = run.input("force", force) if run.with_force else None
     if not run.of_video:
         return analyse(None, recording, settings)
-    earlier = Analysis(
-        settings=replace(settings, corrections=tuple(run.applied)),
-        strip=read_strip(run),
-        tracks=run.tracks,
-        clock=run.clock,  # used again unless a correction changes it
-    )
+    earlier = stored_analysis(run, settings)
     try:
         video = open_recording(run.input("film", film), settings)
     except InputError:  # the film is gone; only another strip would need it
@@ -259,6 +254,15 @@ def analyse_again(
     if settings.pitch_um is not None:  # the pixel size follows from the tracks
         settings = replace(settings, pixel_size_um=None, pixel_size_err_um=None)
     return analyse(video, recording, settings, earlier=earlier, progress=progress)
+
+
+def stored_analysis(run: RunFolder, settings: Settings) -> Analysis:
+    """Return strip, tracks and clock of a run, for `analyse` with other settings or corrections.
+
+    settings: those of the run; its corrections are added.
+    """
+    settings = replace(settings, corrections=tuple(run.applied))
+    return Analysis(settings=settings, strip=read_strip(run), tracks=run.tracks, clock=run.clock)
 
 
 def read_strip(run: RunFolder) -> xr.DataArray:
