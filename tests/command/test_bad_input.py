@@ -167,7 +167,7 @@ def test_a_run_is_no_video(place, refused):
     """A failure means that whoever names the run in place of the film reads of images of two kinds."""
     (place / "run").mkdir()
     note(place / "run" / "run.json", None)
-    assert "a run folder; track review, figures and export take it" in refused("run")
+    assert "track review, figures and export take a run as it is" in refused("run")
 
 
 # --- arguments that do not fit ------------------------------------------------------------------------------

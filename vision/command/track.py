@@ -166,9 +166,12 @@ def measure_again(
     """
     if along := [name for name in ("follow", "resume", "checksum") if getattr(run, name)]:
         raise InputError(folder, f"a video with {flag_of(along[0])}", "a run folder", "leave the option out")
+    typed = {name: one for name, one in parameters.items() if one.how != "default"}
+    if not typed:
+        advice = "give --pixel-size, for example; track review, figures and export take a run as it is"
+        raise InputError(folder, "a video, or options to measure a run again with", "a run folder", advice)
     stored, target = read_run(folder), run.out or folder
     check_target(target, overwrite=run.overwrite)
-    typed = {name: one for name, one in parameters.items() if one.how != "default"}
     if sizes := {"pixel_size", "scale", "pitch"} & typed.keys():
         typed |= {name: parameters[name] for name in ("pixel_size", "pixel_size_err", "scale", "pitch")}
     before = settings_of_run(folder)
