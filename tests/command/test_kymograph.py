@@ -123,7 +123,8 @@ def test_without_a_pixel_size_the_window_is_one_pitch(there):
 def give_events(folder, status="ok"):
     """Slips of the comb film at 1, 2 and 2.96 s, on a force clock 7 s ahead that runs 1000 ppm fast."""
     slips = np.array([1.0, 2.0, 2.96, 55.0])
-    pd.DataFrame({"event": range(4), "t_p_s": 7 + slips * 1.001}).to_csv(folder / "events.csv", index=False)
+    events = pd.DataFrame({"event": range(4), "t_p_s": 7 + slips * 1.001})
+    events.assign(t_v_s=events["t_p_s"] - 0.5, stick_length_um=9.0).to_csv(folder / "events.csv", index=False)
     clock = {"offset_s": 7.0, "drift_ppm": 1000.0, "status": status, "how": "events"}
     clock |= {"unmatched_video": 0, "unmatched_force": 0}
     (folder / "clock.json").write_text(json.dumps(clock))
@@ -244,6 +245,7 @@ BAD = {
     "damaged diagram": (["cut"], "kymograph.tif"),
     "a diagram of other tracks": (["other"], "kymograph.tif"),
     "damaged facts": (["odd"], "run.json"),
+    "events without times": (["timeless"], "events.csv"),
     "run of a force alone": (["force"], "tracks.nc"),
 }
 
@@ -268,13 +270,14 @@ def test_a_width_without_a_scale_is_refused_before_the_film_is_read(there, monke
 def damaged(there):
     """Run folders with one damaged file each."""
     (there / "empty").mkdir()
-    for name in ("broken", "cut", "other", "odd", "force"):
+    for name in ("broken", "cut", "other", "odd", "timeless", "force"):
         shutil.copytree(there / RUN, there / name)
     (there / "broken" / "tracks.nc").write_bytes(b"nothing of the kind")
     whole = (there / "cut" / "kymograph.tif").read_bytes()
     (there / "cut" / "kymograph.tif").write_bytes(whole[: len(whole) // 2])
     tifffile.imwrite(there / "other" / "kymograph.tif", np.zeros((7, 160), np.float32))
     (there / "odd" / "run.json").write_text("{")
+    (there / "timeless" / "events.csv").write_text("event\n1\n")
     (there / "force" / "tracks.nc").unlink()
     return there
 

@@ -33,6 +33,7 @@ COMMANDS = {
     "kymograph": (["kymograph", "run", "--sheet", "right:2", "--width", "30px"], 2),
     "compare": (["compare", "run"], 3),
     "review": (["review", "run"], 3),
+    "again": (["run", "--threshold", "0.2", "--no-report", "--out", "again"], 2),
 }
 TABLES = ("events.csv", "deformation.csv", "shells.csv")
 READ = {
@@ -41,6 +42,7 @@ READ = {
     "kymograph": ("run.json", "tracks.nc", "kymograph.tif", "clock.json", "events.csv"),
     "compare": ("run.json", *TABLES, "models.json"),
     "review": ("run.json", "tracks.nc", "kymograph.tif", *TABLES, "clock.json"),
+    "again": ("run.json", "tracks.nc", "kymograph.tif", "clock.json"),
 }
 KIND = {".json": "json", ".csv": "text", ".nc": "hdf5", ".tif": "tiff", ".npz": "npz"}
 PROCESS_SHARE = 0.02

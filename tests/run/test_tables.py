@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import threading
 
 import h5py
@@ -19,6 +20,7 @@ from vision.run import provenance, tables, writing
 from vision.run.provenance import Origin
 from vision.run.tables import (
     frame_step_s,
+    read_kymograph_tif,
     stored_kymograph,
     unevenness_s,
     write_kymograph_tif,
@@ -315,3 +317,18 @@ def test_a_diagram_of_a_whole_test_is_read_back(tmp_path):
     path = tmp_path / "kymograph.tif"
     tifffile.memmap(path, shape=(60_000, 1_800), dtype=np.float32, photometric="minisblack").flush()
     assert stored_kymograph(path)[2] == (60_000, 1_800)
+
+
+@pytest.mark.parametrize("damage", ["no columns", "many widths"])
+def test_a_diagram_of_a_senseless_width_is_damaged(tmp_path, damage):
+    """A failure means that a damaged file ends in a traceback."""
+    path = tmp_path / "kymograph.tif"
+    tifffile.imwrite(path, np.ones((4, 6), np.float32))
+    with tifffile.TiffFile(path) as tif:
+        tag = tif.pages.first.tags["ImageWidth"]
+        count, value = (1, 0) if damage == "no columns" else (9, 0)
+    content = bytearray(path.read_bytes())
+    content[tag.offset + 4 : tag.offset + 12] = struct.pack("<II", count, value)
+    path.write_bytes(content)
+    with pytest.raises(InputError, match="space-time diagram"):
+        read_kymograph_tif(path, 4)

@@ -106,7 +106,7 @@ def certify_run(
 
     Raises: InputError for a run without a video, or with sheets in too few frames.
     """
-    clock, sticks, given, strip = run.clock, run.table("events"), run.value("threshold"), read_strip(run)
+    clock, sticks, given, strip = run.clock, run.events, run.value("threshold"), read_strip(run)
     phases = None
     if sticks is not None and clock is not None and clock.status != "ambiguous":
         threshold = STIFF_BELOW if given is None else float(given)

@@ -23,11 +23,11 @@ from vision.command.options import ForceOptions, RunOptions, TestOptions, flag_o
 from vision.command.settings import merged, parameters_given, settings_of, settings_of_run
 from vision.data import MEASURED, StripMetadata
 from vision.errors import InputError, counted
-from vision.files import TIFF, answered
+from vision.files import AGAIN, TIFF, answered, reading
 from vision.folder import check_target
 from vision.pipeline import Analysis, Settings, analyse, open_recording, track_strip
 from vision.run.provenance import Checksums, Origin, Parameter, describe_input, found_pixel_size
-from vision.run.reading import Checkpoint, is_run, read_run, stored_analysis
+from vision.run.reading import Checkpoint, RunFolder, is_run, read_run, stored_analysis
 from vision.run.writing import FAILURES, set_aside, write_run
 from vision.sheets.corrections import read_decisions
 from vision.summary import aligned, findings, noise_figures
@@ -172,22 +172,13 @@ def measure_again(
         raise InputError(folder, "a video, or options to measure a run again with", "a run folder", advice)
     stored, target = read_run(folder), run.out or folder
     check_target(target, overwrite=run.overwrite)
-    if sizes := {"pixel_size", "scale", "pitch"} & typed.keys():
-        typed |= {name: parameters[name] for name in ("pixel_size", "pixel_size_err", "scale", "pitch")}
     before = settings_of_run(folder)
-    parameters = {**stored.parameters, "corrections": parameters["corrections"], **typed}
-    settings = settings_of(parameters)
-    kept: dict[str, Any] = {} if "timestamps" in typed else {"timestamps": before.timestamps}
-    if "corrections" not in typed:
-        kept["corrections"] = tuple(stored.applied)
-    if settings.pitch_um is not None and not sizes:
-        kept |= {"pixel_size_um": None, "pixel_size_err_um": None}  # which follow from the pitch
-    settings = replace(settings, tuning=before.tuning, **kept)
     earlier, force = stored_analysis(stored, before), parameters["force"].value
-    if "force" in typed:
+    if force is not None:
         earlier = replace(earlier, clock=None)
     elif stored.with_force:
         force = stored.input("force")
+    settings, parameters = _with_options(before, stored, parameters, typed)
     try:
         film = open_recording(stored.input("film"), settings)
     except InputError:  # is gone; only another strip needs it
@@ -198,16 +189,44 @@ def measure_again(
         parameters |= found_pixel_size(analysis)
     files = {"timestamps": settings.timestamps, "force": force}  # where they are, seen from here
     parameters |= {name: replace(parameters[name], value=file) for name, file in files.items()}
-    known = {stored.found(Path(str(one["path"]))): one for one in stored.facts.get("inputs") or []}
-    used = (settings.timestamps, config, parameters["corrections"].value, force)
-    inputs = [Path(file) for file in (*video_files(next(iter(known))), *used) if file is not None]
+    with reading(folder, "a run folder as track writes it", AGAIN):
+        known = {stored.found(Path(str(one["path"]))): one for one in stored.facts["inputs"]}
+        film_files = video_files(next(iter(known)))
+    used = (*film_files, settings.timestamps, config, parameters["corrections"].value, force)
     origin = origin_of(
-        [file for file in inputs if file in known or file.exists()],
+        [file for file in map(Path, filter(None, used)) if file in known or file.exists()],
         parameters | parameters_given(run, config=config),
         described={file: {**one, "path": str(file)} for file, one in known.items()},
     )
     write_run(analysis, target, origin, overwrite=run.overwrite, report=run.report)
     return finish(analysis, target, "overview.png", quiet=run.quiet, verbose=run.verbose)
+
+
+def _with_options(
+    before: Settings,
+    stored: RunFolder,
+    parameters: Mapping[str, Parameter],
+    typed: Mapping[str, Parameter],
+) -> tuple[Settings, dict[str, Parameter]]:
+    """Return the settings of a run, and its options, with those that are typed in place of its own."""
+    trio = ("pixel_size", "pixel_size_err", "scale", "pitch")
+    sizes = any(name in typed for name in trio)
+    replaced = {name: parameters[name] for name in (trio if sizes else ())}
+    options = {
+        **parameters,
+        **stored.parameters,
+        "corrections": parameters["corrections"],
+        **typed,
+        **replaced,
+    }
+    settings = settings_of(options)
+    kept: dict[str, Any] = {} if "timestamps" in typed else {"timestamps": before.timestamps}
+    if "corrections" not in typed:
+        kept["corrections"] = tuple(stored.applied)
+    if settings.pitch_um is not None and not sizes:
+        kept |= {"pixel_size_um": None, "pixel_size_err_um": None}  # which follow from the pitch
+    kept |= {"tuning": before.tuning, "t_star_fitted": before.t_star_fitted}  # which are no options
+    return replace(settings, **kept), options
 
 
 def _check_run(video: Path, target: Path, run: RunOptions, settings: Settings) -> None:

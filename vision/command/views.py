@@ -209,7 +209,7 @@ def _from_run(folder: Path, options: VideoOptions) -> tuple[Analysis, list[Path]
         settings=Settings(pixel_size_um=run.pixel_size_um if size is None else size),
         strip=_cut(read_strip(run), columns, folder),
         tracks=run.tracks,
-        sticks=run.table("events"),
+        sticks=run.events,
         clock=run.clock,
     )
     return data, [file for file in files if file.exists()]

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from pathlib import Path
 from threading import Lock
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
@@ -36,9 +35,6 @@ from vision.video.encoded import EncodedReader
 
 # --- the folder ---------------------------------------------------------------------------------------------
 
-EVENT_COLUMNS = ("event", "t_v_s", "t_p_s", "stick_length_um")
-"""Columns of events.csv that a review needs."""
-
 
 @dataclass(frozen=True)
 class StoredRun(RunFolder):
@@ -56,16 +52,6 @@ class StoredRun(RunFolder):
         if self.stamp.change(self.folder / RUN_JSON):
             found, advice = "none, or another one", "nothing was changed; end the review and start it again"
             raise InputError(self.folder, "the run that is reviewed", found, advice)
-
-    @cached_property
-    def events(self) -> pd.DataFrame | None:
-        """The stick-slip events; None if the run has none."""
-        table = self.table("events")
-        absent = [] if table is None else [column for column in EVENT_COLUMNS if column not in table]
-        if absent:
-            found = f"no {', '.join(absent)}"
-            raise InputError(self.folder / "events.csv", "a table as track writes it", found, AGAIN)
-        return table
 
     @property
     def film_checksum(self) -> str:

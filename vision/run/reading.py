@@ -43,6 +43,7 @@ from vision.video import FramesRead, FrameStore, Video, VideoSettings, video_fil
 
 _NUMBERS: dict[Any, Callable[[Any], float]] = {"float": float, "int": int}  # by the type of a field
 TEXT_COLUMNS = ("flag", "shell")  # of the tables of a run; all others hold numbers
+EVENT_COLUMNS = ("event", "t_v_s", "t_p_s", "stick_length_um")  # of events.csv that later stages need
 
 
 @dataclass(frozen=True)
@@ -126,6 +127,16 @@ class RunFolder:
             if wrong.any():
                 found = f"{shortened(str(table[column][wrong].iloc[0]), 40)!r} in the column {column!r}"
                 raise InputError(path, wanted, found, AGAIN)
+        return table
+
+    @cached_property
+    def events(self) -> pd.DataFrame | None:
+        """The stick-slip events; None if the run has none."""
+        table = self.table("events")
+        absent = [] if table is None else [column for column in EVENT_COLUMNS if column not in table]
+        if absent:
+            found = f"no {', '.join(absent)}"
+            raise InputError(self.folder / "events.csv", "a table as track writes it", found, AGAIN)
         return table
 
     @property

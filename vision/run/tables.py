@@ -22,7 +22,7 @@ from pyarrow import csv
 
 from vision.data import OPERATIONS
 from vision.errors import InputError
-from vision.files import AGAIN, check_regular, reading
+from vision.files import AGAIN, check_regular, reading, shortened
 from vision.memory import parts_in_turn
 from vision.numeric import Floats, Floats32, rms, row_parts
 from vision.sheets.identities import DOUBTS
@@ -298,8 +298,9 @@ def stored_kymograph(path: Path) -> tuple[int, np.dtype[Any], tuple[int, int]]:
             shape, dtype, start = page.shape, page.dtype, page.dataoffsets[0]
             plain = page.is_contiguous and dtype is not None and dtype.newbyteorder("=") == np.float32
             order = tif.byteorder
-        if len(shape) != 2 or not plain:
-            raise InputError(path, wanted, f"{dtype} of shape {shape}", AGAIN)
+        sizes = [size for size in shape if isinstance(size, int) and size > 0]  # a damaged one is a tuple
+        if len(sizes) != 2 or len(shape) != 2 or not plain:
+            raise InputError(path, wanted, f"{dtype} of shape {shortened(str(shape), 40)}", AGAIN)
         return start, np.dtype(np.float32).newbyteorder(order), (shape[0], shape[1])
 
 
