@@ -434,7 +434,7 @@ FORCE = Schema(
 # --- stick-slip events --------------------------------------------------------------------------------------
 
 
-RegimeName = Literal["stick-slip", "oscillation", "cycles"]
+RegimeName = Literal["stick-slip", "oscillation", "cycles", "noise"]
 ThresholdHow = Literal["", "noise", "jumps", "gap", "given"]
 LowpassHow = Literal["recorded", "given", "found", "doubtful", "none"]
 LowpassDoubt = Literal["", "differs", "shape"]

@@ -96,7 +96,7 @@ def find_stick_slip(
     half, K1 and K2 those before and after a knee. Lengths and stiffness are NaN where d is unknown.
     ``flag`` is "ok" or, joined by "+", what is wrong within the stick (gap, nan, saturated, repeated,
     backwards, few, falling, unloading) or beside it (jump, still), what the instrument cannot give (short,
-    negative), how it was measured (slow), and what the whole recording shows (oscillation, cycles).
+    negative), how it was measured (slow), and what the whole recording shows (oscillation, cycles, noise).
 
     Raises
     ------
@@ -178,7 +178,7 @@ def _without_ringing(
         return None
     corners = find_corners(calm, slips, settings=settings)
     extremes = find_extremes(calm.clean, calm.sigma, corners.middle, corners.length, corners.drop)
-    regime = find_regime(calm.clean, extremes, settings)
+    regime = find_regime(calm.clean, slips, extremes, settings)
     return (calm, slips) if regime.name == "stick-slip" else None
 
 
@@ -349,7 +349,7 @@ def _analyse_slips(
     bent = _have_knees(signal, slips, given, settings)
     corners = find_corners(signal, slips, two_slopes=bent, settings=settings)
     extremes = find_extremes(signal.clean, signal.sigma, corners.middle, corners.length, corners.drop)
-    regime = find_regime(signal.clean, extremes, settings)
+    regime = find_regime(signal.clean, slips, extremes, settings)
     if signal.averaged:
         extremes = _without_average(extremes, signal, slips, settings)
     found = Lowpass()

@@ -1,5 +1,5 @@
-"""What a recording shows: stick-slip, an oscillation, or cycles of loading and unloading; and why its events
-may not be stick-slip."""
+"""What a recording shows: stick-slip, an oscillation, cycles of loading and unloading, or noise; and why its
+events may not be stick-slip."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from vision.force.corners import Extremes
 from vision.force.lines import fit_lines
 from vision.force.settings import ForceSettings
 from vision.force.signal import Signal, noise_sigma, step_between
-from vision.force.slips import Slips
+from vision.force.slips import Slips, upward_share
 from vision.numeric import Bools, Floats, flat_ranges, nan_median, quantum, white_noise
 
 
@@ -23,22 +23,24 @@ class Regime:
     """What kind of motion a recording shows."""
 
     # "stick-slip"; "oscillation": rises and falls are equally long, and rises are rounded; "cycles": both are
-    # equally long and straight
+    # equally long and straight; "noise": the load jumps upward about as far as it drops
     name: RegimeName
     fall_over_rise: float  # median duration of falls over that of rises
+    upward_share: float  # median of the largest upward jumps within sticks over the median drop
 
 
-def find_regime(y: Floats, extremes: Extremes, settings: ForceSettings) -> Regime:
-    """Return whether a load shows stick-slip, an oscillation, or cycles of loading and unloading.
+def find_regime(y: Floats, slips: Slips, extremes: Extremes, settings: ForceSettings) -> Regime:
+    """Return whether a load shows stick-slip, an oscillation, cycles of loading and unloading, or noise.
 
     A line and half a cosine are fitted to each rise and fall of the load, and show which of them are straight
     or rounded. Slow slips of stick-slip are rounded as those of an oscillation, but the sticks are straight.
     """
     rise, fall = extremes.rise, extremes.fall[1:]
     known = (rise >= 4) & (fall >= 2)
-    name: RegimeName = "stick-slip"
+    upward = upward_share(y, slips.edge, settings)
+    name: RegimeName = "noise" if upward > settings.upward_share else "stick-slip"
     if known.sum() < 2:
-        return Regime(name, float("nan"))
+        return Regime(name, float("nan"), upward)
     ratio = float(np.median(fall[known] / rise[known]))
     equal = settings.equal_share < ratio < 1 / settings.equal_share
     v, p, next_v = extremes.valley[:-1], extremes.peak[1:], extremes.valley[1:]
@@ -48,7 +50,7 @@ def find_regime(y: Floats, extremes: Extremes, settings: ForceSettings) -> Regim
         name = "oscillation"
     elif equal and not rounded_rise and not rounded_fall:
         name = "cycles"
-    return Regime(name, ratio)
+    return Regime(name, ratio, upward)
 
 
 def _roundness(y: Floats, start: Floats, stop: Floats) -> float:
@@ -112,6 +114,9 @@ def doubts(
         f"are rounded, and the load varies by {range_N:.3g} {unit}",
         "cycles": f"not stick-slip: falls last {ratio} times as long as rises and are equally straight, as "
         "in cycles of loading and unloading",
+        "noise": "stick-slip is not clearly visible: within the sticks the load jumps upward by "
+        f"{regime.upward_share:.2g} times the median drop, as noise does, so all events are flagged noise; "
+        "a larger `threshold_N` leaves out the smaller drops",
     }
     lines = [of_all[regime.name]] if regime.name in of_all else []
     if rings and has_flag(events["flag"], "jump").any():

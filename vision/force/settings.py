@@ -209,8 +209,9 @@ class ForceSettings(Tunable):
     """Shortest stick, in time constants of the low-pass. A shorter one mainly shows the instrument."""
 
     upward_share: float = 0.4
-    """Upward jump within a stick over the median drop from which the drops beside it may be no slips. Smaller
-    flags slips in a few steps of a coarse load cell (0.31), larger passes noise (0.43 to 13)."""
+    """Upward jump within a stick over the median drop from which the drops beside it may be no slips; where
+    the median jump reaches it the recording shows noise. Smaller flags slips in a few steps of a coarse load
+    cell (0.31), larger passes noise (0.43 to 13)."""
 
     periodic_share: float = 0.5
     """Share of what the displacement deviates from a straight line that one line of its spectrum holds, and

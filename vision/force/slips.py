@@ -17,7 +17,7 @@ from vision.data import ThresholdHow
 from vision.errors import counted
 from vision.force.lines import LEAST_FOR_KNEE, FittedLoad, Lines, bend_squares, fit_polynomials
 from vision.force.settings import ForceSettings
-from vision.numeric import Bools, Floats, Ints, flat_ranges
+from vision.numeric import Bools, Floats, Ints, flat_ranges, nan_median
 from vision.signals import enforce_distance, running_median
 
 
@@ -214,6 +214,25 @@ def _about_parabolas(y: Floats, start: Ints, stop: Ints) -> Floats:
     residual = np.zeros(y.size)
     residual[flat_ranges(start, stop)[1]] = fit_polynomials(y, start, stop, 2)[1]
     return residual
+
+
+def upward_share(y: Floats, edge: Ints, settings: ForceSettings) -> float:
+    """Return how far the load jumps upward within its sticks, over how far it drops at the slips.
+
+    Both are medians of the step filter at the width that finds the slips, less the rise of the sticks: the
+    largest upward step of each stick, and the downward step at each edge. Noise reaches about 1 because it
+    jumps upward as far and as fast as downward. NaN where the sticks are too short for the filter,
+    infinite where the load does not drop more than it rises.
+    """
+    half = _half_widths(_local_period(edge, y.size), settings)
+    slope = stick_lines(y, edge, settings).slope
+    step = _step_filter(y, half)
+    drop = step[edge] + half[edge] * 0.5 * (slope[:-1] + slope[1:])
+    row, index = flat_ranges(edge[:-1] + half[edge[:-1]], edge[1:] - half[edge[1:]])
+    upward = np.full(edge.size - 1, np.nan)
+    np.fmax.at(upward, row, -step[index] - slope[1:-1][row] * half[index])
+    usual = float(nan_median(drop))
+    return float(nan_median(upward)) / usual if usual > 0 else float("inf")
 
 
 def stick_lines(load: Floats | FittedLoad, edge: Ints, settings: ForceSettings) -> Lines:
