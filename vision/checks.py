@@ -510,9 +510,8 @@ def _comb_warnings(tracks: xr.Dataset, found: TrackMetadata, settings: CheckSett
     least = np.full(len(snr), 0.1 * nan_median(snr))
     if len(snr) >= 5:
         least[[0, -1]] = np.fmax(least[0], settings.end_height * snr[[[1, -2], [2, -3]]].min(axis=0))
-    rare = (share < 0.25) & ~(
-        (share == 0) & (found.corrections_applied > 0)
-    )  # a covered sheet, counted by hand
+    counted_by_hand = (share == 0) & (found.corrections_applied > 0)  # a covered sheet
+    rare = (share < 0.25) & ~counted_by_hand
     odd = (snr < least) | rare | wide | _stationary_ends(tracks, settings)
     if (weak := np.flatnonzero(odd)).size and found.sheets > 1:
         which = _first(weak.tolist(), 6)

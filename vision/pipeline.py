@@ -373,14 +373,8 @@ def _check_arguments(video: object, force: object, settings: object) -> None:
 
 _OF_STRIP = ("rows", "columns", "strips", "rotate", "frames", "fps", "timestamps", "tuning.video")
 _OF_TRACKS = ("ridges", "sheets", "axis_px", "fit", "window_px", "tuning.tracking")
-_OF_STICKS_TIMES = (
-    "force_columns",
-    "force_threshold_N",
-    "force_lowpass_s",
-    "force_average_s",
-    "tuning.force",
-)
-_OF_CLOCK = ("offset_s", "tuning.clock", *_OF_STICKS_TIMES)
+_OF_SLIPS = ("force_columns", "force_threshold_N", "force_lowpass_s", "force_average_s", "tuning.force")
+_OF_CLOCK = ("offset_s", "tuning.clock", *_OF_SLIPS)
 """Settings that change the strip, the tracks and the clock. Each changes the next; so does the force."""
 
 

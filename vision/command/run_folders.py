@@ -9,9 +9,9 @@ from vision.command.settings import options_of, settings_of_run
 from vision.data import ForceMetadata
 from vision.errors import InputError
 from vision.folder import check_target
-from vision.pipeline import Analysis
+from vision.pipeline import Analysis, open_recording
 from vision.run.provenance import Origin, Parameter, found_pixel_size
-from vision.run.reading import analyse_again, read_run
+from vision.run.reading import analyse_again, film_if_there, read_run
 from vision.run.writing import write_run
 from vision.video import video_files
 
@@ -81,7 +81,8 @@ def load_run(folder: str | Path, *, film: Path | None = None, force: Path | None
         If the folder is no run or is damaged, or the force recording is missing or another one.
     """
     run = read_run(Path(folder))
-    if film is not None:
-        run.input("film", film)
     settings = replace(settings_of_run(run.folder), corrections=tuple(run.applied))
-    return analyse_again(run, settings, film=film, force=force)
+    found = (
+        film_if_there(run, settings) if film is None else open_recording(run.input("film", film), settings)
+    )
+    return analyse_again(run, settings, found, run.force(force))

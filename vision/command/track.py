@@ -27,7 +27,15 @@ from vision.files import AGAIN, TIFF, answered, reading
 from vision.folder import check_target
 from vision.pipeline import Analysis, Settings, analyse, open_recording, track_strip
 from vision.run.provenance import Checksums, Origin, Parameter, describe_input, found_pixel_size
-from vision.run.reading import Checkpoint, RunFolder, is_run, read_run, stored_analysis
+from vision.run.reading import (
+    Checkpoint,
+    RunFolder,
+    analyse_again,
+    film_if_there,
+    is_run,
+    read_run,
+    stored_analysis,
+)
 from vision.run.writing import FAILURES, set_aside, write_run
 from vision.sheets.corrections import read_decisions
 from vision.summary import aligned, findings, noise_figures
@@ -166,7 +174,7 @@ def measure_again(
     """
     if along := [name for name in ("follow", "resume", "checksum") if getattr(run, name)]:
         raise InputError(folder, f"a video with {flag_of(along[0])}", "a run folder", "leave the option out")
-    typed = {name: one for name, one in parameters.items() if one.how != "default"}
+    typed = [name for name, one in parameters.items() if one.how != "default"]
     if not typed:
         advice = "give --pixel-size, for example; track review, figures and export take a run as it is"
         raise InputError(folder, "a video, or options to measure a run again with", "a run folder", advice)
@@ -174,17 +182,14 @@ def measure_again(
     check_target(target, overwrite=run.overwrite)
     before = settings_of_run(folder)
     earlier, force = stored_analysis(stored, before), parameters["force"].value
-    if force is not None:
+    if force is None:
+        force = stored.force()
+    else:
         earlier = replace(earlier, clock=None)
-    elif stored.with_force:
-        force = stored.input("force")
     settings, parameters = _with_options(before, stored, parameters, typed)
-    try:
-        film = open_recording(stored.input("film"), settings)
-    except InputError:  # is gone; only another strip needs it
-        film = None
+    film = film_if_there(stored, settings)
     with frame_progress("reading", quiet=run.quiet) as progress:
-        analysis = analyse(film, force, settings, earlier=earlier, progress=progress)
+        analysis = analyse_again(stored, settings, film, force, earlier=earlier, progress=progress)
     if analysis.pixel_size_um != settings.pixel_size_um:
         parameters |= found_pixel_size(analysis)
     files = {"timestamps": settings.timestamps, "force": force}  # where they are, seen from here
@@ -203,29 +208,18 @@ def measure_again(
 
 
 def _with_options(
-    before: Settings,
-    stored: RunFolder,
-    parameters: Mapping[str, Parameter],
-    typed: Mapping[str, Parameter],
+    before: Settings, stored: RunFolder, parameters: Mapping[str, Parameter], typed: Sequence[str]
 ) -> tuple[Settings, dict[str, Parameter]]:
     """Return the settings of a run, and its options, with those that are typed in place of its own."""
-    trio = ("pixel_size", "pixel_size_err", "scale", "pitch")
-    sizes = any(name in typed for name in trio)
-    replaced = {name: parameters[name] for name in (trio if sizes else ())}
-    options = {
-        **parameters,
-        **stored.parameters,
-        "corrections": parameters["corrections"],
-        **typed,
-        **replaced,
-    }
+    sizes = ("pixel_size", "pixel_size_err", "scale", "pitch")  # of which one replaces all
+    names = [*typed, "corrections", *(sizes if any(name in typed for name in sizes) else ())]
+    options = {**parameters, **stored.parameters, **{name: parameters[name] for name in names}}
     settings = settings_of(options)
-    kept: dict[str, Any] = {} if "timestamps" in typed else {"timestamps": before.timestamps}
+    kept: dict[str, Any] = {"tuning": before.tuning, "t_star_fitted": before.t_star_fitted}  # are no options
+    if "timestamps" not in typed:
+        kept["timestamps"] = before.timestamps
     if "corrections" not in typed:
         kept["corrections"] = tuple(stored.applied)
-    if settings.pitch_um is not None and not sizes:
-        kept |= {"pixel_size_um": None, "pixel_size_err_um": None}  # which follow from the pitch
-    kept |= {"tuning": before.tuning, "t_star_fitted": before.t_star_fitted}  # which are no options
     return replace(settings, **kept), options
 
 

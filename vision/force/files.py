@@ -22,7 +22,7 @@ import scipy
 
 from vision.errors import InputError
 from vision.files import READ_HDF5, READ_MATLAB, check_regular, reading, try_out
-from vision.numeric import Bools, Floats
+from vision.numeric import Bools, Floats, number
 
 Dimension = Literal["time", "force", "length", "ratio"]
 
@@ -558,11 +558,8 @@ def _with_labview_times(path: Path, table: Table, tags: dict[str, list[str]]) ->
     def cell(tag: str, k: int) -> str:
         return _fit(tags.get(tag, []), width)[k]
 
-    def number(tag: str, k: int) -> float:
-        try:
-            return float(cell(tag, k).replace(",", "."))
-        except ValueError:
-            return np.nan
+    def value(tag: str, k: int) -> float:
+        return number(cell(tag, k).replace(",", "."))
 
     x = [k for k, name in enumerate(table.names) if name == "X_Value"]
     channels = [k for k in range(width) if k not in x and np.isfinite(table.numbers[:, k]).any()]
@@ -573,7 +570,7 @@ def _with_labview_times(path: Path, table: Table, tags: dict[str, list[str]]) ->
     for k in channels:
         own: Floats = table.numbers[:, max((column for column in x if column < k), default=0)]
         if not np.isfinite(own).any():
-            own = number("X0", k) + number("Delta_X", k) * np.arange(len(own), dtype=np.float64)
+            own = value("X0", k) + value("Delta_X", k) * np.arange(len(own), dtype=np.float64)
         if times is None:
             times, first = own, k
         elif np.nanmax(np.abs(own - times), initial=0) > 0.5 * np.nanmedian(np.abs(np.diff(times))):

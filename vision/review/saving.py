@@ -25,7 +25,7 @@ from vision.pipeline import Settings
 from vision.review.effects import Positions, median_positions, read_positions
 from vision.review.recordings import StoredRun
 from vision.run.provenance import Origin, found_pixel_size
-from vision.run.reading import analyse_again, read_run
+from vision.run.reading import analyse_again, film_if_there, read_run
 from vision.run.writing import WRITTEN, write_run
 from vision.sheets.corrections import Decisions
 
@@ -66,7 +66,8 @@ def save_decisions(job: SaveJob, tell: Tell = lambda stage, done=0, total=0: Non
     def read(done: int, total: int | None) -> None:
         tell("reading the film" if done != total else "measuring", done, total or 0)
 
-    analysis = analyse_again(run, settings, film=job.film, progress=read)
+    force, video = run.force(), film_if_there(run, settings, job.film)
+    analysis = analyse_again(run, settings, video, force, progress=read)
     if settings.pitch_um is not None and run.value("pixel_size") is not None:
         parameters |= found_pixel_size(analysis)
     tell("writing")

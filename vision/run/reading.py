@@ -153,6 +153,10 @@ class RunFolder:
         places = (made_in / named, named, self.folder.absolute().parent / named)
         return next(filter(_is_there, places), named)
 
+    def force(self, moved: Path | None = None) -> Path | None:
+        """Return the path of the force recording, as `input` does; None for a run without one."""
+        return self.input("force", moved) if self.with_force else None
+
     def input(self, which: Literal["film", "force"], moved: Path | None = None) -> Path:
         """Return the path of the film or the force recording after checking that it is the same file.
 
@@ -239,32 +243,38 @@ def first_column(run: RunFolder) -> int:
     return int(start) if start.isdigit() else 0
 
 
+def film_if_there(run: RunFolder, settings: Settings, moved: Path | None = None) -> Video | None:
+    """Open the film of a run, or return None if it is gone, as only another strip needs it.
+
+    moved: its new path, if it was moved.
+    """
+    try:
+        return open_recording(run.input("film", moved), settings)
+    except InputError:
+        return None
+
+
 def analyse_again(
     run: RunFolder,
     settings: Settings,
+    video: Video | None,
+    force: Path | None,
     *,
-    film: Path | None = None,
-    force: Path | None = None,
+    earlier: Analysis | None = None,
     progress: Progress | None = None,
 ) -> Analysis:
-    """Analyse a finished run again, with its strip, tracks and clock as far as corrections leave them.
+    """Analyse a finished run again, with its strip, tracks and clock as far as the settings leave them.
 
-    settings: those of the run, with the corrections to apply.  film, force: paths of files that were moved.
-    progress: see `analyse`.  Without the film, there is no image of a frame, and no correction of the strip.
-
-    Raises: InputError if the force recording, or another file that is needed, is missing or has changed.
+    settings: with the corrections to apply.  video, force: those of the run, None for none; without the film,
+    there is no image of a frame, and no other strip.  earlier: the run as stored, by default with these
+    settings and its own corrections.  progress: see `analyse`.  Raises: InputError as `analyse`.
     """
-    recording = run.input("force", force) if run.with_force else None
-    if not run.of_video:
-        return analyse(None, recording, settings)
-    earlier = stored_analysis(run, settings)
-    try:
-        video = open_recording(run.input("film", film), settings)
-    except InputError:  # the film is gone; only another strip would need it
-        video = None
     if settings.pitch_um is not None:  # the pixel size follows from the tracks
         settings = replace(settings, pixel_size_um=None, pixel_size_err_um=None)
-    return analyse(video, recording, settings, earlier=earlier, progress=progress)
+    if not run.of_video:
+        return analyse(None, force, settings)
+    earlier = earlier or stored_analysis(run, settings)
+    return analyse(video, force, settings, earlier=earlier, progress=progress)
 
 
 def stored_analysis(run: RunFolder, settings: Settings) -> Analysis:
