@@ -19,8 +19,9 @@ import vision
 from tests.force.test_signal import rung
 from tests.scenes.combs import comb, ridges, strip
 from vision import pipeline
+from vision.checks import tracking_warnings
 from vision.command.main import run
-from vision.data import operations_of, warnings_of
+from vision.data import TrackMetadata, operations_of, warnings_of
 from vision.errors import InputError
 from vision.pipeline import Settings
 from vision.run import provenance, writing
@@ -79,6 +80,18 @@ def test_datasets_can_be_written_by_xarray_and_used_again(whole, tmp_path):
     shells = vision.classify_shells(again(motion))
     pd.testing.assert_frame_equal(shells, vision.classify_shells(motion))
     assert [step["operation"] for step in operations_of(tracks)] == ["strip_profile", "track_sheets"]
+
+
+@pytest.mark.parametrize("steps", [[], [40], [40, 80]])
+def test_lists_among_the_facts_are_lists_again(whole, steps, tmp_path):
+    """xarray reads a list as an array, or as its only item. A failure means an error of Python's, or
+    positions spelled in single letters, in the warnings about tracks that were stored."""
+    wide = [f"{step} px (1.9 pitches)" for step in steps]
+    told = whole.tracks.assign_attrs(large_steps=steps, wide_spacings=wide)
+    told.to_netcdf(tmp_path / "data.nc")
+    again = xr.load_dataset(tmp_path / "data.nc")
+    assert (TrackMetadata.of(again).large_steps, TrackMetadata.of(again).wide_spacings) == (steps, wide)
+    assert tracking_warnings(again) == tracking_warnings(told)
 
 
 def test_messages_name_the_settings():
