@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vision.data import TrackMetadata, Tunable
+from vision.data import SIDES, TrackMetadata, Tunable
 from vision.errors import counted
 from vision.memory import is_word, word_counts
 from vision.models.equations import effective_sheets
@@ -217,8 +217,7 @@ def longest_stretches(table: pd.DataFrame, why: str) -> str:
 def _sheet_range(rows: pd.DataFrame) -> str:
     """Return "left 13 (sheet 12)", or "4 sheets between 3 and 9"."""
     if len(rows) == 1:
-        side = "left" if rows["side"].iloc[0] < 0 else "right"
-        return f"{side} {rows['n'].iloc[0]} (sheet {rows['sheet'].iloc[0]})"
+        return f"{SIDES[rows['side'].iloc[0]]} {rows['n'].iloc[0]} (sheet {rows['sheet'].iloc[0]})"
     return f"{len(rows)} sheets between {rows['sheet'].min()} and {rows['sheet'].max()}"
 
 

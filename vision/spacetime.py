@@ -10,14 +10,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from vision.data import STRIP, TRACKS, DiagramMetadata, record
+from vision.data import SIDES, STRIP, TRACKS, DiagramMetadata, record
 from vision.errors import InputError
 from vision.memory import give_back, some_rows
 from vision.numeric import Bools, Floats, Floats32, Ints
 
 Sheet = tuple[str, int] | int  # ("right", 23), or the index counted from the left
 
-SIDES = {"left": -1, "right": 1}
 _ROWS_AT_ONCE = 64  # of a picture, so that memory stays at a few copies of them
 
 
@@ -137,27 +136,24 @@ def _within(values: NDArray[Any], start: float | None, stop: float | None) -> Bo
 def _find(tracks: xr.Dataset, sheet: Sheet, part: xr.DataArray) -> tuple[int, str, Floats]:
     """Return index and name of the requested sheet, and its positions in the frames of the part, px."""
     side, n = np.asarray(tracks["side"].values), np.asarray(tracks["n"].values)
-    if isinstance(sheet, tuple):
-        match = np.flatnonzero((side == SIDES.get(sheet[0], 0)) & (n == sheet[1]))
-        asked = f"{sheet[0]}:{sheet[1]}"
-    else:
-        match, asked = np.flatnonzero(np.arange(n.size) == sheet), f"index {sheet}"
-    if not match.size:
+    names = [f"{SIDES[which]}:{number}" for which, number in zip(side.tolist(), n.tolist(), strict=True)]
+    known = names if isinstance(sheet, tuple) else [f"index {k}" for k in range(n.size)]
+    asked = f"{sheet[0]}:{sheet[1]}" if isinstance(sheet, tuple) else f"index {sheet}"
+    if asked not in known:
         raise InputError("`sheet`", f"one of {_sheets_there(side, n)}", asked)
-    index = int(match[0])
+    index = known.index(asked)
     if not np.isin(part["frame"].values, tracks["frame"].values).all():
         raise InputError("the tracks", "positions for every frame of the strip", "fewer frames")
     x = np.asarray(tracks["x_px"].isel(sheet=index).sel(frame=part["frame"].values).values, np.float64)
-    name = f"{'left' if side[index] < 0 else 'right'}:{n[index]}"
     if not np.isfinite(x).any():
-        raise InputError(f"sheet {name}", "a position in at least one frame shown", "none")
-    return index, name, x
+        raise InputError(f"sheet {names[index]}", "a position in at least one frame shown", "none")
+    return index, names[index], x
 
 
 def _sheets_there(side: NDArray[Any], n: NDArray[Any]) -> str:
     parts = [
         f"{name}:{n[side == sign].min()} to {name}:{n[side == sign].max()}"
-        for name, sign in SIDES.items()
+        for sign, name in SIDES.items()
         if (side == sign).any()
     ]
     return ", ".join([*parts, f"index 0 to {n.size - 1}"])

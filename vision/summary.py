@@ -15,6 +15,7 @@ import xarray as xr
 from vision.checks import flag_counts, longest_stretches
 from vision.data import (
     MEASURED,
+    SIDES,
     ForceMetadata,
     StickMetadata,
     StripMetadata,
@@ -26,7 +27,7 @@ from vision.errors import counted
 from vision.figures.style import candidates_text, drift_text, offset_text
 from vision.files import shortened
 from vision.force.recording import good_samples
-from vision.numeric import nan_median, two_digits, with_minus
+from vision.numeric import Ints, nan_median, two_digits, with_minus
 from vision.sample import Sample
 from vision.sheets import doubtful_stretches
 from vision.sheets.recovery import LONG_GAP, missing_stretches
@@ -165,8 +166,7 @@ def _tracking_lines(
     axis = f"{found.axis_px:.1f} px ({_axis(found, int(tracks['n'].min()), one_side=len(set(side)) == 1)})"
     axis += _axis_on_sheet(tracks)
     ridges = counted(found.sheets, f"{found.ridges} ridge")
-    sides = f"{(side < 0).sum()} left, {(side > 0).sum()} right"
-    yield "sheets", f"{ridges} ({sides}); other ridges ignored: {found.ridges_dropped}{unseen}"
+    yield "sheets", f"{ridges} ({sides_text(side)}); other ridges ignored: {found.ridges_dropped}{unseen}"
     read = f"{strip.frames_read} of {strip.frames_expected} read"
     yield "frames", f"{read}; {strip.frames_lost} lost{corrupt}, {strip.frames_blank} blank{frozen}"
     yield "positions", positions_line(flags)
@@ -183,6 +183,11 @@ def _tracking_lines(
     yield "axis", axis if math.isfinite(found.axis_px) else "not known"
     yield "clock", frame_rate_text(strip)
     yield "scale", scale_line(pixel_size_um, pixel_size_err_um, strip)
+
+
+def sides_text(side: Ints) -> str:
+    """Return the numbers of sheets on each side as text."""
+    return ", ".join(f"{(side == which).sum()} {name}" for which, name in SIDES.items())
 
 
 def _noise(noise: Mapping[str, float], length: str) -> str:
@@ -250,7 +255,7 @@ def _axis_on_sheet(tracks: xr.Dataset) -> str:
     if found.axis_how == "given" or not (apart < found.spacing_px / 4).any():
         return ""
     sheet = int(np.nanargmin(apart))
-    side, n = {-1: "left", 1: "right"}[int(tracks["side"].values[sheet])], int(tracks["n"].values[sheet])
+    side, n = SIDES[int(tracks["side"].values[sheet])], int(tracks["n"].values[sheet])
     return (
         f"; it goes through sheet {sheet}, which counts as n = {n} on the {side}: if it should lie between "
         "two sheets, one was overlooked, or one is no sheet (`axis_px`)"

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import xarray as xr
 
 from vision.data import MotionMetadata, StickMetadata, StripMetadata
+from vision.models.single_fits import SYMBOLS
 from vision.numeric import nan_median, rms
 
 if TYPE_CHECKING:
@@ -22,12 +23,7 @@ if TYPE_CHECKING:
 
 QUANTITIES: Mapping[str, tuple[str, str]] = {
     "x_px": ("absolute position of a sheet", "px"),
-    "mu": ("μ", ""),
-    "T0_N": ("𝒯_0", "N"),
-    "A": ("A", ""),
-    "N_hat_N": ("N̂", "N"),
-    "Y_eff_GPa": ("Y_eff", "GPa"),
-    "Lambda_hat_mm": ("Λ̂", "mm"),
+    **SYMBOLS,
     "K_N_per_mm": ("K", "N/mm"),
     "ratio": ("σ_x/Λ_st", ""),
 }

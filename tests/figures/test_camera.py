@@ -25,7 +25,7 @@ from vision.figures.camera import SlipTimes
 from vision.figures.catalogue import overview
 from vision.figures.drawing import MOST_LINES, new_figure
 from vision.figures.positions import MOST_POINTS
-from vision.figures.style import LEFT_ON_GREY, MISSING, RIGHT_ON_GREY
+from vision.figures.style import MISSING, ON_GREY
 from vision.spacetime import grey_levels, grey_limits
 
 
@@ -242,7 +242,7 @@ def test_the_frame_numbers_its_sheets(tracks):
     figure = frame_figure(np.arange(220 * 200).reshape(200, 220) % 255, tracks)
     left, right = figure.panel.series
     assert left.text == ("5", "4", "3", "2", "1")
-    assert (left.ink, right.ink) == (LEFT_ON_GREY, RIGHT_ON_GREY)
+    assert (left.ink, right.ink) == (ON_GREY[-1], ON_GREY[1])
     assert right.text == ("1", "2", "3", "4", "5")
     np.testing.assert_allclose(right.x, tracks["x_px"].values[0, 5:])
     assert (figure.panel.bands[0].low, figure.panel.bands[0].high) == (59.5, 143.5)

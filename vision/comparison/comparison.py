@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from vision.comparison.deformation import film_columns
-from vision.comparison.figures import compare_figures, slope_text, velocity
+from vision.comparison.figures import compare_figures, label_of, slope_text, velocity
 from vision.comparison.joint import (
     COMPARED,
     Collapse,
@@ -27,7 +27,7 @@ from vision.comparison.joint import (
     systematic_shifts,
 )
 from vision.comparison.runs import TractionTest, read_tests
-from vision.comparison.trends import SYMBOLS, Irregularity, Trend, find_irregular, find_trends
+from vision.comparison.trends import Irregularity, Trend, find_irregular, find_trends
 from vision.data import with_word
 from vision.errors import InputError, counted
 from vision.figures import Figure, save_figures
@@ -39,7 +39,6 @@ from vision.report.text import Answer
 from vision.run.provenance import Origin
 from vision.run.writing import results_folder
 from vision.sample import Sample
-from vision.systematics import QUANTITIES
 
 MARK = "compare"  # key in run.json that distinguishes a comparison from a run
 PICTURES = ("collapse", "trends")
@@ -433,9 +432,7 @@ def _table_of_tests(found: Comparison) -> FactsTable:
         )
         for row, fit in zip(found.table.to_dict("records"), found.fits, strict=True)
     )
-    compared = (QUANTITIES[name] for name in COMPARED)
-    symbols = (f"{symbol} ({unit})" if unit else symbol for symbol, unit in compared)
-    heads = "test", "sample", "V (mm/min)", "events used", *symbols, "notes"
+    heads = "test", "sample", "V (mm/min)", "events used", *map(label_of, COMPARED), "notes"
     return FactsTable(
         "Tests", heads, rows, "Errors are statistical and, if known, systematic, as in tests.csv."
     )
@@ -446,7 +443,7 @@ def _missing(found: Comparison) -> list[str]:
     reasons: dict[str, list[str]] = {}
     for t in found.trends:
         if t.reason:
-            reasons.setdefault(f"with {t.predictor}: {t.reason}", []).append(SYMBOLS[t.quantity])
+            reasons.setdefault(f"with {t.predictor}: {t.reason}", []).append(t.symbol)
     lines = [f"Trends of {', '.join(names)} {why}." for why, names in reasons.items()]
     if found.collapse is None:
         lines.append("The collapse: no test has a Λ̂.")

@@ -8,12 +8,11 @@ from typing import Self
 import numpy as np
 import pandas as pd
 
-from vision.data import STIFF_BELOW
+from vision.data import SIDES
 from vision.errors import InputError
-from vision.numeric import Floats, number
+from vision.numeric import Floats
 from vision.run.reading import RunFolder
 
-SIDES = {-1: "left", 1: "right"}
 INTERVAL = 2 * 1.645  # standard errors in an interval that contains 90 %
 MEDIAN = 1.2533  # standard error of a median over that of a mean, √(π/2)
 OF_SHEETS = ["event", "side", "n", "ratio", "ratio_err"]
@@ -32,24 +31,15 @@ class FilmResults:
     def of(cls, run: RunFolder, warnings: list[str]) -> Self | None:
         """Read the tables of a run; None without them. A damaged one is a warning: the force counts still."""
         try:
-            sheets, shells = run.table("deformation"), run.table("shells")
+            sheets, shells = run.table("deformation", OF_SHEETS), run.table("shells", OF_SHELLS)
         except InputError as error:
             warnings.append(f"{error}; the film of this run is not compared")
             return None
         if sheets is None or shells is None:
             return None
-        if missing := {*OF_SHEETS} - {*sheets.columns} | {*OF_SHELLS} - {*shells.columns}:
-            found = ", ".join(sorted(missing))
-            warnings.append(f"{run.folder}: no column {found}; the film of this run is not compared")
-            return None
         sheets, shells = _numbers(sheets[OF_SHEETS]), _numbers(shells[OF_SHELLS])
         sheets = sheets.assign(d_v_mm=sheets["event"].map(shells.groupby("event")["d_v_mm"].first()))
-        threshold = number(run.value("threshold"))
-        return cls(
-            sheets=sheets.dropna(),
-            shells=shells.dropna(),
-            threshold=threshold if threshold > 0 else STIFF_BELOW,
-        )
+        return cls(sheets=sheets.dropna(), shells=shells.dropna(), threshold=run.threshold)
 
     def separations_mm(self) -> Floats:
         """Return d_v of the stick phases in which a ratio is known, rising."""

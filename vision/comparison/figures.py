@@ -11,14 +11,25 @@ import pandas as pd
 
 from vision.comparison.deformation import FilmResults
 from vision.comparison.runs import TractionTest
-from vision.comparison.trends import PER, PREDICTORS, SYMBOLS, UNITS, Trend
+from vision.comparison.trends import PER, PREDICTORS, Trend
 from vision.data import with_word
 from vision.errors import InputError
 from vision.figures.figure import Figure, Panel, Series, load_figures
 from vision.figures.force import amplitude_curve, stiffness_curves
-from vision.figures.positions import ratio_panel
-from vision.figures.style import DATA, MODEL, PEAK, QUIET, VALLEY, VALLEY_SEPARATION, from_zero, ordered_inks
+from vision.figures.positions import ratio_curve, ratio_panel, shell_panel
+from vision.figures.style import (
+    DATA,
+    MODEL,
+    PEAK,
+    QUIET,
+    VALLEY,
+    VALLEY_SEPARATION,
+    from_zero,
+    ordered_inks,
+    ordered_looks,
+)
 from vision.models import Estimate, both_errors, equations, plus_minus
+from vision.models.single_fits import SYMBOLS
 from vision.numeric import Floats, with_minus
 
 if TYPE_CHECKING:
@@ -151,8 +162,8 @@ def _by_name(
     labels = list(dict.fromkeys(key))
     parts = [events.loc[key.index[key == label]].sort_values(x) for label in labels]
     return tuple(
-        Series.points(label, part[x], part[y], ink, hollow=k % 2 == 1)
-        for k, (label, part, ink) in enumerate(zip(labels, parts, ordered_inks(len(labels)), strict=True))
+        Series.points(label, part[x], part[y], **look)
+        for label, part, look in zip(labels, parts, ordered_looks(len(labels)), strict=True)
     )
 
 
@@ -247,12 +258,9 @@ def ratios_figure(found: Comparison) -> Figure | None:
     looks, series = _looks(found), []
     for name, film in films.items():
         means, d_mm = film.mean_ratios(low, high), spans[name][(spans[name] >= low) & (spans[name] <= high)]
-        y, err = means["ratio"].to_numpy(float), means["error"].to_numpy(float)
-        ends = {"low": np.maximum(y - err, 0), "high": y + err}
+        columns = (means[column].to_numpy(float) for column in ("number", "ratio", "error"))
         label = f"{name}, d_v = {d_mm.mean():.2f} mm, mean of {len(d_mm)}"
-        series.append(
-            Series(label=label, x=means["number"].to_numpy(float), y=y, look="both", **ends, **looks[name])
-        )
+        series.append(ratio_curve(label, *columns, look="both", **looks[name]))
     which = f"from d_v = {low:.2f} to {high:.2f} mm, which all films show" if common else "in the film"
     apart = "" if common or len(films) == 1 else " The films show different separations, which matter, too."
     thresholds = sorted({film.threshold for film in films.values()})
@@ -275,13 +283,7 @@ def shells_figure(found: Comparison) -> Figure | None:
             series.append(Series.points(name, sizes["d_v_mm"], sizes["stiff_sheets"], **look))
     if not series:
         return None
-    top = max(float(one.high.max()) for one in series if one.high is not None)
-    return Panel(
-        x_label=VALLEY_SEPARATION,
-        y_label="stiff sheets per side",
-        y_range=(0.0, 1.15 * top + 1),
-        series=tuple(series),
-    ).figure(
+    return shell_panel(series).figure(
         "shells",
         "Number of sheets per side, from the centre, whose σ_x/Λ_st is below the threshold: mean of both "
         "sides of every stick phase in the film, with the interval that the errors allow.",
@@ -296,11 +298,7 @@ def _films(found: Comparison) -> dict[str, FilmResults]:
 
 def _looks(found: Comparison) -> dict[str, dict[str, Any]]:
     """Return the colour of each run, and whether its points are hollow, as in the other figures."""
-    inks = ordered_inks(len(found.tests))
-    return {
-        test.run: {"ink": ink, "hollow": k % 2 == 1}
-        for k, (test, ink) in enumerate(zip(found.tests, inks, strict=True))
-    }
+    return dict(zip((test.run for test in found.tests), ordered_looks(len(found.tests)), strict=True))
 
 
 # --- irregular stick-slip -----------------------------------------------------------------------------------
@@ -373,7 +371,7 @@ def _trend_panel(found: Comparison, quantities: Sequence[str], predictor: str, w
     by_sample = 1 < len(samples) <= MOST_COLOURS
     inks = dict(zip(samples, ordered_inks(len(samples)), strict=True))
     for k, quantity in enumerate(quantities):
-        of_quantity = (DATA, PEAK)[k] if len(quantities) > 1 else VALLEY
+        symbol, of_quantity = SYMBOLS[quantity][0], (DATA, PEAK)[k] if len(quantities) > 1 else VALLEY
         known = found.table.dropna(subset=[quantity, predictor]).sort_values(predictor)
         if known.empty or known[predictor].nunique() < 2:
             continue
@@ -382,7 +380,7 @@ def _trend_panel(found: Comparison, quantities: Sequence[str], predictor: str, w
             part = known if name is None else known[known["sample"] == name]
             columns = predictor, quantity, with_word(quantity, "err")
             x, y, error = (part[column].to_numpy(float) for column in columns)
-            label = ", ".join([SYMBOLS[quantity]] + ([name or "sample not named"] if by_sample else []))
+            label = ", ".join([symbol] + ([name or "sample not named"] if by_sample else []))
             ink = of_quantity if name is None else inks[name]
             if len(part):
                 series.append(Series.points(label, x, y, ink, error, hollow=k == 1, **look))
@@ -390,12 +388,11 @@ def _trend_panel(found: Comparison, quantities: Sequence[str], predictor: str, w
         if trend.claimed:
             ends = known[predictor].to_numpy(float)[[0, -1]]
             line, ink = trend.intercept + trend.slope * ends, MODEL if by_sample else of_quantity
-            label = f"{SYMBOLS[quantity]}, trend" * by_sample
+            label = f"{symbol}, trend" * by_sample
             series.append(Series(label=label, x=ends, y=line, ink=ink, dashed=k == 1, **look))
     if not series or (len(quantities) > 1 and not any(s.axis == "right" for s in series)):
         return None
-    labels = [SYMBOLS[name] + (f" ({UNITS[name]})" if name in UNITS else "") for name in quantities]
-    first, second = [*labels, ""][:2]
+    first, second = [*map(label_of, quantities), ""][:2]
     return Panel(
         x_label=what,
         y_label=first,
@@ -424,7 +421,7 @@ def _trend_text(trend: Trend) -> str:
     if not np.isfinite(trend.slope):
         return ""
     rank = f"Spearman ρ = {trend.spearman:.2f} (p = {trend.p:.2g})"
-    text = f"{SYMBOLS[trend.quantity]}: slope {slope_text(trend, partial=False)}, {rank}"
+    text = f"{trend.symbol}: slope {slope_text(trend, partial=False)}, {rank}"
     if np.isfinite(trend.partial_slope):
         text += (
             f", with the other predictor fixed {slope_text(trend, partial=True)} (p = {trend.partial_p:.2g})"
@@ -433,9 +430,15 @@ def _trend_text(trend: Trend) -> str:
     return with_minus(f"{text}; {claim}, p = {trend.p_adjusted:.2g} adjusted for the number of trends.")
 
 
+def label_of(quantity: str) -> str:
+    """Return the symbol and unit of a column of tests.csv, for axes and tables."""
+    symbol, unit = SYMBOLS[quantity]
+    return f"{symbol} ({unit})" if unit else symbol
+
+
 def slope_text(trend: Trend, *, partial: bool) -> str:
     """Return the slope of a trend, or the partial one, with its standard error and unit."""
     slope = Estimate(
         *((trend.partial_slope, trend.partial_slope_err) if partial else (trend.slope, trend.slope_err))
     )
-    return " ".join(filter(None, (plus_minus(slope), UNITS.get(trend.quantity), PER[trend.predictor])))
+    return " ".join(filter(None, (plus_minus(slope), SYMBOLS[trend.quantity][1], PER[trend.predictor])))

@@ -14,11 +14,10 @@ from vision.comparison.joint import CompareSettings
 from vision.comparison.runs import TractionTest
 from vision.data import with_word
 from vision.errors import counted
+from vision.models.single_fits import SYMBOLS
 from vision.numeric import Bools, Floats, rms
 
-# by columns of tests.csv
-SYMBOLS = {"mu": "μ", "N_hat_N": "N̂", "Lambda_hat_mm": "Λ̂"}
-UNITS = {"N_hat_N": "N", "Lambda_hat_mm": "mm"}
+QUANTITIES = ("mu", "N_hat_N", "Lambda_hat_mm")  # columns of tests.csv, as are the next ones
 PREDICTORS = {"n_test": "number of previous tests", "RH_percent": "relative humidity (%)"}
 PER = {"n_test": "per test", "RH_percent": "per %"}  # unit of slopes
 
@@ -47,9 +46,14 @@ class Trend:
     reason: str = ""  # why the trend was not examined; "" if it was
 
     @property
+    def symbol(self) -> str:
+        """The quantity's symbol."""
+        return SYMBOLS[self.quantity][0]
+
+    @property
     def name(self) -> str:
         """The quantity and the predictor as text."""
-        return f"{SYMBOLS[self.quantity]} with {PREDICTORS[self.predictor].removesuffix(' (%)')}"
+        return f"{self.symbol} with {PREDICTORS[self.predictor].removesuffix(' (%)')}"
 
     @property
     def beyond_systematic(self) -> bool:
@@ -80,7 +84,7 @@ def find_trends(
     """
     found = [
         _trend(table, quantity, predictor, (shared or {}).get(quantity), settings)
-        for quantity in SYMBOLS
+        for quantity in QUANTITIES
         for predictor in PREDICTORS
     ]
     adjusted = holm(np.array([t.p if np.isnan(t.partial_p) else t.partial_p for t in found]))

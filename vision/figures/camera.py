@@ -12,17 +12,16 @@ import numpy as np
 import xarray as xr
 
 from vision.clock import video_slips
-from vision.data import DiagramMetadata, StripMetadata, TrackMetadata
+from vision.data import SIDES, DiagramMetadata, StripMetadata, TrackMetadata
 from vision.errors import InputError
 from vision.figures.figure import Band, Figure, Image, Panel, Range, Series
 from vision.figures.positions import decimated_tracks, sheet_series
 from vision.figures.style import (
     DATA,
-    LEFT_ON_GREY,
     MODEL,
+    ON_GREY,
     PEAK,
     QUIET,
-    RIGHT_ON_GREY,
     UM_PER_MM,
     VALLEY,
     displacement_unit,
@@ -155,10 +154,9 @@ def _strokes(tracks: xr.Dataset, z0: float, z1: float, numbers_z: float, *, axis
     known, side = np.flatnonzero(np.isfinite(x)), tracks["side"].values
     groups = [("sheets", known, tracks["sheet"].values, PEAK)]
     if axis:
-        n, names = tracks["n"].values, {-1: ("left", LEFT_ON_GREY), 1: ("right", RIGHT_ON_GREY)}
         groups = [
-            (f"sheets {name} of the axis", mine, n, ink)
-            for which, (name, ink) in names.items()
+            (f"sheets {name} of the axis", mine, tracks["n"].values, ON_GREY[which])
+            for which, name in SIDES.items()
             if len(mine := known[side[known] == which])
         ]
     return tuple(
@@ -313,9 +311,8 @@ def _ridge_panel(strip: xr.DataArray, tracks: xr.Dataset, frames: tuple[int, int
         series.append(Series(label=name, x=columns[near], y=values, ink=ink, look="both", hollow=hollow))
         ends = np.array([values.min(), values.max()])
         series.append(Series(label="", x=np.array([at, at]), y=ends, ink=ink, dashed=True, width=1.0))
-    side = "right" if int(tracks["side"].values[sheet]) > 0 else "left"
     return Panel(
-        title=f"Sheet n = {int(tracks['n'].values[sheet])}, {side}",
+        title=f"Sheet n = {int(tracks['n'].values[sheet])}, {SIDES[int(tracks['side'].values[sheet])]}",
         x_label=X_PX,
         y_label=GREY_LEVELS,
         series=tuple(series),
@@ -354,7 +351,7 @@ def space_time_figure(
     """
     scale, _ = position_unit(pixel_size_um, strip.sizes["x"])
     at, x_px = decimated_tracks(tracks)
-    inks = [LEFT_ON_GREY if side < 0 else RIGHT_ON_GREY for side in tracks["side"].values]
+    inks = [ON_GREY[side] for side in tracks["side"].values.tolist()]
     panel = _diagram_panel(
         strip,
         pixel_size_um=pixel_size_um,
@@ -562,4 +559,4 @@ def _two_sheets(tracks: xr.Dataset) -> list[tuple[str, int]]:
         return []
     wanted = round(0.92 * found.max()), round(0.4 * found.max())  # the publication's 23 and 10 of 25
     nearest = {int(found[np.abs(found - one).argmin()]) for one in wanted}
-    return [("right" if which > 0 else "left", k) for k in sorted(nearest, reverse=True)]
+    return [(SIDES[which], k) for k in sorted(nearest, reverse=True)]

@@ -29,6 +29,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
+from vision.data import SIDES
 from vision.figures.figure import Arrow, Band, Figure, Image, Panel, Series
 from vision.figures.style import (
     CASING,
@@ -524,7 +525,7 @@ def _legend_entries(panel: Panel) -> list[tuple[Series | Band, str]]:
         return [(part, part.label) for part in (*parts, *panel.bands) if part.label]
     entries: list[tuple[Series | Band, str]] = []
     full = _in_full(panel)
-    for side, name in ((-1, "left"), (1, "right")):
+    for side, name in SIDES.items():
         mine = {s.sheet[1]: s for s in panel.series if s.sheet is not None and s.sheet[0] == side}
         if mine:
             span = f"{min(mine)} (dark) to {max(mine)} (bright)" if len(mine) > 1 else f"{max(mine)}"

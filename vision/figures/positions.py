@@ -10,7 +10,7 @@ import pandas as pd
 import xarray as xr
 
 from vision.clock import Clock
-from vision.data import STIFF_BELOW, MotionMetadata
+from vision.data import SIDES, STIFF_BELOW, MotionMetadata
 from vision.errors import InputError
 from vision.figures.figure import Band, Figure, Ink, Panel, Series
 from vision.figures.style import (
@@ -22,7 +22,7 @@ from vision.figures.style import (
     VALLEY_SEPARATION,
     displacement_unit,
     from_zero,
-    ordered_inks,
+    ordered_looks,
     sheet_inks,
     time_axis,
 )
@@ -80,7 +80,7 @@ def outer_inner_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None
     at, y = minmax_decimate(time, np.stack(list(curves.values()), axis=1) * scale, most=MOST_POINTS)
     series = tuple(
         Series(
-            label="left side" if which < 0 else "right side",
+            label=f"{SIDES[which]} side",
             x=at,
             y=column,
             ink=DATA if which < 0 else PEAK,
@@ -203,7 +203,7 @@ def sheet_series(
     look: Literal["both", "line"] = "both" if len(at) <= 60 else "line"
     return tuple(
         Series(
-            label=f"{'left' if side < 0 else 'right'} {n}",
+            label=f"{SIDES[side]} {n}",
             x=at,
             y=column,
             ink=ink,
@@ -309,12 +309,16 @@ def _ratio_series(
     curves: label, values and errors of the sheets; every other one is hollow.
     """
     numbers, order = signed_number(motion)
-    series = []
-    for k, (ink, (label, ratio, spread)) in enumerate(zip(ordered_inks(len(curves)), curves, strict=True)):
-        y, err = ratio.to_numpy()[order], spread.to_numpy()[order]
-        ends = {"low": np.maximum(y - err, 0), "high": y + err}
-        series.append(Series(label=label, x=numbers, y=y, ink=ink, hollow=k % 2 == 1, **ends, **look))
-    return series
+    return [
+        ratio_curve(label, numbers, ratio.to_numpy()[order], spread.to_numpy()[order], **look, **own)
+        for own, (label, ratio, spread) in zip(ordered_looks(len(curves)), curves, strict=True)
+    ]
+
+
+def ratio_curve(label: str, numbers: Floats, ratio: Floats, error: Floats, **look: Any) -> Series:
+    """Return σ_x/Λ_st of sheets with its error bars, which end at 0."""
+    low, high = np.maximum(ratio - error, 0), ratio + error
+    return Series(label=label, x=numbers, y=ratio, low=low, high=high, **look)
 
 
 def ratio_panel(series: Sequence[Series], *thresholds: float) -> Panel:
@@ -334,7 +338,7 @@ def shells_figure(shells: pd.DataFrame, fits: ModelFits | None = None) -> Figure
     steps = np.diff(np.unique(known["d_v_mm"].to_numpy(float)))
     shift = 0.12 * float(np.median(steps)) if steps.size else 0.0
     series = []
-    for side, name, ink in ((-1, "left", DATA), (1, "right", PEAK)):
+    for (side, name), ink in zip(SIDES.items(), (DATA, PEAK), strict=True):
         part = known[known["side"] == side]
         if part.empty:
             continue
@@ -346,17 +350,23 @@ def shells_figure(shells: pd.DataFrame, fits: ModelFits | None = None) -> Figure
         d = np.linspace(float(known["d_v_mm"].min()), float(known["d_v_mm"].max()), 300)
         series.append(Series.model("M_eff (force)", d, fits.effective_sheets(d), MODEL))
         model = " Dashed: M_eff = M √(1 − d̂), from the stiffness of the force recording alone."
-    return Panel(
-        x_label=VALLEY_SEPARATION,
-        y_label="stiff sheets per side",
-        y_range=(0.0, 1.15 * float(known["stiff_high"].max()) + 1) if len(known) else None,
-        series=tuple(series),
-    ).figure(
+    return shell_panel(series).figure(
         "shells",
         "Number of sheets per side, from the centre, whose σ_x/Λ_st is below the threshold, with the "
         "interval that the errors allow; one point per stick phase and side (left hollow and shifted to the "
         f"left, right filled and shifted to the right).{model}",
         title="Size of the stiff shell",
+    )
+
+
+def shell_panel(series: Sequence[Series]) -> Panel:
+    """Return numbers of stiff sheets with their intervals against d_v."""
+    tops = [float(one.high.max()) for one in series if one.high is not None]
+    return Panel(
+        x_label=VALLEY_SEPARATION,
+        y_label="stiff sheets per side",
+        y_range=(0.0, 1.15 * max(tops) + 1) if tops else None,
+        series=tuple(series),
     )
 
 

@@ -29,8 +29,7 @@ VALLEY: Ink = ("#008060", "#4fd6ad")
 MODEL: Ink = ("#1a1a1a", "#f2f2f2")
 OTHER_MODEL: Ink = ("#8a5a83", "#e0a3d6")
 QUIET: Ink = ("#6b6b6b", "#a8a8a8")
-LEFT_ON_GREY: Ink = ("#3fb0ff", "#3fb0ff")
-RIGHT_ON_GREY: Ink = ("#ff8a1f", "#ff8a1f")
+ON_GREY: dict[int, Ink] = {-1: ("#3fb0ff", "#3fb0ff"), 1: ("#ff8a1f", "#ff8a1f")}  # sheets, by their side
 HIGHLIGHT = "#d55e00"  # outline of the strip
 SLIPS = "#e04fb3"  # marks of slips, magenta: unlike the tracks of both sides, also without red or green
 CASING = "#101010"  # edge of tracks over an image
@@ -59,6 +58,11 @@ def ordered_inks(count: int) -> list[Ink]:
     shares = np.linspace(0, 1, max(count, 2))[:count]
     light, dark = _along(_VIRIDIS, 0.82 * shares), _along(_VIRIDIS, 0.3 + 0.7 * shares)
     return list(zip(light, dark, strict=True))
+
+
+def ordered_looks(count: int) -> list[dict[str, Any]]:
+    """Return the colours of `ordered_inks` for series of points, every other of which is hollow."""
+    return [{"ink": ink, "hollow": k % 2 == 1} for k, ink in enumerate(ordered_inks(count))]
 
 
 def rgb(colour: str) -> tuple[int, int, int]:

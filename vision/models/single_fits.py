@@ -35,7 +35,15 @@ PARAMETERS = {
     "Lambda_hat_mm": "scale_mm",
 }
 """Names of the fitted parameters in models.json, and their fields in `ModelFits`."""
-
+SYMBOLS = {
+    "mu": ("μ", ""),
+    "T0_N": ("𝒯_0", "N"),
+    "A": ("A", ""),
+    "N_hat_N": ("N̂", "N"),
+    "Y_eff_GPa": ("Y_eff", "GPa"),
+    "Lambda_hat_mm": ("Λ̂", "mm"),
+}
+"""Their symbols and units."""
 
 SLOW_MM_MIN = 1.0
 """Pulling speed up to which the publication's models of A, N̂ and Y_eff hold."""
@@ -193,8 +201,8 @@ class ModelFits(Shown):
         return f"{both_errors(getattr(self, PARAMETERS[name]))} {unit}".rstrip()
 
     def _shown(self) -> tuple[str, dict[str, str]]:
-        shown = (("μ", ""), ("𝒯0", "N"), ("A", ""), ("N̂", "N"), ("Y_eff", "GPa"), ("Λ̂", "mm"))
-        rows = {symbol: self.text(name, unit) for (symbol, unit), name in zip(shown, PARAMETERS, strict=True)}
+        shown = {symbol.replace("𝒯_0", "𝒯0"): (name, unit) for name, (symbol, unit) in SYMBOLS.items()}
+        rows = {symbol: self.text(*parameter) for symbol, parameter in shown.items()}
         rows["d"] = f"{self.d_mm[0]:.2f} to {self.d_mm[1]:.2f} mm"
         rows |= {
             f"χ²/dof, {name}": f"{good.chi2_dof:.3g} ({good.points} points)"

@@ -19,7 +19,7 @@ from jinja2.utils import htmlsafe_json_dumps
 from markupsafe import Markup
 from PIL import Image as Pillow
 
-from vision.data import ForceMetadata, StripMetadata
+from vision.data import SIDES, ForceMetadata, StripMetadata
 from vision.errors import with_options
 from vision.figures import Figure, Image, Panel, Series
 from vision.figures.catalogue import Results, figures_of, missing_parts, sections_of
@@ -266,7 +266,7 @@ def doubt_table(tracks: xr.Dataset) -> FactsTable:
     rows = tuple(
         (
             str(row["sheet"]),
-            {-1: "left", 1: "right"}[row["side"]],
+            SIDES[row["side"]],
             str(row["n"]),
             _frames(row["first_frame"], row["last_frame"]),
             str(row["why"]),

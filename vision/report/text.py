@@ -30,7 +30,7 @@ from vision.models import Estimate, ModelFits, both_errors, plus_minus
 from vision.models.single_fits import has_knees
 from vision.sheets.recovery import LONG_GAP, missing_stretches
 from vision.sheets.tracks import LOSSY
-from vision.summary import axis_source, force_columns_text, noise_figures, pixel_size_text
+from vision.summary import axis_source, force_columns_text, noise_figures, pixel_size_text, sides_text
 from vision.systematics import QUANTITIES
 
 PAPER = (
@@ -81,7 +81,7 @@ def _sheets(results: Results) -> Answer | None:
     ok = float(measured.mean()) if measured.size else 0.0
     return Answer(
         "sheets tracked",
-        f"{side.size} ({(side < 0).sum()} left, {(side > 0).sum()} right)",
+        f"{side.size} ({sides_text(side)})",
         f"{percent(ok)} of all positions measured; {TrackMetadata.of(tracks).ridges} ridges",
         doubt=ok < 0.99,
     )

@@ -15,9 +15,9 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
-from vision.data import MEASURED, StripMetadata
+from vision.data import MEASURED, SIDES, StripMetadata
 from vision.errors import InputError
-from vision.figures.style import HIGHLIGHT, LEFT_ON_GREY, RIGHT_ON_GREY, label_step, rgb
+from vision.figures.style import HIGHLIGHT, ON_GREY, label_step, rgb
 from vision.files import AGAIN, Progress, reading
 from vision.folder import check_new, flattened, harmless, run_folder, whole_file, write_csv, write_json
 from vision.numeric import Floats, Ints, Pixels, nan_median
@@ -131,8 +131,8 @@ def positions_table(tracks: xr.Dataset, *, pixel_size_um: float | None) -> pd.Da
     Columns are called left_3_um, right_23_um, or …_px if the pixel size is not known.
     """
     unit, scale = ("px", 1.0) if pixel_size_um is None else ("um", pixel_size_um)
-    sides = np.where(tracks["side"].values < 0, "left", "right")
-    names = [f"{side}_{n}_{unit}" for side, n in zip(sides, tracks["n"].values, strict=True)]
+    sheets = zip(tracks["side"].values.tolist(), tracks["n"].values.tolist(), strict=True)
+    names = [f"{SIDES[side]}_{n}_{unit}" for side, n in sheets]
     table = pd.DataFrame((tracks["x_px"].values * scale).round(4), columns=names)
     table.insert(0, "frame", tracks["frame"].values)
     table.insert(1, "time_s", tracks["time_s"].values.round(9))
@@ -175,16 +175,18 @@ def write_rois(run: RunFolder, path: Path) -> None:
 
     tracks, start = run.tracks, first_column(run)
     rois = []
-    sheets = zip(tracks["side"].values, tracks["n"].values, tracks["x_px"].values.T - start, strict=True)
+    sheets = zip(
+        tracks["side"].values.tolist(), tracks["n"].values, tracks["x_px"].values.T - start, strict=True
+    )
     for side, n, x in sheets:
-        name, ink = (f"left_{n}", LEFT_ON_GREY) if side < 0 else (f"right_{n}", RIGHT_ON_GREY)
+        name = f"{SIDES[side]}_{n}"
         known = np.flatnonzero(np.isfinite(x))
         stretches = np.split(known, np.flatnonzero(np.diff(known) > 1) + 1) if known.size else []
         for k, rows in enumerate(stretches, 1):
             label = name if k == 1 else f"{name}_{k}"
             roi = roifile.ImagejRoi.frompoints(np.stack([x[rows], rows], axis=1), name=label)
             roi.roitype = roifile.ROI_TYPE.POLYLINE if rows.size > 1 else roifile.ROI_TYPE.POINT
-            roi.stroke_color = bytes((255, *rgb(ink[0])))
+            roi.stroke_color = bytes((255, *rgb(ON_GREY[side][0])))
             rois.append(roi)
     roifile.roiwrite(path, rois, mode="w")
 
@@ -444,7 +446,7 @@ class _Canvas:
         seen, numbered = np.flatnonzero(np.isfinite(self.x_px[row])), set(self._numbered(n))
         for k in seen:
             x = self._x(self.x_px[row, k])
-            own = rgb((LEFT_ON_GREY if side[k] < 0 else RIGHT_ON_GREY)[0])
+            own = rgb(ON_GREY[int(side[k])][0])
             ink = own if flag[k] == "ok" else _WHITE
             self._line(canvas, (x, top), (x, top + stroke), ink)
             self._line(canvas, (x, bottom), (x, bottom - stroke), ink)
