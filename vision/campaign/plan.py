@@ -11,7 +11,7 @@ import json
 import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -20,6 +20,7 @@ import numpy as np
 
 import vision
 from vision.campaign.films import PATHS, SETTINGS, Row, is_remote
+from vision.data import from_json, known_fields
 from vision.errors import InputError, reason_of
 from vision.files import Stamp, answered, reading, shortened
 from vision.folder import plain, whole_file, write_json
@@ -53,12 +54,7 @@ class State:
 
 def read_state(out: Path, name: str) -> State:
     """Return a film's state; "waiting" if its file is missing or damaged."""
-    try:
-        content = json.loads(_path(out, name).read_text(encoding="utf-8"))
-        known = {part.name: content[part.name] for part in fields(State) if part.name in content}
-        return State(**{**known, "warnings": tuple(content.get("warnings", ()))})
-    except (OSError, ValueError, TypeError, AttributeError):
-        return State(name=name)
+    return State(**{"name": name} | from_json(known_fields(State, read_if_whole(_path(out, name)))))
 
 
 def write_state(out: Path, state: State) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,14 @@ from vision.certify.encoder import Encoder, read_encoder
 from vision.certify.likeness import Likeness, learn, smooth_motion
 from vision.certify.settings import CertifySettings
 from vision.clock import Clock
-from vision.data import STIFF_BELOW, StripMetadata, TrackMetadata, parameters_of
+from vision.data import (
+    STIFF_BELOW,
+    StripMetadata,
+    TrackMetadata,
+    from_json,
+    known_fields,
+    parameters_of,
+)
 from vision.deformation import horizontal_deformation
 from vision.errors import InputError
 from vision.files import Progress
@@ -106,11 +113,10 @@ def certify_run(
 
     Raises: InputError for a run without a video, or with sheets in too few frames.
     """
-    clock, sticks, given, strip = run.clock, run.events, run.value("threshold"), read_strip(run)
+    clock, sticks, strip = run.clock, run.events, read_strip(run)
     phases = None
     if sticks is not None and clock is not None and clock.status != "ambiguous":
-        threshold = STIFF_BELOW if given is None else float(given)
-        phases = StickPhases(sticks=sticks, clock=clock, threshold=threshold)
+        phases = StickPhases(sticks=sticks, clock=clock, threshold=run.threshold)
     return certify(
         strip,
         run.tracks,
@@ -310,14 +316,9 @@ def _tracker(tracks: xr.Dataset, like: Likeness, recorded_px: float) -> Tracker:
 def _parameters(tracks: xr.Dataset) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the run's parameters of `track_sheets`, and its settings."""
     parameters = parameters_of(tracks, "track_sheets")
-    tuned, known = parameters.pop("settings", {}), {part.name for part in fields(TrackingSettings)}
-    values = {
-        name: tuple(value) if isinstance(value, list) else value
-        for name, value in tuned.items()
-        if name in known
-    }
+    values = from_json(known_fields(TrackingSettings, parameters.pop("settings", {})))
     if decided := parameters.get("corrections"):
-        parameters["corrections"] = [Correction(**one | {"sheets": tuple(one["sheets"])}) for one in decided]
+        parameters["corrections"] = [Correction(**from_json(one)) for one in decided]
     return parameters, values
 
 

@@ -13,7 +13,7 @@ from typing import Any, Literal
 from cyclopts import App, CycloptsError
 
 from vision.command.options import GROUPS, SETTING_OF, flag_of, names_given, with_point
-from vision.data import PIXEL_SIZE_UM
+from vision.data import PIXEL_SIZE_UM, from_json
 from vision.errors import InputError, did_you_mean
 from vision.files import AGAIN, path_beside, read_toml, reading, shortened
 from vision.force import parse_columns
@@ -178,10 +178,13 @@ def _value_and_error(text: str) -> tuple[float, float | None]:
 
 
 def _length_and_error(text: str) -> tuple[float, float | None, str]:
-    """Return value, error and unit of a length, such as 10±0.1um; "" for no unit, NaN without sense."""
+    """Return value, error and unit of a length, such as 10±0.1um: "um", "px" or "" for none; NaN without
+    sense."""
     text = text.strip()
     unit = next((unit for unit in (*UM_PER, "px") if text.endswith(unit)), "")
-    return (*_value_and_error(text.removesuffix(unit)), unit)
+    value, error = _value_and_error(text.removesuffix(unit))
+    scale, name = (UM_PER[unit], "um") if unit in UM_PER else (1.0, unit)
+    return value * scale, None if error is None else error * scale, name
 
 
 def parse_duration(text: str | float, option: str) -> float | Literal["auto"]:
@@ -219,13 +222,12 @@ def parse_pixel_size(text: str | None) -> tuple[float | None, float | None]:
     """Return µm per pixel and its error, or None, from 10, 10um, 0.01mm or 10±0.1um.  Raises: InputError."""
     if text is None:
         return None, None
-    value, error, unit = _length_and_error(text.strip().removesuffix("/px"))
-    factor = UM_PER.get(unit or "um", math.nan)
-    if not PIXEL_SIZE_UM[0] <= value * factor <= PIXEL_SIZE_UM[1]:
+    size, error, unit = _length_and_error(text.strip().removesuffix("/px"))
+    if unit == "px" or not PIXEL_SIZE_UM[0] <= size <= PIXEL_SIZE_UM[1]:
         wanted = f"a number from {PIXEL_SIZE_UM[0]:g} to {PIXEL_SIZE_UM[1]:g} (µm per px), or with its error"
         advice = with_point(text) or "write 10.5, 10.5um, 0.0105mm or 10.5±0.1um"
         raise InputError("--pixel-size", wanted, f"'{text}'", advice)
-    return value * factor, None if error is None else error * factor
+    return size, error
 
 
 def parse_scale(text: str | None) -> tuple[float | None, float | None]:
@@ -236,10 +238,8 @@ def parse_scale(text: str | None) -> tuple[float | None, float | None]:
     if text is None:
         return None, None
     sides = sorted(map(_length_and_error, text.split("=")), key=lambda side: side[2] == "px")
-    units = [side[2] for side in sides]
-    lengths = [side[0] * UM_PER.get(side[2], 1.0) for side in sides]
-    right = len(sides) == 2 and units[0] in UM_PER and units[1] == "px"
-    if not (right and all(0 < one < math.inf for one in lengths) and lengths[0] / lengths[1] >= 1e-6):
+    lengths, known = [side[0] for side in sides], [side[2] for side in sides] == ["um", "px"]
+    if not (known and all(0 < one < math.inf for one in lengths) and lengths[0] / lengths[1] >= 1e-6):
         advice = with_point(text) or "write 1mm=103px or 1mm=103±1px"
         raise InputError("--scale", "a length and its pixels, or with their errors", f"'{text}'", advice)
     size = lengths[0] / lengths[1]
@@ -255,10 +255,10 @@ def parse_pitch(text: str | None, option: str) -> tuple[float | None, float | No
     if text is None:
         return None, None
     value, error, unit = _length_and_error(text)
-    if unit not in UM_PER or not 0 < value < math.inf:
+    if unit != "um" or not 0 < value < math.inf:
         advice = with_point(text) or "write 0.2mm or 0.2±0.002mm"
         raise InputError(option, "a length in mm or µm, or with its error", f"'{text}'", advice)
-    return value * UM_PER[unit], None if error is None else error * UM_PER[unit]
+    return value, error
 
 
 def parse_length(text: str, option: str) -> dict[str, float]:
@@ -266,13 +266,11 @@ def parse_length(text: str, option: str) -> dict[str, float]:
 
     Raises: InputError, also for a number without a unit, which could be in µm or in px.
     """
-    match = re.fullmatch(r"\s*([0-9.]+(?:[eE][+-]?[0-9]+)?)\s*(mm|um|µm|μm|px)\s*", text)
-    value = number(match[1]) if match else math.nan
-    if match is None or not 0 < value < math.inf:
+    value, error, unit = _length_and_error(text)
+    if not unit or error is not None or not 0 < value < math.inf:
         wanted = "a length with its unit: mm, um, µm or px"
         raise InputError(option, wanted, f"'{text}'", with_point(text) or "write 0.2mm")
-    unit = match[2]
-    return {"width_px": value} if unit == "px" else {"width_um": value * UM_PER[unit]}
+    return {f"width_{unit}": value}
 
 
 def parse_seconds(text: str | None) -> tuple[float | None, float | None] | None:
@@ -395,6 +393,5 @@ def settings_of_run(folder: Path) -> Settings:
         settings = replace(settings_of(parameters), t_star_fitted=run.value("free_t_star") is True)
         tuning = settings.tuning
         for stage, changed in (run.facts.get("tuning") or {}).items():
-            values = {name: tuple(v) if isinstance(v, list) else v for name, v in changed.items()}
-            tuning = replace(tuning, **{stage: replace(getattr(tuning, stage), **values)})
+            tuning = replace(tuning, **{stage: replace(getattr(tuning, stage), **from_json(changed))})
         return replace(settings, tuning=tuning)

@@ -21,7 +21,7 @@ import xarray as xr
 
 import vision
 from vision.clock import Candidate, Clock
-from vision.data import TRACKS, StripMetadata, TrackMetadata, strip_of
+from vision.data import STIFF_BELOW, TRACKS, StripMetadata, TrackMetadata, from_json, known_fields, strip_of
 from vision.errors import InputError
 from vision.files import AGAIN, READ_HDF5, Progress, reading, shortened, try_out
 from vision.folder import (
@@ -35,6 +35,7 @@ from vision.folder import (
     write_json,
 )
 from vision.memory import words_of_characters
+from vision.numeric import number
 from vision.pipeline import Analysis, Settings, analyse, open_recording
 from vision.run.provenance import Parameter, describe_input
 from vision.run.tables import attrs_of_netcdf, read_kymograph_tif
@@ -78,6 +79,12 @@ class RunFolder:
         return size
 
     @property
+    def threshold(self) -> float:
+        """σ_x/Λ_st below which a sheet is stiff."""
+        threshold = number(self.value("threshold"))
+        return threshold if threshold > 0 else STIFF_BELOW
+
+    @property
     def with_force(self) -> bool:
         """Whether the run has a force recording."""
         return bool(self.value("force") or self.facts.get("force_alone"))
@@ -103,25 +110,28 @@ class RunFolder:
             return None
         facts = read_json(path)
         with reading(path, "a clock as track writes it", AGAIN):
-            known = {part.name: facts[part.name] for part in fields(Clock) if part.name in facts}
+            known = known_fields(Clock, facts)
             numbers = {part.name: _NUMBERS[part.type] for part in fields(Clock) if part.type in _NUMBERS}
             known = {name: math.nan if value is None else value for name, value in known.items()}
-            known |= {name: number(known[name]) for name, number in numbers.items() if name in known}
+            known |= {name: kind(known[name]) for name, kind in numbers.items() if name in known}
             times = {name: tuple(map(float, known.get(name) or ())) for name in ("only_video_s", "matched_s")}
             candidates = tuple(Candidate(**one) for one in known.get("candidates") or ())
             warnings = tuple(map(str, known.get("warnings") or ()))
             return Clock(**known | times | {"candidates": candidates, "warnings": warnings})
 
-    def table(self, name: str) -> pd.DataFrame | None:
+    def table(self, name: str, needs: Sequence[str] = ()) -> pd.DataFrame | None:
         """Return a table, such as "events"; None if the run does not have it.
 
-        Raises: InputError if the file is damaged, or a column of numbers contains text.
+        needs: columns that it must have.
+        Raises: InputError if the file is damaged, lacks one of them, or has text in a column of numbers.
         """
         path, wanted = self.folder / f"{name}.csv", "a table as track writes it"
         if not path.exists():
             return None
         with reading(path, wanted, AGAIN):
             table = pd.read_csv(path)
+        if absent := [column for column in needs if column not in table]:
+            raise InputError(path, wanted, f"no {', '.join(absent)}", AGAIN)
         for column in table.columns.difference(list(TEXT_COLUMNS)):
             wrong = table[column].notna() & pd.to_numeric(table[column], errors="coerce").isna()
             if wrong.any():
@@ -132,12 +142,7 @@ class RunFolder:
     @cached_property
     def events(self) -> pd.DataFrame | None:
         """The stick-slip events; None if the run has none."""
-        table = self.table("events")
-        absent = [] if table is None else [column for column in EVENT_COLUMNS if column not in table]
-        if absent:
-            found = f"no {', '.join(absent)}"
-            raise InputError(self.folder / "events.csv", "a table as track writes it", found, AGAIN)
-        return table
+        return self.table("events", EVENT_COLUMNS)
 
     @property
     def applied(self) -> list[Correction]:
@@ -185,11 +190,7 @@ class RunFolder:
 
 def _as_entry(facts: Mapping[str, Any]) -> dict[str, Any]:
     """Convert a correction in run.json to an entry of a corrections file."""
-    known = {name: value for name, value in facts.items() if name in Correction.__dataclass_fields__}
-    for name in ("sheets", "rows"):
-        if known.get(name) is not None:
-            known[name] = tuple(known[name])
-    return Correction(**known).entry()
+    return Correction(**from_json(known_fields(Correction, facts))).entry()
 
 
 def _is_there(path: Path) -> bool:
