@@ -129,6 +129,14 @@ def test_an_analysis_shows_itself(whole):
         _ = whole.plot.nonsense
 
 
+def test_a_name_of_two_words_is_one_row_in_a_notebook(whole):
+    """A failure means the row "no" for a sheet without a ridge."""
+    lost = whole.tracks.copy(deep=True)
+    lost["flag"][10:40, 3] = "missing"
+    shown = replace(whole, tracks=lost)._repr_html_()
+    assert re.search(r">no ridge</th><td[^>]*>for 10 frames or more: ", shown)
+
+
 def test_a_figure_without_its_data_is_refused_with_the_reason():
     """A failure means an empty picture for what was not measured."""
     alone = vision.analyse(None, DEEP / "force.txt")
@@ -312,6 +320,21 @@ def test_what_follows_from_a_changed_setting_is_run_again(whole, changed, kept):
         assert np.diff(again.tracks["time_s"]).mean() == pytest.approx(1 / 30)
     if "pixel_size_um" in changed:
         assert again.pixel_size_um == 9.0
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class More(Settings):
+    """Settings with one that is in no list of what it changes."""
+
+    exposure_s: float = 0.0
+
+
+def test_a_setting_that_nobody_placed_changes_all_that_was_read(whole):
+    """A failure means that a new setting leaves the earlier positions as they were, without a word."""
+    earlier = replace(whole, settings=More(**vars(whole.settings)))
+    assert vision.analyse(None, whole.force, earlier.settings, earlier=earlier).strip is whole.strip
+    with pytest.raises(InputError, match="the film, to be read again"):
+        vision.analyse(None, whole.force, replace(earlier.settings, exposure_s=1.0), earlier=earlier)
 
 
 def test_another_film_is_read(whole):

@@ -76,7 +76,7 @@ from vision.sheets.ridges import describe_ridges
 from vision.sheets.subpixel import check_window
 from vision.sheets.tracks import check_axis
 from vision.shells import ShellSettings, classify_shells
-from vision.summary import summary_lines
+from vision.summary import summary_items, summary_lines
 from vision.video import (
     Follow,
     ReadingLog,
@@ -226,10 +226,9 @@ class Analysis(Results):
     def _repr_html_(self) -> str:
         found: dict[str, str] = {}
         name = ""
-        for line in self.summary():
-            head, _, rest = line.partition(" ")
-            name = head or name  # an indented line continues the previous one
-            found[name] = f"{found[name]}; {rest.strip()}" if name in found else rest.strip()
+        for head, line in summary_items(self, self.assumed_sample):
+            name = head or name
+            found[name] = f"{found[name]}; {line}" if name in found else line
         text = html_table("analysis", found | numbered("warning", self.warnings))
         if self.tracks is None:
             return text
@@ -371,11 +370,17 @@ def _check_arguments(video: object, force: object, settings: object) -> None:
     check_kind(Settings | None, "a `Settings`, as in Settings(pixel_size_um=10)", settings=settings)
 
 
-_OF_STRIP = ("rows", "columns", "strips", "rotate", "frames", "fps", "timestamps", "tuning.video")
 _OF_TRACKS = ("ridges", "sheets", "axis_px", "fit", "window_px", "tuning.tracking")
 _OF_SLIPS = ("force_columns", "force_threshold_N", "force_lowpass_s", "force_average_s", "tuning.force")
 _OF_CLOCK = ("offset_s", "tuning.clock", *_OF_SLIPS)
-"""Settings that change the strip, the tracks and the clock. Each changes the next; so does the force."""
+_AFTERWARDS = (
+    *("pixel_size_um", "pixel_size_err_um", "pitch_um", "pitch_err_um", "speed_mm_min", "d0_mm", "d0_err_mm"),
+    *("machine_stiffness_N_per_mm", "fit_range_mm", "mu", "modulus_GPa", "threshold", "common_mode"),
+    *("sample", "geometry_err", "t_star_fitted", "corrections"),
+    *("tuning.fits", "tuning.deformation", "tuning.shells", "tuning.checks"),
+)
+"""Settings that change the tracks, the clock, and only the stages after it. Those that no list names change
+the strip. What changes, changes the next, too; so does the force."""
 
 
 def _reusable(earlier: Analysis | None, new: Analysis) -> Analysis:
@@ -396,8 +401,10 @@ def _reusable(earlier: Analysis | None, new: Analysis) -> Analysis:
     def same(names: Sequence[str]) -> bool:
         return all(attrgetter(name)(before) == attrgetter(name)(now) for name in names)
 
+    every = {*vars(now)} - {"tuning"} | {f"tuning.{stage}" for stage in vars(now.tuning)}
+    of_strip = sorted(every - {*_OF_TRACKS, *_OF_CLOCK, *_AFTERWARDS})
     films = [one.video.stamp for one in (earlier, new) if one.video is not None]
-    strip = earlier.strip if unchanged("strip") and same(_OF_STRIP) and len(set(films)) < 2 else None
+    strip = earlier.strip if unchanged("strip") and same(of_strip) and len(set(films)) < 2 else None
     same_sheets = unchanged("axis") and decisions(before, OF_SHEETS) == decisions(now, OF_SHEETS)
     same_sheets = same_sheets and same(_OF_TRACKS)
     tracks = earlier.tracks if strip is not None and same_sheets else None

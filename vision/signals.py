@@ -41,19 +41,13 @@ def running_mean(values: NDArray[np.floating], size: int) -> Floats:
 
 def mean_over(values: NDArray[np.floating], samples: int) -> Floats:
     """Return the mean of the known values among the `samples` around each, NaN where the value is unknown."""
-    total, count = sums_around(values, samples // 2)
-    return np.where(np.isfinite(values), total / np.maximum(count, 1), np.nan)
-
-
-def sums_around(values: NDArray[np.floating], reach: int) -> Floats:
-    """Return sum and number of the known values up to `reach` samples before and after each, (2, samples)."""
     known = np.isfinite(values)
-    own = np.stack([np.where(known, values, 0.0), known])
+    own = np.stack([np.where(known, values, 0.0), known])  # values and their number
     sums = own.copy()
-    for k in range(1, reach + 1):
+    for k in range(1, samples // 2 + 1):
         sums[:, k:] += own[:, :-k]
         sums[:, :-k] += own[:, k:]
-    return sums
+    return np.where(known, sums[0] / np.maximum(sums[1], 1), np.nan)
 
 
 def minmax_decimate(x: Floats, y: NDArray[np.floating], *, most: int) -> tuple[Floats, Floats]:

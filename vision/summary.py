@@ -42,13 +42,11 @@ if TYPE_CHECKING:
 
 def noise_figures(tracks: xr.Dataset, pixel_size_um: float | None) -> dict[str, float]:
     """Return the median noise of a position: measured, predicted from the pixels, and stated (x_err_px)."""
-    measured = float(nan_median(tracks["x_noise_px"].values.ravel()))
-    stated = float(nan_median(tracks["x_err_px"].values.ravel()))
-    known = "x_predicted_px" in tracks
-    predicted = float(nan_median(tracks["x_predicted_px"].values.ravel())) if known else stated
-    figures = {"measured_px": measured, "predicted_px": predicted, "stated_px": stated}
+    predicted = "x_predicted_px" if "x_predicted_px" in tracks else "x_err_px"
+    columns = {"measured_px": "x_noise_px", "predicted_px": predicted, "stated_px": "x_err_px"}
     if "x_scatter_px" in tracks and np.isfinite(tracks["x_scatter_px"].values).any():
-        figures["scatter_px"] = float(nan_median(tracks["x_scatter_px"].values.ravel()))
+        columns["scatter_px"] = "x_scatter_px"
+    figures = {name: float(nan_median(tracks[column].values.ravel())) for name, column in columns.items()}
     if pixel_size_um is not None:
         figures |= {f"{name[:-3]}_um": px * pixel_size_um for name, px in list(figures.items())}
     return figures
@@ -91,7 +89,7 @@ def summary_lines(results: Results, assumed: Sample | None = None) -> list[str]:
 
     assumed: the sample with which the models were fitted if none was given.
     """
-    return aligned(_lines(results, assumed))
+    return aligned(summary_items(results, assumed))
 
 
 def aligned(lines: Iterable[tuple[str, str]]) -> list[str]:
@@ -99,8 +97,8 @@ def aligned(lines: Iterable[tuple[str, str]]) -> list[str]:
     return [f"{name:<10} {text}" for name, text in lines]
 
 
-def _lines(results: Results, assumed: Sample | None) -> Iterator[tuple[str, str]]:
-    """Yield the name and the text of each line of the summary."""
+def summary_items(results: Results, assumed: Sample | None) -> Iterator[tuple[str, str]]:
+    """Yield the name and the text of each line of `summary_lines`; "" continues the line above."""
     if results.tracks is not None:
         yield from _tracking_lines(results.tracks, results.pixel_size_um, results.pixel_size_err_um)
     if results.force is not None:

@@ -296,8 +296,7 @@ class CampaignOptions:
     """Copy each film to the node's local disk (TMPDIR) before it is read."""
     report: Report = True
     """Write report.html of each run."""
-    quiet: Switch = False
-    """Print no progress and no summary."""
+    quiet: Quiet = False
     plan: Annotated[Switch, Option(show=False)] = False
     """Write plan.json and end: for the Snakefile."""
 

@@ -48,7 +48,7 @@ from vision.files import AGAIN, expanded, reading
 from vision.folder import check_new, whole_file
 from vision.pipeline import Analysis, Settings, analyse, open_recording
 from vision.run.export import Format, export_run, write_overlay
-from vision.run.reading import check_outside, check_results, is_run, read_run, read_strip
+from vision.run.reading import check_outside, check_results, is_run, read_run, stored_analysis
 from vision.run.tables import frame_step_s, unevenness_s, write_space_time_tif
 from vision.run.writing import results_folder
 from vision.spacetime import Sheet, space_time
@@ -203,15 +203,11 @@ def _from_run(folder: Path, options: VideoOptions) -> tuple[Analysis, list[Path]
         found = ", ".join(map(flag_of, given))
         raise InputError(folder, "options that a run takes", found, "give the video, or run track again")
     run, (size, _) = read_run(folder), parse_pixel_size(options.pixel_size)
+    data = stored_analysis(run, Settings(pixel_size_um=run.pixel_size_um if size is None else size))
     columns = parse_range(options.columns, "--columns") or slice(None)
     files = [folder / name for name in ("kymograph.tif", "tracks.nc", "events.csv", "clock.json")]
-    data = Analysis(
-        settings=Settings(pixel_size_um=run.pixel_size_um if size is None else size),
-        strip=_cut(read_strip(run), columns, folder),
-        tracks=run.tracks,
-        sticks=run.events,
-        clock=run.clock,
-    )
+    assert data.strip is not None
+    data = replace(data, strip=_cut(data.strip, columns, folder), sticks=run.events)
     return data, [file for file in files if file.exists()]
 
 

@@ -30,6 +30,7 @@ from vision.review.recordings import (
     decided_clock,
 )
 from vision.review.saving import SaveJob, Saver, Trial
+from vision.run.reading import first_column
 from vision.run.writing import CORRECTIONS
 from vision.sheets.corrections import (
     KEYS,
@@ -95,10 +96,9 @@ class Session:
         """Read the folder, then apply the decisions that are not in its tables yet."""
         self.stored = StoredRun.of(self.folder)
         self.events, self.saved_clock = self.stored.events, self.stored.clock
-        columns = self.settings.columns
-        first = (columns.start or 0) if columns else 0
         ridges = self.stored.facts.get("found", {}).get("ridges", {}).get("polarity", "bright")
-        self.diagram = Diagram(self.folder / "kymograph.tif", first, self.settings.tuning.tracking)
+        first, tracking = first_column(self.stored), self.settings.tuning.tracking
+        self.diagram = Diagram(self.folder / "kymograph.tif", first, tracking)
         try:
             self.positions = read_positions(self.folder / "tracks.nc")
             self.tiles = Tiles(self.diagram, bright=ridges == "bright")

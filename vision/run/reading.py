@@ -147,7 +147,8 @@ class RunFolder:
     @property
     def applied(self) -> list[Correction]:
         """Decisions that are already applied in the tables of the run."""
-        return [correction_of(one["kind"], _as_entry(one)) for one in self.facts.get("corrections") or []]
+        stored = (from_json(known_fields(Correction, one)) for one in self.facts.get("corrections") or [])
+        return [correction_of(one["kind"], Correction(**one).entry()) for one in stored]
 
     def found(self, named: Path) -> Path:
         """Return where a file that the run used is.
@@ -186,11 +187,6 @@ class RunFolder:
             found = "another of the same size" if same_size else f"one of {now['size_bytes']} bytes"
             raise InputError(path, wanted, found, "track it again")
         return path
-
-
-def _as_entry(facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert a correction in run.json to an entry of a corrections file."""
-    return Correction(**from_json(known_fields(Correction, facts))).entry()
 
 
 def _is_there(path: Path) -> bool:
