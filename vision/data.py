@@ -104,8 +104,8 @@ class Metadata:
     def of(cls, data: Data) -> Self:
         """Read the metadata from the ``attrs`` of a dataset; what is not there has its default."""
         lists = {part.name for part in fields(cls) if str(part.type).startswith("Sequence")}
-        found = known_fields(cls, data.attrs).items()
-        return cls(**{name: _listed(value) if name in lists else value for name, value in found})
+        found = {part.name: data.attrs[part.name] for part in fields(cls) if part.name in data.attrs}
+        return cls(**{name: _listed(value) if name in lists else value for name, value in found.items()})
 
     def attrs(self) -> dict[str, Any]:
         """Return the fields as a dictionary for ``assign_attrs``; the values are not copied."""
@@ -163,16 +163,6 @@ def changed_settings(settings: DataclassInstance) -> dict[str, Any]:
         for one in fields(settings)
         if (value := getattr(settings, one.name)) != getattr(defaults, one.name)
     }
-
-
-def known_fields(kind: type[DataclassInstance], values: Mapping[Any, Any]) -> dict[str, Any]:
-    """Return those of the values that have the names of a dataclass's fields."""
-    return {one.name: values[one.name] for one in fields(kind) if one.name in values}
-
-
-def from_json(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the fields of a dataclass as they were before JSON made lists of their tuples."""
-    return {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
 
 
 def load_unit(force: xr.Dataset) -> str:

@@ -12,7 +12,7 @@ import secrets
 import shutil
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, is_dataclass
+from dataclasses import asdict, fields, is_dataclass
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
@@ -321,6 +321,12 @@ def plain(value: Any) -> Any:
     if hasattr(value, "tolist"):
         return plain(value.tolist())
     return value if isinstance(value, (bool, int, float, str, type(None))) else str(value)
+
+
+def from_json(kind: Any, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return those of the values that are fields of a dataclass, with tuples again in place of lists."""
+    found = {one.name: values[one.name] for one in fields(kind) if one.name in values}
+    return {name: tuple(value) if isinstance(value, list) else value for name, value in found.items()}
 
 
 def flattened(values: Mapping[str, Any], joint: str, before: str = "") -> Iterator[tuple[str, Any]]:

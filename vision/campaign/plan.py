@@ -20,10 +20,9 @@ import numpy as np
 
 import vision
 from vision.campaign.films import PATHS, SETTINGS, Row, is_remote
-from vision.data import from_json, known_fields
 from vision.errors import InputError, reason_of
 from vision.files import Stamp, answered, reading, shortened
-from vision.folder import plain, whole_file, write_json
+from vision.folder import from_json, plain, whole_file, write_json
 from vision.run.provenance import checksum_of, describe_input
 from vision.run.reading import is_run, read_json
 from vision.video import open_video, video_files
@@ -54,7 +53,7 @@ class State:
 
 def read_state(out: Path, name: str) -> State:
     """Return a film's state; "waiting" if its file is missing or damaged."""
-    return State(**{"name": name} | from_json(known_fields(State, read_if_whole(_path(out, name)))))
+    return State(**{"name": name} | from_json(State, read_if_whole(_path(out, name))))
 
 
 def write_state(out: Path, state: State) -> None:

@@ -16,17 +16,11 @@ from vision.certify.encoder import Encoder, read_encoder
 from vision.certify.likeness import Likeness, learn, smooth_motion
 from vision.certify.settings import CertifySettings
 from vision.clock import Clock
-from vision.data import (
-    STIFF_BELOW,
-    StripMetadata,
-    TrackMetadata,
-    from_json,
-    known_fields,
-    parameters_of,
-)
+from vision.data import STIFF_BELOW, StripMetadata, TrackMetadata, parameters_of
 from vision.deformation import horizontal_deformation
 from vision.errors import InputError
 from vision.files import Progress
+from vision.folder import from_json
 from vision.numeric import Bools, Floats, Ints, nan_median, rms
 from vision.run.reading import RunFolder, read_strip
 from vision.sheets import Correction, TrackingSettings, track_sheets
@@ -316,9 +310,9 @@ def _tracker(tracks: xr.Dataset, like: Likeness, recorded_px: float) -> Tracker:
 def _parameters(tracks: xr.Dataset) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the run's parameters of `track_sheets`, and its settings."""
     parameters = parameters_of(tracks, "track_sheets")
-    values = from_json(known_fields(TrackingSettings, parameters.pop("settings", {})))
+    values = from_json(TrackingSettings, parameters.pop("settings", {}))
     if decided := parameters.get("corrections"):
-        parameters["corrections"] = [Correction(**from_json(one)) for one in decided]
+        parameters["corrections"] = [Correction(**from_json(Correction, one)) for one in decided]
     return parameters, values
 
 

@@ -13,9 +13,10 @@ from typing import Any, Literal
 from cyclopts import App, CycloptsError
 
 from vision.command.options import GROUPS, SETTING_OF, flag_of, names_given, with_point
-from vision.data import PIXEL_SIZE_UM, from_json
+from vision.data import PIXEL_SIZE_UM
 from vision.errors import InputError, did_you_mean
 from vision.files import AGAIN, path_beside, read_toml, reading, shortened
+from vision.folder import from_json
 from vision.force import parse_columns
 from vision.numeric import number
 from vision.pipeline import Settings
@@ -393,5 +394,6 @@ def settings_of_run(folder: Path) -> Settings:
         settings = replace(settings_of(parameters), t_star_fitted=run.value("free_t_star") is True)
         tuning = settings.tuning
         for stage, changed in (run.facts.get("tuning") or {}).items():
-            tuning = replace(tuning, **{stage: replace(getattr(tuning, stage), **from_json(changed))})
+            values = {**changed, **from_json(getattr(tuning, stage), changed)}  # unknown names are refused
+            tuning = replace(tuning, **{stage: replace(getattr(tuning, stage), **values)})
         return replace(settings, tuning=tuning)

@@ -33,7 +33,7 @@ from vision.errors import InputError, counted
 from vision.figures import Figure, save_figures
 from vision.folder import write_csv, write_json
 from vision.models import Estimate, both_errors, plus_minus
-from vision.models.single_fits import low_speed
+from vision.models.single_fits import SYMBOLS, low_speed
 from vision.report.page import FactsTable, render_page
 from vision.report.text import Answer
 from vision.run.provenance import Origin
@@ -443,7 +443,7 @@ def _missing(found: Comparison) -> list[str]:
     reasons: dict[str, list[str]] = {}
     for t in found.trends:
         if t.reason:
-            reasons.setdefault(f"with {t.predictor}: {t.reason}", []).append(t.symbol)
+            reasons.setdefault(f"with {t.predictor}: {t.reason}", []).append(SYMBOLS[t.quantity][0])
     lines = [f"Trends of {', '.join(names)} {why}." for why, names in reasons.items()]
     if found.collapse is None:
         lines.append("The collapse: no test has a Λ̂.")

@@ -421,7 +421,7 @@ def _trend_text(trend: Trend) -> str:
     if not np.isfinite(trend.slope):
         return ""
     rank = f"Spearman ρ = {trend.spearman:.2f} (p = {trend.p:.2g})"
-    text = f"{trend.symbol}: slope {slope_text(trend, partial=False)}, {rank}"
+    text = f"{SYMBOLS[trend.quantity][0]}: slope {slope_text(trend, partial=False)}, {rank}"
     if np.isfinite(trend.partial_slope):
         text += (
             f", with the other predictor fixed {slope_text(trend, partial=True)} (p = {trend.partial_p:.2g})"

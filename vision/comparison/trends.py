@@ -46,14 +46,9 @@ class Trend:
     reason: str = ""  # why the trend was not examined; "" if it was
 
     @property
-    def symbol(self) -> str:
-        """The quantity's symbol."""
-        return SYMBOLS[self.quantity][0]
-
-    @property
     def name(self) -> str:
         """The quantity and the predictor as text."""
-        return f"{self.symbol} with {PREDICTORS[self.predictor].removesuffix(' (%)')}"
+        return f"{SYMBOLS[self.quantity][0]} with {PREDICTORS[self.predictor].removesuffix(' (%)')}"
 
     @property
     def beyond_systematic(self) -> bool:

@@ -21,13 +21,14 @@ import xarray as xr
 
 import vision
 from vision.clock import Candidate, Clock
-from vision.data import STIFF_BELOW, TRACKS, StripMetadata, TrackMetadata, from_json, known_fields, strip_of
+from vision.data import STIFF_BELOW, TRACKS, StripMetadata, TrackMetadata, strip_of
 from vision.errors import InputError
 from vision.files import AGAIN, READ_HDF5, Progress, reading, shortened, try_out
 from vision.folder import (
     RUN_JSON,
     check_target,
     existing_parent,
+    from_json,
     lock_folder,
     plain,
     reading_folder,
@@ -110,7 +111,7 @@ class RunFolder:
             return None
         facts = read_json(path)
         with reading(path, "a clock as track writes it", AGAIN):
-            known = known_fields(Clock, facts)
+            known = from_json(Clock, facts)
             numbers = {part.name: _NUMBERS[part.type] for part in fields(Clock) if part.type in _NUMBERS}
             known = {name: math.nan if value is None else value for name, value in known.items()}
             known |= {name: kind(known[name]) for name, kind in numbers.items() if name in known}
@@ -147,7 +148,7 @@ class RunFolder:
     @property
     def applied(self) -> list[Correction]:
         """Decisions that are already applied in the tables of the run."""
-        stored = (from_json(known_fields(Correction, one)) for one in self.facts.get("corrections") or [])
+        stored = (from_json(Correction, one) for one in self.facts.get("corrections") or [])
         return [correction_of(one["kind"], Correction(**one).entry()) for one in stored]
 
     def found(self, named: Path) -> Path:
