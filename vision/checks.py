@@ -12,7 +12,7 @@ import pandas as pd
 import xarray as xr
 
 from vision.data import SIDES, TrackMetadata, Tunable
-from vision.errors import counted
+from vision.errors import counted, first_of
 from vision.memory import is_word, word_counts
 from vision.models.equations import effective_sheets
 from vision.numeric import Bools, Floats, Ints, Pixels, nan_median, nan_quantile, stretches
@@ -180,13 +180,13 @@ def _of_tracks(tracks: xr.Dataset, settings: CheckSettings, tracking: TrackingSe
         yield (
             "the sheets look alike and neither end of the comb is in view: displacements of the whole comb"
             f" may be wrong by multiples of the spacing ({found.pitch_px:.1f} px) after its large steps"
-            f" before frame{'s' * (len(steps) > 1)} {_first(steps, 5)}: film an end of the comb, or"
+            f" before frame{'s' * (len(steps) > 1)} {first_of(steps, 5)}: film an end of the comb, or"
             " mark a sheet"
         )
     if unseen := found.unseen_jumps:
         yield (
             f"the brightnesses along the comb moved on by sheets before frame{'s' * (len(unseen) > 1)}"
-            f" {_first(unseen, 5)}, but the sheets seem to stay, and neither end of the comb is in view:"
+            f" {first_of(unseen, 5)}, but the sheets seem to stay, and neither end of the comb is in view:"
             " displacements of the whole comb may be wrong by multiples of the spacing"
             f" ({found.pitch_px:.1f} px) from there on: film an end of the comb, or mark a sheet"
         )
@@ -223,11 +223,6 @@ def _sheet_range(rows: pd.DataFrame) -> str:
 
 def _other_polarity(found: TrackMetadata) -> str:
     return "bright" if found.ridges == "dark" else "dark"
-
-
-def _first(numbers: Sequence[int], most: int) -> str:
-    """Return up to this many numbers as text, with an ellipsis if there are more."""
-    return ", ".join(map(str, numbers[:most])) + " …" * (len(numbers) > most)
 
 
 def why_left_out(flags: Mapping[str, int]) -> str:
@@ -513,7 +508,7 @@ def _comb_warnings(tracks: xr.Dataset, found: TrackMetadata, settings: CheckSett
     rare = (share < 0.25) & ~counted_by_hand
     odd = (snr < least) | rare | wide | _stationary_ends(tracks, settings)
     if (weak := np.flatnonzero(odd)).size and found.sheets > 1:
-        which = _first(weak.tolist(), 6)
+        which = first_of(weak.tolist(), 6)
         yield (
             f"{len(weak)} of {found.sheets} sheets (index {which}) may be something else (little contrast,"
             " found in few frames, far wider than the others, or still at the comb's end): restrict `columns`"

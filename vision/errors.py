@@ -7,7 +7,7 @@ import errno
 import math
 import os
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import is_dataclass
 from functools import cache, partial
@@ -165,6 +165,11 @@ def unexpected(error: BaseException) -> str:
 def counted(count: int, noun: str) -> str:
     """Return "1 film" or "2 films"."""
     return f"{count} {noun}{'s' * (count != 1)}"
+
+
+def first_of(items: Sequence[object], most: int) -> str:
+    """Return up to this many items with commas, and an ellipsis if there are more."""
+    return ", ".join(map(str, items[:most])) + " …" * (len(items) > most)
 
 
 def did_you_mean(word: str, known: Iterable[str], cutoff: float = 0.6) -> str:

@@ -10,7 +10,7 @@ from tests.scenes.analysed import with_force
 from vision.data import MOTION, SHELLS, STICKS, TRACKS
 from vision.pipeline import Settings, analyse
 from vision.run.provenance import Origin
-from vision.run.tables import sheets_table
+from vision.run.tables import sheets_table, tracks_table
 from vision.run.writing import write_run
 from vision.shells import deformation_table
 
@@ -46,6 +46,12 @@ def test_every_column_has_its_unit_and_meaning(name, declared, written):
     known = [column for column in page if column in declared.variables]
     assert len(known) >= 7
     assert {c: page[c] for c in known} == {c: (declared[c].units, declared[c].long_name) for c in known}
+
+
+def test_the_readme_lists_the_columns_of_tracks():
+    """A failure means that a column of tracks.csv was added, or its place changed, without a word."""
+    row = re.search(r"`tracks.csv` .*?: `([\w,]+)`", (PROJECT / "README.md").read_text(encoding="utf-8"))
+    assert row[1].split(",") == list(tracks_table(with_force().tracks))
 
 
 def test_every_flag_of_a_deformation_is_explained():

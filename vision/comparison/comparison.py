@@ -29,7 +29,7 @@ from vision.comparison.joint import (
 from vision.comparison.runs import TractionTest, read_tests
 from vision.comparison.trends import Irregularity, Trend, find_irregular, find_trends
 from vision.data import with_word
-from vision.errors import InputError, counted
+from vision.errors import InputError, counted, first_of
 from vision.figures import Figure, save_figures
 from vision.folder import write_csv, write_json
 from vision.models import Estimate, both_errors, plus_minus
@@ -310,9 +310,8 @@ def answers(found: Comparison) -> list[Answer]:
         mu = both_errors(found.fits[0].estimate("mu"))
         detail = f"needs at least two tests; that of {found.tests[0].run} is {mu}"
         boxes.append(Answer("one μ of all tests", "not fitted", detail))
-    source = ", ".join(found.modulus_from[:3]) + (" …" if len(found.modulus_from) > 3 else "")
-    doubt = found.modulus_undetermined
-    boxes.append(Answer("Y_eff, held fixed", found.modulus_text, f"from {source}", doubt=doubt))
+    source, doubt = f"from {first_of(found.modulus_from, 3)}", found.modulus_undetermined
+    boxes.append(Answer("Y_eff, held fixed", found.modulus_text, source, doubt=doubt))
     if (c := found.collapse) is not None:
         before = f"{c.rms_before:.2g} with one Λ̂ for all tests"
         detail = f"{before}; neighbouring events scatter by {c.rms_noise:.2g}"
@@ -349,7 +348,7 @@ def _joint_detail(one: JointFriction) -> str:
         line += f"; the tests differ by more than their errors (χ²/dof {one.disagreement:.3g})"
     if one.without_d0_error and one.fits:
         missing = one.without_d0_error
-        which = f" in {', '.join(missing[:3])}{' …' * (len(missing) > 3)}" if missing != one.runs else ""
+        which = f" in {first_of(missing, 3)}" if missing != one.runs else ""
         line += f"; without the error of d0, which is not given{which}"
     if one.at_limit:
         line += f"; 𝒯0 at its limit in {', '.join(one.at_limit)}"
