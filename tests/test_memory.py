@@ -222,6 +222,8 @@ def test_they_are_found_and_counted(flags):
     assert word_counts(text) == word_counts(flags)
     assert word_counts(flags[:0]) == {}
     assert is_word(flags[:0], "ok").shape == (0, 4)
+    for part in (flags[::-1], flags[[2, 0], 1:], flags[1], flags.T, flags[1:].copy(deep=True)):
+        np.testing.assert_array_equal(is_word(part, "ok"), part.values == "ok")
 
 
 def test_tracks_are_written_and_tabulated_with_their_flags(tmp_path):

@@ -25,7 +25,7 @@ from xarray.backends import BackendArray
 from xarray.core import indexing
 
 from vision.files import c_library
-from vision.numeric import Bools, Codes, Floats32, Ints, row_parts
+from vision.numeric import Bools, Codes, Floats32, Ints, Strings, row_parts
 
 _APART_AT_ONCE = 16  # rows far from each other in the file
 _ROWS_AT_ONCE = 1024  # consecutive ones: 8 MiB of 1920 columns
@@ -162,6 +162,18 @@ def words(codes: Codes, listed: Sequence[str]) -> indexing.MemoryCachedArray:
     return indexing.MemoryCachedArray(indexing.CopyOnWriteArray(read_later))  # type: ignore[no-untyped-call]
 
 
+def _numbered(text: xr.DataArray) -> tuple[Codes, Strings] | None:
+    """Return the number of each word, and the words, of a table from `words` or a part of it; None if it is
+    in memory as text. To count them in 20 000 frames of 50 sheets takes 1 ms, and 57 ms as text."""
+    data = text.variable._data  # xarray has no other way to what is not read yet
+    while isinstance(data, indexing.MemoryCachedArray | indexing.CopyOnWriteArray):
+        data = data.array
+    if not isinstance(data, indexing.LazilyIndexedArray) or not isinstance(data.array, _Words):
+        return None
+    part = xr.Variable(text.dims, indexing.LazilyIndexedArray(data.array.codes, data.key))
+    return part.values, data.array.listed
+
+
 def words_of_characters(characters: xr.DataArray) -> indexing.MemoryCachedArray:
     """Return the data of a variable of words that a file holds as characters, (rows, …, character).
 
@@ -200,6 +212,9 @@ def _codes(text: NDArray[Any], listed: list[Any]) -> Codes:
 
 def is_word(text: xr.DataArray, *wanted: str) -> Bools:
     """Return where a table of words (rows, …) has one of those that are wanted; a part is read at a time."""
+    if known := _numbered(text):
+        codes, listed = known
+        return np.asarray(np.isin(listed, wanted)[codes])
     found = np.zeros(text.shape, bool)
     for rows in row_parts(len(text)):
         part: NDArray[Any] = text[rows].values
@@ -209,8 +224,10 @@ def is_word(text: xr.DataArray, *wanted: str) -> Bools:
 
 def word_counts(text: xr.DataArray) -> dict[str, int]:
     """Return how often each word occurs in a table (rows, …), in alphabetical order."""
-    listed: list[str] = []
-    counts = np.zeros(256, np.int64)
+    found, counts = _numbered(text), np.zeros(256, np.int64)
+    listed = [] if found is None else found[1].tolist()
     for rows in row_parts(len(text)):
-        counts += np.bincount(_codes(text[rows].values, listed).ravel(), minlength=256)
-    return {word: int(counts[listed.index(word)]) for word in sorted(listed)}
+        codes = _codes(text[rows].values, listed) if found is None else found[0][rows]
+        counts += np.bincount(codes.ravel(), minlength=256)
+    known = dict(zip(listed, counts.tolist(), strict=False))
+    return {word: known[word] for word in sorted(known) if known[word]}
