@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from vision.data import SIDES, STRIP, TRACKS, DiagramMetadata, record
 from vision.errors import InputError
 from vision.memory import give_back, some_rows
-from vision.numeric import Bools, Floats, Floats32, Ints
+from vision.numeric import Bools, Floats, Floats32, Ints, in_two_threads, row_parts
 
 Sheet = tuple[str, int] | int  # ("right", 23), or the index counted from the left
 
-_ROWS_AT_ONCE = 64  # of a picture, so that memory stays at a few copies of them
+_ROWS_AT_ONCE = 16  # of a picture: the frames of more do not fit into a core's cache
 
 
 def space_time(
@@ -235,12 +235,15 @@ def time_rows(values: NDArray[np.floating], time: Floats, *, most: int) -> tuple
     ends = np.searchsorted(time, edges)
     has_frame = np.diff(ends) > 0
     rows = np.full((count, values.shape[1]), np.nan, np.float32)
-    for start in range(0, count, _ROWS_AT_ONCE):
-        part = ends[start : start + _ROWS_AT_ONCE + 1]
+
+    def average(some: slice) -> None:
+        part = ends[some.start : some.stop + 1]
         filled = np.flatnonzero(np.diff(part) > 0)
         if filled.size:
-            rows[start + filled] = _means(values[part[0] : part[-1]], part[filled] - part[0])
+            rows[some.start + filled] = _means(values[part[0] : part[-1]], part[filled] - part[0])
             give_back(values[part[0] : part[-1]])
+
+    in_two_threads(average, row_parts(count, _ROWS_AT_ONCE))
     single = np.flatnonzero(~has_frame[1:-1] & has_frame[:-2] & has_frame[2:]) + 1
     rows[single] = rows[single - 1]
     return rows, edges
@@ -248,10 +251,10 @@ def time_rows(values: NDArray[np.floating], time: Floats, *, most: int) -> tuple
 
 def _means(values: NDArray[np.floating], starts: NDArray[np.integer[Any]]) -> Floats:
     """Return means of the known values from each start to the next start or the end."""
+    total = np.add.reduceat(values, starts, axis=0, dtype=np.float64)
+    if np.isfinite(total).all():  # as in most films
+        return np.asarray(total / np.diff(np.append(starts, len(values)))[:, None])
     known = np.isfinite(values)
-    if known.all():  # as in most films
-        count = np.diff(np.append(starts, len(values)))[:, None]
-        return np.asarray(np.add.reduceat(values, starts, axis=0, dtype=np.float64) / count)
     total = np.add.reduceat(np.where(known, values, 0), starts, axis=0, dtype=np.float64)
     count = np.add.reduceat(known, starts, axis=0, dtype=np.int32)
     return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))

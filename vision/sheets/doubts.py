@@ -36,9 +36,10 @@ from vision.numeric import (
 )
 from vision.sheets.identities import SHIFTS, Doubt, Identities, last_seen
 from vision.sheets.reference import rest_positions
-from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb, Ridges, in_blocks
+from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb, Ridges
 from vision.sheets.settings import TrackingSettings
 
+FRAMES_AT_ONCE = 512  # whose positions are predicted: NumPy's calls for fewer take longer than their work
 PAIRS = 3  # neighbours on each side that predict a sheet's position
 LINES = ((1, 2), (1, 3), (2, 3), (2, 4), (3, 4))  # distances of two neighbours on one side that a line joins
 LIKE_ITSELF = 0.7
@@ -153,7 +154,7 @@ def predicted_by_neighbours(x_px: NDArray[np.floating]) -> Floats:
     def predict(rows: slice) -> None:
         predicted[rows] = _displacements(x_px[rows] - rest, rest)
 
-    in_blocks(predict, x_px)
+    in_two_threads(predict, row_parts(len(x_px), FRAMES_AT_ONCE))
     predicted += rest + typical_medians(lambda rows: x_px[rows] - rest - predicted[rows], len(x_px))
     return predicted
 

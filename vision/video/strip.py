@@ -17,7 +17,16 @@ from vision.data import STRIP_PARTS, StripMetadata, changed_settings, record, st
 from vision.errors import RANGE, InputError, check_kind, counted, reason_of
 from vision.files import Progress, prefetch
 from vision.memory import give_back, parts_in_turn, put_rows, some_rows, table_in_file
-from vision.numeric import Bools, Floats, Floats32, Pixels, Strings, spread_indices
+from vision.numeric import (
+    Bools,
+    Floats,
+    Floats32,
+    Pixels,
+    Strings,
+    in_two_threads,
+    row_parts,
+    spread_indices,
+)
 from vision.video.follow import Follow, followed
 from vision.video.reader import Block
 from vision.video.settings import VideoSettings
@@ -343,10 +352,15 @@ def is_blank(
     found; saturation_level is None for float.
     """
     level, contrast, darkest = np.empty((3, len(profiles)))
-    for span in parts_in_turn(profiles, 256):  # parts that fit into the processor's cache
-        values = profiles[span].astype(np.float64)
-        level[span], contrast[span] = values.mean(axis=1), values.std(axis=1)
-        darkest[span] = values.min(axis=1)
+
+    def measure(span: slice) -> None:
+        darkest[span], values = profiles[span].min(axis=1), profiles[span].astype(np.float64)
+        level[span] = values.mean(axis=1)
+        values -= level[span, None]
+        contrast[span] = np.sqrt(np.square(values, out=values).mean(axis=1))
+        give_back(profiles[span])
+
+    in_two_threads(measure, row_parts(len(profiles), 64))  # parts that fit into a core's cache
     blank = contrast <= 1e-6 * np.maximum(np.abs(level), 1.0)
     if saturation_level is not None:
         blank |= darkest >= settings.saturated * saturation_level
