@@ -156,6 +156,11 @@ class ForceSettings(Tunable):
     reach 0.09 to 0.15. Smaller widens the errors of slips that are resolved, larger trusts what a filter
     cut."""
 
+    tails_share: float = 0.04
+    """Share by which the tails of slips (`Corners.tails`) may differ, in one half at least, from those of half
+    a cosine. Moving blocks differ by up to 0.03, moving means by 0.06 or more, several means by 0.05 or more.
+    Smaller widens the errors of slips that are resolved, larger trusts what a filter made."""
+
     smooth_noise: float = 0.3
     """Correlation of the noise over a twentieth of a slow slip above which a filter may have made the slip:
     moving means 0.34 or more, paper on paper up to 0.12, white noise less than 0. Smaller doubts slow slips

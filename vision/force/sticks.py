@@ -18,6 +18,8 @@ from vision.numeric import Bools, Floats, Ints, mad_sigma, nan_median
 
 # Samples below which a slip may be sudden, where each sample is the mean since the one before.
 UNRESOLVED = 2.5
+# Samples from which a slip shows its shape, and the `Corners.tails` of half a cosine.
+_SHAPED, _TAILS = 3.5, 1.77
 _OUTWARDS = np.array([[-1.0], [1.0]])  # from the middle of a stick to its valley and to its peak
 
 
@@ -236,25 +238,26 @@ def _rounded(sticks: _Sticks, ends: _Ends, force: Floats, extremes: Extremes) ->
 def filter_length(signal: Signal, corners: Corners, extremes: Extremes, settings: ForceSettings) -> float:
     """Return by how many samples a filter of the machine may have lengthened every slip; 0 for none.
 
-    A filter lengthens all slips alike, so by no more than the shortest last; and not at all where they are
-    level at their ends, as those of a moving block are, and the noise is faster than they are. Half a
-    cosine takes as long from peak to valley as its crossings say, and as long before its middle as after it.
-    A straight fall, as a moving mean makes it of a sudden slip, begins and ends in less; a filter with a tail
-    takes longer after the middle. A smoothed recording, as by a filter without delay, has neither sign, but
-    noise as smooth as its slips. Where slips are short, noise moves the extremes, so that the noise must be
+    A filter lengthens all slips alike, so by no more than the shortest last; and not at all where they have
+    the shape of a moving block's, and the noise is faster than they are. Half a cosine takes as long before
+    its middle as after it, and its tails are between those of a straight fall, as a moving mean makes it of a
+    sudden slip, and of the bell-shaped response of several means: either half may differ, where friction
+    changes gradually, but both halves differ where a filter made them. A filter with a tail
+    takes longer after the middle. A smoothed recording, as by a filter without delay, has noise as smooth as
+    its slips. Where slips are not slow, the noise must be
     white and the load must not swing below the stick after them, as behind a sharp filter or in a load cell
-    that rings. A mean whose noise arose later is told neither way from slips of 10 to 20 samples.
+    that rings.
     """
     length = float(np.quantile(corners.length, 0.1))
     slow = bool(is_slow(corners, settings).all())
-    long = slow or length >= 2 * settings.few_samples
     with np.errstate(divide="ignore", invalid="ignore"):
-        shares = (corners.onset / corners.end, extremes.fall / corners.length)[: 1 + long]
-    level = all(nan_median(share) >= 1 - settings.level_share for share in shares)
+        level = nan_median(corners.onset / corners.end) >= 1 - settings.level_share
+    if length >= _SHAPED:
+        tails = corners.tails / _TAILS
+        level = level and tails.max() > 1 - settings.tails_share and tails.min() < 1 + settings.tails_share
     most = settings.smooth_noise if slow else settings.white_noise
     level = level and _noise_correlation(signal, corners, 0.05 * length, settings) < most
-    level = level and (long or length < settings.few_samples)
-    if level and not long:
+    if level and not slow:
         position = np.stack([corners.valley[:-1], corners.peak[1:]])
         central = _between(*_central(position[0], position[1], settings.line_part))
         line = fit_lines(np.arange(float(signal.clean.size)), signal.clean, *central)
