@@ -370,6 +370,8 @@ def _within_recorded(signal: Signal, sticks: _Sticks, ends: _Ends) -> Floats:
         f_v = np.fmin(f_v, lowest + noise_v)
     if begin:
         f_v = np.fmin(f_v, ends.force[0] + begin * (ends.force[1] - ends.force[0]))
+    top = _top(signal, sticks.position, ends.force, settings)
+    f_p = np.fmin(f_p, ends.force[1] + top * (ends.force[1] - ends.force[0]) + ends.rise[1])
     return np.stack([f_v, np.fmax(f_p, highest - noise_p)])
 
 
@@ -398,6 +400,25 @@ def _begin(signal: Signal, position: Floats, force: Floats, settings: ForceSetti
     begin = float(min(course[swing] + chance, 0.0))
     again = np.max(course[swing:quarter]) - level
     return None if begin and again > settings.ringing_share * (level - course[swing]) else begin
+
+
+def _top(signal: Signal, position: Floats, force: Floats, settings: ForceSettings) -> float:
+    """Return how far the median load of all sticks stays below the ends of their lines, over the drop, at most 0.
+
+    The load of a block that creeps before it slips does, by less than the noise of a single stick.
+    """
+    length = position[1] - position[0]
+    quarter = int(np.median(length) / 4)
+    some = np.flatnonzero(length >= 2 * quarter)
+    if quarter < 4 or some.size < 4:
+        return 0.0
+    low, high = force[:, some, np.newaxis]
+    index = np.floor(position[1][some, np.newaxis]).astype(np.int64) - np.arange(quarter)
+    below = (signal.clean[np.maximum(index, 0)] - high) / np.maximum(high - low, 1e-300)
+    course = np.median(below, axis=0)
+    best = int(np.argmax(course))
+    chance = settings.extreme_sigmas * float(mad_sigma(below[:, best])) / np.sqrt(some.size)
+    return float(min(course[best] + chance, 0.0))
 
 
 @dataclass(frozen=True)
