@@ -109,7 +109,7 @@ def measure_sticks(
     (f_v, f_p), (t_v, t_p), (d_v, d_p) = force, time, d
     t_next = np.append(t_v[1:], signal.time_at(np.array(sticks.last_valley)))
     off, half = (_beside(part) for part in _position_errors(signal, corners, lengthened, filter_known))
-    error = _corner_errors(signal, sticks, ends, force, off)
+    error = _corner_errors(signal, sticks, ends, force, off, _beside(corners.length))
     lost = ends.rise * np.where(sticks.slow, np.fmin(half, lengthened / 2), half)
     apart = np.hypot(np.hypot(*np.hypot(off, _rounded(sticks, ends, force, extremes))), half.sum(axis=0))
     sample_um = 1e3 * (d_p - d_v) / np.where(samples == 0, np.nan, samples)
@@ -281,11 +281,15 @@ def _noise_correlation(signal: Signal, corners: Corners, apart: float, settings:
         return float(nan_median(common / np.bincount(row, noise**2)) + 5 / np.median((stop - start)[long]))
 
 
-def _corner_errors(signal: Signal, sticks: _Sticks, ends: _Ends, force: Floats, off: Floats) -> Floats:
+def _corner_errors(
+    signal: Signal, sticks: _Sticks, ends: _Ends, force: Floats, off: Floats, slip: Floats
+) -> Floats:
     """Return the errors of F_v and F_p (`force`) from those of the corners, `off` samples, (2, stick).
 
     At the extreme of a slow slip the load is level, so that an error of its position causes none; but it is
     the largest of several means, errs by the noise of one, and half of its samples lie on the rising stick.
+    It lies up to half a sample from one, on the stick, or on half a cosine of `slip` samples: the root mean
+    square of what is missed is a fifth of the rise, and of the drop over the square of `slip`.
     Ringing oscillates about the stick line, a filter may overshoot it before the slip as well, a stick may
     bend too sharply for it, and a coarse load ends below it: what was recorded beyond the line, noise aside,
     is part of the error, and so is how far the force was moved from the line to what was recorded.
@@ -294,6 +298,8 @@ def _corner_errors(signal: Signal, sticks: _Sticks, ends: _Ends, force: Floats, 
     noise = sticks.settings.extreme_sigmas * signal.noise_at(sticks.position)
     beyond = np.fmax(_OUTWARDS * (sticks.furthest - line) - noise, np.abs(force - line))
     at_extreme = np.hypot(signal.sigma / np.sqrt(sticks.width), ends.rise * sticks.width / 8)
+    missed = np.hypot(ends.rise, (force[1] - force[0]) / np.fmax(slip, 1.0) ** 2) / 5
+    at_extreme = np.hypot(at_extreme, missed)
     return np.hypot(np.where(sticks.slow, at_extreme, ends.rise * off), beyond)
 
 
