@@ -31,7 +31,7 @@ from vision.force.corners import (
 from vision.force.lines import fit_broken_lines, fit_lines, fit_polynomials
 from vision.force.lowpass import Lowpass, find_lowpass
 from vision.force.recording import is_compression
-from vision.force.regime import Regime, doubts, find_regime, is_unloading
+from vision.force.regime import Regime, doubts, find_regime, is_unloading, lasting_falls
 from vision.force.settings import ForceSettings
 from vision.force.signal import (
     Signal,
@@ -137,10 +137,11 @@ def find_stick_slip(
     unloading = is_unloading(signal.travel, analysis.extremes)
     events, shares = _measure(signal, analysis, 1 / (machine_stiffness_N_per_mm or np.inf), settings)
     _check_direction(events, unloading, source)
-    events = events.assign(flag=_all_flags(events, analysis, unloading, signal, slips, settings))
+    lasting = lasting_falls(slips, events["F_p_N"].to_numpy(float), settings)
+    events = events.assign(flag=_all_flags(events, analysis, unloading, lasting, signal, slips, settings))
     unit = load_unit_text(force)
     swings_s = math.nan if calm else swing_s
-    warnings = doubts(events, analysis.regime, signal, slips, unit, rings, swings_s, settings)
+    warnings = doubts(events, analysis.regime, signal, slips, unit, rings, swings_s, lasting, settings)
     if threshold_N is None and analysis.regime.name == "stick-slip" and not (rings or signal.averaged):
         warnings += _missed_warnings(signal, slips, analysis, unit, settings)
     metadata = _metadata(signal, slips, analysis, shares, warnings)
@@ -567,10 +568,12 @@ def _missed_warnings(
 def _filter_warnings(
     events: pd.DataFrame, analysis: _SlipAnalysis, metadata: StickMetadata, settings: ForceSettings
 ) -> list[str]:
-    """Return that a filter, which is not corrected, may have smoothed much of the sticks."""
+    """Return that a filter, which is not corrected, may have smoothed much of the sticks; not of an oscillation,
+    which has none."""
     slip, stick = events["slip_time_s"].median(), (events["t_p_s"] - events["t_v_s"]).median()
     doubtful = metadata.lowpass_doubt and analysis.lengthened
-    if not ((metadata.filter_s or doubtful) and slip > settings.filter_share * stick):
+    oscillates = analysis.regime.name == "oscillation"
+    if oscillates or not ((metadata.filter_s or doubtful) and slip > settings.filter_share * stick):
         return []
     return [
         f"slips last {slip / stick:.2g} times as long as sticks, and the load is not level at their ends, or "
@@ -623,6 +626,7 @@ def _all_flags(
     events: pd.DataFrame,
     analysis: _SlipAnalysis,
     unloading: Bools,
+    lasting: Bools,
     signal: Signal,
     slips: Slips,
     settings: ForceSettings,
@@ -636,7 +640,7 @@ def _all_flags(
     away = np.arange(len(events))[:, np.newaxis] + 1 - slips.before_jumps(settings)
     jump = (np.abs(away) <= 1).any(axis=1)
     marks = {
-        "jump": jump | (jump.mean() >= 0.5),
+        "jump": jump | (jump.mean() >= 0.5) | lasting[:-1] | lasting[1:],
         "unloading": unloading[:-1] | unloading[1:],
         "short": duration < settings.short_stick * response_s,
         "negative": events["F_v_N"].to_numpy(float) < -3 * signal.sigma,

@@ -79,8 +79,8 @@ def is_unloading(travel: Floats, extremes: Extremes) -> Bools:
 
 _FLAGGED = {
     "unloading": "lie beside a fall while the crosshead went back",
-    "jump": "contain or adjoin an upward jump of the load, as large as slips: noise, knocks, ringing, a "
-    "loose cable or a change of range",
+    "jump": "contain or adjoin an upward jump of the load, as large as slips, or a fall after which it stays "
+    "lower: noise, knocks, ringing, a loose cable, or another range or zero",
     "falling": "contain a fall of the load, as of a slip that lasts longer than they do and was not found",
     "still": "contain or precede a rest of the machine, which moved more slowly than in those around, or the "
     "displacement had ended",
@@ -98,13 +98,14 @@ def doubts(
     unit: str,
     rings: str,
     swing_s: float,
+    lasting: Bools,
     settings: ForceSettings,
 ) -> list[str]:
     """Return why the recording, or a part of its events, may not be stick-slip.
 
     unit: of the load.  rings: that the load rings, which then explains an oscillation and jumps, and events
     that are its swings say nothing else.  swing_s: period of an oscillation that cannot be averaged; NaN for
-    none.
+    none.  lasting: the `lasting_falls`.
     """
     if rings and regime.name != "stick-slip":
         return [rings, *_load_warnings(signal, slips, events, unit)]
@@ -138,7 +139,7 @@ def doubts(
             )
     lines += _displacement_warnings(signal, events) + _periodic_warnings(signal, events, settings)
     lines += slips.warnings(unit, settings) + _load_warnings(signal, slips, events, unit)
-    lines += _fall_warnings(signal, slips, events, unit)
+    lines += _fall_warnings(signal, slips, lasting, unit)
     for word, meaning in _FLAGGED.items():
         if count := int(has_flag(events["flag"], word).sum()):
             lines.append(f"{count} of {len(events)} sticks {meaning} (flag {word})")
@@ -201,24 +202,53 @@ def _periodic_warnings(signal: Signal, events: pd.DataFrame, settings: ForceSett
     ]
 
 
-def _fall_warnings(signal: Signal, slips: Slips, events: pd.DataFrame, unit: str) -> list[str]:
-    """Return which falls may be no slips: five times as far as those around, or twice and not made up for.
+def lasting_falls(slips: Slips, peak: Floats, settings: ForceSettings) -> Bools:
+    """Return after which slips the load does not regain its level, as after a zero set under load or a part
+    that broke: the `peak` of the sticks is lower from there on.
 
-    Then the ten peaks after the fall are lower than the five before by half of its excess or more.
+    A line with a step through the peaks of ten sticks on either side falls there by more than half of the
+    drop, and by `split_sigmas` of its error, and the last of these peaks are still as low. The stick that the
+    fall ends has no peak of its own.
     """
-    lines, peak = [], events["F_p_N"].to_numpy(float)
+    reach, lasting = 10, np.zeros(slips.edge.size, np.bool_)
+    if peak.size <= 2 * reach:
+        return lasting
+    window = np.delete(sliding_window_view(peak, 2 * reach + 1), reach, axis=1)
+    x = np.delete(np.arange(-reach, reach + 1.0), reach)
+    design = np.stack([np.ones_like(x), x, x > 0], axis=1)
+    fit = window @ np.linalg.pinv(design).T
+    spread = np.sqrt(np.sum((window - fit @ design.T) ** 2, axis=1) / (x.size - 3))
+    error = spread * np.sqrt(np.linalg.inv(design.T @ design)[2, 2])
+    clear = -fit[:, 2] / np.maximum(error, np.finfo(float).tiny)
+    first = np.max(sliding_window_view(np.pad(clear, 1), 3), axis=1) == clear  # a step fits slips beside it, too
+    tested = slice(reach + 1, reach + 1 + clear.size)  # stick k - 1 ends, with its peak, at slip k
+    left = np.median(window[:, :reach], axis=1) - np.median(window[:, -3:], axis=1)
+    lower = np.minimum(-fit[:, 2], left) > 0.5 * slips.drop[tested]
+    lasting[tested] = first & (clear > settings.split_sigmas) & lower
+    return lasting
+    window = np.delete(sliding_window_view(peak, 2 * reach + 1), reach, axis=1)
+    x = np.delete(np.arange(-reach, reach + 1.0), reach)
+    design = np.stack([np.ones_like(x), x, x > 0], axis=1)
+    fit = window @ np.linalg.pinv(design).T
+    spread = np.sqrt(np.sum((window - fit @ design.T) ** 2, axis=1) / (x.size - 3))
+    error = spread * np.sqrt(np.linalg.inv(design.T @ design)[2, 2])
+    # Stick k - 1 ends, with its peak, at slip k.
+    drop = slips.drop[reach + 1 : reach + 1 + len(fit)]
+    lasting[reach + 1 : reach + 1 + len(fit)] = -fit[:, 2] > np.maximum(0.5 * drop, settings.split_sigmas * error)
+    return lasting
+
+
+def _fall_warnings(signal: Signal, slips: Slips, lasting: Bools, unit: str) -> list[str]:
+    """Return which falls may be no slips: those that are not made up for, or five times those around."""
     around = np.delete(sliding_window_view(np.pad(slips.drop, 5), 11), 5, axis=1).max(axis=1)
-    for k in np.flatnonzero(slips.drop > 2 * around):
-        before, after = peak[max(k - 5, 0) : k], peak[k : k + 10]
-        lost = before.min() - after.max() if min(before.size, after.size) >= 3 else -np.inf
-        large = slips.drop[k] > 5 * around[k] or lost > 0.5 * (slips.drop[k] - around[k])
-        if large and k < slips.drop.size - 1:  # the last one may be the end of the test
-            lines.append(
-                f"the load falls by {slips.drop[k]:.3g} {unit} at {signal.time[slips.edge[k]]:.4g} s, "
-                f"{slips.drop[k] / around[k]:.2g} times as far as at the slips around: a change of range "
-                "or zero, or a part that broke"
-            )
-    return lines[:5]
+    large = slips.drop > 5 * around
+    large[-1:] = False  # it may be the end of the test
+    return [
+        f"the load falls by {slips.drop[k]:.3g} {unit} at {signal.time[slips.edge[k]]:.4g} s, "
+        f"{slips.drop[k] / around[k]:.2g} times as far as at the slips around"
+        f"{', and stays lower' * bool(lasting[k])}: a change of range or zero, or a part that broke"
+        for k in np.flatnonzero(large | lasting)[:5]
+    ]
 
 
 def _load_warnings(signal: Signal, slips: Slips, events: pd.DataFrame, unit: str) -> list[str]:

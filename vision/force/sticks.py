@@ -416,7 +416,7 @@ def _top(signal: Signal, position: Floats, force: Floats, settings: ForceSetting
     length = position[1] - position[0]
     quarter = int(np.median(length) / 4)
     some = np.flatnonzero(length >= 2 * quarter)
-    if quarter < 4 or some.size < 4:
+    if quarter < 4 or some.size < 4 or signal.averaged:  # an average rounds the peaks, too
         return 0.0
     low, high = force[:, some, np.newaxis]
     index = np.floor(position[1][some, np.newaxis]).astype(np.int64) - np.arange(quarter)
