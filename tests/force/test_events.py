@@ -1346,6 +1346,20 @@ def test_a_zero_set_in_the_middle_is_told(regained: float) -> None:
     assert sum("a change of range or zero" in line for line in events.attrs["warnings"]) == (regained == 0)
 
 
+@pytest.mark.parametrize("height", [0.0, 0.5, 1.0])
+def test_a_small_zero_set_downwards_is_no_slip(height: float) -> None:
+    """A failure means that a zero set within a stick, no larger than the slips, is an event called ok."""
+    test = plain(sticks=60, samples=80, snr=40, jitter=0.1)
+    tared_s = 0.5 * (test.truth["t_v_s"][30] + test.truth["t_p_s"][30])
+    shift = height * test.truth["dF_N"].median() * (test.force["time_s"] > tared_s)
+    events = find_stick_slip(test.force.assign(load_N=test.force["load_N"] - shift))
+    assert sum("and stays lower" in line for line in events.attrs["warnings"]) == (height > 0)
+    after = int(events["t_v_s"].searchsorted(tared_s - 0.02))  # the stick after it
+    flagged = events["flag"] != "ok"
+    assert flagged[after - 1 : after].all() == flagged[after] == (height > 0)
+    assert not flagged.drop(range(after - 2, after + 2)).any()
+
+
 def test_times_written_too_coarsely_are_named() -> None:
     """A failure means that 100 Hz with times to 0.1 s is refused for spikes that are none."""
     force = plain(sticks=60, samples=80, snr=40).force

@@ -388,9 +388,9 @@ class Shape:
         white = (2 * np.arange(2, 5) + 1) * np.median(noise)
         clear = np.abs(middle) > settings.shape_sigmas * standard
         if some.size < 8 or not clear.any():
-            chance = max(white[0] / some.size, standard[0] ** 2)
-            bend = float(np.sqrt(max(middle[0] ** 2 - chance, 0.0)))
-            return cls(errors=min(bend, 1.0) * ends[:, :1])
+            chance = float(np.sqrt(max(white[0] / some.size, standard[0] ** 2)))
+            bend = float(np.abs(middle[0]))
+            return cls(errors=min(bend, 1.0) * (bend > chance) * ends[:, :1])
         kept = np.where(clear, middle, 0.0)
         off = (ends * kept).sum(axis=1)
         if np.abs(off).max() > 1.0:  # no stick deviates that far

@@ -363,7 +363,7 @@ def _analyse_slips(
                 corners = find_corners(signal, slips, two_slopes=bent, settings=settings)
                 found = find_lowpass(signal, slips, corners, settings)
     how: LowpassHow = "given" if given else "recorded" if lowpass_s == 0 else "none"
-    lengthened = 0.0 if given else filter_length(signal, corners, extremes, settings)
+    lengthened = 0.0 if given else filter_length(signal, corners, settings)
     if given:
         corners = find_corners(signal, slips, lowpass=given, two_slopes=bent, settings=settings)
     elif found.doubt and not lengthened:
@@ -371,7 +371,7 @@ def _analyse_slips(
     elif lowpass_s == "auto" and found.corners is not None:
         corners, how = (found.corners, "found") if found.proven else (corners, "doubtful")
     if corners.lowpass:
-        lengthened = filter_length(signal, corners, extremes, settings)
+        lengthened = filter_length(signal, corners, settings)
     return _SlipAnalysis(corners, extremes, regime, found, how, lengthened)
 
 
@@ -525,9 +525,7 @@ def _measure(
     events = measured(corners, analysis.lengthened, known)
     if corners.lowpass or found.corners is None:
         return events, {}
-    other = measured(
-        found.corners, filter_length(signal, found.corners, analysis.extremes, settings), known=True
-    )
+    other = measured(found.corners, filter_length(signal, found.corners, settings), known=True)
     # The bias is equal in all events, so that it is added linearly, not in quadrature.
     pairs = [(f"{name}_N", f"{name}_err_N") for name in ("F_v", "F_p", "dF")]
     pairs += [("stick_length_um", "stick_length_err_um"), ("K_N_per_mm", "K_err_N_per_mm")]
@@ -568,8 +566,10 @@ def _missed_warnings(
 def _filter_warnings(
     events: pd.DataFrame, analysis: _SlipAnalysis, metadata: StickMetadata, settings: ForceSettings
 ) -> list[str]:
-    """Return that a filter, which is not corrected, may have smoothed much of the sticks; not of an oscillation,
-    which has none."""
+    """Return that a filter, which is not corrected, may have smoothed much of the sticks.
+
+    An oscillation has none.
+    """
     slip, stick = events["slip_time_s"].median(), (events["t_p_s"] - events["t_v_s"]).median()
     doubtful = metadata.lowpass_doubt and analysis.lengthened
     oscillates = analysis.regime.name == "oscillation"

@@ -207,8 +207,8 @@ def lasting_falls(slips: Slips, peak: Floats, settings: ForceSettings) -> Bools:
     that broke: the `peak` of the sticks is lower from there on.
 
     A line with a step through the peaks of ten sticks on either side falls there by more than half of the
-    drop, and by `split_sigmas` of its error, and the last of these peaks are still as low. The stick that the
-    fall ends has no peak of its own.
+    drop, and by `split_sigmas` of its error, and the last of these peaks are lower by most of it. The stick
+    that the fall ends has no peak of its own, so that the slips beside it may be named as well.
     """
     reach, lasting = 10, np.zeros(slips.edge.size, np.bool_)
     if peak.size <= 2 * reach:
@@ -218,23 +218,11 @@ def lasting_falls(slips: Slips, peak: Floats, settings: ForceSettings) -> Bools:
     design = np.stack([np.ones_like(x), x, x > 0], axis=1)
     fit = window @ np.linalg.pinv(design).T
     spread = np.sqrt(np.sum((window - fit @ design.T) ** 2, axis=1) / (x.size - 3))
-    error = spread * np.sqrt(np.linalg.inv(design.T @ design)[2, 2])
-    clear = -fit[:, 2] / np.maximum(error, np.finfo(float).tiny)
-    first = np.max(sliding_window_view(np.pad(clear, 1), 3), axis=1) == clear  # a step fits slips beside it, too
-    tested = slice(reach + 1, reach + 1 + clear.size)  # stick k - 1 ends, with its peak, at slip k
+    step, error = -fit[:, 2], spread * np.sqrt(np.linalg.inv(design.T @ design)[2, 2])
     left = np.median(window[:, :reach], axis=1) - np.median(window[:, -3:], axis=1)
-    lower = np.minimum(-fit[:, 2], left) > 0.5 * slips.drop[tested]
-    lasting[tested] = first & (clear > settings.split_sigmas) & lower
-    return lasting
-    window = np.delete(sliding_window_view(peak, 2 * reach + 1), reach, axis=1)
-    x = np.delete(np.arange(-reach, reach + 1.0), reach)
-    design = np.stack([np.ones_like(x), x, x > 0], axis=1)
-    fit = window @ np.linalg.pinv(design).T
-    spread = np.sqrt(np.sum((window - fit @ design.T) ** 2, axis=1) / (x.size - 3))
-    error = spread * np.sqrt(np.linalg.inv(design.T @ design)[2, 2])
-    # Stick k - 1 ends, with its peak, at slip k.
-    drop = slips.drop[reach + 1 : reach + 1 + len(fit)]
-    lasting[reach + 1 : reach + 1 + len(fit)] = -fit[:, 2] > np.maximum(0.5 * drop, settings.split_sigmas * error)
+    tested = slice(reach + 1, reach + 1 + step.size)  # stick k - 1 ends, with its peak, at slip k
+    clear = step > np.maximum(0.5 * slips.drop[tested], settings.split_sigmas * error)
+    lasting[tested] = clear & (left > 0.75 * step)
     return lasting
 
 
@@ -243,11 +231,12 @@ def _fall_warnings(signal: Signal, slips: Slips, lasting: Bools, unit: str) -> l
     around = np.delete(sliding_window_view(np.pad(slips.drop, 5), 11), 5, axis=1).max(axis=1)
     large = slips.drop > 5 * around
     large[-1:] = False  # it may be the end of the test
+    first = lasting & ~np.r_[False, lasting[:-1]]  # a step fits the slip beside it nearly as well
     return [
         f"the load falls by {slips.drop[k]:.3g} {unit} at {signal.time[slips.edge[k]]:.4g} s, "
         f"{slips.drop[k] / around[k]:.2g} times as far as at the slips around"
         f"{', and stays lower' * bool(lasting[k])}: a change of range or zero, or a part that broke"
-        for k in np.flatnonzero(large | lasting)[:5]
+        for k in np.flatnonzero(large | first)[:5]
     ]
 
 

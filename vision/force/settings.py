@@ -151,15 +151,14 @@ class ForceSettings(Tunable):
     extremes and flagged. Extrapolated stick lines read half cosines 0.4 % too large at 0.33 and 20 % at 1."""
 
     level_share: float = 0.06
-    """Share by which slow slips may be shorter from peak to valley than half a cosine, or before their middle
-    than after it, with the load still level at their ends. Paper on paper stays below 0.03, moving means
-    reach 0.09 to 0.15. Smaller widens the errors of slips that are resolved, larger trusts what a filter
-    cut."""
+    """Share by which slips may be shorter before their middle than after it without a filter. Paper on paper
+    stays below 0.03, low-passes reach 0.2 and more. Smaller widens the errors of slips that are resolved,
+    larger trusts what a filter cut."""
 
     tails_share: float = 0.04
-    """Share by which the tails of slips (`Corners.tails`) may differ, in one half at least, from those of half
-    a cosine. Moving blocks differ by up to 0.03, moving means by 0.06 or more, several means by 0.05 or more.
-    Smaller widens the errors of slips that are resolved, larger trusts what a filter made."""
+    """Share by which the tails of slips (`Corners.tails`) may differ from those of half a cosine, in the half
+    that differs less. Moving blocks differ by up to 0.03, moving means by 0.06 or more, several means by 0.05
+    or more. Smaller widens the errors of slips that are resolved, larger trusts what a filter made."""
 
     smooth_noise: float = 0.3
     """Correlation of the noise over a twentieth of a slow slip above which a filter may have made the slip:

@@ -109,8 +109,12 @@ def measure_sticks(
     (f_v, f_p), (t_v, t_p), (d_v, d_p) = force, time, d
     t_next = np.append(t_v[1:], signal.time_at(np.array(sticks.last_valley)))
     off, half = (_beside(part) for part in _position_errors(signal, corners, lengthened, filter_known))
-    error = _corner_errors(signal, sticks, ends, force, off, _beside(corners.length))
+    error = _corner_errors(signal, sticks, ends, force, off)
     lost = ends.rise * np.where(sticks.slow, np.fmin(half, lengthened / 2), half)
+    # The extreme of a slow slip lies up to half a sample from one, on the stick or on half a cosine. The root
+    # mean square of what the sample misses is a fifth of the rise, and of the drop over the slip's square.
+    missed = np.hypot(ends.rise, (f_p - f_v) / np.fmax(_beside(corners.length), 1.0) ** 2) / 5
+    lost = np.where(sticks.slow, np.hypot(lost, missed), lost)
     apart = np.hypot(np.hypot(*np.hypot(off, _rounded(sticks, ends, force, extremes))), half.sum(axis=0))
     sample_um = 1e3 * (d_p - d_v) / np.where(samples == 0, np.nan, samples)
     length_error = np.hypot(sample_um * apart, 1e3 * np.sqrt(2) * noise_mm)
@@ -235,26 +239,25 @@ def _rounded(sticks: _Sticks, ends: _Ends, force: Floats, extremes: Extremes) ->
     return np.where(sticks.slow | (sticks.lag > 0), 0.0, np.fmin(away, np.nan_to_num(cut_off)))
 
 
-def filter_length(signal: Signal, corners: Corners, extremes: Extremes, settings: ForceSettings) -> float:
+def filter_length(signal: Signal, corners: Corners, settings: ForceSettings) -> float:
     """Return by how many samples a filter of the machine may have lengthened every slip; 0 for none.
 
     A filter lengthens all slips alike, so by no more than the shortest last; and not at all where they have
     the shape of a moving block's, and the noise is faster than they are. Half a cosine takes as long before
-    its middle as after it, and its tails are between those of a straight fall, as a moving mean makes it of a
-    sudden slip, and of the bell-shaped response of several means: either half may differ, where friction
-    changes gradually, but both halves differ where a filter made them. A filter with a tail
-    takes longer after the middle. A smoothed recording, as by a filter without delay, has noise as smooth as
-    its slips. Where slips are not slow, the noise must be
+    its middle as after it; a filter with a tail takes longer after it. Its tails are longer than those of a
+    straight fall, as a moving mean makes it of a sudden slip, and shorter than those of several means. Either
+    half may differ, where friction changes gradually, but a filter makes both differ. A smoothed recording,
+    as by a filter without delay, has noise as smooth as its slips. Where they are not slow, the noise must be
     white and the load must not swing below the stick after them, as behind a sharp filter or in a load cell
-    that rings.
+    that rings. A slip about as long as a moving mean after it looks like half a cosine.
     """
     length = float(np.quantile(corners.length, 0.1))
     slow = bool(is_slow(corners, settings).all())
     with np.errstate(divide="ignore", invalid="ignore"):
-        level = nan_median(corners.onset / corners.end) >= 1 - settings.level_share
+        level = bool(nan_median(corners.onset / corners.end) >= 1 - settings.level_share)
     if length >= _SHAPED:
-        tails = corners.tails / _TAILS
-        level = level and tails.max() > 1 - settings.tails_share and tails.min() < 1 + settings.tails_share
+        low, high = corners.tails.min() / _TAILS, corners.tails.max() / _TAILS
+        level &= bool(high > 1 - settings.tails_share and low < 1 + settings.tails_share)
     most = settings.smooth_noise if slow else settings.white_noise
     level = level and _noise_correlation(signal, corners, 0.05 * length, settings) < most
     if level and not slow:
@@ -281,15 +284,11 @@ def _noise_correlation(signal: Signal, corners: Corners, apart: float, settings:
         return float(nan_median(common / np.bincount(row, noise**2)) + 5 / np.median((stop - start)[long]))
 
 
-def _corner_errors(
-    signal: Signal, sticks: _Sticks, ends: _Ends, force: Floats, off: Floats, slip: Floats
-) -> Floats:
+def _corner_errors(signal: Signal, sticks: _Sticks, ends: _Ends, force: Floats, off: Floats) -> Floats:
     """Return the errors of F_v and F_p (`force`) from those of the corners, `off` samples, (2, stick).
 
     At the extreme of a slow slip the load is level, so that an error of its position causes none; but it is
     the largest of several means, errs by the noise of one, and half of its samples lie on the rising stick.
-    It lies up to half a sample from one, on the stick, or on half a cosine of `slip` samples: the root mean
-    square of what is missed is a fifth of the rise, and of the drop over the square of `slip`.
     Ringing oscillates about the stick line, a filter may overshoot it before the slip as well, a stick may
     bend too sharply for it, and a coarse load ends below it: what was recorded beyond the line, noise aside,
     is part of the error, and so is how far the force was moved from the line to what was recorded.
@@ -298,8 +297,6 @@ def _corner_errors(
     noise = sticks.settings.extreme_sigmas * signal.noise_at(sticks.position)
     beyond = np.fmax(_OUTWARDS * (sticks.furthest - line) - noise, np.abs(force - line))
     at_extreme = np.hypot(signal.sigma / np.sqrt(sticks.width), ends.rise * sticks.width / 8)
-    missed = np.hypot(ends.rise, (force[1] - force[0]) / np.fmax(slip, 1.0) ** 2) / 5
-    at_extreme = np.hypot(at_extreme, missed)
     return np.hypot(np.where(sticks.slow, at_extreme, ends.rise * off), beyond)
 
 
@@ -409,9 +406,9 @@ def _begin(signal: Signal, position: Floats, force: Floats, settings: ForceSetti
 
 
 def _top(signal: Signal, position: Floats, force: Floats, settings: ForceSettings) -> float:
-    """Return how far the median load of all sticks stays below the ends of their lines, over the drop, at most 0.
+    """Return how far the median load of all sticks stays below the ends of their lines, over the drop.
 
-    The load of a block that creeps before it slips does, by less than the noise of a single stick.
+    At most 0. The load of a block that creeps before it slips does, by less than the noise of one stick.
     """
     length = position[1] - position[0]
     quarter = int(np.median(length) / 4)
