@@ -207,8 +207,9 @@ def lasting_falls(slips: Slips, peak: Floats, settings: ForceSettings) -> Bools:
     that broke: the `peak` of the sticks is lower from there on.
 
     A line with a step through the peaks of ten sticks on either side falls there by more than half of the
-    drop, and by `split_sigmas` of its error, and the last of these peaks are lower by most of it. The stick
-    that the fall ends has no peak of its own, so that the slips beside it may be named as well.
+    drop, and by `split_sigmas` of its error. So do the two peaks beside it, and the last ones are still lower
+    by most of it. The stick that the fall ends has no peak of its own, so that the slips beside it may be
+    named as well.
     """
     reach, lasting = 10, np.zeros(slips.edge.size, np.bool_)
     if peak.size <= 2 * reach:
@@ -221,7 +222,8 @@ def lasting_falls(slips: Slips, peak: Floats, settings: ForceSettings) -> Bools:
     step, error = -fit[:, 2], spread * np.sqrt(np.linalg.inv(design.T @ design)[2, 2])
     left = np.median(window[:, :reach], axis=1) - np.median(window[:, -3:], axis=1)
     tested = slice(reach + 1, reach + 1 + step.size)  # stick k - 1 ends, with its peak, at slip k
-    clear = step > np.maximum(0.5 * slips.drop[tested], settings.split_sigmas * error)
+    at_once = window[:, reach - 1] - window[:, reach]  # peaks may also wander from stick to stick
+    clear = np.minimum(step, at_once) > np.maximum(0.5 * slips.drop[tested], settings.split_sigmas * error)
     lasting[tested] = clear & (left > 0.75 * step)
     return lasting
 
