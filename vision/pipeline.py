@@ -71,7 +71,7 @@ from vision.models import FitSettings, ModelFits, fit_models
 from vision.models.fits import check_fit_range
 from vision.sample import PUBLISHED, Sample
 from vision.sheets import Correction, FitChoice, TrackingSettings, pixel_size_of, track_sheets, with_heights
-from vision.sheets.corrections import OF_SHEETS, last_of, ordered
+from vision.sheets.corrections import OF_SHEETS, check_corrections, last_of, ordered, read_corrections
 from vision.sheets.ridges import describe_ridges
 from vision.sheets.subpixel import check_window
 from vision.sheets.tracks import check_axis
@@ -134,15 +134,15 @@ class Settings(Tunable):
     rotate: Literal[0, 90, 180, 270] = 0  #: degrees clockwise by which each frame is rotated first
     frames: slice | None = None  #: part of the video, half-open
     fps: Positive | None = None  #: the camera's frame rate
-    timestamps: Path | None = None  #: text file with the time of every frame
+    timestamps: Path | None = None  #: text file with the time of every frame; its name is enough
     ridges: Literal["bright", "dark", "auto"] = "auto"  #: polarity
     sheets: PositiveInt | None = None  #: number of ridges in view
     axis_px: float | None = None  #: symmetry axis
     fit: FitChoice = "auto"  #: subpixel method: "auto", "sliding", "paper" or "template"
     window_px: Annotated[int | Literal["auto"], check_window] | None = None  #: of the fit, odd
-    #: Manual corrections from `vision.sheets.read_corrections`. Those of the strip, the axis and the clock
-    #: take precedence over `rows`, `axis_px` and `offset_s`.
-    corrections: tuple[Correction, ...] = ()
+    #: Manual corrections, or the name of their file. Those of the strip, the axis and the clock take
+    #: precedence over `rows`, `axis_px` and `offset_s`.
+    corrections: Annotated[tuple[Correction, ...], check_corrections] = ()
     #: µm per pixel (None: as the film's file states). Without it: no lengths in µm and no deformation.
     pixel_size_um: Annotated[float, check_pixel_size] | None = None
     pixel_size_err_um: NonNegative | None = None  #: its error
@@ -172,6 +172,9 @@ class Settings(Tunable):
     tuning: Tuning = field(default_factory=Tuning)  #: constants of the stages
 
     def __post_init__(self) -> None:
+        for name, of_file in (("timestamps", Path), ("corrections", read_corrections)):
+            if isinstance(value := getattr(self, name), PATH):
+                object.__setattr__(self, name, of_file(Path(value)))
         check_fields(self)
 
 

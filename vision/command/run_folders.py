@@ -61,7 +61,9 @@ def save_run(analysis: Analysis, folder: str | Path, *, overwrite: bool = False,
     return folder
 
 
-def load_run(folder: str | Path, *, film: Path | None = None, force: Path | None = None) -> Analysis:
+def load_run(
+    folder: str | Path, *, film: str | Path | None = None, force: str | Path | None = None
+) -> Analysis:
     """Return the analysis of a run folder, of the command or of `save_run`, for its figures and datasets.
 
     Strip, tracks and clock are those of the folder. The other stages run again, with the settings of the run
@@ -72,8 +74,8 @@ def load_run(folder: str | Path, *, film: Path | None = None, force: Path | None
     folder
         The run folder.
     film, force
-        New paths of the film and the force recording, if they were moved. Without its film, an analysis lacks
-        the image of a frame.
+        New paths of the film and the force recording, if they were moved without the run. Without its film,
+        an analysis lacks the image of a frame.
 
     Raises
     ------

@@ -62,7 +62,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from vision.errors import InputError, did_you_mean
+from vision.errors import InputError, check_kind, did_you_mean
 from vision.files import read_toml, shortened
 from vision.numeric import Floats, Ints, nan_median, nearest
 from vision.sheets.identities import Doubt
@@ -235,6 +235,15 @@ def ordered(corrections: Sequence[Correction]) -> tuple[Correction, ...]:
 
 
 # --- the file -----------------------------------------------------------------------------------------------
+
+
+def check_corrections(**values: Any) -> None:
+    """Raise `InputError` for an argument that is no tuple of corrections."""
+    wanted = "the path of a file of corrections, or a tuple as `read_corrections` returns it"
+    check_kind(tuple, wanted, **values)
+    for name, corrections in values.items():
+        for one in corrections:
+            check_kind(Correction, wanted, **{name: one})
 
 
 def read_corrections(path: str | Path) -> tuple[Correction, ...]:
