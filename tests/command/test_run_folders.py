@@ -143,6 +143,34 @@ def test_moved_files_are_said_or_found(made, tmp_path):
     assert vision.load_run(tmp_path / "run", force=tmp_path / "moved.txt").frame is None
 
 
+def test_run_and_films_that_were_moved_together_are_found(made, tmp_path):
+    """A failure means that a campaign on a disk with another path cannot be corrected or loaded any more."""
+    _, folder = made
+    shutil.copytree(LATE, tmp_path / "new" / "films" / "late")
+    shutil.copytree(folder, tmp_path / "new" / "series" / "runs" / "late")
+    moved = tmp_path / "new" / "series" / "runs" / "late" / RUN_JSON
+    moved.write_text(moved.read_text().replace(str(LATE), "/media/old/films/late"))
+    again = vision.load_run(moved.parent)
+    assert again.video.path == tmp_path / "new" / "films" / "late" / "video.avi"
+    assert len(again.sticks)
+    assert again.settings.timestamps == tmp_path / "new" / "films" / "late" / "timestamps.txt"
+
+
+def test_files_are_named_by_text_as_well(tmp_path):
+    """A failure means that a notebook's analysis cannot be saved, for a reason that nobody understands."""
+    (tmp_path / "c.toml").write_text('[[leave_out]]\nsheet = 3\nframes = "5:9"\n')
+    texts = {"timestamps": str(LATE / "timestamps.txt"), "corrections": str(tmp_path / "c.toml")}
+    test = vision.analyse(str(LATE / "video.avi"), str(LATE / "force.txt"), rows=GIVEN.rows, **texts)
+    assert (test.tracks["flag"][5:9, 3] == "left_out").all()
+    folder = vision.save_run(test, str(tmp_path / "run"))
+    again = vision.load_run(str(folder), force=str(LATE / "force.txt")).settings
+    assert again.timestamps == test.settings.timestamps == LATE / "timestamps.txt"
+    assert [one.what for one in again.corrections] == [one.what for one in test.settings.corrections]
+    for wrong in ([3], ("leave_out",), 3):
+        with pytest.raises(InputError, match="`corrections`: expected the path of a file"):
+            Settings(corrections=wrong)
+
+
 def test_an_earlier_run_stays_and_what_is_no_analysis_is_refused(made, tmp_path):
     """A failure means lost results, or a traceback."""
     analysis, folder = made

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, partial
+from itertools import chain
 from pathlib import Path
 from typing import Any, BinaryIO, Literal, Self
 
@@ -154,17 +155,20 @@ class RunFolder:
     def found(self, named: Path) -> Path:
         """Return where a file that the run used is.
 
-        A relative path is tried from where the run was made, from here, and from beside the run folder.
+        A relative path is tried from where the run was made and from here. Then the last parts of the path,
+        as many as possible, are tried from each folder above the run: both may have been moved together.
         """
         made_in = Path(str(self.facts.get("directory") or "."))
-        places = (made_in / named, named, self.folder.absolute().parent / named)
-        return next(filter(_is_there, places), named)
+        parts = named.parts[named.is_absolute() :]
+        ends = (Path(*parts[first:]) for first in range(len(parts)))
+        moved = (above / end for end in ends for above in self.folder.absolute().parents)
+        return next(filter(_is_there, chain((made_in / named, named), moved)), named)
 
-    def force(self, moved: Path | None = None) -> Path | None:
+    def force(self, moved: str | Path | None = None) -> Path | None:
         """Return the path of the force recording, as `input` does; None for a run without one."""
         return self.input("force", moved) if self.with_force else None
 
-    def input(self, which: Literal["film", "force"], moved: Path | None = None) -> Path:
+    def input(self, which: Literal["film", "force"], moved: str | Path | None = None) -> Path:
         """Return the path of the film or the force recording after checking that it is the same file.
 
         moved: its new path, if it was moved.
@@ -176,9 +180,10 @@ class RunFolder:
             wanted = "a run of a video" if which == "film" else "a run with a force recording"
             raise InputError(self.folder, wanted, "none in its run.json", "give another run")
         known: Mapping[str, Any] = inputs[0 if which == "film" or not self.of_video else -1]
-        path = self.found(Path(str(known["path"]))) if moved is None else moved
+        path = self.found(Path(str(known["path"]))) if moved is None else Path(moved)
         if not _is_there(path):
-            advice = "give its new path (`film`)" if which == "film" else "put it back there"
+            advice = "put it back there, or measure the run again with" if which == "force" else "give"
+            advice += f" its new path (`{which}`)"
             raise InputError(path, f"an input of {self.folder}", "no such file", advice)
         kind = "sha256" if "sha256" in known else "fingerprint"
         now = describe_input(path, whole=kind == "sha256")
