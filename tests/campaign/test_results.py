@@ -14,19 +14,24 @@ import pyarrow.parquet as pq
 import pytest
 
 import vision
-from tests.campaign.scenes import films, planned
+from tests.campaign.scenes import films, planned, rows
 from vision.campaign.films import Row
+from vision.campaign.jobs import Outcome, run_job
 from vision.campaign.plan import State, make_plan, write_state
 from vision.campaign.results import (
     as_arrow,
     duration,
+    needs_pool,
     open_tables,
+    pool,
     remove_others,
     write_page,
     write_partitions,
     write_tests,
 )
 from vision.errors import InputError
+from vision.run.provenance import Origin
+from vision.sheets.corrections import correction_of
 
 # --- tables -------------------------------------------------------------------------------------------------
 
@@ -104,6 +109,36 @@ def test_a_hundred_million_rows_open_lazily(tmp_path):
     assert pc.sum(one["x_px"]).as_py() == 45
     with pytest.raises(OSError):
         table.to_table(columns=["x_px"])
+
+
+def test_a_run_that_was_corrected_renews_tables_state_and_pool(tmp_path):
+    """A failure means that a sheet that was left out by hand stays in the pooled tables, without a word."""
+    (path,) = films(tmp_path, 1)
+    plan = planned(tmp_path / "out", [path])
+
+    def work(film, source, target):
+        analysis = vision.analyse(path, fps=20.0, pixel_size_um=10.0)
+        vision.save_run(analysis, target, report=False)
+        return Outcome(status=0, analysis=analysis)
+
+    assert run_job(plan, *plan.jobs, work) == 0
+    pool(plan, Origin(command="track campaign"))
+    before = open_tables(plan.out, "positions").to_table().to_pandas()
+    assert set(before["flag"]) == {"ok"} and not needs_pool(plan)
+    decision = correction_of("leave_out", {"sheet": 3, "frames": "0:"})
+    corrected = vision.analyse(path, fps=20.0, pixel_size_um=10.0, corrections=(decision,))
+    vision.save_run(corrected, plan.run_of("t0"), report=False, overwrite=True)
+    assert needs_pool(plan)
+    pool(plan, Origin(command="track campaign"))
+    after = open_tables(plan.out, "positions").to_table().to_pandas()
+    assert set(after.loc[after["index"] == 3, "flag"]) == {"left_out"}
+    np.testing.assert_array_equal(after["x_px"][after["index"] != 3], before["x_px"][before["index"] != 3])
+    assert after.dtypes.equals(before.dtypes)
+    sheets = open_tables(plan.out, "sheets").to_table().to_pandas().set_index("index")
+    assert sheets.loc[3, "found"] == 0
+    assert plan.state(plan.films[0]).warnings == corrected.warnings
+    assert not needs_pool(plan)
+    assert make_plan(rows([path]), plan.out).jobs == {}  # the correction stays
 
 
 # --- the page -----------------------------------------------------------------------------------------------

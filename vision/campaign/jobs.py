@@ -22,11 +22,9 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
-from PIL import Image
-
 from vision.campaign.films import SETTINGS, is_remote
 from vision.campaign.plan import PLAN, Plan, PlannedFilm, State, Word, inputs_of, write_plan, write_state
-from vision.campaign.results import page_age, write_page, write_partitions
+from vision.campaign.results import page_age, write_page, write_partitions, write_thumbnail
 from vision.data import StripMetadata
 from vision.errors import InputError, install_advice
 from vision.files import answered, c_library, prefetch, shortened
@@ -259,7 +257,8 @@ def _run(plan: Plan, film: PlannedFilm, work: Work, copies: dict[str, Path]) -> 
     except (InputError, OSError) as error:  # the tables or the thumbnail could not be written
         ended = State(name=film.name, state="failed", reason=shortened(str(error), 300))
     seconds = time.perf_counter() - started
-    _try_to_write(plan.out, replace(ended, key=film.key, seconds=seconds, attempts=begun.attempts))
+    ended = replace(ended, key=film.key, run=plan.run_digest(film.name))
+    _try_to_write(plan.out, replace(ended, seconds=seconds, attempts=begun.attempts))
     if page_age(plan.out) > SETTINGS.page_seconds * (1 + len(plan.films) / 100):
         with suppress(InputError):  # a full disk also fails the films, which report it
             write_page(plan, live=True)
@@ -280,10 +279,7 @@ def _run_one(plan: Plan, film: PlannedFilm, work: Work, copies: dict[str, Path])
     if outcome.analysis is None or not is_run(target):
         return state
     write_partitions(plan.out, film.name, outcome.analysis)
-    with suppress(OSError, ValueError), Image.open(target / "overview.png") as image:
-        image.thumbnail((SETTINGS.thumbnail_px, 4 * SETTINGS.thumbnail_px))
-        (plan.out / "thumbnails").mkdir(exist_ok=True)
-        image.convert("RGB").quantize(32).save(plan.out / "thumbnails" / f"{film.name}.png", optimize=True)
+    write_thumbnail(plan, film.name)
     warnings, word = outcome.warnings, STATE_OF_STATUS.get(outcome.status, "partial")
     reason = outcome.reason or (shortened(warnings[0], 300) if warnings else "")
     more = f" (and {len(warnings) - 1} more)" if outcome.status == 1 and len(warnings) > 1 else ""

@@ -22,7 +22,7 @@ import vision
 from vision.campaign.films import PATHS, SETTINGS, Row, is_remote
 from vision.errors import InputError, reason_of
 from vision.files import Stamp, answered, reading, shortened
-from vision.folder import from_json, plain, whole_file, write_json
+from vision.folder import RUN_JSON, from_json, plain, whole_file, write_json
 from vision.run.provenance import checksum_of, describe_input
 from vision.run.reading import is_run, read_json
 from vision.video import open_video, video_files
@@ -47,6 +47,7 @@ class State:
     seconds: float = 0.0  # duration of its analysis
     warnings: tuple[str, ...] = ()  # all warnings of the run
     frames: int = 0  # that were read
+    run: str = ""  # digest of the run.json that this describes; with another one, the run was corrected
     attempts: int = 0  # attempts with this key
     at: float = 0.0  # when this was written, seconds since 1970
 
@@ -142,9 +143,17 @@ class Plan:
         state = read_state(self.out, film.name)
         return state if state.key == film.key else State(name=film.name, key=film.key)
 
+    def run_digest(self, name: str) -> str:
+        """Return a digest of a film's run.json, which differs after every correction; "" if it has none."""
+        try:
+            return hashlib.sha256((self.run_of(name) / RUN_JSON).read_bytes()).hexdigest()[:16]
+        except OSError:
+            return ""
+
     def pool_key(self) -> str:
-        """Return a digest of the finished films and their facts, which changes when the pool must."""
-        return _digest([(film.name, film.key, film.facts) for film in self.films if self.finished(film)])
+        """Return a digest of the finished runs and their facts, which changes when the pool must."""
+        done = [film for film in self.films if self.finished(film)]
+        return _digest([(film.name, film.key, film.facts, self.run_digest(film.name)) for film in done])
 
 
 def make_plan(

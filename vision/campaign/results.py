@@ -7,6 +7,8 @@ import shutil
 import time
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -16,19 +18,24 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.dataset as ds
 import pyarrow.parquet as pq
+import xarray as xr
 from jinja2 import Environment, StrictUndefined
+from PIL import Image
 
-from vision.campaign.plan import FINISHED, Plan, PlannedFilm, State, read_if_whole
+from vision.campaign.films import SETTINGS
+from vision.campaign.plan import FINISHED, Plan, PlannedFilm, State, Word, read_if_whole, write_state
 from vision.comparison import compare, write_comparison
 from vision.comparison.runs import COLUMNS, LIMITS
 from vision.errors import InputError, counted
+from vision.figures import Results
 from vision.files import reading
 from vision.folder import whole_file, write_csv, write_json
 from vision.numeric import number
 from vision.pipeline import Analysis
 from vision.run.provenance import Origin
-from vision.run.reading import is_run, read_json
+from vision.run.reading import is_run, read_json, read_run
 from vision.run.tables import columns_in_parts, sheets_table
+from vision.run.writing import FAILURES
 from vision.shells import deformation_table
 
 # --- the page -----------------------------------------------------------------------------------------------
@@ -119,6 +126,14 @@ def _data_uri(path: Path) -> str:
         return ""
 
 
+def write_thumbnail(plan: Plan, film: str) -> None:
+    """Write the picture of a film for the page; none if its overview cannot be read."""
+    with suppress(OSError, ValueError), Image.open(plan.run_of(film) / "overview.png") as image:
+        image.thumbnail((SETTINGS.thumbnail_px, 4 * SETTINGS.thumbnail_px))
+        (plan.out / "thumbnails").mkdir(exist_ok=True)
+        image.convert("RGB").quantize(32).save(plan.out / "thumbnails" / f"{film}.png", optimize=True)
+
+
 def duration(seconds: float) -> str:
     """Return a duration in s, min or h with a suitable number of digits."""
     if seconds < 90:
@@ -184,13 +199,25 @@ def write_partitions(out: Path, film: str, analysis: Analysis) -> None:
 
     Raises: InputError.
     """
-    tracks, motion = analysis.tracks, analysis.motion
+    motion = analysis.motion
     how: dict[str, Any] = {"threshold": analysis.threshold, "settings": analysis.settings.tuning.shells}
-    columns = () if tracks is None else columns_in_parts(tracks, analysis.pixel_size_um)
+    deformation = None if motion is None else deformation_table(motion, **how)
+    _write_parts(out, film, analysis.tracks, analysis.pixel_size_um, analysis.sticks, deformation)
+
+
+def _write_parts(
+    out: Path,
+    film: str,
+    tracks: xr.Dataset | None,
+    pixel_size_um: float | None,
+    sticks: pd.DataFrame | None,
+    deformation: pd.DataFrame | None,
+) -> None:
+    columns = () if tracks is None else columns_in_parts(tracks, pixel_size_um)
     parts: dict[str, Iterable[pd.DataFrame]] = {
         "sheets": () if tracks is None else [sheets_table(tracks)],
-        "sticks": () if analysis.sticks is None else [analysis.sticks],
-        "deformation": () if motion is None else [deformation_table(motion, **how)],
+        "sticks": () if sticks is None else [sticks],
+        "deformation": () if deformation is None else [deformation],
         "positions": map(pd.DataFrame, columns),
     }
     for name, tables in parts.items():
@@ -249,14 +276,41 @@ POOL, REMARKS = "pool", "pool.json"
 def pool(plan: Plan, origin: Origin) -> None:
     """Compare all finished runs that have a force recording, and complete the tables of all films.
 
+    Runs that were corrected or measured again since their job get new tables and states first.
+
     origin: for run.json of the comparison.  Raises: InputError if the folder cannot be written.
     """
+    unread = [line for film in plan.films if (line := _renew_if_corrected(plan, film))]
     done = [(film, state) for film in plan.films if (state := plan.finished(film))]
     write_tests(plan.out, {film.name: _test_row(plan, film, state) for film, state in done})
     remove_others(plan.out, [film.name for film, _ in done])
-    remarks = _compare([film for film, _ in done], plan, origin)
+    remarks = [*unread, *_compare([film for film, _ in done], plan, origin)]
     with whole_file(plan.out / REMARKS) as path:
         write_json({"key": plan.pool_key(), "remarks": remarks}, path)
+
+
+def _renew_if_corrected(plan: Plan, film: PlannedFilm) -> str:
+    """Write tables, picture and state of a run that is not that of its job; return why that fails, or ""."""
+    state, now = plan.finished(film), plan.run_digest(film.name)
+    if state is None or state.run in ("", now):
+        return ""
+    try:
+        run = read_run(plan.run_of(film.name))
+        tracks = run.tracks if run.of_video else None
+        deformation = run.table("deformation")
+        _write_parts(plan.out, film.name, tracks, run.pixel_size_um, run.events, deformation)
+        warnings = tuple(map(str, run.facts.get("warnings") or ()))
+        reasons = run.facts.get("not_measured") or {}
+        refused = [reasons[name] for name in Results(clock=run.clock, reasons=reasons).refused()]
+    except InputError as error:
+        return f"{film.name}: its tables are those before it was corrected: {error}"
+    write_thumbnail(plan, film.name)
+    word: Word = "warnings" if warnings else "done"
+    if refused or (run.folder / FAILURES).exists():
+        word = "partial"
+    reason = next(iter([*refused, *warnings]), "")
+    write_state(plan.out, replace(state, state=word, reason=reason, warnings=warnings, run=now))
+    return ""
 
 
 def _compare(films: Sequence[PlannedFilm], plan: Plan, origin: Origin) -> list[str]:
