@@ -127,19 +127,24 @@ def test_numbers_of_previous_tests_are_whole(tmp_path):
     assert all(panel.whole_numbers for panel in trend.panels)
 
 
-def test_the_curve_has_the_geometry_of_the_tests_whose_mu_it_shows(tmp_path):
-    """A failure means the joint μ of one sample drawn with the thickness of another."""
+def test_every_sample_has_its_own_colour_and_curves(tmp_path):
+    """A failure means the curve of one sample drawn through the points of another, or with its thickness."""
     other = Sample(sheets_per_block=20, thickness_mm=0.15)
-    runs = [write_run(tmp_path / "first", events(sample=other, seed=1), sample=other)]
-    runs += [write_run(tmp_path / f"r{k}", events(seed=k)) for k in (2, 3)]
+    runs = [write_run(tmp_path / "first", events(sample=other, mu=1.05, seed=1), sample=other)]
+    runs += [write_run(tmp_path / f"r{k}", events(speed=1 / k, seed=k), speed=1 / k) for k in (1, 2)]
     samples = pd.DataFrame({"run": [run.name for run in runs], "sample": ["A", "B", "B"]})
     found = vision.compare(runs, samples)
-    assert found.main.sample == "B"
-    peaks, drops = found.figures()[:2]
-    eq1, drop = peaks.panel.series[-1], drops.panel.series[-1]
-    assert eq1.y == pytest.approx(equations.traction(eq1.x, mu=found.mu.value, sample=PUBLISHED))
-    total = equations.total_normal_force(drop.x, mu=found.mu.value, sample=PUBLISHED)
-    assert drop.y == pytest.approx(found.main.amplitude.value * total)
+    mus = [found.fits[0].mu.value, found.joint[0].mu.value]
+    figures = found.figures()[:3]
+    for figure in figures:
+        labels = [one.label for one in figure.panel.series]
+        assert labels[:2] == ["A", "B"] and len(set(labels)) == len([one for one in labels if one]) + 1
+    (a, b), drops = figures[0].panel.series[-2:], figures[1].panel.series[-2:]
+    for eq1, drop, mu, sample in zip((a, b), drops, mus, (other, PUBLISHED), strict=True):
+        assert eq1.y == pytest.approx(equations.traction(eq1.x, mu=mu, sample=sample))
+        total = equations.total_normal_force(drop.x, mu=mu, sample=sample)
+        assert np.ptp(drop.y / total) < 1e-9
+    assert "of A" in figures[0].caption and "fitted jointly to B" in figures[0].caption
 
 
 @pytest.mark.parametrize(

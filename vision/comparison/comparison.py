@@ -38,7 +38,6 @@ from vision.report.page import FactsTable, render_page
 from vision.report.text import Answer
 from vision.run.provenance import Origin
 from vision.run.writing import results_folder
-from vision.sample import Sample
 
 MARK = "compare"  # key in run.json that distinguishes a comparison from a run
 PICTURES = ("collapse", "trends")
@@ -61,22 +60,6 @@ class Comparison:
     failures: tuple[str, ...]  #: runs that could not be used
     warnings: tuple[str, ...]  #: those that matter for the results
     settings: CompareSettings = CompareSettings()  #: constants of the comparison
-
-    @property
-    def main(self) -> JointFriction | None:
-        """The first joint μ: that of the main figures. None if no sample has several tests."""
-        return self.joint[0] if self.joint else None
-
-    @property
-    def mu(self) -> Estimate:
-        """The first joint μ, or that of the first test."""
-        return self.fits[0].mu if self.main is None else self.main.mu
-
-    @property
-    def sample_of_mu(self) -> Sample:
-        """Geometry of the tests that `mu` is of (of the first one, if it is of several samples)."""
-        runs = self.main.runs if self.main else ()
-        return next((test.sample for test in self.tests if test.run in runs), self.tests[0].sample)
 
     @property
     def modulus_undetermined(self) -> bool:

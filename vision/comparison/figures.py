@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,9 +31,11 @@ from vision.figures.style import (
 from vision.models import Estimate, both_errors, equations, plus_minus
 from vision.models.single_fits import SYMBOLS
 from vision.numeric import Floats, with_minus
+from vision.sample import Sample
 
 if TYPE_CHECKING:
     from vision.comparison.comparison import Comparison
+    from vision.comparison.joint import JointFriction
 
 LEAST_STICKS = 3
 """Number of stick phases that each film must have within the separations common to all, for their means to be
@@ -63,46 +65,85 @@ def velocity(speed_mm_min: float) -> float:
     return float(f"{speed_mm_min:.2g}") if np.isfinite(speed_mm_min) else float("nan")
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Fitted:
+    """What was fitted to one sample: the joint values if it has several tests, else those of its test."""
+
+    name: str  # of the sample
+    joint: JointFriction | None
+    mu: Estimate
+    amplitude: Estimate
+    geometry: Sample
+    fits: bool  # whether one μ fits its tests
+
+
+def _by_sample(found: Comparison) -> list[_Fitted]:
+    """Return what was fitted to each sample, in the order of the tests."""
+    fitted: list[_Fitted] = []
+    for test, fit in zip(found.tests, found.fits, strict=True):
+        name = test.sample_name
+        if name in (one.name for one in fitted):
+            continue
+        joint = next((one for one in found.joint if one.sample == name), None)
+        mu, amplitude = (joint.mu, joint.amplitude) if joint else (fit.mu, fit.values["A"])
+        of_sample: dict[str, Any] = {"name": name, "geometry": test.sample, "joint": joint}
+        fits = joint is None or joint.fits
+        fitted.append(_Fitted(**of_sample, mu=mu, amplitude=amplitude, fits=fits))
+    return fitted
+
+
+def _once(curves: Iterable[Series]) -> list[Series]:
+    """Return curves of several samples, of which the legend names those of the first."""
+    curves = list(curves)
+    seen = [one.label for one in curves]
+    return [replace(one, label=one.label * (seen.index(one.label) == k)) for k, one in enumerate(curves)]
+
+
 def peaks_figure(found: Comparison, events: pd.DataFrame) -> Figure:
-    """Return F_p − 𝒯0 against d of all tests, with Eq. 1 if one μ fits all tests.
+    """Return F_p − 𝒯0 against d of all tests, with Eq. 1 for each sample whose tests one μ fits.
 
     events: those of all tests, as from `Comparison.events`.
     """
     offset = found.table.set_index("run")["T0_N"]
     events = events.assign(y=events["F_p_N"] - events["run"].map(offset))
-    series, joint = _points(found, events, "d_p_mm", "y"), found.main
-    if joint is not None and not joint.fits:
-        model = (
-            f"No curve: no single μ fits these tests (χ²/dof of their individual μ {joint.disagreement:.3g})."
-        )
-    else:
-        d, mu, sample = _span(events, "d_p_mm"), found.mu, found.sample_of_mu
-        eq1 = Series.model("Eq. 1", d, equations.traction(d, mu=mu.value, sample=sample), MODEL)
-        series = (*series, eq1)
-        whose = f"fitted jointly to {joint.name}" if joint else "of the first test"
-        t_star = f"T* = {1000 * sample.t_star_N:g} mN"
-        value = both_errors(mu, joint.error_contains if joint else "stat.")
-        model = f"Dashed: Eq. 1 with μ = {value}, {whose}, {t_star}."
+    texts, without, curves = [], "", []
+    for one in _by_sample(found):
+        if one.joint and not one.fits:
+            which = f"the tests of {one.name}" if one.name else "these tests"
+            chi2 = f"χ²/dof of their individual μ {one.joint.disagreement:.3g}"
+            without += f" No curve: no single μ fits {which} ({chi2})."
+            continue
+        d = _span(events, one.name, "d_p_mm")
+        force = equations.traction(d, mu=one.mu.value, sample=one.geometry)
+        curves.append(Series.model("Eq. 1", d, force, MODEL))
+        whose = f"fitted jointly to {one.joint.name}" if one.joint else f"of {one.name or 'the test'}"
+        value = both_errors(one.mu, one.joint.error_contains if one.joint else "stat.")
+        texts.append(f"μ = {value}, {whose}, T* = {1000 * one.geometry.t_star_N:g} mN")
+    model = f" Dashed: Eq. 1 with {'; '.join(texts)}." * bool(texts) + without
+    series = (*_points(found, events, "d_p_mm", "y"), *_once(curves))
     return Panel(x_label="d_p (mm)", y_label="F_p − 𝒯_0 (N)", series=series).figure(
         "peaks",
-        f"Peak force of every event less its test's offset 𝒯_0. {model}",
+        f"Peak force of every event less its test's offset 𝒯_0.{model}",
         title="Peak forces of all tests",
     )
 
 
 def drops_figure(found: Comparison, events: pd.DataFrame) -> Figure:
-    """Return ΔF against d_v of all tests, with A times the normal force."""
-    series, model, joint = _points(found, events, "d_v_mm", "dF_N"), "", found.main
-    amplitude = joint.amplitude if joint else found.fits[0].values["A"]
-    if np.isfinite(amplitude.value) and (joint is None or joint.fits):
-        curve = amplitude_curve(_span(events, "d_v_mm"), found.mu, amplitude, found.sample_of_mu)
-        series = (*series, curve)
-        model = f" Dashed: A times the total normal force, A = {both_errors(amplitude)} (slow tests)."
+    """Return ΔF against d_v of all tests, with A times the normal force of each sample."""
+    samples = [one for one in _by_sample(found) if one.fits and np.isfinite(one.amplitude.value)]
+    curves = [
+        amplitude_curve(_span(events, one.name, "d_v_mm"), one.mu, one.amplitude, one.geometry)
+        for one in samples
+    ]
+    texts = [
+        f"{both_errors(one.amplitude)} (slow tests{' of ' * bool(one.name)}{one.name})" for one in samples
+    ]
+    model = f" Dashed: A times the total normal force, A = {', '.join(texts)}." if texts else ""
     return Panel(
         x_label=VALLEY_SEPARATION,
         y_label="ΔF (N)",
         y_range=from_zero(events["dF_N"].to_numpy(float), share=0.98),
-        series=series,
+        series=(*_points(found, events, "d_v_mm", "dF_N"), *_once(curves)),
     ).figure(
         "drops",
         f"ΔF = F_p − F_v of every event against the separation at its valley.{model}",
@@ -111,27 +152,30 @@ def drops_figure(found: Comparison, events: pd.DataFrame) -> Figure:
 
 
 def stiffnesses_figure(found: Comparison, events: pd.DataFrame) -> Figure:
-    """Return K against d_v of all tests, with M_eff K_eff and (L + d)⁻¹."""
-    d, sample = _span(events, "d_v_mm"), found.tests[0].sample
-    scale = float(found.table["Lambda_hat_mm"].median())
-    series = _points(found, events, "d_v_mm", "K_N_per_mm")
-    if np.isfinite(scale):
-        one = equations.sheet_stiffness(modulus_GPa=found.modulus.value, sample=sample)
-        k = np.asarray(equations.effective_sheets(d / scale, sample=sample) * one)
-        series = (*series, *stiffness_curves("M_eff K_eff, median Λ̂", d, k, sample))
+    """Return K against d_v of all tests, with M_eff K_eff and (L + d)⁻¹ of each sample."""
+    samples, curves = _by_sample(found), list[Series]()
+    for one in samples:
+        scale = float(found.table.loc[found.table["sample"] == one.name, "Lambda_hat_mm"].median())
+        if np.isfinite(scale):
+            d = _span(events, one.name, "d_v_mm")
+            sheet = equations.sheet_stiffness(modulus_GPa=found.modulus.value, sample=one.geometry)
+            k = np.asarray(equations.effective_sheets(d / scale, sample=one.geometry) * sheet)
+            curves += stiffness_curves("M_eff K_eff, median Λ̂", d, k, one.geometry)
+    series = (*_points(found, events, "d_v_mm", "K_N_per_mm"), *_once(curves))
+    of_each = " of each sample" * (len(samples) > 1)
     y_range = from_zero(events["K_N_per_mm"].to_numpy(float), share=0.98)
     return Panel(x_label=VALLEY_SEPARATION, y_label="K (N/mm)", y_range=y_range, series=series).figure(
         "stiffnesses",
         "K of every event, the slope of the central part of its stick phase, or after the knee if there are "
-        "knees. Dashed: M_eff K_eff with the median Λ̂ of the tests and Y_eff = "
+        f"knees. Dashed: M_eff K_eff with the median Λ̂ of the tests{of_each} and Y_eff = "
         f"{found.modulus_text}. Solid: lengthening alone.",
         title="Stiffness of all tests",
     )
 
 
-def _span(events: pd.DataFrame, column: str) -> Floats:
-    """Return values over the range of the used events, for a curve."""
-    used = events.loc[events["used"], column]
+def _span(events: pd.DataFrame, sample: str, column: str) -> Floats:
+    """Return values over the range of the used events of a sample, for a curve."""
+    used = events.loc[events["used"] & (events["sample"] == sample), column]
     return np.linspace(float(used.min()), float(used.max()), 300)
 
 
@@ -140,11 +184,12 @@ def _velocity_name(speed_mm_min: float) -> str:
 
 
 def _points(found: Comparison, events: pd.DataFrame, x: str, y: str) -> tuple[Series, ...]:
-    """Return used events by velocity, or by sample or test if these are alike or no single μ fits the tests;
-    unused ones hollow and grey."""
+    """Return used events by sample, of a single one by velocity, or by test if velocities are alike or no
+    single μ fits the tests; unused ones hollow and grey."""
     used, rest = events[events["used"]], events[~events["used"]].sort_values(x)
-    fits = found.main is None or found.main.fits
-    series = _by_name(used, x, y, ("V_mm_min", "sample", "run") if fits else ("run", "sample", "V_mm_min"))
+    fits = all(one.fits for one in _by_sample(found))
+    kinds = ("sample", "V_mm_min", "run") if fits else ("sample", "run", "V_mm_min")
+    series = _by_name(used, x, y, kinds)
     if len(rest):
         series = (*series, Series.points("not used", rest[x], rest[y], QUIET, hollow=True))
     return series
