@@ -89,6 +89,16 @@ def test_the_columns_are_the_medians_of_the_film(tmp_path):
     assert "ratios" not in figures_of(vision.compare(runs[1:]))
 
 
+def test_a_number_of_sheets_on_which_all_sticks_agree_has_an_error(tmp_path):
+    """A failure means an error of zero, with which a weighted fit follows this test alone."""
+    folder = with_film(tmp_path / "a", slice(20, 61))
+    shells = pd.read_csv(folder / "shells.csv").assign(stiff_sheets=12, stiff_low=12, stiff_high=12)
+    shells.to_csv(folder / "shells.csv", index=False)
+    row = vision.compare([folder]).table.iloc[0]
+    assert row["stiff_left"] == 12
+    assert row["stiff_left_err"] == row["stiff_right_err"] == pytest.approx(0.29, abs=0.01)
+
+
 @pytest.mark.parametrize("damage", [lambda t: t.drop(columns="ratio"), lambda t: t.assign(ratio="x")])
 def test_a_damaged_table_of_the_film_leaves_the_force(damage, tmp_path):
     """A failure means a traceback, a test that is lost, or a film that is missing without a word."""

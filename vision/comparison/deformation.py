@@ -14,6 +14,7 @@ from vision.numeric import Floats
 from vision.run.reading import RunFolder
 
 INTERVAL = 2 * 1.645  # standard errors in an interval that contains 90 %
+WHOLE = 12**-0.5  # standard error by counting whole sheets
 MEDIAN = 1.2533  # standard error of a median over that of a mean, √(π/2)
 OF_SHEETS = ["event", "side", "n", "ratio", "ratio_err"]
 OF_SHELLS = ["event", "d_v_mm", "side", "stiff_sheets", "stiff_low", "stiff_high"]
@@ -69,7 +70,8 @@ def film_columns(film: FilmResults | None) -> dict[str, float]:
     """Return the columns of tests.csv about the film: medians over its stick phases; NaN if not known.
 
     Their errors contain that of a stick phase in full, since other stick phases may share it (of the stick
-    lengths, the sheets' own movement), and the scatter between stick phases.
+    lengths, the sheets' own movement), the scatter between stick phases, and of numbers of sheets that they
+    are whole: where all stick phases agree, the shell may still end anywhere between two sheets.
     """
     of_side = ("stiff_{}", "stiff_{}_err", "ratio_n_{}", "ratio_{}", "ratio_{}_err")
     names = [name.format(side) for side in SIDES.values() for name in of_side]
@@ -84,7 +86,8 @@ def film_columns(film: FilmResults | None) -> dict[str, float]:
             width = float((sizes["stiff_high"] - sizes["stiff_low"]).median())
             scatter = float(sizes["stiff_sheets"].std(ddof=0)) / np.sqrt(len(sizes))
             found[f"stiff_{name}"] = float(sizes["stiff_sheets"].median())
-            found[f"stiff_{name}_err"] = float(np.hypot(width / INTERVAL, MEDIAN * scatter))
+            error = np.hypot(width / INTERVAL, MEDIAN * scatter)
+            found[f"stiff_{name}_err"] = float(np.hypot(error, WHOLE))
         often = sheets["n"].value_counts()
         often = often[2 * often >= len(d_mm)]  # one that leaves the picture in most sticks says little
         if len(often):
