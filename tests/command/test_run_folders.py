@@ -107,6 +107,7 @@ def test_a_run_is_loaded_as_it_was_saved(made):
     analysis, folder = made
     again = vision.load_run(folder)
     np.testing.assert_array_equal(again.tracks["x_px"], analysis.tracks["x_px"])
+    assert set(again.tracks.variables) == set(analysis.tracks.variables)  # x_um of another scale would stay
     np.testing.assert_allclose(again.motion["ratio"], analysis.motion["ratio"], rtol=1e-9)
     pd.testing.assert_frame_equal(again.shells, analysis.shells)
     assert again.clock == analysis.clock

@@ -323,7 +323,9 @@ def read_tracks(path: Path, *, without: Sequence[str] = ()) -> xr.Dataset:
     with reading(path, wanted, AGAIN):
         with xr.open_dataset(path, engine="h5netcdf", concat_characters=False) as data:
             words = {name: _words(data[name]) for name in ("flag", "why") if name in data}
-            tracks = data.drop_vars([*words, *without], errors="ignore").load().assign(words)
+            # x_um would stay what it was when the pixel size is changed
+            others = [*words, "x_um", "index", *without]
+            tracks = data.drop_vars(others, errors="ignore").load().assign(words)
         tracks.attrs = attrs_of_netcdf(tracks.attrs)
         try:
             TRACKS.check(tracks)
