@@ -411,6 +411,9 @@ def test_single_settings_are_given_by_name(whole):
     assert again.settings == replace(whole.settings, pixel_size_um=9)
     with pytest.raises(InputError, match="did you mean fps"):
         vision.analyse(DEEP / "video.tif", fsp=25)
+    for typed, name in {"d0": "d0_mm", "strip": "rows", "fix_mu": "mu", "thickness": "sample"}.items():
+        with pytest.raises(InputError, match=rf"did you mean {name}\?"):
+            vision.analyse(DEEP / "video.tif", **{typed: 1})
     with pytest.raises(InputError, match="`fps`: expected a positive number"):
         vision.analyse(DEEP / "video.tif", fps=-25)
 

@@ -178,6 +178,20 @@ class Settings(Tunable):
         check_fields(self)
 
 
+_TYPED = {
+    "strip": "rows", "scale": "pixel_size_um", "fix_mu": "mu", "fix_yeff": "modulus_GPa",
+    **dict.fromkeys(("thickness", "width", "length", "sheets_per_block", "t_star"), "sample"),
+}  # fmt: skip
+"""Options of the command that have another name in `Settings`, apart from its unit."""
+
+
+def _nearest_setting(word: str) -> str:
+    """Return which setting may have been meant by a word, such as an option of the command."""
+    known = Settings.__dataclass_fields__
+    meant = _TYPED.get(word) or next((name for name in known if name.startswith(f"{word}_")), "")
+    return f"did you mean {meant}?" if meant else did_you_mean(word, known)
+
+
 _OF_STICKS = {name: f"force_{name}" for name in ("threshold_N", "lowpass_s", "average_s")}
 """Arguments of `find_stick_slip` and what `Settings` calls them."""
 
@@ -287,9 +301,7 @@ def analyse(
         raise InputError("`video` and `force`", "at least one of them", "none")
     _check_arguments(video, force, settings)
     if unknown := [name for name in options if name not in Settings.__dataclass_fields__]:
-        raise InputError(
-            "`options`", "fields of `Settings`", unknown[0], did_you_mean(unknown[0], vars(Settings()))
-        )
+        raise InputError("`options`", "fields of `Settings`", unknown[0], _nearest_setting(unknown[0]))
     chosen = replace(settings or Settings(), **options)
     if chosen.strips != 1 and follow is not None:
         raise InputError("`strips` and `follow`", "one of the two", "both", "track again when it is complete")

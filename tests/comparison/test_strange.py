@@ -90,6 +90,15 @@ def test_one_recording_counts_once(tmp_path):
     assert len(found.failures) == 1
 
 
+def test_a_comparison_shows_its_results_and_takes_folders_alone(tmp_path):
+    """A failure means a notebook full of tables of events, or a TypeError for analyses."""
+    found = vision.compare([write_run(tmp_path / f"r{k}", events(seed=k)) for k in (1, 2)])
+    assert repr(found).startswith("comparison of 2 tests\n  one μ of all tests: 0.8")
+    assert len(repr(found)) < 1000 and "Y_eff" in found._repr_html_()
+    with pytest.raises(InputError, match="`runs`: expected the paths of run folders, which `save_run`"):
+        vision.compare([found])
+
+
 def test_runs_without_an_initial_separation_are_refused(tmp_path):
     """A failure means that the machine's travel is compared as if it were the separation, or a traceback."""
     good = write_run(tmp_path / "good", events(seed=1))

@@ -31,7 +31,7 @@ from vision.comparison.trends import Irregularity, Trend, find_irregular, find_t
 from vision.data import with_word
 from vision.errors import InputError, counted, first_of
 from vision.figures import Figure, save_figures
-from vision.folder import write_csv, write_json
+from vision.folder import Shown, numbered, write_csv, write_json
 from vision.models import Estimate, both_errors, plus_minus
 from vision.models.single_fits import SYMBOLS, low_speed
 from vision.report.page import FactsTable, render_page
@@ -43,8 +43,8 @@ MARK = "compare"  # key in run.json that distinguishes a comparison from a run
 PICTURES = ("collapse", "trends")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Comparison:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Comparison(Shown):
     """Results of comparing several tests."""
 
     tests: tuple[TractionTest, ...]  #: the runs
@@ -72,6 +72,11 @@ class Comparison:
         if self.modulus_undetermined:
             return f"{self.modulus.value:.3g} GPa (not determined)"
         return f"{plus_minus(self.modulus)} GPa"
+
+    def _shown(self) -> tuple[str, dict[str, str]]:
+        rows = {one.what: ", ".join(filter(None, (one.value, one.detail))) for one in answers(self)}
+        lines = numbered("warning", (*self.failures, *self.warnings))
+        return f"comparison of {counted(len(self.tests), 'test')}", rows | lines
 
     def events(self) -> pd.DataFrame:
         """Return the events of all tests with the names of their runs, and whether the fits used them."""

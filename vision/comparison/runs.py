@@ -17,7 +17,7 @@ import pandas as pd
 
 from vision.comparison.deformation import FilmResults
 from vision.data import whole_events
-from vision.errors import InputError, check_kind, counted, nearest_word
+from vision.errors import PATH, InputError, check_kind, counted, nearest_word
 from vision.files import AGAIN, check_regular, path_beside, reading
 from vision.force.files import EXCEL, decode_text, worksheets
 from vision.models.single_fits import check_columns, complete_events, with_fitted_stiffness
@@ -87,6 +87,8 @@ def read_tests(runs: Sequence[str | Path] = (), table: str | Path | pd.DataFrame
     Raises: InputError if there is neither a table nor a run, the table cannot be read, or no run can be used.
     """
     check_kind(tuple | list, "a list of run folders", runs=runs)
+    for path in runs:
+        check_kind(PATH, "the paths of run folders, which `save_run` returns", runs=path)
     rows, base, warnings = _read_table(table)
     folders = [Path(run) for run in runs]
     failures: list[str] = []
