@@ -219,6 +219,21 @@ def test_every_legend_fits_above_its_axes(pulled, width):
             assert box.x0 >= 0, figure.name
 
 
+@pytest.mark.parametrize("letters", [8, 10])
+def test_a_legend_of_many_rows_follows_its_title(letters):
+    """A failure means a hole between title and legend, or a legend over the title."""
+    x = np.arange(3.0)
+    lines = tuple(Series(label=f"d_v = 16.6{k} mm, a long label", x=x, y=x, ink=DATA) for k in range(8))
+    panel = Panel(x_label="d (mm)", y_label="F (N)", series=lines, title="The title of one of two panels")
+    page = Figure(name="f", title="", caption="", panels=(panel, panel), width_in=3.4)
+    with mpl.rc_context({"font.size": letters}):
+        drawn = new_figure(page)
+        FigureCanvasAgg(drawn).draw()
+        for ax, title in zip(drawn.axes, drawn.texts, strict=True):
+            gap = title.get_window_extent().y0 - ax.get_legend().get_window_extent().y1
+            assert -0.01 < gap / drawn.dpi < 0.15
+
+
 @pytest.mark.parametrize(("room", "step"), [(0.5, 1), (1.5, 2), (4.1, 5), (12, 20), (1e9, 500000)])
 def test_numbers_are_thinned_to_round_steps(room, step):
     """A failure means that every seventh sheet is numbered."""

@@ -69,7 +69,8 @@ class _Inches(NamedTuple):
     bottom: float = 0.55  # below it
     foot: float = 0.16  # height of a line below the labels of a panel
     title: float = 0.26  # heights
-    legend_row: float = 0.24
+    legend: float = 0.24  # height of a legend of one row
+    legend_row: float = 0.175  # of each further one
     character: float = 0.075  # widths in a legend
     marker: float = 0.55
     title_character: float = 0.08  # widths of letters
@@ -511,7 +512,7 @@ def _draw_legend(ax: Axes, panel: Panel, name: str) -> None:
         columns = _legend_columns(labels, _width_in(ax))
         place: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1, 1), "borderaxespad": 0.1}
         place |= {"ncols": columns, "frameon": False}
-        if _inches().legend_row * -(-len(handles) // columns) > _above_in(ax):
+        if _legend_height(len(handles), columns) > _above_in(ax):
             place = {"loc": "best", "ncols": 1, "framealpha": 0.8}  # axes of others may lack the room
         ax.legend(handles=list(handles.values()), fontsize=8 * _letters(), columnspacing=1.2, **place)
 
@@ -557,13 +558,17 @@ def _legend_columns(labels: list[str], width_in: float) -> int:
     return next(fitting, 1)
 
 
+def _legend_height(entries: int, columns: int) -> float:
+    return _inches().legend + _inches().legend_row * (-(-entries // columns) - 1)
+
+
 def _head(panel: Panel, width_in: float) -> tuple[float, float]:
     """Return the height of a panel's legend, and the part of it below the title: all or nothing, inches."""
     labels = [label for _, label in _legend_entries(panel)]
     if not labels:
         return 0.0, 0.0
     columns = _legend_columns(labels, width_in)
-    height = _inches().legend_row * -(-len(labels) // columns)
+    height = _legend_height(len(labels), columns)
     title = 0.09 * _letters() * max(map(len, _title(panel, width_in).split("\n")))
     beside = columns == len(labels) and _legend_width(labels, columns) + title < width_in
     return height, 0.0 if beside else height
