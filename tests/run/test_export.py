@@ -181,6 +181,14 @@ def test_positions_in_parts_of_the_strip_are_exported_or_said_to_be_left_out(run
     assert "tracks.nc" in export_run(with_parts, "csv")[1][0]
 
 
+def test_coordinates_of_turned_frames_are_said(run, truth):
+    """A failure means tracks that lie across the film in napari, or beside those of trackpy."""
+    write_tracks_nc(truth.assign_attrs(rotate=90), run.folder / "tracks.nc", pixel_size_um=SIZE_UM)
+    for to in ("trackpy", "napari"):
+        assert "turned clockwise by 90 degrees" in export_run(read_run(run.folder), to, overwrite=True)[1][0]
+    assert not export_run(read_run(run.folder), "mat", overwrite=True)[1]
+
+
 def test_the_table_for_trackpy_is_the_truth(run, truth):
     """A failure means a missing column, an empty cell, or the positions of other sheets."""
     table = pd.read_csv(export_run(run, "trackpy")[0])

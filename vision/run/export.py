@@ -63,15 +63,18 @@ def export_run(
     check_outside(target, run.folder)
     with reading(run.folder, "a run folder as track writes it", AGAIN):  # tables are read and checked here
         parts = "positions in parts of the strip are left out: tracks.nc and a mat export hold them"
-        left_out = [parts] if to != "mat" and run.of_video and "x_z_px" in run.tracks else []
+        notes = [parts] if to != "mat" and run.of_video and "x_z_px" in run.tracks else []
+        turned = StripMetadata.of(run.tracks).rotate if to in ("trackpy", "napari") else 0
+        if turned:
+            notes.append(f"x and y are those of the frames turned clockwise by {turned} degrees (`rotate`)")
         if to not in ENDINGS:
             _write_folder(run, to, target, overwrite=overwrite)
-            return target, left_out
+            return target, notes
         if target.is_dir():
             raise InputError(target, "a file to write", "a folder", "give another `out`")
         check_new(target, overwrite=overwrite)
         with whole_file(target) as path:
-            return target, [*_write_file(run, to, path), *left_out]
+            return target, [*_write_file(run, to, path), *notes]
 
 
 def _write_folder(run: RunFolder, to: Format, target: Path, *, overwrite: bool) -> None:
