@@ -54,7 +54,7 @@ def test_every_problem_of_every_row_in_one_table(tmp_path, capsys, monkeypatch):
     path.write_text(
         "film,humdity,fit,window,RH_percent,force,strip\n"
         "t0.tif,40,auto,9,40,,\n"
-        "gone.tif,40,gauss,8x,140,no.txt,60:20\n"
+        "t3.tif,40,gauss,8x,140,no.txt,60:20\n"
         ",,,,,,\n"
         "t1.tif,,,,,,5\n"
         "t0.tif,,paper,11,40,,\n"
@@ -64,11 +64,11 @@ def test_every_problem_of_every_row_in_one_table(tmp_path, capsys, monkeypatch):
     said = capsys.readouterr().err.splitlines()
     for row, column, word in [
         (1, "humdity", "the nearest is RH_percent"),
-        (3, "film", "gone.tif"),
+        (3, "film", "found no such file; did you mean t2.tif?"),
         (3, "fit", "'gauss'"),
         (3, "window", "'8x'"),
         (3, "RH_percent", "from 0 to 100"),
-        (3, "force", "no.txt"),
+        (3, "force", "no.txt: expected a file; found no such file; check the path"),
         (3, "strip", "A:B"),
         (5, "strip", "A:B"),
         (6, "film", "also in row 2, with another fit, window; give it in another table"),

@@ -15,7 +15,7 @@ from typing import Any
 from vision.comparison.runs import ALIKE, COLUMNS, LIMITS, table_cells
 from vision.data import Tunable
 from vision.errors import InputError, nearest_word
-from vision.files import TIFF, Watch, answered, shortened
+from vision.files import TIFF, Watch, answered, no_such_file, shortened
 from vision.numeric import number
 from vision.video import open_video, video_files
 from vision.video.settings import VideoSettings
@@ -221,7 +221,7 @@ def _row(
         if name in options:
             options[name] = str(base / options[name])
             if not Path(options[name]).is_file() and not may_come_later(options[name]):
-                problems.append((name, f"{options[name]}: expected a file; found none"))
+                problems.append((name, str(no_such_file(Path(options[name]), "a file"))))
     values, refused = check({name: text for name, text in options.items() if name not in dict(problems)})
     problems += refused
     name = safe_name(given.get("name", "") or name_of(Path(film)))
@@ -247,7 +247,7 @@ def _film(text: str, base: Path, may_come_later: Callable[[str], bool]) -> tuple
         return film, []
     if may_come_later(film):
         return film, []
-    return film, [("film", f"{shortened(film)}: expected a film; found no such file")]
+    return film, [("film", f"{shortened(film)}: {no_such_file(Path(film), 'a film').problem}")]
 
 
 def _conditions(given: Mapping[str, str]) -> tuple[dict[str, Any], list[tuple[str, str]]]:
