@@ -69,6 +69,24 @@ def test_another_strip_is_read(place):
     assert (tracks.attrs["strip_z0"], tracks.attrs["strip_z1"]) == (0, 12)
 
 
+def test_a_film_that_was_moved_is_read_again(place, capsys):
+    """A failure means advice to give an option that there is not, or a run without its film's path."""
+    Path("far").mkdir()
+    asked = [str(place / "first"), "--strip", "2:20", "--out", "other", "--quiet"]
+    (place / "video.avi").rename("far/moved.avi")
+    try:
+        assert run(asked) == 2
+        assert "say where it lies (--film)" in capsys.readouterr().err
+        assert run([*asked, "--film", str(place / "force.txt")]) == 2
+        assert run([*asked, "--film", "far/moved.avi"]) in (0, 1)
+        assert run(["far/moved.avi", "--film", "far/moved.avi", "--out", "x"]) == 2
+    finally:
+        Path("far/moved.avi").rename(place / "video.avi")
+    found = facts(Path("other"))
+    assert found["found"]["strip"]["z0"] == 2
+    assert found["inputs"][0]["path"] == "far/moved.avi"
+
+
 def test_decisions_of_the_run_are_kept(place):
     """A failure means that a sheet that was left out by hand is back."""
     text = '[[leave_out]]\nsheet = 3\nframes = "5:9"\n'

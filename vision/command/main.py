@@ -86,6 +86,7 @@ def track(
     sample: SampleOptions = SampleOptions(),
     run: RunOptions = RunOptions(),
     config: Config = None,
+    film: MovedFilm = None,
 ) -> int:
     """Track every sheet of a video: positions x(n,t), their errors, pictures and tables in a new folder.
 
@@ -98,7 +99,7 @@ def track(
     """
     from vision.command.track import track_films  # takes a second, which `--help` does not need
 
-    return track_films(videos, (reading, test, machine, sample), run, config)
+    return track_films(videos, (reading, test, machine, sample), run, config, film)
 
 
 def review(

@@ -50,15 +50,24 @@ LONG_FRAMES = 20_000
 minutes; a review reads shorter runs while its page loads."""
 
 
-def track_films(videos: Sequence[Path], groups: Sequence[Any], run: RunOptions, config: Path | None) -> int:
+def track_films(
+    videos: Sequence[Path],
+    groups: Sequence[Any],
+    run: RunOptions,
+    config: Path | None,
+    moved: Path | None = None,
+) -> int:
     """Track one video or several, and return the exit status.
 
-    groups: options of the video, the test, the force recording and the sample.
+    groups: options of the video, the test, the force recording and the sample.  moved: new path of the film
+    of a run folder.
     """
     parameters = merged(*groups, config=config)
     videos = [film for video in videos for film in films_of(video)]
     if len(videos) == 1 and is_run(videos[0]):
-        return measure_again(videos[0], parameters, run, config)
+        return measure_again(videos[0], parameters, run, config, moved)
+    if moved is not None:
+        raise InputError("`film`", "a run folder whose film was moved", "a video", "leave the option out")
     if len(videos) == 1:
         _check_force(parameters)
         target = run.out or Path(f"{run_name(videos[0])}_tracks")
@@ -165,7 +174,11 @@ def track_one(
 
 
 def measure_again(
-    folder: Path, parameters: Mapping[str, Parameter], run: RunOptions, config: Path | None
+    folder: Path,
+    parameters: Mapping[str, Parameter],
+    run: RunOptions,
+    config: Path | None,
+    moved: Path | None = None,
 ) -> int:
     """Measure a finished run with other options; return the exit status.
 
@@ -187,7 +200,9 @@ def measure_again(
     else:
         earlier = replace(earlier, clock=None)
     settings, parameters = _with_options(before, stored, parameters, typed)
-    film = film_if_there(stored, settings)
+    if moved is not None:
+        stored.input("film", moved)  # another film is refused
+    film = film_if_there(stored, settings, moved)
     with frame_progress("reading", quiet=run.quiet) as progress:
         analysis = analyse_again(stored, settings, film, force, earlier=earlier, progress=progress)
     if analysis.pixel_size_um != settings.pixel_size_um:
@@ -196,7 +211,7 @@ def measure_again(
     parameters |= {name: replace(parameters[name], value=file) for name, file in files.items()}
     with reading(folder, "a run folder as track writes it", AGAIN):
         known = {stored.found(Path(str(one["path"]))): one for one in stored.facts["inputs"]}
-        film_files = video_files(next(iter(known)))
+        film_files = video_files(moved or next(iter(known)))
     used = (*film_files, settings.timestamps, config, parameters["corrections"].value, force)
     origin = origin_of(
         [file for file in map(Path, filter(None, used)) if file in known or file.exists()],
