@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -92,11 +92,11 @@ def _by_sample(found: Comparison) -> list[_Fitted]:
     return fitted
 
 
-def _once(curves: Iterable[Series]) -> list[Series]:
-    """Return curves of several samples, of which the legend names those of the first."""
-    curves = list(curves)
-    seen = [one.label for one in curves]
-    return [replace(one, label=one.label * (seen.index(one.label) == k)) for k, one in enumerate(curves)]
+def _named(found: Comparison, one: _Fitted, *curves: Series) -> list[Series]:
+    """Return curves of a sample with its name in their labels, if there are several samples."""
+    several = len({test.sample_name for test in found.tests}) > 1
+    name = f", {one.name or 'sample not named'}" * several
+    return [replace(curve, label=f"{curve.label}{name}") for curve in curves]
 
 
 def peaks_figure(found: Comparison, events: pd.DataFrame) -> Figure:
@@ -106,7 +106,7 @@ def peaks_figure(found: Comparison, events: pd.DataFrame) -> Figure:
     """
     offset = found.table.set_index("run")["T0_N"]
     events = events.assign(y=events["F_p_N"] - events["run"].map(offset))
-    texts, without, curves = [], "", []
+    texts, without, curves = [], "", list[Series]()
     for one in _by_sample(found):
         if one.joint and not one.fits:
             which = f"the tests of {one.name}" if one.name else "these tests"
@@ -115,12 +115,12 @@ def peaks_figure(found: Comparison, events: pd.DataFrame) -> Figure:
             continue
         d = _span(events, one.name, "d_p_mm")
         force = equations.traction(d, mu=one.mu.value, sample=one.geometry)
-        curves.append(Series.model("Eq. 1", d, force, MODEL))
+        curves += _named(found, one, Series.model("Eq. 1", d, force, MODEL))
         whose = f"fitted jointly to {one.joint.name}" if one.joint else f"of {one.name or 'the test'}"
         value = both_errors(one.mu, one.joint.error_contains if one.joint else "stat.")
         texts.append(f"μ = {value}, {whose}, T* = {1000 * one.geometry.t_star_N:g} mN")
     model = f" Dashed: Eq. 1 with {'; '.join(texts)}." * bool(texts) + without
-    series = (*_points(found, events, "d_p_mm", "y"), *_once(curves))
+    series = (*_points(found, events, "d_p_mm", "y"), *curves)
     return Panel(x_label="d_p (mm)", y_label="F_p − 𝒯_0 (N)", series=series).figure(
         "peaks",
         f"Peak force of every event less its test's offset 𝒯_0.{model}",
@@ -131,10 +131,10 @@ def peaks_figure(found: Comparison, events: pd.DataFrame) -> Figure:
 def drops_figure(found: Comparison, events: pd.DataFrame) -> Figure:
     """Return ΔF against d_v of all tests, with A times the normal force of each sample."""
     samples = [one for one in _by_sample(found) if one.fits and np.isfinite(one.amplitude.value)]
-    curves = [
-        amplitude_curve(_span(events, one.name, "d_v_mm"), one.mu, one.amplitude, one.geometry)
-        for one in samples
-    ]
+    curves: list[Series] = []
+    for one in samples:
+        d = _span(events, one.name, "d_v_mm")
+        curves += _named(found, one, amplitude_curve(d, one.mu, one.amplitude, one.geometry))
     texts = [
         f"{both_errors(one.amplitude)} (slow tests{' of ' * bool(one.name)}{one.name})" for one in samples
     ]
@@ -143,7 +143,7 @@ def drops_figure(found: Comparison, events: pd.DataFrame) -> Figure:
         x_label=VALLEY_SEPARATION,
         y_label="ΔF (N)",
         y_range=from_zero(events["dF_N"].to_numpy(float), share=0.98),
-        series=(*_points(found, events, "d_v_mm", "dF_N"), *_once(curves)),
+        series=(*_points(found, events, "d_v_mm", "dF_N"), *curves),
     ).figure(
         "drops",
         f"ΔF = F_p − F_v of every event against the separation at its valley.{model}",
@@ -160,8 +160,8 @@ def stiffnesses_figure(found: Comparison, events: pd.DataFrame) -> Figure:
             d = _span(events, one.name, "d_v_mm")
             sheet = equations.sheet_stiffness(modulus_GPa=found.modulus.value, sample=one.geometry)
             k = np.asarray(equations.effective_sheets(d / scale, sample=one.geometry) * sheet)
-            curves += stiffness_curves("M_eff K_eff, median Λ̂", d, k, one.geometry)
-    series = (*_points(found, events, "d_v_mm", "K_N_per_mm"), *_once(curves))
+            curves += _named(found, one, *stiffness_curves("M_eff K_eff, median Λ̂", d, k, one.geometry))
+    series = (*_points(found, events, "d_v_mm", "K_N_per_mm"), *curves)
     of_each = " of each sample" * (len(samples) > 1)
     y_range = from_zero(events["K_N_per_mm"].to_numpy(float), share=0.98)
     return Panel(x_label=VALLEY_SEPARATION, y_label="K (N/mm)", y_range=y_range, series=series).figure(
