@@ -522,7 +522,7 @@ def test_a_sheet_that_is_lost_for_long_is_named(frames):
     x = comb(300)
     x[slice(*frames), 12] = np.nan
     tracks = track_sheets(strip(ridges(x)))
-    where = f"left 13 (sheet 12) in frames {frames[0]}:{frames[1]} (missing)"
+    where = f"left 13 (index 12) in frames {frames[0]}:{frames[1]} (missing)"
     count = frames[1] - frames[0]
     line = f"{count} of 15000 positions missing (flag in tracks.csv: {count} missing): {where}"
     assert tracking_warnings(tracks) == ([line] if 100 * count > 15000 else [])

@@ -215,10 +215,10 @@ def longest_stretches(table: pd.DataFrame, why: str) -> str:
 
 
 def _sheet_range(rows: pd.DataFrame) -> str:
-    """Return "left 13 (sheet 12)", or "4 sheets between 3 and 9"."""
+    """Return "left 13 (index 12)", or "4 sheets between index 3 and 9"."""
     if len(rows) == 1:
-        return f"{SIDES[rows['side'].iloc[0]]} {rows['n'].iloc[0]} (sheet {rows['sheet'].iloc[0]})"
-    return f"{len(rows)} sheets between {rows['sheet'].min()} and {rows['sheet'].max()}"
+        return f"{SIDES[rows['side'].iloc[0]]} {rows['n'].iloc[0]} (index {rows['sheet'].iloc[0]})"
+    return f"{len(rows)} sheets between index {rows['sheet'].min()} and {rows['sheet'].max()}"
 
 
 def _other_polarity(found: TrackMetadata) -> str:
