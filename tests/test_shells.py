@@ -107,6 +107,31 @@ def test_an_error_of_the_stick_length_moves_all_sheets_at_once():
     assert scores(classify_shells(known), truth)[1] >= 0.87
 
 
+def test_movement_of_the_camera_moves_all_sheets_at_once():
+    """A failure means that intervals do not know of the error of the camera's drift, or are far too wide."""
+    rng = np.random.default_rng(7)
+    ratio = profile(rng.uniform(8, 14, 120))
+    measured = ratio + 0.03 * rng.standard_normal((120, 1)) + 0.005 * rng.standard_normal(ratio.shape)
+    motion = ideal(measured, 0.005)
+    truth = (ratio < 0.1).sum(axis=1)
+    assert scores(classify_shells(motion), truth)[1] < 0.6
+    drift_um = 0.03 * np.sqrt(12) * motion["stick_length_um"].to_numpy()
+    known = motion.assign(ratio_err=np.hypot(motion["ratio_err"], 0.03), drift_err_um=("event", drift_um))
+    shells = classify_shells(known)
+    assert scores(shells, truth)[1] >= 0.87
+    assert (shells["stiff_high"] - shells["stiff_low"]).mean() < 8
+
+
+def test_intervals_are_short():
+    """A failure means that an interval holds the truth only because it is wide, or goes to one side."""
+    rng = np.random.default_rng(7)
+    ratio = profile(rng.uniform(8, 14, 120))
+    shells = classify_shells(ideal(ratio + 0.0255 * rng.standard_normal(ratio.shape), 0.0255))
+    assert (shells["stiff_high"] - shells["stiff_low"]).mean() < 1.8
+    size = shells["stiff_sheets"]
+    assert (size - shells["stiff_low"]).mean() == pytest.approx((shells["stiff_high"] - size).mean(), abs=0.4)
+
+
 def test_noise_that_drowns_all_gives_the_widest_interval():
     """A failure means that a size is made up where nothing was measured."""
     rng = np.random.default_rng(8)
