@@ -273,6 +273,7 @@ def test_a_sheet_that_moves_outwards_is_mobile():
     """A failure means that direction decides what is stiff, and a wrong axis makes all sheets stiff."""
     _, motion = measured(-profile(np.full(10, 8.0)), stick_um=20.0, noise_px=0.02)
     shells = classify_shells(motion)
+    assert shells["monotone"].all()
     outward = motion["flag"] == "outward"
     assert outward.mean() > 0.8
     assert (classify_sheets(motion)["shell"].to_numpy()[outward & (motion["ratio"] > 0.2)] == "mobile").all()

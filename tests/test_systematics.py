@@ -66,6 +66,9 @@ def test_the_budget_of_a_whole_run():
     sticks.attrs["machine_stiffness_N_per_mm"] = 1e5
     surer = replace(found, clock=replace(found.clock, error_ms=0.5), sticks=sticks)
     assert systematic_budget(surer).unknown("ratio") == ["pixel_size"]
+    beyond_ms = 1000 * found.motion.attrs["margin_s"] + 1  # more than the time left out beside slips
+    worse = replace(surer, clock=replace(found.clock, error_ms=beyond_ms))
+    assert systematic_budget(worse).unknown("ratio") == ["pixel_size", "clock"]
     assert math.isnan(
         systematic_budget(surer).total("ratio")
     )  # a clock that matters nothing is no error of 0
