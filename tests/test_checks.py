@@ -185,6 +185,16 @@ def test_a_sheet_that_moves_by_itself_leaves_those_beyond_sheets():
     assert "something else" not in str(consistency_warnings(track_sheets(strip(ridges(x_px)))))
 
 
+@pytest.mark.parametrize(("parted", "said"), [(25, 1), (150, 0)])
+def test_sheets_that_leave_early_are_named(parted, said):
+    """The blocks part soon after the film begins, or never. A failure means that the half of the sheets that
+    stays is numbered without a word as if it were all, or a warning on good films."""
+    x_px = comb(150)
+    x_px[parted:, ::2] = np.nan
+    lines = consistency_warnings(track_sheets(strip(ridges(x_px))))
+    assert sum("of the frames there is a further ridge" in line for line in lines) == said
+
+
 @pytest.mark.parametrize(("height", "said"), [(0.17, 1), (0.5, 0)])
 def test_the_end_of_a_reflection_beyond_the_comb(height, said):
     """A faint ridge one pitch beyond the last sheet, which moves along with it. A failure means that it

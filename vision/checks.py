@@ -51,6 +51,11 @@ class CheckSettings(Tunable):
     """Error by a second comb over the sheets, over that of the noise, from which a warning names it.  Larger
     is silent about reflections that double the errors; smaller warns where they matter little."""
 
+    seen_between: float = 0.05
+    """Share of the frames with a further ridge between most sheets above which a warning says so.  Smaller
+    warns of frames in which two images overlap; larger is silent where a film shows the blocks together only
+    at its beginning (`test_sheets_that_leave_early_are_named`)."""
+
     gap_depth: float = 0.4
     """Depth of the gaps between ridges, over the ridges' height above the background beside the comb, below
     which a warning says that neighbours may be merged.  On films in focus it is at least 0.6, slightly
@@ -498,6 +503,12 @@ def _comb_warnings(tracks: xr.Dataset, found: TrackMetadata, settings: CheckSett
         yield (
             f"{beyond} continue{s} the comb of the {found.sheets} sheets or lie{s} between them, and would"
             f" change every n: give `sheets` as {found.sheets + found.ridges_beyond} or leave it out"
+        )
+    if found.ridges_between > settings.seen_between and found.sheets_how == "found":
+        yield (
+            f"in {100 * found.ridges_between:.0f} % of the frames there is a further ridge between most of"
+            f" the {found.sheets} sheets: if these are sheets that leave the picture, as when the blocks"
+            " part, n is too small: give `frames` in which all of them are seen"
         )
     snr, share = tracks["snr"].values, tracks["found"].values
     wide = tracks["fwhm_px"].values > settings.odd_width * nan_median(tracks["fwhm_px"].values)

@@ -327,6 +327,7 @@ class TrackMetadata(Metadata):
     large_steps: Sequence[int] = field(default_factory=list)  # if so: frames before which the comb moved far
     unseen_jumps: Sequence[int] = field(default_factory=list)  # frames before which looks moved on by sheets
     ridges_beyond: int = 0  # ridges like sheets beyond or between the given number of sheets
+    ridges_between: float = 0.0  # share of the frames with a further ridge in most spacings
     locking_px: float = 0.0  # locking to whole pixels that was subtracted, rms (`vision.sheets.distortion`)
     locking_err_px: float = 0.0  # what remains of it in the errors
     # light that goes from ridges to the gaps beside them or back, rms, over the ridges' height, and the error

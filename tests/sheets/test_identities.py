@@ -5,6 +5,7 @@ import pytest
 
 from tests.scenes.combs import comb, ridges, strip
 from tests.scenes.identity_cases import brightness, jumps
+from vision.sheets import track_sheets
 from vision.sheets.identities import fill_rows, identify_sheets, split_segments
 from vision.sheets.ridges import describe_ridges, find_ridges
 
@@ -58,6 +59,21 @@ def test_an_identity_that_leaves_no_other_has_a_large_margin():
     assert (identities.match == np.arange(16)).all()
     assert identities.margin.min() > 5
     assert np.abs(identities.rest_px - truth).max() < 10
+
+
+@pytest.mark.parametrize(("gone", "parted"), [(0, 160), (1, 160), (0, 120)])
+def test_sheets_that_stay_when_the_blocks_part_keep_their_identities(gone, parted):
+    """Every second sheet leaves the picture in mid-film, and the others relax outwards. A failure means that
+    a comb with twice the spacing is taken for a stretched one, and sheets for their neighbours, or that
+    sheets seen before are lost."""
+    truth = comb(220, per_side=10, pitch_px=16.0, axis_px=230, uneven=0.1)
+    truth[parted:] += 1.2 * (truth[parted:] - 230) / 10
+    truth[parted:, gone::2] = np.nan
+    tracks = track_sheets(strip(ridges(truth, width=460, contrast=brightness(20))))
+    assert tracks.sizes["sheet"] == 20
+    off = np.abs(tracks["x_px"].values - truth)
+    assert np.nanmax(off) < 0.5 and not np.isfinite(tracks["x_px"].values[np.isnan(truth)]).any()
+    assert np.isfinite(off[:parted]).mean() > 0.98
 
 
 def test_gaps_in_rows_are_filled_along_straight_lines():

@@ -31,12 +31,13 @@ from vision.numeric import (
     shifted,
     sigma_about_zero,
     typical_medians,
+    typical_rows,
     typical_size,
     without_common_change,
 )
 from vision.sheets.identities import SHIFTS, Doubt, Identities, last_seen
 from vision.sheets.reference import rest_positions
-from vision.sheets.ridges import FRAMES_PER_BLOCK, RidgeComb, Ridges
+from vision.sheets.ridges import FEWEST, FRAMES_PER_BLOCK, RidgeComb, Ridges
 from vision.sheets.settings import TrackingSettings
 
 FRAMES_AT_ONCE = 512  # whose positions are predicted: NumPy's calls for fewer take longer than their work
@@ -345,6 +346,16 @@ def split(ridges: Ridges, match: Ints32, paired: Floats32, certain: Floats32) ->
             beside_one = np.pad(between, ((0, 0), (1, 0))) | np.pad(between, ((0, 0), (0, 1)))
             halves[some] = narrow[some - rows.start] & beside_one
     return halves
+
+
+def seen_between(ridges: Ridges, match: Ints32) -> float:
+    """Return the share of the frames in which most spacings of at least `FEWEST` sheets hold one more ridge
+    like a sheet: sheets that are gone in most of the film. match: candidate of each sheet, (frame, N)."""
+    if match.shape[1] < FEWEST:
+        return 0.0
+    rows = np.arange(len(match))[typical_rows(len(match))]
+    between = _unpaired(ridges, rows, match[rows], match[rows] >= 0)
+    return float((between.mean(axis=1) > 0.5).mean())
 
 
 def _unpaired(ridges: Ridges, rows: Ints, match: Ints32, found: Bools) -> Floats:

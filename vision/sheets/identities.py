@@ -34,7 +34,7 @@ from vision.numeric import (
 from vision.sheets.alignment import Candidates, Pairing, align, values_of
 from vision.sheets.reference import ReferenceComb, build_reference, faint_ends, motion_likeness, static_ridges
 from vision.sheets.ridges import RidgeComb, Ridges
-from vision.sheets.settings import TrackingSettings
+from vision.sheets.settings import LEAST_FRAMES, TrackingSettings
 from vision.signals import running_median
 
 
@@ -441,7 +441,8 @@ def comb_squeeze(ridges: Ridges, settings: TrackingSettings) -> tuple[Floats, fl
     The ratio is 1 in all frames of a film in which it hardly changes.
     The quantiles of the spacings are compared with their usual values, since spacings may be of several
     kinds; those of a missing sheet or a false detection are beyond the quantiles. A squeeze changes all of
-    them alike: `squeeze_share` of the variance of their logarithms must be common.
+    them alike: `squeeze_share` of the variance of their logarithms must be common. Where fewer ridges than
+    usual are twice as far apart, every second sheet is gone, and half of the spacing counts.
     """
     some = ridges.x_px[typical_rows(len(ridges.x_px))]
     middle_px, still = float(nan_median(some.ravel())), np.ones((len(ridges.x_px), 1))
@@ -454,11 +455,16 @@ def comb_squeeze(ridges: Ridges, settings: TrackingSettings) -> tuple[Floats, fl
     parts = in_two_threads(lambda part: _log_spacings(ridges.x_px[rows[part]]), row_parts(len(rows)))
     change = np.concatenate(parts)
     change -= np.median(change, axis=0)
+    # Every second sheet gone, as when the blocks part, is no squeeze to twice the spacing.
+    fewer = np.where(5 * sheets[rows] < 4 * usual, np.rint(np.exp(change.mean(axis=1))), 1.0)
+    change -= np.log(np.maximum(fewer, 1.0))[:, None]
     common = change.mean(axis=1)
     scale = running_median(np.exp(np.interp(np.arange(len(still)), rows, common)), 3)
     least, most = np.quantile(scale, (0.02, 0.98))
     squeezed = (most / least - 1) * usual / 2 >= settings.least_squeeze
     squeezed &= common.var() >= settings.squeeze_share * change.var()
+    # Sheets two spacings apart tell less how far they moved: a smaller squeeze would exchange them.
+    squeezed |= (fewer > 1).sum() >= LEAST_FRAMES
     return scale[:, None] if squeezed else still, middle_px
 
 

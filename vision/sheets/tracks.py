@@ -38,7 +38,7 @@ from vision.sheets.distortion import (
     pixel_locking,
     two_in_one,
 )
-from vision.sheets.doubts import predicted_by_neighbours, sheets_alike, unseen_jumps
+from vision.sheets.doubts import predicted_by_neighbours, seen_between, sheets_alike, unseen_jumps
 from vision.sheets.film import SecondComb, gap_depth, motion_blur, repeated_frames, second_comb
 from vision.sheets.identities import WHYS, Doubt, identify_sheets
 from vision.sheets.numbering import Numbering, number_sheets, placed
@@ -191,12 +191,13 @@ def track_sheets(
 
 
 class _Detected(NamedTuple):
-    """The ridges of the sheets, the comb that they form, the least certain identity, nats, and which sheets a
-    manual correction added, (N,)."""
+    """The ridges of the sheets, the comb that they form, the least certain identity, nats, the share of the
+    frames with ridges between most sheets, and which sheets a manual correction added, (N,)."""
 
     detections: Detections
     reference: ReferenceComb
     least_margin: float
+    between: float
     added: Bools
 
 
@@ -227,7 +228,8 @@ def _detect(
             away = np.abs(detections.start_px[frames == one.first] + origin_px - one.x_px)[0]
             added |= away <= comb.settings.faint_reach * comb.pitch_px
     margin = float(np.nanmin(identities.margin, initial=np.inf))
-    return _Detected(detections, identities.reference, margin, added)
+    between = seen_between(ridges, identities.match)
+    return _Detected(detections, identities.reference, margin, between, added)
 
 
 class _Assessed(NamedTuple):
@@ -375,6 +377,7 @@ class _Tracked:
             least_margin=float(np.nan_to_num(self.detected.least_margin, posinf=1e9)),
             ridges_dropped=len(reference.dropped_px),
             ridges_beyond=reference.beyond,
+            ridges_between=self.detected.between,
             wide_spacings=[f"{x + self.origin_px:.0f} px ({size:.1f} pitches)" for x, size in gaps],
         )
 
