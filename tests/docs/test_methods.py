@@ -45,6 +45,9 @@ STATED = (
     f"from {sheets.texture_reach:g} ridge widths on, nearly constant",
     f"correlation over all gaps is below −{sheets.second_comb_correlation:g}",
     rf"${sheets.second_comb_shift:g}\,\sigma_r\sqrt{{-q\langle t g\rangle}}$",
+    f"correlated by less than −{sheets.second_comb_opposite:g}",
+    f"exceed {sheets.second_comb_lopsided:g} times what single sheets",
+    rf"at least ${sheets.second_comb_whole:g}\,\sigma_r\sqrt{{-\langle t g\rangle}}$",
     f"ridges narrower than {sheets.second_comb_least_px:g} px",
     f"exceeds {word(sheets.distortion_sigmas)} times its noise in a single frame, as a mean over"
     f" {word(sheets.distortion_frames)} frames",

@@ -101,6 +101,31 @@ def test_a_second_comb_over_narrow_ridges_is_named(seed, away_px):
     assert any(WARNING in line for line in tracking_warnings(tracks))
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_second_comb_that_moves_as_a_whole_is_named(seed):
+    """The picture of an even comb in a pane that shakes: it lies over all sheets alike. A failure means that
+    all positions are off by many errors, and the run says nothing."""
+    frames = np.arange(200)
+    x = comb(200, per_side=12, pitch_px=10, axis_px=150, period=25, slip=0.15, seed=seed)
+    shaken = 3 * np.sin(frames / (9 + seed))[:, None] + 2.0
+    tracks = track_sheets(
+        strip(ridges(x, width=300, fwhm_px=4.5) + 0.2 * ridges(x + shaken, width=300, fwhm_px=4.5))
+    )
+    assert 0.4 < in_errors(displacement_error(tracks, x), tracks) < 1.6
+    assert any(WARNING in line for line in tracking_warnings(tracks))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_focus_that_changes_is_no_second_comb(seed):
+    """It changes all tops and gaps, but not the sides of the ridges against each other. A failure means that
+    the errors are enlarged, and that the user looks for a reflection."""
+    x = comb(200, per_side=12, pitch_px=10, axis_px=150, period=25, slip=0.15, seed=seed)
+    sharp, soft = (ridges(x, width=300, fwhm_px=width) * 4.5 / width for width in (4.5, 6.5))
+    share = 0.5 + 0.5 * np.sin(np.arange(200) / (9 + seed))[:, None]
+    tracks = track_sheets(strip(share * sharp + (1 - share) * soft))
+    assert TrackMetadata.of(tracks).second_comb_err_px == 0
+
+
 @pytest.mark.parametrize("film_of", [{"frames": 55}, {"width_px": 2.0}])
 def test_short_films_and_narrow_ridges_tell_nothing(film_of):
     tracks = track_sheets(film(True, **film_of)[1])

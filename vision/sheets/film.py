@@ -220,6 +220,8 @@ def second_comb(profile: Floats32, x_px: Floats, blurred: Bools, comb: RidgeComb
     It must also hold if the weight of each gap is limited to the upper quartile of all weights, as scratches
     change few gaps.
 
+    What all sheets share counts only if it is lopsided (`_over_all`).
+
     Sheets that lean by different amounts show the same: their ridges become lower and wider.
 
     Nothing is found for fewer than five sheets, films of fewer than 60 frames, and narrow ridges, whose tops
@@ -231,10 +233,13 @@ def second_comb(profile: Floats32, x_px: Floats, blurred: Bools, comb: RidgeComb
     rows = (PERIOD_FRAMES * spread_indices(periods, MOST_PERIODS)[:, None] + np.arange(PERIOD_FRAMES)).ravel()
     bright, x = comb.bright(some_rows(profile, rows)), np.where(blurred[rows], np.nan, x_px[rows])
     tops, gaps = levels_at(bright, x), levels_at(bright, (x[:, 1:] + x[:, :-1]) / 2)
-    tops, gaps, x = (_of_periods(values) for values in ((tops[:, 1:] + tops[:, :-1]) / 2, gaps, x))
+    quarter = (x[:, 1:] - x[:, :-1]) / 4
+    sides = levels_at(bright, x[:, :-1] + quarter)[:, 1:] - levels_at(bright, x[:, 1:] - quarter)[:, :-1]
+    tops, gaps, sides, x = map(_of_periods, ((tops[:, 1:] + tops[:, :-1]) / 2, gaps, sides, x))
     apart = np.diff(x, axis=1)
     height = nan_median(tops - gaps)
     height[~(height > 0)] = np.nan
+    whole = _over_all(tops / height, gaps / height, sides / height[1:], settings)
     tops, gaps = (_changes(values / height, apart, settings.second_comb_most) for values in (tops, gaps))
     known = np.isfinite(tops) & np.isfinite(gaps)
     count = np.maximum(known.sum(axis=0), 1)
@@ -244,12 +249,34 @@ def second_comb(profile: Floats32, x_px: Floats, blurred: Bools, comb: RidgeComb
     capped = np.fmin(1.0, np.quantile(size, 0.75) / np.fmax(size, 1e-12))
     least = -settings.second_comb_correlation
     if any(np.sum(each * shared) >= least * np.sum(each * size) for each in (count, count * capped)):
-        return SecondComb()
+        return SecondComb(whole, settings.second_comb_whole * comb.fwhm_px / FWHM * whole)
     moved = centred(x - nan_median(x, axis=1)[:, None], np.isfinite(x))
     motion = np.sum(moved**2) / np.fmax(np.sum(np.diff(moved, axis=0) ** 2), 1e-12)
     light = np.sum(np.diff(tops, axis=0) * np.diff(gaps, axis=0)) / np.sum(tops * gaps)
     depth = float(np.sqrt(-np.average(shared, weights=count) * np.clip(light * motion, 0.0, 1.0)))
-    return SecondComb(depth, settings.second_comb_shift * comb.fwhm_px / FWHM * depth)
+    shift = max(settings.second_comb_shift * depth, settings.second_comb_whole * whole)
+    return SecondComb(max(depth, whole), shift * comb.fwhm_px / FWHM)
+
+
+def _over_all(tops: Floats, gaps: Floats, sides: Floats, settings: TrackingSettings) -> float:
+    """Return the light, rms, that a second comb which moves over all sheets alike brings from the tops to the
+    gaps (period, K), over the height of the ridges; 0 without one.
+
+    Even combs lie over each other alike everywhere. The focus changes all tops and gaps as well, but it
+    leaves the two sides of a ridge equal, and a comb that moves does not. sides: the level a quarter of the
+    spacing to the right of a ridge less that to the left, over its height, (period, K).
+    """
+    top, gap, side = (nan_median(values - nan_median(values), axis=1) for values in (tops, gaps, sides))
+    known = np.isfinite(top) & np.isfinite(gap) & np.isfinite(side)
+    if known.sum() < LEAST_PERIODS:
+        return 0.0
+    top, gap, side = (centred(values[known], known[known]) for values in (top, gap, side))
+    own = sides[known] - nan_median(sides) - side[:, None]
+    chance = np.sqrt(np.pi / 2 / sides.shape[1]) * nan_median(sigma_about_zero(own))
+    shared = float(np.mean(top * gap))
+    opposite = shared < -settings.second_comb_opposite * top.std() * gap.std()
+    lopsided = side.std() > settings.second_comb_lopsided * chance
+    return float(np.sqrt(-shared)) if opposite and lopsided else 0.0
 
 
 def levels_at(bright: Floats32, x_px: Floats) -> Floats:

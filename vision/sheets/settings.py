@@ -525,10 +525,24 @@ class TrackingSettings(Tunable):
     comb lies over the sheets. Sound films reach 0.37, reflections have 0.4 to 0.95. Larger leaves reflections
     out of the errors, smaller enlarges errors by chance (test_second_comb.py)."""
 
+    second_comb_opposite: float = 0.8
+    """The same for the changes of all tops and gaps together. It is 0.9 to 1 under a reflection that moves as
+    a whole. Larger leaves it out, smaller takes light for it (test_second_comb.py)."""
+
+    second_comb_lopsided: float = 1.5
+    """Common changes of the two sides of the ridges against each other, over what single sheets explain by
+    chance, from which such changes are a second comb. They are 0.3 to 1.1 in films in haze or whose focus
+    changes, 2 to 12 under reflections. Larger leaves these out, smaller takes the focus for one
+    (test_second_comb.py)."""
+
     second_comb_shift: float = 3.0
     """Error of positions, in standard deviations of a ridge, over the light that a second comb moves from
     ridges to gaps, over their height. In films with known positions it is 2.2 to 5.5. Larger overstates
     errors, smaller understates them (test_second_comb.py)."""
+
+    second_comb_whole: float = 2.0
+    """The same for a second comb that moves over all sheets alike. In films with known positions it is 0.8 to
+    2.9, and 5.5 in one. Larger overstates errors, smaller understates them (test_second_comb.py)."""
 
     second_comb_least_px: float = 3.5
     """Width of ridges from which a second comb is looked for. Smaller takes sharp ridges, whose tops change
