@@ -69,7 +69,7 @@ def test_what_the_low_pass_takes_from_the_peaks_is_in_the_errors() -> None:
 
 @pytest.mark.parametrize("tau", [0.05, 0.1])
 def test_what_the_low_pass_takes_from_the_stiffness_is_in_the_errors(tau: float) -> None:
-    """A failure means Λ̂ and N̂ are off by ten errors in a recording behind a slow amplifier."""
+    """A failure means Λ̂ and N̂ are off by several errors in a recording behind a slow amplifier."""
     made = realistic(d1=14.2, noise=0.1, tau=tau).force
     fits = fit_models(made, find_stick_slip(made))
     scale = 2 * 0.89 * 0.1 * 25**2 / np.log(1 + 2 * 0.89 * 0.57 / 0.003)
@@ -78,7 +78,7 @@ def test_what_the_low_pass_takes_from_the_stiffness_is_in_the_errors(tau: float)
         off = abs(found.value - truth)
         assert off < 2 * np.hypot(found.error, found.systematic_error), name
         others = [errors[name] or 0.0 for source, errors in fits.budget.items() if source != "low_pass"]
-        assert off > 4 * np.hypot(found.error, np.hypot(*others)), name
+        assert off > 3 * np.hypot(found.error, np.hypot(*others)), name
 
 
 @pytest.mark.parametrize("mean_s", [0.05, 0.1])
