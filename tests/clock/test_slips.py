@@ -146,6 +146,19 @@ def test_the_time_from_the_first_to_the_last_sheet_is_measured(spread_s, frame_s
     assert video_slips(film)["spread_s"].iloc[0] == pytest.approx(spread_s, rel=0.4, abs=0.003)
 
 
+@pytest.mark.parametrize("exposure_s", [0.002, 0.012])
+def test_it_is_measured_where_no_single_step_is_clear(exposure_s, slips_s):
+    """A failure means that a clock is late by more than its error where sheets slip by a few errors of a
+    position, or that noise counts as a delay."""
+    small = {"jump_px": 0.4, "per_side": 25, "frame_s": 1 / 60, "exposure_s": exposure_s, "stop_s": STOP_S}
+    late, together = (
+        video_slips(tracks(np.random.default_rng(3), slips_s, spread_s=spread_s, **small))["spread_s"].iloc[0]
+        for spread_s in (0.02, 0.0)
+    )
+    assert late == pytest.approx(0.02, rel=0.4)
+    assert together < 0.003
+
+
 def test_slips_in_many_frames_of_a_film_that_begins_at_rest(slips_s):
     """Two of five frames show part of a slip, and for 18 s before the sheets rest.  A failure means
     that a slow camera sees no slips, as creep, rest and slips pass for noise."""

@@ -26,6 +26,10 @@ class ClockSettings(Tunable):
     reach_s: float = 0.025
     """Time before and after a step within which single sheets may follow it. Larger → creep passes for slips;
     smaller → late sheets are overlooked."""
+    spread_errors: float = 2.5
+    """Standard errors above which sheets slip at different times. Larger → the error of the clock lacks their
+    delay in noisy films; smaller → it contains one by chance
+    (`test_the_time_from_the_first_to_the_last_sheet_is_measured`)."""
     bad_frame_return: float = 0.6
     """Fraction of a step that a neighbouring movement must reverse for it to be a bad frame. Larger → bad
     frames count as slips (`test_inward_steps_and_bad_single_frames_are_no_slips`)."""

@@ -357,47 +357,75 @@ def _spread_of_sheets(
 ) -> float:
     r"""Time from the first to the last sheet in a slip, s, if all times between are equally likely.
 
-    It follows from the variance of the movement between two frames in which each sheet passes half of its
-    step. Sheets that slip within D have :math:`(D^2 + T^2)/12` where the frame time T is shorter. Where it is
-    longer, slips without a frame between the sheets show nothing, and the mean over all slips is
-    :math:`T D/6`.
+    While some sheets have slipped and others have not, sheets differ in the part of their step that they have
+    made. Sheets that slip at times t and t + δ differ by h(δ) in the sum of squares over the frames times the
+    frame time:
+
+    .. math:: h = \delta^2 (1 - \delta / 3E) / E \;\text{up to}\; E, \quad \delta - E / 3 \;\text{beyond},
+
+    where E is the exposure, during which a sheet that slips is seen on its way. The observed variance is half
+    the mean of h over all pairs. Intermediate positions are due to the exposure and to such sheets; half of
+    them count for the exposure. The noise is that of equally long parts of the film before the slips. 0 if
+    the variance is not significant, or slips follow each other too closely.
     """
-    if not len(first):
-        return 0.0
-    time_s = 0.5 * (steps.time_s[1:] + steps.time_s[:-1])
-    frame_time = float(np.median(np.diff(steps.time_s)))
+    frame_s = float(np.median(np.diff(steps.time_s)))
     # Sheets that slip early or late need not be part of the step.
-    beside = int(np.ceil(settings.reach_s / frame_time))
+    beside = int(np.ceil(settings.reach_s / frame_s))
     apart = np.flatnonzero(np.diff(first, prepend=-np.inf) > 2 * beside)  # a slow slip may be several steps
+    if apart.size < 3:
+        return 0.0
+    beside = int(np.clip((np.median(np.diff(first[apart])) - 4) // 4, 1, beside))
     begin, end = first[apart] - beside, np.maximum.reduceat(last, apart) + beside + 1
-    row, index = flat_ranges(np.maximum(begin, 0), np.minimum(end, len(time_s)))
+    length = end - begin
+    clear = (begin - length >= np.r_[0, end[:-1]]) & (end <= len(steps.moved_px))
+    if clear.sum() < 3:
+        return 0.0
+    row, index = flat_ranges(begin[clear], end[clear])
     start = np.flatnonzero(np.diff(row, prepend=-1))
     side = steps.uniform[-1]
     shift = nan_median(steps.moved_px * side, axis=1)[:, None] * side if len(steps.uniform) == 1 else 0.0
     moved = steps.moved_px - shift
-    moved = np.nan_to_num((moved - nan_median(moved))[index])
-    total = np.add.reduceat(moved, start, axis=0)
-    so_far = np.cumsum(moved, axis=0)
-    so_far -= (so_far - moved)[start][row]
-    when = np.where(so_far >= total[row] / 2, (time_s[index] - time_s[index[start]][row])[:, None], np.inf)
-    half_s = np.minimum.reduceat(when, start, axis=0)
-    clear = (total > 8.0 * noise) & np.isfinite(half_s)
-    known = clear.sum(axis=1) >= 3
-    if not known.any():
+    moved = np.nan_to_num(moved - nan_median(moved))
+
+    def course(of: Ints) -> tuple[Floats, Floats]:
+        """Movement of each sheet since the beginning of its slip, and all of it, px, (row, sheet)."""
+        so_far = np.cumsum(moved[of], axis=0)
+        so_far -= (so_far - moved[of])[start][row]
+        return so_far, np.add.reduceat(moved[of], start, axis=0)[row]
+
+    (made, step), (made_before, step_before) = course(index), course(index - length[clear][row])
+    weight = noise**-2.0
+    part = (((made * step) @ weight) / np.maximum((step**2) @ weight, 1e-300))[:, None]
+    unlike = ((made - part * step) ** 2 - (made_before - part * step_before) ** 2) @ weight
+    unlike = np.add.reduceat(unlike, start)
+    size = ((step**2 - step_before**2) @ weight)[start]
+    if not size.sum() > 0:
         return 0.0
-    half_s = np.where(clear, half_s, np.nan)[known]
-    variance = float(np.nanvar(half_s, axis=1).mean())
-    if variance < frame_time**2 / 6:
-        return 6 * variance / frame_time
-    return float(np.sqrt(12 * variance - frame_time**2))
+    variance = unlike.sum() / size.sum()
+    error = np.sqrt(np.sum((unlike - variance * size) ** 2)) / size.sum()
+    if not variance > settings.spread_errors * error:
+        return 0.0
+    exposed_s = 0.5 * _exposed_share(first, last) * frame_s
+    spread_s = np.linspace(0.0, 4 * length.max() * frame_s, 1000)
+    share = (np.arange(100) + 0.5) / 100
+    apart_s = spread_s[:, None] * share
+    differs_s = np.where(
+        apart_s < exposed_s, apart_s**2 / exposed_s * (1 - apart_s / (3 * exposed_s)), apart_s - exposed_s / 3
+    )
+    expected_s = (differs_s * (1 - share)).mean(axis=1)
+    return float(np.interp(variance * frame_s, expected_s, spread_s))
+
+
+def _exposed_share(first: Ints, last: Ints) -> float:
+    """Exposure over the frame time: the fraction of steps with a frame in an intermediate position."""
+    return float((np.sum(last > first) + 0.5) / (len(first) + 1.0))
 
 
 def _step_times(time_s: Floats, above: Floats, first: Ints, last: Ints) -> tuple[Floats, Floats]:
     """Time and standard error of each step, s.
 
-    The share of the frame time that is exposed is the fraction of steps with a frame in an intermediate
-    position. A step without such a frame may lie anywhere between two exposures. A step with it lies within
-    the exposure, at a time given by the part of the step that the frame shows.
+    A step without a frame in an intermediate position may lie anywhere between two exposures. A step with it
+    lies within the exposure, at a time given by the part of the step that the frame shows.
     """
     above = np.maximum(above, 0.0)
     middle, length = 0.5 * (time_s[1:] + time_s[:-1]), np.diff(time_s)
@@ -405,7 +433,7 @@ def _step_times(time_s: Floats, above: Floats, first: Ints, last: Ints) -> tuple
     centroid = _sums(above * middle, first, last) / np.maximum(_sums(above, first, last), 1e-300)
     movements = last - first + 1
     count = len(first)
-    share = (np.sum(movements > 1) + 0.5) / (count + 1.0)
+    share = _exposed_share(first, last)
     share_err_s = frame_time * np.sqrt(share * (1 - share) / (count + 1.0))
     intermediate = time_s[first + 1]
     in_exposure = intermediate + share * (centroid - intermediate)
