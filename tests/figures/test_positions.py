@@ -151,6 +151,13 @@ def test_shell_sizes_are_those_of_the_table(pulled):
     np.testing.assert_allclose(model.y, pulled.fits.effective_sheets(model.x))
 
 
+def test_numbers_of_sheets_are_whole(pulled):
+    """A failure means that an axis counts sheets as 2.5, 5, 7.5."""
+    shells = pulled.shells.assign(stiff_sheets=8, stiff_low=7, stiff_high=8)
+    ticks = shells_figure(shells).of_width(86.0).plot().get_yticks()
+    np.testing.assert_array_equal(ticks, ticks.round())
+
+
 def test_both_sides_of_a_shell_are_seen_side_by_side(pulled):
     """A failure means that the left side's points hide behind the right side's, or stand at a wrong d."""
     shells = pulled.shells.assign(stiff_sheets=8)

@@ -155,6 +155,8 @@ def _page(figure: Figure, page: Page | None = None) -> Page:
         if not (panel.x_log or panel.empty):  # so that long numbers do not touch
             nbins = int(np.clip(width / _inches().number, 4, 9))
             ax.locator_params(axis="x", nbins=nbins, integer=panel.whole_numbers)
+        if panel.y_whole_numbers:
+            ax.locator_params(axis="y", integer=True)
         # By default matplotlib measures the tick labels at each drawing to place the axis labels.
         ax.xaxis.set_label_coords(0.5, -_inches().x_label / height)
         ax.yaxis.set_label_coords(-_inches().y_label / width, 0.5)

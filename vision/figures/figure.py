@@ -130,6 +130,7 @@ class Panel:
     downwards: bool = False  # y grows downwards, as in an image
     time_down: bool = False  # x of the series runs down the page and y across it, as in a space-time diagram
     whole_numbers: bool = False  # x has only whole numbers
+    y_whole_numbers: bool = False  # and y
     aspect: float = 0.5  # height over width of the plotted area
     square_pixels: bool = False  # both axes have the same scale
     x_log: bool = False  # logarithmic axes

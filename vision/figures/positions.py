@@ -365,6 +365,7 @@ def shell_panel(series: Sequence[Series]) -> Panel:
     return Panel(
         x_label=VALLEY_SEPARATION,
         y_label="stiff sheets per side",
+        y_whole_numbers=True,
         y_range=(0.0, 1.15 * max(tops) + 1) if tops else None,
         series=tuple(series),
     )

@@ -313,7 +313,9 @@
     const axes = chart.time_down
       ? [axis(xLabel, Object.assign({ side: 3 }, side)), axis(yLabel, Object.assign({ side: 2, space: 70 }, below))]
       : [axis(xLabel, Object.assign({ space: 60 }, below)), axis(yLabel, side)];
-    if (chart.whole_numbers) axes[0].incrs = [1, 2, 5, 10, 20, 50, 100, 200, 500];
+    const whole = [1, 2, 5, 10, 20, 50, 100, 200, 500];
+    if (chart.whole_numbers) axes[0].incrs = whole;
+    if (chart.y_whole_numbers) axes[1].incrs = whole;
     if (both) axes.forEach((a) => { a.grid = { show: false }; });
     if (chart.downwards) { /* rows of a frame: the first and the last in view */
       const last = chart.picture.bottom - 0.5;
