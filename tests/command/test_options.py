@@ -47,7 +47,7 @@ def test_a_length_without_sense_is_refused(text):
         parse_length(text, "--width")
 
 
-@pytest.mark.parametrize("text", ["1mm=103px", "103 px = 1 mm", "1000um=103px", "0.5mm=51.5px"])
+@pytest.mark.parametrize("text", ["1mm=103px", "103 px = 1 mm", "1000um=103px", "0.05cm=51.5px"])
 def test_a_scale_is_its_length_over_its_pixels(text):
     """A failure means a pixel size upside down, or a unit ignored."""
     assert parse_scale(text) == (pytest.approx(1000 / 103), None)

@@ -178,7 +178,7 @@ class WindowOptions:
     sheet: Annotated[tuple[str, ...], Option(negative="", show_default=False)] = ()
     """Sheet to show: side and number, such as right:23, or the index from the left; can be repeated."""
     width: str | None = None
-    """Width of the window in mm, um, µm or px; 0.2mm, or one pitch without a pixel size."""
+    """Width of the window in cm, mm, um, µm or px; 0.2mm, or one pitch without a pixel size."""
     follow: Switch = False
     """Move the window with the sheet (interpolated between pixels) instead of keeping it in place."""
     time: str | None = _sets("time_s")

@@ -26,7 +26,7 @@ from vision.sample import PUBLISHED, Sample
 from vision.sheets import read_corrections
 from vision.spacetime import Sheet
 
-UM_PER = {"mm": 1000.0, "um": 1.0, "µm": 1.0, "μm": 1.0}  # micro sign and Greek mu
+UM_PER = {"cm": 10_000.0, "mm": 1000.0, "um": 1.0, "µm": 1.0, "μm": 1.0}  # micro sign and Greek mu
 _GEOMETRY = {SETTING_OF[name]: name for name in ("thickness", "width", "length", "t_star")}
 _SAMPLE = ("sheets_per_block", *_GEOMETRY.values())
 _WITH_ERROR = ("d0", "force_lowpass", "force_average", *_GEOMETRY.values())
@@ -242,7 +242,9 @@ def parse_scale(text: str | None) -> tuple[float | None, float | None]:
     lengths, known = [side[0] for side in sides], [side[2] for side in sides] == ["um", "px"]
     if not (known and all(0 < one < math.inf for one in lengths) and lengths[0] / lengths[1] >= 1e-6):
         advice = with_point(text) or "write 1mm=103px or 1mm=103±1px"
-        raise InputError("--scale", "a length and its pixels, or with their errors", f"'{text}'", advice)
+        raise InputError(
+            "--scale", "a length in cm, mm or µm and its px, or with their errors", f"'{text}'", advice
+        )
     size = lengths[0] / lengths[1]
     relative = [error / value for value, error, _ in sides if error is not None]
     return size, size * math.hypot(*relative) if relative else None
@@ -258,18 +260,18 @@ def parse_pitch(text: str | None, option: str) -> tuple[float | None, float | No
     value, error, unit = _length_and_error(text)
     if unit != "um" or not 0 < value < math.inf:
         advice = with_point(text) or "write 0.2mm or 0.2±0.002mm"
-        raise InputError(option, "a length in mm or µm, or with its error", f"'{text}'", advice)
+        raise InputError(option, "a length in cm, mm or µm, or with its error", f"'{text}'", advice)
     return value, error
 
 
 def parse_length(text: str, option: str) -> dict[str, float]:
-    """Parse a positive length with its unit: {"width_um": …} for mm, um and µm, {"width_px": …} for px.
+    """Parse a positive length with its unit: {"width_um": …} for cm, mm, um and µm, {"width_px": …} for px.
 
     Raises: InputError, also for a number without a unit, which could be in µm or in px.
     """
     value, error, unit = _length_and_error(text)
     if not unit or error is not None or not 0 < value < math.inf:
-        wanted = "a length with its unit: mm, um, µm or px"
+        wanted = "a length with its unit: cm, mm, um, µm or px"
         raise InputError(option, wanted, f"'{text}'", with_point(text) or "write 0.2mm")
     return {f"width_{unit}": value}
 
