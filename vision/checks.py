@@ -11,13 +11,13 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vision.data import SIDES, TrackMetadata, Tunable
+from vision.data import TrackMetadata, Tunable
 from vision.errors import counted, first_of
 from vision.memory import is_word, word_counts
 from vision.models.equations import effective_sheets
 from vision.numeric import Bools, Floats, Ints, Pixels, nan_median, nan_quantile, stretches
 from vision.sample import Sample
-from vision.sheets.corrections import Correction, decision_texts, ordered, sheet_names
+from vision.sheets.corrections import Correction, decision_texts, ordered, sheet_name, sheet_names
 from vision.sheets.numbering import ends_in_view
 from vision.sheets.recovery import LONG_GAP, WITHOUT_RIDGE, missing_stretches
 from vision.sheets.settings import DEFAULT as TRACKING
@@ -222,7 +222,7 @@ def longest_stretches(table: pd.DataFrame, why: str) -> str:
 def _sheet_range(rows: pd.DataFrame) -> str:
     """Return "left 13 (index 12)", or "4 sheets between index 3 and 9"."""
     if len(rows) == 1:
-        return f"{SIDES[rows['side'].iloc[0]]} {rows['n'].iloc[0]} (index {rows['sheet'].iloc[0]})"
+        return sheet_name(*rows.iloc[0][["side", "n", "sheet"]])
     return f"{len(rows)} sheets between index {rows['sheet'].min()} and {rows['sheet'].max()}"
 
 

@@ -358,15 +358,10 @@ def _spread_of_sheets(
     r"""Time from the first to the last sheet in a slip, s, if all times between are equally likely.
 
     While some sheets have slipped and others have not, sheets differ in the part of their step that they have
-    made. Sheets that slip at times t and t + δ differ by h(δ) in the sum of squares over the frames times the
-    frame time:
-
-    .. math:: h = \delta^2 (1 - \delta / 3E) / E \;\text{up to}\; E, \quad \delta - E / 3 \;\text{beyond},
-
-    where E is the exposure, during which a sheet that slips is seen on its way. The observed variance is half
-    the mean of h over all pairs. Intermediate positions are due to the exposure and to such sheets; half of
-    them count for the exposure. The noise is that of equally long parts of the film before the slips. 0 if
-    the variance is not significant, or slips follow each other too closely.
+    made. The spread is that at which `_expected_variance` is the variance of these parts, of all slips
+    together, less the noise of equally long parts of the film before the slips. Intermediate positions are
+    due to the exposure and to such sheets; half of them count for the exposure. 0 if the variance is not
+    significant, or slips follow each other too closely.
     """
     frame_s = float(np.median(np.diff(steps.time_s)))
     # Sheets that slip early or late need not be part of the step.
@@ -407,13 +402,24 @@ def _spread_of_sheets(
         return 0.0
     exposed_s = 0.5 * _exposed_share(first, last) * frame_s
     spread_s = np.linspace(0.0, 4 * length.max() * frame_s, 1000)
-    share = (np.arange(100) + 0.5) / 100
+    return float(np.interp(variance * frame_s, _expected_variance(spread_s, exposed_s), spread_s))
+
+
+def _expected_variance(spread_s: Floats, exposed_s: float) -> Floats:
+    r"""Variance over the sheets of the part of a step that they have made, integrated over time, s.
+
+    Sheets that slip at times t and t + δ differ, in the square, by
+
+    .. math:: h = \delta^2 (1 - \delta / 3E) / E \;\text{up to}\; E, \quad \delta - E / 3 \;\text{beyond},
+
+    where E is the exposure, during which a sheet that slips is seen on its way. The variance is half the mean
+    of h over all pairs of times within the spread.
+    """
+    share = (np.arange(100) + 0.5) / 100  # of the spread; the density of δ falls linearly to 0
     apart_s = spread_s[:, None] * share
-    differs_s = np.where(
-        apart_s < exposed_s, apart_s**2 / exposed_s * (1 - apart_s / (3 * exposed_s)), apart_s - exposed_s / 3
-    )
-    expected_s = (differs_s * (1 - share)).mean(axis=1)
-    return float(np.interp(variance * frame_s, expected_s, spread_s))
+    short = apart_s**2 / exposed_s * (1 - apart_s / (3 * exposed_s))
+    differs_s = np.where(apart_s < exposed_s, short, apart_s - exposed_s / 3)
+    return np.asarray((differs_s * (1 - share)).mean(axis=1))
 
 
 def _exposed_share(first: Ints, last: Ints) -> float:

@@ -9,7 +9,7 @@ from vision.command.settings import options_of, settings_of_run
 from vision.data import ForceMetadata
 from vision.errors import InputError
 from vision.folder import check_target
-from vision.pipeline import Analysis, open_recording
+from vision.pipeline import Analysis
 from vision.run.provenance import Origin, Parameter, found_pixel_size
 from vision.run.reading import analyse_again, film_if_there, read_run
 from vision.run.writing import write_run
@@ -84,7 +84,4 @@ def load_run(
     """
     run = read_run(Path(folder))
     settings = replace(settings_of_run(run.folder), corrections=tuple(run.applied))
-    found = (
-        film_if_there(run, settings) if film is None else open_recording(run.input("film", film), settings)
-    )
-    return analyse_again(run, settings, found, run.force(force))
+    return analyse_again(run, settings, film_if_there(run, settings, film, asked=True), run.force(force))

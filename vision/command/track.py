@@ -200,9 +200,7 @@ def measure_again(
     else:
         earlier = replace(earlier, clock=None)
     settings, parameters = _with_options(before, stored, parameters, typed)
-    if moved is not None:
-        stored.input("film", moved)  # another film is refused
-    film = film_if_there(stored, settings, moved)
+    film = film_if_there(stored, settings, moved, asked=True)
     with frame_progress("reading", quiet=run.quiet) as progress:
         analysis = analyse_again(stored, settings, film, force, earlier=earlier, progress=progress)
     if analysis.pixel_size_um != settings.pixel_size_um:

@@ -66,7 +66,7 @@ def velocity(speed_mm_min: float) -> float:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Fitted:
+class _OfSample:
     """What was fitted to one sample: the joint values if it has several tests, else those of its test."""
 
     name: str  # of the sample
@@ -77,9 +77,9 @@ class _Fitted:
     fits: bool  # whether one μ fits its tests
 
 
-def _by_sample(found: Comparison) -> list[_Fitted]:
+def _by_sample(found: Comparison) -> list[_OfSample]:
     """Return what was fitted to each sample, in the order of the tests."""
-    fitted: list[_Fitted] = []
+    fitted: list[_OfSample] = []
     for test, fit in zip(found.tests, found.fits, strict=True):
         name = test.sample_name
         if name in (one.name for one in fitted):
@@ -88,11 +88,11 @@ def _by_sample(found: Comparison) -> list[_Fitted]:
         mu, amplitude = (joint.mu, joint.amplitude) if joint else (fit.mu, fit.values["A"])
         of_sample: dict[str, Any] = {"name": name, "geometry": test.sample, "joint": joint}
         fits = joint is None or joint.fits
-        fitted.append(_Fitted(**of_sample, mu=mu, amplitude=amplitude, fits=fits))
+        fitted.append(_OfSample(**of_sample, mu=mu, amplitude=amplitude, fits=fits))
     return fitted
 
 
-def _named(found: Comparison, one: _Fitted, *curves: Series) -> list[Series]:
+def _named(found: Comparison, one: _OfSample, *curves: Series) -> list[Series]:
     """Return curves of a sample with its name in their labels, if there are several samples."""
     several = len({test.sample_name for test in found.tests}) > 1
     name = f", {one.name or 'sample not named'}" * several

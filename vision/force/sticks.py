@@ -387,20 +387,17 @@ def _begin(signal: Signal, position: Floats, force: Floats, settings: ForceSetti
     the second quarter by `ringing_share` of the first swing or more. The load of a stick that begins steeply
     only rises to that level. The median shows such a begin where noise hides it in each stick.
     """
-    length = position[1] - position[0]
-    quarter = int(np.median(length) / 4)
-    some = np.flatnonzero(length >= 2 * quarter)
-    if quarter < 4 or some.size < 4:
+    some, quarter = _to_compare(position)
+    if not some.size:
         return 0.0
-    valley, length = (part[some, np.newaxis] for part in (position[0], length))
+    valley, length = (part[some, np.newaxis] for part in (position[0], position[1] - position[0]))
     index = np.minimum(np.ceil(valley) + np.arange(2 * quarter), signal.clean.size - 1).astype(np.int64)
     low, high = force[:, some, np.newaxis]
     off = (signal.clean[index] - low) / np.maximum(high - low, 1e-300) - (index - valley) / length
     course = np.median(off, axis=0)
     level = np.median(course[quarter:])
     swing = int(np.argmin(course[:quarter]))
-    chance = settings.extreme_sigmas * float(mad_sigma(off[:, swing])) / np.sqrt(some.size)
-    begin = float(min(course[swing] + chance, 0.0))
+    begin = min(float(course[swing]) + _chance(off[:, swing], settings), 0.0)
     again = np.max(course[swing:quarter]) - level
     return None if begin and again > settings.ringing_share * (level - course[swing]) else begin
 
@@ -410,18 +407,31 @@ def _top(signal: Signal, position: Floats, force: Floats, settings: ForceSetting
 
     At most 0. The load of a block that creeps before it slips does, by less than the noise of one stick.
     """
-    length = position[1] - position[0]
-    quarter = int(np.median(length) / 4)
-    some = np.flatnonzero(length >= 2 * quarter)
-    if quarter < 4 or some.size < 4 or signal.averaged:  # an average rounds the peaks, too
+    some, quarter = _to_compare(position)
+    if not some.size or signal.averaged:  # an average rounds the peaks, too
         return 0.0
     low, high = force[:, some, np.newaxis]
     index = np.floor(position[1][some, np.newaxis]).astype(np.int64) - np.arange(quarter)
     below = (signal.clean[np.maximum(index, 0)] - high) / np.maximum(high - low, 1e-300)
     course = np.median(below, axis=0)
     best = int(np.argmax(course))
-    chance = settings.extreme_sigmas * float(mad_sigma(below[:, best])) / np.sqrt(some.size)
-    return float(min(course[best] + chance, 0.0))
+    return min(float(course[best]) + _chance(below[:, best], settings), 0.0)
+
+
+def _to_compare(position: Floats) -> tuple[Ints, int]:
+    """Return the sticks of half the usual length or more, and the samples in a quarter of the usual one.
+
+    No sticks if they are too few, or too short, to show what all have in common. position: (2, stick).
+    """
+    length = position[1] - position[0]
+    quarter = int(np.median(length) / 4)
+    some = np.flatnonzero(length >= 2 * quarter)
+    return (some if quarter >= 4 and some.size >= 4 else some[:0]), quarter
+
+
+def _chance(values: Floats, settings: ForceSettings) -> float:
+    """Return by how much noise may lower the median of some sticks."""
+    return settings.extreme_sigmas * float(mad_sigma(values)) / float(np.sqrt(values.size))
 
 
 @dataclass(frozen=True)

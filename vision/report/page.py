@@ -144,8 +144,10 @@ def _panel_data(name: str, panel: Panel, store: ArrayStore) -> dict[str, Any]:
         picture = {edge: getattr(image, edge) for edge in ("left", "right", "top", "bottom")}
         picture["uri"] = image_uri(image, most_bytes=450_000)
     labels = ("x_label", "y_label", "y2_label")
-    ranges = ("x_lines", "x_range", "y_range", "first_view", "downwards", "time_down")
-    same = (*ranges, "whole_numbers", "y_whole_numbers", "switchable", "common_x")
+    same = (
+        *("x_lines", "x_range", "y_range", "first_view", "downwards", "time_down"),
+        *("whole_numbers", "y_whole_numbers", "switchable", "common_x"),
+    )
     return {
         "name": name,
         **{one: getattr(panel, one) for one in (*labels, *same)},

@@ -246,14 +246,19 @@ def first_column(run: RunFolder) -> int:
     return int(start) if start.isdigit() else 0
 
 
-def film_if_there(run: RunFolder, settings: Settings, moved: Path | None = None) -> Video | None:
+def film_if_there(
+    run: RunFolder, settings: Settings, moved: str | Path | None = None, *, asked: bool = False
+) -> Video | None:
     """Open the film of a run, or return None if it is gone, as only another strip needs it.
 
-    moved: its new path, if it was moved.
+    moved: its new path, if it was moved.  asked: whether the user has just given this path.
+    Raises: InputError if that path does not hold the film.
     """
     try:
         return open_recording(run.input("film", moved), settings)
     except InputError:
+        if asked and moved is not None:
+            raise
         return None
 
 

@@ -62,6 +62,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from vision.data import SIDES
 from vision.errors import InputError, check_kind, did_you_mean
 from vision.files import read_toml, shortened
 from vision.numeric import Floats, Ints, nan_median, nearest
@@ -203,7 +204,12 @@ class Decisions:
 def sheet_names(side: Ints, n: Ints) -> list[str]:
     """Return the names of the sheets, from the left: "left 8 (index 4)"."""
     pairs = enumerate(zip(side.tolist(), n.tolist(), strict=True))
-    return [f"{'left' if side < 0 else 'right'} {number} (index {k})" for k, (side, number) in pairs]
+    return [sheet_name(which, number, k) for k, (which, number) in pairs]
+
+
+def sheet_name(side: int, n: int, index: int) -> str:
+    """Return the name of a sheet in messages, such as "left 8 (index 4)"."""
+    return f"{SIDES[side]} {n} (index {index})"
 
 
 def decision_texts(corrections: Sequence[Correction], names: Sequence[str]) -> list[str]:
