@@ -25,7 +25,7 @@ def test_force_slips_are_free_of_the_chain_s_delay(rate_hz, lowpass_s, slips_s):
     found = force_slips(force, sticks_of(slips_s))
     assert len(found) == len(slips_s)
     bias = np.mean(found["time_s"].to_numpy() - slips_s)
-    assert abs(bias) < 1e-3 + 0.2 * lowpass_s
+    assert abs(bias) < 1e-3 + 0.2 * lowpass_s + 0.05 / rate_hz
     assert abs(bias) < 3 * found["lag_s"].iloc[0]
 
 
@@ -65,9 +65,65 @@ def test_a_filter_of_second_order_is_in_the_error(frequency_hz, damping, slips_s
     delayed = force.assign(load_N=("time_s", lfilter(*cell, force["load_N"].to_numpy())))
     found = force_slips(delayed, sticks_of(slips_s))
     bias = np.mean(found["time_s"].to_numpy() - slips_s)
-    assert 0.7 * found["lag_s"].iloc[0] < bias < 2 * found["lag_s"].iloc[0]
-    unaware = force_slips(delayed, sticks_of(slips_s), settings=ClockSettings(unseen_delay=0.0))
+    assert 0.6 * found["lag_s"].iloc[0] < bias < 2 * found["lag_s"].iloc[0]
+    unaware = ClockSettings(unseen_delay=0.0, swing_back=np.inf)
+    unaware = force_slips(delayed, sticks_of(slips_s), settings=unaware)
     assert bias > 4 * unaware["lag_s"].iloc[0]
+
+
+@pytest.fixture
+def ringing(slips_s):
+    """The recording of a load cell that rings at 30 Hz, behind a low-pass, at this sampling rate."""
+
+    def recorded(rate_hz, lowpass_s):
+        fine = sawtooth(
+            np.random.default_rng(8), slips_s, stop_s=STOP_S, rate_hz=2000, lowpass_s=lowpass_s, noise_N=0
+        )
+        load, turn = fine["load_N"].to_numpy(), 2 * np.pi * 30
+        cell = bilinear([turn**2], [1, 2 * 0.05 * turn, turn**2], fs=2000)
+        load = lfilter(*cell, load - load[0]) + load[0]
+        coarse = fine.assign(load_N=("time_s", load)).isel(time_s=slice(None, None, 2000 // rate_hz))
+        noise = np.random.default_rng(3).normal(0, 0.5, coarse.sizes["time_s"])
+        return coarse.assign(load_N=coarse["load_N"] + noise)
+
+    return recorded
+
+
+@pytest.mark.parametrize("rate_hz", [100, 200])
+@pytest.mark.parametrize("lowpass_s", [0.0003, 0.005])
+def test_the_ringing_of_a_load_cell_does_not_move_the_slips(rate_hz, lowpass_s, ringing, slips_s):
+    """A failure means that clocks are off by a third of the ringing's period, or state as much."""
+    sticks = sticks_of(slips_s)
+    sticks.attrs["ringing_s"] = 1 / 30
+    found = force_slips(ringing(rate_hz, lowpass_s), sticks)
+    bias, lag_s = np.mean(found["time_s"].to_numpy() - slips_s), found["lag_s"].iloc[0]
+    assert abs(bias) < min(0.004, 2 * lag_s)
+    assert lag_s < 0.009
+
+
+@pytest.mark.parametrize("lowpass_s", [0.0003, 0.005, 0.01])
+def test_ringing_of_an_unknown_period_is_in_the_error(lowpass_s, ringing, slips_s):
+    """At three samples a swing its period is not found. A failure means that clocks are off by two or three
+    of their errors."""
+    load = ringing(100, lowpass_s)
+    found = force_slips(load, sticks_of(slips_s))
+    bias = np.mean(found["time_s"].to_numpy() - slips_s)
+    assert 0.5 * found["lag_s"].iloc[0] < bias < 2 * found["lag_s"].iloc[0]
+    unaware = force_slips(load, sticks_of(slips_s), settings=ClockSettings(swing_back=np.inf))
+    assert bias > 1.5 * unaware["lag_s"].iloc[0]
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "lowpass_s", "noise_N"), [(100, 0.01, 4), (200, 0.01, 4), (200, 0.005, 3)]
+)
+def test_noise_does_not_hide_the_delay_of_a_low_pass(rate_hz, lowpass_s, noise_N, slips_s):
+    """A failure means that clocks are late by the low-pass, or three errors, where the load is noisy."""
+    noisy = {"rate_hz": rate_hz, "lowpass_s": lowpass_s, "noise_N": noise_N}
+    found = force_slips(
+        sawtooth(np.random.default_rng(8), slips_s, stop_s=STOP_S, **noisy), sticks_of(slips_s)
+    )
+    bias = np.mean(found["time_s"].to_numpy() - slips_s)
+    assert abs(bias) < min(0.5 * lowpass_s, found["lag_s"].iloc[0])
 
 
 @pytest.mark.parametrize("order", [2, 4])
@@ -155,8 +211,18 @@ def test_it_is_measured_where_no_single_step_is_clear(exposure_s, slips_s):
         video_slips(tracks(np.random.default_rng(3), slips_s, spread_s=spread_s, **small))["spread_s"].iloc[0]
         for spread_s in (0.02, 0.0)
     )
-    assert late == pytest.approx(0.02, rel=0.4)
-    assert together < 0.003
+    assert 0.016 < late < 0.03
+    assert together < 0.005
+
+
+def test_a_film_that_cannot_show_it_does_not_exclude_it(slips_s):
+    """A failure means that a clock late by 10 ms states 2 ms, where noise hides that sheets slip in turn."""
+    faint = {"jump_px": 0.2, "per_side": 20, "exposure_s": 0.01, "stop_s": STOP_S, "frame_s": 0.04}
+    film = tracks(np.random.default_rng(3), slips_s, spread_s=0.02, **faint)
+    assert video_slips(film)["spread_s"].iloc[0] > 0.016
+    dense = np.arange(1.0, STOP_S - 1, 0.13)  # a slip in every third frame: none is apart from the others
+    film = tracks(np.random.default_rng(3), dense, spread_s=0.02, **faint | {"jump_px": 3.0})
+    assert 0.01 < video_slips(film)["spread_s"].iloc[0] <= 0.04
 
 
 def test_slips_in_many_frames_of_a_film_that_begins_at_rest(slips_s):

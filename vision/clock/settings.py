@@ -26,10 +26,6 @@ class ClockSettings(Tunable):
     reach_s: float = 0.025
     """Time before and after a step within which single sheets may follow it. Larger → creep passes for slips;
     smaller → late sheets are overlooked."""
-    spread_errors: float = 2.5
-    """Standard errors above which sheets slip at different times. Larger → the error of the clock lacks their
-    delay in noisy films; smaller → it contains one by chance
-    (`test_the_time_from_the_first_to_the_last_sheet_is_measured`)."""
     bad_frame_return: float = 0.6
     """Fraction of a step that a neighbouring movement must reverse for it to be a bad frame. Larger → bad
     frames count as slips (`test_inward_steps_and_bad_single_frames_are_no_slips`)."""
@@ -48,6 +44,10 @@ class ClockSettings(Tunable):
     """Error of the slips' times for a filter whose delay the drops do not show, over the standard deviation
     in time that is left of a drop. Larger → wider errors where slips last long; smaller → too small ones
     behind such filters (`test_a_filter_of_second_order_is_in_the_error`)."""
+    swing_back: float = 0.2
+    """Rise of the load after a drop, over the steepest fall, from which the load cell swings. Larger → clocks
+    are off by a quarter of a swing whose period is not known; smaller → noise after a drop counts as a swing
+    (`test_ringing_of_an_unknown_period_is_in_the_error`)."""
     longest_drop: float = 3.0
     """Usual sampling intervals from which the interval of a drop is a gap, which leaves the time of the slip
     open. Larger → gaps displace the clock; smaller → slips are left out where times are uneven."""

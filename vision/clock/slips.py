@@ -39,10 +39,14 @@ def force_slips(
     gives the slip's time to a fraction of a sampling interval. The load cell's low-pass delays that mean by
     its time constant :math:`\tau` and makes the drop asymmetric: the impulse response
     :math:`e^{-t/\tau}/\tau` has a third central moment of :math:`2\tau^3`, while a slip itself is symmetric
-    and has none. So the mean third moment of all slips gives the delay. A filter with a symmetric response,
-    or a load cell that swings, delays slips with no sign of it but their width, which slips that last have as
-    well: `lag_s` contains `unseen_delay` times the standard deviation that neither the low-pass nor the
-    sampling explains. A load that rings is averaged over one period.
+    and has none. So the mean third moment of all slips gives the delay. A filter with a symmetric response
+    delays slips with no sign of it but their width, which slips that last have as well: `lag_s` contains
+    `unseen_delay` times the standard deviation that neither the low-pass nor the sampling explains.
+
+    A load that rings is averaged over one period T, twice. Ringing delays the mean time by a hundredth of T,
+    and the variance of the averaged drop is :math:`T^2 (1/6 - 1/2\pi^2)`. Where the load swings back after
+    the drop, but its period is not known, the drop that is timed is the first half of a swing, late by up to
+    half of its duration, which `lag_s` contains.
     """
     good = good_samples(force)
     time, load = good["time_s"].to_numpy().astype(float), good["load_N"].to_numpy().astype(float)
@@ -62,16 +66,20 @@ def force_slips(
     if not timed.any():
         return none
     steepest, of = steepest[timed], of[timed]
-    middle, delay, duration, width, largest = _mean_times(time, load, steepest, longest[timed], settings)
-    # What widens a drop besides the low-pass of that delay, the sampling and the averaging.
-    other_s = np.sqrt(max(0.0, width**2 - delay**2 - interval**2 / 6 - average_s**2 / 12))
+    middle, delay, duration, width, largest, swings = _mean_times(
+        time, load, steepest, longest[timed], average_s, settings
+    )
+    # What widens a drop besides the low-pass of that delay, the sampling, and the averaging of the ringing.
+    known = delay**2 + interval**2 / 6 + average_s**2 * (1 / 6 - 0.5 / np.pi**2)
+    other_s = np.sqrt(max(0.0, width**2 - known))
     order = np.argsort(middle)
     # A drop within one interval may lie anywhere in it; one that spreads over several is timed by its mean.
     error = np.full(len(order), max(largest, 0.5) * interval / np.sqrt(12))
-    # Remaining errors of the delay, of a filter that is faster than the sampling, of the shape of a drop, and
-    # of a filter whose response is symmetric: it widens a drop as a slip that lasts does, but delays it.
-    parts = (delay, interval, duration, other_s)
-    lag = np.multiply((0.25, 0.3, 0.02, settings.unseen_delay), parts)
+    # Remaining errors of the delay, of a filter that is faster than the sampling, of the shape of a drop or
+    # half a swing, and of a filter with a symmetric response: it widens a drop as a slip that lasts does, but
+    # delays it.
+    shape, unseen = (0.5, 0.0) if swings else (0.02, settings.unseen_delay)
+    lag = np.multiply((0.25, 0.3, shape, unseen), (delay, interval, duration, other_s))
     return pd.DataFrame(
         {
             "time_s": (middle - delay)[order],
@@ -113,16 +121,24 @@ def _steepest(time: Floats, load: Floats, begin: Floats, end: Floats) -> Ints:
 
 
 def _mean_times(
-    time: Floats, load: Floats, steepest: Ints, longest: Floats, settings: ClockSettings
-) -> tuple[Floats, float, float, float, float]:
+    time: Floats,
+    load: Floats,
+    steepest: Ints,
+    longest: Floats,
+    average_s: float,
+    settings: ClockSettings,
+) -> tuple[Floats, float, float, float, float, bool]:
     """Mean time of each drop, delay of the low-pass, duration (`drop_end`) and standard deviation in time of
-    a drop, s; and the part of a drop within its steepest interval.
+    a drop, s; the part of a drop within its steepest interval, and whether the load swings back after it.
 
     longest: interval from which there is a gap, for each drop, s.
+    average_s: time over which the load was averaged, twice, 0 if it was not.
     """
     spacing = float(np.median(np.diff(steepest))) if len(steepest) > 1 else 0.0
     # At most 100 samples, which limits the memory at high sampling rates.
     reach = int(np.clip(settings.window_of_period * spacing, 1, 100))
+    if average_s:  # the drop, and the transient of a low-pass; what lies beyond is noise
+        reach = int(np.clip(np.ceil(2 * average_s / float(np.median(np.diff(time)))), 1, reach))
     around = np.arange(-reach, reach + 1)
     inside = (steepest >= reach) & (steepest < len(time) - 1 - reach)
     middle = 0.5 * (time[steepest] + time[steepest + 1])
@@ -131,7 +147,7 @@ def _mean_times(
     whole = np.max(np.diff(time)[np.clip(index, 0, len(time) - 2)], axis=1)
     inside &= whole < longest
     if not inside.any():
-        return middle, 0.0, 0.0, 0.0, 1.0
+        return middle, 0.0, 0.0, 0.0, 1.0, False
     index = index[inside]
     drop = load[index] - load[index + 1]
     drop = drop - np.median(drop, axis=1, keepdims=True)  # without the rise of the stick phase
@@ -139,18 +155,20 @@ def _mean_times(
     small = np.flatnonzero(profile < settings.drop_end * profile[reach])
     first = int(small[small < reach].max(initial=-1)) + 1
     last = int(small[small > reach].min(initial=len(profile))) - 1
+    swings = bool(profile[last:].min() < -settings.swing_back * profile[reach])
     drop, when = drop[:, first : last + 1], (0.5 * (time[index] + time[index + 1]))[:, first : last + 1]
     total = np.maximum(drop.sum(axis=1), drop.max(axis=1))
     total[total <= 0] = 1.0  # a constant load has no drop
     since_steepest = when - middle[inside, None]
     shift = np.clip((drop * since_steepest).sum(axis=1) / total, since_steepest[:, 0], since_steepest[:, -1])
     middle[inside] += shift
-    second, third = (
-        float((drop * (since_steepest - shift[:, None]) ** power).sum() / total.sum()) for power in (2, 3)
-    )
+    # About the mean of all drops: noise moves that of one along with it, which would hide its width.
+    since_mean = since_steepest - (drop * since_steepest).sum() / total.sum()
+    second, third = (float((drop * since_mean**power).sum() / total.sum()) for power in (2, 3))
     duration = float(np.median(since_steepest[:, -1] - since_steepest[:, 0]))
     largest = float(np.median(drop.max(axis=1) / total))
-    return middle, float(np.cbrt(max(third, 0.0) / 2)), duration, float(np.sqrt(max(second, 0.0))), largest
+    delay = float(np.cbrt(max(third, 0.0) / 2))
+    return middle, delay, duration, float(np.sqrt(max(second, 0.0))), largest, swings and not average_s
 
 
 # --- slips of the camera ------------------------------------------------------------------------------------
@@ -355,26 +373,29 @@ def _updated_pattern(steps: _Steps, pattern: Floats, first: Ints, last: Ints) ->
 def _spread_of_sheets(
     steps: _Steps, noise: Floats, first: Ints, last: Ints, settings: ClockSettings
 ) -> float:
-    r"""Time from the first to the last sheet in a slip, s, if all times between are equally likely.
+    r"""Time from the first to the last sheet in a slip that the film permits, s, if all times between are
+    equally likely.
 
     While some sheets have slipped and others have not, sheets differ in the part of their step that they have
     made. The spread is that at which `_expected_variance` is the variance of these parts, of all slips
-    together, less the noise of equally long parts of the film before the slips. Intermediate positions are
-    due to the exposure and to such sheets; half of them count for the exposure. 0 if the variance is not
-    significant, or slips follow each other too closely.
+    together, less the noise of equally long parts of the film before the slips, plus its standard error: a
+    film that is too noisy to show a delay does not exclude it. Intermediate positions are due to the exposure
+    and to such sheets; half of them count for the exposure. Where slips follow each other too closely, all of
+    them may be due to the sheets.
     """
     frame_s = float(np.median(np.diff(steps.time_s)))
+    intermediate_s = _exposed_share(first, last) * frame_s
     # Sheets that slip early or late need not be part of the step.
     beside = int(np.ceil(settings.reach_s / frame_s))
     apart = np.flatnonzero(np.diff(first, prepend=-np.inf) > 2 * beside)  # a slow slip may be several steps
     if apart.size < 3:
-        return 0.0
+        return intermediate_s
     beside = int(np.clip((np.median(np.diff(first[apart])) - 4) // 4, 1, beside))
     begin, end = first[apart] - beside, np.maximum.reduceat(last, apart) + beside + 1
     length = end - begin
     clear = (begin - length >= np.r_[0, end[:-1]]) & (end <= len(steps.moved_px))
     if clear.sum() < 3:
-        return 0.0
+        return intermediate_s
     row, index = flat_ranges(begin[clear], end[clear])
     start = np.flatnonzero(np.diff(row, prepend=-1))
     side = steps.uniform[-1]
@@ -395,14 +416,12 @@ def _spread_of_sheets(
     unlike = np.add.reduceat(unlike, start)
     size = ((step**2 - step_before**2) @ weight)[start]
     if not size.sum() > 0:
-        return 0.0
+        return intermediate_s
     variance = unlike.sum() / size.sum()
     error = np.sqrt(np.sum((unlike - variance * size) ** 2)) / size.sum()
-    if not variance > settings.spread_errors * error:
-        return 0.0
-    exposed_s = 0.5 * _exposed_share(first, last) * frame_s
+    largest = max(variance, 0.0) + error
     spread_s = np.linspace(0.0, 4 * length.max() * frame_s, 1000)
-    return float(np.interp(variance * frame_s, _expected_variance(spread_s, exposed_s), spread_s))
+    return float(np.interp(largest * frame_s, _expected_variance(spread_s, intermediate_s / 2), spread_s))
 
 
 def _expected_variance(spread_s: Floats, exposed_s: float) -> Floats:
