@@ -7,10 +7,11 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+from scipy.signal import bilinear, lfilter
 
 from tests.force.test_events import matched
 from tests.scenes.sawtooth import Test, plain, signal_of
+from tests.scenes.slip_trains import sawtooth, slip_times
 from vision.clock import force_slips
 from vision.errors import InputError
 from vision.force import find_stick_slip
@@ -195,6 +196,35 @@ def test_the_period_of_ringing(period):
     load = rung(period, 0.05, 0.3)["load_N"].to_numpy()
     assert ringing_period(load, ForceSettings()) == pytest.approx(period, rel=0.02)
     assert ringing_period(-load, ForceSettings()) == pytest.approx(period, rel=0.02)
+
+
+@pytest.mark.parametrize("every", [1, 5])
+@pytest.mark.parametrize("damping", [0.25, 0.4])
+def test_ringing_that_decays_within_two_periods(damping: float, every: int) -> None:
+    """Its swings are too few for an autocorrelation. A failure means that the slips of a load cell with
+    damping are called an oscillation, and that no average is proposed."""
+    rate_hz, turn, rng = 5000 / every, 2 * np.pi * 60, np.random.default_rng(0)
+    slips_s = 1.0 + slip_times(rng, 150, period_s=0.4)
+    still = {
+        "rate_hz": 5000,
+        "lowpass_s": 0.0003,
+        "noise_N": 0,
+        "sizes": rng.lognormal(0, 0.25, slips_s.size),
+    }
+    fine = sawtooth(rng, slips_s, stop_s=slips_s[-1] + 1, **still)
+    load = fine["load_N"].to_numpy()
+    cell = bilinear([turn**2], [1, 2 * damping * turn, turn**2], fs=5000)
+    load = lfilter(*cell, load - load[0]) + load[0] + rng.normal(0, 0.1, load.size)
+    force = fine.assign(load_N=("time_s", load)).isel(time_s=slice(None, None, every))
+    load = force["load_N"].to_numpy()
+    assert ringing_period(load, ForceSettings()) == pytest.approx(rate_hz / 60, rel=0.15)
+    assert np.isnan(ringing_period(load, ForceSettings(ringing_rebound=1.0)))
+    averaged_events, as_recorded = find_stick_slip(force, average_s="auto"), find_stick_slip(force)
+    assert len(averaged_events) == len(slips_s) - 1
+    assert (averaged_events["flag"] == "ok").all()
+    proposed = any("the load oscillates at" in line for line in as_recorded.attrs["warnings"])
+    assert proposed == (len(as_recorded) != len(slips_s) - 1)
+    assert proposed == (damping < 0.3)
 
 
 def test_slips_noise_and_low_passes_do_not_ring():

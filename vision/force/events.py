@@ -142,6 +142,8 @@ def find_stick_slip(
     unit = load_unit_text(force)
     swings_s = math.nan if calm else swing_s
     warnings = doubts(events, analysis.regime, signal, slips, unit, rings, swings_s, lasting, settings)
+    if rings and calm and rings not in warnings and calm[1].edge.size < 0.95 * slips.edge.size:
+        warnings = [rings, *warnings]  # slips that the mean over a period does not show are its swings
     if threshold_N is None and analysis.regime.name == "stick-slip" and not (rings or signal.averaged):
         warnings += _missed_warnings(signal, slips, analysis, unit, settings)
     metadata = _metadata(signal, slips, analysis, shares, warnings)

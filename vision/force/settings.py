@@ -190,6 +190,11 @@ class ForceSettings(Tunable):
     load rings. Ringing that decays within one period reaches 0.4, slips, noise and low-passes 0.26; smaller
     proposes to average what does not ring, larger overlooks ringing."""
 
+    ringing_rebound: float = 0.05
+    """Height of the load's first swing above the stick's line, over the fall before it, from which it rings:
+    0.2 and 0.06 at 0.25 and 0.4 of the critical damping. Larger takes the swings of such a load cell for
+    slips or an oscillation, smaller averages what filters overshoot (test_signal)."""
+
     ringing_steps: float = 0.97
     """Quantile of the load's steps to which larger ones, the slips, are cut before their autocorrelation;
     where that shows no ringing, three times as many are. Larger lets slips hide faint ringing, smaller cuts

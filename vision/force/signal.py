@@ -329,7 +329,8 @@ def ringing_period(load: Floats, settings: ForceSettings) -> float:
     The autocorrelation of the load's steps falls below minus `ringing_alike` and then rises above it. Slips,
     which are the largest steps, are cut to the size of the others: three times as many where that shows no
     period, as slips may be slow. A load that oscillates throughout also has such a period. The steps of a
-    coarse load, by one quantum at regular times, are no oscillation.
+    coarse load, by one quantum at regular times, are no oscillation. Ringing that decays within a period or
+    two is too short for that, and is told by the load after the largest falls.
     """
     step = np.diff(load)
     step -= np.median(step)
@@ -339,7 +340,38 @@ def ringing_period(load: Floats, settings: ForceSettings) -> float:
         period = _period(np.clip(step, -most, most), settings) if most else float("nan")
         if np.isfinite(period):
             return period if most > 1.5 * quantum(load) else float("nan")
-    return float("nan")
+    # A fall of many samples has several steepest ones in noise; of one sample in 4 or 16 it has one.
+    swings = (every * _swing_after_falls(load[::every], settings) for every in (1, 4, 16))
+    return next((period for period in swings if np.isfinite(period)), float("nan"))
+
+
+def _swing_after_falls(load: Floats, settings: ForceSettings) -> float:
+    """Return the time in which the load swings after its falls, in samples; NaN if it does not.
+
+    Of the load after the largest falls, less a line through later samples and over the size of the fall, the
+    median over the falls goes below the line, above it by `ringing_rebound` or more, and below it again.
+    """
+    step, fewest = np.diff(load), settings.ringing_fewest
+    if step.size < 4 * fewest:
+        return float("nan")
+    large = -0.5 * np.partition(step, fewest)[fewest]
+    at = scipy.signal.find_peaks(-step, height=max(large, 1e-300))[0]
+    length = int(np.median(np.diff(at))) // 2 if at.size > 1 else 0
+    at = at[(at >= length // 4) & (at + 1 + length < load.size)]
+    if length < 16 or at.size < fewest // 2:
+        return float("nan")
+    after, k = load[at[:, None] + 1 + np.arange(length)], np.arange(length)
+    slope, level = np.polyfit(k[length // 2 :], after[:, length // 2 :].T, 1)
+    fall = load[at[:, None] - np.arange(length // 4)].max(axis=1) - level
+    swing = np.median((after - slope[:, None] * k - level[:, None]) / fall[:, None], axis=0)
+    low = int(np.argmin(swing))
+    high = low + int(np.argmax(swing[low:]))
+    again = high + int(np.argmin(swing[high : 3 * high - 2 * low + 1]))
+    least = max(settings.ringing_rebound, 5 * float(np.std(swing[length // 2 :])))
+    if swing[high] < least or swing[again] > 0 or again >= length // 2 or again - low < 4:
+        return float("nan")
+    low_at, again_at = (j + (float(peak_offset(*swing[j - 1 : j + 2])) if j else 0.0) for j in (low, again))
+    return again_at - low_at
 
 
 def _period(step: Floats, settings: ForceSettings) -> float:
