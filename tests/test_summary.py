@@ -9,6 +9,7 @@ import pytest
 
 from tests.scenes.analysed import with_force
 from tests.scenes.machine_files import SNAKE, written
+from vision.checks import FlagCounts
 from vision.clock.clock import Candidate
 from vision.data import StickMetadata, TrackMetadata
 from vision.figures.catalogue import FIGURES
@@ -28,9 +29,10 @@ def test_a_single_ridge_has_no_spacing(sheets, line):
 def test_blurred_positions_are_measured():
     """A failure means that positions with a larger error are counted as if they were lost."""
     assert (
-        positions_line({"blurred": 3, "missing": 2, "ok": 95}) == "98 measured (3 of them blurred); 2 missing"
+        positions_line(FlagCounts({"blurred": 3, "missing": 2, "ok": 95}))
+        == "98 measured (3 of them blurred); 2 missing"
     )
-    assert positions_line({"ok": 100}) == "100 measured; none missing"
+    assert positions_line(FlagCounts({"ok": 100})) == "100 measured; none missing"
 
 
 def test_the_columns_taken_from_the_force_recording_are_named(tmp_path):

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vision.data import TrackMetadata, Tunable
+from vision.data import MEASURED, TrackMetadata, Tunable
 from vision.errors import counted, first_of
 from vision.memory import is_word, word_counts
 from vision.models.equations import effective_sheets
@@ -125,9 +126,27 @@ DEFAULT = CheckSettings()
 # --- warnings about the tracks ------------------------------------------------------------------------------
 
 
-def flag_counts(tracks: xr.Dataset) -> dict[str, int]:
-    """Return how often each flag occurs, in alphabetical order."""
-    return word_counts(tracks["flag"])
+class FlagCounts(Counter[str]):
+    """How often each flag occurs in the tracks, in alphabetical order."""
+
+    @classmethod
+    def of(cls, tracks: xr.Dataset) -> Self:
+        """Count the flags of all sheets in all frames."""
+        return cls(word_counts(tracks["flag"]))
+
+    def sum(self, flags: Iterable[str]) -> int:
+        """Return how many positions have one of these flags."""
+        return sum(self[flag] for flag in flags)
+
+    @property
+    def measured(self) -> int:
+        """Number of measured positions."""
+        return self.sum(MEASURED)
+
+
+def frozen_frames(tracks: xr.Dataset, flags: FlagCounts) -> int:
+    """Return the number of frames that repeat the one before, in which every sheet has this flag."""
+    return flags["frozen"] // tracks.sizes["sheet"]
 
 
 DOUBTFUL = {
@@ -146,17 +165,17 @@ def tracking_warnings(
 
 
 def _of_tracks(tracks: xr.Dataset, settings: CheckSettings, tracking: TrackingSettings) -> Iterator[str]:
-    found, flags = TrackMetadata.of(tracks), flag_counts(tracks)
+    found, flags = TrackMetadata.of(tracks), FlagCounts.of(tracks)
     if found.ridges_doubt:
         yield (
             f"the {found.ridges} stripes are taken for the sheets, but may be the gaps: {found.ridges_doubt}:"
             f" look at the film, and give `ridges` as {found.ridges} or {_other_polarity(found)}"
         )
-    total = max(1, sum(flags.values()))
-    if frozen := flags.get("frozen", 0) // tracks.sizes["sheet"]:
+    total = max(1, flags.total())
+    if frozen := frozen_frames(tracks, flags):
         copies = f"{counted(frozen, 'frame')} repeated from the frame before"
         yield f"{copies}, without positions (flag frozen)"
-    if uncertain := sum(flags.get(flag, 0) for flag in DOUBTFUL):
+    if uncertain := flags.sum(DOUBTFUL):
         line = f"{uncertain} of {total} positions left out{why_left_out(flags)}"
         if uncertain > settings.most_left_out * total:
             jumps = 2 * is_word(tracks["why"], "jump").sum() > uncertain
@@ -166,9 +185,8 @@ def _of_tracks(tracks: xr.Dataset, settings: CheckSettings, tracking: TrackingSe
                 else "check where the tracks lie, and exclude what hides the comb with `frames` or `columns`"
             )
         yield line
-    lost = {flag: count for flag in WITHOUT_RIDGE if (count := flags.get(flag))}
-    if (missing := sum(lost.values())) > settings.usual_missing * total:
-        named = ", ".join(f"{count} {flag}" for flag, count in lost.items())
+    if (missing := flags.sum(WITHOUT_RIDGE)) > settings.usual_missing * total:
+        named = ", ".join(f"{flags[flag]} {flag}" for flag in WITHOUT_RIDGE if flags[flag])
         where = longest_stretches(missing_stretches(tracks), "flag")
         line = f"{missing} of {total} positions missing (flag in tracks.csv: {named})"
         yield f"{line}: {where}" if where else line

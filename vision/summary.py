@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vision.checks import flag_counts, longest_stretches
+from vision.checks import FlagCounts, frozen_frames, longest_stretches
 from vision.data import (
     MEASURED,
     SIDES,
@@ -147,12 +147,11 @@ def _tracking_lines(
 ) -> Iterator[tuple[str, str]]:
     """Yield the lines about a film."""
     strip, found = StripMetadata.of(tracks), TrackMetadata.of(tracks)
-    side, flags = tracks["side"].values, flag_counts(tracks)
-    noise, measured = noise_figures(tracks, pixel_size_um), flags.keys() & set(MEASURED)
+    side, flags, noise = tracks["side"].values, FlagCounts.of(tracks), noise_figures(tracks, pixel_size_um)
     length = "" if pixel_size_um is None else f" = {noise['measured_um']:.3g} µm"
     tilt = f", tilt {with_minus(f'{strip.tilt_deg:+.2f}')}°" if math.isfinite(strip.tilt_deg) else ""
     corrupt = f" ({strip.frames_corrupt} of them corrupt)" if strip.frames_corrupt else ""
-    frozen = f", {count} frozen" if (count := flags.get("frozen", 0) // side.size) else ""
+    frozen = f", {count} frozen" if (count := frozen_frames(tracks, flags)) else ""
     unseen = "; they look alike: a jump by their spacing would be invisible" * (found.sheets_alike == "yes")
     unseen += f"; the {found.ridges_likelier} stripes look more like sheets" * bool(found.ridges_likelier)
     # Compression hides the noise of pixels, so that the error predicted from them means nothing.
@@ -169,7 +168,7 @@ def _tracking_lines(
     yield "frames", f"{read}; {strip.frames_lost} lost{corrupt}, {strip.frames_blank} blank{frozen}"
     yield "positions", positions_line(flags)
     locked = f"; locking to pixels of {found.locking_px:.3f} px rms subtracted" * (found.locking_px > 0)
-    yield "noise", f"{_noise(noise, length)}{predicted}{locked}" if measured else "no position measured"
+    yield "noise", f"{_noise(noise, length)}{predicted}{locked}" if flags.measured else "no position measured"
     if len(doubts := doubtful_stretches(tracks)):
         yield "doubtful", f"{len(doubts)} stretches; longest: {longest_stretches(doubts, 'why')}"
     if len(gaps := missing_stretches(tracks)):
@@ -292,10 +291,10 @@ def scale_line(pixel_size_um: float | None, err_um: float | None, strip: StripMe
     return f"{pixel_size_text(pixel_size_um, err_um)} per px{how}"
 
 
-def positions_line(flags: Mapping[str, int]) -> str:
+def positions_line(flags: FlagCounts) -> str:
     """Return how many positions were measured, and how many have which flag of the others."""
-    measured = f"{sum(flags.get(name, 0) for name in MEASURED)} measured"
-    if blurred := flags.get("blurred"):
+    measured = f"{flags.measured} measured"
+    if blurred := flags["blurred"]:
         measured += f" ({blurred} of them blurred)"
     others = ", ".join(f"{count} {name}" for name, count in flags.items() if name not in MEASURED)
     return f"{measured}; {others or 'none missing'}"

@@ -2,6 +2,7 @@
 
 import ctypes
 import faulthandler
+import json
 import os
 import signal
 import subprocess
@@ -12,10 +13,11 @@ import pytest
 
 import vision
 from tests.campaign.scenes import films, planned
-from vision.campaign.jobs import Outcome, close_states, run_job
-from vision.campaign.results import open_tables, write_page
+from vision.campaign.jobs import close_states, run_job
+from vision.campaign.results import needs_pool, open_tables, pool, write_page
 from vision.errors import InputError
 from vision.folder import run_folder
+from vision.run.provenance import Origin
 from vision.sheets import track_sheets  # noqa: F401  # imported once, before the job forks
 
 
@@ -26,11 +28,11 @@ def analysis(tmp_path_factory):
     return vision.analyse(path, settings=vision.pipeline.Settings(fps=20.0))
 
 
-def keep(analysis, target):
+def keep(analysis, target, **facts):
     """A run folder of few files."""
     target.mkdir(parents=True)
-    (target / "run.json").write_text('{"frames": {"read": 30, "lost": 0}}')
-    return Outcome(status=0, analysis=analysis)
+    (target / "run.json").write_text(json.dumps({"frames": {"read": 30, "lost": 0}} | facts))
+    return analysis, ""
 
 
 def states(plan):
@@ -44,9 +46,8 @@ def job_of(plan):
 
 def test_the_page_counts_the_frames_that_were_read(tmp_path, analysis):
     """A failure means that a film that breaks off looks whole."""
-    read = analysis.tracks.assign_attrs(frames_read=17)
     plan = planned(tmp_path / "out", films(tmp_path, 1))
-    assert run_job(plan, job_of(plan), lambda *one: keep(replace(analysis, tracks=read), one[2])) == 0
+    assert run_job(plan, job_of(plan), lambda *one: keep(analysis, one[2], frames={"read": 17})) == 0
     write_page(plan, live=False)
     text = (plan.out / "index.html").read_text(encoding="utf-8")
     assert '<td class="n">17</td>' in text and '<td class="n">30</td>' not in text
@@ -82,7 +83,7 @@ def test_a_second_attempt_takes_only_what_is_not_done(tmp_path, analysis):
         with tried.open("a") as file:
             file.write(f"{film.name}\n")
         if film.name == "t1" and tried.read_text().count("t1") == 1:
-            return Outcome(status=2, reason="the file server is away")
+            return None, "the file server is away"
         return keep(analysis, target)
 
     assert run_job(plan, job_of(plan), work) == 1
@@ -92,17 +93,41 @@ def test_a_second_attempt_takes_only_what_is_not_done(tmp_path, analysis):
     assert plan.state(plan.film("t1")).attempts == 2
 
 
-@pytest.mark.parametrize(("status", "state"), [(0, "done"), (1, "warnings"), (2, "partial"), (3, "partial")])
-def test_states_follow_the_exit_status(tmp_path, analysis, status, state):
-    """A failure means that a refused force recording is not seen, or costs a second pass over 100 GB."""
+LATE = {"not_measured": {"clock": "no slips", "motion": "unexpected KeyError: x"}, "failures": ["motion"]}
+
+
+@pytest.mark.parametrize(
+    ("facts", "state", "reason"),
+    [
+        ({}, "done", ""),
+        ({"warnings": ["one"]}, "warnings", "one"),
+        ({"warnings": ["w" * 400, "two", "three"]}, "warnings", f"{'w' * 299}… (and 2 more)"),
+        ({"warnings": ["one"], "not_measured": {"sticks": "no slips"}}, "partial", "no slips"),
+        ({"not_measured": {"fits": "no separation"}}, "done", ""),
+        (LATE, "partial", "no slips"),
+        (
+            LATE | {"not_measured": {"fits": "unexpected ValueError"}, "failures": ["fits"]},
+            "partial",
+            "unexpected",
+        ),
+        ({"failures": ["pictures and report"]}, "partial", "unexpected error: "),
+    ],
+)
+def test_states_follow_what_run_json_says(tmp_path, analysis, facts, state, reason):
+    """A failure means that a refused force recording is not seen, or costs a second pass over 100 GB, or that
+    a run is judged in another way once it was corrected in a review."""
     plan = planned(tmp_path / "out", films(tmp_path, 1))
-
-    def work(film, source, target):
-        return replace(keep(analysis, target), status=status, reason="why" if status > 1 else "")
-
-    assert run_job(plan, job_of(plan), work) == 0
-    assert states(plan) == {"t0": state}
-    assert plan.state(plan.film("t0")).reason == ("why" if status > 1 else "")
+    assert run_job(plan, job_of(plan), lambda *one: keep(analysis, one[2], **facts)) == 0
+    first = plan.state(plan.film("t0"))
+    assert (first.state, first.frames) == (state, 30)
+    assert first.reason.startswith(reason) and bool(first.reason) == bool(reason)
+    run = plan.run_of("t0") / "run.json"
+    run.write_text(json.dumps(json.loads(run.read_text()) | {"corrections": []}))
+    assert needs_pool(plan)
+    pool(plan, Origin(command="track campaign"))
+    later = plan.state(plan.film("t0"))
+    assert later.run != first.run
+    assert replace(later, run=first.run, at=first.at) == first
 
 
 def test_staged_films_are_read_from_the_node_s_disk(tmp_path, analysis, monkeypatch):
@@ -158,8 +183,8 @@ def test_a_full_disk_in_the_middle(tmp_path, analysis, monkeypatch):
                     (folder / "run.json").write_text('{"frames": {}}')
                     (folder / "kymograph.tif").write_bytes(bytes(400_000))
             except InputError as error:
-                return Outcome(status=2, reason=str(error))
-            return Outcome(status=0, analysis=analysis)
+                return None, str(error)
+            return analysis, ""
 
         assert run_job(plan, job_of(plan), work) == 1
         close_states(plan)

@@ -16,7 +16,7 @@ import pytest
 import vision
 from tests.campaign.scenes import films, planned, rows
 from vision.campaign.films import Row
-from vision.campaign.jobs import Outcome, run_job
+from vision.campaign.jobs import run_job
 from vision.campaign.plan import State, make_plan, write_state
 from vision.campaign.results import (
     as_arrow,
@@ -119,7 +119,7 @@ def test_a_run_that_was_corrected_renews_tables_state_and_pool(tmp_path):
     def work(film, source, target):
         analysis = vision.analyse(path, fps=20.0, pixel_size_um=10.0)
         vision.save_run(analysis, target, report=False)
-        return Outcome(status=0, analysis=analysis)
+        return analysis, ""
 
     assert run_job(plan, *plan.jobs, work) == 0
     pool(plan, Origin(command="track campaign"))

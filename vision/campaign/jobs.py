@@ -17,19 +17,18 @@ import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Literal
 
 from vision.campaign.films import SETTINGS, is_remote
-from vision.campaign.plan import PLAN, Plan, PlannedFilm, State, Word, inputs_of, write_plan, write_state
-from vision.campaign.results import page_age, write_page, write_partitions, write_thumbnail
-from vision.data import StripMetadata
+from vision.campaign.plan import PLAN, Plan, PlannedFilm, State, inputs_of, write_plan, write_state
+from vision.campaign.results import page_age, state_of_run, write_page, write_partitions, write_thumbnail
 from vision.errors import InputError, install_advice
 from vision.files import answered, c_library, prefetch, shortened
 from vision.pipeline import Analysis
-from vision.run.reading import is_run
+from vision.run.reading import is_run, read_run
 
 # --- Snakemake, a process -----------------------------------------------------------------------------------
 
@@ -167,21 +166,9 @@ def _last_line(log: Path) -> str:
 # --- one job ------------------------------------------------------------------------------------------------
 
 
-STATE_OF_STATUS: dict[int, Word] = {0: "done", 1: "warnings"}  # others: partial
-
-
-@dataclass(frozen=True, kw_only=True)
-class Outcome:
-    """Result of one film's analysis."""
-
-    status: int  # exit status, as of `track`
-    reason: str = ""  # one line if the status is 2 or 3
-    warnings: tuple[str, ...] = ()  # one line each
-    analysis: Analysis | None = None  # None if there are no results
-
-
-Work = Callable[[PlannedFilm, Path, Path], Outcome]
-"""Function that analyses a film. Arguments: the film, the path to read it from, the run folder to write."""
+Work = Callable[[PlannedFilm, Path, Path], tuple[Analysis | None, str]]
+"""Function that analyses a film. Arguments: the film, the path to read it from, the run folder to write.
+Returns: the results, or None and why there are none in one line."""
 
 
 def run_job(plan: Plan, job: str, work: Work, *, fetched: Sequence[Path] = ()) -> int:
@@ -274,18 +261,12 @@ def _run_one(plan: Plan, film: PlannedFilm, work: Work, copies: dict[str, Path])
     """Analyse one film, write its tables for the pool and its thumbnail, and return its state."""
     target = plan.run_of(film.name)
     with _source(film, copies, stage=plan.stage) as source:
-        outcome = work(film, source, target)
-    state = State(name=film.name, state="failed", reason=outcome.reason)
-    if outcome.analysis is None or not is_run(target):
-        return state
-    write_partitions(plan.out, film.name, outcome.analysis)
+        analysis, why = work(film, source, target)
+    if analysis is None or not is_run(target):
+        return State(name=film.name, state="failed", reason=why)
+    write_partitions(plan.out, film.name, analysis)
     write_thumbnail(plan, film.name)
-    warnings, word = outcome.warnings, STATE_OF_STATUS.get(outcome.status, "partial")
-    reason = outcome.reason or (shortened(warnings[0], 300) if warnings else "")
-    more = f" (and {len(warnings) - 1} more)" if outcome.status == 1 and len(warnings) > 1 else ""
-    tracks = outcome.analysis.tracks
-    frames = 0 if tracks is None else StripMetadata.of(tracks).frames_read
-    return replace(state, state=word, reason=reason + more, warnings=warnings, frames=frames)
+    return state_of_run(read_run(target), film.name)
 
 
 @contextmanager

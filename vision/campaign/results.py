@@ -28,12 +28,12 @@ from vision.comparison import compare, write_comparison
 from vision.comparison.runs import COLUMNS, LIMITS
 from vision.errors import InputError, counted
 from vision.figures import Results
-from vision.files import reading
+from vision.files import reading, shortened
 from vision.folder import whole_file, write_csv, write_json
 from vision.numeric import number
 from vision.pipeline import Analysis
 from vision.run.provenance import Origin
-from vision.run.reading import is_run, read_json, read_run
+from vision.run.reading import RunFolder, is_run, read_json, read_run
 from vision.run.tables import columns_in_parts, sheets_table
 from vision.run.writing import FAILURES
 from vision.shells import deformation_table
@@ -299,18 +299,28 @@ def _renew_if_corrected(plan: Plan, film: PlannedFilm) -> str:
         tracks = run.tracks if run.of_video else None
         deformation = run.table("deformation")
         _write_parts(plan.out, film.name, tracks, run.pixel_size_um, run.events, deformation)
-        warnings = tuple(map(str, run.facts.get("warnings") or ()))
-        reasons = run.facts.get("not_measured") or {}
-        refused = [reasons[name] for name in Results(clock=run.clock, reasons=reasons).refused()]
+        corrected = state_of_run(run, film.name)
     except InputError as error:
         return f"{film.name}: its tables are those before it was corrected: {error}"
     write_thumbnail(plan, film.name)
-    word: Word = "warnings" if warnings else "done"
-    if refused or (run.folder / FAILURES).exists():
-        word = "partial"
-    reason = next(iter([*refused, *warnings]), "")
-    write_state(plan.out, replace(state, state=word, reason=reason, warnings=warnings, run=now))
+    kept = {name: getattr(state, name) for name in ("key", "seconds", "attempts")}
+    write_state(plan.out, replace(corrected, **kept, run=now))
     return ""
+
+
+def state_of_run(run: RunFolder, name: str) -> State:
+    """Return the state of a film whose run is written, fresh or corrected.  Raises: InputError if damaged."""
+    warnings = tuple(map(str, run.facts.get("warnings") or ()))
+    reasons, failures = run.facts.get("not_measured") or {}, run.facts.get("failures") or ()
+    # what the input does not permit first, then unexpected errors, for which it is not to blame
+    refused = sorted(Results(clock=run.clock, reasons=reasons).refused(), key=failures.__contains__)
+    why = [reasons[stage] for stage in refused]
+    why += [reasons.get(stage, f"unexpected error: {run.folder / FAILURES}") for stage in failures]
+    word: Word = "partial" if why else "warnings" if warnings else "done"
+    more = f" (and {len(warnings) - 1} more)" * (len(warnings) > 1)
+    reason = why[0] if why else "".join(shortened(line, 300) for line in warnings[:1]) + more
+    frames = int((run.facts.get("frames") or {}).get("read") or 0)
+    return State(name=name, state=word, reason=reason, warnings=warnings, frames=frames)
 
 
 def _compare(films: Sequence[PlannedFilm], plan: Plan, origin: Origin) -> list[str]:

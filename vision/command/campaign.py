@@ -24,7 +24,7 @@ from vision.campaign.films import (
     read_campaign,
     safe_name,
 )
-from vision.campaign.jobs import Outcome, run_job
+from vision.campaign.jobs import run_job
 from vision.campaign.plan import (
     Plan,
     PlannedFilm,
@@ -39,13 +39,12 @@ from vision.campaign.results import duration, needs_pool, pool, read_remarks, wr
 from vision.command.console import attempt, complain, in_columns, say
 from vision.command.options import SETTING_OF, CampaignOptions, RunOptions, option_names
 from vision.command.settings import at_least, parse_option, read_config, settings_of, with_config
-from vision.command.track import origin_of, run_name, track_one, why_refused
+from vision.command.track import origin_of, run_name, track_one
 from vision.errors import InputError, counted, with_options
 from vision.files import answered, usable_cores
 from vision.folder import claim
-from vision.pipeline import check_recordings, open_force, open_recording
+from vision.pipeline import Analysis, check_recordings, open_force, open_recording
 from vision.run.provenance import Parameter
-from vision.run.writing import FAILURES
 from vision.summary import aligned
 
 
@@ -354,7 +353,7 @@ def _watch(
 # --- one film -----------------------------------------------------------------------------------------------
 
 
-def _track_film(plan: Plan, film: PlannedFilm, source: Path, target: Path) -> Outcome:
+def _track_film(plan: Plan, film: PlannedFilm, source: Path, target: Path) -> tuple[Analysis | None, str]:
     """Track one film of a job as `track` does; `source` is the film or a copy of it."""
     parameters = _parameters_of(plan, film)
     local = not is_remote(film.film)
@@ -369,11 +368,5 @@ def _track_film(plan: Plan, film: PlannedFilm, source: Path, target: Path) -> Ou
     again = local and source == video and plan.state(film).attempts > 1 and not parameters["strips"].value
     done, status, why = attempt(partial(analyse, resume=again))
     if again and status == 2 and done is None:  # the frames kept were read with other settings
-        done, status, why = attempt(partial(analyse, resume=False))
-    status, analysis = done or (status, None)
-    if analysis is not None and status >= 2:
-        failed = (analysis.reasons[name] for name in analysis.failures if name in analysis.reasons)
-        why = next(iter([*why_refused(analysis), *failed]), f"unexpected error: {target / FAILURES}")
-    warnings = analysis.warnings if analysis else ()
-    lines = [with_options(line, option_names()) for line in (why, *warnings)]
-    return Outcome(status=status, reason=lines[0], warnings=tuple(lines[1:]), analysis=analysis)
+        done, _, why = attempt(partial(analyse, resume=False))
+    return done[1] if done else None, with_options(why, option_names())

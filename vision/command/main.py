@@ -9,6 +9,7 @@ import glob
 import importlib.util
 import logging
 import os
+import re
 import signal
 import sys
 import threading
@@ -170,26 +171,18 @@ def review(
 
 
 _IMPORTED_WHEN_CALLED = {
-    "views:preview": "Show within seconds the frame, the strip, the ridges and their noise.",
-    "views:overlay": "Draw the tracks of a finished run on its film, to see whether they follow the sheets.",
-    "recordings:force": "Find stick-slip events, stiffness and model fits from a force recording alone.",
-    "recordings:simulate": "Make a synthetic traction test: a film, a force recording, and their truth.",
-    "views:kymograph": "Draw space-time diagrams of the whole strip, or of windows around sheets.",
-    "views:export": "Write the tables of a finished run in another program's format.",
-    "views:figures": "Write the figures of a finished run for a manuscript, or their numbers as csv.",
-    "views:certify": "Measure what the recording of a run can resolve, from similar films with known truth.",
-    "views:compare": "Compare several tests: one table, one μ, the collapse, change points and trends.",
-    "campaign:campaign": "Track many films, on all cores of this machine or on a cluster, each only once.",
-    "recordings:friction": "Measure friction of two sheets from rheometer files, and fit μ_s = a(1 + b/N).",
-    "recordings:modulus": "Measure Young's modulus of one sheet from push–pull cycles.",
+    "views": ("preview", "overlay", "kymograph", "export", "figures", "certify", "compare"),
+    "recordings": ("force", "simulate", "friction", "modulus"),
+    "campaign": ("campaign",),
 }
-"""Commands, with the first line of their help."""
+"""Commands by the module of this package that holds them."""
 
 
 def make_app(*, brief: bool = False) -> App:
     """Return the application with all its commands.
 
-    brief: of the commands, only the first lines of their help are needed; nothing is imported for these.
+    brief: of the commands, only the first lines of their help are needed, which are read from the source:
+    importing it takes a second.
     """
     app = App(
         name="track",
@@ -201,9 +194,12 @@ def make_app(*, brief: bool = False) -> App:
     )
     app.default(track)
     app.command(review, help_format="markdown")
-    for place, first_line in _IMPORTED_WHEN_CALLED.items():
-        shown = {"help": first_line} if brief else {}
-        app.command(f"vision.command.{place}", help_format="markdown", **shown)
+    for module, names in _IMPORTED_WHEN_CALLED.items():
+        source = Path(__file__).with_name(f"{module}.py").read_text(encoding="utf-8") if brief else ""
+        for name in names:
+            first = re.search(rf'^def {name}\(.*?"""([^\n]+)', source, re.MULTILINE | re.DOTALL)
+            shown = {"help": first[1]} if first else {}
+            app.command(f"vision.command.{module}:{name}", help_format="markdown", **shown)
     # for the Snakefile
     app.command("vision.command.campaign:job", name="campaign-job", show=False)
     app.command("vision.command.campaign:pool_runs", name="campaign-pool", show=False)

@@ -10,7 +10,7 @@ from vision.data import ForceMetadata
 from vision.errors import InputError
 from vision.folder import check_target
 from vision.pipeline import Analysis
-from vision.run.provenance import Origin, Parameter, found_pixel_size
+from vision.run.provenance import Origin, Parameter
 from vision.run.reading import analyse_again, film_if_there, read_run
 from vision.run.writing import write_run
 from vision.video import video_files
@@ -48,13 +48,13 @@ def save_run(analysis: Analysis, folder: str | Path, *, overwrite: bool = False,
     times = analysis.settings.timestamps
     film = () if analysis.video is None else (*video_files(analysis.video.path), times)
     inputs = [file for file in (*film, force) if file is not None]
-    parameters = options_of(analysis.settings) | {
+    settings = analysis.settings
+    if analysis.video is not None and settings.pixel_size_um == analysis.video.facts.pixel_size_um:
+        settings = replace(settings, pixel_size_um=None)  # it was not given
+    parameters = options_of(settings) | {
         "force": Parameter(force, "default" if force is None else "given"),
         "report": Parameter(report, "given"),
     }
-    stated_um = None if analysis.video is None else analysis.video.facts.pixel_size_um
-    if analysis.settings.pitch_um is not None or analysis.pixel_size_um == stated_um is not None:
-        parameters |= found_pixel_size(analysis)
     origin = Origin(command="analysed from Python", inputs=inputs, parameters=parameters)
     facts = {"force_alone": True} if analysis.tracks is None else None
     write_run(analysis, folder, origin, overwrite=overwrite, report=report, facts=facts)

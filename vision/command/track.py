@@ -16,17 +16,17 @@ from typing import Any
 
 import xarray as xr
 
-from vision.checks import flag_counts
+from vision.checks import FlagCounts
 from vision.command.console import attempt, complain, frame_progress, in_columns, say
 from vision.command.main import prepare_review
 from vision.command.options import ForceOptions, RunOptions, TestOptions, flag_of, option_names
 from vision.command.settings import merged, parameters_given, settings_of, settings_of_run
-from vision.data import MEASURED, StripMetadata
+from vision.data import StripMetadata
 from vision.errors import InputError, counted
 from vision.files import AGAIN, TIFF, answered, reading
 from vision.folder import check_target
 from vision.pipeline import Analysis, Settings, analyse, open_recording, track_strip
-from vision.run.provenance import Checksums, Origin, Parameter, describe_input, found_pixel_size
+from vision.run.provenance import Checksums, Origin, Parameter, describe_input
 from vision.run.reading import (
     Checkpoint,
     RunFolder,
@@ -147,8 +147,6 @@ def track_one(
         # A review expects the film first and the force recording last.
         files = (parameters["timestamps"].value, config, parameters["corrections"].value, force)
         inputs = (*video_files(video), *(file for file in files if file is not None))
-        if analysis.pixel_size_um != settings.pixel_size_um:
-            parameters = {**parameters, **found_pixel_size(analysis)}
         analysis = _warn_of_other_film(analysis, parameters["corrections"].value, inputs[0])
         if kept := set_aside(target, analysis.settings.corrections):
             line = f"decisions of the earlier run were not applied: give {target / kept} as `corrections`"
@@ -203,8 +201,6 @@ def measure_again(
     film = film_if_there(stored, settings, moved, asked=True)
     with frame_progress("reading", quiet=run.quiet) as progress:
         analysis = analyse_again(stored, settings, film, force, earlier=earlier, progress=progress)
-    if analysis.pixel_size_um != settings.pixel_size_um:
-        parameters |= found_pixel_size(analysis)
     files = {"timestamps": settings.timestamps, "force": force}  # where they are, seen from here
     parameters |= {name: replace(parameters[name], value=file) for name, file in files.items()}
     with reading(folder, "a run folder as track writes it", AGAIN):
@@ -290,7 +286,7 @@ def run_name(video: Path) -> str:
     return readable or path.parent.name or "video"
 
 
-def origin_of(inputs: Sequence[Path], parameters: Mapping[str, Parameter], **more: Any) -> Origin:
+def origin_of(inputs: Sequence[Path], parameters: dict[str, Parameter], **more: Any) -> Origin:
     """Return the provenance of what this command writes, whose messages name options."""
     command = shlex.join(["track", *sys.argv[1:]])
     return Origin(command=command, inputs=inputs, parameters=parameters, options=option_names(), **more)
@@ -404,10 +400,10 @@ def _row(video: Path, status: int, found: Analysis | None, why: str, seconds: fl
     """Return the table's row of one film; `why` says why there is no analysis."""
     if found is None or found.tracks is None:
         return (video.name, str(status), "", "", "", "", "", f"{seconds:.1f}", why)
-    strip, flags = StripMetadata.of(found.tracks), flag_counts(found.tracks)
+    strip, flags = StripMetadata.of(found.tracks), FlagCounts.of(found.tracks)
     sheets = found.tracks.sizes["sheet"]
-    wanted = max(sum(flags.values()), sheets * (strip.frames_read + strip.frames_lost))
-    share = sum(flags.get(name, 0) for name in MEASURED) / max(1, wanted)  # lost frames at the end: no rows
+    wanted = max(flags.total(), sheets * (strip.frames_read + strip.frames_lost))
+    share = flags.measured / max(1, wanted)  # lost frames at the end: no rows
     count, noise = len(found.warnings), noise_figures(found.tracks, None)["measured_px"]
     return (
         video.name,
@@ -473,10 +469,9 @@ def _state(strip: xr.DataArray, behind: int | None, settings: Settings) -> str:
         tracks = track_strip(strip, replace(settings, corrections=()))
     except InputError as error:
         return f"{where}{late}; {error}"
-    flags = flag_counts(tracks)
-    lost = sum(count for name, count in flags.items() if name not in MEASURED)
+    flags = FlagCounts.of(tracks)
     noise_px = noise_figures(tracks, None)["measured_px"]
-    share = 100 * lost / max(1, sum(flags.values()))
+    share = 100 * (flags.total() - flags.measured) / max(1, flags.total())
     return (
         f"{where}{late}; {tracks.sizes['sheet']} sheets, noise {noise_px:.4f} px, {share:.1f} % not measured"
     )

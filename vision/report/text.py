@@ -10,10 +10,9 @@ import pandas as pd
 import xarray as xr
 
 import vision
-from vision.checks import DOUBTFUL, flag_counts, longest_stretches, why_left_out
+from vision.checks import DOUBTFUL, FlagCounts, frozen_frames, longest_stretches, why_left_out
 from vision.clock import Clock
 from vision.data import (
-    MEASURED,
     ForceMetadata,
     MotionMetadata,
     StickMetadata,
@@ -25,7 +24,6 @@ from vision.data import (
 from vision.figures import Results
 from vision.figures.style import candidates_text, drift_text, offset_text, percent
 from vision.force import ForceSettings
-from vision.memory import is_word
 from vision.models import Estimate, ModelFits, both_errors, plus_minus
 from vision.models.single_fits import has_knees
 from vision.sheets.recovery import LONG_GAP, missing_stretches
@@ -77,8 +75,8 @@ def _sheets(results: Results) -> Answer | None:
     tracks = results.tracks
     if tracks is None:
         return None
-    side, measured = tracks["side"].values, is_word(tracks["flag"], *MEASURED)
-    ok = float(measured.mean()) if measured.size else 0.0
+    side, flags = tracks["side"].values, FlagCounts.of(tracks)
+    ok = flags.measured / max(1, flags.total())
     return Answer(
         "sheets tracked",
         f"{side.size} ({sides_text(side)})",
@@ -183,7 +181,7 @@ def _frames(results: Results) -> Answer | None:
     if (tracks := results.tracks) is None:
         return None
     strip = StripMetadata.of(tracks)
-    bad = _bad_frames(strip, frozen=flag_counts(tracks).get("frozen", 0) // tracks.sizes["sheet"])
+    bad = _bad_frames(strip, frozen=frozen_frames(tracks, FlagCounts.of(tracks)))
     return Answer(
         "frames",
         f"{strip.frames_read} of {strip.frames_expected} read",
@@ -298,10 +296,9 @@ def _tracking(tracks: xr.Dataset) -> str:
 
 def _withheld(tracks: xr.Dataset) -> str:
     """Return how many positions were left out or carry a flag, "" if there are none."""
-    flags = flag_counts(tracks)
-    total = max(1, sum(flags.values()))
-    doubtful = sum(flags.get(flag, 0) for flag in DOUBTFUL)
-    other = sum(flags.values()) - flags.get("ok", 0) - doubtful
+    flags = FlagCounts.of(tracks)
+    total, doubtful = flags.total(), flags.sum(DOUBTFUL)
+    other = total - flags["ok"] - doubtful
     text = ""
     if doubtful:
         text += f" {doubtful} of {total} positions were left out{why_left_out(flags)}."

@@ -24,7 +24,7 @@ from vision.numeric import Floats, Ints
 from vision.pipeline import Settings
 from vision.review.effects import Positions, median_positions, read_positions
 from vision.review.recordings import StoredRun
-from vision.run.provenance import Origin, found_pixel_size
+from vision.run.provenance import Origin
 from vision.run.reading import analyse_again, film_if_there, read_run
 from vision.run.writing import WRITTEN, write_run
 from vision.sheets.corrections import Decisions
@@ -60,7 +60,6 @@ def save_decisions(job: SaveJob, tell: Tell = lambda stage, done=0, total=0: Non
     tell("reading the run")
     folder, settings = job.folder, replace(job.settings, corrections=job.decisions.corrections)
     run = StoredRun.of(folder)
-    parameters = dict(run.parameters)
     tell("measuring")
 
     def read(done: int, total: int | None) -> None:
@@ -68,13 +67,11 @@ def save_decisions(job: SaveJob, tell: Tell = lambda stage, done=0, total=0: Non
 
     force, video = run.force(), film_if_there(run, settings, job.film)
     analysis = analyse_again(run, settings, video, force, progress=read)
-    if settings.pitch_um is not None and run.value("pixel_size") is not None:
-        parameters |= found_pixel_size(analysis)
     tell("writing")
     write_run(
         analysis,
         job.into or folder,
-        Origin(command=str(run.facts.get("command", "")), parameters=parameters, options=job.options),
+        Origin(command=str(run.facts.get("command", "")), parameters=run.parameters, options=job.options),
         overwrite=True,
         report=(folder / "report.html").exists(),
         facts={"inputs": run.facts.get("inputs") or [], "directory": run.facts.get("directory")},

@@ -12,14 +12,11 @@ from concurrent.futures import CancelledError, Future
 from dataclasses import asdict, dataclass, field, is_dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import Any, Literal, Self
 
 import vision
 from vision.errors import InputError, reason_of, with_options
 from vision.files import Progress, begun, members
-
-if TYPE_CHECKING:
-    from vision.figures import Results
 
 PACKAGES = ("av", "h5netcdf", "numpy", "opencv-python-headless", "pandas", "scipy", "tifffile", "xarray")
 MIB = 1 << 20
@@ -41,19 +38,13 @@ class Parameter:
     how: Literal["given", "config", "default", "found"]
 
 
-def found_pixel_size(results: Results) -> dict[str, Parameter]:
-    """Return the pixel size, and its error, that follow from the pitch or from the film's file."""
-    size, error = results.pixel_size_um, results.pixel_size_err_um
-    return {"pixel_size": Parameter(size, "found"), "pixel_size_err": Parameter(error, "found")}
-
-
 @dataclass(frozen=True, kw_only=True)
 class Origin:
     """Provenance of a run, for run.json."""
 
     command: str  # the command line
     inputs: Sequence[Path] = ()  # files and folders that were read
-    parameters: Mapping[str, Parameter] = field(default_factory=dict)  # every option
+    parameters: dict[str, Parameter] = field(default_factory=dict)  # every option
     checksum: bool = False  # whether all bytes of the inputs are hashed
     # option that replaces each argument of the library in messages; empty without a command
     options: Mapping[str, str] = field(default_factory=dict)

@@ -9,12 +9,12 @@ import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from vision.checks import flag_counts
+from vision.checks import FlagCounts
 from vision.data import ForceMetadata, StickMetadata, StripMetadata, changed_settings, operations_of
 from vision.errors import InputError
 from vision.figures import Figure, save_figures
@@ -23,7 +23,7 @@ from vision.folder import RUN_JSON, keep_others, run_folder, write_csv, write_js
 from vision.memory import give_back_freed
 from vision.pipeline import Analysis
 from vision.report import write_report
-from vision.run.provenance import Origin, checksum_of
+from vision.run.provenance import Origin, Parameter, checksum_of
 from vision.run.tables import sheets_table, write_kymograph_tif, write_tracks_csv, write_tracks_nc
 from vision.sample import PUBLISHED
 from vision.sheets import doubtful_stretches
@@ -73,6 +73,7 @@ def write_run(
     Raises: InputError if the folder exists (without `overwrite`) or cannot be written; nothing is left then.
     """
     started = time.perf_counter()
+    origin = replace(origin, parameters=origin.parameters | _found_pixel_size(analysis, origin))
     seconds = dict(analysis.seconds)
     with run_folder(target, overwrite=overwrite) as folder:
         failures = dict(analysis.failures)
@@ -98,6 +99,15 @@ def write_run(
         if decisions is None and (name := set_aside(target, analysis.settings.corrections)):
             shutil.copy2(target / CORRECTIONS, folder / name)
     return content
+
+
+def _found_pixel_size(analysis: Analysis, origin: Origin) -> dict[str, Parameter]:
+    """Return the pixel size and its error as found, if they follow from the pitch or from the film's file."""
+    stated, size = origin.parameters.get("pixel_size"), analysis.pixel_size_um
+    if size is None or (stated is not None and stated.how in ("given", "config")):
+        return {}
+    error = analysis.pixel_size_err_um
+    return {"pixel_size": Parameter(size, "found"), "pixel_size_err": Parameter(error, "found")}
 
 
 def set_aside(target: Path, corrections: Sequence[Correction]) -> str:
@@ -207,7 +217,7 @@ def _video_facts(analysis: Analysis) -> dict[str, Any]:
         "found": findings(tracks),
         "recording": {name: value for name, value in recording.items() if name not in ELSEWHERE},
         "frames": frames,
-        "positions": flag_counts(tracks),
+        "positions": FlagCounts.of(tracks),
         "noise": noise_figures(tracks, analysis.pixel_size_um),
         "doubtful_stretches": doubtful_stretches(tracks).astype(object).to_dict("records"),
         "missing_stretches": missing_stretches(tracks).astype(object).to_dict("records"),
