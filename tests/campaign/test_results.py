@@ -31,6 +31,7 @@ from vision.campaign.results import (
 )
 from vision.errors import InputError
 from vision.run.provenance import Origin
+from vision.run.writing import tables_of
 from vision.sheets.corrections import correction_of
 
 # --- tables -------------------------------------------------------------------------------------------------
@@ -50,7 +51,7 @@ def test_each_film_is_a_partition_and_all_are_one_table(tmp_path, analyses):
     """A failure means that rows of one test stand under another's name, or that types differ."""
     names = ["old 1", "50% RH/é"]
     for name, analysis in zip(names, analyses, strict=True):
-        write_partitions(tmp_path, name, analysis)
+        write_partitions(tmp_path, name, analysis.tracks, analysis.pixel_size_um, tables_of(analysis))
     write_tests(tmp_path, {names[0]: {"sample": "a", "n": 1.0}, names[1]: {"sample": None, "n": np.nan}})
     positions = open_tables(tmp_path, "positions")
     for name, analysis in zip(names, analyses, strict=True):
@@ -73,7 +74,7 @@ def test_each_film_is_a_partition_and_all_are_one_table(tmp_path, analyses):
 def test_other_programs_read_the_folder_as_one_table(tmp_path, analyses):
     """As pandas does, which knows nothing of campaigns."""
     for name, analysis in zip("ab", analyses, strict=True):
-        write_partitions(tmp_path, name, analysis)
+        write_partitions(tmp_path, name, analysis.tracks, analysis.pixel_size_um, tables_of(analysis))
     table = pd.read_parquet(tmp_path / "tables" / "sheets")
     assert table["film"].astype(str).value_counts().to_dict() == {"a": 8, "b": 8}
 

@@ -29,6 +29,7 @@ from vision.errors import InputError, install_advice
 from vision.files import answered, c_library, prefetch, shortened
 from vision.pipeline import Analysis
 from vision.run.reading import is_run, read_run
+from vision.run.writing import tables_of
 
 # --- Snakemake, a process -----------------------------------------------------------------------------------
 
@@ -264,7 +265,8 @@ def _run_one(plan: Plan, film: PlannedFilm, work: Work, copies: dict[str, Path])
         analysis, why = work(film, source, target)
     if analysis is None or not is_run(target):
         return State(name=film.name, state="failed", reason=why)
-    write_partitions(plan.out, film.name, analysis)
+    tables = tables_of(analysis)
+    write_partitions(plan.out, film.name, analysis.tracks, analysis.pixel_size_um, tables)
     write_thumbnail(plan, film.name)
     return state_of_run(read_run(target), film.name)
 

@@ -31,12 +31,10 @@ from vision.figures import Results
 from vision.files import reading, shortened
 from vision.folder import whole_file, write_csv, write_json
 from vision.numeric import number
-from vision.pipeline import Analysis
 from vision.run.provenance import Origin
 from vision.run.reading import RunFolder, is_run, read_json, read_run
-from vision.run.tables import columns_in_parts, sheets_table
+from vision.run.tables import columns_in_parts
 from vision.run.writing import FAILURES
-from vision.shells import deformation_table
 
 # --- the page -----------------------------------------------------------------------------------------------
 
@@ -194,34 +192,21 @@ def open_tables(out: str | Path, table: str) -> ds.Dataset:
         )
 
 
-def write_partitions(out: Path, film: str, analysis: Analysis) -> None:
-    """Write a film's part of each table; remove the parts of an earlier run that it no longer has.
-
-    Raises: InputError.
-    """
-    motion = analysis.motion
-    how: dict[str, Any] = {"threshold": analysis.threshold, "settings": analysis.settings.tuning.shells}
-    deformation = None if motion is None else deformation_table(motion, **how)
-    _write_parts(out, film, analysis.tracks, analysis.pixel_size_um, analysis.sticks, deformation)
-
-
-def _write_parts(
+def write_partitions(
     out: Path,
     film: str,
     tracks: xr.Dataset | None,
     pixel_size_um: float | None,
-    sticks: pd.DataFrame | None,
-    deformation: pd.DataFrame | None,
+    tables: Mapping[str, pd.DataFrame],
 ) -> None:
+    """Write a film's part of each table; remove the parts of an earlier run that it no longer has.
+
+    tables: those of `tables_of`.  Raises: InputError.
+    """
     columns = () if tracks is None else columns_in_parts(tracks, pixel_size_um)
-    parts: dict[str, Iterable[pd.DataFrame]] = {
-        "sheets": () if tracks is None else [sheets_table(tracks)],
-        "sticks": () if sticks is None else [sticks],
-        "deformation": () if deformation is None else [deformation],
-        "positions": map(pd.DataFrame, columns),
-    }
-    for name, tables in parts.items():
-        _write(_partition(out, name, film), tables)
+    _write(_partition(out, "positions", film), map(pd.DataFrame, columns))
+    for part, name in {"sheets": "sheets", "sticks": "events", "deformation": "deformation"}.items():
+        _write(_partition(out, part, film), [tables[name]] if name in tables else ())
 
 
 def _write(target: Path, tables: Iterable[pd.DataFrame]) -> None:
@@ -297,8 +282,7 @@ def _renew_if_corrected(plan: Plan, film: PlannedFilm) -> str:
     try:
         run = read_run(plan.run_of(film.name))
         tracks = run.tracks if run.of_video else None
-        deformation = run.table("deformation")
-        _write_parts(plan.out, film.name, tracks, run.pixel_size_um, run.events, deformation)
+        write_partitions(plan.out, film.name, tracks, run.pixel_size_um, run.tables)
         corrected = state_of_run(run, film.name)
     except InputError as error:
         return f"{film.name}: its tables are those before it was corrected: {error}"

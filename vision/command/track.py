@@ -17,7 +17,7 @@ from typing import Any
 import xarray as xr
 
 from vision.checks import FlagCounts
-from vision.command.console import attempt, complain, frame_progress, in_columns, say
+from vision.command.console import attempt, complain, conclude, frame_progress, in_columns, say
 from vision.command.main import prepare_review
 from vision.command.options import ForceOptions, RunOptions, TestOptions, flag_of, option_names
 from vision.command.settings import merged, parameters_given, settings_of, settings_of_run
@@ -300,27 +300,20 @@ def finish(
     0: done.  1: a warning that matters.  2: a stage after the tracking could not use its input (other
     results are written).  3: an unexpected error ended a stage (likewise).  `about` precedes each warning.
     """
-    for line in analysis.warnings:
-        complain(f"warning: {about}{line.removeprefix(about)}")
-    if not quiet:
-        lines = [*analysis.summary(), *aligned([("results", f"{target}/ (look at {picture} first)")])]
-        if verbose and analysis.tracks is not None:
-            found = findings(analysis.tracks).items()
-            lines += in_columns([(name, str(value)) for name, value in found], ">")
-        say(lines)
-    refused = why_refused(analysis)
-    for reason in refused:
-        complain(f"{about}{reason} (earlier results are in {target})")
+    lines = [] if quiet else analysis.summary()
+    lines += aligned([("results", f"{target}/ (look at {picture} first)")])
+    if verbose and analysis.tracks is not None:
+        lines += in_columns([(name, str(value)) for name, value in findings(analysis.tracks).items()], ">")
+    warnings = [f"{about}{line.removeprefix(about)}" for line in analysis.warnings]
+    status = conclude(lines, warnings, quiet=quiet)
+    refused = [name for name in analysis.refused() if name not in analysis.failures]
+    for name in refused:
+        complain(f"{about}{analysis.reasons[name]} (earlier results are in {target})")
     details = target / FAILURES
     if details.exists():
         complain(f"{about}unexpected error; the other results are written; please report it with {details}")
         return 3
-    return 2 if refused else 1 if analysis.warnings else 0
-
-
-def why_refused(analysis: Analysis) -> list[str]:
-    """Return why stages could not use their input; unexpected errors are no fault of the input."""
-    return [analysis.reasons[name] for name in analysis.refused() if name not in analysis.failures]
+    return 2 if refused else status
 
 
 # --- several films ------------------------------------------------------------------------------------------

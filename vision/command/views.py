@@ -347,8 +347,10 @@ def figures(
     if list_:
         return conclude(in_columns([(name, one.title) for name, one in made.items()], "<"), (), quiet=False)
     if paper.width is not None:
-        width_mm = _width_mm(paper.width)
-        made = {name: one.of_width(width_mm, paper.font_size) for name, one in made.items()}
+        width = parse_length(paper.width, "--width")
+        if "width_px" in width:
+            raise InputError("--width", "a width on paper", f"'{paper.width}'", "write 86mm")
+        made = {name: one.of_width(width["width_um"] / 1000, paper.font_size) for name, one in made.items()}
     target = output.out or Path(f"{folder.resolve().name}_figures")
     check_outside(target, folder)
     files = [target / f"{name}.{to}" for name in names or made]
@@ -358,14 +360,6 @@ def figures(
         with whole_file(file) as path:
             made[file.stem].save(path, dpi=300, font_size=paper.font_size)
     return conclude([f"{counted(len(files), 'figure')} -> {target}/"], (), quiet=output.quiet)
-
-
-def _width_mm(text: str) -> float:
-    """Return the width of a figure.  Raises: InputError for a width in px, which paper does not have."""
-    width = parse_length(text, "--width")
-    if "width_px" in width:
-        raise InputError("--width", "a width on paper", f"'{text}'", "write 86mm")
-    return width["width_um"] / 1000
 
 
 def overlay(

@@ -22,7 +22,7 @@ from vision.files import AGAIN, Progress, reading
 from vision.folder import check_new, flattened, harmless, run_folder, whole_file, write_csv, write_json
 from vision.numeric import Floats, Ints, Pixels, nan_median
 from vision.run.reading import RunFolder, check_outside, check_results, first_column, read_json
-from vision.run.tables import sheets_table, tracks_table
+from vision.run.tables import tracks_table
 from vision.spacetime import grey_limits
 from vision.video import Video, open_video
 from vision.video.reader import OVERLAY_COMMENT
@@ -118,14 +118,7 @@ def all_tables(run: RunFolder) -> dict[str, pd.DataFrame]:
         size = run.pixel_size_um
         tables["tracks"] = tracks_table(run.tracks, pixel_size_um=size)
         tables["positions"] = positions_table(run.tracks, pixel_size_um=size)
-        tables["sheets"] = sheets_table(run.tracks)
-    return tables | _event_tables(run) | {"settings": settings_table(run)}
-
-
-def _event_tables(run: RunFolder) -> dict[str, pd.DataFrame]:
-    """Return the tables of a run that depend on the force recording."""
-    found = {name: run.table(name) for name in ("events", "deformation", "shells")}
-    return {name: table for name, table in found.items() if table is not None}
+    return tables | run.tables | {"settings": settings_table(run)}
 
 
 def positions_table(tracks: xr.Dataset, *, pixel_size_um: float | None) -> pd.DataFrame:
@@ -278,10 +271,9 @@ def write_mat(run: RunFolder, path: Path) -> None:
     from scipy.io import savemat
 
     content: dict[str, Any] = {}
-    tables = _event_tables(run) | {"settings": settings_table(run)}
     if run.of_video:
         content = _matrices(run.tracks, np.nan if run.pixel_size_um is None else run.pixel_size_um)
-        tables["sheets"] = sheets_table(run.tracks)
+    tables = run.tables | {"settings": settings_table(run)}
     content |= {name: _struct(table) for name, table in tables.items()}
     savemat(path, content, appendmat=False, long_field_names=True, do_compression=True)
 

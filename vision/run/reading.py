@@ -40,7 +40,7 @@ from vision.memory import words_of_characters
 from vision.numeric import number
 from vision.pipeline import Analysis, Settings, analyse, open_recording
 from vision.run.provenance import Parameter, describe_input
-from vision.run.tables import attrs_of_netcdf, read_kymograph_tif
+from vision.run.tables import attrs_of_netcdf, read_kymograph_tif, sheets_table
 from vision.sheets.corrections import Correction, correction_of
 from vision.video import FramesRead, FrameStore, Video, VideoSettings, video_files
 
@@ -145,6 +145,13 @@ class RunFolder:
     def events(self) -> pd.DataFrame | None:
         """The stick-slip events; None if the run has none."""
         return self.table("events", EVENT_COLUMNS)
+
+    @property
+    def tables(self) -> dict[str, pd.DataFrame]:
+        """Tables that the run has, but that of all positions, by the names of their files."""
+        tables = {"sheets": sheets_table(self.tracks)} if self.of_video else {}
+        found = {name: self.table(name) for name in ("events", "deformation", "shells")}
+        return tables | {name: table for name, table in found.items() if table is not None}
 
     @property
     def applied(self) -> list[Correction]:

@@ -14,6 +14,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+
 from vision.checks import FlagCounts
 from vision.data import ForceMetadata, StickMetadata, StripMetadata, changed_settings, operations_of
 from vision.errors import InputError
@@ -228,25 +230,30 @@ def _video_facts(analysis: Analysis) -> dict[str, Any]:
     }
 
 
+def tables_of(analysis: Analysis) -> dict[str, pd.DataFrame]:
+    """Return the tables that an analysis has, but that of all positions, by their names in a run folder."""
+    tracks, motion = analysis.tracks, analysis.motion
+    how: dict[str, Any] = {"threshold": analysis.threshold, "settings": analysis.settings.tuning.shells}
+    tables = {
+        "sheets": None if tracks is None else sheets_table(tracks),
+        "events": analysis.sticks,
+        "deformation": None if motion is None else deformation_table(motion, **how),
+        "shells": analysis.shells,
+    }
+    return {name: table for name, table in tables.items() if table is not None}
+
+
 def _write_tables(analysis: Analysis, folder: Path, origin: Origin) -> None:
-    if analysis.tracks is not None and analysis.strip is not None:
-        size, path = analysis.pixel_size_um, folder / "tracks.nc"
-        write_tracks_nc(analysis.tracks, path, pixel_size_um=size)
-        write_csv(sheets_table(analysis.tracks), folder / "sheets.csv", digits=None)
-    if analysis.sticks is not None:
-        write_csv(analysis.sticks, folder / "events.csv")
+    if analysis.tracks is not None:
+        write_tracks_nc(analysis.tracks, folder / "tracks.nc", pixel_size_um=analysis.pixel_size_um)
+    for name, table in tables_of(analysis).items():
+        write_csv(table, folder / f"{name}.csv", digits=None if name == "sheets" else 9)
     if analysis.fits is not None:
         write_json(origin.worded(analysis.fits.to_json()), folder / "models.json")
     elif "fits" in analysis.reasons:
         write_json(origin.worded({"reason": analysis.reasons["fits"]}), folder / "models.json")
     if analysis.clock is not None:
         write_json(origin.worded(analysis.clock), folder / "clock.json")
-    if analysis.motion is not None:
-        tuning = analysis.settings.tuning.shells
-        table = deformation_table(analysis.motion, threshold=analysis.threshold, settings=tuning)
-        write_csv(table, folder / "deformation.csv")
-    if analysis.shells is not None:
-        write_csv(analysis.shells, folder / "shells.csv")
 
 
 @contextmanager
