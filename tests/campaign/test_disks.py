@@ -2,22 +2,27 @@
 
 import os
 import threading
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from tests.campaign.scenes import films, planned, rows, table
-from vision.campaign.films import CampaignSettings, FolderWatch, read_campaign
+from vision.campaign import films as films_of_campaign
+from vision.campaign import jobs, plan
+from vision.campaign.films import FolderWatch, read_campaign
 from vision.campaign.jobs import _source, copy_or_give_up
 from vision.campaign.plan import State, make_plan, vanished_films, write_state
 from vision.errors import InputError
+from vision.files import answered, prefetch
 
 
 @pytest.fixture(autouse=True)
 def short_wait(monkeypatch):
     """A disk is given up after 0.2 s."""
-    for module in ("films", "plan", "jobs"):
-        monkeypatch.setattr(f"vision.campaign.{module}.SETTINGS", CampaignSettings(answer_s=0.2))
+    for module in (films_of_campaign, plan, jobs):
+        monkeypatch.setattr(module, "answered", partial(answered, answer_s=0.2))
+    monkeypatch.setattr(jobs, "prefetch", partial(prefetch, answer_s=0.2))
 
 
 @pytest.fixture
@@ -106,9 +111,9 @@ def test_a_copy_that_stalls_is_one_line_and_no_hang(tmp_path):
     with pipe.open("r+b", buffering=0) as end:
         end.write(bytes(1000))
         with pytest.raises(InputError, match=r"pipe\.avi: expected a disk .* no answer for 0\.2 s"):
-            copy_or_give_up(pipe, tmp_path / "copy", 0.2)
+            copy_or_give_up(pipe, tmp_path / "copy")
     film.write_bytes(bytes(1000))
-    copy_or_give_up(film, tmp_path / "copy", 60.0)
+    copy_or_give_up(film, tmp_path / "copy")
     assert (tmp_path / "copy").read_bytes() == bytes(1000)
     with pytest.raises(FileNotFoundError):
-        copy_or_give_up(tmp_path / "none.avi", tmp_path / "copy", 60.0)
+        copy_or_give_up(tmp_path / "none.avi", tmp_path / "copy")

@@ -18,7 +18,6 @@ from vision.errors import InputError, nearest_word
 from vision.files import TIFF, Watch, answered, no_such_file, shortened
 from vision.numeric import number
 from vision.video import open_video, video_files
-from vision.video.settings import VideoSettings
 from vision.video.video import FILMS, files_in
 
 # --- tunable constants -------------------------------------------------------------------------------------
@@ -67,9 +66,6 @@ class CampaignSettings(Tunable):
     least_job_seconds: float = 20.0
     """Smallest duration of jobs that are split so that all cores finish together. Shorter jobs lose more to
     their start (3 s), longer ones leave cores idle at the end."""
-    answer_s: float = VideoSettings.answer_s
-    """Longest wait, s, for a disk that does not answer while films are planned, watched or copied. A shorter
-    time fails while a disk starts, a longer one waits for lost connections (tests/campaign/test_disks.py)."""
 
     # the page and the watched folder
     page_seconds: float = 3.0
@@ -157,7 +153,7 @@ def read_campaign(
     Raises: InputError if the file is not a table or has no rows, or a disk does not answer.
     """
     read = partial(table_cells, path, "a CSV or Excel table with a column film")
-    header, lines = answered(read, path, SETTINGS.answer_s)
+    header, lines = answered(read, path)
     columns, problems = _columns(header, ("film", "name", *FACTS, *options))
     rows: list[Row] = []
     for line, cells in lines:
@@ -165,7 +161,7 @@ def read_campaign(
         given = {name: cell.strip() for name, cell in pairs if name and cell.strip()}
         base = path.absolute().parent
         read_row = partial(_row, line, given, base, check, name_of, awaited)
-        row, found = answered(read_row, base / given.get("film", ""), SETTINGS.answer_s)
+        row, found = answered(read_row, base / given.get("film", ""))
         if any(cell.strip() for cell in cells[len(columns) :]):
             found.append(("", f"expected {len(columns)} cells; found {len(cells)}"))
         problems += [Problem(row=line, column=column, text=text) for column, text in found]
@@ -303,7 +299,7 @@ class FolderWatch:
     """
 
     def __init__(self, folder: Path, clock: Callable[[], float] = time.monotonic) -> None:
-        is_folder, exists = answered(lambda: (folder.is_dir(), folder.exists()), folder, SETTINGS.answer_s)
+        is_folder, exists = answered(lambda: (folder.is_dir(), folder.exists()), folder)
         if not is_folder:
             found = "a file" if exists else "no such folder"
             raise InputError(folder, "a folder to watch", found, "check the path")
@@ -334,7 +330,7 @@ class FolderWatch:
 
         `new` makes a row for such a film; films of the same name (a.avi, a.mp4) keep their endings.
         """
-        return answered(lambda: self._rows(table, new), self.folder, SETTINGS.answer_s)
+        return answered(lambda: self._rows(table, new), self.folder)
 
     def _rows(self, table: Sequence[Row], new: Callable[[Path], Row]) -> list[Row]:
         named = {Path(row.film).resolve() for row in table}

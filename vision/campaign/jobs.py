@@ -283,25 +283,25 @@ def _source(film: PlannedFilm, copies: dict[str, Path], *, stage: bool) -> Itera
         yield copies[film.film]
         return
     path = Path(film.film)
-    if not stage or not answered(path.is_file, path, SETTINGS.answer_s):
+    if not stage or not answered(path.is_file, path):
         yield path
         return
 
     def sizes() -> dict[Path, int]:
         return {file: file.stat().st_size for file in inputs_of(film.film, {}) if file.is_file()}
 
-    files = answered(sizes, path, SETTINGS.answer_s)
+    files = answered(sizes, path)
     room, needed = shutil.disk_usage(tempfile.gettempdir()).free, sum(files.values())
     if needed > 0.95 * room:
         wanted, found = f"room for {needed / 1e9:.1f} GB of {path.name}", f"{room / 1e9:.1f} GB free"
         raise InputError(tempfile.gettempdir(), wanted, found, "set TMPDIR")
     with tempfile.TemporaryDirectory(prefix="track-") as folder:
         for file in files:
-            copy_or_give_up(file, Path(folder) / file.name, SETTINGS.answer_s)
+            copy_or_give_up(file, Path(folder) / file.name)
         yield Path(folder) / path.name
 
 
-def copy_or_give_up(source: Path, target: Path, answer_s: float) -> None:
+def copy_or_give_up(source: Path, target: Path) -> None:
     """Copy a file from a disk that may stop answering.  Raises: InputError if it does, OSError."""
 
     def parts() -> Iterator[bytes]:
@@ -310,5 +310,5 @@ def copy_or_give_up(source: Path, target: Path, answer_s: float) -> None:
                 yield part
 
     with target.open("wb") as copy:
-        for part in prefetch(parts(), source, answer_s):
+        for part in prefetch(parts(), source):
             copy.write(part)

@@ -178,7 +178,7 @@ def make_plan(
     """
     check_folder(out)
     known = read_if_whole(out / FINGERPRINTS)  # if not, all files are read again
-    new = [answered(partial(_film, row, known), Path(row.film), SETTINGS.answer_s) for row in rows]
+    new = [answered(partial(_film, row, known), Path(row.film)) for row in rows]
     films = [*earlier, *new]
     if keep:
         with whole_file(out / FINGERPRINTS) as path:
@@ -209,7 +209,7 @@ def vanished_films(out: Path, folder: Path) -> list[PlannedFilm]:
     return [
         film
         for film in plan.films
-        if plan.finished(film) is not None and answered(partial(has_left, film), folder, SETTINGS.answer_s)
+        if plan.finished(film) is not None and answered(partial(has_left, film), folder)
     ]
 
 

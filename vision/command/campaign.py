@@ -236,7 +236,7 @@ def _refused(plan: Plan, film: PlannedFilm) -> str:
         if not is_remote(film.film):
             check_recordings(open_recording(film.film, settings), machine, settings)
 
-    _, _, why = attempt(partial(answered, check, Path(film.film), SETTINGS.answer_s))
+    _, _, why = attempt(partial(answered, check, Path(film.film)))
     return with_options(why, option_names())
 
 
