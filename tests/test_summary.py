@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+import xarray as xr
 
 from tests.scenes.analysed import with_force
 from tests.scenes.machine_files import SNAKE, written
-from vision.checks import FlagCounts
 from vision.clock.clock import Candidate
-from vision.data import StickMetadata, TrackMetadata
+from vision.data import FlagCounts, StickMetadata, TrackMetadata
 from vision.figures.catalogue import FIGURES
 from vision.force import read_force
 from vision.report.page import budget_table
@@ -28,11 +28,10 @@ def test_a_single_ridge_has_no_spacing(sheets, line):
 
 def test_blurred_positions_are_measured():
     """A failure means that positions with a larger error are counted as if they were lost."""
-    assert (
-        positions_line(FlagCounts({"blurred": 3, "missing": 2, "ok": 95}))
-        == "98 measured (3 of them blurred); 2 missing"
-    )
-    assert positions_line(FlagCounts({"ok": 100})) == "100 measured; none missing"
+    flags = np.repeat(["ok", "blurred", "missing"], [95, 3, 2])[:, None]
+    tracks = xr.Dataset({"flag": (("frame", "sheet"), flags)})
+    assert positions_line(FlagCounts(tracks)) == "98 measured (3 of them blurred); 2 missing"
+    assert positions_line(FlagCounts(tracks.isel(frame=slice(95)))) == "95 measured; none missing"
 
 
 def test_the_columns_taken_from_the_force_recording_are_named(tmp_path):

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vision.data import MEASURED, TrackMetadata, Tunable
+from vision.data import FlagCounts, TrackMetadata, Tunable
 from vision.errors import counted, first_of
-from vision.memory import is_word, word_counts
+from vision.memory import is_word
 from vision.models.equations import effective_sheets
 from vision.numeric import Bools, Floats, Ints, Pixels, nan_median, nan_quantile, stretches
 from vision.sample import Sample
@@ -126,29 +125,6 @@ DEFAULT = CheckSettings()
 # --- warnings about the tracks ------------------------------------------------------------------------------
 
 
-class FlagCounts(Counter[str]):
-    """How often each flag occurs in the tracks, in alphabetical order."""
-
-    @classmethod
-    def of(cls, tracks: xr.Dataset) -> Self:
-        """Count the flags of all sheets in all frames."""
-        return cls(word_counts(tracks["flag"]))
-
-    def sum(self, flags: Iterable[str]) -> int:
-        """Return how many positions have one of these flags."""
-        return sum(self[flag] for flag in flags)
-
-    @property
-    def measured(self) -> int:
-        """Number of measured positions."""
-        return self.sum(MEASURED)
-
-
-def frozen_frames(tracks: xr.Dataset, flags: FlagCounts) -> int:
-    """Return the number of frames that repeat the one before, in which every sheet has this flag."""
-    return flags["frozen"] // tracks.sizes["sheet"]
-
-
 DOUBTFUL = {
     "doubtful": "where the identity of the sheet is uncertain",
     "merged": "where a sheet shares a ridge with another or a mark",
@@ -165,17 +141,17 @@ def tracking_warnings(
 
 
 def _of_tracks(tracks: xr.Dataset, settings: CheckSettings, tracking: TrackingSettings) -> Iterator[str]:
-    found, flags = TrackMetadata.of(tracks), FlagCounts.of(tracks)
+    found, flags = TrackMetadata.of(tracks), FlagCounts(tracks)
     if found.ridges_doubt:
         yield (
             f"the {found.ridges} stripes are taken for the sheets, but may be the gaps: {found.ridges_doubt}:"
             f" look at the film, and give `ridges` as {found.ridges} or {_other_polarity(found)}"
         )
     total = max(1, flags.total())
-    if frozen := frozen_frames(tracks, flags):
+    if frozen := flags.frozen_frames:
         copies = f"{counted(frozen, 'frame')} repeated from the frame before"
         yield f"{copies}, without positions (flag frozen)"
-    if uncertain := flags.sum(DOUBTFUL):
+    if uncertain := flags.of(DOUBTFUL):
         line = f"{uncertain} of {total} positions left out{why_left_out(flags)}"
         if uncertain > settings.most_left_out * total:
             jumps = 2 * is_word(tracks["why"], "jump").sum() > uncertain
@@ -185,7 +161,7 @@ def _of_tracks(tracks: xr.Dataset, settings: CheckSettings, tracking: TrackingSe
                 else "check where the tracks lie, and exclude what hides the comb with `frames` or `columns`"
             )
         yield line
-    if (missing := flags.sum(WITHOUT_RIDGE)) > settings.usual_missing * total:
+    if (missing := flags.of(WITHOUT_RIDGE)) > settings.usual_missing * total:
         named = ", ".join(f"{flags[flag]} {flag}" for flag in WITHOUT_RIDGE if flags[flag])
         where = longest_stretches(missing_stretches(tracks), "flag")
         line = f"{missing} of {total} positions missing (flag in tracks.csv: {named})"

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, field, fields
 from itertools import compress
@@ -23,6 +24,7 @@ import xarray as xr
 
 from vision.errors import InputError, check_within
 from vision.folder import plain
+from vision.memory import word_counts
 from vision.numeric import Bools, Floats, Floats32, Ints
 
 if TYPE_CHECKING:
@@ -340,6 +342,21 @@ class TrackMetadata(Metadata):
 
 SIDES = {-1: "left", 1: "right"}  # of the symmetry axis
 MEASURED = ("ok", "blurred")  # flags of positions that were measured
+
+
+class FlagCounts(Counter[str]):
+    """How often each flag occurs in tracks, in alphabetical order."""
+
+    def __init__(self, tracks: xr.Dataset) -> None:
+        super().__init__(word_counts(tracks["flag"]))
+        self.measured = self.of(MEASURED)
+        self.frozen_frames = self["frozen"] // tracks.sizes["sheet"]  # every sheet has the flag there
+
+    def of(self, flags: Iterable[str]) -> int:
+        """Return how many positions have one of these flags."""
+        return sum(self[flag] for flag in flags)
+
+
 _FRAME_SHEET, _SHEET = ("frame", "sheet"), ("sheet",)
 TRACKS = Schema(
     "tracks",

@@ -12,10 +12,11 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vision.checks import FlagCounts, frozen_frames, longest_stretches
+from vision.checks import longest_stretches
 from vision.data import (
     MEASURED,
     SIDES,
+    FlagCounts,
     ForceMetadata,
     StickMetadata,
     StripMetadata,
@@ -147,11 +148,11 @@ def _tracking_lines(
 ) -> Iterator[tuple[str, str]]:
     """Yield the lines about a film."""
     strip, found = StripMetadata.of(tracks), TrackMetadata.of(tracks)
-    side, flags, noise = tracks["side"].values, FlagCounts.of(tracks), noise_figures(tracks, pixel_size_um)
+    side, flags, noise = tracks["side"].values, FlagCounts(tracks), noise_figures(tracks, pixel_size_um)
     length = "" if pixel_size_um is None else f" = {noise['measured_um']:.3g} µm"
     tilt = f", tilt {with_minus(f'{strip.tilt_deg:+.2f}')}°" if math.isfinite(strip.tilt_deg) else ""
     corrupt = f" ({strip.frames_corrupt} of them corrupt)" if strip.frames_corrupt else ""
-    frozen = f", {count} frozen" if (count := frozen_frames(tracks, flags)) else ""
+    frozen = f", {flags.frozen_frames} frozen" * bool(flags.frozen_frames)
     unseen = "; they look alike: a jump by their spacing would be invisible" * (found.sheets_alike == "yes")
     unseen += f"; the {found.ridges_likelier} stripes look more like sheets" * bool(found.ridges_likelier)
     # Compression hides the noise of pixels, so that the error predicted from them means nothing.

@@ -16,12 +16,11 @@ from typing import Any
 
 import xarray as xr
 
-from vision.checks import FlagCounts
 from vision.command.console import attempt, complain, conclude, frame_progress, in_columns, say
 from vision.command.main import prepare_review
 from vision.command.options import ForceOptions, RunOptions, TestOptions, flag_of, option_names
 from vision.command.settings import merged, parameters_given, settings_of, settings_of_run
-from vision.data import StripMetadata
+from vision.data import FlagCounts, StripMetadata
 from vision.errors import InputError, counted
 from vision.files import AGAIN, TIFF, answered, reading
 from vision.folder import check_target
@@ -393,7 +392,7 @@ def _row(video: Path, status: int, found: Analysis | None, why: str, seconds: fl
     """Return the table's row of one film; `why` says why there is no analysis."""
     if found is None or found.tracks is None:
         return (video.name, str(status), "", "", "", "", "", f"{seconds:.1f}", why)
-    strip, flags = StripMetadata.of(found.tracks), FlagCounts.of(found.tracks)
+    strip, flags = StripMetadata.of(found.tracks), FlagCounts(found.tracks)
     sheets = found.tracks.sizes["sheet"]
     wanted = max(flags.total(), sheets * (strip.frames_read + strip.frames_lost))
     share = flags.measured / max(1, wanted)  # lost frames at the end: no rows
@@ -462,7 +461,7 @@ def _state(strip: xr.DataArray, behind: int | None, settings: Settings) -> str:
         tracks = track_strip(strip, replace(settings, corrections=()))
     except InputError as error:
         return f"{where}{late}; {error}"
-    flags = FlagCounts.of(tracks)
+    flags = FlagCounts(tracks)
     noise_px = noise_figures(tracks, None)["measured_px"]
     share = 100 * (flags.total() - flags.measured) / max(1, flags.total())
     return (

@@ -10,9 +10,10 @@ import pandas as pd
 import xarray as xr
 
 import vision
-from vision.checks import DOUBTFUL, FlagCounts, frozen_frames, longest_stretches, why_left_out
+from vision.checks import DOUBTFUL, longest_stretches, why_left_out
 from vision.clock import Clock
 from vision.data import (
+    FlagCounts,
     ForceMetadata,
     MotionMetadata,
     StickMetadata,
@@ -75,7 +76,7 @@ def _sheets(results: Results) -> Answer | None:
     tracks = results.tracks
     if tracks is None:
         return None
-    side, flags = tracks["side"].values, FlagCounts.of(tracks)
+    side, flags = tracks["side"].values, FlagCounts(tracks)
     ok = flags.measured / max(1, flags.total())
     return Answer(
         "sheets tracked",
@@ -181,7 +182,7 @@ def _frames(results: Results) -> Answer | None:
     if (tracks := results.tracks) is None:
         return None
     strip = StripMetadata.of(tracks)
-    bad = _bad_frames(strip, frozen=frozen_frames(tracks, FlagCounts.of(tracks)))
+    bad = _bad_frames(strip, FlagCounts(tracks).frozen_frames)
     return Answer(
         "frames",
         f"{strip.frames_read} of {strip.frames_expected} read",
@@ -296,8 +297,8 @@ def _tracking(tracks: xr.Dataset) -> str:
 
 def _withheld(tracks: xr.Dataset) -> str:
     """Return how many positions were left out or carry a flag, "" if there are none."""
-    flags = FlagCounts.of(tracks)
-    total, doubtful = flags.total(), flags.sum(DOUBTFUL)
+    flags = FlagCounts(tracks)
+    total, doubtful = flags.total(), flags.of(DOUBTFUL)
     other = total - flags["ok"] - doubtful
     text = ""
     if doubtful:

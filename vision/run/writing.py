@@ -16,8 +16,14 @@ from typing import Any
 
 import pandas as pd
 
-from vision.checks import FlagCounts
-from vision.data import ForceMetadata, StickMetadata, StripMetadata, changed_settings, operations_of
+from vision.data import (
+    FlagCounts,
+    ForceMetadata,
+    StickMetadata,
+    StripMetadata,
+    changed_settings,
+    operations_of,
+)
 from vision.errors import InputError
 from vision.figures import Figure, save_figures
 from vision.figures.catalogue import FIGURES, figures_of, kymograph, not_in_report, overview
@@ -219,7 +225,7 @@ def _video_facts(analysis: Analysis) -> dict[str, Any]:
         "found": findings(tracks),
         "recording": {name: value for name, value in recording.items() if name not in ELSEWHERE},
         "frames": frames,
-        "positions": FlagCounts.of(tracks),
+        "positions": FlagCounts(tracks),
         "noise": noise_figures(tracks, analysis.pixel_size_um),
         "doubtful_stretches": doubtful_stretches(tracks).astype(object).to_dict("records"),
         "missing_stretches": missing_stretches(tracks).astype(object).to_dict("records"),
