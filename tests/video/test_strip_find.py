@@ -257,6 +257,20 @@ def test_text_that_is_clearer_than_the_ridges_and_as_wide_as_the_picture_is_left
     assert clear.warnings == ()
 
 
+def test_the_few_rows_beside_text_over_most_of_the_picture_are_the_strip():
+    """Failure: letters over seven tenths of the rows stay in the strip and shift the sheets below them."""
+    x, noise = np.arange(700), np.random.default_rng(3)
+    ridges = 60 + 25 * np.exp(-((((x - 3) % 24) - 12) ** 2) / 23)
+    letters = np.zeros((200, 700), np.uint8)
+    for line in range(11):
+        cv2.putText(letters, "2024-05-12 14:30:05", (20, 12 + 13 * line), cv2.FONT_HERSHEY_SIMPLEX, 0.42, 255)
+    frames = np.where(letters > 100, 230, ridges + noise.normal(0, 3, (8, 200, 700))).clip(0, 255)
+    strip = find_strip(Scene(frames.astype(np.uint8)))
+    assert strip.rows.start >= np.flatnonzero(letters.any(axis=1))[-1]
+    assert strip.rows.stop - strip.rows.start >= 40
+    assert strip.warnings == ()
+
+
 @pytest.mark.parametrize("first", [0, 60])
 def test_a_ruler_is_no_comb(first):
     """Failure: the ticks of a ruler below or above the comb, clearer than its ridges, are tracked for it.

@@ -61,9 +61,6 @@ class CompareSettings(Tunable):
     change_p: float = 0.01
     """Largest p value of a change of the scatter. A larger value claims changes in even scatter
     (`test_regular_sticks_have_no_change`), a smaller one misses late changes."""
-    change_ratio: float = 1.5
-    """Smallest rise of the scatter at a change. A smaller value claims invisible changes, a larger one misses
-    those of tests that are irregular from the start."""
     least_tests: int = 5
     """Smallest number of tests in which trends are examined. With four the smallest possible p value is 2/24,
     above `significance`; a larger number leaves out trends that could be found."""

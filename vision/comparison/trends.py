@@ -218,8 +218,8 @@ def find_irregular(test: TractionTest, settings: CompareSettings = CompareSettin
     r is the relative deviation of ΔF from its smoothed course, √⟨r²⟩ the running coefficient of variation.
     The change point is the split that best divides log|r| into two levels; the logarithm keeps single large
     events from mimicking a change. It is claimed if fewer than 1 % of random orders of r divide as well, the
-    scatter rises by half or more, and two levels describe it better (BIC) than a smooth rise, such as that of
-    constant noise over a falling ΔF. Its error is the spread over 200 bootstrap draws within the two parts.
+    scatter rises, and two levels describe it better (BIC) than a smooth rise, such as that of constant noise
+    over a falling ΔF. Its error is the spread over 200 bootstrap draws within the two parts.
     """
     d, drop = test.column("d_v_mm"), test.column("dF_N")
     about: dict[str, Any] = {"run": test.run, "speed_mm_min": test.speed_mm_min, "d_mm": d}
@@ -243,7 +243,7 @@ def find_irregular(test: TractionTest, settings: CompareSettings = CompareSettin
     reason, error = "", np.nan
     if p >= settings.change_p:
         reason = f"random orders of the events divide as well (p = {p:.2g})"
-    elif after < settings.change_ratio * before:
+    elif after < before:
         reason = f"the scatter goes from {before:.2g} to {after:.2g}"
     elif _smooth_rise_is_better(level, d, at):
         reason = "the scatter rises smoothly, without a change point"

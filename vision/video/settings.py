@@ -68,9 +68,6 @@ class VideoSettings(Tunable):
     few_segments: int = 6
     """Number of segments up to which text in a single one is left out, as it may decide there. Larger leaves
     out rows because of a speck, smaller takes a scale bar for the strip of a narrow picture."""
-    label_least_rows: float = 1 / 3
-    """Share of the strip's rows that must be without text to leave out those with text. Larger retains text
-    that shifts ridges, smaller accepts more noise of all ridges."""
     max_level: float = 2.0
     """Mean square step of the grey level along z, over that along x, above which a warning says that the
     ridges may be horizontal. Larger does not warn of films of sheets that move along y (2.6 to 60 in real

@@ -126,7 +126,7 @@ def find_strip(
     Of that run the bands are retained whose mean gives positions with the smallest error (`best_rows`). Rows
     in which the ridges are displaced (bowed, shaded, at the frame's edge) are left out if their bias is
     larger than the noise that they save. Bands with text, such as the time of day that cameras write into
-    the picture, are left out before (`_text_bands`), as long as enough rows remain.
+    the picture, are left out before (`_text_bands`), if others show ridges.
     """
     height, width = video.shape
     x = cut(columns, width, what=f"{video.path}: `columns`")
@@ -135,7 +135,7 @@ def find_strip(
         return Strip(slice(0, height), "all rows")
     slopes = _slopes_of(video, slice(0, height), x, band_rows, settings)
     text = _text_bands(slopes)
-    best = _best_without_text(slopes, text)
+    best = _best_run(slopes, text) or _best_run(slopes)
     if best is None:
         whole = slice(0, height)
         return Strip(whole, "all rows", warnings=_level_warnings(slopes, whole, video))
@@ -360,16 +360,6 @@ def _slope(bands: Floats32, sigma_px: float) -> Floats32:
         step *= weights[k - 1]
         slope += step
     return slope.astype(np.float32)
-
-
-def _best_without_text(slopes: _Slopes, text: Bools) -> tuple[int, int] | None:
-    """Return the best run of bands without text, or the best of all if that is much longer."""
-    best = _best_run(slopes)
-    if best is None or not text[slice(*best)].any():
-        return best
-    free = _best_run(slopes, text)
-    enough = free and free[1] - free[0] >= slopes.settings.label_least_rows * (best[1] - best[0])
-    return free if enough else best
 
 
 def _best_run(slopes: _Slopes, without: Bools | None = None) -> tuple[int, int] | None:
