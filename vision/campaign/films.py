@@ -17,7 +17,7 @@ from vision.data import Tunable
 from vision.errors import InputError, nearest_word
 from vision.files import TIFF, Watch, answered, no_such_file, shortened
 from vision.numeric import number
-from vision.video import open_video, video_files
+from vision.video import VideoSettings, open_video, video_files
 from vision.video.video import FILMS, files_in
 
 # --- tunable constants -------------------------------------------------------------------------------------
@@ -71,9 +71,6 @@ class CampaignSettings(Tunable):
     page_seconds: float = 3.0
     """Shortest interval between updates of index.html. It grows with the number of films, since the page
     reads a small file for each."""
-    still_seconds: float = 10.0
-    """A film in a watched folder is complete when it has not changed for this long. A shorter time may take a
-    film whose camera pauses."""
     abandoned_seconds: float = 600.0
     """A film that is truncated or has no readable index is taken when it has not changed for this long, so
     that its damage is reported. A shorter time may take a film whose copying has stalled."""
@@ -317,7 +314,7 @@ class FolderWatch:
             ages = [self._unchanged_for(file) for file in video_files(film)]
         except InputError:
             return False  # one of the two files of a recording is still to come
-        if min(ages) < SETTINGS.still_seconds:
+        if min(ages) < VideoSettings.follow_still_s:
             return False
         try:
             whole = not open_video(film).reader.facts.warnings
@@ -350,7 +347,7 @@ class FolderWatch:
         ages = [self._unchanged_for(file) for file in given if self._in_folder(file)]
         film = Path(row.film)
         complete = not self._in_folder(film) or self.complete(film)
-        return complete and min(ages, default=math.inf) >= SETTINGS.still_seconds
+        return complete and min(ages, default=math.inf) >= VideoSettings.follow_still_s
 
     def _in_folder(self, file: Path) -> bool:
         return file.parent.resolve() == self.folder.resolve()
