@@ -333,8 +333,9 @@ def test_a_setting_that_nobody_placed_changes_all_that_was_read(whole):
     """A failure means that a new setting leaves the earlier positions as they were, without a word."""
     earlier = replace(whole, settings=More(**vars(whole.settings)))
     assert vision.analyse(None, whole.force, earlier.settings, earlier=earlier).strip is whole.strip
-    with pytest.raises(InputError, match="the film, to be read again"):
-        vision.analyse(None, whole.force, replace(earlier.settings, exposure_s=1.0), earlier=earlier)
+    with pytest.raises(InputError, match="the film, to be read again for `exposure_s` `rotate`; found"):
+        settings = replace(earlier.settings, exposure_s=1.0, rotate=180)
+        vision.analyse(None, whole.force, settings, earlier=earlier)
 
 
 def test_another_film_is_read(whole):
@@ -350,6 +351,10 @@ def test_without_a_change_nothing_is_run_again(whole):
     again = vision.analyse(None, whole.force, whole.settings, earlier=whole)
     assert again.tracks is whole.tracks
     assert again.strip is whole.strip
+    assert again.clock is whole.clock
+    alone = vision.analyse(None, None, whole.settings, earlier=whole)
+    assert alone.tracks is whole.tracks
+    assert alone.clock is None  # of a force that is no longer there
 
 
 def test_a_comb_that_lies_on_its_side_is_said_to(tmp_path):
@@ -416,6 +421,29 @@ def test_single_settings_are_given_by_name(whole):
             vision.analyse(DEEP / "video.tif", **{typed: 1})
     with pytest.raises(InputError, match="`fps`: expected a positive number"):
         vision.analyse(DEEP / "video.tif", fps=-25)
+
+
+def test_settings_are_those_of_what_was_opened(whole):
+    """A failure means that a run states another clock, part or d0 than it was measured with."""
+    film = vision.open_video(DEEP / "video.tif", fps=60, frames=slice(0, 40))
+    found = vision.analyse(film, whole.force)
+    assert (found.settings.fps, found.settings.frames) == (60, slice(0, 40))
+    assert found.settings.d0_mm == 13
+    assert np.diff(found.tracks["time_s"])[0] == pytest.approx(1 / 60)
+    assert vision.analyse(film, earlier=found).strip is found.strip
+
+
+@pytest.mark.parametrize(
+    "given", [{"fps": 25}, {"frames": slice(9)}, {"rotate": 90}, {"d0_mm": 14}, {"speed_mm_min": 3}]
+)
+def test_a_setting_that_would_change_nothing_is_refused(whole, given):
+    """A failure means that the settings state d0 14 over the results of 13."""
+    (name,) = given
+    film = vision.open_video(DEEP / "video.tif", timestamps=DEEP / "timestamps.txt")
+    with pytest.raises(InputError, match=f"`{name}`: expected .*, with which"):
+        vision.analyse(film, whole.force, whole.settings, **given)
+    with pytest.raises(InputError, match="`d0_mm`: expected none"):
+        vision.analyse(None, whole.force.assign_attrs(operations="[]"), d0_mm=13)
 
 
 def test_settings_show_what_was_changed():

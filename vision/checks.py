@@ -22,7 +22,7 @@ from vision.sheets.numbering import ends_in_view
 from vision.sheets.recovery import LONG_GAP, WITHOUT_RIDGE, missing_stretches
 from vision.sheets.settings import DEFAULT as TRACKING
 from vision.sheets.settings import TrackingSettings
-from vision.sheets.tracks import comb_is_stationary
+from vision.sheets.tracks import BETWEEN_FRAMES, comb_is_stationary
 
 if TYPE_CHECKING:
     from vision.models import ModelFits
@@ -583,12 +583,13 @@ def _motion_allows_axis(tracks: xr.Dataset, found: TrackMetadata) -> bool:
 
 
 def shells_against_fits(
-    shells: pd.DataFrame | None, fits: ModelFits | None, settings: ShellSettings
+    shells: pd.DataFrame | None, fits: ModelFits | None, settings: ShellSettings, *, codec: str = ""
 ) -> list[str]:
     """Return a warning if M_eff of the fits contradicts the stiff shells that the video shows.
 
     An M_eff from k to k + 1 predicts k stiff sheets. Where all sheets of one side in view are stiff,
     there is no upper limit. Only the statistical error of Λ̂ is used, as an error of d0 shifts d and Λ̂ alike.
+    codec: of the film; one that predicts frames from others repeats sheets that creep by little.
     """
     if shells is None or fits is None:
         return []
@@ -608,9 +609,11 @@ def shells_against_fits(
         return []
     fitted = np.median(fits.effective_sheets(d_mm[outside]))
     shell = f"{np.median(low[outside]):.0f} to {np.median(high[outside]):.0f} sheets"
+    stiffer = codec in BETWEEN_FRAMES and np.median(low[outside]) > fitted
+    hidden = f" the codec ({codec}) may hide the movement of sheets that creep by little;" if stiffer else ""
     return [
         f"M_eff of the fits ({fitted:.1f}) lies outside the stiff shell's interval ({shell}) in"
-        f" {outside.sum()} of {len(known)} stick phases and sides:"
+        f" {outside.sum()} of {len(known)} stick phases and sides:{hidden}"
         " check `d0_mm`, `pixel_size_um`, `axis_px`, the sample's geometry, `sheets_per_block` and"
         " `threshold`"
     ]

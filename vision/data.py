@@ -254,6 +254,18 @@ STRIP = Schema(
 )
 
 
+def check_strip(strip: xr.DataArray) -> None:
+    """Raise `InputError` unless this is I(x, t) of neighbouring columns, with its frames in order."""
+    STRIP.check(strip)
+    odd = {
+        f"dimensions {strip.dims}": strip.dims != ("frame", "x"),
+        "columns that are not 1 px apart": (np.diff(strip["x"].values) != 1).any(),
+        "frames out of order": (np.diff(strip["frame"].values) <= 0).any(),
+    }
+    if found := ", ".join(text for text, wrong in odd.items() if wrong):
+        raise InputError("the strip", "I(x, t): neighbouring columns of frames in order, (frame, x)", found)
+
+
 def strip_of(
     intensity: Floats32, *, frame: Ints, first_x: int, time_s: Floats, status: Any, attrs: Mapping[str, Any]
 ) -> xr.DataArray:

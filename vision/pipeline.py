@@ -44,6 +44,7 @@ from vision.data import (
     check_pixel_size,
     check_threshold,
     load_unit,
+    parameters_of,
     warnings_of,
 )
 from vision.deformation import DeformationSettings, horizontal_deformation
@@ -273,7 +274,8 @@ def analyse(
     force
         A testing machine's file, or a recording from `read_force`; None for a video alone.
     settings
-        Options; those not given are found from the data.
+        Options; those not given are found from the data. Those of a film that is open and of a recording that
+        was read are as they were opened.
     earlier
         An analysis of the same video with other settings. Its strip, tracks and clock are reused unless a
         changed setting or correction affects them. With the strip reused, no video is needed.
@@ -302,7 +304,7 @@ def analyse(
     _check_arguments(video, force, settings)
     if unknown := [name for name in options if name not in Settings.__dataclass_fields__]:
         raise InputError("`options`", "fields of `Settings`", unknown[0], _nearest_setting(unknown[0]))
-    chosen = replace(settings or Settings(), **options)
+    chosen = _with_opened(replace(settings or Settings(), **options), video, force)
     if chosen.strips != 1 and follow is not None:
         raise InputError("`strips` and `follow`", "one of the two", "both", "track again when it is complete")
     if chosen.pitch_um is not None and (chosen.pixel_size_um, chosen.pixel_size_err_um) != (None, None):
@@ -368,7 +370,8 @@ def all_warnings(found: Analysis) -> tuple[str, ...]:
     lines += found.fits.warnings if found.fits else ()
     lines += found.clock.warnings if found.clock else ()
     lines += warnings_of(found.motion)
-    lines += shells_against_fits(found.shells, found.fits, tuning.shells)
+    codec = "" if tracks is None else StripMetadata.of(tracks).codec
+    lines += shells_against_fits(found.shells, found.fits, tuning.shells, codec=codec)
     lines += unlike_sides(found.shells, tuning.shells)
     return tuple(dict.fromkeys(renamed(line, _OF_STICKS) for line in lines))
 
@@ -383,6 +386,41 @@ def _check_arguments(video: object, force: object, settings: object) -> None:
     recordings = "the path of a force recording, or what `vision.read_force` returns"
     check_kind((xr.Dataset, *PATH, NoneType), recordings, force=force)
     check_kind(Settings | None, "a `Settings`, as in Settings(pixel_size_um=10)", settings=settings)
+
+
+def _with_opened(chosen: Settings, video: object, force: object) -> Settings:
+    """Return the settings with those of a film that is open and of a recording that was read.
+
+    Raises: InputError if another one is given, which would change nothing.
+    """
+    opened: dict[str, dict[str, Any]] = {}
+    if isinstance(video, Video):
+        frames = None if (video.first, video.stop) == (0, None) else slice(video.first, video.stop)
+        clock = {"fps": video.given_fps, "timestamps": video.timestamps}
+        opened["the film was opened"] = {"rotate": video.rotate, "frames": frames, **clock}
+    if isinstance(force, xr.Dataset):
+        read, names = parameters_of(force, "read_force"), ("speed_mm_min", "d0_mm", "d0_err_mm")
+        columns = {"force_columns": read.get("columns")}
+        opened["`force` was read"] = {name: read.get(name) for name in names} | columns
+    default = Settings()
+    for done, values in opened.items():
+        for name, value in values.items():
+            given = getattr(chosen, name)
+            if given == getattr(default, name):
+                chosen = replace(chosen, **{name: value})
+            elif _comparable(given) != _comparable(value):
+                wanted = f"{'none' if value is None else value}, with which {done}"
+                raise InputError(
+                    f"`{name}`", wanted, str(given), "do that again with this value, or give the path"
+                )
+    return chosen
+
+
+def _comparable(value: object) -> object:
+    """Return a setting in one form: a whole path, and frames from 0 if no start is given."""
+    if isinstance(value, slice):
+        return None if (value.start or 0, value.stop) == (0, None) else slice(value.start or 0, value.stop)
+    return value.resolve() if isinstance(value, Path) else value
 
 
 _OF_TRACKS = ("ridges", "sheets", "axis_px", "fit", "window_px", "tuning.tracking")
@@ -418,17 +456,22 @@ def _reusable(earlier: Analysis | None, new: Analysis) -> Analysis:
 
     every = {*vars(now)} - {"tuning"} | {f"tuning.{stage}" for stage in vars(now.tuning)}
     of_strip = sorted(every - {*_OF_TRACKS, *_OF_CLOCK, *_AFTERWARDS})
+    changed = [name for name in of_strip if not same([name])]
+    changed += [] if unchanged("strip") else ["corrections"]
     films = [one.video.stamp for one in (earlier, new) if one.video is not None]
-    strip = earlier.strip if unchanged("strip") and same(of_strip) and len(set(films)) < 2 else None
+    strip = None if changed or len(set(films)) == 2 else earlier.strip
     same_sheets = unchanged("axis") and decisions(before, OF_SHEETS) == decisions(now, OF_SHEETS)
     same_sheets = same_sheets and same(_OF_TRACKS)
     tracks = earlier.tracks if strip is not None and same_sheets else None
     if tracks is None and now.strips != 1:
-        strip = None  # the parts of the strip, which tracking needs, are not stored
+        strip, changed = None, ["strips"]  # the parts of the strip, which tracking needs, are not stored
     if strip is None and new.video is None:
-        raise InputError("the strip", "the film, to be read again", "none", "say where it lies (`film`)")
+        wanted = "the film, to be read again" + " for" * bool(changed)
+        wanted += " ".join(["", *(f"`{name}`" for name in changed)])
+        raise InputError("the strip", wanted, "none", "say where it lies (`film`)")
     recordings = [one.force for one in (earlier, new) if one.force is not None]
-    same_force = len(recordings) < 2 or recordings[0].equals(recordings[1])
+    # A stored run has no recording, but that which is read is its own.
+    same_force = new.force is not None and all(one.equals(new.force) for one in recordings)
     same_clock = unchanged("clock") and same(_OF_CLOCK) and same_force
     clock = earlier.clock if tracks is not None and same_clock else None
     return replace(new, strip=strip, tracks=tracks, clock=clock)

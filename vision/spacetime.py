@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from vision.data import SIDES, STRIP, TRACKS, DiagramMetadata, record
+from vision.data import SIDES, TRACKS, DiagramMetadata, check_strip, record
 from vision.errors import InputError
 from vision.memory import give_back, some_rows
 from vision.numeric import Bools, Floats, Floats32, Ints, in_two_threads, row_parts
@@ -70,7 +70,7 @@ def space_time(
     InputError
         For a sheet, a time or a width that the recording does not have.
     """
-    STRIP.check(strip)
+    check_strip(strip)
     part = _part(strip, frames, time_s)
     facts = DiagramMetadata(pixel_size_um=math.nan if pixel_size_um is None else pixel_size_um)
     given: dict[str, Any] = {

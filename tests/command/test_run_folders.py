@@ -8,11 +8,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import xarray as xr
 from hypothesis import given
 from hypothesis import strategies as st
 
 import vision
 from vision.command.main import run
+from vision.command.run_folders import OWN_FORCE
 from vision.command.settings import options_of, settings_of, settings_of_run
 from vision.errors import InputError
 from vision.figures.catalogue import figures_of
@@ -185,6 +187,35 @@ def test_an_earlier_run_stays_and_what_is_no_analysis_is_refused(made, tmp_path)
 def sizes(low, high):
     """Finite numbers in a range, or None."""
     return st.none() | st.floats(low, high)
+
+
+@pytest.mark.parametrize("change", ["arrays", "zero", "nothing"])
+def test_a_force_that_no_file_holds_is_in_the_folder(tmp_path, change):
+    """A failure means that what a notebook measured is lost when it is saved, or is that of the file."""
+    force = vision.read_force(LATE / "force.txt", d0_mm=16.6, d0_err_mm=0.1)
+    if change == "arrays":  # those of the machine, without its file
+        named = {name: ("time_s", force[name].values) for name in ("load_N", "d_mm")}
+        attrs = {"d0_err_mm": 0.1}
+        force = xr.Dataset(named, coords={"time_s": force["time_s"].values}, attrs=attrs)
+    elif change == "zero":
+        force = force.assign(load_N=force["load_N"] - 1.5)
+    made = vision.analyse(None, force)
+    folder = vision.save_run(made, tmp_path / "run").rename(tmp_path / "moved")
+    assert (folder / OWN_FORCE).exists() == (change != "nothing")
+    again = vision.load_run(folder)
+    pd.testing.assert_frame_equal(again.sticks, made.sticks)
+    assert again.fits.mu == made.fits.mu
+    assert vision.load_run(vision.save_run(again, folder, overwrite=True)).fits.mu == made.fits.mu
+
+
+def test_a_film_that_was_opened_is_read_again_as_it_was(tmp_path):
+    """A failure means that another strip of the run has another clock, or other frames."""
+    film = vision.open_video(LATE / "video.avi", fps=60, frames=slice(20, 90))
+    folder = vision.save_run(vision.analyse(film), tmp_path / "run")
+    assert run([str(folder), "--strip", "2:28", "--out", str(tmp_path / "again"), "--quiet"]) in (0, 1)
+    before, after = (pd.read_csv(one / "tracks.csv") for one in (folder, tmp_path / "again"))
+    for name in ("frame", "time_s"):
+        np.testing.assert_array_equal(before[name], after[name])
 
 
 @given(

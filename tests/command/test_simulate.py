@@ -5,6 +5,7 @@ import pytest
 import xarray as xr
 
 from vision.command.main import run
+from vision.experiment import Experiment
 
 
 def test_options_toml_and_set_in_that_order(tmp_path, capsys):
@@ -61,3 +62,11 @@ def test_an_earlier_test_is_kept_and_the_advice_is_this_command_s(tmp_path, refu
     (tmp_path / "t" / "truth.nc").touch()
     said = refused("simulate", tmp_path / "t")
     assert said.endswith("found one that exists; give --overwrite or another DIRECTORY\n")
+
+
+def test_help_names_every_setting(capsys):
+    """A failure means that settings can only be guessed from messages about wrong ones."""
+    assert run(["simulate", "--help"]) == 0
+    said = capsys.readouterr().out.split()
+    for group in (part for part in vars(Experiment()).values() if not isinstance(part, int)):
+        assert {name for name in vars(group) if not {name, f"{name},", f"{name}."} & {*said}} == set()

@@ -26,6 +26,8 @@ def folder(tmp_path_factory):
     place = tmp_path_factory.mktemp("results")
     (place / "test.avi").symlink_to(LATE / "video.avi")
     (place / "test.txt").symlink_to(LATE / "force.txt")
+    for name in ("discs.csv", "strip.txt"):
+        (place / name).symlink_to(PROJECT / "fixtures" / name)
     options = ("--timestamps", str(LATE / "timestamps.txt"), "--d0", "16.6", "--pixel-size", "10", "--quiet")
     run(
         [
@@ -69,13 +71,16 @@ def test_the_examples_give_what_they_promise(folder, monkeypatch):
     assert stages["right"].get_legend().get_window_extent().y1 <= stages["fig"].bbox.y1
     for block in BLOCKS[5:]:
         exec(block, cells)
+    assert cells["law"].a == pytest.approx(0.507, abs=0.002)
+    assert cells["young"].value == pytest.approx(2.5, abs=0.01)
+    assert np.isfinite(cells["motion"].ratio.values).any()
     assert (folder / "shells.pdf").stat().st_size > 5000
     np.testing.assert_allclose(cells["sigma_x_um"], cells["stick"].sigma_x_um, rtol=1e-6)
 
 
 def test_every_python_example_is_run():
     """A failure means that an example was added which no test runs."""
-    assert len(BLOCKS) == 8
+    assert len(BLOCKS) == 10
 
 
 def test_every_preset_is_named_wherever_presets_are_listed():

@@ -20,9 +20,9 @@ def test_tables_hold_the_drawn_numbers(pulled):
     """A failure means that the CSV of a figure is not what the figure shows."""
     tracks = make_tracks(sawtooth(1000, 10))
     wide = tracks_figure(tracks).table()
-    assert list(wide.columns[:2]) == ["t (s)", "left 5"]
+    assert list(wide.columns[:2]) == ["t (s)", "left 5: x − x₀ (px)"]
     np.testing.assert_allclose(
-        wide["right 5"], tracks["x_px"][:, 9] - tracks["x_px"][:20, 9].median(), atol=1e-12
+        wide["right 5: x − x₀ (px)"], tracks["x_px"][:, 9] - tracks["x_px"][:20, 9].median(), atol=1e-12
     )
     long = shells_figure(pulled.shells, pulled.fits).table()
     assert set(long["series"]) == {"left side", "right side", "M_eff (force)"}

@@ -35,6 +35,19 @@ def median_ratio(test: Test, column: str, **options: Any) -> float:
     return float((events[column] / truth[column]).median())
 
 
+def test_arrays_without_flags_are_measured_as_a_file_is():
+    """A failure means that one sample that is no number ends in a message about something else, or that
+    samples that are not in order of time make slips."""
+    force = plain(seed=3).force
+    own, odd = force.drop_vars("flag").copy(deep=True), slice(1000, 1100)
+    own["load_N"][odd] = np.nan
+    flags = sample_flags(own["time_s"].values, own["load_N"].values, own["d_mm"].values)
+    pd.testing.assert_frame_equal(find_stick_slip(own), find_stick_slip(own.assign(flag=("time_s", flags))))
+    halves = np.r_[3000 : force.sizes["time_s"], 0:3000]
+    with pytest.raises(InputError, match="in order of time; found 3000 earlier"):
+        find_stick_slip(force.drop_vars("flag").isel(time_s=halves))
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("samples", [30, 100])

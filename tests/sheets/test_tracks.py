@@ -218,6 +218,24 @@ def grey(level, frames=20, columns=200):
     return np.full((frames, columns), level, np.float32)
 
 
+@pytest.mark.parametrize(
+    "turned",
+    [
+        lambda one: one.T,
+        lambda one: one[:, ::2],
+        lambda one: one[:, ::-1],
+        lambda one: one[::-1],
+        lambda one: one.assign_coords(frame=np.zeros(one.sizes["frame"], int)),
+    ],
+    ids=["x first", "every other column", "mirrored", "backwards", "one number"],
+)
+def test_an_array_that_is_not_in_order_is_refused(turned):
+    """A failure means positions at half of their columns, without a word, or a traceback."""
+    own = strip(ridges(comb(6)), seed=3).rename(None)
+    with pytest.raises(InputError, match="the strip: expected I"):
+        track_sheets(turned(own))
+
+
 def test_constant_picture():
     """A failure means a covered lens ends in a traceback or in sheets."""
     assert "scene.avi: expected a picture with ridges; found a constant one" in refusal(as_strip(grey(80)))

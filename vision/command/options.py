@@ -260,8 +260,8 @@ class SimulateOptions:
     """raw (Y800 AVI), mjpeg, h264, ffv1, tiff or png."""
     config: Path | None = None
     """TOML file of settings in the tables sample, mechanics, sheets, optics, camera, clocks, load_cell."""
-    set_: Annotated[tuple[str, ...], Option(name="--set", show_default=False)] = ()
-    """Any setting by name, such as --set camera.fps=25 or --set optics.tilt_deg=0.5; can be repeated."""
+    set_: Annotated[tuple[str, ...], Option(name="--set", negative="", show_default=False)] = ()
+    """Any setting above by group and name, such as --set camera.fps=25 --set optics.tilt_deg=0.5."""
     overwrite: Switch = False
     """Replace an earlier synthetic test."""
     quiet: Quiet = False

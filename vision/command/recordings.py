@@ -7,6 +7,7 @@ import shlex
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
+from inspect import cleandoc
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -36,7 +37,7 @@ from vision.command.settings import (
 from vision.command.track import finish, origin_of
 from vision.errors import InputError, counted, known_as
 from vision.experiment import preset as ready_made
-from vision.experiment import settings_from_toml, with_settings
+from vision.experiment import setting_names, settings_from_toml, with_settings
 from vision.experiment import simulate as make_test
 from vision.figures import Figure, save_figures
 from vision.figures.single_sheets import friction_figure, modulus_figure
@@ -324,6 +325,9 @@ def simulate(
     rows += [("offset", f"{experiment.clocks.offset_s:g} s: give --offset if the clocks are ambiguous")]
     lines += aligned(rows)
     return conclude(lines, (), quiet=options.quiet)
+
+
+simulate.__doc__ = f"{cleandoc(simulate.__doc__ or '')}\n\n{setting_names()}"
 
 
 def _pair(text: str) -> tuple[str, str]:

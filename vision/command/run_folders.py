@@ -2,25 +2,37 @@
 
 from __future__ import annotations
 
+import math
+import shutil
+import tempfile
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+import pandas as pd
+import xarray as xr
+
 from vision.command.settings import options_of, settings_of_run
-from vision.data import ForceMetadata
+from vision.data import FORCE, ForceMetadata, load_unit
 from vision.errors import InputError
 from vision.folder import check_target
-from vision.pipeline import Analysis
-from vision.run.provenance import Origin, Parameter
+from vision.pipeline import Analysis, Settings, open_force
+from vision.run.provenance import Origin, Parameter, describe_input
 from vision.run.reading import analyse_again, film_if_there, read_run
 from vision.run.writing import write_run
 from vision.video import video_files
+
+OWN_FORCE = "force_recording.csv"
+"""Force recording in a run folder, if it is no file as it was analysed."""
 
 
 def save_run(analysis: Analysis, folder: str | Path, *, overwrite: bool = False, report: bool = True) -> Path:
     """Write the results of `analyse` to a run folder, as the command ``track`` does, and return its path.
 
     Other commands take the folder (``track review``, ``overlay``, ``export``, ``figures``, ``certify``), and
-    `compare` does. Its run.json holds the settings, changed constants too.
+    `compare` does. Its run.json holds the settings, changed constants too. A force recording that is made of
+    arrays, or was changed since it was read, is written to the folder (force_recording.csv).
 
     Parameters
     ----------
@@ -42,23 +54,55 @@ def save_run(analysis: Analysis, folder: str | Path, *, overwrite: bool = False,
         raise InputError("`analysis`", "what `analyse` returned", f"a {type(analysis).__name__}")
     folder = Path(folder)
     check_target(folder, overwrite=overwrite)
-    force = None if analysis.force is None else Path(ForceMetadata.of(analysis.force).source)
-    force = force if force is not None and force.is_file() else None
+    settings, own, force = analysis.settings, None, None
+    if analysis.force is not None and (force := _file_of(analysis.force, settings)) is None:
+        force, own = folder.absolute() / OWN_FORCE, _force_table(analysis.force)
+        known = ForceMetadata.of(analysis.force)
+        d0_mm = None if known.lacks_d0 else 0.0  # its column is the separation itself, if that is known
+        d0_err_mm = None if math.isnan(known.d0_err_mm) else known.d0_err_mm
+        settings = replace(settings, d0_mm=d0_mm, d0_err_mm=d0_err_mm, speed_mm_min=None, force_columns=None)
     # A review expects the film first and the force recording last.
     times = analysis.settings.timestamps
     film = () if analysis.video is None else (*video_files(analysis.video.path), times)
     inputs = [file for file in (*film, force) if file is not None]
-    settings = analysis.settings
     if analysis.video is not None and settings.pixel_size_um == analysis.video.facts.pixel_size_um:
         settings = replace(settings, pixel_size_um=None)  # it was not given
     parameters = options_of(settings) | {
         "force": Parameter(force, "default" if force is None else "given"),
         "report": Parameter(report, "given"),
     }
-    origin = Origin(command="analysed from Python", inputs=inputs, parameters=parameters)
     facts = {"force_alone": True} if analysis.tracks is None else None
-    write_run(analysis, folder, origin, overwrite=overwrite, report=report, facts=facts)
+    with tempfile.TemporaryDirectory() as place:
+        described = {}
+        if own is not None and force is not None:
+            own.to_csv(table := Path(place) / OWN_FORCE, index=False)
+            described[force] = describe_input(table) | {"path": str(force)}
+        command = "analysed from Python"
+        origin = Origin(command=command, inputs=inputs, parameters=parameters, described=described)
+        write_run(analysis, folder, origin, overwrite=overwrite, report=report, facts=facts)
+        if described:
+            shutil.copyfile(table, folder / OWN_FORCE)
     return folder
+
+
+def _file_of(force: xr.Dataset, settings: Settings) -> Path | None:
+    """Return the file of a force recording; None if it is made of arrays, or was changed after reading."""
+    path = Path(ForceMetadata.of(force).source)
+    if not path.is_file():
+        return None
+    with suppress(InputError):
+        read = open_force(path, settings)
+        if all(np.array_equal(read[name], force[name], equal_nan=True) for name in FORCE.needs or ()):
+            return path
+    return None
+
+
+def _force_table(force: xr.Dataset) -> pd.DataFrame:
+    """Return a force recording as a table that `read_force` reads."""
+    unit = load_unit(force)
+    columns = {"time (s)": "time_s", f"load ({unit})": "load_N", "displacement (mm)": "d_mm"}
+    columns |= {"video time (s)": "video_time_s"} if "video_time_s" in force else {}
+    return pd.DataFrame({header: force[name].values for header, name in columns.items()})
 
 
 def load_run(

@@ -353,13 +353,15 @@ def figures(
         made = {name: one.of_width(width["width_um"] / 1000, paper.font_size) for name, one in made.items()}
     target = output.out or Path(f"{folder.resolve().name}_figures")
     check_outside(target, folder)
-    files = [target / f"{name}.{to}" for name in names or made]
+    images = [name for name in names or made if to == "csv" and made[name].table().empty]
+    files = [target / f"{name}.{to}" for name in names or made if name not in images]
     for file in files:
         check_new(file, overwrite=output.overwrite)
     for file in files:
         with whole_file(file) as path:
             made[file.stem].save(path, dpi=300, font_size=paper.font_size)
-    return conclude([f"{counted(len(files), 'figure')} -> {target}/"], (), quiet=output.quiet)
+    without = f"; images without numbers: {', '.join(images)}" if images else ""
+    return conclude([f"{counted(len(files), 'figure')} -> {target}/{without}"], (), quiet=output.quiet)
 
 
 def overlay(

@@ -225,6 +225,12 @@ def with_settings(experiment: Experiment, changes: Mapping[str, Any]) -> Experim
     return replace(experiment, **top)
 
 
+def setting_names() -> str:
+    """Return the names of all settings in one line for each group."""
+    groups = {name: group for name, group in vars(Experiment()).items() if name != "seed"}
+    return "\n\n".join(f"{name}: {', '.join(vars(group))}." for name, group in groups.items())
+
+
 def settings_from_toml(path: Path) -> dict[str, Any]:
     """Read settings by name, as `with_settings` takes them, from a TOML file.
 

@@ -165,12 +165,13 @@ class Panel:
         return Figure(name=name, title=title or self.title, caption=caption, panels=(self,), **rest)
 
     def table(self) -> pd.DataFrame:
-        """Return one column per series if all share x, else one row per point with its series' label."""
+        """Return one column per series, named with its unit, if all share x, else one row per point."""
         if not self.series:
             return pd.DataFrame()
         plain = all(series.low is None and not series.text for series in self.series)
         if self.common_x and plain:
-            return pd.DataFrame({self.x_label: self.series[0].x} | {s.label: s.y for s in self.series})
+            columns = {f"{series.label}: {self.y_label}": series.y for series in self.series}
+            return pd.DataFrame({self.x_label: self.series[0].x} | columns)
         return pd.concat([self._rows(series) for series in self.series], ignore_index=True)
 
     def _rows(self, series: Series) -> pd.DataFrame:

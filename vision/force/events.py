@@ -30,7 +30,7 @@ from vision.force.corners import (
 )
 from vision.force.lines import fit_broken_lines, fit_lines, fit_polynomials
 from vision.force.lowpass import Lowpass, find_lowpass
-from vision.force.recording import is_compression
+from vision.force.recording import flags_of, is_compression
 from vision.force.regime import Regime, doubts, find_regime, is_unloading, lasting_falls
 from vision.force.settings import ForceSettings
 from vision.force.signal import (
@@ -286,11 +286,16 @@ def _too_few_slips(signal: Signal, slips: Slips, source: str, rings: str) -> Inp
 
 
 def _check_times(force: xr.Dataset, source: str) -> None:
-    """Raise InputError where many samples share one time and so would be left out."""
-    if "flag" not in force:
-        return
+    """Raise InputError where many samples share one time, or those of one's own arrays are not in order.
+
+    They would be left out; of a file, a warning says how many go back.
+    """
+    flags = flags_of(force)
+    back = np.count_nonzero(flags == "backwards")
+    if back and "flag" not in force:
+        raise InputError(source, "samples in order of time", f"{back} earlier than one before", "sort them")
     changes = np.diff(force["load_N"].to_numpy(), prepend=np.nan) != 0
-    shared = float(np.mean((force["flag"].to_numpy().astype(str) == "repeated") & changes))
+    shared = float(np.mean((flags == "repeated") & changes))
     if shared > 0.3:
         raise InputError(
             source,

@@ -98,11 +98,16 @@ def read_force(
 
 
 def good_samples(force: xr.Dataset) -> xr.Dataset:
-    """Return the samples that are fit for measuring: finite, at rising times, and not saturated.
+    """Return the samples that are fit for measuring: finite, at rising times, and not saturated."""
+    return force.isel(time_s=np.flatnonzero(usable(flags_of(force))))
 
-    Without flags these are all samples.
-    """
-    return force.isel(time_s=np.flatnonzero(usable(force["flag"].values))) if "flag" in force else force
+
+def flags_of(force: xr.Dataset, settings: ForceSettings = ForceSettings()) -> Strings:
+    """Return the flag of every sample; of arrays of one's own, without flags, as `read_force` sets them."""
+    if "flag" in force:
+        return np.asarray(force["flag"].values, dtype=str)
+    time, load, d_mm = (force[name].to_numpy().astype(float) for name in ("time_s", "load_N", "d_mm"))
+    return sample_flags(time, load, d_mm if np.isfinite(d_mm).any() else None, settings=settings)
 
 
 def _joined(

@@ -13,7 +13,7 @@ import xarray as xr
 from numpy.lib.stride_tricks import sliding_window_view
 
 from vision.force.lines import fit_lines, fit_polynomials
-from vision.force.recording import usable
+from vision.force.recording import flags_of, usable
 from vision.force.settings import ForceSettings
 from vision.force.slips import Slips, stick_middles
 from vision.numeric import Bools, Floats, Ints, flat_ranges, nan_median, peak_offset, quantum, white_noise
@@ -45,8 +45,7 @@ class Signal:
     @classmethod
     def of(cls, force: xr.Dataset, settings: ForceSettings) -> Signal:
         """Select the good samples of a recording from `vision.force.read_force`."""
-        count = force.sizes["time_s"]
-        flags = np.asarray(force["flag"].values, dtype=str) if "flag" in force else np.full(count, "ok")
+        flags = flags_of(force, settings)
         good = usable(flags)
         # A few lost samples leave a stick whole: more of them in a row, and those at the limit, do not.
         run = np.cumsum(good)

@@ -163,12 +163,13 @@ class RunFolder:
         """Return where a file that the run used is.
 
         A relative path is tried from where the run was made and from here. Then the last parts of the path,
-        as many as possible, are tried from each folder above the run: both may have been moved together.
+        as many as possible, are tried from the run and each folder above: both may have been moved together.
         """
         made_in = Path(str(self.facts.get("directory") or "."))
         parts = named.parts[named.is_absolute() :]
         ends = (Path(*parts[first:]) for first in range(len(parts)))
-        moved = (above / end for end in ends for above in self.folder.absolute().parents)
+        folder = self.folder.absolute()
+        moved = (above / end for end in ends for above in (folder, *folder.parents))
         return next(filter(_is_there, chain((made_in / named, named), moved)), named)
 
     def force(self, moved: str | Path | None = None) -> Path | None:

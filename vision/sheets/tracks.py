@@ -10,7 +10,15 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 import xarray as xr
 
-from vision.data import PIXEL_SIZE_UM, STRIP, STRIP_PARTS, TRACKS, StripMetadata, TrackMetadata, record
+from vision.data import (
+    PIXEL_SIZE_UM,
+    STRIP_PARTS,
+    TRACKS,
+    StripMetadata,
+    TrackMetadata,
+    check_strip,
+    record,
+)
 from vision.errors import InputError, NoRidgesError, check_number, check_within, check_word
 from vision.memory import words
 from vision.numeric import (
@@ -140,7 +148,7 @@ def track_sheets(
     its own artefacts. It does not include errors that are the same in all frames (`constant_error_px`: uneven
     light, neighbours that overlap, the choice of rows).
     """
-    STRIP.check(strip)
+    check_strip(strip)
     check_word(("bright", "dark", "auto"), ridges=ridges)
     check_word(get_args(FitChoice), fit=fit)
     check_number(axis_px=axis_px)

@@ -321,7 +321,7 @@ def _metadata(
         strip_bow_px=strip.errors.bow_px,
         strip_err_px=strip.errors.error_px,
         clock_kind=clock.kind,
-        clock_file=video.timestamps,
+        clock_file="" if video.timestamps is None else video.timestamps.name,
         fps=math.nan if clock.fps is None else clock.fps,
         frames_expected=expected,
         frames_read=usable,

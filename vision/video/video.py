@@ -51,7 +51,7 @@ class Video:
     stop: int | None  #: None: the end
     given_fps: float | None  #: the camera's clock as given by the user, instead of the file's
     given_times_s: Floats | None
-    timestamps: str  #: name of the file that the given times are from, "" without
+    timestamps: Path | None  #: file that the given times are from
     warnings: tuple[str, ...]  #: defects of the file that its headers show
     pixels_path: Path  #: file or folder that holds the pixels: `path`, or the .mraw of a Photron recording
     stamp: Stamp  #: its size and time when it was opened
@@ -289,7 +289,7 @@ def open_video(
         stop=stop,
         given_fps=fps,
         given_times_s=times_s,
-        timestamps="" if timestamps is None else Path(timestamps).name,
+        timestamps=None if timestamps is None else Path(timestamps),
         warnings=tuple(warnings),
         pixels_path=pixels,
         stamp=stamp,
