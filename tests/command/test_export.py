@@ -112,3 +112,13 @@ def test_figures_are_listed_and_a_mistyped_one_is_met_with_the_nearest(there, re
     assert named["noise"] == "Noise of the positions"
     assert "did you mean noise?" in refused("figures", "comb_tracks", "nosie")
     assert sorted(there.rglob("*")) == before
+
+
+def test_figures_as_csv_have_units_and_numbers(there, capsys):
+    """A failure means columns of an unknown unit, or an empty file for a figure of images."""
+    assert run(["figures", "comb_tracks", "--to", "csv", "--out", "numbers"]) == 0
+    said = capsys.readouterr().out
+    files = {file.stem: pd.read_csv(file) for file in (there / "numbers").iterdir()}
+    assert all(table.size for table in files.values())
+    assert "from frame to frame: noise of x (µm)" in files["noise"]
+    assert "images without numbers: single_sheets" in said and "single_sheets" not in files

@@ -18,7 +18,7 @@ from tests.scenes.report_data import make_tracks, sawtooth
 from vision.figures import Figure, Image, Panel, Series, noise_figure, space_time_figure, tracks_figure
 from vision.figures.camera import SlipTimes
 from vision.figures.catalogue import figure_named, figures_of
-from vision.figures.drawing import new_figure, picture_style, render
+from vision.figures.drawing import _page, new_figure, picture_style, render
 from vision.figures.force import clocks_figure
 from vision.figures.style import DATA, label_step
 
@@ -389,3 +389,21 @@ def test_a_png_states_its_size_on_paper(tmp_path):
     width = int.from_bytes(content[16:20])
     assert width / 300 == pytest.approx(6.0, abs=0.02)
     assert mpl.image.imread(tmp_path / "f.png").shape[1] == width
+
+
+@pytest.mark.parametrize("scale", [1.0, 8.0, 200.0, 3000.0, -3000.0, -0.07])
+def test_a_label_stands_beside_the_numbers_of_its_axis(scale):
+    """A failure means that it stands far from a narrow figure's axis, or over the numbers."""
+    x = np.linspace(0, 1, 9)
+    panel = Panel(x_label="d (mm)", y_label="F (N)", series=(Series(label="F", x=x, y=scale * x, ink=DATA),))
+    with picture_style(8):
+        page = _page(panel.figure("one", "").of_width(86, 8))
+        FigureCanvasAgg(page).draw()
+        (ax,) = page.axes
+        low, high = ax.get_ylim()
+        drawn = [
+            text for at, text in zip(ax.get_yticks(), ax.get_yticklabels(), strict=True) if low <= at <= high
+        ]
+        numbers = min(one.get_window_extent().x0 for one in drawn)
+        gap_in = (numbers - ax.yaxis.label.get_window_extent().x1) / page.dpi
+    assert 0 < gap_in < 0.1

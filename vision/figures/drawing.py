@@ -78,7 +78,9 @@ class _Inches(NamedTuple):
     label_character: float = 0.069
     number: float = 0.8  # width for each number of the x axis
     x_label: float = 0.3  # from an axis to its label
-    y_label: float = 0.64
+    y_label: float = 0.64  # at most, for the longest numbers
+    tick: float = 0.17  # of it without the numbers: the tick and the gaps beside them
+    digit: float = 0.0925  # of a number at an axis
     least_height: float = 0.35  # of a panel
 
 
@@ -148,9 +150,11 @@ def _page(figure: Figure, page: Page | None = None) -> Page:
     boxes, size = _layout(figure)
     page = Page() if page is None else page
     page.set_size_inches(size)
+    axes, longest = list[Axes](), 0  # number at a y axis, in characters
     for k, (panel, (left, bottom, width, height)) in enumerate(zip(figure.panels, boxes, strict=True)):
         box = left / size[0], bottom / size[1], width / size[0], height / size[1]
         ax = page.add_axes(box)
+        axes.append(ax)
         draw_panel(ax, panel)
         if not (panel.x_log or panel.empty):  # so that long numbers do not touch
             nbins = int(np.clip(width / _inches().number, 4, 9))
@@ -159,9 +163,12 @@ def _page(figure: Figure, page: Page | None = None) -> Page:
             ax.locator_params(axis="y", integer=True)
         # By default matplotlib measures the tick labels at each drawing to place the axis labels.
         ax.xaxis.set_label_coords(0.5, -_inches().x_label / height)
-        ax.yaxis.set_label_coords(-_inches().y_label / width, 0.5)
-        numbers = ax.yaxis.get_major_formatter().format_ticks(ax.get_yticks().tolist())
-        if not panel.y_log and max(map(len, numbers), default=0) > 6:  # they would touch the label
+        ends, ticks = sorted(ax.get_ylim()), ax.get_yticks()
+        drawn = ticks[(ticks >= ends[0]) & (ticks <= ends[1])]
+        numbers = ax.yaxis.get_major_formatter().format_ticks(drawn.tolist())
+        count = 99 if panel.y_log else max(map(len, numbers), default=0)
+        longest = max(longest, count)
+        if not panel.y_log and count > 6:  # they would touch the label
             ax.tick_params(axis="y", labelsize=8 * _letters())
         if panel.y2_label:
             page.axes[-1].yaxis.set_label_coords(1 + _inches().y_label / width, 0.5)
@@ -177,6 +184,9 @@ def _page(figure: Figure, page: Page | None = None) -> Page:
             page.text(
                 *below, _foot(panel, width), color=QUIET[0], fontsize=8 * _letters(), ha="right", va="top"
             )
+    reach = min(_inches().y_label, _inches().tick + longest * _inches().digit)
+    for ax, (_, _, width, _) in zip(axes, boxes, strict=True):  # in line, one below the other
+        ax.yaxis.set_label_coords(-reach / width, 0.5)
     return page
 
 
