@@ -176,7 +176,7 @@ def test_every_test_with_state_reason_thumbnail_and_link(tmp_path):
         key = plan.film(name).key
         state = State(name=name, key=key, state=word, reason=f"why {name}", warnings=("one", "two"))
         write_state(plan.out, state)
-    for name in ("t0", "t1"):
+    for name in ("t0", "t1", "t2"):  # t2 has a run with other settings
         plan.run_of(name).mkdir(parents=True)
         for file in ("run.json", "report.html"):
             (plan.run_of(name) / file).write_text("{}")

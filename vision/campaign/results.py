@@ -90,18 +90,22 @@ def write_page(plan: Plan, *, live: bool, remarks: tuple[str, ...] = ()) -> None
     )
     with whole_file(plan.out / PAGE) as path:
         path.write_text(text, encoding="utf-8", errors="replace")
-    runs = [f"runs/{film.name}" if is_run(plan.run_of(film.name)) else "" for film in plan.films]
     rows = [
-        (film.film, state.state, state.reason, round(state.seconds, 3), run)
-        for (film, state), run in zip(films, runs, strict=True)
+        (film.film, state.state, state.reason, round(state.seconds, 3), _run(plan, film, state))
+        for film, state in films
     ]
     with whole_file(plan.out / "campaign.csv") as path:
         write_csv(pd.DataFrame(rows, columns=["film", "state", "reason", "seconds", "run"]), path)
 
 
+def _run(plan: Plan, film: PlannedFilm, state: State) -> str:
+    """Return a film's run in the campaign's folder; "" for none, or for one with other settings."""
+    return f"runs/{film.name}" if state.state in FINISHED and is_run(plan.run_of(film.name)) else ""
+
+
 def _row(plan: Plan, film: PlannedFilm, state: State, facts: list[str]) -> dict[str, Any]:
     run, given = plan.run_of(film.name), [film.facts.get(name, "") for name in facts]
-    finished = state.state in FINISHED and is_run(run)
+    finished = bool(_run(plan, film, state))
     page = "report.html" if (run / "report.html").is_file() else "overview.png"
     return {
         "state": state.state,

@@ -334,7 +334,7 @@ def _joint_detail(one: JointFriction) -> str:
         line += f", A {plus_minus(one.amplitude)}"
     if one.disagrees:
         line += f"; the tests differ by more than their errors (χ²/dof {one.disagreement:.3g})"
-    if one.without_d0_error and one.fits:
+    if one.without_d0_error:
         missing = one.without_d0_error
         which = f" in {first_of(missing, 3)}" if missing != one.runs else ""
         line += f"; without the error of d0, which is not given{which}"
