@@ -16,7 +16,7 @@ import xarray as xr
 from vision.command.settings import options_of, settings_of_run
 from vision.data import FORCE, ForceMetadata, load_unit
 from vision.errors import InputError
-from vision.folder import check_target
+from vision.folder import check_target, unwritable
 from vision.pipeline import Analysis, Settings, open_force
 from vision.run.provenance import Origin, Parameter, describe_input
 from vision.run.reading import analyse_again, film_if_there, read_run
@@ -81,7 +81,11 @@ def save_run(analysis: Analysis, folder: str | Path, *, overwrite: bool = False,
         origin = Origin(command=command, inputs=inputs, parameters=parameters, described=described)
         write_run(analysis, folder, origin, overwrite=overwrite, report=report, facts=facts)
         if described:
-            shutil.copyfile(table, folder / OWN_FORCE)
+            try:
+                shutil.copyfile(table, folder / OWN_FORCE)
+            except OSError as error:
+                advice = "the run lacks its force recording: save it elsewhere"
+                raise unwritable(folder / OWN_FORCE, error, advice) from error
     return folder
 
 
