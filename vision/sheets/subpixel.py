@@ -594,11 +594,10 @@ def noise_correlation(
 def _own_motion(x_px: Floats, frozen: Bools, lag: int) -> Floats:
     """Return the larger motion of each sheet, against the comb's, from and to the middle one of the groups of
     frames of `_noise_variance`, px, (groups, N)."""
-    new = np.flatnonzero(~frozen)
-    middle = _triples(np.isfinite(x_px).mean(axis=1)[new] > 0.5, lag)
-    steps = [x_px[new[middle + step]] - x_px[new[middle]] for step in (-lag, lag)]
+    triples = _triples(x_px, frozen, lag)
+    steps = [x_px[frame] - x_px[triples[1]] for frame in triples[[0, 2]]]
     before, after = (np.abs(step - nan_median(step, axis=1)[:, None]) for step in steps)
-    return np.fmax(before, after)
+    return np.asarray(np.fmax(before, after), np.float64)
 
 
 def _noise_variance(
@@ -607,27 +606,25 @@ def _noise_variance(
     """Return the variance of the noise around each sheet in groups of three frames, `lag` frames apart, grey
     levels squared, (groups, N); see `intensity_noise`."""
     half = max(half_px, 5)
-    new = np.flatnonzero(~frozen)
-    middle = _triples(np.isfinite(x_px).mean(axis=1)[new] > 0.5, lag)
+    triples = _triples(x_px, frozen, lag)
     offsets = np.arange(-half - 1, half + 2)
 
     def of_part(some: slice) -> Floats:
-        x = x_px[new[middle[some]]]
+        x = x_px[triples[1, some]]
         centre = np.nan_to_num(np.rint(x), nan=-10 * half).astype(np.int64)
 
-        def around(step: int) -> Floats:
-            """Return the pixels around the ridges, `step` frames after the middle frames."""
-            frame = new[middle[some] + step]
+        def around(frame: Ints) -> Floats:
+            """Return the pixels around the ridges in these frames."""
             common = np.nan_to_num(nan_median(x_px[frame] - x, axis=1))
             column = centre + np.rint(common).astype(np.int64)[:, None]
             row = np.repeat(np.arange(len(frame)), x.shape[1])
             return gather(some_rows(profile, frame), Starts(row, column.ravel()), offsets)
 
-        before, now, after = around(-lag), around(0), around(lag)
+        before, now, after = (around(frame) for frame in triples[:, some])
         variance = _residual_variance(before + after - 2 * now, (before + now + after) / 3)
         return variance.reshape(x.shape) / 6
 
-    parts = in_two_threads(of_part, row_parts(len(middle), TRIPLES_AT_ONCE))
+    parts = in_two_threads(of_part, row_parts(triples.shape[1], TRIPLES_AT_ONCE))
     return np.concatenate([np.zeros((0, x_px.shape[1])), *parts])
 
 
@@ -656,13 +653,15 @@ def position_noise(x_px: Floats) -> Floats:
     return np.asarray(np.where(known, typical / NORMAL_MEDIAN / np.sqrt(6), np.nan), np.float64)
 
 
-def _triples(seen: Bools, lag: int) -> Ints:
-    """Return the middle frames of triples in which most sheets are seen, spread over the recording.
-    seen: whether most are, (frame,). lag: frames between those of a triple."""
-    middle = lag + np.flatnonzero(seen[2 * lag :] & seen[lag:-lag] & seen[: -2 * lag])
-    if not len(middle):
-        return np.asarray(middle, np.int64)
-    return middle[spread_indices(len(middle), 400)]
+def _triples(x_px: Floats, frozen: Bools, lag: int) -> Ints:
+    """Return frames that are not repeated, in triples `lag` such frames apart, in which most sheets are seen,
+    spread over the recording, (3, triples)."""
+    new = np.flatnonzero(~frozen)
+    seen = np.isfinite(x_px).mean(axis=1)[new] > 0.5
+    first = np.flatnonzero(seen[2 * lag :] & seen[lag:-lag] & seen[: -2 * lag])
+    if len(first):
+        first = first[spread_indices(len(first), 400)]
+    return np.asarray(new[first + lag * np.arange(3)[:, None]], np.int64)
 
 
 def _residual_variance(change: Floats, mean: Floats) -> Floats:
