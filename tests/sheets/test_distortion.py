@@ -418,7 +418,7 @@ def test_a_texture_of_the_light_is_in_the_errors_of_a_comb_that_moves_through_it
     to either side by hundredths of a pixel. A failure means that fewer than half of the displacements are
     within their errors, as without the term for it, or that it is measured too coarsely for such a drift."""
     within = {}
-    coarse = replace(DEFAULT, texture_cell=6.0)
+    coarse = replace(DEFAULT, texture_length=6.0)
     for name, settings in (
         ("stated", DEFAULT),
         ("coarse", coarse),

@@ -337,7 +337,7 @@ def distortion(
             (sloping, settings.distortion_slope, 5),
         )
     ]
-    usual_px, reach_px = np.empty(x_px.shape[1]), settings.texture_reach * comb.fwhm_px
+    usual_px, reach_px = np.empty(x_px.shape[1]), settings.texture_length * comb.fwhm_px
     own_noise, middles = ([of(one.px) for one in differences] for of in (position_noise, typical_median))
 
     def of_sheet(n: int) -> None:
@@ -460,7 +460,7 @@ def texture_error(x_px: Floats, log_height: Floats, comb: RidgeComb) -> float:
     :math:`\sigma_r^2 s` changes over a length of about the standard deviation :math:`\sigma_r` of a ridge, as
     it sees nothing finer. The relative error of displacements is therefore `texture_shift` times
     :math:`\sigma_r` times the root mean square of s: of all sheets, since s is not known to lie where it
-    changes. It holds up to a distance of `texture_reach` ridge widths, beyond which shifts are independent.
+    changes. It holds up to a distance of `texture_length` ridge widths, beyond which shifts are independent.
 
     log_height: logarithms of the heights, (frame, N). They count relative to the mean of both neighbours,
     which excludes the exposure and light that tilts; the texture under the neighbours adds half the square.
@@ -472,7 +472,7 @@ def texture_error(x_px: Floats, log_height: Floats, comb: RidgeComb) -> float:
     square = np.full((2, sheets), np.nan)
     for n in range(1, sheets - 1):
         relative = log_height[:, n] - (log_height[:, n - 1] + log_height[:, n + 1]) / 2
-        square[:, n] = _slopes_in_cells(x_px[:, n], relative, comb.settings.texture_cell * comb.fwhm_px)
+        square[:, n] = _slopes_in_cells(x_px[:, n], relative, comb.settings.texture_length * comb.fwhm_px)
     found, chance = np.nan_to_num(nan_median(square, axis=1)) / NORMAL_MEDIAN**2
     slope = float(np.sqrt((found - chance) / 1.5)) if found > 2 * chance else 0.0
     return comb.settings.texture_shift * comb.fwhm_px / FWHM * slope

@@ -417,13 +417,6 @@ class TrackingSettings(Tunable):
     what hides that sheet. Larger gives positions at the edge of a hand (test_tracks.py), smaller withholds
     sheets beside a gap for noise."""
 
-    cut_height: float = 0.02
-    """Least standard deviation of the logarithm of the height for this: the light. Larger passes ridges that
-    are cut a little, smaller withholds those in uneven light."""
-
-    cut_width: float = 0.03
-    """The same for the width: the pixels."""
-
     blur_error: float = 0.795
     """Error of a blurred position over lost height times motion; in test_film.py it must cover 62 to 74 of
     100 true positions."""
@@ -497,13 +490,9 @@ class TrackingSettings(Tunable):
     terms contain part of it. Larger overstates errors, smaller understates them (test_distortion.py: a
     texture of the light)."""
 
-    texture_cell: float = 0.6
-    """Length, in ridge widths, over which that slope is measured. Larger averages out its changes
-    (test_distortion.py at 6), smaller leaves noise."""
-
-    texture_reach: float = 0.6
-    """Displacement, in ridge widths, up to which its error grows in proportion. Larger overstates the errors
-    of combs that move by pitches, smaller understates them (there)."""
+    texture_length: float = 0.6
+    """Length, in ridge widths, over which that slope is measured, and displacement up to which the error
+    grows in proportion. Larger averages out its changes (test_distortion.py at 6), smaller leaves noise."""
 
     leaning_sheets: int = 5
     """Neighbouring sheets that change alike as the paper leans, whose median change is no dirt. Smaller

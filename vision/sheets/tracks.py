@@ -46,7 +46,13 @@ from vision.sheets.distortion import (
     pixel_locking,
     two_in_one,
 )
-from vision.sheets.doubts import predicted_by_neighbours, seen_between, sheets_alike, unseen_jumps
+from vision.sheets.doubts import (
+    LEAST_SCATTER,
+    predicted_by_neighbours,
+    seen_between,
+    sheets_alike,
+    unseen_jumps,
+)
 from vision.sheets.film import SecondComb, gap_depth, motion_blur, repeated_frames, second_comb
 from vision.sheets.identities import WHYS, Doubt, identify_sheets
 from vision.sheets.numbering import Numbering, number_sheets, placed
@@ -304,21 +310,19 @@ def _cut(detections: Detections, comb: RidgeComb) -> Bools:
     """Return which ridges beside a missing sheet are lower or narrower than usual, beyond what light and
     focus change in all ridges of the frame, (frame, N): what hides that sheet cuts them as well. What is
     usual is measured where no sheet is missing beside."""
-    settings, changed = comb.settings, beside(detections.flag == Flag.MISSING)
+    changed = beside(detections.flag == Flag.MISSING)
     rows, alone = np.flatnonzero(changed.any(axis=1)), ~changed
     if not len(rows):
         return changed
     away = np.zeros((len(rows), changed.shape[1]))
-    for sizes, least in (
-        (detections.contrast, settings.cut_height),
-        (detections.fwhm_px, settings.cut_width),
-    ):
+    both = detections.contrast, detections.fwhm_px
+    for sizes, least in zip(both, LEAST_SCATTER.ravel(), strict=True):
         usual = np.log(typical_where(alone, sizes))
         scatter = typical_where(alone, np.abs(np.log(sizes) - usual)) / NORMAL_MEDIAN
         off = np.log(sizes[rows].astype(np.float64)) - usual
         off -= nan_median(off, axis=1)[:, None]
         away += np.nan_to_num(np.minimum(off, 0.0) / np.fmax(scatter, least)) ** 2
-    changed[rows] &= away > settings.cut_sigmas**2
+    changed[rows] &= away > comb.settings.cut_sigmas**2
     return changed
 
 
