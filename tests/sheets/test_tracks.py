@@ -180,6 +180,17 @@ def test_a_strip_that_lacks_something_is_refused_by_name(lacking):
     assert f"no {lacking}" in refusal(picture.drop_vars(lacking))
 
 
+def test_frames_without_a_picture_have_no_say_in_which_ridges_are_sheets():
+    """A failure means that a film whose lamp is off, or that is damaged, for most of it is refused."""
+    _, picture = recording(1)
+    lit = picture.sizes["frame"] // 4
+    dark = picture.drop_vars("status").copy()
+    dark[lit:] = np.nan
+    flag = track_sheets(dark)["flag"].values
+    assert (flag[:lit] == "ok").mean() > 0.99
+    assert (flag[lit:] == "blank").all()
+
+
 def test_a_strip_made_by_hand_needs_no_name_and_no_status():
     """A failure means that arrays of one's own cannot be tracked in a notebook."""
     truth, picture = recording(1)

@@ -153,6 +153,27 @@ def test_truncated_h264_and_damage(tmp_path):
     assert 1 <= found.count("corrupt") <= 6
 
 
+@pytest.mark.parametrize("codec", ["libx264", "mpeg4"])
+def test_frames_predicted_from_a_damaged_one_are_corrupt(tmp_path, codec):
+    """Failure: frames that carry the damage of another are tracked as if they were real."""
+    rng = np.random.default_rng(3)
+    frames = comb(count=40, rows=64, columns=96, top=200) + rng.integers(0, 40, (40, 64, 96), np.uint8)
+    options = {"g": "10", "bf": "2", "sc_threshold": "0"}
+    path = write_encoded(
+        tmp_path / "a.mkv", frames, codec=codec, pix_fmt="yuv420p", source="gray", options=options
+    )
+    clean = whole(open_video(path))
+    with av.open(str(path)) as film:
+        (packet,) = [one for one in film.demux(video=0) if one.size and round(25 * one.pts * one.time_base) == 13]
+        at, data = path.read_bytes().index(bytes(packet)), bytearray(path.read_bytes())
+    data[at + packet.size // 2 : at + packet.size] = bytes(packet.size - packet.size // 2)
+    path.write_bytes(data)
+    found, decoded = np.array(states(open_video(path))), whole(open_video(path))
+    assert found.size == 40
+    assert np.array_equal(found == "corrupt", (decoded != clean).any(axis=(1, 2)))
+    assert 8 <= (found == "corrupt").sum() <= 9  # until the next key frame
+
+
 def mjpeg(path, count=12, **size):
     frames = comb(count=count, rows=48, columns=96, **size)
     return write_encoded(

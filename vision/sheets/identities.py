@@ -96,7 +96,7 @@ def identify_sheets(
     segments, displacement = split_segments(ridges, comb), comb_displacement(ridges, comb)
     reference = build_reference(
         segments.candidates,
-        segments.length,
+        segments.length * np.isfinite(segments.candidates.x_px).any(axis=1),  # dark frames have no say
         displacement[segments.middle],
         comb,
         sheets=sheets,

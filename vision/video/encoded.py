@@ -6,7 +6,7 @@ import contextlib
 import itertools
 import re
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import partial
@@ -47,6 +47,7 @@ _FORMATS = (
 )
 _RAW = {"mjpeg", "h264", "hevc", "m4v", "mpegvideo", "obu", "vc1"}  # pictures alone, without a container
 _CONTAINERS = {".avi", ".mp4", ".mkv", ".mov"}
+_MOST_HELD = 32  # frames in memory at once; H.264 and HEVC have at most 16 B-frames in a row
 _FRAMES_WITH_STEPS = 12  # the quantiser of the first predicted frames is that of the film to 2 of 51 levels
 EXPORT_QUANTISERS = {"export_side_data": "venc_params"}
 """Option of FFmpeg's decoders for `block_quantisers`."""
@@ -62,8 +63,8 @@ _RESTART = re.compile(rb"\xff([\xd0-\xd7])")
 class EncodedReader:
     """One video stream of a container, decoded frame by frame by FFmpeg.
 
-    A packet that cannot be decoded gives a "corrupt" frame; a number that the container skips gives a "lost"
-    frame.  Raises: InputError while reading, if a frame has another size than the first.
+    A packet that cannot be decoded gives a "corrupt" frame, and so do frames predicted from it; a number that
+    the container skips gives a "lost" frame.  Raises: InputError while reading, if a frame has another size than the first.
     """
 
     path: Path
@@ -152,12 +153,12 @@ class EncodedReader:
         """Yield every frame number once, in order."""
         number = 0
         with _video_stream(self.path) as stream:
-            for pts, decoded in _decoded(stream):
+            for pts, decoded in _undamaged(_decoded(stream)):
                 for _ in range(self._skipped(pts, number, stream)):
                     yield Frame(None, "lost")
                     number += 1
                 time_s = self._time_s(pts, stream)
-                if decoded is None or decoded.is_corrupt:
+                if decoded is None:
                     yield Frame(None, "corrupt", time_s)
                 else:
                     yield Frame(self._checked(grey_plane(decoded)), "ok", time_s)
@@ -478,6 +479,32 @@ def _decoded(stream: av.VideoStream) -> Iterator[tuple[int | None, av.VideoFrame
                 yield from ((pts, None) for pts in overtaken)
             yield (frame.pts if timed else None), frame
     yield from ((pts, None) for pts in sorted(waiting))
+
+
+def _undamaged(
+    decoded: Iterable[tuple[int | None, av.VideoFrame | None]],
+) -> Iterator[tuple[int | None, av.VideoFrame | None]]:
+    """Yield (pts, frame) in display order; the frame is None if it is damaged or predicted from such a one.
+
+    A decoder marks only the frame whose data are damaged. The damage lasts until the next key frame, and is
+    in the B-frames displayed before it as well, as these are decoded after it.
+    """
+    held: list[tuple[int | None, av.VideoFrame | None]] = []  # B-frames whose later reference is not known
+    damaged = False
+    for pts, frame in decoded:
+        held.append((pts, frame))
+        if frame is not None and frame.pict_type == PictureType.B and len(held) < _MOST_HELD:
+            continue
+        own = frame is None or frame.is_corrupt
+        between = damaged or own or any(other is None or other.is_corrupt for _, other in held)
+        if frame is not None and frame.key_frame:
+            damaged = own
+        else:
+            damaged = between
+        yield from ((each, None if between else other) for each, other in held[:-1])
+        yield pts, None if damaged else frame
+        held = []
+    yield from ((pts, None if damaged or frame is None or frame.is_corrupt else frame) for pts, frame in held)
 
 
 def _reorders(stream: av.VideoStream) -> bool:
