@@ -164,7 +164,9 @@ def test_frames_predicted_from_a_damaged_one_are_corrupt(tmp_path, codec):
     )
     clean = whole(open_video(path))
     with av.open(str(path)) as film:
-        (packet,) = [one for one in film.demux(video=0) if one.size and round(25 * one.pts * one.time_base) == 13]
+        (packet,) = [
+            one for one in film.demux(video=0) if one.size and round(25 * one.pts * one.time_base) == 13
+        ]
         at, data = path.read_bytes().index(bytes(packet)), bytearray(path.read_bytes())
     data[at + packet.size // 2 : at + packet.size] = bytes(packet.size - packet.size // 2)
     path.write_bytes(data)

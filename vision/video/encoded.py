@@ -64,7 +64,8 @@ class EncodedReader:
     """One video stream of a container, decoded frame by frame by FFmpeg.
 
     A packet that cannot be decoded gives a "corrupt" frame, and so do frames predicted from it; a number that
-    the container skips gives a "lost" frame.  Raises: InputError while reading, if a frame has another size than the first.
+    the container skips gives a "lost" frame.  Raises: InputError while reading, if a frame has another size
+    than the first.
     """
 
     path: Path
@@ -497,10 +498,7 @@ def _undamaged(
             continue
         own = frame is None or frame.is_corrupt
         between = damaged or own or any(other is None or other.is_corrupt for _, other in held)
-        if frame is not None and frame.key_frame:
-            damaged = own
-        else:
-            damaged = between
+        damaged = own if frame is not None and frame.key_frame else between
         yield from ((each, None if between else other) for each, other in held[:-1])
         yield pts, None if damaged else frame
         held = []

@@ -91,7 +91,8 @@ def strip_profile(
         "intensity" (frame, x), float32 grey levels, as `vision.data.STRIP` declares it. Coordinates are frame
         (number in the file), x (column), time_s, NaN where unknown, and status: "ok", "blank" (no picture),
         "corrupt" (not decoded, or predicted from such a one) or "lost" (not in the file). Rows of frames that
-        are not "ok" are NaN. Frame counts, clock, strip and warnings are in the attributes (`vision.data.StripMetadata`).
+        are not "ok" are NaN. Frame counts, clock, strip and warnings are in the attributes
+        (`vision.data.StripMetadata`).
 
     Raises
     ------
@@ -394,7 +395,11 @@ def expected_frames(
         missing = video.expected - status.size
         found = f"{status.size} of {video.expected} expected frames are in the file"
         warnings.append(f"{name}: {found}; {missing} {'is' if missing == 1 else 'are'} missing")
-    reasons = {"corrupt": "corrupt or predicted from corrupt ones", "lost": "lost by the camera", "blank": "blank"}
+    reasons = {
+        "corrupt": "corrupt or predicted from corrupt ones",
+        "lost": "lost by the camera",
+        "blank": "blank",
+    }
     for state, reason in reasons.items():
         which = np.flatnonzero(status == state)
         if which.size:
