@@ -59,6 +59,27 @@ def test_a_film_that_agrees_with_itself_raises_nothing(picture, tracked):
     assert consistency_warnings(track_sheets(picture, sheets=SHEETS, axis_px=AXIS)) == []
 
 
+def lit(side):
+    """Sheets of 8 px, bright on one side (a number of each frame from −1 to 1)."""
+    x = comb(150, per_side=12, axis_px=300)
+    halves = (ridges(x + off, width=600, fwhm_px=2.5, flat_px=4.0) for off in (-2.0, 2.0))
+    return strip(
+        sum((1 + 0.7 * sign * side[:, None]) * half for sign, half in zip((-1, 1), halves, strict=True))
+    )
+
+
+@pytest.mark.parametrize("what", ["side", "brightness", "constant"])
+def test_ridges_lit_from_the_other_side_are_named(what):
+    """A failure means that positions are off by two pixels in half of the film, and the run says nothing, or
+    that it warns of light that shifts no ridge."""
+    after = np.arange(150) > 90
+    film = lit(np.where(after & (what == "side"), -1.0, 1.0))
+    film.values[:] *= np.where(after & (what == "brightness"), 1.5, 1.0)[:, None]
+    said = [line for line in tracking_warnings(track_sheets(film)) if "unlike usual" in line]
+    assert len(said) == (what == "side")
+    assert all(":150)" in line for line in said)
+
+
 @pytest.mark.parametrize("name", [field.name for field in fields(CheckSettings)])
 def test_every_setting_is_used(name):
     """A failure means that somebody turns a knob that is connected to nothing."""

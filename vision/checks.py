@@ -51,6 +51,16 @@ class CheckSettings(Tunable):
     """Error by a second comb over the sheets, over that of the noise, from which a warning names it.  Larger
     is silent about reflections that double the errors; smaller warns where they matter little."""
 
+    changed_px: float = 0.1
+    """Error of most positions of a frame, px, from which a warning counts the frame, where ridges look unlike
+    usual.  On films in constant light and focus no frame exceeds it.  Smaller names errors well below a
+    sheet's sweep; larger is silent where the light moves from one side of the sheets to the other
+    (`test_ridges_lit_from_the_other_side_are_named`)."""
+
+    changed_frames: float = 0.05
+    """Share of the frames that such a stretch, and such ridges, must have for the warning.  Smaller warns of
+    slips; larger overlooks a light that moves shortly before the film ends."""
+
     seen_between: float = 0.05
     """Share of the frames with a further ridge between most sheets above which a warning says so.  Smaller
     warns of frames in which two images overlap; larger is silent where a film shows the blocks together only
@@ -169,6 +179,7 @@ def _of_tracks(tracks: xr.Dataset, settings: CheckSettings, tracking: TrackingSe
     yield from _frames_with_few_sheets(tracks)
     yield from _still(tracks, tracking, measured="ok" in flags)
     yield from _second_comb(tracks, found, settings)
+    yield from _changed_shape(tracks, found, settings)
     if found.noise_lasts:
         yield (
             "the noise of each frame resembles that of the frame before (correlation"
@@ -281,6 +292,27 @@ def _second_comb(tracks: xr.Dataset, found: TrackMetadata, settings: CheckSettin
             " the ridges' height): a reflection, a second comb or haze lies over the sheets, or they lean;"
             f" x_err_px includes {found.second_comb_err_px:.2g} px for it: look at the film, and keep"
             " reflections out"
+        )
+
+
+def _changed_shape(tracks: xr.Dataset, found: TrackMetadata, settings: CheckSettings) -> Iterator[str]:
+    """Warn of frames in which most ridges look unlike usual, and positions may be off by far."""
+    if "distorted" not in tracks or nan_median(tracks["distorted"].values) < settings.changed_frames:
+        return
+    err = nan_median(np.where(is_word(tracks["flag"], "ok"), tracks["x_err_px"].values, np.nan), axis=1)
+    noise_px = np.fmax(tracks["x_noise_px"].values, tracks["x_predicted_px"].values)
+    least = max(settings.changed_px, 3 * float(nan_median(noise_px)))
+    changed = err > np.hypot(least, found.second_comb_err_px)  # which has its own warning
+    _, first, stop = stretches(changed[:, None])
+    longest = int(np.argmax(stop - first)) if len(first) else 0
+    if changed.any() and stop[longest] - first[longest] > settings.changed_frames * len(changed):
+        number = tracks["frame"].values
+        where = f"{number[first[longest]]}:{number[stop[longest] - 1] + 1}"
+        yield (
+            f"most ridges look unlike usual in {100 * changed.mean():.0f} % of the frames (the longest run"
+            f" is {where}): the light or the focus changed, or something lies over the strip. Positions there"
+            f" may be off by {nan_median(err[changed]):.2g} px or twice as much, which x_err_px includes"
+            " roughly: look at the film, and analyse the parts before and after with `frames`"
         )
 
 
