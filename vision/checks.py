@@ -263,11 +263,14 @@ def _still(tracks: xr.Dataset, settings: TrackingSettings, *, measured: bool) ->
         )
 
 
+def _with_picture(tracks: xr.Dataset) -> Bools:
+    """Return which frames have a picture of their own, (frame,)."""
+    return np.asarray(~is_word(tracks["flag"], "frozen", "blank", "corrupt", "lost").all(axis=1))
+
+
 def _frames_with_few_sheets(tracks: xr.Dataset) -> Iterator[str]:
     """Warn if fewer than half of the sheets are found in many successive frames."""
-    flags = tracks["flag"]
-    read = ~is_word(flags, "frozen", "blank", "corrupt", "lost").all(axis=1)
-    few = read & (is_word(flags, *WITHOUT_RIDGE).mean(axis=1) > 0.5)
+    few = _with_picture(tracks) & (is_word(tracks["flag"], *WITHOUT_RIDGE).mean(axis=1) > 0.5)
     _, first, stop = stretches(few[:, None])
     if not len(first) or (stop - first).max() < LONG_GAP:
         return
@@ -542,7 +545,7 @@ def _comb_warnings(tracks: xr.Dataset, found: TrackMetadata, settings: CheckSett
     if len(snr) >= 5:
         least[[0, -1]] = np.fmax(least[0], settings.end_height * snr[[[1, -2], [2, -3]]].min(axis=0))
     counted_by_hand = (share == 0) & (found.corrections_applied > 0)  # a covered sheet
-    rare = (share < 0.25) & ~counted_by_hand
+    rare = (share < 0.25 * _with_picture(tracks).mean()) & ~counted_by_hand
     odd = (snr < least) | rare | wide | _stationary_ends(tracks, settings)
     if (weak := np.flatnonzero(odd)).size and found.sheets > 1:
         which = first_of(weak.tolist(), 6)
