@@ -479,15 +479,19 @@ def test_frames_without_positions_are_not_called_equal(tracked):
 
 
 @pytest.mark.parametrize(
-    ("apart_px", "how"),
-    [(11.0, "spacings of 11 and 29 px alternate"), (19.0, "only every second spacing changes")],
+    ("apart_px", "how", "snr"),
+    [
+        (11.0, "spacings of 11 and 29 px alternate", 100),
+        (19.0, "only every second spacing changes", 100),
+        (19.0, "only every second spacing changes", 12),
+    ],
 )
-def test_two_edges_of_every_sheet_are_said_to_be_pairs(apart_px, how):
+def test_two_edges_of_every_sheet_are_said_to_be_pairs(apart_px, how, snr):
     """Light from both sides draws two lines for each sheet, which keep their distance.  A failure means that
     twice as many sheets as there are pass, or are said to lack some."""
     edge = comb(60, per_side=8, axis_px=330)[:, :, None] * 2 - 330
     both = (edge + np.array([0.0, apart_px])).reshape(60, 32)
-    picture = strip(ridges(both, width=700, fwhm_px=5.0))
+    picture = strip(ridges(both, width=700, fwhm_px=5.0), snr=snr)
     lines = tracking_warnings(track_sheets(picture))
     assert [line for line in lines if "sheets may be missing" in line] == []
     assert sum(f"form pairs: {how}" in line for line in lines) == 1

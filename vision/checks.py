@@ -84,10 +84,10 @@ class CheckSettings(Tunable):
     """Ratio of these quantiles from which ridges form pairs.  Smaller calls an uneven comb one of pairs;
     larger misses the edges of thick sheets (`test_two_edges_of_every_sheet_are_said_to_be_pairs`)."""
 
-    pair_motion: float = 4.0
+    pair_motion: float = 2.0
     """Ridges also form pairs if the spacings beside every second one change by this factor more than that
-    does, in the median.  On 590 films of single sheets the factor is at most 1.2; on films that show two
-    edges of every sheet it is 12 to 87.  Smaller calls noise pairs; larger misses edges in noisy films."""
+    does, in the median.  On 825 films of single sheets the factor is at most 1.4; on films that show two
+    edges of every sheet it is 3 to 87.  Smaller calls noise pairs; larger misses edges in noisy films."""
 
     odd_width: float = 1.75
     """Width of a ridge, over the median, above which it may be something else.  On fixtures and released
