@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shutil
 import tempfile
 from contextlib import suppress
 from dataclasses import replace
@@ -16,7 +15,7 @@ import xarray as xr
 from vision.command.settings import options_of, settings_of_run
 from vision.data import FORCE, ForceMetadata, load_unit
 from vision.errors import InputError
-from vision.folder import check_target, unwritable
+from vision.folder import check_target
 from vision.pipeline import Analysis, Settings, open_force
 from vision.run.provenance import Origin, Parameter, describe_input
 from vision.run.reading import analyse_again, film_if_there, read_run
@@ -72,20 +71,14 @@ def save_run(analysis: Analysis, folder: str | Path, *, overwrite: bool = False,
         "report": Parameter(report, "given"),
     }
     facts = {"force_alone": True} if analysis.tracks is None else None
+    command = "analysed from Python"
     with tempfile.TemporaryDirectory() as place:
-        described = {}
+        described, further = {}, []
         if own is not None and force is not None:
             own.to_csv(table := Path(place) / OWN_FORCE, index=False)
-            described[force] = describe_input(table) | {"path": str(force)}
-        command = "analysed from Python"
+            described, further = {force: describe_input(table) | {"path": str(force)}}, [table]
         origin = Origin(command=command, inputs=inputs, parameters=parameters, described=described)
-        write_run(analysis, folder, origin, overwrite=overwrite, report=report, facts=facts)
-        if described:
-            try:
-                shutil.copyfile(table, folder / OWN_FORCE)
-            except OSError as error:
-                advice = "the run lacks its force recording: save it elsewhere"
-                raise unwritable(folder / OWN_FORCE, error, advice) from error
+        write_run(analysis, folder, origin, overwrite=overwrite, report=report, facts=facts, further=further)
     return folder
 
 

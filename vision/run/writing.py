@@ -71,12 +71,14 @@ def write_run(
     report: bool = True,
     facts: Mapping[str, Any] | None = None,
     decisions: Decisions | None = None,
+    further: Sequence[Path] = (),
 ) -> dict[str, Any]:
     """Write tables, pictures, report.html and run.json of a run, and return the content of run.json.
 
     target: the run folder; an earlier one is replaced with `overwrite`.  facts: further entries of run.json.
     decisions: those for corrections.toml, by default ``analysis.settings.corrections``; an earlier
     corrections.toml with others is then kept under the name `set_aside`. So are files of the user.
+    further: files to copy into the folder.
 
     Raises: InputError if the folder exists (without `overwrite`) or cannot be written; nothing is left then.
     """
@@ -92,6 +94,8 @@ def write_run(
             seconds["tables"] = time.perf_counter() - started
             content = {**run_facts(analysis, origin, inputs, budget), **(facts or {})}
             _write_decisions(analysis, folder, content, decisions)
+            for file in further:
+                shutil.copyfile(file, folder / file.name)
             seconds["run facts"] = time.perf_counter() - started - seconds["tables"]
             drawn = time.perf_counter()
             _write_figures_and_page(analysis, folder, content, failures, origin, report=report)
