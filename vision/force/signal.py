@@ -362,11 +362,15 @@ def _swing_after_falls(load: Floats, settings: ForceSettings) -> float:
     after, k = load[at[:, None] + 1 + np.arange(length)], np.arange(length)
     slope, level = np.polyfit(k[length // 2 :], after[:, length // 2 :].T, 1)
     fall = load[at[:, None] - np.arange(length // 4)].max(axis=1) - level
-    swing = np.median((after - slope[:, None] * k - level[:, None]) / fall[:, None], axis=0)
+    steps = quantum(load)
+    if np.median(fall) <= steps:
+        return float("nan")
+    swing = np.median((after - slope[:, None] * k - level[:, None]) / np.fmax(fall, steps)[:, None], axis=0)
     low = int(np.argmin(swing))
     high = low + int(np.argmax(swing[low:]))
     again = high + int(np.argmin(swing[high : 3 * high - 2 * low + 1]))
-    least = max(settings.ringing_rebound, 5 * float(np.std(swing[length // 2 :])))
+    noise = 5 * float(np.std(swing[length // 2 :]))
+    least = max(settings.ringing_rebound, noise, 1.5 * steps / float(np.median(fall)))
     if swing[high] < least or swing[again] > 0 or again >= length // 2 or again - low < 4:
         return float("nan")
     low_at, again_at = (j + (float(peak_offset(*swing[j - 1 : j + 2])) if j else 0.0) for j in (low, again))
