@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -146,16 +146,13 @@ def find_stick_slip(
         warnings = [rings, *warnings]  # slips that the mean over a period does not show are its swings
     if threshold_N is None and analysis.regime.name == "stick-slip" and not (rings or signal.averaged):
         warnings += _missed_warnings(signal, slips, analysis, unit, settings)
-    metadata = _metadata(signal, slips, analysis, shares, warnings)
-    metadata = replace(
-        metadata,
-        warnings=[*warnings, *_filter_warnings(events, analysis, metadata, settings)],
-        average_s=signal.averaged * signal.interval_s,
-        ringing_s=ringing_s,
-        machine_stiffness_N_per_mm=machine_stiffness_N_per_mm or float("nan"),
-        central_part=settings.central_part,
-    )
-    events.attrs |= metadata.attrs()
+    more = {
+        "warnings": [*warnings, *_filter_warnings(events, analysis, settings)],
+        "ringing_s": ringing_s,
+        "machine_stiffness_N_per_mm": machine_stiffness_N_per_mm or math.nan,
+        "central_part": settings.central_part,
+    }
+    events.attrs |= _metadata(signal, slips, analysis, shares | more).attrs()
     return record(
         events,
         "find_stick_slip",
@@ -347,6 +344,7 @@ class _SlipAnalysis:
     found: Lowpass  # low-pass that the transients suggest
     how: LowpassHow  # as ``lowpass_how`` of `StickMetadata`
     lengthened: float  # samples by which a filter may have lengthened every slip (`filter_length`)
+    by_filter: float  # the same, but 0 where a low-pass or an average explains it
 
 
 def _analyse_slips(
@@ -379,7 +377,8 @@ def _analyse_slips(
         corners, how = (found.corners, "found") if found.proven else (corners, "doubtful")
     if corners.lowpass:
         lengthened = filter_length(signal, corners, settings)
-    return _SlipAnalysis(corners, extremes, regime, found, how, lengthened)
+    explained = corners.lowpass or found.samples or signal.averaged
+    return _SlipAnalysis(corners, extremes, regime, found, how, lengthened, 0.0 if explained else lengthened)
 
 
 def _without_average(extremes: Extremes, signal: Signal, slips: Slips, settings: ForceSettings) -> Extremes:
@@ -570,17 +569,14 @@ def _missed_warnings(
     ]
 
 
-def _filter_warnings(
-    events: pd.DataFrame, analysis: _SlipAnalysis, metadata: StickMetadata, settings: ForceSettings
-) -> list[str]:
+def _filter_warnings(events: pd.DataFrame, analysis: _SlipAnalysis, settings: ForceSettings) -> list[str]:
     """Return that a filter, which is not corrected, may have smoothed much of the sticks.
 
     An oscillation has none.
     """
     slip, stick = events["slip_time_s"].median(), (events["t_p_s"] - events["t_v_s"]).median()
-    doubtful = metadata.lowpass_doubt and analysis.lengthened
-    oscillates = analysis.regime.name == "oscillation"
-    if oscillates or not ((metadata.filter_s or doubtful) and slip > settings.filter_share * stick):
+    smoothed = analysis.lengthened if analysis.found.doubt else analysis.by_filter
+    if analysis.regime.name == "oscillation" or not (smoothed and slip > settings.filter_share * stick):
         return []
     return [
         f"slips last {slip / stick:.2g} times as long as sticks, and the load is not level at their ends, or "
@@ -589,18 +585,9 @@ def _filter_warnings(
     ]
 
 
-def _metadata(
-    signal: Signal,
-    slips: Slips,
-    analysis: _SlipAnalysis,
-    shares: dict[str, float],
-    warnings: list[str],
-) -> StickMetadata:
-    """Return what later stages need to know of the slips and of the low-pass."""
+def _metadata(signal: Signal, slips: Slips, analysis: _SlipAnalysis, more: dict[str, Any]) -> StickMetadata:
+    """Return what later stages need to know of the slips and of the low-pass, and `more`."""
     tau, found, peak = analysis.corners.lowpass, analysis.found, analysis.corners.peak
-    widened = 0.0
-    if not (tau or found.samples or signal.averaged):
-        widened = analysis.lengthened
     first, last = signal.time_at(peak[[0, -1]])
     return StickMetadata(
         noise_N=signal.sigma,
@@ -614,18 +601,18 @@ def _metadata(
         lowpass_proposed_s=found.samples * signal.interval_s if found.samples and not tau else float("nan"),
         lowpass_proven=found.proven,
         lowpass_doubt=found.doubt,
-        **shares,
-        filter_s=widened * signal.interval_s,
+        filter_s=analysis.by_filter * signal.interval_s,
+        average_s=signal.averaged * signal.interval_s,
         two_slopes=analysis.corners.two_slopes,
         bend_share=float(analysis.corners.shape.ends[0, 0]),
         hum_Hz=signal.hum[0].frequency / signal.interval_s if signal.hum else float("nan"),
         hum_N=rms_of(signal.hum),
         regime=analysis.regime.name,
         fall_over_rise=analysis.regime.fall_over_rise,
-        warnings=warnings,
         first_slip_s=float(first),
         first_slip_N=float(signal.clean[int(peak[0])]),
         last_slip_s=float(last),
+        **more,
     )
 
 
