@@ -407,3 +407,22 @@ def test_a_label_stands_beside_the_numbers_of_its_axis(scale):
         numbers = min(one.get_window_extent().x0 for one in drawn)
         gap_in = (numbers - ax.yaxis.label.get_window_extent().x1) / page.dpi
     assert 0 < gap_in < 0.1
+
+
+def test_the_label_of_the_right_axis_stands_beside_its_numbers():
+    """A failure means that it stands a third of an inch from an axis with short numbers."""
+    x = np.linspace(0, 1, 9)
+    left = Series(label="force", x=x, y=30 * x, ink=DATA)
+    right = Series(label="sheets", x=x, y=8 * x - 2, ink=DATA, axis="right")
+    panel = Panel(x_label="t (s)", y_label="F (N)", y2_label="motion (µm)", series=(left, right))
+    with picture_style():
+        page = _page(panel.figure("one", ""))
+        FigureCanvasAgg(page).draw()
+        ax = page.axes[-1]
+        low, high = sorted(ax.get_ylim())
+        drawn = [
+            text for at, text in zip(ax.get_yticks(), ax.get_yticklabels(), strict=True) if low <= at <= high
+        ]
+        numbers = max(one.get_window_extent().x1 for one in drawn)
+        gap_in = (ax.yaxis.label.get_window_extent().x0 - numbers) / page.dpi
+    assert 0 < gap_in < 0.15

@@ -163,15 +163,13 @@ def _page(figure: Figure, page: Page | None = None) -> Page:
             ax.locator_params(axis="y", integer=True)
         # By default matplotlib measures the tick labels at each drawing to place the axis labels.
         ax.xaxis.set_label_coords(0.5, -_inches().x_label / height)
-        ends, ticks = sorted(ax.get_ylim()), ax.get_yticks()
-        drawn = ticks[(ticks >= ends[0]) & (ticks <= ends[1])]
-        numbers = ax.yaxis.get_major_formatter().format_ticks(drawn.tolist())
-        count = 99 if panel.y_log else max(map(len, numbers), default=0)
+        count = 99 if panel.y_log else _longest_number(ax)
         longest = max(longest, count)
         if not panel.y_log and count > 6:  # they would touch the label
             ax.tick_params(axis="y", labelsize=8 * _letters())
         if panel.y2_label:
-            page.axes[-1].yaxis.set_label_coords(1 + _inches().y_label / width, 0.5)
+            right = page.axes[-1]
+            right.yaxis.set_label_coords(1 + _label_reach(_longest_number(right)) / width, 0.5)
         if figure.shows_titles:
             row = [other for other, box in zip(figure.panels, boxes, strict=True) if box[1] == bottom]
             top = bottom + height + 0.06 * _letters() + max(_head(other, width)[1] for other in row)
@@ -184,10 +182,21 @@ def _page(figure: Figure, page: Page | None = None) -> Page:
             page.text(
                 *below, _foot(panel, width), color=QUIET[0], fontsize=8 * _letters(), ha="right", va="top"
             )
-    reach = min(_inches().y_label, _inches().tick + longest * _inches().digit)
     for ax, (_, _, width, _) in zip(axes, boxes, strict=True):  # in line, one below the other
-        ax.yaxis.set_label_coords(-reach / width, 0.5)
+        ax.yaxis.set_label_coords(-_label_reach(longest) / width, 0.5)
     return page
+
+
+def _longest_number(ax: Axes) -> int:
+    """Return the length of the longest number at a y axis, in characters."""
+    ends, ticks = sorted(ax.get_ylim()), ax.get_yticks()
+    drawn = ticks[(ticks >= ends[0]) & (ticks <= ends[1])]
+    return max(map(len, ax.yaxis.get_major_formatter().format_ticks(drawn.tolist())), default=0)
+
+
+def _label_reach(characters: int) -> float:
+    """Return how far the label of a y axis lies from it, beyond numbers of so many characters, inches."""
+    return min(_inches().y_label, _inches().tick + characters * _inches().digit)
 
 
 def write(figure: Figure, path: Path, *, dpi: float | None = None, font_size: float = 10.0) -> None:
