@@ -455,9 +455,9 @@ def test_hum_is_left_out_of_a_load_without_other_noise(period: float) -> None:
 
 @pytest.mark.parametrize("part", [3, 1])
 def test_the_search_fails_in_hum_that_it_does_not_recognise(part: int) -> None:
-    """A failure means the test above would pass without the search for hum."""
+    """A failure means the test above would pass without the search for hum, and for ringing."""
     test, humming = with_hum(40 / part, 0)
-    events = find_stick_slip(humming, settings=ForceSettings(hum_ratio=1e12))
+    events = find_stick_slip(humming, settings=ForceSettings(hum_ratio=1e12, ringing_fewest=10**9))
     assert len(events) > 5 * len(test.truth)
 
 
@@ -1171,16 +1171,17 @@ def test_a_load_that_rings_on_is_not_called_sampled_too_slowly_alone() -> None:
         find_stick_slip(test.force.assign(load_N=("time_s", load + ringing)))
 
 
-def test_a_load_that_rings_in_few_samples_is_told_to_be_averaged() -> None:
-    """A failure means that ringing of 6.7 samples, in which no slip is found, is answered by the advice to
-    lower the threshold."""
+def test_slips_of_a_load_that_rings_in_few_samples_are_found() -> None:
+    """A failure means that ringing of 6.7 samples hides them, and that the advice is a lower threshold."""
     test = plain(sticks=40, samples=1500, snr=800, jitter=0.07)
     load, time = test.force["load_N"].to_numpy(), np.arange(400)
     swing = 0.3 * np.exp(-time / 33) * np.cos(2 * np.pi * 0.15 * time)
     drop = np.diff(load, prepend=load[0])
     ringing = np.convolve(np.where(drop < -1, drop, 0.0), swing)[: load.size]
-    with pytest.raises(InputError, match=r"at least two slips.*oscillates at 15 Hz .*give `average_s` auto"):
-        find_stick_slip(test.force.assign(load_N=("time_s", load + ringing)))
+    events = find_stick_slip(test.force.assign(load_N=("time_s", load + ringing)))
+    assert len(events) == len(test.truth)
+    assert "oscillates at 15 Hz" in events.attrs["warnings"][0]
+    assert "give `average_s` auto" in events.attrs["warnings"][0]
 
 
 def test_ringing_after_a_slip_is_no_valley() -> None:

@@ -201,8 +201,8 @@ def test_the_period_of_ringing(period):
 @pytest.mark.parametrize("every", [1, 5])
 @pytest.mark.parametrize("damping", [0.25, 0.4])
 def test_ringing_that_decays_within_two_periods(damping: float, every: int) -> None:
-    """Its swings are too few for an autocorrelation. A failure means that the slips of a load cell with
-    damping are called an oscillation, and that no average is proposed."""
+    """Its swings are too few for an autocorrelation. A failure means that the swings of a load cell with
+    damping are events, and all of them an oscillation, unless the load is averaged."""
     rate_hz, turn, rng = 5000 / every, 2 * np.pi * 60, np.random.default_rng(0)
     slips_s = 1.0 + slip_times(rng, 150, period_s=0.4)
     still = {
@@ -219,12 +219,13 @@ def test_ringing_that_decays_within_two_periods(damping: float, every: int) -> N
     load = force["load_N"].to_numpy()
     assert ringing_period(load, ForceSettings()) == pytest.approx(rate_hz / 60, rel=0.15)
     assert np.isnan(ringing_period(load, ForceSettings(ringing_rebound=1.0)))
-    averaged_events, as_recorded = find_stick_slip(force, average_s="auto"), find_stick_slip(force)
-    assert len(averaged_events) == len(slips_s) - 1
-    assert (averaged_events["flag"] == "ok").all()
-    proposed = any("the load oscillates at" in line for line in as_recorded.attrs["warnings"])
-    assert proposed == (len(as_recorded) != len(slips_s) - 1)
-    assert proposed == (damping < 0.3)
+    for average_s in ("auto", 0.0):
+        events = find_stick_slip(force, average_s=average_s)
+        assert len(events) == len(slips_s) - 1
+        assert (events["flag"] == "ok").all()
+        place = np.abs(events["t_p_s"].to_numpy()[:, None] - slips_s).argmin(axis=1)
+        off = events["F_p_N"] - 100 - 30 * still["sizes"][place]
+        assert np.mean(np.abs(off) < 3 * events["F_p_err_N"]) > 0.9
 
 
 def test_slips_noise_and_low_passes_do_not_ring():
@@ -313,13 +314,21 @@ def test_an_oscillation_throughout_is_no_ringing():
     assert np.isnan(events.attrs["ringing_s"])
 
 
-def test_swings_taken_for_events_give_one_warning():
-    """A failure means that the user is sent to the displacement, the range or the threshold, though the load
-    rings."""
+def test_swings_are_no_events_and_give_one_warning():
+    """A failure means that each swing is an event, or that the user is sent to the displacement, the range or
+    the threshold, though the load rings."""
     force = rung(20, 0.03, 0.3)
     noise = 2e-4 * np.random.default_rng(0).standard_normal(force.sizes["time_s"])
     events = find_stick_slip(force.assign(d_mm=force["d_mm"] + noise))
-    assert events.attrs["regime"] != "stick-slip"
+    right, truth = matched(events, scene().truth)
+    assert len(events) == len(right) == len(scene().truth)
+    assert (events["flag"] == "ok").all()
+    for name, error in (
+        ("dF_N", "dF_err_N"),
+        ("stick_length_um", "stick_length_err_um"),
+        ("K_N_per_mm", "K_err_N_per_mm"),
+    ):
+        assert np.mean(np.abs(right[name] - truth[name]) < 3 * right[error]) > 0.95, name
     (line,) = events.attrs["warnings"]
     assert "give `average_s` auto" in line
 

@@ -129,6 +129,9 @@ def find_stick_slip(
     rings = _proposal(ringing_s) if still_rings else ""
     _check_load(signal, source, rings, settings)
     signal, slips = known or _slips(signal, threshold_N, settings)
+    searched = slips
+    if calm and not seconds and signal.clean.size == calm[0].clean.size:
+        signal, slips = _without_swings(signal, slips, calm, settings)
     if slips.edge.size < 2:
         raise _too_few_slips(signal, slips, source, rings)
     period_s = slips.period * signal.interval_s
@@ -142,8 +145,8 @@ def find_stick_slip(
     unit = load_unit_text(force)
     swings_s = math.nan if calm else swing_s
     warnings = doubts(events, analysis.regime, signal, slips, unit, rings, swings_s, lasting, settings)
-    if rings and calm and rings not in warnings and calm[1].edge.size < 0.95 * slips.edge.size:
-        warnings = [rings, *warnings]  # slips that the mean over a period does not show are its swings
+    if slips is not searched and rings not in warnings:
+        warnings = [rings, *warnings]
     if threshold_N is None and analysis.regime.name == "stick-slip" and not (rings or signal.averaged):
         warnings += _missed_warnings(signal, slips, analysis, unit, settings)
     more = {
@@ -180,6 +183,21 @@ def _without_ringing(
     extremes = find_extremes(calm.clean, calm.sigma, corners.middle, corners.length, corners.drop)
     regime = find_regime(calm.clean, slips, extremes, settings)
     return (calm, slips) if regime.name == "stick-slip" else None
+
+
+def _without_swings(
+    signal: Signal, slips: Slips, calm: tuple[Signal, Slips], settings: ForceSettings
+) -> tuple[Signal, Slips]:
+    """Return the slips without those that are swings of the load, and the signal with the ringing as noise.
+
+    Slips are only those that the mean over a period, `calm`, shows as well, where that shows another number:
+    each swing falls, too, and many of them look like noise, which hides the slips.
+    """
+    averaged, seen = calm
+    if abs(slips.edge.size - seen.edge.size) <= 0.05 * seen.edge.size:
+        return signal, slips
+    slips = seen.at_first_fall(signal.clean, math.ceil(averaged.averaged))
+    return with_slow_noise(signal, slips, settings), slips
 
 
 def _slips_in_smooth_noise(

@@ -62,6 +62,16 @@ class Slips:
             self, edge=place[np.arange(self.edge.size), steepest], jump_edge=self.jump_edge * every
         )
 
+    def at_first_fall(self, load: Floats, period: int) -> Slips:
+        """Return the slips of a load averaged over a period of ringing where the load itself falls: at the
+        first fall half as steep as the steepest one within a period, since later ones are swings."""
+        place = np.clip(self.edge[:, np.newaxis] + np.arange(-period, period + 1), 1, load.size - 1)
+        fall = load[place - 1] - load[place]
+        first = np.argmax(fall > 0.5 * fall.max(axis=1, keepdims=True), axis=1)
+        near = np.minimum(first[:, np.newaxis] + np.arange(period // 2 + 1), 2 * period)
+        steepest = near[:, 0] + np.argmax(np.take_along_axis(fall, near, axis=1), axis=1)
+        return replace(self, edge=place[np.arange(len(place)), np.minimum(steepest, 2 * period)])
+
     def before_jumps(self, settings: ForceSettings) -> Ints:
         """Return the number of slips before each upward jump that is as large as slips.
 
