@@ -271,25 +271,36 @@ def _with_picture(tracks: xr.Dataset) -> Bools:
 def _frames_with_few_sheets(tracks: xr.Dataset) -> Iterator[str]:
     """Warn if fewer than half of the sheets are found in many successive frames."""
     few = _with_picture(tracks) & (is_word(tracks["flag"], *WITHOUT_RIDGE).mean(axis=1) > 0.5)
-    _, first, stop = stretches(few[:, None])
-    if not len(first) or (stop - first).max() < LONG_GAP:
+    length, where = _longest_run(tracks, few)
+    if length < LONG_GAP:
         return
-    longest = int(np.argmax(stop - first))
-    number = tracks["frame"].values
-    where = f"{number[first[longest]]}:{number[stop[longest] - 1] + 1}"
     yield (
         f"fewer than half of the sheets are found in {few.sum()} frames (the longest run is {where}): another"
         " scene, or something in front of the sheets? exclude these frames with `frames`"
     )
 
 
+def _longest_run(tracks: xr.Dataset, marked: Bools) -> tuple[int, str]:
+    """Return the number of frames in the longest run of marked ones, (frame,), and which: "40:55"; 0 and ""
+    for none."""
+    _, first, stop = stretches(marked[:, None])
+    if not len(first):
+        return 0, ""
+    longest, number = int(np.argmax(stop - first)), tracks["frame"].values
+    return int(stop[longest] - first[longest]), f"{number[first[longest]]}:{number[stop[longest] - 1] + 1}"
+
+
+def _noise_px(tracks: xr.Dataset) -> float:
+    """Return the usual noise of a position, px."""
+    # a codec hides the noise of pixels, from which the latter is predicted
+    return float(nan_median(np.fmax(tracks["x_noise_px"].values, tracks["x_predicted_px"].values)))
+
+
 def _second_comb(tracks: xr.Dataset, found: TrackMetadata, settings: CheckSettings) -> Iterator[str]:
     """Warn of a second comb whose error exceeds that of the noise."""
     if not found.second_comb_err_px or not {"x_noise_px", "x_predicted_px"} <= set(tracks):
         return
-    # a codec hides the noise of pixels, from which the latter is predicted
-    noise_px = np.fmax(tracks["x_noise_px"].values, tracks["x_predicted_px"].values)
-    if found.second_comb_err_px > settings.second_comb * nan_median(noise_px):
+    if found.second_comb_err_px > settings.second_comb * _noise_px(tracks):
         yield (
             f"light moves between the ridges and the gaps beside them (by {100 * found.second_comb:.1f} % of"
             " the ridges' height): a reflection, a second comb or haze lies over the sheets, or they lean;"
@@ -303,14 +314,10 @@ def _changed_shape(tracks: xr.Dataset, found: TrackMetadata, settings: CheckSett
     if "distorted" not in tracks or nan_median(tracks["distorted"].values) < settings.changed_frames:
         return
     err = nan_median(np.where(is_word(tracks["flag"], "ok"), tracks["x_err_px"].values, np.nan), axis=1)
-    noise_px = np.fmax(tracks["x_noise_px"].values, tracks["x_predicted_px"].values)
-    least = max(settings.changed_px, 3 * float(nan_median(noise_px)))
+    least = max(settings.changed_px, 3 * _noise_px(tracks))
     changed = err > np.hypot(least, found.second_comb_err_px)  # which has its own warning
-    _, first, stop = stretches(changed[:, None])
-    longest = int(np.argmax(stop - first)) if len(first) else 0
-    if changed.any() and stop[longest] - first[longest] > settings.changed_frames * len(changed):
-        number = tracks["frame"].values
-        where = f"{number[first[longest]]}:{number[stop[longest] - 1] + 1}"
+    length, where = _longest_run(tracks, changed)
+    if length > settings.changed_frames * len(changed):
         yield (
             f"most ridges look unlike usual in {100 * changed.mean():.0f} % of the frames (the longest run"
             f" is {where}): the light or the focus changed, or something lies over the strip. Positions there"

@@ -391,6 +391,13 @@ def test_a_png_states_its_size_on_paper(tmp_path):
     assert mpl.image.imread(tmp_path / "f.png").shape[1] == width
 
 
+def _numbers_of(ax):
+    """The boxes of the numbers that are drawn at a y axis."""
+    low, high = sorted(ax.get_ylim())
+    numbers = zip(ax.get_yticks(), ax.get_yticklabels(), strict=True)
+    return [text.get_window_extent() for at, text in numbers if low <= at <= high]
+
+
 @pytest.mark.parametrize("scale", [1.0, 8.0, 200.0, 3000.0, -3000.0, -0.07])
 def test_a_label_stands_beside_the_numbers_of_its_axis(scale):
     """A failure means that it stands far from a narrow figure's axis, or over the numbers."""
@@ -400,11 +407,7 @@ def test_a_label_stands_beside_the_numbers_of_its_axis(scale):
         page = _page(panel.figure("one", "").of_width(86, 8))
         FigureCanvasAgg(page).draw()
         (ax,) = page.axes
-        low, high = ax.get_ylim()
-        drawn = [
-            text for at, text in zip(ax.get_yticks(), ax.get_yticklabels(), strict=True) if low <= at <= high
-        ]
-        numbers = min(one.get_window_extent().x0 for one in drawn)
+        numbers = min(box.x0 for box in _numbers_of(ax))
         gap_in = (numbers - ax.yaxis.label.get_window_extent().x1) / page.dpi
     assert 0 < gap_in < 0.1
 
@@ -419,10 +422,6 @@ def test_the_label_of_the_right_axis_stands_beside_its_numbers():
         page = _page(panel.figure("one", ""))
         FigureCanvasAgg(page).draw()
         ax = page.axes[-1]
-        low, high = sorted(ax.get_ylim())
-        drawn = [
-            text for at, text in zip(ax.get_yticks(), ax.get_yticklabels(), strict=True) if low <= at <= high
-        ]
-        numbers = max(one.get_window_extent().x1 for one in drawn)
+        numbers = max(box.x1 for box in _numbers_of(ax))
         gap_in = (ax.yaxis.label.get_window_extent().x0 - numbers) / page.dpi
     assert 0 < gap_in < 0.15

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -66,23 +67,21 @@ def force_slips(
     if not timed.any():
         return none
     steepest, of = steepest[timed], of[timed]
-    middle, delay, duration, width, largest, swings = _mean_times(
-        time, load, steepest, longest[timed], average_s, settings
-    )
+    drops = _measure_drops(time, load, steepest, longest[timed], average_s, settings)
     # What widens a drop besides the low-pass of that delay, the sampling, and the averaging of the ringing.
-    known = delay**2 + interval**2 / 6 + average_s**2 * (1 / 6 - 0.5 / np.pi**2)
-    other_s = np.sqrt(max(0.0, width**2 - known))
-    order = np.argsort(middle)
+    known = drops.delay_s**2 + interval**2 / 6 + average_s**2 * (1 / 6 - 0.5 / np.pi**2)
+    other_s = np.sqrt(max(0.0, drops.width_s**2 - known))
+    order = np.argsort(drops.middle_s)
     # A drop within one interval may lie anywhere in it; one that spreads over several is timed by its mean.
-    error = np.full(len(order), max(largest, 0.5) * interval / np.sqrt(12))
+    error = np.full(len(order), max(drops.largest, 0.5) * interval / np.sqrt(12))
     # Remaining errors of the delay, of a filter that is faster than the sampling, of the shape of a drop or
     # half a swing, and of a filter with a symmetric response: it widens a drop as a slip that lasts does, but
     # delays it.
-    shape, unseen = (0.5, 0.0) if swings else (0.02, settings.unseen_delay)
-    lag = np.multiply((0.25, 0.3, shape, unseen), (delay, interval, duration, other_s))
+    shape, unseen = (0.5, 0.0) if drops.swings else (0.02, settings.unseen_delay)
+    lag = np.multiply((0.25, 0.3, shape, unseen), (drops.delay_s, interval, drops.duration_s, other_s))
     return pd.DataFrame(
         {
-            "time_s": (middle - delay)[order],
+            "time_s": (drops.middle_s - drops.delay_s)[order],
             "error_s": error,
             "drop_N": drop[of][order],
             "lag_s": float(np.sqrt(lag @ lag)),
@@ -120,16 +119,26 @@ def _steepest(time: Floats, load: Floats, begin: Floats, end: Floats) -> Ints:
     return np.asarray(index[order[last_of_row]])
 
 
-def _mean_times(
+class _Drops(NamedTuple):
+    """The drops of the load at the slips, in time; but for the first, of all drops together."""
+
+    middle_s: Floats  # mean time of each drop, weighted by the fall in each sample
+    delay_s: float = 0.0  # of the low-pass
+    duration_s: float = 0.0  # to where a drop ends (`drop_end`)
+    width_s: float = 0.0  # standard deviation in time
+    largest: float = 1.0  # part of a drop within its steepest interval
+    swings: bool = False  # the load swings back after a drop, with a period that is not known
+
+
+def _measure_drops(
     time: Floats,
     load: Floats,
     steepest: Ints,
     longest: Floats,
     average_s: float,
     settings: ClockSettings,
-) -> tuple[Floats, float, float, float, float, bool]:
-    """Mean time of each drop, delay of the low-pass, duration (`drop_end`) and standard deviation in time of
-    a drop, s; the part of a drop within its steepest interval, and whether the load swings back after it.
+) -> _Drops:
+    """Measure the drops around their steepest intervals.
 
     longest: interval from which there is a gap, for each drop, s.
     average_s: time over which the load was averaged, twice, 0 if it was not.
@@ -147,7 +156,7 @@ def _mean_times(
     whole = np.max(np.diff(time)[np.clip(index, 0, len(time) - 2)], axis=1)
     inside &= whole < longest
     if not inside.any():
-        return middle, 0.0, 0.0, 0.0, 1.0, False
+        return _Drops(middle)
     index = index[inside]
     drop = load[index] - load[index + 1]
     drop = drop - np.median(drop, axis=1, keepdims=True)  # without the rise of the stick phase
@@ -155,7 +164,7 @@ def _mean_times(
     small = np.flatnonzero(profile < settings.drop_end * profile[reach])
     first = int(small[small < reach].max(initial=-1)) + 1
     last = int(small[small > reach].min(initial=len(profile))) - 1
-    swings = bool(profile[last:].min() < -settings.swing_back * profile[reach])
+    swings = not average_s and bool(profile[last:].min() < -settings.swing_back * profile[reach])
     drop, when = drop[:, first : last + 1], (0.5 * (time[index] + time[index + 1]))[:, first : last + 1]
     total = np.maximum(drop.sum(axis=1), drop.max(axis=1))
     total[total <= 0] = 1.0  # a constant load has no drop
@@ -165,10 +174,14 @@ def _mean_times(
     # About the mean of all drops: noise moves that of one along with it, which would hide its width.
     since_mean = since_steepest - (drop * since_steepest).sum() / total.sum()
     second, third = (float((drop * since_mean**power).sum() / total.sum()) for power in (2, 3))
-    duration = float(np.median(since_steepest[:, -1] - since_steepest[:, 0]))
-    largest = float(np.median(drop.max(axis=1) / total))
-    delay = float(np.cbrt(max(third, 0.0) / 2))
-    return middle, delay, duration, float(np.sqrt(max(second, 0.0))), largest, swings and not average_s
+    return _Drops(
+        middle,
+        delay_s=float(np.cbrt(max(third, 0.0) / 2)),
+        duration_s=float(np.median(since_steepest[:, -1] - since_steepest[:, 0])),
+        width_s=float(np.sqrt(max(second, 0.0))),
+        largest=float(np.median(drop.max(axis=1) / total)),
+        swings=swings,
+    )
 
 
 # --- slips of the camera ------------------------------------------------------------------------------------

@@ -70,7 +70,7 @@ class Slips:
         first = np.argmax(fall > 0.5 * fall.max(axis=1, keepdims=True), axis=1)
         near = np.minimum(first[:, np.newaxis] + np.arange(period // 2 + 1), 2 * period)
         steepest = near[:, 0] + np.argmax(np.take_along_axis(fall, near, axis=1), axis=1)
-        return replace(self, edge=place[np.arange(len(place)), np.minimum(steepest, 2 * period)])
+        return replace(self, edge=place[np.arange(len(place)), steepest])
 
     def before_jumps(self, settings: ForceSettings) -> Ints:
         """Return the number of slips before each upward jump that is as large as slips.
