@@ -27,6 +27,7 @@ class TrueClock:
     status: str = "given"
     residual_ms: float = 2.0
     error_ms: float = 1.0
+    slip_spread_ms: float = np.nan
     only_video_s: tuple[float, ...] = ()
     matched_s: tuple[float, ...] = ()
 
@@ -156,6 +157,20 @@ def test_clocks_set_by_slips_that_come_late():
     wrong, _, _ = score(*deformation(truth, tracks, sticks, early))
     assert abs(wrong.mean()) < 0.01
     assert wrong.std() < 0.01
+
+
+def test_slips_in_turn_that_the_clock_hides():
+    """A failure means that the time in which sheets may rest before they slip is in no error: a clock set by
+    such slips leaves out the frames that show them, and the ratio is too large by three hundredths."""
+    truth, tracks, sticks, clock = run("late", **LATE_SLIPS)
+    early = replace(clock, offset_s=clock.offset_s - 0.01, error_ms=10.0)
+    _, within_one, within_two = score(*deformation(truth, tracks, sticks, early))
+    assert within_one < 0.5
+    assert within_two < 0.8
+    told = replace(early, slip_spread_ms=1e3 * LATE_SLIPS["sheets.slip_delay_s"])
+    _, within_one, within_two = score(*deformation(truth, tracks, sticks, told))
+    assert 0.55 < within_one < 0.75
+    assert within_two > 0.93
 
 
 @pytest.mark.parametrize("offset_s", [-0.02, 0.02])

@@ -23,6 +23,7 @@ class Clock:
     residual_ms: float = 0.0
     offset_s: float = 5.0
     error_ms: float = np.nan
+    slip_spread_ms: float = np.nan
     ambiguity: str = ""
     only_video_s: tuple[float, ...] = ()
     matched_s: tuple[float, ...] = ()

@@ -69,6 +69,8 @@ class Clock(Shown):
     error_ms: float = math.nan
     drift_err_ppm: float = math.nan
     offset_err_s: float = math.nan
+    # Time from the first to the last sheet in a slip that the film permits; NaN if it is not known.
+    slip_spread_ms: float = math.nan
     candidates: tuple[Candidate, ...] = ()  # alignments considered, best first
     ambiguity: str = ""  # why the status is "ambiguous"
     warnings: tuple[str, ...] = ()  # for the user
@@ -222,7 +224,8 @@ def _from_slips(
         )
     error, drift_error, offset_error = found.errors()
     # The force may fall with the first or with the last of the sheets.
-    constant = float(np.hypot(drops["lag_s"].iloc[0], seen["spread_s"].iloc[0] / 2))
+    spread_ms = _slip_spread_ms(seen)
+    constant = float(np.hypot(drops["lag_s"].iloc[0], 1e-3 * spread_ms / 2))
     clocks, fits = found.clocks, found.fits
     drift = float(clocks.drift[0])
     clock = _clock_of(found.trains, clocks, fits, "events")
@@ -244,6 +247,7 @@ def _from_slips(
         error_ms=1e3 * float(np.hypot(error, constant)),
         drift_err_ppm=1e6 * drift_error,
         offset_err_s=float(np.hypot(offset_error, constant)),
+        slip_spread_ms=spread_ms,
         candidates=tuple(
             Candidate(
                 offset_s=float(clocks.offset_s[k]),
@@ -256,6 +260,11 @@ def _from_slips(
         ambiguity=found.ambiguity,
         warnings=tuple(warnings),
     )
+
+
+def _slip_spread_ms(seen: pd.DataFrame) -> float:
+    """Time from the first to the last sheet in the slips of `video_slips`, ms; NaN without slips."""
+    return 1e3 * float(seen["spread_s"].iloc[0]) if len(seen) else math.nan
 
 
 def _against_frame_rates(found: Alignments, tracks: xr.Dataset) -> tuple[Alignments, str]:
@@ -350,6 +359,7 @@ def _given(
         given = _clock_of(trains, clocks, fit_clocks(trains, clocks, settings), clock.how)
     else:
         given = replace(clock, unmatched_video=len(seen), unmatched_force=len(drops))
+    given = replace(given, slip_spread_ms=_slip_spread_ms(seen))
     if min(len(seen), len(drops)) < settings.least_slips:  # too few for an alignment of their own
         return given
     found = align_slips(trains, settings)

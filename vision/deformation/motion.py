@@ -131,7 +131,8 @@ def horizontal_deformation(
     positions: sheets that creep by less than the codec's rounding are repeated, and their residuals are near
     zero.
     An error of the ends of a stick, if `sticks` states it, changes σ_x and Λ_st by the same factor. The error
-    of their ratio contains only the part that results from an unsteady pull or creep.
+    of their ratio contains only the part that results from an unsteady pull or creep. Sheets that slip in
+    turn may creep or rest while they wait, which is an error of both (``clock.slip_spread_ms``).
 
     Source: paper, horizontal deformation by image processing.
     """
@@ -155,7 +156,8 @@ def horizontal_deformation(
     first, last = _between_slips(clock, start + after_s, stop - before_s)
     at = time[frames.frame]
     frames = frames.only((at > first[frames.row] + interval) & (at < last[frames.row] - interval))
-    motion, found = _measure(tracks, events, frames, pixel, common_mode, settings)
+    late_s = 1e-3 * float(np.nan_to_num(clock.slip_spread_ms)) / 2
+    motion, found = _measure(tracks, events, frames, pixel, common_mode, late_s, settings)
     found["warnings"] += _too_short(motion, every)
     motion["frames_left_out"] = "event", every.counts - frames.counts, MOTION["frames_left_out"].attrs
     facts = MotionMetadata(source=source, pixel_size_um=pixel, margin_s=margin, interval_s=interval, **found)
@@ -271,9 +273,13 @@ def _measure(
     frames: StickFrames,
     pixel_um: float,
     common_mode: bool,
+    late_s: float,
     settings: DeformationSettings,
 ) -> tuple[xr.Dataset, dict[str, Any]]:
-    """Measure the deformation in the usable frames; also return fields of `MotionMetadata`."""
+    """Measure the deformation in the usable frames; also return fields of `MotionMetadata`.
+
+    late_s: mean time by which the sheets may slip after the fall of the force.
+    """
     x_px, side = np.asarray(tracks["x_px"].values, float)[frames.frame], tracks["side"].values
     terms = 4 if np.median(frames.counts) >= settings.cubic_frames else 3
     steady, rms_px, facts = x_px, _rms(x_px, frames), TrackMetadata.of(tracks)
@@ -309,9 +315,10 @@ def _measure(
     own_bend_px = np.abs(curve.slope) * curve.end_slope[:, None] / 3  # which a hidden sheet does not show
     hidden_px = settings.bend_as_slope * np.hypot(bends_err_px[:, None], own_bend_px) * line.hidden(settings)
     curve = replace(curve, slope_err=np.sqrt(curve.slope_err**2 + own_px**2 + bends_px**2 + hidden_px**2))
+    resting = np.fmax(late_s / frames.length_s - np.median(slips.lost, axis=1), 0.0)
     values = {
         "sigma_x_um": np.where(line.good, rms_px, np.nan) * pixel_um,
-        **_relative_to_length(curve, line, noise.excess > 1, events, side, pixel_um, settings),
+        **_relative_to_length(curve, line, noise.excess > 1, events, side, pixel_um, resting, settings),
         "sweep_um": -2 * side * curve.straight * pixel_um,
         "frames": line.count,
         "x_hat_px": curve.middle,
@@ -339,13 +346,14 @@ def _relative_to_length(
     events: pd.DataFrame,
     side: Ints,
     pixel_um: float,
+    resting: Floats,
     settings: DeformationSettings,
 ) -> dict[str, Any]:
     """The size of the creep in µm and relative to Λ_st, errors and flags, by their names in `MOTION`. A
     negative size that is not significant becomes 0."""
     length = events["stick_length_um"].to_numpy(float)[:, None]
     length = np.where(length > 0, length, np.nan)
-    sigma_length_err, length_err = _length_errors(events, curve.end_slope, settings)
+    sigma_length_err, length_err = _length_errors(events, curve.end_slope, resting, settings)
     signed = -side * np.sign(curve.slope) * np.sqrt(curve.mean_square) * pixel_um  # positive inwards
     error = curve.rms_err * pixel_um
     outward = signed < -settings.outward_errors * error
@@ -531,20 +539,21 @@ def _without_drift(
 
 
 def _length_errors(
-    events: pd.DataFrame, end_slope: Floats, settings: DeformationSettings
+    events: pd.DataFrame, end_slope: Floats, resting: Floats, settings: DeformationSettings
 ) -> tuple[Floats, Floats]:
     """Relative errors from the ends of each stick, (stick,): of σ_x, and of σ_x/Λ_st.
 
     Wrong ends of a stick change σ_x and Λ_st by the same factor if the pull and the creep are steady. The
     error of the ratio is therefore only the part by which the pull is unsteady and the part by which the
-    sheets creep faster or slower near the ends (`end_slope`).
+    sheets creep faster or slower near the ends (`end_slope`). Sheets that slip in turn may rest while
+    they wait: `resting` is the share of the stick in which they may not creep.
     """
     length = events["stick_length_um"].to_numpy(float)
     stated_um = events["stick_length_err_um"].to_numpy(float) if "stick_length_err_um" in events else 0.0
     stated: Floats = np.nan_to_num(stated_um / length)
-    sigma = stated * (1 + end_slope)
+    sigma = np.hypot(stated * (1 + end_slope), resting)
     if len(length) < settings.least_repeats:
         return sigma, sigma
     speed = length / (events["t_p_s"] - events["t_v_s"]).to_numpy(float)
     uneven = sigma_about_zero(speed / nan_median(speed) - 1)
-    return sigma, np.hypot(np.fmin(stated, uneven), stated * end_slope)
+    return sigma, np.hypot(np.hypot(np.fmin(stated, uneven), stated * end_slope), resting)
