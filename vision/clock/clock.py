@@ -333,14 +333,16 @@ def _clock_of(trains: SlipTrains, clocks: CandidateClocks, fits: ClockFits, how:
     """Clock from the first of the candidates, with its numbers of slips and its residual."""
     first, last = trains.force_s[[0, -1]]
     seen_s = clocks.map(trains.video_s)[0]
+    # A pair may lie beyond the common time by more than the usual error of a slip.
+    alone = [max(int(count[0] - fits.matched[0]), 0) for count in (fits.video, fits.force)]
     only_video = (fits.partner[0] < 0) & (seen_s > first) & (seen_s < last)
     return Clock(
         offset_s=float(clocks.offset_s[0]),
         drift_ppm=1e6 * float(clocks.drift[0]),
         residual_ms=1e3 * float(nan_median(np.abs(fits.residual_s[0]))),
         matched=int(fits.matched[0]),
-        unmatched_video=int(fits.video[0] - fits.matched[0]),
-        unmatched_force=int(fits.force[0] - fits.matched[0]),
+        unmatched_video=alone[0],
+        unmatched_force=alone[1],
         only_video_s=tuple(seen_s[only_video].tolist()),
         matched_s=tuple(np.unique(trains.force_s[fits.partner[0][fits.partner[0] >= 0]]).tolist()),
         status="given",
