@@ -14,7 +14,17 @@ import numpy as np
 import scipy
 
 from vision.deformation.creep import Creep, DeformationSettings, Noise, StickFrames, coefficient_errors
-from vision.numeric import Bools, Floats, Ints, centred, nan_median, row_parts, sigma_about_zero, typical_size
+from vision.numeric import (
+    NORMAL_MEDIAN,
+    Bools,
+    Floats,
+    Ints,
+    centred,
+    nan_median,
+    row_parts,
+    sigma_about_zero,
+    typical_size,
+)
 
 # --- vibration ----------------------------------------------------------------------------------------------
 
@@ -327,27 +337,53 @@ class OneSide:
         slow movement contributes to this coefficient.
         """
         known = np.isfinite(coefficient) & np.isfinite(self.profile_px) & np.isfinite(error)
-        weight = np.where(known, 1 / np.where(known, error, 1.0) ** 2, 0.0)
         value, profile = np.where(known, coefficient, 0.0), np.where(known, self.profile_px, 0.0)
-        total = np.maximum(weight.sum(axis=1), 1e-300)
-        # Least squares of value = share · profile + drift in each stick; the drift is the intercept.
-        creep, moved = ((weight * part).sum(axis=1) / total for part in (profile, value))
-        contrast = profile - creep[:, None]
-        spread = (weight * contrast**2).sum(axis=1)
+        variance = np.where(known, error, np.inf) ** 2
+        alike = _Line.through(profile, value, variance)
+        # Sheets that creep more also differ more from one stick to the next.
+        clear = known & (profile**2 > 9 * variance)
+        own = (alike.residual**2 - variance)[clear] / profile[clear] ** 2
+        scatter2 = max(float(np.median(own)) / NORMAL_MEDIAN**2, 0.0) if own.size else 0.0
+        line = _Line.through(profile, value, variance + scatter2 * profile**2)
         count = known.sum(axis=1)
-        measured = (count >= self.settings.least_sheets) & (spread > self.settings.one_side_contrast * count)
-        spread = np.maximum(spread, 1e-300)
-        intercept = np.where(measured, moved - (weight * contrast * value).sum(axis=1) / spread * creep, 0.0)
+        measured = (count >= self.settings.least_sheets) & (
+            alike.spread > self.settings.one_side_contrast * count
+        )
+        intercept = np.where(measured, line.intercept, 0.0)
         # The mean drift of the neighbouring sticks is part of the profile: its random part is an error.
         shared = (self.near**2 @ intercept**2) / np.maximum(self.near @ measured, 1.0) ** 2
-        error = np.sqrt(1 / total + creep**2 / spread + shared)
+        error = np.sqrt(line.intercept_variance + shared)
         # Noise alone can look like a random walk of up to about three errors.
         walked = slow & (self.slow_err_px > 3 * error)
         error = np.hypot(error, np.where(walked, self.slow_err_px, 0.0))
         found = intercept + (self.slow_px if slow else 0.0)
         return Drift(
-            np.where(measured, found, 0.0), np.where(measured, error, self.unknown_px), np.zeros_like(weight)
+            np.where(measured, found, 0.0), np.where(measured, error, self.unknown_px), np.zeros_like(value)
         )
+
+
+@dataclass(frozen=True)
+class _Line:
+    """Least squares of value = share · profile + intercept in each stick."""
+
+    intercept: Floats  # (stick,)
+    intercept_variance: Floats
+    spread: Floats  # weighted sum of squares of the profile about its mean
+    residual: Floats  # (stick, sheet)
+
+    @classmethod
+    def through(cls, profile: Floats, value: Floats, variance: Floats) -> _Line:
+        """The line through values (stick, sheet) of these variances, infinite where a value is unknown."""
+        weight = 1 / variance
+        total = np.maximum(weight.sum(axis=1), 1e-300)
+        centre, moved = ((weight * part).sum(axis=1) / total for part in (profile, value))
+        contrast = profile - centre[:, None]
+        spread = (weight * contrast**2).sum(axis=1)
+        divisor = np.maximum(spread, 1e-300)
+        share = (weight * contrast * value).sum(axis=1) / divisor
+        intercept = moved - share * centre
+        residual = value - share[:, None] * profile - intercept[:, None]
+        return cls(intercept, 1 / total + centre**2 / divisor, spread, residual)
 
 
 def _without_pushes_between(middle_px: Floats, frames: StickFrames, settings: DeformationSettings) -> Floats:
