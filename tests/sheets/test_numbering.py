@@ -11,7 +11,7 @@ from vision import open_video, strip_profile
 from vision.checks import tracking_warnings
 from vision.errors import InputError
 from vision.figures import Results
-from vision.sheets import pixel_size_of, track_sheets
+from vision.sheets import TrackingSettings, pixel_size_of, track_sheets
 from vision.sheets.numbering import number_sheets
 from vision.summary import summary_lines
 
@@ -196,6 +196,35 @@ def test_one_side_in_view(right):
     assert (tracks.side == (1 if right else -1)).all()
     np.testing.assert_array_equal(tracks.n, numbered(0, 25) if right else numbered(25, 0))
     assert abs(tracks.attrs["axis_px"] - 600) < PITCH
+
+
+def still_towards_the_axis(sides, vibration_px=0.15):
+    """Sheets 1 to 25 on the right, or on both sides, of which only the outer ones move; the camera vibrates;
+    the right side by half as much as the left one if there are both."""
+    n, stick = np.arange(1, 26), np.arange(200)[:, None] % 20 / 20
+    out = (n - 0.5) * PITCH - 3.0 * (n / 25) ** 6 * stick
+    truth = 600 + (out if sides == 1 else np.c_[-out[:, ::-1], 0.5 * (out + out[:1])])
+    rng = np.random.default_rng(1)
+    return truth + rng.normal(0, vibration_px, (200, 1)) + rng.normal(0, 0.01, truth.shape)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_one_side_whose_inner_half_is_still(mirrored):
+    """The camera vibrates, and the motion leaves the axis open. A failure means that the still half of one
+    side is taken for the other side, which creeps the wrong way."""
+    x = still_towards_the_axis(1)
+    found = number_sheets(-x[:, ::-1] if mirrored else x)
+    assert (found.side == (-1 if mirrored else 1)).all()
+    np.testing.assert_array_equal(found.n, numbered(25, 0) if mirrored else numbered(0, 25))
+    assert found.carried == "perhaps"
+    blind = number_sheets(x, settings=TrackingSettings(still_half=0.0))
+    assert len(np.unique(blind.side)) == 2
+
+
+def test_two_sides_of_which_one_moves_half_as_much():
+    """A failure means that the less mobile side is taken for the inner half of the other."""
+    found = number_sheets(still_towards_the_axis(2))
+    np.testing.assert_array_equal(found.n, numbered(25, 25))
 
 
 @pytest.mark.parametrize("axis", [520.0, 600.0, 701.0])

@@ -193,6 +193,9 @@ def _split_by_motion(
     carried &= not np.floor(low) <= even <= high
     if carried:
         low, high = min(low, even), max(high, even)
+    beyond_still = _beyond_still_half(opening, even, settings)
+    if beyond_still is not None and np.floor(low) <= even <= high:
+        return beyond_still, "motion", (min(low, beyond_still), max(high, beyond_still)), "perhaps"
     if np.floor(low) <= even <= high and not (one_end and high - low < sheets / 2):
         how: AxisHow = "motion" if high - low <= settings.decided_sheets else "geometry"
         return even, how, (low, high), "yes" if carried else "no"
@@ -201,6 +204,15 @@ def _split_by_motion(
         beyond = int(outside[0])
         return beyond, "motion", (float(possible[0]), float(possible[-1])), "perhaps" if moves else "no"
     return int(np.floor(middle) if middle > even else np.ceil(middle)), "motion", (low, high), "no"
+
+
+def _beyond_still_half(opening: Floats, even: int, settings: TrackingSettings) -> int | None:
+    """Return the split beyond the half of the comb whose sheets hardly move against each other, or None if
+    both halves do so alike, as two sides, and noise, do. A shift of the whole comb does not change this."""
+    left, right = opening[:even].std(), opening[even:].std()
+    if left < settings.still_half * right:
+        return 0
+    return len(opening) if right < settings.still_half * left else None
 
 
 def _opening(step: Floats, apart: Floats) -> Floats:

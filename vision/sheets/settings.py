@@ -614,6 +614,12 @@ class TrackingSettings(Tunable):
     carried along: sheets at the axis hardly move. Smaller doubts one side of few sheets, larger
     overlooks combs whose motion is not symmetric (test_sheets_that_all_move_the_same_way_are_questioned)."""
 
+    still_half: float = 0.25
+    """Standard deviation of the motion of one half of the comb, over that of the other, below which it is the
+    inner half of one side. Of two sides it is 0.85 to 1.15 (50 simulated films), and of one side of which
+    vibration hides where the axis is, below 0.14. Larger takes two unlike sides for one, smaller one side for
+    two (test_one_side_whose_inner_half_is_still)."""
+
     decided_sheets: int = 2
     """Sheets by which the axis may lie elsewhere for the motion still to have found it."""
 
