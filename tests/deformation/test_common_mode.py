@@ -142,6 +142,20 @@ def test_one_side_before_a_camera_that_moves_at_every_slip():
     assert np.mean((shells["stiff_low"] <= truth) & (truth <= shells["stiff_high"])) > 0.8
 
 
+def test_one_side_before_a_camera_that_vibrates_in_step_with_the_slips():
+    """Four vibrations a stick drift alike in dozens of sticks. A failure means that this passes for creep of
+    all sheets, with an error that does not hold it."""
+    made = make(profile(np.full(80, 6.0)), frames=10.0, noise_px=0.02, jitter=0.0)
+    shake_px = 0.2 * np.sin(2 * np.pi * 24.04 * made.tracks["time_s"])
+    made.tracks["x_px"] = made.tracks["x_px"] + shake_px
+    wrong, stated, _ = one_side(made)
+    assert np.mean(np.abs(wrong) < stated) > 0.6
+    assert np.mean(np.abs(wrong) < 2 * stated) > 0.9
+    settings = DeformationSettings(innermost_share=np.nan)
+    blind, careless, _ = one_side(made, settings=settings)
+    assert np.mean(np.abs(blind) < careless) < 0.4
+
+
 def test_one_side_with_sheets_that_are_seldom_seen():
     """A failure means that a sheet seen in two sticks says how the camera drifts: σ_x/Λ_st of 5 with an error
     of 0.02."""

@@ -293,6 +293,7 @@ class OneSide:
     slow_px: Floats  # slope of the camera's slow movement, (stick,)
     slow_err_px: Floats  # its standard error, (stick,)
     near: Floats  # weights of the neighbouring sticks, (stick, stick)
+    in_step_px: Floats  # half of what may be a vibration in step with the slips, (stick,)
     unknown_px: Floats  # error of the drift where it cannot be measured, (stick,)
     settings: DeformationSettings
     movement: ClassVar[str] = "vibration subtracted, and the part of drift that one side shows"
@@ -328,7 +329,13 @@ class OneSide:
         slow_err_px = walk_px / 2 * np.sqrt(1.2 / np.maximum(near.sum(axis=1), 1))
         variance_px2 = float((vibration_px**2).sum()) / max(vibration_px.size, 1)
         white_px = np.sqrt(3 * variance_px2 / np.maximum(frames.counts, 1))
-        return cls(profile_px, slow_px_s * frames.length_s / 2, slow_err_px, near, white_px, settings)
+        slow_px = slow_px_s * frames.length_s / 2
+        # A vibration in step with the slips drifts alike in many sticks, by up to its amplitude. So may the
+        # innermost sheets creep: half is subtracted, and an error.
+        innermost_px = _on_axis(profile_px - slow_px[:, None], n, settings.innermost_share)
+        most_px = np.sqrt(2 * variance_px2)
+        in_step_px = np.clip(innermost_px, -most_px, most_px) / 2
+        return cls(profile_px, slow_px, slow_err_px, near, in_step_px, white_px, settings)
 
     def drift(self, coefficient: Floats, error: Floats, *, slow: bool) -> Drift:
         """Drift of the camera during each stick; 0 where the sheets creep too much alike or are too few.
@@ -353,10 +360,12 @@ class OneSide:
         # The mean drift of the neighbouring sticks is part of the profile: its random part is an error.
         shared = (self.near**2 @ intercept**2) / np.maximum(self.near @ measured, 1.0) ** 2
         error = np.sqrt(line.intercept_variance + shared)
-        # Noise alone can look like a random walk of up to about three errors.
-        walked = slow & (self.slow_err_px > 3 * error)
-        error = np.hypot(error, np.where(walked, self.slow_err_px, 0.0))
-        found = intercept + (self.slow_px if slow else 0.0)
+        found = intercept
+        if slow:
+            # Noise alone can look like a random walk of up to about three errors.
+            error = np.hypot(error, np.where(self.slow_err_px > 3 * error, self.slow_err_px, 0.0))
+            error = np.hypot(error, self.in_step_px)
+            found = found + self.slow_px + self.in_step_px
         return Drift(
             np.where(measured, found, 0.0), np.where(measured, error, self.unknown_px), np.zeros_like(value)
         )
@@ -429,6 +438,15 @@ def _rate(near: Floats, time_s: Floats, value: Floats) -> tuple[Floats, Floats]:
     weight = weight / np.maximum(weight.max(axis=1, keepdims=True), 1e-300)
     with np.errstate(divide="ignore", invalid="ignore"):
         return product / square, np.where(weight > 1e-6, weight, 0.0)
+
+
+def _on_axis(profile: Floats, n: Ints, share: float) -> Floats:
+    """Profile (stick, sheet) at n = 0, (stick,), by a line through this share of the sheets, or three."""
+    inner = n <= max(share * n.max(), 3.0)
+    known = np.isfinite(profile[:, inner])
+    number = np.where(known, n[inner], 0.0)
+    value = np.where(known, profile[:, inner], 0.0)
+    return _Line.through(number, value, np.where(known, 1.0, np.inf)).intercept
 
 
 def _steadiness(profile: Floats) -> Floats:

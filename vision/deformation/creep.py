@@ -125,6 +125,10 @@ class DeformationSettings(Tunable):
     """Number of sticks before and after from which the creep of each sheet is predicted, with one side in
     view.  More average over a changing profile; fewer leave more noise (test_common_mode)."""
 
+    innermost_share: float = 1 / 6
+    """Fraction of the sheets, next to the axis, that show a vibration in step with the slips, with one side
+    in view. Larger takes the bend of the profile for it; smaller has more noise (test_common_mode)."""
+
     jump_spreads: float = 6.0
     """Median sizes of common movement beyond which the camera was pushed.  Larger counts pushes as drift;
     smaller leaves out sticks with fast drift (test_common_mode: a camera that moves at every slip)."""
