@@ -43,6 +43,17 @@ def test_a_gap_between_small_and_large_drops_moves_the_threshold() -> None:
     assert slips.drop.min() > 50
 
 
+def test_slips_in_louder_noise_are_below_no_gap() -> None:
+    """Every sixth slip lies in noise that is 40 times louder. A failure means that the slips there, as large
+    as the others, are left out as if they were small."""
+    test = plain(sticks=180, samples=60, snr=400.0, seed=3, scatter=0.0)
+    load = test.force["load_N"].to_numpy()
+    loud = np.arange(load.size) % 3600 < 600
+    load = load + np.where(loud, 40.0, 0.0) * np.random.default_rng(4).standard_normal(load.size)
+    slips = find_slips(load, np.where(loud, 40.0, 1.0))
+    assert slips.edge.size == pytest.approx(len(test.truth) + 1, abs=2)
+
+
 @pytest.mark.parametrize(("least", "most"), [(0.12, 0.9), (0.12, 0.12)])
 def test_small_slips_close_to_large_ones_are_found(least: float, most: float) -> None:
     """One slip of three is small, and the load is back at its peak as soon as it has risen by as much. A

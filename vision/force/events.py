@@ -576,7 +576,7 @@ def _missed_warnings(
     if analysis.corners.lowpass or analysis.found.proven:
         return []
     start, stop = analysis.corners.valley[:-1], analysis.corners.peak[1:]
-    missed, height = missed_slips(signal.clean, signal.sigma, slips.edge, start, stop, settings)
+    missed, height = missed_slips(signal.clean, signal.noise, slips.edge, start, stop, settings)
     missed -= slips.left_out.size  # of which there is a warning
     if missed < settings.missed_share * slips.edge.size:
         return []

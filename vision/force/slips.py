@@ -151,9 +151,13 @@ def find_slips(
         if best:
             left_out = drop[keep & (height < steps[best])]
             keep, least, how = height >= steps[best], float(steps[best]), "jumps"
-    if threshold is None and (gap := size_gap(height[keep], settings.threshold_gap, 0.5)) > least:
-        left_out = drop[(height >= settings.threshold_sigmas * noise) & (height < gap)]
-        keep, least, how = height >= gap, gap, "gap"
+    if threshold is None:
+        # Where the noise changes, equal drops differ in height; where the range does, in size.
+        gaps = [size_gap(some[keep], settings.threshold_gap, 0.5) for some in (drop, height)]
+        if min(gaps) > least:
+            large = (drop >= gaps[0]) | (height >= gaps[1])
+            left_out = drop[(height >= settings.threshold_sigmas * noise) & ~large]
+            keep, least, how = keep & large, gaps[1], "gap"
     step = y[np.minimum(jump_edge + 2, y.size - 1)] - y[np.maximum(jump_edge - 3, 0)]
     return Slips(edge[keep], drop[keep], least, how, left_out, jump_edge, jump_N, step)
 
@@ -187,7 +191,7 @@ def _jumps_upward(
 
 
 def missed_slips(
-    y: Floats, sigma: float, edge: Ints, start: Floats, stop: Floats, settings: ForceSettings
+    y: Floats, sigma: Floats, edge: Ints, start: Floats, stop: Floats, settings: ForceSettings
 ) -> tuple[int, float]:
     """Return how many more downward than upward steps the sticks contain, 0 where that is chance, and their
     median height.
@@ -207,7 +211,8 @@ def missed_slips(
     step = np.nan_to_num(_step_filter(_about_parabolas(y, first, last), half)[searched])
     usual = float(np.median(stick_drops(y, edge, settings)))
     least = np.maximum(
-        settings.threshold_sigmas * sigma * np.sqrt(2 / half[searched]), settings.close_share * usual
+        settings.threshold_sigmas * sigma[searched] * np.sqrt(2 / half[searched]),
+        settings.close_share * usual,
     )
     down, up = (
         enforce_distance(searched[high], np.abs(step[high]), int(2 * half.min()))
