@@ -582,6 +582,22 @@ def test_a_load_written_at_a_multiple_of_its_rate() -> None:
     assert (right["dF_N"] / truth["dF_N"]).median() == pytest.approx(1, abs=0.03)
 
 
+@pytest.mark.parametrize(("ratio", "step"), [(2.5, 0.1), (2.5, 1.0), (3.7, 1.0), (6.3, 1.0)])
+def test_a_load_that_is_polled_more_often_than_its_clock_ticks(ratio: float, step: float) -> None:
+    """An amplifier's last value is read 2.5 times as often as it changes. A failure means forces that contain
+    the repeated samples, and errors without them."""
+    test = plain(sticks=100, samples=200, snr=400, jitter=0.1)
+    load = step * np.round(test.force["load_N"].to_numpy() / step)
+    last = np.floor(np.floor(np.arange(load.size) / ratio) * ratio).astype(int)
+    events = find_stick_slip(test.force.assign(load_N=("time_s", load[last])))
+    right, truth = matched(events, test.truth)
+    assert len(events) == len(right) == len(test.truth)
+    assert events.attrs["noise_N"] == pytest.approx(1, rel=0.5)
+    off = np.abs(right["dF_N"] - truth["dF_N"]) / right["dF_err_N"]
+    assert np.mean(off < 1) > 0.5
+    assert np.mean(off < 3) > 0.98
+
+
 @pytest.mark.parametrize("how", ["steps", "noise"])
 def test_a_coarse_displacement_spoils_no_stiffness(how: str) -> None:
     """A failure means that K is too small where d is noisy, or Λ_st off by many times its error."""

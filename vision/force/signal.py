@@ -16,7 +16,17 @@ from vision.force.lines import fit_lines, fit_polynomials
 from vision.force.recording import flags_of, usable
 from vision.force.settings import ForceSettings
 from vision.force.slips import Slips, stick_middles
-from vision.numeric import Bools, Floats, Ints, flat_ranges, nan_median, peak_offset, quantum, white_noise
+from vision.numeric import (
+    Bools,
+    Floats,
+    Ints,
+    flat_ranges,
+    nan_median,
+    peak_offset,
+    quantum,
+    spread_indices,
+    white_noise,
+)
 from vision.signals import running_mean, running_median
 
 _WITHIN = 0.683  # share of normally distributed values within one standard deviation
@@ -173,24 +183,46 @@ class Signal:
 def _filled_in(load: Floats) -> Bools:
     """Return which samples were filled in because the file is written at a higher rate than the load cell's.
 
-    They repeat the sample before, or lie on a straight line from one measured value to the next. Then nearly
-    all runs of equal values, or of equal differences, have the same length, unlike the steps of a coarse
-    load. Where the ends of a line lie between samples, the first sample after each counts as measured. Fewer
-    than ten runs show no rule.
+    They repeat the sample before, or lie on a straight line from one measured value to the next. Nearly all
+    values, or bends, then begin in the sample after a tick of the load cell's clock (`_tick`), unlike the
+    steps of a coarse load. Where a value is equal to the one before, its first sample is a tick later.
     """
     rounding = 3 * quantum(load[:20_000])  # enough to find the last digit written
     repeats = np.diff(load, prepend=np.nan) == 0
+    tick = _tick(~repeats)
+    if tick:
+        index = np.arange(load.size)
+        begin = np.maximum.accumulate(np.where(repeats, 0, index))
+        age, left = index - begin, np.append(np.flatnonzero(~repeats), load.size)[np.cumsum(~repeats)] - index
+        new = (age == np.rint(tick * np.rint(age / tick))) & (left > tick / 2)
+        return np.asarray(repeats & ~new, np.bool_)
     bends = np.r_[True, np.abs(np.diff(load, 2)) > rounding, True]
     second = bends[1:] & bends[:-1]
     second[1:] &= ~bends[:-2]  # three in a row are a curve, as of a load that rings
     bends[1:] &= ~second
-    for measured, most in ((~repeats, load.size), (bends, 25)):
-        length = np.diff(np.append(np.flatnonzero(measured), load.size))
-        usual = np.median(length)
-        even = np.abs(length - usual * np.rint(length / usual)) <= (usual >= 4 and measured is bends)
-        if 1 < usual <= most and length.size >= 10 and np.mean(even) > 0.9:
-            return np.asarray(~measured, np.bool_)
-    return np.zeros_like(repeats)
+    return np.asarray(~bends if 0 < _tick(bends) <= 25 else np.zeros_like(bends), np.bool_)
+
+
+def _tick(begins: Bools) -> float:
+    """Return the samples from tick to tick of a clock in whose ticks values begin; 0 for none.
+
+    In parts of 64 values, each with its own phase, 95 % begin within one sample after a tick.
+    """
+    at = np.flatnonzero(begins)
+    usual = float(np.median(np.diff(at))) if at.size > 10 else 0.0
+    if usual <= 1:
+        return 0.0
+    ticks = []
+    for first in spread_indices(max(at.size - 64, 1), 8):
+        some = at[first : first + 64] - at[first]
+        step = 1 / (8.0 * some[-1])
+        frequency = np.arange(0.5 / usual, min(4 / usual, 0.5 + step), step)  # some values may be equal
+        phase = np.exp(2j * np.pi * frequency[:, np.newaxis] * some)
+        away = np.abs(np.angle(phase / phase.mean(axis=1, keepdims=True))) / (2 * np.pi)
+        within = np.mean(away <= 0.5 * frequency[:, np.newaxis] + 0.07, axis=1) >= 0.95
+        ticks.append(1 / frequency[np.argmax(within)] if within.any() else 0.0)
+    tick = float(np.median(ticks))
+    return tick if np.mean(np.abs(np.array(ticks) - tick) <= 0.02 * tick) > 0.7 else 0.0
 
 
 # --- white noise and spikes ---------------------------------------------------------------------------------
