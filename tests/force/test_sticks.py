@@ -7,10 +7,10 @@ from collections.abc import Callable
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.signal import butter, sosfilt
+from scipy.signal import butter, lfilter, sosfilt, sosfiltfilt
 
 from tests.force.test_events import matched
-from tests.scenes.sawtooth import Test, recording
+from tests.scenes.sawtooth import Test, plain, recording
 from vision.errors import InputError
 from vision.force import find_stick_slip
 from vision.numeric import Floats
@@ -210,3 +210,29 @@ def test_a_load_that_only_rises_is_said_to_be_another_column() -> None:
     index = np.arange(2000)
     with pytest.raises(InputError, match="without turning back; name its column"):
         find_stick_slip(recording(0.01 * index, 1 + index / 6000, 13 + index / 6000, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("how", "hertz"), [("butterworth", 2.0), ("butterworth", 3.0), ("zero phase", 2.0), ("load cell", 2.8)]
+)
+def test_a_filter_that_bends_the_sticks_is_part_of_the_error_of_k(how: str, hertz: float) -> None:
+    """A failure means K several of its errors from the sample's, where a filter reaches into the sticks."""
+    test = plain(sticks=80, samples=160, snr=400, jitter=0.05)
+    load = test.force["load_N"].to_numpy()
+    rest = load - load[0]
+    if how == "butterworth":
+        rest = sosfilt(butter(4, hertz, fs=100.0, output="sos"), rest)
+    elif how == "zero phase":
+        rest = sosfiltfilt(butter(2, hertz, fs=100.0, output="sos"), rest)
+    else:  # a load cell with 0.3 of the critical damping, and slips of 18 samples
+        angle, decay = 2 * np.pi * hertz / 100, np.exp(-0.3 * 2 * np.pi * hertz / 100)
+        poles = [1, -2 * decay * np.cos(np.sqrt(1 - 0.3**2) * angle), decay**2]
+        slip = np.hanning(18) / np.hanning(18).sum()
+        rest = lfilter([sum(poles)], poles, np.convolve(rest, slip, "same"))
+    noise = 0.5 * np.random.default_rng(3).standard_normal(load.size)
+    events = find_stick_slip(test.force.assign(load_N=("time_s", load[0] + rest + noise)))
+    true = test.truth["K_N_per_mm"].iloc[0]
+    off = (events["K_N_per_mm"] - true).abs() / events["K_err_N_per_mm"]
+    assert np.mean(off < 1) > 0.6
+    assert np.mean(off < 3) > 0.95
+    assert events["K_err_N_per_mm"].median() < 0.15 * true
