@@ -290,6 +290,18 @@ def test_ringing_after_slips_as_long_as_half_its_period():
         assert np.sqrt(np.mean(z**2)) < 2, name
 
 
+def test_ringing_that_is_as_fast_as_slow_slips():
+    """A failure means swings called slips, since slips that take longer than a swing hide the ringing."""
+    test = plain(sticks=60, samples=220, snr=400, jitter=0.1)
+    sharp = np.pad(test.force["load_N"].to_numpy(), (20, 19), "edge")
+    fall = np.sin(np.pi * (np.arange(40) + 0.5) / 40)
+    slow = np.convolve(sharp, fall / fall.sum(), "valid")
+    load = resonance(slow, 36, 0.1, 1.0) + 0.5 * np.random.default_rng(3).standard_normal(slow.size)
+    events = find_stick_slip(test.force.assign(load_N=("time_s", load)))
+    assert events.attrs["ringing_s"] == pytest.approx(0.36, rel=0.05)
+    assert len(events) == pytest.approx(len(test.truth), abs=2)
+
+
 def test_errors_contain_slow_noise_below_the_average():
     """A failure means K and dF whose errors count pink noise as white, since the average hides its kind."""
     force, n = rung(10, 0.04, 0.3), scene().force.sizes["time_s"]

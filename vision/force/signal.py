@@ -397,13 +397,16 @@ def _swing_after_falls(load: Floats, settings: ForceSettings) -> float:
     steps = quantum(load)
     if np.median(fall) <= steps:
         return float("nan")
-    swing = np.median((after - slope[:, None] * k - level[:, None]) / np.fmax(fall, steps)[:, None], axis=0)
+    each = (after - slope[:, None] * k - level[:, None]) / np.fmax(fall, steps)[:, None]
+    swing = np.median(each, axis=0)
     low = int(np.argmin(swing))
     high = low + int(np.argmax(swing[low:]))
     again = high + int(np.argmin(swing[high : 3 * high - 2 * low + 1]))
-    noise = 5 * float(np.std(swing[length // 2 :]))
-    least = max(settings.ringing_rebound, noise, 1.5 * steps / float(np.median(fall)))
-    if swing[high] < least or swing[again] > 0 or again >= length // 2 or again - low < 4:
+    # Ringing that lasts is still there in the second half, as is the bend of the sticks.
+    bend, noise = float(np.std(swing[length // 2 :])), float(np.median(np.abs(each[:, high] - swing[high])))
+    noise = 5 * noise / (0.674 * float(np.sqrt(at.size)))
+    least = max(settings.ringing_rebound, 2.5 * bend, noise, 1.5 * steps / float(np.median(fall)))
+    if swing[high] < least or swing[again] > 0 or not 4 <= again - low < length // 2:
         return float("nan")
     low_at, again_at = (j + (float(peak_offset(*swing[j - 1 : j + 2])) if j else 0.0) for j in (low, again))
     return again_at - low_at
