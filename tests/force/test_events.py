@@ -1150,7 +1150,8 @@ def test_small_slips_that_were_missed_are_told(noise: float) -> None:
 
 
 @pytest.mark.parametrize(
-    "kind", ["white", "curved", "low-pass", "filter", "hum", "pink", "coarse", "coarser", "two ranges"]
+    "kind",
+    ["white", "curved", "low-pass", "filter", "hum", "pink", "coarse", "coarser", "two ranges"],
 )
 def test_no_slips_are_called_missed_where_none_are(kind: str) -> None:
     """A failure means that the shape of the sticks, or noise that is not white, counts as slips."""
@@ -1177,6 +1178,17 @@ def test_no_slips_are_called_missed_where_none_are(kind: str) -> None:
     found, told = missed_slips_told(load)
     assert found == pytest.approx(slips, abs=3)
     assert told == 0
+
+
+def test_the_steep_begin_of_large_sticks_is_no_small_slip() -> None:
+    """Drops grow from 5 to 300 N. A failure means that the bend of the last sticks, as high as the first
+    drops, is called missed slips."""
+    sticks = []
+    for drop in np.geomspace(5, 300, 150):
+        u = np.arange(int(drop / 0.15)) / int(drop / 0.15)
+        sticks.append(drop * (2 + 0.8 * u + 0.2 * (1 - np.exp(-20 * u))))
+    load = np.concatenate(sticks)
+    assert missed_slips_told(load + np.random.default_rng(5).normal(0, 0.05, load.size))[1] == 0
 
 
 def test_a_load_that_rings_on_is_not_called_sampled_too_slowly_alone() -> None:

@@ -197,23 +197,20 @@ def missed_slips(
     median height.
 
     Noise of any kind steps upward as often as downward about the parabola of a stick, but slips only fall. A
-    step exceeds `threshold_sigmas` of the noise, and `close_share` of the usual drop. The begin of the
-    sticks, where a filter or ringing leaves its tail, does not count.
+    step exceeds `threshold_sigmas` of the noise, and `close_share` of the drops beside its stick. The begin
+    of the sticks, where a filter or ringing leaves its tail, does not count.
     """
     half = np.maximum(_half_widths(_local_period(edge, y.size), settings) // 3, 2)
     first, last = np.ceil(start).astype(np.int64), np.floor(stop).astype(np.int64) + 1
-    whole = last - first > 6 * half[edge[:-1]]
-    first, last = first[whole], last[whole]
+    whole, drop = last - first > 6 * half[edge[:-1]], stick_drops(y, edge, settings)
+    first, last, usual = first[whole], last[whole], 0.5 * (drop[:-1] + drop[1:])[whole]
     if not first.size:
         return 0, 0.0
     wide = half[first]
-    searched = flat_ranges(first + np.maximum(wide, (last - first) // 5), last - wide)[1]
+    row, searched = flat_ranges(first + np.maximum(wide, (last - first) // 5), last - wide)
     step = np.nan_to_num(_step_filter(_about_parabolas(y, first, last), half)[searched])
-    usual = float(np.median(stick_drops(y, edge, settings)))
-    least = np.maximum(
-        settings.threshold_sigmas * sigma[searched] * np.sqrt(2 / half[searched]),
-        settings.close_share * usual,
-    )
+    noise = settings.threshold_sigmas * sigma[searched] * np.sqrt(2 / half[searched])
+    least = np.maximum(noise, settings.close_share * usual[row])
     down, up = (
         enforce_distance(searched[high], np.abs(step[high]), int(2 * half.min()))
         for high in (step > least, -step > least)
