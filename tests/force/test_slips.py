@@ -6,7 +6,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from scipy.signal import butter, sosfilt
+from scipy.signal import butter, lfilter, sosfilt
 
 from tests.scenes.sawtooth import Test, plain, realistic, recording, signal_of
 from vision.errors import InputError
@@ -52,6 +52,16 @@ def test_slips_in_louder_noise_are_below_no_gap() -> None:
     load = load + np.where(loud, 40.0, 0.0) * np.random.default_rng(4).standard_normal(load.size)
     slips = find_slips(load, np.where(loud, 40.0, 1.0))
     assert slips.edge.size == pytest.approx(len(test.truth) + 1, abs=2)
+
+
+def test_slips_are_found_where_a_load_behind_a_low_pass_grows() -> None:
+    """Drops grow from 0.8 to 80 N. A failure means that a third of them is left out, since what the low-pass
+    bends in the last sticks is larger."""
+    test = plain(sticks=150, samples=150, snr=400, seed=4, scatter=0.0)
+    load = test.force["load_N"].to_numpy()
+    tail = lfilter([0.07], [1, -0.93], load - 100) * np.geomspace(0.002, 0.2, load.size)
+    slips = find_slips(tail + 0.1 * np.random.default_rng(5).standard_normal(load.size), 0.1)
+    assert slips.edge.size == pytest.approx(len(test.truth) + 1, abs=4)
 
 
 @pytest.mark.parametrize(("least", "most"), [(0.12, 0.9), (0.12, 0.12)])

@@ -143,14 +143,24 @@ def find_slips(
     how: ThresholdHow = "noise" if threshold is None else "given"
     keep, left_out = (height if threshold is None else drop) >= least, np.empty(0)
     if threshold is None and jump.size:
-        # Choose the threshold with most slips, less `jump_cost` for each upward jump above it except one.
-        steps = np.r_[least, np.nextafter(np.sort(jump), np.inf)]
-        above = np.sum(height >= steps[:, np.newaxis], axis=1)
-        balance = above - settings.jump_cost * np.maximum(jump.size - 1 - np.arange(steps.size), 0)
-        best = int(np.argmax(balance))
-        if best:
-            left_out = drop[keep & (height < steps[best])]
-            keep, least, how = height >= steps[best], float(steps[best]), "jumps"
+        # Choose the threshold with most slips, less `jump_cost` for each upward jump above it except one: of
+        # the heights or, where these grow, of those over the usual ones around, since what bends large sticks
+        # is larger than small slips.
+        usual = running_median(height, 9, ends="symmetric") if edge.size else np.ones(1)
+        low, high = np.quantile(usual, [0.1, 0.9])
+        kinds = [(height, jump)]
+        if high > settings.noise_ratio * low > 0:
+            kinds.append((height / usual, jump / np.interp(jump_edge, edge, usual)))
+        best = np.sum(height >= least) - settings.jump_cost * (jump.size - 1)
+        for size, other in kinds:
+            steps = np.nextafter(np.sort(other), np.inf)
+            above = np.sum((height >= least) & (size >= steps[:, np.newaxis]), axis=1)
+            balance = above - settings.jump_cost * np.maximum(jump.size - 2 - np.arange(steps.size), 0)
+            if balance.max() > best:
+                best, large = balance.max(), size >= steps[np.argmax(balance)]
+                keep, left_out, how = (height >= least) & large, drop[(height >= least) & ~large], "jumps"
+        if how == "jumps":
+            least = float(height[keep].min()) if keep.any() else float(jump.max())
     if threshold is None:
         # Where the noise changes, equal drops differ in height; where the range does, in size.
         gaps = [size_gap(some[keep], settings.threshold_gap, 0.5) for some in (drop, height)]
