@@ -31,7 +31,7 @@ from vision.sheets import TrackingSettings, track_sheets
 from vision.sheets.corrections import correction_of
 from vision.sheets.recovery import missing_stretches
 from vision.shells import ShellSettings
-from vision.summary import _noise, noise_figures, summary_lines
+from vision.summary import _noise, summary_lines
 from vision.video import VideoSettings
 
 PITCH, SHEETS, AXIS = 20.0, 50, 600.0
@@ -460,7 +460,7 @@ def test_a_picture_has_no_noise_to_measure_and_says_so(picture, frames):
     still = picture.isel(frame=np.zeros(frames, int)).assign_coords(frame=np.arange(frames))
     tracks = track_sheets(still)
     assert any("all frames are equal" in line for line in tracking_warnings(tracks)) == (frames > 1)
-    assert "not measured" in _noise(noise_figures(tracks, None), "")
+    assert "not measured" in _noise(tracks, None).value
 
 
 def test_a_film_of_few_grey_levels_is_not_called_still(tracked):

@@ -77,7 +77,7 @@ from vision.sheets.ridges import describe_ridges
 from vision.sheets.subpixel import check_window
 from vision.sheets.tracks import check_axis
 from vision.shells import ShellSettings, classify_shells
-from vision.summary import summary_items, summary_lines
+from vision.summary import named_items, summary_lines
 from vision.video import (
     Follow,
     ReadingLog,
@@ -242,11 +242,7 @@ class Analysis(Results):
         return "\n".join(self.summary())
 
     def _repr_html_(self) -> str:
-        found: dict[str, str] = {}
-        name = ""
-        for head, line in summary_items(self, self.assumed_sample):
-            name = head or name
-            found[name] = f"{found[name]}; {line}" if name in found else line
+        found = {name: one.text for name, one in named_items(self, self.assumed_sample).items()}
         text = html_table("analysis", found | numbered("warning", self.warnings))
         if self.tracks is None:
             return text

@@ -1,10 +1,11 @@
-"""The summary of a run in about ten lines of text."""
+"""The results of a run in words: the lines of the summary, of which the report has some at its top."""
 
 from __future__ import annotations
 
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,6 +29,7 @@ from vision.errors import counted
 from vision.figures.style import candidates_text, drift_text, offset_text
 from vision.files import shortened
 from vision.force.recording import good_samples
+from vision.models.single_fits import SYMBOLS
 from vision.numeric import Ints, nan_median, two_digits, with_minus
 from vision.sample import Sample
 from vision.sheets import doubtful_stretches
@@ -85,12 +87,27 @@ AXIS_HOW = {"motion": "found from motion", "geometry": "the middle of the ridges
 """How the symmetry axis is known, in words."""
 
 
+@dataclass(frozen=True)
+class Answer:
+    """One result in words: a line of a summary, or a box at the top of a page."""
+
+    what: str  # its name; "" for more about the one before
+    value: str
+    detail: str = ""
+    doubt: bool = False  # whether the value may be wrong or incomplete
+
+    @property
+    def text(self) -> str:
+        """Value and detail."""
+        return "; ".join(filter(None, (self.value, self.detail)))
+
+
 def summary_lines(results: Results, assumed: Sample | None = None) -> list[str]:
     """Return the summary: sheets, frames, positions, noise and findings of the film, then of the force.
 
     assumed: the sample with which the models were fitted if none was given.
     """
-    return aligned(summary_items(results, assumed))
+    return aligned((one.what, one.text) for one in summary_items(results, assumed))
 
 
 def aligned(lines: Iterable[tuple[str, str]]) -> list[str]:
@@ -98,89 +115,116 @@ def aligned(lines: Iterable[tuple[str, str]]) -> list[str]:
     return [f"{name:<10} {text}" for name, text in lines]
 
 
-def summary_items(results: Results, assumed: Sample | None) -> Iterator[tuple[str, str]]:
-    """Yield the name and the text of each line of `summary_lines`; "" continues the line above."""
+BOXES = {
+    "sheets": "sheets tracked",
+    "positions": "positions",
+    "sticks": "stick phases",
+    "shells": "stiff shell",
+    "clocks": "clocks",
+    "models": "friction coefficient",
+    "noise": "noise of a position",
+    "frames": "frames",
+}
+"""Lines of the summary that are boxes at the top of the report, the most important first, and their names."""
+
+
+def answers(results: Results) -> list[Answer]:
+    """Return the boxes at the top of the report."""
+    named = named_items(results)
+    return [replace(named[name], what=what) for name, what in BOXES.items() if name in named]
+
+
+def named_items(results: Results, assumed: Sample | None = None) -> dict[str, Answer]:
+    """Return the lines of the summary by their names, each with the lines that continue it in its detail."""
+    named: dict[str, Answer] = {}
+    name = ""
+    for one in summary_items(results, assumed):
+        name = one.what or name
+        before = named.get(name)
+        more = "" if before is None else "; ".join(filter(None, (before.detail, one.text)))
+        named[name] = one if before is None else replace(before, detail=more)
+    return named
+
+
+def summary_items(results: Results, assumed: Sample | None) -> Iterator[Answer]:
+    """Yield each line of `summary_lines`."""
     if results.tracks is not None:
-        yield from _tracking_lines(results.tracks, results.pixel_size_um, results.pixel_size_err_um)
+        yield from _of_tracks(results.tracks, results.pixel_size_um, results.pixel_size_err_um)
     if results.force is not None:
-        yield from _force_lines(results.force, results.sticks)
+        yield from _of_force(results.force, results.sticks)
     if (fits := results.fits) is not None:
-        yield from _fit_lines(fits)
+        yield from _of_fits(fits)
     elif reason := results.reasons.get("fits"):
-        yield "models", f"none: {reason}"
+        yield Answer("models", f"none: {reason}")
     if results.clock is not None:
-        yield "clocks", _clocks(results.clock)
+        yield _clocks(results.clock)
+    if results.sticks is not None:
+        yield _sticks(results, results.sticks)
     if results.shells is not None and results.motion is not None:
-        yield "shells", _shells(results.motion, results.shells)
+        yield _shells(results, results.motion, results.shells)
     for k, text in enumerate(_systematic(systematic_budget(results))):
-        yield "" if k else "errors", text
+        yield Answer("" if k else "errors", text)
     if results.fits is not None:
-        yield "sample", _sample(results.fits.sample, results.tracks, assumed=assumed is not None)
+        yield Answer("sample", _sample(results.fits.sample, results.tracks, assumed=assumed is not None))
 
 
-def _force_lines(force: xr.Dataset, sticks: pd.DataFrame | None) -> Iterator[tuple[str, str]]:
+def _of_force(force: xr.Dataset, sticks: pd.DataFrame | None) -> Iterator[Answer]:
     """Yield the lines about a force recording and its events."""
     if text := force_columns_text(force):
-        yield "force", text
+        yield Answer("force", text)
     if sticks is None:
         return
     facts = StickMetadata.of(sticks)
     regime = facts.regime
     kind = "stick-slip events" if regime == "stick-slip" else f"events ({regime}, not stick-slip)"
-    yield "events", f"{len(sticks)} {kind}; {event_sizes(force, sticks)}; {lowpass_correction(sticks)}"
+    yield Answer(
+        "events", f"{len(sticks)} {kind}", f"{event_sizes(force, sticks)}; {lowpass_correction(sticks)}"
+    )
     if facts.hum_N:
         hum = f"{facts.hum_Hz:.4g} Hz, {facts.hum_N:.2g} {load_unit_text(force)} rms"
-        yield "hum", f"slips are searched without hum of {hum}"
-    yield from (("", note) for note in ForceMetadata.of(force).notes)
+        yield Answer("hum", f"slips are searched without hum of {hum}")
+    yield from (Answer("", note) for note in ForceMetadata.of(force).notes)
 
 
-def _fit_lines(fits: ModelFits) -> Iterator[tuple[str, str]]:
+def _of_fits(fits: ModelFits) -> Iterator[Answer]:
     """Yield the lines about the models fitted to the force recording."""
-    for label, names in (("models", ("mu", "A", "N_hat_N")), ("", ("Lambda_hat_mm", "Y_eff_GPa", "T0_N"))):
-        shown = ((name, *QUANTITIES[name]) for name in names)
-        text = ", ".join(f"{symbol} {fits.text(name, unit)}" for name, symbol, unit in shown)
-        yield label, text.replace("𝒯_0", "𝒯0")
-    yield from (("", note) for note in fits.notes)
+    shown = {name: f"{symbol} {fits.text(name, unit)}" for name, (symbol, unit) in SYMBOLS.items()}
+    yield Answer("models", shown["mu"], f"{shown['A']}, {shown['N_hat_N']}")
+    more = ", ".join(shown[name] for name in ("Lambda_hat_mm", "Y_eff_GPa", "T0_N"))
+    yield from (Answer("", text) for text in (more.replace("𝒯_0", "𝒯0"), *fits.notes))
 
 
-def _tracking_lines(
+def _of_tracks(
     tracks: xr.Dataset, pixel_size_um: float | None, pixel_size_err_um: float | None
-) -> Iterator[tuple[str, str]]:
+) -> Iterator[Answer]:
     """Yield the lines about a film."""
     strip, found = StripMetadata.of(tracks), TrackMetadata.of(tracks)
-    side, flags, noise = tracks["side"].values, FlagCounts(tracks), noise_figures(tracks, pixel_size_um)
-    length = "" if pixel_size_um is None else f" = {noise['measured_um']:.3g} µm"
-    tilt = f", tilt {with_minus(f'{strip.tilt_deg:+.2f}')}°" if math.isfinite(strip.tilt_deg) else ""
-    corrupt = f" ({strip.frames_corrupt} of them corrupt)" if strip.frames_corrupt else ""
-    frozen = f", {flags.frozen_frames} frozen" * bool(flags.frozen_frames)
+    side, flags = tracks["side"].values, FlagCounts(tracks)
     unseen = "; they look alike: a jump by their spacing would be invisible" * (found.sheets_alike == "yes")
     unseen += f"; the {found.ridges_likelier} stripes look more like sheets" * bool(found.ridges_likelier)
-    # Compression hides the noise of pixels, so that the error predicted from them means nothing.
-    predicted = (
-        f"; x_err_px {noise['stated_px']:.4f} px ({strip.codec} hides the noise of pixels)"
-        if strip.codec in LOSSY
-        else f", {noise['predicted_px']:.4f} px predicted from the pixels"
-    )
-    axis = f"{found.axis_px:.1f} px ({_axis(found, int(tracks['n'].min()), one_side=len(set(side)) == 1)})"
-    axis += _axis_on_sheet(tracks)
-    ridges = counted(found.sheets, f"{found.ridges} ridge")
-    yield "sheets", f"{ridges} ({sides_text(side)}); other ridges ignored: {found.ridges_dropped}{unseen}"
+    ridges = f"{counted(found.sheets, f'{found.ridges} ridge')} ({sides_text(side)})"
+    yield Answer("sheets", ridges, f"other ridges ignored: {found.ridges_dropped}{unseen}")
+    bad = bad_frames(strip, flags.frozen_frames)
     read = f"{strip.frames_read} of {strip.frames_expected} read"
-    yield "frames", f"{read}; {strip.frames_lost} lost{corrupt}, {strip.frames_blank} blank{frozen}"
-    yield "positions", positions_line(flags)
-    locked = f"; locking to pixels of {found.locking_px:.3f} px rms subtracted" * (found.locking_px > 0)
-    yield "noise", f"{_noise(noise, length)}{predicted}{locked}" if flags.measured else "no position measured"
+    yield Answer("frames", read, bad or "none lost, blank, corrupt or frozen", doubt=bool(bad))
+    yield positions_line(flags)
+    if flags.measured:
+        yield _noise(tracks, pixel_size_um)
+    else:
+        yield Answer("noise", "no position measured", doubt=True)
     if len(doubts := doubtful_stretches(tracks)):
-        yield "doubtful", f"{len(doubts)} stretches; longest: {longest_stretches(doubts, 'why')}"
+        yield Answer("doubtful", f"{len(doubts)} stretches; longest: {longest_stretches(doubts, 'why')}")
     if len(gaps := missing_stretches(tracks)):
-        yield "no ridge", f"for {LONG_GAP} frames or more: {longest_stretches(gaps, 'flag')}"
-    yield "strip", f"rows {strip.strip_z0}:{strip.strip_z1} ({strip.strip_how}){tilt}"
+        yield Answer("no ridge", f"for {LONG_GAP} frames or more: {longest_stretches(gaps, 'flag')}")
+    tilt = f", tilt {with_minus(f'{strip.tilt_deg:+.2f}')}°" if math.isfinite(strip.tilt_deg) else ""
+    yield Answer("strip", f"rows {strip.strip_z0}:{strip.strip_z1} ({strip.strip_how}){tilt}")
     if "x_z_px" in tracks:
-        yield "heights", heights_line(tracks)
-    yield "ridges", ridges_line(found)
-    yield "axis", axis if math.isfinite(found.axis_px) else "not known"
-    yield "clock", frame_rate_text(strip)
-    yield "scale", scale_line(pixel_size_um, pixel_size_err_um, strip)
+        yield Answer("heights", heights_line(tracks))
+    yield Answer("ridges", ridges_line(found))
+    axis = f"{found.axis_px:.1f} px ({_axis(found, int(tracks['n'].min()), one_side=len(set(side)) == 1)})"
+    yield Answer("axis", axis + _axis_on_sheet(tracks) if math.isfinite(found.axis_px) else "not known")
+    yield Answer("clock", frame_rate_text(strip))
+    yield Answer("scale", scale_line(pixel_size_um, pixel_size_err_um, strip))
 
 
 def sides_text(side: Ints) -> str:
@@ -188,14 +232,33 @@ def sides_text(side: Ints) -> str:
     return ", ".join(f"{(side == which).sum()} {name}" for which, name in SIDES.items())
 
 
-def _noise(noise: Mapping[str, float], length: str) -> str:
-    """Return the measured noise as text; it is not known from few or identical frames."""
-    parts = []
-    if noise["measured_px"] > 0:
-        parts.append(f"{noise['measured_px']:.4f} px{length} from frame to frame")
-    if noise.get("scatter_px", 0.0) > 0:
-        parts.append(f"{noise['scatter_px']:.4f} px between sheets")
-    return ", ".join(parts) or "not measured (too few frames that differ)"
+def bad_frames(strip: StripMetadata, frozen: int = 0) -> str:
+    """Return the numbers of lost, blank and frozen frames, "" if there are none."""
+    corrupt = f", {strip.frames_corrupt} of them corrupt" * bool(strip.frames_corrupt)
+    counts = {f"lost{corrupt}": strip.frames_lost, "blank": strip.frames_blank, "frozen": frozen}
+    return ", ".join(f"{count} {name}" for name, count in counts.items() if count)
+
+
+def _noise(tracks: xr.Dataset, pixel_size_um: float | None) -> Answer:
+    """Return the noise of a position, which is not known from few or identical frames."""
+    noise, codec = noise_figures(tracks, pixel_size_um), StripMetadata.of(tracks).codec
+    measured, predicted = noise["measured_px"], noise["predicted_px"]
+    length = "" if pixel_size_um is None else f" = {noise['measured_um']:.3g} µm"
+    value = f"{measured:.4f} px{length} from frame to frame"
+    hidden = codec in LOSSY  # so that the error predicted from the pixels means nothing
+    parts = [
+        f"{noise['scatter_px']:.4f} px between sheets" if noise.get("scatter_px", 0.0) > 0 else "",
+        f"{codec} hides the noise of pixels" if hidden else f"{predicted:.4f} px predicted from the pixels",
+        f"x_err_px {noise['stated_px']:.4f} px",
+    ]
+    locking_px = TrackMetadata.of(tracks).locking_px
+    parts.append(f"locking to pixels of {locking_px:.3f} px rms subtracted" * (locking_px > 0))
+    return Answer(
+        "noise",
+        value if measured > 0 else "not measured (too few frames that differ)",
+        ", ".join(filter(None, parts)),
+        doubt=not measured > 0 or (not hidden and measured > 3 * predicted),
+    )
 
 
 def heights_line(tracks: xr.Dataset) -> str:
@@ -292,13 +355,12 @@ def scale_line(pixel_size_um: float | None, err_um: float | None, strip: StripMe
     return f"{pixel_size_text(pixel_size_um, err_um)} per px{how}"
 
 
-def positions_line(flags: FlagCounts) -> str:
+def positions_line(flags: FlagCounts) -> Answer:
     """Return how many positions were measured, and how many have which flag of the others."""
-    measured = f"{flags.measured} measured"
-    if blurred := flags["blurred"]:
-        measured += f" ({blurred} of them blurred)"
+    blurred = f" ({flags['blurred']} of them blurred)" * bool(flags["blurred"])
     others = ", ".join(f"{count} {name}" for name, count in flags.items() if name not in MEASURED)
-    return f"{measured}; {others or 'none missing'}"
+    value = f"{flags.measured} of {flags.total()} measured{blurred}"
+    return Answer("positions", value, others, doubt=flags.measured < 0.99 * flags.total())
 
 
 def force_columns_text(force: xr.Dataset) -> str:
@@ -356,29 +418,53 @@ def _ms(seconds: float) -> str:
     return f"{1e3 * seconds:.2g} ms" if seconds < 0.1 else f"{1e3 * seconds:.0f} ms"
 
 
-def _clocks(clock: Clock) -> str:
-    spread = f" to {clock.residual_ms:.1f} ms" if math.isfinite(clock.residual_ms) else ""
-    if clock.status == "ambiguous" and clock.candidates:
-        return f"ambiguous: possible offsets (log-likelihood) {candidates_text(clock)}; none is used"
+def _clocks(clock: Clock) -> Answer:
+    if clock.status == "ambiguous":
+        likeliest = candidates_text(clock) or f"{clock.offset_s:.3f} s"
+        why = f"{clock.ambiguity}; " if clock.ambiguity else ""
+        detail = f"{why}possible offsets (log-likelihood) {likeliest}; none is used"
+        return Answer("clocks", "ambiguous", detail, doubt=True)
+    spread = f" to {clock.residual_ms:.2g} ms" if math.isfinite(clock.residual_ms) else ""
     numbers = {"film": clock.unmatched_video, "force": clock.unmatched_force}
     alone = "".join(f", {count} only in the {name}" for name, count in numbers.items() if count > 0)
-    return (
-        f"{clock.status}: offset {offset_text(clock)}, drift {drift_text(clock)}, "
-        f"{clock.matched} slips matched{spread}{alone}"
-    )
+    how = f"{clock.matched} slips matched{spread}{alone}"
+    return Answer("clocks", f"{clock.status}: offset {offset_text(clock)}, drift {drift_text(clock)}", how)
 
 
-def _shells(motion: xr.Dataset, shells: pd.DataFrame) -> str:
-    size = shells["stiff_sheets"].dropna().astype(float)
-    found = "not known"
-    if len(size):
-        least, most = int(size.min()), int(size.max())
-        found = f"{size.median():.0f}" + (f" ({least} to {most})" if least < most else " in each")
-    if (ratio := nan_median(motion["ratio"].values)).size and np.isfinite(ratio).any():  # of each sheet
-        found += f"; median σ_x/Λ_st of a sheet {np.nanmin(ratio):.3f} to {np.nanmax(ratio):.3f}"
-    short = int((motion["flag"] == "few").all("sheet").sum())
-    too_short = f", {short} of them too short for σ_x/Λ_st" if short else ""
-    return f"{motion.sizes['event']} stick phases in the video{too_short}; stiff sheets per side {found}"
+def _sticks(results: Results, sticks: pd.DataFrame) -> Answer:
+    """Return how many stick phases there are, of a film those in it."""
+    good = f"{(sticks['flag'] == 'ok').sum()} of them without a flag"
+    if results.tracks is None:
+        return Answer("sticks", str(len(sticks)), good)
+    detail = f"of {len(sticks)} in the force recording, {good}"
+    motion, clock = results.motion, results.clock
+    if motion is None and (clock is None or clock.status == "ambiguous"):
+        why = "no common clock" if clock is None else "clocks ambiguous"
+        return Answer("sticks", f"not known in the video ({why})", detail, doubt=True)
+    inside = 0 if motion is None else motion.sizes["event"]
+    short = 0 if motion is None else int((motion["flag"] == "few").all("sheet").sum())
+    too_short = f", {short} of them too short for σ_x/Λ_st" * bool(short)
+    return Answer("sticks", f"{inside} in the video{too_short}", detail, doubt=inside == 0)
+
+
+def _shells(results: Results, motion: xr.Dataset, shells: pd.DataFrame) -> Answer:
+    """Return the size of the stiff shell, with its interval, in the first and in the last three stick phases
+    (medians), and the deformation of the sheets."""
+    known = shells[shells["stiff_sheets"].notna()].sort_values("d_v_mm")
+    if known.empty:
+        return Answer("shells", "not known", "too few sheets with a known deformation", doubt=True)
+    ends = known.head(6), known.tail(6)  # three stick phases on two sides
+    names = ["stiff_sheets", "stiff_low", "stiff_high"]
+    first, last = ("{:.3g} ({:.3g} to {:.3g})".format(*end[names].astype(float).median()) for end in ends)
+    d_mm = known["d_v_mm"]
+    size = first if first == last else f"{first} → {last}"
+    where = f"from d = {d_mm.min():.2f} to {d_mm.max():.2f} mm" if d_mm.notna().any() else "d not known"
+    if results.force is not None and ForceMetadata.of(results.force).lacks_d0:
+        where = "at separations that are not known"
+    ratio = nan_median(motion["ratio"].values)  # of each sheet
+    span = f"; median σ_x/Λ_st of a sheet {np.nanmin(ratio):.3f} to {np.nanmax(ratio):.3f}"
+    detail = f"σ_x/Λ_st below {results.threshold:g}, {where}{span}"
+    return Answer("shells", f"{size} sheets per side", detail)
 
 
 def _systematic(budget: Budget) -> list[str]:

@@ -14,7 +14,8 @@ from vision.force import ForceSettings
 from vision.models import Estimate
 from vision.report import write_report
 from vision.report.page import budget_table
-from vision.report.text import answers, methods
+from vision.report.text import methods
+from vision.summary import answers
 
 LIMIT = 3_000_000
 
@@ -63,19 +64,19 @@ def test_stick_phases_in_the_video_are_not_counted_without_a_clock(pulled):
     """A failure means "0 stick phases" where nobody knows how many there are, or no reason why."""
     clock = replace(pulled.clock, status="ambiguous", ambiguity="too few slips in common")
     told = {one.what: one for one in answers(replace(pulled, clock=clock, motion=None, shells=None))}
-    phases = told["stick phases in the video"]
-    assert phases.value == "not known (clocks ambiguous)" and phases.doubt
+    phases = told["stick phases"]
+    assert phases.value == "not known in the video (clocks ambiguous)" and phases.doubt
     assert f"{len(pulled.sticks)} in the force recording" in phases.detail
     assert "too few slips in common" in told["clocks"].detail
-    assert answers(pulled)[1].value == str(pulled.motion.sizes["event"])
+    assert answers(pulled)[2].value == f"{pulled.motion.sizes['event']} in the video"
 
 
 def test_a_stage_that_could_not_run_is_a_warning(pulled, tmp_path):
     """A failure means "0 stick phases" and a green "No warnings." on the page of a command that failed."""
     reasons = {"clock": "expected at least 4 slips to align the clocks; found 3"}
     refused = replace(pulled, clock=None, motion=None, shells=None, reasons=reasons)
-    phases = next(one for one in answers(refused) if one.what == "stick phases in the video")
-    assert phases.value == "not known (no common clock)" and phases.doubt
+    phases = next(one for one in answers(refused) if one.what == "stick phases")
+    assert phases.value == "not known in the video (no common clock)" and phases.doubt
     page = write_report(tmp_path / "report.html", refused, {}).read_text(encoding="utf-8")
     (warned,) = re.findall(r'<div class="warnings".*?</div>', page, re.DOTALL)
     assert "found 3" in warned and "No warnings." not in page
@@ -95,17 +96,18 @@ def test_the_top_of_the_page_has_no_parameter_without_its_error(pulled):
     unknown = Estimate(3.42, 0.02)
     fits = replace(pulled.fits, n_hat_N=known, amplitude=known, modulus_GPa=unknown)
     detail = next(one for one in answers(replace(pulled, fits=fits)) if one.value.startswith("μ")).detail
-    assert "N̂ = 0.5340 ± 0.0050 N, A = 0.5340 ± 0.0050, Y_eff = 3.420 ± 0.020 GPa" in detail
+    assert "A 0.5340 ± 0.0030 (stat.) ± 0.0040 (syst.), N̂ 0.5340 ± 0.0030 " in detail
+    assert ", Y_eff 3.420 ± 0.020 GPa, " in detail
 
 
 def test_the_answers_are_the_run_s(pulled, tmp_path):
     """A failure means that the top of the page has other numbers than the tables."""
     page = page_of(pulled, tmp_path)
-    assert "50 (25 left, 25 right)" in page
-    assert f'<div class="value">{pulled.motion.sizes["event"]}</div>' in page
+    assert "50 bright ridges (25 left, 25 right)" in page
+    assert f'<div class="value">{pulled.motion.sizes["event"]} in the video</div>' in page
     assert "offset 36.0000 s" in page
-    assert f"x_err_px: {np.nanmedian(pulled.tracks['x_err_px']):.2g} px" in page
-    assert re.search(r"μ = 0\.8[89]\d* ± 0\.0", page)
+    assert f"x_err_px {np.nanmedian(pulled.tracks['x_err_px']):.4f} px" in page
+    assert re.search(r"μ 0\.8[89]\d* ± 0\.0", page)
 
 
 def test_methods_name_the_actual_parameters(pulled, tmp_path):
@@ -181,7 +183,7 @@ def test_sheets_never_found_and_frames_never_seen_do_not_break_the_page(tmp_path
     profile[100:150] = np.nan
     frame = np.zeros((40, 180), np.uint8)
     page = page_of(Found(strip=profile, tracks=tracks, frame=frame), tmp_path)
-    assert re.search(r'class="doubt"><div class="what">sheets tracked', page)
+    assert re.search(r'class="doubt"><div class="what">positions', page)
 
 
 def test_a_run_that_found_no_position_at_all_says_so(tmp_path):
@@ -191,7 +193,7 @@ def test_a_run_that_found_no_position_at_all_says_so(tmp_path):
     results = Found(strip=make_profile(tracks, 180), tracks=tracks, frame=np.eye(40, 180))
     page = page_of(results, tmp_path)
     assert "not known" in page
-    assert re.search(r'class="doubt"><div class="what">sheets tracked', page)
+    assert re.search(r'class="doubt"><div class="what">positions', page)
     assert "nan" not in page.split('id="methods">')[1].split("</blockquote>")[0]
     for figure in figures_of(results):
         figure.save(tmp_path / f"{figure.name}.png")

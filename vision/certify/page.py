@@ -11,7 +11,7 @@ from vision.figures.style import DATA, PEAK, VALLEY, from_zero
 from vision.folder import whole_file, write_csv, write_json
 from vision.numeric import with_minus
 from vision.report.page import render_page
-from vision.report.text import Answer
+from vision.summary import Answer
 
 # How films were made, and what the certificate does not include.
 _RESIDUALS = (

@@ -35,9 +35,9 @@ from vision.folder import Shown, numbered, write_csv, write_json
 from vision.models import Estimate, both_errors, plus_minus
 from vision.models.single_fits import SYMBOLS, low_speed
 from vision.report.page import FactsTable, render_page
-from vision.report.text import Answer
 from vision.run.provenance import Origin
 from vision.run.writing import results_folder
+from vision.summary import Answer
 
 MARK = "compare"  # key in run.json that distinguishes a comparison from a run
 PICTURES = ("collapse", "trends")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import io
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
 from math import isfinite
@@ -36,8 +36,9 @@ from vision.figures.style import (
 )
 from vision.folder import flattened
 from vision.numeric import Floats, two_digits, with_minus
-from vision.report.text import ANALYSED_WITH, answers, citation, methods, subtitle
+from vision.report.text import ANALYSED_WITH, citation, methods, subtitle
 from vision.sheets import doubtful_stretches
+from vision.summary import answers
 from vision.systematics import QUANTITIES, SOURCES, systematic_budget
 
 _PART = " (of its size and 64 MiB of it)"  # what a fingerprint covers
@@ -74,7 +75,7 @@ def write_report(
         title=title,
         kind="sheet positions",
         subtitle=subtitle(results),
-        answers=answers(results),
+        answers=[replace(one, detail=with_options(one.detail, options)) for one in answers(results)],
         warnings=list(warnings),
         missing=[with_options(line, options) for line in missing_parts(results)],
         methods=methods(results),

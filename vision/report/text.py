@@ -1,9 +1,8 @@
-"""Text of the report page: the answers at its top, the methods paragraphs, and what to cite."""
+"""Text of the report page: the methods paragraphs, and what to cite."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
@@ -23,13 +22,13 @@ from vision.data import (
     parameters_of,
 )
 from vision.figures import Results
-from vision.figures.style import candidates_text, drift_text, offset_text, percent
+from vision.figures.style import drift_text, offset_text
 from vision.force import ForceSettings
-from vision.models import Estimate, ModelFits, both_errors, plus_minus
+from vision.models import ModelFits
 from vision.models.single_fits import has_knees
 from vision.sheets.recovery import LONG_GAP, missing_stretches
 from vision.sheets.tracks import LOSSY
-from vision.summary import axis_source, force_columns_text, noise_figures, pixel_size_text, sides_text
+from vision.summary import axis_source, bad_frames, force_columns_text, pixel_size_text
 from vision.systematics import QUANTITIES
 
 PAPER = (
@@ -37,24 +36,6 @@ PAPER = (
     "friction."
 )
 ANALYSED_WITH = f"The analysis was done with sheetvision {vision.__version__}."
-
-# --- the answers --------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Answer:
-    """One box at the top of the page. doubt: whether the value may be wrong or incomplete."""
-
-    what: str
-    value: str
-    detail: str
-    doubt: bool = False
-
-
-def answers(results: Results) -> list[Answer]:
-    """Return the boxes, the most important first."""
-    boxes = (_sheets, _sticks, _shell, _clocks, _friction, _noise, _frames)
-    return [answer for box in boxes if (answer := box(results)) is not None]
 
 
 def subtitle(results: Results) -> str:
@@ -70,125 +51,6 @@ def subtitle(results: Results) -> str:
     scale = "no pixel size given" if size is None else f"{pixel_size_text(size, error)} per px"
     frames, columns = results.strip.sizes["frame"], results.strip.sizes["x"]
     return f"{frames} frames{span}, {columns} columns, {scale}{force}"
-
-
-def _sheets(results: Results) -> Answer | None:
-    tracks = results.tracks
-    if tracks is None:
-        return None
-    side, flags = tracks["side"].values, FlagCounts(tracks)
-    ok = flags.measured / max(1, flags.total())
-    return Answer(
-        "sheets tracked",
-        f"{side.size} ({sides_text(side)})",
-        f"{percent(ok)} of all positions measured; {TrackMetadata.of(tracks).ridges} ridges",
-        doubt=ok < 0.99,
-    )
-
-
-def _sticks(results: Results) -> Answer | None:
-    if results.force is None or results.sticks is None:
-        return None
-    found, good = len(results.sticks), f"{(results.sticks['flag'] == 'ok').sum()} of them without a flag"
-    if results.strip is None:
-        return Answer("stick phases", str(found), good)
-    what, detail = "stick phases in the video", f"{found} in the force recording, {good}"
-    if results.motion is None and (results.clock is None or results.clock.status == "ambiguous"):
-        why = "no common clock" if results.clock is None else "clocks ambiguous"
-        return Answer(what, f"not known ({why})", detail, doubt=True)
-    inside = 0 if results.motion is None else results.motion.sizes["event"]
-    return Answer(what, str(inside), f"of {detail}", doubt=inside == 0)
-
-
-def _shell(results: Results) -> Answer | None:
-    """Return the size of the stiff shell, with its interval, in the first and in the last three stick phases
-    (medians)."""
-    if results.shells is None:
-        return None
-    known = results.shells[results.shells["stiff_sheets"].notna()].sort_values("d_v_mm")
-    if known.empty:
-        return Answer("stiff shell", "not known", "too few sheets with a known deformation", doubt=True)
-    ends = known.head(6), known.tail(6)  # three stick phases on two sides
-    names = ["stiff_sheets", "stiff_low", "stiff_high"]
-    first, last = ("{:.3g} ({:.3g} to {:.3g})".format(*end[names].astype(float).median()) for end in ends)
-    d_mm = known["d_v_mm"]
-    size = first if first == last else f"{first} → {last}"
-    where = f"from d = {d_mm.min():.2f} to {d_mm.max():.2f} mm" if d_mm.notna().any() else "d not known"
-    if results.force is not None and ForceMetadata.of(results.force).lacks_d0:
-        where = "at separations that are not known"
-    return Answer("stiff shell", f"{size} sheets per side", f"σ_x/Λ_st below {results.threshold:g}, {where}")
-
-
-def _clocks(results: Results) -> Answer | None:
-    clock = results.clock
-    if clock is None:
-        return None
-    matches = f"drift {drift_text(clock)}, {clock.matched} slips matched"
-    spread = f", residual {clock.residual_ms:.2g} ms" if np.isfinite(clock.residual_ms) else ""
-    if clock.status == "ambiguous":
-        likeliest = candidates_text(clock) or f"{clock.offset_s:.3f} s"
-        why = f"{clock.ambiguity}; " if clock.ambiguity else ""
-        detail = f"{why}likeliest offsets (log-likelihood): {likeliest}"
-        return Answer("clocks", "ambiguous", detail, doubt=True)
-    how = f" ({clock.how})" if clock.status == "given" else ""
-    return Answer("clocks", f"offset {offset_text(clock)}", matches + spread + how)
-
-
-def _friction(results: Results) -> Answer | None:
-    fits = results.fits
-    if fits is None:
-        return None
-    shown = (_with_total(fits, name) for name in ("N_hat_N", "A", "Y_eff_GPa"))
-    detail = f"{', '.join(shown)} (statistical and systematic error together)"
-    if "d0_mm" not in fits.input_errors:
-        detail += "; without the error of d0, which is not given"
-    return Answer("friction coefficient", f"μ = {both_errors(fits.mu)}", detail)
-
-
-def _with_total(fits: ModelFits, name: str) -> str:
-    """Return a parameter as "A = 0.33 ± 0.01", its errors added in quadrature as far as known, or as not
-    determined."""
-    symbol, unit = QUANTITIES[name]
-    if name in fits.undetermined:
-        return f"{symbol} not determined"
-    one = fits.named()[name]
-    known = [error for error in (one.error, one.systematic_error) if math.isfinite(error)]
-    return f"{symbol} = {plus_minus(Estimate(one.value, math.hypot(*known)))} {unit}".rstrip()
-
-
-def _noise(results: Results) -> Answer | None:
-    if results.tracks is None:
-        return None
-    noise = noise_figures(results.tracks, results.pixel_size_um)
-    measured, predicted = noise["measured_px"], noise["predicted_px"]
-    what = "noise of a position"
-    if not np.isfinite(measured):
-        return Answer(what, "not known", "too few consecutive positions to measure it", doubt=True)
-    size, codec = results.pixel_size_um, StripMetadata.of(results.tracks).codec
-    hidden = codec in LOSSY  # so that the error predicted from the pixels is too small
-    check = (
-        f"{codec} hides the noise of pixels" if hidden else f"{predicted:.2g} px predicted from the pixels"
-    )
-    return Answer(
-        what,
-        f"{measured:.2g} px" + ("" if size is None else f" = {measured * size:.2g} µm"),
-        f"median of the sheets, from frame to frame; {check}; stated random error of a position, x_err_px: "
-        f"{noise['stated_px']:.2g} px",
-        doubt=bool(not hidden and measured > 3 * predicted),
-    )
-
-
-def _frames(results: Results) -> Answer | None:
-    if (tracks := results.tracks) is None:
-        return None
-    strip = StripMetadata.of(tracks)
-    bad = _bad_frames(strip, FlagCounts(tracks).frozen_frames)
-    return Answer(
-        "frames",
-        f"{strip.frames_read} of {strip.frames_expected} read",
-        bad or "none lost, blank, corrupt or frozen",
-        doubt=bool(bad),
-    )
 
 
 # --- the methods paragraphs ---------------------------------------------------------------------------------
@@ -235,7 +97,7 @@ def _video(profile: xr.DataArray, pixel_size_um: float | None, pixel_size_err_um
         if math.isfinite(strip.tilt_deg)
         else ""
     )
-    bad = f" ({bad})" if (bad := _bad_frames(strip)) else ""
+    bad = f" ({bad})" if (bad := bad_frames(strip)) else ""
     return (
         f"The edges of the sheets were recorded at {rate}{scale}, with {strip.depth_bits} bits per pixel"
         f"{_compression(strip.codec)}.{unknown} In each of {strip.frames_read} frames{bad} the "
@@ -251,13 +113,6 @@ def _compression(codec: str) -> str:
     if codec in LOSSY:
         return f" and lossy compression ({codec}), which alters and can hide the noise"
     return ", uncompressed" if codec in ("uncompressed", "rawvideo", "packed") else f", stored as {codec}"
-
-
-def _bad_frames(strip: StripMetadata, frozen: int = 0) -> str:
-    """Return the numbers of lost, blank, corrupt and frozen frames, "" if there are none."""
-    counts = strip.frames_lost, strip.frames_blank, strip.frames_corrupt, frozen
-    named = zip(counts, ("lost", "blank", "corrupt", "frozen"), strict=True)
-    return ", ".join(f"{count} {name}" for count, name in named if count)
 
 
 def _tracking(tracks: xr.Dataset) -> str:
