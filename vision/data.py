@@ -7,7 +7,6 @@ name and parameters to ``attrs["operations"]``. All of it can be written by xarr
 what xarray reads back can be given to the next stage.
 """
 
-# ruff: noqa: N815 (the unit is part of a name, and newton is N)
 from __future__ import annotations
 
 import json

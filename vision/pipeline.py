@@ -4,7 +4,6 @@ The stages are: read the strip, track the sheets, find the stick-slip events, fi
 clocks, measure the deformation, classify the shells. No stage needs the result of a later one.
 """
 
-# ruff: noqa: N815 (the unit is part of a name, and newton is N)
 from __future__ import annotations
 
 import base64

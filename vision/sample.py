@@ -1,6 +1,5 @@
 """The sample: two interleaved blocks of sheets."""
 
-# ruff: noqa: N815 (the unit is part of a name, and newton is N)
 from __future__ import annotations
 
 from dataclasses import dataclass

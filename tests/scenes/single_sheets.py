@@ -1,6 +1,5 @@
 """Raw files of measurements on single sheets with known truth: rheometer exports and push–pull cycles."""
 
-# ruff: noqa: N815 (the unit is part of a name, and newton is N)
 from __future__ import annotations
 
 import math

@@ -1,6 +1,5 @@
 """Fits that make tests comparable: of each test with T* and Y_eff fixed, and of one μ for several tests."""
 
-# ruff: noqa: N815 (the unit is part of a name, and newton is N)
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence

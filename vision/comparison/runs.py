@@ -1,6 +1,5 @@
 """Read finished runs and the table that gives the sample, velocity, humidity and temperature of each."""
 
-# ruff: noqa: N815 (the unit is part of a name, and newton is N)
 from __future__ import annotations
 
 import csv

@@ -27,7 +27,6 @@ that sticks to the end has 0. Neither M_eff nor a shell enters. Source: Plati, R
 2 and section "Stick-slip in a simple spring-block model".
 """
 
-# ruff: noqa: N815 (the unit is part of a name, and newton is N)
 from __future__ import annotations
 
 import zlib

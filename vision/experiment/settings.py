@@ -4,7 +4,6 @@ The type of a setting states its range. When an `Experiment` is created, first t
 whether the settings are consistent; an invalid value raises InputError with the name of the setting.
 """
 
-# ruff: noqa: N815 (the unit is part of a name, and newton is N)
 from __future__ import annotations
 
 import math

@@ -8,8 +8,6 @@ Source: Plati, Restagno & Poulard, Eqs. 1-2, section IV and section "Stick-slip 
 model"; Alarcon et al. 2016 for the traction model; Elmer 1997 for spring and block.
 """
 
-# ruff: noqa: N815 (the unit is part of a name, and newton is N)
-
 from __future__ import annotations
 
 import math

@@ -1,7 +1,5 @@
 """Fits of the publication's models to stick-slip events: choice of events, fits, systematic errors."""
 
-# ruff: noqa: N815 (the unit is part of a name, and newton is N)
-
 from __future__ import annotations
 
 import math

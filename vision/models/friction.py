@@ -4,7 +4,6 @@ Two discs of paper of radius R, pressed together by N, turn against each other; 
 coefficient. Source: Plati, Restagno & Poulard, appendix "Single sheets characterization".
 """
 
-# ruff: noqa: N815 (the unit is part of a name, and newton is N)
 from __future__ import annotations
 
 import math

@@ -4,7 +4,6 @@ The distance Δ of the clamps increases and decreases; while the sheet is taut, 
 Source: Plati, Restagno & Poulard, appendix "Single sheets characterization".
 """
 
-# ruff: noqa: N815 (the unit is part of a name, and newton is N)
 from __future__ import annotations
 
 import math

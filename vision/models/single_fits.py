@@ -3,8 +3,6 @@
 All are weighted least squares with standard errors from the residuals.
 """
 
-# ruff: noqa: N815 (the unit is part of a name, and newton is N)
-
 from __future__ import annotations
 
 import math
