@@ -224,7 +224,7 @@ def test_without_a_position_nothing_is_called_nan():
     ("facts", "said"),
     [
         ({}, "forces as recorded"),
-        ({"lowpass_s": 0.012, "lowpass_how": "given"}, "low-pass of 12 ms (given)"),
+        ({"lowpass_s": 0.012, "lowpass_how": "given"}, "low-pass of 12 ms (as given)"),
         ({"lowpass_proposed_s": 0.0034, "lowpass_proven": True}, "the slips show a low-pass of 3.4 ms"),
         ({"lowpass_proposed_s": 0.176, "lowpass_proven": True}, "the slips show a low-pass of 176 ms"),
         (

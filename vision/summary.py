@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -323,6 +323,14 @@ def _axis_on_sheet(tracks: xr.Dataset) -> str:
     )
 
 
+RATE_SOURCES = {
+    "playback": "the file's playback rate",
+    "file": "from the recording itself",
+    "given": "as given",
+}
+"""Where a frame rate comes from, by the kind of the clock."""
+
+
 def frame_rate_text(strip: StripMetadata) -> str:
     """Return the frame rate and its source as text."""
     if not math.isfinite(strip.fps) and strip.clock_kind == "playback":
@@ -330,12 +338,8 @@ def frame_rate_text(strip: StripMetadata) -> str:
     if strip.clock_file:
         rate = f", about {strip.fps:.4g} frames/s" if math.isfinite(strip.fps) else ""
         return f"from the time stamps in {strip.clock_file}{rate}"
-    kinds: Mapping[str, str] = {
-        "playback": " is the file's playback rate: confirm it or give the camera's with `fps`",
-        "file": ", from the recording itself",
-        "given": ", as given",
-    }
-    return f"{strip.fps:g} frames/s{kinds[strip.clock_kind]}"
+    confirm = ": confirm it or give the camera's with `fps`" * (strip.clock_kind == "playback")
+    return f"{strip.fps:g} frames/s ({RATE_SOURCES[strip.clock_kind]}){confirm}"
 
 
 def pixel_size_text(size_um: float, err_um: float | None) -> str:
@@ -385,32 +389,38 @@ def event_sizes(force: xr.Dataset, sticks: pd.DataFrame) -> str:
     return f"{sizes}, Λ_st {middle['stick_length_um']:.3g} µm, K {middle['K_N_per_mm']:.4g}{slope}"
 
 
-def lowpass_correction(sticks: pd.DataFrame) -> str:
-    """Summarise how the load was averaged, or corrected for the load cell's low-pass."""
-    facts = StickMetadata.of(sticks)
+def load_correction(facts: StickMetadata) -> str:
+    """Return how the forces were averaged, or corrected for the load cell's low-pass."""
     if facts.average_s:
-        return f"forces averaged twice over {_ms(facts.average_s)}, and corrected for what this cuts off"
-    if not facts.lowpass_s:
-        proposal = ""
-        if facts.lowpass_doubt == "shape":
-            proposal = (
-                f"; the slips suggest a low-pass of {_ms(facts.lowpass_proposed_s)}, but have a tail without "
-                "it: another filter, which `force_lowpass_s` cannot correct"
-            )
-        elif math.isfinite(facts.lowpass_proposed_s):
-            proven = "show" if facts.lowpass_proven else "may show (they differ)"
-            proposal = (
-                f"; the slips {proven} a low-pass of {_ms(facts.lowpass_proposed_s)}, which "
-                "`force_lowpass_s` auto can correct"
-            )
-        if math.isfinite(facts.ringing_s):
-            rate = f"{1 / facts.ringing_s:.3g} Hz"
-            proposal += f"; the load oscillates at {rate}, which `force_average_s` auto averages"
-        part = (
-            f", one sample in {facts.every}: a filter has smoothed those between" if facts.every > 1 else ""
+        period = f"{_ms(facts.average_s)}, a period of the load cell's ringing"
+        return f"averaged twice over {period}, and corrected for what this cuts off"
+    if facts.lowpass_s:
+        how = "found from the transients after slips" if facts.lowpass_how == "found" else "as given"
+        return f"corrected for the load cell's first-order low-pass of {_ms(facts.lowpass_s)} ({how})"
+    return "as recorded"
+
+
+def lowpass_correction(sticks: pd.DataFrame) -> str:
+    """Return `load_correction`, and what could be corrected but is not."""
+    facts = StickMetadata.of(sticks)
+    parts = [f"forces {load_correction(facts)}"]
+    if facts.average_s or facts.lowpass_s:
+        return parts[0]
+    if facts.every > 1:
+        parts[0] += f", one sample in {facts.every}: a filter has smoothed those between"
+    lowpass = f"a low-pass of {_ms(facts.lowpass_proposed_s)}"
+    if facts.lowpass_doubt == "shape":
+        parts.append(
+            f"the slips suggest {lowpass}, but have a tail without it: another filter, which "
+            "`force_lowpass_s` cannot correct"
         )
-        return f"forces as recorded{part}{proposal}"
-    return f"corrected for a low-pass of {_ms(facts.lowpass_s)} ({facts.lowpass_how})"
+    elif math.isfinite(facts.lowpass_proposed_s):
+        proven = "show" if facts.lowpass_proven else "may show (they differ)"
+        parts.append(f"the slips {proven} {lowpass}, which `force_lowpass_s` auto can correct")
+    if math.isfinite(facts.ringing_s):
+        rate = f"{1 / facts.ringing_s:.3g} Hz"
+        parts.append(f"the load oscillates at {rate}, which `force_average_s` auto averages")
+    return "; ".join(parts)
 
 
 def _ms(seconds: float) -> str:

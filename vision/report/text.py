@@ -28,7 +28,14 @@ from vision.models import ModelFits
 from vision.models.single_fits import has_knees
 from vision.sheets.recovery import LONG_GAP, missing_stretches
 from vision.sheets.tracks import LOSSY
-from vision.summary import axis_source, bad_frames, force_columns_text, pixel_size_text
+from vision.summary import (
+    RATE_SOURCES,
+    axis_source,
+    bad_frames,
+    force_columns_text,
+    load_correction,
+    pixel_size_text,
+)
 from vision.systematics import QUANTITIES
 
 PAPER = (
@@ -81,12 +88,8 @@ def citation() -> list[str]:
 
 def _video(profile: xr.DataArray, pixel_size_um: float | None, pixel_size_err_um: float | None) -> str:
     strip = StripMetadata.of(profile)
-    source = {
-        "playback": " (the file's playback rate)",
-        "file": " (from the recording itself)",
-    }.get(strip.clock_kind, "")
-    known = math.isfinite(strip.fps)
-    rate = f"{strip.fps:.6g} frames per second{source}" if known else "a frame rate that is not known"
+    rate = f"{strip.fps:.6g} frames per second ({RATE_SOURCES[strip.clock_kind]})"
+    rate = rate if math.isfinite(strip.fps) else "a frame rate that is not known"
     scale = (
         "" if pixel_size_um is None else f" at {pixel_size_text(pixel_size_um, pixel_size_err_um)} per pixel"
     )
@@ -189,22 +192,7 @@ def _stick_phases(force: xr.Dataset, sticks: pd.DataFrame) -> str:
         f"valley forces F_p and F_v are those of {line} through the central {part} of each stick "
         "phase, extended to its ends but not beyond the recorded forces, and beside slow slips the recorded "
         f"extremes. The stiffness K is the slope of the central {100 * s.central_part:.0f} %."
-        f"{knees}{_lowpass(s)}"
-    )
-
-
-def _lowpass(sticks: StickMetadata) -> str:
-    if sticks.average_s:
-        return (
-            f" The load was averaged twice over {1e3 * sticks.average_s:.3g} ms, a period of the load cell's "
-            "ringing, and the forces were corrected for what the averages cut off."
-        )
-    if not sticks.lowpass_s:
-        return " All forces are as recorded."
-    source = "found from the transients after slips" if sticks.lowpass_how == "found" else "as given"
-    return (
-        " All forces were corrected for the load cell's response, a first-order low-pass of "
-        f"{1e3 * sticks.lowpass_s:.2g} ms ({source})."
+        f"{knees} All forces are {load_correction(s)}."
     )
 
 
