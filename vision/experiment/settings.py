@@ -7,12 +7,12 @@ whether the settings are consistent; an invalid value raises InputError with the
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
-from types import NoneType
-from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal
 
 from vision.errors import (
     InputError,
@@ -24,6 +24,7 @@ from vision.errors import (
     check_within,
 )
 from vision.files import read_toml
+from vision.numeric import number
 from vision.sample import PUBLISHED, Sample
 
 Fraction = Annotated[float, partial(check_within, "a fraction from 0 to below 1", 0, math.nextafter(1, 0))]
@@ -187,11 +188,8 @@ class Experiment:
     def __post_init__(self) -> None:
         groups = {f"{part.name}.": getattr(self, part.name) for part in fields(self) if part.name != "seed"}
         for prefix, one in ({"": self} | groups).items():
-            try:
+            with _naming(prefix):
                 check_fields(one)
-            except InputError as error:
-                about = f"setting {prefix}{error.about.strip('`')}"
-                raise InputError(about, error.expected, error.found) from None
         _check_together(self)
 
     @property
@@ -205,23 +203,44 @@ class Experiment:
         return self.sheets.count or self.ridges_per_side * (2 if self.sheets.side == "both" else 1)
 
 
+@contextmanager
+def _naming(prefix: str) -> Iterator[None]:
+    """Name a setting with its group in an `InputError` about one of its fields."""
+    try:
+        yield
+    except InputError as error:
+        about = f"setting {prefix}{error.about.strip('`')}"
+        raise InputError(about, error.expected, error.found) from None
+
+
 def with_settings(experiment: Experiment, changes: Mapping[str, Any]) -> Experiment:
     """Return a copy of the experiment with some settings changed.
 
-    changes: new values by name, such as ``{"camera.fps": 25, "seed": 3}``. Strings are converted to the type
-    of the setting.  Raises: InputError for an unknown name or an invalid value.
+    changes: new values by name, such as ``{"camera.fps": 25, "seed": 3}``; text is read as a number, true or
+    false where it is one.  Raises: InputError for an unknown name or an invalid value.
     """
-    groups: dict[str, dict[str, Any]] = {}
     top: dict[str, Any] = {}
     for name, value in changes.items():
         if name == "seed":
-            top["seed"] = _converted(value, int, name)
+            top["seed"] = _read(value)
             continue
         group, key = _known(name, experiment)
-        kind = get_type_hints(type(getattr(experiment, group)), include_extras=True)[key]
-        groups.setdefault(group, {})[key] = _converted(value, kind, name)
-    top |= {group: replace(getattr(experiment, group), **values) for group, values in groups.items()}
+        before = top.get(group, getattr(experiment, group))
+        given = _read(value)
+        is_whole = type(given) is int and isinstance(getattr(before, key), float)
+        with _naming(f"{group}."):
+            top[group] = replace(before, **{key: float(given) if is_whole else given})
     return replace(experiment, **top)
+
+
+def _read(value: Any) -> Any:
+    """Return the number, True or False that a text stands for, else the value itself."""
+    if not isinstance(value, str):
+        return value
+    if value.lower() in ("true", "false"):
+        return value.lower() == "true"
+    read = number(value)
+    return value if math.isnan(read) else int(read) if read.is_integer() else read
 
 
 def setting_names() -> str:
@@ -254,28 +273,6 @@ def _known(name: str, experiment: Experiment) -> tuple[str, str]:
     if key not in keys:
         raise InputError(f"setting {name}", f"one of {', '.join(keys)}", key or "no name after the dot")
     return group, key
-
-
-def _converted(value: Any, declared: Any, name: str) -> Any:
-    """Convert a value to the declared type of a setting."""
-    kind = _plain(declared)
-    try:
-        if kind is bool:
-            return {"true": True, "false": False, "1": True, "0": False}[str(value).lower()]
-        if kind is int and float(value) != int(float(value)):
-            raise ValueError
-        return int(float(value)) if kind is int else kind(value)
-    except (ValueError, KeyError, TypeError, OverflowError) as error:
-        wanted = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}[kind]
-        raise InputError(f"setting {name}", wanted, str(value)) from error
-
-
-def _plain(declared: Any) -> Any:
-    """Return the type of a setting without None, its choices and its range."""
-    if get_origin(declared) is Literal:
-        return str
-    kind = get_args(declared)[0] if NoneType in get_args(declared) else declared
-    return get_args(kind)[0] if get_origin(kind) is Annotated else kind
 
 
 def _require(e: Experiment, setting: str, ok: bool, expected: str, found: str = "", advice: str = "") -> None:
