@@ -448,11 +448,10 @@ def _sticks(results: Results, sticks: pd.DataFrame) -> Answer:
         return Answer("sticks", str(len(sticks)), good)
     detail = f"of {len(sticks)} in the force recording, {good}"
     motion, clock = results.motion, results.clock
-    if motion is None and (clock is None or clock.status == "ambiguous"):
-        why = "no common clock" if clock is None else "clocks ambiguous"
-        return Answer("sticks", f"not known in the video ({why})", detail, doubt=True)
-    inside = 0 if motion is None else motion.sizes["event"]
-    short = 0 if motion is None else int((motion["flag"] == "few").all("sheet").sum())
+    if motion is None:
+        why = " (no common clock)" if clock is None else " (clocks ambiguous)" * (clock.status == "ambiguous")
+        return Answer("sticks", f"not known in the video{why}", detail, doubt=True)
+    inside, short = motion.sizes["event"], int((motion["flag"] == "few").all("sheet").sum())
     too_short = f", {short} of them too short for σ_x/Λ_st" * bool(short)
     return Answer("sticks", f"{inside} in the video{too_short}", detail, doubt=inside == 0)
 

@@ -148,9 +148,7 @@ def _modulus_lines(means: Mapping[str, push_pull.MeanValue], cycles: int) -> lis
     for name, key in (("Y_p = |F0|/(εW)", "Y_p_GPa"), ("kL/(εW)", "Y_slope_GPa")):
         mean = means[key]
         scatter = f", scatter {mean.scatter:.2g} GPa" if cycles > 1 else ""
-        lines.append(
-            f"{name} {both_errors(Estimate(mean.value, mean.error, mean.systematic_error))} GPa{scatter}"
-        )
+        lines.append(f"{name} {both_errors(mean)} GPa{scatter}")
     others = {
         "peak {:.4g} N": "F_max_N",
         "drifting by {:.2g} N per cycle": "drift_N",

@@ -306,10 +306,7 @@ def answers(found: Comparison) -> list[Answer]:
         doubt = c.rms_after > 2 * c.rms_noise
         boxes.append(Answer("collapse", f"rms {c.rms_after:.2g} sheets", detail, doubt=doubt))
     changed = [one for one in found.irregular if np.isfinite(one.change_mm)]
-    places = [
-        f"{one.run} from d_v = {plus_minus(Estimate(one.change_mm, one.change_err_mm))} mm"
-        for one in changed[:6]
-    ]
+    places = [f"{one.run} from d_v = {one.change_text}" for one in changed[:6]]
     which = f"in {len(changed)} of {len(found.irregular)} tests" if changed else "in no test"
     boxes.append(Answer("irregular stick-slip", which, "; ".join(places)))
     if examined := [t for t in found.trends if not t.reason]:

@@ -367,7 +367,7 @@ def irregular_figure(found: Comparison) -> Figure | None:
         dashed = rank % 2 == 1
         series.append(Series(label=label, x=one.d_mm, y=one.variation, ink=inks[rank], dashed=dashed))
     changed = [one for one in irregular if np.isfinite(one.change_mm)]
-    changes = [f"{one.run}: {plus_minus(Estimate(one.change_mm, one.change_err_mm))} mm" for one in changed]
+    changes = [f"{one.run}: {one.change_text}" for one in changed]
     rises = f"Vertical: where it rises permanently ({'; '.join(changes[:6])})."
     where = rises if changes else "No test has a change."
     return Panel(

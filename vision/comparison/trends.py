@@ -14,6 +14,7 @@ from vision.comparison.joint import CompareSettings
 from vision.comparison.runs import TractionTest
 from vision.data import with_word
 from vision.errors import counted
+from vision.models import Estimate, plus_minus
 from vision.models.single_fits import SYMBOLS
 from vision.numeric import Bools, Floats, rms
 
@@ -210,6 +211,11 @@ class Irregularity:
     after: float = np.nan
     p: float = np.nan  # probability that a test without a change shows one as large
     reason: str  # why there is no change point; "" if there is one
+
+    @property
+    def change_text(self) -> str:
+        """The separation of the change with its error."""
+        return f"{plus_minus(Estimate(self.change_mm, self.change_err_mm))} mm"
 
 
 def find_irregular(test: TractionTest, settings: CompareSettings = CompareSettings()) -> Irregularity:

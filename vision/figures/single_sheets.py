@@ -206,7 +206,7 @@ def _moduli(cycles: pd.DataFrame) -> Panel:
     for name, ink, hollow, shift, label in drawn:
         value, error = (cycles[f"{name}{part}_GPa"].to_numpy(float) for part in ("", "_err"))
         mean = mean_over_cycles(cycles, f"{name}_GPa")
-        text = f"{label}: {plus_minus(Estimate(mean.value, mean.error))} GPa"
+        text = f"{label}: {plus_minus(mean)} GPa"
         series += [
             Series.points(text, number, value, ink, error, hollow=hollow, shift=shift),
             Series(label="", x=ends, y=np.full(2, mean.value), ink=ink, dashed=True, width=0.8),

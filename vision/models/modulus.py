@@ -29,6 +29,7 @@ from vision.data import (
     with_word,
 )
 from vision.errors import InputError, check_positive
+from vision.models.single_fits import Estimate
 from vision.numeric import Floats, Ints, correlation_inflation
 from vision.sample import LEAST_GPA, MOST_GPA, Sample, is_plausible_modulus
 from vision.signals import running_mean
@@ -439,16 +440,13 @@ def _remarks(table: pd.DataFrame, sheet: Sample, machine: float) -> list[str]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MeanValue:
-    """Mean over cycles, its standard error, and the scatter (standard deviation) of single cycles.
+class MeanValue(Estimate):
+    """Mean over cycles, and the scatter (standard deviation) of single cycles.
 
     The systematic error of a modulus is that of the sheet's size; NaN if none is given.
     """
 
-    value: float
-    error: float
     scatter: float
-    systematic_error: float = math.nan
 
 
 def mean_over_cycles(cycles: pd.DataFrame, column: str) -> MeanValue:
