@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from vision.comparison.deformation import film_columns
 from vision.comparison.figures import compare_figures, label_of, slope_text, velocity
 from vision.comparison.joint import (
     COMPARED,
@@ -26,7 +25,7 @@ from vision.comparison.joint import (
     shared_shifts,
     systematic_shifts,
 )
-from vision.comparison.runs import TractionTest, read_tests
+from vision.comparison.runs import TractionTest, film_columns, read_tests
 from vision.comparison.trends import Irregularity, Trend, find_irregular, find_trends
 from vision.data import with_word
 from vision.errors import InputError, counted, first_of

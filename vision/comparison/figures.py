@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from vision.comparison.deformation import FilmResults
-from vision.comparison.runs import TractionTest
+from vision.comparison.runs import FilmResults, TractionTest
 from vision.comparison.trends import PER, PREDICTORS, Trend
 from vision.data import with_word
 from vision.errors import InputError
