@@ -139,10 +139,11 @@ def named_items(results: Results, assumed: Sample | None = None) -> dict[str, An
     named: dict[str, Answer] = {}
     name = ""
     for one in summary_items(results, assumed):
-        name = one.what or name
-        before = named.get(name)
-        more = "" if before is None else "; ".join(filter(None, (before.detail, one.text)))
-        named[name] = one if before is None else replace(before, detail=more)
+        if one.what:
+            name, named[one.what] = one.what, one
+        else:
+            more = filter(None, (named[name].detail, one.text))
+            named[name] = replace(named[name], detail="; ".join(more))
     return named
 
 
@@ -155,7 +156,7 @@ def summary_items(results: Results, assumed: Sample | None) -> Iterator[Answer]:
     if (fits := results.fits) is not None:
         yield from _of_fits(fits)
     elif reason := results.reasons.get("fits"):
-        yield Answer("models", f"none: {reason}")
+        yield Answer("models", "none", reason)
     if results.clock is not None:
         yield _clocks(results.clock)
     if results.sticks is not None:
