@@ -159,7 +159,7 @@ def summary_items(results: Results, assumed: Sample | None) -> Iterator[Answer]:
         yield Answer("models", "none", reason)
     if results.clock is not None:
         yield _clocks(results.clock)
-    if results.sticks is not None:
+    if results.sticks is not None and results.tracks is not None:
         yield _sticks(results, results.sticks)
     if results.shells is not None and results.motion is not None:
         yield _shells(results, results.motion, results.shells)
@@ -443,11 +443,9 @@ def _clocks(clock: Clock) -> Answer:
 
 
 def _sticks(results: Results, sticks: pd.DataFrame) -> Answer:
-    """Return how many stick phases there are, of a film those in it."""
-    good = f"{(sticks['flag'] == 'ok').sum()} of them without a flag"
-    if results.tracks is None:
-        return Answer("sticks", str(len(sticks)), good)
-    detail = f"of {len(sticks)} in the force recording, {good}"
+    """Return how many of the stick phases are in the film."""
+    good = (sticks["flag"] == "ok").sum()
+    detail = f"of {len(sticks)} in the force recording, {good} of them without a flag"
     motion, clock = results.motion, results.clock
     if motion is None:
         why = " (no common clock)" if clock is None else " (clocks ambiguous)" * (clock.status == "ambiguous")
