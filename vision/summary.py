@@ -120,6 +120,7 @@ BOXES = {
     "positions": "positions",
     "sticks": "stick phases",
     "shells": "stiff shell",
+    "events": "events of the force",
     "clocks": "clocks",
     "models": "friction coefficient",
     "noise": "noise of a position",

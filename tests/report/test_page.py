@@ -204,7 +204,7 @@ def test_a_force_recording_alone_has_its_page(pulled, tmp_path):
     alone = Found(force=pulled.force, sticks=pulled.sticks, fits=pulled.fits)
     page = page_of(alone, tmp_path)
     assert names(alone) == ["force", "sticks", "force_drop", "stiffness", "stiffness_residuals"]
-    assert f'<div class="what">stick phases</div><div class="value">{len(pulled.sticks)}' in page
+    assert f'<div class="what">events of the force</div><div class="value">{len(pulled.sticks)}' in page
     assert "no video was given" in page
 
 
