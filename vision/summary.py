@@ -26,7 +26,7 @@ from vision.data import (
     load_unit_text,
 )
 from vision.errors import counted
-from vision.figures.style import candidates_text, drift_text, offset_text
+from vision.figures.style import drift_text, offset_text
 from vision.files import shortened
 from vision.force.recording import good_samples
 from vision.models.single_fits import SYMBOLS
@@ -432,7 +432,8 @@ def _ms(seconds: float) -> str:
 
 def _clocks(clock: Clock) -> Answer:
     if clock.status == "ambiguous":
-        likeliest = candidates_text(clock) or f"{clock.offset_s:.3f} s"
+        best = [f"{one.offset_s:.3f} s ({one.log_likelihood:.1f})" for one in clock.candidates[:3]]
+        likeliest = with_minus(", ".join(best) or f"{clock.offset_s:.3f} s")
         why = f"{clock.ambiguity}; " if clock.ambiguity else ""
         detail = f"{why}possible offsets (log-likelihood) {likeliest}; none is used"
         return Answer("clocks", "ambiguous", detail, doubt=True)

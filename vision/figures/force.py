@@ -16,7 +16,6 @@ from vision.figures.positions import outward_px
 from vision.figures.style import (
     DATA,
     FORCE_CLOCK,
-    FORCE_TIME,
     MODEL,
     OTHER_MODEL,
     PEAK,
@@ -26,7 +25,6 @@ from vision.figures.style import (
     displacement_unit,
     drift_text,
     from_zero,
-    load_label,
     offset_text,
     ordered_inks,
     time_axis,
@@ -41,6 +39,7 @@ from vision.signals import minmax_decimate
 FIRST_SLIPS = 10  # in the first view of the clocks, of a film with more than twice as many
 SHOWN_STICKS = 5  # events from first to last, or of the early or late part of a test
 CURVE_POINTS = 300
+FORCE_TIME = f"t (s{FORCE_CLOCK})"  # label of axes
 SAME_SLIP = 0.25  # largest distance of the same slip on both clocks, over the time between slips
 # flags of completely measured events
 SHOWN_FLAGS = frozenset({"ok", "slow", "negative", "oscillation", "cycles", "noise"})
@@ -452,6 +451,11 @@ def _force_curve(force: xr.Dataset, time_s: Range = (-np.inf, np.inf), *, agains
     part = part[np.argsort(x[part], kind="stable")]  # d is recorded in steps, and may go back
     at, extremes = minmax_decimate(x[part], load[part], most=8000)
     return Series(label="F", x=at, y=extremes, ink=QUIET, width=0.8)
+
+
+def load_label(name: str, unit: str) -> str:
+    """Return the label of an axis of force."""
+    return f"{name} / weight" if unit == "1" else f"{name} ({unit})"
 
 
 def _force_panel(force: xr.Dataset, title: str, series: tuple[Series, ...], *, against_d: bool) -> Panel:

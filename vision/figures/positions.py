@@ -17,7 +17,6 @@ from vision.figures.style import (
     DATA,
     MODEL,
     PEAK,
-    SHEET_NUMBER,
     VALLEY,
     VALLEY_SEPARATION,
     displacement_unit,
@@ -32,6 +31,7 @@ from vision.signals import minmax_decimate
 
 MOST_POINTS = 1600  # of one sheet
 BINS = 20  # per pixel
+SHEET_NUMBER = "side · n (left negative)"  # label of axes
 ORIGIN_FRAMES = 20
 """Number of frames whose median is the origin of a displacement. The noise of the origin is then about a
 quarter of that of a position. More frames would include motion of the first stick phase."""

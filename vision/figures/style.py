@@ -128,20 +128,12 @@ def drift_text(clock: Clock) -> str:
     return f"{sign}{plus_minus(Estimate(clock.drift_ppm, error))} ppm"
 
 
-def candidates_text(clock: Clock) -> str:
-    """Return the offsets of the best three alignments with their log-likelihoods."""
-    best = [f"{one.offset_s:.3f} s ({one.log_likelihood:.1f})" for one in clock.candidates[:3]]
-    return with_minus(", ".join(best))
-
-
 # --- units and axes -----------------------------------------------------------------------------------------
 
 UM_PER_MM = 1000
 # labels of axes that several figures share
 VALLEY_SEPARATION = "d_v (mm)"
 FORCE_CLOCK = ", force clock"  # left out where there is no other clock
-FORCE_TIME = f"t (s{FORCE_CLOCK})"
-SHEET_NUMBER = "side · n (left negative)"
 
 
 def time_axis(data: xr.Dataset | xr.DataArray) -> tuple[Floats, str]:
@@ -180,11 +172,6 @@ def from_zero(*values: Floats, share: float = 1.0) -> tuple[float, float] | None
     usual, largest = float(np.quantile(known, share)), float(known.max())
     top = 1.15 * largest if largest < 2 * usual else 1.25 * usual  # the rest are outliers
     return (0.0, top) if top > 0 else None
-
-
-def load_label(name: str, unit: str) -> str:
-    """Return the label of an axis of force."""
-    return f"{name} / weight" if unit == "1" else f"{name} ({unit})"
 
 
 def label_step(x: Any, width: float) -> int:

@@ -33,7 +33,6 @@ from vision.models.single_fits import (
     fit_peaks,
     fit_stiffness,
     fit_weighted,
-    largest_chi2,
     low_speed,
     normal_force_at_scale,
     plus_minus,
@@ -337,7 +336,7 @@ def _first_that_fits(events: pd.DataFrame, given: _Given, top: int) -> int:
         first = fit.residual[: max(5, len(part) // 20)]
         noise = np.sqrt(np.mean(np.diff(fit.residual) ** 2) / 2)
         if abs(float(first.mean())) < 2 * noise / np.sqrt(first.size):
-            misfits[int(start)] = (fit.goodness.chi2_dof - 1) / (largest_chi2(len(part)) - 1)
+            misfits[int(start)] = (fit.goodness.chi2_dof - 1) / (_largest_chi2(len(part)) - 1)
             if misfits[int(start)] < 1:
                 break
     for limit in (1, 2):
@@ -345,6 +344,11 @@ def _first_that_fits(events: pd.DataFrame, given: _Given, top: int) -> int:
         if fitting:
             return _end_of_build_up(events, given, fitting[0]) if fitting[0] else 0
     return top
+
+
+def _largest_chi2(points: int) -> float:
+    """Upper limit of the chi2_dof of a correct model: three standard errors of a ratio of two variances."""
+    return float(1 + 3 / np.sqrt(points))
 
 
 def _end_of_build_up(events: pd.DataFrame, given: _Given, start: int) -> int:
@@ -645,7 +649,7 @@ def _remarks(
         line = f"Eq. 1 does not fit {unfitted} of {all_events} events, those at the smaller separations"
         yield f"{line} after the build-up, which are left out: {_SUSPECTS}", True
     for name, good in fits.goodness.items():
-        if good.chi2_dof > largest_chi2(good.points):
+        if good.chi2_dof > _largest_chi2(good.points):
             line = f"the model does not follow the {name} (χ²/dof {good.chi2_dof:.3g}): "
             line += f"errors widened {two_digits(np.sqrt(good.chi2_dof))} times; {_SUSPECTS}"
             yield line, good.chi2_dof > settings.contradicting_chi2

@@ -440,8 +440,3 @@ def normal_force_at_scale(mu: float, scale_mm: float, sample: Sample) -> tuple[f
     n_hat = float(equations.normal_force(0, scale_mm, mu=mu, sample=sample))
     by_log_alpha = sample.t_star_N / (2 * mu) * alpha * float(np.exp(alpha))
     return n_hat, -by_log_alpha / scale_mm, (by_log_alpha - n_hat) / mu, n_hat / sample.t_star_N
-
-
-def largest_chi2(points: int) -> float:
-    """Upper limit of the chi2_dof of a correct model: three standard errors of a ratio of two variances."""
-    return float(1 + 3 / np.sqrt(points))
