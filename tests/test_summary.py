@@ -59,7 +59,7 @@ def test_both_errors_are_printed():
     """A failure means that a statistical error is read as if it were all."""
     lines = summary_lines(with_force())
     models = next(line for line in lines if line.startswith("models"))
-    assert models.count("(stat.)") == models.count("(syst.)") == 3
+    assert models.count("(stat.)") == models.count("(syst.)") == 4
 
 
 def test_a_parameter_that_is_not_determined_has_no_number():

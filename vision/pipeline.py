@@ -76,7 +76,7 @@ from vision.sheets.ridges import describe_ridges
 from vision.sheets.subpixel import check_window
 from vision.sheets.tracks import check_axis
 from vision.shells import ShellSettings, classify_shells
-from vision.summary import named_items, summary_lines
+from vision.summary import summary_items, summary_lines
 from vision.video import (
     Follow,
     ReadingLog,
@@ -241,7 +241,11 @@ class Analysis(Results):
         return "\n".join(self.summary())
 
     def _repr_html_(self) -> str:
-        found = {name: one.text for name, one in named_items(self, self.assumed_sample).items()}
+        found: dict[str, str] = {}
+        name = ""
+        for one in summary_items(self, self.assumed_sample):
+            name = one.what or name
+            found[name] = f"{found[name]}; {one.text}" if name in found else one.text
         text = html_table("analysis", found | numbered("warning", self.warnings))
         if self.tracks is None:
             return text

@@ -131,21 +131,8 @@ BOXES = {
 
 def answers(results: Results) -> list[Answer]:
     """Return the boxes at the top of the report."""
-    named = named_items(results)
+    named = {one.what: one for one in summary_items(results, None)}
     return [replace(named[name], what=what) for name, what in BOXES.items() if name in named]
-
-
-def named_items(results: Results, assumed: Sample | None = None) -> dict[str, Answer]:
-    """Return the lines of the summary by their names, each with the lines that continue it in its detail."""
-    named: dict[str, Answer] = {}
-    name = ""
-    for one in summary_items(results, assumed):
-        if one.what:
-            name, named[one.what] = one.what, one
-        else:
-            more = filter(None, (named[name].detail, one.text))
-            named[name] = replace(named[name], detail="; ".join(more))
-    return named
 
 
 def summary_items(results: Results, assumed: Sample | None) -> Iterator[Answer]:
@@ -191,8 +178,9 @@ def _of_force(force: xr.Dataset, sticks: pd.DataFrame | None) -> Iterator[Answer
 def _of_fits(fits: ModelFits) -> Iterator[Answer]:
     """Yield the lines about the models fitted to the force recording."""
     shown = {name: f"{symbol} {fits.text(name, unit)}" for name, (symbol, unit) in SYMBOLS.items()}
-    yield Answer("models", shown["mu"], f"{shown['A']}, {shown['N_hat_N']}")
-    more = ", ".join(shown[name] for name in ("Lambda_hat_mm", "Y_eff_GPa", "T0_N"))
+    detail = ", ".join(shown[name] for name in ("A", "N_hat_N", "Y_eff_GPa"))
+    yield Answer("models", shown["mu"], detail)
+    more = f"{shown['Lambda_hat_mm']}, {shown['T0_N']}"
     yield from (Answer("", text) for text in (more.replace("𝒯_0", "𝒯0"), *fits.notes))
 
 
