@@ -83,6 +83,23 @@ def test_settings_come_from_toml_in_their_own_types(tmp_path):
         settings_from_toml(tmp_path / "none.toml")
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "read"),
+    [
+        ("camera.fps", "25", 25.0),
+        ("camera.width", 1900.0, 1900),
+        ("camera.noise", "0", False),
+        ("camera.noise", "True", True),
+        ("force_file.decimal", ",", ","),
+    ],
+)
+def test_settings_have_the_type_of_their_default(name, value, read):
+    """A failure means that a typed number of pixels is a float, or that noise cannot be switched off."""
+    group, _, key = name.partition(".")
+    found = getattr(getattr(with_settings(Experiment(), {name: value}), group), key)
+    assert found == read and type(found) is type(read)
+
+
 def test_what_depends_on_the_number_of_sheets_follows_the_sample():
     """A failure means that a sample of other sheets needs several settings that must agree."""
     e = with_settings(Experiment(), {"sample.sheets_per_block": "10"})

@@ -12,7 +12,6 @@ from vision.figures.style import (
     VALLEY,
     from_zero,
     ordered_inks,
-    percent,
     position_unit,
     sheet_inks,
     time_axis,
@@ -106,11 +105,6 @@ def test_two_digits_have_no_power_of_ten():
 def test_the_larger_error_limits_the_digits(value, error, systematic, text):
     """A failure means that a small error gives the value digits that the large one takes from it."""
     assert both_errors(Estimate(value, error, systematic)) == text
-
-
-def test_percentages_do_not_round_up_to_all():
-    """A failure means that 3 lost positions in 10 000 are reported as none."""
-    assert (percent(0.9997), percent(1.0)) == ("99.9 %", "100 %")
 
 
 @pytest.mark.parametrize(

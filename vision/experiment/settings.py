@@ -227,18 +227,20 @@ def with_settings(experiment: Experiment, changes: Mapping[str, Any]) -> Experim
         group, key = _known(name, experiment)
         before = top.get(group, getattr(experiment, group))
         given = _read(value)
-        is_whole = type(given) is int and isinstance(getattr(before, key), float)
+        kind = type(getattr(before, key))
+        if type(given) is int and (kind is float or (kind is bool and given in (0, 1))):
+            given = kind(given)
         with _naming(f"{group}."):
-            top[group] = replace(before, **{key: float(given) if is_whole else given})
+            top[group] = replace(before, **{key: given})
     return replace(experiment, **top)
 
 
 def _read(value: Any) -> Any:
-    """Return the number, True or False that a text stands for, else the value itself."""
-    if not isinstance(value, str):
-        return value
-    if value.lower() in ("true", "false"):
+    """Return the number, True or False that a text stands for, else the value; whole numbers as int."""
+    if isinstance(value, str) and value.lower() in ("true", "false"):
         return value.lower() == "true"
+    if type(value) not in (str, float):
+        return value
     read = number(value)
     return value if math.isnan(read) else int(read) if read.is_integer() else read
 

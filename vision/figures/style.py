@@ -7,7 +7,6 @@ the right, and darkest (on a light background) at the axis.
 
 from __future__ import annotations
 
-import math
 import re
 from typing import TYPE_CHECKING, Any
 
@@ -103,11 +102,6 @@ def to_mathtext(text: str) -> str:
 
 
 # --- numbers ------------------------------------------------------------------------------------------------
-
-
-def percent(fraction: float) -> str:
-    """Return a fraction as a percentage with one decimal, rounded down so that 99.96 is not 100."""
-    return f"{math.floor(1000 * fraction) / 10:g} %"
 
 
 def offset_text(clock: Clock) -> str:
