@@ -26,7 +26,7 @@ from vision.data import (
     load_unit_text,
 )
 from vision.errors import counted
-from vision.figures.style import drift_text, offset_text
+from vision.figures.style import drift_text, matches_text, offset_text
 from vision.files import shortened
 from vision.force.recording import good_samples
 from vision.models.single_fits import SYMBOLS
@@ -425,11 +425,8 @@ def _clocks(clock: Clock) -> Answer:
         why = f"{clock.ambiguity}; " if clock.ambiguity else ""
         detail = f"{why}possible offsets (log-likelihood) {likeliest}; none is used"
         return Answer("clocks", "ambiguous", detail, doubt=True)
-    spread = f" to {clock.residual_ms:.2g} ms" if math.isfinite(clock.residual_ms) else ""
-    numbers = {"film": clock.unmatched_video, "force": clock.unmatched_force}
-    alone = "".join(f", {count} only in the {name}" for name, count in numbers.items() if count > 0)
-    how = f"{clock.matched} slips matched{spread}{alone}"
-    return Answer("clocks", f"{clock.status}: offset {offset_text(clock)}, drift {drift_text(clock)}", how)
+    found = f"{clock.status}: offset {offset_text(clock)}, drift {drift_text(clock)}"
+    return Answer("clocks", found, matches_text(clock))
 
 
 def _sticks(results: Results, sticks: pd.DataFrame) -> Answer:

@@ -25,6 +25,7 @@ from vision.figures.style import (
     displacement_unit,
     drift_text,
     from_zero,
+    matches_text,
     offset_text,
     ordered_inks,
     time_axis,
@@ -165,18 +166,12 @@ def clock_residuals_figure(
 
 def _agreement(clock: Clock) -> str:
     """Return how well the clocks agree, and how certain this is, as text."""
-    matches = (
-        f"{clock.matched} slips matched, median residual {clock.residual_ms:.2g} ms, {clock.unmatched_video} "
-        f"seen only in the video and {clock.unmatched_force} only in the force."
-        if np.isfinite(clock.residual_ms)
-        else "No slip was matched."
-    )
     certainty = {
         "ok": f" The next best alignment is {clock.margin:.0f} lower in log-likelihood.",
         "given": f" The offset was not found from the slips ({clock.how}).",
         "ambiguous": "",
     }
-    return matches + certainty[clock.status]
+    return f"{matches_text(clock)}.{certainty[clock.status]}"
 
 
 def _some_sticks(t_video: Floats, sticks: pd.DataFrame | None) -> Range | None:

@@ -7,6 +7,7 @@ the right, and darkest (on a light background) at the axis.
 
 from __future__ import annotations
 
+import math
 import re
 from typing import TYPE_CHECKING, Any
 
@@ -120,6 +121,14 @@ def drift_text(clock: Clock) -> str:
         return with_minus(f"{clock.drift_ppm:+.0f} ppm")
     sign = "+" if clock.drift_ppm > 0 else ""
     return f"{sign}{plus_minus(Estimate(clock.drift_ppm, error))} ppm"
+
+
+def matches_text(clock: Clock) -> str:
+    """Return how many slips match, to how many ms, and how many only one recording shows."""
+    spread = f" to {clock.residual_ms:.2g} ms (median)" if math.isfinite(clock.residual_ms) else ""
+    numbers = {"film": clock.unmatched_video, "force": clock.unmatched_force}
+    alone = "".join(f", {count} only in the {name}" for name, count in numbers.items() if count > 0)
+    return f"{clock.matched} slips matched{spread}{alone}"
 
 
 # --- units and axes -----------------------------------------------------------------------------------------
