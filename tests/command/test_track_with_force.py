@@ -73,7 +73,7 @@ def test_with_the_offset_known_ratios_and_shells_are_those_of_the_truth(truth, k
     }
     assert promised <= set(clock) and clock["status"] == "given"
     assert clock["offset_s"] == pytest.approx(truth.attrs["offset_s"])
-    assert "stiff sheets per side 13" in said
+    assert "shells     13 (13 to 13) sheets per side" in said
 
 
 def test_few_slips_are_called_ambiguous_and_nothing_is_guessed(capsys):
