@@ -71,7 +71,13 @@ from vision.models import FitSettings, ModelFits, fit_models
 from vision.models.fits import check_fit_range
 from vision.sample import PUBLISHED, Sample
 from vision.sheets import Correction, FitChoice, TrackingSettings, pixel_size_of, track_sheets, with_heights
-from vision.sheets.corrections import OF_SHEETS, check_corrections, last_of, ordered, read_corrections
+from vision.sheets.corrections import (
+    OF_SHEETS,
+    check_corrections,
+    last_of,
+    ordered,
+    read_corrections,
+)
 from vision.sheets.ridges import describe_ridges
 from vision.sheets.subpixel import check_window
 from vision.sheets.tracks import check_axis
@@ -450,17 +456,12 @@ def _reusable(earlier: Analysis | None, new: Analysis) -> Analysis:
     def unchanged(kind: str) -> bool:
         return decisions(before, [kind])[-1:] == decisions(now, [kind])[-1:]  # only the last one counts
 
-    def same(names: Sequence[str]) -> bool:
-        return all(attrgetter(name)(before) == attrgetter(name)(now) for name in names)
-
-    every = {*vars(now)} - {"tuning"} | {f"tuning.{stage}" for stage in vars(now.tuning)}
-    of_strip = sorted(every - {*_OF_TRACKS, *_OF_CLOCK, *_AFTERWARDS})
-    changed = [name for name in of_strip if not same([name])]
+    changed = _changed_of_strip(before, now)
     changed += [] if unchanged("strip") else ["corrections"]
     films = [one.video.stamp for one in (earlier, new) if one.video is not None]
     strip = None if changed or len(set(films)) == 2 else earlier.strip
     same_sheets = unchanged("axis") and decisions(before, OF_SHEETS) == decisions(now, OF_SHEETS)
-    same_sheets = same_sheets and same(_OF_TRACKS)
+    same_sheets = same_sheets and not _changed(before, now, _OF_TRACKS)
     tracks = earlier.tracks if strip is not None and same_sheets else None
     if tracks is None and now.strips != 1:
         strip, changed = None, ["strips"]  # the parts of the strip, which tracking needs, are not stored
@@ -471,9 +472,37 @@ def _reusable(earlier: Analysis | None, new: Analysis) -> Analysis:
     recordings = [one.force for one in (earlier, new) if one.force is not None]
     # A stored run has no recording, but that which is read is its own.
     same_force = new.force is not None and all(one.equals(new.force) for one in recordings)
-    same_clock = unchanged("clock") and same(_OF_CLOCK) and same_force
+    same_clock = unchanged("clock") and not _changed(before, now, _OF_CLOCK) and same_force
     clock = earlier.clock if tracks is not None and same_clock else None
     return replace(new, strip=strip, tracks=tracks, clock=clock)
+
+
+def _changed(before: Settings, now: Settings, names: Sequence[str]) -> list[str]:
+    """Return the names of the settings among these that differ."""
+    return [name for name in names if attrgetter(name)(before) != attrgetter(name)(now)]
+
+
+def _changed_of_strip(before: Settings, now: Settings) -> list[str]:
+    """Return the names of the settings that differ and change the strip."""
+    every = {*vars(now)} - {"tuning"} | {f"tuning.{stage}" for stage in vars(now.tuning)}
+    return _changed(before, now, sorted(every - {*_OF_TRACKS, *_OF_CLOCK, *_AFTERWARDS}))
+
+
+def still_apply(
+    corrections: Sequence[Correction], before: Settings, now: Settings, *, same_force: bool
+) -> tuple[Correction, ...]:
+    """Return the corrections of a run that hold for the same film with other settings.
+
+    The strip holds if the same pixels are read, decisions about sheets and the axis if the sheets are also
+    found in the same way, and the clock if times and slips are the same, too.  before, now: settings without
+    corrections.  same_force: whether the force recording is the same.
+    """
+    changed = _changed_of_strip(before, now)
+    strip = {*changed} <= {"fps", "timestamps", "strips"}
+    tracks = strip and not _changed(before, now, _OF_TRACKS)
+    clock = not changed and same_force and not _changed(before, now, _OF_CLOCK)
+    holds = {"strip": strip, "clock": clock}
+    return tuple(one for one in corrections if holds.get(one.kind, tracks))
 
 
 class _Stages:

@@ -362,7 +362,8 @@ def _track_film(plan: Plan, film: PlannedFilm, source: Path, target: Path) -> tu
     def analyse(*, resume: bool) -> Any:
         options = RunOptions(overwrite=True, report=plan.report, quiet=True, resume=resume)
         copy = source if local else None
-        return track_one(video, target, parameters, options, one_of_many=True, copy=copy, config=plan.config)
+        more = {"one_of_many": True, "decide_again": True}
+        return track_one(video, target, parameters, options, copy=copy, config=plan.config, **more)
 
     # A job that was killed is continued, unless it read a copy, which is gone.
     again = local and source == video and plan.state(film).attempts > 1 and not parameters["strips"].value

@@ -7,8 +7,8 @@ import shlex
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
@@ -24,8 +24,8 @@ from vision.data import FlagCounts, StripMetadata
 from vision.errors import InputError, counted
 from vision.files import AGAIN, TIFF, answered, reading
 from vision.folder import check_target
-from vision.pipeline import Analysis, Settings, analyse, open_recording, track_strip
-from vision.run.provenance import Checksums, Origin, Parameter, describe_input
+from vision.pipeline import Analysis, Settings, analyse, open_recording, still_apply, track_strip
+from vision.run.provenance import Checksums, Origin, Parameter, checksum_of, describe_input
 from vision.run.reading import (
     Checkpoint,
     RunFolder,
@@ -36,7 +36,7 @@ from vision.run.reading import (
     stored_analysis,
 )
 from vision.run.writing import FAILURES, set_aside, write_run
-from vision.sheets.corrections import read_decisions
+from vision.sheets.corrections import Correction, read_decisions
 from vision.summary import aligned, findings, noise_figures
 from vision.video import Follow, open_video, video_files
 from vision.video.raw import PIXELS, is_photron
@@ -123,6 +123,7 @@ def track_one(
     one_of_many: bool = False,
     copy: Path | None = None,
     config: Path | None = None,
+    decide_again: bool = False,
 ) -> tuple[int, Analysis]:
     """Track one film into one run folder; return the exit status and the analysis, of a long film without
     I(x, t), and without the tracks unless it is one of many.
@@ -130,8 +131,11 @@ def track_one(
     one_of_many: whether several films are tracked. Each warning then names its film, and the summary is
     printed only if `run.verbose`, as a table of all films follows.  copy: copy of the film, which is read
     instead, if there is one.  config: file from which options were taken, recorded as an input.
+    decide_again: whether decisions of the run that is replaced are applied, unless others are given.
     """
     settings, force = settings_of(parameters), parameters["force"].value
+    if decide_again and parameters["corrections"].value is None:
+        settings = replace(settings, corrections=_still_valid(target, video, force, settings))
     _check_run(video, target, run, settings)
     along = run.checksum and not run.follow and copy is None and video.exists()
     checkpoint, sums = Checkpoint(target, resume=run.resume), Checksums(video_files(video) if along else ())
@@ -147,8 +151,11 @@ def track_one(
         files = (parameters["timestamps"].value, config, parameters["corrections"].value, force)
         inputs = (*video_files(video), *(file for file in files if file is not None))
         analysis = _warn_of_other_film(analysis, parameters["corrections"].value, inputs[0])
-        if kept := set_aside(target, analysis.settings.corrections):
-            line = f"decisions of the earlier run were not applied: give {target / kept} as `corrections`"
+        if kept := set_aside(target, analysis.settings.corrections, undone=False):
+            some = "some " if decide_again and settings.corrections else ""
+            line = (
+                f"{some}decisions of the earlier run were not applied: give {target / kept} as `corrections`"
+            )
             analysis = replace(analysis, warnings=(*analysis.warnings, line))
         parameters = {**parameters, **parameters_given(run, config=config)}
         origin = origin_of(inputs, parameters, checksum=run.checksum, described=sums.found())
@@ -251,13 +258,33 @@ def _check_run(video: Path, target: Path, run: RunOptions, settings: Settings) -
         raise
 
 
+def _still_valid(target: Path, video: Path, force: Path | None, settings: Settings) -> tuple[Correction, ...]:
+    """Return the decisions of the run in a folder that also hold for this film with these settings."""
+    if not is_run(target):
+        return ()
+    with suppress(InputError):  # a damaged run: its decisions are kept beside the new one
+        stored = read_run(target)
+        if stored.applied and _is_input(stored, video):
+            same_force = force is None or _is_input(stored, force)
+            before = settings_of_run(target)
+            return still_apply(stored.applied, before, settings, same_force=same_force)
+    return ()
+
+
+def _is_input(stored: RunFolder, path: Path) -> bool:
+    """Return whether a file has the content of one that a run was made from."""
+    return _has_checksum(path, [checksum_of(one) for one in stored.facts.get("inputs") or ()])
+
+
+def _has_checksum(path: Path, known: Collection[str]) -> bool:
+    """Return whether the fingerprint of a file, or its SHA-256 as with --checksum, is among these."""
+    return any(checksum_of(describe_input(path, whole=whole)) in known for whole in (False, True))
+
+
 def _warn_of_other_film(analysis: Analysis, corrections: Path | None, film: Path) -> Analysis:
     """Return the analysis, with a warning if the file of corrections was made for another film."""
     checksum = "" if corrections is None else read_decisions(corrections).film
-    known = describe_input(film) if checksum else {}
-    if checksum in ("", known.get("sha256"), known.get("fingerprint")):
-        return analysis
-    if checksum == describe_input(film, whole=True).get("sha256"):  # the run was made with --checksum
+    if not checksum or _has_checksum(film, [checksum]):
         return analysis
     line = (
         f"`corrections` were made for another film: the checksum in {corrections} is not that of {film.name}"

@@ -122,10 +122,11 @@ def _found_pixel_size(analysis: Analysis, origin: Origin) -> dict[str, Parameter
     return {"pixel_size": Parameter(size, "found"), "pixel_size_err": Parameter(error, "found")}
 
 
-def set_aside(target: Path, corrections: Sequence[Correction]) -> str:
+def set_aside(target: Path, corrections: Sequence[Correction], *, undone: bool = True) -> str:
     """Return the name under which a new run keeps the decisions of the run that it replaces.
 
     It contains the time at which they were written last. "" if there are none, or if all are applied again.
+    undone: whether decisions that were undone count, too.
     """
     path = target / CORRECTIONS
     if not path.is_file():
@@ -133,7 +134,7 @@ def set_aside(target: Path, corrections: Sequence[Correction]) -> str:
     with suppress(InputError):
         earlier = read_decisions(path)
         applied = [one.what for one in corrections]
-        if not earlier.undone and all(one.what in applied for one in earlier.corrections):
+        if not (undone and earlier.undone) and all(one.what in applied for one in earlier.corrections):
             return ""
     written = datetime.fromtimestamp(path.stat().st_mtime)
     return f"{path.stem}_{written:%Y-%m-%d_%H%M%S}{path.suffix}"
