@@ -130,6 +130,13 @@ def test_missing_files_suggest_a_similar_name(asked, there, advice, tmp_path):
         check_regular(tmp_path / asked, "a video")
 
 
+def test_a_link_to_nothing_is_named_as_such(tmp_path):
+    """A failure means that a link to a film on a disk that was unmounted is answered with its own name."""
+    (tmp_path / "test.avi").symlink_to(tmp_path / "away.avi")
+    with pytest.raises(InputError, match=r"found a link to .*away\.avi, which does not exist"):
+        check_regular(tmp_path / "test.avi", "a video")
+
+
 def test_a_missing_file_in_a_missing_folder(tmp_path):
     """A failure means a traceback where the folder does not exist, either."""
     with pytest.raises(InputError, match="no such file; check the path"):

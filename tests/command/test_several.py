@@ -182,3 +182,15 @@ def test_the_scale_of_the_film_is_used_and_said(capsys):
     assert run(["kymograph", "fiji.tif", "--sheet", "right:1", "--width", "0.2mm"]) == 0
     assert run(["fiji.tif", "--no-report", "--overwrite", "--pixel-size", "12"]) == 0
     assert "scale      12 µm per px (the film's file states 10)" in capsys.readouterr().out
+
+
+def test_names_that_begin_with_a_bracket(films):
+    """A failure means that the numbered films of some cameras, or a pattern of digits, are taken for JSON."""
+    Path("t0.tif").rename("[1].tif")
+    Path("t1.tif").rename("{2}.tif")
+    assert run(["[1].tif", "{2}.tif", "--fps", "20", "--no-report", "--quiet"]) == 0
+    assert Path("[1]_tracks").is_dir() and Path("{2}_tracks").is_dir()
+    cv2.imwrite("a1.png", tifffile.imread("t2.tif")[0])
+    cv2.imwrite("a2.png", tifffile.imread("t2.tif")[1])
+    assert run(["[a-c][0-9].png", "--fps", "20", "--no-report", "--quiet", "--out", "pattern"]) == 1
+    assert json.loads(Path("pattern/run.json").read_text(encoding="utf-8"))["frames"]["read"] == 2

@@ -30,6 +30,13 @@ def test_bad_samples_are_flagged_and_kept(tmp_path: Path) -> None:
     assert "1 of 40 samples flagged backwards and left out" in force.attrs["warnings"]
 
 
+def test_rows_in_reverse_order_are_refused_with_advice(tmp_path: Path) -> None:
+    """A failure means that a recording of which one sample is usable ends in an unexpected error later."""
+    table = "time (s),load (N)\n" + rows(TIME[::-1], LOAD[::-1], sep=",")
+    with pytest.raises(InputError, match="found 1 among 40 rows; the rows seem to be in reverse order"):
+        read_force(written(tmp_path, table), speed_mm_min=1)
+
+
 def test_a_gap_where_samples_are_dense_is_one_in_time(tmp_path: Path) -> None:
     """A failure means that a loss during fast sampling is said to make every later d wrong."""
     time = np.r_[np.arange(0, 300, 0.1), 300 + np.arange(0, 10, 0.005)]

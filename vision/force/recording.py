@@ -27,6 +27,7 @@ from vision.signals import running_median
 Role = Literal["time", "load", "displacement", "video_time"]
 ROLES: tuple[Role, ...] = get_args(Role)
 _ADVICE = "`columns` time=…,load=…,displacement=…"
+_LEAST_SAMPLES = 10
 _REST_MM = 0.02  # d wrong by a stick's length changes μ by a thousandth and Λ̂ by its error
 _MOST = 1e11  # s, N or mm: beyond all that is recorded, clock times since 1601 in s included
 
@@ -150,14 +151,17 @@ def _dataset(
     """Return the dataset of `read_force` for the columns found."""
     time, load = found["time"].values, found["load"].values
     crosshead = found["displacement"].values if "displacement" in found else None
-    if time.size < 10:
-        raise InputError(path, "at least 10 samples", f"{time.size}")
+    if time.size < _LEAST_SAMPLES:
+        raise InputError(path, f"at least {_LEAST_SAMPLES} samples", f"{time.size}")
     flags = sample_flags(time, load, crosshead, settings=settings)
     restart = _restart(time)
     flags[restart:] = "backwards"  # a longer second recording would go on where the first one ends
     good = usable(flags)
-    if not good.any():
-        raise InputError(path, "rising times and finite loads", f"none among {time.size} rows")
+    if good.sum() < _LEAST_SAMPLES:
+        falling = np.mean(flags == "backwards") > 0.5
+        advice = "the rows seem to be in reverse order: sort them by time" if falling else ""
+        count = f"{good.sum() or 'none'} among {time.size} rows"
+        raise InputError(path, "rising times and finite loads", count, advice)
     # With d0 = 0 the column is the separation itself.
     start = 0.0 if crosshead is None or not d0_mm else float(crosshead[good][0])
     if crosshead is not None:
