@@ -78,7 +78,7 @@ def no_such_file(path: Path, wanted: str) -> InputError:
     That is a file with another extension or capitals, else the one with the most similar name.
     """
     if path.is_symlink():
-        return InputError(path, wanted, f"a link to {os.readlink(path)}, which does not exist", "restore it")
+        return InputError(path, wanted, f"a link to {path.readlink()}, which does not exist", "restore it")
     names: list[str] = []
     with contextlib.suppress(OSError, ValueError):
         names = sorted(itertools.islice(os.listdir(path.parent), 10_000))  # noqa: PTH208 - names are enough

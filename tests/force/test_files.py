@@ -277,3 +277,31 @@ def test_an_empty_row_of_units_hides_no_names(tmp_path: Path) -> None:
         (table, *_) = read_tables(path)
         assert table.names == ("Time", "Extension", "Load")
         assert table.units == ("", "", "")
+
+
+@pytest.mark.parametrize("separator", ["\t", ";", "  "])
+def test_points_between_thousands_are_no_decimal_points(separator: str, tmp_path: Path) -> None:
+    """A failure means that a time of whole milliseconds, 995, 1.000, 1.005, starts again every second."""
+    time, load = 5 * np.arange(900), 100_000 + 7 * np.arange(900)
+    numbers = [
+        separator.join(f"{n:,}".replace(",", ".") for n in row) for row in zip(time, load, strict=True)
+    ]
+    path = tmp_path / "force.txt"
+    path.write_text("\n".join([separator.join(["Zeit (ms)", "Kraft (mN)"]), *numbers]), encoding="utf-8")
+    (table,) = read_tables(path)
+    np.testing.assert_array_equal(table.numbers, np.column_stack([time, load]))
+    decimal = [
+        separator.join([f"{t / 1000:.3f}", f"{n / 1000:.3f}"]) for t, n in zip(time, load, strict=True)
+    ]
+    path.write_text("\n".join([separator.join(["Zeit (s)", "Kraft (N)"]), *decimal]), encoding="utf-8")
+    (table,) = read_tables(path)
+    np.testing.assert_allclose(table.numbers, np.column_stack([time, load]) / 1000)
+    mixed = [
+        f"{n:,}".replace(",", ".") + f"{separator}{t / 1000:.3f}" for n, t in zip(time, load, strict=True)
+    ]
+    path.write_text("\n".join(mixed), encoding="utf-8")
+    (table,) = read_tables(path)  # 100.000 may be either
+    mixed = [f"{row}{separator}0.25" for row in mixed]
+    path.write_text("\n".join(mixed), encoding="utf-8")
+    with pytest.raises(InputError, match="points between thousands in column 1, decimal points in column 3"):
+        read_tables(path)

@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import date
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any, Literal
 
@@ -40,6 +41,7 @@ class _Most:
 _WANTED, _WANTED_MAT = "a force recording", "a MATLAB .mat file"
 _ADVICE = "export the recording as text with one row per sample"
 LEAST_ROWS = 3
+_POINTS = r"[1-9][0-9]{0,2}(?:\.[0-9]{3})++(?![0-9])"  # of a whole number between its thousands
 
 
 @dataclass(frozen=True)
@@ -192,7 +194,7 @@ def _read_text(path: Path) -> list[Table]:
         raise InputError(path, wanted, f"{size >> 20} MiB", "export one table of numbers")
     text, encoding = decode_text(path, path.read_bytes(), _WANTED)
     lines = text.splitlines()
-    style = _find_style(lines)
+    style = _find_style(path, lines)
     if style is None:
         return [_suffixed_column(path, lines, encoding)]
     tables = _read_blocks(path, lines, style, _facts(lines, style, encoding))
@@ -213,7 +215,7 @@ def _read_plain(path: Path) -> Table | None:
     raw = head.split(b"\n")[: None if whole else -1]
     text, encoding = decode_text(path, b"\n".join(raw), _WANTED)
     lines = text.splitlines()
-    style = _find_style(lines)
+    style = _find_style(path, lines)
     if len(lines) not in (len(raw), len(raw) - 1) or style is None or style.separator == style.decimal:
         return None
     runs = _runs(lines, style)
@@ -278,12 +280,14 @@ class _Style:
 
     separator: str
     decimal: str
+    thousands: bool = False  # whether points between groups of three digits are no decimal points
 
     @property
     def number(self) -> str:
         """Pattern of one number."""
         mark = re.escape(self.decimal)
-        return rf"[-+]?+(?:[0-9]++(?:{mark}[0-9]*+)?+|{mark}[0-9]++)(?:[eE][-+]?+[0-9]++)?+"
+        whole = rf"(?>{_POINTS}|[0-9]++)" if self.thousands else "[0-9]++"
+        return rf"[-+]?+(?:{whole}(?:{mark}[0-9]*+)?+|{mark}[0-9]++)(?:[eE][-+]?+[0-9]++)?+"
 
     def patterns(self) -> tuple[re.Pattern[str], re.Pattern[str]]:
         """Return the patterns of one number and of a whole line of numbers.
@@ -329,14 +333,47 @@ def _data_lines(lines: list[str], style: _Style) -> Bools:
     return np.fromiter((is_data(line) for line in lines), dtype=bool, count=len(lines))
 
 
-def _find_style(lines: list[str]) -> _Style | None:
+def _find_style(path: Path, lines: list[str]) -> _Style | None:
     """The separator and decimal mark under which most lines are numbers; None where none are."""
     few, middle = 400, len(lines) // 2  # enough to tell; all lines would take as long as reading them
     sample = [*lines[:few], *lines[max(few, middle) : middle + few]]
     styles = [_Style(separator, decimal) for separator in _SEPARATORS for decimal in (".", ",")]
     counts = [int(_data_lines(sample, style).sum()) for style in styles]
     best = int(np.argmax(counts))
-    return styles[best] if counts[best] >= LEAST_ROWS else None
+    if counts[best] < LEAST_ROWS:
+        return None
+    return _with_thousands(path, sample, styles[best])
+
+
+def _with_thousands(path: Path, lines: list[str], style: _Style) -> _Style:
+    """Return the style for points that group digits, as in 995, 1.000, 1.005; the given one without any.
+
+    Such a column has whole numbers of up to three digits, or numbers with several points, and otherwise only
+    groups of three digits. Decimals have a point in every row, or, without the zeros at their ends, sometimes
+    fewer than three digits.
+
+    Raises: InputError if other columns have decimal points.
+    """
+    if style.decimal != "." or style.separator == ",":
+        return style
+    rows = [
+        style.cells(line) for line, is_data in zip(lines, _data_lines(lines, style), strict=True) if is_data
+    ]
+    points, decimals = set(), set()
+    for k, column in enumerate(zip_longest(*rows, fillvalue="")):
+        numbers = [cell.lstrip("+-") for cell in column if cell]
+        pointed = [cell for cell in numbers if "." in cell]
+        grouped = sum(re.fullmatch(_POINTS, cell) is not None for cell in pointed)
+        short = sum(re.fullmatch("[0-9]{1,3}", cell) is not None or cell.count(".") > 1 for cell in numbers)
+        if pointed and grouped == len(pointed) and min(grouped, short) >= LEAST_ROWS:
+            points.add(k)
+        elif grouped < len(pointed):
+            decimals.add(k)
+    if points and decimals:
+        found = f"points between thousands in column {min(points) + 1}"
+        found += f", decimal points in column {min(decimals) + 1}"
+        raise InputError(path, "points of one meaning", found, "export it without separators of thousands")
+    return replace(style, decimal=",", thousands=True) if points else style
 
 
 def _layout(lines: list[str]) -> str:
@@ -617,7 +654,7 @@ def _read_workbook(path: Path) -> list[Table]:
     tables: list[Table] = []
     for title, rows in worksheets(path):
         lines = ["\t".join(row) for row in rows]
-        if style := _find_style(lines):
+        if style := _find_style(path, lines):
             facts = {"layout": f"Excel, {title}", "encoding": "xlsx", "separator": "cells"}
             tables += _read_blocks(path, lines, style, facts | {"decimal": style.decimal})
     if not tables:
