@@ -90,6 +90,21 @@ def test_an_empty_folder_is_used_without_being_asked(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["out"]
 
 
+@pytest.mark.parametrize("there", [True, False])
+def test_a_link_to_a_folder_stays(there, tmp_path):
+    """A failure means that results which were linked to another disk go to this one, or are refused."""
+    elsewhere = tmp_path / "disk" / "results"
+    elsewhere.parent.mkdir()
+    if there:
+        elsewhere.mkdir()
+    (tmp_path / "run").symlink_to(elsewhere)
+    for overwrite in (False, True):
+        with run_folder(tmp_path / "run", overwrite=overwrite) as path:
+            write_json({"overwrite": overwrite}, path / "run.json")
+        assert (tmp_path / "run").is_symlink()
+        assert json.loads((elsewhere / "run.json").read_text(encoding="utf-8")) == {"overwrite": overwrite}
+
+
 def test_folders_made_for_a_run_that_failed_are_gone(tmp_path):
     """A failure means that empty folders stay where nothing was written."""
     with pytest.raises(ValueError, match="x"), run_folder(tmp_path / "a" / "b" / "out"):
