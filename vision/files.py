@@ -141,7 +141,7 @@ def read_toml(path: Path, wanted: str, advice: str) -> dict[str, Any]:
     if check_regular(path, wanted).st_size > 1 << 20:
         raise InputError(path, wanted, "more than 1 MiB", "check its name")
     with reading(path, wanted, advice):
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
 
 
 def path_beside(folder: Path, name: str | Path) -> Path:

@@ -83,8 +83,8 @@ def run_folder(target: Path, *, overwrite: bool = False, known_by: str = RUN_JSO
     """Yield a temporary folder beside `target`; replace `target` by it at the end.
 
     After an error or an interrupt the temporary folder is removed and an earlier run is unchanged. What a
-    killed process left behind is first removed or restored (`clean_up`). A link to a folder stays, and what it
-    leads to is replaced.
+    killed process left behind is first removed or restored (`clean_up`). A link to a folder stays, and the
+    folder that it leads to is replaced.
 
     known_by: as for `check_target`.
     Raises: InputError if the target exists or cannot be written, or the disk is full.

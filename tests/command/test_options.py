@@ -144,7 +144,15 @@ def test_a_number_of_sheets_is_whole(option, text, tmp_path, capsys):
 WRONG = (
     *("sheets = 1.5", "sheets = true", "sheets = [1]", "sheets = 2026-01-01", "sheets = 1e400", "fps = 'x'"),
     *("rotate = 45", "ridges = 1", "unknown = 1", "sample = 5", "[sample]\nwidth = 'x'", "[sample.a]\nb = 1"),
-    *("x = " + "[" * 3000, f"pixel_size = {'9' * 5000}", "fps = ", "\x00", "a = 1\na = 2", "fps = {a = 1}"),
+    *(
+        "x = " + "[" * 3000,
+        f"pixel_size = {'9' * 5000}",
+        "fps = ",
+        "\x00",
+        "a = 1\na = 2",
+        "fps = {a = 1}",
+        "t-star = 1\nt_star = 2",
+    ),
 )
 
 
@@ -202,6 +210,12 @@ def test_a_file_of_options_gives_what_it_says(tmp_path):
         "6:14",
         25,
     ]
+
+
+def test_a_file_of_options_may_begin_as_windows_editors_save_it(tmp_path):
+    """A failure means that a file is called damaged for a mark that no editor shows."""
+    (tmp_path / "a.toml").write_text("sheets = 50", encoding="utf-8-sig")
+    assert merged(VideoOptions(), config=tmp_path / "a.toml")["sheets"].value == 50
 
 
 def test_paths_in_a_file_of_options_are_relative_to_it(tmp_path, monkeypatch):

@@ -114,6 +114,8 @@ def read_config(path: Path) -> dict[str, Any]:
         options = value if isinstance(value, dict) and key == "sample" else {key: value}
         for name, item in options.items():
             option = name.replace("-", "_")
+            if option in found:
+                raise InputError(path, f"one value for '{option}'", "two")
             parsed = parse_option(path, option, item)
             found[option] = path_beside(path.parent, parsed) if isinstance(parsed, Path) else parsed
     return found
@@ -126,7 +128,7 @@ def parse_option(source: Path, name: str, value: Any) -> Any:
     Raises: InputError for an unknown option, or a value that it does not accept.
     """
     if name not in SETTING_OF:
-        advice = did_you_mean(name, SETTING_OF)
+        advice = did_you_mean(name, (*SETTING_OF, "sample"))
         wanted = "options of track" if advice else f"options of track ({', '.join(SETTING_OF)})"
         raise InputError(source, wanted, f"'{name}'", advice)
     if not isinstance(value, str | int | float) or isinstance(value, bool):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import glob
-import math
 import os
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
@@ -252,7 +251,7 @@ def open_video(
     """
     check_kind(PATH, "the path of a video or of images", path=path)
     check_kind((*PATH, NoneType), "the path of a file with the time of every frame", timestamps=timestamps)
-    check_within("a positive number of frames per second", 1e-12, math.inf, fps=fps)
+    check_within("a positive number of frames per second, at most 1e9", 1e-12, 1e9, fps=fps)
     where = Path(path)
     if rotate not in (0, 90, 180, 270):
         raise InputError("`rotate`", "0, 90, 180 or 270", str(rotate))
