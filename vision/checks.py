@@ -650,7 +650,8 @@ def shells_against_fits(
     if outside.mean() <= settings.contradicted_share:
         return []
     fitted = np.median(fits.effective_sheets(d_mm[outside]))
-    shell = f"{np.median(low[outside]):.0f} to {np.median(high[outside]):.0f} sheets"
+    ends = [f"{np.median(end[outside]):.0f}" for end in (low, high)]
+    shell = f"{' to '.join(dict.fromkeys(ends))} sheets"
     stiffer = codec in BETWEEN_FRAMES and np.median(low[outside]) > fitted
     hidden = f" the codec ({codec}) may hide the movement of sheets that creep by little;" if stiffer else ""
     return [

@@ -130,6 +130,24 @@ def test_states_follow_what_run_json_says(tmp_path, analysis, facts, state, reas
     assert replace(later, run=first.run, at=first.at) == first
 
 
+def test_the_page_shows_mu_and_the_stiff_sheets(tmp_path, analysis):
+    """A failure means that the page of a campaign shows no result, or one without its errors."""
+
+    def work(film, source, target):
+        kept = keep(analysis, target)
+        mu = {"value": 0.8896, "error": 0.00017, "systematic_error": 0.0065}
+        (target / "models.json").write_text(json.dumps({"mu": mu}))
+        (target / "shells.csv").write_text("event,side,stiff_sheets\n1,-1,6\n1,1,8\n2,-1,8\n2,1,\n")
+        return kept
+
+    plan = planned(tmp_path / "out", films(tmp_path, 1))
+    assert run_job(plan, job_of(plan), work) == 0
+    write_page(plan, live=False)
+    page = (plan.out / "index.html").read_text(encoding="utf-8")
+    for shown in ("0.8896 ± 0.0065", "8 (6 to 8)"):
+        assert f">{shown}<" in page
+
+
 def test_staged_films_are_read_from_the_node_s_disk(tmp_path, analysis, monkeypatch):
     """A failure means that a node reads over the network after all, keeps the copy, or fills its disk."""
     disk = tmp_path / "scratch"

@@ -47,6 +47,8 @@ class State:
     seconds: float = 0.0  # duration of its analysis
     warnings: tuple[str, ...] = ()  # all warnings of the run
     frames: int = 0  # that were read
+    mu: str = ""  # with its statistical and systematic error in quadrature
+    stiff: str = ""  # sheets per side
     run: str = ""  # digest of the run.json that this describes; with another one, the run was corrected
     attempts: int = 0  # attempts with this key
     at: float = 0.0  # when this was written, seconds since 1970

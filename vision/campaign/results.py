@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import math
 import shutil
 import time
 from collections import Counter
@@ -30,6 +31,7 @@ from vision.errors import InputError, counted
 from vision.figures import Results
 from vision.files import reading, shortened
 from vision.folder import whole_file, write_csv, write_json
+from vision.models.single_fits import Estimate, plus_minus
 from vision.numeric import number
 from vision.run.provenance import Origin
 from vision.run.reading import RunFolder, is_run, read_json, read_run
@@ -85,6 +87,7 @@ def write_page(plan: Plan, *, live: bool, remarks: tuple[str, ...] = ()) -> None
             remarks=remarks,
             facts=[SHOWN[name] for name in facts],
             tests=counted(len(films), "test"),
+            measured=any(state.mu or state.stiff for state in states),
             films=[_row(plan, film, state, facts) for film, state in films],
         )
     )
@@ -114,6 +117,8 @@ def _row(plan: Plan, film: PlannedFilm, state: State, facts: list[str]) -> dict[
         "link": f"runs/{quote(film.name, safe='')}/{page}" if finished else "",
         "picture": _data_uri(plan.out / "thumbnails" / f"{film.name}.png") if finished else "",
         "facts": [f"{fact:g}" if isinstance(fact, float) else fact for fact in given],
+        "mu": state.mu,
+        "stiff": state.stiff,
         "frames": state.frames or film.frames or "",
         "seconds": f"{state.seconds:.1f}" if state.seconds else "",
         "warnings": state.warnings,
@@ -308,7 +313,33 @@ def state_of_run(run: RunFolder, name: str) -> State:
     more = f" (and {len(warnings) - 1} more)" * (len(warnings) > 1)
     reason = why[0] if why else "".join(shortened(line, 300) for line in warnings[:1]) + more
     frames = int((run.facts.get("frames") or {}).get("read") or 0)
-    return State(name=name, state=word, reason=reason, warnings=warnings, frames=frames)
+    shells = run.table("shells", ["stiff_sheets"])
+    stiff = "" if shells is None else _stiff_sheets(shells)
+    found = State(name=name, state=word, reason=reason, warnings=warnings, frames=frames)
+    return replace(found, mu=_mu_of(run), stiff=stiff)
+
+
+def _stiff_sheets(shells: pd.DataFrame) -> str:
+    """Return the median and the range of the numbers of stiff sheets, as 8 (6 to 9); "" if none is known."""
+    size = shells["stiff_sheets"].dropna().astype(float)
+    if not len(size):
+        return ""
+    least, most = int(size.min()), int(size.max())
+    return f"{size.median():.0f}" + f" ({least} to {most})" * (least < most)
+
+
+def _mu_of(run: RunFolder) -> str:
+    """Return μ of a run with its statistical and systematic error in quadrature; "" if it is not known.
+
+    Raises: InputError for a damaged file.
+    """
+    path = run.folder / "models.json"
+    models = read_json(path) if path.is_file() else {}
+    mu = models.get("mu") or {}
+    value, *errors = (number(mu.get(part)) for part in ("value", "error", "systematic_error"))
+    if not math.isfinite(value) or "mu" in (models.get("undetermined") or ()):
+        return ""
+    return plus_minus(Estimate(value, math.hypot(*filter(math.isfinite, errors))))
 
 
 def _compare(films: Sequence[PlannedFilm], plan: Plan, origin: Origin) -> list[str]:
