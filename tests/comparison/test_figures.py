@@ -140,6 +140,8 @@ def test_every_sample_has_its_own_colour_and_curves(tmp_path):
         labels = [one.label for one in figure.panel.series]
         assert labels[:2] == ["A", "B"]
         assert len(set(labels)) == len(labels) and {one[-1] for one in labels[2:]} == {"A", "B"}
+        inks = {name: {one.ink for one in figure.panel.series[2:] if one.label[-1] == name} for name in "AB"}
+        assert not inks["A"] & inks["B"]
     (a, b), drops = figures[0].panel.series[-2:], figures[1].panel.series[-2:]
     for eq1, drop, mu, sample in zip((a, b), drops, mus, (other, PUBLISHED), strict=True):
         assert eq1.y == pytest.approx(equations.traction(eq1.x, mu=mu, sample=sample))

@@ -19,6 +19,7 @@ from vision.figures.positions import ratio_curve, ratio_panel, shell_panel
 from vision.figures.style import (
     DATA,
     MODEL,
+    OTHER_MODEL,
     PEAK,
     QUIET,
     VALLEY,
@@ -54,6 +55,9 @@ def compare_figures(found: Comparison) -> dict[str, list[Figure]]:
         "Trends": trends_figures(found),
     }
     return {heading: [one for one in part if one is not None] for heading, part in figures.items()}
+
+
+_OF_SAMPLES = (MODEL, PEAK, DATA, OTHER_MODEL, VALLEY)  # inks of the curves of several samples
 
 
 # --- overlays by velocity -----------------------------------------------------------------------------------
@@ -92,10 +96,13 @@ def _by_sample(found: Comparison) -> list[_OfSample]:
 
 
 def _named(found: Comparison, one: _OfSample, *curves: Series) -> list[Series]:
-    """Return curves of a sample with its name in their labels, if there are several samples."""
-    several = len({test.sample_name for test in found.tests}) > 1
-    name = f", {one.name or 'sample not named'}" * several
-    return [replace(curve, label=f"{curve.label}{name}") for curve in curves]
+    """Return curves of a sample, of one of several with its name and in its own colour."""
+    names = list(dict.fromkeys(test.sample_name for test in found.tests))
+    if len(names) == 1:
+        return list(curves)
+    ink = _OF_SAMPLES[names.index(one.name) % len(_OF_SAMPLES)]
+    name = one.name or "sample not named"
+    return [replace(curve, label=f"{curve.label}, {name}", ink=ink) for curve in curves]
 
 
 def peaks_figure(found: Comparison, events: pd.DataFrame) -> Figure:
