@@ -1,10 +1,11 @@
 """The wording of invalid input."""
 
 import pickle
+import re
 
 import pytest
 
-from vision.errors import InputError, known_as, reason_of
+from vision.errors import InputError, check_within, known_as, reason_of
 
 
 def test_a_renamed_argument_is_renamed_in_every_part():
@@ -15,6 +16,15 @@ def test_a_renamed_argument_is_renamed_in_every_part():
     assert caught.value.problem == wanted
     assert str(caught.value) == f"`force_columns`: {wanted}"
     assert caught.value.is_of_argument
+
+
+@pytest.mark.parametrize(
+    ("value", "found"), [(50.0, "50.0"), (1.5, "1.5"), (0, "0"), ("50", "the text '50'")]
+)
+def test_a_number_that_is_not_whole_is_shown_as_such(value, found):
+    """A failure means that 50.0 is refused with "expected a whole number; found 50"."""
+    with pytest.raises(InputError, match=f"found {re.escape(found)}$"):
+        check_within("a whole number from 1", 1, 99, whole=True, sheets=value)
 
 
 def test_an_error_is_the_same_in_another_process():

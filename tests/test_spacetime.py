@@ -179,6 +179,10 @@ def test_nothing_given_is_changed(comb):
 
 BAD = {
     "no such sheet": ({"sheet": ("right", 9), "width_px": 9}, "right:1 to right:3"),
+    "a sheet in the words of the command": (
+        {"sheet": "right:3", "width_px": 9},
+        r"\('right', 23\), or an index",
+    ),
     "no such side": ({"sheet": ("middle", 1), "width_px": 9}, "middle:1"),
     "index outside": ({"sheet": 6, "width_px": 9}, "index 0 to 5"),
     "no width": ({"sheet": 1}, "neither"),

@@ -257,6 +257,7 @@ def check_strip(strip: xr.DataArray) -> None:
     """Raise `InputError` unless this is I(x, t) of neighbouring columns, with its frames in order."""
     STRIP.check(strip)
     odd = {
+        "no frames" if not strip.sizes["frame"] else "no columns": not strip.size,
         f"dimensions {strip.dims}": strip.dims != ("frame", "x"),
         "columns that are not 1 px apart": (np.diff(strip["x"].values) != 1).any(),
         "frames out of order": (np.diff(strip["frame"].values) <= 0).any(),

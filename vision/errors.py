@@ -82,7 +82,8 @@ def check_within(expected: str, low: float, high: float, *, whole: bool = False,
     for name, value in values.items():
         number = isinstance(value, kind) and not isinstance(value, bool)
         if value is not None and not (number and math.isfinite(value) and low <= value <= high):
-            raise InputError(f"`{name}`", expected, shown(value))
+            whole_float = whole and isinstance(value, float)
+            raise InputError(f"`{name}`", expected, repr(value) if whole_float else shown(value))
 
 
 def check_word(words: Collection[object], **values: Any) -> None:

@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from vision.data import SIDES, TRACKS, DiagramMetadata, check_strip, record
-from vision.errors import InputError
+from vision.errors import InputError, shown
 from vision.memory import give_back, some_rows
 from vision.numeric import Bools, Floats, Floats32, Ints, in_two_threads, row_parts
 
@@ -139,6 +139,8 @@ def _find(tracks: xr.Dataset, sheet: Sheet, part: xr.DataArray) -> tuple[int, st
     names = [f"{SIDES[which]}:{number}" for which, number in zip(side.tolist(), n.tolist(), strict=True)]
     known = names if isinstance(sheet, tuple) else [f"index {k}" for k in range(n.size)]
     asked = f"{sheet[0]}:{sheet[1]}" if isinstance(sheet, tuple) else f"index {sheet}"
+    if isinstance(sheet, str):
+        raise InputError("`sheet`", "a side and a number such as ('right', 23), or an index", shown(sheet))
     if asked not in known:
         raise InputError("`sheet`", f"one of {_sheets_there(side, n)}", asked)
     index = known.index(asked)

@@ -240,8 +240,9 @@ def grey(level, frames=20, columns=200):
         lambda one: one[:, ::-1],
         lambda one: one[::-1],
         lambda one: one.assign_coords(frame=np.zeros(one.sizes["frame"], int)),
+        lambda one: one[:0],
     ],
-    ids=["x first", "every other column", "mirrored", "backwards", "one number"],
+    ids=["x first", "every other column", "mirrored", "backwards", "one number", "no frames"],
 )
 def test_an_array_that_is_not_in_order_is_refused(turned):
     """A failure means positions at half of their columns, without a word, or a traceback."""

@@ -41,6 +41,10 @@ def test_bad_requests_are_named(tmp_path):
     for rows in (slice(5, 40), slice(-3, 5), slice(5, 5)):
         with pytest.raises(InputError, match="`rows`: expected a range within 0:12"):
             strip_profile(open_video(path), rows)
+    with pytest.raises(InputError, match="found 0:12 in steps of 2"):
+        strip_profile(open_video(path), slice(0, 12, 2))
+    with pytest.raises(InputError, match="found 0:8:2"):
+        open_video(path, frames=slice(0, 8, 2))
     for options in ({"rotate": 45}, {"fps": 0}, {"fps": float("nan")}, {"frames": slice(9, 12)}):
         with pytest.raises(InputError, match=f"`{next(iter(options))}`"):
             open_video(path, **options)

@@ -57,7 +57,7 @@ def compare_figures(found: Comparison) -> dict[str, list[Figure]]:
     return {heading: [one for one in part if one is not None] for heading, part in figures.items()}
 
 
-_OF_SAMPLES = (MODEL, PEAK, DATA, OTHER_MODEL, VALLEY)  # inks of the curves of several samples
+_OF_SAMPLES = (PEAK, MODEL, DATA, OTHER_MODEL, VALLEY)  # inks of the curves of several samples
 
 
 # --- overlays by velocity -----------------------------------------------------------------------------------

@@ -296,7 +296,11 @@ def _events(motion: xr.Dataset, events: Sequence[int]) -> xr.Dataset:
     """Return these stick phases.  Raises: InputError if one was not measured."""
     measured = motion["event"].values.tolist()
     if missing := [event for event in events if event not in measured]:
-        wanted = f"measured stick phases ({', '.join(map(str, measured))})"
+        few = len(measured) <= 6
+        known = (
+            ", ".join(map(str, measured)) if few else f"{len(measured)} from {measured[0]} to {measured[-1]}"
+        )
+        wanted = f"measured stick phases ({known})"
         raise InputError("`event`", wanted, ", ".join(map(str, missing)))
     return motion.sel(event=list(events))
 

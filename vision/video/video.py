@@ -354,7 +354,8 @@ def _frame_range(frames: slice | None, declared: int | None, path: Path) -> tupl
     first = 0 if frames.start is None else int(frames.start)
     stop = None if frames.stop is None else int(frames.stop)
     if frames.step not in (None, 1) or first < 0 or (stop is not None and stop <= first):
-        raise InputError("`frames`", "A:B with 0 <= A < B", f"{frames.start}:{frames.stop}")
+        step = "" if frames.step is None else f":{frames.step}"
+        raise InputError("`frames`", "A:B with 0 <= A < B", f"{frames.start}:{frames.stop}{step}")
     if declared is not None and first >= declared:
         raise InputError(f"{path}: `frames`", f"a start below {declared}, the frames in the file", str(first))
     return first, stop
@@ -370,7 +371,8 @@ def cut(wanted: slice | None, size: int, *, what: str) -> slice:
     stop = size if wanted.stop is None else int(wanted.stop)
     if wanted.step not in (None, 1) or not 0 <= start < stop <= size:
         advice = "counted from 0, end not included"
-        raise InputError(what, f"a range within 0:{size}", f"{start}:{stop}", advice)
+        step = "" if wanted.step in (None, 1) else f" in steps of {wanted.step}"
+        raise InputError(what, f"a range within 0:{size}", f"{start}:{stop}{step}", advice)
     return slice(start, stop)
 
 
