@@ -179,7 +179,7 @@ def test_nothing_given_is_changed(comb):
 
 BAD = {
     "no such sheet": ({"sheet": ("right", 9), "width_px": 9}, "right:1 to right:3"),
-    "a sheet in the words of the command": (
+    "a sheet of the command": (
         {"sheet": "right:3", "width_px": 9},
         r"\('right', 23\), or an index",
     ),
