@@ -15,6 +15,7 @@ import itertools
 import json
 import os
 import queue
+import re
 import signal
 import stat
 import subprocess
@@ -142,6 +143,52 @@ def read_toml(path: Path, wanted: str, advice: str) -> dict[str, Any]:
         raise InputError(path, wanted, "more than 1 MiB", "check its name")
     with reading(path, wanted, advice):
         return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+
+
+def decode_text(path: Path, data: bytes, wanted: str) -> tuple[str, str]:
+    """Return the text of a file in whatever encoding, and that encoding.
+
+    Raises InputError for an empty or a binary file.
+    """
+    if not data.strip(b"\x00 \t\r\n"):
+        raise InputError(path, wanted, "an empty file")
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return data.decode("utf-16", errors="replace"), "utf-16"
+    even, odd = (data[first:4096:2].count(0) for first in (0, 1))
+    pairs = len(data[:4096]) / 2
+    if max(even, odd) > 0.4 * pairs and min(even, odd) < 0.1 * pairs:
+        # Latin text in UTF-16 without a byte order mark
+        return data.decode("utf-16-le" if odd > even else "utf-16-be", errors="replace"), "utf-16"
+    if even or odd:
+        raise InputError(path, f"{wanted} as text", "a binary file", "export it as text or CSV")
+    utf_8 = "utf-8 with BOM" if data.startswith(b"\xef\xbb\xbf") else "utf-8"
+    for encoding, name in (("utf-8-sig", utf_8), ("cp1252", "latin-1")):
+        try:
+            return data.decode(encoding), name
+        except UnicodeDecodeError:
+            continue
+    return data.decode("latin-1"), "latin-1"
+
+
+THOUSANDS = "[1-9][0-9]{{0,2}}(?:{mark}[0-9]{{3}})++(?![0-9])"
+"""Pattern of a whole number with a mark between its thousands."""
+
+
+def groups_thousands(column: Iterable[str], mark: str) -> bool | None:
+    """Return whether a mark in the numbers of a column groups digits (True) or is decimal; None for either.
+
+    It groups digits where numbers without it have up to three digits, or some have several marks, and all
+    others have only groups of three. Decimals have it in every row, or, without the zeros at their ends,
+    sometimes with fewer than three digits after it.
+    """
+    cells = [cell.lstrip("+-") for cell in column]
+    pattern = re.compile(THOUSANDS.format(mark=re.escape(mark)))
+    grouped = [cell for cell in cells if pattern.fullmatch(cell)]
+    decimal = re.compile(rf"[0-9]*{re.escape(mark)}[0-9]*(?:[eE][-+]?[0-9]+)?")
+    if any(map(decimal.fullmatch, {*cells} - {*grouped})):
+        return False
+    short = sum(cell.count(mark) > 1 or re.fullmatch("[0-9]{1,3}", cell) is not None for cell in cells)
+    return True if min(len(grouped), short) >= 3 else None  # one or two may be errors
 
 
 def path_beside(folder: Path, name: str | Path) -> Path:

@@ -161,6 +161,26 @@ def test_commas_of_unknown_meaning_are_refused(tmp_path, lines):
         read_timestamps(path)
 
 
+@pytest.mark.parametrize("mark", [".", ","])
+@pytest.mark.parametrize(("row", "unit_s"), [("{0}", 1e-3), ("{1};{0}", 1e-3), ("{1} {0}", 1e-6)])
+def test_marks_between_thousands_are_no_decimal_marks(tmp_path, mark, row, unit_s):
+    """Failure: whole milliseconds 983, 1.000, 1.017 start again every second, with advice to cut the film."""
+    whole = 500 + 17 * np.arange(120) * round(1e-3 / unit_s)
+    path, header = tmp_path / "t.txt", f"time_{'ms' if unit_s == 1e-3 else 'us'}"
+    lines = [row.format(f"{t:,}".replace(",", mark), k) for k, t in enumerate(whole)]
+    path.write_text("\n".join([header, *lines]))
+    times_s, warnings = read_timestamps(path)
+    assert warnings == ()
+    np.testing.assert_allclose(times_s, unit_s * whole)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "cp1252"])
+def test_times_in_any_encoding_keep_their_unit(tmp_path, encoding):
+    """Failure: microseconds, with the sign of another encoding above them, are read as seconds."""
+    (tmp_path / "t.csv").write_text('"Zeit (µs)"\n"0"\n"16667"\n"33333"\n', encoding=encoding)
+    np.testing.assert_allclose(read_timestamps(tmp_path / "t.csv")[0], [0, 0.016667, 0.033333])
+
+
 def test_numbered_whole_times_are_two_columns(tmp_path):
     """Failure: the times of frames that are counted in the first column are read as decimals."""
     path = tmp_path / "t.txt"

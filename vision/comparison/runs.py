@@ -16,8 +16,8 @@ import pandas as pd
 
 from vision.data import SIDES, whole_events
 from vision.errors import PATH, InputError, check_kind, counted, nearest_word
-from vision.files import AGAIN, check_regular, path_beside, reading
-from vision.force.files import EXCEL, decode_text, worksheets
+from vision.files import AGAIN, check_regular, decode_text, path_beside, reading
+from vision.force.files import EXCEL, worksheets
 from vision.models.single_fits import check_columns, complete_events, with_fitted_stiffness
 from vision.numeric import Floats, number
 from vision.run.provenance import checksum_of

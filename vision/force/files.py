@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import date
-from itertools import zip_longest
+from itertools import compress, zip_longest
 from pathlib import Path
 from typing import Any, Literal
 
@@ -22,7 +22,16 @@ import pandas as pd
 import scipy
 
 from vision.errors import InputError
-from vision.files import READ_HDF5, READ_MATLAB, check_regular, reading, try_out
+from vision.files import (
+    READ_HDF5,
+    READ_MATLAB,
+    THOUSANDS,
+    check_regular,
+    decode_text,
+    groups_thousands,
+    reading,
+    try_out,
+)
 from vision.numeric import Bools, Floats, number
 
 Dimension = Literal["time", "force", "length", "ratio"]
@@ -41,7 +50,6 @@ class _Most:
 _WANTED, _WANTED_MAT = "a force recording", "a MATLAB .mat file"
 _ADVICE = "export the recording as text with one row per sample"
 LEAST_ROWS = 3
-_POINTS = r"[1-9][0-9]{0,2}(?:\.[0-9]{3})++(?![0-9])"  # of a whole number between its thousands
 
 
 @dataclass(frozen=True)
@@ -249,31 +257,6 @@ def _facts(lines: list[str], style: _Style, encoding: str) -> dict[str, str]:
     }
 
 
-def decode_text(path: Path, data: bytes, wanted: str) -> tuple[str, str]:
-    """Return the text of a file in whatever encoding, and that encoding.
-
-    Raises InputError for an empty or a binary file.
-    """
-    if not data.strip(b"\x00 \t\r\n"):
-        raise InputError(path, wanted, "an empty file")
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return data.decode("utf-16", errors="replace"), "utf-16"
-    even, odd = (data[first:4096:2].count(0) for first in (0, 1))
-    pairs = len(data[:4096]) / 2
-    if max(even, odd) > 0.4 * pairs and min(even, odd) < 0.1 * pairs:
-        # Latin text in UTF-16 without a byte order mark
-        return data.decode("utf-16-le" if odd > even else "utf-16-be", errors="replace"), "utf-16"
-    if even or odd:
-        raise InputError(path, f"{wanted} as text", "a binary file", "export it as text or CSV")
-    utf_8 = "utf-8 with BOM" if data.startswith(b"\xef\xbb\xbf") else "utf-8"
-    for encoding, name in (("utf-8-sig", utf_8), ("cp1252", "latin-1")):
-        try:
-            return data.decode(encoding), name
-        except UnicodeDecodeError:
-            continue
-    return data.decode("latin-1"), "latin-1"
-
-
 @dataclass(frozen=True)
 class _Style:
     """A separator and a decimal mark, with the patterns of a number and of a line of numbers."""
@@ -286,7 +269,7 @@ class _Style:
     def number(self) -> str:
         """Pattern of one number."""
         mark = re.escape(self.decimal)
-        whole = rf"(?>{_POINTS}|[0-9]++)" if self.thousands else "[0-9]++"
+        whole = rf"(?>{THOUSANDS.format(mark=re.escape('.'))}|[0-9]++)" if self.thousands else "[0-9]++"
         return rf"[-+]?+(?:{whole}(?:{mark}[0-9]*+)?+|{mark}[0-9]++)(?:[eE][-+]?+[0-9]++)?+"
 
     def patterns(self) -> tuple[re.Pattern[str], re.Pattern[str]]:
@@ -348,32 +331,19 @@ def _find_style(path: Path, lines: list[str]) -> _Style | None:
 def _with_thousands(path: Path, lines: list[str], style: _Style) -> _Style:
     """Return the style for points that group digits, as in 995, 1.000, 1.005; the given one without any.
 
-    Such a column has whole numbers of up to three digits, or numbers with several points, and otherwise only
-    groups of three digits. Decimals have a point in every row, or, without the zeros at their ends, sometimes
-    fewer than three digits.
-
     Raises: InputError if other columns have decimal points.
     """
     if style.decimal != "." or style.separator == ",":
         return style
-    rows = [
-        style.cells(line) for line, is_data in zip(lines, _data_lines(lines, style), strict=True) if is_data
-    ]
-    points, decimals = set(), set()
-    for k, column in enumerate(zip_longest(*rows, fillvalue="")):
-        numbers = [cell.lstrip("+-") for cell in column if cell]
-        pointed = [cell for cell in numbers if "." in cell]
-        grouped = sum(re.fullmatch(_POINTS, cell) is not None for cell in pointed)
-        short = sum(re.fullmatch("[0-9]{1,3}", cell) is not None or cell.count(".") > 1 for cell in numbers)
-        if pointed and grouped == len(pointed) and min(grouped, short) >= LEAST_ROWS:
-            points.add(k)
-        elif grouped < len(pointed):
-            decimals.add(k)
-    if points and decimals:
-        found = f"points between thousands in column {min(points) + 1}"
-        found += f", decimal points in column {min(decimals) + 1}"
-        raise InputError(path, "points of one meaning", found, "export it without separators of thousands")
-    return replace(style, decimal=",", thousands=True) if points else style
+    rows = map(style.cells, compress(lines, _data_lines(lines, style)))
+    found = [groups_thousands(column, ".") for column in zip_longest(*rows, fillvalue="")]
+    if True not in found:
+        return style
+    if False in found:
+        mixed = f"points between thousands in column {found.index(True) + 1}"
+        mixed += f", decimal points in column {found.index(False) + 1}"
+        raise InputError(path, "points of one meaning", mixed, "export it without separators of thousands")
+    return replace(style, decimal=",", thousands=True)
 
 
 def _layout(lines: list[str]) -> str:

@@ -15,8 +15,8 @@ import pandas as pd
 
 from vision.data import Metadata, Schema, Variable, record
 from vision.errors import InputError
-from vision.files import check_regular
-from vision.force.files import decode_text, split_name
+from vision.files import check_regular, decode_text
+from vision.force.files import split_name
 
 
 @dataclass(frozen=True, kw_only=True)

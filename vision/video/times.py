@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from vision.errors import InputError
-from vision.files import check_regular, reading
+from vision.files import check_regular, decode_text, groups_thousands, reading
 from vision.numeric import Floats, Ints
 from vision.video.reader import SECONDS
 from vision.video.settings import VideoSettings
@@ -25,8 +25,9 @@ def read_timestamps(path: Path) -> tuple[Floats, tuple[str, ...]]:
 
     One time per line, or columns divided by comma, semicolon, tab or space; a header names the column
     ("time", "timestamp") and its unit: `time_ms`, `Timestamp (us)`, `t [ns]`. Lines starting with # belong
-    to the header. Without a header the last of two columns (number, time) is used, and the unit is s. Decimal
-    commas are recognised where no commas separate columns, also in lines such as 0,016667.
+    to the header. Without a name for each column the last that does not count the frames is used. Without a
+    unit it is s. Decimal commas are recognised where no commas separate columns, also in lines such as
+    0,016667, and points or commas between the thousands of whole numbers, as in 983, 1.000, 1.017.
 
     Raises: InputError for a missing or empty file, text in place of a number, or commas of unknown meaning.
     """
@@ -34,8 +35,8 @@ def read_timestamps(path: Path) -> tuple[Floats, tuple[str, ...]]:
     if check_regular(path, wanted).st_size > 1 << 28:  # ten million frames
         raise InputError(path, wanted, "a far larger file", "check its name")
     with reading(path, wanted):
-        text = path.read_text(encoding="utf-8-sig", errors="replace")
-    lines = [line for line in text.splitlines() if line.strip()] or [""]
+        data = path.read_bytes()
+    lines = _without_thousands(decode_text(path, data, wanted)[0].replace('"', "").splitlines())
     end = "".join(lines[-2:])  # the last line may be cut before its separator
     separator = next((mark for mark in ";\t," if mark in end), None)
     cells = [[cell.strip() for cell in line.split(separator) if cell.strip()] for line in lines]
@@ -52,15 +53,26 @@ def read_timestamps(path: Path) -> tuple[Floats, tuple[str, ...]]:
     widths = {len(row) for row in rows[first:]}
     if len(widths) > 1:
         raise InputError(path, "the same number of columns in every line", f"{min(widths)} to {max(widths)}")
-    width = widths.pop()
-    column, unit_s = _time_column(lines[first - 1].lstrip("# ") if first else "", separator, width)
-    times_s = np.array([row[column] for row in rows[first:]]) * unit_s
+    values = np.array(rows[first:])
+    column, unit_s = _time_column(lines[first - 1].lstrip("# ") if first else "", separator, values)
+    times_s = values[:, column] * unit_s
     if not np.isfinite(times_s).all():
         raise InputError(path, "a time for every frame", "NaN or infinity")
     backwards = np.flatnonzero(np.diff(times_s) <= 0)
     if not backwards.size:
         return times_s, ()
     return times_s, (_not_increasing(times_s, path.name),)
+
+
+def _without_thousands(lines: list[str]) -> list[str]:
+    """Return the lines that are not empty, whole numbers without marks between their thousands."""
+    lines = [line for line in lines if line.strip()] or [""]
+    some = [*lines[:400], *lines[max(400, len(lines) // 2) :][:400]]
+    columns = [*itertools.zip_longest(*(re.split(r"[;\s]+", line.strip()) for line in some), fillvalue="")]
+    for mark in ".,":
+        if any(groups_thousands(column, mark) for column in columns):
+            return [re.sub(rf"(?<=[0-9])[{mark}](?=[0-9]{{3}}(?![0-9]))", "", line) for line in lines]
+    return lines
 
 
 def _not_increasing(times_s: Floats, name: str) -> str:
@@ -100,13 +112,20 @@ def _has_decimal_commas(path: Path, cells: list[list[str]]) -> bool:
     return False
 
 
-def _time_column(header: str, separator: str | None, width: int) -> tuple[int, float]:
-    """Return which of `width` columns the header names as the time, else the last, and its unit in s."""
+def _time_column(header: str, separator: str | None, values: Floats) -> tuple[int, float]:
+    """Return which column the header names as the time, and its unit in s.
+
+    Without a name for each column it is the last that does not count the frames.
+    """
+    width = values.shape[1]
     mark = next((mark for mark in (separator, *";\t,") if mark and mark in header), None)
     header = header if mark else re.sub(r"\s+(?=[(\[])", "_", header)  # "time (ms)" is one name
     names = [name.strip() for name in header.split(mark)] if width > 1 else [header]
-    column = next((n for n, name in enumerate(names[:width]) if _TIME_NAME.search(name)), width - 1)
-    unit = _UNIT.search(names[column] if column < len(names) else header)
+    others = np.flatnonzero((np.diff(values, axis=0) != 1).any(axis=0))
+    column = int(others[-1]) if others.size else width - 1
+    if len(names) == width:
+        column = next((n for n, name in enumerate(names) if _TIME_NAME.search(name)), width - 1)
+    unit = _UNIT.search(names[column] if len(names) == width else header)
     return column, SECONDS[unit.group(1).lower()] if unit else 1.0
 
 
