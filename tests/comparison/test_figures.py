@@ -118,6 +118,18 @@ def test_systematic_errors_of_the_runs_are_taken_over(tmp_path):
     assert np.isnan(vision.compare(folders[1:]).table["mu_systematic"].iloc[0])
 
 
+def test_the_axes_show_every_test(tmp_path):
+    """A failure means that the slips of a test with few and large ones are cut off without a word."""
+    folders = [write_run(tmp_path / f"r{k}", events(seed=k)) for k in range(3)]
+    few = events(seed=9).iloc[:12]
+    few = few.assign(dF_N=4 * few["dF_N"], K_N_per_mm=3 * few["K_N_per_mm"])
+    found = vision.compare([*folders, write_run(tmp_path / "few", few)])
+    for figure in found.figures():
+        if figure.name in ("drops", "stiffnesses"):
+            (low, high), shown = figure.panel.y_range, [one.y for one in figure.panel.series]
+            assert low == 0 and np.nanmax(np.concatenate(shown)) < high
+
+
 def test_numbers_of_previous_tests_are_whole(tmp_path):
     """A failure means an axis that counts 1.5 tests."""
     folders = [write_run(tmp_path / f"r{k}", events(seed=k)) for k in range(3)]

@@ -66,6 +66,17 @@ def test_text_among_the_numbers_of_a_table_is_one_line(cell, folder):
     assert table is not None and table["t_p_s"].isna().tolist() == [False, True]
 
 
+def test_a_table_that_was_cut_is_one_line(folder):
+    """A failure means that a copy which a full disk cut is compared with half of its events."""
+    path = folder / "events.csv"
+    whole = "event,t_p_s,flag\n0,1.5,ok\n1,2.25,ok\n"
+    for size in range(len("event,t_p_s,flag\n0,"), len(whole)):
+        if whole[size - 1] != "\n":
+            path.write_text(whole[:size], encoding="utf-8")
+            with pytest.raises(InputError, match=r"events\.csv"):
+                read_run(folder).table("events")
+
+
 @pytest.mark.parametrize("size", [0, 5, 500, 20_000])
 def test_a_diagram_that_was_cut_is_one_line(size, folder):
     """A failure means a traceback, or zeros in place of what is missing."""

@@ -148,7 +148,7 @@ def drops_figure(found: Comparison, events: pd.DataFrame) -> Figure:
     return Panel(
         x_label=VALLEY_SEPARATION,
         y_label="ΔF (N)",
-        y_range=from_zero(events["dF_N"].to_numpy(float), share=0.98),
+        y_range=_range_of(events, "dF_N"),
         series=(*_points(found, events, "d_v_mm", "dF_N"), *curves),
     ).figure(
         "drops",
@@ -169,7 +169,7 @@ def stiffnesses_figure(found: Comparison, events: pd.DataFrame) -> Figure:
             curves += _named(found, one, *stiffness_curves("M_eff K_eff, median Λ̂", d, k, one.geometry))
     series = (*_points(found, events, "d_v_mm", "K_N_per_mm"), *curves)
     of_each = " of each sample" * (len(samples) > 1)
-    y_range = from_zero(events["K_N_per_mm"].to_numpy(float), share=0.98)
+    y_range = _range_of(events, "K_N_per_mm")
     return Panel(x_label=VALLEY_SEPARATION, y_label="K (N/mm)", y_range=y_range, series=series).figure(
         "stiffnesses",
         "K of every event, the slope of the central part of its stick phase, or after the knee if there are "
@@ -177,6 +177,12 @@ def stiffnesses_figure(found: Comparison, events: pd.DataFrame) -> Figure:
         f"{found.modulus_text}. Solid: lengthening alone.",
         title="Stiffness of all tests",
     )
+
+
+def _range_of(events: pd.DataFrame, column: str) -> tuple[float, float] | None:
+    """Return the range of an axis from 0 that shows every test, without its outliers; None without values."""
+    ranges = [from_zero(part.to_numpy(float), share=0.98) for _, part in events.groupby("run")[column]]
+    return max(filter(None, ranges), default=None)
 
 
 def _span(events: pd.DataFrame, sample: str, column: str) -> Floats:

@@ -132,6 +132,9 @@ class RunFolder:
             return None
         with reading(path, wanted, AGAIN):
             table = pd.read_csv(path)
+            whole = path.read_bytes().endswith(b"\n")
+        if not whole:
+            raise InputError(path, wanted, "one whose last line was cut", AGAIN)
         if absent := [column for column in needs if column not in table]:
             raise InputError(path, wanted, f"no {', '.join(absent)}", AGAIN)
         for column in table.columns.difference(list(TEXT_COLUMNS)):
