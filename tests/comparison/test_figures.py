@@ -120,8 +120,8 @@ def test_systematic_errors_of_the_runs_are_taken_over(tmp_path):
 
 def test_the_axes_show_every_test(tmp_path):
     """A failure means that the slips of a test with few and large ones are cut off without a word."""
-    folders = [write_run(tmp_path / f"r{k}", events(seed=k)) for k in range(3)]
-    few = events(seed=9).iloc[:12]
+    folders = [write_run(tmp_path / f"r{k}", events(seed=k)) for k in range(4)]
+    few = events(seed=9).iloc[:8]
     few = few.assign(dF_N=4 * few["dF_N"], K_N_per_mm=3 * few["K_N_per_mm"])
     found = vision.compare([*folders, write_run(tmp_path / "few", few)])
     for figure in found.figures():
