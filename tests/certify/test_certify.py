@@ -17,6 +17,7 @@ from tests.scenes.combs import comb, ridges, strip
 from tests.scenes.degraded import CODECS, DEGRADATIONS, FPS, FRAMES, SCENE, clean
 from tests.scenes.films import write_encoded
 from vision.certify import CertifySettings, certify, write_certificate
+from vision.certify import page as page_module
 from vision.certify.certificate import StickPhases
 from vision.certify.encoder import read_encoder
 from vision.certify.likeness import find_jumps, learn, own_time
@@ -262,10 +263,11 @@ def test_files(tmp_path, monkeypatch):
     def full(*_, **__):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(pd.DataFrame, "to_csv", full)
-    with pytest.raises(InputError, match=r"certificate\.csv: .*a full disk"):
-        write_certificate(certificate, tmp_path / "full")
-    assert not (tmp_path / "full").exists()
+    for place, name in ((page_module, "render_page"), (pd.DataFrame, "to_csv")):
+        monkeypatch.setattr(place, name, full)
+        with pytest.raises(InputError, match=r"certificate\.[a-z]+: .*a full disk"):
+            write_certificate(certificate, tmp_path / "full")
+        assert not (tmp_path / "full").exists()
 
 
 def test_too_few_frames():

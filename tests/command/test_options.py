@@ -321,6 +321,13 @@ def test_an_abbreviated_option_is_recognised(typed, refused):
     assert f"Unknown option: {typed}. Did you mean --pixel-size?" in refused("v.avi", typed, "10")
 
 
+def test_a_file_whose_name_begins_with_a_hyphen_is_told_from_an_option(tmp_path, monkeypatch, refused):
+    """A failure means that nothing says how such a film is given."""
+    monkeypatch.chdir(tmp_path)
+    Path("-fast.avi").touch()
+    assert "If the file of this name is meant, write ./-fast.avi (track --help" in refused("-fast.avi")
+
+
 @pytest.mark.parametrize(
     ("typed", "meant"), [("--pixl-size", "--pixel-size"), ("--frame", "--frames"), ("--foo", "")]
 )

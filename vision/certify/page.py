@@ -27,13 +27,12 @@ _ENCODED = (
 
 
 def write_certificate(certificate: Certificate, folder: Path) -> None:
-    """Write certificate.html, certificate.json and certificate.csv.  Raises: InputError."""
-    with whole_file(folder / "certificate.csv") as path:
-        write_csv(certificate.sheets, path, digits=None)
-    with whole_file(folder / "certificate.json") as path:
-        write_json(certificate.facts, path)
-    with whole_file(folder / "certificate.html") as path:
-        _write_page(certificate, path)
+    """Write certificate.html, certificate.json and certificate.csv, or none of them.  Raises: InputError."""
+    csv, facts, page = (whole_file(folder / f"certificate.{kind}") for kind in ("csv", "json", "html"))
+    with csv as csv_path, facts as facts_path, page as page_path:
+        write_csv(certificate.sheets, csv_path, digits=None)
+        write_json(certificate.facts, facts_path)
+        _write_page(certificate, page_path)
 
 
 def _write_page(c: Certificate, path: Path) -> None:

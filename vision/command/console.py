@@ -167,6 +167,8 @@ def _unknown_option(error: UnknownOptionError) -> str:
     options = [name for one in error.argument_collection if one.parse for name in one.names]
     near = [option for option in options if typed.startswith("--") and option.startswith(typed)]
     meant = near[0] if len(near) == 1 else nearest_word(typed, options, 0.8)
+    if os.path.lexists(typed):
+        return f"Unknown option: {typed}. If the file of this name is meant, write .{os.sep}{typed}"
     return f"Unknown option: {typed}." + (f" Did you mean {meant}?" if meant else "")
 
 

@@ -165,7 +165,7 @@ def table_cells(path: Path, wanted: str) -> tuple[list[str], list[tuple[int, lis
             table = [(reader.line_num, cells) for cells in reader]
     table = [(number, cells) for number, cells in table if any(cell.strip() for cell in cells)]
     if len(table) < 2:
-        raise InputError(path, "a heading and a row for each test", f"{len(table)} lines")
+        raise InputError(path, "a heading and a row for each test", counted(len(table), "line"))
     if separator != ",":
         table = [(number, [_with_points(cell) for cell in cells]) for number, cells in table]
     return table[0][1], table[1:]
