@@ -425,3 +425,25 @@ def test_a_run_that_may_not_be_replaced_stays(video, refused):
         assert "read-only" in refused(video, "--overwrite")
     finally:
         Path("comb_tracks").chmod(0o755)
+
+
+INTERRUPTED_WHILE_IT_STARTS = """
+import sys
+from vision.command import main
+
+class Interrupts:
+    def find_spec(self, name, *_):
+        if name == "cyclopts":
+            raise KeyboardInterrupt
+
+sys.meta_path.insert(0, Interrupts())
+main()
+"""
+
+
+def test_an_interruption_while_the_program_starts_is_one_line(place, video):
+    """A failure means that Ctrl-C in the first moments, a second on a busy machine, ends in a traceback."""
+    status, out, err = finish(video, command=[sys.executable, "-c", INTERRUPTED_WHILE_IT_STARTS])
+    assert (status, out) == (130, "")
+    assert err == "track: interrupted; nothing was begun\n"
+    assert [p.name for p in place.iterdir()] == ["comb.tif"]
