@@ -38,6 +38,19 @@ def test_run_folder(capsys: pytest.CaptureFixture[str]) -> None:
     assert printed.err == ""
 
 
+def test_a_copy_of_a_file_does_not_count_twice(capsys: pytest.CaptureFixture[str]) -> None:
+    """A failure means that errors shrink by a factor of 1.4 where a pattern matches a file and its copy."""
+    write_rheocompass("rheo.csv", TEST)
+    Path("rheo (1).csv").write_bytes(Path("rheo.csv").read_bytes())
+    assert run(["friction", "rheo*.csv", "--out", "two"]) == 1
+    assert "rheo.csv: expected a file of other measurements; found the content of rheo (1).csv" in (
+        capsys.readouterr().err
+    )
+    assert run(["friction", "rheo.csv", "--out", "one"]) == 0
+    errors = [json.loads(Path(name, "friction.json").read_text("utf-8"))["a_err"] for name in ("one", "two")]
+    assert errors[0] == pytest.approx(errors[1])
+
+
 def test_files_that_fail_are_named_and_the_rest_is_done(capsys: pytest.CaptureFixture[str]) -> None:
     """A failure means one bad file costs the others, or goes unnoticed."""
     write_rheocompass("rheo.csv", TEST)

@@ -50,6 +50,7 @@ from vision.models import modulus as push_pull
 from vision.models.rheometer import RotationMetadata, read_rheometer
 from vision.numeric import number, with_minus
 from vision.pipeline import analyse
+from vision.run.provenance import checksum_of, describe_input
 from vision.run.reading import check_results
 from vision.run.writing import results_folder, write_run
 from vision.sample import Sample
@@ -229,14 +230,20 @@ def _measure(
 ) -> tuple[list[discs.DiscFriction], list[str], list[str]]:
     """Return the friction in every measurement of every file, failures (one line each), and notes.
 
-    A file or measurement that fails costs no other.
+    A file or measurement that fails costs no other. A copy of a file that came before fails, as its
+    measurements would count twice.
     """
+    first: dict[str, Path] = {}
     measured: list[discs.DiscFriction] = []
     failures: list[str] = []
     notes: list[str] = []
     for file, load in zip(files, loads, strict=True):
         try:
             rotations = read_rheometer(file)
+            other = first.setdefault(checksum_of(describe_input(file)), file)
+            if other is not file:
+                found = f"the content of {other}, which would count twice"
+                raise InputError(file, "a file of other measurements", found, "leave one of them out")
         except (InputError, OSError) as error:
             failures.append(one_line(error))
             continue

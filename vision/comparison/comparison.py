@@ -156,8 +156,8 @@ def compare(
     modulus, source = _modulus(tests, main, modulus_GPa)
     if main is not None and not any(low_speed(test.speed_mm_min) for test in tests if test.run in source):
         warnings.append(
-            f"no test of sample {main} is slow, so Y_eff is that of faster ones, for which the models do "
-            "not hold: compare a slow test of it, too, or give `modulus_GPa`, or another `main_sample`"
+            f"no test{' of sample ' * bool(main)}{main} is slow, so Y_eff is that of faster ones, for which the "
+            "models do not hold: compare a slow test of it, too, or give `modulus_GPa`, or another `main_sample`"
         )
     if unknown := [t.run for t in tests if t.run in source and t.modulus_undetermined]:
         warnings.append(
