@@ -155,9 +155,10 @@ def compare(
         main = tests[0].sample_name if main_sample is None else main_sample
     modulus, source = _modulus(tests, main, modulus_GPa)
     if main is not None and not any(low_speed(test.speed_mm_min) for test in tests if test.run in source):
+        which = f"no test of sample {main}" if main else "no test"
         warnings.append(
-            f"no test{' of sample ' * bool(main)}{main} is slow, so Y_eff is that of faster ones, for which the "
-            "models do not hold: compare a slow test of it, too, or give `modulus_GPa`, or another `main_sample`"
+            f"{which} is slow, so Y_eff is that of faster ones, for which the models do not hold: compare a "
+            "slow test of it, too, or give `modulus_GPa`, or another `main_sample`"
         )
     if unknown := [t.run for t in tests if t.run in source and t.modulus_undetermined]:
         warnings.append(
