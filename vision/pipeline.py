@@ -489,18 +489,18 @@ def _changed_of_strip(before: Settings, now: Settings) -> list[str]:
 
 
 def still_apply(
-    corrections: Sequence[Correction], before: Settings, now: Settings, *, same_force: bool
+    corrections: Sequence[Correction], before: Settings, now: Settings, *, same_clocks: bool
 ) -> tuple[Correction, ...]:
     """Return the corrections of a run that hold for the same film with other settings.
 
     The strip holds if the same pixels are read, decisions about sheets and the axis if the sheets are also
     found in the same way, and the clock if times and slips are the same, too.  before, now: settings without
-    corrections.  same_force: whether the force recording is the same.
+    corrections.  same_clocks: whether the content of the force recording and the time stamps is the same.
     """
     changed = _changed_of_strip(before, now)
     strip = {*changed} <= {"fps", "timestamps", "strips"}
     tracks = strip and not _changed(before, now, _OF_TRACKS)
-    clock = not changed and same_force and not _changed(before, now, _OF_CLOCK)
+    clock = not changed and same_clocks and not _changed(before, now, _OF_CLOCK)
     holds = {"strip": strip, "clock": clock}
     return tuple(one for one in corrections if holds.get(one.kind, tracks))
 

@@ -71,3 +71,15 @@ def test_decisions_about_another_film_are_set_aside(corrected):
     after, warnings = track(tmp_path, paths, fps="20", pixel_size="10")
     assert after.applied == []
     assert any("not applied" in line for line in warnings)
+
+
+def test_what_was_undone_is_no_decision_that_is_missed(corrected):
+    """A failure means that a campaign warns of decisions that the user took back."""
+    tmp_path, paths = corrected
+    file = tmp_path / "out" / "runs" / "t0" / "corrections.toml"
+    undone = '\n[[undone]]\nkind = "leave_out"\nsheet = 5\nframes = "5:20"\n'
+    file.write_text(file.read_text(encoding="utf-8") + undone, encoding="utf-8")
+    after, warnings = track(tmp_path, paths, fps="20", pixel_size="9")
+    assert len(after.applied) == 2
+    assert not any("decisions" in line for line in warnings)
+    assert len(list(after.folder.glob("corrections_*.toml"))) == 1  # kept beside the run all the same

@@ -7,7 +7,7 @@ import shlex
 import signal
 import sys
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import fields, replace
 from functools import partial
@@ -153,9 +153,8 @@ def track_one(
         analysis = _warn_of_other_film(analysis, parameters["corrections"].value, inputs[0])
         if kept := set_aside(target, analysis.settings.corrections, undone=False):
             some = "some " if decide_again and settings.corrections else ""
-            line = (
-                f"{some}decisions of the earlier run were not applied: give {target / kept} as `corrections`"
-            )
+            line = f"{some}decisions of the earlier run were not applied: "
+            line += f"give {target / kept} as `corrections`"
             analysis = replace(analysis, warnings=(*analysis.warnings, line))
         parameters = {**parameters, **parameters_given(run, config=config)}
         origin = origin_of(inputs, parameters, checksum=run.checksum, described=sums.found())
@@ -265,26 +264,28 @@ def _still_valid(target: Path, video: Path, force: Path | None, settings: Settin
     with suppress(InputError):  # a damaged run: its decisions are kept beside the new one
         stored = read_run(target)
         if stored.applied and _is_input(stored, video):
-            same_force = force is None or _is_input(stored, force)
-            before = settings_of_run(target)
-            return still_apply(stored.applied, before, settings, same_force=same_force)
+            clocks = [file for file in (force, settings.timestamps) if file is not None]
+            same = all(_is_input(stored, file) for file in clocks)
+            return still_apply(stored.applied, settings_of_run(target), settings, same_clocks=same)
     return ()
 
 
 def _is_input(stored: RunFolder, path: Path) -> bool:
     """Return whether a file has the content of one that a run was made from."""
-    return _has_checksum(path, [checksum_of(one) for one in stored.facts.get("inputs") or ()])
-
-
-def _has_checksum(path: Path, known: Collection[str]) -> bool:
-    """Return whether the fingerprint of a file, or its SHA-256 as with --checksum, is among these."""
-    return any(checksum_of(describe_input(path, whole=whole)) in known for whole in (False, True))
+    now = describe_input(path)
+    known = [one for one in stored.facts.get("inputs") or () if one.get("size_bytes") == now["size_bytes"]]
+    if any("sha256" in one for one in known) and "sha256" not in now:  # the run was made with --checksum
+        now = describe_input(path, whole=True)
+    return checksum_of(now) in map(checksum_of, known)
 
 
 def _warn_of_other_film(analysis: Analysis, corrections: Path | None, film: Path) -> Analysis:
     """Return the analysis, with a warning if the file of corrections was made for another film."""
     checksum = "" if corrections is None else read_decisions(corrections).film
-    if not checksum or _has_checksum(film, [checksum]):
+    known = describe_input(film) if checksum else {}
+    if checksum in ("", known.get("sha256"), known.get("fingerprint")):
+        return analysis
+    if checksum == describe_input(film, whole=True).get("sha256"):  # the run was made with --checksum
         return analysis
     line = (
         f"`corrections` were made for another film: the checksum in {corrections} is not that of {film.name}"
