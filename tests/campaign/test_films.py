@@ -183,7 +183,7 @@ def test_a_folder_of_films_is_read_as_by_track(tmp_path):
     ("content", "word"),
     [
         (b"", "an empty file"),
-        (b"film\n", "1 lines"),
+        (b"film\n", "1 line"),
         (b"film\x00\x01\n", "a binary file"),
         (b'film\n"open', "a quotation mark is never closed"),
     ],
