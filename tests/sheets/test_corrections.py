@@ -163,6 +163,13 @@ def test_a_deleted_sheet_is_gone_and_the_others_keep_their_positions(comb_film, 
     assert len(fixed.attrs["wide_spacings"]) == 1  # and the gap is said
 
 
+def test_the_last_sheet_is_not_deleted(comb_film, tmp_path):
+    """A failure means that a film without a sheet ends in an unexpected error."""
+    text = "".join(f"[[delete]]\nsheet = {k}\n" for k in range(11))
+    with pytest.raises(InputError, match="found the only one that is left"):
+        track_sheets(comb_film[1], corrections=written(tmp_path, text))
+
+
 def test_a_sheet_that_was_not_counted_is_added_and_followed_both_ways(comb_film, tmp_path):
     """A failure means that a sheet the program overlooked cannot be had."""
     x, picture = comb_film

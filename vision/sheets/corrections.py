@@ -457,6 +457,8 @@ class Corrected(ABC):
             case "add":
                 return (self._add(correction, int(rows[0])),)
             case "delete":
+                if self.arrays["flag"].shape[1] == 1:
+                    raise InputError(correction.name, "a sheet beside others", "the only one that is left")
                 self.arrays = {name: np.delete(one, sheets[0], axis=1) for name, one in self.arrays.items()}
             case "swap":
                 pair = list(sheets)
