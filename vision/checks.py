@@ -152,11 +152,7 @@ def tracking_warnings(
 
 def _of_tracks(tracks: xr.Dataset, settings: CheckSettings, tracking: TrackingSettings) -> Iterator[str]:
     found, flags = TrackMetadata.of(tracks), FlagCounts(tracks)
-    if found.ridges_doubt:
-        yield (
-            f"the {found.ridges} stripes are taken for the sheets, but may be the gaps: {found.ridges_doubt}:"
-            f" look at the film, and give `ridges` as {found.ridges} or {_other_polarity(found)}"
-        )
+    yield from _polarity(found)
     total = max(1, flags.total())
     if frozen := flags.frozen_frames:
         copies = f"{counted(frozen, 'frame')} repeated from the frame before"
@@ -229,6 +225,23 @@ def _sheet_range(rows: pd.DataFrame) -> str:
     if len(rows) == 1:
         return sheet_name(*rows.iloc[0][["side", "n", "sheet"]])
     return f"{len(rows)} sheets between index {rows['sheet'].min()} and {rows['sheet'].max()}"
+
+
+def _polarity(found: TrackMetadata) -> Iterator[str]:
+    """Warn if the ridges of the other polarity may be sheets, too, or instead."""
+    other = _other_polarity(found)
+    if found.ridges_alternate == "yes":
+        yield (
+            "bright and dark ridges lie in turn on a ground between them, and only the"
+            f" {found.ridges} ones are taken for sheets: if the {other} ones are sheets, too, n and the stiff"
+            " shell count every second sheet: look at the film, and track both in two runs, with `ridges` as"
+            " bright and as dark"
+        )
+    elif found.ridges_doubt:
+        yield (
+            f"the {found.ridges} stripes are taken for the sheets, but may be the gaps: {found.ridges_doubt}:"
+            f" look at the film, and give `ridges` as {found.ridges} or {other}"
+        )
 
 
 def _other_polarity(found: TrackMetadata) -> str:

@@ -318,6 +318,7 @@ class TrackMetadata(Metadata):
     ridges: str = "bright"  # or "dark"
     ridges_likelier: str = ""  # the polarity that the film suggests if another was given
     ridges_doubt: str = ""  # why the polarity that was found may be wrong
+    ridges_alternate: Literal["yes", "no"] = "no"  # whether ridges of the other polarity lie between them
     sheets: int = 0
     sheets_how: Literal["given", "found"] = "found"
     ridge_fwhm_px: float = math.nan

@@ -368,3 +368,38 @@ def test_a_background_on_the_slope_of_the_light_does_not_turn_faint_sheets_into_
     found = describe_ridges((profile + rng.normal(0, 0.13, profile.shape)).astype(np.float32))
     assert found.polarity == "bright"
     assert "no clear background" in found.doubt
+
+
+def in_turn(fwhm_px, *, dark=0.8, per_side=12, **how):
+    """White and black sheets in turn on grey, the black ones less dark than the others are bright."""
+    x = comb(FRAMES, per_side=per_side, pitch_px=16.0, axis_px=WIDTH / 2, uneven=0.12)
+    shade = np.random.default_rng(8).normal(1, 0.08, 2 * per_side)
+    shade[1::2] *= -dark
+    return strip(0.7 * ridges(x, width=WIDTH, fwhm_px=fwhm_px, contrast=shade), sign=-1, **how)
+
+
+def in_turn_warnings(film, **how):
+    return [line for line in tracking_warnings(track_sheets(film, **how)) if "lie in turn" in line]
+
+
+@pytest.mark.parametrize("fwhm", [4.0, 6.0, 7.0])
+@pytest.mark.parametrize(("dark", "per_side"), [(1.0, 12), (0.6, 12), (1.0, 18)])
+def test_white_and_black_sheets_in_turn_are_named(fwhm, dark, per_side):
+    """A failure means that half of the sheets are counted in silence, or that a decision is doubted."""
+    film = in_turn(fwhm, dark=dark, per_side=per_side)
+    (line,) = in_turn_warnings(film)
+    assert "two runs" in line
+    assert not polarity_warnings(track_sheets(film))
+    for given in ("bright", "dark"):
+        assert not in_turn_warnings(film, ridges=given)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("fwhm", [2.5, 4.0, 6.0, 9.0, 11.0])
+@pytest.mark.parametrize("per_side", [12, 18])
+def test_sheets_and_gaps_do_not_pass_for_white_and_black_sheets(sign, fwhm, per_side):
+    """A failure means a warning on clear films: nobody reads the next one."""
+    x = comb(FRAMES, per_side=per_side, pitch_px=16.0, axis_px=WIDTH / 2, uneven=0.12)
+    shade = np.random.default_rng(8).normal(1, 0.08, 2 * per_side)
+    film = strip(ridges(x, width=WIDTH, fwhm_px=fwhm, contrast=shade), sign=sign)
+    assert not in_turn_warnings(film)

@@ -57,6 +57,7 @@ class RidgeComb:
     settings: TrackingSettings = DEFAULT  # thresholds and costs of the tracking
     doubt: str = ""  # why the polarity that was found may be wrong
     top: float = 0.0  # width of a ridge where it has lost 15 % of its height, over that at half; 0: not known
+    alternate: bool = False  # whether bright and dark ridges, both of which may be sheets, lie in turn
 
     @classmethod
     def of(cls, found: TrackMetadata, width_px: int, settings: TrackingSettings = DEFAULT) -> RidgeComb:
@@ -335,7 +336,29 @@ def _choose_polarity(
             doubt = (
                 "no clear background is beside the comb, and widths and brightness tell little or disagree"
             )
-    return replace((bright if is_bright else dark).comb, doubt=doubt)
+    alternate = abs(background) <= 1 / 3 and _alternate(line, bright, dark, settings)
+    return replace((bright if is_bright else dark).comb, doubt=doubt, alternate=alternate)
+
+
+def _alternate(line: Floats32, bright: _MainRidges, dark: _MainRidges, settings: TrackingSettings) -> bool:
+    """Return whether bright and dark ridges lie in turn on a ground of a level between theirs, as white and
+    black sheets on grey do. From a sheet to a gap the level falls all the way; from a white to a black sheet
+    it is that of the ground, and constant, in the middle. `line` is the sample, lightly smoothed."""
+    found = [np.zeros((2, 0))]
+    for row, up, down in zip(line, bright.x, dark.x, strict=True):
+        x, is_bright = np.concatenate([up, down]), np.repeat([True, False], [len(up), len(down)])
+        order = np.argsort(x)
+        x, is_bright = x[order], is_bright[order]
+        turn = np.flatnonzero(is_bright[1:] != is_bright[:-1])
+        pair = np.where(is_bright[turn], [x[turn], x[turn + 1]], [x[turn + 1], x[turn]])
+        top, bottom = row[pair.astype(np.int64)]
+        places = pair[0] + np.multiply.outer([0.4, 0.6], pair[1] - pair[0])
+        found.append((np.interp(places, np.arange(len(row)), row) - bottom) / np.fmax(top - bottom, 1e-6))
+    near_top, near_bottom = np.concatenate(found, axis=1)
+    if len(near_top) < FEWEST * len(line):
+        return False
+    step, level = np.quantile(near_top - near_bottom, 0.75), np.median(near_top + near_bottom) / 2
+    return bool(step < settings.ground_step and abs(level - 0.5) < settings.ground_level)
 
 
 def _variation(line: Floats32, bright: _MainRidges, dark: _MainRidges, pitch: float) -> tuple[float, float]:

@@ -65,6 +65,17 @@ class TrackingSettings(Tunable):
     is warned of where no background is in view. Larger takes gaps between boards for sheets (1.7 in the least
     clear scene of test_ridges.py), smaller lets noise overrule the background."""
 
+    ground_step: float = 0.2
+    """Fall of the level over the middle fifth of the way from a bright to a dark ridge, over that of the
+    whole way, below which both may be sheets on a ground between them. It is 0.01 to 0.16 between white and
+    black sheets, 0.25 or more between sheets and gaps. Larger names ordinary combs, smaller overlooks combs
+    in which white and black sheets nearly touch (test_white_and_black_sheets_in_turn_are_named)."""
+
+    ground_level: float = 0.3
+    """Most that this ground differs from halfway between both, over the whole way. Larger names narrow sheets
+    far apart, whose gaps are as level, smaller overlooks dark sheets that are less dark than others are
+    bright."""
+
     same_level: float = 1 / 255
     """Median difference of the bright stripes' levels, as a share of their median, up to which the film
     counts as overexposed, and levels do not speak against the background beside the comb. Smaller takes gaps

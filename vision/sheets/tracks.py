@@ -370,6 +370,7 @@ class _Tracked:
             locking_err_px=self.fitted.locking.error_px,
             ridges=comb.polarity,
             ridges_doubt=comb.doubt,
+            ridges_alternate="yes" if comb.alternate else "no",
             sheets=len(numbering.n),
             sheets_how="given" if count_given else "found",
             ridge_fwhm_px=comb.fwhm_px,
