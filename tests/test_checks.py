@@ -183,6 +183,17 @@ def test_a_still_edge_beyond_the_comb(end, slip):
     assert "still at the comb's end" in line
 
 
+@pytest.mark.parametrize("place", [3, 10, 40])
+def test_a_scratch_at_the_place_of_a_missing_sheet(place):
+    """It looks like a sheet, and stands still between sheets that move by too little for it to be left out. A
+    failure means that it passes for a sheet that sticks, and the stiff shell is too large."""
+    x_px = comb(150, slip=0.1)
+    x_px[:, place] = x_px[0, place]
+    (line,) = consistency_warnings(track_sheets(strip(ridges(x_px))))
+    assert f"1 of 50 sheets (index {place}) may be something else" in line
+    assert "between sheets that move" in line
+
+
 def test_stripes_of_the_background_that_continue_the_comb():
     """Stripes with the sheets' spacing beyond both ends stand still. A failure means that they pass for
     sheets, which shifts n of all sheets, or that sheets which move against their neighbours are doubted."""

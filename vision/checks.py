@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,6 +20,7 @@ from vision.sample import Sample
 from vision.sheets.corrections import Correction, decision_texts, ordered, sheet_name, sheet_names
 from vision.sheets.numbering import ends_in_view
 from vision.sheets.recovery import LONG_GAP, WITHOUT_RIDGE, missing_stretches
+from vision.sheets.reference import static_ridges
 from vision.sheets.settings import DEFAULT as TRACKING
 from vision.sheets.settings import TrackingSettings
 from vision.sheets.tracks import BETWEEN_FRAMES, comb_is_stationary
@@ -566,13 +567,14 @@ def _comb_warnings(tracks: xr.Dataset, found: TrackMetadata, settings: CheckSett
         least[[0, -1]] = np.fmax(least[0], settings.end_height * snr[[[1, -2], [2, -3]]].min(axis=0))
     counted_by_hand = (share == 0) & (found.corrections_applied > 0)  # a covered sheet
     rare = (share < 0.25 * _with_picture(tracks).mean()) & ~counted_by_hand
-    odd = (snr < least) | rare | wide | _stationary_ends(tracks, settings)
+    odd = (snr < least) | rare | wide | _stationary_ends(tracks, settings) | _still_between(tracks, settings)
     if (weak := np.flatnonzero(odd)).size and found.sheets > 1:
         which = first_of(weak.tolist(), 6)
         yield (
             f"{len(weak)} of {found.sheets} sheets (index {which}) may be something else (little contrast,"
-            " found in few frames, far wider than the others, or still at the comb's end): restrict `columns`"
-            " or give `sheets`"
+            " found in few frames, far wider than the others, or still at the comb's end or between sheets"
+            " that move): look at the film, restrict `columns`, give `sheets`, or leave them out by"
+            " `corrections`"
         )
     if not _motion_allows_axis(tracks, found):
         yield (
@@ -615,6 +617,17 @@ def _stationary_ends(tracks: xr.Dataset, settings: CheckSettings) -> Bools:
         row = np.flatnonzero(np.logical_and.accumulate(stands, axis=0).diagonal())
         still[inwards][n[: row.max(initial=-1) + 1]] = True
     return still
+
+
+def _still_between(tracks: xr.Dataset, settings: CheckSettings) -> Bools:
+    """Return which sheets are still while those on both sides move in the same direction, (N,), such as a
+    scratch at the place of a missing sheet."""
+    x_px = tracks["x_px"].values
+    rest_px = nan_median(x_px)
+    least = settings.end_moves * float(nan_median(tracks["x_err_px"].values.ravel()))
+    sensitive = replace(TRACKING, moving_px=least, static_fraction=settings.end_still)
+    with np.errstate(invalid="ignore"):  # sheets swapped manually, or never seen
+        return static_ridges(x_px - rest_px, rest_px, settings=sensitive)
 
 
 def _outermost_px(tracks: xr.Dataset) -> tuple[float, float]:
