@@ -37,8 +37,9 @@ LAYERS = (
     "command",
 )
 # Commands import the module that does their work when they are called, so that `track --help` answers at
-# once, and the review serves its page before it has imported what reads the run.
-DEFERRED = ("vision/command/main.py",)
+# once and Ctrl-C meanwhile ends it in one line, and the review serves its page before it has imported what
+# reads the run.
+DEFERRED = ("vision/command/main.py", "vision/command/__init__.py")
 # matplotlib is imported by a module of the first alone, and only once something is drawn; FFmpeg by the
 # second, and only for films that it decodes.
 DEFERRED_MODULES = ("vision.figures", "vision.video.encoded")

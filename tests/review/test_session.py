@@ -249,7 +249,7 @@ def test_the_only_sheet_is_not_deleted(watched):
     """A failure means an answer with an internal error."""
     part = watched.positions
     one = {name: getattr(part, name)[:, :1] for name in CELLS} | {"side": part.side[:1], "n": part.n[:1]}
-    with pytest.raises(InputError, match="that remains"):
+    with pytest.raises(InputError, match="the only one that is left"):
         apply(replace(part, **one), correction_of("delete", {"sheet": 0}), watched.diagram)
 
 

@@ -281,8 +281,8 @@ def test_no_usable_frame():
 
 def test_too_few_columns():
     """A failure means a strip cut too narrow ends in a traceback."""
-    for columns in (0, 5):
-        assert "at least 8 columns" in refusal(as_strip(grey(80, columns=columns)))
+    for columns, expected in ((0, "found no columns"), (5, "at least 8 columns")):
+        assert expected in refusal(as_strip(grey(80, columns=columns)))
 
 
 def test_axis_outside_the_picture_on_the_wrong_scale():
