@@ -221,6 +221,17 @@ def test_one_side_whose_inner_half_is_still(mirrored):
     assert len(np.unique(blind.side)) == 2
 
 
+def test_one_side_whose_innermost_sheets_are_still():
+    """The camera vibrates. The motion excludes the middle of the comb, which is whole in the picture, but not
+    its inner end. A failure means 7 sheets on one side and 18 on the other, and half of the stiff shell."""
+    n, stick = np.arange(1, 26), np.arange(400)[:, None] % 20 / 20
+    x = 100 + (n - 0.5) * PITCH - 3.0 * (n / 25) ** 3 * stick
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        seen = x + rng.normal(0, 0.15, (400, 1)) + rng.normal(0, 0.01, x.shape)
+        assert (number_sheets(seen, width_px=700).side == 1).all()
+
+
 def test_two_sides_of_which_one_moves_half_as_much():
     """A failure means that the less mobile side is taken for the inner half of the other."""
     found = number_sheets(still_towards_the_axis(2))

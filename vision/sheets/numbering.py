@@ -203,6 +203,11 @@ def _split_by_motion(
     if len(outside):
         beyond = int(outside[0])
         return beyond, "motion", (float(possible[0]), float(possible[-1])), "perhaps" if moves else "no"
+    open_ends = [end for end in (0, sheets) if low <= end <= high]
+    if (
+        whole and len(open_ends) == 1
+    ):  # the sides would be unequal: it is one, whose innermost sheets are still
+        return open_ends[0], "motion", (low, high), "perhaps"
     return int(np.floor(middle) if middle > even else np.ceil(middle)), "motion", (low, high), "no"
 
 
