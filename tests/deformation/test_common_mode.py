@@ -171,6 +171,18 @@ def test_one_side_with_sheets_that_are_seldom_seen():
     assert 0.62 < np.mean(np.abs(wrong[known]) < stated[known]) < 0.80
 
 
+def test_one_side_in_noise_shows_a_camera_that_sways():
+    """The creep of the sheets differs by four times its noise. A failure means that this is taken for too
+    little to show a camera that sways by more, which then passes for creep of all sheets."""
+    made = make(profile(np.full(20, 6.0)), stick_um=10.0, noise_px=0.15)
+    made.tracks["x_px"] = made.tracks["x_px"] + 0.3 * np.sin(2 * np.pi * 1.7 * made.tracks["time_s"])
+    wrong, stated, _ = one_side(made)
+    assert np.sqrt(np.mean(wrong**2)) < 0.05
+    assert np.mean(np.abs(wrong) < stated) > 0.6
+    careless, _, _ = one_side(made, settings=DeformationSettings(one_side_contrast=25.0))
+    assert np.sqrt(np.mean(careless**2)) > 0.1
+
+
 def test_one_side_that_creeps_alike_says_nothing_of_drift():
     """A failure means that a drift is invented from sheets that all do the same, or errors ignore it."""
     made = make(uniform(1.0, 20.0, events=20), noise_px=0.02, vibration_px=0.1)
