@@ -7,6 +7,10 @@ from scipy.signal import bilinear, butter, lfilter
 from tests.scenes.slip_trains import sawtooth, slip_times, sticks_of, tracks
 from vision.clock import ClockSettings, force_slips, video_slips
 from vision.errors import InputError
+from vision.experiment import force_recording, preset, with_settings, write_force
+from vision.experiment.scene import make_scene
+from vision.force import find_stick_slip
+from vision.force.recording import read_force
 
 STOP_S = 60.0
 FRAME_S = 0.05
@@ -99,6 +103,31 @@ def test_the_ringing_of_a_load_cell_does_not_move_the_slips(rate_hz, lowpass_s, 
     bias, lag_s = np.mean(found["time_s"].to_numpy() - slips_s), found["lag_s"].iloc[0]
     assert abs(bias) < min(0.004, 2 * lag_s)
     assert lag_s < 0.009
+
+
+def test_a_low_pass_that_ringing_hides_is_in_the_error(tmp_path):
+    """A failure means that clocks are off by the delay of the low-pass, five times what they state."""
+    of_cell = {
+        "lowpass_s": 0.01,
+        "ringing_Hz": 15.0,
+        "ringing_damping": 0.1,
+        "noise_N": 0.02,
+        "quantum_N": 0.1,
+    }
+    of_pull = {"speed_mm_min": 2.0, "d_end_mm": 15.05, "period_jitter": 0.15, "softening": 0.0}
+    changes = {f"load_cell.{name}": value for name, value in of_cell.items()}
+    changes |= {f"mechanics.{name}": value for name, value in of_pull.items()}
+    experiment = with_settings(preset("paper", seed=135), changes | {"clocks.force_rate_Hz": 500.0})
+    pull = make_scene(experiment).pull
+    write_force(tmp_path / "force.txt", force_recording(experiment, pull), experiment.force_file)
+    force = read_force(tmp_path / "force.txt")
+    sticks = find_stick_slip(force)
+    found = force_slips(force, sticks)
+    late_s = found["time_s"].to_numpy()[:, None] - pull.end_s
+    bias = np.median(np.take_along_axis(late_s, np.abs(late_s).argmin(axis=1)[:, None], axis=1))
+    assert 0.01 < bias < 2 * found["lag_s"].iloc[0]
+    unaware = force_slips(force, sticks, settings=ClockSettings(behind_ringing=0.0))
+    assert bias > 4 * unaware["lag_s"].iloc[0]
 
 
 @pytest.mark.parametrize("lowpass_s", [0.0003, 0.005, 0.01])

@@ -44,6 +44,10 @@ class ClockSettings(Tunable):
     """Error of the slips' times for a filter whose delay the drops do not show, over the standard deviation
     in time that is left of a drop. Larger → wider errors where slips last long; smaller → too small ones
     behind such filters (`test_a_filter_of_second_order_is_in_the_error`)."""
+    behind_ringing: float = 0.1
+    """Error of the slips' times for a low-pass that ringing hides, over the period of the ringing. A low-pass
+    of 0.16 periods takes a third off the swings. Larger → wider errors of load cells that ring; smaller → too
+    small ones behind such a low-pass (`test_a_low_pass_that_ringing_hides_is_in_the_error`)."""
     swing_back: float = 0.2
     """Rise of the load after a drop, over the steepest fall, from which the load cell swings. Larger → clocks
     are off by a quarter of a swing whose period is not known; smaller → noise after a drop counts as a swing

@@ -76,9 +76,10 @@ def force_slips(
     error = np.full(len(order), max(drops.largest, 0.5) * interval / np.sqrt(12))
     # Remaining errors of the delay, of a filter that is faster than the sampling, of the shape of a drop or
     # half a swing, and of a filter with a symmetric response: it widens a drop as a slip that lasts does, but
-    # delays it.
+    # delays it. Last, that of a low-pass behind which the load cell rings no less visibly.
     shape, unseen = (0.5, 0.0) if drops.swings else (0.02, settings.unseen_delay)
-    lag = np.multiply((0.25, 0.3, shape, unseen), (drops.delay_s, interval, drops.duration_s, other_s))
+    factors = 0.25, 0.3, shape, unseen, settings.behind_ringing
+    lag = np.multiply(factors, (drops.delay_s, interval, drops.duration_s, other_s, average_s))
     return pd.DataFrame(
         {
             "time_s": (drops.middle_s - drops.delay_s)[order],
