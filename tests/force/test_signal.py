@@ -315,6 +315,22 @@ def test_errors_contain_slow_noise_below_the_average():
         assert np.sqrt(np.mean(z**2)) < 1.5, name
 
 
+@pytest.mark.parametrize(
+    ("samples", "period", "damping"), [(150, 17, 0.02), (250, 33, 0.03), (400, 25, 0.03)]
+)
+def test_ringing_up_to_the_next_slip_is_no_smooth_noise(samples, period, damping):
+    """A failure means that slips are searched in every eighth sample, where swings hide up to 58 of 79. Where
+    the swings are the longest, only the number is right, and every stick has a flag."""
+    test = plain(sticks=80, samples=samples, snr=200.0, jitter=0.1)
+    load = resonance(test.force["load_N"].to_numpy() + 1000, period, damping)
+    load += 0.05 * np.random.default_rng(1).standard_normal(load.size)
+    events = find_stick_slip(test.force.assign(load_N=("time_s", load)))
+    assert len(events) == len(test.truth)
+    assert "`average_s`" in events.attrs["warnings"][0]
+    placed = len(matched(events, test.truth)[0]) == len(test.truth)
+    assert placed or (events["flag"] != "ok").all()
+
+
 def test_an_oscillation_throughout_is_no_ringing():
     """A failure means that averaging over its period is proposed, which leaves nothing."""
     time = scene().force["time_s"].to_numpy()

@@ -124,6 +124,8 @@ def find_stick_slip(
     known = calm if seconds == ringing_s else None
     if not seconds:
         known = _slips_in_smooth_noise(signal, threshold_N, lowpass_s, settings)
+        if known and calm and not _as_many(known[1], calm[1]):
+            known = None  # what looked like smooth noise is the ringing
     signal = known[0] if known else signal.average(seconds, settings)
     still_rings = signal.averaged * signal.interval_s < 0.7 * ringing_s  # not where there is no ringing
     rings = _proposal(ringing_s) if still_rings else ""
@@ -194,10 +196,15 @@ def _without_swings(
     each swing falls, too, and many of them look like noise, which hides the slips.
     """
     averaged, seen = calm
-    if abs(slips.edge.size - seen.edge.size) <= 0.05 * seen.edge.size:
+    if _as_many(slips, seen):
         return signal, slips
     slips = seen.at_first_fall(signal.clean, math.ceil(averaged.averaged))
     return with_slow_noise(signal, slips, settings), slips
+
+
+def _as_many(slips: Slips, seen: Slips) -> bool:
+    """Return whether these are as many as the slips that are seen without ringing, within 5 %."""
+    return abs(slips.edge.size - seen.edge.size) <= 0.05 * seen.edge.size
 
 
 def _slips_in_smooth_noise(

@@ -174,6 +174,7 @@ def _held(way: Floats, error: Floats, duration: Floats, settings: ForceSettings)
 
     The load relaxes in a rest, which looks like a slip: the stick before it then ends too early.
     """
+    duration = np.where(duration > 0, duration, np.nan)  # swings at the same place
     speed = way / duration
     around = pd.Series(speed).rolling(5, center=True, min_periods=1).median().to_numpy()
     typical = nan_median(speed)
