@@ -170,6 +170,12 @@ def decode_text(path: Path, data: bytes, wanted: str) -> tuple[str, str]:
     return data.decode("latin-1"), "latin-1"
 
 
+def some_lines(lines: list[str]) -> list[str]:
+    """Return the first 400 lines and 400 from the middle on: enough to tell how numbers are written."""
+    few, middle = 400, len(lines) // 2
+    return [*lines[:few], *lines[max(few, middle) :][:few]]
+
+
 THOUSANDS = "[1-9][0-9]{{0,2}}(?:{mark}[0-9]{{3}})++(?![0-9])"
 """Pattern of a whole number with a mark between its thousands."""
 

@@ -71,13 +71,7 @@ from vision.models import FitSettings, ModelFits, fit_models
 from vision.models.fits import check_fit_range
 from vision.sample import PUBLISHED, Sample
 from vision.sheets import Correction, FitChoice, TrackingSettings, pixel_size_of, track_sheets, with_heights
-from vision.sheets.corrections import (
-    OF_SHEETS,
-    check_corrections,
-    last_of,
-    ordered,
-    read_corrections,
-)
+from vision.sheets.corrections import OF_SHEETS, check_corrections, last_of, ordered, read_corrections
 from vision.sheets.ridges import describe_ridges
 from vision.sheets.subpixel import check_window
 from vision.sheets.tracks import check_axis

@@ -131,12 +131,21 @@ BOXES = {
 
 def answers(results: Results) -> list[Answer]:
     """Return the boxes at the top of the report."""
-    named = {one.what: one for one in summary_items(results, None)}
+    named = {one.what: one for one in _findings(results)}
     return [replace(named[name], what=what) for name, what in BOXES.items() if name in named]
 
 
 def summary_items(results: Results, assumed: Sample | None) -> Iterator[Answer]:
     """Yield each line of `summary_lines`."""
+    yield from _findings(results)
+    for k, text in enumerate(_systematic(systematic_budget(results))):
+        yield Answer("" if k else "errors", text)
+    if results.fits is not None:
+        yield Answer("sample", _sample(results.fits.sample, results.tracks, assumed=assumed is not None))
+
+
+def _findings(results: Results) -> Iterator[Answer]:
+    """Yield what was found in the film, in the force, and in both."""
     if results.tracks is not None:
         yield from _of_tracks(results.tracks, results.pixel_size_um, results.pixel_size_err_um)
     if results.force is not None:
@@ -151,10 +160,6 @@ def summary_items(results: Results, assumed: Sample | None) -> Iterator[Answer]:
         yield _sticks(results, results.sticks)
     if results.shells is not None and results.motion is not None:
         yield _shells(results, results.motion, results.shells)
-    for k, text in enumerate(_systematic(systematic_budget(results))):
-        yield Answer("" if k else "errors", text)
-    if results.fits is not None:
-        yield Answer("sample", _sample(results.fits.sample, results.tracks, assumed=assumed is not None))
 
 
 def _of_force(force: xr.Dataset, sticks: pd.DataFrame | None) -> Iterator[Answer]:

@@ -191,9 +191,7 @@ def make_app(*, brief: bool = False) -> App:
         version=f"sheetvision {__version__}",
         help_format="plaintext",
         suppress_keyboard_interrupt=False,
-        default_parameter=Option(
-            json_list=False, json_dict=False
-        ),  # names of files may begin with "[" or "{"
+        default_parameter=Option(json_list=False, json_dict=False),  # names may begin with "[" or "{"
     )
     app.default(track)
     app.command(review, help_format="markdown")

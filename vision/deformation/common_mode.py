@@ -353,9 +353,8 @@ class OneSide:
         scatter2 = max(float(np.median(own)) / NORMAL_MEDIAN**2, 0.0) if own.size else 0.0
         line = _Line.through(profile, value, variance + scatter2 * profile**2)
         count = known.sum(axis=1)
-        measured = (count >= self.settings.least_sheets) & (
-            alike.spread > self.settings.one_side_contrast * count
-        )
+        contrast = alike.spread > self.settings.one_side_contrast * count
+        measured = (count >= self.settings.least_sheets) & contrast
         intercept = np.where(measured, line.intercept, 0.0)
         # The mean drift of the neighbouring sticks is part of the profile: its random part is an error.
         shared = (self.near**2 @ intercept**2) / np.maximum(self.near @ measured, 1.0) ** 2

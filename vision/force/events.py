@@ -132,7 +132,7 @@ def find_stick_slip(
     _check_load(signal, source, rings, settings)
     signal, slips = known or _slips(signal, threshold_N, settings)
     searched = slips
-    if calm and not seconds and signal.clean.size == calm[0].clean.size:
+    if calm and not seconds:
         signal, slips = _without_swings(signal, slips, calm, settings)
     if slips.edge.size < 2:
         raise _too_few_slips(signal, slips, source, rings)

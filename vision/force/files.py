@@ -30,6 +30,7 @@ from vision.files import (
     decode_text,
     groups_thousands,
     reading,
+    some_lines,
     try_out,
 )
 from vision.numeric import Bools, Floats, number
@@ -318,8 +319,7 @@ def _data_lines(lines: list[str], style: _Style) -> Bools:
 
 def _find_style(path: Path, lines: list[str]) -> _Style | None:
     """The separator and decimal mark under which most lines are numbers; None where none are."""
-    few, middle = 400, len(lines) // 2  # enough to tell; all lines would take as long as reading them
-    sample = [*lines[:few], *lines[max(few, middle) : middle + few]]
+    sample = some_lines(lines)  # all lines would take as long as reading them
     styles = [_Style(separator, decimal) for separator in _SEPARATORS for decimal in (".", ",")]
     counts = [int(_data_lines(sample, style).sum()) for style in styles]
     best = int(np.argmax(counts))

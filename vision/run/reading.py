@@ -132,8 +132,10 @@ class RunFolder:
             return None
         with reading(path, wanted, AGAIN):
             table = pd.read_csv(path)
-            whole = path.read_bytes().endswith(b"\n")
-        if not whole:
+            with path.open("rb") as file:
+                file.seek(-1, os.SEEK_END)
+                last = file.read()
+        if last != b"\n":
             raise InputError(path, wanted, "one whose last line was cut", AGAIN)
         if absent := [column for column in needs if column not in table]:
             raise InputError(path, wanted, f"no {', '.join(absent)}", AGAIN)

@@ -193,10 +193,11 @@ def _split_by_motion(
     carried &= not np.floor(low) <= even <= high
     if carried:
         low, high = min(low, even), max(high, even)
+    in_middle = bool(np.floor(low) <= even <= high)
     beyond_still = _beyond_still_half(opening, even, settings)
-    if beyond_still is not None and np.floor(low) <= even <= high:
+    if in_middle and beyond_still is not None:
         return beyond_still, "motion", (min(low, beyond_still), max(high, beyond_still)), "perhaps"
-    if np.floor(low) <= even <= high and not (one_end and high - low < sheets / 2):
+    if in_middle and not (one_end and high - low < sheets / 2):
         how: AxisHow = "motion" if high - low <= settings.decided_sheets else "geometry"
         return even, how, (low, high), "yes" if carried else "no"
     outside = good[(good == 0) | (good == sheets)]  # all sheets move alike: one side is in view
@@ -204,9 +205,7 @@ def _split_by_motion(
         beyond = int(outside[0])
         return beyond, "motion", (float(possible[0]), float(possible[-1])), "perhaps" if moves else "no"
     open_ends = [end for end in (0, sheets) if low <= end <= high]
-    if (
-        whole and len(open_ends) == 1
-    ):  # the sides would be unequal: it is one, whose innermost sheets are still
+    if whole and len(open_ends) == 1:  # sides would be unequal: it is one, whose innermost sheets are still
         return open_ends[0], "motion", (low, high), "perhaps"
     return int(np.floor(middle) if middle > even else np.ceil(middle)), "motion", (low, high), "no"
 

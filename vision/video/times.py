@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from vision.errors import InputError
-from vision.files import check_regular, decode_text, groups_thousands, reading
+from vision.files import check_regular, decode_text, groups_thousands, reading, some_lines
 from vision.numeric import Floats, Ints
 from vision.video.reader import SECONDS
 from vision.video.settings import VideoSettings
@@ -67,8 +67,8 @@ def read_timestamps(path: Path) -> tuple[Floats, tuple[str, ...]]:
 def _without_thousands(lines: list[str]) -> list[str]:
     """Return the lines that are not empty, whole numbers without marks between their thousands."""
     lines = [line for line in lines if line.strip()] or [""]
-    some = [*lines[:400], *lines[max(400, len(lines) // 2) :][:400]]
-    columns = [*itertools.zip_longest(*(re.split(r"[;\s]+", line.strip()) for line in some), fillvalue="")]
+    cells = (re.split(r"[;\s]+", line.strip()) for line in some_lines(lines))
+    columns = [*itertools.zip_longest(*cells, fillvalue="")]
     for mark in ".,":
         if any(groups_thousands(column, mark) for column in columns):
             return [re.sub(rf"(?<=[0-9])[{mark}](?=[0-9]{{3}}(?![0-9]))", "", line) for line in lines]
