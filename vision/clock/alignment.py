@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-import scipy
 from numpy.lib.stride_tricks import sliding_window_view
 
 from vision.clock.settings import ClockSettings
@@ -52,8 +51,10 @@ class SlipSizes:
         deviation = np.log(size[known])
         order = np.arange(len(deviation))
         every = 1 + len(order) // 1001  # slopes of all pairs are compared
-        slope, intercept, *_ = scipy.stats.theilslopes(deviation[::every], order[::every])
-        deviation = deviation - intercept - slope * order
+        level, at = deviation[::every], order[::every]
+        earlier, later = np.triu_indices(at.size, 1)
+        slope = np.median((level[later] - level[earlier]) / (at[later] - at[earlier]))
+        deviation = deviation - np.median(level) - slope * (order - np.median(at))
         if len(order) >= 2 * settings.size_trend_slips:
             deviation -= running_median(deviation, settings.size_trend_slips)
         scatter = float(sigma_about_zero(deviation))

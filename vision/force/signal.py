@@ -27,7 +27,7 @@ from vision.numeric import (
     spread_indices,
     white_noise,
 )
-from vision.signals import running_mean, running_median
+from vision.signals import find_maxima, running_mean, running_median
 
 _WITHIN = 0.683  # share of normally distributed values within one standard deviation
 
@@ -386,7 +386,8 @@ def _swing_after_falls(load: Floats, settings: ForceSettings) -> float:
     if step.size < 4 * fewest:
         return float("nan")
     large = -0.5 * np.partition(step, fewest)[fewest]
-    at = scipy.signal.find_peaks(-step, height=max(large, 1e-300))[0]
+    at = find_maxima(-step, least_prominence=1e-300, reach=fewest).at
+    at = at[-step[at] >= large]
     length = int(np.median(np.diff(at))) // 2 if at.size > 1 else 0
     at = at[(at >= length // 4) & (at + 1 + length < load.size)]
     if length < 16 or at.size < fewest // 2:

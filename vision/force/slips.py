@@ -10,7 +10,6 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from vision.data import ThresholdHow
@@ -18,7 +17,7 @@ from vision.errors import counted
 from vision.force.lines import LEAST_FOR_KNEE, FittedLoad, Lines, bend_squares, fit_polynomials
 from vision.force.settings import ForceSettings
 from vision.numeric import Bools, Floats, Ints, flat_ranges, nan_median
-from vision.signals import enforce_distance, running_median
+from vision.signals import enforce_distance, find_maxima, running_median
 
 
 @dataclass(frozen=True)
@@ -326,9 +325,8 @@ def _peaks(step: Floats, half: Ints, sigma: Floats, settings: ForceSettings) -> 
     """
     standard = np.nan_to_num(step / (sigma * np.sqrt(2.0 / half)), nan=-np.inf)
     reach = 8 * int(half.max())  # within which the base of a peak is searched, on either side
-    found, _ = scipy.signal.find_peaks(
-        standard, prominence=settings.candidate_sigmas, wlen=2 * reach + 1, plateau_size=(None, reach)
-    )
+    least = settings.candidate_sigmas
+    found = find_maxima(standard, least_prominence=least, reach=reach, widest=reach + 1).at
     return enforce_distance(found, standard[found], max(int(half.min()), 1))
 
 
