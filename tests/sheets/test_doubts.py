@@ -6,7 +6,7 @@ import pytest
 from tests.scenes.combs import comb, ridges, strip
 from tests.scenes.identity_cases import brightness
 from vision.sheets import TrackingSettings, track_sheets
-from vision.sheets.doubts import hops, predicted_by_neighbours, unmoved
+from vision.sheets.doubts import hops, numbered_in_part, predicted_by_neighbours, unmoved
 from vision.sheets.identities import exchanged
 from vision.sheets.ridges import RidgeComb
 
@@ -245,3 +245,18 @@ def test_where_two_sheets_meet_no_side_is_numbered_by_its_neighbours(first, seed
         sheet = np.abs(x[ok[:, n], n, None] - truth[ok[:, n]]).argmin(axis=1)
         other += (np.abs(sheet - np.median(sheet)) > 0.6).sum() if len(sheet) else 0
     assert other < 200  # the ridge at the centre may be of either sheet; a whole side has 476 or more
+
+
+@pytest.mark.parametrize("frames", [1, 2, 3, 4, 5, 2049, 2050])
+def test_a_part_that_is_numbered_by_the_next_is_found_in_few_frames(frames):
+    """Frames are compared with those beside them, in blocks, of which the last may be short.  A failure means
+    that films of some lengths end in an error, or that their last frames are not compared."""
+    rng, last = np.random.default_rng(1), slice(-min(frames, 2), None)
+    own = rng.normal(0, 0.3, (2, 1, 60))
+    certain = np.exp(own + rng.normal(0, 0.03, (2, 40, 60))).astype(np.float32)
+    looks = np.exp(own + rng.normal(0, 0.03, (2, frames, 60))).astype(np.float32)
+    looks[:, last, 20:40] = looks[:, last, 21:41]
+    doubtful = numbered_in_part(looks, certain, TrackingSettings())
+    assert doubtful[last, 20:40].all()
+    assert not doubtful[:-2].any()
+    assert not doubtful[:, [0, 1, 2, 57, 58, 59]].any()

@@ -1,6 +1,7 @@
 """Width, pitch, contrast and polarity of a comb; and the candidates of every frame."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -55,6 +56,23 @@ def test_every_ridge_of_every_frame_is_a_candidate_at_its_pixel():
     assert np.abs(found.x_px - truth).max() <= 1
     np.testing.assert_allclose(found.contrast, CONTRAST, rtol=0.2)
     np.testing.assert_allclose(found.fwhm_px, FWHM, rtol=0.3)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_ridges_of_a_frame_do_not_depend_on_the_frames_beside_it(seed):
+    """A failure means that a ridge at the edge stands out from pixels of another frame."""
+    rng = np.random.default_rng(seed)
+    profile = gaussian_filter(rng.normal(size=(12, 200)), (0, 3), mode="nearest").astype(np.float32)
+    profile += rng.normal(scale=0.1, size=(12, 1)).astype(np.float32)  # bright and dark edges in turn
+    known = replace(describe_ridges(drawn()[1]), noise=0.01, contrast=20.0, fwhm_px=7.0)
+    together = find_ridges(100 * profile, known)
+    for k, frame in enumerate(100 * profile):
+        alone = find_ridges(frame[None], known)
+        for name in ("x_px", "contrast", "fwhm_px"):
+            np.testing.assert_array_equal(
+                getattr(together, name)[k, : alone.count[0]], getattr(alone, name)[0]
+            )
+        assert together.count[k] == alone.count[0]
 
 
 def test_hot_pixels_edges_and_empty_frames_are_no_candidates():

@@ -420,7 +420,7 @@ def numbered_in_part(looks: Floats32, certain: Floats32, settings: TrackingSetti
         unusual = np.minimum((off**2 / 2).sum(axis=0), TERM_LIMIT) - 1.5
         odd = np.zeros(len(unusual), bool)  # few frames: the others are not compared
         odd[at] = _largest_in_mean(unusual, at).max(axis=1) > settings.anchor_nats / 2
-        odd = np.flatnonzero(np.convolve(odd, np.ones(2 * AROUND + 1), "same") > 0.5)
+        odd = np.flatnonzero(np.convolve(odd, np.ones(2 * AROUND + 1))[AROUND : AROUND + len(odd)] > 0.5)
         if not len(odd):
             return
         near, off, gain = near[:, odd], off[:, odd], np.zeros_like(unusual)

@@ -32,7 +32,7 @@ from vision.numeric import (
     spread_indices,
 )
 from vision.sheets.settings import DEFAULT, TrackingSettings
-from vision.signals import find_maxima, half_widths
+from vision.signals import Maxima, find_maxima, half_widths
 
 Polarity = Literal["bright", "dark"]
 SEARCH_SIGMA_PX = 1.0  # standard deviation of the smoothing with which a comb is described
@@ -527,20 +527,22 @@ def _find_block(profile: Floats32, comb: RidgeComb) -> tuple[Ints, Floats32]:
     threshold = max(least, settings.faint_fraction * comb.contrast)
     reach_px = max(4, round(settings.surroundings_widths * comb.fwhm_px))
     walled = _smoothed(comb.bright(profile), smoothing_px, wall_px=1)
-    walled[:, [0, -1]] = walled[:, [1, -2]] + 1  # a wall is no ridge, nor is a slope up to it
-    maxima = find_maxima(
-        walled.ravel(),
+    line, inside = walled.ravel(), walled[:, 1:-1]
+    walled[:, [0, -1]] = inside.max() + 1  # no base lies beyond it, and a slope up to it is no ridge
+    at, prominence = find_maxima(
+        line,
         least_prominence=threshold,
         reach=reach_px,
         widest=reach_px,  # a wider plateau is flat background, whose prominence is not defined
     )
-    at, prominence = maxima
-    widths = half_widths(walled.ravel(), maxima)
+    is_wall = np.isin(at % walled.shape[1], [0, walled.shape[1] - 1])
+    at, prominence = at[~is_wall], prominence[~is_wall]
+    walled[:, [0, -1]] = inside.min() - 1  # a ridge ends there
+    widths = half_widths(line, Maxima(at, prominence))
     frame, x = np.divmod(at, walled.shape[1])
     fwhm = np.sqrt(np.maximum(widths**2 - (FWHM * smoothing_px) ** 2, 0.25))
     relative = fwhm / comb.fwhm_px
     keep = (relative >= settings.narrowest_widths) & (relative <= settings.widest_widths)
-    keep &= (x > 0) & (x < walled.shape[1] - 1)
     flattened = np.hypot(1, FWHM * smoothing_px / comb.fwhm_px)  # height a Gaussian loses to the smoothing
     counts = np.bincount(frame[keep], minlength=len(profile))
     return counts, np.array([x[keep] - 1, prominence[keep] * flattened, fwhm[keep]], np.float32)
