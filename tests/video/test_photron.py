@@ -82,6 +82,19 @@ def test_packed_rows_that_begin_inside_three_bytes(tmp_path, width):
         assert np.array_equal(got, frames[1:5, rows, columns or slice(None)])
 
 
+@pytest.mark.parametrize("kind", ["Raw", "Color"])
+def test_raw_pixels_are_read_and_colour_is_refused(tmp_path, kind):
+    """A failure means that recordings whose pixels are stored as the sensor gave them cannot be used, or that
+    three colours pass for three pixels."""
+    frames = np.random.default_rng(3).integers(0, 4096, (3, 4, 50))
+    path = write_photron(tmp_path, frames, bits=12, header=TEXT.replace("Mono", kind))
+    if kind == "Color":
+        with pytest.raises(InputError, match="Mono or Raw; found 'Color'"):
+            open_video(path)
+        return
+    np.testing.assert_array_equal(list(open_video(path).frames()), frames)
+
+
 def test_bits_at_the_higher_end_saturate_there(tmp_path):
     """Failure: white frames of a camera that fills the upper 12 of 16 bits never count as saturated."""
     frames = comb(top=4095, dtype=np.uint16) << 4

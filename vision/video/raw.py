@@ -348,8 +348,9 @@ def _open_photron(path: Path) -> Reader:
     `path` is the .mraw or its .cih; the other one must be beside it. The file has no signature and no frame
     headers: frame n begins at byte n · width · height · bits / 8. Two 12-bit pixels a, b are stored as the
     bytes a₁₁…a₄, a₃…a₀ b₁₁…b₈, b₇…b₀; 16 bits low byte first, with the camera's fewer bits at the lower or
-    the higher end ("EffectiveBit Side"). Source: Photron FASTCAM Viewer, file formats; the published reader
-    pyMRAW (ladisk/pyMRAW).
+    the higher end ("EffectiveBit Side"). The colour type Raw has one value a pixel, too: of a colour camera
+    it is a Bayer pattern, which is evened out where the strip is averaged. Source: Photron FASTCAM Viewer,
+    file formats; the published reader pyMRAW (ladisk/pyMRAW).
     """
     pixels, text = photron_files(path)
     fields = _fields(text)
@@ -403,8 +404,8 @@ def _stated(pixels: Path, text: Path, fields: Mapping[str, str]) -> tuple[tuple[
     Raises: InputError also for a size that fits the header's frames only at another depth.
     """
     kind = fields.get("Color Type", "Mono")
-    if "mono" not in kind.lower():
-        raise InputError(text, "Color Type : Mono", f"'{kind[:40]}'", "export the recording as grey")
+    if not any(name in kind.lower() for name in ("mono", "raw")):
+        raise InputError(text, "Color Type : Mono or Raw", f"'{kind[:40]}'", "export the recording as grey")
     width, height = (_whole(text, fields, f"Image {side}", 1 << 16) for side in ("Width", "Height"))
     bits, frames = _whole(text, fields, "Color Bit", 64), _whole(text, fields, "Total Frame", 10**8)
     if bits not in _DEPTHS:
