@@ -15,7 +15,7 @@ from vision.video.settings import VideoSettings
 from vision.video.strip_find import row_shifts, strip_errors
 
 HEIGHT, WIDTH, FRAMES = 100, 800, 6
-KEPT = replace(VideoSettings(), least_bias_px=99.0, edge_bow_px=99.0)  # rows are left out for nothing
+KEPT = replace(VideoSettings(), least_bias_px=99.0)  # rows are left out for nothing
 
 
 def comb(shift=0.0, light=1.0, noise=2.0, seed=0):

@@ -80,9 +80,6 @@ class VideoSettings(Tunable):
     edge_height: int = 64
     """Height of frames, px, below which every row is retained: the camera has cut them to the strip. Smaller
     costs noise in films that have few rows."""
-    edge_bow_px: float = 0.05
-    """Difference between outer and inner rows, px, above which ridges are bowed. Smaller leaves out rows of
-    straight ridges, larger retains bias that exceeds the noise."""
 
     # comparison of the strip's rows (row_shifts, best_rows)
     least_bands: int = 8
@@ -97,8 +94,9 @@ class VideoSettings(Tunable):
     """Differences between halves of the strip below this many standard errors are noise. Larger hides bias,
     smaller finds bias where there is none (test_straight_ridges_have_no_error_of_the_strip)."""
     least_bias_px: float = 0.05
-    """Bias of the mean, px, below which no rows are left out. Smaller leaves out rows because of texture,
-    larger retains bias above the noise of most recordings (test_shaded_rows_are_left_out)."""
+    """Bias of the mean, or difference between outer and inner rows, px, below which no rows are left out.
+    Smaller leaves out rows because of texture, larger retains bias above the noise of most recordings
+    (test_shaded_rows_are_left_out, test_bowed_ridges_lose_the_rows_at_the_frame_s_edges)."""
     strip_warning_px: float = 0.15
     """Error from the choice of rows, px, above which a warning is given. Smaller warns of ordinary bows,
     larger does not warn of bias of several times the noise."""

@@ -145,7 +145,7 @@ def find_strip(
     bottom = height if last == slopes.mean.shape[1] else last * band_rows
     rows = slice(first * band_rows, bottom)
     bands = slopes.mean[:, first:last]
-    if strip_errors(row_shifts(bands, tilt, settings), settings).bow_px > settings.edge_bow_px:
+    if strip_errors(row_shifts(bands, tilt, settings), settings).bow_px > settings.least_bias_px:
         rows = _without_edges(rows, height, settings)
     first, last = -(-rows.start // band_rows), max(rows.stop // band_rows, first + 1)
     first = min(first, last - 1)
