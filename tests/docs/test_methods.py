@@ -35,7 +35,7 @@ STATED = (
     f"w is {sheets.standard_window_px} for ridges {narrow:g} to {wide:g} px wide",
     f"seen in {sheets.template_frames} frames, moves by {sheets.template_motion_px:g} px (rms)",
     f"the same motion within {100 * sheets.template_scale:g} %",
-    f"exceeds {word(sheets.locking_sigmas)} errors and the shift {sheets.least_locking:g} of the error by",
+    f"if an amplitude exceeds {word(sheets.locking_sigmas)} errors.",
     f"is left (see below), times {sheets.sharpened:g}",
     f"exceeds {100 * sheets.covered_width:g} % and {word(sheets.distortion_sigmas)} times the scatter",
     f"times {height:g} px, {top:g} and {slope:g}, are added",

@@ -573,7 +573,7 @@ def test_ridges_as_lenses_draw_them_are_left_alone(fwhm_px):
 def test_motion_of_sheets_at_the_same_place_in_their_pixels_is_motion(pitch_px, slip):
     """A failure means that a part of their motion is taken for locking: u/2π where the pitch is 20 px."""
     x = comb(300, per_side=12, axis_px=300, pitch_px=pitch_px, slip=slip)
-    found = pixel_locking(x + np.random.default_rng(0).normal(0, 0.001, x.shape), 0.001, DEFAULT)
+    found = pixel_locking(x + np.random.default_rng(0).normal(0, 0.001, x.shape), DEFAULT)
     shift = found.at(x) - np.nanmean(found.at(x), axis=0)
     assert np.abs(shift).max() < 0.003
 
@@ -598,7 +598,7 @@ def test_known_waves_are_found_in_positions(mirrored):
         seen = x + locking.at(seen)
     seen = seen + rng.normal(0, 0.004, x.shape)
     sign = -1 if mirrored else 1
-    found = pixel_locking(sign * seen, 0.004, DEFAULT)
+    found = pixel_locking(sign * seen, DEFAULT)
     np.testing.assert_allclose(found.waves, waves * [sign, 1, sign, 1], atol=0.002)
     assert found.error_px < 0.003
     np.testing.assert_allclose(sign * found.at(sign * seen), locking.at(seen), atol=0.005)
@@ -608,5 +608,5 @@ def test_too_few_sheets_tell_nothing():
     """A failure means that chance is subtracted from the positions of a few sheets."""
     x = creeping_by(2.0)[:, :11]
     x = x + 0.03 * np.sin(2 * np.pi * x)
-    assert pixel_locking(x, 0.004, DEFAULT) is NO_LOCKING
-    assert pixel_locking(np.full((5, 24), np.nan), 0.004, DEFAULT) is NO_LOCKING
+    assert pixel_locking(x, DEFAULT) is NO_LOCKING
+    assert pixel_locking(np.full((5, 24), np.nan), DEFAULT) is NO_LOCKING

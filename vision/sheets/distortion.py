@@ -79,17 +79,15 @@ class PixelLocking(NamedTuple):
 NO_LOCKING = PixelLocking(np.zeros(2 * _HARMONICS), 0.0)
 
 
-def pixel_locking(x_px: Floats, err_px: float, settings: TrackingSettings) -> PixelLocking:
+def pixel_locking(x_px: Floats, settings: TrackingSettings) -> PixelLocking:
     r"""Measure how positions lock to whole pixels: `NO_LOCKING` where it is not clear.
 
     Parameters
     ----------
     x_px
         Positions (frame, N), NaN where missing or repeated.
-    err_px
-        Usual error of a position by noise.
     settings
-        `locking_sigmas` decides what is clear, `least_locking` what matters.
+        `locking_sigmas` and `locking_scatter` decide what is clear.
 
     Returns
     -------
@@ -129,9 +127,8 @@ def pixel_locking(x_px: Floats, err_px: float, settings: TrackingSettings) -> Pi
     own = against - np.einsum("a,afn->fn", found, regressors)
     regressors = np.concatenate([regressors, moved[np.newaxis, :, 1:-1]])
     scatter = _scatter_of_sheets(regressors, own, known, settings)
-    locking = PixelLocking(found, float(np.sqrt(0.5 * np.sum(variance) + 0.5 * np.sum(scatter))))
-    matters = np.hypot(locking.rms_px, locking.error_px) > settings.least_locking * err_px
-    return locking if matters else NO_LOCKING
+    error_px = float(np.sqrt(0.5 * np.sum(variance) + 0.5 * np.sum(scatter)))
+    return PixelLocking(found, error_px) if error_px else NO_LOCKING
 
 
 def pixel_waves(x_px: Floats) -> Floats:

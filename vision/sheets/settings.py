@@ -138,10 +138,6 @@ class TrackingSettings(Tunable):
     motion happens to follow the pixels; larger leaves sharp ridges locked by up to 0.07 px
     (test_distortion.py)."""
 
-    least_locking: float = 0.3
-    """Locking, rms, over the error of a position by noise from which it is corrected. Smaller adds work that
-    changes no number, larger leaves errors too small by up to a tenth of themselves."""
-
     locking_alike: float = 0.5
     """Share of the sheets, as a sum of vectors, that lie at the same place in their pixels from which locking
     is not measured; 0.2 by chance for 24 sheets. Smaller leaves sharp ridges locked (at 0.25), larger takes

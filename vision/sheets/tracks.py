@@ -457,12 +457,12 @@ def _fit(
     noise = intensity_noise(profile, x, frozen, half_px=window_px // 2, fallback=comb.noise)
     noise[~(noise > 0)] = WHOLE_LEVELS  # no error is zero: a profile without noise has whole grey levels
     new, usual_px = _unrepeated(x, frozen), float(nan_median(typical_median(err) * noise))
-    locking = NO_LOCKING if fit == "paper" else pixel_locking(new, usual_px, comb.settings)
+    locking = NO_LOCKING if fit == "paper" else pixel_locking(new, comb.settings)
     if fit == "auto":
         matched, matched_err, learned = learned_template(profile, new, err, comb)
         if learned.any():
             matched_px = float(nan_median(typical_median(matched_err) * noise))
-            other = pixel_locking(_unrepeated(matched, frozen), matched_px, comb.settings)
+            other = pixel_locking(_unrepeated(matched, frozen), comb.settings)
             if _locks_less(other, matched_px, locking, usual_px):
                 used, x, err, locking = "template", matched, matched_err, other
     per_grey = typical_median(err)
