@@ -8,6 +8,7 @@ from tests.scenes.identity_cases import brightness, jumps
 from vision.sheets import track_sheets
 from vision.sheets.identities import fill_rows, identify_sheets, split_segments
 from vision.sheets.ridges import describe_ridges, find_ridges
+from vision.sheets.settings import TrackingSettings
 
 FRAMES, WIDTH = 120, 560
 
@@ -84,3 +85,22 @@ def test_gaps_in_rows_are_filled_along_straight_lines():
     assert filled[0] == pytest.approx([0, 1, 3, 3])
     assert filled[1] == pytest.approx([2, 2, 2, 2])
     assert np.isnan(filled[2]).all()
+
+
+def test_a_comb_of_slightly_unlike_sheets_that_jumps_by_its_pitch():
+    """Neither end is in view, and sheets differ in height by 6 %. A failure means that a comb which jumps by
+    its pitch seems to stay, every sheet is taken for the next one, and all positions are called ok."""
+    rng = np.random.default_rng(1)
+    moved_px = 18.0 * (np.searchsorted([30, 60, 90], np.arange(120), side="right") % 2)
+    rest_px = 18.0 * np.arange(60) - 260 + rng.normal(0, 0.9, 60)
+    x_px = rest_px + moved_px[:, None]
+    film = strip(ridges(x_px, width=520, fwhm_px=5.4, contrast=np.exp(rng.normal(0, 0.06, 60))), snr=50)
+
+    def wrong(settings: TrackingSettings) -> float:
+        """Share of the positions that are those of another sheet than in the first frame."""
+        found = track_sheets(film, settings=settings)["x_px"].to_numpy()
+        sheet = np.abs(found[:, :, None] - x_px[:, None]).argmin(axis=2)
+        return float(np.mean((sheet != sheet[0])[np.isfinite(found) & np.isfinite(found[0])]))
+
+    assert wrong(TrackingSettings()) == 0
+    assert wrong(TrackingSettings(pattern_ratio=6.0)) > 0.4

@@ -364,7 +364,8 @@ class TrackingSettings(Tunable):
 
     pattern_ratio: float = 3.0
     """Times by which brightnesses must fit a comb that moved on by a sheet better for the recording to be cut
-    there. Larger misses jumps by a pitch, smaller takes moving light for one."""
+    there. Larger takes every sheet for the next one where a comb without an end in view jumps by its pitch
+    (test_identities.py at 6), smaller takes moving light for a jump."""
 
     alike_scatter: float = 2.0
     """Difference of brightness and width between neighbours, over their change with time (medians), below
