@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -97,6 +101,27 @@ def number(value: Any) -> float:
         return float(value)
     except (TypeError, ValueError):
         return np.nan
+
+
+DATE = r"[0-9]{1,4}[-./][0-9]{1,2}[-./][0-9]{1,4}"
+CLOCK = r"(?:[0-9]{1,2}:)?[0-9]{1,2}:[0-9]{2}(?:[.,][0-9]*)?(?: ?[AaPp][Mm])?Z?"
+"""Pattern of a time of the day, with AM or PM or without hours ("52:17.1")."""
+CLOCK_PARTS = re.compile(r"(?:(\d+):)?(\d+):(\d+(?:[.,]\d*)?)(?: ?([AaPp])[Mm])?Z?$")
+
+
+def clock_seconds(parts: pd.DataFrame) -> Floats:
+    """Return seconds from the groups of CLOCK_PARTS, times of the day, continued past midnight.
+
+    A decrease by half a day or more is the next day. The date, which has many forms, is ignored.
+    """
+    hour, minute, second = (parts[k].str.replace(",", ".").to_numpy(float) for k in range(3))
+    half = parts[3].str.lower()
+    hour = np.where(half.notna(), hour % 12 + 12.0 * (half == "p"), hour)
+    period = 3600.0 if np.isnan(hour).all() else 86400.0
+    seconds = 3600 * np.nan_to_num(hour) + 60 * minute + second
+    known = np.isfinite(seconds)
+    seconds[known] = np.unwrap(seconds[known], period=period)
+    return np.asarray(seconds, np.float64)
 
 
 def rms(values: Floats) -> float:

@@ -56,7 +56,7 @@ def test_a_size_with_its_error(capsys: pytest.CaptureFixture[str]) -> None:
     assert "(stat.) ± 0.0527 (syst.) GPa" in capsys.readouterr().out
     assert run(["modulus", "sheet.txt", "--thickness", "0,1", "--out", "again"]) == 2
     assert (
-        "--thickness: expected a number of mm from 0, or with its error; found '0,1'"
+        "--thickness: expected a number of mm from 0, or with its smaller error; found '0,1'"
         in capsys.readouterr().err
     )
 

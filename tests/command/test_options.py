@@ -83,7 +83,7 @@ def test_a_pixel_size_has_its_error(typed, size, error):
     assert parse_pitch("0.2±0.002mm", "--pitch") == pytest.approx((200, 2))
 
 
-@pytest.mark.parametrize("text", ["10±", "±1", "10±x", "10±-1", "10px", "10±1±1", "nan", "10 ± inf"])
+@pytest.mark.parametrize("text", ["10±", "±1", "10±20", "10±x", "10±-1", "10px", "10±1±1", "nan", "10 ± inf"])
 def test_a_pixel_size_with_a_senseless_error_is_refused(text):
     """A failure means that a typing error becomes a scale."""
     with pytest.raises(InputError, match="--pixel-size"):
@@ -237,6 +237,7 @@ def test_paths_in_a_file_of_options_are_relative_to_it(tmp_path, monkeypatch):
         ("13mm", (13.0, None)),
         ("13.0±0.1 mm", (13.0, 0.1)),
         ("0", (0.0, None)),
+        ("0±0.1", (0.0, 0.1)),
         (None, (None, None)),
     ],
 )
@@ -246,7 +247,7 @@ def test_a_value_may_carry_its_error(text, meant):
 
 
 @pytest.mark.parametrize(
-    "text", ["x", "13±", "-1", "13±-0.1", "nan", "inf", "13±0.1±0.1", "0,1", "13um", "13N"]
+    "text", ["x", "13±", "-1", "13±-0.1", "nan", "inf", "13±0.1±0.1", "0,1", "13um", "13N", "10±20"]
 )
 def test_a_value_with_a_senseless_error_is_refused(text):
     """A failure means a typing error becomes a length, or advice with a value of another option."""
@@ -360,6 +361,7 @@ def test_a_mistyped_command_is_recognised(typed, meant, tmp_path, refused, capsy
     assert run([typed, "film.avi"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.endswith(f"{typed}: expected a command or a video; found neither; did you mean {meant}?")
+    assert "did you mean" not in refused("--force", "f.txt", "film.avi")  # options may come first
     (tmp_path / typed).mkdir()  # a folder of images may have such a name
     for name in (typed, "preview.avi"):
         assert "did you mean" not in refused(name)

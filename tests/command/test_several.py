@@ -116,6 +116,13 @@ def test_what_cannot_be_true_of_several_is_refused(films, refused, arguments, ex
     assert expected in refused(*films, *arguments)
 
 
+@pytest.mark.parametrize("order", [("t0.tif", "t0.txt"), ("t0.txt", "t0.tif"), ("t0.txt",)])
+def test_a_force_recording_without_its_option_is_named(films, order, refused):
+    """A failure means that a force recording is called a film, or a film of the same name as the first."""
+    said = refused(*order)
+    assert "t0.txt: expected a video; found a table" in said and "--force" in said
+
+
 @pytest.mark.parametrize("suffix", ["png", "tif"])
 def test_frames_that_the_shell_spread_out_are_no_films(suffix, refused):
     """A failure means that 500 images of one film become 500 run folders."""

@@ -72,6 +72,16 @@ def test_an_empty_time_column_is_named_with_what_to_give(tmp_path: Path) -> None
         read_force(written(tmp_path, text))
 
 
+def test_quoted_decimal_commas_between_commas(tmp_path: Path) -> None:
+    """A failure means that a spreadsheet exported with the settings of a German country cannot be read."""
+    rows = [(TIME, 3), (LOAD, 3), (PULL, 6)]
+    cells = [[f'"{v:.{digits}f}"'.replace(".", ",") for v in column] for column, digits in rows]
+    lines = ['"Zeit (s)","Kraft (N)","Weg (mm)"', *map(",".join, zip(*cells, strict=True))]
+    force = read_force(written(tmp_path, "\n".join(lines) + "\n"))
+    np.testing.assert_allclose(force["time_s"], TIME, atol=1e-6)
+    np.testing.assert_allclose(force["load_N"], LOAD, atol=1e-3)
+
+
 CLOCKS = {
     "midnight": ("Time", lambda t: clock(86398 + t)),
     "comma": ("Uhrzeit", lambda t: clock(45000 + t).replace(".", ",")),

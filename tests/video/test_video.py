@@ -1,3 +1,5 @@
+from datetime import datetime, timedelta
+
 import numpy as np
 import pytest
 import tifffile
@@ -7,6 +9,7 @@ from vision.data import StripMetadata
 from vision.errors import InputError
 from vision.summary import frame_rate_text
 from vision.video import open_video, read_timestamps, strip_profile
+from vision.video.times import usual_rate
 
 TIMES_S = np.array([0.0, 0.021, 0.04, 0.0605, 0.08, 0.1])
 
@@ -92,6 +95,36 @@ def test_layouts_and_units(tmp_path, header, scale, line):
     times_s, warnings = read_timestamps(path)
     assert np.allclose(times_s, TIMES_S, rtol=1e-12)
     assert warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("header", "line"),
+    [
+        ("", "{0:%H:%M:%S.%f}"),
+        ("Zeit (hh:mm:ss.ms)\n", "{0:%d.%m.%Y %H:%M:%S},{2}"),
+        ("frame,timestamp\n", "{1},{0:%Y-%m-%dT%H:%M:%S.%f}Z"),
+        ("frame;time\n", "{1};{0:%Y-%m-%dT%H:%M:%S.%f}+01:00"),
+        ("Date;Time;Frame\n", "{0:%d.%m.%Y;%H:%M:%S},{2};{1}"),
+        ("", "{0:%I:%M:%S.%f %p}"),
+    ],
+)
+def test_times_of_the_day_become_seconds(tmp_path, header, line):
+    """Failure: stamps of the computer's clock cannot be read, jump at midnight, or are read in ms."""
+    start, n = datetime(2026, 11, 30, 23, 59, 59), np.arange(120)
+    stamps = [start + timedelta(microseconds=int(k) * 16_667) for k in n]
+    lines = [line.format(t, k, f"{t:%f}") for k, t in enumerate(stamps)]
+    (tmp_path / "t.csv").write_text(header + "\n".join(lines))
+    times_s, warnings = read_timestamps(tmp_path / "t.csv")
+    np.testing.assert_allclose(times_s, 86399 + 0.016667 * n, atol=1e-6)
+    assert warnings == ()
+
+
+def test_a_rate_from_rounded_times_is_not_rounded(tmp_path):
+    """Failure: 60 frames/s in whole ms are 58.8, and in µs 59.9988, in the methods of a manuscript."""
+    stamps = np.delete(np.arange(300), [50, 51, 120]) / 60
+    for digits in (3, 6):
+        np.savetxt(tmp_path / "t.txt", stamps, fmt=f"%.{digits}f")
+        assert usual_rate(read_timestamps(tmp_path / "t.txt")[0]) == pytest.approx(60, rel=0.3 * 10**-digits)
 
 
 @pytest.mark.parametrize("separator", [";", "\t", ","])

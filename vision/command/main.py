@@ -290,7 +290,7 @@ def _answer(arguments: Sequence[str]) -> Any:
         return make_app(brief=True).help_print([])
     app, first = make_app(), arguments[0]
     commands = [name for name in app if not name.startswith("-")]
-    near = did_you_mean(first.lower(), commands, 0.7)
+    near = "" if first.startswith("-") else did_you_mean(first.lower(), commands, 0.7)
     if near and first not in commands and "." not in first and not os.path.lexists(first):
         raise InputError(first, "a command or a video", "neither", near)
     return app(arguments, exit_on_error=False, print_error=False, result_action="return_value")

@@ -70,7 +70,7 @@ class VideoOptions:
     fps: float | None = None
     """The camera's frame rate, where the file states only a playback rate."""
     timestamps: Path | None = None
-    """Text file with the time of every frame, in s or with the unit above: time_ms."""
+    """Text file with the time of every frame: in s, with the unit above (time_ms), or 14:59:58.017."""
     frames: str | None = None
     """Part of the video, A:B, half-open, counted from 0."""
     rotate: Literal[0, 90, 180, 270] | None = None

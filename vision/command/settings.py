@@ -169,15 +169,18 @@ def parse_with_error(text: str | float | None, option: str) -> tuple[float | Non
     value, error = _value_and_error(str(text).strip().removesuffix(unit))
     if not 0 <= value < math.inf:
         advice = f"write it in {unit} with a decimal point, like 13.5 or 13.5±0.1"
-        raise InputError(option, f"a number of {unit} from 0, or with its error", f"'{text}'", advice)
+        raise InputError(option, f"a number of {unit} from 0, or with its smaller error", f"'{text}'", advice)
     return value, error
 
 
 def _value_and_error(text: str) -> tuple[float, float | None]:
-    """Return the numbers of 13, 13±0.1, 13+-0.1 or 13+/-0.1, None for no error; NaN without sense."""
+    """Return the numbers of 13, 13±0.1, 13+-0.1 or 13+/-0.1, None for no error; NaN without sense.
+
+    An error larger than its value, other than 0, makes no sense: 10±20.
+    """
     first, sign, last = text.replace("+-", "±").replace("+/-", "±").partition("±")
     value, error = number(first), number(last) if sign else 0.0
-    return value if 0 <= error < math.inf else math.nan, error if sign else None
+    return value if 0 <= error <= (value or error) < math.inf else math.nan, error if sign else None
 
 
 def _length_and_error(text: str) -> tuple[float, float | None, str]:
@@ -227,7 +230,8 @@ def parse_pixel_size(text: str | None) -> tuple[float | None, float | None]:
         return None, None
     size, error, unit = _length_and_error(text.strip().removesuffix("/px"))
     if unit == "px" or not PIXEL_SIZE_UM[0] <= size <= PIXEL_SIZE_UM[1]:
-        wanted = f"a number from {PIXEL_SIZE_UM[0]:g} to {PIXEL_SIZE_UM[1]:g} (µm per px), or with its error"
+        low, high = PIXEL_SIZE_UM
+        wanted = f"a number from {low:g} to {high:g} (µm per px), or with its smaller error"
         advice = with_point(text) or "write 10.5, 10.5um, 0.0105mm or 10.5±0.1um"
         raise InputError("--pixel-size", wanted, f"'{text}'", advice)
     return size, error
@@ -245,7 +249,10 @@ def parse_scale(text: str | None) -> tuple[float | None, float | None]:
     if not (known and all(0 < one < math.inf for one in lengths) and lengths[0] / lengths[1] >= 1e-6):
         advice = with_point(text) or "write 1mm=103px or 1mm=103±1px"
         raise InputError(
-            "--scale", "a length in cm, mm or µm and its px, or with their errors", f"'{text}'", advice
+            "--scale",
+            "a length in cm, mm or µm and its px, or with their smaller errors",
+            f"'{text}'",
+            advice,
         )
     size = lengths[0] / lengths[1]
     relative = [error / value for value, error, _ in sides if error is not None]
@@ -262,7 +269,7 @@ def parse_pitch(text: str | None, option: str) -> tuple[float | None, float | No
     value, error, unit = _length_and_error(text)
     if unit != "um" or not 0 < value < math.inf:
         advice = with_point(text) or "write 0.2mm or 0.2±0.002mm"
-        raise InputError(option, "a length in cm, mm or µm, or with its error", f"'{text}'", advice)
+        raise InputError(option, "a length in cm, mm or µm, or with its smaller error", f"'{text}'", advice)
     return value, error
 
 

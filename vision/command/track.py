@@ -44,6 +44,7 @@ from vision.video.stacks import IMAGES
 from vision.video.video import FILMS, files_in
 
 OVERLAY = "_overlay"  # follows a run's name in that of the film which `track overlay` writes
+TABLES = {".txt", ".csv", ".tsv", ".dat", ".lvm", ".tra", ".xlsx", ".xls", ".xlsm", ".mat"}  # not of films
 LONG_FRAMES = 20_000
 """Number of frames from which a run stores what a review shows first. This takes seconds, where tracking took
 minutes; a review reads shorter runs while its page loads."""
@@ -63,6 +64,10 @@ def track_films(
     """
     parameters = merged(*groups, config=config)
     videos = [film for video in videos for film in films_of(video)]
+    tables = [video for video in videos if video.suffix.lower() in TABLES]
+    if tables and len(videos) <= len(tables) + 1:
+        advice = "give a force recording with --force, times of frames with --timestamps"
+        raise InputError(tables[0], "a video", "a table, by its name", advice)
     if len(videos) == 1 and is_run(videos[0]):
         return measure_again(videos[0], parameters, run, config, moved)
     if moved is not None:

@@ -33,7 +33,7 @@ from vision.files import (
     some_lines,
     try_out,
 )
-from vision.numeric import Bools, Floats, number
+from vision.numeric import CLOCK, CLOCK_PARTS, DATE, Bools, Floats, clock_seconds, number
 
 Dimension = Literal["time", "force", "length", "ratio"]
 
@@ -185,10 +185,6 @@ _NOT_A_NUMBER = (
     *("nan", "n/a", "#n/a", "na", "inf", "-inf", "+inf", "--", "---", "", "ol", "ovl", "over", "overflow"),
     *("overload", "overrange", "1.#qnan", "1.#inf", "-1.#ind", "-1.#inf"),
 )
-# A time of the day, alone or after its date, with AM or PM or without hours ("52:17.1"); a date alone.
-_DATE = r"[0-9]{1,4}[-./][0-9]{1,2}[-./][0-9]{1,4}"
-_CLOCK = r"(?:[0-9]{1,2}:)?[0-9]{1,2}:[0-9]{2}(?:[.,][0-9]*)?(?: ?[AaPp][Mm])?Z?"
-_CLOCK_PARTS = re.compile(r"(?:(\d+):)?(\d+):(\d+(?:[.,]\d*)?)(?: ?([AaPp])[Mm])?Z?$")
 _SUFFIXED = re.compile(r"^\s*(?P<number>[-+]?\d*\.?\d+(?:[eE][-+]?\d+)?)\s*(?P<unit>[A-Za-zµ]+?)\d*\s*$")
 
 
@@ -280,17 +276,15 @@ class _Style:
         """
         words = "|".join(re.escape(word) for word in sorted(_NOT_A_NUMBER, key=len, reverse=True) if word)
         marks = r"\*++|#[A-Za-z0/]++[!?]"  # number too long for its column, error of a spreadsheet
-        clock = rf"{_DATE}(?:[ T]{_CLOCK})?|{_CLOCK}"
+        clock = rf"{DATE}(?:[ T]{CLOCK})?|{CLOCK}"
         value = rf"(?>{clock}|{words}|{marks}|{self.number})"
         if self.separator == _WHITESPACE:
             line = rf"\s*+{value}(?:\s++{value})+\s*+"
         else:
+            quoted = rf'"[ ]*+{value}?+[ ]*+"'
             # Where the comma is both separator and decimal mark only quotes distinguish them.
-            cell = (
-                rf'[ ]*+"[ ]*+{value}?+[ ]*+"[ ]*+'
-                if self.separator == self.decimal
-                else rf'[ ]*+"?+[ ]*+{value}?+[ ]*+"?+[ ]*+'
-            )
+            bare = "" if self.separator == self.decimal else rf"|{value}?+"
+            cell = rf"[ ]*+(?>{quoted}{bare})[ ]*+"
             line = rf"{cell}(?:{re.escape(self.separator)}{cell})+"
         return re.compile(self.number), re.compile(line, re.IGNORECASE)
 
@@ -403,6 +397,8 @@ def _width(lines: list[str], style: _Style, path: Path) -> int:
     """Return the number of columns of the longest line; raise InputError for too many."""
     if style.separator == _WHITESPACE:
         width = max((len(line.split()) for line in lines), default=0)
+    elif style.separator == style.decimal:
+        width = max((len(style.cells(line)) for line in lines), default=0)
     else:
         width = max((line.count(style.separator) for line in lines), default=0) + 1
     return _checked_width(width, path)
@@ -445,9 +441,9 @@ def _as_floats(series: pd.Series[Any], decimal: str) -> tuple[Floats, str]:
     if pd.api.types.is_numeric_dtype(series):
         return series.to_numpy(dtype=float), ""
     text = series.astype(str).str.strip()
-    clock = text.str.extract(_CLOCK_PARTS)
+    clock = text.str.extract(CLOCK_PARTS)
     if clock[1].notna().mean() > 0.5:
-        return _clock_seconds(clock), TIME_OF_DAY
+        return clock_seconds(clock), TIME_OF_DAY
     thousands = rf"(?<=[0-9])[{'.' if decimal == ',' else ','}'\u2019\u00a0\u202f ](?=[0-9]{{3}}(?![0-9]))"
     grouped = text.str.match(rf"[-+]?[1-9][0-9]{{0,2}}(?:{thousands}[0-9]{{3}})+(?![0-9])")
     text = text.mask(grouped, text.str.replace(thousands, "", regex=True)).str.replace(decimal, ".")
@@ -460,27 +456,16 @@ def _as_floats(series: pd.Series[Any], decimal: str) -> tuple[Floats, str]:
     return pd.to_numeric(text, errors="coerce").to_numpy(dtype=float), unit
 
 
-def _clock_seconds(parts: pd.DataFrame) -> Floats:
-    """Return seconds from the hour, minute, second and A or P of times of the day, continued past midnight.
-
-    A decrease by half a day or more is the next day. The date, which has many forms, is ignored.
-    """
-    hour, minute, second = (pd.to_numeric(parts[k].str.replace(",", ".")).to_numpy(float) for k in range(3))
-    half = parts[3].str.lower()
-    hour = np.where(half.notna(), hour % 12 + 12.0 * (half == "p"), hour)
-    period = 3600.0 if np.isnan(hour).all() else 86400.0
-    seconds = 3600 * np.nan_to_num(hour) + 60 * minute + second
-    known = np.isfinite(seconds)
-    seconds[known] = np.unwrap(seconds[known], period=period)
-    return np.asarray(seconds, np.float64)
-
-
 def _check_commas(path: Path, header: list[str], rows: list[str], style: _Style, width: int) -> None:
     """Refuse rows in which a comma separates columns and also is the decimal mark: more cells than names, and
     no decimal point in any."""
     above = [cells for line in header if any(cells := style.cells(line))]
     names = len([cell for cell in above[-1] if cell]) if above else 0
-    if style.separator == "," and 1 < names < width and not any("." in row for row in rows[:1000]):
+    if (
+        style.separator == "," != style.decimal
+        and 1 < names < width
+        and not any("." in row for row in rows[:1000])
+    ):
         found = f"{names} names above {width} cells, none of which has a decimal point"
         advice = "export it with decimal points, or with semicolons or tabs between the columns"
         raise InputError(path, "commas either between columns or in numbers", found, advice)

@@ -8,14 +8,17 @@ import re
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from vision.errors import InputError
 from vision.files import check_regular, decode_text, groups_thousands, reading, some_lines
-from vision.numeric import Floats, Ints
+from vision.numeric import CLOCK, CLOCK_PARTS, DATE, Floats, Ints, clock_seconds
 from vision.video.reader import SECONDS
 from vision.video.settings import VideoSettings
 
 _UNIT = re.compile(r"(?:^|[\s_(\[.,;/-])(s|sec|seconds|ms|us|µs|μs|ns)(?:$|[\s)\],;])", re.IGNORECASE)
+_CLOCK = re.compile(rf"(?<![0-9:.])(?:{DATE}[ T,;\t]+)?({CLOCK})(?:[+-][0-9]{{2}}:?[0-9]{{2}})?(?![0-9:])")
+_CLOCK_FORM = re.compile(r"[(\[][^)\]]*:[^)\]]*[)\]]")  # in a header: "(hh:mm:ss.ms)"
 _TIME_NAME = re.compile(r"time|stamp|zeit|temps", re.IGNORECASE)
 _NEAR = 9  # frames before and after a step between times that are compared with it
 
@@ -26,8 +29,9 @@ def read_timestamps(path: Path) -> tuple[Floats, tuple[str, ...]]:
     One time per line, or columns divided by comma, semicolon, tab or space; a header names the column
     ("time", "timestamp") and its unit: `time_ms`, `Timestamp (us)`, `t [ns]`. Lines starting with # belong
     to the header. Without a name for each column the last that does not count the frames is used. Without a
-    unit it is s. Decimal commas are recognised where no commas separate columns, also in lines such as
-    0,016667, and points or commas between the thousands of whole numbers, as in 983, 1.000, 1.017.
+    unit it is s. Times of the day, with a date or without, become seconds since midnight. Decimal commas are
+    recognised where no commas separate columns, also in lines such as 0,016667, and points or commas between
+    the thousands of whole numbers, as in 983, 1.000, 1.017.
 
     Raises: InputError for a missing or empty file, text in place of a number, or commas of unknown meaning.
     """
@@ -36,7 +40,8 @@ def read_timestamps(path: Path) -> tuple[Floats, tuple[str, ...]]:
         raise InputError(path, wanted, "a far larger file", "check its name")
     with reading(path, wanted):
         data = path.read_bytes()
-    lines = _without_thousands(decode_text(path, data, wanted)[0].replace('"', "").splitlines())
+    lines = decode_text(path, data, wanted)[0].replace('"', "").splitlines()
+    lines = _without_thousands(_without_clocks(lines))
     end = "".join(lines[-2:])  # the last line may be cut before its separator
     separator = next((mark for mark in ";\t," if mark in end), None)
     cells = [[cell.strip() for cell in line.split(separator) if cell.strip()] for line in lines]
@@ -62,6 +67,20 @@ def read_timestamps(path: Path) -> tuple[Floats, tuple[str, ...]]:
     if not backwards.size:
         return times_s, ()
     return times_s, (_not_increasing(times_s, path.name),)
+
+
+def _without_clocks(lines: list[str]) -> list[str]:
+    """Return the lines with seconds in place of times of the day, if most lines have one."""
+    found = [_CLOCK.search(line) for line in lines]
+    if 2 * sum(map(bool, found)) <= len(lines):
+        return lines
+    seconds = clock_seconds(
+        pd.Series([match[1] if match else "" for match in found]).str.extract(CLOCK_PARTS)
+    )
+    return [
+        f"{line[: match.start()]}{time:.6f}{line[match.end() :]}" if match else _CLOCK_FORM.sub("", line)
+        for line, match, time in zip(lines, found, seconds, strict=True)
+    ]
 
 
 def _without_thousands(lines: list[str]) -> list[str]:
@@ -150,12 +169,17 @@ def unit_warning(times_s: Floats, playback_fps: float | None, name: str) -> list
     return []
 
 
-def median_rate(times_s: Floats) -> float | None:
-    """Return frames per second from the median interval; None for fewer than two times or equal times."""
+def usual_rate(times_s: Floats) -> float | None:
+    """Return frames per second from the usual interval; None for fewer than two times or equal times.
+
+    It is the mean of the intervals within a half of their median: rounded times have few distinct intervals,
+    of which the median is one. Those beside lost frames are longer.
+    """
     if times_s.size < 2:
         return None
-    step = float(np.nanmedian(np.diff(times_s)))
-    return 1.0 / step if step > 0 else None
+    steps = np.diff(times_s)
+    step = float(np.nanquantile(steps, 0.5, method="lower"))
+    return 1.0 / float(steps[np.abs(steps - step) < step / 2].mean()) if step > 0 else None
 
 
 # --- lost frames --------------------------------------------------------------------------------------------

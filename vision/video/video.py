@@ -20,7 +20,7 @@ from vision.video.raw import PIXELS, is_photron, open_raw, photron_files
 from vision.video.reader import Block, Facts, Reader
 from vision.video.settings import VideoSettings
 from vision.video.stacks import IMAGES, is_tiff, open_sequence, open_stack
-from vision.video.times import median_rate, read_timestamps, unit_warning
+from vision.video.times import read_timestamps, unit_warning, usual_rate
 
 FILMS = {".avi", ".mp4", ".m4v", ".mkv", ".mov", ".cine", PIXELS}
 """Suffixes by which the films of a folder are found. A film that is named may have any suffix."""
@@ -126,11 +126,11 @@ class Video:
     def clock(self) -> FrameClock:
         """The clock in use: given, else the file's own, else the playback rate."""
         if self.given_times_s is not None:
-            return FrameClock("given", median_rate(self.given_times_s))
+            return FrameClock("given", usual_rate(self.given_times_s))
         if self.given_fps is not None:
             return FrameClock("given", self.given_fps)
         if self.facts.times_s is not None:
-            return FrameClock("file", median_rate(self.facts.times_s))
+            return FrameClock("file", usual_rate(self.facts.times_s))
         if self.facts.camera_fps is not None:
             return FrameClock("file", self.facts.camera_fps)
         return FrameClock("file" if self.facts.times_in_blocks else "playback", self.facts.playback_fps)
