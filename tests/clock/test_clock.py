@@ -12,6 +12,7 @@ from vision.clock import Clock, force_slips, synchronise, video_slips
 from vision.errors import InputError
 from vision.experiment import force_recording, preset, with_settings, write_force
 from vision.experiment.scene import make_scene, truth_of
+from vision.figures.style import offset_text
 from vision.folder import plain
 from vision.force import find_stick_slip
 from vision.force.recording import read_force
@@ -314,6 +315,30 @@ def test_a_playback_rate_is_said(recorded):
     seen, force, sticks = recorded
     clock = synchronise(seen.assign_attrs(clock_kind="playback"), force, sticks)
     assert "`fps`" in clock.warnings[0]
+
+
+def test_stamps_since_1970_have_an_offset_that_can_be_used(recorded):
+    """A failure means that an offset is said as −1790407921 ± 1163844 s, which gives none to --offset."""
+    seen, force, sticks = recorded
+    late = 1.79e9
+    clock = synchronise(seen.assign_coords(time_s=seen.time_s + late), force, sticks)
+    at, offsets = clock.offsets_at_slips()
+    assert late < at < late + 70 and len(offsets) == 1 + len(clock.candidates)
+    assert abs(offsets[0] + late - OFFSET_S) < 4e-3 * clock.error_ms
+    assert "−1789999968.7" in offset_text(clock) and f"at video time {at} s" in offset_text(clock)
+    assert (
+        abs(
+            off_s(
+                synchronise(
+                    seen.assign_coords(time_s=seen.time_s + late), force, sticks, offset_s=offsets[0]
+                ),
+                OFFSET_S - late,
+                late + 35,
+            )
+        )
+        < 3e-3
+    )
+    assert synchronise(*recorded).offsets_at_slips()[0] == 0
 
 
 def test_json_has_the_agreed_names(recorded):

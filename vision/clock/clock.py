@@ -43,6 +43,9 @@ class Candidate:
     matched: int  # number of paired slips
 
 
+_FAR = 10  # error of the offset over that of a time among the slips
+
+
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Clock(Shown):
     r"""How video time maps to the force clock.
@@ -83,13 +86,26 @@ class Clock(Shown):
         """Video time at these times of the force clock, s; NaN stays NaN."""
         return (np.asarray(force_time_s, np.float64) - self.offset_s) / (1 + 1e-6 * self.drift_ppm)
 
+    def offsets_at_slips(self) -> tuple[int, Floats]:
+        """Return a video time, s, and force clock less video time there, s: of this clock and its candidates.
+
+        It is 0, or a time among the matched slips where 0 is so far away (time stamps of the day, or since
+        1970) that the drift decides the offset there.
+        """
+        far = self.offset_err_s > _FAR * 1e-3 * self.error_ms and self.matched_s
+        at = round(float(self.to_video_s(np.mean(self.matched_s)))) if far else 0
+        clocks: tuple[Clock | Candidate, ...] = (self, *self.candidates)
+        return at, np.array([one.offset_s + 1e-6 * one.drift_ppm * at for one in clocks])
+
     def _shown(self) -> tuple[str, dict[str, str]]:
         def with_error(value: str, error: float, unit: str) -> str:
             return f"{value} ± {two_digits(error)} {unit}" if math.isfinite(error) else f"{value} {unit}"
 
+        at, offsets = self.offsets_at_slips()
+        error_s = 1e-3 * self.error_ms if at else self.offset_err_s
         rows = {
             "status": f"{self.status} (from {self.how})",
-            "offset": with_error(f"{self.offset_s:.4f}", self.offset_err_s, "s"),
+            "offset": with_error(f"{offsets[0]:.4f}", error_s, f"s at video time {at} s" if at else "s"),
             "drift": with_error(f"{self.drift_ppm:.1f}", self.drift_err_ppm, "ppm"),
             "slips": f"{self.matched} matched, {self.unmatched_video} only in the video, "
             f"{self.unmatched_force} only in the force",

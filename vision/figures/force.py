@@ -117,10 +117,12 @@ def clocks_figure(
     )
     ambiguous = " The clocks are ambiguous: this alignment is only the likeliest."
     doubt = ambiguous * (clock.status == "ambiguous")
+    at, _ = clock.offsets_at_slips()
+    line = f"t(force) = t(video) + t_0 + r (t(video) − {at} s)" if at else "t(force) = t_0 + (1 + r) t(video)"
     return panel.figure(
         "clocks",
         "Force (solid, left axis, above) and mean outward displacement of all sheets (dashed, right axis, "
-        f"below) on the force clock, t(force) = t_0 + (1 + r) t(video) with t_0 = {offset_text(clock)} and "
+        f"below) on the force clock, {line} with t_0 = {offset_text(clock)} and "
         f"r = {drift_text(clock)}. Zoom in to one slip: the steps must coincide. {_agreement(clock)}"
         f"{shown}{doubt}",
         title="Clock check: force and sheets on one time axis",

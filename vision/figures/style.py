@@ -106,10 +106,12 @@ def to_mathtext(text: str) -> str:
 
 
 def offset_text(clock: Clock) -> str:
-    """Return a clock's offset, with its error if known."""
+    """Return a clock's offset, with its error if known, and at which video time if not at 0."""
     if not clock.offset_err_s > 0:
         return with_minus(f"{clock.offset_s:.4f} s")
-    return f"{plus_minus(Estimate(clock.offset_s, clock.offset_err_s))} s"
+    at, offsets = clock.offsets_at_slips()
+    error = 1e-3 * clock.error_ms if at else clock.offset_err_s
+    return f"{plus_minus(Estimate(float(offsets[0]), error))} s" + f" at video time {at} s" * (at != 0)
 
 
 def drift_text(clock: Clock) -> str:
