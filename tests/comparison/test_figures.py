@@ -8,7 +8,7 @@ import pytest
 
 import vision
 from tests.scenes.comparison import campaign, events, write_campaign, write_run
-from vision.comparison.comparison import _methods
+from vision.comparison.comparison import _methods, _subtitle
 from vision.comparison.figures import slope_text
 from vision.comparison.joint import CompareSettings
 from vision.comparison.trends import Trend
@@ -39,6 +39,15 @@ def test_speeds_that_differ_in_the_last_digit_are_one(tmp_path):
     assert names.count("sticks_V1") == 1
     assert "sticks_V10" in names
     assert len(set(names)) == len(names)
+
+
+def test_samples_without_names_are_not_counted(tmp_path):
+    """A failure means that tests of unknown samples are called tests of one sample."""
+    folders = [write_run(tmp_path / f"r{k}", events(seed=k)) for k in range(2)]
+    assert _subtitle(vision.compare(folders).tests) == "2 tests, V = 1 mm/min"
+    table = tmp_path / "tests.csv"
+    table.write_text("run,sample\nr0,A\nr1,A\n")
+    assert _subtitle(vision.compare(folders, table=table).tests) == "2 tests of 1 sample, V = 1 mm/min"
 
 
 def test_tests_that_share_no_friction_coefficient(tmp_path):

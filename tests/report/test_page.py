@@ -1,5 +1,6 @@
 """The page as a file: complete, small, honest about what it lacks, and unable to ask the network."""
 
+import html
 import re
 from dataclasses import replace
 
@@ -98,6 +99,16 @@ def test_the_top_of_the_page_has_no_parameter_without_its_error(pulled):
     detail = next(one for one in answers(replace(pulled, fits=fits)) if one.value.startswith("μ")).detail
     assert "A 0.5340 ± 0.0030 (stat.) ± 0.0040 (syst.), N̂ 0.5340 ± 0.0030 " in detail
     assert detail.endswith(", Y_eff 3.420 ± 0.020 GPa")
+
+
+def test_the_methods_compile_in_latex(pulled, tmp_path):
+    """A failure means that a manuscript lacks Greek letters, or does not compile for a bare percent sign."""
+    block = re.search(r'id="methods-latex" hidden>(.*?)</blockquote>', page_of(pulled, tmp_path), re.DOTALL)
+    text = html.unescape(re.sub(r"</?p>", "\n", block[1]))
+    assert text.isascii() and text.count("$") % 2 == 0
+    assert not re.search(r"(?<!\\)[%&#]", text)
+    for formula in (r"$\sigma_{x}$", r"$\hat{N}$ = 0.5", r"$\mathcal{T}_{0}$", r"$F_{\mathrm{p}}$", r"80 \%"):
+        assert formula in text
 
 
 def test_the_answers_are_the_run_s(pulled, tmp_path):

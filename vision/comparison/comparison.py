@@ -373,22 +373,27 @@ def write_comparison(
 # --- its page -----------------------------------------------------------------------------------------------
 
 
+def _subtitle(tests: Sequence[TractionTest]) -> str:
+    """Return the numbers of tests and of samples, if each is named, and the velocities."""
+    names = {test.sample_name for test in tests}
+    samples = "" if "" in names else f" of {counted(len(names), 'sample')}"
+    speeds = sorted({velocity(test.speed_mm_min) for test in tests if test.speed_mm_min > 0})
+    pulled = f", V = {', '.join(f'{v:g}' for v in speeds)} mm/min" if speeds else ""
+    return f"{counted(len(tests), 'test')}{samples}{pulled}"
+
+
 def _write_page(
     path: Path, found: Comparison, facts: Mapping[str, Any], figures: Mapping[str, Sequence[Figure]]
 ) -> None:
     """Write report.html of several tests, with the figures of one panel."""
     shown = {name: [one for one in part if len(one.panels) == 1] for name, part in figures.items()}
-    samples = {test.sample_name for test in found.tests}
-    speeds = sorted({velocity(test.speed_mm_min) for test in found.tests if test.speed_mm_min > 0})
-    tests = counted(len(found.tests), "test")
-    pulled = f", V = {', '.join(f'{v:g}' for v in speeds)} mm/min" if speeds else ""
     render_page(
         path,
         [(heading, part) for heading, part in shown.items() if part],
         facts,
-        title=tests,
+        title=counted(len(found.tests), "test"),
         kind="comparison",
-        subtitle=f"{tests} of {counted(len(samples), 'sample')}{pulled}",
+        subtitle=_subtitle(found.tests),
         answers=answers(found),
         warnings=list(facts.get("warnings", ())),
         missing=_missing(found),

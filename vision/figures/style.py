@@ -102,6 +102,37 @@ def to_mathtext(text: str) -> str:
     return re.sub("(\\w)\u0302", r"$\\hat{\\mathrm{\1}}$", plain)
 
 
+_LATEX = {
+    **{
+        "μ": r"\mu",
+        "µ": r"\mu",
+        "σ": r"\sigma",
+        "δ": r"\delta",
+        "Δ": r"\Delta",
+        "Λ": r"\Lambda",
+        "λ": r"\lambda",
+    },
+    **{"ε": r"\varepsilon", "φ": r"\varphi", "χ": r"\chi", "𝒯": r"\mathcal{T}", "²": "^2", "°": r"^\circ"},
+    **{"±": r"\pm", "−": "-", "×": r"\times", "·": r"\cdot", "√": r"\surd", "∝": r"\propto"},
+}
+_TO_LATEX = re.compile(rf"{_SYMBOL.pattern}|(\w)\u0302|([{''.join(_LATEX)}])|([\\%&#$_{{}}])")
+
+
+def to_latex(text: str) -> str:
+    """Return text for LaTeX: Greek letters, symbols with subscripts or hats and signs in formulae."""
+
+    def formula(match: re.Match[str]) -> str:
+        letter, subscript, hatted, sign, special = match.groups()
+        if special:
+            return rf"\{special}"
+        body = _LATEX.get(letter or hatted or sign, letter or hatted)
+        body = rf"\hat{{{body}}}" if hatted else body
+        lowered = subscript if subscript in (None, "x", "0") else rf"\mathrm{{{subscript}}}"
+        return f"${body}_{{{lowered}}}$" if subscript else f"${body}$"
+
+    return _TO_LATEX.sub(formula, text.replace("𝒯0", "𝒯_0"))
+
+
 # --- numbers ------------------------------------------------------------------------------------------------
 
 

@@ -32,6 +32,7 @@ from vision.figures.style import (
     TURNS,
     rgb,
     to_html,
+    to_latex,
     to_unicode,
 )
 from vision.folder import flattened
@@ -116,6 +117,7 @@ def _template() -> Template:
     """Return the template, with the plotting library and the page's own style and script."""
     environment = Environment(autoescape=True, undefined=StrictUndefined)
     environment.filters["symbols"] = to_html
+    environment.filters["latex"] = to_latex
     shipped = {"plot_css": "uPlot.min.css", "plot_js": "uPlot.iife.min.js"}
     shipped |= {"css": "report.css", "js": "report.js"}
     environment.globals.update({name: Markup(_asset(place)) for name, place in shipped.items()})

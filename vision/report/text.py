@@ -89,6 +89,8 @@ def citation() -> list[str]:
 def _video(profile: xr.DataArray, pixel_size_um: float | None, pixel_size_err_um: float | None) -> str:
     strip = StripMetadata.of(profile)
     rate = f"{strip.fps:.6g} frames per second ({RATE_SOURCES[strip.clock_kind]})"
+    if strip.clock_file:
+        rate = f"about {strip.fps:.4g} frames per second (with a time stamp each)"
     rate = rate if math.isfinite(strip.fps) else "a frame rate that is not known"
     scale = (
         "" if pixel_size_um is None else f" at {pixel_size_text(pixel_size_um, pixel_size_err_um)} per pixel"

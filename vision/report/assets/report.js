@@ -598,7 +598,7 @@
   const repaint = () => figures.forEach((f) => { if (f.tint) f.tint(); f.plot.redraw(false, true); });
   const resize = () => figures.forEach((f) => {
     const size = sizeOf(f.chart, f.querySelector(".plot"));
-    if (size.width !== f.plot.width) f.plot.setSize(size);
+    if (size.width !== f.plot.width || size.height !== f.plot.height) f.plot.setSize(size);
   });
   function theme(name) { root.dataset.theme = name; repaint(); }
   const preferred = matchMedia("(prefers-color-scheme: dark)");
@@ -609,14 +609,17 @@
   addEventListener("beforeprint", () => {
     before = root.dataset.theme; theme("light");
     document.querySelectorAll("details").forEach((d) => { d.open = true; });
-    figures.forEach((f) => f.plot.setSize({ width: 660, height: f.plot.height }));
+    const tall = (f) => f.chart.picture ? f.plot.height : Math.min(f.plot.height, 290); // two on a page
+    figures.forEach((f) => f.plot.setSize({ width: 660, height: tall(f) }));
   });
   addEventListener("afterprint", () => { theme(before); resize(); });
   addEventListener("resize", resize);
   document.querySelectorAll("[data-copy]").forEach((b) => b.addEventListener("click", () => {
-    const text = document.getElementById(b.dataset.copy);
+    const text = document.getElementById(b.dataset.copy), { hidden } = text;
+    text.hidden = false; // what is hidden is not copied
     getSelection().selectAllChildren(text);
     document.execCommand("copy");
+    text.hidden = hidden;
     b.textContent = "copied";
   }));
 
