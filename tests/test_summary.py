@@ -46,7 +46,7 @@ def test_the_columns_taken_from_the_force_recording_are_named(tmp_path):
     the screen."""
     path = written(tmp_path, SNAKE)
     test = replace(with_force(), force=read_force(path))
-    taken = "test.txt: time = time [s], load = load [mN], displacement = crosshead [cm]; 10 Hz"
+    taken = "test.txt: time = time [s], load = load [mN], displacement = crosshead [cm]; 10 Hz, V 1.2 mm/min"
     assert f"force      {taken}" in summary_lines(test)
     assert f"; force from {taken}" in subtitle(test)
     long = written(tmp_path, SNAKE.replace("load", "load_" + "x" * 80), name="f" * 100 + ".txt")

@@ -363,7 +363,7 @@ def positions_line(flags: FlagCounts) -> Answer:
 
 
 def force_columns_text(force: xr.Dataset) -> str:
-    """Return the name of the force recording, the columns taken from it, and its rate; "" if not known."""
+    """Return the name of the force recording, the columns taken from it, its rate and V; "" if not known."""
     facts = ForceMetadata.of(force)
     if not facts.columns:
         return ""
@@ -371,7 +371,8 @@ def force_columns_text(force: xr.Dataset) -> str:
     taken = (re.sub(r"(?<= = ).*(?= \[)", lambda name: shortened(name[0], 24), role) for role in roles)
     step = float(nan_median(np.diff(good_samples(force)["time_s"].values)))
     rate = f"; {1 / step:.4g} Hz" if step > 0 else ""
-    return f"{shortened(Path(facts.source).name, 40)}: {', '.join(taken)}{rate}"
+    pulled = f", V {facts.speed_mm_min:.3g} mm/min" if math.isfinite(facts.speed_mm_min) else ""
+    return f"{shortened(Path(facts.source).name, 40)}: {', '.join(taken)}{rate}{pulled}"
 
 
 def event_sizes(force: xr.Dataset, sticks: pd.DataFrame) -> str:

@@ -207,6 +207,13 @@ def test_doubtful_units_are_said() -> None:
     assert not any("units" in line for line in fit(made).warnings)
 
 
+def test_a_modulus_of_no_sheet_is_said() -> None:
+    """A failure means that a width in cm gives a modulus ten times too large, and nothing says so."""
+    (line,) = fit(events(), Sample(width_mm=4.5)).warnings
+    assert "Y_eff of 38 GPa" in line and "`width_mm`" in line
+    assert fit(events(), Sample(width_mm=4.5), modulus_GPa=38).warnings == fit(events()).warnings == ()
+
+
 def test_centimetres_that_nobody_declared_are_refused() -> None:
     """A failure means μ with a small error from a file that states no unit and whose numbers contradict mm.
 

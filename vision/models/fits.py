@@ -40,7 +40,7 @@ from vision.models.single_fits import (
     with_friction,
 )
 from vision.numeric import Floats, sigma_about_zero, two_digits, with_minus
-from vision.sample import PUBLISHED, Sample, is_plausible_modulus
+from vision.sample import LEAST_GPA, MOST_GPA, PUBLISHED, Sample, is_plausible_modulus
 from vision.signals import running_median
 
 _SUSPECTS = "check `d0_mm`, the sample's geometry and the load's zero"
@@ -149,7 +149,10 @@ def fit_models(
         left_out=left_out,
         input_errors=errors | ({"d0_mm": d0_err} if np.isfinite(d0_err) else {}),
         notes=tuple(line for line, warns in remarks if not warns),
-        warnings=(*filter(None, (unit_doubt, misread)), *(line for line, warns in remarks if warns)),
+        warnings=(
+            *filter(None, (unit_doubt or _doubtful_modulus(fits), misread)),
+            *(line for line, warns in remarks if warns),
+        ),
     )
 
 
@@ -221,6 +224,18 @@ def _doubtful_units(events: pd.DataFrame, sample: Sample, force: xr.Dataset) -> 
     if least > 1000:  # the modulus of diamond
         raise InputError("the force recording", "sheets of less than 1000 GPa", found, _read_as(force))
     return "" if is_plausible_modulus(least) else f"{found} or more: {_read_as(force)}"
+
+
+def _doubtful_modulus(fits: ModelFits) -> str:
+    """Why the sizes of the sheets are doubtful, "" if they are not: the modulus is not that of any sheet."""
+    value, error = fits.modulus_GPa.value, fits.modulus_GPa.error
+    known = not {"Y_eff_GPa", "modulus_GPa"} & {*fits.undetermined, *fits.held}
+    if not known or (value - 2 * error < MOST_GPA and value + 2 * error > LEAST_GPA):
+        return ""
+    line = (
+        f"Y_eff of {value:.2g} GPa is not in the {LEAST_GPA:g} to {MOST_GPA:g} GPa of paper and films: check"
+    )
+    return f"{line} `thickness_mm`, `width_mm`, `length_mm` and `sheets_per_block`"
 
 
 def _misread_lengths(fits: ModelFits, events: pd.DataFrame, given: _Given, force: xr.Dataset) -> str:
