@@ -82,6 +82,19 @@ def test_quoted_decimal_commas_between_commas(tmp_path: Path) -> None:
     np.testing.assert_allclose(force["load_N"], LOAD, atol=1e-3)
 
 
+@pytest.mark.parametrize("marks", [".,,", ",.,", ",,.", ",.."])
+def test_columns_with_decimal_marks_of_their_own(tmp_path: Path, marks: str) -> None:
+    """A failure means that 0.995, 1.000 in a file of decimal commas become 0.995 s and 1000 s."""
+    time_s, load_N = np.arange(0, 4, 0.005), np.resize(LOAD - LOAD[0], 800)
+    columns = (time_s, load_N, 2000 * time_s)
+    cells = [[f"{v:.3f}".replace(".", mark) for v in one] for one, mark in zip(columns, marks, strict=True)]
+    text = "\n".join(["Zeit (s);Kraft (N);Weg (um)", *map(";".join, zip(*cells, strict=True))])
+    force = read_force(written(tmp_path, text + "\n"))
+    np.testing.assert_allclose(force["time_s"], time_s, atol=1e-9)
+    np.testing.assert_allclose(force["load_N"], load_N, atol=1e-3)
+    np.testing.assert_allclose(force["d_mm"], 2 * time_s, atol=1e-6)
+
+
 CLOCKS = {
     "midnight": ("Time", lambda t: clock(86398 + t)),
     "comma": ("Uhrzeit", lambda t: clock(45000 + t).replace(".", ",")),

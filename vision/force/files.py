@@ -444,9 +444,14 @@ def _as_floats(series: pd.Series[Any], decimal: str) -> tuple[Floats, str]:
     clock = text.str.extract(CLOCK_PARTS)
     if clock[1].notna().mean() > 0.5:
         return clock_seconds(clock), TIME_OF_DAY
-    thousands = rf"(?<=[0-9])[{'.' if decimal == ',' else ','}'\u2019\u00a0\u202f ](?=[0-9]{{3}}(?![0-9]))"
-    grouped = text.str.match(rf"[-+]?[1-9][0-9]{{0,2}}(?:{thousands}[0-9]{{3}})+(?![0-9])")
-    text = text.mask(grouped, text.str.replace(thousands, "", regex=True)).str.replace(decimal, ".")
+    other = "." if decimal == "," else ","
+    if groups_thousands(some_lines(text.to_list()), other) is False:  # this column has another decimal mark
+        decimal = other
+    else:
+        thousands = rf"(?<=[0-9])[{other}'\u2019\u00a0\u202f ](?=[0-9]{{3}}(?![0-9]))"
+        grouped = text.str.match(rf"[-+]?[1-9][0-9]{{0,2}}(?:{thousands}[0-9]{{3}})+(?![0-9])")
+        text = text.mask(grouped, text.str.replace(thousands, "", regex=True))
+    text = text.str.replace(decimal, ".")
     cells = text.str.extract(_SUFFIXED)
     unit = str(cells["unit"].mode().get(0, ""))
     if unit_of(unit) and (cells["unit"] == unit).mean() > 0.5:
