@@ -189,6 +189,10 @@ def test_a_number_that_is_none_is_said_so(capsys):
     """A failure means that a word in place of a number is told of Python's floats."""
     assert run(["film.avi", "--fps", "fast"]) == 2
     assert capsys.readouterr().err == "track: --fps: expected a number; found 'fast'\n"
+    for option, typed in (("--speed", "1mm/min"), ("--offset", "24 s"), ("--machine-stiffness", "1e5N/mm")):
+        assert run(["film.avi", option, typed]) == 2
+        advice = "write only the number; track --help lists the options with their units"
+        assert f"{option}: expected a number; found '{typed}'; {advice}" in capsys.readouterr().err
 
 
 def test_a_file_of_options_gives_what_it_says(tmp_path):

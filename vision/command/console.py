@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 import tempfile
 import traceback
@@ -187,6 +188,8 @@ def one_line(error: Exception) -> str:
     elif isinstance(error, CoercionError) and error.target_type in (int, float) and error.token is not None:
         typed, kind = error.token.value, "number" if error.target_type is float else "whole number"
         advice = with_point(typed) if kind == "number" else ""
+        if not advice and re.match(r"[-+]?[0-9.]+(?:e[-+]?[0-9]+)?\s*[^\W\d]", typed):
+            advice = f"write only the number; {_help_of(error)} with their units"
         error = InputError(error.token.keyword or "an argument", f"a {kind}", f"'{typed}'", advice)
     elif isinstance(error, CycloptsError):
         return " ".join(str(error).split()) + f" ({_help_of(error)})"
