@@ -68,7 +68,7 @@ class VideoOptions:
     pitch: str | None = _sets("pitch_um")
     """Pixel size from the known mean distance between neighbouring sheets, such as 0.2mm or 0.2±0.002mm."""
     fps: float | None = None
-    """The camera's frame rate, where the file states only a playback rate."""
+    """The camera's frame rate, frames/s, where the file states only a playback rate."""
     timestamps: Path | None = None
     """Text file with the time of every frame: in s, with the unit above (time_ms), or 14:59:58.017."""
     frames: str | None = None
