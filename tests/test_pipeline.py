@@ -179,6 +179,13 @@ def test_a_setting_out_of_range_is_refused_at_once(name, value):
         Settings(**{name: value})
 
 
+def test_an_error_larger_than_its_value_is_refused():
+    """A failure means that 10±20 is a separation, or a run from Python that the command refuses."""
+    with pytest.raises(InputError, match=r"^`d0_err_mm`: expected at most the value 10; found 20"):
+        Settings(d0_mm=10, d0_err_mm=20)
+    assert Settings(d0_mm=0, d0_err_mm=0.1).d0_err_mm == 0.1  # the column is the separation
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

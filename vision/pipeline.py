@@ -176,6 +176,10 @@ class Settings(Tunable):
             if isinstance(value := getattr(self, name), PATH):
                 object.__setattr__(self, name, of_file(Path(value)))
         check_fields(self)
+        for name, unit in (("pixel_size", "um"), ("pitch", "um"), ("d0", "mm")):
+            value, error = getattr(self, f"{name}_{unit}"), getattr(self, f"{name}_err_{unit}")
+            if value and error and error > value:
+                raise InputError(f"`{name}_err_{unit}`", f"at most the value {value:g}", f"{error:g}")
 
 
 _TYPED = {
