@@ -357,6 +357,35 @@ def test_a_close_call_between_sheets_and_gaps_is_a_warning_unless_given(sign):
     assert not polarity_warnings(track_sheets(film, ridges="bright" if sign > 0 else "dark"))
 
 
+def two_bands(left_px):
+    """Two bright bands that vibrate, 8 px wide, with a gap as wide, and `left_px` columns left of them."""
+    columns, frames = np.arange(40 - 5 + left_px), np.arange(FRAMES)[:, None]
+    at = columns - left_px - 0.5 * np.sin(frames)
+    level = 30 + 165.0 * (((at > 0) & (at < 8)) | ((at > 16) & (at < 24))) + 50.0 * (at > 24)
+    noise = np.random.default_rng(3).normal(0, 0.3, level.shape)
+    return (gaussian_filter(level, (0, 0.8)) + noise).astype(np.float32)
+
+
+@pytest.mark.parametrize("left_px", [2, 3, 5, 12])
+def test_the_edge_of_the_picture_makes_no_narrow_ridges(left_px):
+    """However much of the background is in view, the bands are bright and 8 px wide. A failure means that
+    what the picture's edge leaves of a gap is taken for narrow dark ridges, which are tracked instead."""
+    found = describe_ridges(two_bands(left_px))
+    assert found.polarity == "bright"
+    assert found.fwhm_px == pytest.approx(8, abs=0.5)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("phase", [0.0, 0.3, 0.6])
+def test_few_stripes_as_wide_as_their_gaps_are_doubted(sign, phase):
+    """Three or four stripes of a vibrating pattern, which fill the picture. A failure means that chance
+    decides which are tracked, and nobody is told."""
+    x = 7.0 * (np.arange(-1, 6) + phase) + np.random.default_rng(1).normal(0, 0.02, (FRAMES, 1))
+    tracks = track_sheets(strip(ridges(x, width=28, fwhm_px=3.5), sign=sign))
+    (line,) = polarity_warnings(tracks)
+    assert "nearly as wide" in line
+
+
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("shift_px", [-90.0, 0.0, 90.0])
 def test_thick_sheets_before_a_background_are_not_doubted(sign, shift_px):

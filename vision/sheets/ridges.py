@@ -238,7 +238,9 @@ def _measure_within(
     widths = half_widths(walled.ravel(), maxima)
     frame = at // walled.shape[1]
     upper = float(np.quantile(prominence, 0.9)) if len(prominence) else np.inf
-    strength = np.where(prominence >= 0.3 * upper, prominence, 0.0)
+    x = at % walled.shape[1] - 1  # without the wall
+    whole = (x > 0) & (x < sample.shape[1] - 1)  # else it is the flank of a ridge outside the picture
+    strength = np.where(whole & (prominence >= 0.3 * upper), prominence, 0.0)
     width, main = _commonest_width(widths, strength, frame, sheets)
     if not main.any():
         return None
@@ -250,8 +252,7 @@ def _measure_within(
     count, width_px = float(np.median(counts)), sample.shape[1]
     top = float(np.median((half_widths(walled.ravel(), maxima, below=0.15) / widths)[main]))
     comb = RidgeComb(polarity, fwhm, pitch, contrast, noise, count, width_px, settings, top=top)
-    x = at[main] % walled.shape[1] - 1  # without the wall
-    return _MainRidges(comb, np.split(x, ends), np.split(widths[main], ends))
+    return _MainRidges(comb, np.split(x[main], ends), np.split(widths[main], ends))
 
 
 def _commonest_width(
@@ -326,16 +327,18 @@ def _choose_polarity(
             doubt = "the background beside the comb says one thing, what varies along the comb the other"
     else:
         many = min(bright.comb.count, dark.comb.count) >= FEWEST
-        decided = abs(varied) >= (settings.polarity_evidence if many else clear)
-        together = narrower + varied * many
-        is_bright = varied > 0 if decided else together >= np.log(settings.dark_width_ratio)
+        varied *= many  # two or three differences say nothing
+        decided = abs(varied) >= settings.polarity_evidence
+        is_bright = varied > 0 if decided else varied + narrower >= np.log(settings.dark_width_ratio)
         contradict = widths * heights < 0 and min(abs(widths), abs(heights)) >= clear
         if background * (1 if is_bright else -1) < -settings.background_seen:
             doubt = "the background beside the comb, where it says anything, says the opposite"
-        elif varied and even and many and (contradict or abs(varied + narrower) < clear):
+        elif varied and even and (contradict or abs(varied + narrower) < clear):
             doubt = (
                 "no clear background is beside the comb, and widths and brightness tell little or disagree"
             )
+        elif not many and abs(narrower) < settings.polarity_evidence:
+            doubt = "both are nearly as wide, and no clear background is beside them"
     alternate = abs(background) <= 1 / 3 and _alternate(line, bright, dark, settings)
     return replace((bright if is_bright else dark).comb, doubt=doubt, alternate=alternate)
 

@@ -56,14 +56,15 @@ class TrackingSettings(Tunable):
     polarity_evidence: float = 0.5
     """Least evidence that decides which stripes of a comb without ends are the sheets: the logarithm of how
     much more the others change their widths and differ in width, times how much more they themselves differ
-    in brightness. As much against the background beside the comb is warned of. Larger leaves more combs to
-    their widths alone, smaller decides by chance where nothing moves and all sheets are alike."""
+    in brightness. As much against the background beside the comb is warned of, and so are fewer than five
+    stripes whose widths differ by less. Larger leaves more combs to their widths alone, smaller decides by
+    chance where nothing moves and all sheets are alike."""
 
     clear_evidence: float = 1.0
-    """Evidence of this kind that decides among fewer than five stripes, and that overrules the background
-    beside the comb if the stripes are also narrower; with the logarithm of how much narrower they are, less
-    is warned of where no background is in view. Larger takes gaps between boards for sheets (1.7 in the least
-    clear scene of test_ridges.py), smaller lets noise overrule the background."""
+    """Evidence of this kind that overrules the background beside the comb if the stripes are also narrower;
+    with the logarithm of how much narrower they are, less is warned of where no background is in view. Larger
+    takes gaps between boards for sheets (1.7 in the least clear scene of test_ridges.py), smaller lets noise
+    overrule the background."""
 
     ground_step: float = 0.2
     """Fall of the level over the middle fifth of the way from a bright to a dark ridge, over that of the
