@@ -54,9 +54,10 @@ def number_sheets(
     sign. The stiff centre hardly moves, so that several positions are equally good, and more if the camera
     vibrates. The axis is in the middle of the comb if that is one of them, or if there is no significant
     motion or no slip, else in the middle of these positions; so it is where the picture cuts off one end of
-    the comb, if the motion leaves fewer than half of the sheets open. Sheets that seem to be missing in wide
-    spacings count for the middle of the comb, but not for n. With one side in view all sheets move alike, and
-    the axis lies beyond the end that moves least. A sheet on the axis (odd number) is the first on the right.
+    the comb, if that is nearer to this end, and the motion leaves fewer than half of the sheets open. Sheets
+    that seem to be missing in wide spacings count for the middle of the comb, but not for n. With one side in
+    view all sheets move alike, and the axis lies beyond the end that moves least. A sheet on the axis (odd
+    number) is the first on the right.
 
     A camera that moves along with the sheets, or a sample that the load carries along, shifts the place where
     the motion changes sign. If the whole comb is within a picture of `width_px` columns, and the motion less
@@ -81,7 +82,7 @@ def number_sheets(
     spacing = float(np.median(np.diff(position))) if sheets > 1 else np.inf
     left, right = ends_in_view(position[[0, -1]], None if width_px is None else (0, width_px - 1), spacing)
     split, how, limits, carried = _split_by_motion(
-        x_px, even, settings, whole=left and right, one_end=left != right
+        x_px, even, settings, whole=left and right, cut_off=int(left) - int(right)
     )
     low = high = np.nan
     if limits is not None:
@@ -147,7 +148,7 @@ def _side_and_n(split: int, sheets: int) -> tuple[Ints, Ints]:
 
 
 def _split_by_motion(
-    x_px: Floats, even: int, settings: TrackingSettings, *, whole: bool, one_end: bool
+    x_px: Floats, even: int, settings: TrackingSettings, *, whole: bool, cut_off: int
 ) -> tuple[int, AxisHow, tuple[float, float] | None, Carried]:
     """Return the number of sheets left of the axis, how it was found, the limits set by the motion, and
     whether all sheets are carried along, as most of them move alike.
@@ -155,8 +156,8 @@ def _split_by_motion(
     Splits are equally good within the noise of positions. The limits also allow for steps that are no
     opening: vibration in all frames, and in slips, whose sizes differ, a comb that is carried along or an
     avalanche on one side (White 1980, with the residuals of MacKinnon & White 1985). even: number of sheets
-    left of the middle of the comb. whole: whether the whole comb is in view. one_end: whether only one of its
-    ends is, so that the middle of what is in view is not that of the comb.
+    left of the middle of the comb. whole: whether the whole comb is in view. cut_off: −1 or 1 where only its
+    left or right end is not, so that its middle is on this side of the middle of what is in view, else 0.
     """
     sheets = x_px.shape[1]
     step, apart, noise = _slips(x_px, settings)
@@ -197,7 +198,8 @@ def _split_by_motion(
     beyond_still = _beyond_still_half(opening, even, settings)
     if in_middle and beyond_still is not None:
         return beyond_still, "motion", (min(low, beyond_still), max(high, beyond_still)), "perhaps"
-    if in_middle and not (one_end and high - low < sheets / 2):
+    towards_end = cut_off * (middle - even) > 0
+    if in_middle and not (towards_end and high - low < sheets / 2):
         how: AxisHow = "motion" if high - low <= settings.decided_sheets else "geometry"
         return even, how, (low, high), "yes" if carried else "no"
     outside = good[(good == 0) | (good == sheets)]  # all sheets move alike: one side is in view
