@@ -118,6 +118,15 @@ def test_the_upper_floor_is_whole_to_the_end(tracked):
     assert np.abs(x[-20:] - x[:20]).max() < 5  # it comes to rest where it began
 
 
+@pytest.mark.parametrize("rows", ["4:54", "8:50"])
+def test_markers_before_a_bright_background_have_no_reflection(tracked, rows):
+    """Between some of the markers the background is nearly as bright as they are. A failure means an error
+    of many pixels on all positions, for light over a height of nearly zero."""
+    tracked_with = ("--strip", rows, "--ridges", "dark", "--sheets", "7")
+    *_, facts = tracked("released_markers_upper.avi", *tracked_with)
+    assert not any("a reflection" in line for line in facts["warnings"])
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize("rows", ["0:40", "2:38", "8:32"])
 def test_no_ridge_of_the_whole_film_leaves_all_others(tracked, rows):

@@ -205,11 +205,12 @@ def second_comb(profile: Floats32, x_px: Floats, blurred: Bools, comb: RidgeComb
     ridge in some frames, to the gap beside it in others. Ridges blurred by motion (frame, N) do not count.
 
     The levels in the middle of a gap, :math:`g`, and at the tops of the ridges beside it, :math:`t`, both
-    over the height of the ridges, are averaged over a few frames. Their changes count without those of all
-    sheets together, and without what is in proportion to the width of the gap, as overlapping flanks are. A
-    lamp, a shadow or dirt changes both in the same direction, and noise changes each by itself. What has the
-    size of a ridge, and which the sheets move against, changes them in opposite directions: if t and g, of
-    all gaps together, are correlated by less than -`second_comb_correlation`, the error of all positions is
+    over the usual height of the ridges, are averaged over a few frames. Their changes count without those of
+    all sheets together, and without what is in proportion to the width of the gap, as overlapping flanks are.
+    A lamp, a shadow or dirt changes both in the same direction, and noise changes each by itself. What has
+    the size of a ridge, and which the sheets move against, changes them in opposite directions: if t and g,
+    of all gaps together, are correlated by less than -`second_comb_correlation`, the error of all positions
+    is
 
     .. math:: k\,\sigma_r\,\sqrt{-q\,\langle t\,g\rangle} ,
 
@@ -237,9 +238,10 @@ def second_comb(profile: Floats32, x_px: Floats, blurred: Bools, comb: RidgeComb
     sides = levels_at(bright, x[:, :-1] + quarter)[:, 1:] - levels_at(bright, x[:, 1:] - quarter)[:, :-1]
     tops, gaps, sides, x = map(_of_periods, ((tops[:, 1:] + tops[:, :-1]) / 2, gaps, sides, x))
     apart = np.diff(x, axis=1)
-    height = nan_median(tops - gaps)
-    height[~(height > 0)] = np.nan
-    whole = _over_all(tops / height, gaps / height, sides / height[1:], settings)
+    height = float(nan_median(nan_median(tops - gaps)))  # a gap that shows something bright has next to none
+    if not height > 0:
+        return SecondComb()
+    whole = _over_all(tops / height, gaps / height, sides / height, settings)
     tops, gaps = (_changes(values / height, apart, settings.second_comb_most) for values in (tops, gaps))
     known = np.isfinite(tops) & np.isfinite(gaps)
     count = np.maximum(known.sum(axis=0), 1)
@@ -260,7 +262,7 @@ def second_comb(profile: Floats32, x_px: Floats, blurred: Bools, comb: RidgeComb
 
 def _over_all(tops: Floats, gaps: Floats, sides: Floats, settings: TrackingSettings) -> float:
     """Return the light, rms, that a second comb which moves over all sheets alike brings from the tops to the
-    gaps (period, K), over the height of the ridges; 0 without one.
+    gaps (period, K), over the usual height of the ridges; 0 without one.
 
     Even combs lie over each other alike everywhere. The focus changes all tops and gaps as well, but it
     leaves the two sides of a ridge equal, and a comb that moves does not. sides: the level a quarter of the
