@@ -320,14 +320,13 @@ def test_the_middle_of_a_comb_that_is_cut_off_at_one_end_is_no_axis(cut, seed):
 
 @pytest.mark.parametrize("cut_left", [True, False])
 @pytest.mark.parametrize("seed", range(10))
-def test_the_side_that_is_cut_off_shows_no_more_sheets_than_the_other(cut_left, seed):
-    """The camera vibrates, and the outermost sheet of one side is not in view. A failure means that the axis
-    is searched on the side of the middle where it cannot be."""
+def test_an_axis_that_vibration_hides_is_near_the_middle_of_a_comb_that_lacks_one_sheet(cut_left, seed):
+    """The camera vibrates, and the outermost sheet of one side is not in view. A failure means that n of all
+    sheets changes by several when the picture cuts off one."""
     truth = opening_comb(25, 25, seed=seed) + np.random.default_rng(seed).normal(0, 0.4, (300, 1))
     truth = truth[:, 1:] - truth[0, 1] + 10 if cut_left else truth[:, :-1]
     numbering = number_sheets(truth, width_px=int(truth[0, -1]) + (100 if cut_left else 10))
-    right = int((numbering.side > 0).sum())
-    assert right >= 24 if cut_left else right <= 25
+    assert abs(int((numbering.side < 0).sum()) - (24 if cut_left else 25)) <= 1
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

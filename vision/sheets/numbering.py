@@ -54,10 +54,10 @@ def number_sheets(
     sign. The stiff centre hardly moves, so that several positions are equally good, and more if the camera
     vibrates. The axis is in the middle of the comb if that is one of them, or if there is no significant
     motion or no slip, else in the middle of these positions; so it is where the picture cuts off one end of
-    the comb, if that is nearer to this end, and the motion leaves fewer than half of the sheets open. Sheets
-    that seem to be missing in wide spacings count for the middle of the comb, but not for n. With one side in
-    view all sheets move alike, and the axis lies beyond the end that moves least. A sheet on the axis (odd
-    number) is the first on the right.
+    the comb, if that is nearer to this end, and the motion leaves few sheets open. Sheets that seem to be
+    missing in wide spacings count for the middle of the comb, but not for n. With one side in view all sheets
+    move alike, and the axis lies beyond the end that moves least. A sheet on the axis (odd number) is the
+    first on the right.
 
     A camera that moves along with the sheets, or a sample that the load carries along, shifts the place where
     the motion changes sign. If the whole comb is within a picture of `width_px` columns, and the motion less
@@ -199,7 +199,7 @@ def _split_by_motion(
     if in_middle and beyond_still is not None:
         return beyond_still, "motion", (min(low, beyond_still), max(high, beyond_still)), "perhaps"
     towards_end = cut_off * (middle - even) > 0
-    if in_middle and not (towards_end and high - low < sheets / 2):
+    if in_middle and not (towards_end and high - low < settings.decided_range * sheets):
         how: AxisHow = "motion" if high - low <= settings.decided_sheets else "geometry"
         return even, how, (low, high), "yes" if carried else "no"
     outside = good[(good == 0) | (good == sheets)]  # all sheets move alike: one side is in view
