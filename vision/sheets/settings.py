@@ -633,9 +633,10 @@ class TrackingSettings(Tunable):
     """Sheets by which the axis may lie elsewhere for the motion still to have found it."""
 
     decided_range: float = 0.25
-    """The same where only one end of the comb is in view, as a share of the sheets. Larger takes vibration for
-    the axis: with one or two of 50 sheets out of view it is 2 sheets off (rms) at 0.5, 1 at 0.25. Smaller
-    takes the middle of the sheets in view for it: with eight out of view it is 4 off (3.5 at 0.5)."""
+    """The same where only one end of the comb is in view, as a share of the sheets. With a larger one
+    vibration moves the axis: with one or two of 50 sheets out of view it is 2 sheets off (rms) at 0.5, 1 at
+    0.25. Smaller takes the middle of the sheets in view for it: with eight out of view it is 4 off (3.5 at
+    0.5)."""
 
 
 DEFAULT = TrackingSettings()
