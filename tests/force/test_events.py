@@ -48,6 +48,41 @@ def test_arrays_without_flags_are_measured_as_a_file_is():
         find_stick_slip(force.drop_vars("flag").isel(time_s=halves))
 
 
+@pytest.mark.parametrize("column", ["load_N", "time_s", "d_mm"])
+@pytest.mark.parametrize(("factor", "zero"), [(1e-3, 0.0), (1e3, 0.0), (1.0, 5e3)])
+def test_units_and_zeros_change_no_event(column, factor, zero) -> None:
+    """The same recording in another unit, or from another zero. A failure means that a threshold is a number
+    of newtons, seconds or millimetres, which suits one machine."""
+    force = realistic(speed=1.0, rate=200.0, noise=0.02, d1=13.3).force
+    here, there = (
+        find_stick_slip(one) for one in (force, force.assign({column: factor * force[column] + zero}))
+    )
+    assert (here["flag"] == there["flag"]).all()
+    load, length = (factor if column == name else 1.0 for name in ("load_N", "d_mm"))
+    same = {"F_p_err_N": load, "dF_N": load, "stick_length_um": length}
+    same |= {"K_N_per_mm": load / length, "K_err_N_per_mm": load / length}
+    for name, gain in same.items():
+        np.testing.assert_allclose(there[name], gain * here[name], rtol=1e-4, err_msg=name)
+    moved = {"load_N": ("F_p_N", "F_v_N"), "time_s": ("t_p_s", "t_v_s"), "d_mm": ("d_p_mm", "d_v_mm")}[column]
+    for name in moved:
+        np.testing.assert_allclose(there[name], factor * here[name] + zero, rtol=1e-6, err_msg=name)
+
+
+@pytest.mark.parametrize("part", [slice(0, 0.5), slice(0.5, 1)])
+def test_events_of_a_part_are_those_of_the_whole(part) -> None:
+    """A failure means that what a stick is depends on sticks far away from it."""
+    force = realistic(speed=1.0, rate=200.0, noise=0.02, d1=13.6).force
+    first, stop = (int(share * force.sizes["time_s"]) for share in (part.start, part.stop))
+    whole = find_stick_slip(force).set_index("t_p_s")
+    cut = find_stick_slip(force.isel(time_s=slice(first, stop)))[1:-1].set_index("t_p_s")
+    same = whole.loc[cut.index[0] - 0.01 : cut.index[-1] + 0.01]
+    assert len(same) == len(cut)
+    errors = {"F_p_N": "F_p_err_N", "F_v_N": "F_v_err_N", "dF_N": "dF_err_N"}
+    errors |= {"stick_length_um": "stick_length_err_um", "K_N_per_mm": "K_err_N_per_mm"}
+    for name, error in errors.items():
+        assert (abs(same[name].to_numpy() - cut[name].to_numpy()) < cut[error].to_numpy()).all(), name
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("samples", [30, 100])
