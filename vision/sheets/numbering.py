@@ -78,11 +78,13 @@ def number_sheets(
     sheets = len(position)
     place = _places(position, settings)
     all_sheets = int(place[-1]) + 1
-    even = int(np.searchsorted(place, all_sheets // 2))
     spacing = float(np.median(np.diff(position))) if sheets > 1 else np.inf
     left, right = ends_in_view(position[[0, -1]], None if width_px is None else (0, width_px - 1), spacing)
+    cut_off = int(left) - int(right)
+    on_left = (all_sheets + (cut_off > 0)) // 2  # the side that is cut off does not show more than the other
+    even = int(np.searchsorted(place, on_left))
     split, how, limits, carried = _split_by_motion(
-        x_px, even, settings, whole=left and right, cut_off=int(left) - int(right)
+        x_px, even, settings, whole=left and right, cut_off=cut_off
     )
     low = high = np.nan
     if limits is not None:
@@ -95,7 +97,7 @@ def number_sheets(
         if spacing > 0:  # the axis is half a spacing from the innermost sheet
             n += int(beyond / spacing)
         return Numbering(float(axis_px), "given", side, n, float(low), float(high))
-    on_sheet = all_sheets % 2 == 1 and split == even and int(place[split]) == all_sheets // 2
+    on_sheet = all_sheets % 2 == 1 and split == even and int(place[split]) == all_sheets // 2 and not cut_off
     on_sheet &= limits is None or bool(np.floor(limits[0]) <= even <= limits[1])
     axis_px = _axis(position, split, on_sheet=on_sheet)
     missing = all_sheets - sheets if how == "geometry" else 0
