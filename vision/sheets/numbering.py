@@ -56,8 +56,8 @@ def number_sheets(
     motion or no slip, else in the middle of these positions; so it is where the picture cuts off one end of
     the comb, if that is nearer to this end, and the motion leaves few sheets open. Sheets that seem to be
     missing in wide spacings count for the middle of the comb, but not for n. With one side in view all sheets
-    move alike, and the axis lies beyond the end that moves least. A sheet on the axis (odd number) is the
-    first on the right.
+    move alike, and the axis lies beyond the end that moves least. A sheet on the axis (odd number, no end cut
+    off) is the first on the right.
 
     A camera that moves along with the sheets, or a sample that the load carries along, shifts the place where
     the motion changes sign. If the whole comb is within a picture of `width_px` columns, and the motion less
