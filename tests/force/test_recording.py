@@ -238,6 +238,7 @@ def test_one_column_with_units_in_each_line(tmp_path: Path) -> None:
         (("µs", 1e-6), ("MN", 1e6), ("m", 1e3)),
         (("min", 60), ("mN", 1e-3), ("µm", 1e-3)),
         (("h", 3600), ("daN", 10), ("nm", 1e-6)),
+        (("h", 3600), ("cN", 1e-2), ("cm", 10)),
         (("sec", 1), ("lbf", 4.4482216), ("in", 25.4)),
         (("seconds", 1), ("kgf", 9.80665), ("ft", 304.8)),
         (("msec", 1e-3), ("gf", 9.80665e-3), ("inches", 25.4)),

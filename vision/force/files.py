@@ -122,7 +122,7 @@ _FACTORS: dict[Dimension, dict[str, float]] = {
     "force": {
         **dict.fromkeys(("N", "newton", "newtons"), 1.0),
         **dict.fromkeys(("kN", "kilonewton", "kilonewtons"), 1e3),
-        **{"MN": 1e6, "daN": 10.0, "mN": 1e-3, "µN": 1e-6, "uN": 1e-6},
+        **{"MN": 1e6, "daN": 10.0, "cN": 1e-2, "mN": 1e-3, "µN": 1e-6, "uN": 1e-6},
         **dict.fromkeys(("lbf", "lb", "lbs"), 4.4482216152605),
         **dict.fromkeys(("kgf", "kp", "kg"), 9.80665),
         **dict.fromkeys(("gf", "g"), 9.80665e-3),
