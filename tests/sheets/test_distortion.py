@@ -161,6 +161,24 @@ def test_a_reflection_that_moves_over_all_ridges_is_in_their_errors(seed, monkey
     assert off_unchecked(monkeypatch, picture, x) > 5
 
 
+@pytest.mark.parametrize("seed", [2, 3, 4])
+def test_texture_that_moves_with_a_sheet_is_no_distortion(seed):
+    """Each sheet has two lines of its own, bright or dark, half as high as the sheet. A failure means that
+    some sheets have errors of many pixels, since their tops look nothing like those of the others."""
+    x, rng = comb(200, per_side=10, axis_px=300, pitch_px=27), np.random.default_rng(seed)
+    light = ridges(x, width=600, fwhm_px=2.5, flat_px=8)
+    for away in rng.uniform(-4, 4, (2, x.shape[1])):
+        light += ridges(x + away, width=600, fwhm_px=3, contrast=rng.choice([-0.5, 0.5], x.shape[1]))
+    tracks = track_sheets(strip(light, snr=60, seed=seed))
+    one_ridge = tracks.found.values > 0.9  # others look like two sheets
+    off = (tracks.x_px.values - x)[:, one_ridge]
+    off -= np.nanmedian(off, axis=0)
+    stated, true = (np.sqrt(np.nanmean(v**2)) for v in (tracks.x_err_px.values[:, one_ridge], off))
+    assert one_ridge.mean() >= 0.9
+    assert true < 0.03
+    assert stated < 1.5 * true
+
+
 def thin_beside_thick(seed):
     """Sheets 7 px wide, and between some of them two to five that are 2.5 px wide and 5 px apart."""
     rng = np.random.default_rng(seed)

@@ -44,7 +44,7 @@ def test_without_the_search_the_errors_are_too_small(monkeypatch):
     monkeypatch.setattr("vision.sheets.tracks.second_comb", lambda *_: SecondComb())
     x, picture = film(True)
     tracks = track_sheets(picture, sheets=28)
-    assert in_errors(displacement_error(tracks, x), tracks) > 1.5
+    assert in_errors(displacement_error(tracks, x), tracks) > 1.4
 
 
 def beside(what, picture):

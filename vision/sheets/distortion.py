@@ -366,7 +366,8 @@ def _fit_shape(
     """Fit the mean shape (u,) to the pixels around positions, with the matrix of `_fit_matrix`.
 
     Returns the height, by how much the fits to the top and with a slope shift the position, and its shift per
-    slope of the light (`_shift_by_light`), all (frame, N).
+    slope of the light (`_shift_by_light`), all (frame, N). All shifts are relative to the height of the whole
+    ridge: the top of a sheet with texture may have none of the mean shape.
     """
     half = len(shape) // 2
     away = np.arange(-half, half + 1)
@@ -376,7 +377,7 @@ def _fit_shape(
         around = levels_around(comb.bright(profile[rows]), x_px[rows], half)
         found = fits @ around
         with np.errstate(divide="ignore", invalid="ignore"):
-            shift = found[:, 1::2] / found[:, ::2]
+            shift = found[:, 1::2] / found[:, :1]
             level = around.mean(axis=1) / found[:, 0]  # in units of the height, as the mean shape has none
             pulled_px2[rows] = np.abs(fits[1] @ away * level + fits[1] @ (away * shape))
         height[rows] = found[:, 0]

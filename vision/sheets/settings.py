@@ -453,10 +453,11 @@ class TrackingSettings(Tunable):
     other are 1.2 to 2 as wide. Larger gives a place between both, smaller withholds thick sheets beside gaps
     (test_a_sheet_against_its_neighbour_is_merged_with_it)."""
 
-    most_distorted: float = 0.26
+    most_distorted: float = 0.2
     """Usual distortion, in ridge widths, above which a sheet is no single ridge. A second sheet or mark that
-    shifts it by a fifth of its width distorts it by 0.1 to 0.4. Larger gives positions between two sheets
-    (test_distortion.py), smaller withholds sheets at hot pixels or in a shadow (test_degraded.py)."""
+    shifts it by a fifth of its width distorts it by 0.1 to 0.4, sheets cut out of photographs have up to
+    0.19. Larger gives positions between two sheets (test_distortion.py at 0.26), smaller withholds sheets at
+    hot pixels or in a shadow (test_degraded.py)."""
 
     distortion_sigmas: float = 4.0
     """Limit for the difference between two fits of a ridge and for the slope of the light, each over its
