@@ -10,6 +10,7 @@ from vision.checks import consistency_warnings, tracking_warnings
 from vision.data import TrackMetadata
 from vision.errors import InputError
 from vision.sheets import TrackingSettings, track_sheets, wide_spacings
+from vision.sheets.reference import static_ridges
 
 
 def without_one(k: int):
@@ -253,3 +254,23 @@ def test_the_last_sheet_is_kept_where_the_light_falls_off(mirrored):
         picture = ridges(truth, width=520, contrast=contrast)
         tracks = track_sheets(strip(picture[:, ::-1] if mirrored else picture))
         assert tracks.sizes["sheet"] == sheets
+
+
+def test_an_innermost_sheet_near_a_stiff_one_is_no_mark():
+    """One side in view: its last two sheets hardly move, the one before them slips far. A failure means that
+    the last sheet is taken for dust as it is nearer to the next than usual, and all sheets count one too
+    low, or that dust beside a sheet that moves is kept."""
+    rest = np.r_[0, np.cumsum([30, 30, 30, 30, 30, 21])]
+    phase = np.arange(150)[:, None] % 25 / 25 - 0.5
+    moves = np.array([17, 12, 8, 8, 18, 1.6, 1.0])
+    assert not static_ridges(moves * phase, rest).any()
+    moves[-2:] = 12, 1
+    assert np.flatnonzero(static_ridges(moves * phase, rest)) == [6]
+
+
+def test_a_faint_bump_that_stands_still_beside_two_sheets_is_none():
+    """Two sheets before a background with a faint bump. A failure means that it is the innermost of three
+    sheets, without a warning."""
+    x = [60, 120] - np.array([9.0, 2.0]) * (1 - np.arange(150)[:, None] % 25 / 25)
+    light = ridges(x, width=260, fwhm_px=12) + ridges(np.full((150, 1), 200.0), width=260, contrast=0.2)
+    assert track_sheets(strip(light)).sizes["sheet"] == 2

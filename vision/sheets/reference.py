@@ -29,7 +29,7 @@ from vision.numeric import (
     typical_size,
 )
 from vision.sheets.alignment import Candidates, ExpectedSheets, align, values_of
-from vision.sheets.ridges import RidgeComb
+from vision.sheets.ridges import FEWEST, RidgeComb
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.signals import running_median
 
@@ -365,8 +365,9 @@ def static_ridges(moved_px: Floats, rest_px: Floats, *, settings: TrackingSettin
     Motion grows outwards, so that a sheet moves at least as much as its neighbours on one side. Each entry is
     therefore compared with the smaller of the motions to its left and right (each the mean of two
     neighbours), if these have the same direction and are large enough. Nothing is decided at the centre of
-    the comb, which hardly moves, and at its ends only where their spacing is not the comb's. A row of marks
-    beside the comb, whose marks have stationary neighbours, is found by its position and spacing.
+    the comb, which hardly moves. Its ends are compared with the nearest entry, and only where their spacing
+    is not the comb's. A row of marks beside the comb, whose marks have stationary neighbours, is found by its
+    position and spacing.
 
     moved_px: displacement from the rest positions rest_px (N,), (frame, N), NaN where missing.
     """
@@ -378,9 +379,9 @@ def static_ridges(moved_px: Floats, rest_px: Floats, *, settings: TrackingSettin
         """Return the power of the motion beside an entry, that of its own, and the frames that show both."""
         left, right = _beside(moved_px, n, -1), _beside(moved_px, n, 1)
         if n == 0 and odd[0]:
-            left = right
+            left = right = moved_px[:, 1]
         if n == sheets - 1 and odd[-1]:
-            right = left
+            left = right = moved_px[:, -2]
         both = np.isfinite(left) & np.isfinite(right) & np.isfinite(moved_px[:, n])
         left, right = left[both], right[both]
         common = np.where(left * right > 0, np.minimum(np.abs(left), np.abs(right)), 0.0)
@@ -427,17 +428,16 @@ def faint_ends(reference: ReferenceComb, moved_px: Floats, *, settings: Tracking
     comb. One sign is not enough: sheets may be faint, and if one side of the comb is in view, one end is
     stationary. An entry that moves along with the next is a sheet: the ridge of one close to its neighbour is
     low and narrow. An entry of unusual width and with another motion need only be dim (`dim_end`). Several
-    faint entries at an end are all no sheets if they are `_stationary_beside` a bright one. moved_px:
-    displacement from the rest positions (frame, N), NaN where missing.
+    faint entries at an end, or one beside a few sheets, are all no sheets if they are `_stationary_beside` a
+    bright one. moved_px: displacement from the rest positions (frame, N), NaN where missing.
     """
     none = np.zeros(reference.sheets, bool)
-    if reference.sheets < 5:
-        return none
     contrast, width = (values - np.median(values) for values in (reference.log_contrast, reference.log_width))
     faint_end, dim_end = np.log(settings.faint_end), np.log(settings.dim_end)
     power = np.array([(moved[np.isfinite(moved)] ** 2).sum() for moved in moved_px.T]) / len(moved_px)
     in_comb = moved_px - nan_median(moved_px, axis=1)[:, None]  # a shaken camera moves all alike
-    for end, inner, beside in ((0, 1, contrast[1:6]), (-1, -2, contrast[-6:-1])):
+    ends = ((0, 1, contrast[1:6]), (-1, -2, contrast[-6:-1])) if reference.sheets >= FEWEST else ()
+    for end, inner, beside in ends:
         seen, own = np.isfinite(moved_px[:, end]).mean(), contrast[end]
         if seen > 0.5:  # and the light may fall off towards this end
             own -= min(0.0, float(np.median(beside)))
