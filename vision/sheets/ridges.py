@@ -302,8 +302,9 @@ def _choose_polarity(
     """Return the comb of the stripes that are the sheets, with the reason if that is doubtful.
 
     The background beside the comb is also what shows between the sheets, unless clamps or boards lie there:
-    what varies along the comb can overrule it if narrowness does, too. Without a background, what varies
-    decides, and the narrower stripes are the sheets if nothing else tells them from gaps.
+    what varies along the comb can overrule it if narrowness does, too. Where the background seldom says
+    anything, what varies decides, and the narrower stripes are the sheets if nothing else tells them from
+    gaps.
     """
     line = _smoothed(sample, SEARCH_SIGMA_PX)
     narrower = float(np.log(dark.comb.fwhm_px / bright.comb.fwhm_px))
@@ -331,7 +332,11 @@ def _choose_polarity(
         decided = abs(varied) >= settings.polarity_evidence
         is_bright = varied > 0 if decided else varied + narrower >= np.log(settings.dark_width_ratio)
         contradict = widths * heights < 0 and min(abs(widths), abs(heights)) >= clear
-        if background * (1 if is_bright else -1) < -settings.background_seen:
+        opposite = background * (1 if is_bright else -1) < -settings.background_seen
+        if opposite and not varied:  # nothing but narrowness speaks for these stripes
+            is_bright = not is_bright
+            doubt = "the background beside the comb says one thing, the widths of the stripes the other"
+        elif opposite:
             doubt = "the background beside the comb, where it says anything, says the opposite"
         elif varied and even and (contradict or abs(varied + narrower) < clear):
             doubt = (

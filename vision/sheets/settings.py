@@ -46,8 +46,9 @@ class TrackingSettings(Tunable):
 
     background_seen: float = 0.1
     """Share of the frames in which the background beside the comb speaks against the stripes, though it says
-    nothing in most, from which a warning says so. Larger takes gaps for sheets without a word, smaller warns
-    of single frames (test_a_background_that_seldom_says_anything_is_heard)."""
+    nothing in most, from which a warning says so, and from which it decides where else only narrowness does.
+    Larger takes gaps for sheets, smaller heeds single frames
+    (test_a_background_that_seldom_says_anything_is_heard)."""
 
     even_spacing: float = 2.5
     """Stripes whose spacings differ by more than this factor between their quartiles are no comb of sheets
