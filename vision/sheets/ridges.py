@@ -32,7 +32,7 @@ from vision.numeric import (
     spread_indices,
 )
 from vision.sheets.settings import DEFAULT, TrackingSettings
-from vision.signals import Maxima, find_maxima, half_widths
+from vision.signals import find_maxima, half_widths
 
 Polarity = Literal["bright", "dark"]
 SEARCH_SIGMA_PX = 1.0  # standard deviation of the smoothing with which a comb is described
@@ -327,25 +327,36 @@ def _choose_polarity(
                 is_bright = varied > 0
             doubt = "the background beside the comb says one thing, what varies along the comb the other"
     else:
-        many = min(bright.comb.count, dark.comb.count) >= FEWEST
-        varied *= many  # two or three differences say nothing
-        decided = abs(varied) >= settings.polarity_evidence
-        is_bright = varied > 0 if decided else varied + narrower >= np.log(settings.dark_width_ratio)
-        contradict = widths * heights < 0 and min(abs(widths), abs(heights)) >= clear
-        opposite = background * (1 if is_bright else -1) < -settings.background_seen
-        if opposite and not varied:  # nothing but narrowness speaks for these stripes
-            is_bright = not is_bright
-            doubt = "the background beside the comb says one thing, the widths of the stripes the other"
-        elif opposite:
-            doubt = "the background beside the comb, where it says anything, says the opposite"
-        elif varied and even and (contradict or abs(varied + narrower) < clear):
-            doubt = (
-                "no clear background is beside the comb, and widths and brightness tell little or disagree"
-            )
-        elif not many and abs(narrower) < settings.polarity_evidence:
-            doubt = "both are nearly as wide, and no clear background is beside them"
+        if min(bright.comb.count, dark.comb.count) < FEWEST:
+            widths = heights = 0.0  # two or three differences say nothing
+        is_bright, doubt = _polarity_of_stripes(widths, heights, narrower, background, settings)
     alternate = abs(background) <= 1 / 3 and _alternate(line, bright, dark, settings)
     return replace((bright if is_bright else dark).comb, doubt=doubt, alternate=alternate)
+
+
+def _polarity_of_stripes(
+    widths: float, heights: float, narrower: float, background: float, settings: TrackingSettings
+) -> tuple[bool, str]:
+    """Return whether the bright stripes are the sheets if the background seldom says anything, and the doubt.
+
+    All values speak for the bright stripes if positive. widths, heights: by how much more the dark stripes
+    vary in width and the bright ones in height; 0 for few stripes.
+    """
+    varied = widths + heights
+    decided = abs(varied) >= settings.polarity_evidence
+    is_bright = varied > 0 if decided else varied + narrower >= np.log(settings.dark_width_ratio)
+    contradict = widths * heights < 0 and min(abs(widths), abs(heights)) >= settings.clear_evidence
+    if background * (1 if is_bright else -1) < -settings.background_seen:
+        if varied:
+            return is_bright, "the background beside the comb, where it says anything, says the opposite"
+        doubt = "the background beside the comb says one thing, the widths of the stripes the other"
+        return not is_bright, doubt  # nothing but narrowness spoke for the others
+    if varied and (contradict or abs(varied + narrower) < settings.clear_evidence):
+        doubt = "no clear background is beside the comb, and widths and brightness tell little or disagree"
+        return is_bright, doubt
+    if not varied and abs(narrower) < settings.polarity_evidence:
+        return is_bright, "both are nearly as wide, and no clear background is beside them"
+    return is_bright, ""
 
 
 def _alternate(line: Floats32, bright: _MainRidges, dark: _MainRidges, settings: TrackingSettings) -> bool:
@@ -528,29 +539,36 @@ def in_blocks(work: Callable[[slice], Result], table: NDArray[Any]) -> list[Resu
 
 def _find_block(profile: Floats32, comb: RidgeComb) -> tuple[Ints, Floats32]:
     """Return the number of ridges in each of a block of frames, and position, contrast and width of all in
-    turn, (3, ridges). The block is searched as one long line with walls between the frames."""
+    turn, (3, ridges).
+
+    The block is searched as one long line, in which three columns stand between the picture's edge and the
+    next frame: one higher than the edge by the threshold, the frame's lowest value, and a wall. A ridge that
+    the edge cuts thus counts if it rises above the edge by the threshold, with the base on its other side;
+    else it is the flank of something outside the picture.
+    """
     settings = comb.settings
     smoothing_px = max(0.5, settings.smoothing_widths * comb.fwhm_px)
     least = _noise_floor(comb.noise, smoothing_px, settings)
     threshold = max(least, settings.faint_fraction * comb.contrast)
     reach_px = max(4, round(settings.surroundings_widths * comb.fwhm_px))
-    walled = _smoothed(comb.bright(profile), smoothing_px, wall_px=1)
-    line, inside = walled.ravel(), walled[:, 1:-1]
-    walled[:, [0, -1]] = inside.max() + 1  # no base lies beyond it, and a slope up to it is no ridge
-    at, prominence = find_maxima(
-        line,
+    walled = _smoothed(comb.bright(profile), smoothing_px, wall_px=3)
+    inside = walled[:, 3:-3]
+    walled[:, [2, -3]] = inside[:, [0, -1]] + threshold
+    walled[:, [1, -2]] = inside.min(axis=1, keepdims=True)
+    walled[:, [0, -1]] = walled[:, 2:-2].max() + 1
+    maxima = find_maxima(
+        walled.ravel(),
         least_prominence=threshold,
         reach=reach_px,
         widest=reach_px,  # a wider plateau is flat background, whose prominence is not defined
     )
-    is_wall = np.isin(at % walled.shape[1], [0, walled.shape[1] - 1])
-    at, prominence = at[~is_wall], prominence[~is_wall]
-    walled[:, [0, -1]] = inside.min() - 1  # a ridge ends there
-    widths = half_widths(line, Maxima(at, prominence))
+    at, prominence = maxima
     frame, x = np.divmod(at, walled.shape[1])
+    widths = half_widths(walled.ravel(), maxima)
     fwhm = np.sqrt(np.maximum(widths**2 - (FWHM * smoothing_px) ** 2, 0.25))
     relative = fwhm / comb.fwhm_px
     keep = (relative >= settings.narrowest_widths) & (relative <= settings.widest_widths)
+    keep &= (x > 2) & (x < walled.shape[1] - 3)
     flattened = np.hypot(1, FWHM * smoothing_px / comb.fwhm_px)  # height a Gaussian loses to the smoothing
     counts = np.bincount(frame[keep], minlength=len(profile))
-    return counts, np.array([x[keep] - 1, prominence[keep] * flattened, fwhm[keep]], np.float32)
+    return counts, np.array([x[keep] - 3, prominence[keep] * flattened, fwhm[keep]], np.float32)
