@@ -137,31 +137,29 @@ def test_ridges_on_the_light_of_a_blurred_comb(sigma, seed):
 
 
 @pytest.mark.parametrize(
-    ("unlike", "dark", "polarity", "doubt"),
+    ("unlike", "dark", "polarity", "said"),
     [
-        (0.3, 0.0, "dark", []),
-        (0.3, 0.2, "dark", ["says the opposite"]),
-        (0.0, 0.0, "dark", []),
-        (0.0, 0.2, "bright", ["the stripes the other"]),
+        (0.3, 0.0, "dark", False),
+        (0.3, 0.2, "dark", True),
+        (0.0, 0.2, "dark", True),
+        (0.0, 0.32, "bright", False),
     ],
 )
-def test_a_background_that_seldom_says_anything_is_heard(unlike, dark, polarity, doubt):
-    """Sheets, alike in width or not, with narrow, even gaps before a background that is halfway between them,
-    and as dark as the gaps in a share of the frames. A failure means that gaps are taken for sheets without a
+def test_a_background_that_seldom_says_anything_is_heard(unlike, dark, polarity, said):
+    """Sheets, alike in width or not, with narrow gaps before a background that is halfway between them, and
+    as dark as the gaps in a share of the frames. A failure means that gaps are taken for sheets without a
     word, or only because they are narrower, or that the background is heard though it says nothing."""
     rng = np.random.default_rng(2)
     width_px = 12 * (1 + unlike * rng.uniform(-1, 1, 16))
     first = 50 + np.r_[0, np.cumsum(width_px + 6)[:-1]]
-    columns, frames = np.arange(380)[:, None], np.arange(60)[:, None]
+    columns, frames = np.arange(380)[:, None], np.arange(100)[:, None]
     inside = ((columns >= first) & (columns < first + width_px)).any(axis=1)
     beside = (columns < first[0] - 6).T | (columns > first[-1] + width_px[-1] + 6).T
-    level = np.where(beside, np.where(frames % 10 < 10 * dark, 0.0, 30.0), 60.0 * inside)
-    picture = gaussian_filter(level, (0, 1.2)) + 40
-    if unlike:
-        picture += rng.normal(0, 0.5, level.shape)
+    level = np.where(beside, np.where(frames < 100 * dark, 0.0, 30.0), 60.0 * inside)
+    picture = gaussian_filter(level, (0, 1.2)) + 40 + rng.normal(0, 0.5, level.shape)
     found = describe_ridges(picture.astype(np.float32))
     assert found.polarity == polarity
-    assert [said for said in ("says the opposite", "the stripes the other") if said in found.doubt] == doubt
+    assert ("says the opposite" in found.doubt) == said
 
 
 @pytest.mark.parametrize("pitch", [2.6, 3.5])

@@ -318,7 +318,8 @@ def _choose_polarity(
         if even:
             widths, heights = _variation(line, bright, dark, pitch)
     varied, clear, doubt = widths + heights, settings.clear_evidence, ""
-    if abs(background) > 1 / 3:
+    background_decides = abs(background) > settings.background_decides
+    if background_decides:
         is_bright = background > 0
         if _clipped(line, bright, settings):  # all that is bright has the same level
             varied = widths
@@ -327,36 +328,39 @@ def _choose_polarity(
                 is_bright = varied > 0
             doubt = "the background beside the comb says one thing, what varies along the comb the other"
     else:
-        if min(bright.comb.count, dark.comb.count) < FEWEST:
-            widths = heights = 0.0  # two or three differences say nothing
-        is_bright, doubt = _polarity_of_stripes(widths, heights, narrower, background, settings)
-    alternate = abs(background) <= 1 / 3 and _alternate(line, bright, dark, settings)
+        few = min(bright.comb.count, dark.comb.count) < FEWEST
+        is_bright, doubt = _polarity_of_stripes(widths, heights, narrower, background, settings, few=few)
+    alternate = not background_decides and _alternate(line, bright, dark, settings)
     return replace((bright if is_bright else dark).comb, doubt=doubt, alternate=alternate)
 
 
 def _polarity_of_stripes(
-    widths: float, heights: float, narrower: float, background: float, settings: TrackingSettings
+    widths: float,
+    heights: float,
+    narrower: float,
+    background: float,
+    settings: TrackingSettings,
+    *,
+    few: bool,
 ) -> tuple[bool, str]:
     """Return whether the bright stripes are the sheets if the background seldom says anything, and the doubt.
 
     All values speak for the bright stripes if positive. widths, heights: by how much more the dark stripes
-    vary in width and the bright ones in height; 0 for few stripes.
+    vary in width and the bright ones in height. few: whether too few stripes are in view for that.
     """
-    varied = widths + heights
+    varied = 0.0 if few else widths + heights
     decided = abs(varied) >= settings.polarity_evidence
     is_bright = varied > 0 if decided else varied + narrower >= np.log(settings.dark_width_ratio)
     contradict = widths * heights < 0 and min(abs(widths), abs(heights)) >= settings.clear_evidence
     if background * (1 if is_bright else -1) < -settings.background_seen:
-        if varied:
-            return is_bright, "the background beside the comb, where it says anything, says the opposite"
-        doubt = "the background beside the comb says one thing, the widths of the stripes the other"
-        return not is_bright, doubt  # nothing but narrowness spoke for the others
-    if varied and (contradict or abs(varied + narrower) < settings.clear_evidence):
+        doubt = "the background beside the comb, where it says anything, says the opposite"
+    elif varied and (contradict or abs(varied + narrower) < settings.clear_evidence):
         doubt = "no clear background is beside the comb, and widths and brightness tell little or disagree"
-        return is_bright, doubt
-    if not varied and abs(narrower) < settings.polarity_evidence:
-        return is_bright, "both are nearly as wide, and no clear background is beside them"
-    return is_bright, ""
+    elif few and abs(narrower) < settings.polarity_evidence:
+        doubt = "both are nearly as wide, and no clear background is beside them"
+    else:
+        doubt = ""
+    return is_bright, doubt
 
 
 def _alternate(line: Floats32, bright: _MainRidges, dark: _MainRidges, settings: TrackingSettings) -> bool:

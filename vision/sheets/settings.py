@@ -44,10 +44,15 @@ class TrackingSettings(Tunable):
     to decide, as a share of their difference. Smaller trusts uneven backgrounds, larger fewer even ones
     (test_a_background_that_seldom_says_anything_is_heard at 0.02)."""
 
+    background_decides: float = 0.3
+    """Share of the frames, less those that say the opposite, in which the background beside the comb must
+    speak for the same stripes to decide. Larger takes sheets for gaps because they are wider
+    (test_a_background_that_seldom_says_anything_is_heard), smaller heeds noise (0.27 in a real film that was
+    compressed until it was poor)."""
+
     background_seen: float = 0.1
-    """Share of the frames in which the background beside the comb speaks against the stripes, though it says
-    nothing in most, from which a warning says so, and from which it decides where else only narrowness does.
-    Larger takes gaps for sheets, smaller heeds single frames
+    """The same share, of frames that speak against the stripes that are taken for the sheets, from which a
+    warning says so. Larger takes gaps for sheets without a word, smaller warns of single frames
     (test_a_background_that_seldom_says_anything_is_heard)."""
 
     even_spacing: float = 2.5
