@@ -224,7 +224,7 @@ def test_a_slow_hand_over_the_upper_floor_renumbers_no_marker(tracked, tmp_path)
     path = write_ffv1(tmp_path / "hand.mkv", np.rint(film * (1 - covered) + 25 * covered).astype(np.uint8))
     _, beside, flags, _ = track(tmp_path / "run", path, chosen)
     assert np.nanmax(np.abs(beside - x)) < 20  # 160 px apart
-    assert np.isin(flags, ("ok", "blurred")).mean() > 0.85
+    assert np.isin(flags, ("ok", "blurred")).mean() > 0.75  # two of seven, a third of the time
 
 
 def test_the_upper_floor_in_poor_jpegs_is_not_given_a_marker_further(tracked, tmp_path):
