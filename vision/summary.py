@@ -426,7 +426,7 @@ def _ms(seconds: float) -> str:
 
 def _clocks(clock: Clock) -> Answer:
     if clock.status == "ambiguous":
-        _, offsets = clock.offsets_at_slips()
+        _, offsets, _ = clock.offsets_at_slips()
         pairs = zip(offsets[1:], clock.candidates[:3], strict=False)
         best = [f"{offset_s:.3f} s ({one.log_likelihood:.1f})" for offset_s, one in pairs]
         likeliest = with_minus(", ".join(best) or f"{clock.offset_s:.3f} s")

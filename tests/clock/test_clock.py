@@ -322,7 +322,7 @@ def test_stamps_since_1970_have_an_offset_that_can_be_used(recorded):
     seen, force, sticks = recorded
     late = 1.79e9
     clock = synchronise(seen.assign_coords(time_s=seen.time_s + late), force, sticks)
-    at, offsets = clock.offsets_at_slips()
+    at, offsets, _ = clock.offsets_at_slips()
     assert late < at < late + 70 and len(offsets) == 1 + len(clock.candidates)
     assert abs(offsets[0] + late - OFFSET_S) < 4e-3 * clock.error_ms
     assert "−1789999968.7" in offset_text(clock) and f"at video time {at} s" in offset_text(clock)

@@ -86,23 +86,24 @@ class Clock(Shown):
         """Video time at these times of the force clock, s; NaN stays NaN."""
         return (np.asarray(force_time_s, np.float64) - self.offset_s) / (1 + 1e-6 * self.drift_ppm)
 
-    def offsets_at_slips(self) -> tuple[int, Floats]:
-        """Return a video time, s, and force clock less video time there, s: of this clock and its candidates.
+    def offsets_at_slips(self) -> tuple[int, Floats, float]:
+        """Return a video time, s, and force clock less video time there, s: of this clock and its candidates,
+        with the standard error of the first.
 
-        It is 0, or a time among the matched slips where 0 is so far away (time stamps of the day, or since
+        The time is 0, or one among the matched slips where 0 is so far away (time stamps of the day, or since
         1970) that the drift decides the offset there.
         """
         far = self.offset_err_s > _FAR * 1e-3 * self.error_ms and self.matched_s
         at = round(float(self.to_video_s(np.mean(self.matched_s)))) if far else 0
         clocks: tuple[Clock | Candidate, ...] = (self, *self.candidates)
-        return at, np.array([one.offset_s + 1e-6 * one.drift_ppm * at for one in clocks])
+        offsets_s = np.array([one.offset_s + 1e-6 * one.drift_ppm * at for one in clocks])
+        return at, offsets_s, 1e-3 * self.error_ms if at else self.offset_err_s
 
     def _shown(self) -> tuple[str, dict[str, str]]:
         def with_error(value: str, error: float, unit: str) -> str:
             return f"{value} ± {two_digits(error)} {unit}" if math.isfinite(error) else f"{value} {unit}"
 
-        at, offsets = self.offsets_at_slips()
-        error_s = 1e-3 * self.error_ms if at else self.offset_err_s
+        at, offsets, error_s = self.offsets_at_slips()
         rows = {
             "status": f"{self.status} (from {self.how})",
             "offset": with_error(f"{offsets[0]:.4f}", error_s, f"s at video time {at} s" if at else "s"),

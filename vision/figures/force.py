@@ -117,7 +117,7 @@ def clocks_figure(
     )
     ambiguous = " The clocks are ambiguous: this alignment is only the likeliest."
     doubt = ambiguous * (clock.status == "ambiguous")
-    at, _ = clock.offsets_at_slips()
+    at, *_ = clock.offsets_at_slips()
     line = f"t(force) = t(video) + t_0 + r (t(video) − {at} s)" if at else "t(force) = t_0 + (1 + r) t(video)"
     return panel.figure(
         "clocks",

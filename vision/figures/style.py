@@ -103,15 +103,8 @@ def to_mathtext(text: str) -> str:
 
 
 _LATEX = {
-    **{
-        "μ": r"\mu",
-        "µ": r"\mu",
-        "σ": r"\sigma",
-        "δ": r"\delta",
-        "Δ": r"\Delta",
-        "Λ": r"\Lambda",
-        "λ": r"\lambda",
-    },
+    **dict.fromkeys("μµ", r"\mu"),
+    **{"σ": r"\sigma", "δ": r"\delta", "Δ": r"\Delta", "Λ": r"\Lambda", "λ": r"\lambda"},
     **{"ε": r"\varepsilon", "φ": r"\varphi", "χ": r"\chi", "𝒯": r"\mathcal{T}", "²": "^2", "°": r"^\circ"},
     **{"±": r"\pm", "−": "-", "×": r"\times", "·": r"\cdot", "√": r"\surd", "∝": r"\propto"},
 }
@@ -140,9 +133,8 @@ def offset_text(clock: Clock) -> str:
     """Return a clock's offset, with its error if known, and at which video time if not at 0."""
     if not clock.offset_err_s > 0:
         return with_minus(f"{clock.offset_s:.4f} s")
-    at, offsets = clock.offsets_at_slips()
-    error = 1e-3 * clock.error_ms if at else clock.offset_err_s
-    return f"{plus_minus(Estimate(float(offsets[0]), error))} s" + f" at video time {at} s" * (at != 0)
+    at, offsets, error_s = clock.offsets_at_slips()
+    return f"{plus_minus(Estimate(float(offsets[0]), error_s))} s" + f" at video time {at} s" * (at != 0)
 
 
 def drift_text(clock: Clock) -> str:

@@ -555,8 +555,9 @@ def _find_block(profile: Floats32, comb: RidgeComb) -> tuple[Ints, Floats32]:
     least = _noise_floor(comb.noise, smoothing_px, settings)
     threshold = max(least, settings.faint_fraction * comb.contrast)
     reach_px = max(4, round(settings.surroundings_widths * comb.fwhm_px))
-    walled = _smoothed(comb.bright(profile), smoothing_px, wall_px=3)
-    inside = walled[:, 3:-3]
+    columns, width = 3, profile.shape[1]
+    walled = _smoothed(comb.bright(profile), smoothing_px, wall_px=columns)
+    inside = walled[:, columns:-columns]
     walled[:, [2, -3]] = inside[:, [0, -1]] + threshold
     walled[:, [1, -2]] = inside.min(axis=1, keepdims=True)
     walled[:, [0, -1]] = walled[:, 2:-2].max() + 1
@@ -567,12 +568,13 @@ def _find_block(profile: Floats32, comb: RidgeComb) -> tuple[Ints, Floats32]:
         widest=reach_px,  # a wider plateau is flat background, whose prominence is not defined
     )
     at, prominence = maxima
-    frame, x = np.divmod(at, walled.shape[1])
     widths = half_widths(walled.ravel(), maxima)
+    frame, x = np.divmod(at, walled.shape[1])
+    x -= columns
     fwhm = np.sqrt(np.maximum(widths**2 - (FWHM * smoothing_px) ** 2, 0.25))
     relative = fwhm / comb.fwhm_px
     keep = (relative >= settings.narrowest_widths) & (relative <= settings.widest_widths)
-    keep &= (x > 2) & (x < walled.shape[1] - 3)
+    keep &= (x >= 0) & (x < width)
     flattened = np.hypot(1, FWHM * smoothing_px / comb.fwhm_px)  # height a Gaussian loses to the smoothing
     counts = np.bincount(frame[keep], minlength=len(profile))
-    return counts, np.array([x[keep] - 3, prominence[keep] * flattened, fwhm[keep]], np.float32)
+    return counts, np.array([x[keep], prominence[keep] * flattened, fwhm[keep]], np.float32)

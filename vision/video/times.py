@@ -71,7 +71,7 @@ def read_timestamps(path: Path) -> tuple[Floats, tuple[str, ...]]:
 
 def _without_clocks(lines: list[str]) -> list[str]:
     """Return the lines with seconds in place of times of the day, if most lines have one."""
-    found = [_CLOCK.search(line) for line in lines]
+    found = [_CLOCK.search(line) if ":" in line else None for line in lines]
     if 2 * sum(map(bool, found)) <= sum(bool(line.strip()) for line in lines):
         return lines
     seconds = clock_seconds(
