@@ -61,16 +61,17 @@ def check_regular(path: Path, wanted: str) -> os.stat_result:
 
 def members(path: Path) -> list[Path]:
     """Return what a folder holds, else the path itself or what matches it as a pattern; in no order."""
-    return list(path.iterdir()) if path.is_dir() else _matching(path)
+    return list(path.iterdir()) if path.is_dir() else matching(path)
 
 
-def _matching(path: Path) -> list[Path]:
+def matching(path: Path) -> list[Path]:
+    """Return the path itself if it exists, else what matches it as a pattern; in no order."""
     return [path] if path.exists() else [Path(name) for name in glob.glob(str(path))]  # noqa: PTH207  # absolute
 
 
 def expanded(paths: Iterable[Path]) -> tuple[Path, ...]:
     """Return paths with patterns replaced by what matches them, in order: not every shell does so."""
-    return tuple(one for path in paths for one in sorted(_matching(path)) or [path])
+    return tuple(one for path in paths for one in sorted(matching(path)) or [path])
 
 
 def no_such_file(path: Path, wanted: str) -> InputError:
@@ -227,8 +228,7 @@ class Stamp:
                 with os.scandir(path) as entries:
                     return cls._of_all([entry.stat() for entry in entries if entry.is_file()])
             if not path.exists() and glob.has_magic(str(path)):
-                names = glob.glob(str(path))  # noqa: PTH207  # may be absolute
-                return cls._of_all([os.stat(name) for name in names])  # noqa: PTH116
+                return cls._of_all([file.stat() for file in matching(path)])
             found = path.stat()
         except (OSError, ValueError):
             return cls(None)

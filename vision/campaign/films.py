@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import glob
 import math
 import re
 import time
@@ -15,7 +14,7 @@ from typing import Any
 from vision.comparison.runs import ALIKE, COLUMNS, LIMITS, table_cells
 from vision.data import Tunable
 from vision.errors import InputError, nearest_word
-from vision.files import TIFF, Watch, answered, no_such_file, shortened
+from vision.files import TIFF, Watch, answered, matching, no_such_file, shortened
 from vision.numeric import number
 from vision.video import VideoSettings, open_video, video_files
 from vision.video.video import FILMS, files_in
@@ -236,9 +235,7 @@ def _film(text: str, base: Path, may_come_later: Callable[[str], bool]) -> tuple
         one = str(films[0])
         wrong = f"{shortened(film)}: expected one film; found {len(films)}; name one of them, such as {one}"
         return one, [("film", wrong)] if len(films) > 1 else []
-    if "\0" not in film and (Path(film).exists() or (glob.has_magic(film) and glob.glob(film))):  # noqa: PTH207
-        return film, []
-    if may_come_later(film):
+    if ("\0" not in film and matching(Path(film))) or may_come_later(film):
         return film, []
     return film, [("film", f"{shortened(film)}: {no_such_file(Path(film), 'a film').problem}")]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import glob
 import hashlib
 import json
 import math
@@ -24,7 +23,7 @@ import vision
 from vision.clock import Candidate, Clock
 from vision.data import STIFF_BELOW, TRACKS, StripMetadata, TrackMetadata, strip_of
 from vision.errors import InputError
-from vision.files import AGAIN, READ_HDF5, Progress, reading, shortened, try_out
+from vision.files import AGAIN, READ_HDF5, Progress, matching, reading, shortened, try_out
 from vision.folder import (
     RUN_JSON,
     check_target,
@@ -175,7 +174,7 @@ class RunFolder:
         ends = (Path(*parts[first:]) for first in range(len(parts)))
         folder = self.folder.absolute()
         moved = (above / end for end in ends for above in (folder, *folder.parents))
-        return next(filter(_is_there, chain((made_in / named, named), moved)), named)
+        return next(filter(matching, chain((made_in / named, named), moved)), named)
 
     def force(self, moved: str | Path | None = None) -> Path | None:
         """Return the path of the force recording, as `input` does; None for a run without one."""
@@ -194,7 +193,7 @@ class RunFolder:
             raise InputError(self.folder, wanted, "none in its run.json", "give another run")
         known: Mapping[str, Any] = inputs[0 if which == "film" or not self.of_video else -1]
         path = self.found(Path(str(known["path"]))) if moved is None else Path(moved)
-        if not _is_there(path):
+        if not matching(path):
             advice = "put it back there, or measure the run again with" if which == "force" else "give"
             advice += f" its new path (`{which}`)"
             raise InputError(path, f"an input of {self.folder}", "no such file", advice)
@@ -206,11 +205,6 @@ class RunFolder:
             found = "another of the same size" if same_size else f"one of {now['size_bytes']} bytes"
             raise InputError(path, wanted, found, "track it again")
         return path
-
-
-def _is_there(path: Path) -> bool:
-    """Return whether a path or a pattern, which has no file of its own name, has files."""
-    return path.exists() or bool(glob.glob(str(path)))  # noqa: PTH207  a pattern may be absolute
 
 
 def is_run(folder: Path) -> bool:
