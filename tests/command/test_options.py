@@ -266,7 +266,7 @@ def test_a_value_with_a_senseless_error_is_refused(text):
         (lambda text: parse_pitch(text, "--pitch"), "0,2mm", "0.2mm"),
         (lambda text: parse_length(text, "--width"), "1,5 px", "1.5 px"),
         (parse_scale, "1,5mm=103,5px", "1.5mm=103.5px"),
-        (lambda text: parse_pair(text, "--fit-range", "a range"), "13,2:17", "13.2:17"),
+        (lambda text: parse_pair(text, "--fit-range", "a range", example="13.2:17"), "13,2:17", "13.2:17"),
         (parse_seconds, "40:45,1", "40:45.1"),
         (lambda text: parse_duration(text, "--force-lowpass"), "0,05", "0.05"),
     ],
@@ -282,10 +282,10 @@ def test_low_pass_and_range_of_the_fit():
     """A failure means auto or a range is misread."""
     read = [parse_duration(text, "--force-lowpass") for text in ("auto", "0", "0.003")]
     assert read == ["auto", 0.0, 0.003]
-    assert parse_pair("13.2:17", "--fit-range", "a range") == (13.2, 17.0)
+    assert parse_pair("13.2:17", "--fit-range", "a range", example="13.2:17") == (13.2, 17.0)
     for wrong in ("17:13", "13", "a:b", ":17"):
         with pytest.raises(InputError, match="--fit-range"):
-            parse_pair(wrong, "--fit-range", "a range")
+            parse_pair(wrong, "--fit-range", "a range", example="13.2:17")
     for wrong in ("fast", "-1", "nan"):
         with pytest.raises(InputError, match="--force-lowpass"):
             parse_duration(wrong, "--force-lowpass")

@@ -104,7 +104,7 @@ def modulus(
     target = output.out or Path(f"{file.stem}_modulus")
     check_results(target, overwrite=output.overwrite, mark="cycles")
     wanted = "two shares A:B with 0 <= A < B <= 1"
-    shares = parse_pair(options.part, "--part", wanted, most=1, advice="write 0.4:0.9")
+    shares = parse_pair(options.part, "--part", wanted, most=1, example="0.4:0.9")
     columns = parse_columns(options.force_columns) if options.force_columns else None
     with known_as(columns="force_columns"):
         force = read_force(file, columns=columns)
@@ -183,7 +183,7 @@ def friction(
     check_results(target, overwrite=output.overwrite, mark="measurements")
     wanted = "two angles A:B in degrees with 0 <= A < B"
     at_least(options.mu, "--mu", 1e-9)
-    angles = parse_pair(options.dynamic, "--dynamic", wanted, advice="write 0.3:120")
+    angles = parse_pair(options.dynamic, "--dynamic", wanted, example="0.3:120")
     settings = discs.FrictionSettings(dynamic_deg=angles)
     loads = _loads(options.normal_force, len(files))
     measured, failures, notes = _measure(files, loads, options.radius, settings)

@@ -205,14 +205,19 @@ def parse_duration(text: str | float, option: str) -> float | Literal["auto"]:
     return value
 
 
+def _refused(option: str, wanted: str, text: str, example: str) -> InputError:
+    """Return the error for a value of an option, which names its decimal commas or gives an example."""
+    return InputError(option, wanted, f"'{text}'", with_point(text) or f"write {example}")
+
+
 def parse_pair(
-    text: str, option: str, wanted: str, *, most: float = math.inf, advice: str = ""
+    text: str, option: str, wanted: str, *, example: str, most: float = math.inf
 ) -> tuple[float, float]:
     """Parse `A:B`, two numbers from 0 to `most`, the second larger.  Raises: InputError."""
     first, _, last = text.partition(":")
     low, high = number(first), number(last)
     if not 0 <= low < high <= most or high == math.inf:
-        raise InputError(option, wanted, f"'{text}'", with_point(text) or advice)
+        raise _refused(option, wanted, text, example)
     return low, high
 
 
@@ -232,8 +237,7 @@ def parse_pixel_size(text: str | None) -> tuple[float | None, float | None]:
     if unit == "px" or not PIXEL_SIZE_UM[0] <= size <= PIXEL_SIZE_UM[1]:
         low, high = PIXEL_SIZE_UM
         wanted = f"a number from {low:g} to {high:g} (µm per px), or with its smaller error"
-        advice = with_point(text) or "write 10.5, 10.5um, 0.0105mm or 10.5±0.1um"
-        raise InputError("--pixel-size", wanted, f"'{text}'", advice)
+        raise _refused("--pixel-size", wanted, text, "10.5, 10.5um, 0.0105mm or 10.5±0.1um")
     return size, error
 
 
@@ -247,13 +251,8 @@ def parse_scale(text: str | None) -> tuple[float | None, float | None]:
     sides = sorted(map(_length_and_error, text.split("=")), key=lambda side: side[2] == "px")
     lengths, known = [side[0] for side in sides], [side[2] for side in sides] == ["um", "px"]
     if not (known and all(0 < one < math.inf for one in lengths) and lengths[0] / lengths[1] >= 1e-6):
-        advice = with_point(text) or "write 1mm=103px or 1mm=103±1px"
-        raise InputError(
-            "--scale",
-            "a length in cm, mm or µm and its px, or with their smaller errors",
-            f"'{text}'",
-            advice,
-        )
+        wanted = "a length in cm, mm or µm and its px, or with their smaller errors"
+        raise _refused("--scale", wanted, text, "1mm=103px or 1mm=103±1px")
     size = lengths[0] / lengths[1]
     relative = [error / value for value, error, _ in sides if error is not None]
     return size, size * math.hypot(*relative) if relative else None
@@ -268,8 +267,8 @@ def parse_pitch(text: str | None, option: str) -> tuple[float | None, float | No
         return None, None
     value, error, unit = _length_and_error(text)
     if unit != "um" or not 0 < value < math.inf:
-        advice = with_point(text) or "write 0.2mm or 0.2±0.002mm"
-        raise InputError(option, "a length in cm, mm or µm, or with its smaller error", f"'{text}'", advice)
+        wanted = "a length in cm, mm or µm, or with its smaller error"
+        raise _refused(option, wanted, text, "0.2mm or 0.2±0.002mm")
     return value, error
 
 
@@ -281,7 +280,7 @@ def parse_length(text: str, option: str) -> dict[str, float]:
     value, error, unit = _length_and_error(text)
     if not unit or error is not None or not 0 < value < math.inf:
         wanted = "a length with its unit: cm, mm, um, µm or px"
-        raise InputError(option, wanted, f"'{text}'", with_point(text) or "write 0.2mm")
+        raise _refused(option, wanted, text, "0.2mm")
     return {f"width_{unit}": value}
 
 
@@ -295,7 +294,7 @@ def parse_seconds(text: str | None) -> tuple[float | None, float | None] | None:
     ends = [end for end in (start, stop) if end is not None]
     if not colon or not ends or not all(map(math.isfinite, ends)) or ends != sorted(set(ends)):
         wanted = "two times in seconds A:B with A < B"
-        raise InputError("--time", wanted, f"'{text}'", with_point(text) or "write 40:45.1")
+        raise _refused("--time", wanted, text, "40:45.1")
     return start, stop
 
 
@@ -326,7 +325,7 @@ _PARSERS: Mapping[str, Callable[[Any, str], Any]] = {
     "force_columns": lambda text, _: parse_columns(text),
     "force_lowpass": parse_duration,
     "force_average": parse_duration,
-    "fit_range": partial(parse_pair, wanted="two separations in mm A:B with A < B", advice="write 13.2:17"),
+    "fit_range": partial(parse_pair, wanted="two separations in mm A:B with A < B", example="13.2:17"),
     "common_mode": lambda text, _: text != "off",
 }
 """How the value of an option becomes a setting; the others are settings as they are."""

@@ -24,6 +24,7 @@ from vision.data import FlagCounts, StripMetadata
 from vision.errors import InputError, counted
 from vision.files import AGAIN, TIFF, answered, reading
 from vision.folder import check_target
+from vision.force.files import EXCEL
 from vision.pipeline import Analysis, Settings, analyse, open_recording, still_apply, track_strip
 from vision.run.provenance import Checksums, Origin, Parameter, checksum_of, describe_input
 from vision.run.reading import (
@@ -44,7 +45,7 @@ from vision.video.stacks import IMAGES
 from vision.video.video import FILMS, files_in
 
 OVERLAY = "_overlay"  # follows a run's name in that of the film which `track overlay` writes
-TABLES = {".txt", ".csv", ".tsv", ".dat", ".lvm", ".tra", ".xlsx", ".xls", ".xlsm", ".mat"}  # not of films
+TABLES = {".txt", ".csv", ".tsv", ".dat", ".lvm", ".tra", ".mat", ".xls", *EXCEL}  # not of films
 LONG_FRAMES = 20_000
 """Number of frames from which a run stores what a review shows first. This takes seconds, where tracking took
 minutes; a review reads shorter runs while its page loads."""
