@@ -8,7 +8,7 @@ import pytest
 from vision.experiment import Experiment, profiles
 from vision.experiment.scene import make_scene
 from vision.experiment.settings import Camera, Mechanics, Optics, Sheets
-from vision.experiment.simulate import electrons_per_level, frame_blocks, sensor_levels
+from vision.experiment.simulate import frame_blocks, sensor_levels
 
 PLAIN = Optics(contrast_spread=0, gradient=0, texture=0, flicker=0, tilt_deg=0)
 WIDE = Sheets(count=8, pitch_px=70, bow_px=0)
@@ -68,7 +68,7 @@ def test_images_and_direct_profile_agree_without_noise():
 def test_photon_transfer_curve(bits):
     """Variance against mean is the sensor's: (e + read^2) / gain^2 + 1/12, from dim to bright, within 2 %."""
     camera = Camera(bits=bits, read_noise_e=30.0)
-    gain = electrons_per_level(camera)
+    gain = camera.electrons_per_level
     rng = np.random.default_rng(0)
     for light in (0.05, 0.2, 0.5, 0.8):
         flat = sensor_levels(np.full((400, 500), light, np.float32), camera, rng).astype(float)

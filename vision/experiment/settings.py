@@ -129,6 +129,16 @@ class Camera:
     prnu: Fraction = 0.007  #: relative spread of the sensitivity of pixels (photo-response non-uniformity)
     noise: bool = True  #: whether photon and read-out noise are added
 
+    @property
+    def saturation_level(self) -> int:
+        """Highest grey level."""
+        return int(2**self.bits - 1)
+
+    @property
+    def electrons_per_level(self) -> float:
+        """Gain: the full well over the grey levels."""
+        return self.full_well_e / self.saturation_level
+
 
 @dataclass(frozen=True, kw_only=True)
 class Clocks:

@@ -35,16 +35,6 @@ from vision.numeric import Floats, Floats32, Ints, Pixels
 # --- sensor -------------------------------------------------------------------------------------------------
 
 
-def saturation_level(camera: Camera) -> int:
-    """Return the highest grey level."""
-    return int(2**camera.bits - 1)
-
-
-def electrons_per_level(camera: Camera) -> float:
-    """Return the gain in electrons per grey level: the full well over the levels."""
-    return camera.full_well_e / saturation_level(camera)
-
-
 def sensor_levels(light: Floats32, camera: Camera, rng: np.random.Generator) -> Pixels:
     """Convert light (fraction of saturation) to noisy, rounded and clipped grey levels."""
     electrons = light * np.float32(camera.full_well_e)
@@ -53,21 +43,21 @@ def sensor_levels(light: Floats32, camera: Camera, rng: np.random.Generator) -> 
         spread = np.sqrt(np.maximum(electrons, 0) + np.float32(camera.read_noise_e**2))
         electrons += spread * rng.standard_normal(light.shape, dtype=np.float32)
     np.minimum(electrons, np.float32(camera.full_well_e), out=electrons)
-    electrons *= np.float32(1 / electrons_per_level(camera))
+    electrons *= np.float32(1 / camera.electrons_per_level)
     electrons += np.float32(0.5)
-    np.clip(electrons, 0, saturation_level(camera), out=electrons)
+    np.clip(electrons, 0, camera.saturation_level, out=electrons)
     return electrons.astype(np.uint8 if camera.bits == 8 else np.uint16)
 
 
 def mean_of_rows(light: Floats, camera: Camera, rows: int, rng: np.random.Generator) -> Floats32:
     """Return the mean grey level of `rows` pixels, with the same mean and variance as if each were drawn."""
     electrons = light * camera.full_well_e
-    gain = electrons_per_level(camera)
+    gain = camera.electrons_per_level
     if camera.noise:
         one = np.maximum(electrons, 0) + camera.read_noise_e**2 + gain**2 / 12  # + rounding
         electrons = electrons + np.sqrt(one / rows) * rng.standard_normal(light.shape, dtype=np.float32)
     levels = np.minimum(electrons, camera.full_well_e) / gain
-    return np.asarray(np.clip(levels, 0, saturation_level(camera)), np.float32)
+    return np.asarray(np.clip(levels, 0, camera.saturation_level), np.float32)
 
 
 # --- frames -------------------------------------------------------------------------------------------------
@@ -185,7 +175,7 @@ def _as_strip(intensity: Floats32, scene: Scene) -> xr.DataArray:
     metadata = StripMetadata(
         source="synthetic",
         depth_bits=experiment.camera.bits,
-        saturation_level=float(saturation_level(experiment.camera)),
+        saturation_level=float(experiment.camera.saturation_level),
         strip_z0=rows.start,
         strip_z1=rows.stop,
         tilt_deg=experiment.optics.tilt_deg,
