@@ -30,7 +30,7 @@ from vision.figures.style import drift_text, matches_text, offset_text
 from vision.files import shortened
 from vision.force.recording import good_samples
 from vision.models.single_fits import SYMBOLS
-from vision.numeric import Ints, nan_median, two_digits, with_minus
+from vision.numeric import nan_median, two_digits, with_minus
 from vision.sample import Sample
 from vision.sheets import doubtful_stretches
 from vision.sheets.recovery import LONG_GAP, missing_stretches
@@ -197,7 +197,8 @@ def _of_tracks(
     side, flags = tracks["side"].values, FlagCounts(tracks)
     unseen = "; they look alike: a jump by their spacing would be invisible" * (found.sheets_alike == "yes")
     unseen += f"; the {found.ridges_likelier} stripes look more like sheets" * bool(found.ridges_likelier)
-    ridges = f"{counted(found.sheets, f'{found.ridges} ridge')} ({sides_text(side)})"
+    sides = ", ".join(f"{(side == which).sum()} {name}" for which, name in SIDES.items())
+    ridges = f"{counted(found.sheets, f'{found.ridges} ridge')} ({sides})"
     yield Answer("sheets", ridges, f"other ridges ignored: {found.ridges_dropped}{unseen}")
     bad = bad_frames(strip, flags.frozen_frames)
     read = f"{strip.frames_read} of {strip.frames_expected} read"
@@ -220,11 +221,6 @@ def _of_tracks(
     yield Answer("axis", axis + _axis_on_sheet(tracks) if math.isfinite(found.axis_px) else "not known")
     yield Answer("clock", frame_rate_text(strip))
     yield Answer("scale", scale_line(pixel_size_um, pixel_size_err_um, strip))
-
-
-def sides_text(side: Ints) -> str:
-    """Return the numbers of sheets on each side as text."""
-    return ", ".join(f"{(side == which).sum()} {name}" for which, name in SIDES.items())
 
 
 def bad_frames(strip: StripMetadata, frozen: int = 0) -> str:

@@ -37,7 +37,7 @@ from vision.figures.style import (
 )
 from vision.folder import flattened
 from vision.numeric import Floats, two_digits, with_minus
-from vision.report.text import ANALYSED_WITH, citation, methods, subtitle
+from vision.report.text import ANALYSED_WITH, CITED, methods, subtitle
 from vision.sheets import doubtful_stretches
 from vision.summary import answers
 from vision.systematics import QUANTITIES, SOURCES, systematic_budget
@@ -103,7 +103,7 @@ def render_page(
         sections=sections,
         provenance=provenance(facts),
         analysed_with=ANALYSED_WITH,
-        citation=citation(),
+        citation=CITED,
         data=htmlsafe_json_dumps(data, allow_nan=False, separators=(",", ":"), ensure_ascii=False),
         **content,
     )

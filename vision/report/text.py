@@ -38,10 +38,12 @@ from vision.summary import (
 )
 from vision.systematics import QUANTITIES
 
-PAPER = (
+CITED = (
+    f"sheetvision, version {vision.__version__} (positions of interleaved sheets from video).",
     "A. Plati, F. Restagno, C. Poulard, Stick-slip dynamics in an interleaved system with self-amplified "
-    "friction."
+    "friction.",
 )
+"""The program and the publication to cite."""
 ANALYSED_WITH = f"The analysis was done with sheetvision {vision.__version__}."
 
 
@@ -79,11 +81,6 @@ def methods(results: Results) -> list[str]:
     if results.fits is not None:
         paragraphs.append(_models(results.fits))
     return paragraphs
-
-
-def citation() -> list[str]:
-    """Return the program and the publication to cite."""
-    return [f"sheetvision, version {vision.__version__} (positions of interleaved sheets from video).", PAPER]
 
 
 def _video(profile: xr.DataArray, pixel_size_um: float | None, pixel_size_err_um: float | None) -> str:
