@@ -84,16 +84,12 @@ class Encoder:
         """Columns of the strip: one less than in the run if an odd last column was cut off."""
         return self.columns[1] - self.columns[0]
 
-    def encode(self, profile: Floats32, shown: Floats, *, seed: int) -> Floats32:
+    def encode(self, profile: Floats32, shown: Floats, *, seed: int) -> tuple[Floats32, float]:
         """Draw I(x, t) (frame, x) on all rows, encode and decode it, and average over the strip's rows.
 
         The differences between rows are those of the picture at columns `shown` (frame, x), and so move with
-        the sheets.
+        the sheets.  Returns: I(x, t) after decoding, and the bits per pixel.
         """
-        return self._encode(profile, shown, seed)[0]
-
-    def _encode(self, profile: Floats32, shown: Floats, seed: int) -> tuple[Floats32, float]:
-        """Return I(x, t) after encoding and decoding, and the bits per pixel."""
         with tempfile.TemporaryDirectory(prefix="sheetvision-") as folder:
             path = Path(folder) / "again.mkv"
             size = self._write(path, profile, shown, seed)
@@ -124,7 +120,7 @@ class Encoder:
 
         def too_many(noise: float) -> float:
             if noise not in tried:  # the search begins with both ends again
-                values, bits = replace(self, noise_grey=noise)._encode(part, shown, seed=0)
+                values, bits = replace(self, noise_grey=noise).encode(part, shown, seed=0)
                 tried[noise] = values, float(np.log(bits / self.bits_per_pixel))
             return tried[noise][1]
 

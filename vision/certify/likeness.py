@@ -134,7 +134,7 @@ class Likeness:
         if number is not None and self.encoder is not None:
             width = self.encoder.width
             shown = self.shown_px(motion_px)[:, :width]
-            values[:, :width] = self.encoder.encode(values[:, :width], shown, seed=number)
+            values[:, :width], _ = self.encoder.encode(values[:, :width], shown, seed=number)
         part = self.strip.isel(frame=np.arange(frames) % self.strip.sizes["frame"])
         status = np.full(frames, "ok", "<U8")
         if own:

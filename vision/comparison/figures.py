@@ -69,7 +69,7 @@ def velocity(speed_mm_min: float) -> float:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _OfSample:
+class _SampleFit:
     """What was fitted to one sample: the joint values if it has several tests, else those of its test."""
 
     name: str  # of the sample
@@ -80,22 +80,24 @@ class _OfSample:
     fits: bool  # whether one μ fits its tests
 
 
-def _by_sample(found: Comparison) -> list[_OfSample]:
+def _fits_by_sample(found: Comparison) -> list[_SampleFit]:
     """Return what was fitted to each sample, in the order of the tests."""
-    fitted: list[_OfSample] = []
+    fitted: list[_SampleFit] = []
     for test, fit in zip(found.tests, found.fits, strict=True):
         name = test.sample_name
         if name in (one.name for one in fitted):
             continue
         joint = next((one for one in found.joint if one.sample == name), None)
         mu, amplitude = (joint.mu, joint.amplitude) if joint else (fit.mu, fit.values["A"])
-        of_sample: dict[str, Any] = {"name": name, "geometry": test.sample, "joint": joint}
-        fits = joint is None or joint.fits
-        fitted.append(_OfSample(**of_sample, mu=mu, amplitude=amplitude, fits=fits))
+        fits, geometry = joint is None or joint.fits, test.sample
+        of_sample = _SampleFit(
+            name=name, joint=joint, mu=mu, amplitude=amplitude, geometry=geometry, fits=fits
+        )
+        fitted.append(of_sample)
     return fitted
 
 
-def _named(found: Comparison, one: _OfSample, *curves: Series) -> list[Series]:
+def _named(found: Comparison, one: _SampleFit, *curves: Series) -> list[Series]:
     """Return curves of a sample, of one of several with its name and in its own colour."""
     names = list(dict.fromkeys(test.sample_name for test in found.tests))
     if len(names) == 1:
@@ -113,7 +115,7 @@ def peaks_figure(found: Comparison, events: pd.DataFrame) -> Figure:
     offset = found.table.set_index("run")["T0_N"]
     events = events.assign(y=events["F_p_N"] - events["run"].map(offset))
     texts, without, curves = [], "", list[Series]()
-    for one in _by_sample(found):
+    for one in _fits_by_sample(found):
         if one.joint and not one.fits:
             which = f"the tests of {one.name}" if one.name else "these tests"
             chi2 = f"χ²/dof of their individual μ {one.joint.disagreement:.3g}"
@@ -136,7 +138,7 @@ def peaks_figure(found: Comparison, events: pd.DataFrame) -> Figure:
 
 def drops_figure(found: Comparison, events: pd.DataFrame) -> Figure:
     """Return ΔF against d_v of all tests, with A times the normal force of each sample."""
-    samples = [one for one in _by_sample(found) if one.fits and np.isfinite(one.amplitude.value)]
+    samples = [one for one in _fits_by_sample(found) if one.fits and np.isfinite(one.amplitude.value)]
     curves: list[Series] = []
     for one in samples:
         d = _span(events, one.name, "d_v_mm")
@@ -159,7 +161,7 @@ def drops_figure(found: Comparison, events: pd.DataFrame) -> Figure:
 
 def stiffnesses_figure(found: Comparison, events: pd.DataFrame) -> Figure:
     """Return K against d_v of all tests, with M_eff K_eff and (L + d)⁻¹ of each sample."""
-    samples, curves = _by_sample(found), list[Series]()
+    samples, curves = _fits_by_sample(found), list[Series]()
     for one in samples:
         scale = float(found.table.loc[found.table["sample"] == one.name, "Lambda_hat_mm"].median())
         if np.isfinite(scale):
@@ -199,7 +201,7 @@ def _points(found: Comparison, events: pd.DataFrame, x: str, y: str) -> tuple[Se
     """Return used events by sample, of a single one by velocity, or by test if velocities are alike or no
     single μ fits the tests; unused ones hollow and grey."""
     used, rest = events[events["used"]], events[~events["used"]].sort_values(x)
-    fits = all(one.fits for one in _by_sample(found))
+    fits = all(one.fits for one in _fits_by_sample(found))
     kinds = ("sample", "V_mm_min", "run") if fits else ("sample", "run", "V_mm_min")
     series = _by_name(used, x, y, kinds)
     if len(rest):

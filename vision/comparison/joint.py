@@ -196,9 +196,8 @@ def fit_test(test: TractionTest, modulus: Estimate, settings: CompareSettings = 
         values, chi2, scatter = _fit(events, test.sample, modulus.value)
     except FIT_ERRORS as error:
         wanted = "events that follow the publication's models"
-        raise InputError(
-            test.folder, wanted, "others (a fit that does not converge)", "check `d0_mm`"
-        ) from error
+        found = "others (a fit that does not converge)"
+        raise InputError(test.folder, wanted, found, "check `d0_mm`") from error
     mu, t0 = values["mu"], values["T0_N"]
     if not (0.05 < mu.value < 5.0 and mu.value > 2 * mu.error):
         found = f"others (μ = {with_minus(f'{mu.value:.3g}')} ± {two_digits(mu.error)})"
@@ -317,8 +316,8 @@ def common_modulus(tests: Sequence[TractionTest], main: str) -> tuple[Estimate, 
 
 
 def _modulus_of_test(test: TractionTest) -> Estimate:
-    if np.isfinite(test.modulus_GPa) and test.modulus_err_GPa > 0:
-        return Estimate(test.modulus_GPa, test.modulus_err_GPa)
+    if np.isfinite(test.modulus.value) and test.modulus.error > 0:
+        return test.modulus
     try:
         with np.errstate(all="ignore"):
             return fit_stiffness(test.events[usable_range(test)], test.sample).estimate(1)

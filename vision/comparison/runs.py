@@ -18,6 +18,7 @@ from vision.data import SIDES, whole_events
 from vision.errors import PATH, InputError, check_kind, counted, nearest_word
 from vision.files import AGAIN, check_regular, decode_text, path_beside, reading
 from vision.force.files import EXCEL, worksheets
+from vision.models import Estimate
 from vision.models.single_fits import check_columns, complete_events, with_fitted_stiffness
 from vision.numeric import Floats, number
 from vision.run.provenance import checksum_of
@@ -52,8 +53,7 @@ class TractionTest:
     sample: Sample  # geometry and adhesion
     events: pd.DataFrame  # complete events with separation, force and stiffness, in order of d_v_mm
     fit_range_mm: tuple[float, float] | None  # range of the fits in the run; None if it has none
-    modulus_GPa: float  # Y_eff fitted in the run; NaN if it has none
-    modulus_err_GPa: float
+    modulus: Estimate  # Y_eff fitted in the run, GPa; NaN if it has none
     modulus_undetermined: bool  # whether the run says that its K does not determine Y_eff
     errors: Mapping[str, float]  # given errors: "d0_mm" and fields of the sample
     # shifts of the run's μ, 𝒯0, … by the errors of its force recording: {"load_drift": {"mu": 0.07, …}, …}
@@ -278,8 +278,7 @@ def _read_test(made: RunFolder, name: str, row: Cells, warnings: list[str]) -> T
         sample=sample,
         events=events,
         fit_range_mm=(low, high) if low < high else None,
-        modulus_GPa=number(modulus.get("value")),
-        modulus_err_GPa=number(modulus.get("error")),
+        modulus=Estimate(number(modulus.get("value")), number(modulus.get("error"))),
         modulus_undetermined="Y_eff_GPa" in (models.get("undetermined") or ()),
         errors={
             name: error
