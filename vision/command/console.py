@@ -21,7 +21,7 @@ from vision.files import Progress, c_library
 T = TypeVar("T")
 
 
-def hold_streams() -> None:
+def open_closed_streams() -> None:
     """Open closed standard streams (`2>&-`) to the null device, so that no other file takes their number.
 
     Characters that a stream's encoding lacks are printed as "?".

@@ -28,7 +28,7 @@ from vision import __version__
 from vision.command.console import (
     attempt,
     complain,
-    hold_streams,
+    open_closed_streams,
     return_freed_memory,
     say,
     silence_libraries,
@@ -216,7 +216,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if arguments is None:  # this process does nothing else
         atexit.register(_leave, ended)  # the first to be registered is the last to be called
     gc.set_threshold(50_000)  # the libraries' half a million objects stay: looking through them takes 0.2 s
-    hold_streams()
+    open_closed_streams()
     silence_libraries()
     _isolate_environment()
     for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # Windows has no SIGHUP
