@@ -63,7 +63,7 @@ def check_new(target: Path, *, overwrite: bool, kind: str = "file") -> None:
 def _check_earlier(target: Path, *, overwrite: bool, known_by: str) -> None:
     """Check that an existing folder may be replaced: an empty one, or one with `known_by`, if asked for.
 
-    Raises: InputError if not, or if it cannot be written; what `overwrite` does not change is said first.
+    Raises: InputError if not, or if it cannot be written; errors that `overwrite` cannot avoid come first.
     """
     if not target.is_dir():
         raise InputError(target, "a folder to write", "a file of this name", "give another `out`")

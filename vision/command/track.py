@@ -259,7 +259,7 @@ def _check_run(video: Path, target: Path, run: RunOptions, settings: Settings) -
         check_target(target, overwrite=run.overwrite)
     except InputError:
         if not run.follow:
-            open_recording(video, settings)  # what is no film is said first
+            open_recording(video, settings)  # reports first that there is no film
         raise
 
 

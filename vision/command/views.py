@@ -471,7 +471,7 @@ def compare(
     try:
         check_results(target, overwrite=output.overwrite, mark=MARK)
     except InputError:
-        for line in found.failures:  # wrong arguments first: a folder that exists is no reason for them
+        for line in found.failures:  # a run that cannot be used is named even if the folder exists
             complain(line)
         raise
     origin = origin_of([table] if table else [], parameters_given(options, output))

@@ -265,7 +265,7 @@ def _read_test(made: RunFolder, name: str, row: Cells, warnings: list[str]) -> T
     if sample is PUBLISHED:
         warnings.append(f"{name}: the run does not say which sample it had; the publication's is assumed")
     label = row.get("sample")
-    told = len(made.facts.get("warnings") or ())
+    warned = len(made.facts.get("warnings") or ())
     low, high = map(number, models.get("fit_range_mm") or (None, None))
     return TractionTest(
         run=name,
@@ -286,7 +286,7 @@ def _read_test(made: RunFolder, name: str, row: Cells, warnings: list[str]) -> T
             if (error := number(value)) > 0
         },
         instrument=_instrument(models.get("budget") or {}),
-        notes=(f"{counted(told, 'warning')} in its report",) if told else (),
+        notes=(f"{counted(warned, 'warning')} in its report",) if warned else (),
         film=FilmResults.of(made, warnings),
     )
 

@@ -336,7 +336,7 @@ def write_overlay(
     Returns: number of frames written, their shape (rows, columns), and frames per second.
     Raises: InputError if the film cannot be read, or holds none of these frames.
     """
-    import av  # 30 ms that no other export needs
+    import av  # takes 30 ms, and only this export needs it
 
     tracks = run.tracks
     video = open_video(film, rotate=StripMetadata.of(tracks).rotate, frames=_within(tracks, frames, run))
