@@ -61,6 +61,8 @@ def become_windows() -> None:
     for name in ("rename", "replace", "unlink", "remove", "rmdir"):
         setattr(os, name, _refusing(getattr(os, name)))
     shutil._use_fd_functions = False  # type: ignore[attr-defined]
+    if hasattr(shutil, "_rmtree_impl"):  # from Python 3.14 on, chosen as shutil is loaded
+        shutil._rmtree_impl = shutil._rmtree_unsafe  # type: ignore[attr-defined]
     for module, names in ABSENT.items():
         for name in names.split():
             if hasattr(module, name):
