@@ -26,7 +26,7 @@ from vision.figures.style import DATA, label_step
 def test_the_same_figure_gives_the_same_file(tmp_path):
     """A failure means that figures under version control change without reason."""
     figure = noise_figure(make_tracks(sawtooth(300, 10)))
-    for kind in ("png", "pdf"):
+    for kind in ("png", "pdf", "svg"):
         one, other = (figure.save(tmp_path / f"{k}.{kind}").read_bytes() for k in range(2))
         assert one == other
 

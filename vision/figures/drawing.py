@@ -56,6 +56,7 @@ _STYLE: dict[str, Any] = {
     "mathtext.default": "regular",
     "text.hinting": "no_hinting",  # saves 20 ms, and makes no difference at this size
     "svg.fonttype": "none",
+    "svg.hashsalt": "sheetvision",  # names of parts of a drawing, which are random without it
     "pdf.fonttype": 42,
 }
 
