@@ -161,9 +161,9 @@ def test_the_picture_says_what_its_marks_are(tmp_path):
     """A failure means marks of unknown origin, or a note on marks that are not there."""
     path, slips = tmp_path / "k.svg", np.array([1.0])
     kymograph_figure([diagram_of(**WINDOW)], slips=SlipTimes(slips, "the sheets")).save(path)
-    assert "magenta: slips, from the sheets" in path.read_text()
+    assert "arrowheads: slips, from the sheets" in path.read_text()
     kymograph_figure([diagram_of(**WINDOW)], slips=SlipTimes(slips[:0])).save(path)
-    assert "magenta" not in path.read_text()
+    assert "arrowheads" not in path.read_text()
 
 
 @pytest.mark.thorough

@@ -452,7 +452,7 @@ def _diagram_panel(
             interpolated=drawn.shape != rows.shape,
         ),
         marks=marks,
-        marks_label=f"magenta: slips, from {slips.source}" if marks.size else "",
+        marks_label=f"arrowheads: slips, from {slips.source}" if marks.size else "",
         x_range=(float(edges[0]), float(edges[-1])),
         y_range=(float(edges_x[0]), float(edges_x[-1])),
         time_down=True,
@@ -545,7 +545,7 @@ def single_sheets_figure(
         title="Space-time diagrams of single sheets",
         caption=(
             f"Intensity in a window around {sheets}, one frame below the other, over {shown.size} slips "
-            f"(magenta, from {slips.source}). In the publication, outer sheets move more."
+            f"(arrowheads at the edges, from {slips.source}). In the publication, outer sheets move more."
         ),
     )
 
