@@ -203,6 +203,18 @@ def test_a_rest_before_the_pull_is_told_where_d_comes_from_the_speed(
     assert any("the load is level for the first 10" in line for line in no_d0) == said
 
 
+def test_a_gap_in_which_the_machine_may_have_rested_is_told_where_d_comes_from_the_speed(
+    tmp_path: Path,
+) -> None:
+    """A failure means that after 25 s without a recording d is 0.42 mm too large, without a word."""
+    time = np.arange(0, 40, 0.05)
+    time[400:] += 25
+    load = 20 * np.clip(np.arange(0, 40, 0.05), 0, 5) % 90
+    path = written(tmp_path, "time (s),load (N)\n" + rows(time, load, sep=","))
+    (line,) = read_force(path, speed_mm_min=1, d0_mm=13.0).attrs["warnings"]
+    assert "1 gaps in time, in which d = d0 + V t advances by 0.418 mm" in line
+
+
 def test_the_error_of_d0_travels_with_the_recording(tmp_path: Path) -> None:
     """A failure means the fits do not know how well d0 is known."""
     path = crosshead_file(tmp_path, np.linspace(0, 5, 200))

@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 
 from tests.scenes.sawtooth import realistic, recording
-from vision.data import StickMetadata
+from vision.data import ForceMetadata, StickMetadata
 from vision.errors import InputError
 from vision.force import ForceSettings, find_stick_slip
 from vision.force.corners import find_extremes
@@ -175,3 +175,30 @@ def test_a_periodic_error_of_the_displacement_is_told(size_um: float, measured: 
     for line in said:
         assert f"±{size_um:.2g} µm every" in line
         assert float(line.split("every ")[1].split(" ")[0]) == pytest.approx(80, rel=0.06)
+
+
+@pytest.mark.parametrize(
+    ("kind", "said"), [("steady", ""), ("rest", "machine rested"), ("speed", "changed its")]
+)
+def test_a_machine_that_is_not_steady_is_told_where_d_comes_from_the_speed(kind: str, said: str) -> None:
+    """A failure means that d is wrong by a rest or by another speed in the test, and nothing says so, or that
+    a steady pull is doubted."""
+    made = realistic(d1=14.5).force
+    made.attrs |= ForceMetadata(separation_from="speed").attrs()
+    time = made["time_s"].to_numpy().copy()
+    middle = time.size // 2
+    if kind == "speed":
+        time[:middle] = 0.5 * time[:middle] + 0.5 * time[middle]
+        time -= time[0]
+    columns = {name: made[name].to_numpy() for name in ("time_s", "load_N", "flag")}
+    if kind == "rest":  # of 8 s, in which the load relaxes
+        rest = np.full(1600, columns["load_N"][middle]) - 0.5 * np.log1p(np.arange(1600) / 20)
+        columns = {
+            name: np.insert(each, middle, each[middle - 1600 : middle]) for name, each in columns.items()
+        }
+        columns["load_N"][middle : middle + 1600] = rest
+        time = np.arange(columns["load_N"].size) / 200
+    force = recording(time, columns["load_N"], 13 + time / 60, 1.0).assign_attrs(made.attrs)
+    warnings = [line for line in find_stick_slip(force).attrs["warnings"] if "d0 + V t" in line]
+    assert len(warnings) == bool(said)
+    assert said in "".join(warnings)

@@ -31,7 +31,14 @@ from vision.force.corners import (
 from vision.force.lines import fit_broken_lines, fit_lines, fit_polynomials
 from vision.force.lowpass import Lowpass, find_lowpass
 from vision.force.recording import flags_of, is_compression
-from vision.force.regime import Regime, doubts, find_regime, is_unloading, lasting_falls
+from vision.force.regime import (
+    Regime,
+    doubts,
+    find_regime,
+    is_unloading,
+    lasting_falls,
+    speed_warnings,
+)
 from vision.force.settings import ForceSettings
 from vision.force.signal import (
     Signal,
@@ -113,7 +120,8 @@ def find_stick_slip(
     FORCE.check(force)
     check_within("a number from 0", 0, math.inf, threshold_N=threshold_N)
     check_positive(machine_stiffness_N_per_mm=machine_stiffness_N_per_mm)
-    source = ForceMetadata.of(force).source
+    recorded = ForceMetadata.of(force)
+    source = recorded.source
     _check_times(force, source)
     signal = Signal.of(force, settings)
     swing_s = ringing_period(signal.load, settings) * signal.interval_s
@@ -151,6 +159,8 @@ def find_stick_slip(
         warnings = [rings, *warnings]
     if threshold_N is None and analysis.regime.name == "stick-slip" and not (rings or signal.averaged):
         warnings += _missed_warnings(signal, slips, analysis, unit, settings)
+    if recorded.separation_from == "speed" and analysis.regime.name == "stick-slip":
+        warnings += speed_warnings(events, settings)
     more = {
         "warnings": [*warnings, *_filter_warnings(events, analysis, settings)],
         "ringing_s": ringing_s,

@@ -28,7 +28,6 @@ Role = Literal["time", "load", "displacement", "video_time"]
 ROLES: tuple[Role, ...] = get_args(Role)
 _ADVICE = "`columns` time=…,load=…,displacement=…"
 _LEAST_SAMPLES = 10
-_REST_MM = 0.02  # d wrong by a stick's length changes μ by a thousandth and Λ̂ by its error
 _MOST = 1e11  # s, N or mm: beyond all that is recorded, clock times since 1601 in s included
 
 
@@ -183,9 +182,9 @@ def _dataset(
     jumps = np.zeros_like(good) if crosshead is None else _jumps(crosshead, flags == "nan", settings)
     warnings = _restart_warnings(restart, time.size, blocks)
     warnings += _warnings(found["load"], flags, load[good], source, speed_mm_min, measured)
-    warnings += _gap_warnings(flags == "gap", jumps, time, travel)
+    warnings += _gap_warnings(flags == "gap", jumps, time, travel, source, settings)
     if source == "speed":
-        warnings += _rest_warnings(time[good], load[good], travel[good], d0_mm)
+        warnings += _rest_warnings(time[good], load[good], travel[good], d0_mm, settings)
     if abs(start) > 0.05 * max(float(np.ptp(travel[good])), 1e-9):  # zeros are set manually
         warnings.append(
             f"the crosshead starts at {start:.4g} mm: `d0_mm` {d0_mm:g} is added to its change since then; "
@@ -296,11 +295,19 @@ def _factor(ratio: float) -> str:
     return ""
 
 
-def _gap_warnings(gap: Bools, jumps: Bools, time: Floats, travel: Floats) -> list[str]:
+def _gap_warnings(
+    gap: Bools, jumps: Bools, time: Floats, travel: Floats, source: str, settings: ForceSettings
+) -> list[str]:
     """Return how many gaps there are in time, and where the displacement jumps while the time goes on."""
     step = np.diff(time, prepend=np.nan)
     jump = np.flatnonzero(gap & jumps & (step < 2 * np.nanmedian(step)))
     lines = [f"{count} gaps in time"] if (count := int(gap.sum()) - jump.size) else []
+    way = float(np.sum(np.diff(travel, prepend=np.nan)[gap]))
+    if lines and source == "speed" and way > settings.rest_mm:
+        lines[0] += (
+            f", in which d = d0 + V t advances by {way:.3g} mm: if the machine rested, or began again, d is "
+            "wrong afterwards"
+        )
     if jump.size:
         first, more = jump[0], f" and {jump.size - 1} times later" if jump.size > 1 else ""
         by = np.diff(travel)[first - 1]
@@ -311,7 +318,9 @@ def _gap_warnings(gap: Bools, jumps: Bools, time: Floats, travel: Floats) -> lis
     return lines
 
 
-def _rest_warnings(time: Floats, load: Floats, travel: Floats, d0_mm: float | None) -> list[str]:
+def _rest_warnings(
+    time: Floats, load: Floats, travel: Floats, d0_mm: float | None, settings: ForceSettings
+) -> list[str]:
     """Return that the machine may have rested at first, where d is calculated from its speed.
 
     The load is level until it first leaves its initial level by a fiftieth of its range. `travel` is how far
@@ -320,7 +329,7 @@ def _rest_warnings(time: Floats, load: Floats, travel: Floats, d0_mm: float | No
     smooth = running_median(load, 11)
     low, high = np.percentile(load, (1, 99))
     away = np.flatnonzero(np.abs(smooth - smooth[0]) > 0.02 * (high - low))
-    if not away.size or travel[away[0]] < _REST_MM:
+    if not away.size or travel[away[0]] < settings.rest_mm:
         return []
     by, rest_s = float(travel[away[0]]), time[away[0]] - time[0]
     instead = f", or give `d0_mm` {d0_mm - by:.5g}" if d0_mm and d0_mm > by else ""

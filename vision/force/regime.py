@@ -202,6 +202,50 @@ def _periodic_warnings(signal: Signal, events: pd.DataFrame, settings: ForceSett
     ]
 
 
+def speed_warnings(events: pd.DataFrame, settings: ForceSettings) -> list[str]:
+    """Return where the machine may have rested, or changed its speed, if d is calculated from one speed.
+
+    The load rises in time with K V, and K changes slowly: from valley to valley it takes as long, for its
+    rise, as in the two sticks before and the two after. What one takes longer, as a way at the given speed,
+    counts from half a usual stick and `rest_mm` on. A change of the speed is one by `speed_change`, beyond
+    the errors, from five sticks to the next five, and half of it is more than the change from the five before
+    and to the five after.
+    """
+    if len(events) < 3:
+        return []
+    begin, d_mm = events["t_v_s"].to_numpy(float), events["d_v_mm"].to_numpy(float)
+    whole_s, way_mm = np.diff(begin), np.diff(d_mm)
+    rise, error = (events[name].to_numpy(float)[:-1] for name in ("dF_N", "dF_err_N"))
+    pace = pd.Series(rise / np.where(whole_s > 0, whole_s, np.nan))
+    around = pace.rolling(5, center=True, min_periods=1).median()
+    lost_mm = (way_mm * (1 - (pace + 3 * error / whole_s) / around)).to_numpy()
+    lines = []
+    if (rest := np.flatnonzero(lost_mm > max(settings.rest_mm, 0.5 * float(nan_median(way_mm))))).size:
+        k, more = rest[0], f" and {rest.size - 1} times later" if rest.size > 1 else ""
+        lines.append(
+            f"the load rises too little for the time from {begin[k]:.4g} s to {begin[k + 1]:.4g} s{more}: if "
+            f"the machine rested, d = d0 + V t is {np.sum(lost_mm[rest]):.2g} mm too large afterwards; "
+            "record the displacement, or cut the recording there"
+        )
+    # Of a stick and the four before it, from the fifth on.
+    five = np.log(pace.where(pace > 0).rolling(5).median().to_numpy()[4:])
+    unsure = pd.Series(error / rise).rolling(5).median().to_numpy()[4:]
+    if five.size <= 15:
+        return lines
+    step = five[10:-5] - five[5:-10]
+    beside = np.fmax(np.abs(five[5:-10] - five[:-15]), np.abs(five[15:] - five[10:-5]))
+    clear = np.abs(step) - 2 * np.fmax(unsure[10:-5], unsure[5:-10]) > np.log(settings.speed_change)
+    changes = np.where(clear & (np.abs(step) > 2 * beside), np.abs(step), 0.0)
+    if changes.any():
+        k = int(np.argmax(changes))
+        lines.append(
+            f"from {begin[10 + k]:.4g} s on the load rises {np.exp(step[k]):.2g} times as fast as before: if "
+            "the machine changed its speed, d = d0 + V t is wrong, and Λ_st and K with it; record the "
+            "displacement, or save both parts in files of their own"
+        )
+    return lines
+
+
 def lasting_falls(slips: Slips, peak: Floats, settings: ForceSettings) -> Bools:
     """Return after which slips the load does not regain its level, as after a zero set under load or a part
     that broke: the `peak` of the sticks is lower from there on.

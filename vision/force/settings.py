@@ -258,5 +258,15 @@ class ForceSettings(Tunable):
     """Speed of the crosshead in a stick, over the usual one of the sticks around, below which it paused.
     Larger flags sticks of an unsteady pull, smaller measures sticks that contain a rest of the machine."""
 
+    rest_mm: float = 0.02
+    """How far d, where it is calculated from the speed, may be off by a rest of the machine before a warning
+    says so: a stick's length changes μ by a thousandth and Λ̂ by its error. Smaller warns of small slips in a
+    stick, larger passes short rests."""
+
+    speed_change: float = 1.5
+    """Ratio of the load's rises in time from which a warning says that the machine changed its speed, where d
+    is calculated from one. Smaller warns of sticks that soften, larger passes small changes; machines are set
+    to half or twice the speed, or more."""
+
     few_samples: int = 10
     """Sticks of fewer samples are flagged "few", and the model fits leave them out."""
