@@ -119,6 +119,34 @@ def test_times_of_the_day_become_seconds(tmp_path, header, line):
     assert warnings == ()
 
 
+@pytest.mark.parametrize("fps", [7.3, 24.97, 60.0])
+def test_whole_seconds_are_spread_evenly(tmp_path, fps):
+    """Failure: of times in whole seconds one frame in 60 is used, or they are off by a second."""
+    true_s = 3600.37 + np.arange(300) / fps
+    stamps = [f"{datetime(2026, 1, 1) + timedelta(seconds=int(t)):%H:%M:%S}" for t in true_s]
+    (tmp_path / "t.txt").write_text("\n".join(stamps))
+    times_s, warnings = read_timestamps(tmp_path / "t.txt")
+    np.testing.assert_allclose(times_s, true_s, atol=1 / fps)
+    assert "in steps of 1 s are spread evenly" in "".join(warnings)
+    late = np.where(np.arange(300) < 150, true_s, true_s + 3)  # frames were lost
+    np.savetxt(tmp_path / "t.txt", np.floor(late), fmt="%d")
+    assert "do not increase" in "".join(read_timestamps(tmp_path / "t.txt")[1])
+
+
+@pytest.mark.parametrize(("mark", "rate"), [(":", 25), (";", 30), (":", 50)])
+def test_timecode_counts_the_frames_of_a_second(tmp_path, mark, rate):
+    """Failure: timecode is refused, or its frames are taken for hundredths or for the only times."""
+    n = np.arange(40, 40 + 4 * rate)
+    lines = [f"{k};10:59:{30 + k // rate}{mark}{k % rate:02d}" for k in n]
+    (tmp_path / "t.csv").write_text("frame;timecode\n" + "\n".join(lines))
+    times_s, warnings = read_timestamps(tmp_path / "t.csv")
+    np.testing.assert_allclose(times_s, 10 * 3600 + 59 * 60 + 30 + n / rate, atol=1e-5)
+    assert f"timecode is read at {rate} frames/s" in "".join(warnings)
+    (tmp_path / "t.csv").write_text("\n".join(lines[: rate // 3]).replace(":31", ":30"))
+    with pytest.raises(InputError, match="timecode of a second"):
+        read_timestamps(tmp_path / "t.csv")
+
+
 def test_a_rate_from_rounded_times_is_not_rounded(tmp_path):
     """Failure: 60 frames/s in whole ms are 58.8, and in µs 59.9988, in the methods of a manuscript."""
     stamps = np.delete(np.arange(300), [50, 51, 120]) / 60

@@ -18,6 +18,8 @@ from vision.video.settings import VideoSettings
 
 _UNIT = re.compile(r"(?:^|[\s_(\[.,;/-])(s|sec|seconds|ms|us|µs|μs|ns)(?:$|[\s)\],;])", re.IGNORECASE)
 _CLOCK = re.compile(rf"(?<![0-9:.])(?:{DATE}[ T,;\t]+)?({CLOCK})(?:[+-][0-9]{{2}}:?[0-9]{{2}})?(?![0-9:])")
+_TIMECODE = re.compile(r"(?<![0-9:.])([0-9]{1,2}):([0-9]{2}):([0-9]{2})[:;]([0-9]{2,3})(?![0-9:;.])")
+_TIMECODE_RATES = (24, 25, 30, 48, 50, 60, 100, 120)  # frames/s that timecode counts
 _CLOCK_FORM = re.compile(r"[(\[][^)\]]*:[^)\]]*[)\]]")  # in a header: "(hh:mm:ss.ms)"
 _TIME_NAME = re.compile(r"time|stamp|zeit|temps", re.IGNORECASE)
 _NEAR = 9  # frames before and after a step between times that are compared with it
@@ -31,7 +33,8 @@ def read_timestamps(path: Path) -> tuple[Floats, tuple[str, ...]]:
     to the header. Without a name for each column the last that does not count the frames is used. Without a
     unit it is s. Times of the day, with a date or without, become seconds since midnight. Decimal commas are
     recognised where no commas separate columns, also in lines such as 0,016667, and points or commas between
-    the thousands of whole numbers, as in 983, 1.000, 1.017.
+    the thousands of whole numbers, as in 983, 1.000, 1.017. Timecode, hh:mm:ss:ff, counts the frames of each
+    second. Times that are too coarse for the frames are spread evenly (`_spread`).
 
     Raises: InputError for a missing or empty file, text in place of a number, or commas of unknown meaning.
     """
@@ -41,6 +44,7 @@ def read_timestamps(path: Path) -> tuple[Floats, tuple[str, ...]]:
     with reading(path, wanted):
         data = path.read_bytes()
     lines = decode_text(path, data, wanted)[0].replace('"', "").splitlines()
+    lines, warnings = _without_timecode(path, lines)
     lines = _without_thousands(_without_clocks(lines))
     end = "".join(lines[-2:])  # the last line may be cut before its separator
     separator = next((mark for mark in ";\t," if mark in end), None)
@@ -63,10 +67,57 @@ def read_timestamps(path: Path) -> tuple[Floats, tuple[str, ...]]:
     times_s = values[:, column] * unit_s
     if not np.isfinite(times_s).all():
         raise InputError(path, "a time for every frame", "NaN or infinity")
-    backwards = np.flatnonzero(np.diff(times_s) <= 0)
-    if not backwards.size:
-        return times_s, ()
-    return times_s, (_not_increasing(times_s, path.name),)
+    if (np.diff(times_s) > 0).all():
+        return times_s, warnings
+    if (spread_s := _spread(times_s)) is not None:
+        step = float(np.diff(np.unique(times_s)).min())
+        evenly = f"spread evenly, {1 / (spread_s[1] - spread_s[0]):.5g} frames/s; frames lost within a step"
+        return spread_s, (*warnings, f"{path.name}: times in steps of {step:.3g} s are {evenly} are not seen")
+    return times_s, (*warnings, _not_increasing(times_s, path.name))
+
+
+def _without_timecode(path: Path, lines: list[str]) -> tuple[list[str], tuple[str, ...]]:
+    """Return the lines with seconds in place of timecode, if most lines have it, and a warning of its rate.
+
+    The rate is the smallest usual one above the largest number of a frame.  Raises: InputError for a film
+    that is shorter than a second of the timecode, and does not show it.
+    """
+    found = [_TIMECODE.search(line) if ":" in line else None for line in lines]
+    if 2 * sum(map(bool, found)) <= sum(bool(line.strip()) for line in lines):
+        return lines, ()
+    parts = np.array([[int(part) for part in match.groups()] for match in found if match])
+    rate = next((rate for rate in _TIMECODE_RATES if rate > parts[:, 3].max()), None)
+    if rate is None or np.ptp(parts[:, 2]) == 0:
+        raise InputError(
+            path, "timecode of a second or more", "one that does not show its rate", "give `fps`"
+        )
+    seconds = iter(parts @ np.array([3600, 60, 1, 1 / rate]))
+    times = [
+        f"{line[: match.start()]}{next(seconds):.6f}{line[match.end() :]}" if match else line
+        for line, match in zip(lines, found, strict=True)
+    ]
+    why = f"timecode is read at {rate} frames/s, though 30 may mean 29.97 and cameras may run faster"
+    return times, (f"{path.name}: {why}: check it, or give the rate of the camera (`fps`)",)
+
+
+def _spread(times_s: Floats) -> Floats | None:
+    """Return even times for frames of which half or more have the time of the one before; None where that is
+    not what the times show.
+
+    The first frame of each new time is at most one frame after it, which gives the rate. All frames then have
+    to be within one step of their times, as no camera's clock that lost frames for longer is.
+    """
+    steps = np.diff(times_s)
+    first = np.flatnonzero(steps > 0) + 1
+    if first.size < 3 or (steps < 0).any() or 2 * first.size > times_s.size:
+        return None
+    frame = np.arange(times_s.size)
+    interval_s = float(np.polynomial.Polynomial.fit(first, times_s[first], 1).convert().coef[1])
+    late_s = interval_s * frame - times_s
+    step_s = float(steps[first - 1].min())
+    if np.ptp(late_s) > step_s + 2 * interval_s:
+        return None
+    return np.asarray(interval_s * frame + step_s / 2 - np.median((late_s.min(), late_s.max())), np.float64)
 
 
 def _without_clocks(lines: list[str]) -> list[str]:
