@@ -283,3 +283,20 @@ def test_a_film_without_its_beginning_says_so(tmp_path):
     (tmp_path / "rest.avi").write_bytes(film.read_bytes()[100_000:])
     (line,) = open_video(tmp_path / "rest.avi").warnings
     assert "the beginning of the file is missing or damaged" in line
+
+
+@pytest.mark.parametrize(("suffix", "codec"), [("avi", "rawvideo"), ("avi", "mjpeg"), ("mp4", "mpeg4")])
+def test_a_second_recording_in_a_file_is_told(tmp_path, suffix, codec):
+    """A failure means that two films joined byte by byte are one without a break, or the second is lost
+    silently; or that the parts of a large AVI are taken for several recordings."""
+    path, films = tmp_path / f"a.{suffix}", comb(20, 16, 64)
+    if codec == "rawvideo":
+        write_avi(path, films, segments=3)
+    else:
+        pix_fmt = "yuvj420p" if codec == "mjpeg" else "yuv420p"
+        write_encoded(path, films, codec=codec, pix_fmt=pix_fmt, source="gray")
+    assert open_video(path).warnings == ()
+    one = path.read_bytes()
+    path.write_bytes(one + one)
+    (line,) = open_video(path).warnings
+    assert f"a second recording begins at byte {len(one)}" in line

@@ -24,6 +24,19 @@ from vision.video.times import read_timestamps, unit_warning, usual_rate
 
 FILMS = {".avi", ".mp4", ".m4v", ".mkv", ".mov", ".cine", PIXELS}
 """Suffixes by which the films of a folder are found. A film that is named may have any suffix."""
+_BOXES = {
+    b"ftyp",
+    b"moov",
+    b"mdat",
+    b"moof",
+    b"styp",
+    b"sidx",
+    b"free",
+    b"skip",
+    b"wide",
+    b"uuid",
+}  # of an MP4
+_MOST_PARTS = 10_000  # a fragmented MP4 has two a second
 
 
 @dataclass(frozen=True)
@@ -258,17 +271,23 @@ def open_video(
     if fps is not None and timestamps is not None:
         raise InputError("`fps` and `timestamps`", "one of the two", "both")
 
-    def opened() -> tuple[Reader, Stamp, Path]:
+    def opened() -> tuple[Reader, Stamp, Path, int | None]:
         pixels = pixels_file(where)
         stamp = Stamp.of(pixels)  # before the file is opened
         with reading(where, "a recording"):
-            return _open_reader(where), stamp, pixels
+            again = _second_recording(pixels) if pixels.is_file() else None
+            return _open_reader(where), stamp, pixels, again
 
-    reader, stamp, pixels = answered(opened, where, answer_s)
+    reader, stamp, pixels, again = answered(opened, where, answer_s)
     facts = reader.facts
     check_pixels(where, *facts.shape)
     first, stop = _frame_range(frames, facts.declared_frames, where)
     warnings, times_s = [*facts.warnings], None
+    if again is not None:
+        warnings.append(
+            f"{where.name}: a second recording begins at byte {again}; its frames are left out, or follow as "
+            "if no time had passed: save each in a file of its own"
+        )
     if timestamps is not None:
         table = Path(timestamps)
         times_s, odd = answered(lambda: read_timestamps(table), table, answer_s)
@@ -294,6 +313,34 @@ def open_video(
         stamp=stamp,
         answer_s=answer_s,
     )
+
+
+def _second_recording(path: Path) -> int | None:
+    """Return the byte at which another recording begins in an AVI or MP4, as where two files were joined.
+
+    None for a single one. The parts of a file follow each other by the lengths that they state. Those of
+    OpenDML, from 1 GiB on, belong to the AVI before.
+    """
+    with path.open("rb") as file:
+        size, at = os.fstat(file.fileno()).st_size, 0
+        for _ in range(_MOST_PARTS):
+            file.seek(at)
+            head = file.read(16)
+            if head[:4] == b"RIFF" and len(head) == 16:
+                length = 8 + int.from_bytes(head[4:8], "little")
+                begins, length = head[8:12] == b"AVI ", length + length % 2
+            elif head[4:8] in _BOXES and len(head) == 16:
+                short = int.from_bytes(head[:4], "big")
+                length = int.from_bytes(head[8:], "big") if short == 1 else short
+                begins = head[4:8] == b"ftyp"
+            else:
+                return None
+            if begins and at:
+                return at
+            if not 8 <= length < size - at:
+                return None
+            at += length
+    return None
 
 
 def video_files(path: Path) -> tuple[Path, ...]:
