@@ -633,6 +633,22 @@ def test_a_load_that_is_polled_more_often_than_its_clock_ticks(ratio: float, ste
     assert np.mean(off < 3) > 0.98
 
 
+def test_a_load_whose_values_repeat_at_random() -> None:
+    """A program polls the load while it changes, on average, in one of four rounds. A failure means that
+    slips are missed, and corners off by many of their errors."""
+    test = plain(sticks=100, samples=200, snr=400, jitter=0.1)
+    load = 0.01 * np.round(test.force["load_N"].to_numpy() / 0.01)
+    measured = np.r_[True, np.random.default_rng(5).random(load.size - 1) < 0.25]
+    held = load[measured][np.cumsum(measured) - 1]
+    events = find_stick_slip(test.force.assign(load_N=("time_s", held)))
+    right, truth = matched(events, test.truth)
+    assert len(events) == len(right) == len(test.truth)
+    for name, error in (("dF_N", "dF_err_N"), ("K_N_per_mm", "K_err_N_per_mm")):
+        off = np.abs(right[name] - truth[name]) / right[error]
+        assert np.mean(off < 1) > 0.45, name
+        assert np.mean(off < 3) > 0.97, name
+
+
 @pytest.mark.parametrize("how", ["steps", "noise"])
 def test_a_coarse_displacement_spoils_no_stiffness(how: str) -> None:
     """A failure means that K is too small where d is noisy, or Λ_st off by many times its error."""

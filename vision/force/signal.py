@@ -196,11 +196,27 @@ def _filled_in(load: Floats) -> Bools:
         age, left = index - begin, np.append(np.flatnonzero(~repeats), load.size)[np.cumsum(~repeats)] - index
         new = (age == np.rint(tick * np.rint(age / tick))) & (left > tick / 2)
         return np.asarray(repeats & ~new, np.bool_)
+    if _repeats_at_random(load, repeats):
+        return np.asarray(repeats, np.bool_)
     bends = np.r_[True, np.abs(np.diff(load, 2)) > rounding, True]
     second = bends[1:] & bends[:-1]
     second[1:] &= ~bends[:-2]  # three in a row are a curve, as of a load that rings
     bends[1:] &= ~second
     return np.asarray(~bends if 0 < _tick(bends) <= 25 else np.zeros_like(bends), np.bool_)
+
+
+def _repeats_at_random(load: Floats, repeats: Bools) -> bool:
+    """Return whether a program that asks for the load faster than it is measured has repeated values.
+
+    Three tenths of the values, at least, are repeated, though the load changes by ten times its last digit or
+    more from one to the next: values of a coarse load, which repeat by chance, change by one or two. A load
+    at rest is one value.
+    """
+    new = np.flatnonzero(~repeats)
+    lengths, changes = np.diff(np.append(new, load.size)), np.abs(np.diff(load[new]))
+    if new.size < 100 or np.mean(lengths > 1) < 0.3:
+        return False
+    return float(np.median(changes)) > 10 * quantum(load[:20_000])
 
 
 def _tick(begins: Bools) -> float:
