@@ -36,6 +36,7 @@ PUBLISHED = Sample()
 """The publication's sample."""
 
 LEAST_GPA, MOST_GPA = 0.1, 30.0
+LEAST_MU, MOST_MU = 0.05, 3.0  # friction of polytetrafluoroethylene, and of rubber
 
 
 def is_plausible_modulus(modulus_GPa: float) -> bool:

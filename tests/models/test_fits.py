@@ -214,6 +214,13 @@ def test_a_modulus_of_no_sheet_is_said() -> None:
     assert fit(events(), Sample(width_mm=4.5), modulus_GPa=38).warnings == fit(events()).warnings == ()
 
 
+def test_a_friction_of_no_sheet_is_said() -> None:
+    """A failure means that half the number of sheets gives μ = 4.3 with an error of 0.2 %, without a word."""
+    warnings = fit(events(), Sample(sheets_per_block=12)).warnings
+    assert any("μ of" in line and "`sheets_per_block`" in line for line in warnings)
+    assert not any("μ of" in line for line in fit(events(), Sample(sheets_per_block=20)).warnings)
+
+
 def test_centimetres_that_nobody_declared_are_refused() -> None:
     """A failure means μ with a small error from a file that states no unit and whose numbers contradict mm.
 

@@ -40,7 +40,15 @@ from vision.models.single_fits import (
     with_friction,
 )
 from vision.numeric import Floats, sigma_about_zero, two_digits, with_minus
-from vision.sample import LEAST_GPA, MOST_GPA, PUBLISHED, Sample, is_plausible_modulus
+from vision.sample import (
+    LEAST_GPA,
+    LEAST_MU,
+    MOST_GPA,
+    MOST_MU,
+    PUBLISHED,
+    Sample,
+    is_plausible_modulus,
+)
 from vision.signals import running_median
 
 _SUSPECTS = "check `d0_mm`, the sample's geometry and the load's zero"
@@ -150,7 +158,7 @@ def fit_models(
         input_errors=errors | ({"d0_mm": d0_err} if np.isfinite(d0_err) else {}),
         notes=tuple(line for line, warns in remarks if not warns),
         warnings=(
-            *filter(None, (unit_doubt or _doubtful_modulus(fits), misread)),
+            *filter(None, (unit_doubt or _doubtful_sample(fits), misread)),
             *(line for line, warns in remarks if warns),
         ),
     )
@@ -226,16 +234,26 @@ def _doubtful_units(events: pd.DataFrame, sample: Sample, force: xr.Dataset) -> 
     return "" if is_plausible_modulus(least) else f"{found} or more: {_read_as(force)}"
 
 
-def _doubtful_modulus(fits: ModelFits) -> str:
-    """Why the sizes of the sheets are doubtful, "" if they are not: the modulus is not that of any sheet."""
-    value, error = fits.modulus_GPa.value, fits.modulus_GPa.error
-    known = not {"Y_eff_GPa", "modulus_GPa"} & {*fits.undetermined, *fits.held}
-    if not known or (value - 2 * error < MOST_GPA and value + 2 * error > LEAST_GPA):
-        return ""
-    line = (
-        f"Y_eff of {value:.2g} GPa is not in the {LEAST_GPA:g} to {MOST_GPA:g} GPa of paper and films: check"
-    )
-    return f"{line} `thickness_mm`, `width_mm`, `length_mm` and `sheets_per_block`"
+def _doubtful_sample(fits: ModelFits) -> str:
+    """Why the sizes of the sample are doubtful, "" if they are not: μ or the modulus is not that of sheets.
+
+    A wrong size changes only these two, which occur in the equations as μ ε M² and ε W Y_eff / L.
+    """
+    lines = []
+    for one, names, (least, most), what in (
+        (fits.mu, {"mu"}, (LEAST_MU, MOST_MU), "μ of {:.2g} is not in the {:g} to {:g} of sheets"),
+        (
+            fits.modulus_GPa,
+            {"Y_eff_GPa", "modulus_GPa"},
+            (LEAST_GPA, MOST_GPA),
+            "Y_eff of {:.2g} GPa is not in the {:g} to {:g} GPa of paper and films",
+        ),
+    ):
+        known = not names & {*fits.undetermined, *fits.held}
+        if known and not (one.value - 2 * one.error < most and one.value + 2 * one.error > least):
+            lines.append(what.format(one.value, least, most))
+    sizes = "check `sheets_per_block`, `thickness_mm`, `width_mm` and `length_mm`"
+    return f"{' and '.join(lines)}: {sizes}" if lines else ""
 
 
 def _misread_lengths(fits: ModelFits, events: pd.DataFrame, given: _Given, force: xr.Dataset) -> str:
