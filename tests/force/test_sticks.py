@@ -97,6 +97,28 @@ def test_slips_that_means_lengthened_keep_the_error_of_them(means: list[int]) ->
         assert within(events, truth, name) > 0.6, name
 
 
+@pytest.mark.parametrize(("rise", "slip", "width", "digit"), [(160, 20, 30, 0.05), (300, 40, 60, 0.03)])
+def test_rounding_does_not_hide_a_mean_as_long_as_the_slips(
+    rise: float, slip: float, width: int, digit: float
+) -> None:
+    """A failure means that noise which a moving mean smoothed, and rounding made white, makes slips count as
+    resolved: F_p, F_v and ΔF are off by ten errors or more, without a word."""
+    test = cycles(uneven_lengths(rise), np.full(60, slip), noise=0.05)
+    padded = np.pad(test.force["load_N"].to_numpy(), (width // 2, width - width // 2 - 1), "edge")
+    load = digit * np.round(np.convolve(padded, np.full(width, 1 / width), "valid") / digit)
+    events, truth = matched(find_stick_slip(test.force.assign(load_N=("time_s", load))), test.truth)
+    assert len(events) == 58
+    for name in ("F_v_N", "F_p_N", "dF_N"):
+        assert within(events, truth, name) > 0.6, name
+
+
+def test_rounding_as_large_as_the_noise_doubts_no_slips() -> None:
+    """A failure means errors of ΔF ten times too large, because the last digit is as large as the noise."""
+    test = cycles(uneven_lengths(600), np.full(60, 30.0), noise=0.1)
+    events = find_stick_slip(test.force.assign(load_N=0.1 * np.round(test.force["load_N"] / 0.1)))
+    assert (events["dF_err_N"] < 0.1).all()
+
+
 def test_a_bend_that_is_not_clear_is_part_of_the_errors() -> None:
     """A failure means that the bend of ten long sticks, of less than four of its errors, is neither corrected
     nor in the errors: F_v and F_p are too high by three of them."""

@@ -171,6 +171,11 @@ class ForceSettings(Tunable):
     Larger trusts slips that a filter made, smaller has errors of ΔF and F_v up to ten times too large for
     those of clean recordings (test_events)."""
 
+    rounding_share: float = 0.7
+    """Share of the noise's variance that may be rounding for the rest to show whether a filter made slips.
+    Smaller doubts slips of coarse recordings that are resolved, larger trusts what a filter made and rounding
+    made white: errors of ΔF of 0.4 % where a moving mean takes 15 % (test_events)."""
+
     filter_share: float = 0.3
     """Length of slips over that of sticks from which a filter that may have lengthened them leaves too little
     of the sticks for K, off by 4 % at 0.35 and by 10 % at 0.5. Smaller doubts recordings that are resolved,

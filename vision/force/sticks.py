@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,7 +15,7 @@ from vision.force.corners import Corners, Extremes, Shape, find_extremes, is_slo
 from vision.force.lines import Lines, fit_broken_lines, fit_lines, fit_polynomials
 from vision.force.settings import ForceSettings
 from vision.force.signal import Signal, slope_error_of_steps, step_between
-from vision.numeric import Bools, Floats, Ints, mad_sigma, nan_median
+from vision.numeric import Bools, Floats, Ints, mad_sigma, nan_median, quantum
 
 # Samples below which a slip may be sudden, where each sample is the mean since the one before.
 UNRESOLVED = 2.5
@@ -276,7 +277,11 @@ def filter_length(signal: Signal, corners: Corners, settings: ForceSettings) -> 
 
 
 def _noise_correlation(signal: Signal, corners: Corners, apart: float, settings: ForceSettings) -> float:
-    """Return the correlation of the noise within the sticks over so many samples; NaN in short sticks."""
+    """Return the correlation of the noise within the sticks over so many samples; NaN in short sticks.
+
+    Rounding to the last digit written is white, whatever a filter did before: it is not counted. Where the
+    noise is hardly more, the correlation is not known.
+    """
     lag = max(round(apart), 1)
     start, stop = _between(*_central(corners.valley[:-1], corners.peak[1:], settings.line_part))
     long = stop - start >= max(10, 4 * lag)  # a polynomial is fitted to each
@@ -285,9 +290,13 @@ def _noise_correlation(signal: Signal, corners: Corners, apart: float, settings:
     _, noise, row = fit_polynomials(signal.clean, start[long], stop[long])
     product = np.where(row[lag:] == row[:-lag], noise[lag:] * noise[:-lag], 0.0)
     common = np.bincount(row[lag:], product, minlength=int(long.sum()))
+    squares, length = np.bincount(row, noise**2), (stop - start)[long]
+    rounding = quantum(signal.load[~signal.is_missing][:20_000]) ** 2 / 12
+    other = 1 - rounding / max(float(np.median(squares / length)), np.finfo(float).tiny)
     with np.errstate(divide="ignore", invalid="ignore"):
         # The five terms of the polynomial take as much from the correlation of white noise.
-        return float(nan_median(common / np.bincount(row, noise**2)) + 5 / np.median((stop - start)[long]))
+        found = float(nan_median(common / squares) + 5 / np.median(length))
+    return found / other if other > 1 - settings.rounding_share else math.nan
 
 
 def _corner_errors(signal: Signal, sticks: _Sticks, ends: _Ends, force: Floats, off: Floats) -> Floats:
