@@ -216,6 +216,14 @@ def test_excel(kind: str, tmp_path: Path) -> None:
     np.testing.assert_allclose(force["time_s"] - force["time_s"][0], TIME - TIME[0], atol=1e-5)
 
 
+def test_the_worksheet_of_a_second_recording_is_named(tmp_path: Path) -> None:
+    """A failure means that of a workbook of several specimens one is used, and it is not said which."""
+    rows = [["Time (s)", "Load (N)"], *zip(TIME.tolist(), LOAD.tolist(), strict=True)]
+    path = _workbook(tmp_path / "test.xlsx", {"A": rows, "Probe 2": rows})
+    force = read_force(path, speed_mm_min=1.2)
+    assert any("starts again at line 2 of worksheet Probe 2" in line for line in force.attrs["warnings"])
+
+
 @pytest.mark.parametrize(
     ("rows", "found"),
     [([], "none"), ([["Load", "Time"], ["high", "early"]], "none"), ([[None] * 2000 + [1.0]], "2001")],

@@ -225,8 +225,9 @@ def _restart_warnings(restart: int, rows: int, blocks: list[Table]) -> list[str]
         return []
     starts = np.cumsum([0, *(len(block.numbers) for block in blocks)])
     k = int(np.searchsorted(starts, restart, side="right")) - 1
-    line = blocks[k].first_line
+    line, layout = blocks[k].first_line, blocks[k].facts.get("layout", "")
     place = f"line {line + restart - starts[k]}" if line else f"row {restart + 1}"
+    place += f" of worksheet {layout.removeprefix('Excel, ')}" if layout.startswith("Excel, ") else ""
     return [
         f"the time starts again at {place}: the file seems to hold two recordings or more, and only the "
         "first is used; save each in a file of its own"
