@@ -324,6 +324,21 @@ def test_initial_loading_is_no_event() -> None:
     assert events["dF_N"].max() < 0.6 * events.attrs["first_slip_N"]
 
 
+def test_impulses_of_four_samples_divide_no_sticks_silently() -> None:
+    """A failure means that a tenth of the sticks called ok begin or end where the load rises, since impulses
+    tilt the lines through them."""
+    test = plain(sticks=180, samples=160, snr=400, jitter=0.1)
+    rng, load = np.random.default_rng(0), test.force["load_N"].to_numpy() + 1000
+    for at in rng.choice(load.size - 10, 45, replace=False):
+        load[at : at + 4] += rng.uniform(-600, 600)
+    events = find_stick_slip(test.force.assign(load_N=("time_s", load)))
+    good = events[events["flag"] == "ok"]
+    for name in ("t_v_s", "t_p_s"):
+        away = np.abs(good[name].to_numpy()[:, np.newaxis] - test.truth[name].to_numpy()).min(axis=1)
+        assert np.mean(away > 0.1) < 0.06, name
+    assert len(good) > 140
+
+
 def test_spikes_are_not_slips() -> None:
     """A failure means impulsive noise makes events, moves peaks or bends stick lines."""
     test = realistic()

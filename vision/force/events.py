@@ -667,7 +667,9 @@ def _all_flags(
     # k + 1 slips lie before stick k. Where a jump reverses a drop, or a drop a jump, that drop is no slip,
     # but ends the stick with the jump and the one before or after it. Many jumps make all drops doubtful.
     away = np.arange(len(events))[:, np.newaxis] + 1 - slips.before_jumps(settings)
-    jump = (np.abs(away) <= 1).any(axis=1)
+    length = np.nan_to_num(analysis.corners.length) + 2 * signal.averaged
+    no_fall = _without_fall(signal.clean, slips, length, settings)
+    jump = (np.abs(away) <= 1).any(axis=1) | no_fall[:-1] | no_fall[1:]
     marks = {
         "jump": jump | (jump.mean() >= 0.5) | lasting[:-1] | lasting[1:],
         "unloading": unloading[:-1] | unloading[1:],
@@ -677,3 +679,21 @@ def _all_flags(
     }
     both = zip(events["flag"], joined_flags(marks), strict=True)
     return ["+".join(flag for flag in flags if flag != "ok") or "ok" for flags in both]
+
+
+def _without_fall(y: Floats, slips: Slips, length: Floats, settings: ForceSettings) -> Bools:
+    """Return at which slips the load does not fall: within a slip's length, six samples at least, it is
+    nowhere lower by `least_fall` of the drop than before.
+
+    An impulse of a few samples tilts a line of its stick, which is then divided in the middle of its rise.
+    """
+    reach = np.clip(np.ceil(length), 6, None).astype(np.int64)
+    before, edge = np.maximum(slips.edge - reach, 0), np.maximum(slips.edge, 1)
+    after = np.minimum(edge + reach, y.size)
+    if y.size - edge[-1] < 0.5 * slips.period:
+        after[-1] = y.size  # so little follows that the last edge is known less well
+    highest, lowest = (
+        work.reduceat(y, np.stack([begin, np.minimum(end, y.size - 1)], axis=1).ravel())[::2]
+        for work, begin, end in ((np.maximum, before, edge), (np.minimum, edge, after))
+    )
+    return np.asarray(highest - lowest < settings.least_fall * slips.drop, np.bool_)

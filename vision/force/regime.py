@@ -79,8 +79,8 @@ def is_unloading(travel: Floats, extremes: Extremes) -> Bools:
 
 _FLAGGED = {
     "unloading": "lie beside a fall while the crosshead went back",
-    "jump": "contain or adjoin an upward jump of the load, as large as slips, or a fall after which it stays "
-    "lower: noise, knocks, ringing, a loose cable, or another range or zero",
+    "jump": "contain or adjoin an upward jump of the load, as large as slips, an impulse, or a fall after "
+    "which it stays lower: noise, knocks, ringing, a loose cable, or another range or zero",
     "falling": "contain a fall of the load, as of a slip that lasts longer than they do and was not found",
     "still": "contain or precede a rest of the machine, which moved more slowly than in those around, or the "
     "displacement had ended",

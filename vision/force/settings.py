@@ -259,6 +259,11 @@ class ForceSettings(Tunable):
     """Fall of the load within a stick, over its rise, from which it is flagged "falling". Smaller flags small
     slips and noise, larger takes K and Λ_st across slips that were not found (test_events)."""
 
+    least_fall: float = 0.2
+    """Fall of the load within a slip's length, over the drop between the lines beside it, below which it is
+    none: 0 in the middle of a rise, 0.5 or more at slips. Larger flags slow slips in noise, smaller calls
+    sticks ok that an impulse has divided (test_events)."""
+
     least_speed: float = 0.8
     """Speed of the crosshead in a stick, over the usual one of the sticks around, below which it paused.
     Larger flags sticks of an unsteady pull, smaller measures sticks that contain a rest of the machine."""
