@@ -80,6 +80,15 @@ def test_ridges_lit_from_the_other_side_are_named(what):
     assert all(":150)" in line for line in said)
 
 
+def test_exchanged_frames_are_named(picture):
+    """A failure means that a film with frames in the wrong order is analysed in silence."""
+    order = np.arange(len(picture))
+    order[[30, 31, 60, 61, 90, 91]] = [31, 30, 61, 60, 91, 90]
+    wrong = picture.copy(data=picture.values[order])
+    said = [line for line in tracking_warnings(track_sheets(wrong)) if "exchanged" in line]
+    assert len(said) == 1 and "3 frames (30, 60, 90)" in said[0]
+
+
 @pytest.mark.parametrize("name", [field.name for field in fields(CheckSettings)])
 def test_every_setting_is_used(name):
     """A failure means that somebody turns a knob that is connected to nothing."""

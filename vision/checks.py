@@ -21,6 +21,7 @@ from vision.numeric import Bools, Floats, Ints, Pixels, nan_median, nan_quantile
 from vision.sample import Sample
 from vision.sheets.corrections import Correction, decision_texts, ordered, sheet_name, sheet_names
 from vision.sheets.numbering import ends_in_view
+from vision.sheets.order import exchanged_frames
 from vision.sheets.recovery import LONG_GAP, WITHOUT_RIDGE, missing_stretches
 from vision.sheets.reference import static_ridges
 from vision.sheets.settings import DEFAULT as TRACKING
@@ -152,8 +153,8 @@ DOUBTFUL = {
 def tracking_warnings(
     tracks: xr.Dataset, settings: CheckSettings = DEFAULT, tracking: TrackingSettings = TRACKING
 ) -> list[str]:
-    """Return warnings about polarity, frozen or averaged frames, doubtful or missing positions, motion, a
-    second comb, missed sheets."""
+    """Return warnings about polarity, frozen, exchanged or averaged frames, doubtful or missing positions,
+    motion, a second comb, missed sheets."""
     return list(_of_tracks(tracks, settings, tracking))
 
 
@@ -164,6 +165,14 @@ def _of_tracks(tracks: xr.Dataset, settings: CheckSettings, tracking: TrackingSe
     if frozen := flags.frozen_frames:
         copies = f"{counted(frozen, 'frame')} repeated from the frame before"
         yield f"{copies}, without positions (flag frozen)"
+    exchanged = exchanged_frames(tracks["x_px"].values, tracks["x_err_px"].values, tracking)
+    if len(exchanged):
+        yield (
+            f"{counted(len(exchanged), 'frame')} ({first_of(tracks['frame'].values[exchanged].tolist(), 5)})"
+            " and the next one seem to be exchanged, since all sheets go back between them: positions there"
+            " belong to the other frame's time, and others may be exchanged where the sheets rest: record or"
+            " convert the film again"
+        )
     if uncertain := flags.of(DOUBTFUL):
         line = f"{uncertain} of {total} positions left out{why_left_out(flags)}"
         if uncertain > settings.most_left_out * total:

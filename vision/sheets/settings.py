@@ -391,6 +391,25 @@ class TrackingSettings(Tunable):
     """Width over its usual width above which a ridge beside a missing sheet is both sheets. Larger passes the
     middle of two sheets, smaller withholds blurred ones."""
 
+    # --- frames in the wrong order (order.py) ---
+
+    exchanged_clear: float = 400.0
+    """Square of a displacement of all sheets against each other, in their errors, from which its ratio to the
+    next is used. Smaller lets noise change the ratios by more than `exchanged_whole`; larger sees exchanged
+    frames in slips only."""
+
+    exchanged_whole: float = 0.3
+    """Deviation of those ratios from a whole number at which frames may still be exchanged. Smaller misses
+    them where sheets creep unevenly, larger takes more of a vibration for them (test_order.py)."""
+
+    exchanged_returns: float = 0.2
+    """Ratio from which sheets go back by more than noise. Larger does not count vibration that is damped,
+    smaller counts noise, and both hide or show exchanged frames by chance."""
+
+    exchanged_least: int = 3
+    """Number of exchanged pairs of frames below which none is reported: fewer agree by chance in one film of
+    a hundred that vibrates. Larger is silent in films where few frames are exchanged."""
+
     # --- frames, blur and distortion (film.py, distortion.py) ---
 
     frozen_fraction: float = 0.3

@@ -1,0 +1,64 @@
+"""Neighbouring frames that a recorder wrote in the wrong order: every sheet goes back for one frame."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vision.numeric import Floats, Ints, in_two_threads, row_parts
+from vision.sheets.settings import DEFAULT, TrackingSettings
+
+FEWEST = 3  # sheets, less the motion that they share
+
+
+def exchanged_frames(x_px: Floats, err_px: Floats, settings: TrackingSettings = DEFAULT) -> Ints:
+    r"""Return the rows of frames that show what the next frame should, and the reverse; none if in doubt.
+
+    x_px, err_px: positions and their errors (frame, N), NaN where missing.
+
+    Let :math:`a`, :math:`b` and :math:`c` be the displacements (N,) between four successive frames, less
+    what all sheets share, weighted by the errors. If the middle two are exchanged, these are :math:`p+q`,
+    :math:`-q` and :math:`q+r`, with the true displacements :math:`p`, :math:`q` and :math:`r`: b is opposite
+    to both others. Their sizes relative to b, :math:`-a\cdot b/b^2` and :math:`-c\cdot b/b^2`, are 1 if the
+    sheets slip between the exchanged frames, 2 if they creep, and 3 if both pairs beside them are exchanged
+    as well. Sheets or a camera that vibrate go back too, but by any part of the steps before and after, or
+    in many successive frames. Exchanged frames are therefore reported where their number exceeds
+    `exchanged_least` and twice that of the other returns.
+    """
+    ratio = np.zeros((2, max(0, len(x_px) - 3)))
+
+    def compare(rows: slice) -> None:
+        part = slice(rows.start, rows.stop + 3)
+        ratio[:, rows] = _returns(x_px[part], err_px[part], settings)
+
+    in_two_threads(compare, row_parts(ratio.shape[1]))
+    nearest = np.rint(ratio)
+    whole = ((nearest >= 1) & (np.abs(ratio - nearest) < settings.exchanged_whole)).all(axis=0)
+    beside, two_away = (np.pad(whole, distance) for distance in (1, 2))
+    creep = 2 + np.stack([two_away[:-4], two_away[4:]])
+    whole &= ((nearest == 1) | (nearest == creep)).all(axis=0) & ~beside[:-2] & ~beside[2:]
+    others = int(((ratio > 0).all(axis=0) & ~whole & ~beside[:-2] & ~beside[2:]).sum())
+    few = whole.sum() < settings.exchanged_least or whole.sum() <= 2 * others
+    return np.zeros(0, np.int64) if few else np.flatnonzero(whole) + 1
+
+
+def _returns(x_px: Floats, err_px: Floats, settings: TrackingSettings) -> Floats:
+    """Return the steps before and after over those by which the sheets return, (2, quadruple of frames), 0
+    where they do not, or by no more than noise."""
+    count = len(x_px) - 3
+    step = np.diff(x_px, axis=0)
+    err = np.maximum.reduce([err_px[k : k + count] for k in range(4)])
+    known = np.isfinite(step[:-2] + step[1:-1] + step[2:]) & (err > 0)
+    weight = np.where(known, 1 / np.where(known, err, 1.0) ** 2, 0.0)
+    total = np.maximum(weight.sum(axis=1), 1e-12)
+
+    def relative(part: Floats) -> Floats:
+        part = np.where(known, part, 0.0)
+        shared = (weight * part).sum(axis=1) / total
+        return np.asarray(part - shared[:, None])
+
+    before, back, after = (relative(step[k : k + count]) for k in range(3))
+    power, sheets = (weight * back**2).sum(axis=1), known.sum(axis=1)
+    against = -np.stack([(weight * part * back).sum(axis=1) for part in (before, after)])
+    ratio = against / np.maximum(power, 1e-12)
+    clear = (sheets >= FEWEST) & (power > np.maximum(settings.exchanged_clear, 8 * sheets))
+    return np.where(clear & (ratio.min(axis=0) > settings.exchanged_returns), ratio, 0.0)
