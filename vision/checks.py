@@ -153,7 +153,7 @@ DOUBTFUL = {
 def tracking_warnings(
     tracks: xr.Dataset, settings: CheckSettings = DEFAULT, tracking: TrackingSettings = TRACKING
 ) -> list[str]:
-    """Return warnings about polarity, frozen, exchanged or averaged frames, doubtful or missing positions,
+    """Return warnings about polarity, frozen, exchanged or mixed frames, doubtful or missing positions,
     motion, a second comb, missed sheets."""
     return list(_of_tracks(tracks, settings, tracking))
 
@@ -165,14 +165,7 @@ def _of_tracks(tracks: xr.Dataset, settings: CheckSettings, tracking: TrackingSe
     if frozen := flags.frozen_frames:
         copies = f"{counted(frozen, 'frame')} repeated from the frame before"
         yield f"{copies}, without positions (flag frozen)"
-    exchanged = exchanged_frames(tracks["x_px"].values, tracks["x_err_px"].values, tracking)
-    if len(exchanged):
-        yield (
-            f"{counted(len(exchanged), 'frame')} ({first_of(tracks['frame'].values[exchanged].tolist(), 5)})"
-            " and the next one seem to be exchanged, since all sheets go back between them: positions there"
-            " belong to the other frame's time, and others may be exchanged where the sheets rest: record or"
-            " convert the film again"
-        )
+    yield from _wrong_moments(tracks, found, tracking)
     if uncertain := flags.of(DOUBTFUL):
         line = f"{uncertain} of {total} positions left out{why_left_out(flags)}"
         if uncertain > settings.most_left_out * total:
@@ -219,6 +212,24 @@ def _of_tracks(tracks: xr.Dataset, settings: CheckSettings, tracking: TrackingSe
             f" camera, and confirm the {found.sheets} ridges found with `sheets`"
         )
     yield from _spacings(tracks, found, settings)
+
+
+def _wrong_moments(tracks: xr.Dataset, found: TrackMetadata, tracking: TrackingSettings) -> Iterator[str]:
+    """Warn of frames that were exchanged, or mixed from two."""
+    exchanged = exchanged_frames(tracks["x_px"].values, tracks["x_err_px"].values, tracking)
+    if len(exchanged):
+        yield (
+            f"{counted(len(exchanged), 'frame')} ({first_of(tracks['frame'].values[exchanged].tolist(), 5)})"
+            " and the next one seem to be exchanged, since all sheets go back between them: positions there"
+            " belong to the other frame's time, and others may be exchanged where the sheets rest: record or"
+            " convert the film again"
+        )
+    if found.mixed_frames and not found.noise_lasts:
+        yield (
+            f"{100 * found.mixed_frames:.0f} % of the frames are mixed from two, as when the frame rate was"
+            " converted: positions there lie between those of two moments, by more than x_err_px where sheets"
+            " move: use the film as the camera recorded it"
+        )
 
 
 def longest_stretches(table: pd.DataFrame, why: str) -> str:

@@ -350,6 +350,7 @@ class TrackMetadata(Metadata):
     second_comb: float = 0.0
     second_comb_err_px: float = 0.0
     noise_lasts: float = 0.0  # correlation of a frame's noise with the next if the camera averages in time
+    mixed_frames: float = 0.0  # share of the frames that are mixed from two
     corrections_applied: int = 0  # manual ones; they are listed among the operations
 
 

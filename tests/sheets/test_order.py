@@ -1,9 +1,11 @@
-"""Frames in the wrong order are found by the motion of the sheets; vibration is not taken for them."""
+"""Frames in the wrong order are found by the motion of the sheets, and frames mixed from two by their noise;
+vibration is not taken for them."""
 
 import numpy as np
 import pytest
 
-from tests.scenes.combs import comb
+from tests.scenes.combs import comb, ridges, strip
+from vision.sheets import track_sheets
 from vision.sheets.order import exchanged_frames
 
 NOISE = 0.01  # px
@@ -50,3 +52,19 @@ def test_missing_positions_say_nothing():
     x_px, err_px = tracks()
     assert not len(exchanged_frames(x_px[:3], err_px[:3]))
     assert not len(exchanged_frames(np.full_like(x_px, np.nan), np.full_like(x_px, np.nan)))
+
+
+@pytest.mark.parametrize("kind", ["still", "mixed", "vibrating", "dimmed"])
+def test_frames_mixed_from_two_are_named(kind):
+    """A failure means that every fourth position lies between two moments in silence, or a false warning."""
+    x_px = comb(200, per_side=10, axis_px=260)
+    if kind == "vibrating":
+        x_px = x_px + 0.5 * np.sin(2.1 * np.arange(200))[:, None]
+    film = strip(ridges(x_px, width=520), snr=60)
+    grey, every = film.values.copy(), np.arange(3, 200, 4)
+    if kind == "mixed":
+        grey[every] = (grey[every] + grey[every - 1]) / 2
+    if kind == "dimmed":
+        grey[every] *= 0.9
+    share = track_sheets(film.copy(data=grey)).attrs["mixed_frames"]
+    assert abs(share - 0.25 * (kind == "mixed")) < 0.03

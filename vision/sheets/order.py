@@ -1,13 +1,22 @@
-"""Neighbouring frames that a recorder wrote in the wrong order: every sheet goes back for one frame."""
+"""Frames that do not show one moment in its turn: neighbours in the wrong order, in which every sheet goes
+back for one frame, and frames that a converter mixed from two, which have less noise."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from vision.numeric import Floats, Ints, in_two_threads, row_parts
+from vision.memory import some_rows
+from vision.numeric import Bools, Floats, Floats32, Ints, in_two_threads, row_parts, spread_indices
 from vision.sheets.settings import DEFAULT, TrackingSettings
+from vision.signals import running_median
 
-FEWEST = 3  # sheets, less the motion that they share
+FEWEST = 3  # sheets, less the motion that they share; and mixed frames, that scatter
+SUCCESSIVE, STRETCHES = (
+    64,
+    32,
+)  # frames of a stretch, and stretches spread over a film, that show mixed frames
+AROUND = 9  # frames whose median change is usual
+NOISE_ORDER = 6  # of the differences along x, which hardly contain ridges
 
 
 def exchanged_frames(x_px: Floats, err_px: Floats, settings: TrackingSettings = DEFAULT) -> Ints:
@@ -62,3 +71,34 @@ def _returns(x_px: Floats, err_px: Floats, settings: TrackingSettings) -> Floats
     ratio = against / np.maximum(power, 1e-12)
     clear = (sheets >= FEWEST) & (power > np.maximum(settings.exchanged_clear, 8 * sheets))
     return np.where(clear & (ratio.min(axis=0) > settings.exchanged_returns), ratio, 0.0)
+
+
+def mixed_frames(profile: Floats32, frozen: Bools, settings: TrackingSettings = DEFAULT) -> float:
+    """Return the share of frames that are mixed from two, as a change of the frame rate may do; 0 if none.
+
+    profile: I(x,t), (frame, x).  frozen: frames that repeat the one before, (frame,).
+
+    The mean of two frames has half of their noise, and shares noise with the frame before: it differs from
+    it by a quarter of the usual square, and its own sixth differences along x are smaller as well. Frames
+    that hardly moved also differ less, but have the noise of the frames beside them. A film has mixed frames
+    if the noise of those that differ less than `mixed_change` of the usual is, in the mean, smaller by
+    `mixed_noise` and by `mixed_sigmas` standard errors.
+    """
+    known = np.flatnonzero(np.isfinite(profile[:, profile.shape[1] // 2]) & ~frozen)
+    if len(known) > SUCCESSIVE * STRETCHES:
+        start = SUCCESSIVE * spread_indices(len(known) // SUCCESSIVE, STRETCHES)
+        known = known[(start[:, None] + np.arange(SUCCESSIVE)).ravel()]
+    if len(known) <= AROUND or profile.shape[1] <= NOISE_ORDER:
+        return 0.0
+    noise = np.diff(some_rows(profile, known), NOISE_ORDER, axis=1)
+    power = np.square(noise).mean(axis=1, dtype=np.float64)
+    change = np.square(np.diff(noise, axis=0)).mean(axis=1, dtype=np.float64)
+    usual = running_median(change, AROUND, ends="symmetric")
+    suspect = 1 + np.flatnonzero(change[:-1] < settings.mixed_change * usual[:-1])
+    if len(suspect) < FEWEST:
+        return 0.0
+    beside = (power[suspect - 1] + power[suspect + 1]) / 2
+    less = 2 * (beside - power[suspect]) / np.maximum(usual[suspect - 1], 1e-12)
+    least = settings.mixed_sigmas * less.std(ddof=1) / np.sqrt(len(less))
+    mixed = less.mean() > max(settings.mixed_noise, least)
+    return len(suspect) / len(known) if mixed else 0.0

@@ -391,7 +391,7 @@ class TrackingSettings(Tunable):
     """Width over its usual width above which a ridge beside a missing sheet is both sheets. Larger passes the
     middle of two sheets, smaller withholds blurred ones."""
 
-    # --- frames in the wrong order (order.py) ---
+    # --- frames in the wrong order, or mixed from two (order.py) ---
 
     exchanged_clear: float = 400.0
     """Square of a displacement of all sheets against each other, in their errors, from which its ratio to the
@@ -409,6 +409,20 @@ class TrackingSettings(Tunable):
     exchanged_least: int = 3
     """Number of exchanged pairs of frames below which none is reported: fewer agree by chance in one film of
     a hundred that vibrates. Larger is silent in films where few frames are exchanged."""
+
+    mixed_change: float = 0.6
+    """Square of the change from the frame before, over the usual one, below which a frame may be mixed from
+    two. The mean of two has 0.25. Larger adds frames that only hardly moved, smaller misses mixtures of which
+    one frame is the larger part (test_order.py)."""
+
+    mixed_noise: float = 0.25
+    """Share of a frame's noise that mixed frames must lack. The mean of two lacks 0.5; frames that differ
+    little for other reasons lack up to 0.17. Larger misses what a codec has changed, smaller warns of
+    those."""
+
+    mixed_sigmas: float = 6.0
+    """Standard errors by which this must be clear. Mixed films have 40 or more, others up to 1. Smaller warns
+    where noise or light change, larger misses few mixed frames."""
 
     # --- frames, blur and distortion (film.py, distortion.py) ---
 

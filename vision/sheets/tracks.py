@@ -56,6 +56,7 @@ from vision.sheets.doubts import (
 from vision.sheets.film import SecondComb, gap_depth, motion_blur, repeated_frames, second_comb
 from vision.sheets.identities import WHYS, Doubt, identify_sheets
 from vision.sheets.numbering import Numbering, number_sheets, placed
+from vision.sheets.order import mixed_frames
 from vision.sheets.recovery import FLAGS, Detections, Flag, assign_detections
 from vision.sheets.reference import ReferenceComb, marks, rest_positions, wide_spacings
 from vision.sheets.ridges import (
@@ -189,6 +190,7 @@ def track_sheets(
         gap_depth=gap_depth(profile, assessed.x_px, comb),
         corrections_applied=len(corrections),
         noise_lasts=errors.lasting,
+        mixed_frames=0.0 if facts.codec in BETWEEN_FRAMES else mixed_frames(profile, frozen, settings),
         **found.jumps(number),
     )
     return record(
