@@ -580,6 +580,14 @@ def test_an_overexposed_film_is_told(gain, top, told):
     assert overexposure(frame, slice(10, 50), replace(settings, overexposed=1.1)) == []
 
 
+def test_a_clipped_ground_is_not_called_flat_tops():
+    """A failure means that the ground of dark ridges, as in a negative, is taken for the ridges' tops."""
+    x = np.arange(400)
+    frame = np.tile(np.clip(300 - 110 * np.exp(-(((x % 20) - 10) ** 2) / 23), 0, 255), (60, 1))
+    (line,) = overexposure(frame.astype(np.uint8), slice(10, 50), VideoSettings(), dark=True)
+    assert "ground is clipped" in line and "negative" in line and "flat tops" not in line
+
+
 def test_a_swap_that_lets_two_sheets_jump_is_told(picture):
     """A failure means that one wrong decision by hand makes a sheet another one, and nobody notices."""
     swap = correction_of("swap", {"sheets": [4, 5], "frames": "60:"})

@@ -443,8 +443,9 @@ def decision_warnings(tracks: xr.Dataset, corrections: Sequence[Correction]) -> 
     return lines
 
 
-def overexposure(frame: Pixels, rows: slice, settings: VideoSettings) -> list[str]:
-    """Return a warning if many of the averaged pixels are saturated, so that ridges have flat tops.
+def overexposure(frame: Pixels, rows: slice, settings: VideoSettings, *, dark: bool = False) -> list[str]:
+    """Return a warning if many of the averaged pixels are saturated, so that ridges have flat tops, or `dark`
+    ones have clipped flanks.
 
     A saturated pixel is one within 0.4 % of the 99.9 % quantile, as a camera of 12 bits in a file of 16, or a
     codec's white, saturates below the largest value that the file could hold.
@@ -454,9 +455,14 @@ def overexposure(frame: Pixels, rows: slice, settings: VideoSettings) -> list[st
     share = float((np.abs(pixels.astype(np.float32) - top) <= top / 255).mean())
     if share < settings.overexposed or top < settings.few_levels:
         return []
+    where = f"{100 * share:.0f} % of the averaged pixels are as bright as the brightest ({top:.0f})"
+    if dark:
+        return [
+            f"{where}: the bright ground is clipped, and perhaps the flanks of the dark ridges, so that"
+            " x_err_px may be too small: film with less light, or with more if the film is a negative"
+        ]
     return [
-        f"{100 * share:.0f} % of the averaged pixels are as bright as the brightest ({top:.0f}): overexposed."
-        " Ridges have flat tops and x_err_px may be too small: film with less light"
+        f"{where}: overexposed. Ridges have flat tops and x_err_px may be too small: film with less light"
     ]
 
 

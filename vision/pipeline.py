@@ -39,6 +39,7 @@ from vision.data import (
     STIFF_BELOW,
     ForceMetadata,
     StripMetadata,
+    TrackMetadata,
     Tunable,
     check_pixel_size,
     check_threshold,
@@ -349,7 +350,8 @@ def all_warnings(found: Analysis) -> tuple[str, ...]:
         lines += warnings_of(tracks)
         if found.frame is not None:
             strip = StripMetadata.of(tracks)
-            lines += overexposure(found.frame, slice(strip.strip_z0, strip.strip_z1), tuning.video)
+            rows, dark = slice(strip.strip_z0, strip.strip_z1), TrackMetadata.of(tracks).ridges == "dark"
+            lines += overexposure(found.frame, rows, tuning.video, dark=dark)
         lines += tracking_warnings(tracks, tuning.checks, tuning.tracking)
         lines += decision_warnings(tracks, found.settings.corrections)
         lines += consistency_warnings(
