@@ -11,10 +11,8 @@ from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.signals import running_median
 
 FEWEST = 3  # sheets, less the motion that they share; and mixed frames, that scatter
-SUCCESSIVE, STRETCHES = (
-    64,
-    32,
-)  # frames of a stretch, and stretches spread over a film, that show mixed frames
+SUCCESSIVE = 64  # frames of a stretch that shows mixed frames
+STRETCHES = 32  # spread over a film
 AROUND = 9  # frames whose median change is usual
 NOISE_ORDER = 6  # of the differences along x, which hardly contain ridges
 

@@ -24,18 +24,7 @@ from vision.video.times import read_timestamps, unit_warning, usual_rate
 
 FILMS = {".avi", ".mp4", ".m4v", ".mkv", ".mov", ".cine", PIXELS}
 """Suffixes by which the films of a folder are found. A film that is named may have any suffix."""
-_BOXES = {
-    b"ftyp",
-    b"moov",
-    b"mdat",
-    b"moof",
-    b"styp",
-    b"sidx",
-    b"free",
-    b"skip",
-    b"wide",
-    b"uuid",
-}  # of an MP4
+_BOXES = set(b"ftyp moov mdat moof styp sidx free skip wide uuid".split())  # parts of an MP4
 _MOST_PARTS = 10_000  # a fragmented MP4 has two a second
 
 
