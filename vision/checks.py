@@ -127,9 +127,9 @@ class CheckSettings(Tunable):
     questioned.  A wrong unit changes the ratio by 1000; sheets that bulge, or of which only every second one
     is seen, by 2 to 4.  Smaller warns of the latter; larger overlooks factors of 10."""
 
-    slip_frames: int = 4096
-    """Number of frames, from the first, in which slips inwards are looked for.  More take 0.03 ms each; fewer
-    overlook a film played backwards that has long stick phases."""
+    slip_frames: int = 2048
+    """Number of frames, from the first, in which slips inwards are looked for.  More take 15 ms a thousand;
+    fewer overlook a film played backwards that has long stick phases."""
 
     least_spacing_um: float = 1.0
     """Spacing below which the pixel size is questioned though the sheets' thickness is not known: mm taken
@@ -533,11 +533,10 @@ def _inward_slips(tracks: xr.Dataset, settings: ClockSettings) -> Iterator[str]:
     frames = tracks["frame"].values.astype(np.float64)
     timed = tracks.assign_coords(time_s=("frame", frames))  # the film's times may not be known
     try:
-        outwards = len(video_slips(timed, settings=settings))
         inwards = len(video_slips(timed.assign_coords(side=-timed["side"]), settings=settings))
     except InputError:  # fewer than three frames with sheets
         return
-    if inwards >= settings.least_slips and not outwards:
+    if inwards >= settings.least_slips and not len(video_slips(timed, settings=settings)):
         yield (
             f"the sheets jump inwards ({inwards} times) and never outwards, as no slip moves them: the film"
             " runs backwards, or side is wrong, as `axis_px` may be: look at overview.png"
