@@ -120,24 +120,6 @@ def test_an_axis_where_motion_excludes_it(picture, axis_px):
     assert "`axis_px`" in lines[0]
 
 
-@pytest.mark.parametrize("sheets", [slice(None), slice(25, None)], ids=["both sides", "one side"])
-def test_a_film_that_runs_backwards_is_named(sheets):
-    """A failure means that a film whose frames were saved in the opposite order, or a side counted from its
-    wrong end, passes for stick-slip; or that good films are said to be one."""
-    x = comb(150)[:, sheets]
-    (line,) = consistency_warnings(track_sheets(strip(ridges(x[::-1]))))
-    assert line.startswith("the sheets jump inwards (5 times) and never outwards")
-    assert "`axis_px`" in line
-    assert consistency_warnings(track_sheets(strip(ridges(x)))) == []
-
-
-def test_sheets_that_swing_are_not_said_to_run_backwards():
-    """A failure means that a sample pushed and pulled, whose sheets jump both ways, is doubted."""
-    x = comb(150)
-    swings = np.where(np.arange(150)[:, None] // 13 % 2, x[0], x[24])
-    assert consistency_warnings(track_sheets(strip(ridges(swings)))) == []
-
-
 @pytest.mark.parametrize("pitches", [0.4, 0.65, -0.65])
 def test_an_axis_that_motion_allows_is_not_doubted(picture, pitches):
     """The innermost sheets hardly move and stand unevenly, so that more than half a pitch aside is what

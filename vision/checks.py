@@ -11,10 +11,8 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from vision.clock.settings import ClockSettings
-from vision.clock.slips import video_slips
 from vision.data import FlagCounts, TrackMetadata, Tunable
-from vision.errors import InputError, counted, first_of
+from vision.errors import counted, first_of
 from vision.memory import is_word
 from vision.models.equations import effective_sheets
 from vision.numeric import Bools, Floats, Ints, Pixels, nan_median, nan_quantile, stretches
@@ -126,10 +124,6 @@ class CheckSettings(Tunable):
     """Ratio of the sheets' spacing to two thicknesses, or its inverse, above which the pixel size is
     questioned.  A wrong unit changes the ratio by 1000; sheets that bulge, or of which only every second one
     is seen, by 2 to 4.  Smaller warns of the latter; larger overlooks factors of 10."""
-
-    slip_frames: int = 2048
-    """Number of frames, from the first, in which slips inwards are looked for.  More take 15 ms a thousand;
-    fewer overlook a film played backwards that has long stick phases."""
 
     least_spacing_um: float = 1.0
     """Spacing below which the pixel size is questioned though the sheets' thickness is not known: mm taken
@@ -477,14 +471,12 @@ def consistency_warnings(
     pixel_size_um: float | None = None,
     columns: Floats | None = None,
     settings: CheckSettings = DEFAULT,
-    clock: ClockSettings = ClockSettings(),
 ) -> list[str]:
     """Return warnings about findings that contradict each other, each with what to do about it.
 
     sample: the given sample, which is compared with the ridges per side and their spacing.
     assumed: the sample that is assumed if none was given.
     columns: the columns of I(x,t), px; None where they are not known, so that the comb's ends may be outside.
-    clock: decides what is a slip.
     """
     found, used, most = TrackMetadata.of(tracks), sample or assumed, int(tracks["n"].max())
     lines = list(_comb_warnings(tracks, found, settings))
@@ -524,23 +516,7 @@ def consistency_warnings(
             f"{used.sheets_per_block} sheets per block and side {how}, but n reaches {most}: check"
             " `sheets_per_block`, `axis_px` and `sheets`"
         )
-    return [*lines, *_inward_slips(tracks.isel(frame=slice(settings.slip_frames)), clock)]
-
-
-def _inward_slips(tracks: xr.Dataset, settings: ClockSettings) -> Iterator[str]:
-    """Warn if the sheets jump inwards, at least `least_slips` times, and never outwards. Sheets that swing
-    do both."""
-    frames = tracks["frame"].values.astype(np.float64)
-    timed = tracks.assign_coords(time_s=("frame", frames))  # the film's times may not be known
-    try:
-        inwards = len(video_slips(timed.assign_coords(side=-timed["side"]), settings=settings))
-    except InputError:  # fewer than three frames with sheets
-        return
-    if inwards >= settings.least_slips and not len(video_slips(timed, settings=settings)):
-        yield (
-            f"the sheets jump inwards ({inwards} times) and never outwards, as no slip moves them: the film"
-            " runs backwards, or side is wrong, as `axis_px` may be: look at overview.png"
-        )
+    return lines
 
 
 def _side_warnings(

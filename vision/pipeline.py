@@ -361,7 +361,6 @@ def all_warnings(found: Analysis) -> tuple[str, ...]:
             pixel_size_um=found.pixel_size_um,
             columns=None if found.strip is None else found.strip["x"].values,
             settings=tuning.checks,
-            clock=tuning.clock,
         )
     if found.force is not None:
         lines += warnings_of(found.force, found.sticks)

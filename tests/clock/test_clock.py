@@ -270,6 +270,14 @@ def test_too_few_slips_are_refused(recorded):
         synchronise(seen, force, sticks.iloc[:0])
 
 
+def test_a_film_that_runs_backwards_is_named(recorded):
+    """A failure means that a film saved in the opposite order, or numbered from an axis on its other side, is
+    said to have no slips."""
+    film, force, sticks = recorded
+    with pytest.raises(InputError, match=r"found 0, and \d+ jumps of the sheets inwards; check"):
+        synchronise(film.assign_coords(side=-film["side"]), force, sticks)
+
+
 def test_three_slips_are_refused(recorded):
     """A failure means that three sticks of a video are laid anywhere in the recording."""
     with pytest.raises(InputError, match="expected at least 4 slips to align the clocks; found 3"):

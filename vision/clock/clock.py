@@ -226,11 +226,9 @@ def _from_slips(
 ) -> Clock:
     """Clock of the best alignment of the slips, with status "ok" or "ambiguous"."""
     seen, drops = video_slips(tracks, settings=settings), force_slips(force, sticks, settings=settings)
-    video, machine = StripMetadata.of(tracks).source, ForceMetadata.of(force).source
-    for about, slips in ((machine, drops), (video, seen)):
-        if len(slips) < settings.least_slips:
-            need = f"at least {settings.least_slips} slips to align the clocks"
-            raise InputError(about, need, f"{len(slips)}", "give `offset_s`")
+    video = StripMetadata.of(tracks).source
+    _check_slips(ForceMetadata.of(force).source, len(drops), settings)
+    _check_slips(video, len(seen), settings, tracks)
     found, advice = _against_frame_rates(align_slips(_slip_trains(seen, drops, settings), settings), tracks)
     if found.fits.log_likelihood[0] <= 0:
         raise InputError(
@@ -277,6 +275,19 @@ def _from_slips(
         ambiguity=found.ambiguity,
         warnings=tuple(warnings),
     )
+
+
+def _check_slips(about: str, slips: int, settings: ClockSettings, tracks: xr.Dataset | None = None) -> None:
+    """Raise InputError if these are too few to align the clocks; it names jumps of the sheets inwards."""
+    if slips >= settings.least_slips:
+        return
+    found, advice = f"{slips}", "give `offset_s`"
+    if tracks is not None:
+        inwards = len(video_slips(tracks.assign_coords(side=-tracks["side"]), settings=settings))
+        if inwards >= settings.least_slips:
+            found += f", and {inwards} jumps of the sheets inwards"
+            advice = "check that the film does not run backwards, and `axis_px`"
+    raise InputError(about, f"at least {settings.least_slips} slips to align the clocks", found, advice)
 
 
 def _slip_spread_ms(seen: pd.DataFrame) -> float:
