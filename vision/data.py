@@ -220,6 +220,7 @@ class StripMetadata(Metadata):
     strip_z0: int = 0  # averaged rows, half-open
     strip_z1: int = 1
     strip_how: str = "given"  # or "found", or "all rows" if no strip stood out
+    padding: Sequence[str] = field(default_factory=list)  # columns beside the picture, half-open, left out
     strip_clarity: float = math.nan  # correlation of the ridges' slopes in odd and even rows, 0 to 1
     tilt_deg: float = math.nan  # of the ridges against the columns
     # RMS difference between positions from the upper and the lower half of the strip, and between those from

@@ -213,7 +213,8 @@ def _of_tracks(
     if len(gaps := missing_stretches(tracks)):
         yield Answer("no ridge", f"for {LONG_GAP} frames or more: {longest_stretches(gaps, 'flag')}")
     tilt = f", tilt {with_minus(f'{strip.tilt_deg:+.2f}')}°" if math.isfinite(strip.tilt_deg) else ""
-    yield Answer("strip", f"rows {strip.strip_z0}:{strip.strip_z1} ({strip.strip_how}){tilt}")
+    padding = f", without columns {' and '.join(strip.padding)} (padding)" if strip.padding else ""
+    yield Answer("strip", f"rows {strip.strip_z0}:{strip.strip_z1} ({strip.strip_how}){tilt}{padding}")
     if "x_z_px" in tracks:
         yield Answer("heights", heights_line(tracks))
     yield Answer("ridges", ridges_line(found))

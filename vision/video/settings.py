@@ -114,6 +114,17 @@ class VideoSettings(Tunable):
     """Standard errors of that gain from which it is corrected. Films without a Bayer pattern reach 2.2, those
     with one 10 and more. Larger leaves patterns that a codec has smoothed, smaller takes sharp ridges for
     one (test_mosaic.py)."""
+    padding_columns: int = 8
+    """Fewest columns that count as padding beside the picture, and as a picture. Smaller takes two equal
+    columns for padding, larger leaves narrow bars, which hardly reach from one sheet to the next."""
+    padding_level: float = 0.02
+    """Largest difference of columns of the padding from each other, over the range of grey levels. Larger
+    takes for padding what is not even, smaller leaves padding that a codec has changed
+    (test_padding_beside_the_picture_is_left_out)."""
+    padding_step: float = 0.1
+    """Step from the padding to the picture, over the range of grey levels, in nine of ten frames. Smaller
+    takes an even background for padding, larger leaves bars about as bright as the picture's edge, which say
+    little about the sheets (test_padding_beside_the_picture_is_left_out)."""
     few_levels: float = 100.0
     """Brightest pixel below which no overexposure is reported: with few levels, many pixels are equal.
     Smaller warns of dark films, larger does not warn if a camera of few bits overflows."""

@@ -180,6 +180,8 @@ def strip_profiles(
     for part in intensity:
         blank_out(part, whole["status"].values != "ok")
         equalise_columns(part, whole["status"].values == "ok", settings)
+    shown = whole["x"].values - plan.columns.start  # without padding
+    intensity = intensity[:, :, shown[0] : shown[-1] + 1]
     z = first + (edges[:-1] + edges[1:] - 1) / 2
     heights = xr.DataArray(
         intensity,
@@ -220,14 +222,18 @@ class _Plan:
         readable, saturated = status == "ok", video.saturation_level
         status[is_blank(intensity, readable, saturation_level=saturated, settings=settings)] = "blank"
         blank_out(intensity, status != "ok")
+        shown = slice(0, self.width)
+        if self.asked["columns"] is None:
+            shown = without_padding(intensity, status == "ok", settings)
+            intensity = intensity[:, shown]
         columns_differ = equalise_columns(intensity, status == "ok", settings)
         profile = strip_of(
             intensity,
             frame=video.first + first + np.arange(status.size, dtype=np.int64),
-            first_x=self.columns.start,
+            first_x=self.columns.start + shown.start,
             time_s=read.times_s,
             status=status,
-            attrs=_metadata(video, self.strip, read, settings, columns_differ).attrs(),
+            attrs=_metadata(video, self.strip, read, settings, columns_differ, shown).attrs(),
         )
         return record(profile, "strip_profile", **self.asked, settings=changed_settings(settings))
 
@@ -294,7 +300,12 @@ _SAME_FACTS = ("container", "codec", "quantiser_step", "pixel_format", "decoder"
 
 
 def _metadata(
-    video: Video, strip: Strip, read: FramesRead, settings: VideoSettings, columns_differ: float
+    video: Video,
+    strip: Strip,
+    read: FramesRead,
+    settings: VideoSettings,
+    columns_differ: float,
+    shown: slice,
 ) -> StripMetadata:
     facts, clock = video.facts, video.clock
     status = read.status
@@ -306,6 +317,7 @@ def _metadata(
             " grey, or with interpolated colour"
         )
     usable = int(np.isin(status, ("ok", "blank")).sum())
+    padding = [(0, shown.start), (shown.stop, read.intensity.shape[1])]
     return StripMetadata(
         source=str(video.path),
         **{name: getattr(facts, name) for name in _SAME_FACTS},
@@ -317,6 +329,7 @@ def _metadata(
         strip_z1=strip.rows.stop,
         strip_how=strip.how,
         strip_clarity=strip.clarity,
+        padding=[f"{first}:{stop}" for first, stop in padding if first < stop],
         tilt_deg=strip.tilt_deg,
         strip_halves_px=strip.errors.halves_px,
         strip_bow_px=strip.errors.bow_px,
@@ -423,6 +436,48 @@ def expected_frames(
             stated = f"{name}: the file should last {video.duration_s:.3f} s"
             warnings.append(f"{stated}; its last {missing_s:.3f} s are missing, about {beyond} frames")
     return max(status.size, video.expected or 0) + between + beyond, warnings
+
+
+# --- columns beside the picture -----------------------------------------------------------------------------
+
+
+def without_padding(intensity: Floats32, usable: Bools, settings: VideoSettings = VideoSettings()) -> slice:
+    """Return the columns of I(x, t), (frame, x), without those that a program put beside the picture.
+
+    Bars of one colour, as a film has that was fitted into a wider frame, and columns that repeat the
+    picture's edge look like a background, which tells sheets from gaps. The columns from an edge on that
+    equal the outermost one, up to `padding_level` of the range of grey levels, are padding if they end in
+    nearly all frames with the same step, of at least `padding_step` of this range, twice as high as the next
+    three: no sheet has such an edge that stands still. Columns that equal the outermost one exactly are
+    padding if this scatters in time, against the whole frame, at least half as much as the quietest columns:
+    a real background would scatter from column to column as well. usable: which frames show something.
+    """
+    frames = np.flatnonzero(usable)
+    if not frames.size:
+        return slice(0, intensity.shape[1])
+    some = some_rows(intensity, frames[spread_indices(frames.size, _COLUMN_FRAMES)])
+    low, high = np.quantile(some, [0.02, 0.98])
+    left, right = (_padding(line, float(high - low), settings) for line in (some, some[:, ::-1]))
+    return slice(left, intensity.shape[1] - right)
+
+
+def _padding(some: Floats32, contrast: float, settings: VideoSettings) -> int:
+    """Return how many columns at the left of some frames (frame, x) are padding."""
+    differs = np.abs(some - some[:, :1]).max(axis=0) > settings.padding_level * contrast
+    count = int(differs.argmax())
+    if not settings.padding_columns <= count < some.shape[1] - settings.padding_columns:
+        return 0
+    steps = np.abs(np.diff(some[:, count - 1 : count + 4], axis=1))
+    still = steps[:, 0] > np.fmax(settings.padding_step * contrast, 2 * steps[:, 1:].max(axis=1))
+    if still.mean() > 0.9:
+        return count
+    alike = int((np.ptp(some - some[:, :1], axis=0) > 0).argmax())  # exactly
+    change = np.diff(some, axis=0)
+    change = (
+        np.abs(change - np.median(change, axis=1, keepdims=True)).mean(axis=0) if len(change) else some[0]
+    )
+    repeats = change[0] > np.quantile(change[count:], 0.1) / 2 > 0
+    return alike if alike >= settings.padding_columns and repeats else 0
 
 
 # --- columns of unequal gain --------------------------------------------------------------------------------
