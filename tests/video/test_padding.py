@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
+import vision
 from tests.scenes import combs
 from tests.scenes.degraded import write_ffv1, write_h264, write_jpegs
 from vision.data import StripMetadata, TrackMetadata
+from vision.run.reading import read_run, read_strip
 from vision.sheets import track_sheets
 from vision.video import open_video, strip_profile
 
@@ -70,3 +72,12 @@ def test_given_columns_are_kept(tmp_path):
     pixels = np.pad(as_pixels(film(140, -70)[0]), ((0, 0), (0, 0), (64, 48)))
     profile = strip_profile(open_video(WRITERS["lossless"](tmp_path, pixels)), columns=slice(0, 432))
     assert profile.sizes["x"] == 432
+
+
+def test_a_run_without_padding_is_read_at_its_columns(tmp_path):
+    """A failure means that `certify` and `review` look for the sheets beside where they are."""
+    pixels = np.pad(as_pixels(film(140, -70)[0]), ((0, 0), (0, 0), (64, 48)))
+    run = tmp_path / "run"
+    vision.save_run(vision.analyse(WRITERS["lossless"](tmp_path, pixels)), run)
+    stored = read_strip(read_run(run))
+    assert stored["x"].values[[0, -1]].tolist() == [64, 383]

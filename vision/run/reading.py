@@ -249,7 +249,10 @@ def read_json(path: Path, advice: str = AGAIN) -> dict[str, Any]:
 
 def first_column(run: RunFolder) -> int:
     """Return the film's column that is the first of the strip and of kymograph.tif."""
-    start = str(run.value("columns") or "").partition(":")[0].strip()
+    recording = run.facts.get("recording")
+    padding = recording.get("padding") if isinstance(recording, dict) else None
+    left_out = [part for part in map(str, padding or ()) if part.startswith("0:")]
+    start = left_out[0][2:] if left_out else str(run.value("columns") or "").partition(":")[0].strip()
     return int(start) if start.isdigit() else 0
 
 
