@@ -351,7 +351,8 @@ def all_warnings(found: Analysis) -> tuple[str, ...]:
         if found.frame is not None:
             strip = StripMetadata.of(tracks)
             rows, dark = slice(strip.strip_z0, strip.strip_z1), TrackMetadata.of(tracks).ridges == "dark"
-            lines += overexposure(found.frame, rows, tuning.video, dark=dark)
+            frame = found.frame if found.strip is None else found.frame[:, found.strip["x"].values]
+            lines += overexposure(frame, rows, tuning.video, dark=dark)
         lines += tracking_warnings(tracks, tuning.checks, tuning.tracking)
         lines += decision_warnings(tracks, found.settings.corrections)
         lines += consistency_warnings(

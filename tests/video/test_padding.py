@@ -81,3 +81,10 @@ def test_a_run_without_padding_is_read_at_its_columns(tmp_path):
     vision.save_run(vision.analyse(WRITERS["lossless"](tmp_path, pixels)), run)
     stored = read_strip(read_run(run))
     assert stored["x"].values[[0, -1]].tolist() == [64, 383]
+
+
+def test_white_bars_are_not_called_overexposed(tmp_path):
+    """A failure means that clipped pixels are looked for beside the picture."""
+    pixels = np.pad(as_pixels(film(40, 90)[0]), ((0, 0), (0, 0), (64, 48)), constant_values=255)
+    run = vision.analyse(WRITERS["lossless"](tmp_path, pixels))
+    assert not any("brightest" in line for line in run.warnings)
