@@ -15,7 +15,17 @@ from vision.data import FlagCounts, TrackMetadata, Tunable
 from vision.errors import counted, first_of
 from vision.memory import is_word
 from vision.models.equations import effective_sheets
-from vision.numeric import Bools, Floats, Ints, Pixels, nan_median, nan_quantile, stretches
+from vision.numeric import (
+    Bools,
+    Floats,
+    Ints,
+    Pixels,
+    nan_median,
+    nan_quantile,
+    stretches,
+    typical,
+    typical_median,
+)
 from vision.sample import Sample
 from vision.sheets.corrections import Correction, decision_texts, ordered, sheet_name, sheet_names
 from vision.sheets.numbering import ends_in_view
@@ -366,7 +376,7 @@ def _spacings(tracks: xr.Dataset, found: TrackMetadata, settings: CheckSettings)
     apart = np.diff(tracks["x_px"].values, axis=1)
     spacing = nan_median(apart)
     if np.isfinite(spacing).sum() >= settings.pair_spacings and found.sheets_how == "found":
-        least = nan_median(tracks["x_err_px"].values.ravel())
+        least = typical(tracks["x_err_px"].values)
         change = np.fmax(np.sqrt(nan_median((apart - spacing) ** 2)), least)
         beside = np.pad(change, 1, constant_values=np.nan)
         ratio = np.fmin(beside[:-2], beside[2:]) / change
@@ -621,7 +631,7 @@ def _stationary_ends(tracks: xr.Dataset, settings: CheckSettings) -> Bools:
     still = np.zeros(x_px.shape[1], bool)
     if len(still) < 5:
         return still
-    noise, sides = nan_median(tracks["x_err_px"].values), tracks["side"].values
+    noise, sides = typical_median(tracks["x_err_px"].values), tracks["side"].values
     seen = np.asarray(np.isfinite(x_px).any(axis=0), bool)
     for inwards, side in ((slice(None), -1), (slice(None, None, -1), 1)):
         n = np.flatnonzero((sides[inwards] == side) & seen[inwards])
@@ -650,7 +660,7 @@ def _still_between(tracks: xr.Dataset, settings: CheckSettings) -> Bools:
     scratch at the place of a missing sheet."""
     x_px = tracks["x_px"].values
     rest_px = nan_median(x_px)
-    least = settings.end_moves * float(nan_median(tracks["x_err_px"].values.ravel()))
+    least = settings.end_moves * typical(tracks["x_err_px"].values)
     sensitive = replace(TRACKING, moving_px=least, static_fraction=settings.end_still)
     with np.errstate(invalid="ignore"):  # sheets swapped manually, or never seen
         return static_ridges(x_px - rest_px, rest_px, settings=sensitive)

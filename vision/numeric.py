@@ -157,6 +157,11 @@ def nan_quantile(values: NDArray[np.floating], fraction: float, axis: int = 0) -
     return _of_lanes(partial(_quantile, fraction), values, axis)
 
 
+def typical(values: NDArray[np.floating]) -> float:
+    """Return the median of all values of (rows, …) in `typical_rows`, ignoring NaN."""
+    return float(nan_median(values[typical_rows(len(values))].ravel()))
+
+
 def typical_median(values: NDArray[np.floating]) -> Floats:
     """Return the median of each column of (rows, columns) over `typical_rows`, ignoring NaN."""
     return typical_medians(lambda rows: values[rows], len(values))

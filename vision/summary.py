@@ -30,7 +30,7 @@ from vision.figures.style import drift_text, matches_text, offset_text
 from vision.files import shortened
 from vision.force.recording import good_samples
 from vision.models.single_fits import SYMBOLS
-from vision.numeric import nan_median, two_digits, with_minus
+from vision.numeric import nan_median, two_digits, typical, with_minus
 from vision.sample import Sample
 from vision.sheets import doubtful_stretches
 from vision.sheets.recovery import LONG_GAP, missing_stretches
@@ -49,7 +49,7 @@ def noise_figures(tracks: xr.Dataset, pixel_size_um: float | None) -> dict[str, 
     columns = {"measured_px": "x_noise_px", "predicted_px": predicted, "stated_px": "x_err_px"}
     if "x_scatter_px" in tracks and np.isfinite(tracks["x_scatter_px"].values).any():
         columns["scatter_px"] = "x_scatter_px"
-    figures = {name: float(nan_median(tracks[column].values.ravel())) for name, column in columns.items()}
+    figures = {name: typical(tracks[column].values) for name, column in columns.items()}
     if pixel_size_um is not None:
         figures |= {f"{name[:-3]}_um": px * pixel_size_um for name, px in list(figures.items())}
     return figures

@@ -16,7 +16,7 @@ import xarray as xr
 
 from vision.data import MotionMetadata, StickMetadata, StripMetadata
 from vision.models.single_fits import SYMBOLS
-from vision.numeric import nan_median, rms
+from vision.numeric import nan_median, rms, typical
 
 if TYPE_CHECKING:
     from vision.figures import Results
@@ -104,7 +104,7 @@ def systematic_budget(results: Results) -> Budget:
 
     if results.tracks is not None:
         values["x_px"] = math.nan  # a position for every sheet and frame
-        statistical["x_px"] = float(nan_median(results.tracks["x_err_px"].values.ravel()))
+        statistical["x_px"] = typical(results.tracks["x_err_px"].values)
         add("strip", "x_px", StripMetadata.of(results.tracks).strip_err_px)
         sources |= {one: {"x_px": _size_of(results.tracks, one)} for one in ("light", "overlap", "shape")}
     if results.fits is not None and results.sticks is not None:

@@ -256,7 +256,7 @@ def test_a_part_that_is_numbered_by_the_next_is_found_in_few_frames(frames):
     certain = np.exp(own + rng.normal(0, 0.03, (2, 40, 60))).astype(np.float32)
     looks = np.exp(own + rng.normal(0, 0.03, (2, frames, 60))).astype(np.float32)
     looks[:, last, 20:40] = looks[:, last, 21:41]
-    doubtful = numbered_in_part(looks, certain, TrackingSettings())
+    doubtful = numbered_in_part(looks, np.ones(looks.shape[1:], bool), certain, TrackingSettings())
     assert doubtful[last, 20:40].all()
     assert not doubtful[:-2].any()
     assert not doubtful[:, [0, 1, 2, 57, 58, 59]].any()

@@ -14,7 +14,15 @@ from vision.data import StickMetadata, StripMetadata
 from vision.errors import InputError
 from vision.force.recording import good_samples
 from vision.force.signal import averaged
-from vision.numeric import Floats, Ints, flat_ranges, nan_median, sigma_about_zero
+from vision.numeric import (
+    NORMAL_MEDIAN,
+    Floats,
+    Ints,
+    flat_ranges,
+    in_two_threads,
+    nan_median,
+    row_parts,
+)
 
 # --- slips of the load cell ---------------------------------------------------------------------------------
 
@@ -263,7 +271,8 @@ def _steps(tracks: xr.Dataset, least_sheets: float) -> _Steps:
     good = np.flatnonzero(seen & (time > before))
     if len(good) < 3:
         raise InputError(about, "at least 3 frames with sheets and rising times", f"{len(good)}")
-    moved = np.diff(x[good], axis=0) * side
+    moved = np.diff(x if len(good) == len(x) else x[good], axis=0)
+    moved *= side
     two_sided = bool((side < 0).any() and (side > 0).any())
     return _Steps(time[good], moved, side[None] if two_sided else np.stack([np.zeros_like(side), side]))
 
@@ -271,7 +280,7 @@ def _steps(tracks: xr.Dataset, least_sheets: float) -> _Steps:
 def _noise(moved_px: Floats) -> Floats:
     """Standard deviation of the movements of each sheet, (sheet,), by a median, which few slips affect."""
     deviation = moved_px - nan_median(moved_px)
-    noise = sigma_about_zero(deviation)
+    noise = nan_median(np.abs(deviation, out=deviation)) / NORMAL_MEDIAN
     known = noise[np.isfinite(noise)]
     floor = max(0.1 * float(np.median(known)), 1e-6) if known.size else 1.0
     return np.asarray(np.maximum(np.where(np.isfinite(noise), noise, np.inf), floor))
@@ -298,12 +307,16 @@ def _fit_pattern(
     steps: _Steps, pattern: Floats, uniform: Floats, noise: Floats
 ) -> tuple[Floats, Floats, float]:
     """The result of `_common_movement` for this shift of the sheets, (sheet,)."""
-    known = np.isfinite(steps.moved_px)
     # Sums over the sheets of products of the pattern (p), the uniform shift (u) and the movement (m).
-    weighted_p, weighted_u = np.stack([pattern, uniform]) / noise**2
-    products = np.stack([weighted_p * pattern, weighted_p * uniform, weighted_u * uniform])
-    pp, pu, uu = products @ known.T
-    pm, um = np.stack([weighted_p, weighted_u]) @ np.where(known, steps.moved_px, 0.0).T
+    weighted = np.stack([pattern, uniform]) / noise**2
+    products = np.stack([weighted[0] * pattern, weighted[0] * uniform, weighted[1] * uniform])
+
+    def sums(rows: slice) -> Floats:
+        known = np.isfinite(steps.moved_px[rows])
+        return np.concatenate([products @ known.T, weighted @ np.where(known, steps.moved_px[rows], 0.0).T])
+
+    parts = in_two_threads(sums, row_parts(len(steps.moved_px)))
+    pp, pu, uu, pm, um = np.concatenate(parts, axis=1)
     # With one sheet, or without a shift, all movement counts as the pattern.
     separable = pp * uu - pu**2 > 1e-6 * pp * uu
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -26,7 +26,7 @@ from vision.figures.style import (
     time_axis,
 )
 from vision.models import ModelFits
-from vision.numeric import Floats, Ints, nan_median, spread_indices
+from vision.numeric import Floats, Ints, nan_median, spread_indices, typical_median
 from vision.signals import minmax_decimate
 
 MOST_POINTS = 1600  # of one sheet
@@ -112,7 +112,7 @@ def noise_figure(tracks: xr.Dataset, *, pixel_size_um: float | None = None) -> F
     measured = tracks["x_noise_px"].values[order] * scale
     unknown = np.full(order.size, np.nan)
     scatter = (tracks["x_scatter_px"].values[order] if "x_scatter_px" in tracks else unknown) * scale
-    stated = nan_median(tracks["x_err_px"].values)[order] * scale
+    stated = typical_median(tracks["x_err_px"].values)[order] * scale
     return Panel(
         x_label=SHEET_NUMBER,
         y_label=f"noise of x ({unit})",

@@ -26,6 +26,7 @@ from vision.figures.style import drift_text, offset_text
 from vision.force import ForceSettings
 from vision.models import ModelFits
 from vision.models.single_fits import has_knees
+from vision.numeric import nan_median, typical
 from vision.sheets.recovery import LONG_GAP, missing_stretches
 from vision.sheets.tracks import LOSSY
 from vision.summary import (
@@ -125,7 +126,7 @@ def _tracking(tracks: xr.Dataset) -> str:
         "paper": "as the vertex of a parabola fitted to {} pixels centred on the brightest pixel",
         "template": "by matching each ridge to its own mean shape over {} pixels",
     }[t.fit].format(t.window_px)
-    noise, error = float(tracks["x_noise_px"].median()), float(tracks["x_err_px"].median())
+    noise, error = nan_median(tracks["x_noise_px"].values), typical(tracks["x_err_px"].values)
     scatter = (
         f" The positions scatter by {noise:.2g} px from frame to frame (median of the sheets); the random"
         f" error of one is {error:.2g} px (median)."

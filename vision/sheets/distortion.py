@@ -31,8 +31,8 @@ from vision.numeric import (
     sigma_about_zero,
     spread_indices,
     typical_median,
+    typical_medians,
     typical_rows,
-    typical_size,
     typical_where,
     weighted_median,
 )
@@ -734,7 +734,9 @@ def _single_width_changes(log_width: Floats, settings: TrackingSettings) -> Floa
         others = np.stack([around[:, k : k + sheets] for k in (0, 1, 3, 4)])
         own = around[:, 2:-2]
         alone[rows] = np.minimum(np.abs(own - nan_median(others)), np.abs(own))
-    noise = typical_size(np.diff(log_width, axis=0))
+    noise = typical_medians(
+        lambda rows: np.abs(log_width[1:][rows] - log_width[:-1][rows]), max(0, frames - 1)
+    )
     with np.errstate(divide="ignore", invalid="ignore"):  # in films without noise
         louder = np.clip(np.nan_to_num(noise / nan_median(noise)), 1.0, MOST_LOUDER)
     for rows in row_parts(frames):

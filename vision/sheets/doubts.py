@@ -384,7 +384,7 @@ def _without_light(looks: Floats, usual: Floats) -> Floats:
     return np.asarray(looks - common, np.float64)
 
 
-def numbered_in_part(looks: Floats32, certain: Floats32, settings: TrackingSettings) -> Bools:
+def numbered_in_part(looks: Floats32, sure: Bools, certain: Floats32, settings: TrackingSettings) -> Bools:
     r"""Return which sheets are in a part of the comb that looks like the sheets beside, (frame, N).
 
     Sheets that were one ridge in many frames leave the numbering of one side open even if every sheet has a
@@ -402,9 +402,11 @@ def numbered_in_part(looks: Floats32, certain: Floats32, settings: TrackingSetti
     Parameters
     ----------
     looks
-        Contrasts and widths of the ridges of the sheets, (2, frame, N), NaN where missing or doubtful.
+        Contrasts and widths of the ridges of the sheets, (2, frame, N), NaN where missing.
+    sure
+        Which of them are compared, (frame, N): those that are not doubtful.
     certain
-        The same in some frames of the film, without those that are doubtful.
+        Contrasts and widths in some frames of the film, without those that are doubtful.
     settings
         Thresholds.
     """
@@ -414,7 +416,8 @@ def numbered_in_part(looks: Floats32, certain: Floats32, settings: TrackingSetti
     middle, scatter = _usual_looks(certain)
 
     def judge(rows: slice) -> None:
-        near = np.log(looks[:, max(0, rows.start - AROUND) : rows.stop + AROUND].astype(np.float64))
+        around = slice(max(0, rows.start - AROUND), rows.stop + AROUND)
+        near = np.log(np.where(sure[around], looks[:, around], np.nan).astype(np.float64))
         at = np.arange(min(rows.start, AROUND), len(near[0]))[: rows.stop - rows.start]
         off = (_without_light(near, middle) - middle) / scatter
         unusual = np.minimum((off**2 / 2).sum(axis=0), TERM_LIMIT) - 1.5
@@ -436,7 +439,7 @@ def numbered_in_part(looks: Floats32, certain: Floats32, settings: TrackingSetti
             doubtful[rows] |= part | beside(part)  # at its end may be a ridge of two sheets
 
     in_two_threads(judge, row_parts(len(doubtful)))
-    return np.asarray(doubtful & np.isfinite(looks[0]), bool)
+    return np.asarray(doubtful & sure & np.isfinite(looks[0]), bool)
 
 
 def _largest_in_mean(gain: Floats, at: Ints) -> Floats:

@@ -116,9 +116,9 @@ def assign_detections(
     why[_alone_and_away(np.where(why == Doubt.NONE, paired[0], np.float32(np.nan)), comb)] = Doubt.ALONE
     expected = _expected(np.where(why == Doubt.NONE, paired[0], np.nan), identities.rest_px)
     off = numbered_by_a_neighbour(ridges, identities.match, paired, certain, expected, comb)
+    del expected
     why[off & (why == Doubt.NONE)] = Doubt.NEIGHBOUR
-    off = numbered_in_part(np.where(why == Doubt.NONE, paired[1:], np.nan), certain, comb.settings)
-    why[off] = Doubt.PATTERN
+    why[numbered_in_part(paired[1:], why == Doubt.NONE, certain, comb.settings)] = Doubt.PATTERN
     off = split(ridges, identities.match, paired, certain)
     why[off & (why == Doubt.NONE)] = Doubt.SPLIT
     doubtful, unpaired = why != Doubt.NONE, np.isnan(paired[0])

@@ -30,6 +30,7 @@ from vision.numeric import (
     row_parts,
     spread_indices,
     typical_median,
+    typical_medians,
     typical_size,
 )
 from vision.sheets.ridges import RidgeComb, in_blocks
@@ -645,11 +646,16 @@ def position_noise(x_px: Floats) -> Floats:
     """
     if len(x_px) < 3:
         return np.full(x_px.shape[1], np.nan)
-    second = -2.0 * x_px[1:-1] + x_px[2:] + x_px[:-2]
-    if x_px.shape[1] >= 5:
-        second -= np.nan_to_num(nan_median(second, axis=1))[:, None]
-    known = np.isfinite(second).sum(axis=0) >= LEAST_TRIPLES
-    typical = typical_size(second)
+    middle = np.arange(1, len(x_px) - 1)
+
+    def sizes(rows: Ints | slice) -> Floats:
+        second = -2.0 * x_px[middle[rows]] + x_px[middle[rows] + 1] + x_px[middle[rows] - 1]
+        if x_px.shape[1] >= 5:
+            second -= np.nan_to_num(nan_median(second, axis=1))[:, None]
+        return np.abs(second, out=second)
+
+    typical, seen = typical_medians(sizes, len(middle)), np.isfinite(x_px)
+    known = (seen[1:-1] & seen[2:] & seen[:-2]).sum(axis=0) >= LEAST_TRIPLES
     return np.asarray(np.where(known, typical / NORMAL_MEDIAN / np.sqrt(6), np.nan), np.float64)
 
 

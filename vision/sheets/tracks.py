@@ -594,7 +594,8 @@ def comb_is_stationary(tracks: xr.Dataset, settings: TrackingSettings) -> bool:
     x = tracks["x_px"].values
     moved = x - typical_median(x)
     moved -= nan_median(moved, axis=1)[:, None]
-    noise = nan_median(tracks["x_err_px"].values)  # not the scatter from frame to frame: it contains slips
+    # not the scatter from frame to frame: it contains slips
+    noise = typical_median(tracks["x_err_px"].values)
     moving = nan_quantile(np.abs(moved, out=moved), 0.95) > settings.still_sigmas * noise
     return bool(moving.mean() < settings.still_share) and x.shape[1] >= 3
 
