@@ -24,6 +24,8 @@ from vision.numeric import (
     row_parts,
 )
 
+SLIPS_AT_ONCE = 256  # compared with the frames before them: thousands would take as much memory as the film
+
 # --- slips of the load cell ---------------------------------------------------------------------------------
 
 
@@ -423,25 +425,33 @@ def _spread_of_sheets(
     clear = (begin - length >= np.r_[0, end[:-1]]) & (end <= len(steps.moved_px))
     if clear.sum() < 3:
         return intermediate_s
-    row, index = flat_ranges(begin[clear], end[clear])
-    start = np.flatnonzero(np.diff(row, prepend=-1))
-    side = steps.uniform[-1]
-    shift = nan_median(steps.moved_px * side, axis=1)[:, None] * side if len(steps.uniform) == 1 else 0.0
-    moved = steps.moved_px - shift
-    moved = np.nan_to_num(moved - nan_median(moved))
+    moved, weight = steps.moved_px.copy(), noise**-2.0
+    if len(steps.uniform) == 1:
+        moved *= steps.uniform
+        moved -= nan_median(moved, axis=1)[:, None]
+        moved *= steps.uniform
+    moved -= nan_median(moved)
+    np.nan_to_num(moved, copy=False)
 
-    def course(of: Ints) -> tuple[Floats, Floats]:
-        """Movement of each sheet since the beginning of its slip, and all of it, px, (row, sheet)."""
-        so_far = np.cumsum(moved[of], axis=0)
-        so_far -= (so_far - moved[of])[start][row]
-        return so_far, np.add.reduceat(moved[of], start, axis=0)[row]
+    def compare(some: slice) -> Floats:
+        """Return what `unlike` and `size` are of some slips, (2, slips)."""
+        row, index = flat_ranges(begin[clear][some], end[clear][some])
+        start = np.flatnonzero(np.diff(row, prepend=-1))
 
-    (made, step), (made_before, step_before) = course(index), course(index - length[clear][row])
-    weight = noise**-2.0
-    part = (((made * step) @ weight) / np.maximum((step**2) @ weight, 1e-300))[:, None]
-    unlike = ((made - part * step) ** 2 - (made_before - part * step_before) ** 2) @ weight
-    unlike = np.add.reduceat(unlike, start)
-    size = ((step**2 - step_before**2) @ weight)[start]
+        def course(of: Ints) -> tuple[Floats, Floats]:
+            """Movement of each sheet since the beginning of its slip, and all of it, px, (row, sheet)."""
+            so_far = np.cumsum(moved[of], axis=0)
+            so_far -= (so_far - moved[of])[start][row]
+            return so_far, np.add.reduceat(moved[of], start, axis=0)[row]
+
+        (made, step), (made_before, step_before) = course(index), course(index - length[clear][some][row])
+        part = (((made * step) @ weight) / np.maximum((step**2) @ weight, 1e-300))[:, None]
+        unlike = ((made - part * step) ** 2 - (made_before - part * step_before) ** 2) @ weight
+        size = ((step**2 - step_before**2) @ weight)[start]
+        return np.stack([np.add.reduceat(unlike, start), size])
+
+    slips = in_two_threads(compare, row_parts(int(clear.sum()), SLIPS_AT_ONCE))
+    unlike, size = np.concatenate(slips, axis=1)
     if not size.sum() > 0:
         return intermediate_s
     variance = unlike.sum() / size.sum()
