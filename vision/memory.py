@@ -185,19 +185,19 @@ def words_of_characters(characters: xr.DataArray) -> indexing.MemoryCachedArray:
     listed: list[bytes] = []
     for rows in row_parts(len(characters)):
         whole = np.ascontiguousarray(characters[rows].values).view(f"S{characters.shape[-1]}")
-        codes[rows] = _codes(whole[..., 0], listed)
+        codes[rows] = number_words(whole[..., 0], listed)
     return words(codes, [word.decode() for word in listed])
 
 
 def word_codes(text: xr.DataArray, listed: Sequence[str]) -> Codes:
     """Return the number of each word of a table (rows, …) in a list; 0 for words that are not in it."""
     known = list(listed)
-    parts = [_codes(text[rows].values, known) for rows in row_parts(len(text))]
+    parts = [number_words(text[rows].values, known) for rows in row_parts(len(text))]
     codes = np.concatenate([np.empty((0, *text.shape[1:]), np.uint8), *parts])
     return np.where(codes < len(listed), codes, np.uint8(0))
 
 
-def _codes(text: NDArray[Any], listed: list[Any]) -> Codes:
+def number_words(text: NDArray[Any], listed: list[Any]) -> Codes:
     """Return the number of each word in a list, to which words that it lacks are added."""
     flat, codes, left = text.ravel(), np.empty(text.size, np.uint8), np.arange(text.size)
     while left.size:  # there are about a dozen words; np.unique would sort all of them
@@ -227,7 +227,7 @@ def word_counts(text: xr.DataArray) -> dict[str, int]:
     found, counts = _numbered(text), np.zeros(256, np.int64)
     listed = [] if found is None else found[1].tolist()
     for rows in row_parts(len(text)):
-        codes = _codes(text[rows].values, listed) if found is None else found[0][rows]
+        codes = number_words(text[rows].values, listed) if found is None else found[0][rows]
         counts += np.bincount(codes.ravel(), minlength=256)
     known = dict(zip(listed, counts.tolist(), strict=False))
     return {word: known[word] for word in sorted(known) if known[word]}

@@ -23,7 +23,7 @@ from pyarrow import csv
 from vision.data import OPERATIONS
 from vision.errors import InputError
 from vision.files import AGAIN, check_regular, reading, shortened
-from vision.memory import parts_in_turn
+from vision.memory import number_words, parts_in_turn
 from vision.numeric import Floats, Floats32, rms, row_parts
 from vision.sheets.identities import DOUBTS
 from vision.sheets.recovery import FLAG_MEANINGS
@@ -54,8 +54,17 @@ def write_tracks_csv(
                 return
             if k == 0:
                 file.write((",".join(columns) + "\n").encode())
-            table = {name: pa.array(values, from_pandas=True) for name, values in columns.items()}
+            table = {name: _in_arrow(values) for name, values in columns.items()}
             csv.write_csv(pa.table(table), file, style)
+
+
+def _in_arrow(values: NDArray[Any]) -> pa.Array:
+    """Return a column as Arrow stores it, NaN as null. Few different words are converted once each."""
+    if values.dtype.kind != "U":
+        return pa.array(values, from_pandas=True)
+    listed: list[str] = []
+    codes = number_words(values, listed)
+    return pa.array(listed, pa.string()).take(pa.array(codes))
 
 
 def columns_in_parts(tracks: xr.Dataset, pixel_size_um: float | None) -> Iterator[dict[str, NDArray[Any]]]:

@@ -176,6 +176,7 @@ def _write_figures_and_page(
     """Write figures and page; an unexpected error is added to `failures`, as the tables are complete."""
     try:
         figures = figures_of(analysis)
+        give_back_freed()
         with ThreadPoolExecutor(1) as pool:
             written = _write_pictures(analysis, folder, figures, pool)
             if report and analysis.tracks is not None:

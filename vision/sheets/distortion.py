@@ -319,7 +319,6 @@ def distortion(
     else:  # otherwise heights change with the distance of the neighbours
         texture = texture_error(x_px, log_height, comb)
     scale = displacement_scale_error(x_px, shapes, settings)
-    covered_px = comb.fwhm_px / 2 * _single_width_changes(np.log(fwhm_px), settings)
     rest = typical_median(x_px)
     size = _shift_by_light(rest, log_height, pulled_px2, settings)
     del height, log_height, shapes  # each is as large as the positions
@@ -334,6 +333,7 @@ def distortion(
             (sloping, settings.distortion_slope, 5),
         )
     ]
+    covered_px = comb.fwhm_px / 2 * _single_width_changes(np.log(fwhm_px), settings)
     usual_px, reach_px = np.empty(x_px.shape[1]), settings.texture_length * comb.fwhm_px
     own_noise, middles = ([of(one.px) for one in differences] for of in (position_noise, typical_median))
 

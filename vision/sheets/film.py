@@ -3,7 +3,7 @@ the gaps between ridges: that of ridges out of focus, or of a faint second comb.
 
 from __future__ import annotations
 
-from functools import reduce
+from functools import partial, reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -233,9 +233,10 @@ def second_comb(profile: Floats32, x_px: Floats, blurred: Bools, comb: RidgeComb
         return SecondComb()
     rows = (PERIOD_FRAMES * spread_indices(periods, MOST_PERIODS)[:, None] + np.arange(PERIOD_FRAMES)).ravel()
     bright, x = comb.bright(some_rows(profile, rows)), np.where(blurred[rows], np.nan, x_px[rows])
-    tops, gaps = levels_at(bright, x), levels_at(bright, (x[:, 1:] + x[:, :-1]) / 2)
     quarter = (x[:, 1:] - x[:, :-1]) / 4
-    sides = levels_at(bright, x[:, :-1] + quarter)[:, 1:] - levels_at(bright, x[:, 1:] - quarter)[:, :-1]
+    places = x, (x[:, 1:] + x[:, :-1]) / 2, x[:, :-1] + quarter, x[:, 1:] - quarter
+    tops, gaps, right, left = in_two_threads(partial(levels_at, bright), places)
+    sides = right[:, 1:] - left[:, :-1]
     tops, gaps, sides, x = map(_of_periods, ((tops[:, 1:] + tops[:, :-1]) / 2, gaps, sides, x))
     apart = np.diff(x, axis=1)
     height = float(nan_median(nan_median(tops - gaps)))  # a gap that shows something bright has next to none
