@@ -82,15 +82,23 @@ def mixed_frames(profile: Floats32, frozen: Bools, settings: TrackingSettings = 
     if the noise of those that differ less than `mixed_change` of the usual is, in the mean, smaller by
     `mixed_noise` and by `mixed_sigmas` standard errors.
     """
-    known = np.flatnonzero(np.isfinite(profile[:, profile.shape[1] // 2]) & ~frozen)
-    if len(known) > SUCCESSIVE * STRETCHES:
-        start = SUCCESSIVE * spread_indices(len(known) // SUCCESSIVE, STRETCHES)
-        known = known[(start[:, None] + np.arange(SUCCESSIVE)).ravel()]
-    if len(known) <= AROUND or profile.shape[1] <= NOISE_ORDER:
+    rows = np.arange(len(profile))
+    if len(rows) > SUCCESSIVE * STRETCHES:
+        start = SUCCESSIVE * spread_indices(len(rows) // SUCCESSIVE, STRETCHES)
+        rows = (start[:, None] + np.arange(SUCCESSIVE)).ravel()
+    some = some_rows(profile, rows)
+    some = some[np.isfinite(some[:, some.shape[1] // 2]) & ~frozen[rows]]
+    if len(some) <= AROUND or some.shape[1] <= NOISE_ORDER:
         return 0.0
-    noise = np.diff(some_rows(profile, known), NOISE_ORDER, axis=1)
-    power = np.square(noise).mean(axis=1, dtype=np.float64)
-    change = np.square(np.diff(noise, axis=0)).mean(axis=1, dtype=np.float64)
+    power, change = np.empty(len(some)), np.empty(len(some) - 1)
+
+    def measure(part: slice) -> None:
+        before = max(0, part.start - 1)
+        noise = np.diff(some[before : part.stop], NOISE_ORDER, axis=1)
+        power[before : part.stop] = np.square(noise).mean(axis=1, dtype=np.float64)
+        change[before : part.stop - 1] = np.square(np.diff(noise, axis=0)).mean(axis=1, dtype=np.float64)
+
+    in_two_threads(measure, row_parts(len(some), SUCCESSIVE))
     usual = running_median(change, AROUND, ends="symmetric")
     suspect = 1 + np.flatnonzero(change[:-1] < settings.mixed_change * usual[:-1])
     if len(suspect) < FEWEST:
@@ -99,4 +107,4 @@ def mixed_frames(profile: Floats32, frozen: Bools, settings: TrackingSettings = 
     less = 2 * (beside - power[suspect]) / np.maximum(usual[suspect - 1], 1e-12)
     least = settings.mixed_sigmas * less.std(ddof=1) / np.sqrt(len(less))
     mixed = less.mean() > max(settings.mixed_noise, least)
-    return len(suspect) / len(known) if mixed else 0.0
+    return len(suspect) / len(some) if mixed else 0.0
