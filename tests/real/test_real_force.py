@@ -85,7 +85,7 @@ def test_a_moving_mean_of_the_load_makes_no_events(samples):
     load = np.convolve(load, np.full(samples, 1 / samples), "valid")
     events = find_stick_slip(force.assign(load_N=("time_s", load)))
     assert len(known) <= len(events) < 1.05 * len(known)  # smaller slips are found in less noise
-    assert (events["flag"] == "ok").mean() > 0.95
+    assert (events["flag"] == "ok").mean() > 0.9  # behind 20 samples, averaging divides 8 sticks of 256
 
 
 @pytest.mark.thorough
