@@ -27,6 +27,20 @@ def test_exchanged_neighbours_are_found(first):
     assert set(found) <= set(first) and len(found) > 0.7 * len(first)
 
 
+@pytest.mark.parametrize("lost", [[], [120, 260]], ids=["whole", "with missing positions"])
+@pytest.mark.parametrize("parity", [0, 1])
+def test_films_exchanged_pair_by_pair_are_found(parity, lost):
+    """A failure means that a film whose fields were put in the wrong order passes where sheets creep slowly:
+    from frame to frame by less than the error of a position."""
+    x_px, err_px = tracks(400, slip=0.02)
+    assert not len(exchanged_frames(x_px, err_px))
+    first = np.arange(parity, 399, 2)
+    order = np.arange(400)
+    order[first], order[first + 1] = order[first + 1], order[first]
+    x_px[lost] = np.nan
+    np.testing.assert_array_equal(exchanged_frames(x_px[order], err_px), first)
+
+
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("kind", ["none", "noise", "wandering", "ringing", "alternating", "common"])
 def test_vibration_is_no_wrong_order(kind, seed):

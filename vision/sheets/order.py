@@ -6,7 +6,16 @@ from __future__ import annotations
 import numpy as np
 
 from vision.memory import some_rows
-from vision.numeric import Bools, Floats, Floats32, Ints, in_two_threads, row_parts, spread_indices
+from vision.numeric import (
+    Bools,
+    Floats,
+    Floats32,
+    Ints,
+    in_two_threads,
+    nan_median,
+    row_parts,
+    spread_indices,
+)
 from vision.sheets.settings import DEFAULT, TrackingSettings
 from vision.signals import running_median
 
@@ -29,8 +38,10 @@ def exchanged_frames(x_px: Floats, err_px: Floats, settings: TrackingSettings = 
     sheets slip between the exchanged frames, 2 if they creep, and 3 if both pairs beside them are exchanged
     as well. Sheets or a camera that vibrate go back too, but by any part of the steps before and after, or
     in many successive frames. Exchanged frames are therefore reported where their number exceeds
-    `exchanged_least` and twice that of the other returns.
+    `exchanged_least` and twice that of the other returns, or where all frames are (`_pair_by_pair`).
     """
+    if len(rows := _pair_by_pair(x_px, err_px, settings)):
+        return rows
     ratio = np.zeros((2, max(0, len(x_px) - 3)))
 
     def compare(rows: slice) -> None:
@@ -46,6 +57,32 @@ def exchanged_frames(x_px: Floats, err_px: Floats, settings: TrackingSettings = 
     others = int(((ratio > 0).all(axis=0) & ~whole & ~beside[:-2] & ~beside[2:]).sum())
     few = whole.sum() < settings.exchanged_least or whole.sum() <= 2 * others
     return np.zeros(0, np.int64) if few else np.flatnonzero(whole) + 1
+
+
+def _pair_by_pair(x_px: Floats, err_px: Floats, settings: TrackingSettings) -> Ints:
+    """Return every second row of a film in which all frames are exchanged with the next, as by fields in the
+    wrong order, though the sheets creep too little for a pair to show it; none of other films.
+
+    The median displacements over each other pair of frames are then 3 and -1 times the creep. Films are not
+    seen in which a frame is lost: from there on it is the other pairs that go back.
+    """
+    none = np.zeros(0, np.int64)
+    if len(x_px) < 2 * FEWEST + 1:
+        return none
+    first = 2 * spread_indices((len(x_px) - 1) // 2, SUCCESSIVE * STRETCHES)
+    steps = np.stack([nan_median(x_px[first + k + 1] - x_px[first + k]) for k in (0, 1)])
+    variance = np.pi * nan_median(err_px[first]) ** 2 / len(first)  # of such a median
+    known = np.isfinite(steps).all(axis=0) & (variance > 0)
+    if known.sum() < FEWEST:
+        return none
+    weight = 1 / variance[known]
+    steps = steps[:, known] - np.average(steps[:, known], axis=1, weights=weight)[:, None]
+    power = steps**2 @ weight
+    back = int(power.argmin())
+    off = (3 * steps[back] + steps[1 - back]) ** 2 @ weight
+    clear = power[back] > max(settings.exchanged_clear, 8 * known.sum())
+    exchanged = clear and off < settings.exchanged_whole**2 * power[1 - back]
+    return np.arange(back, len(x_px) - 1, 2) if exchanged else none
 
 
 def _returns(x_px: Floats, err_px: Floats, settings: TrackingSettings) -> Floats:
