@@ -26,7 +26,6 @@ from vision.figures.style import drift_text, offset_text
 from vision.force import ForceSettings
 from vision.models import ModelFits
 from vision.models.single_fits import has_knees
-from vision.numeric import nan_median, typical
 from vision.sheets.recovery import LONG_GAP, missing_stretches
 from vision.sheets.tracks import LOSSY
 from vision.summary import (
@@ -35,6 +34,7 @@ from vision.summary import (
     bad_frames,
     force_columns_text,
     load_correction,
+    noise_figures,
     pixel_size_text,
 )
 from vision.systematics import QUANTITIES
@@ -126,7 +126,8 @@ def _tracking(tracks: xr.Dataset) -> str:
         "paper": "as the vertex of a parabola fitted to {} pixels centred on the brightest pixel",
         "template": "by matching each ridge to its own mean shape over {} pixels",
     }[t.fit].format(t.window_px)
-    noise, error = nan_median(tracks["x_noise_px"].values), typical(tracks["x_err_px"].values)
+    figures = noise_figures(tracks, None)
+    noise, error = figures["measured_px"], figures["stated_px"]
     scatter = (
         f" The positions scatter by {noise:.2g} px from frame to frame (median of the sheets); the random"
         f" error of one is {error:.2g} px (median)."

@@ -35,7 +35,7 @@ from vision.video.times import are_uneven, lost_between, thinned_from, usual_ste
 from vision.video.video import Video, cut
 
 STATUS_TYPE = "<U7"  # ok, blank, corrupt, lost
-_COLUMN_FRAMES = 200  # spread over the film, of which the mean shows the gain of the columns
+_COLUMN_FRAMES = 200  # spread over the film, which show padding and the gain of the columns
 _COLUMN_PARTS = 8  # of the columns, which must agree
 
 
@@ -438,7 +438,15 @@ def expected_frames(
     return max(status.size, video.expected or 0) + between + beyond, warnings
 
 
-# --- columns beside the picture -----------------------------------------------------------------------------
+# --- columns beside the picture, and of unequal gain --------------------------------------------------------
+
+
+def _frames_seen(intensity: Floats32, usable: Bools) -> Floats32:
+    """Return frames that show something, spread over the film, copied; none if none does."""
+    frames = np.flatnonzero(usable)
+    if not frames.size:
+        return intensity[:0]
+    return some_rows(intensity, frames[spread_indices(frames.size, _COLUMN_FRAMES)])
 
 
 def without_padding(intensity: Floats32, usable: Bools, settings: VideoSettings = VideoSettings()) -> slice:
@@ -452,10 +460,9 @@ def without_padding(intensity: Floats32, usable: Bools, settings: VideoSettings 
     padding if this scatters in time, against the whole frame, at least half as much as the quietest columns:
     a real background would scatter from column to column as well. usable: which frames show something.
     """
-    frames = np.flatnonzero(usable)
-    if not frames.size:
+    some = _frames_seen(intensity, usable)
+    if not len(some):
         return slice(0, intensity.shape[1])
-    some = some_rows(intensity, frames[spread_indices(frames.size, _COLUMN_FRAMES)])
     low, high = np.quantile(some, [0.02, 0.98])
     left, right = (_padding(line, float(high - low), settings) for line in (some, some[:, ::-1]))
     return slice(left, intensity.shape[1] - right)
@@ -480,9 +487,6 @@ def _padding(some: Floats32, contrast: float, settings: VideoSettings) -> int:
     return alike if alike >= settings.padding_columns and repeats else 0
 
 
-# --- columns of unequal gain --------------------------------------------------------------------------------
-
-
 def equalise_columns(intensity: Floats32, usable: Bools, settings: VideoSettings = VideoSettings()) -> float:
     r"""Divide I(x, t), (frame, x), by the gain of its columns, in place, and return by how much they differ.
 
@@ -498,10 +502,9 @@ def equalise_columns(intensity: Floats32, usable: Bools, settings: VideoSettings
     each part. Sheets and gaps of different colours have different gains, of which this is the mean. The
     result is 2|a|, or 0 without a correction. usable: which frames show something, (frame,).
     """
-    frames = np.flatnonzero(usable)
-    if not frames.size or intensity.shape[1] < 4 * _COLUMN_PARTS:
+    shown = _frames_seen(intensity, usable)
+    if not len(shown) or intensity.shape[1] < 4 * _COLUMN_PARTS:
         return 0.0
-    shown = some_rows(intensity, frames[spread_indices(frames.size, _COLUMN_FRAMES)])
     mean = shown.mean(axis=0, dtype=np.float64)
     sign = 1.0 - 2.0 * (np.arange(mean.size) % 2)
     beside = 0.5 * (mean[:-2] + mean[2:])

@@ -82,8 +82,8 @@ def _without_timecode(path: Path, lines: list[str]) -> tuple[list[str], tuple[st
     The rate is the smallest usual one above the largest number of a frame.  Raises: InputError for a film
     that is shorter than a second of the timecode, and does not show it.
     """
-    found = [_TIMECODE.search(line) if ":" in line else None for line in lines]
-    if 2 * sum(map(bool, found)) <= sum(bool(line.strip()) for line in lines):
+    found = _in_most_lines(_TIMECODE, lines)
+    if found is None:
         return lines, ()
     parts = np.array([[int(part) for part in match.groups()] for match in found if match])
     rate = next((rate for rate in _TIMECODE_RATES if rate > parts[:, 3].max()), None)
@@ -91,11 +91,7 @@ def _without_timecode(path: Path, lines: list[str]) -> tuple[list[str], tuple[st
         raise InputError(
             path, "timecode of a second or more", "one that does not show its rate", "give `fps`"
         )
-    seconds = iter(parts @ np.array([3600, 60, 1, 1 / rate]))
-    times = [
-        f"{line[: match.start()]}{next(seconds):.6f}{line[match.end() :]}" if match else line
-        for line, match in zip(lines, found, strict=True)
-    ]
+    times = _with_seconds(lines, found, parts @ np.array([3600, 60, 1, 1 / rate]))
     why = f"timecode is read at {rate} frames/s, though 30 may mean 29.97 and cameras may run faster"
     return times, (f"{path.name}: {why}: check it, or give the rate of the camera (`fps`)",)
 
@@ -122,15 +118,26 @@ def _spread(times_s: Floats) -> Floats | None:
 
 def _without_clocks(lines: list[str]) -> list[str]:
     """Return the lines with seconds in place of times of the day, if most lines have one."""
-    found = [_CLOCK.search(line) if ":" in line else None for line in lines]
-    if 2 * sum(map(bool, found)) <= sum(bool(line.strip()) for line in lines):
+    found = _in_most_lines(_CLOCK, lines)
+    if found is None:
         return lines
-    seconds = clock_seconds(
-        pd.Series([match[1] if match else "" for match in found]).str.extract(CLOCK_PARTS)
-    )
+    parts = pd.Series([match[1] for match in found if match]).str.extract(CLOCK_PARTS)
+    others = [line if match else _CLOCK_FORM.sub("", line) for line, match in zip(lines, found, strict=True)]
+    return _with_seconds(others, found, clock_seconds(parts))
+
+
+def _in_most_lines(pattern: re.Pattern[str], lines: list[str]) -> list[re.Match[str] | None] | None:
+    """Return where a pattern with a colon is in each line; None if it is not in most of them."""
+    found = [pattern.search(line) if ":" in line else None for line in lines]
+    return found if 2 * sum(map(bool, found)) > sum(bool(line.strip()) for line in lines) else None
+
+
+def _with_seconds(lines: list[str], found: list[re.Match[str] | None], seconds: Floats) -> list[str]:
+    """Return the lines with seconds, one for each match, in its place."""
+    following = iter(seconds.tolist())
     return [
-        f"{line[: match.start()]}{time:.6f}{line[match.end() :]}" if match else _CLOCK_FORM.sub("", line)
-        for line, match, time in zip(lines, found, seconds, strict=True)
+        f"{line[: match.start()]}{next(following):.6f}{line[match.end() :]}" if match else line
+        for line, match in zip(lines, found, strict=True)
     ]
 
 
